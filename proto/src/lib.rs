@@ -1,0 +1,22 @@
+//! The wire protocols: [`policy`] between workers, gateways and policy servers,
+//! [`coordinator`] between workers, operators and the coordinator. Generated
+//! from the `.proto` files beside this crate, whose comments are the reference.
+
+#![forbid(unsafe_code)]
+#![allow(missing_docs, clippy::all, reason = "generated code")]
+
+/// `rollout.policy.v1`.
+pub mod policy {
+    tonic::include_proto!("rollout.policy.v1");
+}
+
+/// `rollout.coordinator.v1`.
+pub mod coordinator {
+    tonic::include_proto!("rollout.coordinator.v1");
+}
+
+/// Version of both protocols, exchanged on `Describe` and `Register`.
+pub const PROTOCOL_VERSION: u32 = 1;
+/// Largest message accepted, bytes: an observation of two 512×512 frames fits
+/// four times. tonic's own default of 4 MiB does not hold a batch.
+pub const MAX_MESSAGE_BYTES: usize = 32 << 20;
