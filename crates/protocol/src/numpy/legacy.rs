@@ -1,0 +1,160 @@
+//! `numpy.random.RandomState`: the Mersenne Twister MT19937 and the legacy
+//! distributions on top of it, whose order of draws NumPy has frozen.
+
+const STATE_WORDS: usize = 624;
+const SHIFT_WORDS: usize = 397;
+
+/// NumPy's legacy generator. Equal seeds give equal sequences of calls the
+/// same values as `numpy.random.RandomState(seed)`.
+#[derive(Clone)]
+pub struct LegacyRng {
+    words: [u32; STATE_WORDS],
+    next: usize,
+    /// The second value of the last polar pair, which `randn` returns next.
+    cached_normal: Option<f64>,
+}
+
+impl LegacyRng {
+    /// `RandomState(seed)`, which is also `numpy.random.seed(seed)`.
+    pub fn seed(seed: u32) -> Self {
+        let mut words = [0; STATE_WORDS];
+        words[0] = seed;
+        for i in 1..STATE_WORDS {
+            let previous = words[i - 1];
+            words[i] = 1_812_433_253_u32
+                .wrapping_mul(previous ^ (previous >> 30))
+                .wrapping_add(i as u32);
+        }
+        Self {
+            words,
+            next: STATE_WORDS,
+            cached_normal: None,
+        }
+    }
+
+    /// `random_sample()`: uniform in [0, 1), from two 32-bit words.
+    pub fn random_sample(&mut self) -> f64 {
+        let upper = u64::from(self.next_u32() >> 5);
+        let lower = u64::from(self.next_u32() >> 6);
+        ((upper << 26) | lower) as f64 / 9_007_199_254_740_992.0
+    }
+
+    /// `uniform(low, high)` = `low + (high - low) * random_sample()`, also
+    /// where `high < low`, which LIBERO's regions rely on.
+    pub fn uniform(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.random_sample()
+    }
+
+    /// `randn()`: a standard normal by Marsaglia's polar method. Every second
+    /// call returns the other half of a pair and consumes nothing.
+    pub fn randn(&mut self) -> f64 {
+        if let Some(cached) = self.cached_normal.take() {
+            return cached;
+        }
+        loop {
+            let x = 2.0 * self.random_sample() - 1.0;
+            let y = 2.0 * self.random_sample() - 1.0;
+            let squared_radius = x * x + y * y;
+            if squared_radius < 1.0 && squared_radius != 0.0 {
+                let scale = (-2.0 * squared_radius.ln() / squared_radius).sqrt();
+                self.cached_normal = Some(scale * x);
+                return scale * y;
+            }
+        }
+    }
+
+    /// `randint(n)`: uniform in `0..n`, by rejection from the smallest bit
+    /// mask that covers it. `randint(1)` is 0 and consumes nothing.
+    ///
+    /// # Panics
+    /// If `n` is 0, as there is then nothing to choose from.
+    pub fn randint(&mut self, n: u32) -> u32 {
+        assert!(n > 0, "randint needs a non-empty range");
+        let largest = n - 1;
+        if largest == 0 {
+            return 0;
+        }
+        let mask = u32::MAX >> largest.leading_zeros();
+        loop {
+            let candidate = self.next_u32() & mask;
+            if candidate <= largest {
+                return candidate;
+            }
+        }
+    }
+
+    fn next_u32(&mut self) -> u32 {
+        if self.next == STATE_WORDS {
+            self.refill();
+        }
+        let mut word = self.words[self.next];
+        self.next += 1;
+        word ^= word >> 11;
+        word ^= (word << 7) & 0x9d2c_5680;
+        word ^= (word << 15) & 0xefc6_0000;
+        word ^ (word >> 18)
+    }
+
+    fn refill(&mut self) {
+        for i in 0..STATE_WORDS {
+            let joined =
+                (self.words[i] & 0x8000_0000) | (self.words[(i + 1) % STATE_WORDS] & 0x7fff_ffff);
+            let twisted = (joined >> 1) ^ if joined & 1 == 1 { 0x9908_b0df } else { 0 };
+            self.words[i] = self.words[(i + SHIFT_WORDS) % STATE_WORDS] ^ twisted;
+        }
+        self.next = 0;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Values of NumPy 2.4.6's `RandomState(20260904)`: `randn(7)`, then
+    /// `uniform(-0.01, 0.01)`, `randint(3)`, `randint(1)`,
+    /// `uniform(0.4, -0.2)` and `random_sample(3)`.
+    #[test]
+    fn a_sequence_of_mixed_calls_equals_numpys() {
+        let mut rng = LegacyRng::seed(20_260_904);
+        let normals: Vec<f64> = (0..7).map(|_| rng.randn()).collect();
+        assert_eq!(
+            normals,
+            [
+                -0.7336173942245888,
+                -0.46159713058071433,
+                -1.758007496510239,
+                -0.5632358068913206,
+                0.8783533095588868,
+                -0.7036896685440318,
+                -0.016046815496486323
+            ]
+        );
+        let uniforms: Vec<f64> = (0..4).map(|_| rng.uniform(-0.01, 0.01)).collect();
+        assert_eq!(
+            uniforms,
+            [
+                0.00805773770789255,
+                -0.00031640391633912593,
+                0.006866469272003949,
+                0.006933487345919592
+            ]
+        );
+        let integers: Vec<u32> = (0..6).map(|_| rng.randint(3)).collect();
+        assert_eq!(integers, [0, 1, 2, 1, 0, 1]);
+        assert_eq!(rng.randint(1), 0);
+        assert_eq!(rng.uniform(0.4, -0.2), -0.17684886975590175);
+        let samples: Vec<f64> = (0..3).map(|_| rng.random_sample()).collect();
+        assert_eq!(
+            samples,
+            [0.6148108535945562, 0.347154277697442, 0.2973511671059116]
+        );
+    }
+
+    #[test]
+    fn randint_of_one_consumes_nothing() {
+        let mut with = LegacyRng::seed(1);
+        let mut without = with.clone();
+        assert_eq!(with.randint(1), 0);
+        assert_eq!(with.random_sample(), without.random_sample());
+    }
+}
