@@ -7,3 +7,30 @@
 #![forbid(unsafe_code)]
 
 pub mod numpy;
+pub mod presets;
+pub mod seeds;
+pub mod streams;
+
+mod campaign;
+mod condition;
+mod expansion;
+mod names;
+mod perturbation;
+mod rollout_id;
+mod row;
+mod suite;
+mod tasks;
+
+pub use campaign::{
+    CampaignSpec, DesignVersion, MAX_REPLICATES, Nominal, PolicyRoute, Record, SpecError,
+    select_tasks,
+};
+pub use condition::{Axis, Condition, Level, Realisation};
+pub use names::UnknownName;
+pub use perturbation::{
+    ActuationDistortion, CameraShift, LightingShift, PerturbError, Perturbation, RobotShift,
+    SensorCorruption,
+};
+pub use rollout_id::RolloutId;
+pub use row::{ManifestRow, RowError};
+pub use suite::{INIT_STATES_PER_TASK, Suite, TASKS_PER_SUITE, TaskRef};

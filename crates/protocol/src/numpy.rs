@@ -4,7 +4,7 @@
 //! implementation of LIBERO-CTRL uses.
 //!
 //! This module is not a source of randomness for new work: what this project
-//! draws for itself comes from the `streams` module. Only the distributions that
+//! draws for itself comes from [`crate::streams`]. Only the distributions that
 //! the two codes call exist here.
 //!
 //! Sources: M. Matsumoto and T. Nishimura, MT19937 (1998); M. O'Neill, PCG
@@ -14,11 +14,13 @@
 mod default_rng;
 mod legacy;
 mod ziggurat;
+mod ziggurat_tables;
 
 pub use default_rng::DefaultRng;
 pub use legacy::LegacyRng;
+pub(crate) use ziggurat::standard_normal;
 
 /// A double in [0, 1) from the upper 53 bits of a 64-bit word.
-fn unit_from_bits(bits: u64) -> f64 {
+pub(crate) fn unit_from_bits(bits: u64) -> f64 {
     (bits >> 11) as f64 * (1.0 / 9_007_199_254_740_992.0)
 }

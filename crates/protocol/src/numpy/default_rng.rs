@@ -2,7 +2,7 @@
 //! generator PCG64 (XSL-RR 128/64), and the ziggurat normal on top of it.
 
 use super::unit_from_bits;
-use super::ziggurat::{ACCEPT_BELOW, DENSITY, INV_RIGHT_EDGE, RIGHT_EDGE, WIDTH};
+use super::ziggurat::standard_normal;
 
 const PCG_MULTIPLIER: u128 = 0x2360_ed05_1fc6_5da4_4385_df64_9fcc_f645;
 const POOL_WORDS: usize = 4;
@@ -47,37 +47,7 @@ impl DefaultRng {
 
     /// `standard_normal()`, by a ziggurat of 256 layers.
     pub fn standard_normal(&mut self) -> f64 {
-        loop {
-            let bits = self.next_u64();
-            let layer = (bits & 0xff) as usize;
-            let negative = (bits >> 8) & 1 == 1;
-            let magnitude = (bits >> 9) & 0x000f_ffff_ffff_ffff;
-            let distance = magnitude as f64 * WIDTH[layer];
-            let x = if negative { -distance } else { distance };
-            if magnitude < ACCEPT_BELOW[layer] {
-                return x;
-            }
-            if layer == 0 {
-                return self.normal_tail((magnitude >> 8) & 1 == 1);
-            }
-            let height = (DENSITY[layer - 1] - DENSITY[layer]) * self.random() + DENSITY[layer];
-            if height < (-0.5 * x * x).exp() {
-                return x;
-            }
-        }
-    }
-
-    /// A sample beyond the ziggurat's right edge. Its sign comes from a bit of
-    /// the magnitude, not from the sign bit: so does NumPy's.
-    fn normal_tail(&mut self, negative: bool) -> f64 {
-        loop {
-            let x = -INV_RIGHT_EDGE * (-self.random()).ln_1p();
-            let y = -(-self.random()).ln_1p();
-            if y + y > x * x {
-                let distance = RIGHT_EDGE + x;
-                return if negative { -distance } else { distance };
-            }
-        }
+        standard_normal(|| self.next_u64())
     }
 
     fn next_u64(&mut self) -> u64 {

@@ -1,0 +1,191 @@
+//! From a campaign to manifest rows: which rollouts it has, in which order,
+//! with which values. Replicates are not rows: they repeat them.
+
+use std::collections::BTreeSet;
+
+use crate::campaign::{CampaignSpec, Nominal, SpecError};
+use crate::condition::{Axis, Condition, Level};
+use crate::perturbation::Perturbation;
+use crate::presets::apply_preset;
+use crate::rollout_id::RolloutId;
+use crate::row::ManifestRow;
+use crate::suite::{INIT_STATES_PER_TASK, TaskRef};
+
+impl CampaignSpec {
+    /// The campaign's rows, paired units first: configuration by configuration,
+    /// task by task, the nominal rollout and then all conditions of a
+    /// configuration stand together, so that interim paired figures cover all
+    /// tasks early. The other nominal rollouts come last.
+    ///
+    /// # Errors
+    /// If the specification is wrong, or names what cannot be realised.
+    pub fn expand(&self) -> Result<Vec<ManifestRow>, SpecError> {
+        self.check()?;
+        let mut rows = Vec::new();
+        let mut nominal = BTreeSet::new();
+        for &config in &self.configs {
+            for &task in &self.tasks {
+                let init_id = task.eval_init_ids()[usize::from(config)];
+                if self.nominal != Nominal::None && nominal.insert((task, init_id)) {
+                    rows.push(clean_row(task, init_id));
+                }
+                for &level in &self.levels {
+                    for condition in self.conditions() {
+                        rows.push(self.perturbed_row(task, condition, level, config)?);
+                    }
+                }
+            }
+        }
+        if self.nominal == Nominal::All {
+            for &task in &self.tasks {
+                let rest = (0..INIT_STATES_PER_TASK).filter(|&id| nominal.insert((task, id)));
+                rows.extend(rest.map(|init_id| clean_row(task, init_id)));
+            }
+        }
+        Ok(rows)
+    }
+
+    fn perturbed_row(
+        &self,
+        task: TaskRef,
+        condition: Condition,
+        level: Level,
+        config: u16,
+    ) -> Result<ManifestRow, SpecError> {
+        let axes = match condition {
+            Condition::Single(axis) => vec![axis],
+            Condition::Combination => self.axes.clone(),
+            Condition::Clean => Vec::new(),
+        };
+        let mut perturbation = Perturbation::default();
+        for &axis in &axes {
+            apply_preset(&mut perturbation, axis, level, config);
+        }
+        let id = RolloutId::perturbed(task, condition, level, config)
+            .expect("a checked campaign perturbs at a level above L0");
+        let init_id = task.eval_init_ids()[usize::from(config)];
+        let mut row = ManifestRow::new(id, config, init_id, perturbation);
+        if axes.contains(&Axis::Language) {
+            (row.instruction, row.variant_id) = paraphrase()?;
+        }
+        Ok(row)
+    }
+}
+
+fn clean_row(task: TaskRef, init_id: u16) -> ManifestRow {
+    let id = RolloutId::clean(task, init_id);
+    ManifestRow::new(id, init_id, init_id, Perturbation::default())
+}
+
+/// The instruction of the language axis and its variant's name. There are no
+/// paraphrases yet, and a language axis with the canonical instruction would be
+/// the identity in disguise: refused. This is the one place that refuses.
+fn paraphrase() -> Result<(String, Option<String>), SpecError> {
+    Err(SpecError::NotRealisable {
+        axis: Axis::Language,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::campaign::PolicyRoute;
+
+    fn metric_campaign() -> CampaignSpec {
+        let policy = PolicyRoute {
+            name: "expert".to_owned(),
+            endpoint: "http://127.0.0.1:50051".to_owned(),
+        };
+        CampaignSpec {
+            axes: Axis::METRIC.to_vec(),
+            ..CampaignSpec::v0_1("metric", policy)
+        }
+    }
+
+    #[test]
+    fn five_axes_have_six_conditions_at_every_configuration() {
+        let rows = metric_campaign().expand().expect("rows");
+        assert_eq!(rows.len(), 2_000 + 40 * 10 * 3 * 6);
+        let ids: BTreeSet<RolloutId> = rows.iter().map(|row| row.id).collect();
+        assert_eq!(ids.len(), rows.len());
+    }
+
+    #[test]
+    fn a_configuration_stands_together_with_its_nominal_rollout() {
+        let rows = metric_campaign().expand().expect("rows");
+        let ids: Vec<String> = rows.iter().map(|row| row.id.to_string()).collect();
+        assert_eq!(
+            ids[..8],
+            [
+                "spatial/t0/clean/L0/c43",
+                "spatial/t0/camera/L1/c00",
+                "spatial/t0/lighting/L1/c00",
+                "spatial/t0/robot/L1/c00",
+                "spatial/t0/sensor/L1/c00",
+                "spatial/t0/actuation/L1/c00",
+                "spatial/t0/combination/L1/c00",
+                "spatial/t0/camera/L2/c00",
+            ]
+        );
+        assert_eq!(ids[19], "spatial/t1/clean/L0/c24");
+        assert_eq!(rows[6].init_id, 43);
+        assert_eq!(rows[6].perturbation.axes(), Axis::METRIC);
+    }
+
+    #[test]
+    fn a_combination_combines_exactly_the_campaigns_axes() {
+        let spec = CampaignSpec {
+            axes: vec![Axis::Camera, Axis::Robot],
+            nominal: Nominal::None,
+            levels: vec![Level::L2],
+            tasks: select("libero_goal/3"),
+            configs: vec![4],
+            ..metric_campaign()
+        };
+        let rows = spec.expand().expect("rows");
+        let conditions: Vec<Condition> = rows.iter().map(|row| row.id.condition()).collect();
+        assert_eq!(
+            conditions,
+            [
+                Condition::Single(Axis::Camera),
+                Condition::Single(Axis::Robot),
+                Condition::Combination
+            ]
+        );
+        assert_eq!(rows[2].perturbation.camera, rows[0].perturbation.camera);
+        assert_eq!(rows[2].perturbation.robot, rows[1].perturbation.robot);
+        assert_eq!(rows[2].perturbation.axes(), [Axis::Camera, Axis::Robot]);
+    }
+
+    #[test]
+    fn nominal_rollouts_are_all_those_of_the_configurations_or_none() {
+        let count = |nominal| {
+            let spec = CampaignSpec {
+                nominal,
+                tasks: select("libero_goal"),
+                levels: vec![Level::L1],
+                ..metric_campaign()
+            };
+            let rows = spec.expand().expect("rows");
+            let clean = rows.iter().filter(|row| row.id.config().is_none());
+            clean.count()
+        };
+        assert_eq!(count(Nominal::All), 500);
+        assert_eq!(count(Nominal::Eval), 100);
+        assert_eq!(count(Nominal::None), 0);
+    }
+
+    #[test]
+    fn a_language_campaign_is_refused_until_there_are_paraphrases() {
+        let spec = CampaignSpec {
+            axes: vec![Axis::Camera, Axis::Language],
+            ..metric_campaign()
+        };
+        let error = spec.expand().expect_err("no paraphrases");
+        assert!(error.to_string().contains("axis `language`"), "{error}");
+    }
+
+    fn select(tasks: &str) -> Vec<TaskRef> {
+        crate::campaign::select_tasks(tasks).expect("tasks")
+    }
+}

@@ -1,0 +1,44 @@
+//! The one error of every name that people type: it says what was given and
+//! what would have been understood.
+
+/// A name that means nothing here.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("read {kind} `{given}`: valid are {valid}")]
+pub struct UnknownName {
+    /// What was expected: "suite", "task", "axis", ...
+    pub kind: &'static str,
+    /// What was given, verbatim.
+    pub given: String,
+    /// What would have been understood, for people.
+    pub valid: String,
+}
+
+impl UnknownName {
+    pub(crate) fn new(kind: &'static str, given: &str, valid: &[&str]) -> Self {
+        Self {
+            kind,
+            given: given.to_owned(),
+            valid: valid.join(", "),
+        }
+    }
+}
+
+/// Serialises a type as the text of its `Display` and `FromStr`.
+macro_rules! serde_as_text {
+    ($type:ty) => {
+        impl serde::Serialize for $type {
+            fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+                serializer.collect_str(self)
+            }
+        }
+
+        impl<'de> serde::Deserialize<'de> for $type {
+            fn deserialize<D: serde::Deserializer<'de>>(source: D) -> Result<Self, D::Error> {
+                let text = String::deserialize(source)?;
+                text.parse().map_err(serde::de::Error::custom)
+            }
+        }
+    };
+}
+
+pub(crate) use serde_as_text;

@@ -1,0 +1,244 @@
+//! The figures of LIBERO-CTRL v0.1: directions, units, radii, evaluation
+//! states and step budgets, read from `data/presets.json`. The arithmetic that
+//! makes parameters of them is here; their meaning is in `perturbation`.
+//!
+//! Source: `manifests/v0.1/manifest.json` of the protocol's released code
+//! (arXiv 2609.15940), figures only.
+
+use std::collections::BTreeMap;
+use std::sync::LazyLock;
+
+use serde::Deserialize;
+
+use crate::condition::{Axis, Level};
+use crate::perturbation::{
+    ActuationDistortion, CameraShift, LightingShift, Perturbation, RobotShift, SensorCorruption,
+};
+use crate::suite::Suite;
+
+/// Presets per axis, and configurations per task and level.
+pub const PRESETS: u16 = 10;
+
+/// Control steps without action before the policy starts: the released states
+/// float their objects above what supports them.
+pub const SETTLE_STEPS: u32 = 10;
+
+/// Seed of NumPy's legacy generator before a scene is composed and before each
+/// reset, so that every rollout of a task sees the same fixtures.
+pub const ENV_SEED: u32 = 20_260_904;
+
+/// The radius of a level in normalised coordinates: 2, 4 or 8, and 0 at L0.
+pub fn radius(level: Level) -> f64 {
+    let radii = &presets().radii;
+    match level {
+        Level::L0 => 0.0,
+        Level::L1 => radii[0],
+        Level::L2 => radii[1],
+        Level::L3 => radii[2],
+    }
+}
+
+/// Adds preset `config` of `axis` at `level` to a perturbation. The language
+/// axis has no numbers and adds nothing.
+///
+/// Every parameter is radius × unit × direction, rounded to six decimals.
+///
+/// # Panics
+/// If `config` is not below [`PRESETS`].
+pub fn apply_preset(perturbation: &mut Perturbation, axis: Axis, level: Level, config: u16) {
+    match axis {
+        Axis::Camera => {
+            perturbation.camera = Some(CameraShift::from(values(axis, level, config)));
+        }
+        Axis::Lighting => {
+            perturbation.lighting = Some(LightingShift::from(values(axis, level, config)));
+        }
+        Axis::Robot => {
+            perturbation.robot = Some(RobotShift::from(values(axis, level, config)));
+        }
+        Axis::Sensor => {
+            perturbation.sensor = Some(SensorCorruption::from(values(axis, level, config)));
+        }
+        Axis::Actuation => {
+            perturbation.actuation = Some(ActuationDistortion::from(values(axis, level, config)));
+        }
+        Axis::Language => {}
+    }
+}
+
+/// Rounds to six decimals as Python's `round(x, 6)`: correctly from the exact
+/// binary value, ties to even, keeping the sign of zero.
+pub fn round6(value: f64) -> f64 {
+    // Formatting with a precision rounds the exact value; scaling by 10⁶ first
+    // would round twice and differ in the last digit of some presets.
+    format!("{value:.6}")
+        .parse()
+        .expect("a formatted float parses")
+}
+
+/// What the figures say about one suite.
+pub(crate) struct SuitePresets {
+    pub(crate) max_steps: u32,
+    pub(crate) demo_action_rms: [f64; 2],
+    pub(crate) eval_init_ids: [[u16; 10]; 10],
+}
+
+pub(crate) struct Presets {
+    radii: [f64; 3],
+    suites: [SuitePresets; 4],
+    axes: BTreeMap<String, AxisPresets>,
+}
+
+impl Presets {
+    pub(crate) fn suite(&self, suite: Suite) -> &SuitePresets {
+        &self.suites[suite.ordinal()]
+    }
+}
+
+/// The figures, parsed once. That the embedded file parses is a test's
+/// business, not a caller's.
+pub(crate) fn presets() -> &'static Presets {
+    static PRESETS: LazyLock<Presets> = LazyLock::new(|| {
+        let file: PresetsFile = serde_json::from_str(include_str!("../data/presets.json"))
+            .expect("the embedded presets are valid");
+        Presets::from(file)
+    });
+    &PRESETS
+}
+
+fn values<const N: usize>(axis: Axis, level: Level, config: u16) -> [f64; N] {
+    let AxisPresets { unit, directions } = &presets().axes[axis.name()];
+    let direction = &directions[usize::from(config)];
+    let radius = radius(level);
+    std::array::from_fn(|i| round6(radius * unit[i] * direction[i]))
+}
+
+struct AxisPresets {
+    unit: Vec<f64>,
+    directions: Vec<Vec<f64>>,
+}
+
+/// The file as it is written.
+#[derive(Deserialize)]
+struct PresetsFile {
+    severity_multipliers: Multipliers,
+    protocol: ProtocolFigures,
+    axes: BTreeMap<String, AxisFigures>,
+    directions: BTreeMap<String, Vec<Vec<f64>>>,
+    eval_init_ids: BTreeMap<Suite, [[u16; 10]; 10]>,
+}
+
+#[derive(Deserialize)]
+struct Multipliers {
+    #[serde(rename = "L1")]
+    l1: f64,
+    #[serde(rename = "L2")]
+    l2: f64,
+    #[serde(rename = "L3")]
+    l3: f64,
+}
+
+#[derive(Deserialize)]
+struct ProtocolFigures {
+    max_steps: BTreeMap<Suite, u32>,
+    demo_action_rms: BTreeMap<Suite, [f64; 2]>,
+}
+
+#[derive(Deserialize)]
+struct AxisFigures {
+    unit: Vec<f64>,
+}
+
+impl From<PresetsFile> for Presets {
+    fn from(mut file: PresetsFile) -> Self {
+        let multipliers = file.severity_multipliers;
+        let suites = Suite::ALL.map(|suite| SuitePresets {
+            max_steps: file.protocol.max_steps[&suite],
+            demo_action_rms: file.protocol.demo_action_rms[&suite],
+            eval_init_ids: file.eval_init_ids[&suite],
+        });
+        let axes = file.axes.into_iter().map(|(name, figures)| {
+            let directions = file.directions.remove(&name).unwrap_or_default();
+            let unit = figures.unit;
+            (name, AxisPresets { unit, directions })
+        });
+        Self {
+            radii: [multipliers.l1, multipliers.l2, multipliers.l3],
+            suites,
+            axes: axes.collect(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::Value;
+
+    fn file() -> Value {
+        serde_json::from_str(include_str!("../data/presets.json")).expect("JSON")
+    }
+
+    fn check_keys(axis: Axis, keys: &[&str]) {
+        let file = file();
+        assert_eq!(file["axes"][axis.name()]["keys"], serde_json::json!(keys));
+        let AxisPresets { unit, directions } = &presets().axes[axis.name()];
+        assert_eq!(unit.len(), keys.len(), "{axis}");
+        assert_eq!(directions.len(), usize::from(PRESETS), "{axis}");
+        assert!(directions.iter().all(|d| d.len() == keys.len()), "{axis}");
+    }
+
+    #[test]
+    fn parameters_have_the_names_and_the_order_of_the_presets() {
+        check_keys(Axis::Camera, &CameraShift::KEYS);
+        check_keys(Axis::Lighting, &LightingShift::KEYS);
+        check_keys(Axis::Robot, &RobotShift::KEYS);
+        check_keys(Axis::Sensor, &SensorCorruption::KEYS);
+        check_keys(Axis::Actuation, &ActuationDistortion::KEYS);
+    }
+
+    #[test]
+    fn constants_equal_the_figures_of_the_file() {
+        let protocol = &file()["protocol"];
+        assert_eq!(protocol["env_seed"], ENV_SEED);
+        assert_eq!(protocol["num_steps_wait"], SETTLE_STEPS);
+        assert_eq!(protocol["eval_configs"], PRESETS);
+        assert_eq!(Suite::Long.max_steps(), 520);
+        assert_eq!(Suite::Goal.demo_action_rms(), [0.739, 0.143]);
+    }
+
+    /// The parameters of `spatial/t0/combination/L1/c01` and two that lie on a
+    /// decimal tie, as the reference's manifest writes them.
+    #[test]
+    fn parameters_equal_the_references_digits() {
+        let camera: [f64; 5] = values(Axis::Camera, Level::L1, 1);
+        assert_eq!(camera, [-3.58936, 0.404697, 0.063736, 0.013033, -0.016198]);
+        let robot: [f64; 6] = values(Axis::Robot, Level::L1, 1);
+        assert_eq!(
+            robot,
+            [0.00361, -0.024367, 0.016343, 4.716338, 1.696958, -4.05363]
+        );
+        let lighting: [f64; 5] = values(Axis::Lighting, Level::L2, 1);
+        assert_eq!(lighting[1], -0.617393);
+        let lighting: [f64; 5] = values(Axis::Lighting, Level::L1, 2);
+        assert_eq!(lighting[1], -0.091088);
+    }
+
+    #[test]
+    fn directions_are_unit_vectors() {
+        for (axis, presets) in &presets().axes {
+            for direction in &presets.directions {
+                let length = direction.iter().map(|x| x * x).sum::<f64>().sqrt();
+                assert!((length - 1.0).abs() < 2e-4, "{axis}: {length}");
+            }
+        }
+    }
+
+    #[test]
+    fn rounding_is_pythons() {
+        assert_eq!(round6(0.5e-6), 0.0);
+        assert_eq!(round6(1.25), 1.25);
+        assert_eq!(round6(2.675_000_5), 2.675);
+        assert!(round6(-1e-9).is_sign_negative());
+    }
+}

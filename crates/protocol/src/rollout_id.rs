@@ -1,0 +1,180 @@
+//! Rollout ids: the identity of a rollout inside a design, from which its seeds
+//! are made. A replicate is not part of it.
+
+use std::fmt;
+use std::str::FromStr;
+
+use crate::condition::{Condition, Level};
+use crate::names::{UnknownName, serde_as_text};
+use crate::suite::{INIT_STATES_PER_TASK, Suite, TaskRef};
+
+const PATTERN: &str = "SUITE/tN/CONDITION/LEVEL/cNN, for example spatial/t0/camera/L2/c00 \
+                       or, nominal, spatial/t0/clean/L0/c07";
+
+/// Names one rollout: `spatial/t0/camera/L2/c00`.
+///
+/// In a perturbed rollout the last number is the configuration; in a clean one
+/// it is the initial state, as `spatial/t0/clean/L0/c07`. The reference's own
+/// files write the latter `spatial/t0/clean/i07`; that is read too.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct RolloutId {
+    task: TaskRef,
+    condition: Condition,
+    level: Level,
+    number: u16,
+}
+
+impl RolloutId {
+    /// The nominal rollout of a task from initial state `init_id`.
+    pub const fn clean(task: TaskRef, init_id: u16) -> Self {
+        Self {
+            task,
+            condition: Condition::Clean,
+            level: Level::L0,
+            number: init_id,
+        }
+    }
+
+    /// A perturbed rollout.
+    ///
+    /// # Errors
+    /// If the condition is clean or the level is L0, which go together only in
+    /// [`Self::clean`].
+    pub fn perturbed(
+        task: TaskRef,
+        condition: Condition,
+        level: Level,
+        config: u16,
+    ) -> Result<Self, UnknownName> {
+        let id = Self {
+            task,
+            condition,
+            level,
+            number: config,
+        };
+        if condition == Condition::Clean || level == Level::L0 {
+            return Err(unknown(&id.to_string()));
+        }
+        Ok(id)
+    }
+
+    /// The task.
+    pub const fn task(&self) -> TaskRef {
+        self.task
+    }
+
+    /// What is perturbed.
+    pub const fn condition(&self) -> Condition {
+        self.condition
+    }
+
+    /// How strongly; L0 exactly in clean rollouts.
+    pub const fn level(&self) -> Level {
+        self.level
+    }
+
+    /// The configuration; none in a clean rollout.
+    pub fn config(&self) -> Option<u16> {
+        (self.condition != Condition::Clean).then_some(self.number)
+    }
+
+    /// The id's last number: the configuration, or a clean rollout's initial
+    /// state.
+    pub const fn number(&self) -> u16 {
+        self.number
+    }
+}
+
+impl fmt::Display for RolloutId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "{}/t{}/{}/{}/c{:02}",
+            self.task.suite().short_name(),
+            self.task.index(),
+            self.condition,
+            self.level,
+            self.number
+        )
+    }
+}
+
+impl FromStr for RolloutId {
+    type Err = UnknownName;
+
+    fn from_str(text: &str) -> Result<Self, UnknownName> {
+        let parts: Vec<&str> = text.split('/').collect();
+        let (suite, task, rest) = match parts.as_slice() {
+            [suite, task, rest @ ..] => (suite.parse::<Suite>()?, number(task, "t"), rest),
+            _ => return Err(unknown(text)),
+        };
+        let task = TaskRef::new(suite, u32::from(task.ok_or_else(|| unknown(text))?))?;
+        let (condition, level, number) = match rest {
+            ["clean", state] => (Condition::Clean, Level::L0, number(state, "i")),
+            [condition, level, config] => (condition.parse()?, level.parse()?, number(config, "c")),
+            _ => return Err(unknown(text)),
+        };
+        match number {
+            Some(state) if condition == Condition::Clean => {
+                let fits = level == Level::L0 && state < INIT_STATES_PER_TASK;
+                fits.then_some(Self::clean(task, state))
+                    .ok_or_else(|| unknown(text))
+            }
+            Some(config) => Self::perturbed(task, condition, level, config),
+            None => Err(unknown(text)),
+        }
+    }
+}
+
+serde_as_text!(RolloutId);
+
+fn number(text: &str, prefix: &str) -> Option<u16> {
+    let digits = text.strip_prefix(prefix)?;
+    let all_digits = !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
+    all_digits.then(|| digits.parse().ok()).flatten()
+}
+
+fn unknown(given: &str) -> UnknownName {
+    UnknownName::new("rollout id", given, &[PATTERN])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::condition::Axis;
+
+    fn check(text: &str, canonical: &str) {
+        let id: RolloutId = text.parse().expect("an id");
+        assert_eq!(id.to_string(), canonical);
+    }
+
+    #[test]
+    fn ids_read_back_from_their_text() {
+        check("spatial/t0/camera/L2/c00", "spatial/t0/camera/L2/c00");
+        check("long/t5/combination/L3/c08", "long/t5/combination/L3/c08");
+        check("goal/t9/clean/L0/c49", "goal/t9/clean/L0/c49");
+        check("spatial/t0/clean/i07", "spatial/t0/clean/L0/c07");
+        let id: RolloutId = "long/t5/sensor/L3/c08".parse().expect("an id");
+        assert_eq!(id.task(), "libero_10/5".parse().expect("a task"));
+        assert_eq!(id.condition(), Condition::Single(Axis::Sensor));
+        assert_eq!((id.level(), id.config()), (Level::L3, Some(8)));
+    }
+
+    #[test]
+    fn malformed_ids_are_refused() {
+        for text in [
+            "",
+            "spatial",
+            "spatial/t0/camera/L2",
+            "spatial/t0/camera/L2/00",
+            "spatial/t0/camera/L2/c+1",
+            "spatial/t0/camera/L0/c00",
+            "spatial/t0/clean/L1/c00",
+            "spatial/t0/clean/L0/c50",
+            "spatial/t10/camera/L2/c00",
+            "spatial/t0/camera/L2/c00/r1",
+        ] {
+            assert!(text.parse::<RolloutId>().is_err(), "{text}");
+        }
+    }
+}

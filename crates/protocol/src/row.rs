@@ -1,0 +1,293 @@
+//! One row of a manifest: the unit of work, in the shape of the reference's
+//! JSON Lines. A row holds values, not a recipe: nothing is drawn again when it
+//! runs. Reading whole files of rows is `manifest`'s business.
+
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
+
+use crate::condition::{Condition, Level};
+use crate::perturbation::{PerturbError, Perturbation};
+use crate::presets::SETTLE_STEPS;
+use crate::rollout_id::RolloutId;
+use crate::suite::{INIT_STATES_PER_TASK, Suite};
+
+/// Everything that a worker needs to know about a rollout, and nothing that a
+/// replicate changes.
+///
+/// Serialises to the reference's row. Suite, task, axis, level, configuration
+/// and split are written out there and must agree with the id when read.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "FlatRow", into = "FlatRow")]
+pub struct ManifestRow {
+    /// Which rollout.
+    pub id: RolloutId,
+    /// Place of the initial state among those of the design: the configuration,
+    /// or in a clean row the initial state itself.
+    pub init_slot: u16,
+    /// Which of the task's released initial states.
+    pub init_id: u16,
+    /// What the policy is told, verbatim.
+    pub instruction: String,
+    /// Which paraphrase the instruction is; none where it is canonical.
+    pub variant_id: Option<String>,
+    /// Control steps that the policy has.
+    pub max_steps: u32,
+    /// Control steps without action before the policy starts.
+    pub settle_steps: u32,
+    /// What is perturbed, by how much.
+    pub perturbation: Perturbation,
+}
+
+impl ManifestRow {
+    /// A row with the protocol's step budget and the canonical instruction.
+    pub fn new(id: RolloutId, init_slot: u16, init_id: u16, perturbation: Perturbation) -> Self {
+        Self {
+            id,
+            init_slot,
+            init_id,
+            instruction: id.task().instruction(),
+            variant_id: None,
+            max_steps: id.task().suite().max_steps(),
+            settle_steps: SETTLE_STEPS,
+            perturbation,
+        }
+    }
+}
+
+/// A row that contradicts itself.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum RowError {
+    /// A column says something else than the rollout id.
+    #[error("read row {id}: `{column}` is {given}, but the id says {expected}")]
+    Contradiction {
+        /// The row's id.
+        id: RolloutId,
+        /// The column.
+        column: &'static str,
+        /// What it says.
+        given: String,
+        /// What the id says.
+        expected: String,
+    },
+    /// No such initial state.
+    #[error("read row {id}: `init_id` is {given}, valid are 0 to 49")]
+    InitState {
+        /// The row's id.
+        id: RolloutId,
+        /// What the row says.
+        given: u16,
+    },
+    /// A policy seed in the row.
+    #[error("read row {id}: `policy_seed` is {given}, but seeds follow from the id: write 0")]
+    PolicySeed {
+        /// The row's id.
+        id: RolloutId,
+        /// What the row says.
+        given: u64,
+    },
+    /// Parameters that do not belong to the row's condition.
+    #[error("read row {id}: {problem}")]
+    Perturb {
+        /// The row's id.
+        id: RolloutId,
+        /// What is wrong with them. Part of the message, because readers of
+        /// JSON keep no chain of causes.
+        problem: PerturbError,
+    },
+}
+
+/// The reference's columns, in its order.
+#[derive(Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FlatRow {
+    rollout_id: RolloutId,
+    split: String,
+    suite: Suite,
+    task_id: u8,
+    axis: Condition,
+    level: Level,
+    config: Option<u16>,
+    init_slot: u16,
+    init_id: u16,
+    language: String,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    variant_id: Option<String>,
+    max_steps: u32,
+    num_steps_wait: u32,
+    policy_seed: u64,
+    #[serde(default)]
+    perturb: Map<String, Value>,
+}
+
+fn split(condition: Condition) -> &'static str {
+    match condition {
+        Condition::Clean => "clean",
+        Condition::Single(_) | Condition::Combination => "eval",
+    }
+}
+
+impl From<ManifestRow> for FlatRow {
+    fn from(row: ManifestRow) -> Self {
+        let id = row.id;
+        Self {
+            rollout_id: id,
+            split: split(id.condition()).to_owned(),
+            suite: id.task().suite(),
+            task_id: id.task().index(),
+            axis: id.condition(),
+            level: id.level(),
+            config: id.config(),
+            init_slot: row.init_slot,
+            init_id: row.init_id,
+            language: row.instruction,
+            variant_id: row.variant_id,
+            max_steps: row.max_steps,
+            num_steps_wait: row.settle_steps,
+            policy_seed: 0,
+            perturb: row.perturbation.to_manifest(id.condition()),
+        }
+    }
+}
+
+impl TryFrom<FlatRow> for ManifestRow {
+    type Error = RowError;
+
+    fn try_from(flat: FlatRow) -> Result<Self, RowError> {
+        let id = flat.rollout_id;
+        let condition = id.condition();
+        agree(id, "split", flat.split.as_str(), split(condition))?;
+        agree(id, "suite", flat.suite, id.task().suite())?;
+        agree(id, "task_id", flat.task_id, id.task().index())?;
+        agree(id, "axis", flat.axis, condition)?;
+        agree(id, "level", flat.level, id.level())?;
+        if let (Some(given), Some(expected)) = (flat.config, id.config()) {
+            agree(id, "config", given, expected)?;
+        } else if flat.config.is_none() && id.config().is_some() {
+            agree(id, "config", "null".to_owned(), id.number().to_string())?;
+        }
+        if condition == Condition::Clean {
+            agree(id, "init_id", flat.init_id, id.number())?;
+        }
+        if flat.init_id >= INIT_STATES_PER_TASK {
+            let given = flat.init_id;
+            return Err(RowError::InitState { id, given });
+        }
+        if flat.policy_seed != 0 {
+            let given = flat.policy_seed;
+            return Err(RowError::PolicySeed { id, given });
+        }
+        let perturbation = Perturbation::from_manifest(condition, flat.perturb)
+            .map_err(|problem| RowError::Perturb { id, problem })?;
+        Ok(Self {
+            id,
+            init_slot: flat.init_slot,
+            init_id: flat.init_id,
+            instruction: flat.language,
+            variant_id: flat.variant_id,
+            max_steps: flat.max_steps,
+            settle_steps: flat.num_steps_wait,
+            perturbation,
+        })
+    }
+}
+
+fn agree<T: PartialEq + ToString>(
+    id: RolloutId,
+    column: &'static str,
+    given: T,
+    expected: T,
+) -> Result<(), RowError> {
+    if given == expected {
+        return Ok(());
+    }
+    Err(RowError::Contradiction {
+        id,
+        column,
+        given: given.to_string(),
+        expected: expected.to_string(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::condition::Axis;
+    use crate::presets::apply_preset;
+    use serde_json::json;
+
+    fn row(id: &str, axes: &[Axis]) -> ManifestRow {
+        let id: RolloutId = id.parse().expect("an id");
+        let mut perturbation = Perturbation::default();
+        for &axis in axes {
+            apply_preset(&mut perturbation, axis, id.level(), id.number());
+        }
+        ManifestRow::new(id, id.number(), 6, perturbation)
+    }
+
+    /// The shape of the reference's own rows.
+    #[test]
+    fn a_single_axis_row_has_the_references_columns() {
+        let row = row("goal/t0/actuation/L1/c01", &[Axis::Actuation]);
+        assert_eq!(
+            serde_json::to_value(&row).expect("JSON"),
+            json!({
+                "rollout_id": "goal/t0/actuation/L1/c01", "split": "eval",
+                "suite": "libero_goal", "task_id": 0, "axis": "actuation",
+                "level": "L1", "config": 1, "init_slot": 1, "init_id": 6,
+                "language": "open the middle drawer of the cabinet",
+                "max_steps": 300, "num_steps_wait": 10, "policy_seed": 0,
+                "perturb": {
+                    "gain_log2": -0.015895, "bias_frac": -0.010856,
+                    "misalign_deg": 0.126524, "lag_tau": -0.021299,
+                    "noise_frac": 0.018419,
+                },
+            })
+        );
+    }
+
+    #[test]
+    fn rows_read_back() {
+        for row in [
+            row("goal/t0/combination/L1/c01", &Axis::METRIC),
+            row("goal/t0/sensor/L3/c09", &[Axis::Sensor]),
+            row("goal/t0/clean/L0/c06", &[]),
+        ] {
+            let text = serde_json::to_string(&row).expect("JSON");
+            let read: ManifestRow = serde_json::from_str(&text).expect("reads back");
+            assert_eq!(read, row);
+        }
+    }
+
+    /// The reference's clean file leaves out what is empty.
+    #[test]
+    fn the_references_clean_rows_are_read() {
+        let read: ManifestRow = serde_json::from_value(json!({
+            "rollout_id": "goal/t0/clean/i06", "split": "clean",
+            "suite": "libero_goal", "task_id": 0, "axis": "clean", "level": "L0",
+            "config": null, "init_slot": 6, "init_id": 6,
+            "language": "open the middle drawer of the cabinet",
+            "max_steps": 300, "num_steps_wait": 10, "policy_seed": 0,
+        }))
+        .expect("reads");
+        assert_eq!(read, row("goal/t0/clean/L0/c06", &[]));
+    }
+
+    #[test]
+    fn a_column_that_contradicts_the_id_is_named() {
+        let good = serde_json::to_value(row("goal/t0/sensor/L3/c09", &[Axis::Sensor]));
+        let good = good.expect("JSON");
+        let check = |column: &str, value: Value, expected: &str| {
+            let mut bad = good.clone();
+            bad[column] = value;
+            let error = serde_json::from_value::<ManifestRow>(bad).expect_err(column);
+            assert!(error.to_string().contains(expected), "{error}");
+        };
+        check("level", json!("L2"), "`level` is L2, but the id says L3");
+        check("task_id", json!(1), "`task_id` is 1, but the id says 0");
+        check("config", json!(null), "`config` is null, but the id says 9");
+        check("init_id", json!(50), "`init_id` is 50, valid are 0 to 49");
+        check("policy_seed", json!(7), "write 0");
+        check("colour", json!("red"), "unknown field `colour`");
+        check("perturb", json!({"blur_sigma": 1.0}), "missing field");
+    }
+}

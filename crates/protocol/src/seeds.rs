@@ -1,0 +1,62 @@
+//! The seeds that follow from a rollout's id. Section 5 of the protocol; the
+//! matched realisation does not use them, see `streams`.
+
+use crate::condition::{Axis, Condition};
+use crate::rollout_id::RolloutId;
+
+/// CRC-32 (zlib) of the id's UTF-8 bytes.
+pub fn rollout_seed(id: &RolloutId) -> u32 {
+    crc32fast::hash(id.to_string().as_bytes())
+}
+
+/// The seed that reaches the policy at Reset: of replicate 0 the rollout's own,
+/// of replicate k ≥ 1 the CRC-32 of `{id}#r{k}`. A replicate changes nothing
+/// else.
+pub fn policy_seed(id: &RolloutId, replicate: u32) -> u64 {
+    u64::from(match replicate {
+        0 => rollout_seed(id),
+        k => crc32fast::hash(format!("{id}#r{k}").as_bytes()),
+    })
+}
+
+/// Seed of an axis in the `reference` realisation: `default_rng(seed)` draws
+/// the parts that are fixed for the rollout, `default_rng(seed + 1)` the noise
+/// of each step. In a combination, part k of the metric axes adds 1000·k.
+pub fn reference_seed(id: &RolloutId, axis: Axis) -> u64 {
+    let part = match id.condition() {
+        Condition::Combination => Axis::METRIC.iter().position(|&other| other == axis),
+        Condition::Clean | Condition::Single(_) => None,
+    };
+    u64::from(rollout_seed(id)) + 1000 * part.unwrap_or(0) as u64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn id(text: &str) -> RolloutId {
+        text.parse().expect("an id")
+    }
+
+    /// Values of Python's `zlib.crc32`.
+    #[test]
+    fn seeds_are_the_crc_32_of_the_id() {
+        assert_eq!(rollout_seed(&id("spatial/t0/camera/L2/c00")), 2_926_471_293);
+        assert_eq!(
+            policy_seed(&id("long/t5/combination/L3/c08"), 0),
+            2_736_294_675
+        );
+        assert_eq!(policy_seed(&id("goal/t9/clean/L0/c00"), 1), 1_063_919_398);
+    }
+
+    #[test]
+    fn parts_of_a_combination_have_seeds_a_thousand_apart() {
+        let combination = id("long/t5/combination/L3/c08");
+        let seed = u64::from(rollout_seed(&combination));
+        assert_eq!(reference_seed(&combination, Axis::Camera), seed);
+        assert_eq!(reference_seed(&combination, Axis::Actuation), seed + 4000);
+        let alone = id("long/t5/actuation/L3/c08");
+        let seed = u64::from(rollout_seed(&alone));
+        assert_eq!(reference_seed(&alone, Axis::Actuation), seed);
+    }
+}

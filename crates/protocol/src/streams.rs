@@ -1,0 +1,154 @@
+//! Where the random elements of a perturbation come from: the blur's angle, the
+//! bias direction, the misalignment axis, the noise of each step.
+//!
+//! In the `matched` realisation the key of a stream names the configuration and
+//! the axis, and neither the condition nor the replicate: an axis alone and the
+//! same axis in a combination realise the same perturbation, step for step, and
+//! a replicate changes the policy's seed only. What to draw is the simulator's
+//! business; this module only says from where.
+
+use std::f64::consts::PI;
+
+use rand_chacha::ChaCha12Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use sha2::{Digest, Sha256};
+
+use crate::condition::{Axis, Level, Realisation};
+use crate::numpy::{standard_normal, unit_from_bits};
+use crate::rollout_id::RolloutId;
+use crate::seeds::reference_seed;
+use crate::suite::TaskRef;
+
+/// Part of every key: a change of what is drawn, or in which order, must change
+/// it, so that results of both are never taken for one another's.
+const STREAM_VERSION: &str = "libero-ctrl/v0.1/matched/1";
+
+/// The source of one axis's random elements in one rollout.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Randomness {
+    /// Keyed by configuration and axis.
+    Matched(MatchedStream),
+    /// NumPy's: `default_rng(seed)` for what is fixed in the rollout,
+    /// `default_rng(seed + 1)` for the noise of each step.
+    Reference {
+        /// See [`reference_seed`].
+        seed: u64,
+    },
+}
+
+impl Randomness {
+    /// The source of `axis` in rollout `id`.
+    pub fn of(id: &RolloutId, axis: Axis, realisation: Realisation) -> Self {
+        match realisation {
+            Realisation::Matched => {
+                Self::Matched(MatchedStream::new(id.task(), id.level(), id.number(), axis))
+            }
+            Realisation::Reference => Self::Reference {
+                seed: reference_seed(id, axis),
+            },
+        }
+    }
+}
+
+/// A ChaCha key from which every draw can be reached by name, in any order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MatchedStream {
+    key: [u8; 32],
+}
+
+impl MatchedStream {
+    /// The stream of one axis of one configuration.
+    pub fn new(task: TaskRef, level: Level, config: u16, axis: Axis) -> Self {
+        let name = format!("{STREAM_VERSION}/{task}/{level}/c{config}/{axis}");
+        Self {
+            key: Sha256::digest(name.as_bytes()).into(),
+        }
+    }
+
+    /// What is drawn once per rollout.
+    pub fn fixed(&self) -> MatchedRng {
+        self.rng(0)
+    }
+
+    /// What is drawn at control step `step` on `lane`, for example a camera:
+    /// independent of how often the other steps and lanes were asked for.
+    pub fn at(&self, step: u32, lane: u32) -> MatchedRng {
+        self.rng(1 + (u64::from(lane) << 32 | u64::from(step)))
+    }
+
+    fn rng(&self, stream: u64) -> MatchedRng {
+        let mut rng = ChaCha12Rng::from_seed(self.key);
+        rng.set_stream(stream);
+        MatchedRng(rng)
+    }
+}
+
+/// A sequence of draws of a [`MatchedStream`].
+#[derive(Clone, Debug)]
+pub struct MatchedRng(ChaCha12Rng);
+
+impl MatchedRng {
+    /// Uniform in [0, 1).
+    pub fn random(&mut self) -> f64 {
+        unit_from_bits(self.0.next_u64())
+    }
+
+    /// Uniform in [0, π): the direction of a line.
+    pub fn line_angle(&mut self) -> f64 {
+        PI * self.random()
+    }
+
+    /// A standard normal.
+    pub fn standard_normal(&mut self) -> f64 {
+        standard_normal(|| self.0.next_u64())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn matched(id: &str, axis: Axis) -> MatchedStream {
+        let id = id.parse().expect("an id");
+        match Randomness::of(&id, axis, Realisation::Matched) {
+            Randomness::Matched(stream) => stream,
+            Randomness::Reference { .. } => unreachable!("matched was asked for"),
+        }
+    }
+
+    #[test]
+    fn an_axis_alone_and_in_a_combination_share_a_stream() {
+        let alone = matched("long/t5/sensor/L3/c08", Axis::Sensor);
+        let combined = matched("long/t5/combination/L3/c08", Axis::Sensor);
+        assert_eq!(alone, combined);
+        for other in [
+            matched("long/t5/combination/L3/c08", Axis::Actuation),
+            matched("long/t5/sensor/L2/c08", Axis::Sensor),
+            matched("long/t5/sensor/L3/c07", Axis::Sensor),
+            matched("long/t4/sensor/L3/c08", Axis::Sensor),
+            matched("goal/t5/sensor/L3/c08", Axis::Sensor),
+        ] {
+            assert_ne!(alone, other);
+        }
+    }
+
+    #[test]
+    fn steps_and_lanes_are_reached_in_any_order() {
+        let stream = matched("goal/t0/sensor/L1/c00", Axis::Sensor);
+        let first = stream.at(3, 1).standard_normal();
+        stream.at(0, 0).standard_normal();
+        assert_eq!(stream.at(3, 1).standard_normal(), first);
+        assert_ne!(stream.at(3, 0).standard_normal(), first);
+        assert_ne!(stream.at(4, 1).standard_normal(), first);
+        assert_ne!(stream.fixed().standard_normal(), first);
+    }
+
+    /// Pins the stream: a change here changes the perturbation of every
+    /// campaign and needs a new [`STREAM_VERSION`].
+    #[test]
+    fn the_stream_of_a_configuration_never_changes() {
+        let stream = matched("spatial/t0/sensor/L1/c00", Axis::Sensor);
+        assert_eq!(stream.fixed().line_angle(), 1.4957436172051148);
+        assert_eq!(stream.at(0, 0).standard_normal(), 1.0948609584483822);
+    }
+}

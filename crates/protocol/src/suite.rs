@@ -1,0 +1,224 @@
+//! The four suites of LIBERO that the protocol evaluates, and their forty
+//! tasks in the benchmark's own order. Not responsible for scenes or goals:
+//! those are read from the task's BDDL file.
+
+use std::fmt;
+use std::str::FromStr;
+
+use crate::names::{UnknownName, serde_as_text};
+use crate::presets::presets;
+use crate::tasks::TASK_NAMES;
+
+/// Tasks per suite.
+pub const TASKS_PER_SUITE: u8 = 10;
+/// Released initial states per task.
+pub const INIT_STATES_PER_TASK: u16 = 50;
+
+/// A task suite of LIBERO.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Suite {
+    /// `libero_spatial`: one object, ten places.
+    Spatial,
+    /// `libero_object`: ten objects, one place.
+    Object,
+    /// `libero_goal`: one scene, ten goals.
+    Goal,
+    /// `libero_10`, the paper's Long: ten two-stage tasks.
+    Long,
+}
+
+impl Suite {
+    /// All suites, in the reference's order.
+    pub const ALL: [Self; 4] = [Self::Spatial, Self::Object, Self::Goal, Self::Long];
+
+    /// LIBERO's own name: `libero_spatial`, ..., `libero_10`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Spatial => "libero_spatial",
+            Self::Object => "libero_object",
+            Self::Goal => "libero_goal",
+            Self::Long => "libero_10",
+        }
+    }
+
+    /// The name inside rollout ids: `spatial`, `object`, `goal`, `long`.
+    pub const fn short_name(self) -> &'static str {
+        match self {
+            Self::Spatial => "spatial",
+            Self::Object => "object",
+            Self::Goal => "goal",
+            Self::Long => "long",
+        }
+    }
+
+    /// The suite's tasks, in the benchmark's order.
+    pub fn tasks(self) -> impl Iterator<Item = TaskRef> {
+        (0..TASKS_PER_SUITE).map(move |index| TaskRef { suite: self, index })
+    }
+
+    /// Step budget of the policy, control steps.
+    pub fn max_steps(self) -> u32 {
+        presets().suite(self).max_steps
+    }
+
+    /// Root mean square of the demonstrations' actions: translation and
+    /// rotation, in action units. Scales the actuation axis.
+    pub fn demo_action_rms(self) -> [f64; 2] {
+        presets().suite(self).demo_action_rms
+    }
+
+    pub(crate) const fn ordinal(self) -> usize {
+        self as usize
+    }
+}
+
+impl fmt::Display for Suite {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for Suite {
+    type Err = UnknownName;
+
+    /// Reads either name: `libero_10` and `long` are the same suite.
+    fn from_str(text: &str) -> Result<Self, UnknownName> {
+        Self::ALL
+            .into_iter()
+            .find(|suite| suite.name() == text || suite.short_name() == text)
+            .ok_or_else(|| UnknownName::new("suite", text, &Self::ALL.map(Self::name)))
+    }
+}
+
+serde_as_text!(Suite);
+
+/// A task: a suite and the task's place in it. Displays as `libero_goal/3`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct TaskRef {
+    suite: Suite,
+    index: u8,
+}
+
+impl TaskRef {
+    /// Task `index` of `suite`.
+    ///
+    /// # Errors
+    /// If the suite has no such task.
+    pub fn new(suite: Suite, index: u32) -> Result<Self, UnknownName> {
+        match u8::try_from(index) {
+            Ok(index) if index < TASKS_PER_SUITE => Ok(Self { suite, index }),
+            _ => Err(unknown_task(&format!("{suite}/{index}"), suite.name())),
+        }
+    }
+
+    /// The forty tasks, suite by suite.
+    pub fn all() -> impl Iterator<Item = Self> {
+        Suite::ALL.into_iter().flat_map(Suite::tasks)
+    }
+
+    /// The suite.
+    pub const fn suite(self) -> Suite {
+        self.suite
+    }
+
+    /// Place in the suite, 0 to 9, in the benchmark's order.
+    pub const fn index(self) -> u8 {
+        self.index
+    }
+
+    /// Stem of the task's files: `NAME.bddl`, `NAME.pruned_init`.
+    pub fn name(self) -> &'static str {
+        TASK_NAMES[self.suite.ordinal()][usize::from(self.index)]
+    }
+
+    /// The canonical instruction, as LIBERO makes it from the file's name: its
+    /// words, without the scene that a name of `libero_10` begins with.
+    pub fn instruction(self) -> String {
+        let name = self.name();
+        let words = match name.split_once("_SCENE") {
+            Some((_, rest)) => rest.split_once('_').map_or(rest, |(_, words)| words),
+            None => name,
+        };
+        words.replace('_', " ")
+    }
+
+    /// The initial states of configurations 0 to 9.
+    pub fn eval_init_ids(self) -> [u16; 10] {
+        presets().suite(self.suite).eval_init_ids[usize::from(self.index)]
+    }
+}
+
+impl fmt::Display for TaskRef {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.suite, self.index)
+    }
+}
+
+impl FromStr for TaskRef {
+    type Err = UnknownName;
+
+    fn from_str(text: &str) -> Result<Self, UnknownName> {
+        let (suite, index) = text
+            .split_once('/')
+            .ok_or_else(|| unknown_task(text, "SUITE"))?;
+        let suite: Suite = suite.parse()?;
+        let index = index
+            .parse()
+            .map_err(|_| unknown_task(text, suite.name()))?;
+        Self::new(suite, index)
+    }
+}
+
+serde_as_text!(TaskRef);
+
+fn unknown_task(given: &str, suite: &str) -> UnknownName {
+    let valid = format!("{suite}/0 to {suite}/9");
+    UnknownName::new("task", given, &[&valid])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn forty_tasks_read_back_from_their_text() {
+        let tasks: Vec<TaskRef> = TaskRef::all().collect();
+        assert_eq!(tasks.len(), 40);
+        for task in tasks {
+            assert_eq!(task.to_string().parse(), Ok(task));
+        }
+        assert_eq!("long/3".parse::<TaskRef>(), "libero_10/3".parse());
+    }
+
+    #[test]
+    fn instruction_is_the_file_name_without_its_scene() {
+        let instruction = |task: &str| task.parse::<TaskRef>().expect("a task").instruction();
+        assert_eq!(instruction("goal/7"), "turn on the stove");
+        assert_eq!(
+            instruction("libero_10/2"),
+            "turn on the stove and put the moka pot on it"
+        );
+        assert_eq!(
+            instruction("libero_10/5"),
+            "pick up the book and place it in the back compartment of the caddy"
+        );
+    }
+
+    #[test]
+    fn an_unknown_name_is_named_together_with_the_valid_ones() {
+        let error = |task: &str| task.parse::<TaskRef>().expect_err("no task").to_string();
+        assert_eq!(
+            error("libero_goat/3"),
+            "read suite `libero_goat`: valid are libero_spatial, libero_object, \
+             libero_goal, libero_10"
+        );
+        assert_eq!(
+            error("libero_goal/10"),
+            "read task `libero_goal/10`: valid are libero_goal/0 to libero_goal/9"
+        );
+        assert_eq!(
+            error("libero_goal"),
+            "read task `libero_goal`: valid are SUITE/0 to SUITE/9"
+        );
+    }
+}
