@@ -1,0 +1,48 @@
+"""Writes the `primitives` asset pack, or checks that the committed pack is what this would write.
+
+    python3 assets/primitives_source            # write
+    python3 assets/primitives_source --check    # exit 1 and name the files that differ
+
+Python 3.9 or newer, standard library only. README.md of the pack describes the result.
+"""
+
+import argparse
+import pathlib
+import sys
+
+import arenas
+import fixtures
+import groceries
+import household
+
+PACK = pathlib.Path(__file__).resolve().parent.parent / "primitives"
+# Files of the pack that are written by hand.
+BY_HAND = {"README.md"}
+
+
+def main():
+    parser = argparse.ArgumentParser(prog="primitives_source", description=__doc__.splitlines()[0])
+    parser.add_argument("--check", action="store_true", help="change nothing; exit 1 if anything differs")
+    wanted = {**arenas.files(), **fixtures.files(), **groceries.files(), **household.files()}
+    if parser.parse_args().check:
+        return check(wanted)
+    for path, contents in wanted.items():
+        file = PACK / path
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(contents)
+    print(f"wrote {len(wanted)} files to {PACK}")
+    return 0
+
+
+def check(wanted):
+    there = {file.relative_to(PACK).as_posix() for file in PACK.rglob("*") if file.is_file()} - BY_HAND
+    complaints = [f"missing: {path}" for path in wanted.keys() - there]
+    complaints += [f"not written by the generator: {path}" for path in there - wanted.keys()]
+    complaints += [f"differs: {path}" for path in wanted.keys() & there if (PACK / path).read_bytes() != wanted[path]]
+    for complaint in sorted(complaints):
+        print(complaint, file=sys.stderr)
+    return 1 if complaints else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,128 @@
+"""The rooms: floor, walls, table, lights and cameras of each LIBERO arena, and their textures.
+
+LIBERO's arena code picks a floor and a wall texture by file name, so those files must exist: here
+they are a few plain pixels each. Positions of walls, lights and cameras are LIBERO's, because
+light and view are part of what the benchmark perturbs.
+"""
+
+import struct
+import xml.etree.ElementTree as ET
+import zlib
+
+from colours import *
+from mjcf import FIRM, number, numbers, to_bytes, write_classes, write_shapes
+from shapes import slab
+
+# File name -> (colour, side of the picture in pixels, colour of the joint along two of its edges).
+TEXTURES = {
+    "light-gray-floor-tile.png": ((168, 164, 160), 64, (142, 138, 134)),
+    "gray_ceramic_tile.png": ((150, 154, 158), 64, (118, 122, 126)),
+    "seamless_wood_planks_floor.png": ((158, 122, 88), 64, (126, 94, 64)),
+    "light-gray-plaster.png": ((206, 206, 202), 4, None),
+    "yellow_linen_wall_texture.png": ((222, 208, 166), 4, None),
+}
+
+# Name, centre, half-sizes and orientation of the six walls, which are drawn only.
+WALLS = [
+    ("wall_leftcorner_visual", (-1.25, 2.25, 1.5), (1.06, 1.5, 0.01), (0.6532815, 0.6532815, 0.2705981, 0.2705981)),
+    ("wall_rightcorner_visual", (-1.25, -2.25, 1.5), (1.06, 1.5, 0.01), (0.6532815, 0.6532815, -0.2705981, -0.2705981)),
+    ("wall_left_visual", (1.25, 3, 1.5), (1.75, 1.5, 0.01), (0.7071, 0.7071, 0, 0)),
+    ("wall_right_visual", (1.25, -3, 1.5), (1.75, 1.5, 0.01), (0.7071, -0.7071, 0, 0)),
+    ("wall_rear_visual", (-2, 0, 1.5), (1.5, 1.5, 0.01), (0.5, 0.5, 0.5, 0.5)),
+    ("wall_front_visual", (3, 0, 1.5), (3, 1.5, 0.01), (0.5, 0.5, -0.5, -0.5)),
+]
+
+LIGHTS = [("light1", (1, 1, 4)), ("light2", (-3, -3, 4))]
+
+# Name, position, orientation; the loader overwrites some of them per arena.
+CAMERAS = [
+    ("frontview", "1.0 0 1.45", "0.56 0.43 0.43 0.56"),
+    ("birdview", "-0.2 0 3.0", "0.7071 0 0 0.7071"),
+    ("agentview", "0.5 0 1.35", "0.653 0.271 0.271 0.653"),
+    (
+        "sideview",
+        "-0.05651774593317116 1.2761224129427358 1.4879572214102434",
+        "0.009905065491771751 0.006877963156909582 0.5912228352893879 0.806418094001364",
+    ),
+]
+
+
+def arena(floor, wall, furnish, floor_in_body=False):
+    """One scene file. `furnish(worldbody)` adds the furniture."""
+    mujoco = ET.Element("mujoco", model="arena")
+    asset = ET.SubElement(mujoco, "asset")
+    ET.SubElement(
+        asset, "texture", type="skybox", builtin="gradient", rgb1="0.9 0.9 1", rgb2="0.2 0.3 0.4",
+        width="256", height="256",
+    )
+    for texture, material, file in (("texplane", "floorplane", floor), ("tex-wall", "walls_mat", wall)):
+        ET.SubElement(asset, "texture", name=texture, type="2d", file=f"../textures/{file}")
+        ET.SubElement(
+            asset, "material", name=material, texture=texture, texrepeat="3 3", texuniform="true",
+            reflectance="0", specular="0", shininess="0",
+        )
+    write_classes(mujoco, {
+        "solid": {"group": "0", **FIRM},
+        "drawn": {"group": "1", "contype": "0", "conaffinity": "0"},
+    })
+    world = ET.SubElement(mujoco, "worldbody")
+    ground = ET.SubElement(world, "body", name="floor", pos="0 0 0") if floor_in_body else world
+    ET.SubElement(
+        ground, "geom", name="floor", type="plane", pos="0 0 0", size="3 3 0.125", condim="3", group="1",
+        material="floorplane",
+    )
+    furnish(world)
+    for name, pos, size, quat in WALLS:
+        ET.SubElement(
+            world, "geom", {"class": "drawn"}, name=name, type="box", pos=numbers(pos), size=numbers(size),
+            quat=" ".join(map(str, quat)), material="walls_mat",
+        )
+    for name, pos in LIGHTS:
+        ET.SubElement(
+            world, "light", name=name, pos=numbers(pos), dir="0 -.15 -1", directional="false",
+            castshadow="false", diffuse="0.8 0.8 0.8", specular="0.3 0.3 0.3",
+        )
+    for name, pos, quat in CAMERAS:
+        ET.SubElement(world, "camera", name=name, mode="fixed", pos=pos, quat=quat)
+    return to_bytes(mujoco)
+
+
+def bare(world):
+    """An empty room."""
+
+
+def table(world):
+    """The table whose size and height the loader sets: it looks these geoms up by name."""
+    body = ET.SubElement(world, "body", name="table", pos="0 0 0.4")
+    top = {"type": "box", "pos": "0 0 0", "size": "0.4 0.4 0.4"}
+    ET.SubElement(body, "geom", name="table_collision", group="0", friction="1 0.005 0.0001", **top)
+    ET.SubElement(body, "geom", {"class": "drawn"}, name="table_visual", rgba=numbers(LIGHT_WOOD), **top)
+    ET.SubElement(body, "site", name="table_top", pos="0 0 0.4", size="0.001", rgba="0 0 0 0")
+    for leg in range(1, 5):
+        ET.SubElement(
+            body, "geom", {"class": "drawn"}, name=f"table_leg{leg}_visual", type="cylinder", pos="0 0 0",
+            size="0.05 0.1", rgba=numbers(LIGHT_WOOD),
+        )
+
+
+def png(colour, side, joint):
+    """A square picture of one colour, with a one-pixel joint along two edges if wanted, so that
+    a repeated texture shows tiles."""
+    plain, line = bytes(colour), bytes(joint or colour)
+    rows = [line * side] + [line + plain * (side - 1)] * (side - 1)
+    pixels = zlib.compress(b"".join(b"\0" + row for row in rows), 9)
+    header = struct.pack(">IIBBBBB", side, side, 8, 2, 0, 0, 0)
+    chunks = ((b"IHDR", header), (b"IDAT", pixels), (b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in chunks
+    )
+
+
+def files():
+    """Path inside the pack -> contents."""
+    gray, plaster = "light-gray-floor-tile.png", "light-gray-plaster.png"
+    out = {f"textures/{name}": png(*look) for name, look in TEXTURES.items()}
+    out["scenes/libero_floor_base_style.xml"] = arena(gray, plaster, bare, floor_in_body=True)
+    out["scenes/libero_tabletop_base_style.xml"] = arena(gray, plaster, table)
+    return out

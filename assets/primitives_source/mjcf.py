@@ -1,0 +1,150 @@
+"""Writes objects as MJCF in the structure that LIBERO's loader expects.
+
+That structure is: an unnamed body that holds the body `object` and, beside it, three sites by
+which the placement sampler knows the object's extent. Geoms of group 0 collide and are hidden,
+geoms of group 1 are drawn; each comes from one of two default classes, which the loader writes
+out into every geom. What the objects look like is not decided here.
+"""
+
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass, field
+
+# Contact constants of LIBERO's objects.
+FIRM = {"friction": "0.95 0.3 0.1", "solref": "0.001 1", "solimp": "0.998 0.998 0.001"}
+
+
+@dataclass(frozen=True)
+class Site:
+    """A named place, by default an undrawn box that goal predicates measure against."""
+
+    name: str
+    pos: tuple
+    size: tuple
+    quat: tuple = (1, 0, 0, 0)
+    kind: str = "box"
+    rgba: tuple = (0.8, 0.8, 0.8, 0)
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A `slide` or `hinge` of a part: `limits` in metres or radians."""
+
+    name: str
+    kind: str
+    axis: tuple
+    limits: tuple
+    damping: float
+
+
+@dataclass
+class Part:
+    """A body: its sites, joint and shapes, and the parts attached to it."""
+
+    name: str
+    shapes: list = field(default_factory=list)
+    sites: list = field(default_factory=list)
+    joint: Joint | None = None
+    parts: list = field(default_factory=list)
+    pos: tuple = (0, 0, 0)
+    quat: tuple = (1, 0, 0, 0)
+    # The default class of its felt shapes.
+    felt_as: str = "solid"
+    # (mass, moment of inertia about every axis); None: from the shapes.
+    inertia: tuple | None = None
+
+
+@dataclass(frozen=True)
+class Extent:
+    """What the placement sampler is told: z of the bottom and top site, xy of the radius site,
+    and the (never drawn) size of the three sites."""
+
+    bottom: float
+    top: float
+    radius: float
+    site_size: float = 0.005
+
+
+def density_for(mass, shapes):
+    """The density in kg/m³ that gives these shapes this mass in kg. MuJoCo counts overlapping
+    volume twice, and so does this."""
+    return mass / sum(shape.volume for shape in shapes if shape.felt)
+
+
+def document(model, root, extent, density, extra_classes=None):
+    """One object file. `root` is the part that becomes the body `object`; `extra_classes` are
+    named in some part's `felt_as`."""
+    mujoco = ET.Element("mujoco", model=model)
+    ET.SubElement(mujoco, "compiler", angle="radian")
+    classes = {
+        "solid": {"group": "0", "density": number(density), **FIRM},
+        "drawn": {"group": "1", "contype": "0", "conaffinity": "0", "mass": "0"},
+        **(extra_classes or {}),
+    }
+    write_classes(mujoco, classes)
+    outer = ET.SubElement(ET.SubElement(mujoco, "worldbody"), "body")
+    _write_part(outer, root, name="object")
+    for name, pos in (
+        ("bottom_site", (0, 0, extent.bottom)),
+        ("top_site", (0, 0, extent.top)),
+        ("horizontal_radius_site", (extent.radius, extent.radius, 0)),
+    ):
+        ET.SubElement(outer, "site", name=name, pos=numbers(pos), size=number(extent.site_size), rgba="0 0 0 0")
+    return to_bytes(mujoco)
+
+
+def write_classes(mujoco, classes):
+    """The default classes of a file, by name, as attributes of `geom`."""
+    default = ET.SubElement(mujoco, "default")
+    for name, attributes in classes.items():
+        ET.SubElement(ET.SubElement(default, "default", {"class": name}), "geom", attributes)
+
+
+def write_shapes(body, shapes, felt_as="solid"):
+    """Every felt shape as a geom of class `felt_as`, every seen one as a geom of class `drawn`."""
+    for shape in shapes:
+        place = {"type": shape.kind, "size": numbers(shape.size), "pos": numbers(shape.pos)}
+        if number(shape.quat[0]) != "1":
+            place["quat"] = numbers(shape.quat)
+        if shape.felt:
+            ET.SubElement(body, "geom", {"class": felt_as, **place})
+        if shape.colour is not None:
+            ET.SubElement(body, "geom", {"class": "drawn", **place, "rgba": numbers(shape.colour)})
+
+
+def number(value):
+    """Five decimals (10 µm), and no -0."""
+    return format(round(value, 5) + 0.0, "g")
+
+
+def numbers(values):
+    return " ".join(number(value) for value in values)
+
+
+def to_bytes(mujoco):
+    ET.indent(mujoco, "  ")
+    return ET.tostring(mujoco, encoding="unicode").encode() + b"\n"
+
+
+def _write_part(parent, part, name=None):
+    body = ET.SubElement(parent, "body", name=name or part.name)
+    if any(part.pos):
+        body.set("pos", numbers(part.pos))
+    if part.quat != (1, 0, 0, 0):
+        body.set("quat", numbers(part.quat))
+    if part.inertia is not None:
+        mass, moment = part.inertia
+        ET.SubElement(body, "inertial", pos="0 0 0", mass=number(mass), diaginertia=numbers((moment,) * 3))
+    if part.joint is not None:
+        joint = part.joint
+        ET.SubElement(
+            body, "joint", name=joint.name, type=joint.kind, axis=numbers(joint.axis), pos="0 0 0",
+            limited="true", range=numbers(joint.limits), damping=number(joint.damping),
+        )
+    for site in part.sites:
+        ET.SubElement(
+            body, "site", name=site.name, type=site.kind, pos=numbers(site.pos), quat=numbers(site.quat),
+            size=numbers(site.size), group="0", rgba=numbers(site.rgba),
+        )
+    write_shapes(body, part.shapes, felt_as=part.felt_as)
+    for child in part.parts:
+        _write_part(body, child)

@@ -1,0 +1,136 @@
+"""The shapes the pack is made of: boxes, cylinders and capsules, and what is assembled from them.
+
+Lengths are metres, angles degrees, quaternions (w, x, y, z); z is up unless a shape has been turned.
+A shape is *felt* (it collides and has mass), *seen* (it is drawn), or both, which is the rule.
+How a shape becomes MJCF is not decided here, but in `mjcf.py`.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+UNTURNED = (1.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """One geom: `kind` and `size` as MuJoCo means them (half-lengths, radii)."""
+
+    kind: str
+    size: tuple
+    pos: tuple
+    quat: tuple = UNTURNED
+    colour: tuple | None = None
+    felt: bool = True
+
+    @property
+    def volume(self):
+        if self.kind == "box":
+            return 8 * math.prod(self.size)
+        radius, half = self.size
+        cylinder = 2 * math.pi * radius**2 * half
+        return cylinder if self.kind == "cylinder" else cylinder + 4 / 3 * math.pi * radius**3
+
+
+def box(low, high, colour=None):
+    """The box between two opposite corners."""
+    size = tuple((b - a) / 2 for a, b in zip(low, high))
+    return Shape("box", size, tuple((a + b) / 2 for a, b in zip(low, high)), colour=colour)
+
+
+def slab(half_x, half_y, bottom, top, colour=None):
+    """A box centred on the z axis."""
+    return box((-half_x, -half_y, bottom), (half_x, half_y, top), colour)
+
+
+def cylinder(radius, bottom, top, colour=None):
+    """An upright cylinder. MuJoCo gives a standing cylinder one contact point on a box: draw
+    cylinders, but let things rest on `octagon`s and boxes."""
+    return Shape("cylinder", (radius, (top - bottom) / 2), (0, 0, (bottom + top) / 2), colour=colour)
+
+
+def capsule(start, end, radius, colour=None):
+    """A rod with round ends whose axis runs from `start` to `end`."""
+    along = [b - a for a, b in zip(start, end)]
+    length = math.hypot(*along)
+    x, y, z = (part / length for part in along)
+    # The shortest turn that takes the z axis to the rod's direction; straight down is half a turn.
+    quat = _unit((1 + z, -y, x, 0)) if z > -1 else (0.0, 1.0, 0.0, 0.0)
+    middle = tuple((a + b) / 2 for a, b in zip(start, end))
+    return Shape("capsule", (radius, length / 2), middle, quat, colour)
+
+
+def seen(*shapes):
+    """Only drawn."""
+    return [replace(shape, felt=False) for shape in shapes]
+
+
+def felt(*shapes):
+    """Only collided with."""
+    return [replace(shape, colour=None) for shape in shapes]
+
+
+def turned(shapes, axis, degrees):
+    """All shapes turned about a coordinate axis ("x", "y" or "z") through the origin."""
+    half = math.radians(degrees) / 2
+    turn = (math.cos(half), *(math.sin(half) * (name == axis) for name in "xyz"))
+    return [
+        replace(shape, pos=_rotate(turn, shape.pos), quat=_multiply(turn, shape.quat))
+        for shape in shapes
+    ]
+
+
+def moved(shapes, by):
+    return [replace(s, pos=tuple(a + b for a, b in zip(s.pos, by))) for s in shapes]
+
+
+def standing_along_y(shapes):
+    """For an object whose own y axis points up when it stands: the frame of most groceries."""
+    return turned(shapes, "x", -90)
+
+
+def octagon(radius, bottom, top):
+    """A felt octagonal prism (`radius` to its corners): four boxes through one another, because
+    box against box gives a stable set of contacts."""
+    long, short = radius * math.cos(math.pi / 8), radius * math.sin(math.pi / 8)
+    bar = slab(long, short, bottom, top)
+    return [piece for quarter in range(4) for piece in turned([bar], "z", 45 * quarter)]
+
+
+def wall(lower, upper, thickness, facets, colour, skip=()):
+    """A ring of flat facets between two (radius, height) pairs: the side of a bowl, mug or plate.
+
+    The radii are those of the middle of the wall. `skip` leaves out facets by number; number 0
+    faces +x and they run towards +y."""
+    (r0, z0), (r1, z1) = lower, upper
+    run, rise = r1 - r0, z1 - z0
+    half_width = max(r0, r1) * math.tan(math.pi / facets)
+    upright = Shape("box", (thickness / 2, half_width, math.hypot(run, rise) / 2), (0, 0, 0), colour=colour)
+    leaning = turned([upright], "y", math.degrees(math.atan2(run, rise)))
+    facet = moved(leaning, ((r0 + r1) / 2, 0, (z0 + z1) / 2))
+    return [
+        piece
+        for number in range(facets)
+        if number not in skip
+        for piece in turned(facet, "z", 360 * number / facets)
+    ]
+
+
+def _unit(quat):
+    norm = math.hypot(*quat)
+    return tuple(part / norm for part in quat)
+
+
+def _multiply(a, b):
+    (aw, ax, ay, az), (bw, bx, by, bz) = a, b
+    return (
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    )
+
+
+def _rotate(quat, vector):
+    w, x, y, z = quat
+    _, *rotated = _multiply(_multiply(quat, (0, *vector)), (w, -x, -y, -z))
+    return tuple(rotated)
