@@ -1,1 +1,76 @@
-fn main() {}
+//! The gateway's command line: reads it, binds the port, and leaves the rest to
+//! the library.
+
+#![forbid(unsafe_code)]
+
+use std::{
+    io::{Write, stdout},
+    net::SocketAddr,
+    process::ExitCode,
+};
+
+use anyhow::Context;
+use clap::{CommandFactory, Parser, error::ErrorKind};
+use policy_gateway::config::{Config, RouteSpec};
+use tokio::{
+    net::TcpListener,
+    signal::unix::{SignalKind, signal},
+};
+use tracing_subscriber::EnvFilter;
+
+/// Serves policies to workers: each route is a name and what answers for it.
+#[derive(Debug, Parser)]
+#[command(version)]
+struct Arguments {
+    /// Where to listen; port 0 takes a free one, and the line printed names it
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7071")]
+    listen: SocketAddr,
+
+    /// A policy's name and what answers for it: grpc://HOST:PORT[/POLICY],
+    /// builtin:noop or builtin:expert (repeatable)
+    #[arg(long = "route", value_name = "NAME=BACKEND", required = true)]
+    routes: Vec<RouteSpec>,
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    let config = Config::new(arguments.routes).unwrap_or_else(|error| {
+        Arguments::command()
+            .error(ErrorKind::ValueValidation, format!("failed to {error}"))
+            .exit()
+    });
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .init();
+    match serve(arguments.listen, config) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("policy-gateway: failed to {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+#[tokio::main]
+async fn serve(listen: SocketAddr, config: Config) -> anyhow::Result<()> {
+    let mut terminate = signal(SignalKind::terminate()).context("listen for SIGTERM")?;
+    let mut interrupt = signal(SignalKind::interrupt()).context("listen for SIGINT")?;
+    let listener = TcpListener::bind(listen)
+        .await
+        .with_context(|| format!("listen on {listen}: choose another --listen address"))?;
+    let address = listener
+        .local_addr()
+        .context("read the address listened on")?;
+    writeln!(stdout(), "listening on {address}").context("print the address listened on")?;
+
+    let shutdown = async move {
+        tokio::select! {
+            _ = terminate.recv() => {}
+            _ = interrupt.recv() => {}
+        }
+        tracing::info!("stopping: letting the queries under way finish");
+    };
+    Ok(policy_gateway::run(config, listener, shutdown).await?)
+}

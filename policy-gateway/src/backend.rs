@@ -1,0 +1,136 @@
+//! What the gateway asks of whatever answers for a route. Responsible for the
+//! trait and for what can go wrong behind it; one module per kind of back-end.
+
+use std::{error::Error, fmt, time::Duration};
+
+use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
+use thiserror::Error;
+use tonic::{Code, Status};
+
+pub mod builtin;
+pub mod grpc;
+
+/// Something that answers for a policy. The `policy` field of requests is the
+/// caller's name of the route and means nothing to a back-end.
+#[tonic::async_trait]
+pub trait Backend: fmt::Display + Send + Sync {
+    /// What the policy is and wants to see. Speaks [`proto::PROTOCOL_VERSION`].
+    ///
+    /// # Errors
+    /// As every method here: [`BackendError`].
+    async fn describe(&self) -> Result<DescribeResponse, BackendError>;
+
+    /// Starts an episode; one that is open is started anew.
+    ///
+    /// # Errors
+    /// [`BackendError`].
+    async fn reset(&self, request: ResetRequest) -> Result<(), BackendError>;
+
+    /// Answers one observation, unchecked.
+    ///
+    /// # Errors
+    /// [`BackendError`].
+    async fn infer(&self, request: InferRequest) -> Result<InferResponse, BackendError>;
+}
+
+/// Why a back-end did not answer. Each has one gRPC code, which tells a worker
+/// whether the infrastructure failed (`UNAVAILABLE`, `DEADLINE_EXCEEDED`,
+/// `RESOURCE_EXHAUSTED`: not charged to the rollout) or the policy did.
+#[derive(Debug, Error)]
+pub enum BackendError {
+    /// No connection, or it broke.
+    #[error(
+        "cannot reach the policy server at {address}: {reason}; start it, or correct the route"
+    )]
+    Unreachable {
+        /// host:port.
+        address: String,
+        /// The innermost cause, as the transport says it.
+        reason: String,
+    },
+    /// It could not be reached a moment ago.
+    #[error(
+        "the policy server at {address} cannot be reached; it is tried again in {:.1} s",
+        retry_in.as_secs_f64()
+    )]
+    BackingOff {
+        /// host:port.
+        address: String,
+        /// Until the next attempt.
+        retry_in: Duration,
+    },
+    /// Connected, but silent.
+    #[error("the policy server at {address} did not answer within {} s", limit.as_secs())]
+    TimedOut {
+        /// host:port.
+        address: String,
+        /// How long it was given.
+        limit: Duration,
+    },
+    /// It answered with an error of its own.
+    #[error("the policy server at {address} answered {:?}: {}", status.code(), status.message())]
+    Refused {
+        /// host:port.
+        address: String,
+        /// What it answered.
+        status: Box<Status>,
+    },
+    /// It speaks another version of the policy protocol.
+    #[error(
+        "the policy server at {address} speaks policy protocol version {theirs}, this gateway \
+         version {}; upgrade the older side",
+        proto::PROTOCOL_VERSION
+    )]
+    Version {
+        /// host:port.
+        address: String,
+        /// The server's version.
+        theirs: u32,
+    },
+    /// A session that is not open, because it never was, or because the
+    /// gateway restarted or forgot it since: the episode is lost, through no
+    /// fault of the policy.
+    #[error(
+        "the session is not open here (the gateway may have restarted since its Reset); start \
+         the rollout again"
+    )]
+    SessionLost,
+    /// A stateful policy was not asked in order.
+    #[error("a stateful policy answers its queries in order, and query {expected} is next")]
+    OutOfOrder {
+        /// The query index that it waits for.
+        expected: u32,
+    },
+    /// A built-in policy could not answer.
+    #[error("the policy failed: {message}")]
+    Policy {
+        /// In the policy's words.
+        message: String,
+    },
+}
+
+impl BackendError {
+    /// The gRPC code that says it to a worker.
+    pub fn code(&self) -> Code {
+        match self {
+            Self::Unreachable { .. } | Self::BackingOff { .. } | Self::SessionLost => {
+                Code::Unavailable
+            }
+            Self::TimedOut { .. } => Code::DeadlineExceeded,
+            // An exception that a server let through, in most languages.
+            Self::Refused { status, .. } if status.code() == Code::Unknown => Code::Internal,
+            Self::Refused { status, .. } => status.code(),
+            Self::Version { .. } | Self::OutOfOrder { .. } => Code::FailedPrecondition,
+            Self::Policy { .. } => Code::Internal,
+        }
+    }
+}
+
+/// The last error of a chain, which is the one that names the cause.
+fn innermost(error: &(dyn Error + 'static)) -> String {
+    let mut innermost = error;
+    while let Some(source) = innermost.source() {
+        innermost = source;
+    }
+    innermost.to_string()
+}

@@ -1,0 +1,94 @@
+//! The back-end of the policies that run inside the gateway: one instance per
+//! session, asked in order if it is stateful.
+
+use std::{
+    fmt,
+    sync::{Arc, Mutex, PoisonError},
+};
+
+use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
+
+use super::{Backend, BackendError};
+use crate::{
+    builtin::{Builtin, BuiltinPolicy},
+    check::ACTION_WIDTH,
+    sessions::{MAX_SESSIONS, SessionTable},
+};
+
+/// A built-in policy and its sessions.
+pub struct BuiltinBackend {
+    builtin: Builtin,
+    described: DescribeResponse,
+    sessions: Mutex<SessionTable<Arc<Mutex<Episode>>>>,
+}
+
+/// One session's instance.
+struct Episode {
+    policy: Box<dyn BuiltinPolicy>,
+    next_query: u32,
+}
+
+impl BuiltinBackend {
+    /// A back-end without sessions.
+    pub fn new(builtin: Builtin) -> Self {
+        Self {
+            builtin,
+            described: builtin.describe(),
+            sessions: Mutex::new(SessionTable::new(MAX_SESSIONS)),
+        }
+    }
+
+    fn episode(&self, session: &str) -> Option<Arc<Mutex<Episode>>> {
+        let mut sessions = self.sessions.lock().unwrap_or_else(PoisonError::into_inner);
+        sessions.get(session).cloned()
+    }
+}
+
+#[tonic::async_trait]
+impl Backend for BuiltinBackend {
+    async fn describe(&self) -> Result<DescribeResponse, BackendError> {
+        Ok(self.described.clone())
+    }
+
+    async fn reset(&self, request: ResetRequest) -> Result<(), BackendError> {
+        let episode = Episode {
+            policy: self.builtin.start(&request),
+            next_query: 0,
+        };
+        let mut sessions = self.sessions.lock().unwrap_or_else(PoisonError::into_inner);
+        sessions.open(&request.session, Arc::new(Mutex::new(episode)));
+        Ok(())
+    }
+
+    async fn infer(&self, request: InferRequest) -> Result<InferResponse, BackendError> {
+        let episode = self
+            .episode(&request.session)
+            .ok_or(BackendError::SessionLost)?;
+        // Only a panic inside the policy poisons the lock, and then what the
+        // instance remembers is not to be trusted.
+        let mut episode = episode.lock().map_err(|_| BackendError::Policy {
+            message: "it panicked at an earlier query of this session".to_owned(),
+        })?;
+        if self.described.stateful && request.query_index != episode.next_query {
+            return Err(BackendError::OutOfOrder {
+                expected: episode.next_query,
+            });
+        }
+        let observation = request.observation.unwrap_or_default();
+        let actions = episode
+            .policy
+            .infer(request.query_index, &observation)
+            .map_err(|message| BackendError::Policy { message })?;
+        episode.next_query = request.query_index.saturating_add(1);
+        Ok(InferResponse {
+            actions: actions.into_flattened(),
+            action_width: ACTION_WIDTH,
+        })
+    }
+}
+
+impl fmt::Display for BuiltinBackend {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.builtin.fmt(f)
+    }
+}

@@ -1,0 +1,238 @@
+//! The back-end of policy servers elsewhere that speak `rollout.policy.v1`,
+//! other gateways included. Responsible for the connection: it is made at the
+//! first query, made again with back-off when it breaks, and every call has a
+//! deadline. What a server answers is judged by the route.
+
+use std::{
+    fmt,
+    str::FromStr,
+    sync::{Mutex, PoisonError},
+    time::{Duration, Instant},
+};
+
+use proto::policy::{
+    DescribeRequest, DescribeResponse, InferRequest, InferResponse, ResetRequest,
+    policy_client::PolicyClient,
+};
+use thiserror::Error;
+use tonic::{
+    Response, Status,
+    codegen::http::Uri,
+    transport::{Channel, Endpoint},
+};
+
+use super::{Backend, BackendError, innermost};
+use crate::{
+    backoff::Backoff,
+    config::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES},
+};
+
+/// Longest wait for a connection.
+pub const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
+/// Longest wait for an answer. A model's first query may compile for most of a
+/// minute.
+pub const CALL_TIMEOUT: Duration = Duration::from_secs(60);
+/// How soon the kernel notices a host that vanished without a word.
+const TCP_KEEPALIVE: Duration = Duration::from_secs(15);
+
+/// Where a policy server listens, and which of its policies is meant:
+/// `host:port` or `host:port/policy`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct GrpcAddress {
+    /// `host:port`.
+    pub authority: String,
+    /// Empty: the only one there.
+    pub policy: String,
+}
+
+impl GrpcAddress {
+    fn endpoint(&self) -> Result<Endpoint, tonic::transport::Error> {
+        Ok(Endpoint::from_shared(format!("http://{}", self.authority))?
+            .connect_timeout(CONNECT_TIMEOUT)
+            .tcp_nodelay(true)
+            .tcp_keepalive(Some(TCP_KEEPALIVE))
+            .initial_stream_window_size(STREAM_WINDOW_BYTES)
+            .initial_connection_window_size(CONNECTION_WINDOW_BYTES))
+    }
+}
+
+impl FromStr for GrpcAddress {
+    type Err = AddressError;
+
+    fn from_str(text: &str) -> Result<Self, AddressError> {
+        let (authority, policy) = text.split_once('/').unwrap_or((text, ""));
+        let address = Self {
+            authority: authority.to_owned(),
+            policy: policy.to_owned(),
+        };
+        let uri = format!("http://{authority}").parse::<Uri>();
+        let complete = uri.is_ok_and(|uri| {
+            uri.host().is_some_and(|host| !host.is_empty()) && uri.port_u16().is_some()
+        });
+        if complete && address.endpoint().is_ok() {
+            Ok(address)
+        } else {
+            Err(AddressError {
+                text: text.to_owned(),
+            })
+        }
+    }
+}
+
+impl fmt::Display for GrpcAddress {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let separator = if self.policy.is_empty() { "" } else { "/" };
+        write!(f, "grpc://{}{separator}{}", self.authority, self.policy)
+    }
+}
+
+/// Not an address.
+#[derive(Debug, Error)]
+#[error("read grpc://{text} as an address: write grpc://HOST:PORT, or grpc://HOST:PORT/POLICY")]
+pub struct AddressError {
+    /// What follows `grpc://`.
+    pub text: String,
+}
+
+/// A policy server elsewhere.
+#[derive(Debug)]
+pub struct GrpcBackend {
+    address: GrpcAddress,
+    client: PolicyClient<Channel>,
+    backoff: Mutex<Backoff>,
+}
+
+impl GrpcBackend {
+    /// A back-end that has not connected yet.
+    ///
+    /// # Errors
+    /// When the address is none.
+    pub fn new(address: GrpcAddress) -> Result<Self, tonic::transport::Error> {
+        let client = PolicyClient::new(address.endpoint()?.connect_lazy())
+            .max_decoding_message_size(proto::MAX_MESSAGE_BYTES)
+            .max_encoding_message_size(proto::MAX_MESSAGE_BYTES);
+        Ok(Self {
+            address,
+            client,
+            backoff: Mutex::default(),
+        })
+    }
+
+    /// Makes one call, if the back-off admits it, and notes how it went.
+    async fn call<T>(
+        &self,
+        call: impl Future<Output = Result<Response<T>, Status>>,
+    ) -> Result<T, BackendError> {
+        let address = || self.address.authority.clone();
+        self.with_backoff(|backoff| backoff.admit(Instant::now()))
+            .map_err(|retry_in| BackendError::BackingOff {
+                address: address(),
+                retry_in,
+            })?;
+        let Ok(answer) = tokio::time::timeout(CALL_TIMEOUT, call).await else {
+            return Err(BackendError::TimedOut {
+                address: address(),
+                limit: CALL_TIMEOUT,
+            });
+        };
+        match answer {
+            Err(status) if is_transport_failure(&status) => {
+                if self.with_backoff(|backoff| backoff.failed(Instant::now())) {
+                    tracing::warn!(backend = %self, "policy server lost; trying again with back-off");
+                }
+                let reason = innermost(&status);
+                Err(BackendError::Unreachable {
+                    address: address(),
+                    reason,
+                })
+            }
+            answered => {
+                if self.with_backoff(Backoff::reached) {
+                    tracing::info!(backend = %self, "policy server back");
+                }
+                answered
+                    .map(Response::into_inner)
+                    .map_err(|status| BackendError::Refused {
+                        address: address(),
+                        status: status.into(),
+                    })
+            }
+        }
+    }
+
+    fn with_backoff<T>(&self, act: impl FnOnce(&mut Backoff) -> T) -> T {
+        act(&mut self.backoff.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
+
+#[tonic::async_trait]
+impl Backend for GrpcBackend {
+    async fn describe(&self) -> Result<DescribeResponse, BackendError> {
+        let request = DescribeRequest {
+            protocol_version: proto::PROTOCOL_VERSION,
+            policy: self.address.policy.clone(),
+        };
+        let described = self.call(self.client.clone().describe(request)).await?;
+        let theirs = described.protocol_version;
+        if theirs == proto::PROTOCOL_VERSION {
+            Ok(described)
+        } else {
+            Err(BackendError::Version {
+                address: self.address.authority.clone(),
+                theirs,
+            })
+        }
+    }
+
+    async fn reset(&self, mut request: ResetRequest) -> Result<(), BackendError> {
+        request.policy.clone_from(&self.address.policy);
+        self.call(self.client.clone().reset(request))
+            .await
+            .map(drop)
+    }
+
+    async fn infer(&self, mut request: InferRequest) -> Result<InferResponse, BackendError> {
+        request.policy.clone_from(&self.address.policy);
+        self.call(self.client.clone().infer(request)).await
+    }
+}
+
+impl fmt::Display for GrpcBackend {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.address.fmt(f)
+    }
+}
+
+/// Whether a status was made on this side, for want of an answer: what a
+/// server answers carries no source.
+fn is_transport_failure(status: &Status) -> bool {
+    std::error::Error::source(status).is_some()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_may_name_one_of_several_policies() {
+        let address: GrpcAddress = "gpu7:5000/pi05".parse().expect("an address");
+        assert_eq!(
+            address,
+            GrpcAddress {
+                authority: "gpu7:5000".into(),
+                policy: "pi05".into()
+            }
+        );
+        assert_eq!(address.to_string(), "grpc://gpu7:5000/pi05");
+        let address: GrpcAddress = "[::1]:5000".parse().expect("an address");
+        assert_eq!(address.to_string(), "grpc://[::1]:5000");
+    }
+
+    #[test]
+    fn an_address_without_host_or_port_is_refused_with_the_form_to_write() {
+        for text in ["", "gpu7", ":5000", "gpu7:", "gpu7:99999", "gpu 7:5000"] {
+            let error = text.parse::<GrpcAddress>().expect_err(text);
+            assert!(error.to_string().contains("HOST:PORT"), "{error}");
+        }
+    }
+}

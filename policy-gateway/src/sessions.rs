@@ -1,0 +1,100 @@
+//! A bounded table of open sessions. Sessions have no end on the wire, so the
+//! table forgets the one idle for longest when it is full. Responsible for
+//! that bound only; what is kept per session is the owner's.
+
+use std::collections::HashMap;
+
+/// Sessions remembered per route: twice the 2,000 slots that one coordinator
+/// is meant to carry, so that a forgotten session is one that has ended.
+pub const MAX_SESSIONS: usize = 4096;
+/// Longest session name accepted, bytes.
+pub const MAX_SESSION_BYTES: usize = 512;
+
+/// Values by session name, at most `capacity` of them.
+#[derive(Debug)]
+pub struct SessionTable<V> {
+    capacity: usize,
+    /// Counts uses, which order sessions by idleness without a clock.
+    uses: u64,
+    entries: HashMap<String, Entry<V>>,
+}
+
+#[derive(Debug)]
+struct Entry<V> {
+    value: V,
+    last_use: u64,
+}
+
+impl<V> SessionTable<V> {
+    /// An empty table that holds `capacity` sessions (at least one).
+    pub fn new(capacity: usize) -> Self {
+        Self {
+            capacity: capacity.max(1),
+            uses: 0,
+            entries: HashMap::new(),
+        }
+    }
+
+    /// Opens a session, in place of one of the same name, and at the cost of
+    /// the one idle for longest if the table is full.
+    pub fn open(&mut self, session: &str, value: V) -> &mut V {
+        if !self.entries.contains_key(session) && self.entries.len() >= self.capacity {
+            self.forget_idlest();
+        }
+        let last_use = self.next_use();
+        let entry = Entry { value, last_use };
+        &mut self
+            .entries
+            .entry(session.to_owned())
+            .insert_entry(entry)
+            .into_mut()
+            .value
+    }
+
+    /// A session, if it is open.
+    pub fn get(&mut self, session: &str) -> Option<&mut V> {
+        let last_use = self.next_use();
+        let entry = self.entries.get_mut(session)?;
+        entry.last_use = last_use;
+        Some(&mut entry.value)
+    }
+
+    fn next_use(&mut self) -> u64 {
+        self.uses += 1;
+        self.uses
+    }
+
+    fn forget_idlest(&mut self) {
+        let idlest = self.entries.iter().min_by_key(|(_, entry)| entry.last_use);
+        if let Some(session) = idlest.map(|(session, _)| session.clone()) {
+            self.entries.remove(&session);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_full_table_forgets_the_session_idle_for_longest() {
+        let mut table = SessionTable::new(2);
+        table.open("a", 1);
+        table.open("b", 2);
+        assert_eq!(table.get("a").copied(), Some(1));
+        table.open("c", 3);
+        assert_eq!(table.get("b"), None);
+        assert_eq!(table.get("a").copied(), Some(1));
+        assert_eq!(table.get("c").copied(), Some(3));
+    }
+
+    #[test]
+    fn opening_a_session_again_replaces_it_and_costs_no_other() {
+        let mut table = SessionTable::new(2);
+        table.open("a", 1);
+        table.open("b", 2);
+        table.open("b", 20);
+        assert_eq!(table.get("a").copied(), Some(1));
+        assert_eq!(table.get("b").copied(), Some(20));
+    }
+}

@@ -1,0 +1,270 @@
+//! What becomes of a policy's answers: kept for retries, and refused when they
+//! are no actions. The servers here are deliberately wrong ones.
+
+use std::sync::{
+    Arc,
+    atomic::{AtomicU32, Ordering},
+};
+
+use proto::policy::{
+    DescribeRequest, DescribeResponse, InferBatchRequest, InferBatchResponse, InferRequest,
+    InferResponse, ResetRequest, ResetResponse, policy_server::Policy,
+};
+use tonic::{Code, Request, Response, Status};
+
+use crate::support::{describe, description, gateway, infer, reset, serve};
+
+/// Describes itself as told and answers what a function says.
+struct Scripted<F> {
+    described: DescribeResponse,
+    answer: F,
+}
+
+#[tonic::async_trait]
+impl<F> Policy for Scripted<F>
+where
+    F: Fn(InferRequest) -> Result<InferResponse, Status> + Send + Sync + 'static,
+{
+    async fn describe(
+        &self,
+        _: Request<DescribeRequest>,
+    ) -> Result<Response<DescribeResponse>, Status> {
+        Ok(Response::new(self.described.clone()))
+    }
+
+    async fn reset(&self, _: Request<ResetRequest>) -> Result<Response<ResetResponse>, Status> {
+        Ok(Response::new(ResetResponse {}))
+    }
+
+    async fn infer(
+        &self,
+        request: Request<InferRequest>,
+    ) -> Result<Response<InferResponse>, Status> {
+        (self.answer)(request.into_inner()).map(Response::new)
+    }
+
+    async fn infer_batch(
+        &self,
+        _: Request<InferBatchRequest>,
+    ) -> Result<Response<InferBatchResponse>, Status> {
+        Err(Status::unimplemented("one at a time"))
+    }
+}
+
+fn chunk(actions: &[f32], action_width: u32) -> InferResponse {
+    InferResponse {
+        actions: actions.to_vec(),
+        action_width,
+    }
+}
+
+/// Sends one query to a server that answers `answer`, through a gateway.
+async fn refusal(answer: Result<InferResponse, Status>) -> Status {
+    let described = description("crooked", 2);
+    let server = serve(Scripted {
+        described,
+        answer: move |_| answer.clone(),
+    })
+    .await;
+    let gateway = gateway(&[&format!("bent=grpc://{}", server.address)]).await;
+    let mut client = gateway.client().await;
+    client
+        .reset(reset("bent", "episode-1"))
+        .await
+        .expect("an episode");
+    let status = client
+        .infer(infer("bent", "episode-1", 3))
+        .await
+        .expect_err("nonsense");
+    for part in ["bent", "\"episode-1\"", "query 3"] {
+        assert!(status.message().contains(part), "{part} in {status}");
+    }
+    status
+}
+
+#[tokio::test]
+async fn nonsense_is_refused_naming_policy_session_and_query() {
+    let mut nan = [0.0; 7];
+    nan[4] = f32::NAN;
+    let cases = [
+        (chunk(&nan, 7), "component 4 of action 0 is NaN"),
+        (chunk(&[0.0; 18], 6), "6 numbers wide"),
+        (chunk(&[], 7), "no action"),
+        (chunk(&[0.0; 21], 7), "3 actions"),
+    ];
+    for (answer, expected) in cases {
+        let status = refusal(Ok(answer)).await;
+        assert_eq!(status.code(), Code::Internal);
+        for part in [expected, "\"crooked\""] {
+            assert!(status.message().contains(part), "{part} in {status}");
+        }
+    }
+}
+
+#[tokio::test]
+async fn an_error_of_the_policy_keeps_its_words_and_is_no_outage() {
+    let status = refusal(Err(Status::internal("ValueError: bad shape"))).await;
+    assert_eq!(status.code(), Code::Internal);
+    assert!(
+        status.message().contains("ValueError: bad shape"),
+        "{status}"
+    );
+
+    let uncaught = refusal(Err(Status::unknown("KeyError: 'pick up the bowl'"))).await;
+    assert_eq!(uncaught.code(), Code::Internal);
+}
+
+#[tokio::test]
+async fn a_retry_gets_the_same_actions_and_does_not_ask_the_policy_again() {
+    let asked = Arc::new(AtomicU32::new(0));
+    let count = Arc::clone(&asked);
+    let answer = move |_| Ok(chunk(&[count.fetch_add(1, Ordering::SeqCst) as f32; 7], 7));
+    let server = serve(Scripted {
+        described: description("counter", 1),
+        answer,
+    })
+    .await;
+    let gateway = gateway(&[&format!("x=grpc://{}", server.address)]).await;
+    let mut client = gateway.client().await;
+    let mut ask = async |session: &str, query_index| {
+        let answer = client
+            .infer(infer("x", session, query_index))
+            .await
+            .expect("an answer");
+        answer.into_inner().actions[0]
+    };
+    assert_eq!(
+        [ask("s", 0).await, ask("s", 0).await, ask("s", 1).await],
+        [0.0, 0.0, 1.0]
+    );
+    assert_eq!(
+        [ask("t", 1).await, ask("s", 1).await, ask("t", 1).await],
+        [2.0, 1.0, 2.0]
+    );
+    assert_eq!(asked.load(Ordering::SeqCst), 3);
+
+    // A session that is started anew has answered nothing yet.
+    gateway
+        .client()
+        .await
+        .reset(reset("x", "s"))
+        .await
+        .expect("an episode");
+    assert_eq!(ask("s", 1).await, 3.0);
+}
+
+#[tokio::test]
+async fn nonsense_is_not_kept_for_a_retry() {
+    let asked = AtomicU32::new(0);
+    let answer = move |_| match asked.fetch_add(1, Ordering::SeqCst) {
+        0 => Ok(chunk(&[f32::INFINITY; 7], 7)),
+        _ => Ok(chunk(&[0.5; 7], 7)),
+    };
+    let server = serve(Scripted {
+        described: description("flaky", 1),
+        answer,
+    })
+    .await;
+    let gateway = gateway(&[&format!("x=grpc://{}", server.address)]).await;
+    let mut client = gateway.client().await;
+    client
+        .infer(infer("x", "s", 0))
+        .await
+        .expect_err("infinite actions");
+    let answer = client
+        .infer(infer("x", "s", 0))
+        .await
+        .expect("good actions");
+    assert_eq!(answer.get_ref().actions, [0.5; 7]);
+}
+
+#[tokio::test]
+async fn retries_at_once_ask_the_policy_once() {
+    let asked = Arc::new(AtomicU32::new(0));
+    let count = Arc::clone(&asked);
+    let answer = move |_| {
+        std::thread::sleep(std::time::Duration::from_millis(50));
+        Ok(chunk(&[count.fetch_add(1, Ordering::SeqCst) as f32; 7], 7))
+    };
+    let server = serve(Scripted {
+        described: description("slow", 1),
+        answer,
+    })
+    .await;
+    let gateway = gateway(&[&format!("x=grpc://{}", server.address)]).await;
+    let (mut first, mut second) = (gateway.client().await, gateway.client().await);
+    let (first, second) = tokio::join!(
+        first.infer(infer("x", "s", 0)),
+        second.infer(infer("x", "s", 0))
+    );
+    assert_eq!(
+        first.expect("an answer").get_ref(),
+        second.expect("an answer").get_ref()
+    );
+    assert_eq!(asked.load(Ordering::SeqCst), 1);
+}
+
+#[tokio::test]
+async fn a_stateful_builtin_is_asked_in_order_and_a_retry_does_not_advance_it() {
+    let gateway = gateway(&["expert=builtin:expert"]).await;
+    let mut client = gateway.client().await;
+    client.reset(reset("", "s")).await.expect("an episode");
+    let skipped = client
+        .infer(infer("", "s", 1))
+        .await
+        .expect_err("query 0 is next");
+    assert_eq!(skipped.code(), Code::FailedPrecondition);
+    assert!(skipped.message().contains("query 0 is next"), "{skipped}");
+}
+
+#[tokio::test]
+async fn a_builtin_that_lacks_what_it_asked_for_says_so() {
+    let gateway = gateway(&["expert=builtin:expert"]).await;
+    let mut client = gateway.client().await;
+    client.reset(reset("", "s")).await.expect("an episode");
+    let status = client
+        .infer(infer("", "s", 0))
+        .await
+        .expect_err("no privileged state");
+    assert_eq!(status.code(), Code::Internal);
+    for part in ["expert", "\"s\"", "query 0", "privileged"] {
+        assert!(status.message().contains(part), "{part} in {status}");
+    }
+}
+
+#[tokio::test]
+async fn a_policy_that_cannot_describe_itself_is_refused_with_what_is_wrong() {
+    let mut newer = description("p", 1);
+    newer.protocol_version = proto::PROTOCOL_VERSION + 1;
+    let cases = [
+        (description("", 1), Code::Internal, "no name".to_owned()),
+        (
+            description("p", 0),
+            Code::Internal,
+            "horizon is 0".to_owned(),
+        ),
+        (
+            newer,
+            Code::FailedPrecondition,
+            format!("version {}", proto::PROTOCOL_VERSION + 1),
+        ),
+    ];
+    for (described, code, expected) in cases {
+        let server = serve(Scripted {
+            described,
+            answer: |_| Ok(chunk(&[0.0; 7], 7)),
+        })
+        .await;
+        let gateway = gateway(&[&format!("x=grpc://{}", server.address)]).await;
+        let status = gateway
+            .client()
+            .await
+            .describe(describe("x"))
+            .await
+            .expect_err("wrong");
+        assert_eq!(status.code(), code);
+        for part in [expected.as_str(), "route x", &server.address.to_string()] {
+            assert!(status.message().contains(part), "{part} in {status}");
+        }
+    }
+}

@@ -1,0 +1,8 @@
+//! The gateway on real sockets: what it promises to workers, whatever answers
+//! behind it.
+
+mod answers;
+mod outages;
+mod program;
+mod routing;
+mod support;

@@ -1,0 +1,116 @@
+//! Back-ends that are down, go down and come back.
+
+use std::time::{Duration, Instant};
+
+use policy_gateway::{backoff::LONGEST_WAIT, builtin::noop::NOOP_ACTION};
+use proto::policy::{InferBatchRequest, policy_client::PolicyClient};
+use tonic::{Code, Status, transport::Channel};
+
+use crate::support::{describe, gateway, gateway_at, infer, reset, unused_address};
+
+/// Asks until an answer comes, for as long as the back-off may take.
+async fn until_it_answers(client: &mut PolicyClient<Channel>) -> Result<(), Status> {
+    let deadline = Instant::now() + 2 * LONGEST_WAIT;
+    loop {
+        match client.describe(describe("")).await {
+            Ok(_) => return Ok(()),
+            Err(status) if Instant::now() > deadline => return Err(status),
+            Err(status) => assert_eq!(status.code(), Code::Unavailable, "{status}"),
+        }
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+}
+
+#[tokio::test]
+async fn a_policy_that_is_down_is_unavailable_and_named_until_it_comes_up() {
+    let address = unused_address().await;
+    let outer = gateway(&[&format!("pi05=grpc://{address}")]).await;
+    let mut client = outer.client().await;
+
+    let down = client
+        .reset(reset("pi05", "s"))
+        .await
+        .expect_err("nothing listens there");
+    assert_eq!(down.code(), Code::Unavailable);
+    for part in ["route pi05", &address.to_string(), "refused"] {
+        assert!(down.message().contains(part), "{part} in {down}");
+    }
+    // At once, and without another attempt to connect.
+    let backing_off = client
+        .describe(describe("pi05"))
+        .await
+        .expect_err("still down");
+    assert_eq!(backing_off.code(), Code::Unavailable);
+    assert!(
+        backing_off.message().contains("tried again in"),
+        "{backing_off}"
+    );
+
+    let queries = vec![infer("pi05", "s", 0)];
+    let batch = client
+        .infer_batch(InferBatchRequest { queries })
+        .await
+        .expect_err("still down");
+    assert_eq!(batch.code(), Code::Unavailable);
+
+    let _inner = gateway_at(address, &["noop=builtin:noop"]).await;
+    until_it_answers(&mut client)
+        .await
+        .expect("the policy came up");
+}
+
+#[tokio::test]
+async fn a_policy_that_restarts_is_found_again() {
+    let inner = gateway(&["noop=builtin:noop"]).await;
+    let address = inner.address;
+    let outer = gateway(&[&format!("noop=grpc://{address}")]).await;
+    let mut client = outer.client().await;
+    client.reset(reset("", "s")).await.expect("an episode");
+    client.infer(infer("", "s", 0)).await.expect("an answer");
+
+    inner.stop().await;
+    let down = client
+        .infer(infer("", "s", 1))
+        .await
+        .expect_err("it stopped");
+    assert_eq!(down.code(), Code::Unavailable, "{down}");
+
+    let _inner = gateway_at(address, &["noop=builtin:noop"]).await;
+    until_it_answers(&mut client)
+        .await
+        .expect("the policy came back");
+    // It has forgotten the session, which is an outage too, but keeps no new
+    // one from starting.
+    let lost = client
+        .infer(infer("", "s", 1))
+        .await
+        .expect_err("the session is lost");
+    assert_eq!(lost.code(), Code::Unavailable, "{lost}");
+    client.reset(reset("", "s2")).await.expect("an episode");
+    let answer = client.infer(infer("", "s2", 0)).await.expect("an answer");
+    assert_eq!(answer.get_ref().actions, NOOP_ACTION);
+}
+
+#[tokio::test]
+async fn a_gateway_that_restarts_passes_on_sessions_that_its_back_end_still_holds() {
+    let inner = gateway(&["noop=builtin:noop"]).await;
+    let route = format!("noop=grpc://{}", inner.address);
+    let outer = gateway(&[&route]).await;
+    outer
+        .client()
+        .await
+        .reset(reset("", "s"))
+        .await
+        .expect("an episode");
+    let address = outer.address;
+    outer.stop().await;
+
+    let outer = gateway_at(address, &[&route]).await;
+    let answer = outer
+        .client()
+        .await
+        .infer(infer("", "s", 1))
+        .await
+        .expect("an answer");
+    assert_eq!(answer.get_ref().actions, NOOP_ACTION);
+}

@@ -1,0 +1,180 @@
+//! Which policy answers, and what a gateway says of itself.
+
+use policy_gateway::{builtin::noop::NOOP_ACTION, service::MAX_BATCH_QUERIES};
+use proto::policy::{DescribeRequest, InferBatchRequest, infer_result};
+use tonic::{Code, transport::Endpoint};
+use tonic_health::pb::{
+    HealthCheckRequest, health_check_response::ServingStatus, health_client::HealthClient,
+};
+
+use crate::support::{client, describe, gateway, infer, reset};
+
+#[tokio::test]
+async fn a_builtin_policy_answers_an_episode() {
+    let gateway = gateway(&["noop=builtin:noop"]).await;
+    let mut client = gateway.client().await;
+
+    let described = client
+        .describe(describe("noop"))
+        .await
+        .expect("a description")
+        .into_inner();
+    assert_eq!((described.name.as_str(), described.horizon), ("noop", 1));
+    assert!(described.cameras.is_empty());
+
+    client.reset(reset("noop", "s")).await.expect("an episode");
+    for query_index in 0..3 {
+        let answer = client
+            .infer(infer("noop", "s", query_index))
+            .await
+            .expect("an answer");
+        assert_eq!(answer.get_ref().action_width, 7);
+        assert_eq!(answer.get_ref().actions, NOOP_ACTION);
+    }
+}
+
+#[tokio::test]
+async fn a_gateway_behind_a_gateway_looks_like_a_policy() {
+    let inner = gateway(&["noop=builtin:noop", "expert=builtin:expert"]).await;
+    let route = format!("outer=grpc://{}/expert", inner.address);
+    let outer = gateway(&[&route]).await;
+    let mut client = outer.client().await;
+
+    let described = client
+        .describe(describe("outer"))
+        .await
+        .expect("a description")
+        .into_inner();
+    assert_eq!(described, policy_gateway::builtin::expert::describe());
+
+    let route = format!("x=grpc://{}/noop", inner.address);
+    let outer = gateway(&[&route]).await;
+    let mut client = outer.client().await;
+    client.reset(reset("x", "s")).await.expect("an episode");
+    let answer = client.infer(infer("x", "s", 0)).await.expect("an answer");
+    assert_eq!(answer.get_ref().actions, NOOP_ACTION);
+}
+
+#[tokio::test]
+async fn the_only_policy_needs_no_name_and_several_are_listed() {
+    let one = gateway(&["noop=builtin:noop"]).await;
+    let described = one
+        .client()
+        .await
+        .describe(describe(""))
+        .await
+        .expect("the only policy");
+    assert_eq!(described.get_ref().name, "noop");
+
+    let two = gateway(&["stand=builtin:noop", "work=builtin:expert"]).await;
+    let mut client = two.client().await;
+    let unnamed = client
+        .describe(describe(""))
+        .await
+        .expect_err("which of the two?");
+    assert_eq!(unnamed.code(), Code::InvalidArgument);
+    assert!(unnamed.message().contains("stand, work"), "{unnamed}");
+    let wrong = client
+        .infer(infer("pi05", "s", 0))
+        .await
+        .expect_err("no such policy");
+    assert_eq!(wrong.code(), Code::NotFound);
+    assert!(wrong.message().contains("\"pi05\""), "{wrong}");
+    assert!(wrong.message().contains("stand, work"), "{wrong}");
+}
+
+#[tokio::test]
+async fn a_caller_of_another_protocol_version_is_refused_naming_both() {
+    let gateway = gateway(&["noop=builtin:noop"]).await;
+    let request = DescribeRequest {
+        protocol_version: 99,
+        policy: String::new(),
+    };
+    let refused = gateway
+        .client()
+        .await
+        .describe(request)
+        .await
+        .expect_err("version 99");
+    assert_eq!(refused.code(), Code::FailedPrecondition);
+    assert!(refused.message().contains("version 99"), "{refused}");
+    let ours = format!("version {};", proto::PROTOCOL_VERSION);
+    assert!(refused.message().contains(&ours), "{refused}");
+}
+
+#[tokio::test]
+async fn the_health_service_says_that_policies_are_served() {
+    let gateway = gateway(&["noop=builtin:noop"]).await;
+    let endpoint = Endpoint::from_shared(format!("http://{}", gateway.address)).expect("a URL");
+    let mut health = HealthClient::new(endpoint.connect().await.expect("a server at the address"));
+    for service in ["", "rollout.policy.v1.Policy"] {
+        let request = HealthCheckRequest {
+            service: service.to_owned(),
+        };
+        let answer = health.check(request).await.expect(service).into_inner();
+        assert_eq!(answer.status(), ServingStatus::Serving, "{service:?}");
+    }
+}
+
+#[tokio::test]
+async fn one_query_of_a_batch_fails_alone_and_results_keep_their_order() {
+    let gateway = gateway(&["noop=builtin:noop"]).await;
+    let mut client = client(gateway.address).await;
+    client.reset(reset("", "a")).await.expect("an episode");
+    client.reset(reset("", "b")).await.expect("an episode");
+    let nameless = infer("", "", 0);
+    let queries = vec![infer("", "a", 0), nameless, infer("", "b", 5)];
+    let batch = client
+        .infer_batch(InferBatchRequest { queries })
+        .await
+        .expect("three results");
+    let results: Vec<_> = batch
+        .into_inner()
+        .results
+        .into_iter()
+        .map(|it| it.result)
+        .collect();
+    let answered = |result: &_| matches!(result, Some(infer_result::Result::Response(it)) if it.actions == NOOP_ACTION);
+    assert!(
+        answered(&results[0]) && answered(&results[2]),
+        "{results:?}"
+    );
+    assert!(
+        matches!(&results[1], Some(infer_result::Result::Error(text)) if text.contains("name")),
+        "{results:?}"
+    );
+
+    let queries = vec![infer("", "a", 0); MAX_BATCH_QUERIES + 1];
+    let refused = client
+        .infer_batch(InferBatchRequest { queries })
+        .await
+        .expect_err("too many");
+    assert_eq!(refused.code(), Code::InvalidArgument);
+}
+
+#[tokio::test]
+async fn a_session_that_was_never_opened_is_an_outage_not_a_fault_of_the_policy() {
+    let gateway = gateway(&["noop=builtin:noop"]).await;
+    let lost = gateway
+        .client()
+        .await
+        .infer(infer("", "unheard-of", 4))
+        .await
+        .expect_err("lost");
+    assert_eq!(lost.code(), Code::Unavailable);
+    assert!(lost.message().contains("\"unheard-of\""), "{lost}");
+}
+
+#[tokio::test]
+async fn a_session_name_of_a_million_characters_is_refused() {
+    let gateway = gateway(&["noop=builtin:noop"]).await;
+    let name = "s".repeat(1_000_000);
+    let refused = gateway
+        .client()
+        .await
+        .reset(reset("", &name))
+        .await
+        .expect_err("a book");
+    assert_eq!(refused.code(), Code::InvalidArgument);
+    assert!(refused.message().len() < 200, "{refused}");
+}
