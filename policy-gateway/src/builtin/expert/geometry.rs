@@ -1,0 +1,261 @@
+//! The little geometry that the expert needs: vectors, rotations, and boxes
+//! seen from above. Not a linear algebra library. World frame, metres,
+//! radians, z up.
+
+use std::f64::consts::FRAC_PI_2;
+use std::ops::{Add, Mul, Sub};
+
+/// A point or a direction.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Vec3 {
+    pub(super) x: f64,
+    pub(super) y: f64,
+    pub(super) z: f64,
+}
+
+impl Vec3 {
+    pub(super) const UP: Self = Self::new(0.0, 0.0, 1.0);
+
+    pub(super) const fn new(x: f64, y: f64, z: f64) -> Self {
+        Self { x, y, z }
+    }
+
+    /// The horizontal unit vector at `angle` from the x axis.
+    pub(super) fn heading(angle: f64) -> Self {
+        Self::new(angle.cos(), angle.sin(), 0.0)
+    }
+
+    pub(super) fn dot(self, other: Self) -> f64 {
+        self.x * other.x + self.y * other.y + self.z * other.z
+    }
+
+    pub(super) fn cross(self, other: Self) -> Self {
+        Self::new(
+            self.y * other.z - self.z * other.y,
+            self.z * other.x - self.x * other.z,
+            self.x * other.y - self.y * other.x,
+        )
+    }
+
+    pub(super) fn norm(self) -> f64 {
+        self.dot(self).sqrt()
+    }
+
+    /// Length of the shadow on the floor.
+    pub(super) fn horizontal_norm(self) -> f64 {
+        self.x.hypot(self.y)
+    }
+
+    /// The same point at another height.
+    pub(super) fn at_height(self, z: f64) -> Self {
+        Self { z, ..self }
+    }
+
+    pub(super) fn abs(self) -> Self {
+        Self::new(self.x.abs(), self.y.abs(), self.z.abs())
+    }
+
+    /// The largest coordinate, signs kept.
+    pub(super) fn max_coordinate(self) -> f64 {
+        self.x.max(self.y).max(self.z)
+    }
+
+    /// The largest coordinate by magnitude.
+    pub(super) fn max_abs(self) -> f64 {
+        self.x.abs().max(self.y.abs()).max(self.z.abs())
+    }
+}
+
+impl Add for Vec3 {
+    type Output = Self;
+    fn add(self, o: Self) -> Self {
+        Self::new(self.x + o.x, self.y + o.y, self.z + o.z)
+    }
+}
+
+impl Sub for Vec3 {
+    type Output = Self;
+    fn sub(self, o: Self) -> Self {
+        Self::new(self.x - o.x, self.y - o.y, self.z - o.z)
+    }
+}
+
+impl Mul<f64> for Vec3 {
+    type Output = Self;
+    fn mul(self, k: f64) -> Self {
+        Self::new(self.x * k, self.y * k, self.z * k)
+    }
+}
+
+/// A rotation as a unit quaternion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Quat {
+    pub(super) w: f64,
+    pub(super) v: Vec3,
+}
+
+impl Quat {
+    /// A turn by `angle` about the unit vector `axis`.
+    pub(super) fn turn(axis: Vec3, angle: f64) -> Self {
+        Self {
+            w: (angle / 2.0).cos(),
+            v: axis * (angle / 2.0).sin(),
+        }
+    }
+
+    pub(super) fn inverse(self) -> Self {
+        Self {
+            w: self.w,
+            v: self.v * -1.0,
+        }
+    }
+
+    /// This turn after `first`.
+    pub(super) fn after(self, first: Self) -> Self {
+        Self {
+            w: self.w * first.w - self.v.dot(first.v),
+            v: first.v * self.w + self.v * first.w + self.v.cross(first.v),
+        }
+    }
+
+    pub(super) fn rotate(self, p: Vec3) -> Vec3 {
+        let t = self.v.cross(p) * 2.0;
+        p + t * self.w + self.v.cross(t)
+    }
+
+    /// Axis times angle of the shorter way round, so that its length is at
+    /// most pi.
+    pub(super) fn rotation_vector(self) -> Vec3 {
+        let q = if self.w < 0.0 {
+            Self {
+                w: -self.w,
+                v: self.v * -1.0,
+            }
+        } else {
+            self
+        };
+        let s = q.v.norm();
+        if s < 1e-9 {
+            q.v * 2.0
+        } else {
+            q.v * (2.0 * s.atan2(q.w) / s)
+        }
+    }
+}
+
+/// `angle` brought into (-pi/2, pi/2] by half turns: where a two-fingered
+/// hand, or a line, looks the same.
+pub(super) fn half_turn(angle: f64) -> f64 {
+    let a = angle.rem_euclid(2.0 * FRAC_PI_2);
+    if a > FRAC_PI_2 {
+        a - 2.0 * FRAC_PI_2
+    } else {
+        a
+    }
+}
+
+/// A body's footprint as a rectangle along its own horizontal axes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Footprint {
+    /// Direction of the narrower side, rad from the x axis, in (-pi/2, pi/2].
+    pub(super) narrow_angle: f64,
+    /// Half extents, m, `narrow <= wide`.
+    pub(super) narrow: f64,
+    pub(super) wide: f64,
+}
+
+/// Recovers a rectangle from its world-aligned bounding box (`half`) and the
+/// body's orientation: the box of a rectangle a × b turned by t is
+/// a·|cos t| + b·|sin t| by a·|sin t| + b·|cos t|, which is solved for a and
+/// b. Near 45° the two equations say the same, and near-round bodies have no
+/// sides: both are taken as they stand, along the world's axes or the body's.
+pub(super) fn footprint(quat: Quat, half: Vec3) -> Footprint {
+    let t = horizontal_axis_angle(quat);
+    let (c, s) = (t.cos().abs(), t.sin().abs());
+    let det = c * c - s * s;
+    let (mut a, mut b) = if det.abs() > 0.05 {
+        (
+            (half.x * c - half.y * s) / det,
+            (half.y * c - half.x * s) / det,
+        )
+    } else {
+        let side = (half.x + half.y) / (2.0 * (c + s));
+        (side, side)
+    };
+    let mut angle = t;
+    if a.min(b) <= 0.0 {
+        // A round body fills its box whichever way it is turned.
+        (a, b, angle) = (half.x, half.y, 0.0);
+    }
+    let (narrow, wide, turn) = if a <= b {
+        (a, b, 0.0)
+    } else {
+        (b, a, FRAC_PI_2)
+    };
+    Footprint {
+        narrow_angle: half_turn(angle + turn),
+        narrow,
+        wide,
+    }
+}
+
+/// Heading of a body axis that lies nearest to the horizontal plane.
+fn horizontal_axis_angle(quat: Quat) -> f64 {
+    let axes = [Vec3::new(1.0, 0.0, 0.0), Vec3::new(0.0, 1.0, 0.0), Vec3::UP];
+    let flattest = axes
+        .map(|axis| quat.rotate(axis))
+        .into_iter()
+        .min_by(|a, b| a.z.abs().total_cmp(&b.z.abs()))
+        .unwrap_or(Vec3::new(1.0, 0.0, 0.0));
+    flattest.y.atan2(flattest.x)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn near(a: f64, b: f64) -> bool {
+        (a - b).abs() < 1e-9
+    }
+
+    #[test]
+    fn a_quarter_turn_takes_x_to_y_and_its_vector_is_the_axis_times_the_angle() {
+        let q = Quat::turn(Vec3::UP, FRAC_PI_2);
+        assert!((q.rotate(Vec3::new(1.0, 0.0, 0.0)) - Vec3::new(0.0, 1.0, 0.0)).norm() < 1e-12);
+        assert!(near(q.rotation_vector().z, FRAC_PI_2));
+        assert!(q.after(q.inverse()).rotation_vector().norm() < 1e-12);
+    }
+
+    #[test]
+    fn a_turn_of_more_than_half_comes_back_the_other_way() {
+        let v = Quat::turn(Vec3::UP, 1.5 * std::f64::consts::PI).rotation_vector();
+        assert!(near(v.z, -FRAC_PI_2));
+    }
+
+    #[test]
+    fn the_sides_of_a_turned_box_are_recovered_from_its_bounding_box() {
+        for angle in [0.0, 0.3, -0.7, 1.2, 2.6] {
+            let (c, s) = (f64::cos(angle).abs(), f64::sin(angle).abs());
+            let (a, b) = (0.014, 0.056);
+            let half = Vec3::new(a * c + b * s, a * s + b * c, 0.07);
+            let found = footprint(Quat::turn(Vec3::UP, angle), half);
+            assert!(
+                near(found.narrow, a) && near(found.wide, b),
+                "{angle}: {found:?}"
+            );
+            assert!(
+                near(half_turn(found.narrow_angle - angle), 0.0),
+                "{angle}: {found:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_lying_body_is_measured_along_the_axes_that_lie_flat() {
+        // The body's z axis points along the world's y.
+        let lying = Quat::turn(Vec3::new(1.0, 0.0, 0.0), -FRAC_PI_2);
+        let found = footprint(lying, Vec3::new(0.02, 0.05, 0.03));
+        assert!(near(found.narrow, 0.02) && near(found.wide, 0.05));
+        assert!(near(found.narrow_angle, 0.0));
+    }
+}

@@ -1,0 +1,209 @@
+//! Where to take hold of an object: across its narrow side if the hand spans
+//! it, else at its rim. Pure geometry of bounding boxes; the few categories
+//! whose box misleads are in [`KNOBS`].
+
+use std::f64::consts::{FRAC_PI_2, PI};
+
+use super::geometry::{Footprint, Vec3, footprint, half_turn};
+use super::motion::FINGERTIP_M;
+use super::world::{Entity, World};
+
+/// Widest body that is pinched whole, m: the hand opens to 0.08 m, less a
+/// margin on both sides.
+const PINCH_WIDTH_M: f64 = 0.072;
+/// How far below an object's top the grip point goes when pinching, m: the
+/// palm is 35 mm above the grip point.
+const PINCH_DEPTH_M: f64 = 0.025;
+/// The same at a rim, and how far inside the box's side the wall is.
+const RIM_DEPTH_M: f64 = 0.014;
+const RIM_INSET_M: f64 = 0.006;
+/// Fingertips stay this far above what the object stands on, m.
+const FLOOR_GAP_M: f64 = 0.004;
+/// Rim points tried around a round body.
+const RIM_POINTS: u32 = 24;
+/// A box longer than this times its width has a handle along its length, and
+/// is only held at its two long sides.
+const ROUND_RATIO: f64 = 1.12;
+/// How far from an object's middle it is also pinched, as a share of its wide
+/// side, where a neighbour is in the way of the middle.
+const OFF_CENTRE: [f64; 5] = [0.0, 0.25, -0.25, 0.5, -0.5];
+/// Room an outer finger needs between a rim and a container's wall, m.
+const WALL_ROOM_M: f64 = 0.05;
+/// How far beyond a roof's edge a finger stays, m.
+const ROOF_MARGIN_M: f64 = 0.01;
+
+/// A part of the open hand, from the grip point: where it is along the closing
+/// direction, its half sizes along and across, and how high its lower end is,
+/// m (Panda hand of robosuite 1.4.0).
+struct Part {
+    at: f64,
+    half: (f64, f64),
+    bottom: f64,
+}
+
+const HAND: [Part; 3] = [
+    Part {
+        at: -0.052,
+        half: (0.0135, 0.0105),
+        bottom: -FINGERTIP_M,
+    },
+    Part {
+        at: 0.052,
+        half: (0.0135, 0.0105),
+        bottom: -FINGERTIP_M,
+    },
+    Part {
+        at: 0.0,
+        half: (0.102, 0.019),
+        bottom: 0.031,
+    },
+];
+
+/// Categories held by a knob on top, above the body's origin, and how far
+/// below the top of the knob the grip point goes, m.
+const KNOBS: [(&str, f64); 1] = [("moka_pot", 0.006)];
+
+/// A way to hold an object.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Grasp {
+    /// Grip point from the centre of the object's box, world axes, m.
+    pub(super) offset: Vec3,
+    /// Closing direction, rad from the world's x axis.
+    pub(super) closing: f64,
+}
+
+/// All ways to hold `object`, best first: little turning of the hand, no
+/// finger in a neighbour, room beside the rim.
+pub(super) fn choices(world: &World, object: &Entity) -> Vec<Grasp> {
+    let shape = footprint(object.quat, object.half);
+    let mut all = if let Some((_, depth)) = KNOBS.iter().find(|k| k.0 == object.category) {
+        vec![knob(object, shape, *depth)]
+    } else if 2.0 * shape.narrow <= PINCH_WIDTH_M {
+        pinches(object, shape)
+    } else {
+        rims(object, shape)
+    };
+    all.sort_by(|a, b| cost(world, object, a).total_cmp(&cost(world, object, b)));
+    all
+}
+
+fn knob(object: &Entity, shape: Footprint, depth: f64) -> Grasp {
+    let above_origin = object.pos - object.centre;
+    let offset = above_origin.at_height(object.half.z - depth);
+    Grasp {
+        offset,
+        closing: shape.narrow_angle,
+    }
+}
+
+fn pinches(object: &Entity, shape: Footprint) -> Vec<Grasp> {
+    let height = grip_height(object, PINCH_DEPTH_M);
+    let along = Vec3::heading(shape.narrow_angle + FRAC_PI_2) * shape.wide;
+    let across = OFF_CENTRE.map(|share| Grasp {
+        offset: (along * share).at_height(height),
+        closing: shape.narrow_angle,
+    });
+    let mut all = across.to_vec();
+    if 2.0 * shape.wide <= PINCH_WIDTH_M {
+        all.push(Grasp {
+            closing: shape.narrow_angle + FRAC_PI_2,
+            ..across[0]
+        });
+    }
+    all
+}
+
+fn rims(object: &Entity, shape: Footprint) -> Vec<Grasp> {
+    let at = |angle: f64| Grasp {
+        offset: (Vec3::heading(angle) * (shape.narrow - RIM_INSET_M))
+            .at_height(grip_height(object, RIM_DEPTH_M)),
+        closing: angle,
+    };
+    if shape.wide > ROUND_RATIO * shape.narrow {
+        return vec![at(shape.narrow_angle), at(shape.narrow_angle + PI)];
+    }
+    (0..RIM_POINTS)
+        .map(|i| at(2.0 * PI * f64::from(i) / f64::from(RIM_POINTS)))
+        .collect()
+}
+
+/// Height of the grip point above the centre of the object's box.
+fn grip_height(object: &Entity, depth: f64) -> f64 {
+    let lowest = FINGERTIP_M + FLOOR_GAP_M - object.half.z;
+    (object.half.z - depth).max(lowest)
+}
+
+/// Rank of a grasp, in radians of hand turning that it is worth.
+fn cost(world: &World, object: &Entity, grasp: &Grasp) -> f64 {
+    let turning = half_turn(grasp.closing - FRAC_PI_2).abs();
+    let blocked = blocking_neighbours(world, object, grasp) as f64;
+    turning + 4.0 * blocked + 8.0 * missing_room(world, object, grasp)
+}
+
+/// How many things the open hand would come down on: neighbours, and the roof
+/// of the fixture that the object is inside of. Such a fixture's own box says
+/// nothing, since the object is in it.
+fn blocking_neighbours(world: &World, object: &Entity, grasp: &Grasp) -> usize {
+    let grip = object.centre + grasp.offset;
+    let (along, across) = (
+        Vec3::heading(grasp.closing),
+        Vec3::heading(grasp.closing + FRAC_PI_2),
+    );
+    let hits = |part: &Part, other: &Entity| {
+        let reach = (along * part.half.0).abs() + (across * part.half.1).abs();
+        let gap = (grip + along * part.at - other.centre).abs() - other.half - reach;
+        gap.x < 0.0 && gap.y < 0.0 && grip.z + part.bottom < other.top()
+    };
+    let under = |part: &Part, roof: &Entity| {
+        let above = (grip + along * part.at).at_height(roof.pos.z);
+        (roof.local(above).abs() - roof.half).max_coordinate() < ROOF_MARGIN_M
+    };
+    let holds = |other: &Entity| {
+        let gap = (object.centre - other.centre).abs() - other.half;
+        gap.max_coordinate() < 0.0
+    };
+    let neighbours = world
+        .solids()
+        .filter(|o| o.name != object.name && !holds(o));
+    let roofs = world.regions().filter(|r| r.pos.z > object.top());
+    neighbours
+        .filter(|o| HAND.iter().any(|part| hits(part, o)))
+        .count()
+        + roofs
+            .filter(|r| HAND.iter().any(|part| under(part, r)))
+            .count()
+}
+
+/// How much of the room for the outer finger a container's wall takes, 0..1.
+/// Fixtures' boxes say nothing about their insides; their regions do.
+fn missing_room(world: &World, object: &Entity, grasp: &Grasp) -> f64 {
+    let outward = grasp.offset.at_height(0.0);
+    if outward.horizontal_norm() < RIM_INSET_M {
+        return 0.0;
+    }
+    let outward = outward * (1.0 / outward.horizontal_norm());
+    let rim = object.centre + grasp.offset;
+    let inside = |region: &&Entity| {
+        let gap = region.local(object.centre).abs() - region.half;
+        gap.max_coordinate() < 0.0
+    };
+    let room = |region: &Entity| {
+        let (at, way) = (region.local(rim), region.quat.inverse().rotate(outward));
+        let along = |p: f64, w: f64, half: f64| {
+            if w.abs() < 0.2 {
+                f64::INFINITY
+            } else {
+                (half - p * w.signum()) / w.abs()
+            }
+        };
+        along(at.x, way.x, region.half.x)
+            .min(along(at.y, way.y, region.half.y))
+            .min(along(at.z, way.z, region.half.z))
+    };
+    let least = world
+        .regions()
+        .filter(inside)
+        .map(room)
+        .fold(f64::INFINITY, f64::min);
+    ((WALL_ROOM_M - least) / WALL_ROOM_M).clamp(0.0, 1.0)
+}

@@ -1,0 +1,180 @@
+//! From "the hand should be there" to the action that brings it there: a
+//! proportional servo on the true pose, and the detour over whatever stands
+//! in the way. Not responsible for where the hand should be.
+//!
+//! The action moves the set point of LIBERO's operational-space controller
+//! relative to where the hand is now, so that an error fed back at every step
+//! is a spring of the controller's own stiffness; a gain above one makes the
+//! spring stiffer, and saturation limits the speed to about 0.3 m/s.
+
+use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2};
+
+use super::geometry::{Quat, Vec3, half_turn};
+use super::world::World;
+
+/// What one unit of action asks for: m and rad (LIBERO's OSC_POSE settings).
+const UNIT_M: f64 = 0.05;
+const UNIT_RAD: f64 = 0.5;
+/// Stiffens the position spring. The controller is critically damped at one;
+/// two still settles without visible overshoot.
+const POSITION_GAIN: f64 = 2.0;
+/// How many steps ahead the position is foretold: the damping that the stiffer
+/// spring and the step's delay need.
+const LOOKAHEAD_STEPS: f64 = 1.5;
+/// From the point between the fingertips to their lower end, m (Panda hand
+/// of robosuite 1.4.0).
+pub(super) const FINGERTIP_M: f64 = 0.0095;
+/// Room kept between what the hand carries and what it passes over, m.
+const CLEARANCE_M: f64 = 0.025;
+/// Half the width of what passes over: fingers and what they hold, m.
+const CORRIDOR_M: f64 = 0.06;
+/// Nearer than this to its goal, the hand comes down whatever is beside it, m.
+const ARRIVAL_M: f64 = 0.03;
+/// A hand that moves less than this in a step has been stopped by something.
+const STILL_M: f64 = 0.0008;
+
+/// A pose of the hand: the point between the fingertips, and its orientation
+/// (x: closing direction, z: where the fingers point).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct HandPose {
+    pub(super) pos: Vec3,
+    pub(super) quat: Quat,
+}
+
+/// The hand pointing down, closing along the horizontal direction `angle`. Of
+/// the two poses that look alike, the one nearer to the robot's rest pose,
+/// which closes along the world's y: a quarter turn either way stays inside
+/// the last joint's range.
+pub(super) fn pointing_down(angle: f64) -> Quat {
+    let rest = Quat {
+        w: 0.0,
+        v: Vec3::new(FRAC_1_SQRT_2, FRAC_1_SQRT_2, 0.0),
+    };
+    Quat::turn(Vec3::UP, half_turn(angle - FRAC_PI_2)).after(rest)
+}
+
+/// What the fingers should do.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Fingers {
+    Open,
+    Close,
+}
+
+/// What a skill wants now.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Command {
+    pub(super) hand: HandPose,
+    pub(super) fingers: Fingers,
+    /// Largest vertical action component, 0..1.
+    pub(super) pace: f64,
+}
+
+/// The action that serves `command`: seven numbers in [-1, 1].
+pub(super) fn servo(world: &World, motion: &Motion, command: &Command) -> [f32; 7] {
+    let foretold = world.grip + motion.per_step() * LOOKAHEAD_STEPS;
+    let shift = (command.hand.pos - foretold) * (POSITION_GAIN / UNIT_M);
+    let turn = command
+        .hand
+        .quat
+        .after(world.grip_quat.inverse())
+        .rotation_vector();
+    // Apart from each other, so that a long way down leaves the full authority
+    // to stay above the goal.
+    let across = saturate(shift.at_height(0.0), 1.0);
+    let upward = shift.z.clamp(-command.pace, command.pace);
+    let turn = saturate(turn * (1.0 / UNIT_RAD), 1.0);
+    let fingers = match command.fingers {
+        Fingers::Open => -1.0,
+        Fingers::Close => 1.0,
+    };
+    [across.x, across.y, upward, turn.x, turn.y, turn.z, fingers].map(|v| v as f32)
+}
+
+/// Shortens `v` until no coordinate exceeds `limit`, keeping its direction.
+fn saturate(v: Vec3, limit: f64) -> Vec3 {
+    let largest = v.max_abs();
+    if largest > limit {
+        v * (limit / largest)
+    } else {
+        v
+    }
+}
+
+/// Where to steer now in order to reach `goal` without running into anything:
+/// straight up until what hangs `hang` metres below the grip point clears
+/// everything on the way, then across, then down. `carried` is not an
+/// obstacle.
+pub(super) fn detour(world: &World, goal: Vec3, hang: f64, carried: &str) -> Vec3 {
+    let ahead = goal - world.grip;
+    if ahead.horizontal_norm() < ARRIVAL_M {
+        return goal;
+    }
+    let needed = highest_on_the_way(world, goal, carried)
+        .map_or(goal.z, |top| goal.z.max(top + hang + CLEARANCE_M));
+    if world.grip.z < needed - CLEARANCE_M / 2.0 {
+        world.grip.at_height(needed + CLEARANCE_M)
+    } else {
+        goal.at_height(needed)
+    }
+}
+
+/// Top of the highest solid within the corridor from the hand to `goal`.
+fn highest_on_the_way(world: &World, goal: Vec3, carried: &str) -> Option<f64> {
+    let start = world.grip;
+    let steps = ((goal - start).horizontal_norm() / (CORRIDOR_M / 2.0))
+        .ceil()
+        .max(1.0);
+    let crossed = |box_centre: Vec3, half: Vec3| {
+        (0..=steps as u32).any(|i| {
+            let p = start + (goal - start) * (f64::from(i) / steps);
+            let gap = (p - box_centre).abs() - half;
+            gap.x < CORRIDOR_M && gap.y < CORRIDOR_M
+        })
+    };
+    let tops = world
+        .solids()
+        .filter(|e| e.name != carried && crossed(e.centre, e.half));
+    tops.map(super::world::Entity::top).max_by(f64::total_cmp)
+}
+
+/// Watches the hand from step to step: how fast it is, and whether something
+/// stopped it.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Motion {
+    last: Option<(Vec3, f64)>,
+    per_step: Vec3,
+    still_steps: u32,
+    finger_still_steps: u32,
+}
+
+impl Motion {
+    pub(super) fn observe(&mut self, world: &World) {
+        if let Some((grip, opening)) = self.last {
+            self.per_step = world.grip - grip;
+            let still = self.per_step.norm() < STILL_M;
+            self.still_steps = if still { self.still_steps + 1 } else { 0 };
+            let fingers_still = (world.opening - opening).abs() < STILL_M;
+            self.finger_still_steps = if fingers_still {
+                self.finger_still_steps + 1
+            } else {
+                0
+            };
+        }
+        self.last = Some((world.grip, world.opening));
+    }
+
+    /// How far the hand moved in the last step, m.
+    pub(super) fn per_step(&self) -> Vec3 {
+        self.per_step
+    }
+
+    /// For how many steps the hand has not moved.
+    pub(super) fn still_steps(&self) -> u32 {
+        self.still_steps
+    }
+
+    /// For how many steps the fingers have not moved against each other.
+    pub(super) fn finger_still_steps(&self) -> u32 {
+        self.finger_still_steps
+    }
+}

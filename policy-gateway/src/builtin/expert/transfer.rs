@@ -1,0 +1,354 @@
+//! Pick an object up and put it somewhere: one state machine, driven by what
+//! is observed at every step. A grasp that missed, or an object lost on the
+//! way, starts the next attempt with the next grasp.
+
+use super::geometry::{Quat, Vec3};
+use super::grasp::{self, Grasp};
+use super::motion::{Command, FINGERTIP_M, Fingers, HandPose, Motion, detour, pointing_down};
+use super::world::{Entity, World};
+
+/// The hand waits this far above a grasp before it comes down, m.
+const HOVER_M: f64 = 0.06;
+/// An object is carried this far above its destination's brim, m.
+const CARRY_M: f64 = 0.03;
+/// Near enough to go on to the next phase: m, and rad.
+const NEAR_M: f64 = 0.008;
+const NEAR_RAD: f64 = 0.06;
+/// Near enough to close the fingers, m.
+const DEEP_M: f64 = 0.003;
+/// A held object that slips further than this from the hand is lost, m.
+const LOST_M: f64 = 0.03;
+/// How far an object is lifted before the grasp is trusted, m.
+const LIFT_M: f64 = 0.04;
+/// Steps for the fingers to travel: closing waits for at least the first and
+/// at most the second number.
+const CLOSING_STEPS: (u32, u32) = (5, 12);
+const OPENING_STEPS: u32 = 5;
+/// Steps after which a phase that gets nowhere is given up.
+const PATIENCE_STEPS: u32 = 60;
+/// Share of full speed near things.
+const GENTLE: f64 = 0.4;
+/// Into a container, an object is let go this far below its brim, m.
+const DROP_DEPTH_M: f64 = 0.04;
+
+/// Where an object belongs.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Place {
+    /// On top of an object or a region.
+    On(String),
+    /// Inside a region.
+    In(String),
+}
+
+/// The skill.
+#[derive(Debug)]
+pub(super) struct Transfer {
+    object: String,
+    place: Place,
+    phase: Phase,
+    /// Steps spent in this phase.
+    ticks: u32,
+    /// Attempts given up so far: which grasp to try.
+    missed: usize,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Phase {
+    Choose,
+    Approach(Grip),
+    Descend(Grip),
+    Close(HandPose),
+    Lift(Hold),
+    Carry(Hold),
+    Lower(Hold),
+    Release(HandPose),
+    Retreat(HandPose),
+}
+
+/// A grasp with the hand's orientation fixed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Grip {
+    grasp: Grasp,
+    quat: Quat,
+}
+
+/// An object in the hand.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Hold {
+    quat: Quat,
+    /// Object's centre from the grip point when the fingers had closed.
+    object_from_grip: Vec3,
+    /// Where the fingers closed.
+    lifted_from: Vec3,
+}
+
+/// What to do with a phase after looking at the world.
+enum Next {
+    Stay(Command),
+    Go(Phase),
+    /// The object is not in the hand: start again.
+    Missed,
+    Done,
+}
+
+impl Transfer {
+    pub(super) fn new(object: String, place: Place) -> Self {
+        Self {
+            object,
+            place,
+            phase: Phase::Choose,
+            ticks: 0,
+            missed: 0,
+        }
+    }
+
+    /// The command for this step; none once the object has been let go and
+    /// the hand is out of the way.
+    ///
+    /// # Errors
+    /// Names an object or region that the scene lacks.
+    pub(super) fn step(
+        &mut self,
+        world: &World,
+        motion: &Motion,
+    ) -> Result<Option<Command>, String> {
+        loop {
+            match self.look(world, motion)? {
+                Next::Stay(command) => {
+                    self.ticks += 1;
+                    return Ok(Some(command));
+                }
+                Next::Go(phase) => self.enter(phase),
+                Next::Missed => {
+                    self.missed += 1;
+                    self.enter(Phase::Choose);
+                }
+                Next::Done => return Ok(None),
+            }
+        }
+    }
+
+    fn enter(&mut self, phase: Phase) {
+        self.phase = phase;
+        self.ticks = 0;
+    }
+
+    fn look(&self, world: &World, motion: &Motion) -> Result<Next, String> {
+        let object = world.entity(&self.object)?;
+        Ok(match self.phase {
+            Phase::Choose => self.choose(world, object),
+            Phase::Approach(grip) => self.approach(world, object, grip),
+            Phase::Descend(grip) => self.descend(world, object, grip, motion),
+            Phase::Close(hand) => self.close(world, object, hand, motion),
+            Phase::Lift(hold) => self.lift(world, object, hold),
+            Phase::Carry(hold) => self.carry(world, object, hold)?,
+            Phase::Lower(hold) => self.lower(world, object, hold, motion)?,
+            Phase::Release(hand) if self.ticks < OPENING_STEPS => stay(hand, Fingers::Open, 1.0),
+            Phase::Release(hand) => Next::Go(Phase::Retreat(raised(hand, HOVER_M))),
+            Phase::Retreat(hand) if self.near(world, hand) || self.overdue() => Next::Done,
+            Phase::Retreat(hand) => stay(hand, Fingers::Open, 1.0),
+        })
+    }
+
+    fn choose(&self, world: &World, object: &Entity) -> Next {
+        let choices = grasp::choices(world, object);
+        let grasp = choices[self.missed % choices.len()];
+        Next::Go(Phase::Approach(Grip {
+            grasp,
+            quat: pointing_down(grasp.closing),
+        }))
+    }
+
+    fn approach(&self, world: &World, object: &Entity, grip: Grip) -> Next {
+        let above = raised(grip.hand(object), HOVER_M);
+        if self.near(world, above) || self.overdue() {
+            return Next::Go(Phase::Descend(grip));
+        }
+        let pos = detour(world, above.pos, FINGERTIP_M, &self.object);
+        stay(HandPose { pos, ..above }, Fingers::Open, 1.0)
+    }
+
+    fn descend(&self, world: &World, object: &Entity, grip: Grip, motion: &Motion) -> Next {
+        let hand = grip.hand(object);
+        let stopped = self.ticks > 5 && motion.still_steps() >= 3;
+        if (hand.pos - world.grip).norm() < DEEP_M || stopped || self.overdue() {
+            return Next::Go(Phase::Close(HandPose {
+                pos: world.grip,
+                ..hand
+            }));
+        }
+        // Sideways first, where the fingers would come down on the object.
+        let aside = (hand.pos - world.grip).horizontal_norm();
+        let pos = if aside > 2.0 * NEAR_M {
+            hand.pos.at_height(world.grip.z)
+        } else {
+            hand.pos
+        };
+        stay(HandPose { pos, ..hand }, Fingers::Open, GENTLE)
+    }
+
+    fn close(&self, world: &World, object: &Entity, hand: HandPose, motion: &Motion) -> Next {
+        let (least, most) = CLOSING_STEPS;
+        if self.ticks >= most || (self.ticks >= least && motion.finger_still_steps() >= 2) {
+            return Next::Go(Phase::Lift(Hold {
+                quat: hand.quat,
+                object_from_grip: object.centre - world.grip,
+                lifted_from: world.grip,
+            }));
+        }
+        stay(hand, Fingers::Close, 1.0)
+    }
+
+    fn lift(&self, world: &World, object: &Entity, hold: Hold) -> Next {
+        if hold.lost(world, object) || self.overdue() {
+            return Next::Missed;
+        }
+        let goal = hold.lifted_from + Vec3::UP * (LIFT_M + NEAR_M);
+        if world.grip.z > hold.lifted_from.z + LIFT_M {
+            return Next::Go(Phase::Carry(hold));
+        }
+        stay(
+            HandPose {
+                pos: goal,
+                quat: hold.quat,
+            },
+            Fingers::Close,
+            1.0,
+        )
+    }
+
+    fn carry(&self, world: &World, object: &Entity, hold: Hold) -> Result<Next, String> {
+        if hold.lost(world, object) {
+            return Ok(Next::Missed);
+        }
+        let spot = Spot::find(world, &self.place)?;
+        let goal = spot.hand_above(world, object, CARRY_M);
+        if (goal - world.grip).horizontal_norm() < NEAR_M || self.overdue() {
+            return Ok(Next::Go(Phase::Lower(hold)));
+        }
+        let pos = detour(world, goal, world.grip.z - object.bottom(), &self.object);
+        Ok(stay(
+            HandPose {
+                pos,
+                quat: hold.quat,
+            },
+            Fingers::Close,
+            1.0,
+        ))
+    }
+
+    fn lower(
+        &self,
+        world: &World,
+        object: &Entity,
+        hold: Hold,
+        motion: &Motion,
+    ) -> Result<Next, String> {
+        if hold.lost(world, object) && self.ticks < 3 {
+            return Ok(Next::Missed);
+        }
+        let spot = Spot::find(world, &self.place)?;
+        let mut pos = spot.hand_above(world, object, 0.0);
+        let arrived = match self.place {
+            Place::On(_) => {
+                pos.z = world.grip.z + spot.floor - NEAR_M - object.bottom();
+                object.bottom() < spot.floor
+            }
+            Place::In(_) => {
+                let fingers_at_brim = world.grip.z - FINGERTIP_M < spot.brim + NEAR_M;
+                pos.z = world.grip.z + spot.brim - 2.0 * DROP_DEPTH_M - object.bottom();
+                object.bottom() < spot.brim - DROP_DEPTH_M || fingers_at_brim
+            }
+        };
+        let stopped = self.ticks > 3 && motion.still_steps() >= 2;
+        if arrived || stopped || self.overdue() {
+            let here = HandPose {
+                pos: world.grip,
+                quat: hold.quat,
+            };
+            return Ok(Next::Go(Phase::Release(here)));
+        }
+        Ok(stay(
+            HandPose {
+                pos,
+                quat: hold.quat,
+            },
+            Fingers::Close,
+            GENTLE,
+        ))
+    }
+
+    fn near(&self, world: &World, hand: HandPose) -> bool {
+        let turn = hand.quat.after(world.grip_quat.inverse()).rotation_vector();
+        (hand.pos - world.grip).norm() < NEAR_M && turn.norm() < NEAR_RAD
+    }
+
+    fn overdue(&self) -> bool {
+        self.ticks >= PATIENCE_STEPS
+    }
+}
+
+impl Grip {
+    /// Where the hand must be to hold the object as it lies now.
+    fn hand(&self, object: &Entity) -> HandPose {
+        HandPose {
+            pos: object.centre + self.grasp.offset,
+            quat: self.quat,
+        }
+    }
+}
+
+impl Hold {
+    fn lost(&self, world: &World, object: &Entity) -> bool {
+        (object.centre - world.grip - self.object_from_grip).norm() > LOST_M
+    }
+}
+
+/// A destination, resolved to where things are now.
+struct Spot {
+    /// Where the object's origin belongs, seen from above.
+    centre: Vec3,
+    /// What the object comes to stand on, at the least.
+    floor: f64,
+    /// What the object has to be lifted over.
+    brim: f64,
+}
+
+impl Spot {
+    fn find(world: &World, place: &Place) -> Result<Self, String> {
+        let (Place::On(name) | Place::In(name)) = place;
+        let target = world.entity(name)?;
+        let vertical = target.upright_half_height();
+        let (floor, brim) = match place {
+            Place::On(_) => (target.bottom().min(target.centre.z), target.top()),
+            Place::In(_) => (target.centre.z - vertical, target.centre.z + vertical),
+        };
+        Ok(Self {
+            centre: target.pos,
+            floor,
+            brim,
+        })
+    }
+
+    /// Where the grip point must be for the held object's origin to be
+    /// centred and its lowest point `gap` above the brim.
+    fn hand_above(&self, world: &World, object: &Entity, gap: f64) -> Vec3 {
+        let height = world.grip.z + self.brim + gap - object.bottom();
+        (world.grip + self.centre - object.pos).at_height(height)
+    }
+}
+
+fn stay(hand: HandPose, fingers: Fingers, pace: f64) -> Next {
+    Next::Stay(Command {
+        hand,
+        fingers,
+        pace,
+    })
+}
+
+fn raised(hand: HandPose, by: f64) -> HandPose {
+    HandPose {
+        pos: hand.pos + Vec3::UP * by,
+        ..hand
+    }
+}
