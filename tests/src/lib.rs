@@ -1,1 +1,5 @@
-//! Tests live in `tests/`.
+//! What the tests under `tests/` and the parity command share.
+
+#![forbid(unsafe_code)]
+
+pub mod fidelity;

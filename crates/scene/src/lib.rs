@@ -1,1 +1,35 @@
-//! Placeholder.
+//! LIBERO scenes as text and numbers: which files a task consists of, what its
+//! BDDL file says, the MJCF that robot, arena, fixtures, objects and region
+//! sites make together, where the placement sampler puts the fixtures, and the
+//! released initial states.
+//!
+//! Pure: text in, MJCF out. Nothing here compiles a model or draws a frame;
+//! that is crate `sim`. What the original does was read in LIBERO (hf-libero
+//! 0.1.4) and robosuite 1.4.0, and is held against their output by
+//! `cargo xtask parity`.
+
+#![forbid(unsafe_code)]
+
+pub mod arena;
+pub mod bddl;
+pub mod catalog;
+pub mod compose;
+mod element;
+pub mod error;
+pub mod initial_states;
+mod object;
+pub mod pack;
+mod part;
+mod pickle;
+pub mod placement;
+mod robot;
+pub mod sources;
+pub mod task;
+
+pub use bddl::{Predicate, Problem};
+pub use compose::{Instance, InstanceKind, RegionSite, Scene, compose};
+pub use error::SceneError;
+pub use initial_states::InitialStates;
+pub use pack::AssetPack;
+pub use sources::Sources;
+pub use task::TaskFiles;

@@ -1,1 +1,23 @@
-//! Placeholder.
+//! LIBERO in MuJoCo: compiled scenes, the robot's controllers, success, frames
+//! drawn off-screen, and the perturbations of LIBERO-CTRL.
+//!
+//! The only crate of the workspace with `unsafe` code: in [`mujoco`] and
+//! [`render`], behind safe types, with a reason at every block.
+
+#![allow(unsafe_code, reason = "the façade over MuJoCo's C API and EGL")]
+
+pub mod controller;
+pub mod environment;
+pub mod error;
+pub mod mujoco;
+pub mod observation;
+pub mod predicates;
+pub mod render;
+
+pub use environment::Environment;
+pub use error::SimError;
+pub use observation::{
+    CameraRequest, Entity, EntityKind, Frame, Observation, ObservationRequest, Privileged,
+    RobotState,
+};
+pub use render::{GlContext, GlDevice};

@@ -1,0 +1,259 @@
+//! The workspaces of LIBERO's problem classes: which arena model, where the
+//! robot stands, where things are placed, where the cameras are. Facts of
+//! hf-libero 0.1.4, `envs/problems/*.py` and `envs/arenas/*.py`.
+
+/// One problem class.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Arena {
+    /// Problem class as BDDL files write it, lower case.
+    pub problem: &'static str,
+    /// Model file inside an asset pack.
+    pub file: &'static str,
+    /// Texture files that replace those of the model's floor and wall.
+    pub floor_texture: &'static str,
+    /// See `floor_texture`.
+    pub wall_texture: &'static str,
+    /// Category of the fixture that stands for the workspace itself; no model
+    /// of its own is loaded for it.
+    pub workspace_category: &'static str,
+    /// A region whose name contains this is a zone on the workspace.
+    pub zone_marker: &'static str,
+    /// Body that the zones' sites are attached to.
+    pub zone_body: &'static str,
+    /// Added to a zone's centre to give its site's position in that body, m.
+    pub zone_offset: [f64; 3],
+    /// Origin of the regions' coordinates, world frame, m.
+    pub workspace_offset: [f64; 3],
+    /// Height of a placed fixture's origin over the workspace, m.
+    pub fixture_z_offset: f64,
+    /// A table with legs, to be brought to this full size, m.
+    pub table: Option<Table>,
+    /// Whether movable objects must lie in their region with their whole
+    /// radius, or only with their centre.
+    pub whole_object_in_region: bool,
+    /// Where the robot's base is and what it stands on.
+    pub robot: RobotStand,
+    /// Cameras to set or add, in order.
+    pub cameras: &'static [Camera],
+}
+
+/// A rectangular table that the arena's model leaves unsized.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Table {
+    /// Full extent, m.
+    pub full_size: [f64; 3],
+    /// Sliding, torsional, rolling friction.
+    pub friction: [f64; 3],
+}
+
+/// What the robot stands on.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum RobotStand {
+    /// On robosuite's Rethink pedestal, which lifts the base; x, y, z of the
+    /// pedestal's foot, m.
+    Pedestal([f64; 3]),
+    /// On nothing; x, y, z of the base, m.
+    Ground([f64; 3]),
+}
+
+/// A fixed camera in the world.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Camera {
+    /// Name.
+    pub name: &'static str,
+    /// World frame, m.
+    pub pos: [f64; 3],
+    /// World frame, w x y z.
+    pub quat: [f64; 4],
+}
+
+/// Looks a problem class up.
+pub fn arena(problem: &str) -> Option<&'static Arena> {
+    ARENAS.iter().find(|arena| arena.problem == problem)
+}
+
+/// The problem classes that have an arena.
+pub fn known_problems() -> Vec<&'static str> {
+    ARENAS.iter().map(|arena| arena.problem).collect()
+}
+
+const fn camera(name: &'static str, pos: [f64; 3], quat: [f64; 4]) -> Camera {
+    Camera { name, pos, quat }
+}
+
+const LOW_VIEW: [f64; 4] = [
+    0.6182166934013367,
+    0.3432307541370392,
+    0.3432314395904541,
+    0.6182177066802979,
+];
+const HIGH_VIEW: [f64; 4] = [
+    0.6380177736282349,
+    0.3048497438430786,
+    0.30484986305236816,
+    0.6380177736282349,
+];
+const FRONT_VIEW: [f64; 4] = [0.56, 0.43, 0.43, 0.56];
+const GALLERY: Camera = camera(
+    "galleryview",
+    [2.844547668904445, 2.1279684793440667, 3.128616846013882],
+    [
+        0.42261379957199097,
+        0.23374411463737488,
+        0.41646939516067505,
+        0.7702690958976746,
+    ],
+);
+const PAPER_VIEW: [f64; 4] = [0.513, 0.353, 0.443, 0.645];
+
+const ARENAS: &[Arena] = &[
+    Arena {
+        problem: "libero_tabletop_manipulation",
+        file: "scenes/libero_tabletop_base_style.xml",
+        floor_texture: "light-gray-floor-tile.png",
+        wall_texture: "light-gray-plaster.png",
+        workspace_category: "table",
+        zone_marker: "main_table",
+        zone_body: "table",
+        zone_offset: [0.0, 0.0, 0.02],
+        workspace_offset: [0.0, 0.0, 0.90],
+        fixture_z_offset: 0.01 - 0.05,
+        table: Some(Table {
+            full_size: [1.0, 1.2, 0.05],
+            friction: [0.6, 0.005, 0.0001],
+        }),
+        whole_object_in_region: true,
+        robot: RobotStand::Pedestal([-0.66, 0.0, 0.0]),
+        cameras: &[
+            camera(
+                "agentview",
+                [0.6586131746834771, 0.0, 1.6103500240372423],
+                HIGH_VIEW,
+            ),
+            camera("frontview", [1.0, 0.0, 1.48], FRONT_VIEW),
+            GALLERY,
+        ],
+    },
+    Arena {
+        problem: "libero_kitchen_tabletop_manipulation",
+        file: "scenes/libero_kitchen_tabletop_base_style.xml",
+        floor_texture: "gray_ceramic_tile.png",
+        wall_texture: "yellow_linen_wall_texture.png",
+        workspace_category: "kitchen_table",
+        zone_marker: "kitchen_table",
+        zone_body: "table",
+        zone_offset: [0.0, 0.0, 0.90 - 0.90],
+        workspace_offset: [0.0, 0.0, 0.90],
+        fixture_z_offset: 0.01 - 0.05,
+        table: Some(Table {
+            full_size: [1.0, 1.2, 0.05],
+            friction: [1.0, 0.005, 0.0001],
+        }),
+        whole_object_in_region: false,
+        robot: RobotStand::Pedestal([-0.66, 0.0, 0.0]),
+        cameras: &[
+            camera(
+                "agentview",
+                [0.6586131746834771, 0.0, 1.6103500240372423],
+                HIGH_VIEW,
+            ),
+            camera("frontview", [1.0, 0.0, 1.48], FRONT_VIEW),
+            GALLERY,
+            camera("paperview", [2.1, 0.535, 2.075], PAPER_VIEW),
+        ],
+    },
+    Arena {
+        problem: "libero_living_room_tabletop_manipulation",
+        file: "scenes/libero_living_room_tabletop_base_style.xml",
+        floor_texture: "seamless_wood_planks_floor.png",
+        wall_texture: "light-gray-plaster.png",
+        workspace_category: "living_room_table",
+        zone_marker: "living_room_table",
+        zone_body: "living_room_table",
+        zone_offset: [0.0, 0.0, 0.41],
+        workspace_offset: [0.0, 0.0, 0.41],
+        fixture_z_offset: 0.01 - 0.024,
+        table: None,
+        whole_object_in_region: false,
+        robot: RobotStand::Ground([-0.51, 0.0, 0.42]),
+        cameras: &[
+            camera("agentview", [0.6065773716836134, 0.0, 0.96], LOW_VIEW),
+            camera("frontview", [1.5, 0.0, 0.9], FRONT_VIEW),
+            GALLERY,
+            camera("paperview", [2.1, 0.735, 1.875], PAPER_VIEW),
+        ],
+    },
+    Arena {
+        problem: "libero_study_tabletop_manipulation",
+        file: "scenes/libero_study_base_style.xml",
+        floor_texture: "light-gray-floor-tile.png",
+        wall_texture: "light-gray-plaster.png",
+        workspace_category: "study_table",
+        zone_marker: "study_table",
+        zone_body: "study_table",
+        zone_offset: [-0.2, 0.0, 0.867],
+        workspace_offset: [-0.2, 0.0, 0.867],
+        fixture_z_offset: 0.01 - 0.05,
+        table: None,
+        whole_object_in_region: false,
+        robot: RobotStand::Pedestal([-0.75, 0.0, 0.0]),
+        cameras: &[
+            camera(
+                "agentview",
+                [0.4586131746834771, 0.0, 1.6103500240372423],
+                HIGH_VIEW,
+            ),
+            camera("frontview", [1.0, 0.0, 1.48], FRONT_VIEW),
+            GALLERY,
+            camera("paperview", [2.1, 0.535, 2.075], PAPER_VIEW),
+        ],
+    },
+    Arena {
+        problem: "libero_floor_manipulation",
+        file: "scenes/libero_floor_base_style.xml",
+        floor_texture: "light-gray-floor-tile.png",
+        wall_texture: "light-gray-plaster.png",
+        workspace_category: "floor",
+        zone_marker: "floor",
+        zone_body: "floor",
+        zone_offset: [0.0, 0.0, 0.02],
+        workspace_offset: [0.0, 0.0, -0.035],
+        fixture_z_offset: -0.025,
+        table: None,
+        whole_object_in_region: true,
+        robot: RobotStand::Ground([-0.6, 0.0, 0.0]),
+        cameras: &[
+            camera(
+                "agentview",
+                [0.8965773716836134, 5.216182733499864e-7, 0.65],
+                LOW_VIEW,
+            ),
+            camera("frontview", [1.0, 0.0, 0.65], FRONT_VIEW),
+            GALLERY,
+        ],
+    },
+    Arena {
+        problem: "libero_coffee_table_manipulation",
+        file: "scenes/libero_coffee_table_base_style.xml",
+        floor_texture: "seamless_wood_planks_floor.png",
+        wall_texture: "light-gray-plaster.png",
+        workspace_category: "coffee_table",
+        zone_marker: "coffee_table",
+        zone_body: "coffee_table",
+        zone_offset: [0.0, 0.0, 0.02],
+        workspace_offset: [0.0, 0.0, 0.41],
+        fixture_z_offset: 0.01 - 0.024,
+        table: None,
+        whole_object_in_region: true,
+        robot: RobotStand::Ground([-0.51, 0.0, 0.41]),
+        cameras: &[
+            camera("agentview", [1.5, 0.0, 0.9], FRONT_VIEW),
+            GALLERY,
+            camera(
+                "canonical_agentview",
+                [0.5386131746834771, 0.0, 0.7903500240372423],
+                HIGH_VIEW,
+            ),
+        ],
+    },
+];

@@ -1,0 +1,445 @@
+//! BDDL problem files: what a task consists of, where things start, and its
+//! goal. LIBERO's dialect: case-insensitive s-expressions, `;` comments.
+
+use std::fmt;
+
+/// A parsed BDDL problem.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Problem {
+    /// Problem class, lower case: `libero_tabletop_manipulation`.
+    pub name: String,
+    /// Fixtures, in file order.
+    pub fixtures: Vec<Declaration>,
+    /// Movable objects, in file order.
+    pub objects: Vec<Declaration>,
+    /// Regions, in file order.
+    pub regions: Vec<Region>,
+    /// Names of the objects of interest.
+    pub objects_of_interest: Vec<String>,
+    /// What holds at the start, in file order.
+    pub init: Vec<Predicate>,
+    /// What must hold at the end: all of these.
+    pub goal: Vec<Predicate>,
+}
+
+/// An instance and its category: `akita_black_bowl_1 - akita_black_bowl`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Declaration {
+    /// Instance name.
+    pub name: String,
+    /// Category name.
+    pub category: String,
+}
+
+/// A named region on a target.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Region {
+    /// Full name: target, `_`, region.
+    pub name: String,
+    /// The workspace, object or fixture that it belongs to.
+    pub target: String,
+    /// Rectangles in the workspace's plane, m.
+    pub ranges: Vec<Rectangle>,
+    /// Bounds of the yaw drawn for a fixture placed here, rad, as written.
+    pub yaw: [f64; 2],
+    /// Colour of the site that marks it: red, green, blue, opacity.
+    pub rgba: [f64; 4],
+}
+
+/// A rectangle, m: two corners as the file writes them (x, y, x, y).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Rectangle {
+    /// First and second x.
+    pub x: [f64; 2],
+    /// First and second y.
+    pub y: [f64; 2],
+}
+
+/// A predicate over names: `(On a b)`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Predicate {
+    /// Lower case: `on`, `in`, `open`, `close`, `turnon`, `turnoff`.
+    pub name: String,
+    /// One or two names.
+    pub arguments: Vec<String>,
+}
+
+impl fmt::Display for Predicate {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "({} {})", self.name, self.arguments.join(" "))
+    }
+}
+
+/// What is wrong with a BDDL text.
+#[derive(Debug, thiserror::Error, PartialEq, Eq)]
+#[error("line {line}: {problem}")]
+pub struct BddlError {
+    /// 1-based.
+    pub line: usize,
+    /// In words.
+    pub problem: String,
+}
+
+impl Problem {
+    /// Parses the text of a BDDL problem file.
+    pub fn parse(text: &str) -> Result<Self, BddlError> {
+        let root = read_expression(text)?;
+        let items = root.list("the file")?;
+        match items
+            .first()
+            .map(|item| item.word("`define`"))
+            .transpose()?
+        {
+            Some("define") => {}
+            _ => return Err(root.error("expected `(define (problem …) …)`")),
+        }
+        let mut problem = Problem {
+            name: String::new(),
+            fixtures: Vec::new(),
+            objects: Vec::new(),
+            regions: Vec::new(),
+            objects_of_interest: Vec::new(),
+            init: Vec::new(),
+            goal: Vec::new(),
+        };
+        for section in &items[1..] {
+            problem.read_section(section)?;
+        }
+        if problem.name.is_empty() {
+            return Err(root.error("no `(problem NAME)`"));
+        }
+        if problem.goal.is_empty() {
+            return Err(root.error("no `(:goal …)`: nothing could ever succeed"));
+        }
+        Ok(problem)
+    }
+
+    /// The region of this full name.
+    pub fn region(&self, name: &str) -> Option<&Region> {
+        // The original keeps regions in a dictionary, where the last of two
+        // with the same name wins.
+        self.regions.iter().rev().find(|region| region.name == name)
+    }
+
+    fn read_section(&mut self, section: &Expression) -> Result<(), BddlError> {
+        let items = section.list("a section")?;
+        let Some((head, rest)) = items.split_first() else {
+            return Err(section.error("empty section"));
+        };
+        match head.word("a section's name")? {
+            "problem" => {
+                self.name = section.last_word(rest, "the problem's name")?.to_owned();
+            }
+            ":domain" => {
+                let domain = section.last_word(rest, "the domain's name")?;
+                if domain != "robosuite" {
+                    return Err(section.error(format!("domain `{domain}` is not `robosuite`")));
+                }
+            }
+            ":fixtures" => self.fixtures = read_declarations(rest)?,
+            ":objects" => self.objects = read_declarations(rest)?,
+            ":obj_of_interest" => self.objects_of_interest = read_words(rest)?,
+            ":regions" => {
+                self.regions = rest.iter().map(read_region).collect::<Result<_, _>>()?;
+            }
+            ":init" => self.init = rest.iter().map(read_predicate).collect::<Result<_, _>>()?,
+            ":goal" => self.goal = read_goal(section, rest)?,
+            ":language" | ":requirements" | ":scene_properties" => {}
+            other => return Err(section.error(format!("unknown section `{other}`"))),
+        }
+        Ok(())
+    }
+}
+
+fn read_words(items: &[Expression]) -> Result<Vec<String>, BddlError> {
+    items
+        .iter()
+        .map(|item| item.word("a name").map(str::to_owned))
+        .collect()
+}
+
+fn read_declarations(items: &[Expression]) -> Result<Vec<Declaration>, BddlError> {
+    let mut declarations = Vec::new();
+    let mut pending: Vec<&Expression> = Vec::new();
+    let mut items = items.iter();
+    while let Some(item) = items.next() {
+        let word = item.word("a name or `-`")?;
+        if word != "-" {
+            pending.push(item);
+            continue;
+        }
+        let category = items
+            .next()
+            .ok_or_else(|| item.error("a category must follow `-`"))?
+            .word("a category")?;
+        for name in pending.drain(..) {
+            let name = name.word("a name")?.to_owned();
+            declarations.push(Declaration {
+                name,
+                category: category.to_owned(),
+            });
+        }
+    }
+    match pending.last() {
+        None => Ok(declarations),
+        Some(item) => Err(item.error(format!("`{}` has no category", item.word("a name")?))),
+    }
+}
+
+fn read_region(item: &Expression) -> Result<Region, BddlError> {
+    let parts = item.list("a region")?;
+    let Some((name, attributes)) = parts.split_first() else {
+        return Err(item.error("a region without a name"));
+    };
+    let name = name.word("a region's name")?;
+    let mut region = Region {
+        name: String::new(),
+        target: String::new(),
+        ranges: Vec::new(),
+        yaw: [0.0, 0.0],
+        rgba: [0.0, 0.0, 1.0, 0.0],
+    };
+    for attribute in attributes {
+        let parts = attribute.list("a region's attribute")?;
+        let [key, value] = parts else {
+            return Err(attribute.error("expected one key and one value"));
+        };
+        match key.word("a region's attribute")? {
+            ":target" => region.target = value.word("a target")?.to_owned(),
+            ":ranges" => {
+                for rectangle in value.list("rectangles")? {
+                    let [x0, y0, x1, y1] = rectangle.numbers("a rectangle")?;
+                    region.ranges.push(Rectangle {
+                        x: [x0, x1],
+                        y: [y0, y1],
+                    });
+                }
+            }
+            ":yaw_rotation" => {
+                for bounds in value.list("yaw bounds")? {
+                    region.yaw = bounds.numbers("yaw bounds")?;
+                }
+            }
+            ":rgba" => region.rgba = value.numbers("a colour")?,
+            other => return Err(attribute.error(format!("unknown attribute `{other}`"))),
+        }
+    }
+    if region.target.is_empty() {
+        return Err(item.error(format!("region `{name}` has no `(:target …)`")));
+    }
+    region.name = format!("{}_{name}", region.target);
+    Ok(region)
+}
+
+fn read_predicate(item: &Expression) -> Result<Predicate, BddlError> {
+    let words = read_words(item.list("a predicate")?)?;
+    match words.split_first() {
+        Some((name, arguments)) if !arguments.is_empty() => Ok(Predicate {
+            name: name.clone(),
+            arguments: arguments.to_vec(),
+        }),
+        _ => Err(item.error("a predicate needs a name and at least one argument")),
+    }
+}
+
+fn read_goal(section: &Expression, rest: &[Expression]) -> Result<Vec<Predicate>, BddlError> {
+    let [goal] = rest else {
+        return Err(section.error("expected one expression in `:goal`"));
+    };
+    let items = goal.list("a goal")?;
+    match items.first() {
+        Some(Expression {
+            kind: Kind::Word(word),
+            ..
+        }) if word == "and" => items[1..].iter().map(read_predicate).collect(),
+        _ => Ok(vec![read_predicate(goal)?]),
+    }
+}
+
+/// One s-expression and the line it starts on.
+#[derive(Debug)]
+struct Expression {
+    line: usize,
+    kind: Kind,
+}
+
+#[derive(Debug)]
+enum Kind {
+    Word(String),
+    List(Vec<Expression>),
+}
+
+/// Deeper nesting than any problem file has; bounds the stack.
+const MAX_DEPTH: usize = 64;
+
+impl Expression {
+    fn error(&self, problem: impl Into<String>) -> BddlError {
+        BddlError {
+            line: self.line,
+            problem: problem.into(),
+        }
+    }
+
+    fn word(&self, what: &str) -> Result<&str, BddlError> {
+        match &self.kind {
+            Kind::Word(word) => Ok(word),
+            Kind::List(_) => Err(self.error(format!("expected {what}, found a list"))),
+        }
+    }
+
+    fn list(&self, what: &str) -> Result<&[Expression], BddlError> {
+        match &self.kind {
+            Kind::List(items) => Ok(items),
+            Kind::Word(word) => Err(self.error(format!("expected {what}, found `{word}`"))),
+        }
+    }
+
+    fn last_word<'a>(&self, rest: &'a [Expression], what: &str) -> Result<&'a str, BddlError> {
+        rest.last()
+            .ok_or_else(|| self.error(format!("expected {what}")))?
+            .word(what)
+    }
+
+    fn numbers<const N: usize>(&self, what: &str) -> Result<[f64; N], BddlError> {
+        let items = self.list(what)?;
+        let numbers: Vec<f64> = items
+            .iter()
+            .map(|item| {
+                let word = item.word("a number")?;
+                match word.parse::<f64>() {
+                    Ok(number) if number.is_finite() => Ok(number),
+                    _ => Err(item.error(format!("`{word}` is not a number"))),
+                }
+            })
+            .collect::<Result<_, _>>()?;
+        numbers.try_into().map_err(|found: Vec<f64>| {
+            self.error(format!(
+                "{what}: expected {N} numbers, found {}",
+                found.len()
+            ))
+        })
+    }
+}
+
+fn read_expression(text: &str) -> Result<Expression, BddlError> {
+    let mut open: Vec<Expression> = Vec::new();
+    let mut root = None;
+    for (index, line) in text.lines().enumerate() {
+        let number = index + 1;
+        let code = line.split(';').next().unwrap_or_default().to_lowercase();
+        for token in tokens(&code) {
+            let error = |problem: &str| BddlError {
+                line: number,
+                problem: problem.to_owned(),
+            };
+            let finished = match token {
+                "(" if open.len() == MAX_DEPTH => return Err(error("nested too deeply")),
+                "(" => {
+                    open.push(Expression {
+                        line: number,
+                        kind: Kind::List(Vec::new()),
+                    });
+                    continue;
+                }
+                ")" => open.pop().ok_or_else(|| error("`)` without `(`"))?,
+                word => Expression {
+                    line: number,
+                    kind: Kind::Word(word.to_owned()),
+                },
+            };
+            match open.last_mut() {
+                Some(Expression {
+                    kind: Kind::List(items),
+                    ..
+                }) => items.push(finished),
+                _ if root.is_none() => root = Some(finished),
+                _ => return Err(error("more than one expression in the file")),
+            }
+        }
+    }
+    match (open.last(), root) {
+        (Some(list), _) => Err(list.error("`(` is never closed")),
+        (None, Some(root)) => Ok(root),
+        (None, None) => Err(BddlError {
+            line: 1,
+            problem: "the file is empty".to_owned(),
+        }),
+    }
+}
+
+fn tokens(code: &str) -> impl Iterator<Item = &str> {
+    let is_paren = |c: char| c == '(' || c == ')';
+    code.split_whitespace().flat_map(move |chunk| {
+        chunk.split_inclusive(is_paren).flat_map(move |piece| {
+            // A piece is a word, a parenthesis, or a word that ends in one.
+            let split = if piece.ends_with(is_paren) {
+                piece.len() - 1
+            } else {
+                piece.len()
+            };
+            let (word, paren) = piece.split_at(split);
+            [word, paren].into_iter().filter(|token| !token.is_empty())
+        })
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SMALL: &str = "(define (problem LIBERO_Floor_Manipulation) ; a comment
+      (:domain robosuite)
+      (:language Put it there)
+      (:regions (bin_region (:target floor) (:ranges ((-0.01 0.25 0.01 0.27))))
+                (contain_region (:target basket_1)))
+      (:fixtures floor - floor)
+      (:objects milk_1 milk_2 - milk basket_1 - basket)
+      (:obj_of_interest milk_1 basket_1)
+      (:init (On basket_1 floor_bin_region))
+      (:goal (And (In milk_1 basket_1_contain_region))))";
+
+    #[test]
+    fn a_small_problem_is_read_whole() {
+        let problem = Problem::parse(SMALL).unwrap();
+        assert_eq!(problem.name, "libero_floor_manipulation");
+        assert_eq!(problem.objects.len(), 3);
+        assert_eq!(problem.objects[1].category, "milk");
+        let region = problem.region("floor_bin_region").unwrap();
+        assert_eq!(
+            region.ranges,
+            [Rectangle {
+                x: [-0.01, 0.01],
+                y: [0.25, 0.27]
+            }]
+        );
+        assert_eq!(
+            problem.goal[0].to_string(),
+            "(in milk_1 basket_1_contain_region)"
+        );
+    }
+
+    #[test]
+    fn errors_name_the_line() {
+        let check = |text: &str, expected: &str| {
+            assert_eq!(Problem::parse(text).unwrap_err().to_string(), expected);
+        };
+        check("", "line 1: the file is empty");
+        check("(define\n(problem x", "line 2: `(` is never closed");
+        check(
+            "(define (problem x)\n (:goal (on a b)))\n)",
+            "line 3: `)` without `(`",
+        );
+        check(
+            &SMALL.replace("-0.01 0.25", "-0.01 east"),
+            "line 4: `east` is not a number",
+        );
+        check(
+            &SMALL.replace("(:init", "(:initially"),
+            "line 9: unknown section `:initially`",
+        );
+        check(
+            &SMALL.replace("basket_1 - basket)", "basket_1)"),
+            "line 7: `basket_1` has no category",
+        );
+    }
+}

@@ -1,0 +1,204 @@
+//! A small ordered XML tree: enough to read MJCF pieces, change them and write
+//! them again. Comments and text are dropped; attribute order is kept.
+
+use std::fmt::Write as _;
+
+/// An element with its attributes and children, in document order.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Element {
+    pub(crate) tag: String,
+    attributes: Vec<(String, String)>,
+    pub(crate) children: Vec<Element>,
+}
+
+/// Deeper nesting than any model has; bounds the stack.
+const MAX_DEPTH: usize = 128;
+
+impl Element {
+    pub(crate) fn new(tag: &str) -> Self {
+        Self {
+            tag: tag.to_owned(),
+            attributes: Vec::new(),
+            children: Vec::new(),
+        }
+    }
+
+    /// Parses a document; the error says where it is malformed.
+    pub(crate) fn parse(text: &str) -> Result<Self, String> {
+        let document = roxmltree::Document::parse(text).map_err(|error| error.to_string())?;
+        Self::from_node(document.root_element(), 0)
+    }
+
+    fn from_node(node: roxmltree::Node<'_, '_>, depth: usize) -> Result<Self, String> {
+        if depth == MAX_DEPTH {
+            return Err(format!("elements are nested more than {MAX_DEPTH} deep"));
+        }
+        let attributes = node
+            .attributes()
+            .map(|a| (a.name().to_owned(), a.value().to_owned()))
+            .collect();
+        let children = node
+            .children()
+            .filter(roxmltree::Node::is_element)
+            .map(|child| Self::from_node(child, depth + 1))
+            .collect::<Result<_, _>>()?;
+        Ok(Self {
+            tag: node.tag_name().name().to_owned(),
+            attributes,
+            children,
+        })
+    }
+
+    pub(crate) fn get(&self, name: &str) -> Option<&str> {
+        self.attributes
+            .iter()
+            .find(|(key, _)| key == name)
+            .map(|(_, value)| value.as_str())
+    }
+
+    pub(crate) fn set(&mut self, name: &str, value: impl Into<String>) {
+        let value = value.into();
+        match self.attributes.iter_mut().find(|(key, _)| key == name) {
+            Some((_, old)) => *old = value,
+            None => self.attributes.push((name.to_owned(), value)),
+        }
+    }
+
+    /// Sets the attribute unless the element has it.
+    pub(crate) fn set_default(&mut self, name: &str, value: &str) {
+        if self.get(name).is_none() {
+            self.set(name, value);
+        }
+    }
+
+    pub(crate) fn remove(&mut self, name: &str) -> Option<String> {
+        let index = self.attributes.iter().position(|(key, _)| key == name)?;
+        Some(self.attributes.remove(index).1)
+    }
+
+    pub(crate) fn with(mut self, name: &str, value: impl Into<String>) -> Self {
+        self.set(name, value);
+        self
+    }
+
+    pub(crate) fn attributes(&self) -> impl Iterator<Item = (&str, &str)> {
+        self.attributes
+            .iter()
+            .map(|(key, value)| (key.as_str(), value.as_str()))
+    }
+
+    pub(crate) fn name(&self) -> Option<&str> {
+        self.get("name")
+    }
+
+    /// The first direct child with this tag.
+    pub(crate) fn child(&self, tag: &str) -> Option<&Self> {
+        self.children.iter().find(|child| child.tag == tag)
+    }
+
+    /// The first direct child with this tag, made if there is none.
+    pub(crate) fn child_mut(&mut self, tag: &str) -> &mut Self {
+        let index = match self.children.iter().position(|child| child.tag == tag) {
+            Some(index) => index,
+            None => {
+                self.children.push(Self::new(tag));
+                self.children.len() - 1
+            }
+        };
+        &mut self.children[index]
+    }
+
+    /// This element or a descendant with this tag and name, in document order.
+    pub(crate) fn find(&self, tag: &str, name: &str) -> Option<&Self> {
+        self.descendants()
+            .into_iter()
+            .find(|e| e.tag == tag && e.name() == Some(name))
+    }
+
+    /// As [`find`](Self::find), to be changed.
+    pub(crate) fn find_mut(&mut self, tag: &str, name: &str) -> Option<&mut Self> {
+        if self.tag == tag && self.name() == Some(name) {
+            return Some(self);
+        }
+        self.children
+            .iter_mut()
+            .find_map(|child| child.find_mut(tag, name))
+    }
+
+    /// This element and all below it, in document order.
+    pub(crate) fn descendants(&self) -> Vec<&Self> {
+        let mut all = vec![self];
+        for child in &self.children {
+            all.extend(child.descendants());
+        }
+        all
+    }
+
+    /// Calls `change` on this element and all below it, in document order.
+    pub(crate) fn for_each_mut(&mut self, change: &mut impl FnMut(&mut Self)) {
+        change(self);
+        for child in &mut self.children {
+            child.for_each_mut(change);
+        }
+    }
+
+    /// Writes the element as XML.
+    pub(crate) fn write(&self) -> String {
+        let mut text = String::new();
+        self.write_to(&mut text, 0);
+        text
+    }
+
+    fn write_to(&self, text: &mut String, depth: usize) {
+        let _ = write!(text, "{:indent$}<{}", "", self.tag, indent = depth * 2);
+        for (name, value) in &self.attributes {
+            let _ = write!(text, " {name}=\"{}\"", escape(value));
+        }
+        if self.children.is_empty() {
+            text.push_str("/>\n");
+            return;
+        }
+        text.push_str(">\n");
+        for child in &self.children {
+            child.write_to(text, depth + 1);
+        }
+        let _ = writeln!(text, "{:indent$}</{}>", "", self.tag, indent = depth * 2);
+    }
+}
+
+fn escape(value: &str) -> String {
+    value
+        .replace('&', "&amp;")
+        .replace('<', "&lt;")
+        .replace('"', "&quot;")
+}
+
+/// Numbers as MJCF writes them, each in the shortest form that reads back as
+/// the same double.
+pub(crate) fn numbers(values: &[f64]) -> String {
+    let words: Vec<String> = values.iter().map(f64::to_string).collect();
+    words.join(" ")
+}
+
+/// Reads MJCF numbers.
+pub(crate) fn parse_numbers(text: &str) -> Option<Vec<f64>> {
+    text.split_whitespace()
+        .map(|word| word.parse().ok())
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn writing_and_reading_again_gives_the_same_tree() {
+        let element = Element::new("a")
+            .with("name", "x \"<&>\" y")
+            .with("pos", numbers(&[0.1, -0.0, 1e-300, 5.0]));
+        let mut outer = Element::new("b");
+        outer.children.push(element);
+        assert_eq!(Element::parse(&outer.write()).unwrap(), outer);
+        assert_eq!(parse_numbers("1 -2.5e-3"), Some(vec![1.0, -0.0025]));
+    }
+}

@@ -1,0 +1,243 @@
+//! One MJCF file as a piece to build with: default classes written out where
+//! they are used, file names made independent of where the piece was, names
+//! prefixed. The rules are those of robosuite 1.4.0's `MujocoXML`.
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use crate::element::Element;
+use crate::error::SceneError;
+use crate::sources::{AssetRoot, FileRef};
+
+/// Attributes that hold a name of, or a reference to, a named element.
+const NAMED_ATTRIBUTES: &[&str] = &[
+    "class",
+    "childclass",
+    "name",
+    "objname",
+    "material",
+    "texture",
+    "joint",
+    "joint1",
+    "joint2",
+    "jointinparent",
+    "geom",
+    "geom1",
+    "geom2",
+    "mesh",
+    "fixed",
+    "actuator",
+    "tendon",
+    "tendon1",
+    "tendon2",
+    "slidesite",
+    "cranksite",
+    "body",
+    "body1",
+    "body2",
+    "hfield",
+    "target",
+    "prefix",
+    "site",
+];
+
+/// Sections whose children simply follow one another in a merged model.
+const LIST_SECTIONS: &[&str] = &["actuator", "sensor", "tendon", "equality", "contact"];
+
+/// A loaded MJCF file.
+#[derive(Debug, Clone)]
+pub(crate) struct Part {
+    /// The `<mujoco>` element.
+    pub(crate) root: Element,
+}
+
+impl Part {
+    /// Reads `file` below `root`.
+    pub(crate) fn load(root: &AssetRoot, file: &str, what: &str) -> Result<Self, SceneError> {
+        let path = root.path(file);
+        let text = std::fs::read_to_string(&path).map_err(|source| SceneError::Read {
+            what: what.to_owned(),
+            path: path.clone(),
+            remedy: root.remedy(),
+            source,
+        })?;
+        Self::parse(&text, root, file).map_err(|problem| SceneError::Malformed {
+            what: what.to_owned(),
+            path,
+            problem,
+        })
+    }
+
+    fn parse(text: &str, root: &AssetRoot, file: &str) -> Result<Self, String> {
+        let mut tree = Element::parse(text)?;
+        if tree.tag != "mujoco" {
+            return Err(format!("expected `<mujoco>`, found `<{}>`", tree.tag));
+        }
+        write_defaults_out(&mut tree)?;
+        let folder = Path::new(file).parent().unwrap_or(Path::new(""));
+        for asset in &mut tree.child_mut("asset").children {
+            if let Some(name) = asset.get("file") {
+                let reference = FileRef::resolve(root.kind(), folder, name)?;
+                asset.set("file", reference.to_string());
+            }
+        }
+        Ok(Self { root: tree })
+    }
+
+    pub(crate) fn worldbody(&self) -> Result<&Element, String> {
+        self.root
+            .child("worldbody")
+            .ok_or_else(|| "no `<worldbody>`".to_owned())
+    }
+
+    pub(crate) fn worldbody_mut(&mut self) -> &mut Element {
+        self.root.child_mut("worldbody")
+    }
+
+    /// Appends another part: its assets, its lists, and its bodies to `bodies_to`
+    /// (a body's name; none: to the world body).
+    pub(crate) fn merge(&mut self, other: &Part, bodies_to: Option<&str>) -> Result<(), String> {
+        let bodies = other.worldbody()?.children.clone();
+        let target = match bodies_to {
+            None => self.worldbody_mut(),
+            Some(name) => self
+                .worldbody_mut()
+                .find_mut("body", name)
+                .ok_or_else(|| format!("no body `{name}` to attach to"))?,
+        };
+        target.children.extend(bodies);
+        self.merge_assets(other);
+        for section in LIST_SECTIONS {
+            if let Some(list) = other.root.child(section) {
+                let list = list.children.clone();
+                self.root.child_mut(section).children.extend(list);
+            }
+        }
+        Ok(())
+    }
+
+    /// Appends those assets of `other` that have no namesake here. Assets
+    /// without a name count as namesakes of one another, as in the original.
+    pub(crate) fn merge_assets(&mut self, other: &Part) {
+        let assets = self.root.child_mut("asset");
+        let incoming = other
+            .root
+            .child("asset")
+            .map_or(&[][..], |section| &section.children);
+        for asset in incoming {
+            let known = assets
+                .children
+                .iter()
+                .any(|have| have.tag == asset.tag && have.name() == asset.name());
+            if !known {
+                assets.children.push(asset.clone());
+            }
+        }
+    }
+}
+
+/// Prefixes every name and reference below `element` that is not prefixed yet.
+pub(crate) fn add_prefix(element: &mut Element, prefix: &str) {
+    element.for_each_mut(&mut |element| {
+        for attribute in NAMED_ATTRIBUTES {
+            if let Some(value) = element.get(attribute)
+                && !value.starts_with(prefix)
+            {
+                let value = format!("{prefix}{value}");
+                element.set(attribute, value);
+            }
+        }
+    });
+}
+
+/// Whether a geom takes part in contacts by convention: group 0 or none given.
+pub(crate) fn is_collision_geom(element: &Element) -> bool {
+    element.tag == "geom" && matches!(element.get("group"), None | Some("0"))
+}
+
+/// Gives every collision geom one colour and takes its material away, except
+/// those called `except`.
+pub(crate) fn recolor_collision_geoms(root: &mut Element, rgba: &str, except: Option<&str>) {
+    root.for_each_mut(&mut |element| {
+        if is_collision_geom(element) && (except.is_none() || element.name() != except) {
+            element.set("rgba", rgba);
+            element.remove("material");
+        }
+    });
+}
+
+/// Replaces `class="c"` by the attributes of that default class and drops the
+/// `<default>` section.
+fn write_defaults_out(root: &mut Element) -> Result<(), String> {
+    let mut classes: HashMap<String, Vec<Element>> = HashMap::new();
+    root.children.retain(|child| {
+        if child.tag != "default" {
+            return true;
+        }
+        for class in &child.children {
+            let name = class.get("class").unwrap_or_default().to_owned();
+            classes.insert(name, class.children.clone());
+        }
+        false
+    });
+    let mut unknown = None;
+    root.for_each_mut(&mut |element| {
+        let Some(class) = element.remove("class") else {
+            return;
+        };
+        let Some(defaults) = classes.get(&class) else {
+            unknown = Some(class);
+            return;
+        };
+        if let Some(default) = defaults.iter().rfind(|default| default.tag == element.tag) {
+            for (name, value) in default.attributes() {
+                element.set_default(name, value);
+            }
+        }
+    });
+    match unknown {
+        Some(class) => Err(format!("class `{class}` has no `<default>`")),
+        None => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn default_classes_fill_in_what_is_not_given() {
+        let mut root = Element::parse(
+            r#"<mujoco><default><default class="c"><geom rgba="1 0 0 1" group="1"/></default>
+            </default><worldbody><geom class="c" group="0"/><site class="c"/></worldbody></mujoco>"#,
+        )
+        .unwrap();
+        write_defaults_out(&mut root).unwrap();
+        let geom = &root.child("worldbody").unwrap().children[0];
+        assert_eq!(geom.get("rgba"), Some("1 0 0 1"));
+        assert_eq!(geom.get("group"), Some("0"));
+        assert_eq!(geom.get("class"), None);
+        assert!(root.child("default").is_none());
+    }
+
+    #[test]
+    fn an_unknown_class_is_refused() {
+        let mut root = Element::parse(r#"<mujoco><geom class="c"/></mujoco>"#).unwrap();
+        assert_eq!(
+            write_defaults_out(&mut root).unwrap_err(),
+            "class `c` has no `<default>`"
+        );
+    }
+
+    #[test]
+    fn prefixing_twice_changes_nothing() {
+        let mut root =
+            Element::parse(r#"<body name="a"><geom mesh="m" pos="0 0 0"/></body>"#).unwrap();
+        add_prefix(&mut root, "x_");
+        let once = root.clone();
+        add_prefix(&mut root, "x_");
+        assert_eq!(root, once);
+        assert_eq!(root.children[0].get("mesh"), Some("x_m"));
+        assert_eq!(root.children[0].get("pos"), Some("0 0 0"));
+    }
+}

@@ -1,0 +1,312 @@
+//! Reads the one thing that released initial states are pickled as: a
+//! two-dimensional NumPy array of little-endian doubles. Every other opcode,
+//! global or shape is refused, so a file can do nothing but hold numbers.
+
+use std::collections::HashMap;
+
+/// A matrix of doubles, row by row.
+#[derive(Debug, PartialEq)]
+pub(crate) struct Matrix {
+    pub(crate) rows: usize,
+    pub(crate) columns: usize,
+    pub(crate) values: Vec<f64>,
+}
+
+/// What the unpickler's stack may hold.
+#[derive(Debug, Clone, PartialEq)]
+enum Value {
+    None,
+    Bool(bool),
+    Int(i64),
+    Text(String),
+    Bytes(Vec<u8>),
+    Tuple(Vec<Value>),
+    Global(Global),
+    Array(Option<Array>),
+    Dtype,
+    Mark,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Global {
+    Reconstruct,
+    Ndarray,
+    Dtype,
+    Encode,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+struct Array {
+    shape: [usize; 2],
+    data: Vec<u8>,
+}
+
+/// More values than any initial-state file keeps; bounds memory.
+const MAX_STACK: usize = 10_000;
+
+/// Unpickles a matrix.
+pub(crate) fn read_matrix(bytes: &[u8]) -> Result<Matrix, String> {
+    let value = Machine {
+        input: bytes,
+        stack: Vec::new(),
+        memo: HashMap::new(),
+    }
+    .run()?;
+    let Value::Array(Some(Array {
+        shape: [rows, columns],
+        data,
+    })) = value
+    else {
+        return Err("it holds no two-dimensional array".to_owned());
+    };
+    if rows
+        .checked_mul(columns)
+        .and_then(|count| count.checked_mul(8))
+        != Some(data.len())
+    {
+        return Err(format!(
+            "{} bytes do not make {rows} × {columns} doubles",
+            data.len()
+        ));
+    }
+    let values = data
+        .chunks_exact(8)
+        .map(|c| f64::from_le_bytes(c.try_into().expect("8 bytes")))
+        .collect();
+    Ok(Matrix {
+        rows,
+        columns,
+        values,
+    })
+}
+
+struct Machine<'a> {
+    input: &'a [u8],
+    stack: Vec<Value>,
+    memo: HashMap<u32, Value>,
+}
+
+impl Machine<'_> {
+    fn run(mut self) -> Result<Value, String> {
+        loop {
+            if self.stack.len() > MAX_STACK || self.memo.len() > MAX_STACK {
+                return Err("it is more complicated than an array".to_owned());
+            }
+            let opcode = self.take(1)?[0];
+            match opcode {
+                0x80 => drop(self.take(1)?),
+                b'c' => {
+                    let global = self.global()?;
+                    self.stack.push(Value::Global(global));
+                }
+                b'q' => {
+                    let slot = u32::from(self.take(1)?[0]);
+                    self.memoize(slot)?;
+                }
+                b'r' => {
+                    let slot = self.u32()?;
+                    self.memoize(slot)?;
+                }
+                b'h' => {
+                    let slot = u32::from(self.take(1)?[0]);
+                    self.recall(slot)?;
+                }
+                b'j' => {
+                    let slot = self.u32()?;
+                    self.recall(slot)?;
+                }
+                b'K' => {
+                    let value = i64::from(self.take(1)?[0]);
+                    self.stack.push(Value::Int(value));
+                }
+                b'M' => {
+                    let bytes = self.take(2)?;
+                    let value = i64::from(u16::from_le_bytes([bytes[0], bytes[1]]));
+                    self.stack.push(Value::Int(value));
+                }
+                b'J' => {
+                    let value = i64::from(self.u32()? as i32);
+                    self.stack.push(Value::Int(value));
+                }
+                b'X' => {
+                    let text = self.text()?;
+                    self.stack.push(Value::Text(text));
+                }
+                b'N' => self.stack.push(Value::None),
+                0x88 => self.stack.push(Value::Bool(true)),
+                0x89 => self.stack.push(Value::Bool(false)),
+                b'(' => self.stack.push(Value::Mark),
+                b't' => self.tuple_to_mark()?,
+                b')' => self.stack.push(Value::Tuple(Vec::new())),
+                0x85..=0x87 => self.tuple(usize::from(opcode - 0x84))?,
+                b'R' => self.reduce()?,
+                b'b' => self.build()?,
+                b'.' => return self.pop(),
+                other => return Err(format!("opcode 0x{other:02x} is not allowed")),
+            }
+        }
+    }
+
+    fn take(&mut self, count: usize) -> Result<&[u8], String> {
+        let (taken, rest) = self
+            .input
+            .split_at_checked(count)
+            .ok_or_else(|| "it ends in the middle (truncated?)".to_owned())?;
+        self.input = rest;
+        Ok(taken)
+    }
+
+    fn u32(&mut self) -> Result<u32, String> {
+        Ok(u32::from_le_bytes(
+            self.take(4)?.try_into().expect("4 bytes"),
+        ))
+    }
+
+    fn text(&mut self) -> Result<String, String> {
+        let length = self.u32()? as usize;
+        let bytes = self.take(length)?.to_vec();
+        String::from_utf8(bytes).map_err(|_| "a text is not UTF-8".to_owned())
+    }
+
+    fn pop(&mut self) -> Result<Value, String> {
+        self.stack
+            .pop()
+            .ok_or_else(|| "its stack runs empty".to_owned())
+    }
+
+    fn memoize(&mut self, slot: u32) -> Result<(), String> {
+        let value = self.stack.last().cloned().ok_or("its stack runs empty")?;
+        self.memo.insert(slot, value);
+        Ok(())
+    }
+
+    fn recall(&mut self, slot: u32) -> Result<(), String> {
+        let value = self
+            .memo
+            .get(&slot)
+            .cloned()
+            .ok_or("it recalls what it never stored")?;
+        self.stack.push(value);
+        Ok(())
+    }
+
+    fn line(&mut self) -> Result<String, String> {
+        let end = self.input.iter().position(|byte| *byte == b'\n');
+        let end = end.ok_or("it ends in the middle (truncated?)")?;
+        let line = String::from_utf8_lossy(self.take(end)?).into_owned();
+        self.take(1)?;
+        Ok(line)
+    }
+
+    fn global(&mut self) -> Result<Global, String> {
+        let (module, name) = (self.line()?, self.line()?);
+        match (module.as_str(), name.as_str()) {
+            ("numpy.core.multiarray" | "numpy._core.multiarray", "_reconstruct") => {
+                Ok(Global::Reconstruct)
+            }
+            ("numpy", "ndarray") => Ok(Global::Ndarray),
+            ("numpy", "dtype") => Ok(Global::Dtype),
+            ("_codecs", "encode") => Ok(Global::Encode),
+            _ => Err(format!("`{module}.{name}` is not allowed")),
+        }
+    }
+
+    fn tuple(&mut self, count: usize) -> Result<(), String> {
+        let start = self
+            .stack
+            .len()
+            .checked_sub(count)
+            .ok_or("its stack runs empty")?;
+        let items = self.stack.split_off(start);
+        self.stack.push(Value::Tuple(items));
+        Ok(())
+    }
+
+    fn tuple_to_mark(&mut self) -> Result<(), String> {
+        let mark = self.stack.iter().rposition(|value| *value == Value::Mark);
+        let mark = mark.ok_or("a tuple without a start")?;
+        let items = self.stack.split_off(mark + 1);
+        self.stack.pop();
+        self.stack.push(Value::Tuple(items));
+        Ok(())
+    }
+
+    fn reduce(&mut self) -> Result<(), String> {
+        let Value::Tuple(arguments) = self.pop()? else {
+            return Err("a call without arguments".to_owned());
+        };
+        let result = match (self.pop()?, arguments.as_slice()) {
+            (Value::Global(Global::Reconstruct), [Value::Global(Global::Ndarray), ..]) => {
+                Value::Array(None)
+            }
+            (Value::Global(Global::Dtype), [Value::Text(kind), ..]) if kind == "f8" => Value::Dtype,
+            (Value::Global(Global::Dtype), [kind, ..]) => {
+                return Err(format!("its numbers are {kind:?}, not doubles"));
+            }
+            (Value::Global(Global::Encode), [Value::Text(text), Value::Text(encoding)])
+                if encoding == "latin1" =>
+            {
+                Value::Bytes(latin1(text)?)
+            }
+            (function, _) => return Err(format!("calling {function:?} is not allowed")),
+        };
+        self.stack.push(result);
+        Ok(())
+    }
+
+    fn build(&mut self) -> Result<(), String> {
+        let Value::Tuple(state) = self.pop()? else {
+            return Err("a state that is no tuple".to_owned());
+        };
+        let built = match (self.pop()?, state.as_slice()) {
+            (Value::Dtype, [_, Value::Text(order), ..]) if order == "<" => Value::Dtype,
+            (Value::Dtype, _) => return Err("its doubles are not little-endian".to_owned()),
+            (
+                Value::Array(None),
+                [
+                    _,
+                    Value::Tuple(shape),
+                    Value::Dtype,
+                    Value::Bool(false),
+                    Value::Bytes(data),
+                ],
+            ) => match shape.as_slice() {
+                [Value::Int(rows), Value::Int(columns)] if *rows >= 0 && *columns >= 0 => {
+                    let shape = [*rows as usize, *columns as usize];
+                    Value::Array(Some(Array {
+                        shape,
+                        data: data.clone(),
+                    }))
+                }
+                _ => return Err("its array is not two-dimensional".to_owned()),
+            },
+            (value, _) => return Err(format!("setting the state of {value:?} is not allowed")),
+        };
+        self.stack.push(built);
+        Ok(())
+    }
+}
+
+fn latin1(text: &str) -> Result<Vec<u8>, String> {
+    text.chars()
+        .map(|c| u8::try_from(u32::from(c)).map_err(|_| "its bytes are not Latin-1".to_owned()))
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn anything_but_an_array_is_refused() {
+        let check = |bytes: &[u8], expected: &str| {
+            let problem = read_matrix(bytes).unwrap_err();
+            assert!(problem.contains(expected), "{problem}");
+        };
+        check(b"\x80\x02cos\nsystem\nq\x00.", "`os.system` is not allowed");
+        check(b"\x80\x02]q\x00.", "opcode 0x5d is not allowed");
+        check(b"\x80\x02K\x01.", "holds no two-dimensional array");
+        check(b"\x80\x02X\xff\xff\xff\x7f", "truncated");
+        check(b"", "truncated");
+    }
+}

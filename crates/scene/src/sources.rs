@@ -1,0 +1,207 @@
+//! Where the files of a scene come from: the robot models of robosuite, the
+//! BDDL files and initial states of hf-libero (both unpacked by `cargo xtask
+//! setup`), and an asset pack.
+
+use std::fmt;
+use std::path::{Component, Path, PathBuf};
+
+use crate::error::SceneError;
+
+/// The folder with the unpacked wheels: `robosuite/` (its `models/assets`) and
+/// `libero/` (its `bddl_files` and `init_files`).
+#[derive(Debug, Clone)]
+pub struct Sources {
+    dir: PathBuf,
+}
+
+impl Sources {
+    /// Opens the folder, checking that its parts are there.
+    pub fn open(dir: &Path) -> Result<Self, SceneError> {
+        let sources = Self {
+            dir: dir.to_owned(),
+        };
+        for part in [
+            "robosuite/base.xml",
+            "libero/bddl_files",
+            "libero/init_files",
+        ] {
+            let path = dir.join(part);
+            std::fs::metadata(&path).map_err(|source| SceneError::Read {
+                what: "simulation source".to_owned(),
+                path,
+                remedy: "run `cargo xtask setup`, or point --sources at the folder it filled"
+                    .to_owned(),
+                source,
+            })?;
+        }
+        Ok(sources)
+    }
+
+    /// Where `cargo xtask setup` puts the sources: `$ROLLOUT_SOURCES`, else
+    /// `rollout/sources` in the user's cache folder.
+    pub fn default_dir() -> PathBuf {
+        if let Some(dir) = std::env::var_os("ROLLOUT_SOURCES") {
+            return PathBuf::from(dir);
+        }
+        let cache = std::env::var_os("XDG_CACHE_HOME")
+            .map(PathBuf::from)
+            .or_else(|| std::env::var_os("HOME").map(|home| Path::new(&home).join(".cache")));
+        cache.unwrap_or_default().join("rollout/sources")
+    }
+
+    /// The folder itself.
+    pub fn dir(&self) -> &Path {
+        &self.dir
+    }
+
+    /// The BDDL file of a task: suite's full name, file stem.
+    pub fn bddl_file(&self, suite: &str, stem: &str) -> PathBuf {
+        self.dir
+            .join("libero/bddl_files")
+            .join(suite)
+            .join(format!("{stem}.bddl"))
+    }
+
+    /// The released initial states of a task: suite's full name, file stem.
+    pub fn init_file(&self, suite: &str, stem: &str) -> PathBuf {
+        self.dir
+            .join("libero/init_files")
+            .join(suite)
+            .join(format!("{stem}.pruned_init"))
+    }
+
+    pub(crate) fn robosuite(&self) -> AssetRoot {
+        AssetRoot {
+            kind: RootKind::Robosuite,
+            dir: self.dir.join("robosuite"),
+        }
+    }
+}
+
+/// Which of the two asset folders a file is in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum RootKind {
+    Pack,
+    Robosuite,
+}
+
+impl RootKind {
+    const ALL: [Self; 2] = [Self::Pack, Self::Robosuite];
+
+    /// How composed MJCF writes the folder, so that the text, and with it the
+    /// scene's digest, is the same on every machine.
+    fn token(self) -> &'static str {
+        match self {
+            Self::Pack => "@pack",
+            Self::Robosuite => "@robosuite",
+        }
+    }
+}
+
+/// A folder that pieces are read from.
+#[derive(Debug, Clone)]
+pub(crate) struct AssetRoot {
+    pub(crate) kind: RootKind,
+    pub(crate) dir: PathBuf,
+}
+
+impl AssetRoot {
+    pub(crate) fn kind(&self) -> RootKind {
+        self.kind
+    }
+
+    pub(crate) fn path(&self, file: &str) -> PathBuf {
+        self.dir.join(file)
+    }
+
+    pub(crate) fn remedy(&self) -> String {
+        match self.kind {
+            RootKind::Pack => format!(
+                "the asset pack {} lacks it; point --assets at a complete LIBERO assets folder, \
+                 or use `--assets primitives`",
+                self.dir.display()
+            ),
+            RootKind::Robosuite => "run `cargo xtask setup` again".to_owned(),
+        }
+    }
+}
+
+/// A file inside an asset folder, as composed MJCF names it:
+/// `@pack/textures/x.png`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct FileRef {
+    kind: RootKind,
+    path: String,
+}
+
+impl FileRef {
+    /// The file that a piece in `folder` calls `name`; it must stay inside the
+    /// asset folder.
+    pub(crate) fn resolve(kind: RootKind, folder: &Path, name: &str) -> Result<Self, String> {
+        let mut parts: Vec<&str> = Vec::new();
+        let joined = folder.join(name);
+        for component in joined.components() {
+            match component {
+                Component::CurDir => {}
+                Component::Normal(part) => {
+                    parts.push(part.to_str().ok_or("a file name is not UTF-8")?);
+                }
+                Component::ParentDir if parts.pop().is_some() => {}
+                _ => return Err(format!("file `{name}` lies outside the asset folder")),
+            }
+        }
+        Ok(Self {
+            kind,
+            path: parts.join("/"),
+        })
+    }
+}
+
+impl fmt::Display for FileRef {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.kind.token(), self.path)
+    }
+}
+
+/// Replaces the folder tokens of composed MJCF by this machine's folders.
+pub(crate) fn locate_files(mjcf: &str, roots: [&AssetRoot; 2]) -> String {
+    let mut text = mjcf.to_owned();
+    for kind in RootKind::ALL {
+        if let Some(root) = roots.iter().find(|root| root.kind == kind) {
+            let from = format!("file=\"{}/", kind.token());
+            let dir = root.dir.to_string_lossy();
+            let dir = dir
+                .replace('&', "&amp;")
+                .replace('<', "&lt;")
+                .replace('"', "&quot;");
+            text = text.replace(&from, &format!("file=\"{dir}/"));
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn file_names_become_independent_of_the_folder() {
+        let resolve = |folder: &str, name: &str| {
+            FileRef::resolve(RootKind::Pack, Path::new(folder), name).map(|file| file.to_string())
+        };
+        assert_eq!(
+            resolve("scenes", "../textures/a.png"),
+            Ok("@pack/textures/a.png".to_owned())
+        );
+        assert_eq!(
+            resolve("a/b", "c/d.msh"),
+            Ok("@pack/a/b/c/d.msh".to_owned())
+        );
+        assert!(
+            resolve("a", "../../etc/passwd")
+                .unwrap_err()
+                .contains("outside")
+        );
+        assert!(resolve("a", "/etc/passwd").unwrap_err().contains("outside"));
+    }
+}

@@ -1,0 +1,69 @@
+//! The façade over MuJoCo 3.3.7: the only place, with the renderer, where C is
+//! called. Each C object has one owner, and every array is seen as a slice of
+//! its true length.
+
+mod arrays;
+mod data;
+mod model;
+
+use std::ffi::{CStr, c_char};
+use std::sync::{Mutex, Once, PoisonError};
+
+use mujoco_rs::mujoco_c as c;
+
+pub use arrays::NamedArray;
+pub use data::Data;
+pub use model::{Model, ObjectKind};
+
+/// Exit status of a process whose simulator reported a fatal error: MuJoCo's
+/// error handler must not return, and C frames cannot be unwound.
+pub const FATAL_EXIT_STATUS: i32 = 86;
+
+/// Warnings kept between two looks; more than one already ends the rollout.
+const MAX_WARNINGS: usize = 8;
+
+static WARNINGS: Mutex<Vec<String>> = Mutex::new(Vec::new());
+
+/// Version of the library that is loaded, for example `3.3.7`.
+pub fn version() -> String {
+    // SAFETY: returns a static NUL-terminated string.
+    let text = unsafe { CStr::from_ptr(c::mj_versionString()) };
+    text.to_string_lossy().into_owned()
+}
+
+/// Replaces MuJoCo's handlers, once per process. Its own would exit silently
+/// and write a log file into the current folder.
+pub(crate) fn install_handlers() {
+    static ONCE: Once = Once::new();
+    ONCE.call_once(|| {
+        // SAFETY: plain assignments of function pointers before any other call
+        // into the library; nothing reads them at the same time.
+        unsafe {
+            c::mju_user_error = Some(on_error);
+            c::mju_user_warning = Some(on_warning);
+        }
+    });
+}
+
+/// The warnings since the last look.
+pub(crate) fn take_warnings() -> Vec<String> {
+    std::mem::take(&mut *WARNINGS.lock().unwrap_or_else(PoisonError::into_inner))
+}
+
+unsafe extern "C" fn on_error(message: *const c_char) {
+    // SAFETY: MuJoCo passes a NUL-terminated string that lives for this call.
+    let message = unsafe { CStr::from_ptr(message) }.to_string_lossy();
+    eprintln!("MuJoCo stopped: {message}");
+    std::process::exit(FATAL_EXIT_STATUS);
+}
+
+unsafe extern "C" fn on_warning(message: *const c_char) {
+    // SAFETY: as in `on_error`.
+    let message = unsafe { CStr::from_ptr(message) }
+        .to_string_lossy()
+        .into_owned();
+    let mut warnings = WARNINGS.lock().unwrap_or_else(PoisonError::into_inner);
+    if warnings.len() < MAX_WARNINGS {
+        warnings.push(message);
+    }
+}

@@ -1,0 +1,272 @@
+//! A compiled model.
+
+use std::ffi::{CStr, CString, c_char};
+use std::ptr::NonNull;
+
+use mujoco_rs::mujoco_c as c;
+
+use super::arrays::{NamedArray, collect};
+use crate::error::SimError;
+
+/// A compiled model, owned.
+pub struct Model {
+    raw: NonNull<c::mjModel>,
+}
+
+/// Kinds of named things in a model.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ObjectKind {
+    /// A body.
+    Body,
+    /// A joint.
+    Joint,
+    /// A geom.
+    Geom,
+    /// A site.
+    Site,
+    /// A camera.
+    Camera,
+    /// A light.
+    Light,
+    /// An actuator.
+    Actuator,
+    /// A sensor.
+    Sensor,
+}
+
+impl ObjectKind {
+    fn code(self) -> i32 {
+        let kind = match self {
+            Self::Body => c::mjtObj::mjOBJ_BODY,
+            Self::Joint => c::mjtObj::mjOBJ_JOINT,
+            Self::Geom => c::mjtObj::mjOBJ_GEOM,
+            Self::Site => c::mjtObj::mjOBJ_SITE,
+            Self::Camera => c::mjtObj::mjOBJ_CAMERA,
+            Self::Light => c::mjtObj::mjOBJ_LIGHT,
+            Self::Actuator => c::mjtObj::mjOBJ_ACTUATOR,
+            Self::Sensor => c::mjtObj::mjOBJ_SENSOR,
+        };
+        kind as i32
+    }
+}
+
+/// Longest compiler message kept.
+const ERROR_BYTES: usize = 1024;
+
+macro_rules! slices {
+    ($($(#[$doc:meta])* $name:ident: $kind:ty = $rows:ident * $columns:literal;)*) => {$(
+        $(#[$doc])*
+        pub fn $name(&self) -> &[$kind] {
+            let model = self.raw();
+            // SAFETY: the field points at this many values while the model lives.
+            unsafe {
+                std::slice::from_raw_parts(model.$name, model.$rows as usize * $columns)
+            }
+        }
+    )*};
+}
+
+macro_rules! slices_mut {
+    ($($(#[$doc:meta])* $method:ident: $name:ident: $kind:ty = $rows:ident * $columns:literal;)*) => {$(
+        $(#[$doc])*
+        pub fn $method(&mut self) -> &mut [$kind] {
+            // SAFETY: as for the shared slices; `&mut self` makes it exclusive.
+            unsafe {
+                let model = self.raw.as_mut();
+                std::slice::from_raw_parts_mut(model.$name, model.$rows as usize * $columns)
+            }
+        }
+    )*};
+}
+
+impl Model {
+    /// Compiles MJCF.
+    pub fn compile(mjcf: &str) -> Result<Self, SimError> {
+        super::install_handlers();
+        let text = CString::new(mjcf)
+            .map_err(|_| SimError::Compile("the MJCF contains a NUL byte".to_owned()))?;
+        let mut message = [0 as c_char; ERROR_BYTES];
+        // SAFETY: the text is NUL-terminated, the buffer has the length given;
+        // null for "no virtual file system". The specification is freed below.
+        let (model, message) = unsafe {
+            let spec = c::mj_parseXMLString(
+                text.as_ptr(),
+                std::ptr::null(),
+                message.as_mut_ptr(),
+                ERROR_BYTES as i32,
+            );
+            if spec.is_null() {
+                let text = CStr::from_ptr(message.as_ptr())
+                    .to_string_lossy()
+                    .into_owned();
+                return Err(SimError::Compile(text));
+            }
+            let model = c::mj_compile(spec, std::ptr::null());
+            let text = CStr::from_ptr(c::mjs_getError(spec))
+                .to_string_lossy()
+                .into_owned();
+            c::mj_deleteSpec(spec);
+            (model, text)
+        };
+        let raw = NonNull::new(model).ok_or(SimError::Compile(message))?;
+        Ok(Self { raw })
+    }
+
+    pub(crate) fn raw(&self) -> &c::mjModel {
+        // SAFETY: owned and alive until drop.
+        unsafe { self.raw.as_ref() }
+    }
+
+    pub(crate) fn as_ptr(&self) -> *const c::mjModel {
+        self.raw.as_ptr()
+    }
+
+    /// Sets flags of `option.disableflags`.
+    pub fn disable(&mut self, flags: i32) {
+        // SAFETY: owned and alive; `&mut self` makes it exclusive.
+        unsafe { self.raw.as_mut() }.opt.disableflags |= flags;
+    }
+
+    /// Number of position coordinates.
+    pub fn nq(&self) -> usize {
+        self.raw().nq as usize
+    }
+
+    /// Number of degrees of freedom.
+    pub fn nv(&self) -> usize {
+        self.raw().nv as usize
+    }
+
+    /// Number of actuators.
+    pub fn nu(&self) -> usize {
+        self.raw().nu as usize
+    }
+
+    /// How many things of a kind there are.
+    pub fn count(&self, kind: ObjectKind) -> usize {
+        let model = self.raw();
+        let count = match kind {
+            ObjectKind::Body => model.nbody,
+            ObjectKind::Joint => model.njnt,
+            ObjectKind::Geom => model.ngeom,
+            ObjectKind::Site => model.nsite,
+            ObjectKind::Camera => model.ncam,
+            ObjectKind::Light => model.nlight,
+            ObjectKind::Actuator => model.nu,
+            ObjectKind::Sensor => model.nsensor,
+        };
+        count as usize
+    }
+
+    /// The name of a thing; none if it has none.
+    pub fn name(&self, kind: ObjectKind, id: usize) -> Option<String> {
+        // SAFETY: an id out of range gives null, checked below; the string
+        // lives as long as the model.
+        let name = unsafe { c::mj_id2name(self.as_ptr(), kind.code(), id as i32) };
+        if name.is_null() {
+            return None;
+        }
+        // SAFETY: not null and NUL-terminated.
+        let name = unsafe { CStr::from_ptr(name) }
+            .to_string_lossy()
+            .into_owned();
+        Some(name)
+    }
+
+    /// The id of a named thing; an error naming it if there is none.
+    pub fn id(&self, kind: ObjectKind, name: &str) -> Result<usize, SimError> {
+        let missing = || SimError::Missing {
+            kind,
+            name: name.to_owned(),
+        };
+        let text = CString::new(name).map_err(|_| missing())?;
+        // SAFETY: a NUL-terminated name and a live model.
+        let id = unsafe { c::mj_name2id(self.as_ptr(), kind.code(), text.as_ptr()) };
+        usize::try_from(id).map_err(|_| missing())
+    }
+
+    /// Every numeric array but the payload of meshes and textures.
+    pub fn arrays(&self) -> Vec<NamedArray> {
+        collect(self.raw())
+    }
+
+    /// The headlight's ambient colour.
+    pub fn headlight_ambient(&self) -> [f32; 3] {
+        self.raw().vis.headlight.ambient
+    }
+
+    /// Sets the headlight's ambient colour.
+    pub fn set_headlight_ambient(&mut self, rgb: [f32; 3]) {
+        // SAFETY: owned and alive; `&mut self` makes it exclusive.
+        unsafe { self.raw.as_mut() }.vis.headlight.ambient = rgb;
+    }
+
+    /// Makes room for pictures of this size, pixels, in contexts made later.
+    pub(crate) fn grow_offscreen_buffer(&mut self, width: u32, height: u32) {
+        // SAFETY: owned and alive; `&mut self` makes it exclusive.
+        let global = unsafe { &mut self.raw.as_mut().vis.global };
+        global.offwidth = global.offwidth.max(width as i32);
+        global.offheight = global.offheight.max(height as i32);
+    }
+
+    slices! {
+        /// Joint types (`mjtJoint`).
+        jnt_type: i32 = njnt * 1;
+        /// First position coordinate of each joint.
+        jnt_qposadr: i32 = njnt * 1;
+        /// Body of each joint.
+        jnt_bodyid: i32 = njnt * 1;
+        /// Joint ranges, m or rad.
+        jnt_range: f64 = njnt * 2;
+        /// Body of each geom.
+        geom_bodyid: i32 = ngeom * 1;
+        /// Bounding boxes in geom frames: centre, half extents, m.
+        geom_aabb: f64 = ngeom * 6;
+        /// Camera positions in their bodies' frames, m.
+        cam_pos: f64 = ncam * 3;
+        /// Camera orientations in their bodies' frames, w x y z.
+        cam_quat: f64 = ncam * 4;
+        /// Light positions, m.
+        light_pos: f64 = nlight * 3;
+        /// Light directions, unit vectors.
+        light_dir: f64 = nlight * 3;
+        /// Light colours.
+        light_diffuse: f32 = nlight * 3;
+        /// Light specular colours.
+        light_specular: f32 = nlight * 3;
+        /// Site colours.
+        site_rgba: f32 = nsite * 4;
+        /// Site half extents, m.
+        site_size: f64 = nsite * 3;
+        /// Actuator control ranges.
+        actuator_ctrlrange: f64 = nu * 2;
+    }
+
+    slices_mut! {
+        /// As the shared slice, to be changed.
+        body_pos_mut: body_pos: f64 = nbody * 3;
+        /// As the shared slice, to be changed.
+        body_quat_mut: body_quat: f64 = nbody * 4;
+        /// As the shared slice, to be changed.
+        cam_pos_mut: cam_pos: f64 = ncam * 3;
+        /// As the shared slice, to be changed.
+        cam_quat_mut: cam_quat: f64 = ncam * 4;
+        /// As the shared slice, to be changed.
+        light_pos_mut: light_pos: f64 = nlight * 3;
+        /// As the shared slice, to be changed.
+        light_dir_mut: light_dir: f64 = nlight * 3;
+        /// As the shared slice, to be changed.
+        light_diffuse_mut: light_diffuse: f32 = nlight * 3;
+        /// As the shared slice, to be changed.
+        light_specular_mut: light_specular: f32 = nlight * 3;
+        /// As the shared slice, to be changed.
+        site_rgba_mut: site_rgba: f32 = nsite * 4;
+    }
+}
+
+impl Drop for Model {
+    fn drop(&mut self) {
+        // SAFETY: owned, freed once.
+        unsafe { c::mj_deleteModel(self.raw.as_ptr()) }
+    }
+}

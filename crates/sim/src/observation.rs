@@ -1,0 +1,148 @@
+//! What a policy may look at.
+
+use scene::Predicate;
+
+/// What an observation should contain.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct ObservationRequest {
+    /// Frames, in this order; none are drawn that are not asked for.
+    pub cameras: Vec<CameraRequest>,
+    /// Whether to add the simulator's own state.
+    pub privileged: bool,
+}
+
+/// A frame that is wanted.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct CameraRequest {
+    /// `agentview` or `robot0_eye_in_hand`, or any other camera of the scene.
+    pub name: String,
+    /// Pixels.
+    pub width: u32,
+    /// Pixels.
+    pub height: u32,
+}
+
+/// What a policy sees, as the original's `env.step` returns it: frames and
+/// end-effector poses lag 4 ms behind the control step's end, joint readings
+/// 2 ms.
+#[derive(Debug, Clone)]
+pub struct Observation {
+    /// In the order of the request, corrupted where the sensor is perturbed.
+    pub frames: Vec<Frame>,
+    /// The robot's readings.
+    pub robot: RobotState,
+    /// Only if asked for.
+    pub privileged: Option<Privileged>,
+}
+
+/// A frame.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Frame {
+    /// The camera's name.
+    pub camera: String,
+    /// Pixels.
+    pub width: u32,
+    /// Pixels.
+    pub height: u32,
+    /// Red, green, blue, 8 bits each, row by row; row 0 is the picture's bottom.
+    pub rgb: Vec<u8>,
+}
+
+/// The robot's readings.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RobotState {
+    /// Site between the fingertips, world frame, m.
+    pub eef_pos: [f64; 3],
+    /// Hand body, world frame, x y z w.
+    pub eef_quat_xyzw: [f64; 4],
+    /// The same as axis times angle, rad.
+    pub eef_axis_angle: [f64; 3],
+    /// The same as a matrix, row by row.
+    pub eef_rotation: [f64; 9],
+    /// Arm joints, rad.
+    pub joint_pos: [f64; 7],
+    /// Arm joints, rad/s.
+    pub joint_vel: [f64; 7],
+    /// Finger joints, m.
+    pub gripper_pos: [f64; 2],
+    /// Finger joints, m/s.
+    pub gripper_vel: [f64; 2],
+}
+
+/// The simulator's own state, for scripted experts: true at the end of the
+/// control step, without lag.
+#[derive(Debug, Clone)]
+pub struct Privileged {
+    /// Objects, fixtures, and region sites.
+    pub entities: Vec<Entity>,
+    /// Joints of objects and fixtures, free joints left out: name, m or rad.
+    pub joints: Vec<(String, f64)>,
+    /// What must hold.
+    pub goal: Vec<Predicate>,
+    /// Site between the fingertips, world frame, m.
+    pub grip_pos: [f64; 3],
+    /// Its orientation, w x y z.
+    pub grip_quat_wxyz: [f64; 4],
+    /// Between the finger joints, m; 0 is closed, 0.08 open.
+    pub gripper_opening: f64,
+}
+
+/// A thing in the scene.
+#[derive(Debug, Clone)]
+pub struct Entity {
+    /// Instance name, or the site's.
+    pub name: String,
+    /// What it is.
+    pub kind: EntityKind,
+    /// Category; of a site, the instance that carries it.
+    pub category: String,
+    /// World frame, m.
+    pub pos: [f64; 3],
+    /// World frame, w x y z.
+    pub quat_wxyz: [f64; 4],
+    /// Half extents along the world's axes of its collision geometry, m; of a
+    /// site, its own.
+    pub half_extents: [f64; 3],
+    /// Centre of that box, world frame, m.
+    pub centre: [f64; 3],
+}
+
+/// Kinds of entities.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum EntityKind {
+    /// Moves freely.
+    Object,
+    /// Stands still.
+    Fixture,
+    /// A region.
+    Site,
+}
+
+/// Axis times angle of a unit quaternion x y z w, rad: twice the arc cosine of
+/// w, without flipping to the nearer of the two antipodes (robosuite's
+/// `quat2axisangle`; policies were trained on it).
+pub fn axis_angle_of(quat_xyzw: [f64; 4]) -> [f64; 3] {
+    let [x, y, z, w] = quat_xyzw;
+    let w = w.clamp(-1.0, 1.0);
+    let sin = (1.0 - w * w).sqrt();
+    if sin == 0.0 {
+        return [0.0; 3];
+    }
+    let factor = 2.0 * w.acos() / sin;
+    [x * factor, y * factor, z * factor]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::axis_angle_of;
+
+    #[test]
+    fn antipodes_are_not_flipped() {
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        let near = axis_angle_of([half, 0.0, 0.0, half]);
+        assert!((near[0] - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
+        let far = axis_angle_of([half, 0.0, 0.0, -half]);
+        assert!((far[0] - 1.5 * std::f64::consts::PI).abs() < 1e-12);
+        assert_eq!(axis_angle_of([0.0, 0.0, 0.0, 1.0]), [0.0; 3]);
+    }
+}

@@ -1,0 +1,121 @@
+//! Compares the simulator with reference data of the original, task by task.
+//! `cargo xtask parity` sets things up and calls it.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::{Context, Result};
+use clap::Parser;
+use scene::{AssetPack, Sources};
+use sim::{GlContext, GlDevice};
+use tests::fidelity::{Findings, Limits, ReferenceTask, compare, find_tasks};
+
+/// Compare the simulator with reference data of the original LIBERO.
+#[derive(Parser)]
+struct Arguments {
+    /// Folder of reference tasks: SUITE/NN_TASK.
+    #[arg(long)]
+    reference: PathBuf,
+    /// LIBERO assets folder that the reference was made with.
+    #[arg(long)]
+    assets: String,
+    /// Only these tasks: SUITE/N, separated by commas.
+    #[arg(long, value_delimiter = ',')]
+    tasks: Vec<String>,
+    /// Folder with the unpacked sources.
+    #[arg(long)]
+    sources: Option<PathBuf>,
+}
+
+fn main() -> ExitCode {
+    match run(&Arguments::parse()) {
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::FAILURE,
+        Err(error) => {
+            eprintln!("error: failed to {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(arguments: &Arguments) -> Result<bool> {
+    let sources = arguments
+        .sources
+        .clone()
+        .unwrap_or_else(Sources::default_dir);
+    let sources = Sources::open(&sources)?;
+    let pack = AssetPack::open(&arguments.assets, &sources)?;
+    let tasks = select(find_tasks(&arguments.reference)?, &arguments.tasks)?;
+    let gl = GlContext::open(GlDevice::Auto)?;
+    println!(
+        "MuJoCo {}, drawn by {}",
+        sim::mujoco::version(),
+        gl.renderer()
+    );
+    println!("{HEADER}");
+    let (mut passed, limits) = (0, Limits::default());
+    for task in &tasks {
+        match compare(task, &sources, &pack, &gl) {
+            Ok(findings) => {
+                let violations = findings.violations(&limits);
+                println!("{}", row(task, &findings, violations.is_empty()));
+                for violation in &violations {
+                    println!("    {violation}");
+                }
+                passed += usize::from(violations.is_empty());
+            }
+            Err(error) => println!("{:<18} failed to {error:#}", task.id()),
+        }
+    }
+    println!("{passed} of {} tasks agree with the original", tasks.len());
+    Ok(passed == tasks.len())
+}
+
+fn select(all: Vec<ReferenceTask>, wanted: &[String]) -> Result<Vec<ReferenceTask>> {
+    if wanted.is_empty() {
+        return Ok(all);
+    }
+    let find = |id: &String| {
+        let task = all.iter().find(|task| task.id() == *id).cloned();
+        task.with_context(|| format!("find task {id} in the reference: it has no such folder"))
+    };
+    wanted.iter().map(find).collect()
+}
+
+const HEADER: &str =
+    "task              names arrays settle smooth contact obs.   predicates frames";
+
+fn row(task: &ReferenceTask, findings: &Findings, agrees: bool) -> String {
+    let contact = findings
+        .contact
+        .map_or("-".to_owned(), |contact| short(contact.worst));
+    let frames = findings.frames.map_or("-".to_owned(), |(equal, _)| {
+        format!("{:.2}%", equal * 100.0)
+    });
+    let (differ, all) = findings.predicates;
+    format!(
+        "{:<17} {:<5} {:<6} {:<6} {:<6} {:<7} {:<6} {:<10} {:<7} {}",
+        task.id(),
+        if findings.name.is_none() {
+            "same"
+        } else {
+            "DIFF"
+        },
+        short(findings.arrays.value),
+        short(findings.settled.value),
+        short(findings.smooth.value),
+        contact,
+        short(findings.observed.value),
+        format!("{}/{all}", all - differ),
+        frames,
+        if agrees { "ok" } else { "NO" },
+    )
+}
+
+fn short(value: f64) -> String {
+    if value == 0.0 {
+        "0".to_owned()
+    } else {
+        format!("{value:.0e}")
+    }
+}

@@ -1,0 +1,217 @@
+//! Motion against the original's: settling, smooth steps, contact-rich steps,
+//! and predicates on recorded states.
+
+use std::collections::BTreeMap;
+
+use anyhow::{Context, Result, ensure};
+use sim::Environment;
+
+use super::frames::Comparison;
+use super::reference::{Array, ReferenceTask, read_npz};
+use super::{ContactFindings, Findings, Worst};
+
+/// The action that does nothing and keeps the gripper open.
+const NO_OP: [f64; 7] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0];
+const SETTLING_STEPS: usize = 10;
+/// Below this the original counts as insensitive, m or rad.
+const CALM: f64 = 1e-11;
+
+type Arrays = BTreeMap<String, Array>;
+
+/// Loads each recorded initial state, settles, and follows its smooth motion.
+pub(super) fn compare_smooth(
+    task: &ReferenceTask,
+    environment: &mut Environment,
+    findings: &mut Findings,
+    frames: &mut Comparison<'_>,
+) -> Result<()> {
+    let start = task.arrays("init_dummy10.npz")?;
+    for init in 0..array(&start, "state")?.len() {
+        environment.load(array(&start, "state")?.row(init));
+        let mut see = |environment: &Environment, qpos: &str, success: &str| -> Result<()> {
+            let place = || format!("state {init}, {qpos}");
+            see_positions(
+                &mut findings.settled,
+                environment,
+                array(&start, qpos)?.row(init),
+                place,
+            );
+            let expected = array(&start, success)?.values[init] != 0.0;
+            findings.success_flags += usize::from(environment.succeeded() != expected);
+            Ok(())
+        };
+        see(environment, "qpos0", "success0")?;
+        for _ in 0..SETTLING_STEPS {
+            environment.step(&NO_OP)?;
+        }
+        see(environment, "qpos10", "success10")?;
+        frames.see(environment, init, 0)?;
+        let recorded = format!("traj_{init}.npz");
+        if task.path(&recorded).is_file() {
+            follow(
+                &task.arrays(&recorded)?,
+                init,
+                environment,
+                findings,
+                frames,
+            )?;
+        }
+    }
+    Ok(())
+}
+
+fn follow(
+    recorded: &Arrays,
+    init: usize,
+    environment: &mut Environment,
+    findings: &mut Findings,
+    frames: &mut Comparison<'_>,
+) -> Result<()> {
+    let (actions, qpos) = (array(recorded, "actions")?, array(recorded, "qpos")?);
+    let success = array(recorded, "success")?;
+    see_observation(recorded, 0, init, environment, &mut findings.observed)?;
+    for step in 1..=actions.len() {
+        let succeeded = environment.step(&action(actions.row(step - 1))?)?;
+        let place = || format!("state {init}, step {step}");
+        see_positions(&mut findings.smooth, environment, qpos.row(step), place);
+        findings.success_flags += usize::from(succeeded != (success.values[step] != 0.0));
+        see_observation(recorded, step, init, environment, &mut findings.observed)?;
+        if step == actions.len() {
+            frames.see(environment, init, step)?;
+        }
+    }
+    Ok(())
+}
+
+/// Compares the readings that the original returned with a step.
+fn see_observation(
+    recorded: &Arrays,
+    step: usize,
+    init: usize,
+    environment: &mut Environment,
+    worst: &mut Worst,
+) -> Result<()> {
+    let robot = environment.robot_state();
+    let readings: [(&str, Vec<f64>); 6] = [
+        ("obs_eef_pos", robot.eef_pos.to_vec()),
+        ("obs_eef_quat", robot.eef_quat_xyzw.to_vec()),
+        ("obs_gripper_qpos", robot.gripper_pos.to_vec()),
+        ("obs_joint_pos_cos", robot.joint_pos.map(f64::cos).to_vec()),
+        ("obs_joint_pos_sin", robot.joint_pos.map(f64::sin).to_vec()),
+        ("obs_joint_vel", robot.joint_vel.to_vec()),
+    ];
+    for (name, ours) in readings {
+        let expected = array(recorded, name)?.row(step);
+        let place = || format!("state {init}, step {step}, {name}");
+        worst.see(largest_difference(&ours, expected), place);
+    }
+    Ok(())
+}
+
+/// Sets every recorded state and compares the truth of each predicate.
+pub(super) fn compare_predicates(
+    task: &ReferenceTask,
+    environment: &mut Environment,
+    findings: &mut Findings,
+) -> Result<()> {
+    if !task.path("predicates.npz").is_file() {
+        return Ok(());
+    }
+    let recorded = task.arrays("predicates.npz")?;
+    let (qpos, truth) = (array(&recorded, "qpos")?, array(&recorded, "truth")?);
+    let at_rest = vec![0.0; environment.model().nv()];
+    for state in 0..qpos.len() {
+        environment.load(&[&[0.0], qpos.row(state), &at_rest].concat());
+        for (ours, theirs) in environment.goal_truths().iter().zip(truth.row(state)) {
+            findings.predicates.0 += usize::from(*ours != (*theirs != 0.0));
+            findings.predicates.1 += 1;
+        }
+    }
+    Ok(())
+}
+
+/// Follows the contact-rich recording.
+pub(super) fn compare_contact(
+    task: &ReferenceTask,
+    environment: &mut Environment,
+) -> Result<Option<ContactFindings>> {
+    let Some(path) = task.contact_path() else {
+        return Ok(None);
+    };
+    let recorded = read_npz(&path)?;
+    let (actions, qpos) = (array(&recorded, "actions")?, array(&recorded, "qpos")?);
+    let success = array(&recorded, "success")?;
+    let sensitivity = per_step_sensitivity(task, actions.len())?;
+    environment.load(&array(&recorded, "state")?.values);
+    for _ in 0..SETTLING_STEPS {
+        environment.step(&NO_OP)?;
+    }
+    let mut findings = ContactFindings::default();
+    let mut calm = true;
+    for step in 0..=actions.len() {
+        let succeeded = match step {
+            0 => environment.succeeded(),
+            _ => environment.step(&action(actions.row(step - 1))?)?,
+        };
+        let ours = environment.data().qpos(environment.model());
+        let difference = largest_difference(ours, qpos.row(step));
+        calm &= sensitivity[step] <= CALM;
+        findings.worst = findings.worst.max(difference);
+        if calm {
+            findings.worst_while_calm = findings.worst_while_calm.max(difference);
+        } else {
+            findings.sensitivities = findings.sensitivities.max(difference / sensitivity[step]);
+        }
+        findings.success_flags += usize::from(succeeded != (success.values[step] != 0.0));
+    }
+    Ok(Some(findings))
+}
+
+/// The original's sensitivity at every step, from its running maximum at every
+/// 20th: between two of those the later one holds.
+fn per_step_sensitivity(task: &ReferenceTask, steps: usize) -> Result<Vec<f64>> {
+    const EVERY: usize = 20;
+    let Some(sampled) = task.contact_sensitivity()? else {
+        return Ok(vec![0.0; steps + 1]);
+    };
+    let at = |step: usize| sampled.get(step.div_ceil(EVERY).saturating_sub(1)).copied();
+    Ok((0..=steps)
+        .map(|step| at(step).unwrap_or(f64::INFINITY))
+        .collect())
+}
+
+fn see_positions(
+    worst: &mut Worst,
+    environment: &Environment,
+    expected: &[f64],
+    place: impl FnOnce() -> String,
+) {
+    let ours = environment.data().qpos(environment.model());
+    worst.see(largest_difference(ours, expected), place);
+}
+
+fn largest_difference(ours: &[f64], theirs: &[f64]) -> f64 {
+    if ours.len() != theirs.len() {
+        return f64::NAN;
+    }
+    let differences = ours.iter().zip(theirs).map(|(a, b)| (a - b).abs());
+    differences.fold(
+        0.0,
+        |worst, value| if value <= worst { worst } else { value },
+    )
+}
+
+fn action(values: &[f64]) -> Result<[f64; 7]> {
+    ensure!(
+        values.len() == 7,
+        "an action has 7 numbers, not {}",
+        values.len()
+    );
+    Ok(values.try_into()?)
+}
+
+fn array<'a>(arrays: &'a Arrays, name: &str) -> Result<&'a Array> {
+    arrays
+        .get(name)
+        .with_context(|| format!("the reference has no array `{name}`"))
+}

@@ -1,0 +1,198 @@
+//! Reads the reference data of one task: its folder's layout is described in
+//! the README beside it.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use npyz::{DType, TypeChar};
+use serde_json::Value;
+
+/// One task's folder of reference data.
+#[derive(Debug, Clone)]
+pub struct ReferenceTask {
+    /// Suite's full name.
+    pub suite: String,
+    /// Index in the suite.
+    pub index: usize,
+    dir: PathBuf,
+    meta: Value,
+}
+
+/// A named array, widened to doubles.
+#[derive(Debug, Clone)]
+pub(crate) struct Array {
+    pub(crate) shape: Vec<usize>,
+    pub(crate) values: Vec<f64>,
+}
+
+impl Array {
+    /// The i-th entry along the first axis.
+    pub(crate) fn row(&self, index: usize) -> &[f64] {
+        let width: usize = self.shape[1..].iter().product();
+        &self.values[index * width..(index + 1) * width]
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.shape.first().copied().unwrap_or_default()
+    }
+}
+
+/// All tasks below a folder, in order of suite and index.
+pub fn find_tasks(reference: &Path) -> Result<Vec<ReferenceTask>> {
+    super::ensure_reference(reference)?;
+    let mut tasks = Vec::new();
+    for suite in folders(reference)? {
+        for dir in folders(&suite)? {
+            let name = dir
+                .file_name()
+                .unwrap_or_default()
+                .to_string_lossy()
+                .into_owned();
+            let Some(index) = name
+                .split('_')
+                .next()
+                .and_then(|number| number.parse().ok())
+            else {
+                continue;
+            };
+            let path = dir.join("meta.json");
+            let text = std::fs::read_to_string(&path)
+                .with_context(|| format!("read {}", path.display()))?;
+            let meta = serde_json::from_str(&text).with_context(|| path.display().to_string())?;
+            let suite = suite
+                .file_name()
+                .unwrap_or_default()
+                .to_string_lossy()
+                .into_owned();
+            tasks.push(ReferenceTask {
+                suite,
+                index,
+                dir,
+                meta,
+            });
+        }
+    }
+    tasks.sort_by_key(|task| (task.suite.clone(), task.index));
+    if tasks.is_empty() {
+        bail!(
+            "find reference tasks below {}: there are none",
+            reference.display()
+        );
+    }
+    Ok(tasks)
+}
+
+fn folders(dir: &Path) -> Result<Vec<PathBuf>> {
+    let entries = std::fs::read_dir(dir).with_context(|| format!("read {}", dir.display()))?;
+    let mut folders = Vec::new();
+    for entry in entries {
+        let path = entry?.path();
+        if path.is_dir() {
+            folders.push(path);
+        }
+    }
+    folders.sort();
+    Ok(folders)
+}
+
+impl ReferenceTask {
+    /// For example `libero_goal/3`.
+    pub fn id(&self) -> String {
+        format!("{}/{}", self.suite, self.index)
+    }
+
+    /// The BDDL file, relative to the LIBERO package.
+    pub(crate) fn bddl(&self) -> &str {
+        self.meta["bddl"].as_str().unwrap_or_default()
+    }
+
+    /// Names of one kind, in id order.
+    pub(crate) fn names(&self, key: &str) -> Result<Vec<Option<String>>> {
+        let names = self.meta[key]
+            .as_array()
+            .with_context(|| format!("meta.json: no `{key}`"))?;
+        Ok(names
+            .iter()
+            .map(|name| name.as_str().map(str::to_owned))
+            .collect())
+    }
+
+    /// A file of the task's folder.
+    pub(crate) fn path(&self, file: &str) -> PathBuf {
+        self.dir.join(file)
+    }
+
+    /// The recording of contact-rich steps, if there is one.
+    pub(crate) fn contact_path(&self) -> Option<PathBuf> {
+        let root = self.dir.parent()?.parent()?.parent()?;
+        let path = root
+            .join("contact")
+            .join(format!("{}_{:02}.npz", self.suite, self.index));
+        path.is_file().then_some(path)
+    }
+
+    /// How far the original itself moves under torque noise of 1e-14 in the
+    /// contact-rich steps: the running maximum at every 20th step, if measured.
+    pub(crate) fn contact_sensitivity(&self) -> Result<Option<Vec<f64>>> {
+        let Some(root) = self.dir.ancestors().nth(3) else {
+            return Ok(None);
+        };
+        let path = root.join("sensitivity.json");
+        if !path.is_file() {
+            return Ok(None);
+        }
+        let text = std::fs::read_to_string(&path)?;
+        let all: Value = serde_json::from_str(&text).with_context(|| path.display().to_string())?;
+        let sampled = all["tasks"][self.id()]["contact"].as_array();
+        Ok(sampled.map(|values| values.iter().filter_map(Value::as_f64).collect()))
+    }
+
+    /// All arrays of an `.npz` file of the folder.
+    pub(crate) fn arrays(&self, file: &str) -> Result<BTreeMap<String, Array>> {
+        read_npz(&self.path(file))
+    }
+}
+
+/// All arrays of an `.npz` file, those of text left out.
+pub(crate) fn read_npz(path: &Path) -> Result<BTreeMap<String, Array>> {
+    let mut archive =
+        npyz::npz::NpzArchive::open(path).with_context(|| format!("read {}", path.display()))?;
+    let names: Vec<String> = archive.array_names().map(str::to_owned).collect();
+    let mut arrays = BTreeMap::new();
+    for name in names {
+        let array = archive
+            .by_name(&name)?
+            .with_context(|| format!("no array `{name}`"))?;
+        let shape = array.shape().iter().map(|size| *size as usize).collect();
+        let DType::Plain(kind) = array.dtype() else {
+            continue;
+        };
+        let size = kind.num_bytes();
+        let values = match (kind.type_char(), size) {
+            (TypeChar::Float, Some(8)) => array.into_vec::<f64>()?,
+            (TypeChar::Float, Some(4)) => widen(array.into_vec::<f32>()?),
+            (TypeChar::Int, Some(8)) => array
+                .into_vec::<i64>()?
+                .into_iter()
+                .map(|value| value as f64)
+                .collect(),
+            (TypeChar::Int, Some(4)) => widen(array.into_vec::<i32>()?),
+            (TypeChar::Int, Some(1)) => widen(array.into_vec::<i8>()?),
+            (TypeChar::Uint, Some(1)) => widen(array.into_vec::<u8>()?),
+            (TypeChar::Bool, _) => array
+                .into_vec::<bool>()?
+                .into_iter()
+                .map(|value| f64::from(u8::from(value)))
+                .collect(),
+            (TypeChar::UnicodeStr | TypeChar::ByteStr, _) => continue,
+            (other, _) => bail!("{}: `{name}` holds {other:?}", path.display()),
+        };
+        arrays.insert(name, Array { shape, values });
+    }
+    Ok(arrays)
+}
+
+fn widen<T: Into<f64>>(values: Vec<T>) -> Vec<f64> {
+    values.into_iter().map(Into::into).collect()
+}
