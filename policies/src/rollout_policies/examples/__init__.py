@@ -1,0 +1,1 @@
+"""Runnable policies: `python -m rollout_policies.examples.colour_servo`."""

@@ -1,0 +1,1 @@
+"""Generated from policy.proto by regenerate.py; not to be edited."""

@@ -1,0 +1,99 @@
+"""Real servers on free ports of the loopback, and a client of them."""
+
+import contextlib
+
+import grpc
+import numpy as np
+import pytest
+
+from rollout_policies import Camera, Description, Policy, State, start
+from rollout_policies.proto import policy_pb2 as pb
+from rollout_policies.proto import policy_pb2_grpc as pb_grpc
+
+
+class Client:
+    """Speaks to a server as a worker would."""
+
+    def __init__(self, address):
+        self.channel = grpc.insecure_channel(address)
+        self.stub = pb_grpc.PolicyStub(self.channel)
+
+    def describe(self, version=1, policy=""):
+        return self.stub.Describe(pb.DescribeRequest(protocol_version=version, policy=policy))
+
+    def reset(self, session="s", seed=7, **fields):
+        self.stub.Reset(pb.ResetRequest(session=session, seed=seed, **fields))
+
+    def infer(self, session="s", query_index=0, observation=None):
+        response = self.stub.Infer(self.request(session, query_index, observation))
+        assert response.action_width == 7
+        return np.array(response.actions, dtype=np.float32).reshape(-1, 7)
+
+    def request(self, session="s", query_index=0, observation=None):
+        observation = observation or pb.Observation()
+        return pb.InferRequest(session=session, query_index=query_index, observation=observation)
+
+
+@pytest.fixture
+def serving():
+    """Starts servers that are stopped at the end: `serving(policy) -> Client`."""
+    with contextlib.ExitStack() as stack:
+
+        def start_one(policy):
+            server = start(policy)
+            stack.callback(server.stop, 0)
+            client = Client(server.address)
+            stack.callback(client.channel.close)
+            return client
+
+        yield start_one
+
+
+class Noisy(Policy):
+    """Answers random numbers and counts how often it was asked."""
+
+    description = Description(name="noisy", horizon=4, stochastic=True)
+
+    def __init__(self):
+        self.asked = 0
+
+    def reset(self, episode):
+        episode.memory = []
+
+    def infer(self, observation):
+        self.asked += 1
+        return observation.rng.uniform(-1, 1, (4, 7))
+
+
+class Seeing(Policy):
+    """Keeps the observations that it is given."""
+
+    description = Description(
+        name="seeing",
+        cameras=(Camera("agentview", 3, 2),),
+        state=(State.EEF_POS, State.GRIPPER_POS),
+    )
+
+    def reset(self, episode):
+        self.episode = episode
+
+    def infer(self, observation):
+        self.observation = observation
+        return np.zeros(7)
+
+
+class Answering(Policy):
+    """Answers, or raises, what it was made with."""
+
+    description = Description(name="crooked", horizon=2)
+
+    def __init__(self, answer):
+        self.answer = answer
+
+    def reset(self, episode):
+        pass
+
+    def infer(self, observation):
+        if isinstance(self.answer, Exception):
+            raise self.answer
+        return self.answer

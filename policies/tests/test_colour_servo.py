@@ -1,0 +1,54 @@
+"""The example answers from pixels, in the right direction."""
+
+import numpy as np
+import pytest
+
+from rollout_policies import Episode, Observation, State
+from rollout_policies.examples.colour_servo import SIDE, WRIST, ColourServo, find_blob
+
+#: A hand that points down, its x axis along the world's.
+POINTING_DOWN = np.diag([1.0, -1.0, -1.0])
+
+
+def upright_frame(row, column, size=12):
+    """Grey, with a red square around a place."""
+    frame = np.full((SIDE, SIDE, 3), 120, dtype=np.uint8)
+    frame[row - size // 2 : row + size // 2, column - size // 2 : column + size // 2] = (200, 20, 20)
+    return frame
+
+
+def answer(upright, rotation=POINTING_DOWN):
+    observation = Observation(
+        Episode("s", "libero_object", "", 0),
+        0,
+        {WRIST: np.ascontiguousarray(upright[::-1])},
+        {State.EEF_ROTATION: rotation.ravel()},
+    )
+    return ColourServo().infer(observation)
+
+
+def test_the_blob_is_found_where_it_is():
+    centre, share = find_blob(upright_frame(row=32, column=96))
+    assert centre == pytest.approx([0.5, 0.5], abs=0.02)
+    assert 0 < share < 0.05
+    assert find_blob(np.full((SIDE, SIDE, 3), 90, dtype=np.uint8)) is None
+
+
+def test_the_hand_moves_towards_the_colour():
+    far_up, right, left = upright_frame(10, 64), upright_frame(90, 118), upright_frame(90, 10)
+    assert answer(far_up)[0] > 0.5  # up in the picture: the hand's x
+    # Right in the picture is the hand's y, which points against the world's.
+    assert answer(right)[1] < -0.3 < 0.3 < answer(left)[1]
+    turned = POINTING_DOWN @ np.diag([-1.0, -1.0, 1.0])
+    assert answer(far_up, turned)[0] < -0.5
+
+
+def test_it_descends_when_centred_and_closes_when_the_colour_fills_the_frame():
+    centred = answer(upright_frame(105, 64))
+    assert centred[2] < 0 and centred[6] == -1
+    assert answer(upright_frame(80, 64, size=80))[6] == 1
+
+
+def test_it_rises_with_an_open_hand_when_everything_is_grey():
+    action = answer(np.full((SIDE, SIDE, 3), 90, dtype=np.uint8))
+    assert action[2] > 0 and action[6] == -1

@@ -1,0 +1,21 @@
+"""The kept generated files are those that policy.proto gives."""
+
+import pathlib
+import subprocess
+import sys
+from importlib.metadata import PackageNotFoundError, version
+
+import pytest
+
+SCRIPT = pathlib.Path(__file__).resolve().parents[1] / "regenerate.py"
+
+
+def test_the_generated_files_are_current():
+    try:
+        version("grpcio-tools")
+    except PackageNotFoundError:
+        pytest.skip("grpcio-tools is not installed: pip install -e '.[dev]'")
+    check = subprocess.run(
+        [sys.executable, SCRIPT, "--check"], capture_output=True, text=True, check=False
+    )
+    assert check.returncode == 0, check.stderr

@@ -1,0 +1,246 @@
+"""The server on a real socket: what a policy's author may rely on."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+
+import grpc
+import numpy as np
+import pytest
+from conftest import Answering, Client, Noisy, Seeing
+
+from rollout_policies import Description, Policy, State, start
+from rollout_policies.proto import policy_pb2 as pb
+
+
+def refusal(call, *arguments, **fields):
+    with pytest.raises(grpc.RpcError) as caught:
+        call(*arguments, **fields)
+    return caught.value.code(), caught.value.details()
+
+
+def frame(width=3, height=2, camera="agentview"):
+    rgb = bytes(range(width * height * 3))
+    return pb.Image(camera=camera, width=width, height=height, rgb=rgb)
+
+
+def readings(eef=(1.0, 2.0, 3.0), gripper=(0.04, -0.04)):
+    return [
+        pb.StateReading(field=pb.STATE_FIELD_GRIPPER_POS, values=gripper),
+        pb.StateReading(field=pb.STATE_FIELD_EEF_POS, values=eef),
+    ]
+
+
+def test_the_description_reaches_the_caller(serving):
+    described = serving(Seeing()).describe()
+    assert (described.protocol_version, described.name) == (1, "seeing")
+    assert (described.horizon, described.execute) == (1, 1)
+    camera = described.cameras[0]
+    assert (camera.name, camera.width, camera.height) == ("agentview", 3, 2)
+    assert list(described.state) == [pb.STATE_FIELD_EEF_POS, pb.STATE_FIELD_GRIPPER_POS]
+
+
+def test_another_protocol_version_is_refused_naming_both(serving):
+    code, text = refusal(serving(Noisy()).describe, version=99)
+    assert code == grpc.StatusCode.FAILED_PRECONDITION
+    assert "version 99" in text and "version 1;" in text
+
+
+def test_a_worker_that_means_another_policy_is_refused(serving):
+    client = serving(Noisy())
+    assert client.describe(policy="noisy").name == "noisy"
+    code, text = refusal(client.describe, policy="pi05")
+    assert code == grpc.StatusCode.NOT_FOUND
+    assert "'pi05'" in text and "noisy" in text
+
+
+def test_the_instruction_and_the_seed_arrive_verbatim(serving):
+    policy = Seeing()
+    sentence = "kindly relocate the milk; s'il vous plaît"
+    serving(policy).reset(instruction=sentence, suite="libero_goal", seed=2**64 - 1)
+    assert policy.episode.instruction == sentence
+    assert policy.episode.suite == "libero_goal"
+    assert policy.episode.seed == 2**64 - 1
+
+
+def test_images_arrive_bottom_row_first_and_can_be_turned(serving):
+    policy = Seeing()
+    client = serving(policy)
+    client.reset()
+    client.infer(observation=pb.Observation(images=[frame()], state=readings()))
+    raw = policy.observation.images["agentview"]
+    assert raw.shape == (2, 3, 3) and raw.dtype == np.uint8
+    assert raw[0, 0].tolist() == [0, 1, 2]
+    assert policy.observation.upright("agentview")[1, 0].tolist() == [0, 1, 2]
+    assert policy.observation.rotated("agentview")[1, 2].tolist() == [0, 1, 2]
+
+
+def test_robot_readings_arrive_by_name_and_join_into_a_vector(serving):
+    policy = Seeing()
+    client = serving(policy)
+    client.reset()
+    client.infer(observation=pb.Observation(images=[frame()], state=readings()))
+    assert policy.observation.state[State.EEF_POS].tolist() == [1.0, 2.0, 3.0]
+    assert policy.observation.vector().tolist() == [1.0, 2.0, 3.0, 0.04, -0.04]
+    assert policy.observation.vector(State.GRIPPER_POS).tolist() == [0.04, -0.04]
+
+
+@pytest.mark.parametrize(
+    ("observation", "expected"),
+    [
+        (pb.Observation(state=readings()), "no frame of camera 'agentview'"),
+        (pb.Observation(images=[frame(4, 2)], state=readings()), "4x2"),
+        (pb.Observation(images=[frame()]), "no reading EEF_POS"),
+        (pb.Observation(images=[frame()], state=readings(eef=[1.0])), "1 numbers, not 3"),
+    ],
+)
+def test_an_observation_that_lacks_something_is_refused_naming_it(serving, observation, expected):
+    client = serving(Seeing())
+    client.reset()
+    code, text = refusal(client.infer, query_index=4, observation=observation)
+    assert code == grpc.StatusCode.INVALID_ARGUMENT
+    assert expected in text and "'s'" in text and "query 4" in text
+
+
+def test_a_retry_gets_the_same_actions_and_does_not_ask_the_policy_again(serving):
+    policy = Noisy()
+    client = serving(policy)
+    client.reset()
+    first = client.infer(query_index=0)
+    assert (client.infer(query_index=0) == first).all()
+    assert policy.asked == 1
+    assert (client.infer(query_index=1) != first).all()
+
+
+def test_noise_depends_on_seed_and_query_alone(serving):
+    client = serving(Noisy())
+    client.reset("a", seed=3)
+    client.reset("b", seed=3)
+    client.reset("c", seed=4)
+    forward = [client.infer("a", index) for index in (0, 1, 2)]
+    backward = [client.infer("b", index) for index in (2, 1, 0)][::-1]
+    assert np.array_equal(forward, backward)
+    assert (client.infer("c", 0) != forward[0]).any()
+
+
+def test_episodes_do_not_share_memory(serving):
+    class Counting(Policy):
+        description = Description(name="counting", stateful=True)
+
+        def reset(self, episode):
+            episode.memory = 0
+
+        def infer(self, observation):
+            observation.episode.memory += 1
+            return np.full(7, observation.episode.memory / 10)
+
+    client = serving(Counting())
+    client.reset("a")
+    client.reset("b")
+    answers = [client.infer(session, index)[0, 0] for index in (0, 1) for session in "ab"]
+    assert np.allclose(answers, [0.1, 0.1, 0.2, 0.2])
+    # Neither a retry nor a query out of order advances a stateful policy.
+    assert np.isclose(client.infer("a", 1)[0, 0], 0.2)
+    code, text = refusal(client.infer, "a", 5)
+    assert code == grpc.StatusCode.FAILED_PRECONDITION and "query 2 is next" in text
+    assert np.isclose(client.infer("a", 2)[0, 0], 0.3)
+    client.reset("a")
+    assert np.isclose(client.infer("a", 0)[0, 0], 0.1)
+
+
+@pytest.mark.parametrize(
+    ("answer", "expected"),
+    [
+        (np.full((1, 7), np.nan), "component 0 of action 0 is nan"),
+        (np.zeros((1, 6)), "[1, 6]"),
+        (np.zeros((0, 7)), "0 actions"),
+        (np.zeros((3, 7)), "3 actions"),
+        ("left", "no array of numbers"),
+        (RuntimeError("CUDA error:\nout of memory"), "RuntimeError: CUDA error: out of memory"),
+    ],
+)
+def test_a_policy_that_fails_names_itself_the_session_and_the_query(serving, answer, expected):
+    client = serving(Answering(answer))
+    client.reset("object/t0/clean/L0/c00#r0#a1")
+    code, text = refusal(client.infer, "object/t0/clean/L0/c00#r0#a1", 9)
+    assert code == grpc.StatusCode.INTERNAL
+    for part in (expected, "'crooked'", "'object/t0/clean/L0/c00#r0#a1'", "query 9"):
+        assert part in text
+
+
+def test_a_reset_that_raises_names_the_session(serving):
+    class Refusing(Answering):
+        def reset(self, episode):
+            raise KeyError(episode.instruction)
+
+    code, text = refusal(serving(Refusing(None)).reset, "s", instruction="fly")
+    assert code == grpc.StatusCode.INTERNAL
+    assert "'s'" in text and "KeyError: 'fly'" in text
+
+
+def test_a_session_that_was_never_opened_is_an_outage(serving):
+    code, text = refusal(serving(Noisy()).infer, "unheard-of")
+    assert code == grpc.StatusCode.UNAVAILABLE
+    assert "'unheard-of'" in text
+
+
+def test_one_query_of_a_batch_fails_alone_and_neighbours_change_nothing(serving):
+    class Batched(Noisy):
+        description = Description(name="batched", horizon=4, stochastic=True, max_batch=3)
+        sizes = []
+
+        def infer_batch(self, observations):
+            self.sizes.append(len(observations))
+            return super().infer_batch(observations)
+
+    policy = Batched()
+    client = serving(policy)
+    for session in "abc":
+        client.reset(session, seed=ord(session))
+    alone = client.infer("c", 1)
+    queries = [client.request("a", 1), client.request("b", 1), client.request("c", 1)]
+    results = client.stub.InferBatch(pb.InferBatchRequest(queries=queries)).results
+    assert policy.sizes == [2]  # c is answered from memory
+    assert np.allclose(results[2].response.actions, alone.ravel())
+    client.reset("d", seed=ord("a"))
+    assert np.allclose(results[0].response.actions, client.infer("d", 1).ravel())
+
+    code, text = refusal(client.stub.InferBatch, pb.InferBatchRequest(queries=queries * 2))
+    assert code == grpc.StatusCode.INVALID_ARGUMENT and "at most 3" in text
+
+
+def test_the_health_service_answers(serving):
+    call = serving(Noisy()).channel.unary_unary("/grpc.health.v1.Health/Check")
+    name = b"rollout.policy.v1.Policy"
+    assert call(b"") == b"\x08\x01"
+    assert call(b"\x0a" + bytes([len(name)]) + name) == b"\x08\x01"
+    assert refusal(call, b"\x0a\x03abc")[0] == grpc.StatusCode.NOT_FOUND
+
+
+def test_a_port_that_is_taken_is_named():
+    first = start(Noisy())
+    try:
+        with pytest.raises(OSError, match=re.escape(first.address)):
+            start(Noisy(), first.address)
+    finally:
+        first.stop(0)
+
+
+def test_a_description_that_cannot_be_true_is_refused_when_it_is_made():
+    with pytest.raises(ValueError, match="execute is 9 and horizon 8"):
+        Description(name="p", horizon=8, execute=9)
+    with pytest.raises(ValueError, match="a policy needs a name"):
+        Description(name="")
+
+
+def test_the_example_names_its_port_serves_and_stops_on_sigterm():
+    command = [sys.executable, "-m", "rollout_policies.examples.colour_servo"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        line = process.stdout.readline()
+        client = Client(re.fullmatch(r"listening on (127\.0\.0\.1:\d+)\n", line)[1])
+        assert client.describe().name == "colour-servo"
+        client.channel.close()
+        os.kill(process.pid, signal.SIGTERM)
+        assert process.wait(timeout=30) == 0
