@@ -126,14 +126,10 @@ impl Environment {
         &self.data
     }
 
-    /// The state, to be set by hand.
-    pub fn data_mut(&mut self) -> &mut Data {
-        &mut self.data
-    }
-
-    /// Brings the computed quantities up to date with a state set by hand.
-    pub fn forward(&mut self) {
-        self.data.forward(&self.model);
+    /// The model beside its state, to be posed by hand; [`load`](Self::load)
+    /// starts over.
+    pub fn model_and_data(&mut self) -> (&Model, &mut Data) {
+        (&self.model, &mut self.data)
     }
 
     /// Starts over from a state vector (time, qpos, qvel) of the right width,

@@ -67,14 +67,9 @@ pub enum SimError {
         /// Why not.
         problem: String,
     },
-    /// The perturbation cannot be applied.
-    #[error("apply the {axis} perturbation: {problem}")]
-    Perturbation {
-        /// Which axis.
-        axis: &'static str,
-        /// Why not.
-        problem: String,
-    },
+    /// A policy wants to look through a camera that the protocol does not give.
+    #[error("look through camera `{0}`: policies have agentview and robot0_eye_in_hand")]
+    Camera(String),
     /// OpenGL cannot be opened or used.
     #[error("draw off-screen: {problem}; {remedy}")]
     Graphics {

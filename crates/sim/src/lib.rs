@@ -8,16 +8,23 @@
 
 pub mod controller;
 pub mod environment;
+pub mod episode;
 pub mod error;
 pub mod mujoco;
 pub mod observation;
+pub mod perturb;
 pub mod predicates;
+mod privileged;
 pub mod render;
+pub mod simulator;
 
 pub use environment::Environment;
+pub use episode::{Digests, Episode};
 pub use error::SimError;
 pub use observation::{
     CameraRequest, Entity, EntityKind, Frame, Observation, ObservationRequest, Privileged,
     RobotState,
 };
+pub use perturb::IkSolution;
 pub use render::{GlContext, GlDevice};
+pub use simulator::{Simulator, SimulatorConfig};

@@ -1,0 +1,275 @@
+//! One rollout as the protocol orders it: the perturbed scene at its initial
+//! state, then observations and actions, each through its perturbation.
+
+use nalgebra::Matrix3;
+use protocol::streams::Randomness;
+use protocol::{Axis, ManifestRow, Realisation, RobotShift};
+
+use crate::controller::{ARM_JOINTS, GRIP_SITE};
+use crate::error::SimError;
+use crate::mujoco::{Data, ObjectKind};
+use crate::observation::{Frame, Observation, ObservationRequest};
+use crate::perturb::{
+    ActuationStage, ArmState, FrameSource, IkSolution, Jacobian, JointRange, Light, Lighting,
+    PerturbationDigest, SensorStage, shift_camera, shift_lighting, solve_shifted_pose,
+};
+use crate::privileged;
+use crate::simulator::{PERTURBED_CAMERA, ReadyScene, Simulator};
+use crate::{Environment, perturb};
+
+/// The action that does nothing and keeps the gripper open.
+pub const NO_OP: [f64; 7] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0];
+/// The camera on the hand.
+const WRIST_CAMERA: &str = "robot0_eye_in_hand";
+
+/// What identifies a rollout's circumstances; each is hexadecimal SHA-256.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Digests {
+    /// Of the composed scene, fixtures placed.
+    pub scene: String,
+    /// Of the released initial state, before any robot perturbation.
+    pub init_state: String,
+    /// Of the perturbation as realised, axis by axis; empty for nominal ones.
+    pub perturbation: String,
+}
+
+/// A rollout in hand.
+pub struct Episode<'a> {
+    simulator: &'a mut Simulator,
+    digests: Digests,
+    ik: Option<IkSolution>,
+    sensor: Option<SensorStage>,
+    actuation: Option<ActuationStage>,
+    settle_steps: u32,
+    policy_steps: u32,
+}
+
+impl<'a> Episode<'a> {
+    /// Loads the initial state into the scene at hand and perturbs it.
+    pub(crate) fn begin(
+        simulator: &'a mut Simulator,
+        row: &ManifestRow,
+        realisation: Realisation,
+    ) -> Result<Self, SimError> {
+        let ready = simulator.ready();
+        let perturbation = &row.perturbation;
+        let mut digest = PerturbationDigest::default();
+        let mut state = ready.state(row.init_id)?.to_vec();
+        let ik = perturbation
+            .robot
+            .map(|shift| displaced_arm(&mut ready.environment, &state, &shift));
+        if let (Some(ik), Some(shift)) = (&ik, &perturbation.robot) {
+            // After the time come the positions, and the arm's come first.
+            state[1..=ARM_JOINTS].copy_from_slice(ik.joints.as_slice());
+            digest.add(Axis::Robot, &shift.values(), ik.joints.as_slice());
+        }
+        ready.environment.load(&state);
+        if let Some(shift) = &perturbation.camera {
+            digest.add(Axis::Camera, &shift.values(), &apply_camera(ready, shift)?);
+        }
+        if let Some(shift) = &perturbation.lighting {
+            digest.add(
+                Axis::Lighting,
+                &shift.values(),
+                &apply_lighting(ready, shift),
+            );
+        }
+        let randomness = |axis| Randomness::of(&row.id, axis, realisation);
+        let sensor = perturbation.sensor.map(|corruption| {
+            let stage = SensorStage::new(&corruption, &randomness(Axis::Sensor));
+            digest.add(Axis::Sensor, &corruption.values(), &stage.realised());
+            stage
+        });
+        let actuation = perturbation.actuation.map(|distortion| {
+            let rms = row.id.task().suite().demo_action_rms();
+            let stage = ActuationStage::new(&distortion, rms, &randomness(Axis::Actuation));
+            digest.add(Axis::Actuation, &distortion.values(), &stage.realised());
+            stage
+        });
+        let init_id = usize::from(row.init_id);
+        let digests = Digests {
+            scene: ready.digest.clone(),
+            init_state: ready.states.digest(init_id).expect("it was loaded"),
+            perturbation: digest.to_string(),
+        };
+        Ok(Self {
+            simulator,
+            digests,
+            ik,
+            sensor,
+            actuation,
+            settle_steps: row.settle_steps,
+            policy_steps: 0,
+        })
+    }
+
+    /// What identifies the rollout's circumstances.
+    pub fn digests(&self) -> &Digests {
+        &self.digests
+    }
+
+    /// How the robot axis found its posture, where it is perturbed.
+    pub fn ik(&self) -> Option<&IkSolution> {
+        self.ik.as_ref()
+    }
+
+    /// Lets the scene come to rest: the released states float their objects.
+    pub fn settle(&mut self) -> Result<(), SimError> {
+        for _ in 0..self.settle_steps {
+            self.environment().step(&NO_OP)?;
+        }
+        Ok(())
+    }
+
+    /// One control step with the policy's action, in -1..1. True if the goal
+    /// holds after it.
+    pub fn step(&mut self, action: &[f64; 7]) -> Result<bool, SimError> {
+        let action = match &mut self.actuation {
+            Some(stage) => stage.apply(action),
+            None => *action,
+        };
+        self.policy_steps += 1;
+        self.environment().step(&action)
+    }
+
+    /// What the policy sees now. Draws only what is asked for.
+    pub fn observe(&mut self, request: &ObservationRequest) -> Result<Observation, SimError> {
+        let mut frames = Vec::with_capacity(request.cameras.len());
+        for camera in &request.cameras {
+            let source = frame_source(&camera.name)?;
+            let mut frame = self.photograph(&camera.name, camera.width, camera.height)?;
+            if let Some(stage) = &mut self.sensor {
+                stage.apply(&mut perturb::Frame {
+                    source,
+                    step: self.policy_steps,
+                    width: frame.width as usize,
+                    height: frame.height as usize,
+                    rgb: &mut frame.rgb,
+                });
+            }
+            frames.push(frame);
+        }
+        let environment = self.environment();
+        let privileged = if request.privileged {
+            Some(privileged::read(environment)?)
+        } else {
+            None
+        };
+        Ok(Observation {
+            frames,
+            robot: environment.robot_state(),
+            privileged,
+        })
+    }
+
+    /// What a camera of the scene sees, without the sensor's perturbation: for
+    /// videos.
+    pub fn photograph(&mut self, camera: &str, width: u32, height: u32) -> Result<Frame, SimError> {
+        let (ready, gl) = self.simulator.ready_to_draw()?;
+        ready.environment.draw(gl, camera, width, height)
+    }
+
+    /// The scene's environment, to be looked at.
+    pub fn environment(&mut self) -> &mut Environment {
+        &mut self.simulator.ready().environment
+    }
+}
+
+fn frame_source(camera: &str) -> Result<FrameSource, SimError> {
+    match camera {
+        PERTURBED_CAMERA => Ok(FrameSource::Agentview),
+        WRIST_CAMERA => Ok(FrameSource::Wrist),
+        other => Err(SimError::Camera(other.to_owned())),
+    }
+}
+
+/// Moves the camera; returns what became of it.
+fn apply_camera(
+    ready: &mut ReadyScene,
+    shift: &protocol::CameraShift,
+) -> Result<[f64; 7], SimError> {
+    let pose = shift_camera(&ready.camera, ready.look_at, shift);
+    let model = ready.environment.model_mut();
+    let camera = model.id(ObjectKind::Camera, PERTURBED_CAMERA)?;
+    model.cam_pos_mut()[camera * 3..][..3].copy_from_slice(&pose.position);
+    model.cam_quat_mut()[camera * 4..][..4].copy_from_slice(&pose.quat_wxyz);
+    let ([x, y, z], [qw, qx, qy, qz]) = (pose.position, pose.quat_wxyz);
+    Ok([x, y, z, qw, qx, qy, qz])
+}
+
+/// Changes the lights; returns what became of them.
+fn apply_lighting(ready: &mut ReadyScene, shift: &protocol::LightingShift) -> Vec<f64> {
+    let look_at = ready.look_at;
+    let model = ready.environment.model_mut();
+    let wide = |values: &[f32], light: usize| -> [f64; 3] {
+        std::array::from_fn(|channel| f64::from(values[light * 3 + channel]))
+    };
+    let triple = |values: &[f64], light: usize| -> [f64; 3] {
+        std::array::from_fn(|axis| values[light * 3 + axis])
+    };
+    let lights = (0..model.count(ObjectKind::Light)).map(|light| Light {
+        position: triple(model.light_pos(), light),
+        direction: triple(model.light_dir(), light),
+        diffuse: wide(model.light_diffuse(), light),
+        specular: wide(model.light_specular(), light),
+    });
+    let nominal = Lighting {
+        lights: lights.collect(),
+        headlight_ambient: model.headlight_ambient().map(f64::from),
+    };
+    let shifted = shift_lighting(&nominal, look_at, shift);
+    let mut realised = shifted.headlight_ambient.to_vec();
+    model.set_headlight_ambient(shifted.headlight_ambient.map(|channel| channel as f32));
+    for (index, light) in shifted.lights.iter().enumerate() {
+        let at = index * 3;
+        model.light_pos_mut()[at..][..3].copy_from_slice(&light.position);
+        model.light_dir_mut()[at..][..3].copy_from_slice(&light.direction);
+        let narrow = |colour: [f64; 3]| colour.map(|channel| channel as f32);
+        model.light_diffuse_mut()[at..][..3].copy_from_slice(&narrow(light.diffuse));
+        model.light_specular_mut()[at..][..3].copy_from_slice(&narrow(light.specular));
+        for part in [
+            light.position,
+            light.direction,
+            light.diffuse,
+            light.specular,
+        ] {
+            realised.extend(part);
+        }
+    }
+    realised
+}
+
+/// Finds the arm's joints for a displaced end-effector, starting from a state.
+fn displaced_arm(environment: &mut Environment, state: &[f64], shift: &RobotShift) -> IkSolution {
+    environment.load(state);
+    let nominal = perturb::JointVector::from_column_slice(&state[1..=ARM_JOINTS]);
+    let range = environment.model().jnt_range();
+    let ranges: [JointRange; ARM_JOINTS] =
+        std::array::from_fn(|joint| [range[joint * 2], range[joint * 2 + 1]]);
+    let site = environment
+        .model()
+        .id(ObjectKind::Site, GRIP_SITE)
+        .expect("the controller has it");
+    let kinematics = |joints: &perturb::JointVector| {
+        let (model, data) = environment.model_and_data();
+        data.qpos_mut(model)[..ARM_JOINTS].copy_from_slice(joints.as_slice());
+        data.kinematics(model);
+        data.com_pos(model);
+        arm_state(model, data, site)
+    };
+    solve_shifted_pose(kinematics, &nominal, &ranges, shift)
+}
+
+fn arm_state(model: &crate::mujoco::Model, data: &Data, site: usize) -> ArmState {
+    let nv = model.nv();
+    let (mut pos, mut rot) = (vec![0.0; 3 * nv], vec![0.0; 3 * nv]);
+    data.site_jacobian(model, site, &mut pos, &mut rot);
+    ArmState {
+        position: nalgebra::Vector3::from_column_slice(&data.site_xpos(model)[site * 3..][..3]),
+        rotation: Matrix3::from_row_slice(&data.site_xmat(model)[site * 9..][..9]),
+        jacobian: Jacobian::from_fn(|row, joint| {
+            let rows = if row < 3 { &pos } else { &rot };
+            rows[(row % 3) * nv + joint]
+        }),
+    }
+}
