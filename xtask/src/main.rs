@@ -1,1 +1,69 @@
-fn main() {}
+//! What the README's commands call: `cargo xtask setup|demo|test|parity`. Each
+//! does whatever it needs by itself, and nothing twice.
+
+#![forbid(unsafe_code)]
+
+mod cargo;
+mod demo;
+mod packages;
+mod process;
+mod setup;
+mod step;
+mod test;
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+/// The project's own commands.
+#[derive(Parser)]
+#[command(name = "cargo xtask")]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Fetch and check what building and simulating need; idempotent.
+    Setup,
+    /// Run a small campaign end to end and print its paired table.
+    Demo(demo::Options),
+    /// Run all tests, with cargo-nextest where it is installed.
+    Test {
+        /// Passed on to the test runner, for example a name to filter by.
+        #[arg(last = true)]
+        filters: Vec<String>,
+    },
+    /// Compare the simulator with reference data of the original LIBERO.
+    Parity {
+        /// Passed on: --reference DIR --assets DIR [--tasks SUITE/N,…].
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        arguments: Vec<String>,
+    },
+}
+
+fn main() -> ExitCode {
+    let outcome = match Arguments::parse().command {
+        Command::Setup => setup::run(&root()).map(|_| ()),
+        Command::Demo(options) => demo::run(&root(), &options),
+        Command::Test { filters } => test::run(&root(), &filters),
+        Command::Parity { arguments } => test::parity(&root(), &arguments),
+    };
+    match outcome {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: failed to {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// The workspace's folder.
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .parent()
+        .expect("xtask is in the workspace")
+        .to_owned()
+}

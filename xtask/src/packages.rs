@@ -1,0 +1,239 @@
+//! The Python wheels that the simulator takes files from. None of them is
+//! installed, and no Python package is ever imported: they are archives.
+
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, Result, bail, ensure};
+use sha2::{Digest, Sha256};
+
+use crate::process::capture;
+
+/// A wheel and what is taken from it.
+pub(crate) struct Wheel {
+    /// Name and version as pip takes them.
+    pub(crate) requirement: &'static str,
+    /// File name, or what it contains, of the wheel for this machine.
+    file: &'static str,
+    sha256: &'static str,
+    /// Folder below the cache that it is unpacked into.
+    into: &'static str,
+    /// Folders and files inside the wheel, and where they go.
+    taken: &'static [(&'static str, &'static str)],
+}
+
+/// Interpreter tag of the wheels with native code; fixed, so that every machine
+/// fetches the same files whatever Python it has.
+const PYTHON_TAGS: [&str; 6] = [
+    "--implementation",
+    "cp",
+    "--python-version",
+    "3.11",
+    "--abi",
+    "cp311",
+];
+
+#[cfg(target_arch = "x86_64")]
+const MUJOCO: (&str, &str) = (
+    "mujoco-3.3.7-cp311-cp311-manylinux_2_27_x86_64.manylinux_2_28_x86_64.whl",
+    "9371506f0df2d82152685fc8d38465843abcea8d371745ea7c125001e8f3f2d8",
+);
+#[cfg(target_arch = "aarch64")]
+const MUJOCO: (&str, &str) = (
+    "mujoco-3.3.7-cp311-cp311-manylinux_2_27_aarch64.manylinux_2_28_aarch64.whl",
+    "9381bf5364eb2da86f0b1388c98b57e706123c8370660f977004fb5f94ef900f",
+);
+
+/// All wheels. Digests are those of the files on PyPI.
+pub(crate) const WHEELS: [Wheel; 3] = [
+    Wheel {
+        requirement: "mujoco==3.3.7",
+        file: MUJOCO.0,
+        sha256: MUJOCO.1,
+        into: "mujoco-3.3.7",
+        taken: &[
+            ("mujoco/libmujoco.so.3.3.7", "libmujoco.so.3.3.7"),
+            ("mujoco/include/", "include/"),
+        ],
+    },
+    Wheel {
+        requirement: "robosuite==1.4.0",
+        file: "robosuite-1.4.0-py3-none-any.whl",
+        sha256: "aba065e7b36745738cede259457b2cb349427f3608728d867ef3a2034cb62994",
+        into: "sources/robosuite",
+        taken: &[
+            ("robosuite/models/assets/base.xml", "base.xml"),
+            ("robosuite/models/assets/robots/panda/", "robots/panda/"),
+            (
+                "robosuite/models/assets/grippers/panda_gripper.xml",
+                "grippers/panda_gripper.xml",
+            ),
+            (
+                "robosuite/models/assets/grippers/meshes/panda_gripper/",
+                "grippers/meshes/panda_gripper/",
+            ),
+            (
+                "robosuite/models/assets/mounts/rethink_mount.xml",
+                "mounts/rethink_mount.xml",
+            ),
+            (
+                "robosuite/models/assets/mounts/null_mount.xml",
+                "mounts/null_mount.xml",
+            ),
+            (
+                "robosuite/models/assets/mounts/meshes/rethink_mount/",
+                "mounts/meshes/rethink_mount/",
+            ),
+        ],
+    },
+    Wheel {
+        requirement: "hf-libero==0.1.4",
+        file: "hf_libero-0.1.4-py3-none-any.whl",
+        sha256: "207f76e2f28bff30f78132223d8592fe8f64b1f8fd90ce7024948ada0d7e2c27",
+        into: "sources/libero",
+        taken: &[
+            ("libero/libero/bddl_files/", "bddl_files/"),
+            ("libero/libero/init_files/", "init_files/"),
+        ],
+    },
+];
+
+/// Written last into an unpacked folder; holds the wheel's digest.
+const STAMP: &str = ".unpacked";
+
+impl Wheel {
+    /// Fetches, checks and unpacks the wheel below `cache`, unless that has
+    /// been done; says which.
+    pub(crate) fn provide(&self, cache: &Path) -> Result<&'static str> {
+        let target = cache.join(self.into);
+        if std::fs::read_to_string(target.join(STAMP)).is_ok_and(|stamp| stamp == self.sha256) {
+            return Ok("already there");
+        }
+        let wheel = cache.join("wheels").join(self.file);
+        let fetched = !wheel.is_file();
+        if fetched {
+            self.fetch(&cache.join("wheels"))?;
+        }
+        self.check(&wheel)?;
+        self.unpack(&wheel, &target)?;
+        Ok(if fetched {
+            "fetched, checked, unpacked"
+        } else {
+            "checked, unpacked"
+        })
+    }
+
+    fn fetch(&self, wheels: &Path) -> Result<()> {
+        let mut pip = Command::new("python3");
+        pip.args([
+            "-m",
+            "pip",
+            "download",
+            "--quiet",
+            "--disable-pip-version-check",
+            "--no-deps",
+        ])
+        .args(["--only-binary", ":all:"])
+        .args(PYTHON_TAGS);
+        for glibc in ["2_28", "2_27"] {
+            pip.args([
+                "--platform",
+                &format!("manylinux_{glibc}_{}", std::env::consts::ARCH),
+            ]);
+        }
+        pip.arg("--dest").arg(wheels).arg(self.requirement);
+        capture(&mut pip).with_context(|| {
+            format!(
+                "download {} (is the package index reachable?)",
+                self.requirement
+            )
+        })?;
+        ensure!(
+            wheels.join(self.file).is_file(),
+            "download {}: pip brought another file than {}",
+            self.requirement,
+            self.file
+        );
+        Ok(())
+    }
+
+    fn check(&self, wheel: &Path) -> Result<()> {
+        let mut file = File::open(wheel).with_context(|| format!("read {}", wheel.display()))?;
+        let mut hash = Sha256::new();
+        let mut block = vec![0; 1 << 20];
+        loop {
+            let count = file.read(&mut block)?;
+            if count == 0 {
+                break;
+            }
+            hash.update(&block[..count]);
+        }
+        let found: String = hash
+            .finalize()
+            .iter()
+            .map(|byte| format!("{byte:02x}"))
+            .collect();
+        if found != self.sha256 {
+            bail!(
+                "check {}: its SHA-256 is {found}, expected {}; delete the file and run this again",
+                wheel.display(),
+                self.sha256
+            );
+        }
+        Ok(())
+    }
+
+    /// Unpacks aside and renames, so that an interrupted run leaves nothing
+    /// that looks whole.
+    fn unpack(&self, wheel: &Path, target: &Path) -> Result<()> {
+        let aside = target.with_extension("unpacking");
+        remove(&aside)?;
+        let file = File::open(wheel).with_context(|| format!("read {}", wheel.display()))?;
+        let mut archive =
+            zip::ZipArchive::new(file).with_context(|| format!("open {}", wheel.display()))?;
+        let mut count = 0;
+        for index in 0..archive.len() {
+            let mut member = archive.by_index(index)?;
+            let Some(path) = self.destination(&aside, &member.name()?) else {
+                continue;
+            };
+            let folder = path.parent().expect("inside the target");
+            std::fs::create_dir_all(folder)
+                .with_context(|| format!("make {}", folder.display()))?;
+            let mut out =
+                File::create(&path).with_context(|| format!("write {}", path.display()))?;
+            std::io::copy(&mut member, &mut out)
+                .with_context(|| format!("write {}", path.display()))?;
+            count += 1;
+        }
+        ensure!(
+            count > 0,
+            "unpack {}: it lacks what is needed",
+            wheel.display()
+        );
+        std::fs::write(aside.join(STAMP), self.sha256)?;
+        remove(target)?;
+        std::fs::rename(&aside, target).with_context(|| format!("make {}", target.display()))
+    }
+
+    fn destination(&self, target: &Path, member: &str) -> Option<PathBuf> {
+        let (from, to) = self
+            .taken
+            .iter()
+            .find(|(from, _)| member.starts_with(from))?;
+        let rest = &member[from.len()..];
+        let inside = !member.ends_with('/') && !rest.split('/').any(|part| part == "..");
+        inside.then(|| target.join(format!("{to}{rest}")))
+    }
+}
+
+fn remove(dir: &Path) -> Result<()> {
+    match std::fs::remove_dir_all(dir) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+            Err(error).with_context(|| format!("remove {}", dir.display()))
+        }
+        _ => Ok(()),
+    }
+}

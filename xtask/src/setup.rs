@@ -1,0 +1,121 @@
+//! Everything that must be on a machine before the workspace can be built and
+//! frames can be drawn.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, Result, bail};
+
+use crate::packages::WHEELS;
+use crate::process::{capture, run as run_command};
+use crate::step::step;
+
+/// Debian packages that drawing off-screen needs at run time, and the library
+/// whose presence says that they are installed.
+const GL_PACKAGES: [&str; 5] = [
+    "libegl1",
+    "libegl-mesa0",
+    "libgl1-mesa-dri",
+    "libgl1",
+    "libopengl0",
+];
+const GL_LIBRARIES: [&str; 3] = ["libEGL.so.1", "libGL.so.1", "libOpenGL.so.0"];
+
+/// Sets the machine up; every step is skipped that has been done before.
+/// Returns the folder for whatever outlasts a build.
+pub(crate) fn run(root: &Path) -> Result<PathBuf> {
+    println!("Setting up");
+    let cache = cache_dir()?;
+    step("tools", tools)?;
+    for wheel in &WHEELS {
+        step(wheel.requirement, || wheel.provide(&cache))?;
+    }
+    step("libmujoco for the linker", || link_mujoco(root, &cache))?;
+    step("OpenGL without a screen", gl_packages)?;
+    Ok(cache)
+}
+
+fn cache_dir() -> Result<PathBuf> {
+    let cache = std::env::var_os("XDG_CACHE_HOME")
+        .map(PathBuf::from)
+        .or_else(|| std::env::var_os("HOME").map(|home| Path::new(&home).join(".cache")));
+    let cache = cache
+        .context("find a cache folder: set HOME or XDG_CACHE_HOME")?
+        .join("rollout");
+    std::fs::create_dir_all(&cache).with_context(|| format!("make {}", cache.display()))?;
+    Ok(cache)
+}
+
+fn tools() -> Result<String> {
+    let pip = capture(Command::new("python3").args(["-m", "pip", "--version"]))
+        .context("find Python 3 with pip (Debian: `apt-get install python3-pip`)")?;
+    capture(Command::new("cc").arg("--version"))
+        .context("find a C compiler (Debian: `apt-get install build-essential`)")?;
+    let version = pip.split_whitespace().nth(1).unwrap_or("?").to_owned();
+    Ok(format!("cc, pip {version}"))
+}
+
+/// Makes `.deps/mujoco`, which `.cargo/config.toml` names to the build.
+fn link_mujoco(root: &Path, cache: &Path) -> Result<&'static str> {
+    let library = cache.join("mujoco-3.3.7");
+    let plain = library.join("libmujoco.so");
+    if !plain.exists() {
+        std::os::unix::fs::symlink("libmujoco.so.3.3.7", &plain)
+            .with_context(|| format!("make {}", plain.display()))?;
+    }
+    let link = root.join(".deps/mujoco");
+    if std::fs::read_link(&link).is_ok_and(|target| target == library) {
+        return Ok("already there");
+    }
+    std::fs::create_dir_all(root.join(".deps"))?;
+    if link.is_dir() && !link.is_symlink() {
+        std::fs::remove_dir_all(&link)
+    } else {
+        std::fs::remove_file(&link)
+    }
+    .or_else(|error| match error.kind() {
+        std::io::ErrorKind::NotFound => Ok(()),
+        _ => Err(error),
+    })
+    .with_context(|| format!("replace {}", link.display()))?;
+    std::os::unix::fs::symlink(&library, &link)
+        .with_context(|| format!("make {}", link.display()))?;
+    Ok("linked")
+}
+
+fn gl_packages() -> Result<&'static str> {
+    if gl_libraries_present() {
+        return Ok("already there");
+    }
+    let install = format!("apt-get install --yes {}", GL_PACKAGES.join(" "));
+    let is_root = capture(Command::new("id").arg("-u")).is_ok_and(|id| id == "0");
+    if !is_root {
+        bail!("install the EGL run-time packages: run `sudo {install}`, then this again");
+    }
+    let quiet = |arguments: &[&str]| {
+        let mut apt = Command::new("apt-get");
+        apt.args(arguments).env("DEBIAN_FRONTEND", "noninteractive");
+        capture(&mut apt).with_context(|| format!("install packages (by hand: `{install}`)"))
+    };
+    quiet(&["update"])?;
+    quiet(
+        &[
+            &["install", "--yes", "--no-install-recommends"][..],
+            &GL_PACKAGES,
+        ]
+        .concat(),
+    )?;
+    run_command(&mut Command::new("ldconfig"))?;
+    if !gl_libraries_present() {
+        bail!("find {} after installing them", GL_LIBRARIES.join(", "));
+    }
+    Ok("installed")
+}
+
+fn gl_libraries_present() -> bool {
+    let known = ["ldconfig", "/sbin/ldconfig"]
+        .iter()
+        .find_map(|program| capture(Command::new(program).arg("-p")).ok())
+        .unwrap_or_default();
+    GL_LIBRARIES.iter().all(|library| known.contains(library))
+}

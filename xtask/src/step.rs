@@ -1,0 +1,36 @@
+//! One line per step: what is being done, then how it went.
+
+use std::fmt::Display;
+use std::io::{IsTerminal, Write};
+use std::time::Instant;
+
+use anyhow::Result;
+
+/// Width of the column that says what is being done.
+const WIDTH: usize = 34;
+
+/// Runs a step that says in a few words how it went.
+pub(crate) fn step<T: Display>(what: &str, work: impl FnOnce() -> Result<T>) -> Result<T> {
+    let mut out = std::io::stdout();
+    // On a terminal the line is there before its outcome is.
+    if out.is_terminal() {
+        let _ = write!(out, "  {what:<WIDTH$} …");
+        let _ = out.flush();
+    }
+    let start = Instant::now();
+    let outcome = work();
+    let begin = if out.is_terminal() { "\r" } else { "" };
+    match &outcome {
+        Ok(result) => {
+            let secs = start.elapsed().as_secs();
+            let time = if secs > 0 {
+                format!(" ({secs} s)")
+            } else {
+                String::new()
+            };
+            println!("{begin}  {what:<WIDTH$} {result}{time}");
+        }
+        Err(_) => println!("{begin}  {what:<WIDTH$} failed"),
+    }
+    outcome
+}

@@ -1,0 +1,84 @@
+//! All tests of the workspace and of the Python package.
+
+use std::path::Path;
+use std::process::Command;
+
+use anyhow::{Context, Result};
+
+use crate::cargo::{build_programs, cargo};
+use crate::process::{capture, run as run_command};
+use crate::setup;
+use crate::step::step;
+
+/// What the Python package's tests import.
+const PYTHON_TEST_PACKAGES: [&str; 1] = ["pytest"];
+
+/// Sets up, builds and runs everything.
+pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
+    let cache = setup::run(root)?;
+    // The end-to-end tests start the real programs.
+    let programs = build_programs(root)?;
+    let python = step("Python environment for policies/", || python(root, &cache))?;
+    println!("Testing");
+    let nextest = capture(cargo(root).args(["nextest", "--version"])).is_ok();
+    let mut tests = cargo(root);
+    match nextest {
+        true => tests.args(["nextest", "run", "--workspace"]).args(filters),
+        false => tests.args(["test", "--workspace"]).args(filters),
+    };
+    tests
+        .env("ROLLOUT_PROGRAMS", &programs)
+        .env("ROLLOUT_PYTHON", &python);
+    run_command(&mut tests)?;
+    if filters.is_empty() {
+        let mut pytest = Command::new(&python);
+        run_command(
+            pytest
+                .args(["-m", "pytest", "--quiet", "-p", "no:cacheprovider"])
+                .arg(root.join("policies/tests")),
+        )?;
+    }
+    Ok(())
+}
+
+/// Builds and runs the comparison with the original.
+pub(crate) fn parity(root: &Path, arguments: &[String]) -> Result<()> {
+    setup::run(root)?;
+    println!("Comparing");
+    let mut parity = cargo(root);
+    parity.args([
+        "run",
+        "--quiet",
+        "--package",
+        "tests",
+        "--bin",
+        "parity",
+        "--",
+    ]);
+    run_command(parity.args(arguments))
+}
+
+/// A virtual environment with the policies package, editable; returns its
+/// interpreter.
+fn python(root: &Path, cache: &Path) -> Result<String> {
+    let dir = cache.join("policies-venv");
+    let python = dir.join("bin/python");
+    if !python.exists() {
+        capture(Command::new("python3").args(["-m", "venv"]).arg(&dir))
+            .context("make a virtual environment (Debian: `apt-get install python3-venv`)")?;
+    }
+    capture(
+        Command::new(&python)
+            .args([
+                "-m",
+                "pip",
+                "install",
+                "--quiet",
+                "--disable-pip-version-check",
+            ])
+            .args(PYTHON_TEST_PACKAGES)
+            .arg("--editable")
+            .arg(root.join("policies")),
+    )?;
+    Ok(python.display().to_string())
+}
