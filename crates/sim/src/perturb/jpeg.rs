@@ -1,0 +1,233 @@
+//! What JPEG compression does to a picture, without the bitstream: colour
+//! conversion, 4:2:0 chroma, discrete cosine transform and quantisation, and
+//! the way back. Entropy coding loses nothing, so it is left out.
+//!
+//! The integer arithmetic is that of libjpeg's defaults, which Pillow uses:
+//! "islow" transforms, quality-scaled Annex K tables, smooth chroma upsampling.
+//! Two JPEG libraries differ by more than the perturbation may: a picture must
+//! not depend on the decoder at hand.
+//!
+//! Sources: ITU-T T.81, Annex K; C. Loeffler, A. Ligtenberg and G. Moschytz,
+//! "Practical fast 1-D DCT algorithms with 11 multiplications" (1989); the
+//! documentation and behaviour of libjpeg-turbo 3.
+
+use super::dct::{self, Block};
+
+/// Side of a block, samples.
+const SIDE: usize = 8;
+
+/// Annex K, table K.1, row by row.
+const LUMINANCE_STEPS: [u16; 64] = [
+    16, 11, 10, 16, 24, 40, 51, 61, 12, 12, 14, 19, 26, 58, 60, 55, //
+    14, 13, 16, 24, 40, 57, 69, 56, 14, 17, 22, 29, 51, 87, 80, 62, //
+    18, 22, 37, 56, 68, 109, 103, 77, 24, 35, 55, 64, 81, 104, 113, 92, //
+    49, 64, 78, 87, 103, 121, 120, 101, 72, 92, 95, 98, 112, 100, 103, 99,
+];
+
+/// Annex K, table K.2, row by row.
+const CHROMINANCE_STEPS: [u16; 64] = [
+    17, 18, 24, 47, 99, 99, 99, 99, 18, 21, 26, 66, 99, 99, 99, 99, //
+    24, 26, 56, 99, 99, 99, 99, 99, 47, 66, 99, 99, 99, 99, 99, 99, //
+    99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, //
+    99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99,
+];
+
+/// Replaces an RGB picture of `width` × `height` pixels by what remains of it
+/// after JPEG compression at `quality`, 1 to 100.
+pub(super) fn round_trip(rgb: &mut [u8], width: usize, height: usize, quality: u8) {
+    let [mut luminance, blue, red] = to_planes(rgb, width, height);
+    luminance.quantise(&scaled(&LUMINANCE_STEPS, quality));
+    let steps = scaled(&CHROMINANCE_STEPS, quality);
+    let [blue, red] = [blue, red].map(|plane| {
+        let mut half = plane.halved();
+        half.quantise(&steps);
+        half.doubled(width, height)
+    });
+    for (y, row) in rgb.chunks_exact_mut(width * 3).enumerate() {
+        for (x, pixel) in row.chunks_exact_mut(3).enumerate() {
+            let ycc = [&luminance, &blue, &red].map(|plane| i64::from(plane.at(x, y)));
+            pixel.copy_from_slice(&to_rgb(ycc));
+        }
+    }
+}
+
+/// One colour component.
+struct Plane {
+    width: usize,
+    height: usize,
+    samples: Vec<u8>,
+}
+
+impl Plane {
+    fn at(&self, x: usize, y: usize) -> u8 {
+        self.samples[y * self.width + x]
+    }
+
+    /// The sample at a place, or the border's where it lies outside.
+    fn nearest(&self, x: usize, y: usize) -> i64 {
+        i64::from(self.at(x.min(self.width - 1), y.min(self.height - 1)))
+    }
+
+    /// Transforms, quantises and transforms back, block by block. Blocks that
+    /// stick out repeat the border.
+    fn quantise(&mut self, steps: &[i64; 64]) {
+        for top in (0..self.height).step_by(SIDE) {
+            for left in (0..self.width).step_by(SIDE) {
+                let samples: Block =
+                    std::array::from_fn(|i| self.nearest(left + i % SIDE, top + i / SIDE) - 128);
+                let mut coefficients = dct::forward(&samples);
+                for (coefficient, step) in coefficients.iter_mut().zip(steps) {
+                    *coefficient = quantised(*coefficient, *step);
+                }
+                self.set_block(left, top, &dct::inverse(&coefficients));
+            }
+        }
+    }
+
+    fn set_block(&mut self, left: usize, top: usize, block: &Block) {
+        for y in top..self.height.min(top + SIDE) {
+            for x in left..self.width.min(left + SIDE) {
+                let value = block[(y - top) * SIDE + (x - left)] + 128;
+                self.samples[y * self.width + x] = value.clamp(0, 255) as u8;
+            }
+        }
+    }
+
+    /// Means of 2 × 2 samples. The rounding alternates along a row, so that it
+    /// has no bias.
+    fn halved(&self) -> Self {
+        let (width, height) = (self.width.div_ceil(2), self.height.div_ceil(2));
+        let mut samples = Vec::with_capacity(width * height);
+        for y in 0..height {
+            for x in 0..width {
+                let sum = self.nearest(2 * x, 2 * y)
+                    + self.nearest(2 * x + 1, 2 * y)
+                    + self.nearest(2 * x, 2 * y + 1)
+                    + self.nearest(2 * x + 1, 2 * y + 1);
+                let bias = 1 + (x % 2) as i64;
+                samples.push(((sum + bias) >> 2) as u8);
+            }
+        }
+        Self {
+            width,
+            height,
+            samples,
+        }
+    }
+
+    /// Twice the size by a triangle filter: each sample is 9/16 of the nearest,
+    /// 3/16 of the two next to it, 1/16 of the one across.
+    fn doubled(&self, width: usize, height: usize) -> Self {
+        let mut samples = Vec::with_capacity(width * height);
+        for y in 0..height {
+            let near = y / 2;
+            let far = if y % 2 == 0 {
+                near.saturating_sub(1)
+            } else {
+                near + 1
+            };
+            let column = |x: usize| 3 * self.nearest(x, near) + self.nearest(x, far);
+            for x in 0..width {
+                let this = x / 2;
+                let sum = match x % 2 {
+                    0 => 3 * column(this) + column(this.saturating_sub(1)) + 8,
+                    _ => 3 * column(this) + column((this + 1).min(self.width - 1)) + 7,
+                };
+                samples.push((sum >> 4) as u8);
+            }
+        }
+        Self {
+            width,
+            height,
+            samples,
+        }
+    }
+}
+
+/// The tables at a quality: 50 as they stand, 100 all ones.
+fn scaled(steps: &[u16; 64], quality: u8) -> [i64; 64] {
+    let quality = i64::from(quality);
+    let percent = if quality < 50 {
+        5000 / quality
+    } else {
+        200 - 2 * quality
+    };
+    steps.map(|step| ((i64::from(step) * percent + 50) / 100).clamp(1, 255))
+}
+
+/// The multiple of `step` nearest to an eighth of a coefficient; the forward
+/// transform's results are eight times too large.
+fn quantised(coefficient: i64, step: i64) -> i64 {
+    let divisor = 8 * step;
+    let magnitude = (coefficient.abs() + divisor / 2) / divisor;
+    coefficient.signum() * magnitude * step
+}
+
+/// A factor with 16 fractional bits.
+const fn fixed(value: f64) -> i64 {
+    (value * 65536.0 + 0.5) as i64
+}
+
+const HALF: i64 = 1 << 15;
+
+/// Luminance, blue and red difference (JFIF).
+fn to_planes(rgb: &[u8], width: usize, height: usize) -> [Plane; 3] {
+    let convert = |weights: [i64; 3], offset: i64| Plane {
+        width,
+        height,
+        samples: rgb
+            .chunks_exact(3)
+            .map(|pixel| {
+                let sum: i64 = pixel
+                    .iter()
+                    .zip(weights)
+                    .map(|(&c, w)| i64::from(c) * w)
+                    .sum();
+                ((sum + offset) >> 16) as u8
+            })
+            .collect(),
+    };
+    // The differences round down at one half, so that white stays below 256.
+    let centre = (128 << 16) + HALF - 1;
+    [
+        convert([fixed(0.299), fixed(0.587), fixed(0.114)], HALF),
+        convert([-fixed(0.16874), -fixed(0.33126), fixed(0.5)], centre),
+        convert([fixed(0.5), -fixed(0.41869), -fixed(0.08131)], centre),
+    ]
+}
+
+fn to_rgb([luminance, blue, red]: [i64; 3]) -> [u8; 3] {
+    let (blue, red) = (blue - 128, red - 128);
+    [
+        luminance + ((fixed(1.402) * red + HALF) >> 16),
+        luminance + ((-fixed(0.34414) * blue - fixed(0.71414) * red + HALF) >> 16),
+        luminance + ((fixed(1.772) * blue + HALF) >> 16),
+    ]
+    .map(|channel| channel.clamp(0, 255) as u8)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn grey_survives_any_quality() {
+        for quality in [1, 10, 50, 75, 100] {
+            let mut rgb = vec![128; 20 * 12 * 3];
+            round_trip(&mut rgb, 20, 12, quality);
+            assert!(rgb.iter().all(|&value| value == 128), "{quality}");
+        }
+    }
+
+    #[test]
+    fn loss_grows_as_quality_falls() {
+        let original: Vec<u8> = (0..32 * 32 * 3).map(|i| (i * i % 251) as u8).collect();
+        let loss = |quality| {
+            let mut rgb = original.clone();
+            round_trip(&mut rgb, 32, 32, quality);
+            let pairs = rgb.iter().zip(&original);
+            pairs.map(|(a, b)| u64::from(a.abs_diff(*b))).sum::<u64>()
+        };
+        assert!(loss(90) < loss(50) && loss(50) < loss(10));
+    }
+}

@@ -1,0 +1,97 @@
+//! Reading the reference data.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use npyz::npz::NpzArchive;
+use protocol::presets::{PRESETS, apply_preset};
+use protocol::{Axis, Level, Perturbation};
+
+/// Float arrays by name, row by row.
+pub type Arrays = BTreeMap<String, Vec<f64>>;
+
+/// A folder of the reference data; prints what is skipped where there is none.
+pub fn folder(name: &str) -> Option<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../../shared/oracle")
+        .join(name);
+    if folder.is_dir() {
+        return Some(folder);
+    }
+    println!("skipped: {} is not here", folder.display());
+    None
+}
+
+/// The thirty presets of an axis.
+pub fn presets(axis: Axis) -> impl Iterator<Item = (Level, u16, Perturbation)> {
+    let levels = Level::PERTURBED.into_iter();
+    levels.flat_map(move |level| {
+        (0..PRESETS).map(move |config| {
+            let mut perturbation = Perturbation::default();
+            apply_preset(&mut perturbation, axis, level, config);
+            (level, config, perturbation)
+        })
+    })
+}
+
+/// The float arrays of an archive; text and integers are left out.
+pub fn arrays(path: &Path) -> Arrays {
+    let mut archive = NpzArchive::open(path).expect("an archive");
+    let names: Vec<String> = archive.array_names().map(str::to_owned).collect();
+    let mut arrays = Arrays::new();
+    for name in names {
+        let file = archive.by_name(&name).expect("readable").expect("listed");
+        let descr = file.dtype().descr();
+        let values = if descr.contains("<f8") {
+            file.into_vec::<f64>().expect("doubles")
+        } else if descr.contains("<f4") {
+            let floats = file.into_vec::<f32>().expect("floats");
+            floats.into_iter().map(f64::from).collect()
+        } else {
+            continue;
+        };
+        arrays.insert(name, values);
+    }
+    arrays
+}
+
+/// An integer array of an archive.
+pub fn integers(path: &Path, name: &str) -> Vec<i64> {
+    let mut archive = NpzArchive::open(path).expect("an archive");
+    let file = archive.by_name(name).expect("readable").expect("listed");
+    if file.dtype().descr().contains("<i4") {
+        let narrow = file.into_vec::<i32>().expect("integers");
+        return narrow.into_iter().map(i64::from).collect();
+    }
+    file.into_vec::<i64>().expect("integers")
+}
+
+/// The tasks of the reference and their model arrays: `goal_t0`, ...
+pub fn models(folder: &Path) -> Vec<(String, PathBuf)> {
+    let entries = std::fs::read_dir(folder).expect("a folder");
+    let mut models: Vec<(String, PathBuf)> = entries
+        .map(|entry| entry.expect("an entry").path())
+        .filter_map(|path| {
+            let stem = path.file_stem()?.to_str()?.strip_prefix("model_")?;
+            Some((stem.to_owned(), path.clone()))
+        })
+        .collect();
+    models.sort();
+    assert!(!models.is_empty(), "no model in {}", folder.display());
+    models
+}
+
+/// The `index`th group of `N` values.
+pub fn group<const N: usize>(values: &[f64], index: usize) -> [f64; N] {
+    let group = &values[N * index..N * (index + 1)];
+    group.try_into().expect("as many as asked for")
+}
+
+/// Panics where a value is off by more than `tolerance`.
+pub fn check_close(values: &[f64], expected: &[f64], tolerance: f64, what: &str) {
+    assert_eq!(values.len(), expected.len(), "{what}");
+    for (value, expected) in values.iter().zip(expected) {
+        let off = (value - expected).abs();
+        assert!(off <= tolerance, "{what}: {value} is not {expected}");
+    }
+}
