@@ -33,17 +33,16 @@ LEAST_SATURATION = 0.25
 BLOB_SHARE = 0.7
 #: Side of the box that smooths the saturation, pixels.
 BOX = 9
-#: Where in the frame a thing between the fingertips appears, in half-frames
-#: right of and above the middle: the camera sits 5 cm in front of the hand,
-#: 10 cm above the fingertips, with a field of view of 75 degrees.
-AIM = np.array([0.0, -0.05 / (0.10 * np.tan(np.radians(37.5)))])
+#: Where in the frame the colour is wanted, in half-frames right of and above
+#: the middle: as low as the hand, which hides the fingertips, lets it be seen.
+AIM = np.array([0.0, -0.5])
 #: Commands per half-frame of offset, and the steady descent.
 GAIN = 0.8
 DESCENT = 0.25
 #: Offset within which the hand descends, half-frames.
 CENTRED = 0.35
-#: Share of the frame that a blob fills when it is between the fingers.
-FULL = 0.25
+#: Share of the frame's width that a blob spans when the fingers are beside it.
+GRASPABLE_WIDTH = 0.18
 
 
 class ColourServo(Policy):
@@ -62,7 +61,7 @@ class ColourServo(Policy):
         blob = find_blob(observation.upright(WRIST))
         if blob is None:
             return np.array([0, 0, 0.2, 0, 0, 0, -1])  # rise, to see more
-        centre, share = blob
+        centre, width = blob
         offset = centre - AIM
         # In the hand's frame x is up in the picture, y is right in it, and z
         # is where the fingers point.
@@ -70,7 +69,7 @@ class ColourServo(Policy):
         ahead = DESCENT if np.abs(offset).max() < CENTRED else 0.0
         hand_to_world = observation.state[State.EEF_ROTATION].reshape(3, 3)
         translation = hand_to_world @ np.array([up, right, ahead])
-        gripper = 1.0 if share > FULL else -1.0
+        gripper = 1.0 if width > GRASPABLE_WIDTH else -1.0
         return np.concatenate([translation, np.zeros(3), [gripper]])
 
 
@@ -78,7 +77,7 @@ def find_blob(frame: np.ndarray) -> tuple[np.ndarray, float] | None:
     """Finds the most saturated region of an upright RGB frame.
 
     Returns its centre in half-frames right of and above the middle, and the
-    share of the frame that it fills; None if everything is grey.
+    share of the frame's width that it spans; None if everything is grey.
     """
     saturation = smooth((np.ptp(frame, axis=2) / 255.0))
     peak = saturation.max()
@@ -88,7 +87,7 @@ def find_blob(frame: np.ndarray) -> tuple[np.ndarray, float] | None:
     height, width = saturation.shape
     right = (columns.mean() + 0.5) / width * 2 - 1
     up = 1 - (rows.mean() + 0.5) / height * 2
-    return np.array([right, up]), len(rows) / saturation.size
+    return np.array([right, up]), len(np.unique(columns)) / width
 
 
 def smooth(values: np.ndarray) -> np.ndarray:
