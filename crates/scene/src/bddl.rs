@@ -151,6 +151,67 @@ impl Problem {
     }
 }
 
+/// Writes the problem as a BDDL file that parses to the same problem.
+impl fmt::Display for Problem {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let declare = |f: &mut fmt::Formatter<'_>, section: &str, all: &[Declaration]| {
+            writeln!(f, "  ({section}")?;
+            for declaration in all {
+                writeln!(f, "    {} - {}", declaration.name, declaration.category)?;
+            }
+            writeln!(f, "  )")
+        };
+        writeln!(
+            f,
+            "(define (problem {})\n  (:domain robosuite)\n  (:regions",
+            self.name
+        )?;
+        for region in &self.regions {
+            writeln!(f, "    {region}")?;
+        }
+        writeln!(f, "  )")?;
+        declare(f, ":fixtures", &self.fixtures)?;
+        declare(f, ":objects", &self.objects)?;
+        writeln!(
+            f,
+            "  (:obj_of_interest {})",
+            self.objects_of_interest.join(" ")
+        )?;
+        writeln!(f, "  (:init")?;
+        for predicate in &self.init {
+            writeln!(f, "    {predicate}")?;
+        }
+        writeln!(f, "  )\n  (:goal (and")?;
+        for predicate in &self.goal {
+            writeln!(f, "    {predicate}")?;
+        }
+        writeln!(f, "  ))\n)")
+    }
+}
+
+impl fmt::Display for Region {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let name = self
+            .name
+            .strip_prefix(&format!("{}_", self.target))
+            .unwrap_or(&self.name);
+        write!(f, "({name} (:target {})", self.target)?;
+        if !self.ranges.is_empty() {
+            write!(f, " (:ranges (")?;
+            for Rectangle { x, y } in &self.ranges {
+                write!(f, "({} {} {} {})", x[0], y[0], x[1], y[1])?;
+            }
+            write!(f, "))")?;
+        }
+        let [low, high] = self.yaw;
+        let [red, green, blue, opacity] = self.rgba;
+        write!(
+            f,
+            " (:yaw_rotation (({low} {high}))) (:rgba ({red} {green} {blue} {opacity})))"
+        )
+    }
+}
+
 fn read_words(items: &[Expression]) -> Result<Vec<String>, BddlError> {
     items
         .iter()
@@ -404,6 +465,7 @@ mod tests {
         assert_eq!(problem.name, "libero_floor_manipulation");
         assert_eq!(problem.objects.len(), 3);
         assert_eq!(problem.objects[1].category, "milk");
+        assert_eq!(Problem::parse(&problem.to_string()).unwrap(), problem);
         let region = problem.region("floor_bin_region").unwrap();
         assert_eq!(
             region.ranges,

@@ -6,8 +6,9 @@ mod arrays;
 mod data;
 mod model;
 
+use std::cell::RefCell;
 use std::ffi::{CStr, c_char};
-use std::sync::{Mutex, Once, PoisonError};
+use std::sync::Once;
 
 use mujoco_rs::mujoco_c as c;
 
@@ -22,7 +23,10 @@ pub const FATAL_EXIT_STATUS: i32 = 86;
 /// Warnings kept between two looks; more than one already ends the rollout.
 const MAX_WARNINGS: usize = 8;
 
-static WARNINGS: Mutex<Vec<String>> = Mutex::new(Vec::new());
+thread_local! {
+    /// What MuJoCo warned of on this thread, which is where it was called.
+    static WARNINGS: RefCell<Vec<String>> = const { RefCell::new(Vec::new()) };
+}
 
 /// Version of the library that is loaded, for example `3.3.7`.
 pub fn version() -> String {
@@ -45,9 +49,9 @@ pub(crate) fn install_handlers() {
     });
 }
 
-/// The warnings since the last look.
+/// The warnings on this thread since the last look.
 pub(crate) fn take_warnings() -> Vec<String> {
-    std::mem::take(&mut *WARNINGS.lock().unwrap_or_else(PoisonError::into_inner))
+    WARNINGS.take()
 }
 
 unsafe extern "C" fn on_error(message: *const c_char) {
@@ -62,8 +66,9 @@ unsafe extern "C" fn on_warning(message: *const c_char) {
     let message = unsafe { CStr::from_ptr(message) }
         .to_string_lossy()
         .into_owned();
-    let mut warnings = WARNINGS.lock().unwrap_or_else(PoisonError::into_inner);
-    if warnings.len() < MAX_WARNINGS {
-        warnings.push(message);
-    }
+    WARNINGS.with_borrow_mut(|warnings| {
+        if warnings.len() < MAX_WARNINGS {
+            warnings.push(message);
+        }
+    });
 }

@@ -1,0 +1,167 @@
+//! The simulator against the original: all of the reference data where it is
+//! there, and a few carried figures everywhere.
+
+use protocol::{ManifestRow, Perturbation, Realisation, RolloutId, TaskRef};
+use scene::{TaskFiles, compose};
+use serde::Deserialize;
+use sim::{GlContext, GlDevice, Simulator, SimulatorConfig};
+use tests::fidelity::{Limits, compare, find_tasks};
+use tests::files::{primitives, shared, sources};
+
+fn check_suite(suite: &str) {
+    let test = format!("every_reference_task_of_{suite}_agrees_with_the_original");
+    let (Some(reference), Some(assets)) = (
+        shared("oracle/tasks", &test),
+        shared("libero-assets", &test),
+    ) else {
+        return;
+    };
+    let sources = sources();
+    let pack = scene::AssetPack::open(&assets.to_string_lossy(), &sources).unwrap();
+    let gl = GlContext::open(GlDevice::Auto).unwrap();
+    let tasks = find_tasks(&reference).unwrap();
+    let mut compared = 0;
+    for task in tasks.iter().filter(|task| task.suite == suite) {
+        let findings = compare(task, &sources, &pack, &gl).unwrap();
+        let violations = findings.violations(&Limits::default());
+        assert!(violations.is_empty(), "{}: {violations:#?}", task.id());
+        compared += 1;
+    }
+    assert!(compared > 0, "the reference has no task of {suite}");
+}
+
+#[test]
+fn every_reference_task_of_libero_spatial_agrees_with_the_original() {
+    check_suite("libero_spatial");
+}
+
+#[test]
+fn every_reference_task_of_libero_object_agrees_with_the_original() {
+    check_suite("libero_object");
+}
+
+#[test]
+fn every_reference_task_of_libero_goal_agrees_with_the_original() {
+    check_suite("libero_goal");
+}
+
+#[test]
+fn every_reference_task_of_libero_10_agrees_with_the_original() {
+    check_suite("libero_10");
+}
+
+/// Figures of the original that do not depend on the asset pack's shapes.
+#[derive(Deserialize)]
+struct Figures {
+    placement: std::collections::BTreeMap<String, Vec<Pose>>,
+    arm: std::collections::BTreeMap<String, ArmMotion>,
+}
+
+#[derive(Deserialize)]
+struct Pose {
+    root_body: String,
+    pos: [f64; 3],
+    quat: [f64; 4],
+}
+
+/// Positions of arm and fingers, and the observed end-effector, after some of
+/// the reference's smooth steps.
+#[derive(Deserialize)]
+struct ArmMotion {
+    init_id: u16,
+    steps: Vec<usize>,
+    qpos: Vec<[f64; 9]>,
+    eef_pos: Vec<[f64; 3]>,
+}
+
+fn figures() -> Figures {
+    serde_json::from_str(include_str!("../data/reference_figures.json")).unwrap()
+}
+
+#[test]
+fn fixtures_are_placed_where_the_original_places_them() {
+    let sources = sources();
+    let pack = primitives(&sources);
+    for (task, poses) in figures().placement {
+        let task: TaskRef = task.parse().unwrap();
+        let problem = TaskFiles::of_task(&sources, task).problem().unwrap();
+        let scene = compose(&problem, &pack, &sources, 20260904).unwrap();
+        assert_eq!(scene.fixture_poses.len(), poses.len(), "{task}");
+        for expected in poses {
+            let ours = scene
+                .fixture_poses
+                .iter()
+                .find(|pose| pose.root_body == expected.root_body);
+            let ours = ours.unwrap_or_else(|| panic!("{task}: no {}", expected.root_body));
+            let pairs = ours.pos.iter().chain(&ours.quat);
+            for (ours, theirs) in pairs.zip(expected.pos.iter().chain(&expected.quat)) {
+                assert!(
+                    (ours - theirs).abs() < 1e-12,
+                    "{task} {}: {ours}",
+                    expected.root_body
+                );
+            }
+        }
+    }
+}
+
+/// The reference's smooth open-loop actions: a sine per component.
+fn smooth_action(step: usize) -> [f64; 7] {
+    const AMPLITUDE: [f64; 6] = [0.6, 0.6, 0.6, 0.35, 0.35, 0.35];
+    const PERIOD: [f64; 6] = [20.0, 30.0, 24.0, 40.0, 36.0, 28.0];
+    const PHASE: [f64; 6] = [0.0, 0.7, 1.4, 0.3, 1.1, 2.0];
+    let mut action = [0.0; 7];
+    for axis in 0..6 {
+        let angle = std::f64::consts::TAU * step as f64 / PERIOD[axis] + PHASE[axis];
+        action[axis] = AMPLITUDE[axis] * angle.sin();
+    }
+    action[6] = if step < 30 { -1.0 } else { 1.0 };
+    action
+}
+
+#[test]
+fn the_arm_moves_as_the_original_does_whatever_the_asset_pack() {
+    let sources = sources();
+    let pack = primitives(&sources);
+    let mut simulator = Simulator::new(SimulatorConfig {
+        sources,
+        pack,
+        gl_device: GlDevice::Auto,
+        cached_scenes: 1,
+    });
+    for (task, motion) in figures().arm {
+        let task: TaskRef = task.parse().unwrap();
+        let id: RolloutId = format!(
+            "{}/t{}/clean/L0/c{:02}",
+            task.suite().short_name(),
+            task.index(),
+            motion.init_id
+        )
+        .parse()
+        .unwrap();
+        let row = ManifestRow::new(id, motion.init_id, motion.init_id, Perturbation::default());
+        let mut episode = simulator.begin(&row, Realisation::Matched).unwrap();
+        episode.settle().unwrap();
+        let last = *motion.steps.last().unwrap();
+        for step in 0..=last {
+            if step > 0 {
+                episode.step(&smooth_action(step - 1)).unwrap();
+            }
+            let Some(index) = motion.steps.iter().position(|recorded| *recorded == step) else {
+                continue;
+            };
+            let environment = episode.environment();
+            let eef_pos = environment.robot_state().eef_pos;
+            let qpos = environment.data().qpos(environment.model());
+            let pairs = qpos.iter().zip(&motion.qpos[index]);
+            for (ours, theirs) in pairs.chain(eef_pos.iter().zip(&motion.eef_pos[index])) {
+                // The solver handles all contacts of a scene at once, so other
+                // objects show in the arm below its tolerance.
+                assert!(
+                    (ours - theirs).abs() < 1e-7,
+                    "{task}, step {step}: {ours} for {theirs}"
+                );
+            }
+        }
+    }
+}

@@ -1,0 +1,144 @@
+//! The scene layer over everything that LIBERO ships.
+
+use std::collections::HashSet;
+use std::path::PathBuf;
+
+use protocol::TaskRef;
+use scene::{AssetPack, InitialStates, Problem, SceneError, Sources, TaskFiles, compose};
+use sim::Environment;
+use sim::mujoco::ObjectKind;
+use tests::files::{primitives, shared, sources};
+
+const ENV_SEED: u32 = 20260904;
+/// BDDL files in the hf-libero wheel: 40 evaluation tasks and 90 others.
+const BDDL_FILES: usize = 130;
+
+fn bddl_files(sources: &Sources) -> Vec<PathBuf> {
+    let root = sources.dir().join("libero/bddl_files");
+    let mut files = Vec::new();
+    for suite in std::fs::read_dir(root).unwrap() {
+        for file in std::fs::read_dir(suite.unwrap().path()).unwrap() {
+            files.push(file.unwrap().path());
+        }
+    }
+    files.retain(|file| file.extension().is_some_and(|ending| ending == "bddl"));
+    files.sort();
+    files
+}
+
+#[test]
+fn every_bddl_file_is_read_and_reads_the_same_when_written_again() {
+    let files = bddl_files(&sources());
+    assert_eq!(files.len(), BDDL_FILES);
+    for file in files {
+        let text = std::fs::read_to_string(&file).unwrap();
+        let problem = Problem::parse(&text).unwrap_or_else(|e| panic!("{}: {e}", file.display()));
+        let again = Problem::parse(&problem.to_string()).unwrap();
+        assert_eq!(again, problem, "{}", file.display());
+        let names: Vec<_> = problem.objects.iter().chain(&problem.fixtures).collect();
+        let unique: HashSet<_> = names.iter().map(|declaration| &declaration.name).collect();
+        assert_eq!(unique.len(), names.len(), "{}", file.display());
+    }
+}
+
+#[test]
+fn every_released_initial_state_is_read() {
+    let sources = sources();
+    for task in TaskRef::all() {
+        let files = TaskFiles::of_task(&sources, task);
+        let states = InitialStates::read(&files.init).unwrap();
+        assert_eq!(states.count(), 50, "{task}");
+    }
+}
+
+#[test]
+fn every_evaluation_task_composes_from_the_built_in_pack() {
+    let sources = sources();
+    let pack = primitives(&sources);
+    for task in TaskRef::all() {
+        check_task(task, &sources, &pack);
+    }
+}
+
+#[test]
+fn every_evaluation_task_composes_from_the_real_assets() {
+    let test = "every_evaluation_task_composes_from_the_real_assets";
+    let Some(assets) = shared("libero-assets", test) else {
+        return;
+    };
+    let sources = sources();
+    let pack = AssetPack::open(&assets.to_string_lossy(), &sources).unwrap();
+    for task in TaskRef::all() {
+        check_task(task, &sources, &pack);
+    }
+}
+
+/// Compiles the task's scene, and loads and settles its first state.
+fn check_task(task: TaskRef, sources: &Sources, pack: &AssetPack) {
+    let files = TaskFiles::of_task(sources, task);
+    let scene = compose(&files.problem().unwrap(), pack, sources, ENV_SEED)
+        .unwrap_or_else(|error| panic!("{task}: {error}"));
+    let states = InitialStates::read(&files.init).unwrap();
+    let mut environment = Environment::new(scene, pack, sources).unwrap();
+    let model = environment.model();
+    assert_eq!(states.width(), 1 + model.nq() + model.nv(), "{task}");
+    let geoms = model.count(ObjectKind::Geom);
+    let named: Vec<_> = (0..geoms)
+        .filter_map(|id| model.name(ObjectKind::Geom, id))
+        .collect();
+    let names: HashSet<_> = named.iter().collect();
+    assert_eq!(names.len(), named.len(), "{task}: geoms share names");
+    environment.load(states.get(0).unwrap());
+    for _ in 0..10 {
+        let succeeded = environment
+            .step(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0])
+            .unwrap();
+        assert!(!succeeded, "{task} succeeds by itself");
+    }
+}
+
+#[test]
+fn a_missing_category_names_itself_and_the_file_looked_for() {
+    let sources = sources();
+    let pack = primitives(&sources);
+    let task: TaskRef = "libero_object/0".parse().unwrap();
+    let mut problem = TaskFiles::of_task(&sources, task).problem().unwrap();
+    problem.objects[0].category = "corn".to_owned();
+    let error = compose(&problem, &pack, &sources, ENV_SEED)
+        .unwrap_err()
+        .to_string();
+    assert!(error.contains("category `corn`"), "{error}");
+    assert!(
+        error.contains("stable_hope_objects/corn/corn.xml"),
+        "{error}"
+    );
+    problem.objects[0].category = "unicorn".to_owned();
+    let error = compose(&problem, &pack, &sources, ENV_SEED).unwrap_err();
+    assert!(
+        matches!(error, SceneError::UnknownCategory { .. }),
+        "{error}"
+    );
+}
+
+#[test]
+fn truncated_files_are_refused_by_name() {
+    let sources = sources();
+    let task: TaskRef = "libero_goal/0".parse().unwrap();
+    let files = TaskFiles::of_task(&sources, task);
+    let dir = tempfile::tempdir().unwrap();
+    let cut = |from: &PathBuf, name: &str| {
+        let bytes = std::fs::read(from).unwrap();
+        let to = dir.path().join(name);
+        std::fs::write(&to, &bytes[..bytes.len() / 2]).unwrap();
+        to
+    };
+    let init = cut(&files.init, "cut.pruned_init");
+    let error = InitialStates::read(&init).unwrap_err().to_string();
+    assert!(error.contains("cut.pruned_init"), "{error}");
+    let bddl = cut(&files.bddl, "cut.bddl");
+    let error = TaskFiles { bddl, init }.problem().unwrap_err().to_string();
+    assert!(
+        error.contains("cut.bddl") && error.contains("line "),
+        "{error}"
+    );
+}
