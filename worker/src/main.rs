@@ -1,1 +1,183 @@
-fn main() {}
+//! `worker`: see `worker --help`.
+
+#![forbid(unsafe_code)]
+
+use std::convert::Infallible;
+use std::ffi::OsString;
+use std::path::Path;
+use std::process::ExitCode;
+
+use anyhow::Context;
+use clap::Parser;
+use scene::{AssetPack, Sources};
+use sim::{Simulator, SimulatorConfig};
+use tokio::signal::unix::{Signal, SignalKind, signal};
+use tokio::sync::mpsc;
+use tracing_subscriber::EnvFilter;
+use worker::args::{Arguments, Command, RolloutArguments, ServeArguments, SimulatorArguments};
+use worker::grpc::parse_endpoint;
+use worker::ids::{WorkerId, host_name, random_number};
+use worker::message::Assignment;
+use worker::policy::POLICY_CALL_DEADLINE;
+use worker::supervise::{self, Config, Identity, SlotCommand};
+use worker::{single, slot};
+
+/// Compiled scenes that a slot keeps. Jobs of one task come together, so a few
+/// are enough; each takes some 100 MB with the real assets.
+const CACHED_SCENES: usize = 3;
+/// Requests to end that wait for the supervisor: the third changes nothing.
+const SHUTDOWN_QUEUE: usize = 2;
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_target(false)
+        .init();
+    let result = match (arguments.command, arguments.serve, arguments.simulator) {
+        (Some(Command::Slot(simulator)), ..) => run_slot(&simulator),
+        (Some(Command::Rollout(rollout)), ..) => run_rollout(rollout),
+        (None, Some(serve), Some(simulator)) => run_worker(serve, &simulator),
+        (None, ..) => unreachable!("clap asks for --connect and --assets"),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("worker: failed to {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn open(arguments: &SimulatorArguments) -> anyhow::Result<SimulatorConfig> {
+    let dir = arguments.sources.clone();
+    let sources = Sources::open(&dir.unwrap_or_else(Sources::default_dir))?;
+    let pack = AssetPack::open(&arguments.assets, &sources)?;
+    Ok(SimulatorConfig {
+        sources,
+        pack,
+        gl_device: arguments.gl_device,
+        cached_scenes: CACHED_SCENES,
+    })
+}
+
+fn run_slot(arguments: &SimulatorArguments) -> anyhow::Result<()> {
+    Ok(slot::run(open(arguments)?)?)
+}
+
+fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
+    let row = single::row_of(arguments.id)?;
+    let mut simulator = Simulator::new(open(&arguments.simulator)?);
+    let assignment = Assignment {
+        session: single::session(&row.id, arguments.replicate),
+        policy_seed: protocol::seeds::policy_seed(&row.id, arguments.replicate),
+        row,
+        realisation: arguments.realisation,
+        policy: arguments.policy,
+        policy_endpoint: arguments.endpoint,
+        policy_deadline: POLICY_CALL_DEADLINE,
+        video: (!arguments.no_video).then(|| arguments.output.join("video.mp4")),
+    };
+    let finished = single::run(&mut simulator, &assignment, &arguments.output)?;
+    let outcome = &finished.outcome;
+    println!(
+        "{}: {} after {} steps in {:.1} s; see {}",
+        assignment.row.id,
+        if outcome.success {
+            "success"
+        } else {
+            "failure"
+        },
+        outcome.steps,
+        outcome.wall_secs,
+        arguments.output.display()
+    );
+    Ok(())
+}
+
+fn run_worker(
+    arguments: ServeArguments,
+    simulator_arguments: &SimulatorArguments,
+) -> anyhow::Result<()> {
+    for url in [Some(&arguments.connect), arguments.policy_endpoint.as_ref()] {
+        url.map(|url| parse_endpoint(url)).transpose()?;
+    }
+    // Opened here too, so that what is missing is said once and at once.
+    let simulator = open(simulator_arguments)?;
+    let host = host_name();
+    let seed = random_number();
+    let identity = Identity {
+        worker: WorkerId::new(&host, seed),
+        host,
+        asset_pack: simulator.pack.name().to_owned(),
+        asset_pack_digest: simulator.pack.digest().to_owned(),
+        mujoco_version: Simulator::mujoco_version(),
+    };
+    println!(
+        "worker {}: {} slots, assets {} ({}), MuJoCo {}, coordinator {}",
+        identity.worker,
+        arguments.slots,
+        identity.asset_pack,
+        identity.asset_pack_digest.get(..12).unwrap_or_default(),
+        identity.mujoco_version,
+        arguments.connect
+    );
+    let scratch = tempfile::tempdir().context("make a folder for videos")?;
+    let config = Config {
+        coordinator: arguments.connect,
+        identity,
+        slots: arguments.slots.get(),
+        slot_command: slot_command(simulator_arguments, simulator.sources.dir())?,
+        policy_endpoint: arguments.policy_endpoint,
+        scratch: scratch.path().to_owned(),
+        seed,
+    };
+    let runtime = tokio::runtime::Runtime::new().context("start the runtime")?;
+    runtime.block_on(async {
+        let (requests, shutdown) = mpsc::channel(SHUTDOWN_QUEUE);
+        let signals = [SignalKind::terminate(), SignalKind::interrupt()].map(signal);
+        let [terminate, interrupt] = signals;
+        let (terminate, interrupt) = (
+            terminate.context("listen for SIGTERM")?,
+            interrupt.context("listen for SIGINT")?,
+        );
+        tokio::select! {
+            ended = supervise::run(config, shutdown) => Ok(ended?),
+            never = forward(terminate, interrupt, requests) => match never {},
+        }
+    })
+}
+
+/// One request to end per signal.
+async fn forward(
+    mut terminate: Signal,
+    mut interrupt: Signal,
+    requests: mpsc::Sender<()>,
+) -> Infallible {
+    loop {
+        tokio::select! {
+            _ = terminate.recv() => {}
+            _ = interrupt.recv() => {}
+        }
+        // A third one finds the queue full, and nothing left to change.
+        let _ = requests.try_send(());
+    }
+}
+
+/// This program again, as a slot, on the same files.
+fn slot_command(arguments: &SimulatorArguments, sources: &Path) -> anyhow::Result<SlotCommand> {
+    let program = std::env::current_exe().context("find this program's own file")?;
+    let device = match arguments.gl_device {
+        sim::GlDevice::Auto => "auto".to_owned(),
+        sim::GlDevice::Index(index) => index.to_string(),
+    };
+    let mut slot: Vec<OsString> = vec!["slot".into(), "--assets".into()];
+    slot.extend([arguments.assets.clone().into(), "--sources".into()]);
+    slot.extend([sources.into(), "--gl-device".into(), device.into()]);
+    Ok(SlotCommand {
+        program,
+        arguments: slot,
+    })
+}

@@ -1,0 +1,102 @@
+//! What both clients of this worker need to know of gRPC: reading the URLs of
+//! servers (`grpc://HOST:PORT` and `http://HOST:PORT` mean the same), bounding
+//! calls in time, and telling failures in words.
+
+use std::error::Error as _;
+use std::time::Duration;
+
+use tonic::transport::Endpoint;
+use tonic::{Response, Status};
+
+/// A URL that is none.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("read endpoint `{given}`: it must look like http://HOST:PORT or grpc://HOST:PORT")]
+pub struct EndpointError {
+    /// What was given.
+    pub given: String,
+}
+
+/// Reads a gRPC server's URL.
+///
+/// # Errors
+/// If it has another scheme, or no host.
+pub fn parse_endpoint(url: &str) -> Result<Endpoint, EndpointError> {
+    let error = || EndpointError {
+        given: url.to_owned(),
+    };
+    let authority = url
+        .strip_prefix("grpc://")
+        .or_else(|| url.strip_prefix("http://"))
+        .ok_or_else(error)?
+        .trim_end_matches('/');
+    let endpoint = Endpoint::from_shared(format!("http://{authority}")).map_err(|_| error())?;
+    let named = endpoint.uri().host().is_some_and(|host| !host.is_empty());
+    let bare = matches!(endpoint.uri().path(), "" | "/") && endpoint.uri().query().is_none();
+    (named && bare).then_some(endpoint).ok_or_else(error)
+}
+
+/// Makes a call, and gives up after `deadline`.
+///
+/// # Errors
+/// Those of the call, and DEADLINE_EXCEEDED.
+pub(crate) async fn within<T>(
+    deadline: Duration,
+    call: impl Future<Output = Result<Response<T>, Status>>,
+) -> Result<T, Status> {
+    match tokio::time::timeout(deadline, call).await {
+        Ok(answer) => answer.map(Response::into_inner),
+        Err(_) => Err(Status::deadline_exceeded(format!(
+            "no answer within {:.0} s",
+            deadline.as_secs_f64()
+        ))),
+    }
+}
+
+/// A failed call in one line, with what lies behind it.
+pub(crate) fn in_words(status: &Status) -> String {
+    let mut words = format!("{}: {}", status.code(), status.message());
+    let mut cause = status.source();
+    while let Some(error) = cause {
+        let text = error.to_string();
+        if !words.contains(&text) {
+            words = format!("{words}: {text}");
+        }
+        cause = error.source();
+    }
+    words
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn both_schemes_name_the_same_server() {
+        for url in [
+            "grpc://gpu-3:7100",
+            "http://gpu-3:7100",
+            "http://gpu-3:7100/",
+        ] {
+            let endpoint = parse_endpoint(url).expect(url);
+            assert_eq!(
+                endpoint.uri().authority().map(|it| it.as_str()),
+                Some("gpu-3:7100")
+            );
+        }
+    }
+
+    #[test]
+    fn what_is_no_url_of_a_server_is_refused_with_an_example() {
+        for url in [
+            "",
+            "localhost:7000",
+            "ftp://host",
+            "http://",
+            "http://a b",
+            "http://h/path",
+        ] {
+            let error = parse_endpoint(url).expect_err(url).to_string();
+            assert!(error.contains("http://HOST:PORT"), "{error}");
+        }
+    }
+}

@@ -1,0 +1,22 @@
+//! A worker: pulls jobs from the coordinator, simulates them, asks the policy,
+//! reports outcomes.
+//!
+//! Two kinds of process: [`supervise`] is the parent, which talks to the
+//! coordinator and knows no simulator; [`slot`] is a child, which simulates and
+//! knows no coordinator. [`rollout`] is what a child does for one job.
+
+#![forbid(unsafe_code)]
+
+pub mod args;
+pub mod backoff;
+pub mod grpc;
+pub mod ids;
+pub mod message;
+mod observation;
+pub mod policy;
+mod recording;
+pub mod rollout;
+pub mod single;
+pub mod slot;
+pub mod supervise;
+pub mod video;

@@ -1,0 +1,489 @@
+//! A worker's side of the policy protocol: describes, resets and asks a policy,
+//! and checks what it answers before an action reaches a robot. Blocking: a
+//! slot has nothing else to do while its policy thinks. Retrying is the
+//! coordinator's business, which pauses the jobs of a policy that is down.
+
+use std::error::Error as _;
+use std::time::Duration;
+
+use proto::policy::policy_client::PolicyClient as GrpcClient;
+use proto::policy::{
+    CameraRequest, DescribeRequest, DescribeResponse, InferRequest, InferResponse, Observation,
+    ResetRequest, StateField,
+};
+use proto::{MAX_MESSAGE_BYTES, PROTOCOL_VERSION};
+use tokio::runtime::Runtime;
+use tonic::transport::{Channel, Endpoint};
+use tonic::{Code, Response, Status};
+
+use crate::grpc::{EndpointError, in_words, parse_endpoint, within};
+
+/// Longest wait for one answer of a policy. A policy that needs longer once, to
+/// compile itself, does so before it serves.
+pub const POLICY_CALL_DEADLINE: Duration = Duration::from_secs(60);
+/// Longest wait for a connection.
+const CONNECT_DEADLINE: Duration = Duration::from_secs(10);
+/// HTTP/2 window, bytes: holds an observation, so that no call waits for
+/// window updates half-way.
+const WINDOW_BYTES: u32 = 4 << 20;
+/// The largest frame that a policy may ask for, pixels along a side.
+const MAX_FRAME_SIDE: u32 = 1024;
+/// The cameras of a LIBERO scene that policies may look through.
+const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
+/// Numbers per action: translation, rotation, gripper.
+pub const ACTION_WIDTH: usize = 7;
+
+/// One control step's action, each number in [-1, 1].
+pub type Action = [f64; ACTION_WIDTH];
+
+/// Why a policy gave no usable answer.
+#[derive(Debug, thiserror::Error)]
+pub enum PolicyError {
+    /// The endpoint is not one.
+    #[error(transparent)]
+    Endpoint(#[from] EndpointError),
+    /// No runtime to call from.
+    #[error("start the policy client: {0}")]
+    Runtime(#[source] std::io::Error),
+    /// No answer, or an answer that says "not now".
+    #[error("{call} policy `{policy}` at {endpoint}: {problem}")]
+    Unavailable {
+        /// "describe", "reset", "ask".
+        call: &'static str,
+        /// Which policy.
+        policy: String,
+        /// Where.
+        endpoint: String,
+        /// What happened.
+        problem: String,
+    },
+    /// It describes itself as something that no rollout can work with.
+    #[error("use policy `{policy}` at {endpoint}: its description {problem}")]
+    Description {
+        /// Which policy.
+        policy: String,
+        /// Where.
+        endpoint: String,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// It answered, and the answer cannot be executed.
+    #[error(
+        "use the answer of policy `{policy}` to query {query} of session {session}: {violation}"
+    )]
+    Misbehaved {
+        /// Which policy.
+        policy: String,
+        /// In which session.
+        session: String,
+        /// To which query; "reset" before the first.
+        query: String,
+        /// What is wrong with it.
+        violation: String,
+    },
+}
+
+impl PolicyError {
+    /// Whether the policy answered at all: what it answered is charged to the
+    /// rollout, that it did not is not. Neither is a description that fits no
+    /// rollout, because all of the policy's rollouts would pay for it.
+    pub fn is_misbehaviour(&self) -> bool {
+        matches!(self, Self::Misbehaved { .. })
+    }
+}
+
+/// A checked description of a policy.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Description {
+    /// As the policy gave it.
+    pub about: DescribeResponse,
+    /// The robot readings it wants, in its order.
+    pub state: Vec<StateField>,
+    /// Actions per answer at most.
+    pub horizon: usize,
+    /// Actions executed per answer.
+    pub execute: usize,
+}
+
+/// A connection to one endpoint.
+#[derive(Debug)]
+pub struct PolicyClient {
+    endpoint: String,
+    // One thread in the background, so that the connection is looked after
+    // while the simulator has this one.
+    runtime: Runtime,
+    grpc: GrpcClient<Channel>,
+}
+
+/// Whom to ask, in which episode, for how long.
+#[derive(Clone, Copy, Debug)]
+pub struct Episode<'a> {
+    /// The policy's name at the endpoint.
+    pub policy: &'a str,
+    /// The episode's name.
+    pub session: &'a str,
+    /// Longest wait for one answer.
+    pub deadline: Duration,
+}
+
+impl PolicyClient {
+    /// A client of the endpoint, `grpc://HOST:PORT` or `http://HOST:PORT`. The
+    /// connection is made at the first call.
+    ///
+    /// # Errors
+    /// If the endpoint is no such URL.
+    pub fn new(endpoint: &str) -> Result<Self, PolicyError> {
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .worker_threads(1)
+            .enable_all()
+            .build()
+            .map_err(PolicyError::Runtime)?;
+        let channel = {
+            let _inside = runtime.enter();
+            with_settings(parse_endpoint(endpoint)?).connect_lazy()
+        };
+        let grpc = GrpcClient::new(channel)
+            .max_decoding_message_size(MAX_MESSAGE_BYTES)
+            .max_encoding_message_size(MAX_MESSAGE_BYTES);
+        Ok(Self {
+            endpoint: endpoint.to_owned(),
+            runtime,
+            grpc,
+        })
+    }
+
+    /// The endpoint, as given.
+    pub fn endpoint(&self) -> &str {
+        &self.endpoint
+    }
+
+    /// What the policy is and wants to see.
+    ///
+    /// # Errors
+    /// If it does not answer, speaks another version, or describes something
+    /// that no rollout can work with.
+    pub fn describe(&mut self, episode: Episode<'_>) -> Result<Description, PolicyError> {
+        let request = DescribeRequest {
+            protocol_version: PROTOCOL_VERSION,
+            policy: episode.policy.to_owned(),
+        };
+        let mut grpc = self.grpc.clone();
+        let about = self
+            .call(episode.deadline, grpc.describe(request))
+            .map_err(|status| self.unavailable("describe", episode, &status))?;
+        check_description(about).map_err(|problem| PolicyError::Description {
+            policy: episode.policy.to_owned(),
+            endpoint: self.endpoint.clone(),
+            problem,
+        })
+    }
+
+    /// Starts an episode.
+    ///
+    /// # Errors
+    /// If the policy does not answer or refuses.
+    pub fn reset(
+        &mut self,
+        episode: Episode<'_>,
+        suite: &str,
+        instruction: &str,
+        seed: u64,
+    ) -> Result<(), PolicyError> {
+        let request = ResetRequest {
+            policy: episode.policy.to_owned(),
+            session: episode.session.to_owned(),
+            suite: suite.to_owned(),
+            instruction: instruction.to_owned(),
+            seed,
+        };
+        let mut grpc = self.grpc.clone();
+        self.call(episode.deadline, grpc.reset(request))
+            .map(|_| ())
+            .map_err(|status| self.refused("reset", episode, "reset".to_owned(), &status))
+    }
+
+    /// Answers of the policy to one observation: between one and `horizon`
+    /// actions, finite, not yet clipped.
+    ///
+    /// # Errors
+    /// If the policy does not answer, or answers something else.
+    pub fn infer(
+        &mut self,
+        episode: Episode<'_>,
+        query_index: u32,
+        observation: Observation,
+        horizon: usize,
+    ) -> Result<Vec<Action>, PolicyError> {
+        let request = InferRequest {
+            policy: episode.policy.to_owned(),
+            session: episode.session.to_owned(),
+            query_index,
+            observation: Some(observation),
+        };
+        let mut grpc = self.grpc.clone();
+        let response = self
+            .call(episode.deadline, grpc.infer(request))
+            .map_err(|status| self.refused("ask", episode, query_index.to_string(), &status))?;
+        check_actions(&response, horizon)
+            .map_err(|violation| misbehaved(episode, query_index.to_string(), violation))
+    }
+
+    fn call<T, F>(&self, deadline: Duration, call: F) -> Result<T, Status>
+    where
+        F: Future<Output = Result<Response<T>, Status>>,
+    {
+        self.runtime.block_on(within(deadline, call))
+    }
+
+    fn unavailable(
+        &self,
+        call: &'static str,
+        episode: Episode<'_>,
+        status: &Status,
+    ) -> PolicyError {
+        PolicyError::Unavailable {
+            call,
+            policy: episode.policy.to_owned(),
+            endpoint: self.endpoint.clone(),
+            problem: in_words(status),
+        }
+    }
+
+    fn refused(
+        &self,
+        call: &'static str,
+        episode: Episode<'_>,
+        query: String,
+        status: &Status,
+    ) -> PolicyError {
+        if is_outage(status) {
+            return self.unavailable(call, episode, status);
+        }
+        misbehaved(episode, query, in_words(status))
+    }
+}
+
+fn misbehaved(episode: Episode<'_>, query: String, violation: String) -> PolicyError {
+    PolicyError::Misbehaved {
+        policy: episode.policy.to_owned(),
+        session: episode.session.to_owned(),
+        query,
+        violation,
+    }
+}
+
+fn with_settings(endpoint: Endpoint) -> Endpoint {
+    endpoint
+        .connect_timeout(CONNECT_DEADLINE)
+        .tcp_nodelay(true)
+        .initial_stream_window_size(WINDOW_BYTES)
+        .initial_connection_window_size(WINDOW_BYTES)
+}
+
+/// Whether a call failed because of the policy's server or the way to it,
+/// rather than because of what was asked.
+fn is_outage(status: &Status) -> bool {
+    let code = matches!(
+        status.code(),
+        Code::Unavailable | Code::DeadlineExceeded | Code::ResourceExhausted | Code::Cancelled
+    );
+    // A status that this side made out of a broken connection has a cause; one
+    // that the server sent has none.
+    code || status.source().is_some()
+}
+
+/// Checks a description. The error reads after "its description …".
+fn check_description(about: DescribeResponse) -> Result<Description, String> {
+    if about.protocol_version != PROTOCOL_VERSION {
+        return Err(format!(
+            "is of protocol version {}, but this worker speaks {PROTOCOL_VERSION}: bring both to \
+             the same release",
+            about.protocol_version
+        ));
+    }
+    let (horizon, execute) = (about.horizon as usize, about.execute as usize);
+    if horizon == 0 || execute == 0 || execute > horizon {
+        return Err(format!(
+            "has horizon {horizon} and execute {execute}: 1 <= execute <= horizon must hold"
+        ));
+    }
+    if let Some(problem) = about.cameras.iter().find_map(camera_problem) {
+        return Err(problem);
+    }
+    let state = about
+        .state
+        .iter()
+        .map(|&field| match StateField::try_from(field) {
+            Ok(StateField::Unspecified) | Err(_) => Err(format!(
+                "wants state field {field}, which is none of 1 to 8"
+            )),
+            Ok(known) => Ok(known),
+        })
+        .collect::<Result<_, _>>()?;
+    Ok(Description {
+        about,
+        state,
+        horizon,
+        execute,
+    })
+}
+
+fn camera_problem(camera: &CameraRequest) -> Option<String> {
+    let CameraRequest {
+        name,
+        width,
+        height,
+    } = camera;
+    if !CAMERAS.contains(&name.as_str()) {
+        return Some(format!(
+            "wants camera `{name}`: there are {}",
+            CAMERAS.join(" and ")
+        ));
+    }
+    let sides = 1..=MAX_FRAME_SIDE;
+    let fits = sides.contains(width) && sides.contains(height);
+    (!fits).then(|| format!("wants {width}×{height} pixels: sides are 1 to {MAX_FRAME_SIDE}"))
+}
+
+/// Checks an answer's shape and numbers. The error says what is wrong.
+fn check_actions(response: &InferResponse, horizon: usize) -> Result<Vec<Action>, String> {
+    let numbers = response.actions.len();
+    if response.action_width as usize != ACTION_WIDTH {
+        return Err(format!(
+            "actions have {} numbers each, but this robot takes {ACTION_WIDTH}",
+            response.action_width
+        ));
+    }
+    let (actions, rest) = response.actions.as_chunks::<ACTION_WIDTH>();
+    if !rest.is_empty() {
+        return Err(format!(
+            "{numbers} numbers are no whole actions of {ACTION_WIDTH}"
+        ));
+    }
+    if actions.is_empty() {
+        return Err("it holds no action".to_owned());
+    }
+    if actions.len() > horizon {
+        let given = actions.len();
+        return Err(format!(
+            "it holds {given} actions, but the policy declared {horizon} at most"
+        ));
+    }
+    for (step, action) in actions.iter().enumerate() {
+        if let Some(place) = action.iter().position(|number| !number.is_finite()) {
+            return Err(format!(
+                "number {place} of action {step} is {}",
+                action[place]
+            ));
+        }
+    }
+    Ok(actions.iter().map(|action| action.map(f64::from)).collect())
+}
+
+/// The action with every number in [-1, 1], and whether any had to be moved.
+pub fn clip(action: Action) -> (Action, bool) {
+    let clipped = action.map(|number| number.clamp(-1.0, 1.0));
+    (clipped, clipped != action)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn answer(actions: Vec<f32>, action_width: u32) -> InferResponse {
+        InferResponse {
+            actions,
+            action_width,
+        }
+    }
+
+    #[test]
+    fn answers_that_no_robot_can_execute_are_named() {
+        let check = |actions: Vec<f32>, width: u32, expected: &str| {
+            let error = check_actions(&answer(actions, width), 2).expect_err(expected);
+            assert!(error.contains(expected), "{error}");
+        };
+        let mut nan = vec![0.0; 14];
+        nan[9] = f32::NAN;
+        check(nan, 7, "number 2 of action 1 is NaN");
+        check(
+            vec![f32::NEG_INFINITY; 7],
+            7,
+            "number 0 of action 0 is -inf",
+        );
+        check(vec![0.0; 6], 6, "6 numbers each");
+        check(vec![0.0; 13], 7, "13 numbers are no whole actions");
+        check(vec![], 7, "no action");
+        check(vec![0.0; 21], 7, "3 actions, but the policy declared 2");
+    }
+
+    #[test]
+    fn a_sound_answer_is_taken_number_by_number() {
+        let numbers: Vec<f32> = (0..14_u8).map(|n| f32::from(n) / 16.0).collect();
+        let actions = check_actions(&answer(numbers, 7), 8).expect("sound");
+        assert_eq!(actions.len(), 2);
+        assert_eq!(actions[1][0], 7.0 / 16.0);
+    }
+
+    #[test]
+    fn only_numbers_outside_the_range_are_clipped() {
+        let inside = [1.0, -1.0, 0.5, 0.0, 0.0, 0.0, -1.0];
+        assert_eq!(clip(inside), (inside, false));
+        let outside = [1.5, -1.0, 0.5, 0.0, 0.0, 0.0, -3.0];
+        assert_eq!(clip(outside), (inside, true));
+    }
+
+    fn description() -> DescribeResponse {
+        DescribeResponse {
+            protocol_version: PROTOCOL_VERSION,
+            horizon: 10,
+            execute: 5,
+            cameras: vec![CameraRequest {
+                name: "agentview".to_owned(),
+                width: 256,
+                height: 256,
+            }],
+            state: vec![StateField::EefPos as i32, StateField::GripperPos as i32],
+            ..DescribeResponse::default()
+        }
+    }
+
+    #[test]
+    fn a_description_is_read() {
+        let read = check_description(description()).expect("sound");
+        assert_eq!((read.horizon, read.execute), (10, 5));
+        assert_eq!(read.state, [StateField::EefPos, StateField::GripperPos]);
+    }
+
+    #[test]
+    fn descriptions_that_fit_no_rollout_are_named() {
+        let check = |change: fn(&mut DescribeResponse), expected: &str| {
+            let mut about = description();
+            change(&mut about);
+            let error = check_description(about).expect_err(expected);
+            assert!(error.contains(expected), "{error}");
+        };
+        check(
+            |about| about.protocol_version = 7,
+            "version 7, but this worker speaks 1",
+        );
+        check(|about| about.execute = 11, "horizon 10 and execute 11");
+        check(|about| about.execute = 0, "execute 0");
+        check(|about| about.state.push(9), "state field 9");
+        check(
+            |about| about.cameras[0].name = "frontview".to_owned(),
+            "`frontview`",
+        );
+        check(|about| about.cameras[0].width = 0, "0×256");
+    }
+
+    #[test]
+    fn what_the_server_says_is_told_apart_from_what_the_network_does() {
+        assert!(is_outage(&Status::unavailable("warming up")));
+        assert!(is_outage(&Status::resource_exhausted("queue full")));
+        assert!(!is_outage(&Status::internal("shape mismatch")));
+        assert!(!is_outage(&Status::unknown("Exception in infer")));
+        let broken = std::io::Error::from(std::io::ErrorKind::ConnectionReset);
+        assert!(is_outage(&Status::from_error(Box::new(broken))));
+    }
+}

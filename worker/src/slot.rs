@@ -1,0 +1,151 @@
+//! A slot: the process that simulates one rollout after the other. It owns
+//! MuJoCo and OpenGL on one thread, so that what native code breaks is this
+//! process and not the worker. Takes orders on standard input and reports on
+//! standard output; ends when its input does, which is what happens when the
+//! parent dies.
+
+use std::io::{self, BufRead, Read, Write};
+use std::ops::ControlFlow;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::{process, thread};
+
+use sim::{Simulator, SimulatorConfig};
+
+use crate::message::{Assignment, MAX_LINE_BYTES, Order, Report};
+use crate::policy::{PolicyClient, PolicyError};
+use crate::rollout::{self, RolloutError, Watcher};
+
+/// Rollouts that wait while another one is simulated: the parent never sends
+/// more than one.
+const ASSIGNMENT_QUEUE: usize = 1;
+/// A report of progress every so many control steps: half a second of the
+/// robot's time.
+const PROGRESS_EVERY: u32 = 10;
+
+/// Why a slot's process ended: the parent no longer listens.
+#[derive(Debug, thiserror::Error)]
+#[error("report to the parent process")]
+pub struct ReportError(#[source] io::Error);
+
+/// Serves the parent process until it closes this process's standard input.
+///
+/// # Errors
+/// If the parent stops listening.
+pub fn run(config: SimulatorConfig) -> Result<(), ReportError> {
+    let abandoned = Arc::new(AtomicBool::new(false));
+    let assignments = listen(Arc::clone(&abandoned));
+    let mut simulator = Simulator::new(config);
+    let mut policy = None;
+    report(&Report::Ready)?;
+    while let Ok(assignment) = assignments.recv() {
+        let mut watcher = Reporter {
+            abandoned: &abandoned,
+            broken: None,
+        };
+        let ending = attempt(&mut simulator, &mut policy, &assignment, &mut watcher);
+        if let Some(error) = watcher.broken {
+            return Err(error);
+        }
+        report(&ending)?;
+    }
+    Ok(())
+}
+
+fn attempt(
+    simulator: &mut Simulator,
+    policy: &mut Option<PolicyClient>,
+    assignment: &Assignment,
+    watcher: &mut Reporter<'_>,
+) -> Report {
+    let outcome = client(policy, &assignment.policy_endpoint)
+        .map_err(RolloutError::from)
+        .and_then(|policy| rollout::run(simulator, policy, assignment, watcher));
+    match outcome {
+        Ok(finished) => Report::Finished(Box::new(finished)),
+        Err(error) => match error.failure() {
+            Some(failure) => Report::Failed(failure),
+            None => Report::Abandoned,
+        },
+    }
+}
+
+/// The client of an endpoint: the last one, as a rule.
+fn client<'a>(
+    last: &'a mut Option<PolicyClient>,
+    endpoint: &str,
+) -> Result<&'a mut PolicyClient, PolicyError> {
+    let client = match last.take() {
+        Some(client) if client.endpoint() == endpoint => client,
+        _ => PolicyClient::new(endpoint)?,
+    };
+    Ok(last.insert(client))
+}
+
+/// Reports progress, and sees whether the rollout is still wanted.
+struct Reporter<'a> {
+    abandoned: &'a AtomicBool,
+    /// Why the parent can no longer be told anything.
+    broken: Option<ReportError>,
+}
+
+impl Watcher for Reporter<'_> {
+    fn progress(&mut self, control_steps: u32) -> ControlFlow<()> {
+        if self.abandoned.load(Ordering::Relaxed) {
+            return ControlFlow::Break(());
+        }
+        if !control_steps.is_multiple_of(PROGRESS_EVERY) {
+            return ControlFlow::Continue(());
+        }
+        match report(&Report::Progress(control_steps)) {
+            Ok(()) => ControlFlow::Continue(()),
+            Err(error) => {
+                self.broken = Some(error);
+                ControlFlow::Break(())
+            }
+        }
+    }
+}
+
+fn report(report: &Report) -> Result<(), ReportError> {
+    let mut line = serde_json::to_vec(report).map_err(|error| ReportError(error.into()))?;
+    line.push(b'\n');
+    let mut stdout = io::stdout().lock();
+    let written = stdout.write_all(&line).and_then(|()| stdout.flush());
+    written.map_err(ReportError)
+}
+
+/// Reads orders on a thread of their own, because the other one is simulating.
+fn listen(abandoned: Arc<AtomicBool>) -> Receiver<Assignment> {
+    let (sender, assignments) = sync_channel(ASSIGNMENT_QUEUE);
+    thread::spawn(move || take_orders(&abandoned, &sender));
+    assignments
+}
+
+/// Ends the process at the end of its input: nobody would be told what it finds
+/// out any more. Native code that hangs cannot stop this.
+fn take_orders(abandoned: &AtomicBool, assignments: &SyncSender<Assignment>) {
+    let mut stdin = io::stdin().lock();
+    loop {
+        let mut line = Vec::new();
+        let read = stdin
+            .by_ref()
+            .take(MAX_LINE_BYTES)
+            .read_until(b'\n', &mut line);
+        match (read, serde_json::from_slice(&line)) {
+            (Ok(0) | Err(_), _) => process::exit(0),
+            (Ok(_), Ok(Order::Abandon)) => abandoned.store(true, Ordering::Relaxed),
+            (Ok(_), Ok(Order::Run(assignment))) => {
+                abandoned.store(false, Ordering::Relaxed);
+                if assignments.send(*assignment).is_err() {
+                    return;
+                }
+            }
+            (Ok(_), Err(error)) => {
+                eprintln!("failed to read an order of the parent process: {error}");
+                process::exit(1);
+            }
+        }
+    }
+}

@@ -1,0 +1,280 @@
+//! The way to the coordinator: every call of its worker service, repeated with
+//! back-off while the coordinator cannot be reached, and the outage told once.
+//! Not responsible for what the answers mean.
+
+use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use proto::coordinator::worker_service_client::WorkerServiceClient;
+use proto::coordinator::{
+    ArtifactChunk, ClaimRequest, ClaimResponse, CommitRequest, CommitResponse, HeartbeatRequest,
+    HeartbeatResponse, LeaseRef, PutArtifactResponse, RegisterRequest, RegisterResponse,
+    ReleaseRequest, ReleaseResponse,
+};
+use tokio::sync::{Notify, watch};
+use tokio::time::Instant;
+use tonic::transport::Channel;
+use tonic::{Code, Response, Status};
+
+use crate::backoff::{Backoff, FIRST_WAIT, LONGEST_WAIT};
+use crate::grpc::{EndpointError, in_words, parse_endpoint, within};
+
+/// How long the coordinator may wait for a job before it answers "none". A
+/// draining worker waits for that answer, because it could be a lease.
+const CLAIM_WAIT: Duration = Duration::from_secs(5);
+/// Longest wait for any other answer.
+const CALL_DEADLINE: Duration = Duration::from_secs(30);
+/// Longest wait for a video to be stored.
+const UPLOAD_DEADLINE: Duration = Duration::from_secs(120);
+/// Bytes of a video per message.
+const CHUNK_BYTES: usize = 256 << 10;
+/// The largest video that is sent, bytes: far above any rollout's.
+const MAX_VIDEO_BYTES: u64 = 256 << 20;
+
+/// A connection to the coordinator, shared by all calls.
+#[derive(Clone, Debug)]
+pub(crate) struct Link {
+    grpc: WorkerServiceClient<Channel>,
+    state: Arc<LinkState>,
+    /// Set once the worker takes on no more work.
+    draining: watch::Receiver<bool>,
+}
+
+#[derive(Debug)]
+struct LinkState {
+    url: String,
+    seed: u64,
+    /// Since when no call got through.
+    outage: Mutex<Option<Instant>>,
+    /// Rings when an outage has ended.
+    back: Notify,
+}
+
+impl Link {
+    /// A link to the coordinator at `url`, which is called when needed.
+    pub(crate) fn new(
+        url: &str,
+        seed: u64,
+        draining: watch::Receiver<bool>,
+    ) -> Result<Self, EndpointError> {
+        let channel = parse_endpoint(url)?
+            .connect_timeout(CALL_DEADLINE)
+            .tcp_nodelay(true)
+            .connect_lazy();
+        Ok(Self {
+            grpc: WorkerServiceClient::new(channel),
+            state: Arc::new(LinkState {
+                url: url.to_owned(),
+                seed,
+                outage: Mutex::new(None),
+                back: Notify::new(),
+            }),
+            draining,
+        })
+    }
+
+    /// Announces the worker; until it is answered.
+    pub(crate) async fn register(
+        &self,
+        request: RegisterRequest,
+    ) -> Result<RegisterResponse, Status> {
+        self.insist(CALL_DEADLINE, |mut grpc| {
+            let request = request.clone();
+            async move { grpc.register(request).await }
+        })
+        .await
+    }
+
+    /// Asks for one job; without an answer until the worker drains.
+    pub(crate) async fn claim(&self, mut request: ClaimRequest) -> Result<ClaimResponse, Status> {
+        request.max_jobs = 1;
+        request.wait_secs = CLAIM_WAIT.as_secs_f64();
+        let mut draining = self.draining.clone();
+        let claiming = self.insist(CLAIM_WAIT + CALL_DEADLINE, |mut grpc| {
+            let request = request.clone();
+            async move { grpc.claim(request).await }
+        });
+        let outage_in_a_drain = async {
+            // The sender lives as long as the supervisor.
+            let _ = draining.wait_for(|draining| *draining).await;
+            while self.outage_began().is_none() {
+                tokio::time::sleep(FIRST_WAIT).await;
+            }
+        };
+        tokio::select! {
+            answer = claiming => answer,
+            () = outage_in_a_drain => Ok(ClaimResponse::default()),
+        }
+    }
+
+    /// Renews leases; asked once, because the next one comes soon.
+    pub(crate) async fn heartbeat(
+        &self,
+        request: HeartbeatRequest,
+        deadline: Duration,
+    ) -> Result<HeartbeatResponse, Status> {
+        let mut grpc = self.grpc.clone();
+        let answer = within(deadline, grpc.heartbeat(request)).await;
+        self.note(&answer);
+        answer
+    }
+
+    /// Reports an outcome; until it is answered.
+    pub(crate) async fn commit(&self, request: CommitRequest) -> Result<CommitResponse, Status> {
+        self.insist(CALL_DEADLINE, |mut grpc| {
+            let request = request.clone();
+            async move { grpc.commit(request).await }
+        })
+        .await
+    }
+
+    /// Gives a job back; until it is answered.
+    pub(crate) async fn release(&self, request: ReleaseRequest) -> Result<ReleaseResponse, Status> {
+        self.insist(CALL_DEADLINE, |mut grpc| {
+            let request = request.clone();
+            async move { grpc.release(request).await }
+        })
+        .await
+    }
+
+    /// Sends a video; until it is answered.
+    pub(crate) async fn put_video(
+        &self,
+        lease: LeaseRef,
+        file: &Path,
+    ) -> Result<PutArtifactResponse, Status> {
+        let chunks = chunks_of(lease, file)
+            .await
+            .map_err(|error| Status::aborted(format!("read {}: {error}", file.display())))?;
+        self.insist(UPLOAD_DEADLINE, |mut grpc| {
+            let chunks = tokio_stream::iter(chunks.clone());
+            async move { grpc.put_artifact(chunks).await }
+        })
+        .await
+    }
+
+    /// Calls until there is an answer, or a refusal that stays one.
+    async fn insist<T, F>(
+        &self,
+        deadline: Duration,
+        call: impl Fn(WorkerServiceClient<Channel>) -> F,
+    ) -> Result<T, Status>
+    where
+        F: Future<Output = Result<Response<T>, Status>>,
+    {
+        let mut backoff = Backoff::new(self.state.seed);
+        loop {
+            let answer = within(deadline, call(self.grpc.clone())).await;
+            self.note(&answer);
+            match answer {
+                Err(status) if is_outage(&status) => tokio::select! {
+                    () = tokio::time::sleep(backoff.next_wait()) => {}
+                    () = self.state.back.notified() => {}
+                },
+                answered => return answered,
+            }
+        }
+    }
+
+    /// Tells the beginning and the end of an outage, once.
+    fn note<T>(&self, answer: &Result<T, Status>) {
+        let url = &self.state.url;
+        let mut outage = self.lock_outage();
+        match (answer, *outage) {
+            (Err(status), None) if is_outage(status) => {
+                *outage = Some(Instant::now());
+                tracing::warn!(
+                    "coordinator {url} cannot be reached ({}); trying again every {} to {} s, \
+                     rollouts in hand go on",
+                    in_words(status),
+                    FIRST_WAIT.as_secs(),
+                    LONGEST_WAIT.as_secs()
+                );
+            }
+            (Err(status), Some(_)) if is_outage(status) => {}
+            (_, Some(since)) => {
+                *outage = None;
+                let secs = since.elapsed().as_secs_f64();
+                tracing::info!("coordinator {url} answers again after {secs:.0} s");
+                self.state.back.notify_waiters();
+            }
+            (_, None) => {}
+        }
+    }
+
+    fn outage_began(&self) -> Option<Instant> {
+        *self.lock_outage()
+    }
+
+    fn lock_outage(&self) -> std::sync::MutexGuard<'_, Option<Instant>> {
+        // Nothing panics while it holds the lock.
+        let outage = self.state.outage.lock();
+        outage.unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Whether asking again may help: everything but a refusal that says why.
+fn is_outage(status: &Status) -> bool {
+    !matches!(
+        status.code(),
+        Code::InvalidArgument
+            | Code::NotFound
+            | Code::AlreadyExists
+            | Code::PermissionDenied
+            | Code::FailedPrecondition
+            | Code::Aborted
+            | Code::OutOfRange
+            | Code::Unimplemented
+            | Code::DataLoss
+            | Code::Unauthenticated
+    )
+}
+
+async fn chunks_of(lease: LeaseRef, file: &Path) -> std::io::Result<Vec<ArtifactChunk>> {
+    let size = tokio::fs::metadata(file).await?.len();
+    if size > MAX_VIDEO_BYTES {
+        let text = format!("{size} bytes are more than the {MAX_VIDEO_BYTES} that are sent");
+        return Err(std::io::Error::other(text));
+    }
+    let bytes = tokio::fs::read(file).await?;
+    let mut chunks: Vec<ArtifactChunk> = bytes
+        .chunks(CHUNK_BYTES)
+        .map(|data| ArtifactChunk {
+            data: data.to_vec(),
+            ..ArtifactChunk::default()
+        })
+        .collect();
+    if let Some(first) = chunks.first_mut() {
+        first.lease = Some(lease);
+        first.name = "video.mp4".to_owned();
+    }
+    Ok(chunks)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_refusal_is_not_asked_again() {
+        assert!(!is_outage(&Status::failed_precondition("another version")));
+        assert!(!is_outage(&Status::not_found("no such job")));
+        assert!(is_outage(&Status::unavailable("connection refused")));
+        assert!(is_outage(&Status::internal("disk full")));
+        assert!(is_outage(&Status::deadline_exceeded("no answer")));
+    }
+
+    #[tokio::test]
+    async fn only_the_first_piece_of_a_video_names_it() {
+        let file = tempfile::NamedTempFile::new().expect("a file");
+        std::fs::write(file.path(), vec![7; CHUNK_BYTES + 1]).expect("written");
+        let chunks = chunks_of(LeaseRef::default(), file.path())
+            .await
+            .expect("read");
+        let sizes: Vec<usize> = chunks.iter().map(|chunk| chunk.data.len()).collect();
+        assert_eq!(sizes, [CHUNK_BYTES, 1]);
+        assert_eq!(chunks[0].name, "video.mp4");
+        assert!(chunks[1].lease.is_none() && chunks[1].name.is_empty());
+    }
+}

@@ -1,0 +1,560 @@
+//! The loop that owns a worker's state: takes one event after the other, and
+//! carries out what `slot_state` decides.
+
+use std::time::Duration;
+
+use proto::coordinator::{
+    ClaimRequest, ClaimResponse, HeartbeatRequest, HeartbeatResponse, Lease, Progress,
+};
+use tokio::sync::{mpsc, watch};
+use tokio::task::JoinSet;
+use tokio::time::{Instant, MissedTickBehavior, interval};
+use tonic::Status;
+
+use super::deliver::{Answer, Delivery, Ending, deliver};
+use super::link::Link;
+use super::process::{ProcessKey, SlotProcess};
+use super::slot_state::{
+    ABANDON_DEADLINE, Decision, Kill, Mode, ProcessState, START_DEADLINE, SlotState, Work,
+};
+use super::{Config, SuperviseError, Timing, registration};
+use crate::grpc::in_words;
+use crate::ids::{Attempt, JobId, LeaseKey};
+use crate::message::{Assignment, Failure, FailureKind, Order, Report, Session};
+use crate::policy::POLICY_CALL_DEADLINE;
+
+/// How often time-outs are looked at.
+const TICK: Duration = Duration::from_millis(250);
+/// How long an abandoning worker tries to give its jobs back.
+const GIVE_BACK_DEADLINE: Duration = Duration::from_secs(10);
+/// How long slots may take to end once nothing is wanted of them.
+const END_DEADLINE: Duration = Duration::from_secs(5);
+
+/// What happens to a worker.
+#[derive(Debug)]
+pub(crate) enum Event {
+    /// Time has passed.
+    Tick,
+    /// Leases are to be renewed.
+    HeartbeatDue,
+    /// The coordinator answered a heartbeat that named these leases.
+    Renewed {
+        sent: Vec<LeaseKey>,
+        answer: Result<HeartbeatResponse, Status>,
+    },
+    /// The coordinator answered a slot's claim.
+    Claimed {
+        slot: usize,
+        answer: Result<ClaimResponse, Status>,
+    },
+    /// The coordinator knows how a slot's rollout ended.
+    Delivered { slot: usize, answer: Answer },
+    /// A slot's process said something.
+    Reported { key: ProcessKey, report: Report },
+    /// A slot's process ended, as told in `end`.
+    Ended { key: ProcessKey, end: String },
+    /// Somebody wants the worker to end: once, finish; twice, at once.
+    Shutdown,
+}
+
+#[derive(Debug)]
+struct Slot {
+    state: SlotState,
+    process: Option<SlotProcess>,
+    lives: u64,
+    /// The rollout in hand, or the last one: its scene is compiled.
+    assignment: Option<Assignment>,
+}
+
+/// The state of a worker and the way to change it.
+pub(super) struct Supervisor {
+    config: Config,
+    timing: Timing,
+    link: Link,
+    slots: Vec<Slot>,
+    mode: Mode,
+    /// Tells the link that no more work is wanted.
+    drain: watch::Sender<bool>,
+    /// Why the worker ends, if not because it was told to.
+    fault: Option<SuperviseError>,
+    heartbeat_under_way: bool,
+    /// What the coordinator last said about having no work.
+    idle_reason: String,
+    events: mpsc::Sender<Event>,
+    calls: JoinSet<()>,
+    processes: JoinSet<()>,
+}
+
+impl Supervisor {
+    pub(super) fn new(
+        config: Config,
+        timing: Timing,
+        link: Link,
+        drain: watch::Sender<bool>,
+        events: mpsc::Sender<Event>,
+        now: Instant,
+    ) -> Self {
+        let slots = (0..config.slots).map(|slot| Slot {
+            state: SlotState::new(now, config.seed.wrapping_add(slot as u64)),
+            process: None,
+            lives: 0,
+            assignment: None,
+        });
+        Self {
+            slots: slots.collect(),
+            config,
+            timing,
+            link,
+            mode: Mode::Serving,
+            drain,
+            fault: None,
+            heartbeat_under_way: false,
+            idle_reason: String::new(),
+            events,
+            calls: JoinSet::new(),
+            processes: JoinSet::new(),
+        }
+    }
+
+    pub(super) async fn serve(
+        mut self,
+        mut inbox: mpsc::Receiver<Event>,
+        mut shutdown: mpsc::Receiver<()>,
+    ) -> Result<(), SuperviseError> {
+        let mut ticks = interval(TICK);
+        ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut heartbeats = interval(self.timing.heartbeat);
+        heartbeats.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        while !self.is_done(Instant::now()) {
+            let event = tokio::select! {
+                Some(event) = inbox.recv() => event,
+                Some(()) = shutdown.recv() => Event::Shutdown,
+                _ = ticks.tick() => Event::Tick,
+                _ = heartbeats.tick() => Event::HeartbeatDue,
+                // Finished tasks are let go of; what they had to say they said.
+                Some(_) = self.calls.join_next() => continue,
+                Some(_) = self.processes.join_next() => continue,
+            };
+            let now = Instant::now();
+            self.handle(event, now);
+            self.carry_out_decisions(now);
+        }
+        self.end(inbox).await;
+        self.fault.map_or(Ok(()), Err)
+    }
+
+    fn is_done(&self, now: Instant) -> bool {
+        let idle = self.slots.iter().all(|slot| slot.state.is_done());
+        match self.mode {
+            Mode::Serving => false,
+            Mode::Draining => idle,
+            Mode::Abandoning { until } => idle || now >= until,
+        }
+    }
+
+    /// Lets the slots' processes end, and sees that they do.
+    async fn end(&mut self, mut inbox: mpsc::Receiver<Event>) {
+        for slot in &mut self.slots {
+            if !matches!(slot.state.work, Work::Nothing | Work::Claiming) {
+                tracing::warn!("a rollout was not given back in time; its lease will expire");
+            }
+            slot.process = None;
+        }
+        self.calls.abort_all();
+        let processes = &mut self.processes;
+        let ending = async {
+            // Reports must be taken for the processes' tasks to end.
+            loop {
+                tokio::select! {
+                    ended = processes.join_next() => if ended.is_none() { return },
+                    _ = inbox.recv() => {}
+                }
+            }
+        };
+        if tokio::time::timeout(END_DEADLINE, ending).await.is_err() {
+            tracing::warn!("a slot's process does not end by itself and is killed");
+        }
+    }
+
+    fn handle(&mut self, event: Event, now: Instant) {
+        match event {
+            Event::Tick => {}
+            Event::HeartbeatDue => self.send_heartbeat(),
+            Event::Renewed { sent, answer } => self.renewed(&sent, answer, now),
+            Event::Claimed { slot, answer } => self.claimed(slot, answer, now),
+            Event::Delivered { slot, answer } => self.delivered(slot, answer),
+            Event::Reported { key, report } => {
+                if self.is_current(key) {
+                    self.reported(key.slot, report, now);
+                }
+            }
+            Event::Ended { key, end } => {
+                if self.is_current(key) {
+                    self.process_ended(key.slot, end, now);
+                }
+            }
+            Event::Shutdown => self.shut_down(now),
+        }
+    }
+
+    fn is_current(&self, key: ProcessKey) -> bool {
+        let process = self.slots[key.slot].process.as_ref();
+        process.is_some_and(|process| process.key == key)
+    }
+
+    fn carry_out_decisions(&mut self, now: Instant) {
+        for slot in 0..self.slots.len() {
+            let state = &self.slots[slot].state;
+            match state.decide(self.mode, self.timing.progress_timeout, now) {
+                Some(Decision::Start) => self.start_process(slot, now),
+                Some(Decision::Claim) => self.claim(slot),
+                Some(Decision::Kill(why)) => self.kill(slot, why),
+                None => {}
+            }
+        }
+    }
+
+    fn start_process(&mut self, slot: usize, now: Instant) {
+        let slots = &mut self.slots[slot];
+        slots.lives += 1;
+        let key = ProcessKey {
+            slot,
+            life: slots.lives,
+        };
+        let command = &self.config.slot_command;
+        let started = SlotProcess::start(command, key, &mut self.processes, self.events.clone());
+        match started {
+            Ok(process) => {
+                slots.process = Some(process);
+                slots.state.process = ProcessState::Starting {
+                    deadline: now + START_DEADLINE,
+                };
+            }
+            Err(error) => {
+                let program = command.program.display();
+                self.process_ended(slot, format!("could not start {program}: {error}"), now);
+            }
+        }
+    }
+
+    fn kill(&mut self, slot: usize, why: Kill) {
+        let kill = match why {
+            Kill::NotReady => "its process does not become ready",
+            Kill::Stuck => "its rollout stands still",
+            Kill::HoldsOn => "it does not let go of its rollout",
+        };
+        tracing::warn!("slot {slot} is killed: {kill}");
+        let slot = &mut self.slots[slot];
+        slot.state.killed(why);
+        if let Some(process) = &slot.process {
+            process.kill();
+        }
+    }
+
+    fn claim(&mut self, slot: usize) {
+        self.slots[slot].state.work = Work::Claiming;
+        let warm = self.slots[slot].assignment.as_ref();
+        let request = ClaimRequest {
+            worker_id: self.config.identity.worker.to_string(),
+            warm_task: warm.map_or_else(String::new, |warm| warm.row.id.task().to_string()),
+            ..ClaimRequest::default()
+        };
+        let (link, events) = (self.link.clone(), self.events.clone());
+        let registration = registration(&self.config);
+        self.calls.spawn(async move {
+            let mut answer = link.claim(request.clone()).await;
+            if matches!(&answer, Err(status) if status.code() == tonic::Code::NotFound) {
+                // A coordinator with a new data folder knows nobody yet.
+                answer = match link.register(registration).await {
+                    Ok(_) => link.claim(request).await,
+                    Err(status) => Err(status),
+                };
+            }
+            let _ = events.send(Event::Claimed { slot, answer }).await;
+        });
+    }
+
+    fn claimed(&mut self, slot: usize, answer: Result<ClaimResponse, Status>, now: Instant) {
+        self.slots[slot].state.work = Work::Nothing;
+        let answer = match answer {
+            Ok(answer) => answer,
+            Err(status) => return self.stop(SuperviseError::Stopped(in_words(&status))),
+        };
+        let Some(lease) = answer.leases.into_iter().next() else {
+            return self.tell_idle(answer.idle_reason);
+        };
+        let key = LeaseKey {
+            job: JobId(lease.job_id),
+            attempt: Attempt(lease.attempt),
+        };
+        let campaign = lease.campaign.clone();
+        let failed = |kind, error: String| Ending::Failed(Failure { kind, error });
+        let up = self.slots[slot].state.process == ProcessState::Up;
+        let ending = match self.assignment(lease) {
+            _ if self.mode != Mode::Serving => {
+                failed(FailureKind::Draining, "the worker is going down".to_owned())
+            }
+            _ if !up => {
+                let text = "the slot's process ended before the rollout began";
+                failed(FailureKind::Draining, text.to_owned())
+            }
+            Err(error) => failed(FailureKind::Simulator, error),
+            Ok(assignment) => return self.begin(slot, key, assignment, now),
+        };
+        self.slots[slot].state.work = Work::Delivering {
+            lease: key,
+            control_steps: 0,
+        };
+        let label = format!("job {} of campaign {campaign}", key.job.0);
+        self.send_delivery(slot, key, label, ending);
+    }
+
+    /// Says once why there is nothing to do although jobs wait.
+    fn tell_idle(&mut self, reason: String) {
+        if reason != self.idle_reason {
+            if !reason.is_empty() {
+                tracing::info!("nothing to do: {reason}");
+            }
+            self.idle_reason = reason;
+        }
+    }
+
+    /// What a slot has to do for a lease. The error reads after "failed to …".
+    fn assignment(&self, lease: Lease) -> Result<Assignment, String> {
+        let row: protocol::ManifestRow = serde_json::from_str(&lease.manifest_row)
+            .map_err(|error| format!("read the manifest row of job {}: {error}", lease.job_id))?;
+        let realisation = lease.realisation.parse();
+        let endpoint = self.config.policy_endpoint.clone();
+        let video = format!("{}-{}.mp4", lease.job_id, lease.attempt);
+        Ok(Assignment {
+            session: Session::new(&row.id, lease.replicate, lease.attempt),
+            realisation: realisation.map_err(|error: protocol::UnknownName| error.to_string())?,
+            policy: lease.policy,
+            policy_endpoint: endpoint.unwrap_or(lease.policy_endpoint),
+            policy_seed: lease.policy_seed,
+            // A policy that hangs is to be blamed before its slot is.
+            policy_deadline: POLICY_CALL_DEADLINE.min(self.timing.progress_timeout / 2),
+            video: lease.record_video.then(|| self.config.scratch.join(video)),
+            row,
+        })
+    }
+
+    fn begin(&mut self, slot: usize, lease: LeaseKey, assignment: Assignment, now: Instant) {
+        let slot = &mut self.slots[slot];
+        if let Some(process) = &slot.process {
+            process.order(Order::Run(Box::new(assignment.clone())));
+        }
+        slot.assignment = Some(assignment);
+        slot.state.work = Work::Running {
+            lease,
+            control_steps: 0,
+            moved_at: now,
+        };
+    }
+
+    fn reported(&mut self, slot: usize, report: Report, now: Instant) {
+        let state = &mut self.slots[slot].state;
+        let lease = state.progress().map(|(lease, _)| lease);
+        let ending = match report {
+            Report::Ready => return state.became_ready(),
+            Report::Progress(steps) => return state.advanced(steps, now),
+            Report::Abandoned => {
+                state.rollout_ended();
+                return;
+            }
+            Report::Finished(finished) => Ending::Finished(finished),
+            Report::Failed(failure) => Ending::Failed(failure),
+        };
+        if let (true, Some(lease)) = (state.rollout_ended(), lease) {
+            let session = self.session(slot);
+            self.send_delivery(slot, lease, session, ending);
+        }
+    }
+
+    /// The rollout in hand, for people.
+    fn session(&self, slot: usize) -> String {
+        let assignment = self.slots[slot].assignment.as_ref();
+        assignment.map_or_else(String::new, |it| it.session.to_string())
+    }
+
+    fn process_ended(&mut self, slot: usize, end: String, now: Instant) {
+        self.slots[slot].process = None;
+        let state = &mut self.slots[slot].state;
+        let lost = state.ended(now);
+        if state.cannot_start() {
+            let end = end.clone();
+            self.stop(SuperviseError::Slot { slot, end });
+        } else {
+            tracing::warn!("the process of slot {slot} {end}");
+        }
+        if let Some((lease, kind)) = lost {
+            let error = self.explain_loss(kind, &end);
+            let session = self.session(slot);
+            self.send_delivery(
+                slot,
+                lease,
+                session,
+                Ending::Failed(Failure { kind, error }),
+            );
+        }
+    }
+
+    /// Reads after "failed to …".
+    fn explain_loss(&self, kind: FailureKind, end: &str) -> String {
+        let host = &self.config.identity.host;
+        if kind == FailureKind::SlotStuck {
+            let secs = self.timing.progress_timeout.as_secs_f64();
+            format!("simulate on {host}: the rollout stood still for {secs:.0} s and was killed")
+        } else {
+            format!("simulate on {host}: the slot's process {end}")
+        }
+    }
+
+    fn send_delivery(&mut self, slot: usize, lease: LeaseKey, label: String, ending: Ending) {
+        let assignment = self.slots[slot].assignment.as_ref();
+        let delivery = Delivery {
+            lease: lease.to_wire(&self.config.identity.worker),
+            label,
+            realisation: assignment.map(|it| it.realisation).unwrap_or_default(),
+            identity: self.config.identity.clone(),
+            ending,
+        };
+        delivery.tell();
+        let (link, events) = (self.link.clone(), self.events.clone());
+        self.calls.spawn(async move {
+            let answer = deliver(&link, delivery).await;
+            let _ = events.send(Event::Delivered { slot, answer }).await;
+        });
+    }
+
+    fn delivered(&mut self, slot: usize, answer: Answer) {
+        self.slots[slot].state.work = Work::Nothing;
+        answer.tell();
+        if let Some(reason) = answer.stop_leasing() {
+            self.stop(SuperviseError::Stopped(reason));
+        }
+    }
+
+    fn send_heartbeat(&mut self) {
+        if self.heartbeat_under_way {
+            return;
+        }
+        self.heartbeat_under_way = true;
+        let held: Vec<_> = self
+            .slots
+            .iter()
+            .filter_map(|it| it.state.progress())
+            .collect();
+        let progress = held.iter().map(|(lease, control_steps)| Progress {
+            job_id: lease.job.0,
+            attempt: lease.attempt.0,
+            control_steps: *control_steps,
+        });
+        let request = HeartbeatRequest {
+            worker_id: self.config.identity.worker.to_string(),
+            progress: progress.collect(),
+        };
+        let sent = held.into_iter().map(|(lease, _)| lease).collect();
+        let (link, events) = (self.link.clone(), self.events.clone());
+        let deadline = self.timing.heartbeat.max(Duration::from_secs(1));
+        self.calls.spawn(async move {
+            let answer = link.heartbeat(request, deadline).await;
+            let _ = events.send(Event::Renewed { sent, answer }).await;
+        });
+    }
+
+    fn renewed(
+        &mut self,
+        sent: &[LeaseKey],
+        answer: Result<HeartbeatResponse, Status>,
+        now: Instant,
+    ) {
+        self.heartbeat_under_way = false;
+        // A failure is told by the link, and the next heartbeat is soon.
+        let Ok(answer) = answer else { return };
+        for lease in sent
+            .iter()
+            .filter(|it| answer.lost_jobs.contains(&it.job.0))
+        {
+            self.let_go(*lease, now);
+        }
+    }
+
+    /// Abandons the rollout of a lost lease, if it is still being simulated.
+    fn let_go(&mut self, lost: LeaseKey, now: Instant) {
+        let held = |slot: &&mut Slot| matches!(slot.state.work, Work::Running { lease, .. } if lease == lost);
+        let Some(slot) = self.slots.iter_mut().find(held) else {
+            return;
+        };
+        if let Some(process) = &slot.process {
+            process.order(Order::Abandon);
+        }
+        slot.state.work = Work::Abandoning {
+            deadline: now + ABANDON_DEADLINE,
+        };
+        let session = slot.assignment.as_ref().map(|it| it.session.as_str());
+        tracing::warn!(
+            "the lease of {} was lost; it is abandoned",
+            session.unwrap_or_default()
+        );
+    }
+
+    /// Takes on no more work because of a fault.
+    fn stop(&mut self, fault: SuperviseError) {
+        if self.mode == Mode::Serving {
+            self.start_to_drain();
+            self.fault = Some(fault);
+        }
+    }
+
+    fn start_to_drain(&mut self) {
+        self.mode = Mode::Draining;
+        self.drain.send_replace(true);
+    }
+
+    fn shut_down(&mut self, now: Instant) {
+        if self.mode == Mode::Serving {
+            self.start_to_drain();
+            let busy = self
+                .slots
+                .iter()
+                .filter(|slot| !slot.state.is_done())
+                .count();
+            tracing::info!(
+                "draining: {busy} slots finish what they have; ask again to give it back instead"
+            );
+        } else if self.mode == Mode::Draining {
+            self.mode = Mode::Abandoning {
+                until: now + GIVE_BACK_DEADLINE,
+            };
+            tracing::info!("giving the rollouts in hand back");
+            for slot in 0..self.slots.len() {
+                self.give_back(slot);
+            }
+        }
+    }
+
+    fn give_back(&mut self, slot: usize) {
+        let state = &mut self.slots[slot].state;
+        let (Work::Running { lease, .. } | Work::Stuck { lease, .. }) = state.work else {
+            return;
+        };
+        state.work = Work::Delivering {
+            lease,
+            control_steps: 0,
+        };
+        state.process = ProcessState::Dying;
+        if let Some(process) = &self.slots[slot].process {
+            process.kill();
+        }
+        let error = "the worker was told to end at once".to_owned();
+        let kind = FailureKind::Draining;
+        let session = self.session(slot);
+        self.send_delivery(
+            slot,
+            lease,
+            session,
+            Ending::Failed(Failure { kind, error }),
+        );
+    }
+}

@@ -1,0 +1,281 @@
+//! Videos of rollouts: both cameras side by side, 20 pictures per second, H.264
+//! in MP4, as browsers play it. Responsible for turning the simulator's upside
+//! down pictures upright, for colour and for the file; not for drawing, nor for
+//! where the file goes.
+
+use muxide::api::{Muxer, MuxerBuilder, MuxerError, VideoCodec};
+use openh264::OpenH264API;
+use openh264::encoder::{
+    Encoder, EncoderConfig, FrameRate, FrameType, IntraFramePeriod, QpRange, RateControlMode,
+    VuiConfig,
+};
+use openh264::formats::YUVBuffer;
+
+/// Width and height of one camera's picture, pixels.
+pub const PANE_SIDE: usize = 256;
+/// Pictures per second: one per control step.
+pub const FRAMES_PER_SEC: f64 = 20.0;
+
+const WIDTH: usize = 2 * PANE_SIDE;
+const HEIGHT: usize = PANE_SIDE;
+const PANE_BYTES: usize = PANE_SIDE * PANE_SIDE * 3;
+/// The quantiser, the same for every picture: rate control would blur the one
+/// moment that a viewer looks for. At 26 two panes take some 3 kB per picture.
+const QUANTISER: u8 = 26;
+/// A picture that can be jumped to every two seconds.
+const KEYFRAME_EVERY: u32 = 40;
+
+/// Why a video could not be made.
+#[derive(Debug, thiserror::Error)]
+pub enum VideoError {
+    /// A picture has not the size of a pane.
+    #[error("add a picture of {given} bytes to a video of {PANE_BYTES} bytes per camera")]
+    PaneSize {
+        /// Its size, bytes.
+        given: usize,
+    },
+    /// The H.264 encoder.
+    #[error("encode a video")]
+    Encode(#[from] openh264::Error),
+    /// The MP4 writer.
+    #[error("write a video as MP4")]
+    Mux(#[from] MuxerError),
+}
+
+/// Makes one video, picture by picture, in memory.
+pub struct Recorder {
+    encoder: Encoder,
+    muxer: Muxer<Vec<u8>>,
+    frames: u32,
+}
+
+impl Recorder {
+    /// Starts a video.
+    ///
+    /// # Errors
+    /// If the encoder cannot be started.
+    pub fn new() -> Result<Self, VideoError> {
+        let config = EncoderConfig::new()
+            .skip_frames(false)
+            .rate_control_mode(RateControlMode::Off)
+            .qp(QpRange::new(QUANTISER, QUANTISER))
+            .adaptive_quantization(false)
+            .max_frame_rate(FrameRate::from_hz(FRAMES_PER_SEC as f32))
+            .intra_frame_period(IntraFramePeriod::from_num_frames(KEYFRAME_EVERY))
+            .scene_change_detect(false)
+            // The other cores belong to other slots.
+            .num_threads(1)
+            .vui(VuiConfig::bt709());
+        let encoder = Encoder::with_api_config(OpenH264API::from_source(), config)?;
+        let (width, height) = (WIDTH as u32, HEIGHT as u32);
+        let muxer = MuxerBuilder::new(Vec::new())
+            .video(VideoCodec::H264, width, height, FRAMES_PER_SEC)
+            .build()?;
+        Ok(Self {
+            encoder,
+            muxer,
+            frames: 0,
+        })
+    }
+
+    /// Adds a picture: RGB, 8 bits, [`PANE_SIDE`]², row 0 at the bottom, as the
+    /// simulator draws it; the first camera goes to the left.
+    ///
+    /// # Errors
+    /// If a pane has another size, or the encoder fails.
+    pub fn add(&mut self, panes: [&[u8]; 2]) -> Result<(), VideoError> {
+        if let Some(pane) = panes.iter().find(|pane| pane.len() != PANE_BYTES) {
+            return Err(VideoError::PaneSize { given: pane.len() });
+        }
+        let picture = YUVBuffer::from_vec(yuv_of(panes), WIDTH, HEIGHT);
+        let encoded = self.encoder.encode(&picture)?;
+        let keyframe = matches!(encoded.frame_type(), FrameType::IDR | FrameType::I);
+        let shown_at_secs = f64::from(self.frames) / FRAMES_PER_SEC;
+        self.muxer
+            .write_video(shown_at_secs, &encoded.to_vec(), keyframe)?;
+        self.frames += 1;
+        Ok(())
+    }
+
+    /// The finished MP4 file.
+    ///
+    /// # Errors
+    /// If no picture was added.
+    pub fn finish(mut self) -> Result<Vec<u8>, VideoError> {
+        self.muxer.finish_in_place()?;
+        Ok(self.muxer.into_writer())
+    }
+}
+
+/// Planar 4:2:0 of the two panes, upright: BT.709, limited range. openh264's
+/// own conversion has the coefficients of BT.601, which would turn the colours
+/// of a stream that says BT.709.
+fn yuv_of(panes: [&[u8]; 2]) -> Vec<u8> {
+    let mut yuv = vec![0; WIDTH * HEIGHT * 3 / 2];
+    let (luma, chroma) = yuv.split_at_mut(WIDTH * HEIGHT);
+    let (blue, red) = chroma.split_at_mut(WIDTH * HEIGHT / 4);
+    for y in (0..HEIGHT).step_by(2) {
+        for x in (0..WIDTH).step_by(2) {
+            let mut sum = [0.0; 3];
+            for (x, y) in [(x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)] {
+                let rgb = pixel(panes, x, y);
+                luma[y * WIDTH + x] = quantise(16.0 + 219.0 * brightness(rgb));
+                for (sum, channel) in sum.iter_mut().zip(rgb) {
+                    *sum += channel / 4.0;
+                }
+            }
+            let bright = brightness(sum);
+            let at = y / 2 * (WIDTH / 2) + x / 2;
+            blue[at] = quantise(128.0 + 224.0 * (sum[2] - bright) / 1.8556);
+            red[at] = quantise(128.0 + 224.0 * (sum[0] - bright) / 1.5748);
+        }
+    }
+    yuv
+}
+
+/// Red, green and blue in [0, 1] at column `x` and row `y` from the top.
+fn pixel(panes: [&[u8]; 2], x: usize, y: usize) -> [f32; 3] {
+    let at = ((PANE_SIDE - 1 - y) * PANE_SIDE + x % PANE_SIDE) * 3;
+    let pane = panes[x / PANE_SIDE];
+    [pane[at], pane[at + 1], pane[at + 2]].map(|channel| f32::from(channel) / 255.0)
+}
+
+/// Rec. 709 luma of a colour.
+fn brightness([red, green, blue]: [f32; 3]) -> f32 {
+    0.2126 * red + 0.7152 * green + 0.0722 * blue
+}
+
+/// To the nearest of 0..=255: `as` saturates.
+fn quantise(value: f32) -> u8 {
+    value.round() as u8
+}
+
+#[cfg(test)]
+mod tests {
+    use openh264::decoder::Decoder;
+    use openh264::formats::YUVSource;
+
+    use super::*;
+
+    /// One pane: `top` in its upper half, `bottom` in its lower one.
+    fn pane(top: [u8; 3], bottom: [u8; 3]) -> Vec<u8> {
+        let rows = PANE_SIDE * PANE_SIDE / 2;
+        let mut pixels = bottom.repeat(rows);
+        pixels.extend(top.repeat(rows));
+        pixels
+    }
+
+    #[test]
+    fn pictures_stand_upright_side_by_side() {
+        let left = pane([255, 255, 255], [0, 0, 0]);
+        let right = pane([0, 0, 0], [255, 255, 255]);
+        let yuv = yuv_of([&left, &right]);
+        let luma = |x: usize, y: usize| yuv[y * WIDTH + x];
+        assert_eq!([luma(0, 0), luma(255, 127), luma(0, 255)], [235, 235, 16]);
+        assert_eq!([luma(256, 0), luma(511, 255)], [16, 235]);
+    }
+
+    /// Expected values: ITU-R BT.709-6, table 4, at 8 bits.
+    #[test]
+    fn primaries_have_the_codes_of_bt_709() {
+        let check = |rgb: [u8; 3], expected: [u8; 3]| {
+            let colour = pane(rgb, rgb);
+            let yuv = yuv_of([&colour, &colour]);
+            let quarter = WIDTH * HEIGHT / 4;
+            let codes = [yuv[0], yuv[4 * quarter], yuv[5 * quarter]];
+            assert_eq!(codes, expected, "{rgb:?}");
+        };
+        check([255, 0, 0], [63, 102, 240]);
+        check([0, 255, 0], [173, 42, 26]);
+        check([0, 0, 255], [32, 240, 118]);
+        check([128, 128, 128], [126, 128, 128]);
+    }
+
+    #[test]
+    fn a_video_holds_every_picture_and_decodes_to_what_went_in() {
+        let mut recorder = Recorder::new().expect("starts");
+        let still = pane([200, 60, 30], [20, 120, 220]);
+        for shade in 0..50 {
+            let moving = pane([shade * 5; 3], [0, shade * 4, 90]);
+            recorder.add([&still, &moving]).expect("encodes");
+        }
+        let mp4 = recorder.finish().expect("muxes");
+        assert_eq!(&mp4[4..8], b"ftyp");
+        let samples = mp4_samples(&mp4);
+        assert_eq!(samples.len(), 50);
+
+        let mut decoder = Decoder::new().expect("a decoder");
+        let (sps, pps) = parameter_sets(&mp4);
+        for set in [sps, pps] {
+            decoder.decode(&annex_b(&set)).expect("a parameter set");
+        }
+        let picture = decoder.decode(&units(samples[0])).expect("a picture");
+        let picture = picture.expect("the first picture");
+        assert_eq!(picture.dimensions(), (WIDTH, HEIGHT));
+        let expected = yuv_of([&still, &pane([0; 3], [0, 0, 90])]);
+        let off = (0..HEIGHT)
+            .flat_map(|y| (0..WIDTH).map(move |x| (x, y)))
+            .map(|(x, y)| {
+                picture.y()[y * picture.strides().0 + x].abs_diff(expected[y * WIDTH + x])
+            })
+            .max();
+        assert!(off <= Some(8), "luma off by {off:?}");
+    }
+
+    #[test]
+    fn a_picture_of_another_size_is_refused() {
+        let mut recorder = Recorder::new().expect("starts");
+        let error = recorder.add([&[0; 12], &[0; 12]]).expect_err("too small");
+        assert!(error.to_string().contains("12 bytes"), "{error}");
+    }
+
+    /// The payload of the first box called `name`, wherever it is nested.
+    fn find<'a>(mp4: &'a [u8], name: &[u8; 4]) -> &'a [u8] {
+        let at = mp4.windows(4).position(|window| window == name);
+        let at = at.unwrap_or_else(|| panic!("no box {}", String::from_utf8_lossy(name)));
+        let size = u32::from_be_bytes(mp4[at - 4..at].try_into().expect("4 bytes")) as usize;
+        &mp4[at + 4..at - 4 + size]
+    }
+
+    fn number(bytes: &[u8], at: usize) -> usize {
+        u32::from_be_bytes(bytes[at..at + 4].try_into().expect("4 bytes")) as usize
+    }
+
+    /// The samples of a file whose samples lie one after the other.
+    fn mp4_samples(mp4: &[u8]) -> Vec<&[u8]> {
+        let sizes = find(mp4, b"stsz");
+        let mut rest = find(mp4, b"mdat");
+        (0..number(sizes, 8))
+            .map(|sample| {
+                let size = number(sizes, 12 + 4 * sample);
+                let (head, tail) = rest.split_at(size);
+                rest = tail;
+                head
+            })
+            .collect()
+    }
+
+    fn parameter_sets(mp4: &[u8]) -> (Vec<u8>, Vec<u8>) {
+        let config = find(mp4, b"avcC");
+        let size = usize::from(u16::from_be_bytes([config[6], config[7]]));
+        let sps = config[8..8 + size].to_vec();
+        let rest = &config[8 + size + 1..];
+        let size = usize::from(u16::from_be_bytes([rest[0], rest[1]]));
+        (sps, rest[2..2 + size].to_vec())
+    }
+
+    fn annex_b(unit: &[u8]) -> Vec<u8> {
+        [&[0, 0, 0, 1], unit].concat()
+    }
+
+    /// A sample's length-prefixed units as a byte stream.
+    fn units(mut sample: &[u8]) -> Vec<u8> {
+        let mut stream = Vec::new();
+        while !sample.is_empty() {
+            let size = number(sample, 0);
+            stream.extend(annex_b(&sample[4..4 + size]));
+            sample = &sample[4 + size..];
+        }
+        stream
+    }
+}
