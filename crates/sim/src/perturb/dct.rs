@@ -2,7 +2,7 @@
 //! libjpeg's "islow" computes it.
 
 /// Samples or coefficients, row by row.
-pub(super) type Block = [i64; 64];
+pub(super) type Block = [i32; 64];
 
 /// Fractional bits of the factors.
 const FACTOR_BITS: u32 = 13;
@@ -10,18 +10,18 @@ const FACTOR_BITS: u32 = 13;
 const PASS_BITS: u32 = 2;
 
 // Sums of cosines, √2 · cos(kπ/16), with 13 fractional bits.
-const F_0_298: i64 = 2446;
-const F_0_390: i64 = 3196;
-const F_0_541: i64 = 4433;
-const F_0_765: i64 = 6270;
-const F_0_899: i64 = 7373;
-const F_1_175: i64 = 9633;
-const F_1_501: i64 = 12299;
-const F_1_847: i64 = 15137;
-const F_1_961: i64 = 16069;
-const F_2_053: i64 = 16819;
-const F_2_562: i64 = 20995;
-const F_3_072: i64 = 25172;
+const F_0_298: i32 = 2446;
+const F_0_390: i32 = 3196;
+const F_0_541: i32 = 4433;
+const F_0_765: i32 = 6270;
+const F_0_899: i32 = 7373;
+const F_1_175: i32 = 9633;
+const F_1_501: i32 = 12299;
+const F_1_847: i32 = 15137;
+const F_1_961: i32 = 16069;
+const F_2_053: i32 = 16819;
+const F_2_562: i32 = 20995;
+const F_3_072: i32 = 25172;
 
 /// Coefficients, eight times too large, of samples around zero.
 pub(super) fn forward(samples: &Block) -> Block {
@@ -59,7 +59,7 @@ fn pass(
     block: &mut Block,
     start: usize,
     stride: usize,
-    line: fn([i64; 8]) -> [i64; 8],
+    line: fn([i32; 8]) -> [i32; 8],
     shift: u32,
 ) {
     let transformed = line(std::array::from_fn(|i| block[start + i * stride]));
@@ -69,9 +69,9 @@ fn pass(
 }
 
 /// Results have 13 fractional bits.
-fn forward_line(x: [i64; 8]) -> [i64; 8] {
-    let sum: [i64; 4] = std::array::from_fn(|i| x[i] + x[7 - i]);
-    let [d7, d6, d5, d4]: [i64; 4] = std::array::from_fn(|i| x[i] - x[7 - i]);
+fn forward_line(x: [i32; 8]) -> [i32; 8] {
+    let sum: [i32; 4] = std::array::from_fn(|i| x[i] + x[7 - i]);
+    let [d7, d6, d5, d4]: [i32; 4] = std::array::from_fn(|i| x[i] - x[7 - i]);
     let (outer, outer_d) = (sum[0] + sum[3], sum[0] - sum[3]);
     let (inner, inner_d) = (sum[1] + sum[2], sum[1] - sum[2]);
     let even = (outer_d + inner_d) * F_0_541;
@@ -89,7 +89,7 @@ fn forward_line(x: [i64; 8]) -> [i64; 8] {
 }
 
 /// Arguments have no fractional bits, results 13.
-fn inverse_line(x: [i64; 8]) -> [i64; 8] {
+fn inverse_line(x: [i32; 8]) -> [i32; 8] {
     let even = (x[2] + x[6]) * F_0_541;
     let (e2, e3) = (even - x[6] * F_1_847, even + x[2] * F_0_765);
     let (e0, e1) = ((x[0] + x[4]) << FACTOR_BITS, (x[0] - x[4]) << FACTOR_BITS);
@@ -106,7 +106,7 @@ fn inverse_line(x: [i64; 8]) -> [i64; 8] {
 }
 
 /// The rotations that both directions share.
-fn odd_part([a, b, c, d]: [i64; 4]) -> [i64; 4] {
+fn odd_part([a, b, c, d]: [i32; 4]) -> [i32; 4] {
     let common = (a + c + b + d) * F_1_175;
     let ad = -(a + d) * F_0_899;
     let bc = -(b + c) * F_2_562;
@@ -126,7 +126,7 @@ mod tests {
     use std::f64::consts::PI;
 
     fn sample_block() -> Block {
-        std::array::from_fn(|i| (i as i64 * 37 + 11) % 256 - 128)
+        std::array::from_fn(|i| (i as i32 * 37 + 11) % 256 - 128)
     }
 
     #[test]

@@ -43,11 +43,9 @@ pub(super) fn round_trip(rgb: &mut [u8], width: usize, height: usize, quality: u
         half.quantise(&steps);
         half.doubled(width, height)
     });
-    for (y, row) in rgb.chunks_exact_mut(width * 3).enumerate() {
-        for (x, pixel) in row.chunks_exact_mut(3).enumerate() {
-            let ycc = [&luminance, &blue, &red].map(|plane| i64::from(plane.at(x, y)));
-            pixel.copy_from_slice(&to_rgb(ycc));
-        }
+    for (i, pixel) in rgb.chunks_exact_mut(3).enumerate() {
+        let ycc = [&luminance, &blue, &red].map(|plane| i32::from(plane.samples[i]));
+        pixel.copy_from_slice(&to_rgb(ycc));
     }
 }
 
@@ -59,29 +57,35 @@ struct Plane {
 }
 
 impl Plane {
-    fn at(&self, x: usize, y: usize) -> u8 {
-        self.samples[y * self.width + x]
-    }
-
-    /// The sample at a place, or the border's where it lies outside.
-    fn nearest(&self, x: usize, y: usize) -> i64 {
-        i64::from(self.at(x.min(self.width - 1), y.min(self.height - 1)))
+    /// A row, or the nearest where it lies outside.
+    fn row(&self, y: usize) -> &[u8] {
+        let y = y.min(self.height - 1);
+        &self.samples[y * self.width..(y + 1) * self.width]
     }
 
     /// Transforms, quantises and transforms back, block by block. Blocks that
     /// stick out repeat the border.
-    fn quantise(&mut self, steps: &[i64; 64]) {
+    fn quantise(&mut self, steps: &[i32; 64]) {
         for top in (0..self.height).step_by(SIDE) {
             for left in (0..self.width).step_by(SIDE) {
-                let samples: Block =
-                    std::array::from_fn(|i| self.nearest(left + i % SIDE, top + i / SIDE) - 128);
-                let mut coefficients = dct::forward(&samples);
+                let mut coefficients = dct::forward(&self.block(left, top));
                 for (coefficient, step) in coefficients.iter_mut().zip(steps) {
                     *coefficient = quantised(*coefficient, *step);
                 }
                 self.set_block(left, top, &dct::inverse(&coefficients));
             }
         }
+    }
+
+    fn block(&self, left: usize, top: usize) -> Block {
+        let mut block = [0; 64];
+        for (y, line) in block.chunks_exact_mut(SIDE).enumerate() {
+            let row = self.row(top + y);
+            for (x, sample) in line.iter_mut().enumerate() {
+                *sample = i32::from(row[(left + x).min(self.width - 1)]) - 128;
+            }
+        }
+        block
     }
 
     fn set_block(&mut self, left: usize, top: usize, block: &Block) {
@@ -99,12 +103,14 @@ impl Plane {
         let (width, height) = (self.width.div_ceil(2), self.height.div_ceil(2));
         let mut samples = Vec::with_capacity(width * height);
         for y in 0..height {
+            let (upper, lower) = (self.row(2 * y), self.row(2 * y + 1));
             for x in 0..width {
-                let sum = self.nearest(2 * x, 2 * y)
-                    + self.nearest(2 * x + 1, 2 * y)
-                    + self.nearest(2 * x, 2 * y + 1)
-                    + self.nearest(2 * x + 1, 2 * y + 1);
-                let bias = 1 + (x % 2) as i64;
+                let (left, right) = (2 * x, (2 * x + 1).min(self.width - 1));
+                let sum = [upper[left], upper[right], lower[left], lower[right]]
+                    .map(i32::from)
+                    .iter()
+                    .sum::<i32>();
+                let bias = 1 + (x % 2) as i32;
                 samples.push(((sum + bias) >> 2) as u8);
             }
         }
@@ -126,14 +132,17 @@ impl Plane {
             } else {
                 near + 1
             };
-            let column = |x: usize| 3 * self.nearest(x, near) + self.nearest(x, far);
+            let rows = self.row(near).iter().zip(self.row(far));
+            let columns: Vec<i32> = rows
+                .map(|(&near, &far)| 3 * i32::from(near) + i32::from(far))
+                .collect();
             for x in 0..width {
                 let this = x / 2;
-                let sum = match x % 2 {
-                    0 => 3 * column(this) + column(this.saturating_sub(1)) + 8,
-                    _ => 3 * column(this) + column((this + 1).min(self.width - 1)) + 7,
+                let (next, rounding) = match x % 2 {
+                    0 => (this.saturating_sub(1), 8),
+                    _ => ((this + 1).min(self.width - 1), 7),
                 };
-                samples.push((sum >> 4) as u8);
+                samples.push(((3 * columns[this] + columns[next] + rounding) >> 4) as u8);
             }
         }
         Self {
@@ -145,45 +154,41 @@ impl Plane {
 }
 
 /// The tables at a quality: 50 as they stand, 100 all ones.
-fn scaled(steps: &[u16; 64], quality: u8) -> [i64; 64] {
-    let quality = i64::from(quality);
+fn scaled(steps: &[u16; 64], quality: u8) -> [i32; 64] {
+    let quality = i32::from(quality);
     let percent = if quality < 50 {
         5000 / quality
     } else {
         200 - 2 * quality
     };
-    steps.map(|step| ((i64::from(step) * percent + 50) / 100).clamp(1, 255))
+    steps.map(|step| ((i32::from(step) * percent + 50) / 100).clamp(1, 255))
 }
 
 /// The multiple of `step` nearest to an eighth of a coefficient; the forward
 /// transform's results are eight times too large.
-fn quantised(coefficient: i64, step: i64) -> i64 {
+fn quantised(coefficient: i32, step: i32) -> i32 {
     let divisor = 8 * step;
     let magnitude = (coefficient.abs() + divisor / 2) / divisor;
     coefficient.signum() * magnitude * step
 }
 
 /// A factor with 16 fractional bits.
-const fn fixed(value: f64) -> i64 {
-    (value * 65536.0 + 0.5) as i64
+const fn fixed(value: f64) -> i32 {
+    (value * 65536.0 + 0.5) as i32
 }
 
-const HALF: i64 = 1 << 15;
+const HALF: i32 = 1 << 15;
 
 /// Luminance, blue and red difference (JFIF).
 fn to_planes(rgb: &[u8], width: usize, height: usize) -> [Plane; 3] {
-    let convert = |weights: [i64; 3], offset: i64| Plane {
+    let convert = |[r, g, b]: [i32; 3], offset: i32| Plane {
         width,
         height,
         samples: rgb
             .chunks_exact(3)
             .map(|pixel| {
-                let sum: i64 = pixel
-                    .iter()
-                    .zip(weights)
-                    .map(|(&c, w)| i64::from(c) * w)
-                    .sum();
-                ((sum + offset) >> 16) as u8
+                let [red, green, blue] = [pixel[0], pixel[1], pixel[2]].map(i32::from);
+                ((r * red + g * green + b * blue + offset) >> 16) as u8
             })
             .collect(),
     };
@@ -196,7 +201,7 @@ fn to_planes(rgb: &[u8], width: usize, height: usize) -> [Plane; 3] {
     ]
 }
 
-fn to_rgb([luminance, blue, red]: [i64; 3]) -> [u8; 3] {
+fn to_rgb([luminance, blue, red]: [i32; 3]) -> [u8; 3] {
     let (blue, red) = (blue - 128, red - 128);
     [
         luminance + ((fixed(1.402) * red + HALF) >> 16),
@@ -229,5 +234,19 @@ mod tests {
             pairs.map(|(a, b)| u64::from(a.abs_diff(*b))).sum::<u64>()
         };
         assert!(loss(90) < loss(50) && loss(50) < loss(10));
+    }
+    /// The transforms' 32 bits are enough for the harshest pictures.
+    #[test]
+    fn black_and_white_noise_does_not_overflow() {
+        let mut word = 1_u32;
+        for quality in [1, 25, 100] {
+            let mut rgb: Vec<u8> = (0..64 * 64 * 3)
+                .map(|_| {
+                    word = word.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                    if word >> 31 == 0 { 0 } else { 255 }
+                })
+                .collect();
+            round_trip(&mut rgb, 64, 64, quality);
+        }
     }
 }

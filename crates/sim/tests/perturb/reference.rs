@@ -8,10 +8,10 @@ use protocol::presets::{PRESETS, apply_preset};
 use protocol::{Axis, Level, Perturbation};
 
 /// Float arrays by name, row by row.
-pub type Arrays = BTreeMap<String, Vec<f64>>;
+pub(crate) type Arrays = BTreeMap<String, Vec<f64>>;
 
 /// A folder of the reference data; prints what is skipped where there is none.
-pub fn folder(name: &str) -> Option<PathBuf> {
+pub(crate) fn folder(name: &str) -> Option<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("../../../shared/oracle")
         .join(name);
@@ -23,7 +23,7 @@ pub fn folder(name: &str) -> Option<PathBuf> {
 }
 
 /// The thirty presets of an axis.
-pub fn presets(axis: Axis) -> impl Iterator<Item = (Level, u16, Perturbation)> {
+pub(crate) fn presets(axis: Axis) -> impl Iterator<Item = (Level, u16, Perturbation)> {
     let levels = Level::PERTURBED.into_iter();
     levels.flat_map(move |level| {
         (0..PRESETS).map(move |config| {
@@ -35,7 +35,7 @@ pub fn presets(axis: Axis) -> impl Iterator<Item = (Level, u16, Perturbation)> {
 }
 
 /// The float arrays of an archive; text and integers are left out.
-pub fn arrays(path: &Path) -> Arrays {
+pub(crate) fn arrays(path: &Path) -> Arrays {
     let mut archive = NpzArchive::open(path).expect("an archive");
     let names: Vec<String> = archive.array_names().map(str::to_owned).collect();
     let mut arrays = Arrays::new();
@@ -56,7 +56,7 @@ pub fn arrays(path: &Path) -> Arrays {
 }
 
 /// An integer array of an archive.
-pub fn integers(path: &Path, name: &str) -> Vec<i64> {
+pub(crate) fn integers(path: &Path, name: &str) -> Vec<i64> {
     let mut archive = NpzArchive::open(path).expect("an archive");
     let file = archive.by_name(name).expect("readable").expect("listed");
     if file.dtype().descr().contains("<i4") {
@@ -67,7 +67,7 @@ pub fn integers(path: &Path, name: &str) -> Vec<i64> {
 }
 
 /// The tasks of the reference and their model arrays: `goal_t0`, ...
-pub fn models(folder: &Path) -> Vec<(String, PathBuf)> {
+pub(crate) fn models(folder: &Path) -> Vec<(String, PathBuf)> {
     let entries = std::fs::read_dir(folder).expect("a folder");
     let mut models: Vec<(String, PathBuf)> = entries
         .map(|entry| entry.expect("an entry").path())
@@ -82,13 +82,13 @@ pub fn models(folder: &Path) -> Vec<(String, PathBuf)> {
 }
 
 /// The `index`th group of `N` values.
-pub fn group<const N: usize>(values: &[f64], index: usize) -> [f64; N] {
+pub(crate) fn group<const N: usize>(values: &[f64], index: usize) -> [f64; N] {
     let group = &values[N * index..N * (index + 1)];
     group.try_into().expect("as many as asked for")
 }
 
 /// Panics where a value is off by more than `tolerance`.
-pub fn check_close(values: &[f64], expected: &[f64], tolerance: f64, what: &str) {
+pub(crate) fn check_close(values: &[f64], expected: &[f64], tolerance: f64, what: &str) {
     assert_eq!(values.len(), expected.len(), "{what}");
     for (value, expected) in values.iter().zip(expected) {
         let off = (value - expected).abs();
