@@ -22,6 +22,7 @@ pub mod backoff;
 pub mod builtin;
 pub mod check;
 pub mod config;
+pub mod conformance;
 pub mod route;
 pub mod service;
 pub mod sessions;

@@ -10,8 +10,11 @@ use std::{
 };
 
 use anyhow::Context;
-use clap::{CommandFactory, Parser, error::ErrorKind};
-use policy_gateway::config::{Config, RouteSpec};
+use clap::{Args, CommandFactory, Parser, Subcommand, error::ErrorKind};
+use policy_gateway::{
+    config::{Config, RouteSpec},
+    conformance::{self, Target},
+};
 use tokio::{
     net::TcpListener,
     signal::unix::{SignalKind, signal},
@@ -20,8 +23,21 @@ use tracing_subscriber::EnvFilter;
 
 /// Serves policies to workers: each route is a name and what answers for it.
 #[derive(Debug, Parser)]
-#[command(version)]
+#[command(
+    version,
+    args_conflicts_with_subcommands = true,
+    subcommand_negates_reqs = true
+)]
 struct Arguments {
+    #[command(subcommand)]
+    command: Option<Command>,
+
+    #[command(flatten)]
+    serve: Serve,
+}
+
+#[derive(Debug, Args)]
+struct Serve {
     /// Where to listen; port 0 takes a free one, and the line printed names it
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7071")]
     listen: SocketAddr,
@@ -32,25 +48,62 @@ struct Arguments {
     routes: Vec<RouteSpec>,
 }
 
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Checks whether a policy server keeps the policy protocol, point by point
+    Check {
+        /// Where it listens
+        #[arg(value_name = "grpc://HOST:PORT")]
+        url: String,
+
+        /// Which policy there, if it serves several
+        #[arg(long, value_name = "NAME", default_value = "")]
+        policy: String,
+    },
+}
+
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    let config = Config::new(arguments.routes).unwrap_or_else(|error| {
-        Arguments::command()
-            .error(ErrorKind::ValueValidation, format!("failed to {error}"))
-            .exit()
-    });
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
     tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)
         .init();
-    match serve(arguments.listen, config) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("policy-gateway: failed to {error:#}");
-            ExitCode::FAILURE
+    let done = match arguments.command {
+        Some(Command::Check { url, policy }) => check(&Target { url, policy }),
+        None => {
+            let config = Config::new(arguments.serve.routes).unwrap_or_else(|error| {
+                let text = format!("failed to {error}");
+                Arguments::command()
+                    .error(ErrorKind::ValueValidation, text)
+                    .exit()
+            });
+            serve(arguments.serve.listen, config).map(|()| ExitCode::SUCCESS)
         }
-    }
+    };
+    done.unwrap_or_else(|error| {
+        eprintln!("policy-gateway: failed to {error:#}");
+        ExitCode::FAILURE
+    })
+}
+
+/// Prints a verdict per point; fails if one of them did.
+#[tokio::main]
+async fn check(target: &Target) -> anyhow::Result<ExitCode> {
+    let conforms = conformance::check(target, &mut |finding| println!("{finding}")).await?;
+    println!(
+        "{}",
+        if conforms {
+            "conforms"
+        } else {
+            "does not conform"
+        }
+    );
+    Ok(if conforms {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::FAILURE
+    })
 }
 
 #[tokio::main]

@@ -6,66 +6,15 @@ use std::sync::{
     atomic::{AtomicU32, Ordering},
 };
 
-use proto::policy::{
-    DescribeRequest, DescribeResponse, InferBatchRequest, InferBatchResponse, InferRequest,
-    InferResponse, ResetRequest, ResetResponse, policy_server::Policy,
-};
-use tonic::{Code, Request, Response, Status};
+use proto::policy::InferResponse;
+use tonic::{Code, Status};
 
-use crate::support::{describe, description, gateway, infer, reset, serve};
-
-/// Describes itself as told and answers what a function says.
-struct Scripted<F> {
-    described: DescribeResponse,
-    answer: F,
-}
-
-#[tonic::async_trait]
-impl<F> Policy for Scripted<F>
-where
-    F: Fn(InferRequest) -> Result<InferResponse, Status> + Send + Sync + 'static,
-{
-    async fn describe(
-        &self,
-        _: Request<DescribeRequest>,
-    ) -> Result<Response<DescribeResponse>, Status> {
-        Ok(Response::new(self.described.clone()))
-    }
-
-    async fn reset(&self, _: Request<ResetRequest>) -> Result<Response<ResetResponse>, Status> {
-        Ok(Response::new(ResetResponse {}))
-    }
-
-    async fn infer(
-        &self,
-        request: Request<InferRequest>,
-    ) -> Result<Response<InferResponse>, Status> {
-        (self.answer)(request.into_inner()).map(Response::new)
-    }
-
-    async fn infer_batch(
-        &self,
-        _: Request<InferBatchRequest>,
-    ) -> Result<Response<InferBatchResponse>, Status> {
-        Err(Status::unimplemented("one at a time"))
-    }
-}
-
-fn chunk(actions: &[f32], action_width: u32) -> InferResponse {
-    InferResponse {
-        actions: actions.to_vec(),
-        action_width,
-    }
-}
+use crate::support::{Scripted, chunk, describe, description, gateway, infer, reset, serve};
 
 /// Sends one query to a server that answers `answer`, through a gateway.
 async fn refusal(answer: Result<InferResponse, Status>) -> Status {
     let described = description("crooked", 2);
-    let server = serve(Scripted {
-        described,
-        answer: move |_| answer.clone(),
-    })
-    .await;
+    let server = serve(Scripted::new(described, move |_| answer.clone())).await;
     let gateway = gateway(&[&format!("bent=grpc://{}", server.address)]).await;
     let mut client = gateway.client().await;
     client
@@ -119,11 +68,7 @@ async fn a_retry_gets_the_same_actions_and_does_not_ask_the_policy_again() {
     let asked = Arc::new(AtomicU32::new(0));
     let count = Arc::clone(&asked);
     let answer = move |_| Ok(chunk(&[count.fetch_add(1, Ordering::SeqCst) as f32; 7], 7));
-    let server = serve(Scripted {
-        described: description("counter", 1),
-        answer,
-    })
-    .await;
+    let server = serve(Scripted::new(description("counter", 1), answer)).await;
     let gateway = gateway(&[&format!("x=grpc://{}", server.address)]).await;
     let mut client = gateway.client().await;
     let mut ask = async |session: &str, query_index| {
@@ -160,11 +105,7 @@ async fn nonsense_is_not_kept_for_a_retry() {
         0 => Ok(chunk(&[f32::INFINITY; 7], 7)),
         _ => Ok(chunk(&[0.5; 7], 7)),
     };
-    let server = serve(Scripted {
-        described: description("flaky", 1),
-        answer,
-    })
-    .await;
+    let server = serve(Scripted::new(description("flaky", 1), answer)).await;
     let gateway = gateway(&[&format!("x=grpc://{}", server.address)]).await;
     let mut client = gateway.client().await;
     client
@@ -186,11 +127,7 @@ async fn retries_at_once_ask_the_policy_once() {
         std::thread::sleep(std::time::Duration::from_millis(50));
         Ok(chunk(&[count.fetch_add(1, Ordering::SeqCst) as f32; 7], 7))
     };
-    let server = serve(Scripted {
-        described: description("slow", 1),
-        answer,
-    })
-    .await;
+    let server = serve(Scripted::new(description("slow", 1), answer)).await;
     let gateway = gateway(&[&format!("x=grpc://{}", server.address)]).await;
     let (mut first, mut second) = (gateway.client().await, gateway.client().await);
     let (first, second) = tokio::join!(
@@ -250,11 +187,7 @@ async fn a_policy_that_cannot_describe_itself_is_refused_with_what_is_wrong() {
         ),
     ];
     for (described, code, expected) in cases {
-        let server = serve(Scripted {
-            described,
-            answer: |_| Ok(chunk(&[0.0; 7], 7)),
-        })
-        .await;
+        let server = serve(Scripted::new(described, |_| Ok(chunk(&[0.0; 7], 7)))).await;
         let gateway = gateway(&[&format!("x=grpc://{}", server.address)]).await;
         let status = gateway
             .client()

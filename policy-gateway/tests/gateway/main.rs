@@ -2,6 +2,7 @@
 //! behind it.
 
 mod answers;
+mod conformance;
 mod outages;
 mod program;
 mod routing;

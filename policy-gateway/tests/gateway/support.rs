@@ -1,14 +1,27 @@
-//! Servers on free ports of the loopback, and clients of them.
+//! Servers on free ports of the loopback, clients of them, and a policy whose
+//! answers a test writes.
 
-use std::net::SocketAddr;
+use std::{
+    collections::HashMap,
+    net::SocketAddr,
+    sync::{
+        Mutex,
+        atomic::{AtomicU32, Ordering},
+    },
+};
 
 use policy_gateway::config::{Config, RouteSpec};
 use proto::policy::{
-    DescribeRequest, DescribeResponse, InferRequest, Observation, ResetRequest,
-    policy_client::PolicyClient, policy_server::PolicyServer,
+    DescribeRequest, DescribeResponse, InferBatchRequest, InferBatchResponse, InferRequest,
+    InferResponse, Observation, ResetRequest, ResetResponse,
+    policy_client::PolicyClient,
+    policy_server::{Policy, PolicyServer},
 };
 use tokio::{net::TcpListener, sync::oneshot, task::JoinHandle};
-use tonic::transport::{Channel, Server, server::TcpIncoming};
+use tonic::{
+    Request, Response, Status,
+    transport::{Channel, Server, server::TcpIncoming},
+};
 
 /// A server in this process; stops, and frees its port, when told to.
 pub(crate) struct Running {
@@ -57,12 +70,15 @@ pub(crate) async fn gateway_at(address: SocketAddr, routes: &[&str]) -> Running 
 }
 
 /// A policy server that is not a gateway, on a free port.
-pub(crate) async fn serve(policy: impl proto::policy::policy_server::Policy) -> Running {
+pub(crate) async fn serve<P: Policy>(policy: P) -> Running {
+    let (health, health_service) = tonic_health::server::health_reporter();
+    health.set_serving::<PolicyServer<P>>().await;
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
     let address = listener.local_addr().expect("a bound address");
     let (stop, stopped) = oneshot::channel();
     let task = tokio::spawn(async move {
         Server::builder()
+            .add_service(health_service)
             .add_service(PolicyServer::new(policy))
             .serve_with_incoming_shutdown(TcpIncoming::from(listener), async {
                 stopped.await.unwrap_or(());
@@ -123,5 +139,101 @@ pub(crate) fn description(name: &str, horizon: u32) -> DescribeResponse {
         horizon,
         execute: 1,
         ..DescribeResponse::default()
+    }
+}
+
+/// One chunk of actions, as wide as told.
+pub(crate) fn chunk(actions: &[f32], action_width: u32) -> InferResponse {
+    InferResponse {
+        actions: actions.to_vec(),
+        action_width,
+    }
+}
+
+/// What a scripted policy is asked.
+pub(crate) struct Query {
+    /// Of the session's Reset, if there was one.
+    pub(crate) seed: Option<u64>,
+    pub(crate) query_index: u32,
+    /// How many queries came before, of all sessions.
+    pub(crate) asked_before: u32,
+}
+
+/// A policy that describes itself as told and answers what a function says. It
+/// keeps nothing of the protocol by itself.
+pub(crate) struct Scripted<F> {
+    described: DescribeResponse,
+    answer: F,
+    seeds: Mutex<HashMap<String, u64>>,
+    asked: AtomicU32,
+}
+
+impl<F> Scripted<F>
+where
+    F: Fn(Query) -> Result<InferResponse, Status> + Send + Sync + 'static,
+{
+    pub(crate) fn new(described: DescribeResponse, answer: F) -> Self {
+        Self {
+            described,
+            answer,
+            seeds: Mutex::default(),
+            asked: AtomicU32::new(0),
+        }
+    }
+}
+
+#[tonic::async_trait]
+impl<F> Policy for Scripted<F>
+where
+    F: Fn(Query) -> Result<InferResponse, Status> + Send + Sync + 'static,
+{
+    async fn describe(
+        &self,
+        _: Request<DescribeRequest>,
+    ) -> Result<Response<DescribeResponse>, Status> {
+        Ok(Response::new(self.described.clone()))
+    }
+
+    async fn reset(
+        &self,
+        request: Request<ResetRequest>,
+    ) -> Result<Response<ResetResponse>, Status> {
+        let ResetRequest { session, seed, .. } = request.into_inner();
+        self.seeds
+            .lock()
+            .expect("no test panics here")
+            .insert(session, seed);
+        Ok(Response::new(ResetResponse {}))
+    }
+
+    async fn infer(
+        &self,
+        request: Request<InferRequest>,
+    ) -> Result<Response<InferResponse>, Status> {
+        let InferRequest {
+            session,
+            query_index,
+            ..
+        } = request.into_inner();
+        let seed = self
+            .seeds
+            .lock()
+            .expect("no test panics here")
+            .get(&session)
+            .copied();
+        let asked_before = self.asked.fetch_add(1, Ordering::SeqCst);
+        (self.answer)(Query {
+            seed,
+            query_index,
+            asked_before,
+        })
+        .map(Response::new)
+    }
+
+    async fn infer_batch(
+        &self,
+        _: Request<InferBatchRequest>,
+    ) -> Result<Response<InferBatchResponse>, Status> {
+        Err(Status::unimplemented("one at a time"))
     }
 }

@@ -1,0 +1,323 @@
+//! The questions: a client that plays episodes of made-up observations and
+//! brings home what was answered. Judges nothing but yes-or-no questions.
+
+use std::time::{Duration, Instant};
+
+use proto::policy::{
+    DescribeRequest, DescribeResponse, InferBatchRequest, InferRequest, InferResponse,
+    ResetRequest, infer_result, policy_client::PolicyClient, policy_server::SERVICE_NAME,
+};
+use tokio::task::JoinSet;
+use tonic::{
+    Code, Status,
+    transport::{Channel, Endpoint},
+};
+use tonic_health::pb::{
+    HealthCheckRequest, health_check_response::ServingStatus, health_client::HealthClient,
+};
+
+use super::{
+    ConformanceError, QUERIES, Target, scene,
+    verdict::{self, Verdict},
+};
+use crate::{
+    backend::grpc::{CALL_TIMEOUT, CONNECT_TIMEOUT},
+    config::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES},
+};
+
+/// In which order an episode's queries are asked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Order {
+    /// 0, 1, 2, …
+    Forward,
+    /// …, 2, 1, 0.
+    Backward,
+}
+
+/// What one episode brought.
+#[derive(Clone, Debug)]
+pub struct Episode {
+    /// By query index.
+    pub answers: Vec<InferResponse>,
+    /// Of each query, in the order asked.
+    pub latencies: Vec<Duration>,
+}
+
+/// A client of the server under check.
+#[derive(Clone, Debug)]
+pub struct Probe {
+    channel: Channel,
+    client: PolicyClient<Channel>,
+    policy: String,
+    described: DescribeResponse,
+    /// Tells this check's sessions from those of an earlier one.
+    run: u32,
+}
+
+impl Probe {
+    /// Connects and asks what the policy is.
+    ///
+    /// # Errors
+    /// When the address is none, nothing listens there, or it does not answer.
+    pub async fn connect(target: &Target) -> Result<Self, ConformanceError> {
+        let url = target.url.replacen("grpc://", "http://", 1);
+        let endpoint = Endpoint::from_shared(url)
+            .map_err(|_| ConformanceError::Url {
+                url: target.url.clone(),
+            })?
+            .connect_timeout(CONNECT_TIMEOUT)
+            .timeout(CALL_TIMEOUT)
+            .tcp_nodelay(true)
+            .initial_stream_window_size(STREAM_WINDOW_BYTES)
+            .initial_connection_window_size(CONNECTION_WINDOW_BYTES);
+        let channel = endpoint
+            .connect()
+            .await
+            .map_err(|source| ConformanceError::Connect {
+                url: target.url.clone(),
+                source,
+            })?;
+        let mut client = PolicyClient::new(channel.clone())
+            .max_decoding_message_size(proto::MAX_MESSAGE_BYTES)
+            .max_encoding_message_size(proto::MAX_MESSAGE_BYTES);
+        let described = client
+            .describe(describe(&target.policy, proto::PROTOCOL_VERSION))
+            .await
+            .map_err(|status| ConformanceError::Describe {
+                url: target.url.clone(),
+                status: status.into(),
+            })?
+            .into_inner();
+        let policy = target.policy.clone();
+        Ok(Self {
+            channel,
+            client,
+            policy,
+            described,
+            run: std::process::id(),
+        })
+    }
+
+    /// What the policy says of itself.
+    pub fn described(&self) -> &DescribeResponse {
+        &self.described
+    }
+
+    /// Whether a caller of a newer version is refused.
+    ///
+    /// # Errors
+    /// As all questions: what the server answered instead.
+    pub async fn other_version(&self) -> Result<Verdict, Status> {
+        let newer = proto::PROTOCOL_VERSION + 1;
+        let answer = self
+            .client
+            .clone()
+            .describe(describe(&self.policy, newer))
+            .await;
+        Ok(match answer {
+            Err(status) if status.code() == Code::FailedPrecondition => verdict::pass(""),
+            Err(status) => verdict::refused(&status),
+            Ok(_) => verdict::fail(format!(
+                "it describes itself to a caller of version {newer}, which this protocol is not"
+            )),
+        })
+    }
+
+    /// Whether the health service answers for policies.
+    ///
+    /// # Errors
+    /// What the server answered instead.
+    pub async fn health(&self) -> Result<Verdict, Status> {
+        let request = HealthCheckRequest {
+            service: SERVICE_NAME.to_owned(),
+        };
+        let answer = HealthClient::new(self.channel.clone())
+            .check(request)
+            .await?
+            .into_inner();
+        Ok(match answer.status() {
+            ServingStatus::Serving => verdict::pass(""),
+            other => verdict::fail(format!("it says {}", other.as_str_name())),
+        })
+    }
+
+    /// Plays one episode.
+    ///
+    /// # Errors
+    /// What the server answered instead.
+    pub async fn episode(&self, name: &str, seed: u64, order: Order) -> Result<Episode, Status> {
+        self.reset(name, seed).await?;
+        let mut episode = Episode {
+            answers: vec![],
+            latencies: vec![],
+        };
+        for at in 0..QUERIES {
+            let query_index = match order {
+                Order::Forward => at,
+                Order::Backward => QUERIES - 1 - at,
+            };
+            let asked = Instant::now();
+            episode.answers.push(self.infer(name, query_index).await?);
+            episode.latencies.push(asked.elapsed());
+        }
+        if order == Order::Backward {
+            episode.answers.reverse();
+        }
+        Ok(episode)
+    }
+
+    /// Plays one episode, asking everything twice: first and second answers.
+    ///
+    /// # Errors
+    /// What the server answered instead.
+    pub async fn retries(
+        &self,
+        name: &str,
+        seed: u64,
+    ) -> Result<(Vec<InferResponse>, Vec<InferResponse>), Status> {
+        self.reset(name, seed).await?;
+        let (mut answers, mut retries) = (vec![], vec![]);
+        for query_index in 0..QUERIES {
+            answers.push(self.infer(name, query_index).await?);
+            retries.push(self.infer(name, query_index).await?);
+        }
+        Ok((answers, retries))
+    }
+
+    /// Plays two episodes in turns: the first one's answers.
+    ///
+    /// # Errors
+    /// What the server answered instead.
+    pub async fn interleaved(&self, seed: u64, other: u64) -> Result<Vec<InferResponse>, Status> {
+        self.reset("mine", seed).await?;
+        self.reset("other's", other).await?;
+        let mut answers = vec![];
+        for query_index in 0..QUERIES {
+            self.infer("other's", query_index).await?;
+            answers.push(self.infer("mine", query_index).await?);
+        }
+        Ok(answers)
+    }
+
+    /// Plays half an episode of another seed, then a whole one under the same
+    /// session.
+    ///
+    /// # Errors
+    /// What the server answered instead.
+    pub async fn restarted(&self, seed: u64) -> Result<Vec<InferResponse>, Status> {
+        self.reset("restarted", seed + 1).await?;
+        for query_index in 0..QUERIES / 2 {
+            self.infer("restarted", query_index).await?;
+        }
+        Ok(self
+            .episode("restarted", seed, Order::Forward)
+            .await?
+            .answers)
+    }
+
+    /// Plays `size` episodes in batches, of which the first has `seed`: that
+    /// one's answers.
+    ///
+    /// # Errors
+    /// What the server answered instead.
+    pub async fn batched(&self, seed: u64, size: u32) -> Result<Vec<InferResponse>, Status> {
+        let size = size.min(crate::service::MAX_BATCH_QUERIES as u32);
+        let names: Vec<_> = (0..size).map(|at| format!("in a batch {at}")).collect();
+        for (name, seed) in names.iter().zip(seed..) {
+            self.reset(name, seed).await?;
+        }
+        let mut answers = vec![];
+        for query_index in 0..QUERIES {
+            let queries = names
+                .iter()
+                .map(|name| self.query(name, query_index))
+                .collect();
+            let batch = self
+                .client
+                .clone()
+                .infer_batch(InferBatchRequest { queries })
+                .await?;
+            let mine = batch
+                .into_inner()
+                .results
+                .into_iter()
+                .next()
+                .and_then(|it| it.result);
+            answers.push(match mine {
+                Some(infer_result::Result::Response(response)) => response,
+                Some(infer_result::Result::Error(text)) => return Err(Status::internal(text)),
+                None => return Err(Status::internal("a batch came back without its results")),
+            });
+        }
+        Ok(answers)
+    }
+
+    /// Whether a session without a Reset is refused.
+    pub async fn unopened(&self) -> Verdict {
+        match self.infer("never opened", 0).await {
+            Err(_) => verdict::pass(""),
+            Ok(_) => verdict::fail("it answers without instruction and seed"),
+        }
+    }
+
+    /// Plays so many episodes at once: the time they took, and each query's.
+    ///
+    /// # Errors
+    /// What the server answered instead.
+    pub async fn side_by_side(
+        &self,
+        concurrency: u32,
+    ) -> Result<(Duration, Vec<Duration>), Status> {
+        let started = Instant::now();
+        let mut playing = JoinSet::new();
+        for at in 0..concurrency {
+            let probe = self.clone();
+            playing.spawn(async move {
+                let name = format!("side by side {at}");
+                probe.episode(&name, u64::from(at), Order::Forward).await
+            });
+        }
+        let mut latencies = vec![];
+        while let Some(played) = playing.join_next().await {
+            let episode = played.map_err(|error| Status::internal(error.to_string()))??;
+            latencies.extend(episode.latencies);
+        }
+        Ok((started.elapsed(), latencies))
+    }
+
+    async fn reset(&self, name: &str, seed: u64) -> Result<(), Status> {
+        let request = ResetRequest {
+            policy: self.policy.clone(),
+            session: self.session(name),
+            suite: "libero_object".to_owned(),
+            instruction: "pick up the butter and place it in the basket".to_owned(),
+            seed,
+        };
+        self.client.clone().reset(request).await.map(drop)
+    }
+
+    async fn infer(&self, name: &str, query_index: u32) -> Result<InferResponse, Status> {
+        let query = self.query(name, query_index);
+        Ok(self.client.clone().infer(query).await?.into_inner())
+    }
+
+    fn query(&self, name: &str, query_index: u32) -> InferRequest {
+        InferRequest {
+            policy: self.policy.clone(),
+            session: self.session(name),
+            query_index,
+            observation: Some(scene::observation(&self.described, query_index)),
+        }
+    }
+
+    fn session(&self, name: &str) -> String {
+        format!("conformance check {}: {name}", self.run)
+    }
+}
+
+fn describe(policy: &str, protocol_version: u32) -> DescribeRequest {
+    DescribeRequest {
+        protocol_version,
+        policy: policy.to_owned(),
+    }
+}

@@ -1,0 +1,259 @@
+//! The verdicts: pure functions of what a server answered.
+
+use std::time::Duration;
+
+use proto::policy::{DescribeResponse, InferResponse};
+use tonic::Status;
+
+use crate::check::{self, DescriptionFault};
+
+/// How far beyond 1 a number may lie and still be an action that a worker
+/// clips; more is a policy that answers in other units.
+pub const LARGEST_PLAUSIBLE: f32 = 2.0;
+/// How far a batch may move an action. Kernels for other batch sizes add in
+/// another order, which moves low-order bits.
+pub const BATCH_TOLERANCE: f32 = 1e-3;
+
+/// How a server does on one point.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// Well.
+    Pass {
+        /// What to know all the same; may be empty.
+        note: String,
+    },
+    /// Not as the protocol says.
+    Fail {
+        /// What was seen.
+        reason: String,
+    },
+    /// The point does not apply.
+    Skip {
+        /// Why not.
+        reason: String,
+    },
+}
+
+/// Passes with something to know.
+pub fn pass(note: impl Into<String>) -> Verdict {
+    Verdict::Pass { note: note.into() }
+}
+
+/// Fails for a reason.
+pub fn fail(reason: impl Into<String>) -> Verdict {
+    Verdict::Fail {
+        reason: reason.into(),
+    }
+}
+
+/// Does not apply, for a reason.
+pub fn skip(reason: impl Into<String>) -> Verdict {
+    Verdict::Skip {
+        reason: reason.into(),
+    }
+}
+
+/// Fails because there was no answer to judge.
+pub fn refused(status: &Status) -> Verdict {
+    fail(format!(
+        "the server answered {:?}: {}",
+        status.code(),
+        status.message()
+    ))
+}
+
+/// A description, and whether it can be true.
+pub fn description(described: &DescribeResponse, checked: Result<(), DescriptionFault>) -> Verdict {
+    match checked {
+        Ok(()) => pass(format!(
+            "{:?}, checkpoint {:?}, horizon {}, execute {}",
+            described.name, described.checkpoint, described.horizon, described.execute
+        )),
+        Err(fault) => fail(fault.to_string()),
+    }
+}
+
+/// Every answer of an episode, its query index being its place.
+pub fn shapes(answers: &[InferResponse], horizon: u32) -> Verdict {
+    let faults = answers.iter().enumerate();
+    let mut faults = faults.filter_map(|(at, it)| Some((at, check::actions(it, horizon).err()?)));
+    match faults.next() {
+        Some((at, fault)) => fail(format!("at query {at}, {fault}")),
+        None => pass(""),
+    }
+}
+
+/// Whether the numbers are actions.
+pub fn range(answers: &[InferResponse]) -> Verdict {
+    let sizes = numbers(answers).map(f32::abs);
+    let largest = sizes.fold(0.0, f32::max);
+    if largest <= 1.0 {
+        pass("")
+    } else if largest <= LARGEST_PLAUSIBLE {
+        pass(format!(
+            "the largest is {largest}: workers clip it, and count that"
+        ))
+    } else {
+        fail(format!("the largest is {largest}: is it un-normalised?"))
+    }
+}
+
+/// Whether two episodes were answered alike, bit for bit.
+pub fn same(expected: &[InferResponse], found: &[InferResponse]) -> Verdict {
+    match first_difference(expected, found) {
+        None => pass(""),
+        Some(at) => fail(format!("at query {at} the actions differ")),
+    }
+}
+
+/// Whether other seeds do what the policy declares of them.
+pub fn seeds(stochastic: bool, one: &[InferResponse], other: &[InferResponse]) -> Verdict {
+    match (stochastic, first_difference(one, other)) {
+        (true, Some(_)) | (false, None) => pass(""),
+        (true, None) => fail("it declares itself stochastic, but seeds 1 and 2 give the same"),
+        (false, Some(at)) => fail(format!(
+            "it declares itself deterministic, but seeds 1 and 2 differ at query {at}"
+        )),
+    }
+}
+
+/// Whether answers in a batch are those given alone.
+pub fn batch(alone: &[InferResponse], batched: &[InferResponse]) -> Verdict {
+    if first_difference(alone, batched).is_none() {
+        return pass("bit for bit");
+    }
+    let comparable = alone.len() == batched.len()
+        && alone
+            .iter()
+            .zip(batched)
+            .all(|(a, b)| a.actions.len() == b.actions.len());
+    let differences = numbers(alone)
+        .zip(numbers(batched))
+        .map(|(a, b)| (a - b).abs());
+    let largest = differences.fold(0.0, f32::max);
+    if comparable && largest <= BATCH_TOLERANCE {
+        pass(format!(
+            "but they move actions by up to {largest:e}: batches cost reproducibility"
+        ))
+    } else {
+        fail(format!("in a batch the actions differ by up to {largest}"))
+    }
+}
+
+/// Latencies of queries one by one, and of `concurrency` episodes at once that
+/// took `wall` in all.
+pub fn speed(
+    alone: &[Duration],
+    concurrency: u32,
+    wall: Duration,
+    together: &[Duration],
+) -> Verdict {
+    pass(format!(
+        "one by one {}; {concurrency} episodes at once {}, {:.0} queries/s",
+        percentiles(alone),
+        percentiles(together),
+        together.len() as f64 / wall.as_secs_f64(),
+    ))
+}
+
+fn numbers(answers: &[InferResponse]) -> impl Iterator<Item = f32> {
+    answers
+        .iter()
+        .flat_map(|answer| answer.actions.iter().copied())
+}
+
+/// The first query at which two episodes differ.
+fn first_difference(one: &[InferResponse], other: &[InferResponse]) -> Option<usize> {
+    let bits = |answer: &InferResponse| -> Vec<u32> {
+        answer
+            .actions
+            .iter()
+            .map(|number| number.to_bits())
+            .collect()
+    };
+    let pairs = one.iter().zip(other);
+    let differing = pairs.clone().position(|(a, b)| bits(a) != bits(b));
+    differing.or((one.len() != other.len()).then_some(pairs.len()))
+}
+
+fn percentiles(latencies: &[Duration]) -> String {
+    let mut sorted = latencies.to_vec();
+    sorted.sort_unstable();
+    let at = |share: f64| {
+        let index = (share * sorted.len() as f64).ceil() as usize;
+        sorted
+            .get(index.max(1) - 1)
+            .map_or(f64::NAN, |it| it.as_secs_f64() * 1e3)
+    };
+    format!("p50 {:.2} ms, p99 {:.2} ms", at(0.5), at(0.99))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn answers(numbers: &[f32]) -> Vec<InferResponse> {
+        let answer = |&it| InferResponse {
+            actions: vec![it; 7],
+            action_width: 7,
+        };
+        numbers.iter().map(answer).collect()
+    }
+
+    fn fails(verdict: &Verdict, expected: &str) -> bool {
+        matches!(verdict, Verdict::Fail { reason } if reason.contains(expected))
+    }
+
+    #[test]
+    fn a_difference_is_found_at_its_query_even_between_zeros() {
+        assert_eq!(same(&answers(&[1.0, 0.0]), &answers(&[1.0, 0.0])), pass(""));
+        assert!(fails(
+            &same(&answers(&[1.0, 0.0]), &answers(&[1.0, -0.0])),
+            "query 1"
+        ));
+        assert!(fails(
+            &same(&answers(&[1.0, 0.0]), &answers(&[1.0])),
+            "query 1"
+        ));
+    }
+
+    #[test]
+    fn a_seed_must_do_what_the_policy_declares() {
+        let (one, other) = (answers(&[0.1]), answers(&[0.2]));
+        assert_eq!(seeds(true, &one, &other), pass(""));
+        assert_eq!(seeds(false, &one, &one), pass(""));
+        assert!(fails(
+            &seeds(true, &one, &one),
+            "declares itself stochastic"
+        ));
+        assert!(fails(
+            &seeds(false, &one, &other),
+            "declares itself deterministic"
+        ));
+    }
+
+    #[test]
+    fn a_little_beyond_one_is_clipped_and_a_lot_is_another_unit() {
+        assert_eq!(range(&answers(&[-1.0, 1.0])), pass(""));
+        assert!(
+            matches!(range(&answers(&[-1.02])), Verdict::Pass { note } if note.contains("1.02"))
+        );
+        assert!(fails(&range(&answers(&[1e9])), "un-normalised"));
+    }
+
+    #[test]
+    fn a_batch_may_move_low_order_bits_and_no_more() {
+        let alone = answers(&[0.5]);
+        assert_eq!(batch(&alone, &alone), pass("bit for bit"));
+        let moved = batch(&alone, &answers(&[0.500_01]));
+        assert!(matches!(moved, Verdict::Pass { note } if note.contains("reproducibility")));
+        assert!(fails(&batch(&alone, &answers(&[0.6])), "differ by up to"));
+        assert!(fails(&batch(&alone, &[]), "differ"));
+    }
+
+    #[test]
+    fn percentiles_are_those_of_the_sorted_sample() {
+        let latencies: Vec<_> = (1..=100).rev().map(Duration::from_millis).collect();
+        assert_eq!(percentiles(&latencies), "p50 50.00 ms, p99 99.00 ms");
+    }
+}

@@ -1,0 +1,134 @@
+//! The conformance check passes servers that keep the protocol, and fails
+//! others for the right reason and no other.
+
+use policy_gateway::conformance::{self, Target, verdict::Verdict};
+use proto::policy::{DescribeResponse, InferResponse};
+use tonic::Status;
+
+use crate::support::{Query, Running, Scripted, chunk, description, gateway, serve};
+
+const VERSION: &str = "another protocol version is refused";
+const SHAPE: &str = "answers are finite actions, n × 7, within the horizon";
+const RANGE: &str = "actions lie within -1..1";
+const RETRY: &str = "a retry gets the same actions";
+const SAME_SEED: &str = "the same seed gives the same actions";
+const OTHER_SEED: &str = "another seed gives other actions just if the policy is stochastic";
+const ORDER: &str = "the order of queries changes nothing";
+const ISOLATION: &str = "sessions do not touch one another";
+const RESTART: &str = "a Reset starts an open session anew";
+const BATCH: &str = "a batch's neighbours change nothing";
+const UNOPENED: &str = "a session that was never opened is refused";
+
+/// The points that fail.
+async fn failures(server: &Running, policy: &str) -> Vec<&'static str> {
+    let target = Target {
+        url: format!("grpc://{}", server.address),
+        policy: policy.to_owned(),
+    };
+    let mut failed = vec![];
+    let conforms = conformance::check(&target, &mut |finding| {
+        if let Verdict::Fail { .. } = finding.verdict {
+            failed.push(finding.point);
+        }
+    })
+    .await
+    .expect("the server can be checked");
+    assert_eq!(conforms, failed.is_empty());
+    failed
+}
+
+/// Holds that a scripted policy fails on these points.
+async fn check<F>(described: DescribeResponse, answer: F, expected: &[&str])
+where
+    F: Fn(Query) -> Result<InferResponse, Status> + Send + Sync + 'static,
+{
+    let server = serve(Scripted::new(described, answer)).await;
+    let mut found = failures(&server, "").await;
+    // A scripted policy looks at no version.
+    assert_eq!(found.remove(0), VERSION);
+    assert_eq!(found, expected);
+}
+
+/// What a well-behaved policy answers: a function of seed and query alone.
+fn proper(query: &Query) -> Result<InferResponse, Status> {
+    let seed = query
+        .seed
+        .ok_or_else(|| Status::unavailable("the session is not open"))?;
+    Ok(chunk(
+        &[(seed as f32 + query.query_index as f32 / 10.0) / 100.0; 7],
+        7,
+    ))
+}
+
+fn stochastic() -> DescribeResponse {
+    DescribeResponse {
+        stochastic: true,
+        ..description("p", 1)
+    }
+}
+
+#[tokio::test]
+async fn the_builtin_policies_conform() {
+    let gateway = gateway(&["noop=builtin:noop", "expert=builtin:expert"]).await;
+    assert_eq!(failures(&gateway, "noop").await, [""; 0]);
+    assert_eq!(failures(&gateway, "expert").await, [""; 0]);
+}
+
+#[tokio::test]
+async fn a_policy_that_ignores_the_version_fails_on_that_alone_and_not_behind_a_gateway() {
+    check(stochastic(), |query| proper(&query), &[]).await;
+
+    let server = serve(Scripted::new(stochastic(), |query| proper(&query))).await;
+    let gateway = gateway(&[&format!("x=grpc://{}", server.address)]).await;
+    assert_eq!(failures(&gateway, "").await, [""; 0]);
+}
+
+#[tokio::test]
+async fn answers_that_are_no_actions_fail_on_their_shape_or_range() {
+    let answering = |number: f32, width: u32| {
+        move |query: Query| proper(&query).map(|_| chunk(&vec![number; width as usize], width))
+    };
+    check(description("p", 1), answering(f32::NAN, 7), &[SHAPE]).await;
+    check(description("p", 1), answering(0.0, 6), &[SHAPE]).await;
+    check(description("p", 1), answering(0.0, 0), &[SHAPE]).await;
+    check(description("p", 1), answering(1e9, 7), &[RANGE]).await;
+}
+
+#[tokio::test]
+async fn noise_that_depends_on_the_order_of_requests_fails_wherever_it_shows() {
+    let drawing =
+        |query: Query| proper(&query).map(|_| chunk(&[query.asked_before as f32 / 1000.0; 7], 7));
+    check(
+        stochastic(),
+        drawing,
+        &[RETRY, SAME_SEED, ORDER, ISOLATION, RESTART],
+    )
+    .await;
+}
+
+#[tokio::test]
+async fn a_seed_that_is_ignored_or_undeclared_fails_on_seeds() {
+    let ignoring = |query: Query| proper(&query).map(|_| chunk(&[0.5; 7], 7));
+    check(stochastic(), ignoring, &[OTHER_SEED]).await;
+    check(description("p", 1), |query| proper(&query), &[OTHER_SEED]).await;
+}
+
+#[tokio::test]
+async fn batches_that_are_declared_must_be_served() {
+    let described = DescribeResponse {
+        max_batch: 4,
+        ..stochastic()
+    };
+    check(described, |query| proper(&query), &[BATCH]).await;
+}
+
+#[tokio::test]
+async fn a_session_that_was_never_opened_must_not_be_answered() {
+    let obliging = |query: Query| {
+        proper(&Query {
+            seed: query.seed.or(Some(0)),
+            ..query
+        })
+    };
+    check(stochastic(), obliging, &[UNOPENED]).await;
+}
