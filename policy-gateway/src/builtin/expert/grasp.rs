@@ -14,9 +14,11 @@ const PINCH_WIDTH_M: f64 = 0.072;
 /// How far below an object's top the grip point goes when pinching, m: the
 /// palm is 35 mm above the grip point.
 const PINCH_DEPTH_M: f64 = 0.025;
-/// The same at a rim, and how far inside the box's side the wall is.
+/// The same at a rim, and how far inside the box's side the wall is; further
+/// in, the closing fingers draw the rim to their middle, which helps where a
+/// container's wall leaves the outer finger little room.
 const RIM_DEPTH_M: f64 = 0.014;
-const RIM_INSET_M: f64 = 0.006;
+const RIM_INSETS_M: [f64; 3] = [0.006, 0.016, 0.026];
 /// Fingertips stay this far above what the object stands on, m.
 const FLOOR_GAP_M: f64 = 0.004;
 /// Rim points tried around a round body.
@@ -27,8 +29,8 @@ const ROUND_RATIO: f64 = 1.12;
 /// How far from an object's middle it is also pinched, as a share of its wide
 /// side, where a neighbour is in the way of the middle.
 const OFF_CENTRE: [f64; 5] = [0.0, 0.25, -0.25, 0.5, -0.5];
-/// Room an outer finger needs between a rim and a container's wall, m.
-const WALL_ROOM_M: f64 = 0.05;
+/// How far an open finger reaches out from the grip point, m.
+const FINGER_REACH_M: f64 = 0.058;
 /// How far beyond a roof's edge a finger stays, m.
 const ROOF_MARGIN_M: f64 = 0.01;
 
@@ -70,6 +72,8 @@ pub(super) struct Grasp {
     pub(super) offset: Vec3,
     /// Closing direction, rad from the world's x axis.
     pub(super) closing: f64,
+    /// What is wrong with it wherever the object is: its share of the rank.
+    strain: f64,
 }
 
 /// All ways to hold `object`, best first: little turning of the hand, no
@@ -93,6 +97,7 @@ fn knob(object: &Entity, shape: Footprint, depth: f64) -> Grasp {
     Grasp {
         offset,
         closing: shape.narrow_angle,
+        strain: 0.0,
     }
 }
 
@@ -102,6 +107,7 @@ fn pinches(object: &Entity, shape: Footprint) -> Vec<Grasp> {
     let across = OFF_CENTRE.map(|share| Grasp {
         offset: (along * share).at_height(height),
         closing: shape.narrow_angle,
+        strain: share.abs(),
     });
     let mut all = across.to_vec();
     if 2.0 * shape.wide <= PINCH_WIDTH_M {
@@ -114,17 +120,22 @@ fn pinches(object: &Entity, shape: Footprint) -> Vec<Grasp> {
 }
 
 fn rims(object: &Entity, shape: Footprint) -> Vec<Grasp> {
-    let at = |angle: f64| Grasp {
-        offset: (Vec3::heading(angle) * (shape.narrow - RIM_INSET_M))
-            .at_height(grip_height(object, RIM_DEPTH_M)),
-        closing: angle,
+    let height = grip_height(object, RIM_DEPTH_M);
+    let angles: Vec<f64> = if shape.wide > ROUND_RATIO * shape.narrow {
+        vec![shape.narrow_angle, shape.narrow_angle + PI]
+    } else {
+        (0..RIM_POINTS)
+            .map(|i| 2.0 * PI * f64::from(i) / f64::from(RIM_POINTS))
+            .collect()
     };
-    if shape.wide > ROUND_RATIO * shape.narrow {
-        return vec![at(shape.narrow_angle), at(shape.narrow_angle + PI)];
-    }
-    (0..RIM_POINTS)
-        .map(|i| at(2.0 * PI * f64::from(i) / f64::from(RIM_POINTS)))
-        .collect()
+    let at = |angle: f64| {
+        RIM_INSETS_M.map(|inset| Grasp {
+            offset: (Vec3::heading(angle) * (shape.narrow - inset)).at_height(height),
+            closing: angle,
+            strain: 10.0 * (inset - RIM_INSETS_M[0]),
+        })
+    };
+    angles.into_iter().flat_map(at).collect()
 }
 
 /// Height of the grip point above the centre of the object's box.
@@ -137,7 +148,7 @@ fn grip_height(object: &Entity, depth: f64) -> f64 {
 fn cost(world: &World, object: &Entity, grasp: &Grasp) -> f64 {
     let turning = half_turn(grasp.closing - FRAC_PI_2).abs();
     let blocked = blocking_neighbours(world, object, grasp) as f64;
-    turning + 4.0 * blocked + 8.0 * missing_room(world, object, grasp)
+    turning + grasp.strain + 4.0 * blocked + 140.0 * into_wall(world, object, grasp)
 }
 
 /// How many things the open hand would come down on: neighbours, and the roof
@@ -174,36 +185,16 @@ fn blocking_neighbours(world: &World, object: &Entity, grasp: &Grasp) -> usize {
             .count()
 }
 
-/// How much of the room for the outer finger a container's wall takes, 0..1.
-/// Fixtures' boxes say nothing about their insides; their regions do.
-fn missing_room(world: &World, object: &Entity, grasp: &Grasp) -> f64 {
+/// How far, m, the outer finger would reach into the wall of a container that
+/// the object is in. A fixture's box says nothing about its inside; the
+/// regions in it do.
+fn into_wall(world: &World, object: &Entity, grasp: &Grasp) -> f64 {
     let outward = grasp.offset.at_height(0.0);
-    if outward.horizontal_norm() < RIM_INSET_M {
+    if outward.norm() < RIM_INSETS_M[0] {
         return 0.0;
     }
-    let outward = outward * (1.0 / outward.horizontal_norm());
-    let rim = object.centre + grasp.offset;
-    let inside = |region: &&Entity| {
-        let gap = region.local(object.centre).abs() - region.half;
-        gap.max_coordinate() < 0.0
-    };
-    let room = |region: &Entity| {
-        let (at, way) = (region.local(rim), region.quat.inverse().rotate(outward));
-        let along = |p: f64, w: f64, half: f64| {
-            if w.abs() < 0.2 {
-                f64::INFINITY
-            } else {
-                (half - p * w.signum()) / w.abs()
-            }
-        };
-        along(at.x, way.x, region.half.x)
-            .min(along(at.y, way.y, region.half.y))
-            .min(along(at.z, way.z, region.half.z))
-    };
-    let least = world
-        .regions()
-        .filter(inside)
-        .map(room)
-        .fold(f64::INFINITY, f64::min);
-    ((WALL_ROOM_M - least) / WALL_ROOM_M).clamp(0.0, 1.0)
+    let finger = object.centre + outward * (1.0 + FINGER_REACH_M / outward.norm());
+    let beyond = |region: &Entity, p: Vec3| (region.local(p).abs() - region.half).max_coordinate();
+    let containers = world.regions().filter(|r| beyond(r, object.centre) < 0.0);
+    containers.map(|r| beyond(r, finger)).fold(0.0, f64::max)
 }

@@ -25,7 +25,7 @@ const LOOKAHEAD_STEPS: f64 = 1.5;
 /// of robosuite 1.4.0).
 pub(super) const FINGERTIP_M: f64 = 0.0095;
 /// Room kept between what the hand carries and what it passes over, m.
-const CLEARANCE_M: f64 = 0.025;
+const CLEARANCE_M: f64 = 0.02;
 /// Half the width of what passes over: fingers and what they hold, m.
 const CORRIDOR_M: f64 = 0.06;
 /// Nearer than this to its goal, the hand comes down whatever is beside it, m.

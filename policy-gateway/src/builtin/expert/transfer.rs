@@ -8,9 +8,9 @@ use super::motion::{Command, FINGERTIP_M, Fingers, HandPose, Motion, detour, poi
 use super::world::{Entity, World};
 
 /// The hand waits this far above a grasp before it comes down, m.
-const HOVER_M: f64 = 0.06;
+const HOVER_M: f64 = 0.04;
 /// An object is carried this far above its destination's brim, m.
-const CARRY_M: f64 = 0.03;
+const CARRY_M: f64 = 0.02;
 /// Near enough to go on to the next phase: m, and rad.
 const NEAR_M: f64 = 0.008;
 const NEAR_RAD: f64 = 0.06;
@@ -19,7 +19,7 @@ const DEEP_M: f64 = 0.003;
 /// A held object that slips further than this from the hand is lost, m.
 const LOST_M: f64 = 0.03;
 /// How far an object is lifted before the grasp is trusted, m.
-const LIFT_M: f64 = 0.04;
+const LIFT_M: f64 = 0.03;
 /// Steps for the fingers to travel: closing waits for at least the first and
 /// at most the second number.
 const CLOSING_STEPS: (u32, u32) = (5, 12);
