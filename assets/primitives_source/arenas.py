@@ -10,8 +10,8 @@ import xml.etree.ElementTree as ET
 import zlib
 
 from colours import *
-from mjcf import FIRM, number, numbers, to_bytes, write_classes, write_shapes
-from shapes import slab
+from mjcf import FIRM, numbers, to_bytes, write_classes, write_colours, write_shapes
+from shapes import box, capsule, cylinder, moved, seen
 
 # File name -> (colour, side of the picture in pixels, colour of the joint along two of its edges).
 TEXTURES = {
@@ -22,8 +22,8 @@ TEXTURES = {
     "yellow_linen_wall_texture.png": ((222, 208, 166), 4, None),
 }
 
-# Name, centre, half-sizes and orientation of the six walls, which are drawn only.
-WALLS = [
+# Name, centre, half-sizes and orientation of the walls, which are drawn only.
+CORNERED_WALLS = [
     ("wall_leftcorner_visual", (-1.25, 2.25, 1.5), (1.06, 1.5, 0.01), (0.6532815, 0.6532815, 0.2705981, 0.2705981)),
     ("wall_rightcorner_visual", (-1.25, -2.25, 1.5), (1.06, 1.5, 0.01), (0.6532815, 0.6532815, -0.2705981, -0.2705981)),
     ("wall_left_visual", (1.25, 3, 1.5), (1.75, 1.5, 0.01), (0.7071, 0.7071, 0, 0)),
@@ -31,6 +31,15 @@ WALLS = [
     ("wall_rear_visual", (-2, 0, 1.5), (1.5, 1.5, 0.01), (0.5, 0.5, 0.5, 0.5)),
     ("wall_front_visual", (3, 0, 1.5), (3, 1.5, 0.01), (0.5, 0.5, -0.5, -0.5)),
 ]
+SQUARE_WALLS = [
+    ("wall_left_visual", (0.5, 3, 1.5), (2.5, 1.5, 0.01), (0.7071, 0.7071, 0, 0)),
+    ("wall_right_visual", (0.5, -3, 1.5), (2.5, 1.5, 0.01), (0.7071, -0.7071, 0, 0)),
+    ("wall_rear_visual", (-2, 0, 1.5), (3, 1.5, 0.01), (0.5, 0.5, 0.5, 0.5)),
+    ("wall_front_visual", (3, 0, 1.5), (3, 1.5, 0.01), (0.5, 0.5, -0.5, -0.5)),
+]
+
+# Of tables and scenery. Every room declares all of them.
+ROOM_COLOURS = [BLACK, BLUE, BROWN, DARK_RED, DARK_WOOD, GREEN, LIGHT_WOOD, OAK, PORCELAIN, SOOT, STEEL, WALNUT]
 
 LIGHTS = [("light1", (1, 1, 4)), ("light2", (-3, -3, 4))]
 
@@ -47,8 +56,9 @@ CAMERAS = [
 ]
 
 
-def arena(floor, wall, furnish, floor_in_body=False):
-    """One scene file. `furnish(worldbody)` adds the furniture."""
+def arena(floor, wall, furnish, floor_in_body=False, walls=CORNERED_WALLS):
+    """One scene file. `furnish(worldbody)` adds the furniture; `floor_in_body` where LIBERO hangs
+    regions on a body called `floor`."""
     mujoco = ET.Element("mujoco", model="arena")
     asset = ET.SubElement(mujoco, "asset")
     ET.SubElement(
@@ -59,8 +69,9 @@ def arena(floor, wall, furnish, floor_in_body=False):
         ET.SubElement(asset, "texture", name=texture, type="2d", file=f"../textures/{file}")
         ET.SubElement(
             asset, "material", name=material, texture=texture, texrepeat="3 3", texuniform="true",
-            reflectance="0", specular="0", shininess="0",
+            specular="0.5", shininess="0.1",
         )
+    write_colours(asset, ROOM_COLOURS)
     write_classes(mujoco, {
         "solid": {"group": "0", **FIRM},
         "drawn": {"group": "1", "contype": "0", "conaffinity": "0"},
@@ -72,7 +83,7 @@ def arena(floor, wall, furnish, floor_in_body=False):
         material="floorplane",
     )
     furnish(world)
-    for name, pos, size, quat in WALLS:
+    for name, pos, size, quat in walls:
         ET.SubElement(
             world, "geom", {"class": "drawn"}, name=name, type="box", pos=numbers(pos), size=numbers(size),
             quat=" ".join(map(str, quat)), material="walls_mat",
@@ -96,13 +107,64 @@ def table(world):
     body = ET.SubElement(world, "body", name="table", pos="0 0 0.4")
     top = {"type": "box", "pos": "0 0 0", "size": "0.4 0.4 0.4"}
     ET.SubElement(body, "geom", name="table_collision", group="0", friction="1 0.005 0.0001", **top)
-    ET.SubElement(body, "geom", {"class": "drawn"}, name="table_visual", rgba=numbers(LIGHT_WOOD), **top)
+    ET.SubElement(body, "geom", {"class": "drawn"}, name="table_visual", material=LIGHT_WOOD.name, **top)
     ET.SubElement(body, "site", name="table_top", pos="0 0 0.4", size="0.001", rgba="0 0 0 0")
     for leg in range(1, 5):
         ET.SubElement(
             body, "geom", {"class": "drawn"}, name=f"table_leg{leg}_visual", type="cylinder", pos="0 0 0",
-            size="0.05 0.1", rgba=numbers(LIGHT_WOOD),
+            size="0.05 0.1", material=LIGHT_WOOD.name,
         )
+
+
+def kitchen(world):
+    """The table, and a worktop and a fridge behind the robot, under a lamp of their own."""
+    write_shapes(world, seen(
+        box((-1.95, -1.60, 0), (-1.40, 1.90, 0.86), PORCELAIN),
+        box((-1.96, -1.62, 0.86), (-1.38, 1.92, 0.90), SOOT),
+        box((-1.95, -2.80, 0), (-1.40, -1.70, 1.80), STEEL),
+    ))
+    ET.SubElement(
+        world, "light", name="light_kitchen", pos="-1.75 0 1.6", dir="0 0 -1", directional="true",
+        castshadow="false", diffuse="0.8 0.8 0.8", specular="0.8 0.8 0.8",
+    )
+    table(world)
+
+
+def living_room(world):
+    """A low table with rounded-off corners on a broad foot."""
+    body = ET.SubElement(world, "body", name="living_room_table", pos="0 0 0")
+    low, high = 0.4131, 0.4368
+    write_shapes(ET.SubElement(body, "body", name="living_room_table_col"), [
+        box((-0.6943, -0.6193, low), (0.1943, 0.7241, high), WALNUT),
+        box((-0.6668, 0.7241, low), (0.1668, 0.9007, high), WALNUT),
+        box((-0.6668, -0.8214, low), (0.1668, -0.6193, high), WALNUT),
+        box((0.1943, -0.6193, low), (0.3387, 0.7241, high), WALNUT),
+        box((-0.8242, -0.6193, low), (-0.6943, 0.7241, high), WALNUT),
+        box((-0.6616, -0.1852, -0.0047), (0.1616, 0.6852, low), DARK_WOOD),
+    ])
+
+
+def study(world):
+    """A desk, and behind the robot a bookcase, a plant and a picture."""
+    body = ET.SubElement(world, "body", name="study_table", pos="0 0 0")
+    write_shapes(body, [
+        box((-0.6895, -1.3927, 0.8134), (0.6895, 1.3927, 0.8851), OAK),
+        *(
+            box((x, y, 0.0002), (x + 0.0400, y + 0.1006, 0.8134), DARK_WOOD)
+            for x in (-0.5205, 0.4762) for y in (-0.7410, 0.6619)
+        ),
+    ])
+    plant = [cylinder(0.13, 0, 0.28, PORCELAIN), cylinder(0.025, 0.28, 1.0, BROWN)] + [
+        capsule((0, 0, height), (x, y, height + 0.25), 0.02, GREEN)
+        for height, x, y in ((0.95, 0.2, 0.1), (0.9, -0.2, 0.1), (0.95, 0, -0.2), (0.85, 0.1, 0.22), (0.98, 0, 0.05))
+    ]
+    write_shapes(world, seen(
+        *moved(plant, (-1.75, 0.5, 0)),
+        *(box((-1.95, -1.60, z), (-1.60, -0.40, z + 0.03), STEEL) for z in (0.0, 0.44, 0.88, 1.32, 1.76)),
+        *(box((-1.95, y, 0), (-1.60, y + 0.03, 1.79), SOOT) for y in (-1.63, -0.40)),
+        *(box((-1.90, y, 0.91), (-1.70, y + 0.04, 1.16), colour) for y, colour in ((-0.50, BLACK), (-0.55, DARK_RED))),
+        box((-1.98, 0.20, 1.15), (-1.96, 0.80, 1.60), BLUE),
+    ))
 
 
 def png(colour, side, joint):
@@ -125,4 +187,11 @@ def files():
     out = {f"textures/{name}": png(*look) for name, look in TEXTURES.items()}
     out["scenes/libero_floor_base_style.xml"] = arena(gray, plaster, bare, floor_in_body=True)
     out["scenes/libero_tabletop_base_style.xml"] = arena(gray, plaster, table)
+    out["scenes/libero_kitchen_tabletop_base_style.xml"] = arena(
+        "gray_ceramic_tile.png", "yellow_linen_wall_texture.png", kitchen, walls=SQUARE_WALLS
+    )
+    out["scenes/libero_living_room_tabletop_base_style.xml"] = arena(
+        "seamless_wood_planks_floor.png", plaster, living_room, floor_in_body=True
+    )
+    out["scenes/libero_study_base_style.xml"] = arena(gray, plaster, study)
     return out

@@ -1,22 +1,24 @@
-"""The furniture that stays where it is, and what of it moves: drawers, the stove's knob.
+"""The fixtures, which stay where they are, and what of them moves: drawers, knob, oven door.
 
 Joints, region sites and their places are facts of LIBERO: goals are measured against them. The
 boards between them are this pack's own.
 """
 
 from colours import *
-from mjcf import Extent, Joint, Part, Site, document
-from shapes import box, capsule, cylinder, felt, moved, octagon, seen
+from mjcf import Extent, Joint, Part, Site, density_for, document, number
+from shapes import box, capsule, cylinder, felt, moved, octagon, seen, slab, turned
 
 # Density of the boards in kg/m³. They never move; it only keeps their mass finite.
 DENSITY = 100
 
-USUAL = Extent(bottom=-0.045, top=0.045, radius=0.045, site_size=0.05)
+# What the placement sampler is told of cabinets and the stove.
+CHEST = Extent(bottom=-0.045, top=0.045, radius=0.045, site_size=0.05)
 
 # Mass in kg and moment of inertia in kg m² that LIBERO gives to everything that slides or turns:
 # large, so that a push moves it slowly.
 HEAVY = (3, 1)
 
+HALF_ABOUT_Y = (0, 0, 1, 0)
 QUARTER_ABOUT_Y = (0.70711, 0, 0.70711, 0)
 QUARTER_ABOUT_Z = (0.70711, 0, 0, 0.70711)
 
@@ -69,8 +71,9 @@ def flat_stove():
     burner = Part(
         "burner",
         [
-            box((-0.095, -0.095, -0.02), (0.095, 0.095, 0.02), STEEL),
-            *felt(box((-0.095, -0.095, 0.0245), (0.095, 0.095, 0.0255))),
+            *seen(box((-0.095, -0.095, -0.02), (0.095, 0.095, 0.02), STEEL)),
+            # Things stand on the grate, not on the steel below it.
+            *felt(box((-0.095, -0.095, -0.02), (0.095, 0.095, 0.0255))),
         ],
         sites=[
             Site("cook_region", (0, 0, 0), (0.075, 0.075, 0.0025)),
@@ -95,16 +98,123 @@ def flat_stove():
     return Part("object", parts=[Part("base", parts=[burner, knob])])
 
 
+def microwave():
+    """An oven with its door hinged on the left; LIBERO's door and housing do not collide."""
+    side, back, floor, roof, depth = -0.1435, 0.0805, 0.0240, 0.1680, -0.0880
+    housing = [
+        box((-0.1725, depth, 0), (side, 0.1105, 0.1870), SOOT),
+        box((0.0635, depth, 0), (0.1725, 0.1105, 0.1870), SOOT),
+        box((side, back, 0), (0.0635, 0.1105, 0.1870), SOOT),
+        box((side, depth, roof), (0.0635, back, 0.1870), SOOT),
+        box((side, depth, 0), (0.0635, back, floor), SOOT),
+        box((0.0875, -0.1105, 0), (0.1725, depth, 0.1870), BLACK),
+    ]
+    buttons = [box((0.1000, -0.1120, z), (0.1600, -0.1105, z + 0.0180), GREY) for z in (0.0300, 0.0600, 0.0900)]
+    grip = ((-0.0250, 0.0650), (-0.0540, 0.0650), (-0.0540, -0.0650), (-0.0250, -0.0650))
+    corners = [(0.2375, y, z) for y, z in grip]
+    door = Part(
+        "microdoorroot",
+        [
+            box((0.0005, -0.0250, -0.0925), (0.2590, -0.0010, 0.0925), BLACK),
+            *seen(box((0.0400, -0.0256, -0.0600), (0.2050, -0.0004, 0.0600), GREY)),
+            *(capsule(start, end, 0.0100, STEEL) for start, end in zip(corners, corners[1:])),
+        ],
+        joint=Joint("microjoint", "hinge", (0, 0, 1), (-2.094, 0), damping=0.5),
+        pos=(-0.1725, -0.0880, 0.0960),
+        felt_as="door",
+    )
+    root = Part(
+        "object",
+        housing + seen(*buttons),
+        sites=[
+            Site("top_side", (0, 0.01, 0.2), (0.12, 0.0835, 0.005), rgba=(1, 0, 0, 0)),
+            Site("heating_region", (0, 0.01, 0.096), (0.12, 0.0835, 0.08), rgba=(1, 0, 0, 0)),
+        ],
+        parts=[door],
+        felt_as="housing",
+    )
+    # Soft contacts with a margin, felt by what touches the oven but not between its own parts.
+    contact = {"group": "0", "contype": "0", "margin": "0.001", "solref": "0.02 1", "solimp": "0.8 0.9 0.01"}
+    classes = {
+        "housing": {**contact, "density": number(density_for(3, housing))},
+        "door": {**contact, "density": number(density_for(0.26, door.shapes))},
+    }
+    return root, classes
+
+
+def wine_rack():
+    """Two shelves that slope down towards -y, each with a stopper at its lower edge, on a stand.
+
+    The bottle of a goal lies on the upper one, along x."""
+    board = slab(0.1344, 0.0789, -0.0045, 0.0045, LIGHT_WOOD)
+    stopper = box((-0.1322, -0.0789, 0.0045), (0.1322, -0.0767, 0.0174), BROWN)
+    slope = turned([board, stopper], "x", 31.3)
+    mast = turned([slab(0.0076, 0.0090, -0.1600, 0.1600, BROWN)], "x", -15.8)
+    return Part(
+        "object",
+        moved(slope, (0, -0.0061, 0.2512))
+        + moved(slope, (0, -0.0427, 0.1273))
+        + moved(mast, (0, 0.0089, 0.1703))
+        + [slab(0.0900, 0.1240, 0.0021, 0.0111, BROWN), slab(0.0905, 0.0140, 0.0111, 0.0250, BROWN)],
+        sites=[Site("top_region", (0, -0.08003, 0.21745), (0.10087, 0.022, 0.00251), (0.85491, -0.51877, 0, 0))],
+    )
+
+
+def desk_caddy():
+    """A desk organiser with a deep compartment at either end and, between them, a low one at the
+    front (-x) and a book-sized one at the back."""
+    def board(low, high):
+        return box(low, high, CARDBOARD)
+
+    def stepped_side(y):
+        """A side that is low at the front and high at the back."""
+        return [
+            board((-0.0628, y, 0.0200), (0.0628, y + 0.0072, 0.0785)),
+            board((-0.0100, y, 0.0785), (0.0628, y + 0.0072, 0.1200)),
+            board((0.0250, y, 0.1200), (0.0628, y + 0.0072, 0.1640)),
+        ]
+
+    return Part(
+        "object",
+        [
+            # Thick, so that a book standing on it is inside the region of the goal (from 15 mm).
+            slab(0.0755, 0.2169, 0.0014, 0.0200, BROWN),
+            board((0.0628, -0.2156, 0.0200), (0.0708, 0.2120, 0.1680)),
+            board((-0.0709, -0.0631, 0.0200), (-0.0628, 0.2120, 0.0741)),
+            board((-0.0709, -0.2156, 0.0200), (-0.0628, -0.0631, 0.1673)),
+            board((-0.0628, -0.0742, 0.0200), (0.0628, -0.0618, 0.1674)),
+            board((-0.0628, -0.2156, 0.0200), (0.0628, -0.2032, 0.1674)),
+            board((-0.0056, -0.0618, 0.0200), (0.0025, 0.0670, 0.0986)),
+            *stepped_side(0.0670),
+            *stepped_side(0.2048),
+        ],
+        sites=[
+            Site("right_contain_region", (0.00631, -0.14339, 0.06558), (0.06196, 0.06216, 0.06046), HALF_ABOUT_Y),
+            Site("left_contain_region", (0.00631, 0.14551, 0.06558), (0.06196, 0.06216, 0.06046), HALF_ABOUT_Y),
+            Site("back_contain_region", (0.03364, -0.00064, 0.08558), (0.02775, 0.06216, 0.06046), HALF_ABOUT_Y),
+            Site(
+                "front_contain_region", (-0.03102, -0.00064, 0.04054), (0.02775, 0.03595, 0.06216),
+                (0, 0, 0.70711, -0.70711),
+            ),
+        ],
+    )
+
+
 def files():
     """Path inside the pack -> contents."""
-    # The plate of the stove has MuJoCo's default contact constants.
+    oven, oven_classes = microwave()
+    # The plate of the stove has MuJoCo's default density and contact constants.
     plate = {"plate": {"group": "0"}}
+    shelved = Extent(bottom=-0.06, top=0.04, radius=0.025)
     fixtures = {
-        "flat_stove": (flat_stove(), USUAL, plate),
-        "white_cabinet": (cabinet(PORCELAIN, WHITE, GREY), USUAL, {}),
-        "wooden_cabinet": (cabinet(DARK_WOOD, DARKER_WOOD, GREY), USUAL, {}),
+        "articulated_objects/flat_stove": (flat_stove(), CHEST, plate),
+        "articulated_objects/microwave": (oven, Extent(bottom=-0.06, top=0.06, radius=0.015), oven_classes),
+        "articulated_objects/white_cabinet": (cabinet(PORCELAIN, WHITE, GREY), CHEST, {}),
+        "articulated_objects/wooden_cabinet": (cabinet(DARK_WOOD, WALNUT, GREY), CHEST, {}),
+        "turbosquid_objects/desk_caddy/desk_caddy": (desk_caddy(), shelved, {}),
+        "turbosquid_objects/wine_rack/wine_rack": (wine_rack(), shelved, {}),
     }
     return {
-        f"articulated_objects/{name}.xml": document(name, root, extent, DENSITY, classes)
-        for name, (root, extent, classes) in fixtures.items()
+        f"{path}.xml": document(path.rsplit("/", 1)[1], root, extent, DENSITY, classes)
+        for path, (root, extent, classes) in fixtures.items()
     }

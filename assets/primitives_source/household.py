@@ -14,16 +14,17 @@ SCANNED, TURBOSQUID = "stable_scanned_objects", "turbosquid_objects"
 EXTENT = Extent(bottom=-0.06, top=0.04, radius=0.025)
 
 
-def dish(base, profile, thickness, facets, colour):
+def dish(base, profile, thickness, facets, colour, bottom_colour=None):
     """A round vessel: a square base inside a round bottom, and one wall per step of the profile.
 
-    `base` is (radius, bottom, top); `profile` is a list of (radius, height)."""
+    `base` is (radius, bottom, top); `profile` is a list of (radius, height). A bottom of another
+    colour shows from above, in flat light, where the vessel ends and its wall begins."""
     radius, bottom, top = base
     inner = radius * 0.8
     steps = zip(profile, profile[1:])
     return (
         felt(slab(inner, inner, bottom, top))
-        + seen(cylinder(radius, bottom, top, colour))
+        + seen(cylinder(radius, bottom, top, bottom_colour or colour))
         + [piece for low, high in steps for piece in wall(low, high, thickness, facets, colour)]
     )
 
@@ -46,14 +47,14 @@ def red_coffee_mug():
 
 
 def white_yellow_mug():
-    lower = dish((0.0270, 0.0002, 0.0052), [(0.0265, 0.0030), (0.0360, 0.0180), (0.0425, 0.0580)], 0.0070, 10, YELLOW)
+    lower = dish((0.0270, 0.0002, 0.0052), [(0.0265, 0.0030), (0.0360, 0.0180), (0.0425, 0.0580)], 0.0070, 10, MUSTARD)
     upper = wall((0.0425, 0.0580), (0.0490, 0.1025), 0.0070, 10, WHITE)
     grip = [(0.0190, 0, 0.0260), (0.0630, 0, 0.0330), (0.0630, 0, 0.0790), (0.0260, 0, 0.0800)]
-    return moved(lower + upper, (-0.0187, 0, 0)) + handle(grip, 0.0058, YELLOW)
+    return moved(lower + upper, (-0.0187, 0, 0)) + handle(grip, 0.0058, MUSTARD)
 
 
 def frying_pan():
-    pan = dish((0.0770, 0.0008, 0.0127), [(0.0770, 0.0045), (0.0985, 0.0415)], 0.0070, 12, SOOT)
+    pan = dish((0.0770, 0.0008, 0.0127), [(0.0770, 0.0045), (0.0985, 0.0415)], 0.0070, 12, SOOT, BLACK)
     return moved(pan, (0.0075, -0.0008, 0)) + [
         capsule((0.1060, 0, 0.0220), (0.1300, 0, 0.0330), 0.0090, GREY),
         capsule((0.1300, 0, 0.0330), (0.2480, 0, 0.0500), 0.0110, BLACK),
@@ -102,8 +103,9 @@ def basket():
     x, y, bottom, top, board = 0.0737, 0.0688, 0.0042, 0.1450, 0.0067
     side = [box((x - board, -y - board, bottom), (x + board, y + board, top), CARDBOARD)]
     end = [box((-x + board, y - board, bottom), (x - board, y + board, top), CARDBOARD)]
-    edge = seen(box((x - board - 0.0006, -y - board, top - 0.004), (x + board + 0.0006, y + board, top + 0.0006), BROWN))
-    lip = seen(box((-x, y - board - 0.0006, top - 0.004), (x, y + board + 0.0006, top + 0.0006), BROWN))
+    rim = board + 0.0006
+    edge = seen(box((x - rim, -y - board, top - 0.004), (x + rim, y + board, top + 0.0006), BROWN))
+    lip = seen(box((-x, y - rim, top - 0.004), (x, y + rim, top + 0.0006), BROWN))
     long_sides, short_sides = side + edge, end + lip
     return [
         slab(x - board, y - board, bottom, 0.0219, BROWN),
@@ -118,7 +120,7 @@ CONTAIN_REGION = Site("contain_region", (0, 0, 0.07185), (0.06108, 0.06108, 0.06
 HOUSEHOLD = {
     "akita_black_bowl": (
         SCANNED, 0.00559,
-        dish((0.0240, 0.0016, 0.0068), [(0.0235, 0.0035), (0.0430, 0.0155), (0.0522, 0.0519)], 0.0025, 12, BLACK),
+        dish((0.0240, 0.0016, 0.0068), [(0.0225, 0.0050), (0.0405, 0.0165), (0.0497, 0.0515)], 0.0060, 12, BLACK, SOOT),
     ),
     "basket": (SCANNED, 0.13611, basket(), [CONTAIN_REGION]),
     "chefmate_8_frypan": (SCANNED, 0.05025, frying_pan()),
@@ -128,7 +130,7 @@ HOUSEHOLD = {
     ),
     "plate": (
         SCANNED, 0.01152,
-        dish((0.0310, 0.0002, 0.0058), [(0.0295, 0.0034), (0.0665, 0.0142)], 0.0048, 16, PORCELAIN),
+        dish((0.0310, -0.0025, 0.0058), [(0.0295, 0.0026), (0.0660, 0.0134)], 0.0060, 16, PORCELAIN, WHITE),
     ),
     "black_book": (TURBOSQUID, 0.04255, black_book()),
     "moka_pot": (TURBOSQUID, 0.06824, moka_pot()),

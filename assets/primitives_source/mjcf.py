@@ -75,6 +75,7 @@ def document(model, root, extent, density, extra_classes=None):
     named in some part's `felt_as`."""
     mujoco = ET.Element("mujoco", model=model)
     ET.SubElement(mujoco, "compiler", angle="radian")
+    write_colours(ET.SubElement(mujoco, "asset"), _colours_of(root))
     classes = {
         "solid": {"group": "0", "density": number(density), **FIRM},
         "drawn": {"group": "1", "contype": "0", "conaffinity": "0", "mass": "0"},
@@ -90,6 +91,15 @@ def document(model, root, extent, density, extra_classes=None):
     ):
         ET.SubElement(outer, "site", name=name, pos=numbers(pos), size=number(extent.site_size), rgba="0 0 0 0")
     return to_bytes(mujoco)
+
+
+def write_colours(asset, colours):
+    """A material per colour. It is a one-coloured texture rather than `rgba`, because MuJoCo
+    limits the light on a surface before a texture is applied but after `rgba` is: so a colour
+    stays itself in the brightest arena and under the lighting perturbation."""
+    for name, rgb in sorted(set(colours)):
+        ET.SubElement(asset, "texture", name=name, type="2d", builtin="flat", rgb1=numbers(rgb), width="2", height="2")
+        ET.SubElement(asset, "material", name=name, texture=name, specular="0.3", shininess="0.3")
 
 
 def write_classes(mujoco, classes):
@@ -108,7 +118,7 @@ def write_shapes(body, shapes, felt_as="solid"):
         if shape.felt:
             ET.SubElement(body, "geom", {"class": felt_as, **place})
         if shape.colour is not None:
-            ET.SubElement(body, "geom", {"class": "drawn", **place, "rgba": numbers(shape.colour)})
+            ET.SubElement(body, "geom", {"class": "drawn", **place, "material": shape.colour.name})
 
 
 def number(value):
@@ -123,6 +133,11 @@ def numbers(values):
 def to_bytes(mujoco):
     ET.indent(mujoco, "  ")
     return ET.tostring(mujoco, encoding="unicode").encode() + b"\n"
+
+
+def _colours_of(part):
+    own = {shape.colour for shape in part.shapes if shape.colour is not None}
+    return own.union(*(_colours_of(child) for child in part.parts))
 
 
 def _write_part(parent, part, name=None):
