@@ -13,13 +13,13 @@ from colours import *
 from mjcf import FIRM, numbers, to_bytes, write_classes, write_colours, write_shapes
 from shapes import box, capsule, cylinder, moved, seen
 
-# File name -> (colour, side of the picture in pixels, colour of the joint along two of its edges).
+# File name -> (colour of the picture, colour of the joint along two of its edges), 0 to 255.
 TEXTURES = {
-    "light-gray-floor-tile.png": ((168, 164, 160), 64, (142, 138, 134)),
-    "gray_ceramic_tile.png": ((150, 154, 158), 64, (118, 122, 126)),
-    "seamless_wood_planks_floor.png": ((158, 122, 88), 64, (126, 94, 64)),
-    "light-gray-plaster.png": ((206, 206, 202), 4, None),
-    "yellow_linen_wall_texture.png": ((222, 208, 166), 4, None),
+    "light-gray-floor-tile.png": ((168, 164, 160), (142, 138, 134)),
+    "gray_ceramic_tile.png": ((150, 154, 158), (118, 122, 126)),
+    "seamless_wood_planks_floor.png": ((158, 122, 88), (126, 94, 64)),
+    "light-gray-plaster.png": ((206, 206, 202), (206, 206, 202)),
+    "yellow_linen_wall_texture.png": ((222, 208, 166), (222, 208, 166)),
 }
 
 # Name, centre, half-sizes and orientation of the walls, which are drawn only.
@@ -65,11 +65,12 @@ def arena(floor, wall, furnish, floor_in_body=False, walls=CORNERED_WALLS):
         asset, "texture", type="skybox", builtin="gradient", rgb1="0.9 0.9 1", rgb2="0.2 0.3 0.4",
         width="256", height="256",
     )
-    for texture, material, file in (("texplane", "floorplane", floor), ("tex-wall", "walls_mat", wall)):
+    surfaces = (("texplane", "floorplane", floor, "0"), ("tex-wall", "walls_mat", wall, "0.5"))
+    for texture, material, file, specular in surfaces:
         ET.SubElement(asset, "texture", name=texture, type="2d", file=f"../textures/{file}")
         ET.SubElement(
             asset, "material", name=material, texture=texture, texrepeat="3 3", texuniform="true",
-            specular="0.5", shininess="0.1",
+            specular=specular, shininess="0.1",
         )
     write_colours(asset, ROOM_COLOURS)
     write_classes(mujoco, {
@@ -167,14 +168,19 @@ def study(world):
     ))
 
 
-def png(colour, side, joint):
-    """A square picture of one colour, with a one-pixel joint along two edges if wanted, so that
-    a repeated texture shows tiles."""
-    plain, line = bytes(colour), bytes(joint or colour)
-    rows = [line * side] + [line + plain * (side - 1)] * (side - 1)
-    pixels = zlib.compress(b"".join(b"\0" + row for row in rows), 9)
-    header = struct.pack(">IIBBBBB", side, side, 8, 2, 0, 0, 0)
-    chunks = ((b"IHDR", header), (b"IDAT", pixels), (b"IEND", b""))
+def png(colour, joint):
+    """A square picture of 64 pixels with a one-pixel joint along two edges, so that a repeated
+    texture shows tiles. One bit per pixel, and stored rather than compressed: zlib versions
+    differ in their output, and the pack must come out the same everywhere."""
+    rows = [b"\xff" * 8] + [b"\x80" + b"\0" * 7] * 63
+    pixels = b"".join(b"\0" + row for row in rows)
+    stored = b"\x78\x01\x01" + struct.pack("<HH", len(pixels), len(pixels) ^ 0xFFFF) + pixels
+    chunks = (
+        (b"IHDR", struct.pack(">IIBBBBB", 64, 64, 1, 3, 0, 0, 0)),
+        (b"PLTE", bytes(colour + joint)),
+        (b"IDAT", stored + struct.pack(">I", zlib.adler32(pixels))),
+        (b"IEND", b""),
+    )
     return b"\x89PNG\r\n\x1a\n" + b"".join(
         struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
         for kind, data in chunks
