@@ -5,13 +5,13 @@
 //! It judges the protocol, not the policy: the scenes are made up, and no
 //! answer to them is a good or a bad one.
 
-use std::{fmt, time::Duration};
+use std::fmt;
 
 use thiserror::Error;
 use tonic::Status;
 
 use crate::check;
-use probe::{Order, Probe};
+use probe::{Episode, Order, Probe};
 use verdict::Verdict;
 
 pub mod probe;
@@ -20,6 +20,10 @@ pub mod verdict;
 
 /// Queries of one probing episode.
 pub const QUERIES: u32 = 5;
+/// Seed of the episode that others are compared with.
+pub const SEED: u64 = 1;
+/// Seed of episodes that may differ from it.
+pub const OTHER_SEED: u64 = 2;
 /// Episodes at once while throughput is measured.
 pub const CONCURRENCY: u32 = 8;
 
@@ -32,23 +36,86 @@ pub struct Target {
     pub policy: String,
 }
 
-/// One point of the protocol and how the server does on it.
+/// One point of the protocol.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(missing_docs, reason = "the sentences below say it")]
+pub enum Point {
+    Description,
+    Version,
+    Health,
+    Shape,
+    Range,
+    Retry,
+    SameSeed,
+    OtherSeed,
+    Order,
+    Isolation,
+    Restart,
+    Batch,
+    Unopened,
+    Speed,
+}
+
+impl Point {
+    /// Every point, in the order in which they are checked.
+    pub const ALL: [Self; 14] = [
+        Self::Description,
+        Self::Version,
+        Self::Health,
+        Self::Shape,
+        Self::Range,
+        Self::Retry,
+        Self::SameSeed,
+        Self::OtherSeed,
+        Self::Order,
+        Self::Isolation,
+        Self::Restart,
+        Self::Batch,
+        Self::Unopened,
+        Self::Speed,
+    ];
+}
+
+impl fmt::Display for Point {
+    /// The point as a sentence that should be true.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Description => "the description can be true",
+            Self::Version => "another protocol version is refused",
+            Self::Health => "the health service says that it serves",
+            Self::Shape => "answers are finite actions, n × 7, within the horizon",
+            Self::Range => "actions lie within -1..1",
+            Self::Retry => "a retry gets the same actions",
+            Self::SameSeed => "the same seed gives the same actions",
+            Self::OtherSeed => "another seed gives other actions just if declared stochastic",
+            Self::Order => "the order of queries changes nothing",
+            Self::Isolation => "sessions do not touch one another",
+            Self::Restart => "a Reset starts an open session anew",
+            Self::Batch => "a batch's neighbours change nothing",
+            Self::Unopened => "a session that was never opened is refused",
+            Self::Speed => "it answers at speed",
+        })
+    }
+}
+
+/// How a server does on one point.
 #[derive(Clone, Debug)]
 pub struct Finding {
-    /// What was checked, as a sentence that should be true.
-    pub point: &'static str,
-    /// Whether it is.
+    /// What was checked.
+    pub point: Point,
+    /// Whether it is true.
     pub verdict: Verdict,
 }
 
 impl fmt::Display for Finding {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match &self.verdict {
-            Verdict::Pass { note } if note.is_empty() => write!(f, "pass  {}", self.point),
-            Verdict::Pass { note } => write!(f, "pass  {}: {note}", self.point),
-            Verdict::Fail { reason } => write!(f, "FAIL  {}: {reason}", self.point),
-            Verdict::Skip { reason } => write!(f, "skip  {}: {reason}", self.point),
-        }
+        let (word, text) = match &self.verdict {
+            Verdict::Pass { note } => ("pass", note),
+            Verdict::Fail { reason } => ("FAIL", reason),
+            Verdict::Skip { reason } => ("skip", reason),
+        };
+        let separator = if text.is_empty() { "" } else { ": " };
+        write!(f, "{word}  {}{separator}{text}", self.point)
     }
 }
 
@@ -56,111 +123,71 @@ impl fmt::Display for Finding {
 /// known. True if none failed.
 ///
 /// # Errors
-/// When the server cannot be reached or cannot describe itself: then there is
-/// nothing to check.
+/// When the server cannot be reached, cannot describe itself or answers no
+/// query: then there is nothing to check.
 pub async fn check(
     target: &Target,
     report: &mut dyn FnMut(&Finding),
 ) -> Result<bool, ConformanceError> {
     let probe = Probe::connect(target).await?;
-    let described = probe.described().clone();
+    let reference = probe.episode("reference", SEED, Order::Forward).await;
+    let reference = reference.map_err(|status| ConformanceError::Episode {
+        url: target.url.clone(),
+        status: status.into(),
+    })?;
     let mut conforms = true;
-    let mut note = |point, verdict| {
+    for point in Point::ALL {
+        let verdict = examine(point, &probe, &reference).await;
+        let verdict = verdict.unwrap_or_else(|status| verdict::refused(&status));
         conforms &= !matches!(verdict, Verdict::Fail { .. });
         report(&Finding { point, verdict });
-    };
-    note("the description can be true", {
-        verdict::description(&described, check::description(&described))
-    });
-    note(
-        "another protocol version is refused",
-        judge(probe.other_version().await, |it| it),
-    );
-    note(
-        "the health service says that it serves",
-        judge(probe.health().await, |it| it),
-    );
-
-    let first = probe.episode("first", 1, Order::Forward).await;
-    let reference = match first {
-        Ok(reference) => reference,
-        Err(status) => {
-            note("an episode is answered", verdict::refused(&status));
-            return Ok(false);
-        }
-    };
-    note("answers are finite actions, n × 7, within the horizon", {
-        verdict::shapes(&reference.answers, described.horizon)
-    });
-    note(
-        "actions lie within -1..1",
-        verdict::range(&reference.answers),
-    );
-    let same = |it: Vec<_>| verdict::same(&reference.answers, &it);
-    note("a retry gets the same actions", {
-        judge(probe.retries("retried", 1).await, |(answers, retries)| {
-            verdict::same(&answers, &retries)
-        })
-    });
-    note("the same seed gives the same actions", {
-        judge(probe.episode("second", 1, Order::Forward).await, |it| {
-            same(it.answers)
-        })
-    });
-    note(
-        "another seed gives other actions just if the policy is stochastic",
-        {
-            judge(probe.episode("other seed", 2, Order::Forward).await, |it| {
-                verdict::seeds(described.stochastic, &reference.answers, &it.answers)
-            })
-        },
-    );
-    note("the order of queries changes nothing", {
-        match described.stateful {
-            true => verdict::skip("the policy is stateful: its queries come in order"),
-            false => judge(probe.episode("backwards", 1, Order::Backward).await, |it| {
-                same(it.answers)
-            }),
-        }
-    });
-    note(
-        "sessions do not touch one another",
-        judge(probe.interleaved(1, 3).await, same),
-    );
-    note(
-        "a Reset starts an open session anew",
-        judge(probe.restarted(1).await, same),
-    );
-    note("a batch's neighbours change nothing", {
-        match described.max_batch {
-            0 | 1 => verdict::skip("the policy declares no batches"),
-            largest => judge(probe.batched(1, largest).await, |batched| {
-                verdict::batch(&reference.answers, &batched)
-            }),
-        }
-    });
-    note(
-        "a session that was never opened is refused",
-        probe.unopened().await,
-    );
-    note(
-        "it answers at speed",
-        measure(&probe, reference.latencies).await,
-    );
+    }
     Ok(conforms)
 }
 
-/// Judges evidence, or the status that came in its place.
-fn judge<T>(evidence: Result<T, Status>, verdict: impl FnOnce(T) -> Verdict) -> Verdict {
-    match evidence {
-        Ok(evidence) => verdict(evidence),
-        Err(status) => verdict::refused(&status),
-    }
-}
-
-async fn measure(probe: &Probe, alone: Vec<Duration>) -> Verdict {
-    judge(probe.side_by_side(CONCURRENCY).await, |(wall, together)| {
-        verdict::speed(&alone, CONCURRENCY, wall, &together)
+/// Examines one point, by comparison with an episode of [`SEED`].
+///
+/// # Errors
+/// What the server answered where the point asks for actions.
+async fn examine(point: Point, probe: &Probe, reference: &Episode) -> Result<Verdict, Status> {
+    let described = probe.described();
+    let answers = &reference.answers;
+    Ok(match point {
+        Point::Description => verdict::description(described, check::description(described)),
+        Point::Version => probe.other_version().await,
+        Point::Health => probe.health().await?,
+        Point::Shape => verdict::shapes(answers, described.horizon),
+        Point::Range => verdict::range(answers),
+        Point::Retry => {
+            let (first, second) = probe.retries(SEED).await?;
+            verdict::same(&first, &second)
+        }
+        Point::SameSeed => {
+            let again = probe.episode("again", SEED, Order::Forward).await?;
+            verdict::same(answers, &again.answers)
+        }
+        Point::OtherSeed => {
+            let other = probe
+                .episode("other seed", OTHER_SEED, Order::Forward)
+                .await?;
+            verdict::seeds(described.stochastic, answers, &other.answers)
+        }
+        Point::Order if described.stateful => {
+            verdict::skip("the policy is stateful: its queries come in order")
+        }
+        Point::Order => {
+            let backward = probe.episode("backward", SEED, Order::Backward).await?;
+            verdict::same(answers, &backward.answers)
+        }
+        Point::Isolation => verdict::same(answers, &probe.interleaved(SEED, OTHER_SEED).await?),
+        Point::Restart => verdict::same(answers, &probe.restarted(SEED, OTHER_SEED).await?),
+        Point::Batch if described.max_batch <= 1 => verdict::skip("the policy declares no batches"),
+        Point::Batch => verdict::batch(answers, &probe.batched(SEED).await?),
+        Point::Unopened => probe.unopened().await,
+        Point::Speed => {
+            let (wall, together) = probe.side_by_side(CONCURRENCY).await?;
+            verdict::speed(&reference.latencies, CONCURRENCY, wall, &together)
+        }
     })
 }
 
@@ -185,6 +212,14 @@ pub enum ConformanceError {
     /// It does not say what it is.
     #[error("have {url} describe its policy: it answered {:?}: {}", status.code(), status.message())]
     Describe {
+        /// As given.
+        url: String,
+        /// What it answered.
+        status: Box<Status>,
+    },
+    /// It answers no query.
+    #[error("play one episode with {url}: it answered {:?}: {}", status.code(), status.message())]
+    Episode {
         /// As given.
         url: String,
         /// What it answered.

@@ -23,6 +23,7 @@ use super::{
 use crate::{
     backend::grpc::{CALL_TIMEOUT, CONNECT_TIMEOUT},
     config::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES},
+    service::MAX_BATCH_QUERIES,
 };
 
 /// In which order an episode's queries are asked.
@@ -104,29 +105,26 @@ impl Probe {
     }
 
     /// Whether a caller of a newer version is refused.
-    ///
-    /// # Errors
-    /// As all questions: what the server answered instead.
-    pub async fn other_version(&self) -> Result<Verdict, Status> {
+    pub async fn other_version(&self) -> Verdict {
         let newer = proto::PROTOCOL_VERSION + 1;
-        let answer = self
+        match self
             .client
             .clone()
             .describe(describe(&self.policy, newer))
-            .await;
-        Ok(match answer {
+            .await
+        {
             Err(status) if status.code() == Code::FailedPrecondition => verdict::pass(""),
             Err(status) => verdict::refused(&status),
             Ok(_) => verdict::fail(format!(
-                "it describes itself to a caller of version {newer}, which this protocol is not"
+                "it describes itself to a caller of version {newer}"
             )),
-        })
+        }
     }
 
     /// Whether the health service answers for policies.
     ///
     /// # Errors
-    /// What the server answered instead.
+    /// As all questions: what the server answered instead.
     pub async fn health(&self) -> Result<Verdict, Status> {
         let request = HealthCheckRequest {
             service: SERVICE_NAME.to_owned(),
@@ -172,14 +170,13 @@ impl Probe {
     /// What the server answered instead.
     pub async fn retries(
         &self,
-        name: &str,
         seed: u64,
     ) -> Result<(Vec<InferResponse>, Vec<InferResponse>), Status> {
-        self.reset(name, seed).await?;
+        self.reset("retried", seed).await?;
         let (mut answers, mut retries) = (vec![], vec![]);
         for query_index in 0..QUERIES {
-            answers.push(self.infer(name, query_index).await?);
-            retries.push(self.infer(name, query_index).await?);
+            answers.push(self.infer("retried", query_index).await?);
+            retries.push(self.infer("retried", query_index).await?);
         }
         Ok((answers, retries))
     }
@@ -204,8 +201,8 @@ impl Probe {
     ///
     /// # Errors
     /// What the server answered instead.
-    pub async fn restarted(&self, seed: u64) -> Result<Vec<InferResponse>, Status> {
-        self.reset("restarted", seed + 1).await?;
+    pub async fn restarted(&self, seed: u64, other: u64) -> Result<Vec<InferResponse>, Status> {
+        self.reset("restarted", other).await?;
         for query_index in 0..QUERIES / 2 {
             self.infer("restarted", query_index).await?;
         }
@@ -215,13 +212,13 @@ impl Probe {
             .answers)
     }
 
-    /// Plays `size` episodes in batches, of which the first has `seed`: that
-    /// one's answers.
+    /// Plays as many episodes side by side in batches as the policy takes, of
+    /// which the first has `seed`: that one's answers.
     ///
     /// # Errors
     /// What the server answered instead.
-    pub async fn batched(&self, seed: u64, size: u32) -> Result<Vec<InferResponse>, Status> {
-        let size = size.min(crate::service::MAX_BATCH_QUERIES as u32);
+    pub async fn batched(&self, seed: u64) -> Result<Vec<InferResponse>, Status> {
+        let size = self.described.max_batch.min(MAX_BATCH_QUERIES as u32);
         let names: Vec<_> = (0..size).map(|at| format!("in a batch {at}")).collect();
         for (name, seed) in names.iter().zip(seed..) {
             self.reset(name, seed).await?;

@@ -1,26 +1,22 @@
 //! The conformance check passes servers that keep the protocol, and fails
 //! others for the right reason and no other.
 
-use policy_gateway::conformance::{self, Target, verdict::Verdict};
+use policy_gateway::conformance::{
+    self,
+    Point::{
+        self, Batch, Isolation, Order, OtherSeed, Range, Restart, Retry, SameSeed, Shape, Unopened,
+        Version,
+    },
+    Target,
+    verdict::Verdict,
+};
 use proto::policy::{DescribeResponse, InferResponse};
 use tonic::Status;
 
 use crate::support::{Query, Running, Scripted, chunk, description, gateway, serve};
 
-const VERSION: &str = "another protocol version is refused";
-const SHAPE: &str = "answers are finite actions, n × 7, within the horizon";
-const RANGE: &str = "actions lie within -1..1";
-const RETRY: &str = "a retry gets the same actions";
-const SAME_SEED: &str = "the same seed gives the same actions";
-const OTHER_SEED: &str = "another seed gives other actions just if the policy is stochastic";
-const ORDER: &str = "the order of queries changes nothing";
-const ISOLATION: &str = "sessions do not touch one another";
-const RESTART: &str = "a Reset starts an open session anew";
-const BATCH: &str = "a batch's neighbours change nothing";
-const UNOPENED: &str = "a session that was never opened is refused";
-
 /// The points that fail.
-async fn failures(server: &Running, policy: &str) -> Vec<&'static str> {
+async fn failures(server: &Running, policy: &str) -> Vec<Point> {
     let target = Target {
         url: format!("grpc://{}", server.address),
         policy: policy.to_owned(),
@@ -38,14 +34,14 @@ async fn failures(server: &Running, policy: &str) -> Vec<&'static str> {
 }
 
 /// Holds that a scripted policy fails on these points.
-async fn check<F>(described: DescribeResponse, answer: F, expected: &[&str])
+async fn check<F>(described: DescribeResponse, answer: F, expected: &[Point])
 where
     F: Fn(Query) -> Result<InferResponse, Status> + Send + Sync + 'static,
 {
     let server = serve(Scripted::new(described, answer)).await;
     let mut found = failures(&server, "").await;
     // A scripted policy looks at no version.
-    assert_eq!(found.remove(0), VERSION);
+    assert_eq!(found.remove(0), Version);
     assert_eq!(found, expected);
 }
 
@@ -70,8 +66,8 @@ fn stochastic() -> DescribeResponse {
 #[tokio::test]
 async fn the_builtin_policies_conform() {
     let gateway = gateway(&["noop=builtin:noop", "expert=builtin:expert"]).await;
-    assert_eq!(failures(&gateway, "noop").await, [""; 0]);
-    assert_eq!(failures(&gateway, "expert").await, [""; 0]);
+    assert_eq!(failures(&gateway, "noop").await, []);
+    assert_eq!(failures(&gateway, "expert").await, []);
 }
 
 #[tokio::test]
@@ -80,7 +76,7 @@ async fn a_policy_that_ignores_the_version_fails_on_that_alone_and_not_behind_a_
 
     let server = serve(Scripted::new(stochastic(), |query| proper(&query))).await;
     let gateway = gateway(&[&format!("x=grpc://{}", server.address)]).await;
-    assert_eq!(failures(&gateway, "").await, [""; 0]);
+    assert_eq!(failures(&gateway, "").await, []);
 }
 
 #[tokio::test]
@@ -88,10 +84,10 @@ async fn answers_that_are_no_actions_fail_on_their_shape_or_range() {
     let answering = |number: f32, width: u32| {
         move |query: Query| proper(&query).map(|_| chunk(&vec![number; width as usize], width))
     };
-    check(description("p", 1), answering(f32::NAN, 7), &[SHAPE]).await;
-    check(description("p", 1), answering(0.0, 6), &[SHAPE]).await;
-    check(description("p", 1), answering(0.0, 0), &[SHAPE]).await;
-    check(description("p", 1), answering(1e9, 7), &[RANGE]).await;
+    check(description("p", 1), answering(f32::NAN, 7), &[Shape]).await;
+    check(description("p", 1), answering(0.0, 6), &[Shape]).await;
+    check(description("p", 1), answering(0.0, 0), &[Shape]).await;
+    check(description("p", 1), answering(1e9, 7), &[Range]).await;
 }
 
 #[tokio::test]
@@ -101,7 +97,7 @@ async fn noise_that_depends_on_the_order_of_requests_fails_wherever_it_shows() {
     check(
         stochastic(),
         drawing,
-        &[RETRY, SAME_SEED, ORDER, ISOLATION, RESTART],
+        &[Retry, SameSeed, Order, Isolation, Restart],
     )
     .await;
 }
@@ -109,8 +105,8 @@ async fn noise_that_depends_on_the_order_of_requests_fails_wherever_it_shows() {
 #[tokio::test]
 async fn a_seed_that_is_ignored_or_undeclared_fails_on_seeds() {
     let ignoring = |query: Query| proper(&query).map(|_| chunk(&[0.5; 7], 7));
-    check(stochastic(), ignoring, &[OTHER_SEED]).await;
-    check(description("p", 1), |query| proper(&query), &[OTHER_SEED]).await;
+    check(stochastic(), ignoring, &[OtherSeed]).await;
+    check(description("p", 1), |query| proper(&query), &[OtherSeed]).await;
 }
 
 #[tokio::test]
@@ -119,7 +115,7 @@ async fn batches_that_are_declared_must_be_served() {
         max_batch: 4,
         ..stochastic()
     };
-    check(described, |query| proper(&query), &[BATCH]).await;
+    check(described, |query| proper(&query), &[Batch]).await;
 }
 
 #[tokio::test]
@@ -130,5 +126,5 @@ async fn a_session_that_was_never_opened_must_not_be_answered() {
             ..query
         })
     };
-    check(stochastic(), obliging, &[UNOPENED]).await;
+    check(stochastic(), obliging, &[Unopened]).await;
 }

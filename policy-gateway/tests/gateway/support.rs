@@ -17,7 +17,7 @@ use proto::policy::{
     policy_client::PolicyClient,
     policy_server::{Policy, PolicyServer},
 };
-use tokio::{net::TcpListener, sync::oneshot, task::JoinHandle};
+use tokio::{net::TcpListener, sync::oneshot, task::JoinSet};
 use tonic::{
     Request, Response, Status,
     transport::{Channel, Server, server::TcpIncoming},
@@ -27,13 +27,14 @@ use tonic::{
 pub(crate) struct Running {
     pub(crate) address: SocketAddr,
     stop: oneshot::Sender<()>,
-    task: JoinHandle<()>,
+    task: JoinSet<()>,
 }
 
 impl Running {
-    pub(crate) async fn stop(self) {
+    pub(crate) async fn stop(mut self) {
         self.stop.send(()).expect("the server still runs");
-        self.task.await.expect("the server stops in order");
+        let ended = self.task.join_next().await.expect("one task");
+        ended.expect("the server stops in order");
     }
 
     pub(crate) async fn client(&self) -> PolicyClient<Channel> {
@@ -56,7 +57,8 @@ pub(crate) async fn gateway_at(address: SocketAddr, routes: &[&str]) -> Running 
     let listener = TcpListener::bind(address).await.expect("a free port");
     let address = listener.local_addr().expect("a bound address");
     let (stop, stopped) = oneshot::channel();
-    let task = tokio::spawn(async move {
+    let mut task = JoinSet::new();
+    task.spawn(async move {
         let shutdown = async { stopped.await.unwrap_or(()) };
         policy_gateway::run(config, listener, shutdown)
             .await
@@ -76,7 +78,8 @@ pub(crate) async fn serve<P: Policy>(policy: P) -> Running {
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
     let address = listener.local_addr().expect("a bound address");
     let (stop, stopped) = oneshot::channel();
-    let task = tokio::spawn(async move {
+    let mut task = JoinSet::new();
+    task.spawn(async move {
         Server::builder()
             .add_service(health_service)
             .add_service(PolicyServer::new(policy))
