@@ -1,7 +1,9 @@
 //! Which policy answers, and what a gateway says of itself.
 
 use policy_gateway::{builtin::noop::NOOP_ACTION, service::MAX_BATCH_QUERIES};
-use proto::policy::{DescribeRequest, InferBatchRequest, infer_result};
+use proto::policy::{
+    DescribeRequest, Image, InferBatchRequest, InferRequest, Observation, infer_result,
+};
 use tonic::{Code, transport::Endpoint};
 use tonic_health::pb::{
     HealthCheckRequest, health_check_response::ServingStatus, health_client::HealthClient,
@@ -177,4 +179,33 @@ async fn a_session_name_of_a_million_characters_is_refused() {
         .expect_err("a book");
     assert_eq!(refused.code(), Code::InvalidArgument);
     assert!(refused.message().len() < 200, "{refused}");
+}
+
+#[tokio::test]
+async fn frames_beyond_the_usual_message_limit_pass_through_a_chain() {
+    let inner = gateway(&["noop=builtin:noop"]).await;
+    let outer = gateway(&[&format!("x=grpc://{}", inner.address)]).await;
+    let mut client = client(outer.address)
+        .await
+        .max_encoding_message_size(proto::MAX_MESSAGE_BYTES);
+    client.reset(reset("x", "s")).await.expect("an episode");
+    let side = 2048;
+    let frame = Image {
+        camera: "agentview".to_owned(),
+        width: side,
+        height: side,
+        rgb: vec![7; (side * side * 3) as usize],
+    };
+    let observation = Observation {
+        images: vec![frame],
+        ..Observation::default()
+    };
+    let query = InferRequest {
+        observation: Some(observation),
+        ..infer("x", "s", 0)
+    };
+    client
+        .infer(query)
+        .await
+        .expect("an answer to 12 MiB of pixels");
 }
