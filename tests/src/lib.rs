@@ -4,3 +4,4 @@
 
 pub mod fidelity;
 pub mod files;
+pub mod motion;

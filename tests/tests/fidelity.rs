@@ -7,6 +7,7 @@ use serde::Deserialize;
 use sim::{GlContext, GlDevice, Simulator, SimulatorConfig};
 use tests::fidelity::{Limits, compare, find_tasks};
 use tests::files::{primitives, shared, sources};
+use tests::motion::smooth_action;
 
 fn check_suite(suite: &str) {
     let test = format!("every_reference_task_of_{suite}_agrees_with_the_original");
@@ -103,20 +104,6 @@ fn fixtures_are_placed_where_the_original_places_them() {
             }
         }
     }
-}
-
-/// The reference's smooth open-loop actions: a sine per component.
-fn smooth_action(step: usize) -> [f64; 7] {
-    const AMPLITUDE: [f64; 6] = [0.6, 0.6, 0.6, 0.35, 0.35, 0.35];
-    const PERIOD: [f64; 6] = [20.0, 30.0, 24.0, 40.0, 36.0, 28.0];
-    const PHASE: [f64; 6] = [0.0, 0.7, 1.4, 0.3, 1.1, 2.0];
-    let mut action = [0.0; 7];
-    for axis in 0..6 {
-        let angle = std::f64::consts::TAU * step as f64 / PERIOD[axis] + PHASE[axis];
-        action[axis] = AMPLITUDE[axis] * angle.sin();
-    }
-    action[6] = if step < 30 { -1.0 } else { 1.0 };
-    action
 }
 
 #[test]

@@ -1,14 +1,255 @@
-//! A small campaign from end to end.
+//! A small campaign from end to end, with the real programs: a coordinator, a
+//! gateway with the scripted expert, a worker with several slots, and at the
+//! end the paired table, the results and a video.
 
-use std::path::Path;
+use std::fs::File;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
 
-use anyhow::Result;
+use anyhow::{Context, Result, bail};
+
+use crate::cargo::build_programs;
+use crate::process::{capture, run as run_command};
+use crate::setup;
+use crate::step::step;
+
+/// What the demo's campaign is called.
+const CAMPAIGN: &str = "demo";
+/// Two tasks of each of two suites.
+const TASKS: &str = "libero_object/0,libero_object/4,libero_spatial/0,libero_spatial/2";
+/// The rollout that is filmed: everything perturbed at once.
+const FILMED: &str = "object/t0/combination/L2/c00";
+/// How long a program may take to say that it listens.
+const START_LIMIT: Duration = Duration::from_secs(30);
+/// How long a program may take to end when asked to.
+const END_LIMIT: Duration = Duration::from_secs(20);
 
 /// How the demo runs.
 #[derive(clap::Args)]
-pub(crate) struct Options {}
+pub(crate) struct Options {
+    /// Simulator slots.
+    #[arg(long, default_value_t = 2)]
+    slots: u32,
+    /// `primitives`, or a LIBERO assets folder.
+    #[arg(long, default_value = "primitives")]
+    assets: String,
+    /// Configurations of each task, condition by condition.
+    #[arg(long, default_value = "0-3")]
+    configs: String,
+}
 
 /// Runs it.
-pub(crate) fn run(_root: &Path, _options: &Options) -> Result<()> {
+pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
+    let start = Instant::now();
+    setup::run(root)?;
+    let programs = build_programs(root)?;
+    let running = Instant::now();
+    let dir = fresh_folder(&root.join("demo-data"))?;
+    println!("Running a campaign");
+    let start_one = |name: &str, arguments: &[&str]| -> Result<Running> {
+        step(name, || Running::start(&programs, name, arguments, &dir))
+    };
+    let data = dir.join("coordinator");
+    let data_arg = data.to_string_lossy();
+    let coordinator = start_one(
+        "coordinator",
+        &["serve", "--data", &data_arg, "--listen", "127.0.0.1:0"],
+    )?;
+    let gateway = start_one(
+        "policy-gateway",
+        &[
+            "--listen",
+            "127.0.0.1:0",
+            "--route",
+            "expert=builtin:expert",
+        ],
+    )?;
+    let call = |arguments: &[&str]| {
+        let mut command = Command::new(programs.join("coordinator"));
+        command
+            .args(arguments)
+            .args(["--connect", &coordinator.url]);
+        command
+    };
+    let slots = options.slots.to_string();
+    let _worker = start_one(
+        "worker",
+        &[
+            "--connect",
+            &coordinator.url,
+            "--slots",
+            &slots,
+            "--assets",
+            &options.assets,
+        ],
+    )?;
+    #[rustfmt::skip]
+    run_command(&mut call(&[
+        "campaign", "create", "--name", CAMPAIGN, "--policy", "expert", "--endpoint", &gateway.url,
+        "--tasks", TASKS, "--axes", "metric", "--levels", "L2", "--configs", &options.configs,
+        "--nominal", "eval",
+    ]))?;
+    println!();
+    run_command(&mut call(&["campaign", "status", CAMPAIGN, "--watch"]))?;
+    println!();
+    run_command(&mut call(&["report", CAMPAIGN]))?;
+
+    let results = dir.join("results.jsonl");
+    let results_arg = results.to_string_lossy();
+    println!();
+    run_command(&mut call(&[
+        "export",
+        CAMPAIGN,
+        "--format",
+        "jsonl",
+        "--output",
+        &results_arg,
+    ]))?;
+    let video = step("one video", || film(&programs, &gateway, options, &dir))?;
+    println!();
+    println!("results   {}", results.display());
+    println!("database  {}", data.display());
+    println!("video     {video}");
+    println!("logs      {}", dir.display());
+    println!(
+        "The campaign took {} s; with set-up and building {} s.",
+        running.elapsed().as_secs(),
+        start.elapsed().as_secs()
+    );
+    println!("To look at one rollout:  worker rollout --help");
     Ok(())
+}
+
+/// A new numbered folder: an earlier demo's results stay.
+fn fresh_folder(parent: &Path) -> Result<PathBuf> {
+    std::fs::create_dir_all(parent).with_context(|| format!("make {}", parent.display()))?;
+    for number in 1.. {
+        let dir = parent.join(number.to_string());
+        match std::fs::create_dir(&dir) {
+            Ok(()) => return Ok(dir),
+            Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => {}
+            Err(error) => return Err(error).with_context(|| format!("make {}", dir.display())),
+        }
+    }
+    unreachable!("there is always a larger number")
+}
+
+/// Runs one rollout again, with a camera on it.
+fn film(programs: &Path, gateway: &Running, options: &Options, dir: &Path) -> Result<String> {
+    let mut worker = Command::new(programs.join("worker"));
+    worker.args(["rollout", "--id", FILMED, "--assets", &options.assets]);
+    worker
+        .args(["--policy", "expert", "--endpoint", &gateway.url, "--output"])
+        .arg(dir);
+    capture(&mut worker)?;
+    let found = walk(dir)?
+        .into_iter()
+        .find(|path| path.extension().is_some_and(|e| e == "mp4"));
+    Ok(found
+        .context("find the video that the worker wrote")?
+        .display()
+        .to_string())
+}
+
+fn walk(dir: &Path) -> Result<Vec<PathBuf>> {
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(dir).with_context(|| format!("read {}", dir.display()))? {
+        let path = entry?.path();
+        if path.is_dir() {
+            files.extend(walk(&path)?);
+        } else {
+            files.push(path);
+        }
+    }
+    Ok(files)
+}
+
+/// A program that runs beside this one and is ended with it.
+struct Running {
+    child: Child,
+    /// Where it listens, if it does.
+    url: String,
+}
+
+impl Running {
+    /// Starts a program with its output in a log file, and waits until it says
+    /// where it listens or, for a worker, that it runs.
+    fn start(programs: &Path, name: &str, arguments: &[&str], dir: &Path) -> Result<Self> {
+        let log = dir.join(format!("{name}.log"));
+        let file = File::create(&log).with_context(|| format!("write {}", log.display()))?;
+        let child = Command::new(programs.join(name))
+            .args(arguments)
+            .stdin(Stdio::null())
+            .stdout(file.try_clone()?)
+            .stderr(file)
+            .spawn()
+            .with_context(|| format!("start {name}"))?;
+        let mut running = Self {
+            child,
+            url: String::new(),
+        };
+        let start = Instant::now();
+        loop {
+            if let Some(url) = announced(&log, name)? {
+                running.url = url;
+                return Ok(running);
+            }
+            if let Some(status) = running.child.try_wait()? {
+                let said = std::fs::read_to_string(&log).unwrap_or_default();
+                bail!("start {name}: {status}\n{}", said.trim_end());
+            }
+            if start.elapsed() > START_LIMIT {
+                bail!("start {name}: it does not answer; see {}", log.display());
+            }
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    }
+}
+
+impl std::fmt::Display for Running {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(if self.url.is_empty() {
+            "started"
+        } else {
+            &self.url
+        })
+    }
+}
+
+/// What a program's log says of where it listens. A worker listens nowhere and
+/// is up as soon as it says anything.
+fn announced(log: &Path, name: &str) -> Result<Option<String>> {
+    for line in BufReader::new(File::open(log)?).lines() {
+        let line = line?;
+        if name == "worker" {
+            return Ok(Some(String::new()));
+        }
+        if let Some((_, address)) = line.split_once("listening on ") {
+            let address = address.split([' ', ',']).next().unwrap_or_default();
+            let bare = address.strip_prefix("http://").unwrap_or(address);
+            return Ok(Some(format!("http://{bare}")));
+        }
+    }
+    Ok(None)
+}
+
+impl Drop for Running {
+    /// Asks the program to end, as an operator would, and insists if it does
+    /// not.
+    fn drop(&mut self) {
+        let _ = Command::new("kill")
+            .arg(self.child.id().to_string())
+            .status();
+        let start = Instant::now();
+        while start.elapsed() < END_LIMIT {
+            if matches!(self.child.try_wait(), Ok(Some(_)) | Err(_)) {
+                return;
+            }
+            std::thread::sleep(Duration::from_millis(50));
+        }
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
 }

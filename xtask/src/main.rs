@@ -36,9 +36,22 @@ enum Command {
         #[arg(last = true)]
         filters: Vec<String>,
     },
+    /// Measure and print JSON.
+    #[command(subcommand)]
+    Bench(Bench),
     /// Compare the simulator with reference data of the original LIBERO.
     Parity {
         /// Passed on: --reference DIR --assets DIR [--tasks SUITE/N,…].
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        arguments: Vec<String>,
+    },
+}
+
+#[derive(Subcommand)]
+enum Bench {
+    /// The simulator on one task, beside MuJoCo alone.
+    Sim {
+        /// Passed on: --task SUITE/N [--assets PACK_OR_PATH] [--steps N].
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
     },
@@ -49,7 +62,8 @@ fn main() -> ExitCode {
         Command::Setup => setup::run(&root()).map(|_| ()),
         Command::Demo(options) => demo::run(&root(), &options),
         Command::Test { filters } => test::run(&root(), &filters),
-        Command::Parity { arguments } => test::parity(&root(), &arguments),
+        Command::Bench(Bench::Sim { arguments }) => test::program(&root(), "bench_sim", &arguments),
+        Command::Parity { arguments } => test::program(&root(), "parity", &arguments),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,

@@ -41,21 +41,13 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
     Ok(())
 }
 
-/// Builds and runs the comparison with the original.
-pub(crate) fn parity(root: &Path, arguments: &[String]) -> Result<()> {
+/// Builds and runs one of the programs of package `tests`.
+pub(crate) fn program(root: &Path, name: &str, arguments: &[String]) -> Result<()> {
     setup::run(root)?;
-    println!("Comparing");
-    let mut parity = cargo(root);
-    parity.args([
-        "run",
-        "--quiet",
-        "--package",
-        "tests",
-        "--bin",
-        "parity",
-        "--",
-    ]);
-    run_command(parity.args(arguments))
+    println!("Running {name}");
+    let mut program = cargo(root);
+    program.args(["run", "--quiet", "--package", "tests", "--bin", name, "--"]);
+    run_command(program.args(arguments))
 }
 
 /// A virtual environment with the policies package, editable; returns its

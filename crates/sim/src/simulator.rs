@@ -1,7 +1,7 @@
 //! Everything that a slot needs to simulate rollouts: the compiled scenes it
 //! has met lately and, once a frame is asked for, an OpenGL context.
 
-use protocol::{ManifestRow, Realisation, TaskRef};
+use protocol::{ManifestRow, Realisation};
 use scene::{AssetPack, InitialStates, Sources, TaskFiles, compose};
 
 use crate::environment::Environment;
@@ -77,7 +77,19 @@ impl Simulator {
         row: &ManifestRow,
         realisation: Realisation,
     ) -> Result<Episode<'_>, SimError> {
-        self.make_ready(row.id.task())?;
+        let files = TaskFiles::of_task(&self.config.sources, row.id.task());
+        self.begin_with(files, row, realisation)
+    }
+
+    /// The same with a BDDL file and initial states of one's own, in place of
+    /// those of the row's task.
+    pub fn begin_with(
+        &mut self,
+        files: TaskFiles,
+        row: &ManifestRow,
+        realisation: Realisation,
+    ) -> Result<Episode<'_>, SimError> {
+        self.make_ready(files)?;
         Episode::begin(self, row, realisation)
     }
 
@@ -100,9 +112,8 @@ impl Simulator {
         Ok(self.gl.as_ref().expect("just opened"))
     }
 
-    /// Moves the task's scene to the front, compiling it if need be.
-    fn make_ready(&mut self, task: TaskRef) -> Result<(), SimError> {
-        let files = TaskFiles::of_task(&self.config.sources, task);
+    /// Moves the files' scene to the front, compiling it if need be.
+    fn make_ready(&mut self, files: TaskFiles) -> Result<(), SimError> {
         if let Some(index) = self.scenes.iter().position(|scene| scene.files == files) {
             self.scenes[..=index].rotate_right(1);
             return Ok(());

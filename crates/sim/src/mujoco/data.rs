@@ -70,6 +70,12 @@ impl Data {
         Ok(Self { raw })
     }
 
+    /// Becomes a copy of another state of the same model.
+    pub fn copy_from(&mut self, model: &Model, other: &Self) {
+        // SAFETY: both were made for this model, which is alive.
+        unsafe { c::mj_copyData(self.raw.as_ptr(), model.as_ptr(), other.raw.as_ptr()) };
+    }
+
     pub(crate) fn as_mut_ptr(&mut self) -> *mut c::mjData {
         self.raw.as_ptr()
     }

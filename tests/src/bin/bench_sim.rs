@@ -1,0 +1,135 @@
+//! How fast the simulator is on one task, beside MuJoCo alone on the same
+//! states in the same process. Prints one JSON object; `cargo xtask bench sim`
+//! calls it.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use anyhow::{Context, Result};
+use clap::Parser;
+use protocol::TaskRef;
+use scene::{AssetPack, InitialStates, Sources, TaskFiles, compose};
+use serde_json::json;
+use sim::controller::SUBSTEPS;
+use sim::mujoco::Data;
+use sim::{Environment, GlContext, GlDevice};
+use tests::motion::smooth_action;
+
+/// Time the simulator on one task.
+#[derive(Parser)]
+struct Arguments {
+    /// The task: SUITE/N.
+    #[arg(long)]
+    task: TaskRef,
+    /// `primitives`, or a LIBERO assets folder.
+    #[arg(long, default_value = "primitives")]
+    assets: String,
+    /// Control steps of each rollout.
+    #[arg(long, default_value_t = 120)]
+    steps: usize,
+    /// Rollouts.
+    #[arg(long, default_value_t = 5)]
+    rollouts: usize,
+    /// Folder with the unpacked sources.
+    #[arg(long)]
+    sources: Option<PathBuf>,
+}
+
+const ENV_SEED: u32 = 20260904;
+const NO_OP: [f64; 7] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0];
+const SETTLE_STEPS: usize = 10;
+const FRAME: u32 = 256;
+/// Frames timed per camera.
+const FRAMES: usize = 20;
+
+fn main() -> Result<()> {
+    let arguments = Arguments::parse();
+    let sources = Sources::open(
+        &arguments
+            .sources
+            .clone()
+            .unwrap_or_else(Sources::default_dir),
+    )?;
+    let pack = AssetPack::open(&arguments.assets, &sources)?;
+    let files = TaskFiles::of_task(&sources, arguments.task);
+    let states = InitialStates::read(&files.init)?;
+    let build = || -> Result<Environment> {
+        let scene = compose(&files.problem()?, &pack, &sources, ENV_SEED)?;
+        Ok(Environment::new(scene, &pack, &sources)?)
+    };
+    let (cold, environment) = timed(build);
+    drop(environment?);
+    let (warm, environment) = timed(build);
+    let mut environment = environment?;
+    let state = states.get(0).context("find initial state 0")?;
+
+    let (mut reset, mut settle, mut steps, mut bare) = (vec![], vec![], vec![], vec![]);
+    let mut alone = Data::new(environment.model())?;
+    for _ in 0..arguments.rollouts {
+        reset.push(timed(|| environment.load(state)).0);
+        let start = Instant::now();
+        for _ in 0..SETTLE_STEPS {
+            environment.step(&NO_OP)?;
+        }
+        settle.push(start.elapsed().as_secs_f64() * 1e3);
+        for step in 0..arguments.steps {
+            alone.copy_from(environment.model(), environment.data());
+            let model = environment.model();
+            bare.push(timed(|| (0..SUBSTEPS).for_each(|_| alone.step(model))).0);
+            let (millis, outcome) = timed(|| environment.step(&smooth_action(step)));
+            outcome?;
+            steps.push(millis);
+        }
+    }
+    let gl = GlContext::open(GlDevice::Auto)?;
+    let mut frames = serde_json::Map::new();
+    for camera in ["agentview", "robot0_eye_in_hand"] {
+        environment.draw(&gl, camera, FRAME, FRAME)?;
+        let millis = (0..FRAMES).map(|_| {
+            let (millis, frame) = timed(|| environment.draw(&gl, camera, FRAME, FRAME));
+            frame.map(|_| millis)
+        });
+        frames.insert(
+            camera.to_owned(),
+            json!(median(millis.collect::<Result<_, _>>()?)),
+        );
+    }
+    let (step_ms, bare_ms) = (median(steps), median(bare));
+    println!(
+        "{}",
+        json!({
+            "system": "rollout",
+            "task": arguments.task.to_string(),
+            "assets": pack.name(),
+            "mujoco": sim::mujoco::version(),
+            "renderer": gl.renderer(),
+            "rollouts": arguments.rollouts,
+            "steps": arguments.steps,
+            "compile_cold_ms": round(cold),
+            "compile_warm_ms": round(warm),
+            "reset_ms": median(reset),
+            "settle_ms": median(settle),
+            "control_step_ms": step_ms,
+            "bare_mj_step_x25_ms": bare_ms,
+            "control_step_over_bare": round(step_ms / bare_ms),
+            "frame_ms": frames,
+        })
+    );
+    Ok(())
+}
+
+/// Milliseconds that the work took, and its result.
+fn timed<T>(work: impl FnOnce() -> T) -> (f64, T) {
+    let start = Instant::now();
+    let result = work();
+    (start.elapsed().as_secs_f64() * 1e3, result)
+}
+
+fn median(mut millis: Vec<f64>) -> f64 {
+    millis.sort_by(f64::total_cmp);
+    round(millis.get(millis.len() / 2).copied().unwrap_or_default())
+}
+
+fn round(value: f64) -> f64 {
+    (value * 1e4).round() / 1e4
+}
