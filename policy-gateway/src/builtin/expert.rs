@@ -9,6 +9,7 @@ mod geometry;
 mod goal;
 mod grasp;
 mod motion;
+mod routine;
 mod transfer;
 mod world;
 
@@ -69,9 +70,7 @@ impl Expert {
         };
         let mut wanted = None;
         while let (None, Some(skill)) = (wanted, plan.front_mut()) {
-            wanted = match skill {
-                Skill::Transfer(transfer) => transfer.step(world, &self.motion)?,
-            };
+            wanted = skill.step(world, &self.motion)?;
             if wanted.is_none() {
                 plan.pop_front();
             }

@@ -53,6 +53,13 @@ pub(super) fn pointing_down(angle: f64) -> Quat {
     Quat::turn(Vec3::UP, half_turn(angle - FRAC_PI_2)).after(rest)
 }
 
+/// `quat`, a hand pointing down, tilted by `angle` so that the fingers point
+/// more and more along the horizontal direction `ahead`.
+pub(super) fn tilted(quat: Quat, ahead: Vec3, angle: f64) -> Quat {
+    let down = Vec3::UP * -1.0;
+    Quat::turn(down.cross(ahead), angle).after(quat)
+}
+
 /// What the fingers should do.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Fingers {

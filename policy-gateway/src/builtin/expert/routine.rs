@@ -1,0 +1,380 @@
+//! What is moved without being carried: drawers, the stove's knob, the
+//! microwave's door, and flat things that are pushed along. Each is a short
+//! sequence of stages, whose poses follow the mechanism as it moves. Where the
+//! movable part of a fixture is cannot be seen from boxes, so that the few
+//! figures of LIBERO's fixture models that are needed stand here.
+
+use std::f64::consts::FRAC_PI_2;
+
+use super::geometry::{Quat, Vec3};
+use super::motion::{
+    Command, FINGERTIP_M, Fingers, HandPose, Motion, detour, pointing_down, tilted,
+};
+use super::world::{Entity, World};
+
+/// A drawer's handle bar from the centre of the drawer's region, m: out of the
+/// cabinet's front, and up.
+const HANDLE_OUT_M: f64 = 0.113;
+const HANDLE_UP_M: f64 = -0.0045;
+/// A drawer counts as open beyond -0.14 m, and as closed above 0: positions
+/// that are safely so.
+const DRAWER_OPEN_M: f64 = -0.155;
+const DRAWER_CLOSED_M: f64 = 0.003;
+/// Tilt of the hand that reaches for a handle from the front, and of the one
+/// that pushes a drawer shut with its fingertips ahead of the palm, rad.
+const PULL_TILT: f64 = FRAC_PI_2;
+const PUSH_TILT: f64 = 1.0;
+/// The stove counts as on beyond 0.5 rad of its knob.
+const KNOB_ON: f64 = 0.8;
+/// How far down the knob's ridge the grip point goes, m.
+const KNOB_DEPTH_M: f64 = 0.018;
+/// The microwave's hinge in its own axes, and the door's top above its
+/// origin, m.
+const HINGE: Vec3 = Vec3::new(-0.1725, -0.088, 0.0);
+const DOOR_TOP_M: f64 = 0.188;
+/// Where the hand pushes: from the hinge along the door, below its top (so
+/// that the palm passes above the handle), and in front of its middle, m.
+const DOOR_REACH_M: f64 = 0.17;
+const DOOR_DEPTH_M: f64 = 0.05;
+const DOOR_FRONT_M: f64 = 0.044;
+/// The microwave counts as closed above -0.005 rad.
+const DOOR_CLOSED: f64 = -0.003;
+/// How far ahead of a mechanism the hand's goal is, m and rad: what pulls it.
+const LEAD_M: f64 = 0.05;
+const LEAD_RAD: f64 = 0.4;
+/// Distance kept before and after, m.
+const STANDOFF_M: f64 = 0.09;
+/// Near enough for the next stage, m and rad.
+const NEAR_M: f64 = 0.01;
+const NEAR_RAD: f64 = 0.1;
+/// Steps for the fingers to open or close.
+const FINGER_STEPS: u32 = 8;
+/// Steps after which a stage that gets nowhere is left.
+const PATIENCE_STEPS: u32 = 80;
+/// Share of full vertical speed near things.
+const GENTLE: f64 = 0.4;
+/// How far from the middle a flat thing is dragged along by fingertips on its
+/// upper face, m, and how near to its goal it is let go.
+const DRAG_FROM_M: f64 = 0.03;
+const DRAG_DONE_M: f64 = 0.012;
+
+/// What to do.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Deed {
+    /// Open the drawer that has this region in it.
+    PullDrawer { region: String },
+    /// Close it.
+    PushDrawer { region: String },
+    /// Turn this stove on.
+    TurnKnob { stove: String },
+    /// Close this microwave.
+    PushDoor { microwave: String },
+    /// Push a flat object to a region.
+    Drag { object: String, region: String },
+}
+
+/// The skill.
+#[derive(Debug)]
+pub(super) struct Routine {
+    deed: Deed,
+    stage: u32,
+    /// Steps spent in this stage.
+    ticks: u32,
+}
+
+/// One stage: where the hand should be, and what ends it.
+struct Stage {
+    hand: HandPose,
+    fingers: Fingers,
+    until: Until,
+}
+
+enum Until {
+    /// The hand has travelled there, over whatever is between.
+    Travelled,
+    /// The hand is there, or something stopped it.
+    There,
+    /// That many steps have passed.
+    Steps(u32),
+    /// The mechanism is where it should be.
+    Reached(bool),
+}
+
+impl Routine {
+    pub(super) fn new(deed: Deed) -> Self {
+        Self {
+            deed,
+            stage: 0,
+            ticks: 0,
+        }
+    }
+
+    /// The command for this step; none once the last stage is over.
+    ///
+    /// # Errors
+    /// Names an entity or joint that the scene lacks.
+    pub(super) fn step(
+        &mut self,
+        world: &World,
+        motion: &Motion,
+    ) -> Result<Option<Command>, String> {
+        while let Some(stage) = self.deed.stage(self.stage, world)? {
+            if !self.over(&stage, world, motion) {
+                self.ticks += 1;
+                let travelling = matches!(stage.until, Until::Travelled);
+                let mut hand = stage.hand;
+                if travelling {
+                    hand.pos = detour(world, hand.pos, STANDOFF_M, "");
+                }
+                let pace = if travelling { 1.0 } else { GENTLE };
+                return Ok(Some(Command {
+                    hand,
+                    fingers: stage.fingers,
+                    pace,
+                }));
+            }
+            self.stage += 1;
+            self.ticks = 0;
+        }
+        Ok(None)
+    }
+
+    fn over(&self, stage: &Stage, world: &World, motion: &Motion) -> bool {
+        let turn = stage
+            .hand
+            .quat
+            .after(world.grip_quat.inverse())
+            .rotation_vector();
+        let near = (stage.hand.pos - world.grip).norm() < NEAR_M && turn.norm() < NEAR_RAD;
+        let stopped = self.ticks > 5 && motion.still_steps() >= 3;
+        let over = match stage.until {
+            Until::Travelled => near,
+            Until::There => near || stopped,
+            Until::Steps(steps) => self.ticks >= steps,
+            Until::Reached(reached) => reached,
+        };
+        over || self.ticks >= PATIENCE_STEPS
+    }
+}
+
+impl Deed {
+    /// The stage of that number; none after the last.
+    fn stage(&self, number: u32, world: &World) -> Result<Option<Stage>, String> {
+        match self {
+            Self::PullDrawer { region } => pull_drawer(number, world, region),
+            Self::PushDrawer { region } => push_drawer(number, world, region),
+            Self::TurnKnob { stove } => turn_knob(number, world, stove),
+            Self::PushDoor { microwave } => push_door(number, world, microwave),
+            Self::Drag { object, region } => drag(number, world, object, region),
+        }
+    }
+}
+
+/// The joint of the drawer that has `region` in it.
+pub(super) fn drawer_joint(region: &str) -> Option<String> {
+    region
+        .strip_suffix("_region")
+        .map(|drawer| format!("{drawer}_level"))
+}
+
+/// Whether a drawer stands open far enough to count.
+pub(super) fn drawer_is_open(position: f64) -> bool {
+    position < -0.14
+}
+
+/// Whether a stove's knob is turned far enough to count.
+pub(super) fn knob_is_on(position: f64) -> bool {
+    position >= 0.5
+}
+
+/// A drawer as it stands now.
+struct Drawer {
+    position: f64,
+    handle: Vec3,
+    /// Out of the cabinet's front, horizontal.
+    out: Vec3,
+}
+
+impl Drawer {
+    fn find(world: &World, region: &str) -> Result<Self, String> {
+        let joint = drawer_joint(region).ok_or_else(|| format!("'{region}' is not in a drawer"))?;
+        let inside = world.entity(region)?;
+        let cabinet = world.entity(&inside.category)?;
+        let out = cabinet.quat.rotate(Vec3::new(0.0, -1.0, 0.0));
+        let handle = inside.pos + out * HANDLE_OUT_M + Vec3::UP * HANDLE_UP_M;
+        Ok(Self {
+            position: world.joint(&joint)?,
+            handle,
+            out,
+        })
+    }
+}
+
+fn pull_drawer(number: u32, world: &World, region: &str) -> Result<Option<Stage>, String> {
+    let drawer = Drawer::find(world, region)?;
+    // The fingers close from above and below the bar.
+    let upright = pointing_down(drawer.out.y.atan2(drawer.out.x));
+    let quat = tilted(upright, drawer.out * -1.0, PULL_TILT);
+    let at = |away: f64| HandPose {
+        pos: drawer.handle + drawer.out * away,
+        quat,
+    };
+    let here = HandPose {
+        pos: world.grip,
+        quat,
+    };
+    Ok(Some(match number {
+        0 => stage(at(STANDOFF_M), Fingers::Open, Until::Travelled),
+        1 => stage(at(0.0), Fingers::Open, Until::There),
+        2 => stage(at(0.0), Fingers::Close, Until::Steps(FINGER_STEPS)),
+        3 => {
+            let open = drawer.position < DRAWER_OPEN_M;
+            let lost = (world.grip - drawer.handle).norm() > STANDOFF_M / 2.0;
+            stage(at(LEAD_M), Fingers::Close, Until::Reached(open || lost))
+        }
+        4 => stage(here, Fingers::Open, Until::Steps(FINGER_STEPS)),
+        5 => stage(at(STANDOFF_M), Fingers::Open, Until::There),
+        _ => return Ok(None),
+    }))
+}
+
+fn push_drawer(number: u32, world: &World, region: &str) -> Result<Option<Stage>, String> {
+    let drawer = Drawer::find(world, region)?;
+    let along_bar = drawer.out.cross(Vec3::UP);
+    let upright = pointing_down(along_bar.y.atan2(along_bar.x));
+    let quat = tilted(upright, drawer.out * -1.0, PUSH_TILT);
+    let at = |away: f64| HandPose {
+        pos: drawer.handle + drawer.out * away,
+        quat,
+    };
+    Ok(Some(match number {
+        0 => stage(at(STANDOFF_M), Fingers::Close, Until::Travelled),
+        1 => {
+            let closed = drawer.position > DRAWER_CLOSED_M;
+            stage(at(-LEAD_M), Fingers::Close, Until::Reached(closed))
+        }
+        2 => stage(at(STANDOFF_M), Fingers::Close, Until::There),
+        _ => return Ok(None),
+    }))
+}
+
+fn turn_knob(number: u32, world: &World, stove: &str) -> Result<Option<Stage>, String> {
+    let knob = world.entity(stove)?;
+    let position = only_joint(world, stove)?;
+    let forward = knob.quat.rotate(Vec3::new(1.0, 0.0, 0.0));
+    let ridge = forward.y.atan2(forward.x) + position;
+    let at = |ahead: f64, above: f64| HandPose {
+        pos: knob.pos.at_height(knob.top() + above),
+        quat: pointing_down(ridge + ahead + FRAC_PI_2),
+    };
+    Ok(Some(match number {
+        0 => stage(at(0.0, STANDOFF_M / 2.0), Fingers::Open, Until::Travelled),
+        1 => stage(at(0.0, -KNOB_DEPTH_M), Fingers::Open, Until::There),
+        2 => stage(
+            at(0.0, -KNOB_DEPTH_M),
+            Fingers::Close,
+            Until::Steps(FINGER_STEPS),
+        ),
+        3 => {
+            let on = position > KNOB_ON;
+            stage(
+                at(LEAD_RAD, -KNOB_DEPTH_M),
+                Fingers::Close,
+                Until::Reached(on),
+            )
+        }
+        4 => stage(
+            at(0.0, -KNOB_DEPTH_M),
+            Fingers::Open,
+            Until::Steps(FINGER_STEPS),
+        ),
+        5 => stage(at(0.0, STANDOFF_M / 2.0), Fingers::Open, Until::There),
+        _ => return Ok(None),
+    }))
+}
+
+fn push_door(number: u32, world: &World, microwave: &str) -> Result<Option<Stage>, String> {
+    let oven = world.entity(microwave)?;
+    let angle = only_joint(world, microwave)?;
+    let at = |angle: f64, front: f64| {
+        let turned = oven.quat.after(Quat::turn(Vec3::UP, angle));
+        let along = turned.rotate(Vec3::new(1.0, 0.0, 0.0));
+        let out = turned.rotate(Vec3::new(0.0, -1.0, 0.0));
+        let hinge = oven.pos + oven.quat.rotate(HINGE);
+        let height = oven.pos.z + DOOR_TOP_M - DOOR_DEPTH_M;
+        let pos = (hinge + along * DOOR_REACH_M + out * front).at_height(height);
+        HandPose {
+            pos,
+            quat: pointing_down(along.y.atan2(along.x)),
+        }
+    };
+    let pushed = at(angle + LEAD_RAD, DOOR_FRONT_M / 2.0);
+    Ok(Some(match number {
+        0 => stage(
+            at(angle, DOOR_FRONT_M + STANDOFF_M),
+            Fingers::Close,
+            Until::Travelled,
+        ),
+        1 => stage(pushed, Fingers::Close, Until::Reached(angle > DOOR_CLOSED)),
+        2 => stage(
+            at(angle, DOOR_FRONT_M + STANDOFF_M),
+            Fingers::Close,
+            Until::There,
+        ),
+        _ => return Ok(None),
+    }))
+}
+
+fn drag(number: u32, world: &World, object: &str, region: &str) -> Result<Option<Stage>, String> {
+    let (thing, goal) = (world.entity(object)?, world.entity(region)?);
+    let way = (goal.pos - thing.pos).at_height(0.0);
+    let left = way.norm();
+    let ahead = way * (1.0 / left.max(DRAG_DONE_M));
+    let quat = pointing_down(ahead.y.atan2(ahead.x) + FRAC_PI_2);
+    let at = |along: f64, height: f64| HandPose {
+        pos: (thing.centre + ahead * along).at_height(height),
+        quat,
+    };
+    let pressing = thing.bottom() + FINGERTIP_M;
+    Ok(Some(match number {
+        0 => stage(
+            at(DRAG_FROM_M, thing.top() + STANDOFF_M / 2.0),
+            Fingers::Close,
+            Until::Travelled,
+        ),
+        1 => stage(at(DRAG_FROM_M, pressing), Fingers::Close, Until::There),
+        2 => {
+            let pulled = at(DRAG_FROM_M + LEAD_M, pressing);
+            stage(pulled, Fingers::Close, Until::Reached(left < DRAG_DONE_M))
+        }
+        3 => stage(
+            at(DRAG_FROM_M, thing.top() + STANDOFF_M / 2.0),
+            Fingers::Close,
+            Until::There,
+        ),
+        _ => return Ok(None),
+    }))
+}
+
+/// Position of the one joint of `fixture`.
+pub(super) fn only_joint(world: &World, fixture: &str) -> Result<f64, String> {
+    let name = world.joints_of(fixture).next();
+    name.map_or_else(
+        || Err(format!("'{fixture}' has no joint")),
+        |name| world.joint(name),
+    )
+}
+
+/// Whether `object` is too flat and too wide for the hand to lift.
+pub(super) fn must_be_dragged(object: &Entity) -> bool {
+    let widest = object.half.x.min(object.half.y);
+    widest > 0.04 && object.half.z < 0.25 * widest
+}
+
+fn stage(hand: HandPose, fingers: Fingers, until: Until) -> Stage {
+    Stage {
+        hand,
+        fingers,
+        until,
+    }
+}
