@@ -1,1 +1,27 @@
-//! Placeholder.
+//! Matched-outcome statistics: what happened to the same configurations under
+//! each axis alone and under all of them at once, how often simultaneous
+//! perturbation changed an outcome, in which direction, and how sure that is.
+//!
+//! Pure: records go in, a [`Report`] comes out, the same for the same records
+//! in any order. Where records come from, and warnings about how they were made,
+//! are the caller's business ([`Options::notes`]). Formulas: section 6 of the
+//! protocol; source of the design: arXiv 2609.15940.
+
+#![forbid(unsafe_code)]
+
+mod bootstrap;
+mod mcnemar;
+mod measures;
+mod outcomes;
+mod report;
+mod table;
+
+pub use bootstrap::{Bootstrap, Interval};
+pub use mcnemar::mcnemar_exact;
+pub use measures::{Configuration, Measures};
+pub use outcomes::{Outcome, Record};
+pub use report::{
+    Cell, Completeness, Count, DuplicateRecord, Gap, Nominal, Options, Replication, Report,
+    SingleAxis, report,
+};
+pub use table::table;

@@ -1,0 +1,315 @@
+//! A report as text for a terminal of 80 columns: what to know first, success
+//! rates with their counts, the paired measures, and what is missing.
+
+use std::fmt::Write;
+
+use protocol::{Axis, Condition};
+
+use crate::bootstrap::Interval;
+use crate::measures::Measures;
+use crate::report::{Cell, Count, Gap, Nominal, Report};
+
+/// Columns of the terminal.
+const WIDTH: usize = 80;
+const RATE_LABEL: usize = 8;
+const RATE_COLUMN: usize = 10;
+const PAIRED_LABEL: usize = 20;
+const PAIRED_COLUMN: usize = 19;
+/// Set-aside rollouts that are named; the others are counted.
+const MAX_NAMED: usize = 6;
+
+/// The report as a table. Rates and differences are in percent and percentage
+/// points.
+pub fn table(report: &Report) -> String {
+    let mut text = String::new();
+    for note in &report.notes {
+        push_wrapped(&mut text, "! ", note);
+    }
+    if !report.quarantined.is_empty() {
+        push_wrapped(&mut text, "! ", &quarantined(&report.quarantined));
+    }
+    for nominal in &report.nominal {
+        separate(&mut text);
+        push_wrapped(&mut text, "", &nominal_line(nominal, report));
+    }
+    let mut replicates: Vec<u32> = report.cells.iter().map(|cell| cell.replicate).collect();
+    replicates.dedup();
+    for replicate in replicates {
+        let cells: Vec<&Cell> = report
+            .cells
+            .iter()
+            .filter(|cell| cell.replicate == replicate)
+            .collect();
+        let of = of_replicate(replicate, report);
+        push_rates(&mut text, report, &cells, &of);
+        if cells.iter().any(|cell| cell.together.is_some()) {
+            push_paired(&mut text, &cells, &of);
+        }
+        push_gaps(&mut text, &cells);
+    }
+    push_replication(&mut text, report);
+    text
+}
+
+fn of_replicate(replicate: u32, report: &Report) -> String {
+    match report.replication.is_empty() {
+        true => String::new(),
+        false => format!(", replicate {replicate}"),
+    }
+}
+
+fn quarantined(names: &[String]) -> String {
+    let named = names[..names.len().min(MAX_NAMED)].join(", ");
+    let more = match names.len().saturating_sub(MAX_NAMED) {
+        0 => String::new(),
+        more => format!(" and {more} more"),
+    };
+    format!("set aside and in no rate ({}): {named}{more}", names.len())
+}
+
+fn nominal_line(nominal: &Nominal, report: &Report) -> String {
+    let of = of_replicate(nominal.replicate, report);
+    let Count { successes, n } = nominal.count;
+    let rate = percent(nominal.count.rate());
+    let missing = match gap_text(&nominal.gap) {
+        Some(gap) => format!("; {gap}"),
+        None => String::new(),
+    };
+    format!("nominal success{of}: {rate} % ({successes}/{n}){missing}")
+}
+
+fn push_rates(text: &mut String, report: &Report, cells: &[&Cell], of: &str) {
+    if report.axes.is_empty() {
+        return;
+    }
+    separate(text);
+    let losses = |cell: &&Cell| {
+        let mut axes = cell.alone.values();
+        axes.any(|axis| axis.clean_relative_loss.is_some())
+    };
+    let losses = cells.iter().any(losses);
+    let title = match losses {
+        true => "success, its counts, and the loss against nominal, %",
+        false => "success, and its counts, %",
+    };
+    let _ = writeln!(text, "{title}{of}");
+    let together = cells.iter().any(|cell| cell.together.is_some());
+    let heads = report.axes.iter().map(|axis| axis.name());
+    let heads = heads.chain(together.then_some("together"));
+    push_row(text, RATE_LABEL, RATE_COLUMN, "", heads);
+    for cell in cells {
+        let counts = |count: &Count| format!("{}/{}", count.successes, count.n);
+        let alone = |axis: &Axis| &cell.alone[axis];
+        let success = |count: &Count| count.rate().map_or_else(|| "-".to_owned(), rate);
+        let rates = report.axes.iter().map(|axis| success(&alone(axis).count));
+        let rates = rates.chain(cell.together.as_ref().map(success));
+        push_row(text, RATE_LABEL, RATE_COLUMN, cell.level.name(), rates);
+        let row = report.axes.iter().map(|axis| counts(&alone(axis).count));
+        let row = row.chain(cell.together.as_ref().map(counts));
+        push_row(text, RATE_LABEL, RATE_COLUMN, "  counts", row);
+        if losses {
+            let row = report.axes.iter();
+            let row = row.map(|axis| percent(alone(axis).clean_relative_loss));
+            push_row(text, RATE_LABEL, RATE_COLUMN, "  loss", row);
+        }
+    }
+}
+
+/// One line of the paired block.
+type Line = (&'static str, fn(&Measures) -> String);
+
+const PAIRED_LINES: [Line; 17] = [
+    ("S_indep", |m| rate(m.s_indep)),
+    ("S_conj", |m| rate(m.s_conj)),
+    ("S_sim", |m| rate(m.s_sim)),
+    ("D = S_conj-S_indep", |m| points(m.d)),
+    ("  95 %", |m| points_interval(m.d_ci95)),
+    ("I = S_sim-S_conj", |m| points(m.i)),
+    ("  95 %", |m| points_interval(m.i_ci95)),
+    ("b emergent", |m| m.b.to_string()),
+    ("c compensated", |m| m.c.to_string()),
+    ("R_e = b/n", |m| rate(m.r_e)),
+    ("  95 %", |m| rate_interval(m.r_e_ci95)),
+    ("R_c = c/n", |m| rate(m.r_c)),
+    ("  95 %", |m| rate_interval(m.r_c_ci95)),
+    ("R_d = R_e+R_c", |m| rate(m.r_d)),
+    ("  95 %", |m| rate_interval(m.r_d_ci95)),
+    ("emergent share", |m| percent(m.emergent_share)),
+    ("McNemar p", |m| p_value(m.mcnemar_p)),
+];
+
+const SOLVABLE_LINES: [Line; 4] = [
+    ("solvable: n", |m| m.n.to_string()),
+    ("  b, c", |m| format!("{}, {}", m.b, m.c)),
+    ("  I", |m| points(m.i)),
+    ("    95 %", |m| points_interval(m.i_ci95)),
+];
+
+fn push_paired(text: &mut String, cells: &[&Cell], of: &str) {
+    separate(text);
+    let _ = writeln!(text, "paired outcomes of complete configurations, %{of}");
+    let levels = cells.iter().map(|cell| cell.level.name());
+    push_row(text, PAIRED_LABEL, PAIRED_COLUMN, "", levels);
+    let complete = cells.iter().map(|cell| {
+        let completeness = &cell.completeness;
+        format!("{} of {}", completeness.complete, completeness.expected)
+    });
+    push_row(text, PAIRED_LABEL, PAIRED_COLUMN, "n complete", complete);
+    for (label, value) in PAIRED_LINES {
+        let values = cells.iter().map(|cell| shown(cell.paired.as_ref(), value));
+        push_row(text, PAIRED_LABEL, PAIRED_COLUMN, label, values);
+    }
+    if cells.iter().any(|cell| cell.solvable.is_some()) {
+        for (label, value) in SOLVABLE_LINES {
+            let values = cells
+                .iter()
+                .map(|cell| shown(cell.solvable.as_ref(), value));
+            push_row(text, PAIRED_LABEL, PAIRED_COLUMN, label, values);
+        }
+    }
+}
+
+fn push_gaps(text: &mut String, cells: &[&Cell]) {
+    let mut separated = false;
+    for cell in cells {
+        let gaps = cell.completeness.gaps.iter();
+        let gaps: Vec<String> = gaps
+            .filter_map(|(condition, gap)| {
+                let name = match condition {
+                    Condition::Combination => "together",
+                    other => other.name(),
+                };
+                Some(format!("{name} {}", gap_text(gap)?))
+            })
+            .collect();
+        if gaps.is_empty() {
+            continue;
+        }
+        if !separated {
+            separate(text);
+            separated = true;
+        }
+        let prefix = format!("incomplete {}: ", cell.level);
+        push_wrapped(text, &prefix, &gaps.join("; "));
+    }
+}
+
+fn push_replication(text: &mut String, report: &Report) {
+    if report.replication.is_empty() {
+        return;
+    }
+    separate(text);
+    for replication in &report.replication {
+        let share = match replication.compared {
+            0 => None,
+            n => Some(replication.flipped as f64 / n as f64),
+        };
+        let differences = replication.i_difference.iter();
+        let differences = differences.map(|(level, i)| format!("{level} {}", points(*i)));
+        let differences = differences.collect::<Vec<_>>().join(", ");
+        let line = format!(
+            "replicate {} against 0: {} % of outcomes differ ({}/{}); I changes by {}",
+            replication.replicate,
+            percent(share),
+            replication.flipped,
+            replication.compared,
+            if differences.is_empty() {
+                "?"
+            } else {
+                &differences
+            },
+        );
+        push_wrapped(text, "", &line);
+    }
+}
+
+fn gap_text(gap: &Gap) -> Option<String> {
+    match (gap.missing, gap.quarantined) {
+        (0, 0) => None,
+        (missing, 0) => Some(format!("{missing} missing")),
+        (0, aside) => Some(format!("{aside} set aside")),
+        (missing, aside) => Some(format!("{missing} missing, {aside} set aside")),
+    }
+}
+
+fn shown(measures: Option<&Measures>, value: fn(&Measures) -> String) -> String {
+    measures.map_or_else(|| "-".to_owned(), value)
+}
+
+fn rate(value: f64) -> String {
+    format!("{:.2}", 100.0 * value)
+}
+
+fn percent(value: Option<f64>) -> String {
+    value.map_or_else(|| "-".to_owned(), |value| format!("{:.1}", 100.0 * value))
+}
+
+fn points(value: f64) -> String {
+    format!("{:+.2}", 100.0 * value)
+}
+
+fn rate_interval(interval: Option<Interval>) -> String {
+    interval.map_or_else(
+        || "-".to_owned(),
+        |[low, high]| format!("[{}, {}]", rate(low), rate(high)),
+    )
+}
+
+fn points_interval(interval: Option<Interval>) -> String {
+    interval.map_or_else(
+        || "-".to_owned(),
+        |[low, high]| format!("[{}, {}]", points(low), points(high)),
+    )
+}
+
+fn p_value(p: f64) -> String {
+    match p < 1e-3 {
+        true => format!("{p:.1e}"),
+        false => format!("{p:.3}"),
+    }
+}
+
+fn separate(text: &mut String) {
+    if !text.is_empty() && !text.ends_with("\n\n") {
+        text.push('\n');
+    }
+}
+
+fn push_row<T: AsRef<str>>(
+    text: &mut String,
+    label_width: usize,
+    column_width: usize,
+    label: &str,
+    values: impl Iterator<Item = T>,
+) {
+    let mut row = format!("{label:<label_width$}");
+    for value in values {
+        let _ = write!(row, "{:>column_width$}", value.as_ref());
+    }
+    text.push_str(row.trim_end());
+    text.push('\n');
+}
+
+/// Words over as many lines as they need, the first after `prefix`, the others
+/// below it.
+fn push_wrapped(text: &mut String, prefix: &str, words: &str) {
+    let indent = " ".repeat(prefix.len());
+    let mut line = prefix.to_owned();
+    let mut empty = true;
+    for word in words.split_whitespace() {
+        let needed = line.chars().count() + usize::from(!empty) + word.chars().count();
+        if !empty && needed > WIDTH {
+            text.push_str(&line);
+            text.push('\n');
+            line.clone_from(&indent);
+            empty = true;
+        }
+        if !empty {
+            line.push(' ');
+        }
+        line.push_str(word);
+        empty = false;
+    }
+    text.push_str(&line);
+    text.push('\n');
+}
