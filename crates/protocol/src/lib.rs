@@ -6,6 +6,7 @@
 
 #![forbid(unsafe_code)]
 
+pub mod manifest;
 pub mod numpy;
 pub mod presets;
 pub mod seeds;

@@ -163,6 +163,22 @@ impl Perturbation {
         axes.filter_map(|(axis, set)| set.then_some(axis)).collect()
     }
 
+    /// The values of one axis, in the order of its keys; empty where it is not
+    /// perturbed.
+    pub fn values(&self, axis: Axis) -> Vec<f64> {
+        match axis {
+            Axis::Camera => self.camera.map(|shift| shift.values().to_vec()),
+            Axis::Lighting => self.lighting.map(|shift| shift.values().to_vec()),
+            Axis::Robot => self.robot.map(|shift| shift.values().to_vec()),
+            Axis::Sensor => self.sensor.map(|corruption| corruption.values().to_vec()),
+            Axis::Actuation => self
+                .actuation
+                .map(|distortion| distortion.values().to_vec()),
+            Axis::Language => None,
+        }
+        .unwrap_or_default()
+    }
+
     /// As the `perturb` object of a manifest row: nested by axis for a
     /// combination, flat for one axis alone, empty where nothing is perturbed.
     pub fn to_manifest(&self, condition: Condition) -> Map<String, Value> {

@@ -38,6 +38,13 @@ pub fn radius(level: Level) -> f64 {
     }
 }
 
+/// The units of an axis's parameters, in their order: what radius 1 is. Empty
+/// for the language axis.
+pub fn unit(axis: Axis) -> &'static [f64] {
+    let presets = presets().axes.get(axis.name());
+    presets.map_or(&[], |presets| &presets.unit)
+}
+
 /// Adds preset `config` of `axis` at `level` to a perturbation. The language
 /// axis has no numbers and adds nothing.
 ///

@@ -1,0 +1,376 @@
+//! Manifests as files of JSON Lines: one row per line, in the reference's
+//! shape. Reads, checks, writes and compares texts; opening files is the
+//! caller's business, and what a row means is `row`'s.
+//!
+//! An imported manifest is authoritative: its values and instructions are run
+//! as they stand. So what cannot be meant is refused, with its line.
+
+use std::collections::BTreeMap;
+use std::fmt::{self, Write};
+
+use serde_json::Value;
+
+use crate::condition::{Axis, Level};
+use crate::presets::{radius, unit};
+use crate::rollout_id::RolloutId;
+use crate::row::ManifestRow;
+
+/// Errors that are listed; more are counted.
+const MAX_LISTED: usize = 20;
+
+/// How far the radius of a row's parameters may be from its level's, relative:
+/// the published directions have four or five decimals.
+const RADIUS_TOLERANCE: f64 = 2e-3;
+
+/// Reads a manifest. Empty lines are skipped.
+///
+/// # Errors
+/// Lists every line that is refused: no row, a row that contradicts itself,
+/// parameters of another level, an id that was there before.
+pub fn parse(text: &str) -> Result<Vec<ManifestRow>, ManifestErrors> {
+    let mut rows = Vec::new();
+    let mut errors = ManifestErrors::default();
+    let mut lines_of_ids = BTreeMap::new();
+    for (index, text) in text.lines().enumerate() {
+        if text.trim().is_empty() {
+            continue;
+        }
+        let line = index + 1;
+        match parse_line(text) {
+            Err(problem) => errors.add(line, problem),
+            Ok(row) => match lines_of_ids.insert(row.id, line) {
+                Some(first) => {
+                    let id = row.id;
+                    errors.add(line, LineProblem::Duplicate { id, first });
+                }
+                None => rows.push(row),
+            },
+        }
+    }
+    if errors.count == 0 {
+        Ok(rows)
+    } else {
+        Err(errors)
+    }
+}
+
+/// Writes a manifest, one row per line.
+pub fn to_text(rows: &[ManifestRow]) -> String {
+    let mut text = String::new();
+    for row in rows {
+        let json = serde_json::to_string(row).expect("a row of text and numbers serialises");
+        text.push_str(&json);
+        text.push('\n');
+    }
+    text
+}
+
+/// Where two manifests differ, by rollout id. The order of rows does not count.
+pub fn diff(left: &[ManifestRow], right: &[ManifestRow]) -> Vec<Difference> {
+    let by_id = |rows: &[ManifestRow]| -> BTreeMap<RolloutId, Value> {
+        let json = |row: &ManifestRow| serde_json::to_value(row).expect("a row serialises");
+        rows.iter().map(|row| (row.id, json(row))).collect()
+    };
+    let (left, mut right) = (by_id(left), by_id(right));
+    let mut differences = Vec::new();
+    for (id, here) in left {
+        match right.remove(&id) {
+            None => differences.push(Difference::OnlyLeft(id)),
+            Some(there) => compare("", &here, &there, &mut |column, left, right| {
+                differences.push(Difference::Value {
+                    id,
+                    column: column.to_owned(),
+                    left: left.to_string(),
+                    right: right.to_string(),
+                });
+            }),
+        }
+    }
+    differences.extend(right.into_keys().map(Difference::OnlyRight));
+    differences
+}
+
+/// One difference between two manifests.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Difference {
+    /// A row that only the first has.
+    OnlyLeft(RolloutId),
+    /// A row that only the second has.
+    OnlyRight(RolloutId),
+    /// A value that differs.
+    Value {
+        /// The row.
+        id: RolloutId,
+        /// The column, for example `perturb.camera.d_azimuth_deg`.
+        column: String,
+        /// JSON of the first.
+        left: String,
+        /// JSON of the second.
+        right: String,
+    },
+}
+
+impl fmt::Display for Difference {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::OnlyLeft(id) => write!(f, "{id}: only in the first"),
+            Self::OnlyRight(id) => write!(f, "{id}: only in the second"),
+            Self::Value {
+                id,
+                column,
+                left,
+                right,
+            } => write!(f, "{id}: {column} is {left} and {right}"),
+        }
+    }
+}
+
+/// Why a manifest is refused.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ManifestErrors {
+    listed: Vec<LineError>,
+    count: usize,
+}
+
+/// What is wrong with one line.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LineError {
+    /// The line, from 1.
+    pub line: usize,
+    /// What is wrong with it.
+    pub problem: LineProblem,
+}
+
+/// The ways in which a line is wrong.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum LineProblem {
+    /// Not a row.
+    #[error("{0}")]
+    Row(String),
+    /// An id for the second time.
+    #[error("{id} is already in line {first}")]
+    Duplicate {
+        /// The id.
+        id: RolloutId,
+        /// Where it was first.
+        first: usize,
+    },
+    /// Parameters of another level.
+    #[error("{id}: parameters of axis {axis} have radius {given:.3}, at {level} it is {expected}")]
+    Radius {
+        /// The row.
+        id: RolloutId,
+        /// The axis.
+        axis: Axis,
+        /// The row's level.
+        level: Level,
+        /// The parameters' radius in normalised coordinates.
+        given: f64,
+        /// The level's.
+        expected: f64,
+    },
+}
+
+impl ManifestErrors {
+    /// The first errors, by line.
+    pub fn listed(&self) -> &[LineError] {
+        &self.listed
+    }
+
+    /// How many there are.
+    pub fn count(&self) -> usize {
+        self.count
+    }
+
+    fn add(&mut self, line: usize, problem: LineProblem) {
+        self.count += 1;
+        if self.listed.len() < MAX_LISTED {
+            self.listed.push(LineError { line, problem });
+        }
+    }
+}
+
+impl fmt::Display for ManifestErrors {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "read manifest: {} lines are refused", self.count)?;
+        for LineError { line, problem } in &self.listed {
+            write!(f, "\n  line {line}: {problem}")?;
+        }
+        match self.count - self.listed.len() {
+            0 => Ok(()),
+            more => write!(f, "\n  and {more} more"),
+        }
+    }
+}
+
+impl std::error::Error for ManifestErrors {}
+
+fn parse_line(text: &str) -> Result<ManifestRow, LineProblem> {
+    let row: ManifestRow =
+        serde_json::from_str(text).map_err(|error| LineProblem::Row(without_place(&error)))?;
+    check_radii(&row)?;
+    Ok(row)
+}
+
+/// The message without serde's "at line 1 column 7": the line is the file's.
+fn without_place(error: &serde_json::Error) -> String {
+    let message = error.to_string();
+    match message.rfind(" at line ") {
+        Some(end) => message[..end].to_owned(),
+        None => message,
+    }
+}
+
+fn check_radii(row: &ManifestRow) -> Result<(), LineProblem> {
+    let (id, level) = (row.id, row.id.level());
+    let expected = radius(level);
+    for axis in row.perturbation.axes() {
+        let values = row.perturbation.values(axis);
+        let normalised = values
+            .iter()
+            .zip(unit(axis))
+            .map(|(value, unit)| value / unit);
+        let given = normalised.map(|x| x * x).sum::<f64>().sqrt();
+        if (given - expected).abs() > RADIUS_TOLERANCE * expected {
+            return Err(LineProblem::Radius {
+                id,
+                axis,
+                level,
+                given,
+                expected,
+            });
+        }
+    }
+    Ok(())
+}
+
+/// Calls `differs` for every value that differs, with its path.
+fn compare(
+    path: &str,
+    left: &Value,
+    right: &Value,
+    differs: &mut impl FnMut(&str, &Value, &Value),
+) {
+    let (Value::Object(here), Value::Object(there)) = (left, right) else {
+        if left != right {
+            differs(path, left, right);
+        }
+        return;
+    };
+    let mut keys: Vec<&String> = here.keys().chain(there.keys()).collect();
+    keys.sort_unstable();
+    keys.dedup();
+    for key in keys {
+        let mut path = path.to_owned();
+        if !path.is_empty() {
+            path.push('.');
+        }
+        let _ = write!(path, "{key}");
+        let (left, right) = (here.get(key), there.get(key));
+        compare(
+            &path,
+            left.unwrap_or(&Value::Null),
+            right.unwrap_or(&Value::Null),
+            differs,
+        );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::campaign::{CampaignSpec, PolicyRoute};
+
+    fn rows() -> Vec<ManifestRow> {
+        let policy = PolicyRoute {
+            name: "expert".to_owned(),
+            endpoint: "http://127.0.0.1:50051".to_owned(),
+        };
+        let spec = CampaignSpec {
+            axes: Axis::METRIC.to_vec(),
+            ..CampaignSpec::v0_1("metric", policy)
+        };
+        spec.expand().expect("rows")
+    }
+
+    fn check_refused(line: &str, expected: &str) {
+        let good = to_text(&rows()[..1]);
+        let errors = parse(&format!("{good}\n{line}\n")).expect_err(expected);
+        assert_eq!(errors.count(), 1);
+        assert_eq!(errors.listed()[0].line, 3);
+        let message = errors.to_string();
+        assert!(message.contains(expected), "{message}");
+    }
+
+    #[test]
+    fn a_whole_manifest_reads_back() {
+        let rows = rows();
+        let read = parse(&to_text(&rows)).expect("reads back");
+        assert_eq!(read, rows);
+        assert_eq!(diff(&read, &rows), []);
+    }
+
+    #[test]
+    fn refused_lines_are_numbered_and_say_why() {
+        let rows = rows();
+        let sensor = to_text(&rows[4..5]);
+        assert!(sensor.contains("sensor/L1"), "{sensor}");
+        check_refused("{\"rollout_id\": ", "EOF");
+        check_refused(&to_text(&rows[..1]), "is already in line 1");
+        check_refused(
+            &sensor.replace("blur_sigma", "d_azimuth_deg"),
+            "unknown field `d_azimuth_deg`",
+        );
+        check_refused(
+            &sensor.replace("sensor/L1", "sensor/L2"),
+            "`level` is L1, but the id says L2",
+        );
+        check_refused(&sensor.replace("L1", "L4"), "read level `L4`");
+        check_refused(
+            &sensor.replace("\"init_id\":43", "\"init_id\":50"),
+            "0 to 49",
+        );
+        check_refused(
+            &sensor.replace("L1", "L2"),
+            "axis sensor have radius 2.000, at L2 it is 4",
+        );
+    }
+
+    #[test]
+    fn many_errors_are_listed_up_to_a_bound() {
+        let errors = parse(&"{}\n".repeat(50)).expect_err("fifty errors");
+        assert_eq!((errors.count(), errors.listed().len()), (50, MAX_LISTED));
+        assert!(errors.to_string().ends_with("and 30 more"), "{errors}");
+    }
+
+    #[test]
+    fn differences_name_row_and_column() {
+        let left = rows();
+        let mut right = left.clone();
+        right[1]
+            .perturbation
+            .camera
+            .as_mut()
+            .expect("a camera row")
+            .d_azimuth_deg = 1.0;
+        right[2].instruction.push('!');
+        let removed = right.pop().expect("rows").id;
+        let differences: Vec<String> = diff(&left, &right)
+            .iter()
+            .map(Difference::to_string)
+            .collect();
+        assert_eq!(differences.len(), 3, "{differences:?}");
+        let all = differences.join("\n");
+        assert!(
+            all.contains("spatial/t0/camera/L1/c00: perturb.d_azimuth_deg is 0.063986 and 1.0")
+        );
+        assert!(
+            all.contains("language is \"pick up the black bowl"),
+            "{all}"
+        );
+        assert!(
+            all.contains(&format!("{removed}: only in the first")),
+            "{all}"
+        );
+    }
+}
