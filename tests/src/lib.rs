@@ -5,3 +5,4 @@
 pub mod fidelity;
 pub mod files;
 pub mod motion;
+pub mod programs;

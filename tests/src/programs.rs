@@ -1,0 +1,209 @@
+//! The real programs as processes, for tests that run whole campaigns.
+
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+/// Longest that anything here waits for.
+const PATIENCE: Duration = Duration::from_secs(300);
+
+/// The program called `name`, as built with this package.
+///
+/// # Panics
+/// If it has not been built.
+pub fn program(name: &str) -> PathBuf {
+    let dir = std::env::var_os("ROLLOUT_PROGRAMS")
+        .map(PathBuf::from)
+        .unwrap_or_else(|| {
+            // Beside the test's own folder `deps`.
+            let own = std::env::current_exe().expect("this test's path");
+            own.ancestors().nth(2).expect("the build folder").to_owned()
+        });
+    let path = dir.join(name);
+    assert!(
+        path.is_file(),
+        "no {}; `cargo xtask test` builds the programs, or run `cargo build --workspace --bins`",
+        path.display()
+    );
+    path
+}
+
+/// A program that runs beside the test; killed when it goes out of scope.
+pub struct Process {
+    child: Child,
+    /// `http://…` of the address that it says it listens on; empty for workers.
+    pub url: String,
+}
+
+impl Process {
+    /// Starts a server and waits for its "listening on" line.
+    ///
+    /// # Panics
+    /// If it ends or says something else.
+    pub fn serve(command: &mut Command) -> Self {
+        let mut child = command
+            .stdout(Stdio::piped())
+            .spawn()
+            .expect("the program starts");
+        let stdout = child.stdout.take().expect("a pipe");
+        let mut line = String::new();
+        BufReader::new(stdout).read_line(&mut line).expect("a line");
+        let address = line
+            .strip_prefix("listening on ")
+            .unwrap_or_else(|| panic!("{line:?}"));
+        let address = address.split([',', ' ', '\n']).next().unwrap_or_default();
+        let bare = address.strip_prefix("http://").unwrap_or(address);
+        Self {
+            child,
+            url: format!("http://{bare}"),
+        }
+    }
+
+    /// Starts a worker.
+    ///
+    /// # Panics
+    /// If it cannot be started.
+    pub fn worker(coordinator: &str, slots: u32, assets: &str) -> Self {
+        let child = Command::new(program("worker"))
+            .args([
+                "--connect",
+                coordinator,
+                "--slots",
+                &slots.to_string(),
+                "--assets",
+                assets,
+            ])
+            .stdout(Stdio::null())
+            .spawn()
+            .expect("the worker starts");
+        Self {
+            child,
+            url: String::new(),
+        }
+    }
+
+    /// Sends a signal, for example `-KILL`.
+    ///
+    /// # Panics
+    /// If the process is gone.
+    pub fn signal(&self, name: &str) {
+        let status = Command::new("kill")
+            .args([name, &self.child.id().to_string()])
+            .status();
+        assert!(status.expect("kill runs").success());
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// A coordinator and a gateway, and what an operator asks of them.
+pub struct Campaigns {
+    /// The coordinator.
+    pub coordinator: Process,
+    /// The gateway, with routes `expert` and `noop`.
+    pub gateway: Process,
+}
+
+impl Campaigns {
+    /// Starts both, with the coordinator's data in a folder.
+    pub fn start(data: &Path) -> Self {
+        let mut coordinator = Command::new(program("coordinator"));
+        coordinator.args([
+            "serve",
+            "--listen",
+            "127.0.0.1:0",
+            "--lease-secs",
+            "5",
+            "--data",
+        ]);
+        let mut gateway = Command::new(program("policy-gateway"));
+        gateway.args(["--listen", "127.0.0.1:0"]);
+        gateway.args([
+            "--route",
+            "expert=builtin:expert",
+            "--route",
+            "noop=builtin:noop",
+        ]);
+        Self {
+            coordinator: Process::serve(coordinator.arg(data)),
+            gateway: Process::serve(&mut gateway),
+        }
+    }
+
+    /// Calls `coordinator ARGUMENTS --connect …`.
+    pub fn call(&self, arguments: &[&str]) -> Output {
+        Command::new(program("coordinator"))
+            .args(arguments)
+            .args(["--connect", &self.coordinator.url])
+            .output()
+            .expect("the coordinator's command runs")
+    }
+
+    /// As [`call`](Self::call), for commands that must succeed.
+    ///
+    /// # Panics
+    /// If it does not.
+    pub fn succeed(&self, arguments: &[&str]) -> String {
+        let output = self.call(arguments);
+        let complaint = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{arguments:?}: {complaint}");
+        String::from_utf8(output.stdout).expect("UTF-8")
+    }
+
+    /// Creates a campaign of all metric axes at one level with its nominal
+    /// rollouts.
+    pub fn create(&self, name: &str, policy: &str, tasks: &str, configs: &str) {
+        let endpoint = &self.gateway.url;
+        #[rustfmt::skip]
+        self.succeed(&[
+            "campaign", "create", "--name", name, "--policy", policy, "--endpoint", endpoint,
+            "--tasks", tasks, "--axes", "metric", "--levels", "L3", "--configs", configs,
+            "--nominal", "eval",
+        ]);
+    }
+
+    /// Waits until a campaign has so many committed rollouts, or all.
+    ///
+    /// # Panics
+    /// If that takes longer than anybody should wait.
+    pub fn wait_for_commits(&self, name: &str, count: Option<usize>) {
+        let start = Instant::now();
+        loop {
+            let lines = self
+                .succeed(&["export", name, "--format", "jsonl"])
+                .lines()
+                .count();
+            let status = self.succeed(&["campaign", "status", name]);
+            let finished = status.contains("finished");
+            if finished || count.is_some_and(|count| lines >= count) {
+                return;
+            }
+            assert!(start.elapsed() < PATIENCE, "{name} is not done: {status}");
+            std::thread::sleep(Duration::from_millis(200));
+        }
+    }
+
+    /// A campaign's results as reference rows without the wall times, sorted.
+    ///
+    /// # Panics
+    /// If they are no JSON.
+    pub fn outcomes(&self, name: &str) -> Vec<String> {
+        let export = self.succeed(&["export", name, "--format", "jsonl"]);
+        let mut rows: Vec<String> = export
+            .lines()
+            .map(|line| {
+                let mut row: serde_json::Value = serde_json::from_str(line).expect("JSON");
+                row.as_object_mut().expect("an object").remove("wall_s");
+                row.to_string()
+            })
+            .collect();
+        rows.sort();
+        rows
+    }
+}

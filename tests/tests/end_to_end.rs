@@ -1,0 +1,192 @@
+//! Whole campaigns through real processes: coordinator, gateway, workers with
+//! their slots, policies, and MuJoCo.
+
+use std::process::Command;
+
+use tests::programs::{Campaigns, Process, program};
+
+const TASKS: &str = "libero_object/0,libero_spatial/0";
+/// Five metric axes, their combination, and the nominal rollout.
+const CONDITIONS: usize = 7;
+
+#[test]
+fn the_same_campaign_twice_gives_the_same_outcomes_and_step_counts() {
+    let data = tempfile::tempdir().unwrap();
+    let campaigns = Campaigns::start(data.path());
+    let _worker = Process::worker(&campaigns.coordinator.url, 2, "primitives");
+    for name in ["first", "second"] {
+        campaigns.create(name, "expert", TASKS, "0-1");
+        campaigns.wait_for_commits(name, None);
+    }
+    let first = campaigns.outcomes("first");
+    assert_eq!(first.len(), 2 * 2 * CONDITIONS);
+    assert_eq!(first, campaigns.outcomes("second"));
+    assert!(
+        first.iter().any(|row| row.contains("\"success\":true")),
+        "the expert never succeeds"
+    );
+
+    let report = campaigns.succeed(&["report", "first"]);
+    for word in [
+        "camera",
+        "actuation",
+        "R_e",
+        "R_c",
+        "primitives",
+        "privileged",
+    ] {
+        assert!(
+            report.contains(word),
+            "no `{word}` in the report:\n{report}"
+        );
+    }
+    assert!(
+        report.lines().all(|line| line.chars().count() <= 80),
+        "{report}"
+    );
+}
+
+#[test]
+fn a_worker_killed_in_the_middle_costs_only_its_rollouts_time() {
+    let data = tempfile::tempdir().unwrap();
+    let campaigns = Campaigns::start(data.path());
+    campaigns.create("undisturbed", "expert", TASKS, "2");
+    {
+        let _worker = Process::worker(&campaigns.coordinator.url, 1, "primitives");
+        campaigns.wait_for_commits("undisturbed", None);
+    }
+    campaigns.create("disturbed", "expert", TASKS, "2");
+    let victim = Process::worker(&campaigns.coordinator.url, 2, "primitives");
+    campaigns.wait_for_commits("disturbed", Some(3));
+    victim.signal("-KILL");
+    let _heir = Process::worker(&campaigns.coordinator.url, 2, "primitives");
+    campaigns.wait_for_commits("disturbed", None);
+    assert_eq!(campaigns.outcomes("disturbed").len(), 2 * CONDITIONS);
+    assert_eq!(
+        campaigns.outcomes("disturbed"),
+        campaigns.outcomes("undisturbed")
+    );
+}
+
+#[test]
+fn a_python_policy_answers_from_pixels_through_the_gateway() {
+    let Some(python) = std::env::var_os("ROLLOUT_PYTHON") else {
+        eprintln!(
+            "SKIPPED a_python_policy_answers_from_pixels_through_the_gateway: \
+             `cargo xtask test` names the interpreter"
+        );
+        return;
+    };
+    let mut policy = Command::new(python);
+    policy.args(["-u", "-m", "rollout_policies.examples.colour_servo"]);
+    let policy = Process::serve(policy.args(["--listen", "127.0.0.1:0"]));
+    let bare = policy.url.strip_prefix("http://").unwrap();
+    let mut gateway = Command::new(program("policy-gateway"));
+    gateway.args([
+        "--listen",
+        "127.0.0.1:0",
+        "--route",
+        &format!("servo=grpc://{bare}"),
+    ]);
+    let gateway = Process::serve(&mut gateway);
+    let output = tempfile::tempdir().unwrap();
+    let status = Command::new(program("worker"))
+        .args([
+            "rollout",
+            "--id",
+            "spatial/t0/sensor/L1/c00",
+            "--assets",
+            "primitives",
+        ])
+        .args([
+            "--policy",
+            "servo",
+            "--endpoint",
+            &gateway.url,
+            "--no-video",
+            "--output",
+        ])
+        .arg(output.path())
+        .status()
+        .unwrap();
+    assert!(status.success());
+    let result = std::fs::read_to_string(output.path().join("result.json")).unwrap();
+    assert!(result.contains("first_frame"), "{result}");
+}
+
+/// Runs a program that must refuse; returns its exit code and complaint.
+fn refusal(name: &str, arguments: &[&str]) -> (Option<i32>, String) {
+    let output = Command::new(program(name))
+        .args(arguments)
+        .output()
+        .unwrap();
+    (
+        output.status.code(),
+        String::from_utf8_lossy(&output.stderr).into_owned(),
+    )
+}
+
+#[test]
+fn bad_input_is_refused_with_the_thing_the_place_and_the_remedy() {
+    let check = |name: &str, arguments: &[&str], code: i32, words: &[&str]| {
+        let (status, complaint) = refusal(name, arguments);
+        assert_eq!(status, Some(code), "{name} {arguments:?}: {complaint}");
+        for word in words {
+            assert!(
+                complaint.contains(word),
+                "{name} {arguments:?}: {complaint}"
+            );
+        }
+    };
+    #[rustfmt::skip]
+    let create = |tasks: &'static str, axes: &'static str| {
+        vec![
+            "campaign", "create", "--name", "x", "--policy", "p", "--endpoint", "http://127.0.0.1:9",
+            "--tasks", tasks, "--axes", axes, "--connect", "http://127.0.0.1:9", "--retry-secs", "1",
+        ]
+    };
+    check(
+        "coordinator",
+        &create("libero_sptial", "camera"),
+        2,
+        &["libero_sptial", "libero_spatial"],
+    );
+    check(
+        "coordinator",
+        &create("libero_goal/10", "camera"),
+        2,
+        &["libero_goal/10"],
+    );
+    check(
+        "coordinator",
+        &create("libero_goal/1", "colour"),
+        2,
+        &["colour", "lighting"],
+    );
+    check(
+        "coordinator",
+        &create("libero_goal/1", "camera"),
+        1,
+        &["127.0.0.1:9", "coordinator serve"],
+    );
+    #[rustfmt::skip]
+    let rollout = |assets: &'static str| {
+        vec![
+            "rollout", "--id", "goal/t1/camera/L1/c00", "--endpoint", "http://127.0.0.1:9",
+            "--output", "/dev/null/x", "--assets", assets,
+        ]
+    };
+    check(
+        "worker",
+        &rollout("/no/such/folder"),
+        1,
+        &["/no/such/folder", "--assets"],
+    );
+    check("worker", &["--slots", "2"], 2, &["--connect"]);
+    check(
+        "policy-gateway",
+        &["--route", "x=builtin:exprt"],
+        2,
+        &["exprt", "expert"],
+    );
+}
