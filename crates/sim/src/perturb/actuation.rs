@@ -210,4 +210,30 @@ mod tests {
             assert_eq!(alone.apply(&ACTION), combined.apply(&ACTION));
         }
     }
+
+    /// Drawn by NumPy from the CRC-32 of the id.
+    #[test]
+    fn the_reference_realisation_draws_numpys_directions() {
+        let id: RolloutId = "spatial/t0/actuation/L1/c00".parse().expect("an id");
+        let randomness = Randomness::of(&id, Axis::Actuation, Realisation::Reference);
+        let distortion = ActuationDistortion::default();
+        let stage = ActuationStage::new(&distortion, [0.785, 0.102], &randomness);
+        let expected = [
+            -0.32204775732050916,
+            -0.5365161538078588,
+            -0.21724780448103678,
+            0.39653341733909636,
+            0.4394889371379086,
+            0.45918381202193,
+            -0.798800428837207,
+            0.3308669060024068,
+            -0.5024390165999141,
+        ];
+        for (value, expected) in stage.realised().into_iter().zip(expected) {
+            assert!(
+                (value - expected).abs() < 1e-15,
+                "{value} is not {expected}"
+            );
+        }
+    }
 }
