@@ -1,0 +1,152 @@
+//! What people type: reading the command line and saying what came of it. Exit
+//! code 2 is for a command that is wrong, 1 for one that failed.
+
+mod create;
+mod output;
+mod serve;
+mod status;
+
+use std::io::Write;
+use std::process::ExitCode;
+use std::time::Duration;
+
+use anyhow::Context;
+use clap::{Args, Parser, Subcommand};
+use coordinator::client::{Client, ClientError, RETRY_FOR};
+use tracing_subscriber::EnvFilter;
+
+/// The campaign's memory: creates campaigns, leases their rollouts to workers,
+/// keeps the results and reports them.
+#[derive(Debug, Parser)]
+#[command(name = "coordinator", version)]
+pub(crate) struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Run a coordinator.
+    Serve(serve::ServeArguments),
+    /// Create, list and follow campaigns.
+    #[command(subcommand)]
+    Campaign(CampaignCommand),
+    /// Print the paired report of a campaign, as far as it has come.
+    Report(output::ReportArguments),
+    /// Write the committed results of a campaign.
+    Export(output::ExportArguments),
+}
+
+#[derive(Debug, Subcommand)]
+enum CampaignCommand {
+    /// Create a campaign from a specification, or from flags.
+    Create(create::CreateArguments),
+    /// List all campaigns.
+    List(status::ListArguments),
+    /// Show how a campaign stands.
+    Status(status::StatusArguments),
+}
+
+/// Where the coordinator is.
+#[derive(Args, Debug)]
+struct Connection {
+    /// URL of the coordinator.
+    #[arg(
+        long,
+        value_name = "URL",
+        env = "COORDINATOR_URL",
+        default_value = "http://127.0.0.1:7411"
+    )]
+    connect: String,
+    /// Seconds to keep trying while the coordinator does not answer.
+    #[arg(long, value_name = "SECS", default_value_t = RETRY_FOR.as_secs())]
+    retry_secs: u64,
+}
+
+/// A command that did not do what it should.
+enum CommandError {
+    /// The command is wrong.
+    Usage(anyhow::Error),
+    /// It failed.
+    Failure(anyhow::Error),
+}
+
+/// Runs a command. Its errors are printed to standard error.
+pub(crate) fn run(arguments: Arguments) -> ExitCode {
+    let default_level = match &arguments.command {
+        Command::Serve(_) => "info",
+        _ => "warn",
+    };
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| default_level.into());
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_ansi(std::io::IsTerminal::is_terminal(&std::io::stderr()))
+        .init();
+    let runtime = match tokio::runtime::Runtime::new() {
+        Ok(runtime) => runtime,
+        Err(error) => {
+            eprintln!("error: failed to start the asynchronous runtime: {error}");
+            return ExitCode::from(1);
+        }
+    };
+    match runtime.block_on(execute(arguments.command)) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(CommandError::Usage(error)) => {
+            eprintln!("error: failed to {error:#}");
+            ExitCode::from(2)
+        }
+        Err(CommandError::Failure(error)) => {
+            eprintln!("error: failed to {error:#}");
+            ExitCode::from(1)
+        }
+    }
+}
+
+async fn execute(command: Command) -> Result<(), CommandError> {
+    match command {
+        Command::Serve(arguments) => Ok(serve::serve(arguments).await?),
+        Command::Campaign(CampaignCommand::Create(arguments)) => create::create(arguments).await,
+        Command::Campaign(CampaignCommand::List(arguments)) => status::list(arguments).await,
+        Command::Campaign(CampaignCommand::Status(arguments)) => status::status(arguments).await,
+        Command::Report(arguments) => output::report(arguments).await,
+        Command::Export(arguments) => output::export(arguments).await,
+    }
+}
+
+/// Prints a line to standard output. Unlike `println!` it does not panic when
+/// nobody reads it any more.
+fn print_line(text: &str) -> anyhow::Result<()> {
+    let mut stdout = std::io::stdout().lock();
+    writeln!(stdout, "{text}")
+        .and_then(|()| stdout.flush())
+        .context("print to standard output")
+}
+
+impl Connection {
+    fn client(&self) -> Result<Client, CommandError> {
+        Ok(Client::new(
+            &self.connect,
+            Duration::from_secs(self.retry_secs),
+        )?)
+    }
+}
+
+impl From<ClientError> for CommandError {
+    fn from(error: ClientError) -> CommandError {
+        match error {
+            ClientError::Url { .. } | ClientError::Invalid { .. } => {
+                CommandError::Usage(error.into())
+            }
+            ClientError::Unreachable { .. } | ClientError::Refused { .. } => {
+                CommandError::Failure(error.into())
+            }
+        }
+    }
+}
+
+impl From<anyhow::Error> for CommandError {
+    fn from(error: anyhow::Error) -> CommandError {
+        CommandError::Failure(error)
+    }
+}

@@ -1,0 +1,110 @@
+//! `coordinator report` and `coordinator export`.
+
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use clap::{Args, ValueEnum};
+use coordinator::client::Client;
+
+use super::{CommandError, Connection, print_line};
+
+#[derive(Args, Debug)]
+pub(super) struct ReportArguments {
+    /// Name of the campaign.
+    campaign: String,
+    /// Print JSON instead of a table.
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    connection: Connection,
+}
+
+#[derive(Args, Debug)]
+pub(super) struct ExportArguments {
+    /// Name of the campaign.
+    campaign: String,
+    /// What to write: `jsonl` are the reference's result rows.
+    #[arg(long, value_enum)]
+    format: Format,
+    /// File to write; standard output without it.
+    #[arg(long, value_name = "FILE")]
+    output: Option<PathBuf>,
+    #[command(flatten)]
+    connection: Connection,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Format {
+    Jsonl,
+}
+
+pub(super) async fn report(arguments: ReportArguments) -> Result<(), CommandError> {
+    let client = arguments.connection.client()?;
+    let report = client.report(&arguments.campaign).await?;
+    let text = if arguments.json {
+        report.json
+    } else {
+        report.table
+    };
+    Ok(print_line(text.trim_end())?)
+}
+
+pub(super) async fn export(arguments: ExportArguments) -> Result<(), CommandError> {
+    let client = arguments.connection.client()?;
+    let Format::Jsonl = arguments.format;
+    match &arguments.output {
+        None => {
+            let mut stdout = BufWriter::new(std::io::stdout().lock());
+            write_lines(&client, &arguments.campaign, &mut stdout).await?;
+        }
+        Some(path) => {
+            let rows = export_to(&client, &arguments.campaign, path).await?;
+            eprintln!("wrote {rows} results to {}", path.display());
+        }
+    }
+    Ok(())
+}
+
+/// Writes under another name first: a file that is there is whole.
+async fn export_to(client: &Client, campaign: &str, path: &Path) -> Result<u64, CommandError> {
+    let mut partial = path.as_os_str().to_owned();
+    partial.push(".partial");
+    let partial = PathBuf::from(partial);
+    let file = File::create(&partial)
+        .with_context(|| format!("write {}: may this user write there?", partial.display()))?;
+    let mut file = BufWriter::new(file);
+    let written = write_lines(client, campaign, &mut file).await;
+    let finished = written.and_then(|rows| {
+        let file = file.into_inner().context("write the last results")?;
+        file.sync_all().context("write the results to the disk")?;
+        std::fs::rename(&partial, path)
+            .with_context(|| format!("move {} to {}", partial.display(), path.display()))?;
+        Ok(rows)
+    });
+    if finished.is_err() {
+        // The first error is the one to tell.
+        let _ = std::fs::remove_file(&partial);
+    }
+    finished
+}
+
+async fn write_lines(
+    client: &Client,
+    campaign: &str,
+    out: &mut impl Write,
+) -> Result<u64, CommandError> {
+    let mut lines = client.export(campaign).await?;
+    let mut rows = 0;
+    loop {
+        let line = lines.message().await;
+        let Some(line) = line.map_err(|status| client.broken_stream(&status))? else {
+            break;
+        };
+        writeln!(out, "{}", line.json).context("write the results")?;
+        rows += 1;
+    }
+    out.flush().context("write the results")?;
+    Ok(rows)
+}

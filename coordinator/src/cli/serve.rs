@@ -1,0 +1,91 @@
+//! `coordinator serve`.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::Context;
+use clap::Args;
+use coordinator::clock::{Clock, SystemClock};
+use coordinator::queue::Timing;
+use coordinator::{Config, Coordinator};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use tokio::net::TcpListener;
+use tokio::signal::unix::{SignalKind, signal};
+
+use super::print_line;
+
+/// Heartbeats that fit into a lease: a few may be lost before it is.
+const HEARTBEATS_PER_LEASE: u32 = 6;
+
+#[derive(Args, Debug)]
+pub(super) struct ServeArguments {
+    /// Folder of the database and the artifacts; made if it is not there.
+    #[arg(long, value_name = "DIR")]
+    data: PathBuf,
+    /// Address to listen on; port 0 takes a free one.
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7411")]
+    listen: SocketAddr,
+    /// Seconds that a lease lasts without a heartbeat.
+    #[arg(long, value_name = "SECS", default_value_t = 30,
+        value_parser = clap::value_parser!(u32).range(1..=3600))]
+    lease_secs: u32,
+    /// Seconds that a rollout may stand still before its worker kills it.
+    #[arg(long, value_name = "SECS", default_value_t = 180,
+        value_parser = clap::value_parser!(u32).range(1..=86_400))]
+    progress_timeout_secs: u32,
+}
+
+pub(super) async fn serve(arguments: ServeArguments) -> anyhow::Result<()> {
+    // Listening for signals begins before the first line is printed: who reads
+    // it may send one.
+    let mut terminate = signal(SignalKind::terminate()).context("listen for SIGTERM")?;
+    let mut interrupt = signal(SignalKind::interrupt()).context("listen for SIGINT")?;
+    let listener = TcpListener::bind(arguments.listen).await.with_context(|| {
+        format!(
+            "listen on {}: choose another address with --listen",
+            arguments.listen
+        )
+    })?;
+    let address = listener
+        .local_addr()
+        .context("read the listening address")?;
+    let coordinator = Coordinator::open(config(&arguments)).await?;
+    if !address.ip().is_loopback() {
+        tracing::warn!(
+            "{address} can be reached from other machines, and nobody is asked who they are: \
+             let trusted networks only reach it"
+        );
+    }
+    let data = arguments.data.display();
+    print_line(&format!("listening on {address}, data in {data}"))?;
+    let shutdown = async move {
+        tokio::select! {
+            _ = terminate.recv() => {}
+            _ = interrupt.recv() => {}
+        }
+    };
+    coordinator.serve(listener, shutdown).await?;
+    // Whoever started this may have gone; it ended well all the same.
+    let _ = print_line("stopped");
+    Ok(())
+}
+
+fn config(arguments: &ServeArguments) -> Config {
+    let clock = SystemClock;
+    let lease = Duration::from_secs(arguments.lease_secs.into());
+    let seed = clock.now().0.unsigned_abs() ^ u64::from(std::process::id()).rotate_left(32);
+    Config {
+        data: arguments.data.clone(),
+        timing: Timing {
+            lease,
+            heartbeat: lease / HEARTBEATS_PER_LEASE,
+            progress_timeout: Duration::from_secs(arguments.progress_timeout_secs.into()),
+            ..Timing::default()
+        },
+        clock: Arc::new(clock),
+        rng: ChaCha8Rng::seed_from_u64(seed),
+    }
+}

@@ -1,0 +1,267 @@
+//! `coordinator campaign list` and `coordinator campaign status`: how campaigns
+//! stand, once or live. Every line fits 80 columns.
+
+use std::io::{IsTerminal, Write};
+use std::time::Duration;
+
+use anyhow::Context;
+use clap::Args;
+use coordinator::ids::shortened;
+use coordinator::queue::RATE_WINDOW;
+use proto::coordinator::CampaignStatus;
+
+use super::{CommandError, Connection, print_line};
+
+/// Between two looks at a campaign on a terminal, where one line rewrites
+/// itself, and elsewhere, where every look is a line of a log.
+const TERMINAL_PERIOD: Duration = Duration::from_secs(1);
+const LOG_PERIOD: Duration = Duration::from_secs(5);
+/// Width of a line, and of its progress bar where there is room, columns.
+const LINE_COLUMNS: usize = 79;
+const BAR_COLUMNS: usize = 16;
+/// Longest campaign name in a line, bytes.
+const NAME_BYTES: usize = 18;
+
+#[derive(Args, Debug)]
+pub(super) struct ListArguments {
+    #[command(flatten)]
+    connection: Connection,
+}
+
+#[derive(Args, Debug)]
+pub(super) struct StatusArguments {
+    /// Name of the campaign.
+    campaign: String,
+    /// Follow it until it is finished.
+    #[arg(long)]
+    watch: bool,
+    #[command(flatten)]
+    connection: Connection,
+}
+
+pub(super) async fn list(arguments: ListArguments) -> Result<(), CommandError> {
+    let campaigns = arguments.connection.client()?.list_campaigns().await?;
+    if campaigns.is_empty() {
+        let hint = "no campaigns yet; `coordinator campaign create` makes one";
+        return Ok(print_line(hint)?);
+    }
+    let text: Vec<String> = campaigns
+        .iter()
+        .map(|status| match attention(status) {
+            Some(note) => format!("{}\n  {note}", line(status)),
+            None => line(status),
+        })
+        .collect();
+    Ok(print_line(&text.join("\n"))?)
+}
+
+pub(super) async fn status(arguments: StatusArguments) -> Result<(), CommandError> {
+    let client = arguments.connection.client()?;
+    let mut status = client.campaign_status(&arguments.campaign).await?;
+    if arguments.watch {
+        let mut screen = Screen::new(std::io::stdout().is_terminal());
+        screen.say(&format!(
+            "ETA = rollouts left / rate of the last {} minutes",
+            RATE_WINDOW.as_secs() / 60
+        ))?;
+        loop {
+            screen.show(&status)?;
+            if is_finished(&status) {
+                break;
+            }
+            tokio::time::sleep(screen.period()).await;
+            status = client.campaign_status(&arguments.campaign).await?;
+        }
+        screen.end()?;
+    }
+    Ok(print_line(&details(&status))?)
+}
+
+/// What is being followed: on a terminal one line that rewrites itself, else a
+/// line per look.
+struct Screen {
+    is_terminal: bool,
+    attention: Option<String>,
+}
+
+impl Screen {
+    fn new(is_terminal: bool) -> Screen {
+        Screen {
+            is_terminal,
+            attention: None,
+        }
+    }
+
+    fn period(&self) -> Duration {
+        if self.is_terminal {
+            TERMINAL_PERIOD
+        } else {
+            LOG_PERIOD
+        }
+    }
+
+    /// Prints a line that stays.
+    fn say(&self, text: &str) -> anyhow::Result<()> {
+        let clear = if self.is_terminal { "\r\x1b[2K" } else { "" };
+        self.print(&format!("{clear}{text}\n"))
+    }
+
+    /// Shows how the campaign stands, and, when it changes, what needs looking
+    /// after.
+    fn show(&mut self, status: &CampaignStatus) -> anyhow::Result<()> {
+        let attention = attention(status);
+        if attention != self.attention {
+            if let Some(note) = &attention {
+                self.say(note)?;
+            }
+            self.attention = attention;
+        }
+        if self.is_terminal {
+            self.print(&format!("\r\x1b[2K{}", line(status)))
+        } else {
+            self.say(&line(status))
+        }
+    }
+
+    fn end(&self) -> anyhow::Result<()> {
+        if self.is_terminal {
+            self.print("\n")?;
+        }
+        Ok(())
+    }
+
+    fn print(&self, text: &str) -> anyhow::Result<()> {
+        let mut stdout = std::io::stdout().lock();
+        stdout
+            .write_all(text.as_bytes())
+            .and_then(|()| stdout.flush())
+            .context("print the campaign's progress")
+    }
+}
+
+fn is_finished(status: &CampaignStatus) -> bool {
+    status.committed + status.quarantined == status.total
+}
+
+/// One line: name, bar, counts, rate, ETA. The bar gets what the rest leaves.
+fn line(status: &CampaignStatus) -> String {
+    let done = status.committed + status.quarantined;
+    let percent = (done * 100).checked_div(status.total).unwrap_or(0);
+    let pace = if is_finished(status) {
+        "finished".to_owned()
+    } else {
+        let rate = status.rate_per_sec.map_or("–/s".to_owned(), rate_text);
+        let eta = status.eta_secs.map_or("–".to_owned(), duration_text);
+        format!("{} running  {rate}  ETA {eta}", status.leased)
+    };
+    let name = shortened(&status.campaign, NAME_BYTES);
+    let counts = format!("{done}/{} {percent}%  {pace}", status.total);
+    let taken = name.chars().count() + counts.chars().count() + 2;
+    let bar_columns = LINE_COLUMNS.saturating_sub(taken).min(BAR_COLUMNS) as u64;
+    let filled = (done * bar_columns).checked_div(status.total).unwrap_or(0);
+    let bar: String = (0..bar_columns)
+        .map(|column| if column < filled { '█' } else { '░' })
+        .collect();
+    format!("{name} {bar} {counts}")
+}
+
+/// What keeps a campaign from going on, if something does.
+fn attention(status: &CampaignStatus) -> Option<String> {
+    let mut notes = Vec::new();
+    if status.policy_paused {
+        notes.push(format!(
+            "policy {} is down, its rollouts wait: {}",
+            status.policy, status.policy_pause_reason
+        ));
+    } else if !status.waiting_reason.is_empty() {
+        notes.push(status.waiting_reason.clone());
+    }
+    if status.quarantined > 0 {
+        notes.push(format!(
+            "{} set aside after failing too often; the report names them",
+            status.quarantined
+        ));
+    }
+    (!notes.is_empty()).then(|| notes.join("; "))
+}
+
+/// The whole of it, line by line.
+fn details(status: &CampaignStatus) -> String {
+    let mut lines = vec![
+        line(status),
+        format!("  policy       {}", status.policy),
+        format!("  committed    {:>7}", status.committed),
+        format!("  succeeded    {:>7}", status.succeeded),
+        format!("  running      {:>7}", status.leased),
+        format!("  waiting      {:>7}", status.queued),
+        format!("  set aside    {:>7}", status.quarantined),
+        format!("  live workers {:>7}", status.live_workers),
+    ];
+    lines.extend(attention(status).map(|note| format!("  note         {note}")));
+    lines.join("\n")
+}
+
+fn rate_text(per_sec: f64) -> String {
+    if per_sec >= 1.0 {
+        format!("{per_sec:.1}/s")
+    } else if per_sec * 60.0 >= 1.0 {
+        format!("{:.1}/min", per_sec * 60.0)
+    } else {
+        format!("{:.1}/h", per_sec * 3600.0)
+    }
+}
+
+fn duration_text(secs: f64) -> String {
+    let secs = secs.round() as u64;
+    match (secs / 86_400, secs / 3_600 % 24, secs / 60 % 60, secs % 60) {
+        (0, 0, 0, s) => format!("{s}s"),
+        (0, 0, m, s) => format!("{m}m{s:02}s"),
+        (0, h, m, _) => format!("{h}h{m:02}m"),
+        (d, h, _, _) => format!("{d}d{h:02}h"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn running(committed: u64, total: u64) -> CampaignStatus {
+        CampaignStatus {
+            campaign: "demo".to_owned(),
+            total,
+            committed,
+            leased: 2,
+            queued: total - committed - 2,
+            rate_per_sec: Some(0.42),
+            eta_secs: Some(268.0),
+            ..CampaignStatus::default()
+        }
+    }
+
+    #[test]
+    fn a_line_shows_bar_counts_rate_and_eta() {
+        assert_eq!(
+            line(&running(57, 140)),
+            "demo ██████░░░░░░░░░░ 57/140 40%  2 running  25.2/min  ETA 4m28s"
+        );
+    }
+
+    #[test]
+    fn a_line_fits_eighty_columns_whatever_the_numbers() {
+        let status = CampaignStatus {
+            campaign: "a-very-long-campaign-name-that-goes-on-and-on".to_owned(),
+            leased: 2_000,
+            rate_per_sec: Some(1_234.5),
+            eta_secs: Some(9e6),
+            ..running(123_456, 1_000_000)
+        };
+        let columns = line(&status).chars().count();
+        assert!(columns <= 80, "{columns}: {}", line(&status));
+    }
+
+    #[test]
+    fn a_campaign_without_jobs_divides_by_nothing() {
+        let empty = CampaignStatus::default();
+        assert!(line(&empty).contains("0/0 0%"));
+    }
+}

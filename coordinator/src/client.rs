@@ -1,0 +1,223 @@
+//! Talking to a running coordinator as an operator: connecting, retrying while
+//! it cannot be reached, and telling a refusal from a failure.
+
+use std::future::Future;
+use std::time::Duration;
+
+use proto::coordinator as wire;
+use proto::coordinator::operator_service_client::OperatorServiceClient;
+use tokio::time::Instant;
+use tonic::transport::{Channel, Endpoint};
+use tonic::{Code, Status, Streaming};
+
+/// How long a command tries to reach a coordinator.
+pub const RETRY_FOR: Duration = Duration::from_secs(30);
+/// Pauses between tries, doubling.
+const FIRST_PAUSE: Duration = Duration::from_millis(250);
+const LONGEST_PAUSE: Duration = Duration::from_secs(4);
+/// How long one connection attempt may take.
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// A connection to a coordinator, made when it is first needed.
+#[derive(Clone, Debug)]
+pub struct Client {
+    url: String,
+    retry_for: Duration,
+    service: OperatorServiceClient<Channel>,
+}
+
+/// A request that came to nothing.
+#[derive(Debug, thiserror::Error)]
+pub enum ClientError {
+    /// Not a URL.
+    #[error("read coordinator address `{url}`: write a URL such as http://127.0.0.1:7411")]
+    Url {
+        /// What was given.
+        url: String,
+        /// What is wrong with it.
+        source: tonic::transport::Error,
+    },
+    /// Nobody answers.
+    #[error(
+        "reach the coordinator at {url} ({reason}): start it with `coordinator serve`, or name another with --connect"
+    )]
+    Unreachable {
+        /// Where.
+        url: String,
+        /// Why, the last time.
+        reason: String,
+    },
+    /// The coordinator says that the request is wrong.
+    #[error("{message}")]
+    Invalid {
+        /// Its words.
+        message: String,
+    },
+    /// The coordinator cannot do it.
+    #[error("{message}")]
+    Refused {
+        /// Its words.
+        message: String,
+    },
+}
+
+impl Client {
+    /// A client of the coordinator at `url`, that keeps trying for `retry_for`.
+    ///
+    /// # Errors
+    /// When `url` is none.
+    pub fn new(url: &str, retry_for: Duration) -> Result<Client, ClientError> {
+        let endpoint =
+            Endpoint::from_shared(url.to_owned()).map_err(|source| ClientError::Url {
+                url: url.to_owned(),
+                source,
+            })?;
+        let channel = endpoint
+            .connect_timeout(CONNECT_TIMEOUT)
+            .tcp_nodelay(true)
+            .connect_lazy();
+        Ok(Client {
+            url: url.to_owned(),
+            retry_for,
+            service: OperatorServiceClient::new(channel)
+                .max_decoding_message_size(proto::MAX_MESSAGE_BYTES)
+                .max_encoding_message_size(proto::MAX_MESSAGE_BYTES),
+        })
+    }
+
+    /// Creates a campaign from its specification, JSON.
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub async fn create_campaign(
+        &self,
+        spec: &str,
+    ) -> Result<wire::CreateCampaignResponse, ClientError> {
+        let request = wire::CreateCampaignRequest {
+            spec: spec.to_owned(),
+        };
+        self.call(|mut service| {
+            let request = request.clone();
+            async move { service.create_campaign(request).await }
+        })
+        .await
+    }
+
+    /// All campaigns, oldest first.
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub async fn list_campaigns(&self) -> Result<Vec<wire::CampaignStatus>, ClientError> {
+        let list = self.call(|mut service| async move {
+            service.list_campaigns(wire::ListCampaignsRequest {}).await
+        });
+        Ok(list.await?.campaigns)
+    }
+
+    /// How a campaign stands.
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub async fn campaign_status(&self, name: &str) -> Result<wire::CampaignStatus, ClientError> {
+        let request = wire::GetCampaignRequest {
+            campaign: name.to_owned(),
+        };
+        let response = self.call(|mut service| {
+            let request = request.clone();
+            async move { service.get_campaign(request).await }
+        });
+        Ok(response.await?.status.unwrap_or_default())
+    }
+
+    /// The paired report of a campaign.
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub async fn report(&self, name: &str) -> Result<wire::ReportResponse, ClientError> {
+        let request = wire::ReportRequest {
+            campaign: name.to_owned(),
+        };
+        self.call(|mut service| {
+            let request = request.clone();
+            async move { service.report(request).await }
+        })
+        .await
+    }
+
+    /// The results of a campaign, line by line.
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub async fn export(&self, name: &str) -> Result<Streaming<wire::ExportLine>, ClientError> {
+        let request = wire::ExportRequest {
+            campaign: name.to_owned(),
+        };
+        self.call(|mut service| {
+            let request = request.clone();
+            async move { service.export(request).await }
+        })
+        .await
+    }
+
+    /// What an error in the middle of a stream means.
+    pub fn broken_stream(&self, status: &Status) -> ClientError {
+        self.failed(status)
+    }
+
+    /// Calls until the coordinator answers or the time for trying is over. All
+    /// of its operator's calls may be repeated safely.
+    async fn call<T, F>(
+        &self,
+        send: impl Fn(OperatorServiceClient<Channel>) -> F,
+    ) -> Result<T, ClientError>
+    where
+        F: Future<Output = Result<tonic::Response<T>, Status>>,
+    {
+        let deadline = Instant::now() + self.retry_for;
+        let mut pause = FIRST_PAUSE;
+        let mut was_told = false;
+        loop {
+            let status = match send(self.service.clone()).await {
+                Ok(response) => return Ok(response.into_inner()),
+                Err(status) => status,
+            };
+            if status.code() != Code::Unavailable || Instant::now() + pause > deadline {
+                return Err(self.failed(&status));
+            }
+            if !was_told {
+                was_told = true;
+                eprintln!(
+                    "no answer from the coordinator at {} ({}); trying again for {} s",
+                    self.url,
+                    innermost(&status),
+                    self.retry_for.as_secs()
+                );
+            }
+            tokio::time::sleep(pause).await;
+            pause = (pause * 2).min(LONGEST_PAUSE);
+        }
+    }
+
+    fn failed(&self, status: &Status) -> ClientError {
+        let message = status.message().to_owned();
+        match status.code() {
+            Code::Unavailable => ClientError::Unreachable {
+                url: self.url.clone(),
+                reason: innermost(status),
+            },
+            Code::InvalidArgument => ClientError::Invalid { message },
+            _ => ClientError::Refused { message },
+        }
+    }
+}
+
+/// What lies at the bottom: "Connection refused", not "transport error".
+fn innermost(status: &Status) -> String {
+    let mut cause: Option<&dyn std::error::Error> = std::error::Error::source(status);
+    let mut text = status.message().to_owned();
+    while let Some(inner) = cause {
+        text = inner.to_string();
+        cause = inner.source();
+    }
+    text
+}

@@ -1,0 +1,143 @@
+//! From a campaign's specification to the rows of the job table: which jobs,
+//! under which digest. What the manifest rows contain, and their paired-unit
+//! order, is the protocol's business.
+
+use std::collections::BTreeSet;
+
+use protocol::seeds::policy_seed;
+use protocol::{CampaignSpec, Record, SpecError};
+use serde_json::{Map, Value};
+use sha2::{Digest, Sha256};
+
+use crate::ids::{CampaignName, NameError};
+
+/// A campaign ready to be stored.
+#[derive(Clone, Debug)]
+pub struct NewCampaign {
+    /// Its name.
+    pub name: CampaignName,
+    /// Its specification, JSON.
+    pub spec: String,
+    /// SHA-256 of the specification, hex.
+    pub spec_digest: String,
+    /// Its policy's name at the endpoint.
+    pub policy: String,
+    /// Its policy's endpoint.
+    pub policy_endpoint: String,
+    /// "matched" or "reference".
+    pub realisation: String,
+    /// Which rollouts are filmed: "none", "failures" or "all".
+    pub record: &'static str,
+    /// Its jobs, in paired-unit order.
+    pub jobs: Vec<NewJob>,
+}
+
+/// A job ready to be stored.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NewJob {
+    /// Which rollout.
+    pub rollout_id: String,
+    /// Which replicate of it.
+    pub replicate: u32,
+    /// "libero_goal/3".
+    pub task: String,
+    /// Which initial state.
+    pub init_id: u16,
+    /// Place in paired-unit order.
+    pub unit_order: i64,
+    /// The manifest row, JSON.
+    pub manifest_row: String,
+    /// Seed for the policy.
+    pub policy_seed: u64,
+}
+
+/// A specification of which no campaign can be made.
+#[derive(Debug, thiserror::Error)]
+pub enum ExpandError {
+    /// Its content.
+    #[error(transparent)]
+    Spec(#[from] SpecError),
+    /// Its name, which also names a folder.
+    #[error(transparent)]
+    Name(#[from] NameError),
+    /// It cannot be written as JSON.
+    #[error("write a campaign's manifest rows as JSON")]
+    Json(#[from] serde_json::Error),
+}
+
+impl NewCampaign {
+    /// Reads a specification and expands it.
+    ///
+    /// # Errors
+    /// Names what is wrong with it and what would be right.
+    pub fn from_json(spec: &str) -> Result<NewCampaign, ExpandError> {
+        NewCampaign::from_spec(&CampaignSpec::from_json(spec)?)
+    }
+
+    /// Expands a specification: its rows in paired-unit order, once per
+    /// replicate. A replicate starts when the one before it is through.
+    ///
+    /// # Errors
+    /// Names what is wrong with it and what would be right.
+    pub fn from_spec(spec: &CampaignSpec) -> Result<NewCampaign, ExpandError> {
+        let name = CampaignName::parse(&spec.name)?;
+        let rows = spec.expand()?;
+        let mut jobs = Vec::with_capacity(rows.len() * spec.replicates as usize);
+        for replicate in 0..spec.replicates {
+            for row in &rows {
+                jobs.push(NewJob {
+                    rollout_id: row.id.to_string(),
+                    replicate,
+                    task: row.id.task().to_string(),
+                    init_id: row.init_id,
+                    unit_order: jobs.len() as i64,
+                    manifest_row: serde_json::to_string(row)?,
+                    policy_seed: policy_seed(&row.id, replicate),
+                });
+            }
+        }
+        let text = serde_json::to_string(spec)?;
+        Ok(NewCampaign {
+            name,
+            spec_digest: digest(&text),
+            spec: text,
+            policy: spec.policy.name.clone(),
+            policy_endpoint: spec.policy.endpoint.clone(),
+            realisation: spec.realisation.to_string(),
+            record: match spec.record {
+                Record::None => "none",
+                Record::Failures => "failures",
+                Record::All => "all",
+            },
+            jobs,
+        })
+    }
+
+    /// The tasks that its jobs belong to.
+    pub fn tasks(&self) -> BTreeSet<&str> {
+        self.jobs.iter().map(|job| job.task.as_str()).collect()
+    }
+}
+
+/// The names of the fields in which two specifications differ, for people.
+pub fn differing_fields(one: &str, other: &str) -> String {
+    let fields = |text: &str| match serde_json::from_str(text) {
+        Ok(Value::Object(fields)) => fields,
+        _ => Map::new(),
+    };
+    let (one, other) = (fields(one), fields(other));
+    let names: BTreeSet<&String> = one.keys().chain(other.keys()).collect();
+    let differing: Vec<String> = names
+        .into_iter()
+        .filter(|name| one.get(*name) != other.get(*name))
+        .map(|name| format!("`{name}`"))
+        .collect();
+    differing.join(", ")
+}
+
+fn digest(text: &str) -> String {
+    Sha256::digest(text.as_bytes())
+        .iter()
+        .map(|byte| format!("{byte:02x}"))
+        .collect()
+}

@@ -1,0 +1,169 @@
+//! Reading messages: every string is bounded, every number in range, every
+//! digest a digest, before it goes any further.
+
+use proto::coordinator as wire;
+use tonic::Status;
+
+use crate::ids::{Attempt, JobId, LeaseRef, WorkerId, shortened};
+use crate::lease::FailureReason;
+use crate::queue::CommitReport;
+use crate::store::results::{Digests, Outcome, Provenance};
+use crate::store::workers::WorkerInfo;
+
+/// Longest name or version that is kept, bytes.
+const MAX_TEXT_BYTES: usize = 512;
+/// Longest error message that is kept, bytes; the rest is cut off.
+const MAX_ERROR_BYTES: usize = 4_096;
+
+pub(super) fn worker_id(id: &str) -> Result<WorkerId, Status> {
+    WorkerId::parse(id).map_err(|error| Status::invalid_argument(error.to_string()))
+}
+
+pub(super) fn lease(lease: Option<wire::LeaseRef>) -> Result<LeaseRef, Status> {
+    let lease = lease.ok_or_else(|| missing("lease"))?;
+    Ok(LeaseRef {
+        worker: worker_id(&lease.worker_id)?,
+        job: JobId(lease.job_id),
+        attempt: Attempt(lease.attempt),
+    })
+}
+
+pub(super) fn worker_info(request: wire::RegisterRequest) -> Result<WorkerInfo, Status> {
+    if request.slots == 0 {
+        return Err(Status::invalid_argument("`slots` is 0; a worker has some"));
+    }
+    Ok(WorkerInfo {
+        id: worker_id(&request.worker_id)?,
+        host: text("host", request.host)?,
+        slots: request.slots,
+        asset_pack: required("asset_pack", request.asset_pack)?,
+        asset_pack_digest: required("asset_pack_digest", request.asset_pack_digest)?,
+        mujoco_version: required("mujoco_version", request.mujoco_version)?,
+        gl_renderer: text("gl_renderer", request.gl_renderer)?,
+        program_version: text("program_version", request.program_version)?,
+    })
+}
+
+pub(super) fn commit(request: wire::CommitRequest) -> Result<CommitReport, Status> {
+    let provenance = request.provenance.ok_or_else(|| missing("provenance"))?;
+    Ok(CommitReport {
+        lease: lease(request.lease)?,
+        outcome: outcome(request.outcome.ok_or_else(|| missing("outcome"))?)?,
+        digests: Digests {
+            scene: digest("scene_digest", &provenance.scene_digest)?,
+            init_state: digest("init_state_digest", &provenance.init_state_digest)?,
+            perturbation: digest_or_empty("perturbation_digest", &provenance.perturbation_digest)?,
+            first_frame: digest_or_empty("first_frame_digest", &provenance.first_frame_digest)?,
+        },
+        provenance: Provenance {
+            host: text("host", provenance.host)?,
+            gl_renderer: text("gl_renderer", provenance.gl_renderer)?,
+            mujoco_version: required("mujoco_version", provenance.mujoco_version)?,
+            asset_pack: required("asset_pack", provenance.asset_pack)?,
+            asset_pack_digest: required("asset_pack_digest", provenance.asset_pack_digest)?,
+            realisation: realisation(&provenance.realisation)?,
+            policy_name: required("policy_name", provenance.policy_name)?,
+            policy_checkpoint: text("policy_checkpoint", provenance.policy_checkpoint)?,
+            policy_checkpoint_digest: text(
+                "policy_checkpoint_digest",
+                provenance.policy_checkpoint_digest,
+            )?,
+            policy_privileged: provenance.policy_privileged,
+            batch_mode: text("batch_mode", provenance.batch_mode)?,
+            program_version: text("program_version", provenance.program_version)?,
+        },
+    })
+}
+
+pub(super) fn failure_reason(reason: i32) -> Result<FailureReason, Status> {
+    use wire::release_request::Reason;
+    match Reason::try_from(reason) {
+        Ok(Reason::SimulatorError) => Ok(FailureReason::SimulatorError),
+        Ok(Reason::SlotCrashed) => Ok(FailureReason::SlotCrashed),
+        Ok(Reason::SlotStuck) => Ok(FailureReason::SlotStuck),
+        Ok(Reason::PolicyMisbehaved) => Ok(FailureReason::PolicyMisbehaved),
+        Ok(Reason::PolicyUnavailable) => Ok(FailureReason::PolicyUnavailable),
+        Ok(Reason::Draining) => Ok(FailureReason::Draining),
+        Ok(Reason::Unspecified) | Err(_) => Err(Status::invalid_argument(format!(
+            "`reason` is {reason}, which is none of this protocol version"
+        ))),
+    }
+}
+
+/// An error message, cut to what is kept; never empty, because a quarantined
+/// job must say something.
+pub(super) fn error_text(error: &str) -> &str {
+    match shortened(error, MAX_ERROR_BYTES).trim() {
+        "" => "no reason was given",
+        error => error,
+    }
+}
+
+/// Seconds of a wait; what is not a sensible number waits not at all.
+pub(super) fn wait(secs: f64) -> std::time::Duration {
+    std::time::Duration::try_from_secs_f64(secs).unwrap_or_default()
+}
+
+fn outcome(outcome: wire::Outcome) -> Result<Outcome, Status> {
+    let residuals = [outcome.ik_residual_mm, outcome.ik_residual_deg];
+    let finite = |value: &f64| value.is_finite() && *value >= 0.0;
+    if !finite(&outcome.wall_secs) || !residuals.iter().flatten().all(finite) {
+        return Err(Status::invalid_argument(
+            "`outcome` holds a number that is negative or not finite",
+        ));
+    }
+    Ok(Outcome {
+        success: outcome.success,
+        steps: outcome.steps,
+        wall_secs: outcome.wall_secs,
+        ik_residual_mm: outcome.ik_residual_mm,
+        ik_residual_deg: outcome.ik_residual_deg,
+        ik_clamped_joints: outcome.ik_clamped_joints,
+        clipped_actions: outcome.clipped_actions,
+        policy_queries: outcome.policy_queries,
+    })
+}
+
+fn realisation(name: &str) -> Result<String, Status> {
+    name.parse::<protocol::Realisation>()
+        .map(|realisation| realisation.to_string())
+        .map_err(|error| Status::invalid_argument(error.to_string()))
+}
+
+fn text(field: &str, value: String) -> Result<String, Status> {
+    if value.len() > MAX_TEXT_BYTES {
+        return Err(Status::invalid_argument(format!(
+            "`{field}` is longer than {MAX_TEXT_BYTES} bytes"
+        )));
+    }
+    Ok(value)
+}
+
+fn required(field: &str, value: String) -> Result<String, Status> {
+    if value.is_empty() {
+        return Err(missing(field));
+    }
+    text(field, value)
+}
+
+fn digest(field: &str, value: &str) -> Result<String, Status> {
+    let is_hex = |byte: u8| byte.is_ascii_digit() || (b'a'..=b'f').contains(&byte);
+    if value.len() == 64 && value.bytes().all(is_hex) {
+        Ok(value.to_owned())
+    } else {
+        Err(Status::invalid_argument(format!(
+            "`{field}` is not a SHA-256 in lower-case hex"
+        )))
+    }
+}
+
+fn digest_or_empty(field: &str, value: &str) -> Result<String, Status> {
+    if value.is_empty() {
+        return Ok(String::new());
+    }
+    digest(field, value)
+}
+
+fn missing(field: &str) -> Status {
+    Status::invalid_argument(format!("`{field}` is missing"))
+}

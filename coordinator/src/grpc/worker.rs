@@ -1,0 +1,219 @@
+//! What workers call.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use proto::coordinator as wire;
+use proto::coordinator::worker_service_server::WorkerService;
+use tokio_stream::StreamExt;
+use tonic::{Request, Response, Status, Streaming};
+
+use super::{artifact_failed, queue_failed, read};
+use crate::artifacts::{ArtifactKind, Upload};
+use crate::ids::LeaseRef;
+use crate::queue::{
+    ClaimRequest, ClaimedJob, CommitVerdict, MAX_CLAIM_JOBS, Queue, ReleaseVerdict,
+};
+
+/// Most leases that one heartbeat renews.
+const MAX_PROGRESS: usize = 1_024;
+/// Longest silence within an upload.
+const MAX_CHUNK_WAIT: Duration = Duration::from_secs(30);
+/// Longest warm task's name that is looked at, bytes.
+const MAX_TASK_BYTES: usize = 80;
+
+/// The worker service on a queue.
+#[derive(Debug)]
+pub struct WorkerApi {
+    queue: Arc<Queue>,
+}
+
+impl WorkerApi {
+    /// Serves `queue`.
+    pub fn new(queue: Arc<Queue>) -> WorkerApi {
+        WorkerApi { queue }
+    }
+}
+
+#[tonic::async_trait]
+impl WorkerService for WorkerApi {
+    async fn register(
+        &self,
+        request: Request<wire::RegisterRequest>,
+    ) -> Result<Response<wire::RegisterResponse>, Status> {
+        let request = request.into_inner();
+        let program_version = env!("CARGO_PKG_VERSION");
+        if request.protocol_version != proto::PROTOCOL_VERSION {
+            return Err(Status::failed_precondition(format!(
+                "the worker (program {}) speaks protocol version {} and this coordinator \
+                 (program {program_version}) version {}; run the same release on both",
+                crate::ids::shortened(&request.program_version, 40),
+                request.protocol_version,
+                proto::PROTOCOL_VERSION,
+            )));
+        }
+        let worker = read::worker_info(request)?;
+        self.queue.register(&worker).await.map_err(queue_failed)?;
+        tracing::info!(worker = %worker.id, host = worker.host, slots = worker.slots,
+            assets = worker.asset_pack, "worker registered");
+        let timing = self.queue.timing();
+        Ok(Response::new(wire::RegisterResponse {
+            protocol_version: proto::PROTOCOL_VERSION,
+            program_version: program_version.to_owned(),
+            lease_secs: timing.lease.as_secs_f64(),
+            heartbeat_secs: timing.heartbeat.as_secs_f64(),
+            progress_timeout_secs: timing.progress_timeout.as_secs_f64(),
+        }))
+    }
+
+    async fn claim(
+        &self,
+        request: Request<wire::ClaimRequest>,
+    ) -> Result<Response<wire::ClaimResponse>, Status> {
+        let request = request.into_inner();
+        let warm = Some(request.warm_task);
+        let claim = ClaimRequest {
+            worker: read::worker_id(&request.worker_id)?,
+            max_jobs: request.max_jobs.clamp(1, MAX_CLAIM_JOBS),
+            warm_task: warm.filter(|task| (1..=MAX_TASK_BYTES).contains(&task.len())),
+        };
+        let wait = read::wait(request.wait_secs);
+        let claimed = self.queue.claim(&claim, wait).await.map_err(queue_failed)?;
+        Ok(Response::new(wire::ClaimResponse {
+            leases: claimed.jobs.into_iter().map(write_lease).collect(),
+            idle_reason: claimed.idle_reason,
+        }))
+    }
+
+    async fn heartbeat(
+        &self,
+        request: Request<wire::HeartbeatRequest>,
+    ) -> Result<Response<wire::HeartbeatResponse>, Status> {
+        let request = request.into_inner();
+        let worker = read::worker_id(&request.worker_id)?;
+        if request.progress.len() > MAX_PROGRESS {
+            return Err(Status::invalid_argument(format!(
+                "more than {MAX_PROGRESS} leases in one heartbeat"
+            )));
+        }
+        let progress: Vec<(LeaseRef, u32)> = request
+            .progress
+            .iter()
+            .map(|progress| {
+                let lease = LeaseRef {
+                    worker: worker.clone(),
+                    job: crate::ids::JobId(progress.job_id),
+                    attempt: crate::ids::Attempt(progress.attempt),
+                };
+                (lease, progress.control_steps)
+            })
+            .collect();
+        let lost = self.queue.heartbeat(&worker, &progress).await;
+        let lost = lost.map_err(queue_failed)?;
+        Ok(Response::new(wire::HeartbeatResponse {
+            lost_jobs: lost.into_iter().map(|job| job.0).collect(),
+        }))
+    }
+
+    async fn commit(
+        &self,
+        request: Request<wire::CommitRequest>,
+    ) -> Result<Response<wire::CommitResponse>, Status> {
+        use wire::commit_response::Verdict;
+        let report = read::commit(request.into_inner())?;
+        let reply = self.queue.commit(&report).await.map_err(queue_failed)?;
+        let verdict = match reply.verdict {
+            CommitVerdict::Accepted => Verdict::Accepted,
+            CommitVerdict::Duplicate => Verdict::Duplicate,
+            CommitVerdict::Stale => Verdict::Stale,
+            CommitVerdict::Divergent => Verdict::Divergent,
+            CommitVerdict::Unpaired => Verdict::Unpaired,
+        };
+        Ok(Response::new(wire::CommitResponse {
+            verdict: verdict.into(),
+            detail: reply.detail,
+        }))
+    }
+
+    async fn release(
+        &self,
+        request: Request<wire::ReleaseRequest>,
+    ) -> Result<Response<wire::ReleaseResponse>, Status> {
+        use wire::release_response::Verdict;
+        let request = request.into_inner();
+        let lease = read::lease(request.lease)?;
+        let reason = read::failure_reason(request.reason)?;
+        let error = read::error_text(&request.error);
+        let reply = self.queue.release(&lease, reason, error).await;
+        let reply = reply.map_err(queue_failed)?;
+        let verdict = match reply.verdict {
+            ReleaseVerdict::Requeued => Verdict::Requeued,
+            ReleaseVerdict::Quarantined => Verdict::Quarantined,
+            ReleaseVerdict::Stale => Verdict::Stale,
+        };
+        Ok(Response::new(wire::ReleaseResponse {
+            verdict: verdict.into(),
+            backoff_secs: reply.backoff.as_secs_f64(),
+            stop_leasing: reply.stop_leasing.unwrap_or_default(),
+        }))
+    }
+
+    async fn put_artifact(
+        &self,
+        request: Request<Streaming<wire::ArtifactChunk>>,
+    ) -> Result<Response<wire::PutArtifactResponse>, Status> {
+        let mut chunks = request.into_inner();
+        let first = next_chunk(&mut chunks).await?;
+        let first = first.ok_or_else(|| Status::invalid_argument("an empty upload"))?;
+        let lease = read::lease(first.lease)?;
+        let kind: ArtifactKind = first.name.parse().map_err(artifact_failed)?;
+        let mut upload = Upload::begin(&self.queue, lease, kind)
+            .await
+            .map_err(artifact_failed)?;
+        if let Err(status) = receive(&mut upload, &first.data, &mut chunks).await {
+            upload.abandon().await;
+            return Err(status);
+        }
+        let path = upload.finish().await.map_err(artifact_failed)?;
+        Ok(Response::new(wire::PutArtifactResponse { path }))
+    }
+}
+
+async fn receive(
+    upload: &mut Upload<'_>,
+    first: &[u8],
+    chunks: &mut Streaming<wire::ArtifactChunk>,
+) -> Result<(), Status> {
+    upload.write(first).await.map_err(artifact_failed)?;
+    while let Some(chunk) = next_chunk(chunks).await? {
+        upload.write(&chunk.data).await.map_err(artifact_failed)?;
+    }
+    Ok(())
+}
+
+async fn next_chunk(
+    chunks: &mut Streaming<wire::ArtifactChunk>,
+) -> Result<Option<wire::ArtifactChunk>, Status> {
+    match tokio::time::timeout(MAX_CHUNK_WAIT, chunks.next()).await {
+        Ok(chunk) => chunk.transpose(),
+        Err(_) => Err(Status::deadline_exceeded(format!(
+            "nothing arrived for {MAX_CHUNK_WAIT:?} within an upload"
+        ))),
+    }
+}
+
+fn write_lease(job: ClaimedJob) -> wire::Lease {
+    wire::Lease {
+        job_id: job.job.0,
+        attempt: job.attempt.0,
+        campaign: job.campaign.as_str().to_owned(),
+        replicate: job.replicate,
+        manifest_row: job.manifest_row,
+        policy_seed: job.policy_seed,
+        policy: job.policy,
+        policy_endpoint: job.policy_endpoint,
+        realisation: job.realisation,
+        record_video: job.record != "none",
+        record_failures_only: job.record == "failures",
+    }
+}

@@ -1,0 +1,27 @@
+//! The campaign's memory: expands campaigns into jobs, leases them to workers,
+//! keeps their outcomes with everything that made them, and reports. It knows
+//! no simulator and no policy.
+//!
+//! Requests come in through [`grpc`]; [`queue`] reads the state, lets the pure
+//! modules ([`lease`], [`outage`], [`plan`]) decide, and executes through
+//! [`store`]. What people type is the program's business.
+
+#![forbid(unsafe_code)]
+
+pub mod artifacts;
+pub mod client;
+pub mod clock;
+pub mod expand;
+pub mod export;
+pub mod grpc;
+pub mod ids;
+pub mod lease;
+pub mod outage;
+mod pairing;
+pub mod plan;
+pub mod queue;
+pub mod report;
+mod serve;
+pub mod store;
+
+pub use serve::{Config, Coordinator, ServeError, run};

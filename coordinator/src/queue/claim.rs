@@ -1,0 +1,274 @@
+//! Granting leases, at once or after a wait.
+
+use std::time::Duration;
+
+use tokio::time::Instant;
+
+use super::{Queue, QueueError};
+use crate::clock::UnixMillis;
+use crate::ids::{Attempt, CampaignId, CampaignName, JobId, PolicyId, WorkerId};
+use crate::outage::{Allowance, PolicyState};
+use crate::plan::choose_task;
+use crate::store::jobs::{Claimant, LeasedJob, WaitingCampaign};
+use crate::store::workers::Pin;
+use crate::store::{self, StoreError, campaigns, jobs, policies, workers};
+
+/// Most jobs that one claim leases.
+pub const MAX_CLAIM_JOBS: u32 = 64;
+/// Longest wait of a claim.
+pub const MAX_CLAIM_WAIT: Duration = Duration::from_secs(30);
+
+/// What a worker asks for.
+#[derive(Clone, Debug)]
+pub struct ClaimRequest {
+    /// Who.
+    pub worker: WorkerId,
+    /// At most so many jobs; bounded by [`MAX_CLAIM_JOBS`].
+    pub max_jobs: u32,
+    /// The task whose scene the slot holds compiled.
+    pub warm_task: Option<String>,
+}
+
+/// What a worker gets.
+#[derive(Clone, Debug, Default)]
+pub struct Claimed {
+    /// The leases.
+    pub jobs: Vec<ClaimedJob>,
+    /// Without leases: why, where jobs wait that this worker cannot have.
+    pub idle_reason: String,
+}
+
+/// One lease.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ClaimedJob {
+    /// The job.
+    pub job: JobId,
+    /// The attempt granted.
+    pub attempt: Attempt,
+    /// Its campaign.
+    pub campaign: CampaignName,
+    /// Which replicate.
+    pub replicate: u32,
+    /// One manifest row, JSON.
+    pub manifest_row: String,
+    /// Seed for the policy.
+    pub policy_seed: u64,
+    /// The policy's name at its endpoint.
+    pub policy: String,
+    /// The policy's endpoint.
+    pub policy_endpoint: String,
+    /// "matched" or "reference".
+    pub realisation: String,
+    /// Which rollouts are filmed: "none", "failures" or "all".
+    pub record: String,
+}
+
+impl Queue {
+    /// Leases jobs; waits up to `wait` for the first.
+    ///
+    /// # Errors
+    /// When the worker is unknown or must stop, while shutting down, or when
+    /// the database fails.
+    pub async fn claim(
+        &self,
+        request: &ClaimRequest,
+        wait: Duration,
+    ) -> Result<Claimed, QueueError> {
+        let deadline = Instant::now() + wait.min(MAX_CLAIM_WAIT);
+        let mut draining = self.draining.subscribe();
+        self.note_presence(&request.worker).await?;
+        loop {
+            if *draining.borrow_and_update() {
+                return Err(QueueError::ShuttingDown);
+            }
+            // Listening begins before looking: what is queued in between rings.
+            let mut work = std::pin::pin!(self.work.notified());
+            work.as_mut().enable();
+            let claimed = self.claim_now(request).await?;
+            if !claimed.jobs.is_empty() {
+                return Ok(claimed);
+            }
+            tokio::select! {
+                () = &mut work => {}
+                _ = draining.changed() => {}
+                () = tokio::time::sleep_until(deadline) => return Ok(claimed),
+            }
+        }
+    }
+
+    /// Notes that a worker is there: once per claim, however often it is woken.
+    async fn note_presence(&self, worker: &WorkerId) -> Result<(), QueueError> {
+        let mut tx = self.store.write().await?;
+        if !workers::seen(&mut tx, worker, self.now()).await? {
+            return Err(QueueError::UnknownWorker {
+                worker: worker.clone(),
+            });
+        }
+        Ok(store::commit(tx).await?)
+    }
+
+    async fn claim_now(&self, request: &ClaimRequest) -> Result<Claimed, QueueError> {
+        let now = self.now();
+        let worker = &request.worker;
+        let mut tx = self.store.write().await?;
+        let Some(standing) = workers::standing(&mut tx, worker).await? else {
+            return Err(QueueError::UnknownWorker {
+                worker: worker.clone(),
+            });
+        };
+        if let Some(reason) = standing.stopped_reason {
+            return Err(QueueError::WorkerStopped {
+                worker: worker.clone(),
+                reason,
+            });
+        }
+        let claimant = Claimant {
+            worker,
+            pin: &standing.pin,
+            able_workers: self.able_workers(&mut tx, Some(&standing.pin), now).await?,
+            now,
+        };
+        let claimed = self
+            .lease_from_campaigns(&mut tx, request, claimant)
+            .await?;
+        store::commit(tx).await?;
+        Ok(claimed)
+    }
+
+    async fn lease_from_campaigns(
+        &self,
+        tx: &mut store::Tx,
+        request: &ClaimRequest,
+        claimant: Claimant<'_>,
+    ) -> Result<Claimed, StoreError> {
+        let mut room = request.max_jobs.clamp(1, MAX_CLAIM_JOBS);
+        let mut claimed = Claimed::default();
+        let mut probed: Vec<PolicyId> = Vec::new();
+        for campaign in jobs::waiting_campaigns(tx, claimant.pin).await? {
+            let allowed = match campaign.health.allowance(claimant.now) {
+                _ if probed.contains(&campaign.policy) => 0,
+                Allowance::Unlimited => room,
+                Allowance::Probe => room.min(1),
+                Allowance::Nothing => 0,
+            };
+            let leased = self
+                .lease_from(tx, campaign.id, request, claimant, allowed)
+                .await?;
+            let Some(first) = leased.first() else {
+                continue;
+            };
+            if campaign.health.state != PolicyState::Available {
+                let health = campaign.health.with_probe(first.id, first.attempt);
+                policies::set_health(tx, campaign.policy, &health).await?;
+                probed.push(campaign.policy);
+            }
+            campaigns::pin(tx, campaign.id, claimant.pin, claimant.now).await?;
+            room -= u32::try_from(leased.len()).unwrap_or(room).min(room);
+            claimed.jobs.extend(hand_out(tx, &campaign, leased).await?);
+            if room == 0 {
+                break;
+            }
+        }
+        if claimed.jobs.is_empty() {
+            claimed.idle_reason = idle_reason(tx, claimant.pin, claimant.now).await?;
+        }
+        Ok(claimed)
+    }
+
+    async fn lease_from(
+        &self,
+        tx: &mut store::Tx,
+        campaign: CampaignId,
+        request: &ClaimRequest,
+        claimant: Claimant<'_>,
+        limit: u32,
+    ) -> Result<Vec<LeasedJob>, StoreError> {
+        let expires = claimant.now.plus(self.timing.lease);
+        let mut leased = Vec::new();
+        while let room @ 1.. = limit.saturating_sub(u32::try_from(leased.len()).unwrap_or(limit)) {
+            let tasks = jobs::waiting_tasks(tx, campaign, claimant).await?;
+            let Some(task) = choose_task(&tasks, request.warm_task.as_deref()) else {
+                break;
+            };
+            leased.extend(jobs::claim(tx, (campaign, &task.task), claimant, expires, room).await?);
+        }
+        Ok(leased)
+    }
+
+    /// Workers alive that run on `pin`; all of them, if there is none yet.
+    pub(super) async fn able_workers(
+        &self,
+        tx: &mut store::Tx,
+        pin: Option<&Pin>,
+        now: UnixMillis,
+    ) -> Result<u32, StoreError> {
+        let live = workers::live_pins(tx, now.minus(self.timing.worker_alive)).await?;
+        let able = live
+            .iter()
+            .filter(|live| pin.is_none_or(|pin| suits(pin, live)));
+        Ok(u32::try_from(able.count()).unwrap_or(u32::MAX))
+    }
+}
+
+/// Whether two workers' results may be pooled.
+pub(super) fn suits(pin: &Pin, other: &Pin) -> bool {
+    pin.asset_pack_digest == other.asset_pack_digest && pin.mujoco_version == other.mujoco_version
+}
+
+/// An asset pack and a simulator, in words.
+pub(super) fn describe(pin: &Pin) -> String {
+    let digest = crate::ids::shortened(&pin.asset_pack_digest, 12);
+    format!(
+        "asset pack `{}` ({digest}) with MuJoCo {}",
+        pin.asset_pack, pin.mujoco_version
+    )
+}
+
+async fn hand_out(
+    tx: &mut store::Tx,
+    campaign: &WaitingCampaign,
+    leased: Vec<LeasedJob>,
+) -> Result<Vec<ClaimedJob>, StoreError> {
+    let campaign = campaigns::by_id(tx, campaign.id).await?;
+    Ok(leased
+        .into_iter()
+        .map(|job| ClaimedJob {
+            job: job.id,
+            attempt: job.attempt,
+            campaign: campaign.name.clone(),
+            replicate: job.replicate,
+            manifest_row: job.manifest_row,
+            policy_seed: job.policy_seed.cast_unsigned(),
+            policy: campaign.policy.clone(),
+            policy_endpoint: campaign.endpoint.clone(),
+            realisation: campaign.realisation.clone(),
+            record: campaign.record.clone(),
+        })
+        .collect())
+}
+
+/// Why jobs wait that this worker does not get; empty if none do.
+async fn idle_reason(tx: &mut store::Tx, pin: &Pin, now: UnixMillis) -> Result<String, StoreError> {
+    let mut reasons = Vec::new();
+    for campaign in campaigns::waiting(tx).await? {
+        if let Some(other) = campaign.pin().filter(|other| !suits(other, pin)) {
+            reasons.push(format!(
+                "campaign `{}` is pinned to {} and this worker runs on {}",
+                campaign.name,
+                describe(&other),
+                describe(pin)
+            ));
+            continue;
+        }
+        let health = campaigns::policy_health(tx, campaign.id).await?;
+        if let (PolicyState::Paused { reason, .. } | PolicyState::Probing { reason, .. }, true) =
+            (&health.state, health.allowance(now) == Allowance::Nothing)
+        {
+            reasons.push(format!(
+                "policy `{}` of campaign `{}` is down: {reason}",
+                campaign.policy, campaign.name
+            ));
+        }
+    }
+    Ok(reasons.join("; "))
+}

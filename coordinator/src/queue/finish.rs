@@ -1,0 +1,381 @@
+//! How an attempt ends: with a result, or without one.
+
+use std::time::Duration;
+
+use super::{Queue, QueueError};
+use crate::clock::UnixMillis;
+use crate::ids::{CampaignId, JobId, LeaseRef, PolicyId, WorkerId};
+use crate::lease::{
+    AfterFailure, CommitJudgement, FailureReason, Job, JobState, MAX_WORKER_FAILURES_IN_A_ROW,
+    OutcomeKey, Strike, Suspicion, strike,
+};
+use crate::outage::{Allowance, PolicyHealth, PolicyState};
+use crate::pairing::{self, Demand};
+use crate::store::results::{Digests, Outcome, Provenance};
+use crate::store::{self, StoreError, campaigns, jobs, policies, results, workers};
+
+/// An outcome as a worker reports it.
+#[derive(Clone, Debug)]
+pub struct CommitReport {
+    /// Under which lease.
+    pub lease: LeaseRef,
+    /// What came out.
+    pub outcome: Outcome,
+    /// Where it came from.
+    pub provenance: Provenance,
+    /// What makes it comparable.
+    pub digests: Digests,
+}
+
+/// What became of a reported outcome.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CommitVerdict {
+    /// Stored.
+    Accepted,
+    /// Stored before with this outcome.
+    Duplicate,
+    /// A newer attempt owns the job: refused and counted.
+    Stale,
+    /// Stored before with another outcome: kept apart.
+    Divergent,
+    /// Disagrees with its configuration's siblings: refused and charged.
+    Unpaired,
+}
+
+/// The answer to a reported outcome.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CommitReply {
+    /// What became of it.
+    pub verdict: CommitVerdict,
+    /// In words, unless it was accepted.
+    pub detail: String,
+}
+
+/// What became of a job whose attempt ended without a result.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ReleaseVerdict {
+    /// Back in the queue.
+    Requeued,
+    /// Set aside.
+    Quarantined,
+    /// The lease was gone: nothing changed.
+    Stale,
+}
+
+/// The answer to a release.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ReleaseReply {
+    /// What became of the job.
+    pub verdict: ReleaseVerdict,
+    /// Until it, or its policy, may be tried again.
+    pub backoff: Duration,
+    /// Why this worker must lease no more, if it must.
+    pub stop_leasing: Option<String>,
+}
+
+impl Queue {
+    /// Stores an outcome and ends its lease, or says why not.
+    ///
+    /// # Errors
+    /// When the job is unknown or the database fails.
+    pub async fn commit(&self, report: &CommitReport) -> Result<CommitReply, QueueError> {
+        let now = self.now();
+        let lease = &report.lease;
+        let reported = OutcomeKey {
+            success: report.outcome.success,
+            steps: report.outcome.steps,
+        };
+        let mut tx = self.store.write().await?;
+        workers::seen(&mut tx, &lease.worker, now).await?;
+        let (job, campaign) = self.job(&mut tx, lease.job).await?;
+        let granted = jobs::was_granted(&mut tx, lease).await?;
+        let stored = results::stored_outcome(&mut tx, lease.job).await?;
+        let reply = match job.judge_commit(lease, granted, reported, stored) {
+            CommitJudgement::Accept => self.accept(&mut tx, &job, campaign, report, now).await?,
+            CommitJudgement::Duplicate => CommitReply {
+                verdict: CommitVerdict::Duplicate,
+                detail: "this outcome is stored already".to_owned(),
+            },
+            CommitJudgement::Divergent => {
+                let (outcome, provenance) = (&report.outcome, &report.provenance);
+                results::insert_divergence(&mut tx, lease, outcome, provenance, now).await?;
+                divergent(&job, reported, stored)
+            }
+            CommitJudgement::Stale => {
+                jobs::count_stale_report(&mut tx, lease.job).await?;
+                stale(&job, lease)
+            }
+        };
+        store::commit(tx).await?;
+        if reply.verdict != CommitVerdict::Accepted {
+            tracing::warn!(job = %lease.job, worker = %lease.worker, verdict = ?reply.verdict,
+                "{}", reply.detail);
+        }
+        Ok(reply)
+    }
+
+    /// Ends a lease without an outcome.
+    ///
+    /// # Errors
+    /// When the job is unknown or the database fails.
+    pub async fn release(
+        &self,
+        lease: &LeaseRef,
+        reason: FailureReason,
+        error: &str,
+    ) -> Result<ReleaseReply, QueueError> {
+        let now = self.now();
+        let mut tx = self.store.write().await?;
+        workers::seen(&mut tx, &lease.worker, now).await?;
+        let (job, campaign) = self.job(&mut tx, lease.job).await?;
+        if !job.is_held_by(lease) {
+            store::commit(tx).await?;
+            return Ok(ReleaseReply {
+                verdict: ReleaseVerdict::Stale,
+                backoff: Duration::ZERO,
+                stop_leasing: None,
+            });
+        }
+        let reply = self
+            .end_attempt(&mut tx, &job, campaign, lease, (reason, error), now)
+            .await?;
+        store::commit(tx).await?;
+        tracing::info!(job = %lease.job, worker = %lease.worker, verdict = ?reply.verdict,
+            "released ({}): {error}", reason.as_str());
+        Ok(reply)
+    }
+
+    /// For and against setting a job aside that just failed on `worker`.
+    pub(super) async fn suspicion(
+        &self,
+        tx: &mut store::Tx,
+        job: JobId,
+        campaign: CampaignId,
+        worker: &WorkerId,
+        now: UnixMillis,
+    ) -> Result<Suspicion, StoreError> {
+        let pin = campaigns::by_id(tx, campaign).await?.pin();
+        Ok(Suspicion {
+            failed_on_workers: jobs::failed_on_workers(tx, job, worker).await?,
+            able_workers: self.able_workers(tx, pin.as_ref(), now).await?,
+        })
+    }
+
+    /// Stores a worker's run of failures. Returns why it must stop, if it must.
+    pub(super) async fn strike(
+        &self,
+        tx: &mut store::Tx,
+        worker: &WorkerId,
+        strike: Strike,
+        last_error: &str,
+    ) -> Result<Option<String>, StoreError> {
+        let stop = strike.stop.then(|| {
+            format!(
+                "it has failed {} times in a row (the limit is {MAX_WORKER_FAILURES_IN_A_ROW}), \
+                 the last time with: {last_error}; look at its machine, then start it again",
+                strike.in_a_row
+            )
+        });
+        workers::set_strike(tx, worker, strike, stop.as_deref()).await?;
+        if let Some(reason) = &stop {
+            tracing::error!(%worker, "this worker leases no more: {reason}");
+        }
+        Ok(stop)
+    }
+
+    /// A lease ended for a reason that says nothing about its policy.
+    pub(super) async fn lease_told_nothing_of_its_policy(
+        &self,
+        tx: &mut store::Tx,
+        lease: &LeaseRef,
+        now: UnixMillis,
+    ) -> Result<(), StoreError> {
+        let policy = policies::of_job(tx, lease.job).await?;
+        let before = policies::health(tx, policy).await?;
+        let after = before.after_other_failure((lease.job, lease.attempt), now);
+        self.set_health(tx, policy, (&before, &after), now).await
+    }
+
+    /// Stores a policy's health if it changed, and wakes waiting claims if its
+    /// jobs may be leased now. Who is woken waits for this transaction's end:
+    /// there is one writer.
+    pub(super) async fn set_health(
+        &self,
+        tx: &mut store::Tx,
+        policy: PolicyId,
+        (before, after): (&PolicyHealth, &PolicyHealth),
+        now: UnixMillis,
+    ) -> Result<(), StoreError> {
+        if after == before {
+            return Ok(());
+        }
+        if after.allowance(now) != Allowance::Nothing {
+            self.work.notify_waiters();
+        }
+        policies::set_health(tx, policy, after).await
+    }
+
+    async fn job(&self, tx: &mut store::Tx, job: JobId) -> Result<(Job, CampaignId), QueueError> {
+        jobs::load(tx, job)
+            .await?
+            .ok_or(QueueError::UnknownJob { job })
+    }
+
+    /// The reporter holds the lease: stores the result, unless it disagrees
+    /// with its siblings.
+    async fn accept(
+        &self,
+        tx: &mut store::Tx,
+        job: &Job,
+        campaign: CampaignId,
+        report: &CommitReport,
+        now: UnixMillis,
+    ) -> Result<CommitReply, StoreError> {
+        let lease = &report.lease;
+        let row = campaigns::by_id(tx, campaign).await?;
+        let pin = row.pin();
+        let demand = Demand {
+            pin: pin.as_ref(),
+            realisation: &row.realisation,
+        };
+        let sibling = results::sibling(tx, lease.job).await?;
+        let (provenance, digests) = (&report.provenance, &report.digests);
+        if let Some(detail) = pairing::difference(&demand, sibling.as_ref(), provenance, digests) {
+            let failure = (FailureReason::Unpaired, detail.as_str());
+            self.end_attempt(tx, job, campaign, lease, failure, now)
+                .await?;
+            return Ok(CommitReply {
+                verdict: CommitVerdict::Unpaired,
+                detail,
+            });
+        }
+        results::insert(
+            tx,
+            lease,
+            campaign,
+            &report.outcome,
+            (provenance, digests),
+            now,
+        )
+        .await?;
+        jobs::mark_committed(tx, lease).await?;
+        workers::clear_strikes(tx, &lease.worker).await?;
+        let policy = policies::of_job(tx, lease.job).await?;
+        let before = policies::health(tx, policy).await?;
+        let after = before.after_commit((lease.job, lease.attempt), now);
+        self.set_health(tx, policy, (&before, &after), now).await?;
+        Ok(CommitReply {
+            verdict: CommitVerdict::Accepted,
+            detail: String::new(),
+        })
+    }
+
+    /// Ends a held attempt: requeues the job or sets it aside, counts the
+    /// worker's failure, and tells the policy's health.
+    async fn end_attempt(
+        &self,
+        tx: &mut store::Tx,
+        job: &Job,
+        campaign: CampaignId,
+        lease: &LeaseRef,
+        (reason, error): (FailureReason, &str),
+        now: UnixMillis,
+    ) -> Result<ReleaseReply, StoreError> {
+        let suspicion = self
+            .suspicion(tx, job.id, campaign, &lease.worker, now)
+            .await?;
+        let then = self.decide(|rng| job.after_failure(reason, suspicion, now, rng));
+        jobs::fail(tx, lease, reason, error, then, now).await?;
+        let mut stop_leasing = None;
+        if !reason.is_charged() {
+            // It may be leased again at once.
+            self.work.notify_waiters();
+        } else {
+            let standing = workers::standing(tx, &lease.worker).await?;
+            let in_a_row = standing.map_or(0, |standing| standing.charged_in_a_row);
+            stop_leasing = self
+                .strike(tx, &lease.worker, strike(in_a_row), error)
+                .await?;
+        }
+        let policy_backoff = match reason {
+            FailureReason::PolicyUnavailable => self.outage(tx, job, lease, error, now).await?,
+            _ => {
+                self.lease_told_nothing_of_its_policy(tx, lease, now)
+                    .await?;
+                Duration::ZERO
+            }
+        };
+        Ok(match then {
+            AfterFailure::Requeue { not_before } => ReleaseReply {
+                verdict: ReleaseVerdict::Requeued,
+                backoff: not_before.since(now).max(policy_backoff),
+                stop_leasing,
+            },
+            AfterFailure::Quarantine => {
+                tracing::error!(job = %job.id, "set aside after its last attempt: {error}");
+                ReleaseReply {
+                    verdict: ReleaseVerdict::Quarantined,
+                    backoff: Duration::ZERO,
+                    stop_leasing,
+                }
+            }
+        })
+    }
+
+    /// A leased job could not reach its policy. Returns how long the policy's
+    /// jobs wait.
+    async fn outage(
+        &self,
+        tx: &mut store::Tx,
+        job: &Job,
+        lease: &LeaseRef,
+        error: &str,
+        now: UnixMillis,
+    ) -> Result<Duration, StoreError> {
+        let JobState::Leased { granted, .. } = job.state else {
+            return Ok(Duration::ZERO);
+        };
+        let policy = policies::of_job(tx, lease.job).await?;
+        let before = policies::health(tx, policy).await?;
+        let attempt = (lease.job, lease.attempt);
+        let after = self.decide(|rng| before.after_outage(attempt, granted, error, now, rng));
+        if after != before {
+            tracing::warn!("a policy is down, its jobs wait: {error}");
+        }
+        self.set_health(tx, policy, (&before, &after), now).await?;
+        Ok(match after.state {
+            PolicyState::Paused { resume, .. } => resume.since(now),
+            PolicyState::Available | PolicyState::Probing { .. } => Duration::ZERO,
+        })
+    }
+}
+
+fn divergent(job: &Job, reported: OutcomeKey, stored: Option<OutcomeKey>) -> CommitReply {
+    let say = |outcome: OutcomeKey| {
+        let word = if outcome.success {
+            "success"
+        } else {
+            "failure"
+        };
+        format!("{word} after {} steps", outcome.steps)
+    };
+    let stored = stored.map_or_else(String::new, say);
+    CommitReply {
+        verdict: CommitVerdict::Divergent,
+        detail: format!(
+            "job {} is committed with {stored} and was reported again with {}: both are kept",
+            job.id,
+            say(reported)
+        ),
+    }
+}
+
+fn stale(job: &Job, lease: &LeaseRef) -> CommitReply {
+    CommitReply {
+        verdict: CommitVerdict::Stale,
+        detail: format!(
+            "attempt {} of job {} by worker `{}` does not hold the lease (the newest attempt is {})",
+            lease.attempt, job.id, lease.worker, job.attempt
+        ),
+    }
+}

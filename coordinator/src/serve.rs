@@ -1,0 +1,195 @@
+//! The coordinator as a process: one loop owns the server, the sweep of expired
+//! leases and the shutdown.
+
+use std::future::Future;
+use std::io;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use proto::coordinator::operator_service_server::OperatorServiceServer;
+use proto::coordinator::worker_service_server::WorkerServiceServer;
+use rand_chacha::ChaCha8Rng;
+use tokio::net::TcpListener;
+use tokio::sync::oneshot;
+use tokio::time::{MissedTickBehavior, timeout};
+use tokio_stream::StreamExt;
+use tokio_stream::wrappers::TcpListenerStream;
+use tonic::transport::Server;
+
+use crate::artifacts;
+use crate::clock::Clock;
+use crate::grpc::{OperatorApi, WorkerApi};
+use crate::queue::{Queue, Timing};
+use crate::store::{OpenError, Store, StoreError};
+
+/// How long requests may take to finish once the coordinator was told to stop.
+const SHUTDOWN_GRACE: Duration = Duration::from_secs(10);
+/// HTTP/2 flow-control windows: a video arrives in pieces of a megabyte, and
+/// 64 KiB, the default, would stop it at every sixteenth of one.
+const STREAM_WINDOW_BYTES: u32 = 4 << 20;
+const CONNECTION_WINDOW_BYTES: u32 = 16 << 20;
+/// Between pings on a silent connection, and how long an answer may take: a
+/// worker whose machine vanished frees its connection.
+const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(30);
+const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(20);
+
+/// What a coordinator runs with.
+pub struct Config {
+    /// Where it keeps everything.
+    pub data: PathBuf,
+    /// How long things last.
+    pub timing: Timing,
+    /// Where instants come from.
+    pub clock: Arc<dyn Clock>,
+    /// What back-offs are jittered with.
+    pub rng: ChaCha8Rng,
+}
+
+/// A coordinator that cannot go on.
+#[derive(Debug, thiserror::Error)]
+pub enum ServeError {
+    /// Its data folder cannot be used.
+    #[error(transparent)]
+    Open(#[from] OpenError),
+    /// Its database fails.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// Its socket fails.
+    #[error("serve: the listening socket failed")]
+    Transport(#[from] tonic::transport::Error),
+    /// Its data folder holds an earlier run's leftovers that cannot be removed.
+    #[error("tidy the artifacts in {}", folder.display())]
+    Tidy {
+        /// The data folder.
+        folder: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+}
+
+/// An open coordinator that does not listen yet.
+#[derive(Debug)]
+pub struct Coordinator {
+    queue: Arc<Queue>,
+}
+
+/// Opens the data folder, then serves on `listener` until `shutdown` is ready.
+///
+/// # Errors
+/// As [`Coordinator::open`] and [`Coordinator::serve`].
+pub async fn run(
+    config: Config,
+    listener: TcpListener,
+    shutdown: impl Future<Output = ()>,
+) -> Result<(), ServeError> {
+    Coordinator::open(config)
+        .await?
+        .serve(listener, shutdown)
+        .await
+}
+
+impl Coordinator {
+    /// Opens the data folder.
+    ///
+    /// # Errors
+    /// When it cannot be used: another coordinator has it, a newer program
+    /// wrote it, the disk refuses.
+    pub async fn open(config: Config) -> Result<Coordinator, ServeError> {
+        let store = Store::open(&config.data).await?;
+        artifacts::remove_partial_files(&config.data).map_err(|source| ServeError::Tidy {
+            folder: config.data.clone(),
+            source,
+        })?;
+        let queue = Queue::start(store, config.clock, config.rng, config.timing).await?;
+        Ok(Coordinator {
+            queue: Arc::new(queue),
+        })
+    }
+
+    /// The queue, for whoever serves or drives it beside the socket.
+    pub fn queue(&self) -> &Arc<Queue> {
+        &self.queue
+    }
+
+    /// Serves workers and operators on `listener` until `shutdown` is ready;
+    /// then leases nothing more, finishes what is under way and closes the
+    /// database.
+    ///
+    /// # Errors
+    /// When the socket or the database fails.
+    pub async fn serve(
+        self,
+        listener: TcpListener,
+        shutdown: impl Future<Output = ()>,
+    ) -> Result<(), ServeError> {
+        let queue = self.queue;
+        let (stop, stopped) = oneshot::channel::<()>();
+        let server = server(&queue, listener, async {
+            // A sender that was dropped stops the server just as well.
+            let _ = stopped.await;
+        });
+        let mut server = std::pin::pin!(server);
+        let mut shutdown = std::pin::pin!(shutdown);
+        let mut sweep = tokio::time::interval(queue.timing().sweep);
+        sweep.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        loop {
+            tokio::select! {
+                served = &mut server => {
+                    served?;
+                    break;
+                }
+                () = &mut shutdown => {
+                    tracing::info!("stopping: leasing nothing more, finishing what is under way");
+                    queue.drain();
+                    let _ = stop.send(());
+                    if timeout(SHUTDOWN_GRACE, &mut server).await.is_err() {
+                        tracing::warn!("requests were still open after {SHUTDOWN_GRACE:?}");
+                    }
+                    break;
+                }
+                _ = sweep.tick() => {
+                    if let Err(error) = queue.sweep().await {
+                        tracing::error!("failed to {error}: {}", source_of(&error));
+                    }
+                }
+            }
+        }
+        queue.close().await?;
+        Ok(())
+    }
+}
+
+async fn server(
+    queue: &Arc<Queue>,
+    listener: TcpListener,
+    stopped: impl Future<Output = ()>,
+) -> Result<(), tonic::transport::Error> {
+    let worker = WorkerServiceServer::new(WorkerApi::new(queue.clone()))
+        .max_decoding_message_size(proto::MAX_MESSAGE_BYTES)
+        .max_encoding_message_size(proto::MAX_MESSAGE_BYTES);
+    let operator = OperatorServiceServer::new(OperatorApi::new(queue.clone()))
+        .max_decoding_message_size(proto::MAX_MESSAGE_BYTES)
+        .max_encoding_message_size(proto::MAX_MESSAGE_BYTES);
+    // Without TCP_NODELAY a small answer waits 40 ms for the peer's delayed
+    // acknowledgement.
+    let connections = TcpListenerStream::new(listener).map(|connection| {
+        connection.and_then(|stream| {
+            stream.set_nodelay(true)?;
+            Ok(stream)
+        })
+    });
+    Server::builder()
+        .initial_stream_window_size(STREAM_WINDOW_BYTES)
+        .initial_connection_window_size(CONNECTION_WINDOW_BYTES)
+        .http2_keepalive_interval(Some(KEEPALIVE_INTERVAL))
+        .http2_keepalive_timeout(Some(KEEPALIVE_TIMEOUT))
+        .add_service(worker)
+        .add_service(operator)
+        .serve_with_incoming_shutdown(connections, stopped)
+        .await
+}
+
+fn source_of(error: &dyn std::error::Error) -> String {
+    error.source().map(ToString::to_string).unwrap_or_default()
+}

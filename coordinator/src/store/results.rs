@@ -1,0 +1,357 @@
+//! Statements on `result`, `provenance` and `divergence`: what came out, and
+//! where it came from.
+
+use sqlx::SqliteConnection;
+
+use super::{Doing, StoreError};
+use crate::clock::UnixMillis;
+use crate::ids::{CampaignId, JobId, LeaseRef, WorkerId};
+use crate::lease::OutcomeKey;
+
+/// What a rollout came to.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Outcome {
+    /// Whether the goal was reached.
+    pub success: bool,
+    /// The policy's control steps: the one that reached the goal, or the budget.
+    pub steps: u32,
+    /// Duration of the rollout.
+    pub wall_secs: f64,
+    /// Robot axis only: residual of the inverse kinematics, mm.
+    pub ik_residual_mm: Option<f64>,
+    /// Robot axis only: residual of the inverse kinematics, degrees.
+    pub ik_residual_deg: Option<f64>,
+    /// Robot axis only: joints at their limits.
+    pub ik_clamped_joints: Option<u32>,
+    /// Actions clipped into [−1, 1] at the policy boundary.
+    pub clipped_actions: u32,
+    /// Times that the policy was asked.
+    pub policy_queries: u32,
+}
+
+/// Where a result came from, as far as many results share it.
+#[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
+pub struct Provenance {
+    /// Machine.
+    pub host: String,
+    /// What rendered the frames.
+    pub gl_renderer: String,
+    /// Version of the simulator.
+    pub mujoco_version: String,
+    /// Name of the asset pack.
+    pub asset_pack: String,
+    /// Digest of the asset pack.
+    pub asset_pack_digest: String,
+    /// "matched" or "reference".
+    pub realisation: String,
+    /// What the policy calls itself.
+    pub policy_name: String,
+    /// Its checkpoint.
+    pub policy_checkpoint: String,
+    /// Digest of its checkpoint.
+    pub policy_checkpoint_digest: String,
+    /// Whether it saw privileged simulator state.
+    pub policy_privileged: bool,
+    /// How its queries were batched.
+    pub batch_mode: String,
+    /// Version of the worker's program.
+    pub program_version: String,
+}
+
+/// What makes two rollouts comparable, SHA-256 in hex.
+#[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
+pub struct Digests {
+    /// Of the composed MJCF.
+    #[sqlx(rename = "scene_digest")]
+    pub scene: String,
+    /// Of the initial state's bytes.
+    #[sqlx(rename = "init_state_digest")]
+    pub init_state: String,
+    /// Of the perturbation as realised; may be empty.
+    #[sqlx(rename = "perturbation_digest")]
+    pub perturbation: String,
+    /// Of the first frames that the policy saw; empty where it looks at none.
+    #[sqlx(rename = "first_frame_digest")]
+    pub first_frame: String,
+}
+
+/// A committed rollout of the same configuration, to be compared with.
+#[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
+pub(crate) struct Sibling {
+    pub(crate) rollout_id: String,
+    pub(crate) worker_id: WorkerId,
+    pub(crate) scene_digest: String,
+    pub(crate) init_state_digest: String,
+}
+
+/// A committed rollout as reports and exports read it.
+#[derive(Clone, Debug, sqlx::FromRow)]
+pub(crate) struct ResultRow {
+    pub(crate) rollout_id: String,
+    pub(crate) replicate: u32,
+    pub(crate) manifest_row: String,
+    pub(crate) success: bool,
+    pub(crate) steps: u32,
+    pub(crate) wall_secs: f64,
+    pub(crate) ik_residual_mm: Option<f64>,
+}
+
+/// A job as reports count it.
+#[derive(Clone, Debug, sqlx::FromRow)]
+pub(crate) struct RecordRow {
+    pub(crate) rollout_id: String,
+    pub(crate) replicate: u32,
+    pub(crate) init_id: u16,
+    pub(crate) is_quarantined: bool,
+    pub(crate) success: Option<bool>,
+}
+
+/// A job that was set aside.
+#[derive(Clone, Debug, sqlx::FromRow)]
+pub(crate) struct QuarantineRow {
+    pub(crate) rollout_id: String,
+    pub(crate) replicate: u32,
+    pub(crate) last_error: String,
+}
+
+/// Stores an outcome; the job is marked as committed right after, in the same
+/// transaction.
+pub(crate) async fn insert(
+    tx: &mut SqliteConnection,
+    lease: &LeaseRef,
+    campaign: CampaignId,
+    outcome: &Outcome,
+    (provenance, digests): (&Provenance, &Digests),
+    now: UnixMillis,
+) -> Result<(), StoreError> {
+    let provenance = provenance_id(tx, provenance).await?;
+    sqlx::query(
+        "INSERT INTO result (job_id, campaign_id, attempt, worker_id, committed_ms, success,
+             steps, wall_secs, ik_residual_mm, ik_residual_deg, ik_clamped_joints,
+             clipped_actions, policy_queries, provenance_id, scene_digest, init_state_digest,
+             perturbation_digest, first_frame_digest)
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+    )
+    .bind(lease.job)
+    .bind(campaign)
+    .bind(lease.attempt)
+    .bind(&lease.worker)
+    .bind(now)
+    .bind(outcome.success)
+    .bind(outcome.steps)
+    .bind(outcome.wall_secs)
+    .bind(outcome.ik_residual_mm)
+    .bind(outcome.ik_residual_deg)
+    .bind(outcome.ik_clamped_joints)
+    .bind(outcome.clipped_actions)
+    .bind(outcome.policy_queries)
+    .bind(provenance)
+    .bind(&digests.scene)
+    .bind(&digests.init_state)
+    .bind(&digests.perturbation)
+    .bind(&digests.first_frame)
+    .execute(tx)
+    .await
+    .doing("store a result")?;
+    Ok(())
+}
+
+/// Keeps an outcome that contradicts the committed one. The same report twice
+/// is kept once.
+pub(crate) async fn insert_divergence(
+    tx: &mut SqliteConnection,
+    lease: &LeaseRef,
+    outcome: &Outcome,
+    provenance: &Provenance,
+    now: UnixMillis,
+) -> Result<(), StoreError> {
+    let provenance = provenance_id(tx, provenance).await?;
+    sqlx::query(
+        "INSERT OR IGNORE INTO divergence (job_id, attempt, worker_id, reported_ms, success,
+             steps, wall_secs, provenance_id)
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+    )
+    .bind(lease.job)
+    .bind(lease.attempt)
+    .bind(&lease.worker)
+    .bind(now)
+    .bind(outcome.success)
+    .bind(outcome.steps)
+    .bind(outcome.wall_secs)
+    .bind(provenance)
+    .execute(tx)
+    .await
+    .doing("keep a divergent outcome")?;
+    Ok(())
+}
+
+/// The committed outcome of a job.
+pub(crate) async fn stored_outcome(
+    tx: &mut SqliteConnection,
+    job: JobId,
+) -> Result<Option<OutcomeKey>, StoreError> {
+    let row: Option<(bool, u32)> =
+        sqlx::query_as("SELECT success, steps FROM result WHERE job_id = ?")
+            .bind(job)
+            .fetch_optional(tx)
+            .await
+            .doing("read a result")?;
+    Ok(row.map(|(success, steps)| OutcomeKey { success, steps }))
+}
+
+/// A committed rollout of the same campaign, task and initial state as `job`:
+/// all of them agree, so that one speaks for the others.
+pub(crate) async fn sibling(
+    tx: &mut SqliteConnection,
+    job: JobId,
+) -> Result<Option<Sibling>, StoreError> {
+    sqlx::query_as(
+        "SELECT s.rollout_id, r.worker_id, r.scene_digest, r.init_state_digest
+         FROM job j
+         JOIN job s ON s.campaign_id = j.campaign_id AND s.task = j.task
+             AND s.init_id = j.init_id AND s.state = 'committed'
+         JOIN result r ON r.job_id = s.id
+         WHERE j.id = ? ORDER BY s.id LIMIT 1",
+    )
+    .bind(job)
+    .fetch_optional(tx)
+    .await
+    .doing("look for a configuration's siblings")
+}
+
+/// Up to `limit` committed rollouts after one, by rollout id, then replicate.
+pub(crate) async fn page(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+    after: Option<(&str, u32)>,
+    limit: u32,
+) -> Result<Vec<ResultRow>, StoreError> {
+    let (rollout_id, replicate) = after.map_or(("", -1), |(id, k)| (id, i64::from(k)));
+    sqlx::query_as(
+        "SELECT j.rollout_id, j.replicate, j.manifest_row, r.success, r.steps, r.wall_secs,
+             r.ik_residual_mm
+         FROM job j JOIN result r ON r.job_id = j.id
+         WHERE j.campaign_id = ? AND (j.rollout_id, j.replicate) > (?, ?)
+         ORDER BY j.rollout_id, j.replicate LIMIT ?",
+    )
+    .bind(campaign)
+    .bind(rollout_id)
+    .bind(replicate)
+    .bind(limit)
+    .fetch_all(tx)
+    .await
+    .doing("read results")
+}
+
+/// All jobs of a campaign with what is known of them, by rollout id, then
+/// replicate.
+pub(crate) async fn records(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+) -> Result<Vec<RecordRow>, StoreError> {
+    sqlx::query_as(
+        "SELECT j.rollout_id, j.replicate, j.init_id, j.state = 'quarantined' AS is_quarantined,
+             r.success
+         FROM job j LEFT JOIN result r ON r.job_id = j.id
+         WHERE j.campaign_id = ? ORDER BY j.rollout_id, j.replicate",
+    )
+    .bind(campaign)
+    .fetch_all(tx)
+    .await
+    .doing("read what is known of a campaign")
+}
+
+/// The jobs that were set aside, by rollout id, then replicate.
+pub(crate) async fn quarantined(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+) -> Result<Vec<QuarantineRow>, StoreError> {
+    sqlx::query_as(
+        "SELECT rollout_id, replicate, last_error FROM job
+         WHERE campaign_id = ? AND state = 'quarantined' ORDER BY rollout_id, replicate",
+    )
+    .bind(campaign)
+    .fetch_all(tx)
+    .await
+    .doing("read the quarantine")
+}
+
+/// The distinct provenances of a campaign's results.
+pub(crate) async fn provenances(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+) -> Result<Vec<Provenance>, StoreError> {
+    sqlx::query_as(
+        "SELECT host, gl_renderer, mujoco_version, asset_pack, asset_pack_digest, realisation,
+             policy_name, policy_checkpoint, policy_checkpoint_digest, policy_privileged,
+             batch_mode, program_version
+         FROM provenance
+         WHERE id IN (SELECT provenance_id FROM result WHERE campaign_id = ?)
+         ORDER BY id",
+    )
+    .bind(campaign)
+    .fetch_all(tx)
+    .await
+    .doing("read where results came from")
+}
+
+/// Rollouts of a campaign that were reported again with another outcome.
+pub(crate) async fn divergent(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+) -> Result<Vec<(String, u32)>, StoreError> {
+    sqlx::query_as(
+        "SELECT DISTINCT j.rollout_id, j.replicate FROM divergence d JOIN job j ON j.id = d.job_id
+         WHERE j.campaign_id = ? ORDER BY j.rollout_id, j.replicate",
+    )
+    .bind(campaign)
+    .fetch_all(tx)
+    .await
+    .doing("read divergent outcomes")
+}
+
+async fn provenance_id(
+    tx: &mut SqliteConnection,
+    provenance: &Provenance,
+) -> Result<i64, StoreError> {
+    let p = provenance;
+    let texts = [
+        &p.host,
+        &p.gl_renderer,
+        &p.mujoco_version,
+        &p.asset_pack,
+        &p.asset_pack_digest,
+        &p.realisation,
+        &p.policy_name,
+        &p.policy_checkpoint,
+        &p.policy_checkpoint_digest,
+        &p.batch_mode,
+        &p.program_version,
+    ];
+    let mut insert = sqlx::query(
+        "INSERT OR IGNORE INTO provenance (host, gl_renderer, mujoco_version, asset_pack,
+             asset_pack_digest, realisation, policy_name, policy_checkpoint,
+             policy_checkpoint_digest, batch_mode, program_version, policy_privileged)
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+    );
+    let mut select = sqlx::query_scalar(
+        "SELECT id FROM provenance WHERE host = ? AND gl_renderer = ? AND mujoco_version = ?
+             AND asset_pack = ? AND asset_pack_digest = ? AND realisation = ?
+             AND policy_name = ? AND policy_checkpoint = ? AND policy_checkpoint_digest = ?
+             AND batch_mode = ? AND program_version = ? AND policy_privileged = ?",
+    );
+    for text in texts {
+        insert = insert.bind(text);
+        select = select.bind(text);
+    }
+    insert
+        .bind(p.policy_privileged)
+        .execute(&mut *tx)
+        .await
+        .doing("store where a result came from")?;
+    select
+        .bind(p.policy_privileged)
+        .fetch_one(tx)
+        .await
+        .doing("look up where a result came from")
+}

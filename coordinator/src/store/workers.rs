@@ -1,0 +1,174 @@
+//! Statements on `worker`: who is there, with which assets and simulator.
+
+use sqlx::SqliteConnection;
+
+use super::{Doing, StoreError};
+use crate::clock::UnixMillis;
+use crate::ids::WorkerId;
+use crate::lease::Strike;
+
+/// A worker as it announced itself.
+#[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
+pub struct WorkerInfo {
+    /// Its id.
+    pub id: WorkerId,
+    /// The machine it runs on.
+    pub host: String,
+    /// Rollouts that it runs side by side.
+    pub slots: u32,
+    /// Name of its asset pack.
+    pub asset_pack: String,
+    /// Digest of its asset pack.
+    pub asset_pack_digest: String,
+    /// Version of its simulator.
+    pub mujoco_version: String,
+    /// What renders its frames.
+    pub gl_renderer: String,
+    /// Version of its program.
+    pub program_version: String,
+}
+
+/// What a worker runs on: a campaign is pinned to one of these.
+#[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
+pub struct Pin {
+    /// Name of the asset pack.
+    pub asset_pack: String,
+    /// Digest of the asset pack.
+    pub asset_pack_digest: String,
+    /// Version of the simulator.
+    pub mujoco_version: String,
+}
+
+/// A worker's standing with the coordinator.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Standing {
+    /// What it runs on.
+    pub pin: Pin,
+    /// Charged failures in a row.
+    pub charged_in_a_row: u32,
+    /// Why it may lease no more, if so.
+    pub stopped_reason: Option<String>,
+}
+
+/// Stores a worker that announces itself; one that does so again starts with a
+/// clean record.
+pub(crate) async fn upsert(
+    tx: &mut SqliteConnection,
+    worker: &WorkerInfo,
+    now: UnixMillis,
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "INSERT INTO worker (id, host, slots, asset_pack, asset_pack_digest, mujoco_version,
+             gl_renderer, program_version, registered_ms, last_seen_ms)
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?9)
+         ON CONFLICT (id) DO UPDATE SET host = ?2, slots = ?3, asset_pack = ?4,
+             asset_pack_digest = ?5, mujoco_version = ?6, gl_renderer = ?7,
+             program_version = ?8, registered_ms = ?9, last_seen_ms = ?9,
+             charged_in_a_row = 0, stopped_reason = NULL",
+    )
+    .bind(&worker.id)
+    .bind(&worker.host)
+    .bind(worker.slots)
+    .bind(&worker.asset_pack)
+    .bind(&worker.asset_pack_digest)
+    .bind(&worker.mujoco_version)
+    .bind(&worker.gl_renderer)
+    .bind(&worker.program_version)
+    .bind(now)
+    .execute(tx)
+    .await
+    .doing("register a worker")?;
+    Ok(())
+}
+
+/// A worker's standing; none if it never announced itself.
+pub(crate) async fn standing(
+    tx: &mut SqliteConnection,
+    id: &WorkerId,
+) -> Result<Option<Standing>, StoreError> {
+    type Row = (String, String, String, u32, Option<String>);
+    let row: Option<Row> = sqlx::query_as(
+        "SELECT asset_pack, asset_pack_digest, mujoco_version, charged_in_a_row, stopped_reason
+         FROM worker WHERE id = ?",
+    )
+    .bind(id)
+    .fetch_optional(tx)
+    .await
+    .doing("look up a worker")?;
+    Ok(row.map(
+        |(asset_pack, asset_pack_digest, mujoco_version, charged_in_a_row, stopped_reason)| {
+            Standing {
+                pin: Pin {
+                    asset_pack,
+                    asset_pack_digest,
+                    mujoco_version,
+                },
+                charged_in_a_row,
+                stopped_reason,
+            }
+        },
+    ))
+}
+
+/// Notes that a worker was heard of. Answers whether it is known.
+pub(crate) async fn seen(
+    tx: &mut SqliteConnection,
+    id: &WorkerId,
+    now: UnixMillis,
+) -> Result<bool, StoreError> {
+    let done = sqlx::query("UPDATE worker SET last_seen_ms = max(last_seen_ms, ?) WHERE id = ?")
+        .bind(now)
+        .bind(id)
+        .execute(tx)
+        .await
+        .doing("note that a worker was heard of")?;
+    Ok(done.rows_affected() == 1)
+}
+
+/// Stores a worker's run of failures, and why it must stop if it must.
+pub(crate) async fn set_strike(
+    tx: &mut SqliteConnection,
+    id: &WorkerId,
+    strike: Strike,
+    stopped_reason: Option<&str>,
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "UPDATE worker SET charged_in_a_row = ?, stopped_reason = coalesce(stopped_reason, ?)
+         WHERE id = ?",
+    )
+    .bind(strike.in_a_row)
+    .bind(stopped_reason)
+    .bind(id)
+    .execute(tx)
+    .await
+    .doing("count a worker's failure")?;
+    Ok(())
+}
+
+/// A committed rollout ends a worker's run of failures.
+pub(crate) async fn clear_strikes(
+    tx: &mut SqliteConnection,
+    id: &WorkerId,
+) -> Result<(), StoreError> {
+    sqlx::query("UPDATE worker SET charged_in_a_row = 0 WHERE id = ? AND charged_in_a_row > 0")
+        .bind(id)
+        .execute(tx)
+        .await
+        .doing("clear a worker's failures")?;
+    Ok(())
+}
+
+/// Workers heard of since `since` that may lease, with what they run on.
+pub(crate) async fn live_pins(
+    tx: &mut SqliteConnection,
+    since: UnixMillis,
+) -> Result<Vec<Pin>, StoreError> {
+    sqlx::query_as(
+        "SELECT asset_pack, asset_pack_digest, mujoco_version FROM worker
+         WHERE last_seen_ms >= ? AND stopped_reason IS NULL ORDER BY id",
+    )
+    .bind(since)
+    .fetch_all(tx)
+    .await
+    .doing("count live workers")
+}

@@ -1,0 +1,204 @@
+//! Creating, following and exporting campaigns.
+
+use coordinator::store::{DATABASE_FILE, OpenError, Store};
+use proto::coordinator as wire;
+use proto::coordinator::commit_response::Verdict;
+use serde_json::{Value, json};
+use tonic::Code;
+
+use crate::harness::{Bench, small_spec, with};
+
+#[tokio::test]
+async fn the_same_specification_twice_adds_nothing_and_another_is_refused() {
+    let bench = Bench::start().await;
+    let spec = small_spec("same");
+    let first = bench.create(&spec).await.expect("created");
+    assert_eq!((first.jobs_added, first.jobs_total), (4, 4));
+    // The order in which a set is written does not make another campaign.
+    let reordered = with(spec.clone(), json!({"axes": ["sensor", "camera"]}));
+    let again = bench.create(&reordered).await.expect("the same");
+    assert_eq!((again.jobs_added, again.jobs_total), (0, 4));
+
+    let other = with(spec, json!({"levels": ["L2"], "configs": [0, 1]}));
+    let refused = bench.create(&other).await.expect_err("another");
+    assert_eq!(refused.code(), Code::AlreadyExists);
+    assert!(
+        refused.message().contains("`configs`, `levels`"),
+        "{refused}"
+    );
+    assert_eq!(bench.count("SELECT count(*) FROM job").await, 4);
+}
+
+#[tokio::test]
+async fn a_specification_that_cannot_run_is_refused_and_nothing_is_written() {
+    let bench = Bench::start().await;
+    let check = async |changes: Value, words: &[&str]| {
+        let refused = bench.create(&with(small_spec("bad"), changes)).await;
+        let refused = refused.expect_err("a refusal");
+        assert_eq!(refused.code(), Code::InvalidArgument);
+        for word in words {
+            assert!(refused.message().contains(word), "{refused}");
+        }
+    };
+    check(
+        json!({"tasks": ["libero_objects"]}),
+        &["libero_objects", "libero_object,"],
+    )
+    .await;
+    check(
+        json!({"tasks": ["libero_object/10"]}),
+        &["libero_object/10", "libero_object/9"],
+    )
+    .await;
+    check(json!({"axes": ["camrea"]}), &["camrea", "camera, lighting"]).await;
+    check(json!({"axes": ["camera", "language"]}), &["language"]).await;
+    check(json!({"name": "../up"}), &["../up"]).await;
+    check(json!({"name": "x".repeat(1_000_000)}), &["1 to 80"]).await;
+    for table in [
+        "SELECT count(*) FROM campaign",
+        "SELECT count(*) FROM policy",
+    ] {
+        assert_eq!(bench.count(table).await, 0);
+    }
+}
+
+#[tokio::test]
+async fn a_status_counts_and_says_how_fast_it_goes() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("paced")).await.expect("created");
+    let before = bench.status("paced").await;
+    assert_eq!(
+        (before.total, before.queued, before.live_workers),
+        (4, 4, 0)
+    );
+    assert_eq!((before.rate_per_sec, before.eta_secs), (None, None));
+    assert!(
+        before.waiting_reason.contains("no worker"),
+        "{}",
+        before.waiting_reason
+    );
+
+    let mut worker = bench.worker("a").await;
+    for success in [true, false] {
+        let lease = worker.claim_one().await;
+        bench.pass(10).await;
+        assert_eq!(worker.commit(&lease, success).await, Verdict::Accepted);
+    }
+    let status = bench.status("paced").await;
+    assert_eq!(
+        (status.committed, status.succeeded, status.queued),
+        (2, 1, 2)
+    );
+    assert_eq!(status.live_workers, 1);
+    assert_eq!(status.rate_per_sec, Some(0.1));
+    assert_eq!(status.eta_secs, Some(20.0));
+
+    let unknown = wire::GetCampaignRequest {
+        campaign: "nobody".to_owned(),
+    };
+    let refused = bench.operator().await.get_campaign(unknown).await;
+    assert_eq!(refused.expect_err("unknown").code(), Code::NotFound);
+}
+
+#[tokio::test]
+async fn results_are_exported_as_reference_rows_in_a_stable_order() {
+    let bench = Bench::start().await;
+    let spec = with(
+        small_spec("out"),
+        json!({"axes": ["robot"], "replicates": 2}),
+    );
+    bench.create(&spec).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    let mut leases = worker.claim(4).await;
+    leases.reverse();
+    for lease in &leases {
+        let mut report = worker.report(lease, true);
+        if lease.manifest_row.contains("robot") {
+            report.outcome.as_mut().expect("one").ik_residual_mm = Some(0.125);
+        }
+        assert_eq!(worker.commit_request(report).await.0, Verdict::Accepted);
+    }
+    let request = wire::ExportRequest {
+        campaign: "out".to_owned(),
+    };
+    let mut stream = bench
+        .operator()
+        .await
+        .export(request)
+        .await
+        .expect("a stream")
+        .into_inner();
+    let mut lines = Vec::new();
+    while let Some(line) = stream.message().await.expect("a line") {
+        lines.push(line.json);
+    }
+    let init_id = 16;
+    let clean = format!(
+        r#"{{"rollout_id":"object/t0/clean/L0/c{init_id}","success":true,"steps":120,"axis":"clean","level":"L0","suite":"libero_object","task_id":0,"init_id":{init_id},"config":null,"policy":"expert","wall_s":1.5"#
+    );
+    let robot = format!(
+        r#"{{"rollout_id":"object/t0/robot/L1/c00","success":true,"steps":120,"axis":"robot","level":"L1","suite":"libero_object","task_id":0,"init_id":{init_id},"config":0,"policy":"expert","wall_s":1.5,"ik_res_mm":0.125"#
+    );
+    let second = r#","replicate":1"#;
+    let expected = [
+        format!("{clean}}}"),
+        format!("{clean}{second}}}"),
+        format!("{robot}}}"),
+        format!("{robot}{second}}}"),
+    ];
+    assert_eq!(lines, expected);
+}
+
+#[tokio::test]
+async fn campaigns_and_results_survive_a_restart() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("kept")).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    let lease = worker.claim_one().await;
+    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+    let bench = bench.restart().await;
+    let status = bench.status("kept").await;
+    assert_eq!(
+        (status.total, status.committed, status.succeeded),
+        (4, 1, 1)
+    );
+}
+
+#[tokio::test]
+async fn a_database_of_a_newer_schema_is_refused_untouched() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("future")).await.expect("created");
+    let pool = bench.database().await;
+    let newer = "INSERT INTO _sqlx_migrations
+        (version, description, success, checksum, execution_time)
+        VALUES (4711, 'from the future', 1, x'00', 0)";
+    sqlx::query(newer).execute(&pool).await.expect("inserted");
+    pool.close().await;
+    let folder = bench.stop().await;
+    let path = folder.path().join(DATABASE_FILE);
+    let before = std::fs::read(&path).expect("a database");
+
+    let error = Store::open(folder.path()).await.expect_err("too new");
+    assert!(matches!(
+        error,
+        OpenError::NewerSchema {
+            found: 4711,
+            known: 1,
+            ..
+        }
+    ));
+    let text = error.to_string();
+    for word in ["4711", "up to 1", "newer program", "--data"] {
+        assert!(text.contains(word), "{text}");
+    }
+    assert_eq!(std::fs::read(&path).expect("a database"), before);
+}
+
+#[tokio::test]
+async fn a_data_folder_has_one_coordinator() {
+    let bench = Bench::start().await;
+    let error = Store::open(bench.folder.path()).await.expect_err("in use");
+    assert!(matches!(error, OpenError::InUse { .. }));
+    let folder = bench.stop().await;
+    Store::open(folder.path()).await.expect("free again");
+}

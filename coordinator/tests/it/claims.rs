@@ -1,0 +1,187 @@
+//! Who gets which job, and when.
+
+use std::collections::BTreeSet;
+use std::time::{Duration, Instant};
+
+use proto::coordinator::commit_response::Verdict;
+use serde_json::json;
+use tokio::task::JoinSet;
+use tonic::Code;
+
+use crate::harness::{Bench, registration, rollout_id, small_spec, with};
+
+#[tokio::test(flavor = "multi_thread")]
+async fn claim_is_exclusive_under_concurrency() {
+    let bench = Bench::start().await;
+    let spec = with(
+        small_spec("busy"),
+        json!({"tasks": ["libero_object"], "configs": [0, 1, 2, 3]}),
+    );
+    let jobs = bench.create(&spec).await.expect("created").jobs_total;
+    let mut claimants = JoinSet::new();
+    for number in 0..8_u32 {
+        let mut worker = bench.worker(&format!("w{number}")).await;
+        claimants.spawn(async move {
+            let mut mine = Vec::new();
+            loop {
+                let leases = worker.claim(1 + number % 3).await;
+                if leases.is_empty() {
+                    return mine;
+                }
+                mine.extend(
+                    leases
+                        .into_iter()
+                        .map(|lease| (lease.job_id, lease.attempt)),
+                );
+            }
+        });
+    }
+    let all: Vec<(i64, u32)> = claimants.join_all().await.concat();
+    assert_eq!(all.len() as u64, jobs);
+    assert!(all.iter().all(|(_, attempt)| *attempt == 1));
+    let distinct: BTreeSet<i64> = all.iter().map(|(job, _)| *job).collect();
+    assert_eq!(distinct.len() as u64, jobs, "no job was leased twice");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_waiting_claim_is_woken_by_new_work() {
+    let bench = Bench::start().await;
+    let mut worker = bench.worker("a").await;
+    let mut waiting = JoinSet::new();
+    waiting.spawn(async move { worker.try_claim(1, 25.0, "").await });
+    tokio::time::sleep(Duration::from_millis(200)).await;
+    let created = Instant::now();
+    bench.create(&small_spec("late")).await.expect("created");
+    let claimed = waiting.join_all().await.remove(0).expect("an answer");
+    assert_eq!(claimed.leases.len(), 1);
+    assert!(
+        created.elapsed() < Duration::from_secs(5),
+        "woken, not timed out"
+    );
+}
+
+#[tokio::test]
+async fn a_claim_without_work_is_an_answer_and_waits_as_long_as_asked() {
+    let bench = Bench::start().await;
+    let mut worker = bench.worker("a").await;
+    let began = Instant::now();
+    let claimed = worker.try_claim(1, 0.3, "").await.expect("an answer");
+    assert!(claimed.leases.is_empty() && claimed.idle_reason.is_empty());
+    assert!(began.elapsed() >= Duration::from_millis(290));
+}
+
+#[tokio::test]
+async fn a_configuration_is_leased_together_with_its_nominal_rollout() {
+    let bench = Bench::start().await;
+    let spec = with(small_spec("units"), json!({"configs": [0, 1]}));
+    bench.create(&spec).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    let ids: Vec<String> = worker.claim(8).await.iter().map(rollout_id).collect();
+    let conditions: Vec<&str> = ids
+        .iter()
+        .map(|id| id.split('/').nth(2).expect("one"))
+        .collect();
+    let unit = ["clean", "camera", "sensor", "combination"];
+    assert_eq!(conditions, [unit, unit].concat());
+    assert!(ids[1..4].iter().all(|id| id.ends_with("c00")), "{ids:?}");
+    assert!(ids[5..].iter().all(|id| id.ends_with("c01")), "{ids:?}");
+}
+
+#[tokio::test]
+async fn a_worker_keeps_its_warm_task_and_a_cold_one_takes_another() {
+    let bench = Bench::start().await;
+    let spec = with(
+        small_spec("spread"),
+        json!({"tasks": ["libero_object/0", "libero_object/1", "libero_object/2"]}),
+    );
+    bench.create(&spec).await.expect("created");
+    let (mut first, mut second) = (bench.worker("a").await, bench.worker("b").await);
+    let task = |id: &str| id.split('/').nth(1).expect("a task").to_owned();
+    let of_first = rollout_id(&first.claim_one().await);
+    assert_eq!(task(&of_first), "t0");
+    let of_second = rollout_id(&second.claim_one().await);
+    assert_eq!(task(&of_second), "t1", "another worker holds t0");
+    let warm = first.claim_warm(1, "libero_object/2").await;
+    assert_eq!(task(&rollout_id(&warm[0])), "t2", "its scene is compiled");
+    let rest = first.claim_warm(64, "libero_object/2").await;
+    assert_eq!(rest.len(), 9, "warmth is a preference, not a limit");
+}
+
+#[tokio::test]
+async fn a_campaign_is_pinned_to_the_pack_of_its_first_worker() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("pinned")).await.expect("created");
+    let mut first = bench.worker_on("a", "primitives").await;
+    let mut other = bench.worker_on("b", "libero").await;
+    let lease = first.claim_one().await;
+    let nothing = other.claim_response(4, "").await;
+    assert!(nothing.leases.is_empty());
+    for word in ["pinned", "primitives", "libero", "MuJoCo 3.3.7"] {
+        assert!(
+            nothing.idle_reason.contains(word),
+            "{}",
+            nothing.idle_reason
+        );
+    }
+    assert_eq!(bench.status("pinned").await.live_workers, 1);
+    assert_eq!(first.commit(&lease, true).await, Verdict::Accepted);
+    assert_eq!(first.claim(4).await.len(), 3);
+}
+
+#[tokio::test]
+async fn older_campaigns_go_first() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("older")).await.expect("created");
+    bench.create(&small_spec("newer")).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    let campaigns: Vec<String> = worker
+        .claim(8)
+        .await
+        .into_iter()
+        .map(|l| l.campaign)
+        .collect();
+    assert_eq!(campaigns[..4], ["older"; 4]);
+    assert_eq!(campaigns[4..], ["newer"; 4]);
+}
+
+#[tokio::test]
+async fn replicates_change_the_policys_seed_only() {
+    let bench = Bench::start().await;
+    let spec = with(
+        small_spec("thrice"),
+        json!({"replicates": 3, "record": "failures"}),
+    );
+    assert_eq!(bench.create(&spec).await.expect("created").jobs_total, 12);
+    let mut worker = bench.worker("a").await;
+    let leases = worker.claim(12).await;
+    let of = |replicate: u32| &leases[replicate as usize * 4 + 1];
+    let rows: BTreeSet<&str> = (0..3).map(|k| of(k).manifest_row.as_str()).collect();
+    let seeds: BTreeSet<u64> = (0..3).map(|k| of(k).policy_seed).collect();
+    assert_eq!((rows.len(), seeds.len()), (1, 3));
+    assert_eq!(
+        (0..3).map(|k| of(k).replicate).collect::<Vec<_>>(),
+        [0, 1, 2]
+    );
+    assert!(
+        leases
+            .iter()
+            .all(|lease| lease.record_video && lease.record_failures_only)
+    );
+}
+
+#[tokio::test]
+async fn a_stranger_is_told_to_register_and_another_protocol_version_is_refused() {
+    let bench = Bench::start().await;
+    let mut worker = bench.worker("a").await;
+    worker.id = "stranger".to_owned();
+    let refused = worker.try_claim(1, 0.0, "").await.expect_err("a stranger");
+    assert_eq!(refused.code(), Code::NotFound);
+    assert!(refused.message().contains("register first"), "{refused}");
+
+    let mut request = registration("b", "primitives");
+    request.protocol_version = 99;
+    let refused = worker.service.register(request).await.expect_err("too new");
+    assert_eq!(refused.code(), Code::FailedPrecondition);
+    assert!(refused.message().contains("version 99"), "{refused}");
+    assert!(refused.message().contains("version 1"), "{refused}");
+}

@@ -1,0 +1,269 @@
+//! Crashes, lost leases, late reports, quarantine.
+
+use proto::coordinator::commit_response::Verdict;
+use proto::coordinator::release_request::Reason;
+use proto::coordinator::release_response::Verdict as Released;
+use serde_json::json;
+use tonic::Code;
+
+use crate::harness::{Bench, Worker, small_spec, with};
+
+/// Longer than any back-off, shorter than a lease with its heartbeats.
+const PAST_BACKOFF_SECS: u64 = 70;
+
+/// A campaign of one rollout.
+async fn one_job(bench: &Bench) {
+    let spec = with(
+        small_spec("one"),
+        json!({"axes": ["camera"], "nominal": "none"}),
+    );
+    assert_eq!(bench.create(&spec).await.expect("created").jobs_total, 1);
+}
+
+/// Fails the one job on a worker, which must get it.
+async fn fail_on(bench: &Bench, worker: &mut Worker) -> Released {
+    bench.pass(PAST_BACKOFF_SECS).await;
+    let lease = worker.claim_one().await;
+    worker.release(&lease, Reason::SlotCrashed).await.verdict()
+}
+
+#[tokio::test]
+async fn late_result_from_an_old_attempt_is_refused() {
+    let bench = Bench::start().await;
+    one_job(&bench).await;
+    let (mut slow, mut quick) = (bench.worker("slow").await, bench.worker("quick").await);
+    let old = slow.claim_one().await;
+    bench.pass(40).await;
+    let new = quick.claim_one().await;
+    assert_eq!((new.job_id, new.attempt), (old.job_id, old.attempt + 1));
+
+    assert_eq!(slow.commit(&old, true).await, Verdict::Stale);
+    assert_eq!(bench.count("SELECT count(*) FROM result").await, 0);
+    assert_eq!(bench.count("SELECT stale_reports FROM job").await, 1);
+    assert_eq!(quick.commit(&new, false).await, Verdict::Accepted);
+    assert_eq!(bench.status("one").await.succeeded, 0);
+}
+
+#[tokio::test]
+async fn a_late_result_is_refused_even_while_nobody_else_has_the_job() {
+    let bench = Bench::start().await;
+    one_job(&bench).await;
+    let mut slow = bench.worker("slow").await;
+    let old = slow.claim_one().await;
+    bench.pass(40).await;
+    assert_eq!(slow.commit(&old, true).await, Verdict::Stale);
+    assert_eq!(bench.status("one").await.queued, 1);
+}
+
+#[tokio::test]
+async fn the_same_outcome_twice_is_fine() {
+    let bench = Bench::start().await;
+    one_job(&bench).await;
+    let mut worker = bench.worker("a").await;
+    let lease = worker.claim_one().await;
+    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+    assert_eq!(worker.commit(&lease, true).await, Verdict::Duplicate);
+    assert_eq!(bench.count("SELECT count(*) FROM result").await, 1);
+    assert_eq!(bench.count("SELECT count(*) FROM divergence").await, 0);
+}
+
+#[tokio::test]
+async fn another_outcome_of_a_committed_rollout_is_kept_as_a_divergence() {
+    let bench = Bench::start().await;
+    one_job(&bench).await;
+    let (mut slow, mut quick) = (bench.worker("slow").await, bench.worker("quick").await);
+    let old = slow.claim_one().await;
+    bench.pass(40).await;
+    let new = quick.claim_one().await;
+    assert_eq!(quick.commit(&new, true).await, Verdict::Accepted);
+    // Its lease is lost, but it did run the rollout: that is evidence.
+    let (verdict, detail) = slow.commit_request(slow.report(&old, false)).await;
+    assert_eq!(verdict, Verdict::Divergent);
+    assert!(detail.contains("success after 120 steps"), "{detail}");
+    assert!(detail.contains("failure after 280 steps"), "{detail}");
+    assert_eq!(slow.commit(&old, false).await, Verdict::Divergent);
+    assert_eq!(slow.commit(&old, true).await, Verdict::Duplicate);
+    assert_eq!(bench.count("SELECT count(*) FROM divergence").await, 1);
+    assert_eq!(bench.status("one").await.succeeded, 1, "the first stands");
+}
+
+#[tokio::test]
+async fn who_never_held_the_lease_cannot_report() {
+    let bench = Bench::start().await;
+    one_job(&bench).await;
+    let (mut holder, mut liar) = (bench.worker("holder").await, bench.worker("liar").await);
+    let lease = holder.claim_one().await;
+    assert_eq!(liar.commit(&lease, true).await, Verdict::Stale);
+    assert_eq!(
+        liar.release(&lease, Reason::Draining).await.verdict(),
+        Released::Stale
+    );
+    assert_eq!(liar.heartbeat(&[&lease], 5).await, [lease.job_id]);
+    assert_eq!(holder.commit(&lease, true).await, Verdict::Accepted);
+    assert_eq!(liar.commit(&lease, false).await, Verdict::Stale);
+    assert_eq!(bench.count("SELECT count(*) FROM divergence").await, 0);
+}
+
+#[tokio::test]
+async fn a_lease_without_heartbeats_expires_and_is_charged() {
+    let bench = Bench::start().await;
+    one_job(&bench).await;
+    let mut worker = bench.worker("a").await;
+    let lease = worker.claim_one().await;
+    assert!(worker.heartbeat(&[&lease], 12).await.is_empty());
+    bench.pass(29).await;
+    assert_eq!(bench.status("one").await.leased, 1);
+    bench.pass(2).await;
+    let status = bench.status("one").await;
+    assert_eq!((status.leased, status.queued), (0, 1));
+    assert_eq!(bench.count("SELECT charged_attempts FROM job").await, 1);
+    let told = "SELECT count(*) FROM failure WHERE reason = 'lease_lost' AND charged = 1
+                AND error LIKE '%fell silent after control step 12%'";
+    assert_eq!(bench.count(told).await, 1);
+    assert_eq!(worker.heartbeat(&[&lease], 30).await, [lease.job_id]);
+}
+
+#[tokio::test]
+async fn heartbeats_keep_a_lease_for_as_long_as_they_come() {
+    let bench = Bench::start().await;
+    one_job(&bench).await;
+    let mut worker = bench.worker("a").await;
+    let lease = worker.claim_one().await;
+    for beat in 0..20 {
+        bench.pass(10).await;
+        assert!(worker.heartbeat(&[&lease], beat * 10).await.is_empty());
+    }
+    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+}
+
+#[tokio::test]
+async fn a_failed_job_is_not_leased_before_its_back_off_is_over() {
+    let bench = Bench::start().await;
+    one_job(&bench).await;
+    let mut worker = bench.worker("a").await;
+    let lease = worker.claim_one().await;
+    let released = worker.release(&lease, Reason::SimulatorError).await;
+    assert_eq!(released.verdict(), Released::Requeued);
+    assert!(released.backoff_secs >= 1.0, "{}", released.backoff_secs);
+    assert!(worker.claim(1).await.is_empty());
+    bench.pass(2).await;
+    assert_eq!(worker.claim_one().await.attempt, 2);
+}
+
+#[tokio::test]
+async fn a_job_is_set_aside_after_three_charged_attempts_on_two_workers() {
+    let bench = Bench::start().await;
+    one_job(&bench).await;
+    let (mut a, mut b) = (bench.worker("a").await, bench.worker("b").await);
+    assert_eq!(fail_on(&bench, &mut a).await, Released::Requeued);
+    assert_eq!(fail_on(&bench, &mut a).await, Released::Requeued);
+    b.heartbeat(&[], 0).await;
+    assert_eq!(fail_on(&bench, &mut b).await, Released::Quarantined);
+    bench.pass(PAST_BACKOFF_SECS).await;
+    assert!(a.claim(1).await.is_empty());
+    let status = bench.status("one").await;
+    assert_eq!((status.quarantined, status.queued), (1, 0));
+    let said = "SELECT count(*) FROM job WHERE last_error = 'the bench said so'";
+    assert_eq!(bench.count(said).await, 1);
+}
+
+#[tokio::test]
+async fn one_broken_machine_does_not_condemn_a_rollout_while_another_is_there() {
+    let bench = Bench::start().await;
+    one_job(&bench).await;
+    let (mut broken, mut sound) = (bench.worker("broken").await, bench.worker("sound").await);
+    for _ in 0..3 {
+        bench.pass(PAST_BACKOFF_SECS).await;
+        sound.heartbeat(&[], 0).await;
+        let lease = broken.claim_one().await;
+        let released = broken.release(&lease, Reason::SlotCrashed).await;
+        assert_eq!(released.verdict(), Released::Requeued);
+    }
+    bench.pass(PAST_BACKOFF_SECS).await;
+    sound.heartbeat(&[], 0).await;
+    assert!(broken.claim(1).await.is_empty(), "it is kept for the other");
+    let lease = sound.claim_one().await;
+    assert_eq!(sound.commit(&lease, true).await, Verdict::Accepted);
+}
+
+#[tokio::test]
+async fn a_worker_alone_sets_a_job_aside_by_itself() {
+    let bench = Bench::start().await;
+    one_job(&bench).await;
+    let mut alone = bench.worker("alone").await;
+    assert_eq!(fail_on(&bench, &mut alone).await, Released::Requeued);
+    assert_eq!(fail_on(&bench, &mut alone).await, Released::Requeued);
+    assert_eq!(fail_on(&bench, &mut alone).await, Released::Quarantined);
+}
+
+#[tokio::test]
+async fn draining_is_never_charged() {
+    let bench = Bench::start().await;
+    one_job(&bench).await;
+    let mut worker = bench.worker("a").await;
+    for attempt in 1..=8 {
+        let lease = worker.claim_one().await;
+        assert_eq!(lease.attempt, attempt);
+        let released = worker.release(&lease, Reason::Draining).await;
+        assert_eq!(released.verdict(), Released::Requeued);
+        assert_eq!(released.stop_leasing, "");
+    }
+    assert_eq!(bench.count("SELECT charged_attempts FROM job").await, 0);
+}
+
+#[tokio::test]
+async fn a_worker_that_fails_five_times_in_a_row_is_told_to_stop() {
+    let bench = Bench::start().await;
+    let spec = with(small_spec("many"), json!({"configs": [0, 1, 2]}));
+    bench.create(&spec).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    let leases = worker.claim(10).await;
+    for lease in &leases[..4] {
+        let released = worker.release(lease, Reason::SlotCrashed).await;
+        assert_eq!(released.stop_leasing, "");
+    }
+    // One success wipes the slate.
+    assert_eq!(worker.commit(&leases[4], true).await, Verdict::Accepted);
+    for lease in &leases[5..9] {
+        let released = worker.release(lease, Reason::SimulatorError).await;
+        assert_eq!(released.stop_leasing, "");
+    }
+    let released = worker.release(&leases[9], Reason::SimulatorError).await;
+    for word in ["5 times in a row", "the bench said so"] {
+        assert!(
+            released.stop_leasing.contains(word),
+            "{}",
+            released.stop_leasing
+        );
+    }
+    let refused = worker.try_claim(1, 0.0, "").await.expect_err("stopped");
+    assert_eq!(refused.code(), Code::FailedPrecondition);
+    assert!(refused.message().contains("in a row"), "{refused}");
+    assert_eq!(bench.status("many").await.live_workers, 0);
+}
+
+#[tokio::test]
+async fn a_worker_that_falls_silent_with_many_leases_is_struck_once() {
+    let bench = Bench::start().await;
+    let spec = with(small_spec("many"), json!({"configs": [0, 1, 2]}));
+    bench.create(&spec).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    assert_eq!(worker.claim(8).await.len(), 8);
+    bench.pass(40).await;
+    assert_eq!(bench.count("SELECT charged_in_a_row FROM worker").await, 1);
+    bench.pass(60).await;
+    assert_eq!(worker.claim(8).await.len(), 8, "it may come back");
+}
+
+#[tokio::test]
+async fn leases_get_their_full_time_again_after_a_restart() {
+    let bench = Bench::start().await;
+    one_job(&bench).await;
+    let lease = bench.worker("a").await.claim_one().await;
+    bench.clock.advance(std::time::Duration::from_secs(3_600));
+    let bench = bench.restart().await;
+    bench.pass(20).await;
+    let mut worker = bench.worker("a").await;
+    assert!(worker.heartbeat(&[&lease], 40).await.is_empty());
+    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+}

@@ -1,0 +1,365 @@
+//! A coordinator on a free port with a clock that stands still, and workers
+//! that speak its protocol.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+
+use coordinator::clock::{ManualClock, UnixMillis};
+use coordinator::queue::{Queue, Timing};
+use coordinator::{Config, Coordinator};
+use proto::coordinator as wire;
+use proto::coordinator::commit_response::Verdict;
+use proto::coordinator::operator_service_client::OperatorServiceClient;
+use proto::coordinator::release_request::Reason;
+use proto::coordinator::worker_service_client::WorkerServiceClient;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use serde_json::{Value, json};
+use sqlx::sqlite::{SqliteConnectOptions, SqlitePool};
+use tempfile::TempDir;
+use tokio::net::TcpListener;
+use tokio::sync::oneshot;
+use tokio::task::JoinSet;
+use tonic::Status;
+use tonic::transport::Channel;
+
+/// Between two sweeps while time passes: less than half a lease, or the
+/// coordinator takes itself to have slept.
+const SWEEP_SECS: u64 = 10;
+
+/// A running coordinator.
+pub(crate) struct Bench {
+    pub(crate) folder: TempDir,
+    pub(crate) clock: Arc<ManualClock>,
+    pub(crate) queue: Arc<Queue>,
+    pub(crate) url: String,
+    stop: oneshot::Sender<()>,
+    served: JoinSet<()>,
+}
+
+/// A worker that runs nothing but says what it is told to.
+#[derive(Clone)]
+pub(crate) struct Worker {
+    pub(crate) id: String,
+    pub(crate) pack: String,
+    pub(crate) service: WorkerServiceClient<Channel>,
+}
+
+impl Bench {
+    pub(crate) async fn start() -> Bench {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let clock = Arc::new(ManualClock::at(UnixMillis(1_700_000_000_000)));
+        Bench::start_in(folder, clock).await
+    }
+
+    async fn start_in(folder: TempDir, clock: Arc<ManualClock>) -> Bench {
+        let config = Config {
+            data: folder.path().to_owned(),
+            timing: Timing {
+                // Tests sweep by hand.
+                sweep: Duration::from_secs(3_600),
+                ..Timing::default()
+            },
+            clock: clock.clone(),
+            rng: ChaCha8Rng::seed_from_u64(7),
+        };
+        let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
+        let address = listener.local_addr().expect("an address");
+        let coordinator = Coordinator::open(config).await.expect("a coordinator");
+        let queue = coordinator.queue().clone();
+        let (stop, stopped) = oneshot::channel();
+        let mut served = JoinSet::new();
+        served.spawn(async move {
+            let shutdown = async {
+                stopped.await.expect("a sender");
+            };
+            coordinator.serve(listener, shutdown).await.expect("serves");
+        });
+        Bench {
+            folder,
+            clock,
+            queue,
+            url: format!("http://{address}"),
+            stop,
+            served,
+        }
+    }
+
+    /// Stops the coordinator in good order.
+    pub(crate) async fn stop(self) -> TempDir {
+        self.stop.send(()).expect("it runs");
+        self.served.join_all().await;
+        self.folder
+    }
+
+    /// Stops it and starts another on the same folder.
+    pub(crate) async fn restart(self) -> Bench {
+        let clock = self.clock.clone();
+        let folder = self.stop().await;
+        Bench::start_in(folder, clock).await
+    }
+
+    /// Lets time pass, with the sweeps that happen in it.
+    pub(crate) async fn pass(&self, secs: u64) {
+        let mut left = secs;
+        while left > 0 {
+            let step = left.min(SWEEP_SECS);
+            self.clock.advance(Duration::from_secs(step));
+            self.queue.sweep().await.expect("a sweep");
+            left -= step;
+        }
+    }
+
+    /// Registers a worker of the `primitives` pack.
+    pub(crate) async fn worker(&self, id: &str) -> Worker {
+        self.worker_on(id, "primitives").await
+    }
+
+    /// Registers a worker of some pack.
+    pub(crate) async fn worker_on(&self, id: &str, pack: &str) -> Worker {
+        let channel = Channel::from_shared(self.url.clone())
+            .expect("a URL")
+            .connect()
+            .await
+            .expect("a connection");
+        let mut worker = Worker {
+            id: id.to_owned(),
+            pack: pack.to_owned(),
+            service: WorkerServiceClient::new(channel),
+        };
+        worker
+            .service
+            .register(registration(id, pack))
+            .await
+            .expect("registers");
+        worker
+    }
+
+    pub(crate) async fn operator(&self) -> OperatorServiceClient<Channel> {
+        OperatorServiceClient::connect(self.url.clone())
+            .await
+            .expect("a connection")
+    }
+
+    /// Creates a campaign from a specification.
+    pub(crate) async fn create(
+        &self,
+        spec: &Value,
+    ) -> Result<wire::CreateCampaignResponse, Status> {
+        let request = wire::CreateCampaignRequest {
+            spec: spec.to_string(),
+        };
+        let created = self.operator().await.create_campaign(request).await?;
+        Ok(created.into_inner())
+    }
+
+    pub(crate) async fn status(&self, campaign: &str) -> wire::CampaignStatus {
+        let request = wire::GetCampaignRequest {
+            campaign: campaign.to_owned(),
+        };
+        let response = self.operator().await.get_campaign(request).await;
+        response
+            .expect("a status")
+            .into_inner()
+            .status
+            .expect("a status")
+    }
+
+    /// A look into the database, past the coordinator.
+    pub(crate) async fn database(&self) -> SqlitePool {
+        open_database(self.folder.path()).await
+    }
+
+    /// One number that a query answers.
+    pub(crate) async fn count(&self, sql: &'static str) -> i64 {
+        let pool = self.database().await;
+        let count = sqlx::query_scalar(sql).fetch_one(&pool).await;
+        pool.close().await;
+        count.expect("a count")
+    }
+}
+
+impl Worker {
+    /// Claims at most `max_jobs`, without waiting.
+    pub(crate) async fn claim(&mut self, max_jobs: u32) -> Vec<wire::Lease> {
+        self.claim_response(max_jobs, "").await.leases
+    }
+
+    pub(crate) async fn claim_warm(&mut self, max_jobs: u32, warm: &str) -> Vec<wire::Lease> {
+        self.claim_response(max_jobs, warm).await.leases
+    }
+
+    pub(crate) async fn claim_response(
+        &mut self,
+        max_jobs: u32,
+        warm: &str,
+    ) -> wire::ClaimResponse {
+        let claim = self.try_claim(max_jobs, 0.0, warm).await;
+        claim.expect("an answer")
+    }
+
+    pub(crate) async fn try_claim(
+        &mut self,
+        max_jobs: u32,
+        wait_secs: f64,
+        warm: &str,
+    ) -> Result<wire::ClaimResponse, Status> {
+        let request = wire::ClaimRequest {
+            worker_id: self.id.clone(),
+            max_jobs,
+            wait_secs,
+            warm_task: warm.to_owned(),
+        };
+        Ok(self.service.claim(request).await?.into_inner())
+    }
+
+    /// Claims the one job that must be there.
+    pub(crate) async fn claim_one(&mut self) -> wire::Lease {
+        let mut leases = self.claim(1).await;
+        assert_eq!(leases.len(), 1, "a job waits");
+        leases.remove(0)
+    }
+
+    pub(crate) fn held(&self, lease: &wire::Lease) -> wire::LeaseRef {
+        wire::LeaseRef {
+            worker_id: self.id.clone(),
+            job_id: lease.job_id,
+            attempt: lease.attempt,
+        }
+    }
+
+    /// Reports an outcome of `lease` that came about in good order.
+    pub(crate) async fn commit(&mut self, lease: &wire::Lease, success: bool) -> Verdict {
+        self.commit_request(self.report(lease, success)).await.0
+    }
+
+    pub(crate) async fn commit_request(
+        &mut self,
+        request: wire::CommitRequest,
+    ) -> (Verdict, String) {
+        let response = self.service.commit(request).await.expect("a verdict");
+        let response = response.into_inner();
+        (response.verdict(), response.detail)
+    }
+
+    /// The report of an outcome, as a worker of this pack would send it.
+    pub(crate) fn report(&self, lease: &wire::Lease, success: bool) -> wire::CommitRequest {
+        let row: Value = serde_json::from_str(&lease.manifest_row).expect("a manifest row");
+        wire::CommitRequest {
+            lease: Some(self.held(lease)),
+            outcome: Some(wire::Outcome {
+                success,
+                steps: if success { 120 } else { 280 },
+                wall_secs: 1.5,
+                policy_queries: 30,
+                ..wire::Outcome::default()
+            }),
+            provenance: Some(wire::Provenance {
+                host: "bench".to_owned(),
+                gl_renderer: "llvmpipe".to_owned(),
+                mujoco_version: "3.3.7".to_owned(),
+                asset_pack: self.pack.clone(),
+                asset_pack_digest: sha(&self.pack),
+                scene_digest: sha(&format!("{}/{}", row["suite"], row["task_id"])),
+                init_state_digest: sha(&format!(
+                    "{}/{}/{}",
+                    row["suite"], row["task_id"], row["init_id"]
+                )),
+                perturbation_digest: sha(&row["perturb"].to_string()),
+                first_frame_digest: String::new(),
+                realisation: lease.realisation.clone(),
+                policy_name: lease.policy.clone(),
+                policy_checkpoint: "none".to_owned(),
+                batch_mode: "deterministic".to_owned(),
+                program_version: "0.1.0".to_owned(),
+                ..wire::Provenance::default()
+            }),
+        }
+    }
+
+    pub(crate) async fn release(
+        &mut self,
+        lease: &wire::Lease,
+        reason: Reason,
+    ) -> wire::ReleaseResponse {
+        let request = wire::ReleaseRequest {
+            lease: Some(self.held(lease)),
+            reason: reason.into(),
+            error: "the bench said so".to_owned(),
+        };
+        let response = self.service.release(request).await;
+        response.expect("a verdict").into_inner()
+    }
+
+    /// Sends a heartbeat; returns the jobs that are lost.
+    pub(crate) async fn heartbeat(&mut self, leases: &[&wire::Lease], steps: u32) -> Vec<i64> {
+        let progress = leases.iter().map(|lease| wire::Progress {
+            job_id: lease.job_id,
+            attempt: lease.attempt,
+            control_steps: steps,
+        });
+        let request = wire::HeartbeatRequest {
+            worker_id: self.id.clone(),
+            progress: progress.collect(),
+        };
+        let response = self.service.heartbeat(request).await;
+        response.expect("an answer").into_inner().lost_jobs
+    }
+}
+
+/// A specification: `libero_object/0`, `camera` and `sensor`, L1, configuration
+/// 0, with its nominal rollout: four rollouts.
+pub(crate) fn small_spec(name: &str) -> Value {
+    json!({
+        "name": name,
+        "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
+        "tasks": ["libero_object/0"],
+        "axes": ["camera", "sensor"],
+        "levels": ["L1"],
+        "configs": [0],
+        "nominal": "eval",
+    })
+}
+
+/// A specification with some fields changed.
+pub(crate) fn with(mut spec: Value, changes: Value) -> Value {
+    let changes = changes.as_object().expect("fields");
+    for (field, value) in changes {
+        spec[field] = value.clone();
+    }
+    spec
+}
+
+pub(crate) fn registration(id: &str, pack: &str) -> wire::RegisterRequest {
+    wire::RegisterRequest {
+        protocol_version: proto::PROTOCOL_VERSION,
+        program_version: "0.1.0".to_owned(),
+        worker_id: id.to_owned(),
+        host: "bench".to_owned(),
+        slots: 2,
+        asset_pack: pack.to_owned(),
+        asset_pack_digest: sha(pack),
+        mujoco_version: "3.3.7".to_owned(),
+        gl_renderer: "llvmpipe".to_owned(),
+    }
+}
+
+pub(crate) fn rollout_id(lease: &wire::Lease) -> String {
+    let row: Value = serde_json::from_str(&lease.manifest_row).expect("a manifest row");
+    row["rollout_id"].as_str().expect("an id").to_owned()
+}
+
+pub(crate) async fn open_database(folder: &Path) -> SqlitePool {
+    let options = SqliteConnectOptions::new().filename(folder.join("coordinator.sqlite"));
+    SqlitePool::connect_with(options).await.expect("a database")
+}
+
+/// A digest that looks like one and says what it is of.
+pub(crate) fn sha(of: &str) -> String {
+    use sha2::{Digest, Sha256};
+    Sha256::digest(of.as_bytes())
+        .iter()
+        .map(|byte| format!("{byte:02x}"))
+        .collect()
+}

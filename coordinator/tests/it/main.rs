@@ -1,0 +1,14 @@
+//! The coordinator as its users meet it: real sockets, real SQLite files, and
+//! where a process has to die, real processes. Only the clock is moved by hand.
+
+mod artifacts;
+mod campaigns;
+mod claims;
+mod faults;
+mod harness;
+mod outages;
+mod pairing;
+mod process;
+mod random;
+mod reports;
+mod schema;

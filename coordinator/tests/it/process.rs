@@ -1,0 +1,284 @@
+//! The program itself: killed, stopped, and called wrongly.
+
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use proto::coordinator as wire;
+use proto::coordinator::commit_response::Verdict;
+use proto::coordinator::operator_service_client::OperatorServiceClient;
+use proto::coordinator::worker_service_client::WorkerServiceClient;
+use tokio::task::JoinSet;
+
+use crate::harness::{Worker, open_database, registration, small_spec};
+
+/// `coordinator serve` as a process; killed when it goes out of scope.
+struct Serve {
+    child: Child,
+    url: String,
+}
+
+impl Serve {
+    fn start(data: &Path) -> Serve {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_coordinator"))
+            .args(["serve", "--listen", "127.0.0.1:0", "--data"])
+            .arg(data)
+            .env_remove("RUST_LOG")
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .expect("starts");
+        let mut line = String::new();
+        let stdout = child.stdout.take().expect("a pipe");
+        BufReader::new(stdout).read_line(&mut line).expect("a line");
+        let address = line.strip_prefix("listening on ").expect("the ready line");
+        let address = address.split(',').next().expect("an address");
+        Serve {
+            child,
+            url: format!("http://{address}"),
+        }
+    }
+
+    fn signal(&self, name: &str) {
+        let pid = self.child.id().to_string();
+        let status = Command::new("kill").args([name, &pid]).status();
+        assert!(status.expect("kill runs").success());
+    }
+
+    async fn worker(&self, id: &str) -> Worker {
+        let service = WorkerServiceClient::connect(self.url.clone()).await;
+        let mut worker = Worker {
+            id: id.to_owned(),
+            pack: "primitives".to_owned(),
+            service: service.expect("a connection"),
+        };
+        let registered = worker
+            .service
+            .register(registration(id, "primitives"))
+            .await;
+        registered.expect("registers");
+        worker
+    }
+
+    /// Runs another command of the program against this coordinator.
+    fn command(&self, arguments: &[&str]) -> Output {
+        coordinator(&[arguments, &["--connect", &self.url]].concat())
+    }
+}
+
+impl Drop for Serve {
+    fn drop(&mut self) {
+        // It may have ended already, as the test wanted.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn coordinator(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_coordinator"))
+        .args(arguments)
+        .env_remove("COORDINATOR_URL")
+        .env_remove("RUST_LOG")
+        .output()
+        .expect("runs")
+}
+
+fn text(bytes: &[u8]) -> &str {
+    std::str::from_utf8(bytes).expect("UTF-8")
+}
+
+const CREATE: [&str; 14] = [
+    "campaign",
+    "create",
+    "--name",
+    "demo",
+    "--policy",
+    "expert",
+    "--endpoint",
+    "http://127.0.0.1:50051",
+    "--tasks",
+    "libero_object/0-1",
+    "--configs",
+    "0",
+    "--levels",
+    "L1",
+];
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_coordinator_killed_in_the_middle_continues_where_it_was() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let first = Serve::start(folder.path());
+    assert!(first.command(&CREATE).status.success());
+    let mut worker = first.worker("a").await;
+    let committed = worker.claim(3).await;
+    for lease in &committed {
+        assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
+    }
+    let held = worker.claim_one().await;
+    first.signal("-KILL");
+    drop(first);
+
+    let second = Serve::start(folder.path());
+    // The worker process lived on: its lease is still its own.
+    let mut worker = second.worker("a").await;
+    assert!(worker.heartbeat(&[&held], 50).await.is_empty());
+    assert_eq!(worker.commit(&held, true).await, Verdict::Accepted);
+    // What was accepted was kept.
+    assert_eq!(worker.commit(&committed[0], true).await, Verdict::Duplicate);
+    while let [lease] = worker.claim(1).await.as_slice() {
+        assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
+    }
+    let status = second.command(&["campaign", "status", "demo", "--watch"]);
+    assert!(status.status.success(), "{}", text(&status.stderr));
+    let status = text(&status.stdout);
+    assert!(status.contains("14/14 100%  finished"), "{status}");
+    assert!(
+        status.lines().all(|line| line.chars().count() <= 80),
+        "{status}"
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_coordinator_told_to_stop_answers_waiting_claims_and_leaves_one_file() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let mut serve = Serve::start(folder.path());
+    let mut worker = serve.worker("a").await;
+    let mut waiting = JoinSet::new();
+    waiting.spawn(async move { worker.try_claim(1, 30.0, "").await });
+    tokio::time::sleep(Duration::from_millis(300)).await;
+    let told = Instant::now();
+    serve.signal("-TERM");
+    let answers = waiting.join_all().await;
+    let refused = answers[0].as_ref().expect_err("nothing to lease");
+    assert_eq!(refused.code(), tonic::Code::Unavailable);
+    let status = serve.child.wait().expect("it ends");
+    assert!(status.success(), "{status}");
+    assert!(
+        told.elapsed() < Duration::from_secs(8),
+        "{:?}",
+        told.elapsed()
+    );
+    assert!(!folder.path().join("coordinator.sqlite-wal").exists());
+    open_database(folder.path()).await.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn commands_that_are_wrong_exit_with_2_and_write_nothing() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    let check = |flag: &str, value: &str, words: &[&str]| {
+        let mut arguments = CREATE.to_vec();
+        match arguments.iter().position(|argument| *argument == flag) {
+            Some(place) => arguments[place + 1] = value,
+            None => arguments.extend([flag, value]),
+        }
+        let output = serve.command(&arguments);
+        assert_eq!(output.status.code(), Some(2), "{flag} {value}");
+        for word in words {
+            let stderr = text(&output.stderr);
+            assert!(stderr.contains(word), "{flag} {value}: {stderr}");
+        }
+    };
+    check(
+        "--tasks",
+        "libero_objects",
+        &["libero_objects", "libero_spatial, libero_object"],
+    );
+    check(
+        "--tasks",
+        "libero_object/10",
+        &["libero_object/10", "libero_object/9"],
+    );
+    check("--tasks", "libero_object/8-11", &["libero_object/10"]);
+    check("--axes", "camrea", &["camrea", "camera, lighting, robot"]);
+    check("--levels", "L9", &["L9", "L1, L2, L3"]);
+    check("--configs", "7-12", &["configs", "0 to 9"]);
+    check("--configs", "x", &["`x`"]);
+    check("--name", "a/b", &["a/b"]);
+    check("--endpoint", "localhost", &["localhost", "http://"]);
+    check("--replicates", "0", &["replicates"]);
+    check("--realisation", "other", &["matched, reference"]);
+    check("--nominal", "some", &["some", "eval"]);
+
+    let mut client = OperatorServiceClient::connect(serve.url.clone())
+        .await
+        .expect("connects");
+    let list = client.list_campaigns(wire::ListCampaignsRequest {}).await;
+    assert!(list.expect("a list").into_inner().campaigns.is_empty());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_specification_is_read_from_a_file_or_standard_input() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    let path = folder.path().join("spec.json");
+    std::fs::write(&path, small_spec("filed").to_string()).expect("written");
+    let path = path.to_str().expect("UTF-8");
+    let output = serve.command(&["campaign", "create", "--spec", path]);
+    assert_eq!(text(&output.stdout), "campaign filed created: 4 rollouts\n");
+    let output = serve.command(&["campaign", "create", "--spec", path]);
+    assert!(text(&output.stdout).contains("was there already"));
+    let list = serve.command(&["campaign", "list"]);
+    assert!(
+        text(&list.stdout).starts_with("filed ░"),
+        "{}",
+        text(&list.stdout)
+    );
+
+    std::fs::write(path, "{\"name\": \"x\", \"colour\": 1}").expect("written");
+    let output = serve.command(&["campaign", "create", "--spec", path]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(
+        text(&output.stderr).contains("colour"),
+        "{}",
+        text(&output.stderr)
+    );
+}
+
+#[test]
+fn a_coordinator_that_cannot_be_reached_is_named_after_a_few_tries() {
+    let free = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+    let url = format!("http://{}", free.local_addr().expect("an address"));
+    drop(free);
+    let output = coordinator(&["campaign", "list", "--connect", &url, "--retry-secs", "2"]);
+    assert_eq!(output.status.code(), Some(1));
+    let stderr = text(&output.stderr);
+    assert!(stderr.contains("trying again for 2 s"), "{stderr}");
+    for word in [
+        "failed to reach",
+        url.as_str(),
+        "refused",
+        "coordinator serve",
+        "--connect",
+    ] {
+        assert!(stderr.contains(word), "{stderr}");
+    }
+}
+
+#[test]
+fn an_address_in_use_and_a_folder_that_cannot_be_made_fail_with_the_remedy() {
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+    let address = taken.local_addr().expect("an address").to_string();
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let data = folder.path().to_str().expect("UTF-8");
+    let output = coordinator(&["serve", "--listen", &address, "--data", data]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(
+        text(&output.stderr).contains("--listen"),
+        "{}",
+        text(&output.stderr)
+    );
+
+    let file = folder.path().join("file");
+    std::fs::write(&file, "in the way").expect("written");
+    let below = file.join("data");
+    let below = below.to_str().expect("UTF-8");
+    let output = coordinator(&["serve", "--listen", "127.0.0.1:0", "--data", below]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(
+        text(&output.stderr).contains("write to it"),
+        "{}",
+        text(&output.stderr)
+    );
+}

@@ -1,0 +1,236 @@
+//! The same events on the queue with its SQLite store.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+
+use coordinator::clock::{ManualClock, UnixMillis};
+use coordinator::expand::NewCampaign;
+use coordinator::ids::{LeaseRef, WorkerId};
+use coordinator::queue::{ClaimRequest, CommitReport, CommitVerdict, Queue, Timing};
+use coordinator::store::Store;
+use coordinator::store::results::{Digests, Outcome, Provenance};
+use coordinator::store::workers::WorkerInfo;
+use proptest::prelude::*;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+
+use super::{Event, WORKERS, event};
+use crate::harness::{open_database, sha, small_spec};
+
+proptest! {
+    // Each case writes a database, with every commit synced to the disk.
+    #![proptest_config(ProptestConfig { cases: 16, ..ProptestConfig::default() })]
+
+    #[test]
+    fn every_job_of_the_real_queue_ends_exactly_once(
+        events in prop::collection::vec(event(), 20..50)
+    ) {
+        let runtime = tokio::runtime::Runtime::new().expect("a runtime");
+        runtime.block_on(on_the_real_queue(&events));
+    }
+}
+
+async fn on_the_real_queue(events: &[Event]) {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let store = Store::open(folder.path()).await.expect("a store");
+    let clock = Arc::new(ManualClock::at(UnixMillis(1_700_000_000_000)));
+    let rng = ChaCha8Rng::seed_from_u64(5);
+    let queue = Queue::start(store, clock.clone(), rng, Timing::default()).await;
+    let queue = queue.expect("a queue");
+    let campaign = NewCampaign::from_json(&small_spec("random").to_string());
+    let created = queue.create_campaign(&campaign.expect("a campaign")).await;
+    assert!(created.expect("created").jobs_total > 1);
+    for worker in 0..WORKERS {
+        queue
+            .register(&worker_info(worker))
+            .await
+            .expect("registered");
+    }
+    let mut granted: Vec<LeaseRef> = Vec::new();
+    let mut accepted = 0;
+    for event in events {
+        accepted += happen(&queue, &clock, &mut granted, event).await;
+    }
+    accepted += finish(&queue, &clock).await;
+    check_books(folder.path(), accepted).await;
+    queue.close().await.expect("closes");
+}
+
+/// Lets one event happen; returns how many results were accepted in it.
+async fn happen(
+    queue: &Queue,
+    clock: &ManualClock,
+    granted: &mut Vec<LeaseRef>,
+    event: &Event,
+) -> usize {
+    let newest_first = granted.iter().rev().cycle();
+    let lease = |number: usize| {
+        newest_first
+            .clone()
+            .nth(number % granted.len().max(1))
+            .cloned()
+    };
+    match event {
+        Event::Claim { worker, .. } => granted.extend(claim(queue, *worker).await),
+        Event::Heartbeat {
+            lease: number,
+            steps,
+        } => {
+            if let Some(lease) = lease(*number) {
+                let beat = queue
+                    .heartbeat(&lease.worker, &[(lease.clone(), *steps)])
+                    .await;
+                beat.expect("an answer");
+            }
+        }
+        Event::Commit {
+            lease: number,
+            success,
+        } => {
+            if let Some(lease) = lease(*number) {
+                let reply = queue
+                    .commit(&report(lease, *success))
+                    .await
+                    .expect("a verdict");
+                return usize::from(reply.verdict == CommitVerdict::Accepted);
+            }
+        }
+        Event::Release {
+            lease: number,
+            reason,
+        } => {
+            if let Some(lease) = lease(*number) {
+                queue
+                    .release(&lease, *reason, "it happened")
+                    .await
+                    .expect("a verdict");
+            }
+        }
+        Event::Pass { secs } => {
+            clock.advance(Duration::from_secs(*secs));
+            queue.sweep().await.expect("a sweep");
+        }
+    }
+    0
+}
+
+async fn finish(queue: &Queue, clock: &ManualClock) -> usize {
+    let mut accepted = 0;
+    for round in 0..60 {
+        // A fresh name: the random workers may have been told to stop.
+        let worker = 100 + round;
+        queue
+            .register(&worker_info(worker))
+            .await
+            .expect("registered");
+        while let Some(lease) = claim(queue, worker).await {
+            let reply = queue.commit(&report(lease, true)).await.expect("a verdict");
+            assert_eq!(reply.verdict, CommitVerdict::Accepted);
+            accepted += 1;
+        }
+        clock.advance(Duration::from_secs(10));
+        queue.sweep().await.expect("a sweep");
+    }
+    accepted
+}
+
+/// Every job ended once, and every attempt is accounted for once.
+async fn check_books(folder: &Path, accepted: usize) {
+    let pool = open_database(folder).await;
+    let count = async |sql: &'static str| -> i64 {
+        sqlx::query_scalar(sql)
+            .fetch_one(&pool)
+            .await
+            .expect("a count")
+    };
+    let open = count("SELECT count(*) FROM job WHERE state IN ('queued', 'leased')").await;
+    assert_eq!(open, 0, "every job ends");
+    let torn = "SELECT count(*) FROM job j LEFT JOIN result r ON r.job_id = j.id
+        WHERE (j.state = 'committed') <> (r.job_id IS NOT NULL)";
+    assert_eq!(
+        count(torn).await,
+        0,
+        "a result exactly where a job is committed"
+    );
+    assert_eq!(count("SELECT count(*) FROM result").await, accepted as i64);
+    let lost = "SELECT count(*) FROM job j WHERE j.attempt <>
+        (SELECT count(*) FROM failure f WHERE f.job_id = j.id) + (j.state = 'committed')";
+    assert_eq!(count(lost).await, 0, "every attempt ended once, in one way");
+    let charged = "SELECT count(*) FROM job j WHERE j.charged_attempts <>
+        (SELECT count(*) FROM failure f WHERE f.job_id = j.id AND f.charged = 1)";
+    assert_eq!(count(charged).await, 0);
+    assert_eq!(
+        count("SELECT count(*) FROM pragma_foreign_key_check").await,
+        0
+    );
+    pool.close().await;
+}
+
+async fn claim(queue: &Queue, worker: usize) -> Option<LeaseRef> {
+    let request = ClaimRequest {
+        worker: worker_info(worker).id,
+        max_jobs: 1,
+        warm_task: None,
+    };
+    // A worker that was told to stop is refused; it then claims nothing.
+    let claimed = queue
+        .claim(&request, Duration::ZERO)
+        .await
+        .unwrap_or_default();
+    let job = claimed.jobs.into_iter().next()?;
+    Some(LeaseRef {
+        worker: request.worker,
+        job: job.job,
+        attempt: job.attempt,
+    })
+}
+
+fn worker_info(number: usize) -> WorkerInfo {
+    WorkerInfo {
+        id: WorkerId(format!("w{number}")),
+        host: "bench".to_owned(),
+        slots: 1,
+        asset_pack: "primitives".to_owned(),
+        asset_pack_digest: sha("primitives"),
+        mujoco_version: "3.3.7".to_owned(),
+        gl_renderer: "llvmpipe".to_owned(),
+        program_version: "0.1.0".to_owned(),
+    }
+}
+
+fn report(lease: LeaseRef, success: bool) -> CommitReport {
+    CommitReport {
+        lease,
+        outcome: Outcome {
+            success,
+            steps: 9,
+            wall_secs: 1.0,
+            ik_residual_mm: None,
+            ik_residual_deg: None,
+            ik_clamped_joints: None,
+            clipped_actions: 0,
+            policy_queries: 1,
+        },
+        provenance: Provenance {
+            host: "bench".to_owned(),
+            gl_renderer: "llvmpipe".to_owned(),
+            mujoco_version: "3.3.7".to_owned(),
+            asset_pack: "primitives".to_owned(),
+            asset_pack_digest: sha("primitives"),
+            realisation: "matched".to_owned(),
+            policy_name: "expert".to_owned(),
+            policy_checkpoint: String::new(),
+            policy_checkpoint_digest: String::new(),
+            policy_privileged: true,
+            batch_mode: String::new(),
+            program_version: "0.1.0".to_owned(),
+        },
+        digests: Digests {
+            scene: sha("scene"),
+            init_state: sha("state"),
+            perturbation: String::new(),
+            first_frame: String::new(),
+        },
+    }
+}

@@ -1,0 +1,90 @@
+//! The schema refuses by itself what the state enums cannot express.
+
+use crate::harness::{Bench, small_spec};
+
+/// Statements, and what refuses them.
+const FOUL: &[(&str, &str)] = &[
+    (
+        "UPDATE job SET state = 'lost' WHERE state = 'queued'",
+        "CHECK",
+    ),
+    (
+        "UPDATE job SET state = 'queued' WHERE state = 'leased'",
+        "CHECK",
+    ),
+    (
+        "UPDATE job SET lease_owner = 'a' WHERE state = 'queued'",
+        "CHECK",
+    ),
+    (
+        "UPDATE job SET lease_owner = NULL WHERE state = 'leased'",
+        "CHECK",
+    ),
+    (
+        "UPDATE job SET lease_expires_ms = NULL WHERE state = 'leased'",
+        "CHECK",
+    ),
+    (
+        "UPDATE job SET not_before_ms = NULL WHERE state = 'queued'",
+        "CHECK",
+    ),
+    ("UPDATE job SET charged_attempts = attempt + 1", "CHECK"),
+    (
+        "UPDATE job SET attempt = attempt - 1 WHERE attempt > 0",
+        "only_rises",
+    ),
+    (
+        "UPDATE job SET state = 'queued', not_before_ms = 0 WHERE state = 'committed'",
+        "job_committed_is_final",
+    ),
+    (
+        "UPDATE job SET state = 'committed', lease_owner = NULL, leased_ms = NULL,
+             lease_expires_ms = NULL, control_steps = NULL WHERE state = 'leased'",
+        "job_committed_has_a_result",
+    ),
+    (
+        "UPDATE job SET state = 'quarantined', not_before_ms = NULL WHERE state = 'queued'",
+        "CHECK",
+    ),
+    (
+        "INSERT INTO job (campaign_id, rollout_id, replicate, task, init_id, unit_order,
+             manifest_row, policy_seed)
+         SELECT campaign_id, rollout_id, replicate, task, init_id, unit_order,
+             manifest_row, policy_seed FROM job LIMIT 1",
+        "UNIQUE",
+    ),
+    ("UPDATE policy SET state = 'paused'", "CHECK"),
+    ("UPDATE policy SET resume_ms = 5", "CHECK"),
+    ("UPDATE policy SET probe_job_id = 1", "CHECK"),
+    ("UPDATE campaign SET mujoco_version = NULL", "CHECK"),
+    (
+        "INSERT INTO failure VALUES (1, 1, 'a', 0, 'draining', 1, 'charged all the same')",
+        "CHECK",
+    ),
+    (
+        "INSERT INTO result SELECT j.id, r.campaign_id, 1, r.worker_id, r.committed_ms,
+             r.success, r.steps, r.wall_secs, NULL, NULL, NULL, 0, 0, r.provenance_id,
+             r.scene_digest, r.init_state_digest, '', ''
+         FROM result r JOIN job j ON j.state = 'queued' LIMIT 1",
+        "result_is_of_the_held_lease",
+    ),
+];
+
+#[tokio::test]
+async fn rows_that_no_state_describes_cannot_be_stored() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("strict")).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    let lease = worker.claim_one().await;
+    worker.commit(&lease, true).await;
+    worker.claim_one().await;
+    let pool = bench.database().await;
+    for (statement, refusal) in FOUL.iter().copied() {
+        let error = sqlx::query(statement)
+            .execute(&pool)
+            .await
+            .expect_err(statement);
+        assert!(error.to_string().contains(refusal), "{statement}: {error}");
+    }
+    pool.close().await;
+}
