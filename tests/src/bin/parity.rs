@@ -106,7 +106,11 @@ fn row(task: &ReferenceTask, findings: &Findings, agrees: bool) -> String {
         short(findings.smooth.value),
         contact,
         short(findings.observed.value),
-        format!("{}/{all}", all - differ),
+        if all == 0 {
+            "-".to_owned()
+        } else {
+            format!("{}/{all}", all - differ)
+        },
         frames,
         if agrees { "ok" } else { "NO" },
     )
