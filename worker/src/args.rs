@@ -7,6 +7,8 @@ use clap::{Args, Parser, Subcommand};
 use protocol::{Realisation, RolloutId};
 use sim::GlDevice;
 
+use crate::grpc::{EndpointError, parse_endpoint};
+
 /// Simulates the rollouts of a coordinator's campaigns.
 ///
 /// Ends when told to: one SIGTERM or Ctrl-C finishes the rollouts in hand, a
@@ -46,13 +48,13 @@ pub enum Command {
 #[derive(Debug, Args)]
 pub struct ServeArguments {
     /// URL of the coordinator
-    #[arg(long, value_name = "URL")]
+    #[arg(long, value_name = "URL", value_parser = server_url)]
     pub connect: String,
     /// Rollouts at a time, each in a process of its own
     #[arg(long, value_name = "N", default_value = "1")]
     pub slots: NonZeroUsize,
     /// Asks policies here instead of where the campaign says
-    #[arg(long, value_name = "URL")]
+    #[arg(long, value_name = "URL", value_parser = server_url)]
     pub policy_endpoint: Option<String>,
 }
 
@@ -80,7 +82,7 @@ pub struct RolloutArguments {
     #[arg(long, value_name = "ID")]
     pub id: RolloutId,
     /// URL of the policy, or of a gateway
-    #[arg(long, value_name = "URL")]
+    #[arg(long, value_name = "URL", value_parser = server_url)]
     pub endpoint: String,
     /// Which of the policies there; empty: the only one
     #[arg(long, value_name = "NAME", default_value = "")]
@@ -101,6 +103,10 @@ pub struct RolloutArguments {
     /// What simulates.
     #[command(flatten)]
     pub simulator: SimulatorArguments,
+}
+
+fn server_url(text: &str) -> Result<String, EndpointError> {
+    parse_endpoint(text).map(|_| text.to_owned())
 }
 
 fn gl_device(text: &str) -> Result<GlDevice, String> {
@@ -157,6 +163,7 @@ mod tests {
         for line in [
             "worker --connect http://h:1 --assets primitives --slots 0",
             "worker --connect http://h:1 --assets primitives --gl-device gpu",
+            "worker --connect localhost:7411 --assets primitives",
         ] {
             assert_eq!(parse(line).expect_err(line).exit_code(), 2);
         }

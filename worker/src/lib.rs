@@ -9,6 +9,7 @@
 
 pub mod args;
 pub mod backoff;
+mod digest;
 pub mod grpc;
 pub mod ids;
 pub mod message;

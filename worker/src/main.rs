@@ -4,6 +4,7 @@
 
 use std::convert::Infallible;
 use std::ffi::OsString;
+use std::io::IsTerminal as _;
 use std::path::Path;
 use std::process::ExitCode;
 
@@ -15,9 +16,8 @@ use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::mpsc;
 use tracing_subscriber::EnvFilter;
 use worker::args::{Arguments, Command, RolloutArguments, ServeArguments, SimulatorArguments};
-use worker::grpc::parse_endpoint;
 use worker::ids::{WorkerId, host_name, random_number};
-use worker::message::Assignment;
+use worker::message::{Assignment, VideoOf, VideoOrder};
 use worker::policy::POLICY_CALL_DEADLINE;
 use worker::supervise::{self, Config, Identity, SlotCommand};
 use worker::{single, slot};
@@ -34,6 +34,7 @@ fn main() -> ExitCode {
     tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
         .with_target(false)
         .init();
     let result = match (arguments.command, arguments.serve, arguments.simulator) {
@@ -78,7 +79,10 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
         policy: arguments.policy,
         policy_endpoint: arguments.endpoint,
         policy_deadline: POLICY_CALL_DEADLINE,
-        video: (!arguments.no_video).then(|| arguments.output.join("video.mp4")),
+        video: (!arguments.no_video).then(|| VideoOrder {
+            file: arguments.output.join("video.mp4"),
+            of: VideoOf::Everything,
+        }),
     };
     let finished = single::run(&mut simulator, &assignment, &arguments.output)?;
     let outcome = &finished.outcome;
@@ -101,9 +105,6 @@ fn run_worker(
     arguments: ServeArguments,
     simulator_arguments: &SimulatorArguments,
 ) -> anyhow::Result<()> {
-    for url in [Some(&arguments.connect), arguments.policy_endpoint.as_ref()] {
-        url.map(|url| parse_endpoint(url)).transpose()?;
-    }
     // Opened here too, so that what is missing is said once and at once.
     let simulator = open(simulator_arguments)?;
     let host = host_name();

@@ -64,8 +64,27 @@ pub struct Assignment {
     pub policy_deadline: Duration,
     /// The episode's name to the policy.
     pub session: Session,
-    /// Where to write a video, if one is wanted.
-    pub video: Option<PathBuf>,
+    /// The video, if one is wanted.
+    pub video: Option<VideoOrder>,
+}
+
+/// A video that somebody wants.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct VideoOrder {
+    /// Where to write it.
+    pub file: PathBuf,
+    /// Of which outcomes.
+    pub of: VideoOf,
+}
+
+/// The outcomes of which a video is wanted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum VideoOf {
+    /// All.
+    Everything,
+    /// Failures.
+    Failures,
 }
 
 /// From a slot to the parent.
@@ -133,7 +152,8 @@ pub struct Evidence {
     pub scene_digest: String,
     /// Of the initial state's bytes.
     pub init_state_digest: String,
-    /// Of the perturbation's values and drawn elements.
+    /// Of the perturbation's values and drawn elements, axis by axis:
+    /// `camera:…,robot:…`; empty where nothing is perturbed.
     pub perturbation_digest: String,
     /// Of the first frames that the policy saw; empty where it looks at none.
     pub first_frame_digest: String,
@@ -215,7 +235,10 @@ mod tests {
             policy_endpoint: "grpc://localhost:7000".to_owned(),
             policy_seed: 5,
             policy_deadline: Duration::from_secs(60),
-            video: Some("videos/1.mp4".into()),
+            video: Some(VideoOrder {
+                file: "videos/1.mp4".into(),
+                of: VideoOf::Failures,
+            }),
         }));
         let line = serde_json::to_string(&order).expect("JSON");
         assert!(!line.contains('\n'));

@@ -1,66 +1,83 @@
-//! Recording a rollout, if anybody wants a video: photographs both cameras
-//! after every control step. The pictures are the scene as it is, without the
-//! sensor's corruption. A video that cannot be made costs the video, never the
-//! outcome.
+//! Recording a rollout, if anybody wants a video: simulates it a second time
+//! from the actions that were executed, and photographs both cameras after
+//! every control step. So the rollout itself draws only what the policy looks
+//! at, a video of failures costs nothing where the rollout succeeds, and what
+//! goes wrong here costs the video, never the outcome.
 
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
+use std::{fs, io};
 
-use sim::{Episode, SimError};
+use sim::{Episode, SimError, Simulator};
 
+use crate::message::{Assignment, Outcome};
+use crate::policy::Action;
 use crate::video::{PANE_SIDE, Recorder, VideoError};
 
 /// Left and right in the video.
 const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
 
-/// A video in the making, or none.
-pub(crate) struct Recording(Option<(Recorder, PathBuf)>);
-
-impl Recording {
-    /// Starts a recording that will be written to `file`.
-    pub(crate) fn begin(file: Option<&Path>) -> Self {
-        let Some(file) = file else { return Self(None) };
-        match Recorder::new() {
-            Ok(recorder) => Self(Some((recorder, file.to_owned()))),
-            Err(error) => {
-                give_up(&error);
-                Self(None)
-            }
-        }
-    }
-
-    /// Adds the scene as it is now.
-    ///
-    /// # Errors
-    /// If the simulator cannot draw.
-    pub(crate) fn add(&mut self, episode: &mut Episode<'_>) -> Result<(), SimError> {
-        let Some((recorder, _)) = &mut self.0 else {
-            return Ok(());
-        };
-        let side = PANE_SIDE as u32;
-        let left = episode.photograph(CAMERAS[0], side, side)?;
-        let right = episode.photograph(CAMERAS[1], side, side)?;
-        if let Err(error) = recorder.add([&left.rgb, &right.rgb]) {
-            give_up(&error);
-            self.0 = None;
-        }
-        Ok(())
-    }
-
-    /// Writes the file; returns where it is, if there is one.
-    pub(crate) fn finish(self) -> Option<PathBuf> {
-        let (recorder, file) = self.0?;
-        let mp4 = recorder.finish().map_err(|error| give_up(&error)).ok()?;
-        match std::fs::write(&file, mp4) {
-            Ok(()) => Some(file),
-            Err(error) => {
-                tracing::warn!("no video: failed to write {}: {error}", file.display());
-                None
-            }
-        }
-    }
+/// Why there is no video.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum RecordError {
+    /// The simulator failed, or cannot draw.
+    #[error(transparent)]
+    Simulator(#[from] SimError),
+    /// The pictures could not be made a video.
+    #[error(transparent)]
+    Video(#[from] VideoError),
+    /// The file cannot be written.
+    #[error("write {}", path.display())]
+    Write {
+        /// Which.
+        path: PathBuf,
+        /// What happened.
+        #[source]
+        source: io::Error,
+    },
+    /// The same actions led somewhere else.
+    #[error("simulate the rollout again: its goal held at another step; this is a defect")]
+    Differs,
+    /// Nobody wants it any more.
+    #[error("finish the video: it was abandoned")]
+    Abandoned,
 }
 
-fn give_up(error: &VideoError) {
-    let cause = std::error::Error::source(error).map(|cause| format!(": {cause}"));
-    tracing::warn!("no video: failed to {error}{}", cause.unwrap_or_default());
+/// Records the rollout that `actions` led through, to `file`. The pictures are
+/// the scene as it is, without the sensor's corruption. `step` is called after
+/// every control step, settling included.
+pub(crate) fn record(
+    simulator: &mut Simulator,
+    assignment: &Assignment,
+    (actions, outcome): (&[Action], &Outcome),
+    file: &Path,
+    step: &mut dyn FnMut(u32) -> ControlFlow<()>,
+) -> Result<(), RecordError> {
+    let mut recorder = Recorder::new()?;
+    let row = &assignment.row;
+    let mut episode = simulator.begin(row, assignment.realisation)?;
+    episode.settle()?;
+    photograph(&mut episode, &mut recorder)?;
+    let mut success = false;
+    for (done, action) in (1..).zip(actions) {
+        if step(row.settle_steps + done).is_break() {
+            return Err(RecordError::Abandoned);
+        }
+        success = episode.step(action)?;
+        photograph(&mut episode, &mut recorder)?;
+    }
+    if success != outcome.success {
+        return Err(RecordError::Differs);
+    }
+    fs::write(file, recorder.finish()?).map_err(|source| RecordError::Write {
+        path: file.to_owned(),
+        source,
+    })
+}
+
+fn photograph(episode: &mut Episode<'_>, recorder: &mut Recorder) -> Result<(), RecordError> {
+    let side = PANE_SIDE as u32;
+    let left = episode.photograph(CAMERAS[0], side, side)?;
+    let right = episode.photograph(CAMERAS[1], side, side)?;
+    Ok(recorder.add([&left.rgb, &right.rgb])?)
 }

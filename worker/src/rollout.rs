@@ -5,16 +5,20 @@
 //! is told about it, is the caller's.
 
 use std::ops::ControlFlow;
+use std::path::PathBuf;
 use std::time::Instant;
 
 use proto::policy as wire;
 use sha2::{Digest, Sha256};
-use sim::{CameraRequest, Observation, ObservationRequest, SimError, Simulator};
+use sim::{CameraRequest, Digests, Episode, Observation, ObservationRequest, SimError, Simulator};
 
-use crate::message::{Assignment, Evidence, Failure, FailureKind, Finished, IkResidual, Outcome};
+use crate::digest::hex;
+use crate::message::{
+    Assignment, Evidence, Failure, FailureKind, Finished, IkResidual, Outcome, VideoOf, VideoOrder,
+};
 use crate::observation;
 use crate::policy::{self, Action, Description, PolicyClient, PolicyError};
-use crate::recording::Recording;
+use crate::recording::{RecordError, record};
 
 /// Watches a rollout, and may end it.
 pub trait Watcher {
@@ -56,17 +60,23 @@ impl RolloutError {
             Self::Policy(_) => FailureKind::PolicyUnavailable,
             Self::Abandoned => return None,
         };
-        let mut error = self.to_string();
-        let mut cause = std::error::Error::source(self);
-        while let Some(source) = cause {
-            error = format!("{error}: {source}");
-            cause = source.source();
-        }
+        let error = chain(self);
         Some(Failure { kind, error })
     }
 }
 
-/// Runs one rollout to its outcome.
+/// An error and what lies behind it, in one line.
+fn chain(error: &dyn std::error::Error) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(source) = cause {
+        text = format!("{text}: {source}");
+        cause = source.source();
+    }
+    text
+}
+
+/// Runs one rollout to its outcome, and records it if that is wanted.
 ///
 /// # Errors
 /// If the simulator fails, the policy fails or the watcher ends it.
@@ -76,51 +86,22 @@ pub fn run(
     assignment: &Assignment,
     watcher: &mut dyn Watcher,
 ) -> Result<Finished, RolloutError> {
-    let started = Instant::now();
     // Asked every time: a policy that was replaced since the last rollout must
     // not go into the results under its predecessor's digest.
     let description = policy.describe(assignment.episode())?;
-    let failed = |source| RolloutError::Simulator {
-        id: assignment.row.id.to_string(),
-        source,
-    };
-    let mut episode = simulator
-        .begin(&assignment.row, assignment.realisation)
-        .map_err(failed)?;
     let mut run = Run {
         assignment,
         description: &description,
         policy,
-        recording: Recording::begin(assignment.video.as_deref()),
-        tally: Tally::default(),
-        first_frame_digest: None,
+        watcher,
+        executed: Vec::new(),
+        clipped_actions: 0,
+        queries: 0,
+        first_frame_digest: String::new(),
     };
-    carry_on(watcher.progress(0))?;
-    episode.settle().map_err(failed)?;
-    carry_on(watcher.progress(assignment.row.settle_steps))?;
-    run.policy.reset(
-        assignment.episode(),
-        assignment.row.id.task().suite().name(),
-        &assignment.row.instruction,
-        assignment.policy_seed,
-    )?;
-    let success = run.act(&mut episode, watcher)?;
-    let outcome = Outcome {
-        success,
-        steps: run.tally.steps,
-        wall_secs: started.elapsed().as_secs_f64(),
-        ik: episode.ik().map(|ik| IkResidual {
-            residual_mm: ik.residual_mm,
-            residual_deg: ik.residual_deg,
-            clamped_joints: ik.clamped_joints,
-        }),
-        clipped_actions: run.tally.clipped,
-        policy_queries: run.tally.queries,
-    };
-    let digests = episode.digests().clone();
-    let video = run.recording.finish();
-    let first_frame_digest = run.first_frame_digest.unwrap_or_default();
-    let drew = !first_frame_digest.is_empty() || video.is_some();
+    let failed = |source| assignment.simulator_failed(source);
+    let (outcome, digests) = run.simulate(simulator)?;
+    let drew = !run.first_frame_digest.is_empty();
     let evidence = Evidence {
         gl_renderer: if drew {
             simulator.gl_renderer().map_err(failed)?
@@ -130,12 +111,13 @@ pub fn run(
         scene_digest: digests.scene,
         init_state_digest: digests.init_state,
         perturbation_digest: digests.perturbation,
-        first_frame_digest,
-        policy_name: description.about.name,
-        policy_checkpoint: description.about.checkpoint,
-        policy_checkpoint_digest: description.about.checkpoint_digest,
+        first_frame_digest: std::mem::take(&mut run.first_frame_digest),
+        policy_name: description.about.name.clone(),
+        policy_checkpoint: description.about.checkpoint.clone(),
+        policy_checkpoint_digest: description.about.checkpoint_digest.clone(),
         policy_privileged: description.about.privileged,
     };
+    let video = run.record(simulator, &outcome)?;
     Ok(Finished {
         outcome,
         evidence,
@@ -148,45 +130,65 @@ struct Run<'a> {
     assignment: &'a Assignment,
     description: &'a Description,
     policy: &'a mut PolicyClient,
-    recording: Recording,
-    tally: Tally,
-    first_frame_digest: Option<String>,
-}
-
-#[derive(Default)]
-struct Tally {
-    steps: u32,
-    clipped: u32,
+    watcher: &'a mut dyn Watcher,
+    /// What the policy did, clipped: the rollout can be simulated again.
+    executed: Vec<Action>,
+    clipped_actions: u32,
     queries: u32,
+    first_frame_digest: String,
 }
 
 impl Run<'_> {
-    /// From the first query to the goal or the end of the budget.
-    fn act(
-        &mut self,
-        episode: &mut sim::Episode<'_>,
-        watcher: &mut dyn Watcher,
-    ) -> Result<bool, RolloutError> {
-        let row = &self.assignment.row;
-        let failed = |source| RolloutError::Simulator {
-            id: row.id.to_string(),
-            source,
+    /// From the composed scene to the goal or the end of the budget.
+    fn simulate(&mut self, simulator: &mut Simulator) -> Result<(Outcome, Digests), RolloutError> {
+        let Assignment {
+            row, realisation, ..
+        } = self.assignment;
+        let failed = |source| self.assignment.simulator_failed(source);
+        let started = Instant::now();
+        let mut episode = simulator.begin(row, *realisation).map_err(failed)?;
+        carry_on(self.watcher.progress(0))?;
+        episode.settle().map_err(failed)?;
+        carry_on(self.watcher.progress(row.settle_steps))?;
+        let suite = row.id.task().suite();
+        self.policy.reset(
+            self.assignment.episode(),
+            suite.name(),
+            &row.instruction,
+            self.assignment.policy_seed,
+        )?;
+        let success = self.act(&mut episode)?;
+        let outcome = Outcome {
+            success,
+            steps: self.steps(),
+            wall_secs: started.elapsed().as_secs_f64(),
+            ik: episode.ik().map(|ik| IkResidual {
+                residual_mm: ik.residual_mm,
+                residual_deg: ik.residual_deg,
+                clamped_joints: ik.clamped_joints,
+            }),
+            clipped_actions: self.clipped_actions,
+            policy_queries: self.queries,
         };
-        self.recording.add(episode).map_err(failed)?;
-        while self.tally.steps < row.max_steps {
-            let actions = self.query(episode, watcher)?;
-            for action in actions.into_iter().take(self.description.execute) {
+        Ok((outcome, episode.digests().clone()))
+    }
+
+    /// From the first query to the goal or the end of the budget.
+    fn act(&mut self, episode: &mut Episode<'_>) -> Result<bool, RolloutError> {
+        let row = &self.assignment.row;
+        while self.steps() < row.max_steps {
+            let room = (row.max_steps - self.steps()) as usize;
+            let actions = self.query(episode)?;
+            for action in actions.into_iter().take(self.description.execute.min(room)) {
                 let (action, clipped) = policy::clip(action);
-                self.tally.clipped += u32::from(clipped);
-                let success = episode.step(&action).map_err(failed)?;
-                self.tally.steps += 1;
-                self.recording.add(episode).map_err(failed)?;
-                carry_on(watcher.progress(row.settle_steps + self.tally.steps))?;
+                self.clipped_actions += u32::from(clipped);
+                let success = episode
+                    .step(&action)
+                    .map_err(|source| self.assignment.simulator_failed(source))?;
+                self.executed.push(action);
+                carry_on(self.watcher.progress(row.settle_steps + self.steps()))?;
                 if success {
                     return Ok(true);
-                }
-                if self.tally.steps == row.max_steps {
-                    break;
                 }
             }
         }
@@ -194,31 +196,55 @@ impl Run<'_> {
     }
 
     /// Shows the policy the scene and gets its next actions.
-    fn query(
-        &mut self,
-        episode: &mut sim::Episode<'_>,
-        watcher: &mut dyn Watcher,
-    ) -> Result<Vec<Action>, RolloutError> {
-        let request = observation_request(self.description);
+    fn query(&mut self, episode: &mut Episode<'_>) -> Result<Vec<Action>, RolloutError> {
         let observation = episode
-            .observe(&request)
-            .map_err(|source| RolloutError::Simulator {
-                id: self.assignment.row.id.to_string(),
-                source,
-            })?;
-        watcher.observed(self.tally.queries, &observation);
-        if self.tally.queries == 0 && !observation.frames.is_empty() {
-            self.first_frame_digest = Some(frames_digest(&observation));
+            .observe(&observation_request(self.description))
+            .map_err(|source| self.assignment.simulator_failed(source))?;
+        self.watcher.observed(self.queries, &observation);
+        if self.queries == 0 && !observation.frames.is_empty() {
+            self.first_frame_digest = frames_digest(&observation);
         }
-        let shown = observation::to_wire(observation, &self.description.state);
         let actions = self.policy.infer(
             self.assignment.episode(),
-            self.tally.queries,
-            shown,
+            self.queries,
+            observation::to_wire(observation, &self.description.state),
             self.description.horizon,
         )?;
-        self.tally.queries += 1;
+        self.queries += 1;
         Ok(actions)
+    }
+
+    /// Makes the video, if one of this outcome is wanted; returns its file.
+    fn record(
+        &mut self,
+        simulator: &mut Simulator,
+        outcome: &Outcome,
+    ) -> Result<Option<PathBuf>, RolloutError> {
+        let wanted = |video: &&VideoOrder| match video.of {
+            VideoOf::Everything => true,
+            VideoOf::Failures => !outcome.success,
+        };
+        let Some(video) = self.assignment.video.as_ref().filter(wanted) else {
+            return Ok(None);
+        };
+        let done = self.assignment.row.settle_steps + self.steps();
+        let mut step = |again| self.watcher.progress(done + again);
+        let rollout = (self.executed.as_slice(), outcome);
+        match record(simulator, self.assignment, rollout, &video.file, &mut step) {
+            Ok(()) => Ok(Some(video.file.clone())),
+            Err(RecordError::Abandoned) => Err(RolloutError::Abandoned),
+            Err(error) => {
+                let session = &self.assignment.session;
+                tracing::warn!("no video of {session}: failed to {}", chain(&error));
+                Ok(None)
+            }
+        }
+    }
+
+    /// Control steps of the policy so far.
+    fn steps(&self) -> u32 {
+        // Bounded by the budget, which is a u32.
+        self.executed.len() as u32
     }
 }
 
@@ -228,6 +254,13 @@ impl Assignment {
             policy: &self.policy,
             session: self.session.as_str(),
             deadline: self.policy_deadline,
+        }
+    }
+
+    fn simulator_failed(&self, source: SimError) -> RolloutError {
+        RolloutError::Simulator {
+            id: self.row.id.to_string(),
+            source,
         }
     }
 }
@@ -258,8 +291,5 @@ fn frames_digest(observation: &Observation) -> String {
     for frame in &observation.frames {
         hash.update(&frame.rgb);
     }
-    hash.finalize()
-        .iter()
-        .map(|byte| format!("{byte:02x}"))
-        .collect()
+    hex(&hash.finalize())
 }

@@ -12,6 +12,7 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::{process, thread};
 
 use sim::{Simulator, SimulatorConfig};
+use tokio::signal::unix::{SignalKind, signal};
 
 use crate::message::{Assignment, MAX_LINE_BYTES, Order, Report};
 use crate::policy::{PolicyClient, PolicyError};
@@ -24,16 +25,23 @@ const ASSIGNMENT_QUEUE: usize = 1;
 /// robot's time.
 const PROGRESS_EVERY: u32 = 10;
 
-/// Why a slot's process ended: the parent no longer listens.
+/// Why a slot's process ended by itself.
 #[derive(Debug, thiserror::Error)]
-#[error("report to the parent process")]
-pub struct ReportError(#[source] io::Error);
+pub enum SlotError {
+    /// Signals cannot be caught.
+    #[error("leave signals to the parent process")]
+    Signals(#[source] io::Error),
+    /// The parent no longer listens.
+    #[error("report to the parent process")]
+    Report(#[source] io::Error),
+}
 
 /// Serves the parent process until it closes this process's standard input.
 ///
 /// # Errors
 /// If the parent stops listening.
-pub fn run(config: SimulatorConfig) -> Result<(), ReportError> {
+pub fn run(config: SimulatorConfig) -> Result<(), SlotError> {
+    leave_signals_to_the_parent().map_err(SlotError::Signals)?;
     let abandoned = Arc::new(AtomicBool::new(false));
     let assignments = listen(Arc::clone(&abandoned));
     let mut simulator = Simulator::new(config);
@@ -50,6 +58,19 @@ pub fn run(config: SimulatorConfig) -> Result<(), ReportError> {
         }
         report(&ending)?;
     }
+    Ok(())
+}
+
+/// What ends a service signals all of its processes, and the rollout in hand
+/// is to be finished: the parent decides. A handler of tokio's stays installed
+/// for good, also without its listener and its runtime.
+fn leave_signals_to_the_parent() -> io::Result<()> {
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_io()
+        .build()?;
+    let _inside = runtime.enter();
+    drop(signal(SignalKind::terminate())?);
+    drop(signal(SignalKind::interrupt())?);
     Ok(())
 }
 
@@ -87,7 +108,7 @@ fn client<'a>(
 struct Reporter<'a> {
     abandoned: &'a AtomicBool,
     /// Why the parent can no longer be told anything.
-    broken: Option<ReportError>,
+    broken: Option<SlotError>,
 }
 
 impl Watcher for Reporter<'_> {
@@ -108,12 +129,12 @@ impl Watcher for Reporter<'_> {
     }
 }
 
-fn report(report: &Report) -> Result<(), ReportError> {
-    let mut line = serde_json::to_vec(report).map_err(|error| ReportError(error.into()))?;
+fn report(report: &Report) -> Result<(), SlotError> {
+    let mut line = serde_json::to_vec(report).map_err(|error| SlotError::Report(error.into()))?;
     line.push(b'\n');
     let mut stdout = io::stdout().lock();
     let written = stdout.write_all(&line).and_then(|()| stdout.flush());
-    written.map_err(ReportError)
+    written.map_err(SlotError::Report)
 }
 
 /// Reads orders on a thread of their own, because the other one is simulating.

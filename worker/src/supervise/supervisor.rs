@@ -1,11 +1,11 @@
 //! The loop that owns a worker's state: takes one event after the other, and
 //! carries out what `slot_state` decides.
 
+mod claiming;
+
 use std::time::Duration;
 
-use proto::coordinator::{
-    ClaimRequest, ClaimResponse, HeartbeatRequest, HeartbeatResponse, Lease, Progress,
-};
+use proto::coordinator::{ClaimResponse, HeartbeatRequest, HeartbeatResponse, Progress};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinSet;
 use tokio::time::{Instant, MissedTickBehavior, interval};
@@ -17,14 +17,14 @@ use super::process::{ProcessKey, SlotProcess};
 use super::slot_state::{
     ABANDON_DEADLINE, Decision, Kill, Mode, ProcessState, START_DEADLINE, SlotState, Work,
 };
-use super::{Config, SuperviseError, Timing, registration};
-use crate::grpc::in_words;
-use crate::ids::{Attempt, JobId, LeaseKey};
-use crate::message::{Assignment, Failure, FailureKind, Order, Report, Session};
-use crate::policy::POLICY_CALL_DEADLINE;
+use super::{Config, SuperviseError, Timing};
+use crate::ids::LeaseKey;
+use crate::message::{Assignment, Failure, FailureKind, Order, Report};
 
 /// How often time-outs are looked at.
 const TICK: Duration = Duration::from_millis(250);
+/// A second request to end within so short a time is an echo of the first.
+const ECHO: Duration = Duration::from_millis(500);
 /// How long an abandoning worker tries to give its jobs back.
 const GIVE_BACK_DEADLINE: Duration = Duration::from_secs(10);
 /// How long slots may take to end once nothing is wanted of them.
@@ -75,6 +75,8 @@ pub(super) struct Supervisor {
     mode: Mode,
     /// Tells the link that no more work is wanted.
     drain: watch::Sender<bool>,
+    /// When it was first told to end.
+    told_to_end_at: Option<Instant>,
     /// Why the worker ends, if not because it was told to.
     fault: Option<SuperviseError>,
     heartbeat_under_way: bool,
@@ -107,6 +109,7 @@ impl Supervisor {
             link,
             mode: Mode::Serving,
             drain,
+            told_to_end_at: None,
             fault: None,
             heartbeat_under_way: false,
             idle_reason: String::new(),
@@ -249,107 +252,6 @@ impl Supervisor {
         if let Some(process) = &slot.process {
             process.kill();
         }
-    }
-
-    fn claim(&mut self, slot: usize) {
-        self.slots[slot].state.work = Work::Claiming;
-        let warm = self.slots[slot].assignment.as_ref();
-        let request = ClaimRequest {
-            worker_id: self.config.identity.worker.to_string(),
-            warm_task: warm.map_or_else(String::new, |warm| warm.row.id.task().to_string()),
-            ..ClaimRequest::default()
-        };
-        let (link, events) = (self.link.clone(), self.events.clone());
-        let registration = registration(&self.config);
-        self.calls.spawn(async move {
-            let mut answer = link.claim(request.clone()).await;
-            if matches!(&answer, Err(status) if status.code() == tonic::Code::NotFound) {
-                // A coordinator with a new data folder knows nobody yet.
-                answer = match link.register(registration).await {
-                    Ok(_) => link.claim(request).await,
-                    Err(status) => Err(status),
-                };
-            }
-            let _ = events.send(Event::Claimed { slot, answer }).await;
-        });
-    }
-
-    fn claimed(&mut self, slot: usize, answer: Result<ClaimResponse, Status>, now: Instant) {
-        self.slots[slot].state.work = Work::Nothing;
-        let answer = match answer {
-            Ok(answer) => answer,
-            Err(status) => return self.stop(SuperviseError::Stopped(in_words(&status))),
-        };
-        let Some(lease) = answer.leases.into_iter().next() else {
-            return self.tell_idle(answer.idle_reason);
-        };
-        let key = LeaseKey {
-            job: JobId(lease.job_id),
-            attempt: Attempt(lease.attempt),
-        };
-        let campaign = lease.campaign.clone();
-        let failed = |kind, error: String| Ending::Failed(Failure { kind, error });
-        let up = self.slots[slot].state.process == ProcessState::Up;
-        let ending = match self.assignment(lease) {
-            _ if self.mode != Mode::Serving => {
-                failed(FailureKind::Draining, "the worker is going down".to_owned())
-            }
-            _ if !up => {
-                let text = "the slot's process ended before the rollout began";
-                failed(FailureKind::Draining, text.to_owned())
-            }
-            Err(error) => failed(FailureKind::Simulator, error),
-            Ok(assignment) => return self.begin(slot, key, assignment, now),
-        };
-        self.slots[slot].state.work = Work::Delivering {
-            lease: key,
-            control_steps: 0,
-        };
-        let label = format!("job {} of campaign {campaign}", key.job.0);
-        self.send_delivery(slot, key, label, ending);
-    }
-
-    /// Says once why there is nothing to do although jobs wait.
-    fn tell_idle(&mut self, reason: String) {
-        if reason != self.idle_reason {
-            if !reason.is_empty() {
-                tracing::info!("nothing to do: {reason}");
-            }
-            self.idle_reason = reason;
-        }
-    }
-
-    /// What a slot has to do for a lease. The error reads after "failed to …".
-    fn assignment(&self, lease: Lease) -> Result<Assignment, String> {
-        let row: protocol::ManifestRow = serde_json::from_str(&lease.manifest_row)
-            .map_err(|error| format!("read the manifest row of job {}: {error}", lease.job_id))?;
-        let realisation = lease.realisation.parse();
-        let endpoint = self.config.policy_endpoint.clone();
-        let video = format!("{}-{}.mp4", lease.job_id, lease.attempt);
-        Ok(Assignment {
-            session: Session::new(&row.id, lease.replicate, lease.attempt),
-            realisation: realisation.map_err(|error: protocol::UnknownName| error.to_string())?,
-            policy: lease.policy,
-            policy_endpoint: endpoint.unwrap_or(lease.policy_endpoint),
-            policy_seed: lease.policy_seed,
-            // A policy that hangs is to be blamed before its slot is.
-            policy_deadline: POLICY_CALL_DEADLINE.min(self.timing.progress_timeout / 2),
-            video: lease.record_video.then(|| self.config.scratch.join(video)),
-            row,
-        })
-    }
-
-    fn begin(&mut self, slot: usize, lease: LeaseKey, assignment: Assignment, now: Instant) {
-        let slot = &mut self.slots[slot];
-        if let Some(process) = &slot.process {
-            process.order(Order::Run(Box::new(assignment.clone())));
-        }
-        slot.assignment = Some(assignment);
-        slot.state.work = Work::Running {
-            lease,
-            control_steps: 0,
-            moved_at: now,
-        };
     }
 
     fn reported(&mut self, slot: usize, report: Report, now: Instant) {
@@ -515,6 +417,7 @@ impl Supervisor {
     fn shut_down(&mut self, now: Instant) {
         if self.mode == Mode::Serving {
             self.start_to_drain();
+            self.told_to_end_at = Some(now);
             let busy = self
                 .slots
                 .iter()
@@ -523,7 +426,7 @@ impl Supervisor {
             tracing::info!(
                 "draining: {busy} slots finish what they have; ask again to give it back instead"
             );
-        } else if self.mode == Mode::Draining {
+        } else if self.mode == Mode::Draining && self.means_it(now) {
             self.mode = Mode::Abandoning {
                 until: now + GIVE_BACK_DEADLINE,
             };
@@ -532,6 +435,13 @@ impl Supervisor {
                 self.give_back(slot);
             }
         }
+    }
+
+    /// Whether a request to end is not an echo of the one before: some that
+    /// end programs signal the process and its group.
+    fn means_it(&self, now: Instant) -> bool {
+        self.told_to_end_at
+            .is_none_or(|first| now.duration_since(first) >= ECHO)
     }
 
     fn give_back(&mut self, slot: usize) {
@@ -547,7 +457,7 @@ impl Supervisor {
         if let Some(process) = &self.slots[slot].process {
             process.kill();
         }
-        let error = "the worker was told to end at once".to_owned();
+        let error = "finish the rollout: the worker was told to end at once".to_owned();
         let kind = FailureKind::Draining;
         let session = self.session(slot);
         self.send_delivery(

@@ -1,0 +1,133 @@
+//! From an idle slot to a rollout under way.
+
+use proto::coordinator::{ClaimRequest, ClaimResponse, Lease};
+use tokio::time::Instant;
+use tonic::{Code, Status};
+
+use super::{Event, Supervisor};
+use crate::grpc::in_words;
+use crate::ids::{Attempt, JobId, LeaseKey};
+use crate::message::{Assignment, Failure, FailureKind, Order, Session, VideoOf, VideoOrder};
+use crate::policy::POLICY_CALL_DEADLINE;
+use crate::supervise::deliver::Ending;
+use crate::supervise::slot_state::{Mode, ProcessState, Work};
+use crate::supervise::{SuperviseError, registration};
+
+impl Supervisor {
+    /// Asks the coordinator for a job for an idle slot.
+    pub(super) fn claim(&mut self, slot: usize) {
+        self.slots[slot].state.work = Work::Claiming;
+        let warm = self.slots[slot].assignment.as_ref();
+        let request = ClaimRequest {
+            worker_id: self.config.identity.worker.to_string(),
+            warm_task: warm.map_or_else(String::new, |warm| warm.row.id.task().to_string()),
+            ..ClaimRequest::default()
+        };
+        let (link, events) = (self.link.clone(), self.events.clone());
+        let registration = registration(&self.config);
+        self.calls.spawn(async move {
+            let mut answer = link.claim(request.clone()).await;
+            if matches!(&answer, Err(status) if status.code() == Code::NotFound) {
+                // A coordinator with a new data folder knows nobody yet.
+                answer = match link.register(registration).await {
+                    Ok(_) => link.claim(request).await,
+                    Err(status) => Err(status),
+                };
+            }
+            let _ = events.send(Event::Claimed { slot, answer }).await;
+        });
+    }
+
+    /// Hands a slot the job that it got, or gives it back.
+    pub(super) fn claimed(
+        &mut self,
+        slot: usize,
+        answer: Result<ClaimResponse, Status>,
+        now: Instant,
+    ) {
+        self.slots[slot].state.work = Work::Nothing;
+        let answer = match answer {
+            Ok(answer) => answer,
+            Err(status) => return self.stop(SuperviseError::Stopped(in_words(&status))),
+        };
+        let Some(lease) = answer.leases.into_iter().next() else {
+            return self.tell_idle(answer.idle_reason);
+        };
+        let key = LeaseKey {
+            job: JobId(lease.job_id),
+            attempt: Attempt(lease.attempt),
+        };
+        let campaign = lease.campaign.clone();
+        let failed = |kind, error: String| Ending::Failed(Failure { kind, error });
+        let up = self.slots[slot].state.process == ProcessState::Up;
+        let ending = match self.assignment(lease) {
+            _ if self.mode != Mode::Serving => {
+                let text = "begin the rollout: the worker is going down";
+                failed(FailureKind::Draining, text.to_owned())
+            }
+            _ if !up => {
+                let text = "begin the rollout: the slot's process has just ended";
+                failed(FailureKind::Draining, text.to_owned())
+            }
+            Err(error) => failed(FailureKind::Simulator, error),
+            Ok(assignment) => return self.begin(slot, key, assignment, now),
+        };
+        self.slots[slot].state.work = Work::Delivering {
+            lease: key,
+            control_steps: 0,
+        };
+        let label = format!("job {} of campaign {campaign}", key.job.0);
+        self.send_delivery(slot, key, label, ending);
+    }
+
+    /// Says once why there is nothing to do although jobs wait.
+    fn tell_idle(&mut self, reason: String) {
+        if reason != self.idle_reason {
+            if !reason.is_empty() {
+                tracing::info!("nothing to do: {reason}");
+            }
+            self.idle_reason = reason;
+        }
+    }
+
+    /// What a slot has to do for a lease. The error reads after "failed to …".
+    fn assignment(&self, lease: Lease) -> Result<Assignment, String> {
+        let row: protocol::ManifestRow = serde_json::from_str(&lease.manifest_row)
+            .map_err(|error| format!("read the manifest row of job {}: {error}", lease.job_id))?;
+        let realisation = lease.realisation.parse();
+        let endpoint = self.config.policy_endpoint.clone();
+        let file = format!("{}-{}.mp4", lease.job_id, lease.attempt);
+        let of = match lease.record_failures_only {
+            true => VideoOf::Failures,
+            false => VideoOf::Everything,
+        };
+        let video = VideoOrder {
+            file: self.config.scratch.join(file),
+            of,
+        };
+        Ok(Assignment {
+            session: Session::new(&row.id, lease.replicate, lease.attempt),
+            realisation: realisation.map_err(|error: protocol::UnknownName| error.to_string())?,
+            policy: lease.policy,
+            policy_endpoint: endpoint.unwrap_or(lease.policy_endpoint),
+            policy_seed: lease.policy_seed,
+            // A policy that hangs is to be blamed before its slot is.
+            policy_deadline: POLICY_CALL_DEADLINE.min(self.timing.progress_timeout / 2),
+            video: lease.record_video.then_some(video),
+            row,
+        })
+    }
+
+    fn begin(&mut self, slot: usize, lease: LeaseKey, assignment: Assignment, now: Instant) {
+        let slot = &mut self.slots[slot];
+        if let Some(process) = &slot.process {
+            process.order(Order::Run(Box::new(assignment.clone())));
+        }
+        slot.assignment = Some(assignment);
+        slot.state.work = Work::Running {
+            lease,
+            control_steps: 0,
+            moved_at: now,
+        };
+    }
+}

@@ -1,0 +1,92 @@
+//! How a worker ends.
+
+use std::time::Duration;
+
+use proto::coordinator::release_request::Reason;
+
+use crate::scripted_coordinator::ScriptedCoordinator;
+use crate::scripted_policy::ScriptedPolicy;
+use crate::worker_process::{WorkerProcess, lease, ready, signal, wait_for_the_end_of};
+
+/// A worker in the middle of a rollout of some seconds.
+async fn busy_worker() -> (WorkerProcess, ScriptedCoordinator, ScriptedPolicy) {
+    let policy = ScriptedPolicy::start().await;
+    let coordinator = ScriptedCoordinator::start().await;
+    let mut long = lease(1, "slow", &policy.url());
+    long.manifest_row = long
+        .manifest_row
+        .replace("\"max_steps\":24", "\"max_steps\":80");
+    coordinator.lease(long);
+    let worker = WorkerProcess::start(&coordinator.url());
+    coordinator.progressed(1, 10).await;
+    (worker, coordinator, policy)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_drain_finishes_the_rollout_in_hand_and_begins_no_other() {
+    if !ready("a_drain_finishes_the_rollout_in_hand_and_begins_no_other") {
+        return;
+    }
+    let (worker, coordinator, policy) = busy_worker().await;
+    coordinator.lease(lease(2, "still", &policy.url()));
+    // What ends a service often signals all of its processes.
+    for slot in worker.slots() {
+        signal(slot, "TERM");
+    }
+    worker.signal("TERM");
+    let outcome = coordinator
+        .told(1)
+        .await
+        .commit()
+        .outcome
+        .expect("an outcome");
+    assert_eq!(outcome.steps, 80);
+    let (status, said) = worker.wait();
+    assert!(status.success(), "{said}");
+    assert_eq!(
+        (coordinator.everything_told().len(), coordinator.claims()),
+        (2, 1)
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_second_request_to_end_gives_the_rollout_back() {
+    if !ready("a_second_request_to_end_gives_the_rollout_back") {
+        return;
+    }
+    let (worker, coordinator, _policy) = busy_worker().await;
+    worker.signal("INT");
+    tokio::time::sleep(Duration::from_secs(1)).await;
+    worker.signal("INT");
+    coordinator.told(1).await.release(Reason::Draining);
+    let (status, said) = worker.wait();
+    assert!(status.success(), "{said}");
+    assert_eq!(coordinator.everything_told().len(), 2);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_idle_worker_ends_at_once_and_leaves_no_process() {
+    if !ready("an_idle_worker_ends_at_once_and_leaves_no_process") {
+        return;
+    }
+    let coordinator = ScriptedCoordinator::start().await;
+    let worker = WorkerProcess::start(&coordinator.url());
+    coordinator.claimed(1).await;
+    let slots = worker.slots();
+    worker.signal("TERM");
+    let (status, said) = worker.wait();
+    assert!(status.success(), "{said}");
+    slots.into_iter().for_each(wait_for_the_end_of);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn slots_end_with_a_worker_that_is_killed() {
+    if !ready("slots_end_with_a_worker_that_is_killed") {
+        return;
+    }
+    let (worker, _coordinator, _policy) = busy_worker().await;
+    let slots = worker.slots();
+    assert_eq!(slots.len(), 1);
+    worker.signal("KILL");
+    slots.into_iter().for_each(wait_for_the_end_of);
+}

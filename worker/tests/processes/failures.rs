@@ -1,0 +1,189 @@
+//! Rollouts that have no outcome, and whose fault that was.
+
+use std::time::Duration;
+
+use proto::coordinator::release_request::Reason;
+
+use crate::scripted_coordinator::{ScriptedCoordinator, Told};
+use crate::scripted_policy::ScriptedPolicy;
+use crate::worker_process::{WorkerProcess, lease, ready, signal, wait_for_the_end_of};
+
+/// Runs one rollout per policy; each must be released for `reason`, in words
+/// that contain what is expected.
+async fn check(
+    coordinator: ScriptedCoordinator,
+    endpoint: &str,
+    reason: Reason,
+    expected: &[(&str, &str)],
+) {
+    for (job, (policy, _)) in (1..).zip(expected) {
+        coordinator.lease(lease(job, policy, endpoint));
+    }
+    let _worker = WorkerProcess::start(&coordinator.url());
+    for (number, (policy, words)) in (1..).zip(expected) {
+        let release = coordinator.told(number).await.release(reason);
+        let error = release.error;
+        assert!(error.contains(words), "{policy}: {error}");
+        assert!(error.contains(&format!("`{policy}`")), "{policy}: {error}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn answers_that_no_robot_can_execute_are_the_policys_fault() {
+    if !ready("answers_that_no_robot_can_execute_are_the_policys_fault") {
+        return;
+    }
+    let policy = ScriptedPolicy::start().await;
+    let coordinator = ScriptedCoordinator::start().await;
+    let session = |query: &str| format!("query {query} of session object/t0/clean/L0/c03#r0#a1");
+    check(
+        coordinator,
+        &policy.url(),
+        Reason::PolicyMisbehaved,
+        &[
+            (
+                "nan",
+                &format!("{}: number 2 of action 1 is NaN", session("1")),
+            ),
+            (
+                "narrow",
+                &format!("{}: actions have 6 numbers each", session("0")),
+            ),
+            ("ragged", "13 numbers are no whole actions of 7"),
+            ("empty", "it holds no action"),
+            ("generous", "it holds 9 actions, but the policy declared 8"),
+            ("broken", "CUDA error: device-side assert triggered"),
+            ("refusing", "this instruction is not one of 40"),
+        ],
+    )
+    .await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_policy_that_cannot_be_asked_is_nobodys_fault() {
+    if !ready("a_policy_that_cannot_be_asked_is_nobodys_fault") {
+        return;
+    }
+    let policy = ScriptedPolicy::start().await;
+    // Half of the progress time-out is the most that an answer may take.
+    let coordinator = ScriptedCoordinator::with_progress_timeout(Duration::from_secs(8)).await;
+    check(
+        coordinator,
+        &policy.url(),
+        Reason::PolicyUnavailable,
+        &[
+            ("silent", "no answer within 4 s"),
+            ("overloaded", "the queue is full"),
+            ("unknown", "no such policy here"),
+            ("of-another-version", "version 2, but this worker speaks 1"),
+            ("hungry", "horizon 8 and execute 9"),
+        ],
+    )
+    .await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_endpoint_where_nobody_listens_is_named() {
+    if !ready("an_endpoint_where_nobody_listens_is_named") {
+        return;
+    }
+    let coordinator = ScriptedCoordinator::start().await;
+    let nobody = "http://127.0.0.1:9";
+    check(
+        coordinator,
+        nobody,
+        Reason::PolicyUnavailable,
+        &[("any", nobody)],
+    )
+    .await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_slot_that_dies_costs_its_rollout_and_is_replaced() {
+    if !ready("a_slot_that_dies_costs_its_rollout_and_is_replaced") {
+        return;
+    }
+    let policy = ScriptedPolicy::start().await;
+    let coordinator = ScriptedCoordinator::start().await;
+    coordinator.lease(lease(1, "slow", &policy.url()));
+    let worker = WorkerProcess::start(&coordinator.url());
+    coordinator.progressed(1, 10).await;
+    for slot in worker.slots() {
+        signal(slot, "KILL");
+    }
+    let release = coordinator.told(1).await.release(Reason::SlotCrashed);
+    assert!(
+        release.error.contains("killed by SIGKILL"),
+        "{}",
+        release.error
+    );
+    coordinator.lease(lease(2, "still", &policy.url()));
+    let commit = coordinator.told(2).await.commit();
+    assert_eq!(commit.lease.map(|lease| lease.job_id), Some(2));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_slot_that_stands_still_is_killed_and_replaced() {
+    if !ready("a_slot_that_stands_still_is_killed_and_replaced") {
+        return;
+    }
+    let policy = ScriptedPolicy::start().await;
+    let coordinator = ScriptedCoordinator::with_progress_timeout(Duration::from_secs(8)).await;
+    coordinator.lease(lease(1, "slow", &policy.url()));
+    let worker = WorkerProcess::start(&coordinator.url());
+    coordinator.progressed(1, 10).await;
+    let slots = worker.slots();
+    for &slot in &slots {
+        signal(slot, "STOP");
+    }
+    let release = coordinator.told(1).await.release(Reason::SlotStuck);
+    assert!(
+        release.error.contains("stood still for 8 s"),
+        "{}",
+        release.error
+    );
+    for slot in slots {
+        wait_for_the_end_of(slot);
+    }
+    coordinator.claimed(2).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_rollout_whose_lease_is_lost_is_abandoned_in_silence() {
+    if !ready("a_rollout_whose_lease_is_lost_is_abandoned_in_silence") {
+        return;
+    }
+    let policy = ScriptedPolicy::start().await;
+    let coordinator = ScriptedCoordinator::start().await;
+    coordinator.lease(lease(1, "slow", &policy.url()));
+    let worker = WorkerProcess::start(&coordinator.url());
+    coordinator.progressed(1, 10).await;
+    let slots = worker.slots();
+    coordinator.lose(1);
+    coordinator.lease(lease(2, "still", &policy.url()));
+    let commit = coordinator.told(1).await.commit();
+    assert_eq!(commit.lease.map(|lease| lease.job_id), Some(2));
+    assert_eq!(
+        worker.slots(),
+        slots,
+        "the slot need not be replaced for that"
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_worker_that_is_told_to_stop_says_why_and_fails() {
+    if !ready("a_worker_that_is_told_to_stop_says_why_and_fails") {
+        return;
+    }
+    let coordinator = ScriptedCoordinator::start().await;
+    coordinator.stop_leasing("it has failed 5 times in a row");
+    coordinator.lease(lease(1, "any", "http://127.0.0.1:9"));
+    let worker = WorkerProcess::start(&coordinator.url());
+    let (status, said) = worker.wait();
+    assert_eq!(status.code(), Some(1));
+    assert!(said.contains("it has failed 5 times in a row"), "{said}");
+    assert!(matches!(
+        coordinator.everything_told()[..],
+        [_, Told::Released(_)]
+    ));
+}

@@ -1,0 +1,253 @@
+//! Rollouts that have an outcome.
+
+use proto::coordinator::release_request::Reason;
+
+use crate::scripted_coordinator::{ScriptedCoordinator, Told};
+use crate::scripted_policy::{FRAME_SIDE, HORIZON, ScriptedPolicy};
+use crate::worker_process::{MAX_STEPS, WorkerProcess, lease, ready, run};
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_outcome_goes_with_everything_that_it_came_out_of() {
+    if !ready("an_outcome_goes_with_everything_that_it_came_out_of") {
+        return;
+    }
+    let coordinator = ScriptedCoordinator::start().await;
+    let policy = ScriptedPolicy::start().await;
+    coordinator.lease(lease(1, "looking", &policy.url()));
+    let _worker = WorkerProcess::start(&coordinator.url());
+
+    let Told::Registered(registered) = coordinator.told(0).await else {
+        panic!("a worker registers first");
+    };
+    let commit = coordinator.told(1).await.commit();
+    let lease = commit.lease.expect("a lease");
+    assert_eq!((lease.job_id, lease.attempt), (1, 1));
+    assert_eq!(lease.worker_id, registered.worker_id);
+
+    let outcome = commit.outcome.expect("an outcome");
+    assert_eq!((outcome.success, outcome.steps), (false, MAX_STEPS));
+    assert_eq!(outcome.policy_queries, MAX_STEPS / HORIZON);
+    assert_eq!((outcome.clipped_actions, outcome.ik_residual_mm), (0, None));
+
+    let provenance = commit.provenance.expect("a provenance");
+    for digest in [
+        &provenance.asset_pack_digest,
+        &provenance.scene_digest,
+        &provenance.init_state_digest,
+        &provenance.first_frame_digest,
+    ] {
+        assert_eq!(digest.len(), 64, "{provenance:#?}");
+    }
+    assert_eq!(provenance.perturbation_digest, "");
+    assert_eq!(provenance.asset_pack, "primitives");
+    assert_eq!(provenance.mujoco_version, "3.3.7");
+    assert_eq!(provenance.policy_name, "looking");
+    assert_eq!(provenance.policy_checkpoint, "scripted");
+    assert!(!provenance.gl_renderer.is_empty());
+    assert!(!provenance.policy_privileged);
+    assert_eq!(provenance.batch_mode, "single");
+    assert_eq!(provenance.realisation, "matched");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_policy_is_shown_what_it_wants_once_per_query() {
+    if !ready("a_policy_is_shown_what_it_wants_once_per_query") {
+        return;
+    }
+    let coordinator = ScriptedCoordinator::start().await;
+    let policy = ScriptedPolicy::start().await;
+    coordinator.lease(lease(1, "looking", &policy.url()));
+    let _worker = WorkerProcess::start(&coordinator.url());
+    coordinator.told(1).await.commit();
+
+    let asked = policy.asked.lock().expect("unpoisoned");
+    let [reset] = asked.resets.as_slice() else {
+        panic!("{:?}", asked.resets)
+    };
+    assert_eq!(reset.session, "object/t0/clean/L0/c03#r0#a1");
+    assert_eq!((reset.suite.as_str(), reset.seed), ("libero_object", 7));
+    assert_eq!(
+        reset.instruction,
+        "pick up the alphabet soup and place it in the basket"
+    );
+    let indices: Vec<u32> = asked
+        .queries
+        .iter()
+        .map(|query| query.query_index)
+        .collect();
+    assert_eq!(indices, [0, 1, 2]);
+    for query in &asked.queries {
+        let shown = query.observation.as_ref().expect("an observation");
+        let frames: Vec<_> = shown.images.iter().map(|image| image.rgb.len()).collect();
+        assert_eq!(frames, [(FRAME_SIDE * FRAME_SIDE * 3) as usize; 2]);
+        let widths: Vec<_> = shown
+            .state
+            .iter()
+            .map(|reading| reading.values.len())
+            .collect();
+        assert_eq!(widths, [3, 3, 2]);
+        assert!(shown.privileged.is_none());
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn actions_beyond_the_range_are_clipped_and_counted() {
+    if !ready("actions_beyond_the_range_are_clipped_and_counted") {
+        return;
+    }
+    let coordinator = ScriptedCoordinator::start().await;
+    let policy = ScriptedPolicy::start().await;
+    coordinator.lease(lease(1, "wild", &policy.url()));
+    let _worker = WorkerProcess::start(&coordinator.url());
+    let outcome = coordinator
+        .told(1)
+        .await
+        .commit()
+        .outcome
+        .expect("an outcome");
+    assert_eq!(outcome.clipped_actions, MAX_STEPS);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_same_rollout_has_the_same_outcome_and_frames_every_time() {
+    if !ready("the_same_rollout_has_the_same_outcome_and_frames_every_time") {
+        return;
+    }
+    let coordinator = ScriptedCoordinator::start().await;
+    let policy = ScriptedPolicy::start().await;
+    for job in 1..=2 {
+        coordinator.lease(lease(job, "looking", &policy.url()));
+    }
+    let _worker = WorkerProcess::start(&coordinator.url());
+    let first = coordinator.told(1).await.commit().provenance;
+    let second = coordinator.told(2).await.commit().provenance;
+    assert_eq!(first, second);
+    let asked = policy.asked.lock().expect("unpoisoned");
+    let (first, second) = asked.queries.split_at(asked.queries.len() / 2);
+    for (first, second) in first.iter().zip(second) {
+        assert!(
+            first.observation == second.observation,
+            "query {}",
+            first.query_index
+        );
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_video_of_a_failure_arrives_before_its_outcome() {
+    if !ready("a_video_of_a_failure_arrives_before_its_outcome") {
+        return;
+    }
+    let coordinator = ScriptedCoordinator::start().await;
+    let policy = ScriptedPolicy::start().await;
+    let mut filmed = lease(1, "still", &policy.url());
+    filmed.record_video = true;
+    filmed.record_failures_only = true;
+    coordinator.lease(filmed);
+    let _worker = WorkerProcess::start(&coordinator.url());
+    let Told::Video { job, bytes } = coordinator.told(1).await else {
+        panic!("{:?}", coordinator.everything_told());
+    };
+    assert_eq!((job, &bytes[4..8]), (1, &b"ftyp"[..]));
+    let outcome = coordinator
+        .told(2)
+        .await
+        .commit()
+        .outcome
+        .expect("an outcome");
+    assert!(!outcome.success);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_outcome_is_kept_until_the_coordinator_is_back() {
+    if !ready("an_outcome_is_kept_until_the_coordinator_is_back") {
+        return;
+    }
+    let mut coordinator = ScriptedCoordinator::start().await;
+    let policy = ScriptedPolicy::start().await;
+    coordinator.lease(lease(1, "slow", &policy.url()));
+    let worker = WorkerProcess::start(&coordinator.url());
+    coordinator.progressed(1, 10).await;
+    coordinator.go_down();
+    // Three answers at 200 ms: the rollout ends during the outage.
+    tokio::time::sleep(std::time::Duration::from_secs(3)).await;
+    assert_eq!(coordinator.everything_told().len(), 1);
+    coordinator.come_back().await;
+    coordinator.told(1).await.commit();
+
+    worker.signal("TERM");
+    let (status, said) = worker.wait();
+    assert!(status.success(), "{said}");
+    assert_eq!(said.matches("cannot be reached").count(), 1, "{said}");
+    assert_eq!(said.matches("answers again").count(), 1, "{said}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn one_rollout_from_the_command_line_leaves_its_result_and_pictures() {
+    if !ready("one_rollout_from_the_command_line_leaves_its_result_and_pictures") {
+        return;
+    }
+    let policy = ScriptedPolicy::start().await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let output = folder.path().to_str().expect("UTF-8").to_owned();
+    let url = policy.url();
+    let ran = tokio::task::spawn_blocking(move || {
+        run(&[
+            "rollout",
+            "--id",
+            "spatial/t0/sensor/L3/c00",
+            "--assets",
+            "primitives",
+            "--policy",
+            "looking",
+            "--endpoint",
+            &url,
+            "--output",
+            &output,
+            "--no-video",
+        ])
+    });
+    let ran = ran.await.expect("runs");
+    assert!(
+        ran.status.success(),
+        "{}",
+        String::from_utf8_lossy(&ran.stderr)
+    );
+    let result = std::fs::read(folder.path().join("result.json")).expect("a result");
+    let result: serde_json::Value = serde_json::from_slice(&result).expect("JSON");
+    assert_eq!(result["finished"]["outcome"]["steps"], 220);
+    assert!(
+        result["finished"]["evidence"]["perturbation_digest"]
+            .as_str()
+            .is_some_and(|digest| digest.starts_with("sensor:"))
+    );
+    for picture in [
+        "query-000-agentview.png",
+        "query-027-robot0_eye_in_hand.png",
+    ] {
+        let picture = image::open(folder.path().join("frames").join(picture)).expect(picture);
+        assert_eq!(
+            (picture.width(), picture.height()),
+            (FRAME_SIDE, FRAME_SIDE)
+        );
+    }
+}
+
+/// Not an outcome, and told so: the row is from another version.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_row_that_cannot_be_read_is_given_back_with_its_problem() {
+    if !ready("a_row_that_cannot_be_read_is_given_back_with_its_problem") {
+        return;
+    }
+    let coordinator = ScriptedCoordinator::start().await;
+    let mut strange = lease(1, "still", "http://127.0.0.1:9");
+    strange.manifest_row = strange.manifest_row.replace("object/t0", "object/t1");
+    coordinator.lease(strange);
+    let _worker = WorkerProcess::start(&coordinator.url());
+    let release = coordinator.told(1).await.release(Reason::SimulatorError);
+    assert!(
+        release.error.contains("`task_id` is 0"),
+        "{}",
+        release.error
+    );
+}

@@ -1,0 +1,62 @@
+//! Bad input: what is wrong, where, and what to do about it.
+
+use crate::worker_process::{ready, run};
+
+fn check(arguments: &[&str], exit_code: i32, expected: &[&str]) {
+    let ran = run(arguments);
+    let said = String::from_utf8_lossy(&ran.stderr);
+    assert_eq!(ran.status.code(), Some(exit_code), "{arguments:?}: {said}");
+    for words in expected {
+        assert!(said.contains(words), "{arguments:?}: {said}");
+    }
+}
+
+#[test]
+fn a_worker_without_its_sources_says_how_to_get_them() {
+    let arguments = ["--connect", "http://127.0.0.1:9", "--assets", "primitives"];
+    let sources = ["--sources", "/nonexistent"];
+    let expected = ["/nonexistent/robosuite", "cargo xtask setup"];
+    check(
+        &[arguments, [sources[0], sources[1], "--slots", "2"]].concat(),
+        1,
+        &expected,
+    );
+}
+
+#[test]
+fn a_pack_that_is_not_there_is_named() {
+    if !ready("a_pack_that_is_not_there_is_named") {
+        return;
+    }
+    let arguments = [
+        "--connect",
+        "http://127.0.0.1:9",
+        "--assets",
+        "no/such/pack",
+    ];
+    check(&arguments, 1, &["no/such/pack", "`primitives`"]);
+}
+
+#[test]
+fn what_cannot_be_meant_exits_with_2() {
+    let check = |arguments: &[&str], expected: &str| check(arguments, 2, &[expected]);
+    check(&[], "--connect");
+    check(
+        &["--connect", "localhost:7411", "--assets", "primitives"],
+        "http://HOST:PORT",
+    );
+    check(
+        &[
+            "rollout",
+            "--id",
+            "spatial/t0/camra/L2/c00",
+            "--endpoint",
+            "grpc://h:1",
+            "--assets",
+            "primitives",
+            "--output",
+            "out",
+        ],
+        "camera, lighting",
+    );
+}

@@ -1,0 +1,165 @@
+//! A policy server that misbehaves on demand: the policy's name says how. It
+//! speaks the real protocol over a real socket.
+
+use std::net::SocketAddr;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use proto::policy::policy_server::{Policy, PolicyServer};
+use proto::policy::{
+    CameraRequest, DescribeRequest, DescribeResponse, InferBatchRequest, InferBatchResponse,
+    InferRequest, InferResponse, Language, ResetRequest, ResetResponse, StateField,
+};
+use tokio::net::TcpListener;
+use tokio::task::JoinSet;
+use tokio_stream::wrappers::TcpListenerStream;
+use tonic::transport::Server;
+use tonic::{Request, Response, Status};
+
+/// Side of the frames that `looking` wants, pixels.
+pub(crate) const FRAME_SIDE: u32 = 64;
+/// Actions per answer, of which all are executed.
+pub(crate) const HORIZON: u32 = 8;
+
+/// What the policies were asked.
+#[derive(Debug, Default)]
+pub(crate) struct Asked {
+    pub resets: Vec<ResetRequest>,
+    pub queries: Vec<InferRequest>,
+}
+
+/// A running server.
+pub(crate) struct ScriptedPolicy {
+    address: SocketAddr,
+    pub(crate) asked: Arc<Mutex<Asked>>,
+    /// Ends with this.
+    _serving: JoinSet<()>,
+}
+
+impl ScriptedPolicy {
+    pub(crate) async fn start() -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
+        let address = listener.local_addr().expect("an address");
+        let asked: Arc<Mutex<Asked>> = Arc::default();
+        let service = Service {
+            asked: Arc::clone(&asked),
+        };
+        let mut serving = JoinSet::new();
+        serving.spawn(async move {
+            let served = Server::builder()
+                .add_service(PolicyServer::new(service))
+                .serve_with_incoming(TcpListenerStream::new(listener));
+            served.await.expect("serves");
+        });
+        Self {
+            address,
+            asked,
+            _serving: serving,
+        }
+    }
+
+    pub(crate) fn url(&self) -> String {
+        format!("grpc://{}", self.address)
+    }
+}
+
+struct Service {
+    asked: Arc<Mutex<Asked>>,
+}
+
+/// So many numbers, as actions of this width.
+fn answer(numbers: usize, action_width: u32) -> InferResponse {
+    InferResponse {
+        actions: vec![0.0; numbers],
+        action_width,
+    }
+}
+
+#[tonic::async_trait]
+impl Policy for Service {
+    async fn describe(
+        &self,
+        request: Request<DescribeRequest>,
+    ) -> Result<Response<DescribeResponse>, Status> {
+        let name = request.into_inner().policy;
+        let camera = |camera: &str| CameraRequest {
+            name: camera.to_owned(),
+            width: FRAME_SIDE,
+            height: FRAME_SIDE,
+        };
+        let mut about = DescribeResponse {
+            protocol_version: proto::PROTOCOL_VERSION,
+            name: name.clone(),
+            checkpoint: "scripted".to_owned(),
+            checkpoint_digest: "5c".repeat(32),
+            horizon: HORIZON,
+            execute: HORIZON,
+            language: Language::FreeForm as i32,
+            ..DescribeResponse::default()
+        };
+        match name.as_str() {
+            "unknown" => return Err(Status::not_found("no such policy here")),
+            "of-another-version" => about.protocol_version += 1,
+            "hungry" => about.execute = HORIZON + 1,
+            "looking" => {
+                about.cameras = ["agentview", "robot0_eye_in_hand"].map(camera).to_vec();
+                about.state = [
+                    StateField::EefPos,
+                    StateField::EefAxisAngle,
+                    StateField::GripperPos,
+                ]
+                .map(|field| field as i32)
+                .to_vec();
+            }
+            _ => {}
+        }
+        Ok(Response::new(about))
+    }
+
+    async fn reset(
+        &self,
+        request: Request<ResetRequest>,
+    ) -> Result<Response<ResetResponse>, Status> {
+        let request = request.into_inner();
+        let policy = request.policy.clone();
+        self.asked.lock().expect("unpoisoned").resets.push(request);
+        match policy.as_str() {
+            "refusing" => Err(Status::invalid_argument(
+                "this instruction is not one of 40",
+            )),
+            _ => Ok(Response::new(ResetResponse {})),
+        }
+    }
+
+    async fn infer(
+        &self,
+        request: Request<InferRequest>,
+    ) -> Result<Response<InferResponse>, Status> {
+        let request = request.into_inner();
+        let (policy, query) = (request.policy.clone(), request.query_index);
+        self.asked.lock().expect("unpoisoned").queries.push(request);
+        let full = HORIZON as usize * 7;
+        let mut actions = answer(full, 7);
+        match policy.as_str() {
+            "nan" if query == 1 => actions.actions[9] = f32::NAN,
+            "narrow" => actions = answer(6, 6),
+            "ragged" => actions = answer(13, 7),
+            "empty" => actions = answer(0, 7),
+            "generous" => actions = answer(full + 7, 7),
+            "wild" => actions.actions.fill(1.5),
+            "broken" => return Err(Status::internal("CUDA error: device-side assert triggered")),
+            "overloaded" => return Err(Status::resource_exhausted("the queue is full")),
+            "silent" => std::future::pending().await,
+            "slow" => tokio::time::sleep(Duration::from_millis(200)).await,
+            _ => {}
+        }
+        Ok(Response::new(actions))
+    }
+
+    async fn infer_batch(
+        &self,
+        _request: Request<InferBatchRequest>,
+    ) -> Result<Response<InferBatchResponse>, Status> {
+        Err(Status::unimplemented("one at a time"))
+    }
+}

@@ -1,0 +1,130 @@
+//! The real program, started and watched.
+
+use std::fs;
+use std::io::Read;
+use std::process::{Child, Command, ExitStatus, Output, Stdio};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use proto::coordinator::Lease;
+use protocol::ManifestRow;
+
+/// Longest wait for a process to do what it should.
+const PATIENCE: Duration = Duration::from_secs(30);
+/// Control steps of a test's rollouts.
+pub(crate) const MAX_STEPS: u32 = 24;
+
+/// Whether this machine can run a worker. Says so if it cannot.
+pub(crate) fn ready(test: &str) -> bool {
+    let ready = scene::Sources::open(&scene::Sources::default_dir());
+    if let Err(error) = &ready {
+        println!("skipped {test}: failed to {error}");
+    }
+    ready.is_ok()
+}
+
+/// A job of the scripted coordinator: a short nominal rollout.
+pub(crate) fn lease(job: i64, policy: &str, endpoint: &str) -> Lease {
+    let id = "object/t0/clean/L0/c03".parse().expect("an id");
+    let mut row = ManifestRow::new(id, 3, 3, protocol::Perturbation::default());
+    row.max_steps = MAX_STEPS;
+    Lease {
+        job_id: job,
+        attempt: 1,
+        campaign: "test".to_owned(),
+        replicate: 0,
+        manifest_row: serde_json::to_string(&row).expect("JSON"),
+        policy_seed: 7,
+        policy: policy.to_owned(),
+        policy_endpoint: endpoint.to_owned(),
+        realisation: "matched".to_owned(),
+        ..Lease::default()
+    }
+}
+
+/// A worker with one slot, which is killed when dropped.
+pub(crate) struct WorkerProcess {
+    child: Child,
+}
+
+impl WorkerProcess {
+    pub(crate) fn start(coordinator: &str) -> Self {
+        let child = Command::new(env!("CARGO_BIN_EXE_worker"))
+            .args(["--connect", coordinator, "--assets", "primitives"])
+            .stderr(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .expect("starts");
+        Self { child }
+    }
+
+    /// The processes of its slots.
+    pub(crate) fn slots(&self) -> Vec<u32> {
+        let pid = self.child.id();
+        let children = fs::read_to_string(format!("/proc/{pid}/task/{pid}/children"));
+        let children = children.unwrap_or_default();
+        children
+            .split_whitespace()
+            .filter_map(|it| it.parse().ok())
+            .collect()
+    }
+
+    pub(crate) fn signal(&self, name: &str) {
+        signal(self.child.id(), name);
+    }
+
+    /// Waits for its end; returns also what it said.
+    pub(crate) fn wait(mut self) -> (ExitStatus, String) {
+        let started = Instant::now();
+        let status = loop {
+            if let Some(status) = self.child.try_wait().expect("waits") {
+                break status;
+            }
+            assert!(started.elapsed() < PATIENCE, "the worker does not end");
+            sleep(Duration::from_millis(20));
+        };
+        let mut said = String::new();
+        let (out, err) = (self.child.stdout.take(), self.child.stderr.take());
+        out.expect("piped")
+            .read_to_string(&mut said)
+            .expect("UTF-8");
+        err.expect("piped")
+            .read_to_string(&mut said)
+            .expect("UTF-8");
+        (status, said)
+    }
+}
+
+impl Drop for WorkerProcess {
+    fn drop(&mut self) {
+        // It may have ended already.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// Sends a signal to a process: `KILL`, `STOP`, `TERM`.
+pub(crate) fn signal(pid: u32, name: &str) {
+    let status = Command::new("kill")
+        .args([&format!("-{name}"), &pid.to_string()])
+        .status();
+    assert!(status.expect("kill runs").success(), "no process {pid}");
+}
+
+/// Waits until a process is gone.
+pub(crate) fn wait_for_the_end_of(pid: u32) {
+    let started = Instant::now();
+    // A dead child that nobody waited for is a zombie, whose `exe` is empty.
+    while fs::read_link(format!("/proc/{pid}/exe")).is_ok() {
+        assert!(started.elapsed() < PATIENCE, "process {pid} lives on");
+        sleep(Duration::from_millis(20));
+    }
+}
+
+/// Runs the program to its end.
+pub(crate) fn run(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_worker"))
+        .args(arguments)
+        .output()
+        .expect("runs")
+}
