@@ -1,0 +1,86 @@
+//! Which crate may use which. The reasons are in docs/ARCHITECTURE.md.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::process::Command;
+
+use serde_json::Value;
+
+/// Normal dependencies of every package, by name.
+fn dependencies() -> BTreeMap<String, BTreeSet<String>> {
+    let output = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
+        .args(["metadata", "--format-version", "1", "--offline"])
+        .current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/.."))
+        .output()
+        .unwrap();
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    let metadata: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let list = |value: &Value| value.as_array().unwrap().clone();
+    let text = |value: &Value| value.as_str().unwrap().to_owned();
+    let names: BTreeMap<String, String> = list(&metadata["packages"])
+        .iter()
+        .map(|package| (text(&package["id"]), text(&package["name"])))
+        .collect();
+    let mut graph = BTreeMap::new();
+    for node in list(&metadata["resolve"]["nodes"]) {
+        let normal = list(&node["deps"])
+            .iter()
+            .filter(|dep| {
+                list(&dep["dep_kinds"])
+                    .iter()
+                    .any(|kind| kind["kind"].is_null())
+            })
+            .map(|dep| names[&text(&dep["pkg"])].clone())
+            .collect();
+        graph.insert(names[&text(&node["id"])].clone(), normal);
+    }
+    graph
+}
+
+/// Everything that a package uses, directly or not.
+fn reachable(graph: &BTreeMap<String, BTreeSet<String>>, from: &str) -> BTreeSet<String> {
+    let mut seen = BTreeSet::new();
+    let mut open = vec![from.to_owned()];
+    while let Some(name) = open.pop() {
+        for next in &graph[&name] {
+            if seen.insert(next.clone()) {
+                open.push(next.clone());
+            }
+        }
+    }
+    seen
+}
+
+#[test]
+fn crates_use_one_another_in_the_agreed_directions_only() {
+    let graph = dependencies();
+    let forbidden = [
+        (
+            "protocol",
+            &["scene", "sim", "paired", "proto", "tokio"][..],
+        ),
+        ("scene", &["sim", "proto", "tokio", "mujoco-rs"]),
+        ("sim", &["proto", "tokio", "sqlx", "paired"]),
+        ("paired", &["scene", "sim", "proto", "tokio", "sqlx"]),
+        ("proto", &["protocol", "scene", "sim", "paired"]),
+        ("coordinator", &["scene", "sim", "worker", "policy-gateway"]),
+        (
+            "worker",
+            &["sqlx", "coordinator", "policy-gateway", "paired"],
+        ),
+        (
+            "policy-gateway",
+            &["sqlx", "scene", "sim", "coordinator", "worker"],
+        ),
+        ("xtask", &["scene", "sim", "tokio"]),
+    ];
+    for (package, others) in forbidden {
+        let used = reachable(&graph, package);
+        for other in others {
+            assert!(!used.contains(*other), "{package} must not use {other}");
+        }
+    }
+}
