@@ -14,7 +14,7 @@ use scene::{AssetPack, Problem, Sources, compose};
 use sim::mujoco::{Model, ObjectKind};
 use sim::{Environment, GlContext};
 
-pub use reference::{ReferenceTask, find_tasks};
+pub use reference::{Array, ReferenceTask, find_tasks, read_npz};
 
 /// Placement seed of the reference data.
 const ENV_SEED: u32 = 20260904;

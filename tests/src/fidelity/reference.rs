@@ -21,14 +21,16 @@ pub struct ReferenceTask {
 
 /// A named array, widened to doubles.
 #[derive(Debug, Clone)]
-pub(crate) struct Array {
-    pub(crate) shape: Vec<usize>,
-    pub(crate) values: Vec<f64>,
+pub struct Array {
+    /// Sizes along its axes.
+    pub shape: Vec<usize>,
+    /// Values, last axis fastest.
+    pub values: Vec<f64>,
 }
 
 impl Array {
     /// The i-th entry along the first axis.
-    pub(crate) fn row(&self, index: usize) -> &[f64] {
+    pub fn row(&self, index: usize) -> &[f64] {
         let width: usize = self.shape[1..].iter().product();
         &self.values[index * width..(index + 1) * width]
     }
@@ -155,7 +157,7 @@ impl ReferenceTask {
 }
 
 /// All arrays of an `.npz` file, those of text left out.
-pub(crate) fn read_npz(path: &Path) -> Result<BTreeMap<String, Array>> {
+pub fn read_npz(path: &Path) -> Result<BTreeMap<String, Array>> {
     let mut archive =
         npyz::npz::NpzArchive::open(path).with_context(|| format!("read {}", path.display()))?;
     let names: Vec<String> = archive.array_names().map(str::to_owned).collect();

@@ -1,0 +1,114 @@
+//! The perturbations as a rollout applies them to MuJoCo's model, against
+//! values computed independently from the written specification.
+
+use std::path::Path;
+
+use protocol::{
+    Axis, Condition, Level, ManifestRow, Perturbation, Realisation, RolloutId, Suite, TaskRef,
+    presets,
+};
+use scene::AssetPack;
+use sim::mujoco::ObjectKind;
+use sim::{GlDevice, Simulator, SimulatorConfig};
+use tests::fidelity::{Array, read_npz};
+use tests::files::{shared, sources};
+
+const LEVELS: [Level; 3] = [Level::L1, Level::L2, Level::L3];
+const CONFIGS: u16 = 10;
+
+fn check_suite(suite: Suite) {
+    let test = format!("camera_lights_and_arm_are_where_the_specification_puts_them_in_{suite}");
+    let (Some(reference), Some(assets)) = (
+        shared("oracle/perturb", &test),
+        shared("libero-assets", &test),
+    ) else {
+        return;
+    };
+    let sources = sources();
+    let pack = AssetPack::open(&assets.to_string_lossy(), &sources).unwrap();
+    let mut simulator = Simulator::new(SimulatorConfig {
+        sources,
+        pack,
+        gl_device: GlDevice::Auto,
+        cached_scenes: 1,
+    });
+    let mut checked = 0;
+    for task in suite.tasks() {
+        let file = format!("model_{}_t{}.npz", suite.short_name(), task.index());
+        if reference.join(&file).is_file() {
+            check_task(&mut simulator, task, &reference.join(&file));
+            checked += 1;
+        }
+    }
+    assert!(checked > 0, "no reference for {suite}");
+}
+
+fn check_task(simulator: &mut Simulator, task: TaskRef, file: &Path) {
+    let reference = read_npz(file).unwrap();
+    for level in LEVELS {
+        for config in 0..CONFIGS {
+            let row = row(task, level, config);
+            let mut episode = simulator.begin(&row, Realisation::Matched).unwrap();
+            let ik = *episode.ik().unwrap();
+            let environment = episode.environment();
+            let model = environment.model();
+            let camera = model.id(ObjectKind::Camera, "agentview").unwrap();
+            let expect = |name: &str, ours: &[f64], tolerance: f64| {
+                let array: &Array = &reference[&format!("{level}_{name}")];
+                for (ours, theirs) in ours.iter().zip(array.row(usize::from(config))) {
+                    let difference = (ours - theirs).abs();
+                    assert!(
+                        difference <= tolerance,
+                        "{task} {level} c{config} {name}: {difference}"
+                    );
+                }
+            };
+            let wide =
+                |values: &[f32]| -> Vec<f64> { values.iter().map(|v| f64::from(*v)).collect() };
+            expect("cam_pos", &model.cam_pos()[camera * 3..][..3], 1e-9);
+            expect("cam_quat", &model.cam_quat()[camera * 4..][..4], 1e-9);
+            expect("light_pos", model.light_pos(), 1e-9);
+            expect("light_dir", model.light_dir(), 1e-9);
+            // Colours are single precision in MuJoCo; the double-precision
+            // values before that are compared in crate `sim`.
+            expect("light_diffuse", &wide(model.light_diffuse()), 3e-6);
+            expect("light_specular", &wide(model.light_specular()), 3e-6);
+            expect("ambient", &wide(&model.headlight_ambient()), 3e-6);
+            expect("ik_q", ik.joints.as_slice(), 1e-6);
+            expect("ik_q", &environment.data().qpos(model)[..7], 1e-6);
+            expect("ik_res_mm", &[ik.residual_mm], 1e-3);
+            expect("ik_clamped", &[f64::from(ik.clamped_joints)], 0.0);
+        }
+    }
+}
+
+/// The rollout with camera, lights and arm perturbed at once.
+fn row(task: TaskRef, level: Level, config: u16) -> ManifestRow {
+    let id = RolloutId::perturbed(task, Condition::Combination, level, config).unwrap();
+    let mut perturbation = Perturbation::default();
+    for axis in [Axis::Camera, Axis::Lighting, Axis::Robot] {
+        presets::apply_preset(&mut perturbation, axis, level, config);
+    }
+    let init_id = task.eval_init_ids()[usize::from(config)];
+    ManifestRow::new(id, config, init_id, perturbation)
+}
+
+#[test]
+fn camera_lights_and_arm_are_where_the_specification_puts_them_in_libero_spatial() {
+    check_suite(Suite::Spatial);
+}
+
+#[test]
+fn camera_lights_and_arm_are_where_the_specification_puts_them_in_libero_object() {
+    check_suite(Suite::Object);
+}
+
+#[test]
+fn camera_lights_and_arm_are_where_the_specification_puts_them_in_libero_goal() {
+    check_suite(Suite::Goal);
+}
+
+#[test]
+fn camera_lights_and_arm_are_where_the_specification_puts_them_in_libero_10() {
+    check_suite(Suite::Long);
+}
