@@ -157,15 +157,6 @@ pub enum SpecError {
         /// What it says.
         given: String,
     },
-    /// Something that this version cannot realise.
-    #[error(
-        "expand axis `{axis}`: this version has no paraphrases of the instructions yet; \
-         take it out of `axes`, or import a manifest that carries them"
-    )]
-    NotRealisable {
-        /// The axis.
-        axis: Axis,
-    },
 }
 
 impl CampaignSpec {

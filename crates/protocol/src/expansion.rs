@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 
 use crate::campaign::{CampaignSpec, Nominal, SpecError};
 use crate::condition::{Axis, Condition, Level};
+use crate::paraphrase::paraphrase;
 use crate::perturbation::Perturbation;
 use crate::presets::apply_preset;
 use crate::rollout_id::RolloutId;
@@ -18,7 +19,7 @@ impl CampaignSpec {
     /// tasks early. The other nominal rollouts come last.
     ///
     /// # Errors
-    /// If the specification is wrong, or names what cannot be realised.
+    /// If the specification is wrong.
     pub fn expand(&self) -> Result<Vec<ManifestRow>, SpecError> {
         self.check()?;
         let mut rows = Vec::new();
@@ -31,7 +32,7 @@ impl CampaignSpec {
                 }
                 for &level in &self.levels {
                     for condition in self.conditions() {
-                        rows.push(self.perturbed_row(task, condition, level, config)?);
+                        rows.push(self.perturbed_row(task, condition, level, config));
                     }
                 }
             }
@@ -51,7 +52,7 @@ impl CampaignSpec {
         condition: Condition,
         level: Level,
         config: u16,
-    ) -> Result<ManifestRow, SpecError> {
+    ) -> ManifestRow {
         let axes = match condition {
             Condition::Single(axis) => vec![axis],
             Condition::Combination => self.axes.clone(),
@@ -66,24 +67,17 @@ impl CampaignSpec {
         let init_id = task.eval_init_ids()[usize::from(config)];
         let mut row = ManifestRow::new(id, config, init_id, perturbation);
         if axes.contains(&Axis::Language) {
-            (row.instruction, row.variant_id) = paraphrase()?;
+            let paraphrase = paraphrase(task, level, config);
+            row.instruction = paraphrase.text;
+            row.variant_id = Some(paraphrase.variant_id);
         }
-        Ok(row)
+        row
     }
 }
 
 fn clean_row(task: TaskRef, init_id: u16) -> ManifestRow {
     let id = RolloutId::clean(task, init_id);
     ManifestRow::new(id, init_id, init_id, Perturbation::default())
-}
-
-/// The instruction of the language axis and its variant's name. There are no
-/// paraphrases yet, and a language axis with the canonical instruction would be
-/// the identity in disguise: refused. This is the one place that refuses.
-fn paraphrase() -> Result<(String, Option<String>), SpecError> {
-    Err(SpecError::NotRealisable {
-        axis: Axis::Language,
-    })
 }
 
 #[cfg(test)]
@@ -176,13 +170,37 @@ mod tests {
     }
 
     #[test]
-    fn a_language_campaign_is_refused_until_there_are_paraphrases() {
-        let spec = CampaignSpec {
-            axes: vec![Axis::Camera, Axis::Language],
+    fn the_whole_design_has_10_400_rows() {
+        let whole = CampaignSpec {
+            axes: Axis::ALL.to_vec(),
             ..metric_campaign()
         };
-        let error = spec.expand().expect_err("no paraphrases");
-        assert!(error.to_string().contains("axis `language`"), "{error}");
+        assert_eq!(whole.version().as_str(), "v0.1");
+        assert_eq!(whole.expand().expect("rows").len(), 10_400);
+    }
+
+    #[test]
+    fn the_language_axis_and_its_combination_say_the_same_and_the_others_speak_canonically() {
+        let spec = CampaignSpec {
+            axes: vec![Axis::Camera, Axis::Language],
+            nominal: Nominal::None,
+            levels: vec![Level::L2],
+            tasks: select("libero_goal/3"),
+            configs: vec![4],
+            ..metric_campaign()
+        };
+        let rows = spec.expand().expect("rows");
+        let [camera, language, combination] = rows.as_slice() else {
+            panic!("{} rows", rows.len());
+        };
+        assert_eq!(camera.instruction, camera.id.task().instruction());
+        assert_eq!(camera.variant_id, None);
+        assert_ne!(language.instruction, camera.instruction);
+        assert_eq!(language.variant_id.as_deref(), Some("t3/L2/v04"));
+        assert_eq!(language.perturbation, Perturbation::default());
+        assert_eq!(combination.instruction, language.instruction);
+        assert_eq!(combination.variant_id, language.variant_id);
+        assert_eq!(combination.perturbation, camera.perturbation);
     }
 
     fn select(tasks: &str) -> Vec<TaskRef> {

@@ -16,6 +16,7 @@ mod campaign;
 mod condition;
 mod expansion;
 mod names;
+mod paraphrase;
 mod perturbation;
 mod rollout_id;
 mod row;
@@ -28,6 +29,7 @@ pub use campaign::{
 };
 pub use condition::{Axis, Condition, Level, Realisation};
 pub use names::UnknownName;
+pub use paraphrase::{Paraphrase, paraphrase};
 pub use perturbation::{
     ActuationDistortion, CameraShift, LightingShift, PerturbError, Perturbation, RobotShift,
     SensorCorruption,

@@ -1,0 +1,287 @@
+//! Paraphrases of the canonical instructions: ten variants of every task at
+//! three levels, 1,200 sentences. Not responsible for which rollout gets which:
+//! variant j is configuration j, and `expansion` puts it into the row.
+//!
+//! The sentences are this project's own. Like the presets of the metric axes,
+//! variant j is the same change in every task, and the levels are cumulative by
+//! construction, because each is built from the choices of the one below:
+//!
+//! - **L1, vocabulary**: the task's construction in its canonical word order,
+//!   spoken with variant j of every verb, noun and preposition.
+//! - **L2, local structure**: the same words in structure j of the construction
+//!   (relative clauses, fronted places, other attachments and orders).
+//! - **L3, frame**: the same words in the same structure inside frame j
+//!   (question, need, goal, subordinate clause), which sets the verbs' form.
+//!
+//! Words, structures, frames and tasks are in `data/paraphrases.json`, which
+//! also says how its templates are written. To add a task, name its
+//! construction there and fill the construction's slots from `words`; a new
+//! construction needs its canonical order and ten structures. A word may only
+//! replace another where it names its object uniquely in the scenes of all
+//! tasks that use the list. Then read the new sentences, all of them.
+//!
+//! The orthography is that of LIBERO's instructions: lower case, no final
+//! punctuation, questions included. Commas may stand inside.
+
+mod speech;
+
+use std::collections::BTreeMap;
+use std::sync::LazyLock;
+
+use serde::Deserialize;
+use serde::de::IgnoredAny;
+
+use crate::condition::Level;
+use crate::presets::PRESETS;
+use crate::suite::TaskRef;
+use speech::{Form, Speaker};
+
+/// Variants per task and level: one for each configuration.
+const VARIANTS: usize = PRESETS as usize;
+
+/// An instruction in other words.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Paraphrase {
+    /// What the policy is told, verbatim: lower-case English without final
+    /// punctuation, at most 160 characters.
+    pub text: String,
+    /// Its name in manifests: `t0/L1/v01` is variant 1 of task 0 of the row's
+    /// suite at L1.
+    pub variant_id: String,
+}
+
+/// The paraphrase of a task's instruction at `level` in configuration `config`.
+/// The same arguments always give the same sentence.
+///
+/// # Panics
+/// If `level` is L0, where the instruction is canonical, or `config` is not
+/// below [`PRESETS`].
+pub fn paraphrase(task: TaskRef, level: Level, config: u16) -> Paraphrase {
+    let variant = usize::from(config);
+    assert!(
+        variant < VARIANTS,
+        "no paraphrase {config}: valid are 0 to 9"
+    );
+    Paraphrase {
+        text: sentence(task, level, variant),
+        variant_id: format!("t{}/{level}/v{config:02}", task.index()),
+    }
+}
+
+fn sentence(task: TaskRef, level: Level, variant: usize) -> String {
+    let rules = rules();
+    let task = &rules.tasks[&task];
+    let construction = &rules.constructions[&task.construction];
+    let speaker = Speaker::new(rules, task, variant);
+    let structure = &construction.structures[variant];
+    let (lead, body) = structure.split_once('|').unwrap_or(("", structure));
+    let text = match level {
+        Level::L0 => panic!("no paraphrase at L0: the instruction is canonical there"),
+        Level::L1 => speaker.say(&construction.plain, Form::Base),
+        Level::L2 => speaker.say(&format!("{lead}{body}"), Form::Base),
+        Level::L3 => {
+            let frame = &rules.frames[variant];
+            let before = speaker.say(&frame.before.replace("{lead}", lead), Form::Base);
+            format!("{before} {}", speaker.say(body, frame.form))
+        }
+    };
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+/// The file, parsed once. That the embedded file parses and names only what it
+/// has is a test's business, not a caller's.
+fn rules() -> &'static Rules {
+    static RULES: LazyLock<Rules> = LazyLock::new(|| {
+        serde_json::from_str(include_str!("../data/paraphrases.json"))
+            .expect("the embedded paraphrases are valid")
+    });
+    &RULES
+}
+
+/// The file as it is written.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Rules {
+    /// For people who edit the file.
+    #[serde(rename = "about")]
+    _about: IgnoredAny,
+    frames: [Frame; VARIANTS],
+    numbers: BTreeMap<Number, BTreeMap<String, String>>,
+    constructions: BTreeMap<String, Construction>,
+    verbs: BTreeMap<String, Entries>,
+    words: BTreeMap<String, Entries>,
+    tasks: BTreeMap<TaskRef, Task>,
+}
+
+/// What a sentence of L3 puts around a structure: its own words come before
+/// the structure's body, and after its lead where it has one.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Frame {
+    before: String,
+    form: Form,
+}
+
+/// Grammatical number of the thing that a task is about.
+#[derive(Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum Number {
+    #[default]
+    Singular,
+    Plural,
+}
+
+/// A way in which an instruction is built.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Construction {
+    /// Slots of tasks that do not fill them.
+    #[serde(default)]
+    defaults: BTreeMap<String, String>,
+    /// The canonical word order.
+    plain: String,
+    /// The orders of L2, by variant: a body, or a lead, `|` and a body.
+    structures: [String; VARIANTS],
+}
+
+/// Entries of a list, by variant.
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum Entries {
+    Same(String),
+    ByVariant(Box<[String; VARIANTS]>),
+}
+
+impl Entries {
+    fn of(&self, variant: usize) -> &str {
+        match self {
+            Self::Same(entry) => entry,
+            Self::ByVariant(entries) => &entries[variant],
+        }
+    }
+}
+
+/// What an instruction says, in the slots of its construction.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Task {
+    construction: String,
+    #[serde(default)]
+    number: Number,
+    /// Which list of verbs `<put>` takes: it depends on the destination.
+    put: Option<String>,
+    slots: BTreeMap<String, String>,
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+
+    fn variants() -> impl Iterator<Item = (TaskRef, usize)> {
+        TaskRef::all().flat_map(|task| (0..VARIANTS).map(move |variant| (task, variant)))
+    }
+
+    /// The lists of words and verbs that a template reaches through its slots.
+    fn lists(task: &'static Task, template: &'static str) -> BTreeSet<&'static str> {
+        let rules = rules();
+        let construction = &rules.constructions[&task.construction];
+        let mut lists = BTreeSet::new();
+        for mark in template.split(['{', '<', '@']).skip(1) {
+            let (mark, _) = mark.split_once(['}', '>', '@']).unwrap_or((mark, ""));
+            let name = mark
+                .trim_end_matches(" it")
+                .split('+')
+                .next()
+                .unwrap_or(mark);
+            let slots = [&task.slots, &construction.defaults];
+            if let Some(slot) = slots.into_iter().find_map(|slots| slots.get(name)) {
+                lists.append(&mut self::lists(task, slot));
+            } else if name.trim() == "put" {
+                lists.insert(task.put.as_deref().expect("a verb for `put`"));
+            } else {
+                lists.insert(name.trim());
+            }
+        }
+        lists
+    }
+
+    #[test]
+    fn every_level_speaks_in_the_vocabulary_of_l1() {
+        let rules = rules();
+        for (task, variant) in variants() {
+            let described = &rules.tasks[&task];
+            let plain = &rules.constructions[&described.construction].plain;
+            for level in Level::PERTURBED {
+                let text = sentence(task, level, variant);
+                for list in lists(described, plain) {
+                    let spoken = match (rules.verbs.get(list), rules.words.get(list)) {
+                        (Some(verbs), None) => verbs
+                            .of(variant)
+                            .split('/')
+                            .any(|form| form.split('~').all(|part| text.contains(part))),
+                        (None, Some(words)) => text.contains(words.of(variant)),
+                        _ => panic!("`{list}` is not one list"),
+                    };
+                    assert!(spoken, "`{text}` speaks without `{list}`");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_frame_changes_nothing_of_its_structure_but_the_form_of_verbs() {
+        let rules = rules();
+        let forms = rules.verbs.values().flat_map(|verbs| {
+            (0..VARIANTS).flat_map(|variant| verbs.of(variant).split(['/', '~', ' ']))
+        });
+        let forms: BTreeSet<&str> = forms.collect();
+        for (task, variant) in variants() {
+            let [l2, l3] = [Level::L2, Level::L3].map(|level| sentence(task, level, variant));
+            let frame = &rules.frames[variant];
+            let own = frame.before.replace("{lead}", "");
+            let unframed = l3.replacen(&format!("{} ", own.trim()), "", 1);
+            let [l2, l3]: [Vec<&str>; 2] = [&l2, &unframed].map(|text| text.split(' ').collect());
+            assert_eq!(l2.len(), l3.len(), "{l2:?}, {l3:?}");
+            for (below, above) in l2.iter().zip(&l3) {
+                let inflected = frame.form != Form::Base
+                    && [below, above]
+                        .map(|word| word.trim_end_matches(','))
+                        .iter()
+                        .all(|word| forms.contains(word));
+                assert!(below == above || inflected, "{below}, {above}: {l3:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_lead_has_a_frame_that_takes_it() {
+        let rules = rules();
+        for (name, construction) in &rules.constructions {
+            for (structure, frame) in construction.structures.iter().zip(&rules.frames) {
+                let takes = frame.before.contains("{lead}");
+                assert!(takes || !structure.contains('|'), "{name}: {structure}");
+            }
+        }
+    }
+
+    #[test]
+    fn every_list_of_the_file_is_used() {
+        let rules = rules();
+        let mut used = BTreeSet::new();
+        for task in rules.tasks.values() {
+            let construction = &rules.constructions[&task.construction];
+            for template in construction.structures.iter().chain([&construction.plain]) {
+                used.append(&mut lists(task, template));
+            }
+        }
+        for list in rules.verbs.keys().chain(rules.words.keys()) {
+            assert!(used.contains(list.as_str()), "{list} is never spoken");
+        }
+        for name in rules.constructions.keys() {
+            let used = rules.tasks.values().any(|task| task.construction == *name);
+            assert!(used, "no task is built as {name}");
+        }
+    }
+}

@@ -1,0 +1,127 @@
+//! Turns a template into words for one task and variant. Knows how templates
+//! are written, and nothing about levels.
+
+use serde::Deserialize;
+
+use super::{Rules, Task};
+
+/// Form of a verb.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+pub(super) enum Form {
+    /// "grab"
+    #[serde(rename = "base")]
+    Base,
+    /// "grabbing"
+    #[serde(rename = "ing")]
+    Gerund,
+    /// "grabbed"
+    #[serde(rename = "ed")]
+    Participle,
+}
+
+/// Speaks about one task in the words of one variant.
+pub(super) struct Speaker<'r> {
+    rules: &'r Rules,
+    task: &'r Task,
+    variant: usize,
+}
+
+impl<'r> Speaker<'r> {
+    pub(super) fn new(rules: &'r Rules, task: &'r Task, variant: usize) -> Self {
+        Self {
+            rules,
+            task,
+            variant,
+        }
+    }
+
+    /// The words of a template. Verbs whose form it leaves open take `form`.
+    ///
+    /// # Panics
+    /// If the template names what the file does not have.
+    pub(super) fn say(&self, template: &str, form: Form) -> String {
+        let mut text = String::new();
+        let mut rest = template;
+        while let Some((before, mark)) = rest.split_once(['{', '<']) {
+            text.push_str(before);
+            let is_verb = rest[before.len()..].starts_with('<');
+            let (mark, after) = mark
+                .split_once(if is_verb { '>' } else { '}' })
+                .unwrap_or_else(|| panic!("unclosed mark in `{template}`"));
+            text.push_str(&match is_verb {
+                true => self.verb(mark, form),
+                false => self.name(mark, form),
+            });
+            rest = after;
+        }
+        text + rest
+    }
+
+    /// A slot of the task, of its construction or of its number, or a word.
+    fn name(&self, name: &str, form: Form) -> String {
+        let Self { rules, task, .. } = self;
+        let construction = &rules.constructions[&task.construction];
+        let slots = [
+            &task.slots,
+            &construction.defaults,
+            &rules.numbers[&task.number],
+        ];
+        if let Some(slot) = slots.into_iter().find_map(|slots| slots.get(name)) {
+            return self.say(slot, form);
+        }
+        let words = rules
+            .words
+            .get(name)
+            .unwrap_or_else(|| panic!("no slot and no word `{name}`"));
+        words.of(self.variant).to_owned()
+    }
+
+    /// A verb: `name`, `+` and a fixed form, a space and its object.
+    fn verb(&self, mark: &str, form: Form) -> String {
+        let (name, rest) = self.verb_name(mark);
+        let (fixed, object) = rest.split_once(' ').unwrap_or((rest, ""));
+        let form = match fixed {
+            "" => form,
+            "+base" => Form::Base,
+            "+ing" => Form::Gerund,
+            "+ed" => Form::Participle,
+            other => panic!("no verb form `{other}` in <{mark}>"),
+        };
+        let object = match object.strip_prefix('@') {
+            Some(slot) => self.name(slot, form),
+            None => object.to_owned(),
+        };
+        let verbs = self
+            .rules
+            .verbs
+            .get(name)
+            .unwrap_or_else(|| panic!("no verb `{name}` in <{mark}>"));
+        let forms = verbs.of(self.variant);
+        let verb = forms
+            .split('/')
+            .nth(form as usize)
+            .unwrap_or_else(|| panic!("verb `{forms}` has not three forms"));
+        match verb.contains('~') {
+            true => verb.replace('~', &format!(" {object} ")),
+            false => format!("{verb} {object}").trim_end().to_owned(),
+        }
+    }
+
+    /// Splits a mark into the name of a list of verbs and the rest. `put` is
+    /// the task's own.
+    fn verb_name<'m>(&self, mark: &'m str) -> (&'m str, &'m str)
+    where
+        'r: 'm,
+    {
+        if let (Some(put), Some(rest)) = (&self.task.put, mark.strip_prefix("put")) {
+            return (put, rest);
+        }
+        // A name may have spaces, so the list decides where it ends.
+        let names = self.rules.verbs.keys();
+        let name = names
+            .filter_map(|name| Some((name.as_str(), mark.strip_prefix(name.as_str())?)))
+            .filter(|(_, rest)| rest.is_empty() || rest.starts_with([' ', '+']));
+        name.max_by_key(|(name, _)| name.len())
+            .unwrap_or((mark, ""))
+    }
+}
