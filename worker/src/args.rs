@@ -4,7 +4,7 @@ use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand};
-use protocol::{Realisation, RolloutId};
+use protocol::{Level, Realisation, RolloutId, Suite};
 use sim::GlDevice;
 
 use crate::grpc::{EndpointError, parse_endpoint};
@@ -19,7 +19,8 @@ use crate::grpc::{EndpointError, parse_endpoint};
     args_conflicts_with_subcommands = true,
     subcommand_negates_reqs = true,
     override_usage = "worker --connect URL --assets PACK [OPTIONS]\n       \
-                      worker rollout --id ID --endpoint URL --assets PACK --output DIR [OPTIONS]"
+                      worker rollout --id ID --endpoint URL --assets PACK --output DIR [OPTIONS]\n       \
+                      worker preview --suite SUITE --task N --assets PACK --output DIR [OPTIONS]"
 )]
 pub struct Arguments {
     /// What else a worker can do.
@@ -39,6 +40,9 @@ pub enum Command {
     /// Simulates one rollout with a policy, without a coordinator, and writes
     /// what came of it to a folder
     Rollout(RolloutArguments),
+    /// Shows what the perturbations of a configuration look like, without any
+    /// policy
+    Preview(PreviewArguments),
     /// The process of one slot, started by a worker
     #[command(hide = true)]
     Slot(SimulatorArguments),
@@ -100,6 +104,33 @@ pub struct RolloutArguments {
     /// Makes no video, which saves drawing two pictures per step
     #[arg(long)]
     pub no_video: bool,
+    /// What simulates.
+    #[command(flatten)]
+    pub simulator: SimulatorArguments,
+}
+
+/// Which configuration, and how to show it.
+#[derive(Debug, Args)]
+pub struct PreviewArguments {
+    /// The suite, for example libero_goal
+    #[arg(long, value_name = "SUITE")]
+    pub suite: Suite,
+    /// The task in it, 0 to 9
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..10))]
+    pub task: u32,
+    /// The configuration: preset of every axis, and initial state
+    #[arg(long, value_name = "N", default_value = "0", value_parser = clap::value_parser!(u16).range(0..10))]
+    pub config: u16,
+    /// Severity of the sheets that show all presets of an axis
+    #[arg(long, value_name = "LEVEL", default_value = "L2")]
+    pub level: Level,
+    /// Where random elements of perturbations come from: `matched` or
+    /// `reference`
+    #[arg(long, value_name = "MODE", default_value = "matched")]
+    pub realisation: Realisation,
+    /// A folder for grid.png, presets_AXIS.png and actuation_paths.svg
+    #[arg(long, value_name = "DIR")]
+    pub output: PathBuf,
     /// What simulates.
     #[command(flatten)]
     pub simulator: SimulatorArguments,

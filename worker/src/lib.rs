@@ -15,6 +15,7 @@ pub mod ids;
 pub mod message;
 mod observation;
 pub mod policy;
+pub mod preview;
 mod recording;
 pub mod rollout;
 pub mod single;

@@ -10,21 +10,24 @@ use std::process::ExitCode;
 
 use anyhow::Context;
 use clap::Parser;
+use protocol::TaskRef;
 use scene::{AssetPack, Sources};
 use sim::{Simulator, SimulatorConfig};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::mpsc;
 use tracing_subscriber::EnvFilter;
-use worker::args::{Arguments, Command, RolloutArguments, ServeArguments, SimulatorArguments};
+use worker::args::{
+    Arguments, Command, PreviewArguments, RolloutArguments, ServeArguments, SimulatorArguments,
+};
 use worker::ids::{WorkerId, host_name, random_number};
 use worker::message::{Assignment, VideoOf, VideoOrder};
 use worker::policy::POLICY_CALL_DEADLINE;
 use worker::supervise::{self, Config, Identity, SlotCommand};
-use worker::{single, slot};
+use worker::{preview, single, slot};
 
-/// Compiled scenes that a slot keeps. Jobs of one task come together, so a few
-/// are enough; each takes some 100 MB with the real assets.
-const CACHED_SCENES: usize = 3;
+/// Compiled scenes that a slot keeps. Jobs of one task come together, so two
+/// are enough; each takes some hundred MB with the real assets.
+const CACHED_SCENES: usize = 2;
 /// Requests to end that wait for the supervisor: the third changes nothing.
 const SHUTDOWN_QUEUE: usize = 2;
 
@@ -40,6 +43,7 @@ fn main() -> ExitCode {
     let result = match (arguments.command, arguments.serve, arguments.simulator) {
         (Some(Command::Slot(simulator)), ..) => run_slot(&simulator),
         (Some(Command::Rollout(rollout)), ..) => run_rollout(rollout),
+        (Some(Command::Preview(preview)), ..) => run_preview(&preview),
         (None, Some(serve), Some(simulator)) => run_worker(serve, &simulator),
         (None, ..) => unreachable!("clap asks for --connect and --assets"),
     };
@@ -66,6 +70,20 @@ fn open(arguments: &SimulatorArguments) -> anyhow::Result<SimulatorConfig> {
 
 fn run_slot(arguments: &SimulatorArguments) -> anyhow::Result<()> {
     Ok(slot::run(open(arguments)?)?)
+}
+
+fn run_preview(arguments: &PreviewArguments) -> anyhow::Result<()> {
+    let mut simulator = Simulator::new(open(&arguments.simulator)?);
+    let request = preview::Request {
+        task: TaskRef::new(arguments.suite, arguments.task)?,
+        config: arguments.config,
+        level: arguments.level,
+        realisation: arguments.realisation,
+    };
+    for path in preview::write(&mut simulator, &request, &arguments.output)? {
+        println!("{}", path.display());
+    }
+    Ok(())
 }
 
 fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {

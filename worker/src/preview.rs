@@ -1,0 +1,206 @@
+//! What the perturbations of a configuration look like, before a campaign is
+//! run: one picture of axes × levels, a sheet of the ten presets of each axis,
+//! and the end-effector's paths under actuation. No policy takes part.
+
+mod paths;
+mod sheet;
+
+use std::path::{Path, PathBuf};
+
+use image::RgbImage;
+use protocol::{
+    Axis, Condition, Level, ManifestRow, Perturbation, Realisation, RolloutId, TaskRef, presets,
+};
+use sim::{CameraRequest, Episode, ObservationRequest, SimError, Simulator};
+
+use sheet::Sheet;
+
+/// The severities that the protocol has presets for.
+const LEVELS: [Level; 3] = [Level::L1, Level::L2, Level::L3];
+/// Presets of an axis.
+const PRESETS: u16 = 10;
+/// Cells per row of a sheet of presets.
+const PRESETS_PER_ROW: usize = 5;
+/// Pixels of a picture, as policies get them.
+const FRAME: u32 = 256;
+/// Control steps of the fixed motion that shows the actuation axis.
+const MOTION_STEPS: usize = 40;
+
+/// What to preview.
+pub struct Request {
+    /// The task.
+    pub task: TaskRef,
+    /// The configuration: preset and initial state.
+    pub config: u16,
+    /// Severity of the sheets.
+    pub level: Level,
+    /// Where random elements come from.
+    pub realisation: Realisation,
+}
+
+/// Why there is no preview.
+#[derive(Debug, thiserror::Error)]
+pub enum PreviewError {
+    /// The scene could not be simulated or drawn.
+    #[error(transparent)]
+    Simulate(#[from] SimError),
+    /// A picture could not be written.
+    #[error("write {}: {problem}", path.display())]
+    Write {
+        /// Where to.
+        path: PathBuf,
+        /// Why not.
+        problem: String,
+    },
+}
+
+/// Writes everything into a folder; returns what was written, in order.
+pub fn write(
+    simulator: &mut Simulator,
+    request: &Request,
+    folder: &Path,
+) -> Result<Vec<PathBuf>, PreviewError> {
+    std::fs::create_dir_all(folder).map_err(|error| write_error(folder, &error))?;
+    let mut written = Vec::new();
+    let mut save = |name: String, picture: &RgbImage| {
+        let path = folder.join(name);
+        picture
+            .save(&path)
+            .map_err(|error| write_error(&path, &error))?;
+        written.push(path);
+        Ok::<(), PreviewError>(())
+    };
+    save("grid.png".to_owned(), &grid(simulator, request)?)?;
+    for axis in Axis::METRIC {
+        save(
+            format!("presets_{axis}.png"),
+            &presets_sheet(simulator, request, axis)?,
+        )?;
+    }
+    let path = folder.join("actuation_paths.svg");
+    let svg = paths::svg(simulator, request)?;
+    std::fs::write(&path, svg).map_err(|error| write_error(&path, &error))?;
+    written.push(path);
+    Ok(written)
+}
+
+fn write_error(path: &Path, problem: &dyn std::fmt::Display) -> PreviewError {
+    PreviewError::Write {
+        path: path.to_owned(),
+        problem: problem.to_string(),
+    }
+}
+
+/// Axes and their combination down, severities across, nominal first.
+fn grid(simulator: &mut Simulator, request: &Request) -> Result<RgbImage, PreviewError> {
+    let rows = Axis::METRIC
+        .map(Condition::Single)
+        .into_iter()
+        .chain([Condition::Combination]);
+    let mut sheet = Sheet::new(1 + LEVELS.len(), FRAME);
+    for condition in rows {
+        let nominal = row(request.task, condition, None, request.config);
+        sheet.add(
+            &format!("{condition}: nominal"),
+            picture(simulator, request, &nominal)?,
+        );
+        for level in LEVELS {
+            let row = row(request.task, condition, Some(level), request.config);
+            sheet.add(
+                &format!("{condition} {level}"),
+                picture(simulator, request, &row)?,
+            );
+        }
+    }
+    Ok(sheet.finish())
+}
+
+fn presets_sheet(
+    simulator: &mut Simulator,
+    request: &Request,
+    axis: Axis,
+) -> Result<RgbImage, PreviewError> {
+    let mut sheet = Sheet::new(PRESETS_PER_ROW, FRAME);
+    for config in 0..PRESETS {
+        let row = row(
+            request.task,
+            Condition::Single(axis),
+            Some(request.level),
+            config,
+        );
+        let label = format!("{axis} {} c{config:02}", request.level);
+        sheet.add(&label, picture(simulator, request, &row)?);
+    }
+    Ok(sheet.finish())
+}
+
+/// The row of a condition; without a level, unperturbed from the same initial
+/// state and under the same id, so that only the perturbation differs.
+fn row(task: TaskRef, condition: Condition, level: Option<Level>, config: u16) -> ManifestRow {
+    let mut perturbation = Perturbation::default();
+    if let Some(level) = level {
+        let axes = match condition {
+            Condition::Single(axis) => vec![axis],
+            _ => Axis::METRIC.to_vec(),
+        };
+        for axis in axes {
+            presets::apply_preset(&mut perturbation, axis, level, config);
+        }
+    }
+    let id = RolloutId::perturbed(task, condition, level.unwrap_or(Level::L1), config)
+        .expect("a perturbed condition with a severity");
+    let init_id = task.eval_init_ids()[usize::from(config)];
+    ManifestRow::new(id, config, init_id, perturbation)
+}
+
+/// What the policy would first see; for the actuation axis, what it would see
+/// after a fixed motion.
+fn picture(
+    simulator: &mut Simulator,
+    request: &Request,
+    row: &ManifestRow,
+) -> Result<RgbImage, PreviewError> {
+    let mut episode = simulator.begin(row, request.realisation)?;
+    episode.settle()?;
+    let moves = matches!(
+        row.id.condition(),
+        Condition::Single(Axis::Actuation) | Condition::Combination
+    );
+    if moves {
+        for step in 0..MOTION_STEPS {
+            episode.step(&motion(step))?;
+        }
+    }
+    Ok(upright(&mut episode)?)
+}
+
+/// A sweep outwards and down that brings out gain, bias and misalignment.
+fn motion(step: usize) -> [f64; 7] {
+    let phase = std::f64::consts::TAU * step as f64 / MOTION_STEPS as f64;
+    [
+        0.5 * phase.cos(),
+        0.5 * phase.sin(),
+        -0.25,
+        0.0,
+        0.0,
+        0.1,
+        -1.0,
+    ]
+}
+
+fn upright(episode: &mut Episode<'_>) -> Result<RgbImage, SimError> {
+    let camera = CameraRequest {
+        name: "agentview".to_owned(),
+        width: FRAME,
+        height: FRAME,
+    };
+    let request = ObservationRequest {
+        cameras: vec![camera],
+        privileged: false,
+    };
+    let frame = episode.observe(&request)?.frames.remove(0);
+    let mut picture =
+        RgbImage::from_raw(FRAME, FRAME, frame.rgb).expect("a frame of the size asked for");
+    image::imageops::flip_vertical_in_place(&mut picture);
+    Ok(picture)
+}
