@@ -9,7 +9,7 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use image::{Rgb, RgbImage};
-use protocol::{Axis, CampaignSpec, Condition, ManifestRow, Nominal, PolicyRoute, RolloutId};
+use protocol::{CampaignSpec, ManifestRow, Nominal, PolicyRoute, RolloutId};
 use serde::Serialize;
 use sim::{Frame, Observation, Simulator};
 
@@ -45,24 +45,19 @@ pub enum SingleError {
     },
 }
 
-/// The manifest row of an id, with the protocol's presets. A combination
-/// combines the five metric axes.
+/// The row of an id in LIBERO-CTRL v0.1: a combination combines all six axes.
 ///
 /// # Errors
 /// If the protocol has no such configuration, or it cannot be realised.
 pub fn row_of(id: RolloutId) -> Result<ManifestRow, SingleError> {
     let problem = |problem: String| SingleError::Row { id, problem };
+    // Nobody is asked there: the specification must only be complete.
     let policy = PolicyRoute {
         name: "policy".to_owned(),
         endpoint: "http://127.0.0.1:1".to_owned(),
     };
-    let axes = match id.condition() {
-        Condition::Single(axis) => vec![axis],
-        Condition::Clean | Condition::Combination => Axis::METRIC.to_vec(),
-    };
     let mut spec = CampaignSpec {
         tasks: vec![id.task()],
-        axes,
         ..CampaignSpec::v0_1("single", policy)
     };
     if let Some(config) = id.config() {
@@ -159,6 +154,8 @@ fn write_error(path: &Path, source: io::Error) -> SingleError {
 
 #[cfg(test)]
 mod tests {
+    use protocol::Axis;
+
     use super::*;
 
     #[test]
@@ -173,6 +170,9 @@ mod tests {
         );
         let all = row("spatial/t0/combination/L2/c00").expect("a row");
         assert_eq!(all.perturbation.axes(), Axis::METRIC);
+        let paraphrased = row("spatial/t0/language/L2/c00").expect("a row");
+        assert_eq!(all.instruction, paraphrased.instruction);
+        assert_ne!(all.instruction, clean.instruction);
         let error = row("spatial/t0/camera/L2/c10").expect_err("ten configurations");
         assert!(error.to_string().contains("c10"), "{error}");
     }

@@ -418,13 +418,10 @@ impl Supervisor {
         if self.mode == Mode::Serving {
             self.start_to_drain();
             self.told_to_end_at = Some(now);
-            let busy = self
-                .slots
-                .iter()
-                .filter(|slot| !slot.state.is_done())
-                .count();
+            let running = self.slots.iter().filter_map(|it| it.state.progress());
             tracing::info!(
-                "draining: {busy} slots finish what they have; ask again to give it back instead"
+                "draining: {} rollouts in hand are finished; ask again to give them back instead",
+                running.count()
             );
         } else if self.mode == Mode::Draining && self.means_it(now) {
             self.mode = Mode::Abandoning {
