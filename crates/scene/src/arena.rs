@@ -142,7 +142,7 @@ const ARENAS: &[Arena] = &[
         workspace_category: "kitchen_table",
         zone_marker: "kitchen_table",
         zone_body: "table",
-        zone_offset: [0.0, 0.0, 0.90 - 0.90],
+        zone_offset: [0.0, 0.0, 0.0],
         workspace_offset: [0.0, 0.0, 0.90],
         fixture_z_offset: 0.01 - 0.05,
         table: Some(Table {

@@ -203,6 +203,7 @@ fn load_arena(arena: &Arena, pack: &AssetPack) -> Result<Part, SceneError> {
         let file = format!("{folder}/{file}");
         texture.set("file", file);
     }
+    part.check_files(&root, "arena model")?;
     if let Some(table) = arena.table {
         size_table(&mut part, arena, table.full_size, table.friction).map_err(missing)?;
     }
@@ -298,7 +299,7 @@ fn find_regions(
                 parts
                     .iter()
                     .filter_map(|part| part.region_site(&region.name))
-                    .last(),
+                    .next_back(),
             );
             continue;
         }

@@ -16,6 +16,8 @@ pub mod catalog;
 pub mod compose;
 mod element;
 pub mod error;
+#[doc(hidden)]
+pub mod fuzzing;
 pub mod initial_states;
 mod object;
 pub mod pack;

@@ -41,6 +41,7 @@ pub(crate) fn load_object(
     let root = pack.root();
     let what = format!("model of category `{}`", category.name);
     let part = Part::load(&root, category.file, &what)?;
+    part.check_files(&root, &what)?;
     build(part, name, category, kind).map_err(|problem| SceneError::Malformed {
         what,
         path: root.path(category.file),
@@ -48,7 +49,8 @@ pub(crate) fn load_object(
     })
 }
 
-fn build(
+/// Makes an instance of a category's model.
+pub(crate) fn build(
     mut part: Part,
     name: &str,
     category: &'static Category,

@@ -2,7 +2,7 @@
 //! they are used, file names made independent of where the piece was, names
 //! prefixed. The rules are those of robosuite 1.4.0's `MujocoXML`.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::path::Path;
 
 use crate::element::Element;
@@ -68,7 +68,30 @@ impl Part {
         })
     }
 
-    fn parse(text: &str, root: &AssetRoot, file: &str) -> Result<Self, String> {
+    /// Checks that the files which the assets name are there: MuJoCo's own
+    /// message would not say what they belong to.
+    pub(crate) fn check_files(&self, root: &AssetRoot, what: &str) -> Result<(), SceneError> {
+        let mut names = HashSet::new();
+        let assets = self.root.child("asset").into_iter();
+        for asset in assets.flat_map(|section| &section.children) {
+            // Of namesakes only the first gets into a scene.
+            if !names.insert((&asset.tag, asset.name())) {
+                continue;
+            }
+            let Some(path) = asset.get("file").and_then(|file| root.located(file)) else {
+                continue;
+            };
+            std::fs::metadata(&path).map_err(|source| SceneError::Read {
+                what: format!("{} of the {what}", asset.tag),
+                path,
+                remedy: root.remedy(),
+                source,
+            })?;
+        }
+        Ok(())
+    }
+
+    pub(crate) fn parse(text: &str, root: &AssetRoot, file: &str) -> Result<Self, String> {
         let mut tree = Element::parse(text)?;
         if tree.tag != "mujoco" {
             return Err(format!("expected `<mujoco>`, found `<{}>`", tree.tag));

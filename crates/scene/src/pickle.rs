@@ -3,6 +3,7 @@
 //! global or shape is refused, so a file can do nothing but hold numbers.
 
 use std::collections::HashMap;
+use std::rc::Rc;
 
 /// A matrix of doubles, row by row.
 #[derive(Debug, PartialEq)]
@@ -12,22 +13,23 @@ pub(crate) struct Matrix {
     pub(crate) values: Vec<f64>,
 }
 
-/// What the unpickler's stack may hold.
-#[derive(Debug, Clone, PartialEq)]
+/// What the unpickler's stack may hold. Copies share their contents: a file
+/// that recalls a tuple of tuples again and again must not multiply it.
+#[derive(Clone)]
 enum Value {
     None,
     Bool(bool),
     Int(i64),
-    Text(String),
-    Bytes(Vec<u8>),
-    Tuple(Vec<Value>),
+    Text(Rc<str>),
+    Bytes(Rc<[u8]>),
+    Tuple(Rc<[Value]>),
     Global(Global),
     Array(Option<Array>),
     Dtype,
     Mark,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Clone, Copy)]
 enum Global {
     Reconstruct,
     Ndarray,
@@ -35,14 +37,33 @@ enum Global {
     Encode,
 }
 
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Clone)]
 struct Array {
     shape: [usize; 2],
-    data: Vec<u8>,
+    data: Rc<[u8]>,
 }
 
-/// More values than any initial-state file keeps; bounds memory.
-const MAX_STACK: usize = 10_000;
+impl Value {
+    /// What kind of value it is, for messages.
+    fn kind(&self) -> &'static str {
+        match self {
+            Self::None => "nothing",
+            Self::Bool(_) => "a truth value",
+            Self::Int(_) => "an integer",
+            Self::Text(_) => "a text",
+            Self::Bytes(_) => "bytes",
+            Self::Tuple(_) => "a tuple",
+            Self::Global(_) => "a function",
+            Self::Array(_) => "an array",
+            Self::Dtype => "a kind of number",
+            Self::Mark => "a mark",
+        }
+    }
+}
+
+/// Four times the opcodes of a released file; bounds how deep values nest and
+/// how often a text is decoded.
+const MAX_OPCODES: usize = 256;
 
 /// Unpickles a matrix.
 pub(crate) fn read_matrix(bytes: &[u8]) -> Result<Matrix, String> {
@@ -88,10 +109,7 @@ struct Machine<'a> {
 
 impl Machine<'_> {
     fn run(mut self) -> Result<Value, String> {
-        loop {
-            if self.stack.len() > MAX_STACK || self.memo.len() > MAX_STACK {
-                return Err("it is more complicated than an array".to_owned());
-            }
+        for _ in 0..MAX_OPCODES {
             let opcode = self.take(1)?[0];
             match opcode {
                 0x80 => drop(self.take(1)?),
@@ -137,7 +155,7 @@ impl Machine<'_> {
                 0x89 => self.stack.push(Value::Bool(false)),
                 b'(' => self.stack.push(Value::Mark),
                 b't' => self.tuple_to_mark()?,
-                b')' => self.stack.push(Value::Tuple(Vec::new())),
+                b')' => self.stack.push(Value::Tuple(Rc::new([]))),
                 0x85..=0x87 => self.tuple(usize::from(opcode - 0x84))?,
                 b'R' => self.reduce()?,
                 b'b' => self.build()?,
@@ -145,6 +163,7 @@ impl Machine<'_> {
                 other => return Err(format!("opcode 0x{other:02x} is not allowed")),
             }
         }
+        Err("it is more complicated than an array".to_owned())
     }
 
     fn take(&mut self, count: usize) -> Result<&[u8], String> {
@@ -162,10 +181,11 @@ impl Machine<'_> {
         ))
     }
 
-    fn text(&mut self) -> Result<String, String> {
+    fn text(&mut self) -> Result<Rc<str>, String> {
         let length = self.u32()? as usize;
-        let bytes = self.take(length)?.to_vec();
-        String::from_utf8(bytes).map_err(|_| "a text is not UTF-8".to_owned())
+        let text = std::str::from_utf8(self.take(length)?);
+        text.map(Rc::from)
+            .map_err(|_| "a text is not UTF-8".to_owned())
     }
 
     fn pop(&mut self) -> Result<Value, String> {
@@ -218,16 +238,19 @@ impl Machine<'_> {
             .checked_sub(count)
             .ok_or("its stack runs empty")?;
         let items = self.stack.split_off(start);
-        self.stack.push(Value::Tuple(items));
+        self.stack.push(Value::Tuple(items.into()));
         Ok(())
     }
 
     fn tuple_to_mark(&mut self) -> Result<(), String> {
-        let mark = self.stack.iter().rposition(|value| *value == Value::Mark);
+        let mark = self
+            .stack
+            .iter()
+            .rposition(|value| matches!(value, Value::Mark));
         let mark = mark.ok_or("a tuple without a start")?;
         let items = self.stack.split_off(mark + 1);
         self.stack.pop();
-        self.stack.push(Value::Tuple(items));
+        self.stack.push(Value::Tuple(items.into()));
         Ok(())
     }
 
@@ -235,20 +258,22 @@ impl Machine<'_> {
         let Value::Tuple(arguments) = self.pop()? else {
             return Err("a call without arguments".to_owned());
         };
-        let result = match (self.pop()?, arguments.as_slice()) {
+        let result = match (self.pop()?, &*arguments) {
             (Value::Global(Global::Reconstruct), [Value::Global(Global::Ndarray), ..]) => {
                 Value::Array(None)
             }
-            (Value::Global(Global::Dtype), [Value::Text(kind), ..]) if kind == "f8" => Value::Dtype,
-            (Value::Global(Global::Dtype), [kind, ..]) => {
-                return Err(format!("its numbers are {kind:?}, not doubles"));
+            (Value::Global(Global::Dtype), [Value::Text(kind), ..]) if &**kind == "f8" => {
+                Value::Dtype
+            }
+            (Value::Global(Global::Dtype), [Value::Text(kind), ..]) => {
+                return Err(format!("its numbers are `{kind}`, not doubles (`f8`)"));
             }
             (Value::Global(Global::Encode), [Value::Text(text), Value::Text(encoding)])
-                if encoding == "latin1" =>
+                if &**encoding == "latin1" =>
             {
-                Value::Bytes(latin1(text)?)
+                Value::Bytes(latin1(text)?.into())
             }
-            (function, _) => return Err(format!("calling {function:?} is not allowed")),
+            (called, _) => return Err(format!("calling {} so is not allowed", called.kind())),
         };
         self.stack.push(result);
         Ok(())
@@ -258,8 +283,8 @@ impl Machine<'_> {
         let Value::Tuple(state) = self.pop()? else {
             return Err("a state that is no tuple".to_owned());
         };
-        let built = match (self.pop()?, state.as_slice()) {
-            (Value::Dtype, [_, Value::Text(order), ..]) if order == "<" => Value::Dtype,
+        let built = match (self.pop()?, &*state) {
+            (Value::Dtype, [_, Value::Text(order), ..]) if &**order == "<" => Value::Dtype,
             (Value::Dtype, _) => return Err("its doubles are not little-endian".to_owned()),
             (
                 Value::Array(None),
@@ -270,7 +295,7 @@ impl Machine<'_> {
                     Value::Bool(false),
                     Value::Bytes(data),
                 ],
-            ) => match shape.as_slice() {
+            ) => match &**shape {
                 [Value::Int(rows), Value::Int(columns)] if *rows >= 0 && *columns >= 0 => {
                     let shape = [*rows as usize, *columns as usize];
                     Value::Array(Some(Array {
@@ -280,7 +305,12 @@ impl Machine<'_> {
                 }
                 _ => return Err("its array is not two-dimensional".to_owned()),
             },
-            (value, _) => return Err(format!("setting the state of {value:?} is not allowed")),
+            (value, _) => {
+                return Err(format!(
+                    "setting the state of {} so is not allowed",
+                    value.kind()
+                ));
+            }
         };
         self.stack.push(built);
         Ok(())
@@ -308,5 +338,20 @@ mod tests {
         check(b"\x80\x02K\x01.", "holds no two-dimensional array");
         check(b"\x80\x02X\xff\xff\xff\x7f", "truncated");
         check(b"", "truncated");
+    }
+
+    #[test]
+    fn a_small_file_cannot_become_a_large_value() {
+        // Each round makes a tuple of two of the last round's.
+        let mut bytes = b"\x80\x02)q\x00".to_vec();
+        for _ in 0..40 {
+            bytes.extend(b"h\x00h\x00\x86q\x00");
+        }
+        bytes.extend(b"R");
+        let problem = read_matrix(&bytes).unwrap_err();
+        assert!(problem.contains("not allowed"), "{problem}");
+        let endless = [b")".as_slice(), &b"\x85".repeat(100_000)].concat();
+        let problem = read_matrix(&endless).unwrap_err();
+        assert!(problem.contains("more complicated"), "{problem}");
     }
 }

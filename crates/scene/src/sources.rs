@@ -114,6 +114,12 @@ impl AssetRoot {
         self.dir.join(file)
     }
 
+    /// Where a file is that composed MJCF names, if it is in this folder.
+    pub(crate) fn located(&self, file: &str) -> Option<PathBuf> {
+        let inside = file.strip_prefix(self.kind.token())?.strip_prefix('/')?;
+        Some(self.path(inside))
+    }
+
     pub(crate) fn remedy(&self) -> String {
         match self.kind {
             RootKind::Pack => format!(

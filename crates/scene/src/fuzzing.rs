@@ -1,0 +1,43 @@
+//! What the fuzz targets reach into: readers of single files, without the
+//! folders around them. Not for programs.
+
+use std::path::PathBuf;
+
+use crate::catalog::category;
+use crate::compose::InstanceKind;
+use crate::element::Element;
+use crate::object::build;
+use crate::part::Part;
+use crate::pickle::read_matrix;
+use crate::sources::{AssetRoot, RootKind, locate_files};
+
+/// Makes an instance of an object's model and puts it into an empty scene.
+///
+/// # Panics
+/// If the scene does not read the same when it is written.
+pub fn object_model(text: &str, movable: bool) -> Result<(), String> {
+    let root = AssetRoot {
+        kind: RootKind::Pack,
+        dir: PathBuf::from("pack"),
+    };
+    let category = category("wooden_cabinet").expect("in the catalogue");
+    let kind = match movable {
+        true => InstanceKind::Object,
+        false => InstanceKind::Fixture,
+    };
+    let part = Part::parse(text, &root, category.file)?;
+    let object = build(part, "cabinet_1", category, kind)?;
+    object.region_site("cabinet_1_top_region");
+    let mut scene = Part::parse("<mujoco><worldbody/></mujoco>", &root, "base.xml")?;
+    scene.merge_assets(&object.part);
+    scene.worldbody_mut().children.push(object.body);
+    let written = scene.root.write();
+    assert_eq!(Element::parse(&written), Ok(scene.root), "{written}");
+    locate_files(&written, [&root, &root]);
+    Ok(())
+}
+
+/// Reads what the zip of a `.pruned_init` file holds; rows and columns.
+pub fn pickled_states(bytes: &[u8]) -> Result<[usize; 2], String> {
+    read_matrix(bytes).map(|matrix| [matrix.rows, matrix.columns])
+}
