@@ -10,6 +10,9 @@ use tokio::time::Instant;
 use tonic::transport::{Channel, Endpoint};
 use tonic::{Code, Status, Streaming};
 
+/// How a campaign stands, as it comes over the wire.
+pub use proto::coordinator::CampaignStatus;
+
 /// How long a command tries to reach a coordinator.
 pub const RETRY_FOR: Duration = Duration::from_secs(30);
 /// Pauses between tries, doubling.

@@ -6,17 +6,32 @@ mod read;
 mod worker;
 
 use std::error::Error;
+use std::sync::Arc;
 
+use proto::coordinator::operator_service_server::OperatorServiceServer;
+use proto::coordinator::worker_service_server::WorkerServiceServer;
+use tonic::service::Routes;
 use tonic::{Code, Status};
 
 use crate::artifacts::ArtifactError;
 use crate::export::ExportError;
-use crate::queue::QueueError;
+use crate::queue::{Queue, QueueError};
 use crate::report::ReportError;
 use crate::store::StoreError;
 
-pub use operator::OperatorApi;
-pub use worker::WorkerApi;
+use operator::OperatorApi;
+use worker::WorkerApi;
+
+/// The services for workers and operators, on a queue.
+pub(crate) fn services(queue: &Arc<Queue>) -> Routes {
+    let worker = WorkerServiceServer::new(WorkerApi::new(queue.clone()))
+        .max_decoding_message_size(proto::MAX_MESSAGE_BYTES)
+        .max_encoding_message_size(proto::MAX_MESSAGE_BYTES);
+    let operator = OperatorServiceServer::new(OperatorApi::new(queue.clone()))
+        .max_decoding_message_size(proto::MAX_MESSAGE_BYTES)
+        .max_encoding_message_size(proto::MAX_MESSAGE_BYTES);
+    Routes::new(worker).add_service(operator)
+}
 
 /// An error with its causes, on one line.
 fn chain(error: &dyn Error) -> String {

@@ -2,7 +2,7 @@
 //! keeps their outcomes with everything that made them, and reports. It knows
 //! no simulator and no policy.
 //!
-//! Requests come in through [`grpc`]; [`queue`] reads the state, lets the pure
+//! Requests come in through `grpc`; [`queue`] reads the state, lets the pure
 //! modules ([`lease`], [`outage`], [`plan`]) decide, and executes through
 //! [`store`]. What people type is the program's business.
 
@@ -13,7 +13,7 @@ pub mod client;
 pub mod clock;
 pub mod expand;
 pub mod export;
-pub mod grpc;
+mod grpc;
 pub mod ids;
 pub mod lease;
 pub mod outage;

@@ -9,13 +9,13 @@ use protocol::{CampaignSpec, DesignVersion, SpecError, UnknownName};
 use serde::Serialize;
 use tokio::task::JoinError;
 
-use crate::ids::{CampaignName, shortened};
+use crate::ids::CampaignName;
 use crate::queue::{Queue, QueueError};
 use crate::store::results::{self, Provenance, QuarantineRow, RecordRow};
 use crate::store::{StoreError, campaigns};
 
-/// Longest error that is shown beside a rollout that was set aside, bytes.
-const MAX_SHOWN_ERROR_BYTES: usize = 200;
+/// Columns of a terminal. Errors are cut there; the JSON form has them whole.
+const WIDTH: usize = 80;
 
 /// A report in both of its forms.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -171,7 +171,7 @@ fn render(facts: &Facts) -> Result<Rendered, ReportError> {
 
 fn head(facts: &Facts) -> String {
     format!(
-        "campaign {}: policy {} at {}\ndesign {}, realisation {}\n",
+        "campaign {}\npolicy {} at {}\ndesign {}, realisation {}\n",
         facts.campaign, facts.policy, facts.endpoint, facts.design, facts.realisation
     )
 }
@@ -185,8 +185,8 @@ fn tail(facts: &Facts) -> String {
     for job in &facts.quarantined {
         let rollout = rollout_name(&job.rollout_id, job.replicate);
         let error = job.last_error.lines().next().unwrap_or_default();
-        let error = shortened(error, MAX_SHOWN_ERROR_BYTES);
-        text.push_str(&format!("  {rollout}: {error}\n"));
+        text.extend(format!("  {rollout}: {error}").chars().take(WIDTH));
+        text.push('\n');
     }
     text
 }

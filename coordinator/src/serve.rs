@@ -7,8 +7,6 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use proto::coordinator::operator_service_server::OperatorServiceServer;
-use proto::coordinator::worker_service_server::WorkerServiceServer;
 use rand_chacha::ChaCha8Rng;
 use tokio::net::TcpListener;
 use tokio::sync::oneshot;
@@ -19,7 +17,7 @@ use tonic::transport::Server;
 
 use crate::artifacts;
 use crate::clock::Clock;
-use crate::grpc::{OperatorApi, WorkerApi};
+use crate::grpc;
 use crate::queue::{Queue, Timing};
 use crate::store::{OpenError, Store, StoreError};
 
@@ -165,12 +163,6 @@ async fn server(
     listener: TcpListener,
     stopped: impl Future<Output = ()>,
 ) -> Result<(), tonic::transport::Error> {
-    let worker = WorkerServiceServer::new(WorkerApi::new(queue.clone()))
-        .max_decoding_message_size(proto::MAX_MESSAGE_BYTES)
-        .max_encoding_message_size(proto::MAX_MESSAGE_BYTES);
-    let operator = OperatorServiceServer::new(OperatorApi::new(queue.clone()))
-        .max_decoding_message_size(proto::MAX_MESSAGE_BYTES)
-        .max_encoding_message_size(proto::MAX_MESSAGE_BYTES);
     // Without TCP_NODELAY a small answer waits 40 ms for the peer's delayed
     // acknowledgement.
     let connections = TcpListenerStream::new(listener).map(|connection| {
@@ -184,8 +176,7 @@ async fn server(
         .initial_connection_window_size(CONNECTION_WINDOW_BYTES)
         .http2_keepalive_interval(Some(KEEPALIVE_INTERVAL))
         .http2_keepalive_timeout(Some(KEEPALIVE_TIMEOUT))
-        .add_service(worker)
-        .add_service(operator)
+        .add_routes(grpc::services(queue))
         .serve_with_incoming_shutdown(connections, stopped)
         .await
 }

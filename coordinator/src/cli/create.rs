@@ -17,11 +17,25 @@ use super::{CommandError, Connection, print_line};
 /// Largest specification that is read, bytes.
 const MAX_SPEC_BYTES: u64 = 1 << 20;
 
+/// The flags that say what a specification says.
+const SPEC_FLAGS: [&str; 10] = [
+    "policy",
+    "endpoint",
+    "tasks",
+    "axes",
+    "levels",
+    "configs",
+    "nominal",
+    "realisation",
+    "replicates",
+    "record",
+];
+
 #[derive(Args, Debug)]
 #[command(group = ArgGroup::new("source").required(true).args(["spec", "name"]))]
 pub(super) struct CreateArguments {
     /// File of a specification in JSON; `-` reads standard input.
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["policy", "endpoint", "tasks"])]
+    #[arg(long, value_name = "FILE", conflicts_with_all = SPEC_FLAGS)]
     spec: Option<PathBuf>,
     /// Name of the campaign; the flags below then say the rest.
     #[arg(long, requires_all = ["policy", "endpoint", "tasks"])]

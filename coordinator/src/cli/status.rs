@@ -6,9 +6,9 @@ use std::time::Duration;
 
 use anyhow::Context;
 use clap::Args;
+use coordinator::client::CampaignStatus;
 use coordinator::ids::shortened;
 use coordinator::queue::RATE_WINDOW;
-use proto::coordinator::CampaignStatus;
 
 use super::{CommandError, Connection, print_line};
 

@@ -17,13 +17,12 @@ use crate::report;
 
 /// The operator service on a queue.
 #[derive(Debug)]
-pub struct OperatorApi {
+pub(super) struct OperatorApi {
     queue: Arc<Queue>,
 }
 
 impl OperatorApi {
-    /// Serves `queue`.
-    pub fn new(queue: Arc<Queue>) -> OperatorApi {
+    pub(super) fn new(queue: Arc<Queue>) -> OperatorApi {
         OperatorApi { queue }
     }
 }

@@ -24,13 +24,12 @@ const MAX_TASK_BYTES: usize = 80;
 
 /// The worker service on a queue.
 #[derive(Debug)]
-pub struct WorkerApi {
+pub(super) struct WorkerApi {
     queue: Arc<Queue>,
 }
 
 impl WorkerApi {
-    /// Serves `queue`.
-    pub fn new(queue: Arc<Queue>) -> WorkerApi {
+    pub(super) fn new(queue: Arc<Queue>) -> WorkerApi {
         WorkerApi { queue }
     }
 }

@@ -65,8 +65,8 @@ pub(super) fn warnings(facts: &Facts) -> Vec<String> {
     }
     if facts.provenances.iter().any(|p| p.policy_privileged) {
         warnings.push(format!(
-            "policy `{}` was given the simulator's own state, which no real policy sees: these \
-             rates are a check of the set-up, not a measurement of a policy",
+            "policy `{}` is privileged: it was given the simulator's own state, which no real \
+             policy sees; these rates are a check of the set-up, not a measurement of a policy",
             facts.policy
         ));
     }

@@ -226,6 +226,13 @@ async fn a_specification_is_read_from_a_file_or_standard_input() {
         text(&list.stdout)
     );
 
+    let output = serve.command(&["campaign", "create", "--spec", path, "--levels", "L3"]);
+    assert_eq!(
+        output.status.code(),
+        Some(2),
+        "a flag that would be ignored"
+    );
+
     std::fs::write(path, "{\"name\": \"x\", \"colour\": 1}").expect("written");
     let output = serve.command(&["campaign", "create", "--spec", path]);
     assert_eq!(output.status.code(), Some(2));

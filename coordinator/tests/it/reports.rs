@@ -85,11 +85,10 @@ async fn a_finished_campaign_has_its_paired_measures() {
     );
     assert_eq!(paired["i"], json!(-0.5));
     assert_eq!(json["nominal"][0]["count"], json!({"successes": 4, "n": 4}));
-    assert!(
-        report
-            .table
-            .starts_with("campaign told: policy expert at http://127.0.0.1:50051\n")
-    );
+    let head = "campaign told\npolicy expert at http://127.0.0.1:50051\n";
+    assert!(report.table.starts_with(head), "{}", report.table);
+    let widest = report.table.lines().map(|line| line.chars().count()).max();
+    assert!(widest <= Some(80), "{}", report.table);
     assert!(
         report.table.contains("say nothing about LIBERO"),
         "{}",
@@ -180,7 +179,7 @@ async fn a_privileged_policy_and_mixed_origins_are_said_at_the_top() {
     let table = report(&bench).await.table;
     let words = table.split_whitespace().collect::<Vec<_>>().join(" ");
     for warning in [
-        "the simulator's own state",
+        "policy `expert` is privileged",
         "more than one program version are mixed",
         "0.1.0; 0.2.0",
         "more than one policy checkpoint are mixed",
