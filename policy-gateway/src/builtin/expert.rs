@@ -9,6 +9,7 @@ mod geometry;
 mod goal;
 mod grasp;
 mod motion;
+mod place;
 mod routine;
 mod transfer;
 mod world;

@@ -95,6 +95,11 @@ pub(super) struct Quat {
 }
 
 impl Quat {
+    pub(super) const IDENTITY: Self = Self {
+        w: 1.0,
+        v: Vec3::new(0.0, 0.0, 0.0),
+    };
+
     /// A turn by `angle` about the unit vector `axis`.
     pub(super) fn turn(axis: Vec3, angle: f64) -> Self {
         Self {

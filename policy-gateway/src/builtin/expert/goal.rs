@@ -2,9 +2,10 @@
 //! another. Not responsible for how a skill is carried out.
 
 use super::motion::{Command, Motion};
+use super::place::{Place, Relation};
 use super::routine::{self, Deed, Routine};
-use super::transfer::{Place, Transfer};
-use super::world::{Predicate, World};
+use super::transfer::Transfer;
+use super::world::{Predicate, World, drawer_joint};
 
 /// A skill at work.
 #[derive(Debug)]
@@ -31,8 +32,8 @@ impl Skill {
 }
 
 /// The skills that make `world`'s goal true, first to last: what opens comes
-/// before what is put in, and what closes comes after. What a joint shows to
-/// be done already is left out.
+/// before what is put in, and what closes comes after. What is seen to be done
+/// already is left out.
 ///
 /// # Errors
 /// Names a predicate that the expert has no skill for, or an argument that the
@@ -42,13 +43,21 @@ pub(super) fn plan(world: &World) -> Result<Vec<Skill>, String> {
     for predicate in &world.goal {
         let arguments: Vec<&str> = predicate.arguments.iter().map(String::as_str).collect();
         match (predicate.name.as_str(), arguments.as_slice()) {
-            ("open", [region]) => before.extend(open(world, region)?),
+            ("open", [region]) => before.extend(open(world, region, routine::DRAWER_OPEN_M)?),
             ("turnon", [stove]) => before.extend(turn_on(world, stove)?),
-            ("close", [what]) => after.push(close(world, what)?),
-            ("on", [object, on]) => between.push(put_on(world, object, on)?),
+            ("close", [what]) => after.extend(close(world, what)?),
+            ("on", [object, on]) => between.extend(put_on(world, predicate, object, on)?),
             ("in", [object, region]) => {
-                before.extend(open(world, region)?);
-                between.push(transfer(object, Place::In((*region).to_owned())));
+                let place = Place {
+                    relation: Relation::In,
+                    target: (*region).to_owned(),
+                    slot: 0.0,
+                };
+                let put = transfer(world, object, place)?;
+                if put.is_some() {
+                    before.extend(open(world, region, routine::DRAWER_AJAR_M)?);
+                }
+                between.extend(put);
             }
             _ => return Err(no_skill(predicate)),
         }
@@ -66,16 +75,19 @@ fn no_skill(predicate: &Predicate) -> String {
     )
 }
 
-/// Opens the drawer of `region`, if it is in a drawer that is not open.
-fn open(world: &World, region: &str) -> Result<Option<Skill>, String> {
-    let joint = routine::drawer_joint(region);
+/// Opens the drawer of `region` as far as `to`, m, if it is in a drawer and
+/// that is not open.
+fn open(world: &World, region: &str, to: f64) -> Result<Option<Skill>, String> {
+    let joint = drawer_joint(region);
     let Some(position) = joint.and_then(|joint| world.joint(&joint).ok()) else {
         return Ok(None);
     };
     let pull = Deed::PullDrawer {
         region: region.to_owned(),
+        to,
     };
-    Ok((!routine::drawer_is_open(position)).then(|| Skill::Routine(Routine::new(pull))))
+    let open = position < to.max(routine::OPEN_M);
+    Ok((!open).then(|| Skill::Routine(Routine::new(pull))))
 }
 
 fn turn_on(world: &World, stove: &str) -> Result<Option<Skill>, String> {
@@ -87,31 +99,65 @@ fn turn_on(world: &World, stove: &str) -> Result<Option<Skill>, String> {
 }
 
 /// Closes a drawer by its region, or a door by its fixture.
-fn close(world: &World, what: &str) -> Result<Skill, String> {
-    let in_drawer = routine::drawer_joint(what).is_some_and(|joint| world.joint(&joint).is_ok());
-    let deed = if in_drawer {
-        Deed::PushDrawer {
-            region: what.to_owned(),
-        }
-    } else {
-        Deed::PushDoor {
-            microwave: what.to_owned(),
+fn close(world: &World, what: &str) -> Result<Option<Skill>, String> {
+    let drawer = drawer_joint(what).and_then(|joint| world.joint(&joint).ok());
+    let (deed, closed) = match drawer {
+        Some(position) => (
+            Deed::PushDrawer {
+                region: what.to_owned(),
+            },
+            routine::drawer_is_closed(position),
+        ),
+        None => {
+            let position = routine::only_joint(world, what)?;
+            (
+                Deed::PushDoor {
+                    microwave: what.to_owned(),
+                },
+                routine::door_is_closed(position),
+            )
         }
     };
-    Ok(Skill::Routine(Routine::new(deed)))
+    Ok((!closed).then(|| Skill::Routine(Routine::new(deed))))
 }
 
-fn put_on(world: &World, object: &str, on: &str) -> Result<Skill, String> {
-    if routine::must_be_dragged(world.entity(object)?) {
+fn put_on(
+    world: &World,
+    predicate: &Predicate,
+    object: &str,
+    on: &str,
+) -> Result<Option<Skill>, String> {
+    let place = Place {
+        relation: Relation::On,
+        target: on.to_owned(),
+        slot: slot(&world.goal, predicate),
+    };
+    if routine::must_be_dragged(world.entity(object)?) && world.entity(on)?.is_region() {
         let deed = Deed::Drag {
             object: object.to_owned(),
             region: on.to_owned(),
         };
-        return Ok(Skill::Routine(Routine::new(deed)));
+        let there = place.holds(world, world.entity(object)?)?;
+        return Ok((!there).then(|| Skill::Routine(Routine::new(deed))));
     }
-    Ok(transfer(object, Place::On(on.to_owned())))
+    transfer(world, object, place)
 }
 
-fn transfer(object: &str, place: Place) -> Skill {
-    Skill::Transfer(Transfer::new(object.to_owned(), place))
+/// Which side of the target, where two objects are to go onto the same.
+fn slot(goal: &[Predicate], predicate: &Predicate) -> f64 {
+    let same = |other: &&Predicate| {
+        other.name == predicate.name && other.arguments.last() == predicate.arguments.last()
+    };
+    let sharing: Vec<&Predicate> = goal.iter().filter(same).collect();
+    match sharing.as_slice() {
+        [first, _] if *first == predicate => -1.0,
+        [_, _] => 1.0,
+        _ => 0.0,
+    }
+}
+
+fn transfer(world: &World, object: &str, place: Place) -> Result<Option<Skill>, String> {
+    let there = place.holds(world, world.entity(object)?)?;
+    let transfer = Transfer::new(object.to_owned(), place);
+    Ok((!there).then(|| Skill::Transfer(transfer)))
 }

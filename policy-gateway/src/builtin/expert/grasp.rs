@@ -6,7 +6,7 @@ use std::f64::consts::{FRAC_PI_2, PI};
 
 use super::geometry::{Footprint, Vec3, footprint, half_turn};
 use super::motion::FINGERTIP_M;
-use super::world::{Entity, World};
+use super::world::{Entity, Solid, World};
 
 /// Widest body that is pinched whole, m: the hand opens to 0.08 m, less a
 /// margin on both sides.
@@ -31,8 +31,8 @@ const ROUND_RATIO: f64 = 1.12;
 const OFF_CENTRE: [f64; 5] = [0.0, 0.25, -0.25, 0.5, -0.5];
 /// How far an open finger reaches out from the grip point, m.
 const FINGER_REACH_M: f64 = 0.058;
-/// How far beyond a roof's edge a finger stays, m.
-const ROOF_MARGIN_M: f64 = 0.01;
+/// What a quarter turn away from a place's wish is worth, rad.
+const ASKEW_WEIGHT: f64 = 3.0;
 
 /// A part of the open hand, from the grip point: where it is along the closing
 /// direction, its half sizes along and across, and how high its lower end is,
@@ -43,7 +43,7 @@ struct Part {
     bottom: f64,
 }
 
-const HAND: [Part; 3] = [
+const HAND: [Part; 4] = [
     Part {
         at: -0.052,
         half: (0.0135, 0.0105),
@@ -59,11 +59,23 @@ const HAND: [Part; 3] = [
         half: (0.102, 0.019),
         bottom: 0.031,
     },
+    Part {
+        at: 0.0,
+        half: (0.05, 0.05),
+        bottom: 0.123,
+    },
 ];
 
 /// Categories held by a knob on top, above the body's origin, and how far
 /// below the top of the knob the grip point goes, m.
 const KNOBS: [(&str, f64); 1] = [("moka_pot", 0.006)];
+
+/// Categories with an upright handle, and on which side it is in their own
+/// axes; how far in from its end, and how far below the object's top, the grip
+/// point goes, m.
+const HANDLES: [(&str, Vec3); 1] = [("white_yellow_mug", Vec3::new(1.0, 0.0, 0.0))];
+const HANDLE_INSET_M: f64 = 0.01;
+const HANDLE_DEPTH_M: f64 = 0.042;
 
 /// A way to hold an object.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -76,18 +88,32 @@ pub(super) struct Grasp {
     strain: f64,
 }
 
+/// What the place that an object is taken to asks of the grasp.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Wish {
+    Any,
+    /// The closing direction is across this horizontal one.
+    Across(Vec3),
+    /// The hand stays beside the object.
+    Handle,
+}
+
 /// All ways to hold `object`, best first: little turning of the hand, no
 /// finger in a neighbour, room beside the rim.
-pub(super) fn choices(world: &World, object: &Entity) -> Vec<Grasp> {
+pub(super) fn choices(world: &World, object: &Entity, wish: Wish) -> Vec<Grasp> {
     let shape = footprint(object.quat, object.half);
-    let mut all = if let Some((_, depth)) = KNOBS.iter().find(|k| k.0 == object.category) {
+    let handle = HANDLES.iter().find(|h| h.0 == object.category);
+    let mut all = if let (Wish::Handle, Some((_, way))) = (wish, handle) {
+        vec![by_handle(object, shape, object.quat.rotate(*way))]
+    } else if let Some((_, depth)) = KNOBS.iter().find(|k| k.0 == object.category) {
         vec![knob(object, shape, *depth)]
     } else if 2.0 * shape.narrow <= PINCH_WIDTH_M {
         pinches(object, shape)
     } else {
         rims(object, shape)
     };
-    all.sort_by(|a, b| cost(world, object, a).total_cmp(&cost(world, object, b)));
+    let rank = |grasp: &Grasp| cost(world, object, wish, grasp);
+    all.sort_by(|a, b| rank(a).total_cmp(&rank(b)));
     all
 }
 
@@ -97,6 +123,15 @@ fn knob(object: &Entity, shape: Footprint, depth: f64) -> Grasp {
     Grasp {
         offset,
         closing: shape.narrow_angle,
+        strain: 0.0,
+    }
+}
+
+/// Across the upright handle at the end of a mug's box.
+fn by_handle(object: &Entity, shape: Footprint, way: Vec3) -> Grasp {
+    Grasp {
+        offset: (way * (shape.wide - HANDLE_INSET_M)).at_height(object.half.z - HANDLE_DEPTH_M),
+        closing: way.y.atan2(way.x) + FRAC_PI_2,
         strain: 0.0,
     }
 }
@@ -145,44 +180,34 @@ fn grip_height(object: &Entity, depth: f64) -> f64 {
 }
 
 /// Rank of a grasp, in radians of hand turning that it is worth.
-fn cost(world: &World, object: &Entity, grasp: &Grasp) -> f64 {
+fn cost(world: &World, object: &Entity, wish: Wish, grasp: &Grasp) -> f64 {
     let turning = half_turn(grasp.closing - FRAC_PI_2).abs();
-    let blocked = blocking_neighbours(world, object, grasp) as f64;
-    turning + grasp.strain + 4.0 * blocked + 140.0 * into_wall(world, object, grasp)
+    let askew = match wish {
+        Wish::Across(way) => ASKEW_WEIGHT * Vec3::heading(grasp.closing).dot(way).abs(),
+        Wish::Any | Wish::Handle => 0.0,
+    };
+    let collisions = collisions(world, object, grasp) as f64;
+    turning + askew + grasp.strain + 4.0 * collisions + 140.0 * into_wall(world, object, grasp)
 }
 
-/// How many things the open hand would come down on: neighbours, and the roof
-/// of the fixture that the object is inside of. Such a fixture's own box says
-/// nothing, since the object is in it.
-fn blocking_neighbours(world: &World, object: &Entity, grasp: &Grasp) -> usize {
+/// How often a part of the open hand would come down on something. What the
+/// object is in does not count: its walls are looked at by [`into_wall`].
+fn collisions(world: &World, object: &Entity, grasp: &Grasp) -> usize {
     let grip = object.centre + grasp.offset;
     let (along, across) = (
         Vec3::heading(grasp.closing),
         Vec3::heading(grasp.closing + FRAC_PI_2),
     );
-    let hits = |part: &Part, other: &Entity| {
-        let reach = (along * part.half.0).abs() + (across * part.half.1).abs();
-        let gap = (grip + along * part.at - other.centre).abs() - other.half - reach;
-        gap.x < 0.0 && gap.y < 0.0 && grip.z + part.bottom < other.top()
+    let hits = |part: &Part, other: &Solid| {
+        let reach = [along * part.half.0, across * part.half.1];
+        let above = grip.z + part.bottom > other.top();
+        !above && other.overlaps_from_above(grip + along * part.at, reach)
     };
-    let under = |part: &Part, roof: &Entity| {
-        let above = (grip + along * part.at).at_height(roof.pos.z);
-        (roof.local(above).abs() - roof.half).max_coordinate() < ROOF_MARGIN_M
-    };
-    let holds = |other: &Entity| {
-        let gap = (object.centre - other.centre).abs() - other.half;
-        gap.max_coordinate() < 0.0
-    };
-    let neighbours = world
-        .solids()
-        .filter(|o| o.name != object.name && !holds(o));
-    let roofs = world.regions().filter(|r| r.pos.z > object.top());
-    neighbours
-        .filter(|o| HAND.iter().any(|part| hits(part, o)))
-        .count()
-        + roofs
-            .filter(|r| HAND.iter().any(|part| under(part, r)))
-            .count()
+    let solids = world.solids().iter();
+    solids
+        .filter(|other| other.owner != object.name && other.gap(object.centre) > 0.0)
+        .map(|other| HAND.iter().filter(|part| hits(part, other)).count())
+        .sum()
 }
 
 /// How far, m, the outer finger would reach into the wall of a container that

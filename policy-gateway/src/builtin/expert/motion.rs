@@ -10,7 +10,7 @@
 use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2};
 
 use super::geometry::{Quat, Vec3, half_turn};
-use super::world::World;
+use super::world::{Entity, Solid, World};
 
 /// What one unit of action asks for: m and rad (LIBERO's OSC_POSE settings).
 const UNIT_M: f64 = 0.05;
@@ -107,41 +107,93 @@ fn saturate(v: Vec3, limit: f64) -> Vec3 {
     }
 }
 
+/// What the hand takes along, or goes for, on its way.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Errand<'a> {
+    /// Nothing; its own lowest part is that far below the grip point, m.
+    Empty(f64),
+    /// Goes for this object, which is no obstacle.
+    For(&'a Entity),
+    /// Holds this object.
+    With(&'a Entity),
+}
+
+impl Errand<'_> {
+    fn is_about(&self, solid: &Solid) -> bool {
+        match self {
+            Self::Empty(_) => false,
+            Self::For(object) | Self::With(object) => object.name == solid.owner,
+        }
+    }
+
+    /// How far the lowest part is below the grip point, m.
+    fn hang(&self, world: &World) -> f64 {
+        match self {
+            Self::Empty(hang) => *hang,
+            Self::For(_) => FINGERTIP_M,
+            Self::With(object) => FINGERTIP_M.max(world.grip.z - object.bottom()),
+        }
+    }
+}
+
 /// Where to steer now in order to reach `goal` without running into anything:
-/// straight up until what hangs `hang` metres below the grip point clears
-/// everything on the way, then across, then down. `carried` is not an
-/// obstacle.
-pub(super) fn detour(world: &World, goal: Vec3, hang: f64, carried: &str) -> Vec3 {
-    let ahead = goal - world.grip;
-    if ahead.horizontal_norm() < ARRIVAL_M {
+/// out from under what is overhead, straight up until everything on the way is
+/// cleared, then across, then down.
+pub(super) fn detour(world: &World, goal: Vec3, errand: Errand) -> Vec3 {
+    if (goal - world.grip).horizontal_norm() < ARRIVAL_M {
         return goal;
     }
-    let needed = highest_on_the_way(world, goal, carried)
-        .map_or(goal.z, |top| goal.z.max(top + hang + CLEARANCE_M));
-    if world.grip.z < needed - CLEARANCE_M / 2.0 {
-        world.grip.at_height(needed + CLEARANCE_M)
-    } else {
-        goal.at_height(needed)
+    let over = errand.hang(world) + CLEARANCE_M;
+    let highest = highest_on_the_way(world, goal, errand);
+    let needed = highest.map_or(goal.z, |top| goal.z.max(top + over));
+    if world.grip.z > needed - CLEARANCE_M / 2.0 {
+        return goal.at_height(needed);
+    }
+    match way_from_under(world, errand) {
+        Some(way) => world.grip + way * CORRIDOR_M,
+        None => world.grip.at_height(needed + CLEARANCE_M),
     }
 }
 
 /// Top of the highest solid within the corridor from the hand to `goal`.
-fn highest_on_the_way(world: &World, goal: Vec3, carried: &str) -> Option<f64> {
+fn highest_on_the_way(world: &World, goal: Vec3, errand: Errand) -> Option<f64> {
     let start = world.grip;
     let steps = ((goal - start).horizontal_norm() / (CORRIDOR_M / 2.0))
         .ceil()
         .max(1.0);
-    let crossed = |box_centre: Vec3, half: Vec3| {
+    let crossed = |solid: &&Solid| {
         (0..=steps as u32).any(|i| {
             let p = start + (goal - start) * (f64::from(i) / steps);
-            let gap = (p - box_centre).abs() - half;
-            gap.x < CORRIDOR_M && gap.y < CORRIDOR_M
+            solid.gap_from_above(p) < CORRIDOR_M
         })
     };
-    let tops = world
+    let others = world
         .solids()
-        .filter(|e| e.name != carried && crossed(e.centre, e.half));
-    tops.map(super::world::Entity::top).max_by(f64::total_cmp)
+        .iter()
+        .filter(|solid| !errand.is_about(solid));
+    others
+        .filter(crossed)
+        .map(Solid::top)
+        .max_by(f64::total_cmp)
+}
+
+/// The horizontal way out from under a solid that is above the held object.
+fn way_from_under(world: &World, errand: Errand) -> Option<Vec3> {
+    let Errand::With(object) = errand else {
+        return None;
+    };
+    let room = CLEARANCE_M / 2.0;
+    let reach = [
+        Vec3::new(object.half.x + room, 0.0, 0.0),
+        Vec3::new(0.0, object.half.y + room, 0.0),
+    ];
+    let overhead = |solid: &&Solid| {
+        let above = solid.bottom() > object.centre.z && !errand.is_about(solid);
+        above && solid.overlaps_from_above(object.centre, reach)
+    };
+    let solid = world.solids().iter().find(overhead)?;
+    let away = (object.centre - solid.centre).at_height(0.0);
+    Some(away * (1.0 / away.norm().max(CLEARANCE_M)))
 }
 
 /// Watches the hand from step to step: how fast it is, and whether something

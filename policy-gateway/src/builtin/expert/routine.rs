@@ -8,22 +8,22 @@ use std::f64::consts::FRAC_PI_2;
 
 use super::geometry::{Quat, Vec3};
 use super::motion::{
-    Command, FINGERTIP_M, Fingers, HandPose, Motion, detour, pointing_down, tilted,
+    Command, Errand, FINGERTIP_M, Fingers, HandPose, Motion, detour, pointing_down, tilted,
 };
-use super::world::{Entity, World};
+use super::world::{Entity, HANDLE_OUT_M, HANDLE_UP_M, World, drawer_joint};
 
-/// A drawer's handle bar from the centre of the drawer's region, m: out of the
-/// cabinet's front, and up.
-const HANDLE_OUT_M: f64 = 0.113;
-const HANDLE_UP_M: f64 = -0.0045;
-/// A drawer counts as open beyond -0.14 m, and as closed above 0: positions
-/// that are safely so.
-const DRAWER_OPEN_M: f64 = -0.155;
+/// A drawer counts as open beyond this.
+pub(super) const OPEN_M: f64 = -0.14;
+/// Where a drawer is let go when it is to count as open, and where when it only has to take something in: less far, to leave room for
+/// the hand beneath. It runs on a little.
+pub(super) const DRAWER_OPEN_M: f64 = -0.155;
+pub(super) const DRAWER_AJAR_M: f64 = -0.118;
+/// A drawer counts as closed above 0: a position that is safely so.
 const DRAWER_CLOSED_M: f64 = 0.003;
 /// Tilt of the hand that reaches for a handle from the front, and of the one
 /// that pushes a drawer shut with its fingertips ahead of the palm, rad.
 const PULL_TILT: f64 = FRAC_PI_2;
-const PUSH_TILT: f64 = 1.0;
+const PUSH_TILT: f64 = 0.6;
 /// The stove counts as on beyond 0.5 rad of its knob.
 const KNOB_ON: f64 = 0.8;
 /// How far down the knob's ridge the grip point goes, m.
@@ -61,8 +61,8 @@ const DRAG_DONE_M: f64 = 0.012;
 /// What to do.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Deed {
-    /// Open the drawer that has this region in it.
-    PullDrawer { region: String },
+    /// Open the drawer that has this region in it, to this position, m.
+    PullDrawer { region: String, to: f64 },
     /// Close it.
     PushDrawer { region: String },
     /// Turn this stove on.
@@ -124,7 +124,7 @@ impl Routine {
                 let travelling = matches!(stage.until, Until::Travelled);
                 let mut hand = stage.hand;
                 if travelling {
-                    hand.pos = detour(world, hand.pos, STANDOFF_M, "");
+                    hand.pos = detour(world, hand.pos, Errand::Empty(STANDOFF_M));
                 }
                 let pace = if travelling { 1.0 } else { GENTLE };
                 return Ok(Some(Command {
@@ -161,7 +161,7 @@ impl Deed {
     /// The stage of that number; none after the last.
     fn stage(&self, number: u32, world: &World) -> Result<Option<Stage>, String> {
         match self {
-            Self::PullDrawer { region } => pull_drawer(number, world, region),
+            Self::PullDrawer { region, to } => pull_drawer(number, world, region, *to),
             Self::PushDrawer { region } => push_drawer(number, world, region),
             Self::TurnKnob { stove } => turn_knob(number, world, stove),
             Self::PushDoor { microwave } => push_door(number, world, microwave),
@@ -170,16 +170,14 @@ impl Deed {
     }
 }
 
-/// The joint of the drawer that has `region` in it.
-pub(super) fn drawer_joint(region: &str) -> Option<String> {
-    region
-        .strip_suffix("_region")
-        .map(|drawer| format!("{drawer}_level"))
+/// Whether a drawer is shut far enough to count.
+pub(super) fn drawer_is_closed(position: f64) -> bool {
+    position > 0.0
 }
 
-/// Whether a drawer stands open far enough to count.
-pub(super) fn drawer_is_open(position: f64) -> bool {
-    position < -0.14
+/// Whether a microwave's door is shut far enough to count.
+pub(super) fn door_is_closed(position: f64) -> bool {
+    position > -0.005
 }
 
 /// Whether a stove's knob is turned far enough to count.
@@ -197,10 +195,10 @@ struct Drawer {
 
 impl Drawer {
     fn find(world: &World, region: &str) -> Result<Self, String> {
-        let joint = drawer_joint(region).ok_or_else(|| format!("'{region}' is not in a drawer"))?;
+        let joint = drawer_joint(region).unwrap_or_default();
         let inside = world.entity(region)?;
-        let cabinet = world.entity(&inside.category)?;
-        let out = cabinet.quat.rotate(Vec3::new(0.0, -1.0, 0.0));
+        let out = world.front_of_drawer(inside);
+        let out = out.ok_or_else(|| format!("'{region}' is in no drawer"))?;
         let handle = inside.pos + out * HANDLE_OUT_M + Vec3::UP * HANDLE_UP_M;
         Ok(Self {
             position: world.joint(&joint)?,
@@ -210,7 +208,7 @@ impl Drawer {
     }
 }
 
-fn pull_drawer(number: u32, world: &World, region: &str) -> Result<Option<Stage>, String> {
+fn pull_drawer(number: u32, world: &World, region: &str, to: f64) -> Result<Option<Stage>, String> {
     let drawer = Drawer::find(world, region)?;
     // The fingers close from above and below the bar.
     let upright = pointing_down(drawer.out.y.atan2(drawer.out.x));
@@ -228,7 +226,7 @@ fn pull_drawer(number: u32, world: &World, region: &str) -> Result<Option<Stage>
         1 => stage(at(0.0), Fingers::Open, Until::There),
         2 => stage(at(0.0), Fingers::Close, Until::Steps(FINGER_STEPS)),
         3 => {
-            let open = drawer.position < DRAWER_OPEN_M;
+            let open = drawer.position < to;
             let lost = (world.grip - drawer.handle).norm() > STANDOFF_M / 2.0;
             stage(at(LEAD_M), Fingers::Close, Until::Reached(open || lost))
         }

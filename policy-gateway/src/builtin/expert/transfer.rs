@@ -4,13 +4,14 @@
 
 use super::geometry::{Quat, Vec3};
 use super::grasp::{self, Grasp};
-use super::motion::{Command, FINGERTIP_M, Fingers, HandPose, Motion, detour, pointing_down};
+use super::motion::{Command, Errand, Fingers, HandPose, Motion, detour, pointing_down};
+use super::place::{Place, Spot};
 use super::world::{Entity, World};
 
 /// The hand waits this far above a grasp before it comes down, m.
 const HOVER_M: f64 = 0.04;
-/// An object is carried this far above its destination's brim, m.
-const CARRY_M: f64 = 0.02;
+/// How far the hand goes away from what it has let go, m.
+const RETREAT_M: f64 = 0.05;
 /// Near enough to go on to the next phase: m, and rad.
 const NEAR_M: f64 = 0.008;
 const NEAR_RAD: f64 = 0.06;
@@ -28,17 +29,6 @@ const OPENING_STEPS: u32 = 5;
 const PATIENCE_STEPS: u32 = 60;
 /// Share of full speed near things.
 const GENTLE: f64 = 0.4;
-/// Into a container, an object is let go this far below its brim, m.
-const DROP_DEPTH_M: f64 = 0.04;
-
-/// Where an object belongs.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) enum Place {
-    /// On top of an object or a region.
-    On(String),
-    /// Inside a region.
-    In(String),
-}
 
 /// The skill.
 #[derive(Debug)]
@@ -61,7 +51,7 @@ enum Phase {
     Lift(Hold),
     Carry(Hold),
     Lower(Hold),
-    Release(HandPose),
+    Release { hand: HandPose, way_out: Vec3 },
     Retreat(HandPose),
 }
 
@@ -136,35 +126,37 @@ impl Transfer {
     fn look(&self, world: &World, motion: &Motion) -> Result<Next, String> {
         let object = world.entity(&self.object)?;
         Ok(match self.phase {
-            Phase::Choose => self.choose(world, object),
+            Phase::Choose => self.choose(world, object)?,
             Phase::Approach(grip) => self.approach(world, object, grip),
             Phase::Descend(grip) => self.descend(world, object, grip, motion),
             Phase::Close(hand) => self.close(world, object, hand, motion),
             Phase::Lift(hold) => self.lift(world, object, hold),
             Phase::Carry(hold) => self.carry(world, object, hold)?,
             Phase::Lower(hold) => self.lower(world, object, hold, motion)?,
-            Phase::Release(hand) if self.ticks < OPENING_STEPS => stay(hand, Fingers::Open, 1.0),
-            Phase::Release(hand) => Next::Go(Phase::Retreat(raised(hand, HOVER_M))),
+            Phase::Release { hand, .. } if self.ticks < OPENING_STEPS => {
+                stay(hand, Fingers::Open, 1.0)
+            }
+            Phase::Release { hand, way_out } => {
+                Next::Go(Phase::Retreat(moved(hand, way_out * RETREAT_M)))
+            }
             Phase::Retreat(hand) if self.near(world, hand) || self.overdue() => Next::Done,
             Phase::Retreat(hand) => stay(hand, Fingers::Open, 1.0),
         })
     }
 
-    fn choose(&self, world: &World, object: &Entity) -> Next {
-        let choices = grasp::choices(world, object);
+    fn choose(&self, world: &World, object: &Entity) -> Result<Next, String> {
+        let choices = grasp::choices(world, object, self.place.wish(world)?);
         let grasp = choices[self.missed % choices.len()];
-        Next::Go(Phase::Approach(Grip {
-            grasp,
-            quat: pointing_down(grasp.closing),
-        }))
+        let quat = pointing_down(grasp.closing);
+        Ok(Next::Go(Phase::Approach(Grip { grasp, quat })))
     }
 
     fn approach(&self, world: &World, object: &Entity, grip: Grip) -> Next {
-        let above = raised(grip.hand(object), HOVER_M);
+        let above = moved(grip.hand(object), Vec3::UP * HOVER_M);
         if self.near(world, above) || self.overdue() {
             return Next::Go(Phase::Descend(grip));
         }
-        let pos = detour(world, above.pos, FINGERTIP_M, &self.object);
+        let pos = detour(world, above.pos, Errand::For(object));
         stay(HandPose { pos, ..above }, Fingers::Open, 1.0)
     }
 
@@ -221,12 +213,12 @@ impl Transfer {
         if hold.lost(world, object) {
             return Ok(Next::Missed);
         }
-        let spot = Spot::find(world, &self.place)?;
-        let goal = spot.hand_above(world, object, CARRY_M);
-        if (goal - world.grip).horizontal_norm() < NEAR_M || self.overdue() {
+        let spot = self.place.spot(world, object)?;
+        let goal = Spot::hand_for(world, object, spot.gate);
+        if spot.at_gate(goal - world.grip) || self.overdue() {
             return Ok(Next::Go(Phase::Lower(hold)));
         }
-        let pos = detour(world, goal, world.grip.z - object.bottom(), &self.object);
+        let pos = detour(world, goal, Errand::With(object));
         Ok(stay(
             HandPose {
                 pos,
@@ -244,30 +236,19 @@ impl Transfer {
         hold: Hold,
         motion: &Motion,
     ) -> Result<Next, String> {
-        if hold.lost(world, object) && self.ticks < 3 {
-            return Ok(Next::Missed);
-        }
-        let spot = Spot::find(world, &self.place)?;
-        let mut pos = spot.hand_above(world, object, 0.0);
-        let arrived = match self.place {
-            Place::On(_) => {
-                pos.z = world.grip.z + spot.floor - NEAR_M - object.bottom();
-                object.bottom() < spot.floor
-            }
-            Place::In(_) => {
-                let fingers_at_brim = world.grip.z - FINGERTIP_M < spot.brim + NEAR_M;
-                pos.z = world.grip.z + spot.brim - 2.0 * DROP_DEPTH_M - object.bottom();
-                object.bottom() < spot.brim - DROP_DEPTH_M || fingers_at_brim
-            }
-        };
+        let spot = self.place.spot(world, object)?;
         let stopped = self.ticks > 3 && motion.still_steps() >= 2;
-        if arrived || stopped || self.overdue() {
-            let here = HandPose {
+        if spot.reached(world, object) || stopped || self.overdue() {
+            let hand = HandPose {
                 pos: world.grip,
                 quat: hold.quat,
             };
-            return Ok(Next::Go(Phase::Release(here)));
+            return Ok(Next::Go(Phase::Release {
+                hand,
+                way_out: spot.way_out(),
+            }));
         }
+        let pos = Spot::hand_for(world, object, spot.rest);
         Ok(stay(
             HandPose {
                 pos,
@@ -304,40 +285,6 @@ impl Hold {
     }
 }
 
-/// A destination, resolved to where things are now.
-struct Spot {
-    /// Where the object's origin belongs, seen from above.
-    centre: Vec3,
-    /// What the object comes to stand on, at the least.
-    floor: f64,
-    /// What the object has to be lifted over.
-    brim: f64,
-}
-
-impl Spot {
-    fn find(world: &World, place: &Place) -> Result<Self, String> {
-        let (Place::On(name) | Place::In(name)) = place;
-        let target = world.entity(name)?;
-        let vertical = target.upright_half_height();
-        let (floor, brim) = match place {
-            Place::On(_) => (target.bottom().min(target.centre.z), target.top()),
-            Place::In(_) => (target.centre.z - vertical, target.centre.z + vertical),
-        };
-        Ok(Self {
-            centre: target.pos,
-            floor,
-            brim,
-        })
-    }
-
-    /// Where the grip point must be for the held object's origin to be
-    /// centred and its lowest point `gap` above the brim.
-    fn hand_above(&self, world: &World, object: &Entity, gap: f64) -> Vec3 {
-        let height = world.grip.z + self.brim + gap - object.bottom();
-        (world.grip + self.centre - object.pos).at_height(height)
-    }
-}
-
 fn stay(hand: HandPose, fingers: Fingers, pace: f64) -> Next {
     Next::Stay(Command {
         hand,
@@ -346,9 +293,9 @@ fn stay(hand: HandPose, fingers: Fingers, pace: f64) -> Next {
     })
 }
 
-fn raised(hand: HandPose, by: f64) -> HandPose {
+fn moved(hand: HandPose, by: Vec3) -> HandPose {
     HandPose {
-        pos: hand.pos + Vec3::UP * by,
+        pos: hand.pos + by,
         ..hand
     }
 }

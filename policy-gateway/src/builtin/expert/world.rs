@@ -30,10 +30,22 @@ impl Entity {
         self.centre.z - self.half.z
     }
 
-    /// Half height of a region, whichever of its axes points up.
+    pub(super) fn is_region(&self) -> bool {
+        self.kind == Kind::Site
+    }
+
+    /// Half extent along the world direction `way`.
+    pub(super) fn extent_along(&self, way: Vec3) -> f64 {
+        if self.is_region() {
+            self.quat.inverse().rotate(way).abs().dot(self.half)
+        } else {
+            way.abs().dot(self.half)
+        }
+    }
+
+    /// Half height, whichever of its axes points up.
     pub(super) fn upright_half_height(&self) -> f64 {
-        let up = self.quat.inverse().rotate(Vec3::UP).abs();
-        up.dot(self.half)
+        self.extent_along(Vec3::UP)
     }
 
     /// `p` in a region's own axes, from its centre.
@@ -47,6 +59,7 @@ impl Entity {
 pub(super) struct World {
     entities: Vec<Entity>,
     joints: Vec<(String, f64)>,
+    solids: Vec<Solid>,
     pub(super) goal: Vec<Predicate>,
     /// Point between the fingertips.
     pub(super) grip: Vec3,
@@ -82,8 +95,9 @@ impl World {
             });
         }
         let goal = state.goal.iter();
-        Ok(Self {
+        let mut world = Self {
             entities,
+            solids: Vec::new(),
             joints: state
                 .joints
                 .iter()
@@ -98,7 +112,9 @@ impl World {
             grip: vec3(&state.grip_pos, "gripper", "grip_pos")?,
             grip_quat: quat(&state.grip_quat, "gripper")?,
             opening: state.gripper_opening,
-        })
+        };
+        world.solids = solids(&world);
+        Ok(world)
     }
 
     /// The entity called `name`.
@@ -131,14 +147,161 @@ impl World {
     }
 
     /// Everything that can be run into.
-    pub(super) fn solids(&self) -> impl Iterator<Item = &Entity> {
-        self.entities.iter().filter(|e| e.kind != Kind::Site)
+    pub(super) fn solids(&self) -> &[Solid] {
+        &self.solids
     }
 
     /// All regions.
     pub(super) fn regions(&self) -> impl Iterator<Item = &Entity> {
-        self.entities.iter().filter(|e| e.kind == Kind::Site)
+        self.entities.iter().filter(|e| e.is_region())
     }
+
+    /// If `region` is in a drawer: out of the cabinet's front, horizontal.
+    pub(super) fn front_of_drawer(&self, region: &Entity) -> Option<Vec3> {
+        let joint = drawer_joint(&region.name)?;
+        self.joint(&joint).ok()?;
+        Some(front(self.entity(&region.category).ok()?))
+    }
+
+    /// If something of its own fixture is above `region`, so that only the
+    /// open front leads in: out of that front, horizontal.
+    pub(super) fn front_of_cover(&self, region: &Entity) -> Option<Vec3> {
+        let cover = self.entity(&top_side(&region.category)).ok()?;
+        let beneath = cover.local(region.pos.at_height(cover.pos.z)).abs() - cover.half;
+        let covered = beneath.max_coordinate() < 0.0 && region.pos.z < cover.pos.z;
+        let drawer = self.front_of_drawer(region).is_some();
+        (covered && !drawer).then(|| self.entity(&region.category).ok().map(front))?
+    }
+}
+
+/// The joint of the drawer that has `region` in it, by LIBERO's naming.
+pub(super) fn drawer_joint(region: &str) -> Option<String> {
+    region
+        .strip_suffix("_region")
+        .map(|drawer| format!("{drawer}_level"))
+}
+
+/// The region on top of `fixture`, by LIBERO's naming.
+fn top_side(fixture: &str) -> String {
+    format!("{fixture}_top_side")
+}
+
+/// LIBERO's cabinets and its microwave open along their own -y.
+fn front(fixture: &Entity) -> Vec3 {
+    fixture.quat.rotate(Vec3::new(0.0, -1.0, 0.0))
+}
+
+/// A drawer's walls around its region, m.
+const DRAWER_WALL_M: f64 = 0.01;
+/// A drawer's handle bar from the centre of its region, out of the cabinet's
+/// front and up, and its half extents across the bar and along it, m (LIBERO's
+/// two cabinets agree on them).
+pub(super) const HANDLE_OUT_M: f64 = 0.113;
+pub(super) const HANDLE_UP_M: f64 = -0.0045;
+const HANDLE_HALF_M: (f64, f64) = (0.012, 0.048);
+
+/// A box that can be run into.
+#[derive(Clone, Debug)]
+pub(super) struct Solid {
+    /// Name of the object or fixture that it is, or is part of.
+    pub(super) owner: String,
+    pub(super) centre: Vec3,
+    pub(super) quat: Quat,
+    /// Half extents along its own axes.
+    pub(super) half: Vec3,
+}
+
+impl Solid {
+    pub(super) fn top(&self) -> f64 {
+        self.centre.z + self.half_height()
+    }
+
+    pub(super) fn bottom(&self) -> f64 {
+        self.centre.z - self.half_height()
+    }
+
+    fn half_height(&self) -> f64 {
+        self.quat.inverse().rotate(Vec3::UP).abs().dot(self.half)
+    }
+
+    /// How far `p` is outside, along the axis along which it is furthest
+    /// outside; negative within.
+    pub(super) fn gap(&self, p: Vec3) -> f64 {
+        let offset = self.quat.inverse().rotate(p - self.centre);
+        (offset.abs() - self.half).max_coordinate()
+    }
+
+    /// The same, seen from above.
+    pub(super) fn gap_from_above(&self, p: Vec3) -> f64 {
+        self.gap(p.at_height(self.centre.z))
+    }
+
+    /// Whether, seen from above, it overlaps the rectangle around `p` that
+    /// reaches out by these two horizontal vectors, which are at right angles:
+    /// no axis of either separates the two.
+    pub(super) fn overlaps_from_above(&self, p: Vec3, reach: [Vec3; 2]) -> bool {
+        let inward = self.quat.inverse();
+        let offset = inward.rotate((p - self.centre).at_height(0.0));
+        let [a, b] = reach.map(|r| inward.rotate(r));
+        let own = offset.abs() - self.half - a.abs() - b.abs();
+        let apart = |r: Vec3| offset.dot(r).abs() > r.dot(r) + r.abs().dot(self.half);
+        own.max_coordinate() < 0.0 && !apart(a) && !apart(b)
+    }
+}
+
+/// The solids of a scene. The box of a cabinet with an open drawer says little
+/// about what is beside that drawer, so that cabinets are taken apart: the
+/// body under its top, each drawer, and each handle.
+fn solids(world: &World) -> Vec<Solid> {
+    let mut solids = Vec::new();
+    for e in world.entities.iter().filter(|e| !e.is_region()) {
+        let parts = world.regions().filter(|r| r.category == e.name);
+        let drawers = parts.filter_map(|r| Some((r, world.front_of_drawer(r)?)));
+        let drawers: Vec<Solid> = drawers.flat_map(|(r, out)| drawer(e, r, out)).collect();
+        let whole = Solid {
+            owner: e.name.clone(),
+            centre: e.centre,
+            quat: Quat::IDENTITY,
+            half: e.half,
+        };
+        match world.entity(&top_side(&e.name)) {
+            Ok(top) if !drawers.is_empty() => {
+                let centre = top.pos.at_height(e.centre.z);
+                let half = top.half.at_height(e.half.z);
+                solids.push(Solid {
+                    centre,
+                    quat: top.quat,
+                    half,
+                    ..whole
+                });
+                solids.extend(drawers);
+            }
+            _ => solids.push(whole),
+        }
+    }
+    solids
+}
+
+/// The drawer around `region`, and its handle.
+fn drawer(cabinet: &Entity, region: &Entity, out: Vec3) -> [Solid; 2] {
+    let wall = Vec3::new(DRAWER_WALL_M, DRAWER_WALL_M, DRAWER_WALL_M);
+    let (across, along) = HANDLE_HALF_M;
+    let handle = Solid {
+        owner: cabinet.name.clone(),
+        centre: region.pos + out * HANDLE_OUT_M + Vec3::UP * HANDLE_UP_M,
+        quat: cabinet.quat,
+        half: Vec3::new(along, across, across),
+    };
+    let (centre, half) = (region.pos, region.half + wall);
+    [
+        Solid {
+            centre,
+            quat: region.quat,
+            half,
+            ..handle.clone()
+        },
+        handle,
+    ]
 }
 
 fn vec3(values: &[f64], owner: &str, field: &str) -> Result<Vec3, String> {

@@ -1,0 +1,195 @@
+//! Where an object belongs: what a goal predicate's target means for the hand
+//! that carries something there. Not responsible for how it gets there.
+
+use super::geometry::{Vec3, footprint};
+use super::grasp::Wish;
+use super::motion::FINGERTIP_M;
+use super::world::{Entity, World};
+
+/// An object is carried this far above its destination's brim, m.
+const CARRY_M: f64 = 0.02;
+/// Into an open container, an object is let go this far below its brim, m.
+const DROP_DEPTH_M: f64 = 0.04;
+/// Into a drawer, it goes this far in front of the middle, clear of the roof
+/// and of the handles above, m.
+const DRAWER_SHIFT_M: f64 = 0.022;
+/// Into a covered region, it goes just this far in, since the hand has to stay
+/// outside; this far above its floor; and from this far away, m.
+const COVERED_DEPTH_M: f64 = 0.013;
+const COVERED_FLOOR_GAP_M: f64 = 0.02;
+const COVERED_RUN_M: f64 = 0.13;
+/// Air between two objects that share a target, m.
+const NEIGHBOUR_GAP_M: f64 = 0.004;
+/// Near enough to its place, m.
+const THERE_M: f64 = 0.005;
+/// LIBERO's own tolerance for one object on another, m.
+const ON_OBJECT_M: f64 = 0.03;
+/// How far above a region an object counts as on it, m (LIBERO's tolerance).
+const ON_REGION_M: f64 = 0.1;
+
+/// A goal for one object.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Place {
+    pub(super) relation: Relation,
+    /// Object or region.
+    pub(super) target: String,
+    /// Which side of the target's middle, where two objects share it: -1, 0
+    /// for the middle itself, 1.
+    pub(super) slot: f64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Relation {
+    On,
+    In,
+}
+
+/// A place, resolved to where things are now. Points are where the object's
+/// origin belongs, seen from above; heights are those of its lowest point.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Spot {
+    /// Where the way in begins.
+    pub(super) gate: Vec3,
+    /// Where it ends.
+    pub(super) rest: Vec3,
+    entry: Entry,
+    floor: f64,
+    brim: f64,
+}
+
+/// How an object gets to its place.
+#[derive(Clone, Copy, Debug)]
+enum Entry {
+    /// Put down.
+    Onto,
+    /// Let go above the inside.
+    Into,
+    /// Through an open front, that way out.
+    Through(Vec3),
+}
+
+impl Place {
+    /// # Errors
+    /// Names a target that the scene lacks.
+    pub(super) fn spot(&self, world: &World, object: &Entity) -> Result<Spot, String> {
+        let target = world.entity(&self.target)?;
+        let half_height = target.upright_half_height();
+        let shape = footprint(object.quat, object.half);
+        let aside = Vec3::heading(shape.narrow_angle) * (shape.narrow + NEIGHBOUR_GAP_M);
+        let mut centre = target.pos + aside * self.slot;
+        let (mut floor, brim) = (target.centre.z - half_height, target.centre.z + half_height);
+        let entry = match self.relation {
+            Relation::On => Entry::Onto,
+            Relation::In => match world.front_of_cover(target) {
+                Some(out) => Entry::Through(out),
+                None => Entry::Into,
+            },
+        };
+        let (gate, rest) = match entry {
+            Entry::Onto => (centre.at_height(brim + CARRY_M), centre.at_height(floor)),
+            Entry::Into => {
+                if let Some(out) = world.front_of_drawer(target) {
+                    centre = centre + out * DRAWER_SHIFT_M;
+                }
+                (
+                    centre.at_height(brim + CARRY_M),
+                    centre.at_height(brim - DROP_DEPTH_M),
+                )
+            }
+            Entry::Through(out) => {
+                floor += COVERED_FLOOR_GAP_M;
+                let depth = target.extent_along(out);
+                let rest = centre + out * (depth - COVERED_DEPTH_M);
+                (
+                    (rest + out * COVERED_RUN_M).at_height(floor),
+                    rest.at_height(floor),
+                )
+            }
+        };
+        Ok(Spot {
+            gate,
+            rest,
+            entry,
+            floor,
+            brim,
+        })
+    }
+
+    /// Whether the object is there, as far as boxes tell.
+    ///
+    /// # Errors
+    /// Names a target that the scene lacks.
+    pub(super) fn holds(&self, world: &World, object: &Entity) -> Result<bool, String> {
+        let target = world.entity(&self.target)?;
+        let inside = target.local(object.pos).abs() - target.half;
+        Ok(match self.relation {
+            Relation::In => inside.max_coordinate() < 0.0,
+            Relation::On if target.is_region() => {
+                let above = object.pos.z - target.pos.z;
+                let over = target.local(object.pos.at_height(target.pos.z)).abs() - target.half;
+                over.max_coordinate() < 0.0 && above < ON_REGION_M
+            }
+            Relation::On => {
+                let aside = (object.pos - target.pos).horizontal_norm();
+                aside < ON_OBJECT_M && object.bottom() < target.top()
+            }
+        })
+    }
+
+    /// What the place asks of the grasp.
+    ///
+    /// # Errors
+    /// Names a target that the scene lacks.
+    pub(super) fn wish(&self, world: &World) -> Result<Wish, String> {
+        let target = world.entity(&self.target)?;
+        if self.relation == Relation::On {
+            return Ok(Wish::Any);
+        }
+        Ok(if world.front_of_cover(target).is_some() {
+            Wish::Handle
+        } else if let Some(out) = world.front_of_drawer(target) {
+            // The palm, long in the closing direction, stays parallel to the
+            // cabinet's front.
+            Wish::Across(out)
+        } else {
+            Wish::Any
+        })
+    }
+}
+
+impl Spot {
+    /// Where the grip point must be for the held object to be at `point`.
+    pub(super) fn hand_for(world: &World, object: &Entity, point: Vec3) -> Vec3 {
+        let up = point.z - object.bottom();
+        (world.grip + point - object.pos).at_height(world.grip.z + up)
+    }
+
+    /// Whether the way in can begin, the hand having `left` to go to the gate.
+    pub(super) fn at_gate(&self, left: Vec3) -> bool {
+        let sunk = match self.entry {
+            Entry::Onto | Entry::Into => true,
+            Entry::Through(_) => left.z.abs() < 2.0 * THERE_M,
+        };
+        sunk && left.horizontal_norm() < 2.0 * THERE_M
+    }
+
+    /// Whether the held object can be let go.
+    pub(super) fn reached(&self, world: &World, object: &Entity) -> bool {
+        match self.entry {
+            Entry::Onto => object.bottom() < self.floor + THERE_M,
+            Entry::Into => {
+                let fingers_at_brim = world.grip.z - FINGERTIP_M < self.brim + THERE_M;
+                object.bottom() < self.rest.z + THERE_M || fingers_at_brim
+            }
+            Entry::Through(out) => (object.pos - self.rest).dot(out) < THERE_M,
+        }
+    }
+
+    /// Which way the hand leaves.
+    pub(super) fn way_out(&self) -> Vec3 {
+        match self.entry {
+            Entry::Onto | Entry::Into => Vec3::UP,
+            Entry::Through(out) => out,
+        }
+    }
+}
