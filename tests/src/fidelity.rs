@@ -79,8 +79,9 @@ pub struct ContactFindings {
     pub worst: f64,
     /// The same while the original itself is insensitive.
     pub worst_while_calm: f64,
-    /// Largest difference in multiples of the original's sensitivity.
-    pub sensitivities: f64,
+    /// Largest difference in multiples of the original's sensitivity once it is
+    /// not calm any more; none where that was not measured.
+    pub sensitivities: Option<f64>,
     /// Success flags that differ.
     pub success_flags: usize,
 }
@@ -140,10 +141,11 @@ impl Findings {
             ));
         }
         if let Some(contact) = &self.contact {
-            if !(contact.sensitivities <= limits.sensitivities) {
+            if let Some(multiple) = contact.sensitivities
+                && !(multiple <= limits.sensitivities)
+            {
                 found.push(format!(
-                    "contact-rich steps: {:.0} × the original's sensitivity",
-                    contact.sensitivities
+                    "contact-rich steps: {multiple:.0} × the original's sensitivity"
                 ));
             }
             if !(contact.worst_while_calm <= limits.smooth) {

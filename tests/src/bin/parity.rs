@@ -53,7 +53,7 @@ fn run(arguments: &Arguments) -> Result<bool> {
         gl.renderer()
     );
     println!("{HEADER}");
-    let (mut passed, limits) = (0, Limits::default());
+    let (mut passed, mut multiples, limits) = (0, Vec::new(), Limits::default());
     for task in &tasks {
         match compare(task, &sources, &pack, &gl) {
             Ok(findings) => {
@@ -63,9 +63,18 @@ fn run(arguments: &Arguments) -> Result<bool> {
                     println!("    {violation}");
                 }
                 passed += usize::from(violations.is_empty());
+                multiples.extend(findings.contact.and_then(|contact| contact.sensitivities));
             }
             Err(error) => println!("{:<18} failed to {error:#}", task.id()),
         }
+    }
+    if let Some(multiple) = multiples.iter().copied().reduce(f64::max) {
+        println!(
+            "contact-rich steps: within {multiple:.1} times the original's own sensitivity to \
+             rounding, where that was measured ({} of {} tasks)",
+            multiples.len(),
+            tasks.len()
+        );
     }
     println!("{passed} of {} tasks agree with the original", tasks.len());
     Ok(passed == tasks.len())

@@ -142,6 +142,7 @@ pub(super) fn compare_contact(
     let (actions, qpos) = (array(&recorded, "actions")?, array(&recorded, "qpos")?);
     let success = array(&recorded, "success")?;
     let sensitivity = per_step_sensitivity(task, actions.len())?;
+    let measured = sensitivity.iter().all(|value| value.is_finite());
     environment.load(&array(&recorded, "state")?.values);
     for _ in 0..SETTLING_STEPS {
         environment.step(&NO_OP)?;
@@ -155,12 +156,13 @@ pub(super) fn compare_contact(
         };
         let ours = environment.data().qpos(environment.model());
         let difference = largest_difference(ours, qpos.row(step));
-        calm &= sensitivity[step] <= CALM;
         findings.worst = findings.worst.max(difference);
+        calm &= sensitivity[step] <= CALM;
         if calm {
             findings.worst_while_calm = findings.worst_while_calm.max(difference);
-        } else {
-            findings.sensitivities = findings.sensitivities.max(difference / sensitivity[step]);
+        } else if measured {
+            let multiple = difference / sensitivity[step];
+            findings.sensitivities = Some(findings.sensitivities.unwrap_or(0.0).max(multiple));
         }
         findings.success_flags += usize::from(succeeded != (success.values[step] != 0.0));
     }

@@ -1,0 +1,171 @@
+//! LIBERO's other 90 tasks: nothing is evaluated on them, but they are what a
+//! user's own BDDL files look like.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use protocol::TaskRef;
+use scene::{AssetPack, InitialStates, Problem, Scene, SceneError, Sources, TaskFiles, compose};
+use sim::Environment;
+use sim::episode::NO_OP;
+use sim::predicates::Goal;
+use tests::files::{primitives, shared, sources};
+
+const SUITE: &str = "libero_90";
+const ENV_SEED: u32 = 20260904;
+/// Tasks of the suite.
+const TASKS: usize = 90;
+/// Initial states released for each.
+const STATES: usize = 50;
+
+/// A task of the suite, read.
+struct Task {
+    name: String,
+    problem: Problem,
+    states: InitialStates,
+}
+
+fn tasks(sources: &Sources) -> Vec<Task> {
+    let folder = sources.bddl_file(SUITE, "any").with_file_name("");
+    let mut names: Vec<String> = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| path.extension().is_some_and(|ending| ending == "bddl"))
+        .map(|path| path.file_stem().unwrap().to_str().unwrap().to_owned())
+        .collect();
+    names.sort();
+    names
+        .into_iter()
+        .map(|name| {
+            let files = TaskFiles {
+                bddl: sources.bddl_file(SUITE, &name),
+                init: sources.init_file(SUITE, &name),
+            };
+            Task {
+                problem: files.problem().unwrap_or_else(|e| panic!("{name}: {e}")),
+                states: InitialStates::read(&files.init).unwrap_or_else(|e| panic!("{name}: {e}")),
+                name,
+            }
+        })
+        .collect()
+}
+
+/// Tasks that compose to the same scene, by the scene's digest.
+type Scenes<'a> = BTreeMap<String, Vec<(&'a Task, Scene)>>;
+
+/// Composes every task, so that each scene is compiled once. Beside the scenes
+/// the categories that the pack lacks.
+fn compose_all<'a>(
+    tasks: &'a [Task],
+    pack: &AssetPack,
+    sources: &Sources,
+) -> (Scenes<'a>, BTreeSet<String>) {
+    let mut scenes = Scenes::new();
+    let mut lacking = BTreeSet::new();
+    for task in tasks {
+        match compose(&task.problem, pack, sources, ENV_SEED) {
+            Ok(scene) => scenes
+                .entry(scene.digest())
+                .or_default()
+                .push((task, scene)),
+            Err(error) => {
+                lacking.insert(lacking_category(task, &error, pack.dir()));
+            }
+        }
+    }
+    (scenes, lacking)
+}
+
+/// The category that an error names as lacking, after checking that it is one
+/// of the task's and that the file named is indeed not there.
+fn lacking_category(task: &Task, error: &SceneError, pack: &Path) -> String {
+    let name = &task.name;
+    let SceneError::Read { path, .. } = error else {
+        panic!("{name}: {error}");
+    };
+    assert!(path.starts_with(pack) && !path.exists(), "{name}: {error}");
+    let message = error.to_string();
+    assert!(
+        message.contains(path.to_str().unwrap()),
+        "{name}: {message}"
+    );
+    let problem = &task.problem;
+    let categories = problem.objects.iter().chain(&problem.fixtures);
+    let named = categories
+        .map(|declaration| &declaration.category)
+        .find(|category| message.contains(&format!("category `{category}`")));
+    named
+        .unwrap_or_else(|| panic!("{name}: no category named in: {message}"))
+        .clone()
+}
+
+/// Compiles each scene once and, for every task in it, resolves the goal, loads
+/// one of its released states and steps.
+fn run_all(scenes: Scenes<'_>, pack: &AssetPack, sources: &Sources) -> usize {
+    let mut ran = 0;
+    for sharing in scenes.into_values() {
+        let mut environment = Environment::new(sharing[0].1.clone(), pack, sources).unwrap();
+        for (index, (task, scene)) in sharing.iter().enumerate() {
+            let name = &task.name;
+            let model = environment.model();
+            assert_eq!(task.states.width(), 1 + model.nq() + model.nv(), "{name}");
+            let goal = Goal::resolve(scene, model).unwrap_or_else(|e| panic!("{name}: {e}"));
+            // Another state for each task: a fixed spread over the fifty.
+            environment.load(task.states.get(index * 7 % STATES).unwrap());
+            for _ in 0..10 {
+                let step = environment.step(&NO_OP);
+                step.unwrap_or_else(|e| panic!("{name}: {e}"));
+            }
+            let succeeded = goal.holds(environment.model(), environment.data());
+            assert!(!succeeded, "{name} succeeds by itself");
+            ran += 1;
+        }
+    }
+    ran
+}
+
+#[test]
+fn all_ninety_other_tasks_are_read_with_their_initial_states() {
+    let tasks = tasks(&sources());
+    assert_eq!(tasks.len(), TASKS);
+    for task in tasks {
+        assert_eq!(task.states.count(), STATES, "{}", task.name);
+    }
+}
+
+#[test]
+fn other_tasks_run_on_the_real_assets_or_name_the_category_that_lacks() {
+    let test = "other_tasks_run_on_the_real_assets_or_name_the_category_that_lacks";
+    let Some(assets) = shared("libero-assets", test) else {
+        return;
+    };
+    let sources = sources();
+    let pack = AssetPack::open(&assets.to_string_lossy(), &sources).unwrap();
+    check_pack(&pack, &sources);
+}
+
+#[test]
+fn other_tasks_run_on_the_built_in_pack_or_name_the_category_that_lacks() {
+    let sources = sources();
+    check_pack(&primitives(&sources), &sources);
+}
+
+fn check_pack(pack: &AssetPack, sources: &Sources) {
+    let tasks = tasks(sources);
+    let (scenes, lacking) = compose_all(&tasks, pack, sources);
+    for task in TaskRef::all() {
+        let problem = TaskFiles::of_task(sources, task).problem().unwrap();
+        for declaration in problem.objects.iter().chain(&problem.fixtures) {
+            let category = &declaration.category;
+            assert!(!lacking.contains(category), "{task} needs `{category}`");
+        }
+    }
+    let count = scenes.len();
+    let ran = run_all(scenes, pack, sources);
+    eprintln!(
+        "{SUITE} on {}: {ran} of {} tasks ran, in {count} scenes; the pack lacks {lacking:?}",
+        pack.name(),
+        tasks.len()
+    );
+    assert!(ran > 0, "the pack {} runs none of {SUITE}", pack.name());
+}
