@@ -9,7 +9,8 @@ use std::path::{Path, PathBuf};
 
 use image::RgbImage;
 use protocol::{
-    Axis, Condition, Level, ManifestRow, Perturbation, Realisation, RolloutId, TaskRef, presets,
+    Axis, Condition, Level, ManifestRow, Perturbation, Realisation, RolloutId, TaskRef, paraphrase,
+    presets,
 };
 use sim::{CameraRequest, Episode, ObservationRequest, SimError, Simulator};
 
@@ -91,14 +92,23 @@ fn write_error(path: &Path, problem: &dyn std::fmt::Display) -> PreviewError {
     }
 }
 
-/// Axes and their combination down, severities across, nominal first.
+/// Axes and their combination down, severities across, nominal first. The
+/// language axis is shown in words.
 fn grid(simulator: &mut Simulator, request: &Request) -> Result<RgbImage, PreviewError> {
-    let rows = Axis::METRIC
+    let rows = Axis::ALL
         .map(Condition::Single)
         .into_iter()
         .chain([Condition::Combination]);
     let mut sheet = Sheet::new(1 + LEVELS.len(), FRAME);
     for condition in rows {
+        if condition == Condition::Single(Axis::Language) {
+            sheet.add_text("language: nominal", &request.task.instruction());
+            for level in LEVELS {
+                let words = paraphrase(request.task, level, request.config).text;
+                sheet.add_text(&format!("language {level}"), &words);
+            }
+            continue;
+        }
         let nominal = row(request.task, condition, None, request.config);
         sheet.add(
             &format!("{condition}: nominal"),

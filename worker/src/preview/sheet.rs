@@ -12,6 +12,10 @@ const CHARACTER: u32 = 8;
 /// Above and below a line's characters, pixels.
 const PADDING: u32 = (LABEL_HEIGHT - CHARACTER) / 2;
 
+/// From one line of text to the next, pixels.
+const LINE_HEIGHT: u32 = 16;
+
+const PAGE: Rgb<u8> = Rgb([240, 240, 232]);
 const PAPER: Rgb<u8> = Rgb([255, 255, 255]);
 const INK: Rgb<u8> = Rgb([32, 32, 32]);
 
@@ -34,6 +38,25 @@ impl Sheet {
 
     pub(super) fn add(&mut self, label: &str, picture: RgbImage) {
         self.cells.push((label.to_owned(), picture));
+    }
+
+    /// Adds a cell with words in place of a picture.
+    pub(super) fn add_text(&mut self, label: &str, text: &str) {
+        let mut page = RgbImage::from_pixel(self.cell, self.cell, PAGE);
+        let columns = (self.cell / CHARACTER) as usize - 2;
+        let mut lines = vec![String::new()];
+        for word in text.split(' ') {
+            let line = lines.last_mut().expect("never empty");
+            match line.len() {
+                0 => line.push_str(word),
+                used if used + 1 + word.len() <= columns => line.extend([" ", word]),
+                _ => lines.push(word.to_owned()),
+            }
+        }
+        for (index, line) in (1..).zip(&lines) {
+            write_line(&mut page, line, CHARACTER, index * LINE_HEIGHT);
+        }
+        self.cells.push((label.to_owned(), page));
     }
 
     /// The picture of all cells, row by row.
