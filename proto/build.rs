@@ -1,7 +1,10 @@
 //! Generates the code of `rollout/*/v1/*.proto`, without needing `protoc`.
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let files = ["rollout/policy/v1/policy.proto", "rollout/coordinator/v1/coordinator.proto"];
+    let files = [
+        "rollout/policy/v1/policy.proto",
+        "rollout/coordinator/v1/coordinator.proto",
+    ];
     for file in files {
         println!("cargo:rerun-if-changed={file}");
     }
