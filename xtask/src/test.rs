@@ -10,9 +10,6 @@ use crate::process::{capture, run as run_command};
 use crate::setup;
 use crate::step::step;
 
-/// What the Python package's tests import.
-const PYTHON_TEST_PACKAGES: [&str; 1] = ["pytest"];
-
 /// Sets up, builds and runs everything.
 pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
     let cache = setup::run(root)?;
@@ -68,9 +65,8 @@ fn python(root: &Path, cache: &Path) -> Result<String> {
                 "--quiet",
                 "--disable-pip-version-check",
             ])
-            .args(PYTHON_TEST_PACKAGES)
             .arg("--editable")
-            .arg(root.join("policies")),
+            .arg(format!("{}[dev]", root.join("policies").display())),
     )?;
     Ok(python.display().to_string())
 }
