@@ -16,6 +16,15 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
     // The end-to-end tests start the real programs.
     let programs = build_programs(root)?;
     let python = step("Python environment for policies/", || python(root, &cache))?;
+    step("built-in pack as generated", || {
+        let mut generator = Command::new("python3");
+        capture(
+            generator
+                .arg(root.join("assets/primitives_source"))
+                .arg("--check"),
+        )
+        .map(|_| "yes")
+    })?;
     println!("Testing");
     let nextest = capture(cargo(root).args(["nextest", "--version"])).is_ok();
     let mut tests = cargo(root);
