@@ -16,6 +16,7 @@ pub mod catalog;
 pub mod compose;
 mod element;
 pub mod error;
+mod expression;
 #[doc(hidden)]
 pub mod fuzzing;
 pub mod initial_states;
