@@ -17,8 +17,9 @@ pub struct Sources {
 impl Sources {
     /// Opens the folder, checking that its parts are there.
     pub fn open(dir: &Path) -> Result<Self, SceneError> {
+        // MuJoCo looks for files with relative names elsewhere.
         let sources = Self {
-            dir: dir.to_owned(),
+            dir: std::path::absolute(dir).unwrap_or_else(|_| dir.to_owned()),
         };
         for part in [
             "robosuite/base.xml",
