@@ -1,5 +1,6 @@
 //! How objects lie: what overlaps, what has moved, what has fallen.
 
+use scene::arena::arena;
 use scene::{InstanceKind, Predicate, Problem};
 use sim::mujoco::ObjectKind;
 use sim::predicates::Goal;
@@ -8,7 +9,7 @@ use sim::{Entity, EntityKind, Environment, Episode, ObservationRequest};
 /// Movable objects may overlap with anything by this much at rest, m.
 pub(crate) const MAX_OVERLAP: f64 = 0.005;
 /// Horizontally an object comes to rest this close to where it was released, m.
-const MAX_DRIFT: f64 = 0.15;
+pub(crate) const MAX_DRIFT: f64 = 0.15;
 
 /// Everything in the scene.
 pub(crate) fn entities(episode: &mut Episode<'_>) -> Vec<Entity> {
@@ -27,7 +28,11 @@ pub(crate) fn deepest_overlap(environment: &Environment) -> (f64, String) {
     let movable: Vec<usize> = objects
         .filter(|instance| instance.kind == InstanceKind::Object)
         .flat_map(|instance| &instance.contact_geoms)
-        .map(|geom| model.id(ObjectKind::Geom, geom).expect("a geom of the model"))
+        .map(|geom| {
+            model
+                .id(ObjectKind::Geom, geom)
+                .expect("a geom of the model")
+        })
         .collect();
     let mut deepest = (0.0, String::new());
     for contact in environment.data().contacts() {
@@ -57,43 +62,65 @@ impl<'a> Released<'a> {
         Self { problem, objects }
     }
 
-    /// What has left its place since.
-    pub(crate) fn compare(&self, episode: &mut Episode<'_>) -> Vec<String> {
+    /// What has left its place since, by more than `drift` m for one.
+    pub(crate) fn compare(&self, episode: &mut Episode<'_>, drift: f64) -> Vec<String> {
         let now = entities(episode);
+        let workspace = workspace_height(self.problem);
         let mut problems = Vec::new();
         for before in &self.objects {
             let name = &before.name;
             let after = now.iter().find(|entity| entity.name == *name);
             let after = after.expect("objects do not vanish");
-            let drift = (after.pos[0] - before.pos[0]).hypot(after.pos[1] - before.pos[1]);
-            if !(drift <= MAX_DRIFT) {
-                problems.push(format!("{name} moved {:.0} mm", drift * 1e3));
+            let moved = (after.pos[0] - before.pos[0]).hypot(after.pos[1] - before.pos[1]);
+            if moved.is_nan() || moved > drift {
+                problems.push(format!("{name} moved {:.0} mm", moved * 1e3));
+            }
+            let height = after.centre[2] - after.half_extents[2] - workspace;
+            if height < -MAX_OVERLAP {
+                let below = -height * 1e3;
+                problems.push(format!("{name} lies {below:.1} mm below the workspace"));
             }
         }
+        let untrue = untrue_supports(&self.problem.init, episode.environment());
         problems.extend(
-            untrue(&self.problem.init, episode.environment())
+            untrue
                 .into_iter()
-                .map(|predicate| format!("{predicate} does not hold at rest")),
+                .map(|statement| format!("{statement} does not hold at rest")),
         );
         problems
     }
 }
 
-/// Those of the statements about movable objects and joints that do not hold.
-pub(crate) fn untrue(statements: &[Predicate], environment: &Environment) -> Vec<Predicate> {
+/// Height of what the zones lie on, m. Regions on the floor are declared a
+/// little below it.
+fn workspace_height(problem: &Problem) -> f64 {
+    let arena = arena(&problem.name).expect("the scene was composed");
+    arena.workspace_offset[2].max(0.0)
+}
+
+/// Those of a problem's initial statements that do not hold although they
+/// should: an object on or in something else than a zone, a joint open, closed,
+/// on or off. (The original's objects lie beside their zones' borders, too.)
+fn untrue_supports(init: &[Predicate], environment: &Environment) -> Vec<Predicate> {
     let scene = environment.scene();
-    let about_fixture = |statement: &Predicate| {
-        let first = scene.instance(&statement.arguments[0]);
-        statement.arguments.len() == 2
-            && first.is_none_or(|instance| instance.kind == InstanceKind::Fixture)
+    let is_object = |name: &String| {
+        let instance = scene.instance(name);
+        instance.is_some_and(|instance| instance.kind == InstanceKind::Object)
     };
-    let mut checked = statements.to_vec();
-    checked.retain(|statement| !about_fixture(statement));
+    let is_zone = |name: &String| {
+        let region = scene.region(name);
+        region.is_some_and(|region| region.parent.is_none())
+    };
+    let mut statements = init.to_vec();
+    statements.retain(|statement| match statement.arguments.as_slice() {
+        [upper, lower] => is_object(upper) && !is_zone(lower),
+        _ => true,
+    });
     let mut beginning = scene.clone();
-    beginning.goal = checked.clone();
-    let goal = Goal::resolve(&beginning, environment.model()).expect("the scene was composed of them");
+    beginning.goal = statements.clone();
+    let goal = Goal::resolve(&beginning, environment.model()).expect("LIBERO's own statements");
     let truths = goal.truths(environment.model(), environment.data());
-    let pairs = checked.into_iter().zip(truths);
+    let pairs = statements.into_iter().zip(truths);
     pairs
         .filter(|(_, holds)| !holds)
         .map(|(statement, _)| statement)

@@ -1,0 +1,247 @@
+//! Reaches goals by hand: joints are set beyond their thresholds, objects are
+//! put where the goal wants them, just free of whatever lies there, and let go.
+//! Everything is computed from the goal and the scene.
+
+use scene::catalog::{Articulation, Threshold};
+use scene::{Instance, Predicate, Scene};
+use sim::episode::NO_OP;
+use sim::mujoco::ObjectKind;
+use sim::{Entity, Environment, Episode};
+
+use crate::table::{MAX_OVERLAP, deepest_overlap, entities};
+
+/// A joint is put this far beyond its threshold, m or rad, where it can go.
+const BEYOND: f64 = 0.02;
+/// An object is put where it overlaps with nothing by more than this, m.
+const FREE_OVERLAP: f64 = 0.001;
+/// Free space is looked for in these steps upwards and sideways, m.
+const LIFT: f64 = 0.005;
+const ASIDE: f64 = 0.02;
+/// The search goes this high, m, and this many steps aside.
+const MAX_LIFT: f64 = 0.25;
+const MAX_ASIDE: i32 = 4;
+/// Control steps after which an object that was let go lies still.
+const REST_STEPS: usize = 20;
+/// So often an object is let go before its goal counts as out of reach.
+const MAX_TRIALS: usize = 40;
+
+/// Makes the goal of a settled scene true and lets everything come to rest;
+/// what stands in the way.
+pub(crate) fn reach_goal(episode: &mut Episode<'_>) -> Result<(), String> {
+    let environment = episode.environment();
+    let scene = environment.scene().clone();
+    let mut state = resting_state(environment);
+    for predicate in openings(&scene).iter().chain(&scene.goal) {
+        if let [name] = predicate.arguments.as_slice() {
+            move_joints(environment, &scene, &predicate.name, name, &mut state)?;
+        }
+    }
+    let mut reached: Vec<usize> = Vec::new();
+    for (index, predicate) in scene.goal.iter().enumerate() {
+        if predicate.arguments.len() == 2 {
+            reached.push(index);
+            state = put(episode, &state, &scene.goal, &reached)
+                .ok_or_else(|| format!("{predicate} does not become true by hand"))?;
+        }
+    }
+    let environment = episode.environment();
+    environment.load(&state);
+    rest(environment)?;
+    let truths = environment.goal_truths();
+    let untrue = scene.goal.iter().zip(truths).find(|(_, holds)| !holds);
+    match untrue {
+        Some((predicate, _)) => Err(format!("{predicate} does not stay true at rest")),
+        None => Ok(()),
+    }
+}
+
+/// Drawers and doors that stay open in the goal: an object must get in.
+fn openings(scene: &Scene) -> Vec<Predicate> {
+    let closed = |name: &String| {
+        let close = |goal: &Predicate| goal.name == "close" && goal.arguments[0] == *name;
+        scene.goal.iter().any(close)
+    };
+    let mut openings = Vec::new();
+    for predicate in scene.goal.iter().filter(|predicate| predicate.name == "in") {
+        let region = scene.region(&predicate.arguments[1]);
+        if let Some(region) = region.filter(|region| !region.joints.is_empty())
+            && !closed(&region.name)
+        {
+            openings.push(Predicate {
+                name: "open".to_owned(),
+                arguments: vec![region.name.clone()],
+            });
+        }
+    }
+    openings
+}
+
+/// Time, positions, and no velocities.
+fn resting_state(environment: &Environment) -> Vec<f64> {
+    let (model, data) = (environment.model(), environment.data());
+    let mut state = vec![data.time_secs()];
+    state.extend(data.qpos(model));
+    state.extend(vec![0.0; model.nv()]);
+    state
+}
+
+fn rest(environment: &mut Environment) -> Result<(), String> {
+    for _ in 0..REST_STEPS {
+        environment
+            .step(&NO_OP)
+            .map_err(|error| error.to_string())?;
+    }
+    Ok(())
+}
+
+/// Puts the joints of a region or an instance beyond the threshold.
+fn move_joints(
+    environment: &Environment,
+    scene: &Scene,
+    predicate: &str,
+    name: &str,
+    state: &mut [f64],
+) -> Result<(), String> {
+    let (instance, joints) = joints_of(scene, name);
+    let threshold = match (predicate, instance.category.articulation) {
+        ("open", Articulation::OpenClose { open, .. }) => open,
+        ("close", Articulation::OpenClose { close, .. }) => close,
+        ("turnon", Articulation::OnOff { on, .. }) => Threshold::Above(on),
+        ("turnoff", Articulation::OnOff { off, .. }) => Threshold::Below(off),
+        _ => return Err(format!("nobody knows how to {predicate} {name}")),
+    };
+    let model = environment.model();
+    for joint in joints {
+        let id = model.id(ObjectKind::Joint, joint).expect("in the model");
+        let range = &model.jnt_range()[id * 2..][..2];
+        let position = match threshold {
+            Threshold::Above(limit) => (limit + BEYOND).min(range[1]),
+            Threshold::Below(limit) => (limit - BEYOND).max(range[0]),
+        };
+        if !threshold.holds(position) {
+            return Err(format!(
+                "{joint} moves from {} to {}: too little to {predicate}",
+                range[0], range[1]
+            ));
+        }
+        // The time comes before the positions.
+        state[1 + model.jnt_qposadr()[id] as usize] = position;
+    }
+    Ok(())
+}
+
+fn joints_of<'a>(scene: &'a Scene, name: &str) -> (&'a Instance, &'a [String]) {
+    if let Some(instance) = scene.instance(name) {
+        return (instance, &instance.joints);
+    }
+    let region = scene.region(name).expect("the goal was resolved");
+    let parent = region.parent.as_deref().expect("something to move");
+    let instance = scene.instance(parent).expect("the region's parent");
+    (instance, &region.joints)
+}
+
+/// Makes the last of the predicates reached true and keeps the others so: puts
+/// its object on or in its place and lets it go, in one way after another; the
+/// state at rest.
+fn put(
+    episode: &mut Episode<'_>,
+    state: &[f64],
+    goal: &[Predicate],
+    reached: &[usize],
+) -> Option<Vec<f64>> {
+    let index = *reached.last()?;
+    let [object, place] = goal[index].arguments.as_slice() else {
+        return None;
+    };
+    episode.environment().load(state);
+    let place = entity(episode, place);
+    let preferred = own_part(goal, index, &place);
+    let as_it_lies = entity(episode, object);
+    let underside = as_it_lies.pos[2] - (as_it_lies.centre[2] - as_it_lies.half_extents[2]);
+    let lowest = place.centre[2] - place.half_extents[2] + underside;
+    let address = free_joint(episode.environment(), object);
+    let environment = episode.environment();
+    let mut trials = 0;
+    for [x, y] in asides(preferred) {
+        let from = [place.pos[0] + x, place.pos[1] + y, lowest];
+        if !lift_free(environment, state, address, from) {
+            continue;
+        }
+        trials += 1;
+        if trials > MAX_TRIALS {
+            return None;
+        }
+        if rest(environment).is_ok()
+            && reached
+                .iter()
+                .all(|index| environment.goal_truths()[*index])
+            && deepest_overlap(environment).0 <= MAX_OVERLAP
+        {
+            return Some(resting_state(environment));
+        }
+    }
+    None
+}
+
+/// Where in a place a predicate's object leaves room for the goal's others: the
+/// middle of its share of the longer side, from the place's centre, m.
+fn own_part(goal: &[Predicate], index: usize, place: &Entity) -> [f64; 2] {
+    let shares = |predicate: &Predicate| predicate.arguments.get(1) == Some(&place.name);
+    let count = goal.iter().filter(|predicate| shares(predicate)).count();
+    let before = goal[..index].iter().filter(|p| shares(p)).count();
+    let share = (2 * before + 1) as f64 / count as f64 - 1.0;
+    let [half_x, half_y, _] = place.half_extents;
+    let along_x = half_x > half_y;
+    let offset = share * half_x.max(half_y);
+    // The place's axes in the world; places lie flat, turned about z.
+    let [w, _, _, z] = place.quat_wxyz;
+    let (sin, cos) = (2.0 * z.atan2(w)).sin_cos();
+    match along_x {
+        true => [offset * cos, offset * sin],
+        false => [-offset * sin, offset * cos],
+    }
+}
+
+/// Raises the object of this free joint from a position until it is free and
+/// leaves the scene loaded so; false if there is no room.
+fn lift_free(environment: &mut Environment, state: &[f64], address: usize, from: [f64; 3]) -> bool {
+    let mut state = state.to_vec();
+    // The time comes before the positions; the rotation stays as it is.
+    let position = 1 + address..1 + address + 3;
+    state[position.clone()].copy_from_slice(&from);
+    while state[position.end - 1] < from[2] + MAX_LIFT {
+        environment.load(&state);
+        if deepest_overlap(environment).0 <= FREE_OVERLAP {
+            return true;
+        }
+        state[position.end - 1] += LIFT;
+    }
+    false
+}
+
+fn entity(episode: &mut Episode<'_>, name: &str) -> Entity {
+    let all = entities(episode);
+    let found = all.into_iter().find(|entity| entity.name == name);
+    found.expect("the goal was resolved")
+}
+
+/// First position coordinate of an object's free joint.
+fn free_joint(environment: &Environment, object: &str) -> usize {
+    let instance = environment.scene().instance(object);
+    let joint = instance.and_then(|instance| instance.joints.last());
+    let joint = joint.expect("objects move freely");
+    let model = environment.model();
+    let id = model.id(ObjectKind::Joint, joint).expect("in the model");
+    model.jnt_qposadr()[id] as usize
+}
+
+/// Steps aside, those nearest to the preferred first, m.
+fn asides(preferred: [f64; 2]) -> Vec<[f64; 2]> {
+    let steps = || (-MAX_ASIDE..=MAX_ASIDE).map(|step| f64::from(step) * ASIDE);
+    let mut asides: Vec<_> = steps().flat_map(|x| steps().map(move |y| [x, y])).collect();
+    asides.sort_by(|a, b| {
+        let away = |aside: &[f64; 2]| (aside[0] - preferred[0]).hypot(aside[1] - preferred[1]);
+        away(a).total_cmp(&away(b))
+    });
+    asides
+}
