@@ -11,6 +11,7 @@
 pub mod artifacts;
 pub mod client;
 pub mod clock;
+pub mod digests;
 pub mod expand;
 pub mod export;
 mod grpc;

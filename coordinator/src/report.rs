@@ -40,6 +40,20 @@ pub enum ReportError {
         /// What is wrong with it.
         source: SpecError,
     },
+    /// Results of another realisation mode than the campaign's, which a commit
+    /// refuses.
+    #[error(
+        "pool the results of campaign `{campaign}`: it is of mode {mode} and holds results of mode \
+         {other}, which perturbs differently; measure each mode in a campaign of its own"
+    )]
+    Modes {
+        /// Whose.
+        campaign: CampaignName,
+        /// Its mode.
+        mode: String,
+        /// The other.
+        other: String,
+    },
     /// A stored rollout id does not read back.
     #[error("read a stored rollout id")]
     RolloutId(#[from] UnknownName),
@@ -89,7 +103,8 @@ struct SetAside<'a> {
 /// Reports on a campaign as it stands.
 ///
 /// # Errors
-/// When there is no such campaign or the database fails.
+/// When there is no such campaign, it holds results of two realisation modes,
+/// or the database fails.
 pub async fn of_campaign(queue: &Queue, name: &CampaignName) -> Result<Rendered, ReportError> {
     let facts = read(queue, name).await?;
     // Thousands of resamplings: not on a thread that serves requests.
@@ -107,6 +122,16 @@ async fn read(queue: &Queue, name: &CampaignName) -> Result<Facts, ReportError> 
         campaign: name.clone(),
         source,
     })?;
+    let provenances = results::provenances(&mut tx, row.id).await;
+    let provenances = provenances.map_err(in_store)?;
+    let mut modes = provenances.iter().map(|provenance| &provenance.realisation);
+    if let Some(other) = modes.find(|mode| **mode != row.realisation) {
+        return Err(ReportError::Modes {
+            campaign: row.name,
+            mode: row.realisation,
+            other: other.clone(),
+        });
+    }
     let records = results::records(&mut tx, row.id).await.map_err(in_store)?;
     let records = records.iter().map(record);
     Ok(Facts {
@@ -117,9 +142,7 @@ async fn read(queue: &Queue, name: &CampaignName) -> Result<Facts, ReportError> 
         divergent: results::divergent(&mut tx, row.id)
             .await
             .map_err(in_store)?,
-        provenances: results::provenances(&mut tx, row.id)
-            .await
-            .map_err(in_store)?,
+        provenances,
         campaign: row.name,
         policy: row.policy,
         endpoint: row.endpoint,

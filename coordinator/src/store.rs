@@ -127,6 +127,11 @@ impl<T> Doing<T> for Result<T, sqlx::Error> {
     }
 }
 
+/// A stored value that does not read back.
+pub(crate) fn undecodable(error: impl std::error::Error + Send + Sync + 'static) -> sqlx::Error {
+    sqlx::Error::Decode(Box::new(error))
+}
+
 impl Store {
     /// Opens the database of a data folder, creating and migrating it as
     /// needed.
@@ -157,6 +162,12 @@ impl Store {
         };
         let writer = SqlitePoolOptions::new()
             .max_connections(1)
+            // SQLite ends a transaction by itself when the disk is full; the
+            // connection would count it as open for ever.
+            .before_acquire(|connection, _| {
+                let usable = !connection.is_in_transaction();
+                Box::pin(async move { Ok(usable) })
+            })
             .connect_with(options.clone())
             .await
             .map_err(database)?;

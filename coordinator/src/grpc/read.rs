@@ -4,6 +4,7 @@
 use proto::coordinator as wire;
 use tonic::Status;
 
+use crate::digests::{AxisDigests, AxisDigestsError, is_sha256};
 use crate::ids::{Attempt, JobId, LeaseRef, WorkerId, shortened};
 use crate::lease::FailureReason;
 use crate::queue::CommitReport;
@@ -52,7 +53,7 @@ pub(super) fn commit(request: wire::CommitRequest) -> Result<CommitReport, Statu
         digests: Digests {
             scene: digest("scene_digest", &provenance.scene_digest)?,
             init_state: digest("init_state_digest", &provenance.init_state_digest)?,
-            perturbation: digest_or_empty("perturbation_digest", &provenance.perturbation_digest)?,
+            perturbation: axis_digests(&provenance.perturbation_digest)?,
             first_frame: digest_or_empty("first_frame_digest", &provenance.first_frame_digest)?,
         },
         provenance: Provenance {
@@ -147,8 +148,7 @@ fn required(field: &str, value: String) -> Result<String, Status> {
 }
 
 fn digest(field: &str, value: &str) -> Result<String, Status> {
-    let is_hex = |byte: u8| byte.is_ascii_digit() || (b'a'..=b'f').contains(&byte);
-    if value.len() == 64 && value.bytes().all(is_hex) {
+    if is_sha256(value) {
         Ok(value.to_owned())
     } else {
         Err(Status::invalid_argument(format!(
@@ -162,6 +162,12 @@ fn digest_or_empty(field: &str, value: &str) -> Result<String, Status> {
         return Ok(String::new());
     }
     digest(field, value)
+}
+
+fn axis_digests(value: &str) -> Result<AxisDigests, Status> {
+    value.parse().map_err(|error: AxisDigestsError| {
+        Status::invalid_argument(format!("`perturbation_digest`: {error}"))
+    })
 }
 
 fn missing(field: &str) -> Status {

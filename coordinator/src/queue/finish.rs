@@ -232,15 +232,15 @@ impl Queue {
         now: UnixMillis,
     ) -> Result<CommitReply, StoreError> {
         let lease = &report.lease;
-        let row = campaigns::by_id(tx, campaign).await?;
-        let pin = row.pin();
+        let owner = campaigns::by_id(tx, campaign).await?;
         let demand = Demand {
-            pin: pin.as_ref(),
-            realisation: &row.realisation,
+            pin: owner.pin(),
+            realisation: owner.mode()?,
+            row: jobs::manifest_row(tx, lease.job).await?,
         };
-        let sibling = results::sibling(tx, lease.job).await?;
+        let siblings = results::siblings(tx, lease.job).await?;
         let (provenance, digests) = (&report.provenance, &report.digests);
-        if let Some(detail) = pairing::difference(&demand, sibling.as_ref(), provenance, digests) {
+        if let Some(detail) = pairing::difference(&demand, &siblings, provenance, digests) {
             let failure = (FailureReason::Unpaired, detail.as_str());
             self.end_attempt(tx, job, campaign, lease, failure, now)
                 .await?;

@@ -30,12 +30,6 @@ pub(super) fn warnings(facts: &Facts) -> Vec<String> {
     ));
     warnings.extend(mixed(
         facts,
-        "realisation mode",
-        "never pooled: each perturbs differently",
-        |p| p.realisation.clone(),
-    ));
-    warnings.extend(mixed(
-        facts,
         "policy checkpoint",
         "each is another policy",
         |p| {

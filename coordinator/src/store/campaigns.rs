@@ -1,8 +1,9 @@
 //! Statements on `campaign` and `campaign_task`: creating, pinning, counting.
 
+use protocol::Realisation;
 use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
 
-use super::{Doing, StoreError, policies};
+use super::{Doing, StoreError, policies, undecodable};
 use crate::clock::UnixMillis;
 use crate::expand::{NewCampaign, NewJob};
 use crate::ids::{CampaignId, CampaignName};
@@ -60,6 +61,12 @@ impl CampaignRow {
             asset_pack_digest: self.asset_pack_digest.clone()?,
             mujoco_version: self.mujoco_version.clone()?,
         })
+    }
+
+    /// Where its perturbations' random elements come from.
+    pub(crate) fn mode(&self) -> Result<Realisation, StoreError> {
+        let mode = self.realisation.parse().map_err(undecodable);
+        mode.doing("read a campaign's realisation mode")
     }
 }
 

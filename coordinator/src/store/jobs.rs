@@ -3,9 +3,10 @@
 //! Every statement that moves a leased job is conditional on its owner and
 //! attempt, and answers whether it moved anything.
 
+use protocol::ManifestRow;
 use sqlx::SqliteConnection;
 
-use super::{Doing, StoreError};
+use super::{Doing, StoreError, undecodable};
 use crate::clock::UnixMillis;
 use crate::ids::{Attempt, CampaignId, JobId, LeaseRef, PolicyId, WorkerId};
 use crate::lease::{AfterFailure, FailureReason, Job, JobState, MAX_CHARGED_ATTEMPTS};
@@ -227,6 +228,19 @@ pub(crate) async fn load(
         Ok((row.into_job()?, campaign))
     })
     .transpose()
+}
+
+/// The rollout that a job is to run.
+pub(crate) async fn manifest_row(
+    tx: &mut SqliteConnection,
+    id: JobId,
+) -> Result<ManifestRow, StoreError> {
+    let row = sqlx::query_scalar("SELECT manifest_row FROM job WHERE id = ?")
+        .bind(id)
+        .fetch_one(tx)
+        .await;
+    row.and_then(|row: String| serde_json::from_str(&row).map_err(undecodable))
+        .doing("read a job's manifest row")
 }
 
 /// Renews a lease and stores its progress. Answers whether it is still held.

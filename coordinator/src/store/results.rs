@@ -1,10 +1,12 @@
 //! Statements on `result`, `provenance` and `divergence`: what came out, and
 //! where it came from.
 
+use protocol::RolloutId;
 use sqlx::SqliteConnection;
 
-use super::{Doing, StoreError};
+use super::{Doing, StoreError, undecodable};
 use crate::clock::UnixMillis;
+use crate::digests::{AxisDigests, AxisDigestsError};
 use crate::ids::{CampaignId, JobId, LeaseRef, WorkerId};
 use crate::lease::OutcomeKey;
 
@@ -59,29 +61,47 @@ pub struct Provenance {
 }
 
 /// What makes two rollouts comparable, SHA-256 in hex.
-#[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Digests {
     /// Of the composed MJCF.
-    #[sqlx(rename = "scene_digest")]
     pub scene: String,
     /// Of the initial state's bytes.
-    #[sqlx(rename = "init_state_digest")]
     pub init_state: String,
-    /// Of the perturbation as realised; may be empty.
-    #[sqlx(rename = "perturbation_digest")]
-    pub perturbation: String,
+    /// Of the perturbation as realised, axis by axis.
+    pub perturbation: AxisDigests,
     /// Of the first frames that the policy saw; empty where it looks at none.
-    #[sqlx(rename = "first_frame_digest")]
     pub first_frame: String,
 }
 
-/// A committed rollout of the same configuration, to be compared with.
-#[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
+/// A committed rollout of the same initial state, to be compared with.
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Sibling {
-    pub(crate) rollout_id: String,
-    pub(crate) worker_id: WorkerId,
-    pub(crate) scene_digest: String,
-    pub(crate) init_state_digest: String,
+    pub(crate) rollout: RolloutId,
+    pub(crate) worker: WorkerId,
+    pub(crate) scene: String,
+    pub(crate) init_state: String,
+    /// None in results that were stored before it was kept.
+    pub(crate) perturbation: Option<AxisDigests>,
+    pub(crate) first_frame: String,
+    pub(crate) gl_renderer: String,
+    pub(crate) policy_name: String,
+    pub(crate) policy_checkpoint: String,
+    pub(crate) policy_checkpoint_digest: String,
+}
+
+/// A [`Sibling`] as it is stored.
+#[derive(sqlx::FromRow)]
+struct SiblingRow {
+    rollout_id: String,
+    worker_id: WorkerId,
+    scene_digest: String,
+    init_state_digest: String,
+    perturbation_digests: Option<String>,
+    first_frame_digest: String,
+    gl_renderer: String,
+    policy_name: String,
+    policy_checkpoint: String,
+    policy_checkpoint_digest: String,
 }
 
 /// A committed rollout as reports and exports read it.
@@ -129,7 +149,7 @@ pub(crate) async fn insert(
         "INSERT INTO result (job_id, campaign_id, attempt, worker_id, committed_ms, success,
              steps, wall_secs, ik_residual_mm, ik_residual_deg, ik_clamped_joints,
              clipped_actions, policy_queries, provenance_id, scene_digest, init_state_digest,
-             perturbation_digest, first_frame_digest)
+             perturbation_digests, first_frame_digest)
          VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
     )
     .bind(lease.job)
@@ -148,7 +168,7 @@ pub(crate) async fn insert(
     .bind(provenance)
     .bind(&digests.scene)
     .bind(&digests.init_state)
-    .bind(&digests.perturbation)
+    .bind(digests.perturbation.to_string())
     .bind(&digests.first_frame)
     .execute(tx)
     .await
@@ -199,24 +219,54 @@ pub(crate) async fn stored_outcome(
     Ok(row.map(|(success, steps)| OutcomeKey { success, steps }))
 }
 
-/// A committed rollout of the same campaign, task and initial state as `job`:
-/// all of them agree, so that one speaks for the others.
-pub(crate) async fn sibling(
+/// The committed rollouts of the same campaign, task and initial state as
+/// `job`. Replicates that drew with one renderer for one policy agree, so that
+/// the first speaks for the others.
+pub(crate) async fn siblings(
     tx: &mut SqliteConnection,
     job: JobId,
-) -> Result<Option<Sibling>, StoreError> {
-    sqlx::query_as(
-        "SELECT s.rollout_id, r.worker_id, r.scene_digest, r.init_state_digest
+) -> Result<Vec<Sibling>, StoreError> {
+    // With a lone min(), SQLite takes the other columns from that very row.
+    let rows: Result<Vec<SiblingRow>, sqlx::Error> = sqlx::query_as(
+        "SELECT min(s.id), s.rollout_id, r.worker_id, r.scene_digest, r.init_state_digest,
+             r.perturbation_digests, r.first_frame_digest, v.gl_renderer, v.policy_name,
+             v.policy_checkpoint, v.policy_checkpoint_digest
          FROM job j
          JOIN job s ON s.campaign_id = j.campaign_id AND s.task = j.task
              AND s.init_id = j.init_id AND s.state = 'committed'
          JOIN result r ON r.job_id = s.id
-         WHERE j.id = ? ORDER BY s.id LIMIT 1",
+         JOIN provenance v ON v.id = r.provenance_id
+         WHERE j.id = ?
+         GROUP BY s.rollout_id, r.perturbation_digests IS NULL, r.first_frame_digest = '',
+             v.gl_renderer, v.policy_name, v.policy_checkpoint, v.policy_checkpoint_digest
+         ORDER BY 1",
     )
     .bind(job)
-    .fetch_optional(tx)
-    .await
-    .doing("look for a configuration's siblings")
+    .fetch_all(tx)
+    .await;
+    let siblings = rows.and_then(|rows| rows.into_iter().map(Sibling::try_from).collect());
+    siblings.doing("look for a configuration's siblings")
+}
+
+impl TryFrom<SiblingRow> for Sibling {
+    type Error = sqlx::Error;
+
+    fn try_from(row: SiblingRow) -> Result<Sibling, sqlx::Error> {
+        let perturbation = row.perturbation_digests.as_deref().map(str::parse);
+        let perturbation = perturbation.transpose();
+        Ok(Sibling {
+            rollout: row.rollout_id.parse().map_err(undecodable)?,
+            worker: row.worker_id,
+            scene: row.scene_digest,
+            init_state: row.init_state_digest,
+            perturbation: perturbation.map_err(|error: AxisDigestsError| undecodable(error))?,
+            first_frame: row.first_frame_digest,
+            gl_renderer: row.gl_renderer,
+            policy_name: row.policy_name,
+            policy_checkpoint: row.policy_checkpoint,
+            policy_checkpoint_digest: row.policy_checkpoint_digest,
+        })
+    }
 }
 
 /// Up to `limit` committed rollouts after one, by rollout id, then replicate.

@@ -266,7 +266,7 @@ impl Worker {
                     "{}/{}/{}",
                     row["suite"], row["task_id"], row["init_id"]
                 )),
-                perturbation_digest: sha(&row["perturb"].to_string()),
+                perturbation_digest: realised(&row),
                 first_frame_digest: String::new(),
                 realisation: lease.realisation.clone(),
                 policy_name: lease.policy.clone(),
@@ -348,6 +348,23 @@ pub(crate) fn registration(id: &str, pack: &str) -> wire::RegisterRequest {
 pub(crate) fn rollout_id(lease: &wire::Lease) -> String {
     let row: Value = serde_json::from_str(&lease.manifest_row).expect("a manifest row");
     row["rollout_id"].as_str().expect("an id").to_owned()
+}
+
+/// The digests of what the bench would realise: of the parameters alone, as if
+/// no axis drew anything, so that the modes realise the same.
+fn realised(row: &Value) -> String {
+    let parameters = &row["perturb"];
+    let digest = |axis: &str, values: &Value| format!("{axis}:{}", sha(&values.to_string()));
+    let names = ["camera", "lighting", "robot", "sensor", "actuation"];
+    let digests: Vec<String> = match row["axis"].as_str().expect("a condition") {
+        "clean" | "language" => Vec::new(),
+        "combination" => names
+            .iter()
+            .filter_map(|axis| Some(digest(axis, parameters.get(axis)?)))
+            .collect(),
+        axis => vec![digest(axis, parameters)],
+    };
+    digests.join(",")
 }
 
 pub(crate) async fn open_database(folder: &Path) -> SqlitePool {

@@ -12,3 +12,4 @@ mod process;
 mod random;
 mod reports;
 mod schema;
+mod seeds;

@@ -10,12 +10,10 @@ use proto::coordinator::{
     CommitRequest, CommitResponse, LeaseRef, Outcome, Provenance, ReleaseRequest, ReleaseResponse,
 };
 use protocol::Realisation;
-use sha2::{Digest, Sha256};
 use tonic::Status;
 
 use super::Identity;
 use super::link::Link;
-use crate::digest::hex;
 use crate::grpc::in_words;
 use crate::message::{Evidence, Failure, Finished, Outcome as SlotOutcome};
 
@@ -178,7 +176,7 @@ fn provenance(evidence: Evidence, identity: Identity, realisation: Realisation) 
         asset_pack_digest: identity.asset_pack_digest,
         scene_digest: evidence.scene_digest,
         init_state_digest: evidence.init_state_digest,
-        perturbation_digest: one_digest(&evidence.perturbation_digest),
+        perturbation_digest: evidence.perturbation_digest,
         first_frame_digest: evidence.first_frame_digest,
         realisation: realisation.to_string(),
         policy_name: evidence.policy_name,
@@ -188,13 +186,4 @@ fn provenance(evidence: Evidence, identity: Identity, realisation: Realisation) 
         batch_mode: BATCH_MODE.to_owned(),
         program_version: env!("CARGO_PKG_VERSION").to_owned(),
     }
-}
-
-/// The digests of all perturbed axes as one, which is what a result carries;
-/// nothing for nothing.
-fn one_digest(axes: &str) -> String {
-    if axes.is_empty() {
-        return String::new();
-    }
-    hex(&Sha256::digest(axes))
 }

@@ -1,0 +1,106 @@
+//! A replicate changes the policy's seed and nothing else, and the seed goes
+//! with the rollout from the specification to the result.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use proto::coordinator as wire;
+use proto::coordinator::commit_response::Verdict;
+use serde_json::{Value, json};
+
+use crate::harness::{Bench, rollout_id, small_spec, with};
+
+const REPLICATES: u32 = 3;
+/// Python's `zlib.crc32` of the id, and of the id with `#r1` and `#r2`.
+const CAMERA: (&str, [u64; 3]) = (
+    "object/t0/camera/L1/c00",
+    [2_407_598_533, 1_434_740_286, 3_431_806_852],
+);
+/// As above, of another condition of the same configuration.
+const COMBINATION: (&str, u64) = ("object/t0/combination/L1/c00", 2_351_656_207);
+
+fn spec(name: &str, realisation: &str) -> Value {
+    with(
+        small_spec(name),
+        json!({"replicates": REPLICATES, "realisation": realisation}),
+    )
+}
+
+/// All leases of a campaign of four rollouts, committed.
+async fn run(bench: &Bench, spec: &Value) -> Vec<wire::Lease> {
+    bench.create(spec).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    let leases = worker.claim(64).await;
+    assert_eq!(leases.len(), 4 * REPLICATES as usize);
+    for lease in &leases {
+        assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
+    }
+    leases
+}
+
+fn seeds(leases: &[wire::Lease]) -> BTreeMap<(String, u32), u64> {
+    let seeds = leases.iter();
+    seeds
+        .map(|lease| ((rollout_id(lease), lease.replicate), lease.policy_seed))
+        .collect()
+}
+
+#[tokio::test]
+async fn seeds_are_the_protocols_and_differ_between_replicates_and_conditions() {
+    let bench = Bench::start().await;
+    let seeds = seeds(&run(&bench, &spec("thrice", "matched")).await);
+    for (replicate, seed) in (0..).zip(CAMERA.1) {
+        assert_eq!(seeds[&(CAMERA.0.to_owned(), replicate)], seed);
+    }
+    assert_eq!(seeds[&(COMBINATION.0.to_owned(), 0)], COMBINATION.1);
+    let distinct: BTreeSet<u64> = seeds.values().copied().collect();
+    assert_eq!(distinct.len(), seeds.len(), "{seeds:?}");
+}
+
+#[tokio::test]
+async fn seeds_agree_between_campaigns_and_realisation_modes() {
+    let bench = Bench::start().await;
+    let matched = seeds(&run(&bench, &spec("matched", "matched")).await);
+    let reference = seeds(&run(&bench, &spec("reference", "reference")).await);
+    assert_eq!(matched, reference);
+}
+
+#[tokio::test]
+async fn a_replicate_changes_the_policys_seed_and_nothing_else() {
+    let bench = Bench::start().await;
+    let leases = run(&bench, &spec("thrice", "matched")).await;
+    let first = leases.iter().filter(|lease| lease.replicate == 0);
+    for nominal in first {
+        let replicates = leases
+            .iter()
+            .filter(|lease| rollout_id(lease) == rollout_id(nominal));
+        for lease in replicates {
+            let same = wire::Lease {
+                job_id: lease.job_id,
+                attempt: lease.attempt,
+                replicate: lease.replicate,
+                policy_seed: lease.policy_seed,
+                ..nominal.clone()
+            };
+            assert_eq!(*lease, same);
+        }
+    }
+}
+
+#[tokio::test]
+async fn the_seed_that_a_worker_was_told_is_stored_with_the_result() {
+    let bench = Bench::start().await;
+    let told = seeds(&run(&bench, &spec("thrice", "matched")).await);
+    let pool = bench.database().await;
+    let stored: Vec<(String, u32, i64)> = sqlx::query_as(
+        "SELECT j.rollout_id, j.replicate, j.policy_seed FROM result r JOIN job j ON j.id = r.job_id",
+    )
+    .fetch_all(&pool)
+    .await
+    .expect("results");
+    pool.close().await;
+    let stored: BTreeMap<(String, u32), u64> = stored
+        .into_iter()
+        .map(|(id, replicate, seed)| ((id, replicate), seed.cast_unsigned()))
+        .collect();
+    assert_eq!(stored, told);
+}
