@@ -3,7 +3,7 @@
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{ArgGroup, Args, Parser, Subcommand};
 use protocol::{Level, Realisation, RolloutId, Suite};
 use sim::GlDevice;
 
@@ -20,7 +20,9 @@ use crate::grpc::{EndpointError, parse_endpoint};
     subcommand_negates_reqs = true,
     override_usage = "worker --connect URL --assets PACK [OPTIONS]\n       \
                       worker rollout --id ID --endpoint URL --assets PACK --output DIR [OPTIONS]\n       \
-                      worker preview --suite SUITE --task N --assets PACK --output DIR [OPTIONS]"
+                      worker rollout --bddl FILE --init FILE --actions FILE --assets PACK --output DIR [OPTIONS]\n       \
+                      worker preview --suite SUITE --task N --assets PACK --output DIR [OPTIONS]\n       \
+                      worker assets list|verify|fetch [OPTIONS]"
 )]
 pub struct Arguments {
     /// What else a worker can do.
@@ -43,6 +45,8 @@ pub enum Command {
     /// Shows what the perturbations of a configuration look like, without any
     /// policy
     Preview(PreviewArguments),
+    /// Looks after asset packs: lists, verifies and fetches them
+    Assets(AssetsArguments),
     /// The process of one slot, started by a worker
     #[command(hide = true)]
     Slot(SimulatorArguments),
@@ -78,20 +82,32 @@ pub struct SimulatorArguments {
     pub gl_device: GlDevice,
 }
 
-/// Which rollout, with which policy.
+/// Which rollout, and what acts in it.
 #[derive(Debug, Args)]
+#[command(
+    group = ArgGroup::new("case").required(true).multiple(true).args(["id", "bddl"]),
+    group = ArgGroup::new("actor").required(true).args(["endpoint", "actions"]),
+)]
 pub struct RolloutArguments {
     /// The rollout, for example spatial/t0/camera/L2/c00, or
-    /// spatial/t0/clean/L0/c07
+    /// spatial/t0/clean/L0/c07. Beside --bddl: the rollout whose suite, seeds
+    /// and perturbation are used (its language axis is not)
     #[arg(long, value_name = "ID")]
-    pub id: RolloutId,
+    pub id: Option<RolloutId>,
+    /// A task of your own
+    #[command(flatten)]
+    pub own_task: OwnTaskArguments,
     /// URL of the policy, or of a gateway
     #[arg(long, value_name = "URL", value_parser = server_url)]
-    pub endpoint: String,
+    pub endpoint: Option<String>,
     /// Which of the policies there; empty: the only one
     #[arg(long, value_name = "NAME", default_value = "")]
     pub policy: String,
-    /// A folder for result.json, video.mp4 and frames/
+    /// Replays recorded actions instead of asking a policy: .npz with an array
+    /// `actions` (such as a trace.npz), .npy, or .jsonl, n rows of 7 numbers
+    #[arg(long, value_name = "FILE")]
+    pub actions: Option<PathBuf>,
+    /// A folder for result.json, trace.npz, video.mp4 and frames/
     #[arg(long, value_name = "DIR")]
     pub output: PathBuf,
     /// Which repetition: it changes the policy's seed
@@ -101,12 +117,82 @@ pub struct RolloutArguments {
     /// `reference`
     #[arg(long, value_name = "MODE", default_value = "matched")]
     pub realisation: Realisation,
-    /// Makes no video, which saves drawing two pictures per step
+    /// Makes no video and no pictures of its own, which saves drawing two per
+    /// step
     #[arg(long)]
     pub no_video: bool,
     /// What simulates.
     #[command(flatten)]
     pub simulator: SimulatorArguments,
+}
+
+/// A task that is none of the protocol's.
+#[derive(Debug, Args)]
+pub struct OwnTaskArguments {
+    /// A BDDL file of your own, in place of a task of the protocol
+    #[arg(long, value_name = "FILE", requires = "init")]
+    pub bddl: Option<PathBuf>,
+    /// Its initial states, as `.pruned_init` file
+    #[arg(long, value_name = "FILE", requires = "bddl")]
+    pub init: Option<PathBuf>,
+    /// Which of them, from 0 [default: 0]
+    #[arg(long, value_name = "N", requires = "bddl")]
+    pub init_id: Option<u16>,
+    /// What the policy is told [default: the BDDL file's own instruction]
+    #[arg(long, value_name = "TEXT", requires = "bddl")]
+    pub instruction: Option<String>,
+    /// Control steps that the policy has [default: those of the suite; 520
+    /// without --id]
+    #[arg(long, value_name = "N", requires = "bddl", value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub max_steps: Option<u32>,
+}
+
+/// What to do with asset packs.
+#[derive(Debug, Args)]
+pub struct AssetsArguments {
+    /// Which of it.
+    #[command(subcommand)]
+    pub command: AssetsCommand,
+    /// Robot models, task files and initial states, as `cargo xtask setup`
+    /// unpacks them [default: rollout/sources in the user's cache folder]
+    #[arg(long, value_name = "DIR", env = "ROLLOUT_SOURCES", global = true)]
+    pub sources: Option<PathBuf>,
+}
+
+/// Looks after asset packs.
+#[derive(Debug, Subcommand)]
+pub enum AssetsCommand {
+    /// Says what packs hold: digest, files, and which of the 40 tasks they can
+    /// show
+    List {
+        /// `primitives`, or paths of LIBERO assets folders [default:
+        /// `primitives`, and the fetched pack if there is one]
+        #[arg(value_name = "PACK_OR_PATH")]
+        packs: Vec<String>,
+        /// Lists every file with its size and SHA-256 instead: a manifest for
+        /// `verify`
+        #[arg(long, requires = "packs")]
+        files: bool,
+    },
+    /// Names the files of a pack that are missing, altered or additional
+    Verify {
+        /// `primitives`, or the path of a LIBERO assets folder
+        #[arg(value_name = "PACK_OR_PATH")]
+        pack: String,
+        /// What it should hold, as `list --files` wrote it [default: what
+        /// `fetch` recorded]
+        #[arg(long, value_name = "FILE")]
+        manifest: Option<PathBuf>,
+    },
+    /// Gets LIBERO's own assets from the hub; goes on where it was interrupted
+    Fetch {
+        /// Where to [default: packs/libero in the sources folder]
+        #[arg(long, value_name = "DIR")]
+        into: Option<PathBuf>,
+        /// The hub, or a mirror of it
+        #[arg(long, value_name = "URL", env = "HF_ENDPOINT", default_value = crate::assets::HUB, value_parser = hub_url)]
+        hub: String,
+    },
 }
 
 /// Which configuration, and how to show it.
@@ -138,6 +224,16 @@ pub struct PreviewArguments {
 
 fn server_url(text: &str) -> Result<String, EndpointError> {
     parse_endpoint(text).map(|_| text.to_owned())
+}
+
+fn hub_url(text: &str) -> Result<String, String> {
+    let rest = text.split_once("://");
+    match rest {
+        Some(("http" | "https", host)) if !host.is_empty() => {
+            Ok(text.trim_end_matches('/').to_owned())
+        }
+        _ => Err("write https://HOST, or http://HOST:PORT for a local mirror".to_owned()),
+    }
 }
 
 fn gl_device(text: &str) -> Result<GlDevice, String> {
@@ -187,6 +283,40 @@ mod tests {
         assert_eq!(rollout.simulator.gl_device, GlDevice::Index(1));
         let error = parse(&line.replace("clean", "clear")).expect_err("no such condition");
         assert!(error.to_string().contains("camera"), "{error}");
+    }
+
+    #[test]
+    fn a_task_of_ones_own_needs_its_initial_states_and_an_actor() {
+        let end = "--assets primitives --output out";
+        let own = "worker rollout --bddl a.bddl --init a.pruned_init --max-steps 30";
+        let read = parse(&format!("{own} --actions a.npz {end}")).expect("complete");
+        let Some(Command::Rollout(rollout)) = read.command else {
+            panic!("{read:?}")
+        };
+        assert_eq!((rollout.id, rollout.own_task.max_steps), (None, Some(30)));
+        for line in [
+            format!("{own} {end}"),
+            format!("{own} --actions a.npz --endpoint grpc://h:1 {end}"),
+            format!("worker rollout --bddl a.bddl --actions a.npz {end}"),
+            format!("worker rollout --actions a.npz {end}"),
+            format!("worker rollout --id goal/t0/clean/L0/c00 --init-id 3 --actions a.npz {end}"),
+        ] {
+            assert_eq!(parse(&line).expect_err(&line).exit_code(), 2, "{line}");
+        }
+    }
+
+    #[test]
+    fn a_hub_is_a_url() {
+        let read = parse("worker assets fetch --hub http://127.0.0.1:9/").expect("complete");
+        let Some(Command::Assets(assets)) = read.command else {
+            panic!("{read:?}")
+        };
+        let AssetsCommand::Fetch { hub, .. } = assets.command else {
+            panic!("{assets:?}")
+        };
+        assert_eq!(hub, "http://127.0.0.1:9");
+        let line = "worker assets fetch --hub mirror:80";
+        assert_eq!(parse(line).expect_err(line).exit_code(), 2);
     }
 
     #[test]

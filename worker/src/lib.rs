@@ -7,7 +7,9 @@
 
 #![forbid(unsafe_code)]
 
+pub mod actor;
 pub mod args;
+pub mod assets;
 pub mod backoff;
 mod digest;
 pub mod grpc;

@@ -16,14 +16,16 @@ use sim::{Simulator, SimulatorConfig};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::mpsc;
 use tracing_subscriber::EnvFilter;
+use worker::actor::Actor;
 use worker::args::{
     Arguments, Command, PreviewArguments, RolloutArguments, ServeArguments, SimulatorArguments,
 };
 use worker::ids::{WorkerId, host_name, random_number};
 use worker::message::{Assignment, VideoOf, VideoOrder};
-use worker::policy::POLICY_CALL_DEADLINE;
+use worker::policy::{POLICY_CALL_DEADLINE, PolicyClient};
+use worker::single::{OwnTask, RecordedActions};
 use worker::supervise::{self, Config, Identity, SlotCommand};
-use worker::{preview, single, slot};
+use worker::{assets, preview, single, slot};
 
 /// Compiled scenes that a slot keeps. Jobs of one task come together, so two
 /// are enough; each takes some hundred MB with the real assets.
@@ -44,6 +46,9 @@ fn main() -> ExitCode {
         (Some(Command::Slot(simulator)), ..) => run_slot(&simulator),
         (Some(Command::Rollout(rollout)), ..) => run_rollout(rollout),
         (Some(Command::Preview(preview)), ..) => run_preview(&preview),
+        (Some(Command::Assets(arguments)), ..) => {
+            assets::run(&arguments).map_err(anyhow::Error::from)
+        }
         (None, Some(serve), Some(simulator)) => run_worker(serve, &simulator),
         (None, ..) => unreachable!("clap asks for --connect and --assets"),
     };
@@ -87,7 +92,21 @@ fn run_preview(arguments: &PreviewArguments) -> anyhow::Result<()> {
 }
 
 fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
-    let row = single::row_of(arguments.id)?;
+    let own_task = own_task(&arguments);
+    let mut row = match (&own_task, arguments.id) {
+        (Some(task), _) => task.row()?,
+        (None, Some(id)) => single::row_of(id)?,
+        (None, None) => unreachable!("clap asks for --id or --bddl"),
+    };
+    let mut actor: Box<dyn Actor> = match (&arguments.actions, &arguments.endpoint) {
+        (Some(file), _) => {
+            let recorded = RecordedActions::read(file)?;
+            row.max_steps = row.max_steps.min(recorded.count());
+            Box::new(recorded)
+        }
+        (None, Some(endpoint)) => Box::new(PolicyClient::new(endpoint)?),
+        (None, None) => unreachable!("clap asks for --endpoint or --actions"),
+    };
     let mut simulator = Simulator::new(open(&arguments.simulator)?);
     let assignment = Assignment {
         session: single::session(&row.id, arguments.replicate),
@@ -95,18 +114,26 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
         row,
         realisation: arguments.realisation,
         policy: arguments.policy,
-        policy_endpoint: arguments.endpoint,
+        policy_endpoint: arguments.endpoint.unwrap_or_default(),
         policy_deadline: POLICY_CALL_DEADLINE,
         video: (!arguments.no_video).then(|| VideoOrder {
             file: arguments.output.join("video.mp4"),
             of: VideoOf::Everything,
         }),
     };
-    let finished = single::run(&mut simulator, &assignment, &arguments.output)?;
-    let outcome = &finished.outcome;
+    let order = single::Order {
+        assignment: &assignment,
+        files: own_task.as_ref().map(OwnTask::files),
+        draw: !arguments.no_video,
+        output: &arguments.output,
+    };
+    let outcome = single::run(&mut simulator, actor.as_mut(), &order)?.outcome;
     println!(
         "{}: {} after {} steps in {:.1} s; see {}",
-        assignment.row.id,
+        own_task.map_or_else(
+            || assignment.row.id.to_string(),
+            |task| task.bddl.display().to_string()
+        ),
         if outcome.success {
             "success"
         } else {
@@ -117,6 +144,18 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
         arguments.output.display()
     );
     Ok(())
+}
+
+fn own_task(arguments: &RolloutArguments) -> Option<OwnTask> {
+    let given = &arguments.own_task;
+    Some(OwnTask {
+        bddl: given.bddl.clone()?,
+        init: given.init.clone()?,
+        init_id: given.init_id.unwrap_or_default(),
+        instruction: given.instruction.clone(),
+        max_steps: given.max_steps,
+        id: arguments.id,
+    })
 }
 
 fn run_worker(

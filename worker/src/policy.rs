@@ -16,6 +16,7 @@ use tokio::runtime::Runtime;
 use tonic::transport::{Channel, Endpoint};
 use tonic::{Code, Response, Status};
 
+use crate::actor::Actor;
 use crate::grpc::{EndpointError, in_words, parse_endpoint, within};
 
 /// Longest wait for one answer of a policy. A policy that needs longer once, to
@@ -157,77 +158,6 @@ impl PolicyClient {
         &self.endpoint
     }
 
-    /// What the policy is and wants to see.
-    ///
-    /// # Errors
-    /// If it does not answer, speaks another version, or describes something
-    /// that no rollout can work with.
-    pub fn describe(&mut self, episode: Episode<'_>) -> Result<Description, PolicyError> {
-        let request = DescribeRequest {
-            protocol_version: PROTOCOL_VERSION,
-            policy: episode.policy.to_owned(),
-        };
-        let mut grpc = self.grpc.clone();
-        let about = self
-            .call(episode.deadline, grpc.describe(request))
-            .map_err(|status| self.unavailable("describe", episode, &status))?;
-        check_description(about).map_err(|problem| PolicyError::Description {
-            policy: episode.policy.to_owned(),
-            endpoint: self.endpoint.clone(),
-            problem,
-        })
-    }
-
-    /// Starts an episode.
-    ///
-    /// # Errors
-    /// If the policy does not answer or refuses.
-    pub fn reset(
-        &mut self,
-        episode: Episode<'_>,
-        suite: &str,
-        instruction: &str,
-        seed: u64,
-    ) -> Result<(), PolicyError> {
-        let request = ResetRequest {
-            policy: episode.policy.to_owned(),
-            session: episode.session.to_owned(),
-            suite: suite.to_owned(),
-            instruction: instruction.to_owned(),
-            seed,
-        };
-        let mut grpc = self.grpc.clone();
-        self.call(episode.deadline, grpc.reset(request))
-            .map(|_| ())
-            .map_err(|status| self.refused("reset", episode, "reset".to_owned(), &status))
-    }
-
-    /// Answers of the policy to one observation: between one and `horizon`
-    /// actions, finite, not yet clipped.
-    ///
-    /// # Errors
-    /// If the policy does not answer, or answers something else.
-    pub fn infer(
-        &mut self,
-        episode: Episode<'_>,
-        query_index: u32,
-        observation: Observation,
-        horizon: usize,
-    ) -> Result<Vec<Action>, PolicyError> {
-        let request = InferRequest {
-            policy: episode.policy.to_owned(),
-            session: episode.session.to_owned(),
-            query_index,
-            observation: Some(observation),
-        };
-        let mut grpc = self.grpc.clone();
-        let response = self
-            .call(episode.deadline, grpc.infer(request))
-            .map_err(|status| self.refused("ask", episode, query_index.to_string(), &status))?;
-        check_actions(&response, horizon)
-            .map_err(|violation| misbehaved(episode, query_index.to_string(), violation))
-    }
-
     fn call<T, F>(&self, deadline: Duration, call: F) -> Result<T, Status>
     where
         F: Future<Output = Result<Response<T>, Status>>,
@@ -260,6 +190,65 @@ impl PolicyClient {
             return self.unavailable(call, episode, status);
         }
         misbehaved(episode, query, in_words(status))
+    }
+}
+
+impl Actor for PolicyClient {
+    fn describe(&mut self, episode: Episode<'_>) -> Result<Description, PolicyError> {
+        let request = DescribeRequest {
+            protocol_version: PROTOCOL_VERSION,
+            policy: episode.policy.to_owned(),
+        };
+        let mut grpc = self.grpc.clone();
+        let about = self
+            .call(episode.deadline, grpc.describe(request))
+            .map_err(|status| self.unavailable("describe", episode, &status))?;
+        check_description(about).map_err(|problem| PolicyError::Description {
+            policy: episode.policy.to_owned(),
+            endpoint: self.endpoint.clone(),
+            problem,
+        })
+    }
+
+    fn reset(
+        &mut self,
+        episode: Episode<'_>,
+        suite: &str,
+        instruction: &str,
+        seed: u64,
+    ) -> Result<(), PolicyError> {
+        let request = ResetRequest {
+            policy: episode.policy.to_owned(),
+            session: episode.session.to_owned(),
+            suite: suite.to_owned(),
+            instruction: instruction.to_owned(),
+            seed,
+        };
+        let mut grpc = self.grpc.clone();
+        self.call(episode.deadline, grpc.reset(request))
+            .map(|_| ())
+            .map_err(|status| self.refused("reset", episode, "reset".to_owned(), &status))
+    }
+
+    fn infer(
+        &mut self,
+        episode: Episode<'_>,
+        query_index: u32,
+        observation: Observation,
+        horizon: usize,
+    ) -> Result<Vec<Action>, PolicyError> {
+        let request = InferRequest {
+            policy: episode.policy.to_owned(),
+            session: episode.session.to_owned(),
+            query_index,
+            observation: Some(observation),
+        };
+        let mut grpc = self.grpc.clone();
+        let response = self
+            .call(episode.deadline, grpc.infer(request))
+            .map_err(|status| self.refused("ask", episode, query_index.to_string(), &status))?;
+        check_actions(&response, horizon)
+            .map_err(|violation| misbehaved(episode, query_index.to_string(), violation))
     }
 }
 

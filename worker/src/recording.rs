@@ -8,10 +8,11 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::{fs, io};
 
-use sim::{Episode, SimError, Simulator};
+use sim::{Episode, Frame, SimError};
 
 use crate::message::{Assignment, Outcome};
 use crate::policy::Action;
+use crate::rollout::Stage;
 use crate::video::{PANE_SIDE, Recorder, VideoError};
 
 /// Left and right in the video.
@@ -47,7 +48,7 @@ pub(crate) enum RecordError {
 /// the scene as it is, without the sensor's corruption. `step` is called after
 /// every control step, settling included.
 pub(crate) fn record(
-    simulator: &mut Simulator,
+    stage: &mut Stage<'_>,
     assignment: &Assignment,
     (actions, outcome): (&[Action], &Outcome),
     file: &Path,
@@ -55,16 +56,16 @@ pub(crate) fn record(
 ) -> Result<(), RecordError> {
     let mut recorder = Recorder::new()?;
     let row = &assignment.row;
-    let mut episode = simulator.begin(row, assignment.realisation)?;
+    let mut episode = stage.begin(row, assignment.realisation)?;
     episode.settle()?;
-    photograph(&mut episode, &mut recorder)?;
+    add_picture(&mut episode, &mut recorder)?;
     let mut success = false;
     for (done, action) in (1..).zip(actions) {
         if step(row.settle_steps + done).is_break() {
             return Err(RecordError::Abandoned);
         }
         success = episode.step(action)?;
-        photograph(&mut episode, &mut recorder)?;
+        add_picture(&mut episode, &mut recorder)?;
     }
     if success != outcome.success {
         return Err(RecordError::Differs);
@@ -75,9 +76,16 @@ pub(crate) fn record(
     })
 }
 
-fn photograph(episode: &mut Episode<'_>, recorder: &mut Recorder) -> Result<(), RecordError> {
+/// Both cameras' pictures of the scene as it is, without the sensor's
+/// corruption: left and right of a video.
+pub(crate) fn photograph(episode: &mut Episode<'_>) -> Result<[Frame; 2], SimError> {
     let side = PANE_SIDE as u32;
     let left = episode.photograph(CAMERAS[0], side, side)?;
     let right = episode.photograph(CAMERAS[1], side, side)?;
+    Ok([left, right])
+}
+
+fn add_picture(episode: &mut Episode<'_>, recorder: &mut Recorder) -> Result<(), RecordError> {
+    let [left, right] = photograph(episode)?;
     Ok(recorder.add([&left.rgb, &right.rgb])?)
 }

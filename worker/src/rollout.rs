@@ -1,24 +1,81 @@
 //! One rollout: the scene settles, the policy is reset, looks and acts until
 //! the goal holds or the budget is spent. Responsible for the order of these
 //! steps (section 3 of the protocol) and for asking for a frame only when the
-//! policy will look at it. Knows no coordinator: what a rollout is for, and who
-//! is told about it, is the caller's.
+//! policy will look at it. Knows no coordinator: what a rollout is for, who acts
+//! in it and who is told about it, is the caller's.
 
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::time::Instant;
 
 use proto::policy as wire;
+use protocol::{ManifestRow, Realisation};
+use scene::TaskFiles;
 use sha2::{Digest, Sha256};
 use sim::{CameraRequest, Digests, Episode, Observation, ObservationRequest, SimError, Simulator};
 
+use crate::actor::Actor;
 use crate::digest::hex;
 use crate::message::{
     Assignment, Evidence, Failure, FailureKind, Finished, IkResidual, Outcome, VideoOf, VideoOrder,
 };
 use crate::observation;
-use crate::policy::{self, Action, Description, PolicyClient, PolicyError};
+use crate::policy::{self, Action, Description, PolicyError};
 use crate::recording::{RecordError, record};
+
+/// Where rollouts take place: a simulator, and the files of the task.
+pub struct Stage<'a> {
+    simulator: &'a mut Simulator,
+    /// In place of those of the row's task.
+    files: Option<TaskFiles>,
+}
+
+impl<'a> Stage<'a> {
+    /// For the protocol's own tasks: each row says which.
+    pub fn of_the_protocol(simulator: &'a mut Simulator) -> Self {
+        Self {
+            simulator,
+            files: None,
+        }
+    }
+
+    /// For a task of somebody's own, which stands in for the row's.
+    pub fn of_files(simulator: &'a mut Simulator, files: TaskFiles) -> Self {
+        Self {
+            simulator,
+            files: Some(files),
+        }
+    }
+
+    /// Prepares a rollout up to its loaded, perturbed initial state.
+    pub(crate) fn begin(
+        &mut self,
+        row: &ManifestRow,
+        realisation: Realisation,
+    ) -> Result<Episode<'_>, SimError> {
+        match &self.files {
+            None => self.simulator.begin(row, realisation),
+            Some(files) => self.simulator.begin_with(files.clone(), row, realisation),
+        }
+    }
+
+    /// What messages call a rollout here.
+    fn title(&self, row: &ManifestRow) -> String {
+        match &self.files {
+            None => row.id.to_string(),
+            Some(files) => format!("{} from state {}", files.bddl.display(), row.init_id),
+        }
+    }
+}
+
+/// One control step of the policy.
+pub struct Step {
+    /// As the policy answered.
+    pub sent: Action,
+    /// The same, every number in [-1, 1]: what the robot is told, before the
+    /// actuation axis distorts it.
+    pub executed: Action,
+}
 
 /// Watches a rollout, and may end it.
 pub trait Watcher {
@@ -28,16 +85,23 @@ pub trait Watcher {
 
     /// Told what the policy is about to look at.
     fn observed(&mut self, _query_index: u32, _observation: &Observation) {}
+
+    /// Shown the scene after it has come to rest, without a step, and after
+    /// every control step of the policy.
+    fn moved(&mut self, _step: Option<&Step>, _episode: &mut Episode<'_>) {}
+
+    /// Shown the scene after the last control step.
+    fn ended(&mut self, _episode: &mut Episode<'_>) {}
 }
 
 /// Why a rollout has no outcome.
 #[derive(Debug, thiserror::Error)]
 pub enum RolloutError {
     /// The simulator failed.
-    #[error("simulate {id}")]
+    #[error("simulate {title}")]
     Simulator {
         /// Which rollout.
-        id: String,
+        title: String,
         /// What happened.
         #[source]
         source: SimError,
@@ -66,7 +130,7 @@ impl RolloutError {
 }
 
 /// An error and what lies behind it, in one line.
-fn chain(error: &dyn std::error::Error) -> String {
+pub(crate) fn chain(error: &dyn std::error::Error) -> String {
     let mut text = error.to_string();
     let mut cause = error.source();
     while let Some(source) = cause {
@@ -81,30 +145,31 @@ fn chain(error: &dyn std::error::Error) -> String {
 /// # Errors
 /// If the simulator fails, the policy fails or the watcher ends it.
 pub fn run(
-    simulator: &mut Simulator,
-    policy: &mut PolicyClient,
+    mut stage: Stage<'_>,
+    actor: &mut dyn Actor,
     assignment: &Assignment,
     watcher: &mut dyn Watcher,
 ) -> Result<Finished, RolloutError> {
     // Asked every time: a policy that was replaced since the last rollout must
     // not go into the results under its predecessor's digest.
-    let description = policy.describe(assignment.episode())?;
+    let description = actor.describe(assignment.episode())?;
     let mut run = Run {
         assignment,
+        title: stage.title(&assignment.row),
         description: &description,
-        policy,
+        actor,
         watcher,
         executed: Vec::new(),
         clipped_actions: 0,
         queries: 0,
         first_frame_digest: String::new(),
     };
-    let failed = |source| assignment.simulator_failed(source);
-    let (outcome, digests) = run.simulate(simulator)?;
+    let (outcome, digests) = run.simulate(&mut stage)?;
     let drew = !run.first_frame_digest.is_empty();
     let evidence = Evidence {
         gl_renderer: if drew {
-            simulator.gl_renderer().map_err(failed)?
+            let renderer = stage.simulator.gl_renderer();
+            renderer.map_err(|source| run.simulator_failed(source))?
         } else {
             String::new()
         },
@@ -117,7 +182,7 @@ pub fn run(
         policy_checkpoint_digest: description.about.checkpoint_digest.clone(),
         policy_privileged: description.about.privileged,
     };
-    let video = run.record(simulator, &outcome)?;
+    let video = run.record(&mut stage, &outcome)?;
     Ok(Finished {
         outcome,
         evidence,
@@ -128,8 +193,10 @@ pub fn run(
 /// A rollout under way.
 struct Run<'a> {
     assignment: &'a Assignment,
+    /// What messages call it.
+    title: String,
     description: &'a Description,
-    policy: &'a mut PolicyClient,
+    actor: &'a mut dyn Actor,
     watcher: &'a mut dyn Watcher,
     /// What the policy did, clipped: the rollout can be simulated again.
     executed: Vec<Action>,
@@ -140,24 +207,29 @@ struct Run<'a> {
 
 impl Run<'_> {
     /// From the composed scene to the goal or the end of the budget.
-    fn simulate(&mut self, simulator: &mut Simulator) -> Result<(Outcome, Digests), RolloutError> {
+    fn simulate(&mut self, stage: &mut Stage<'_>) -> Result<(Outcome, Digests), RolloutError> {
         let Assignment {
             row, realisation, ..
         } = self.assignment;
-        let failed = |source| self.assignment.simulator_failed(source);
         let started = Instant::now();
-        let mut episode = simulator.begin(row, *realisation).map_err(failed)?;
+        let mut episode = stage
+            .begin(row, *realisation)
+            .map_err(|source| self.simulator_failed(source))?;
         carry_on(self.watcher.progress(0))?;
-        episode.settle().map_err(failed)?;
+        episode
+            .settle()
+            .map_err(|source| self.simulator_failed(source))?;
         carry_on(self.watcher.progress(row.settle_steps))?;
+        self.watcher.moved(None, &mut episode);
         let suite = row.id.task().suite();
-        self.policy.reset(
+        self.actor.reset(
             self.assignment.episode(),
             suite.name(),
             &row.instruction,
             self.assignment.policy_seed,
         )?;
         let success = self.act(&mut episode)?;
+        self.watcher.ended(&mut episode);
         let outcome = Outcome {
             success,
             steps: self.steps(),
@@ -179,13 +251,14 @@ impl Run<'_> {
         while self.steps() < row.max_steps {
             let room = (row.max_steps - self.steps()) as usize;
             let actions = self.query(episode)?;
-            for action in actions.into_iter().take(self.description.execute.min(room)) {
-                let (action, clipped) = policy::clip(action);
+            for sent in actions.into_iter().take(self.description.execute.min(room)) {
+                let (executed, clipped) = policy::clip(sent);
                 self.clipped_actions += u32::from(clipped);
                 let success = episode
-                    .step(&action)
-                    .map_err(|source| self.assignment.simulator_failed(source))?;
-                self.executed.push(action);
+                    .step(&executed)
+                    .map_err(|source| self.simulator_failed(source))?;
+                self.executed.push(executed);
+                self.watcher.moved(Some(&Step { sent, executed }), episode);
                 carry_on(self.watcher.progress(row.settle_steps + self.steps()))?;
                 if success {
                     return Ok(true);
@@ -199,12 +272,12 @@ impl Run<'_> {
     fn query(&mut self, episode: &mut Episode<'_>) -> Result<Vec<Action>, RolloutError> {
         let observation = episode
             .observe(&observation_request(self.description))
-            .map_err(|source| self.assignment.simulator_failed(source))?;
+            .map_err(|source| self.simulator_failed(source))?;
         self.watcher.observed(self.queries, &observation);
         if self.queries == 0 && !observation.frames.is_empty() {
             self.first_frame_digest = frames_digest(&observation);
         }
-        let actions = self.policy.infer(
+        let actions = self.actor.infer(
             self.assignment.episode(),
             self.queries,
             observation::to_wire(observation, &self.description.state),
@@ -217,7 +290,7 @@ impl Run<'_> {
     /// Makes the video, if one of this outcome is wanted; returns its file.
     fn record(
         &mut self,
-        simulator: &mut Simulator,
+        stage: &mut Stage<'_>,
         outcome: &Outcome,
     ) -> Result<Option<PathBuf>, RolloutError> {
         let wanted = |video: &&VideoOrder| match video.of {
@@ -230,7 +303,7 @@ impl Run<'_> {
         let done = self.assignment.row.settle_steps + self.steps();
         let mut step = |again| self.watcher.progress(done + again);
         let rollout = (self.executed.as_slice(), outcome);
-        match record(simulator, self.assignment, rollout, &video.file, &mut step) {
+        match record(stage, self.assignment, rollout, &video.file, &mut step) {
             Ok(()) => Ok(Some(video.file.clone())),
             Err(RecordError::Abandoned) => Err(RolloutError::Abandoned),
             Err(error) => {
@@ -246,6 +319,13 @@ impl Run<'_> {
         // Bounded by the budget, which is a u32.
         self.executed.len() as u32
     }
+
+    fn simulator_failed(&self, source: SimError) -> RolloutError {
+        RolloutError::Simulator {
+            title: self.title.clone(),
+            source,
+        }
+    }
 }
 
 impl Assignment {
@@ -254,13 +334,6 @@ impl Assignment {
             policy: &self.policy,
             session: self.session.as_str(),
             deadline: self.policy_deadline,
-        }
-    }
-
-    fn simulator_failed(&self, source: SimError) -> RolloutError {
-        RolloutError::Simulator {
-            id: self.row.id.to_string(),
-            source,
         }
     }
 }

@@ -1,21 +1,31 @@
 //! `worker rollout`: one rollout from the command line, for looking at a case.
 //! Does what a slot does, without a coordinator, and writes what came of it to
-//! a folder: `result.json`, `video.mp4`, and `frames/` with the pictures of the
-//! first and the last query as the policy saw them, turned upright.
+//! a folder: `result.json`, `trace.npz`, `video.mp4`, and `frames/` with the
+//! first and the last picture of both cameras and those of the first and the
+//! last query as the policy saw them, all upright.
+
+mod looker;
+mod own_task;
+mod recorded;
+mod trace;
 
 use std::fs;
 use std::io;
-use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
-use image::{Rgb, RgbImage};
 use protocol::{CampaignSpec, ManifestRow, Nominal, PolicyRoute, RolloutId};
+use scene::{SceneError, TaskFiles};
 use serde::Serialize;
-use sim::{Frame, Observation, Simulator};
+use sim::Simulator;
 
+use crate::actor::Actor;
 use crate::message::{Assignment, Finished, Session};
-use crate::policy::{PolicyClient, PolicyError};
-use crate::rollout::{self, RolloutError, Watcher};
+use crate::policy::PolicyError;
+use crate::rollout::{self, RolloutError, Stage};
+
+use looker::Looker;
+pub use own_task::OwnTask;
+pub use recorded::RecordedActions;
 
 /// Why there is no result.
 #[derive(Debug, thiserror::Error)]
@@ -26,6 +36,26 @@ pub enum SingleError {
         /// The id.
         id: RolloutId,
         /// Why not.
+        problem: String,
+    },
+    /// A task of one's own cannot be read.
+    #[error(transparent)]
+    Task(#[from] SceneError),
+    /// Nothing to tell the policy.
+    #[error(
+        "find an instruction in {}: it has no `(:language …)`; give one with --instruction",
+        bddl.display()
+    )]
+    NoInstruction {
+        /// The BDDL file.
+        bddl: PathBuf,
+    },
+    /// Recorded actions cannot be read.
+    #[error("read recorded actions {}: {problem}", path.display())]
+    Recorded {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
         problem: String,
     },
     /// The policy cannot be called.
@@ -70,37 +100,61 @@ pub fn row_of(id: RolloutId) -> Result<ManifestRow, SingleError> {
     row.ok_or_else(|| problem("the protocol has no such configuration".to_owned()))
 }
 
+/// What to do, and what to keep of it.
+pub struct Order<'a> {
+    /// The rollout.
+    pub assignment: &'a Assignment,
+    /// A task that stands in for the row's.
+    pub files: Option<TaskFiles>,
+    /// Whether to draw the first and the last picture of both cameras.
+    pub draw: bool,
+    /// Where everything is written.
+    pub output: &'a Path,
+}
+
 /// What `result.json` holds.
 #[derive(Debug, Serialize)]
 struct ResultFile<'a> {
+    /// The files that stood in for those of the row's task.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    own_task: Option<OwnFiles<'a>>,
     assignment: &'a Assignment,
     finished: &'a Finished,
 }
 
-/// Runs one rollout and writes what came of it to `output`.
+#[derive(Debug, Serialize)]
+struct OwnFiles<'a> {
+    bddl: &'a Path,
+    init: &'a Path,
+}
+
+/// Runs one rollout and writes what came of it. Where it breaks off, its trace
+/// and pictures up to there are written all the same.
 ///
 /// # Errors
 /// If it has no outcome, or a file cannot be written.
 pub fn run(
     simulator: &mut Simulator,
-    assignment: &Assignment,
-    output: &Path,
+    actor: &mut dyn Actor,
+    order: &Order<'_>,
 ) -> Result<Finished, SingleError> {
-    let frames = output.join("frames");
-    fs::create_dir_all(&frames).map_err(|source| write_error(&frames, source))?;
-    let mut policy = PolicyClient::new(&assignment.policy_endpoint)?;
-    let mut looker = Looker::default();
-    let finished = rollout::run(simulator, &mut policy, assignment, &mut looker)?;
-    for (query, shown) in looker.first.iter().chain(&looker.last) {
-        for frame in shown {
-            let path = frames.join(format!("query-{query:03}-{}.png", frame.camera));
-            let saved = upright(frame).save(&path).map_err(io::Error::other);
-            saved.map_err(|source| write_error(&path, source))?;
-        }
-    }
+    let output = order.output;
+    fs::create_dir_all(output).map_err(|source| write_error(output, source))?;
+    let mut looker = Looker::new(order.draw);
+    let stage = match &order.files {
+        None => Stage::of_the_protocol(simulator),
+        Some(files) => Stage::of_files(simulator, files.clone()),
+    };
+    let finished = rollout::run(stage, actor, order.assignment, &mut looker);
+    looker.write(output)?;
+    let finished = finished?;
     let path = output.join("result.json");
     let text = serde_json::to_vec_pretty(&ResultFile {
-        assignment,
+        own_task: order.files.as_ref().map(|files| OwnFiles {
+            bddl: &files.bddl,
+            init: &files.init,
+        }),
+        assignment: order.assignment,
         finished: &finished,
     });
     let written = text.map_err(io::Error::from);
@@ -114,37 +168,6 @@ pub fn session(id: &RolloutId, replicate: u32) -> Session {
     Session::new(id, replicate, 0)
 }
 
-/// Keeps what the policy saw at its first and at its last query.
-#[derive(Default)]
-struct Looker {
-    first: Option<(u32, Vec<Frame>)>,
-    last: Option<(u32, Vec<Frame>)>,
-}
-
-impl Watcher for Looker {
-    fn progress(&mut self, _control_steps: u32) -> ControlFlow<()> {
-        ControlFlow::Continue(())
-    }
-
-    fn observed(&mut self, query_index: u32, observation: &Observation) {
-        let seen = Some((query_index, observation.frames.clone()));
-        if self.first.is_none() {
-            self.first = seen;
-        } else {
-            self.last = seen;
-        }
-    }
-}
-
-/// A frame with row 0 at its top.
-fn upright(frame: &Frame) -> RgbImage {
-    let (width, height) = (frame.width, frame.height);
-    RgbImage::from_fn(width, height, |x, y| {
-        let at = ((height - 1 - y) * width + x) as usize * 3;
-        Rgb([frame.rgb[at], frame.rgb[at + 1], frame.rgb[at + 2]])
-    })
-}
-
 fn write_error(path: &Path, source: io::Error) -> SingleError {
     SingleError::Write {
         path: path.to_owned(),
@@ -153,38 +176,4 @@ fn write_error(path: &Path, source: io::Error) -> SingleError {
 }
 
 #[cfg(test)]
-mod tests {
-    use protocol::Axis;
-
-    use super::*;
-
-    #[test]
-    fn an_id_alone_says_what_is_simulated() {
-        let row = |id: &str| row_of(id.parse().expect("an id"));
-        let clean = row("spatial/t0/clean/L0/c07").expect("a row");
-        assert_eq!((clean.init_id, clean.perturbation.axes().len()), (7, 0));
-        let single = row("spatial/t0/camera/L2/c00").expect("a row");
-        assert_eq!(
-            (single.init_id, single.perturbation.axes()),
-            (43, vec![Axis::Camera])
-        );
-        let all = row("spatial/t0/combination/L2/c00").expect("a row");
-        assert_eq!(all.perturbation.axes(), Axis::METRIC);
-        let paraphrased = row("spatial/t0/language/L2/c00").expect("a row");
-        assert_eq!(all.instruction, paraphrased.instruction);
-        assert_ne!(all.instruction, clean.instruction);
-        let error = row("spatial/t0/camera/L2/c10").expect_err("ten configurations");
-        assert!(error.to_string().contains("c10"), "{error}");
-    }
-
-    #[test]
-    fn pictures_are_written_upright() {
-        let frame = Frame {
-            camera: "agentview".to_owned(),
-            width: 1,
-            height: 2,
-            rgb: vec![1, 2, 3, 4, 5, 6],
-        };
-        assert_eq!(upright(&frame).into_raw(), [4, 5, 6, 1, 2, 3]);
-    }
-}
+mod tests;

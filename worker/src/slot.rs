@@ -16,7 +16,7 @@ use tokio::signal::unix::{SignalKind, signal};
 
 use crate::message::{Assignment, MAX_LINE_BYTES, Order, Report};
 use crate::policy::{PolicyClient, PolicyError};
-use crate::rollout::{self, RolloutError, Watcher};
+use crate::rollout::{self, RolloutError, Stage, Watcher};
 
 /// Rollouts that wait while another one is simulated: the parent never sends
 /// more than one.
@@ -82,7 +82,14 @@ fn attempt(
 ) -> Report {
     let outcome = client(policy, &assignment.policy_endpoint)
         .map_err(RolloutError::from)
-        .and_then(|policy| rollout::run(simulator, policy, assignment, watcher));
+        .and_then(|policy| {
+            rollout::run(
+                Stage::of_the_protocol(simulator),
+                policy,
+                assignment,
+                watcher,
+            )
+        });
     match outcome {
         Ok(finished) => Report::Finished(Box::new(finished)),
         Err(error) => match error.failure() {

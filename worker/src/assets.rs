@@ -1,0 +1,174 @@
+//! `worker assets`: looks after asset packs. Responsible for what the command
+//! prints; what packs are for is crate `scene`'s business.
+
+mod coverage;
+mod download;
+mod error;
+mod fetch;
+mod hub;
+mod manifest;
+mod progress;
+
+use std::fs;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::thread;
+
+use scene::pack::PRIMITIVES;
+use scene::{AssetPack, Sources};
+
+use crate::args::{AssetsArguments, AssetsCommand};
+
+use coverage::Coverage;
+pub use error::AssetsError;
+use fetch::Fetch;
+use hub::Hub;
+use manifest::Manifest;
+use progress::Bar;
+
+/// Where LIBERO's assets are published: the hub that hf-libero 0.1.4 asks.
+pub const HUB: &str = "https://huggingface.co";
+/// Names of files that a message spells out; the rest are counted.
+const MAX_NAMED: usize = 20;
+
+/// Does what the command line says.
+///
+/// # Errors
+/// If a pack cannot be read or fetched, or is not what it should be.
+pub fn run(arguments: &AssetsArguments) -> Result<(), AssetsError> {
+    let dir = arguments.sources.clone();
+    let dir = dir.unwrap_or_else(Sources::default_dir);
+    match &arguments.command {
+        AssetsCommand::List { packs, files } => {
+            let sources = Sources::open(&dir)?;
+            let packs = match packs.as_slice() {
+                [] => known_packs(&dir),
+                given => given.to_vec(),
+            };
+            for pack in &packs {
+                let pack = AssetPack::open(pack, &sources)?;
+                let report = if *files {
+                    Manifest::of_folder(pack.dir())?.to_string()
+                } else {
+                    describe(&pack, &sources)?
+                };
+                print(&report)?;
+            }
+            Ok(())
+        }
+        AssetsCommand::Verify { pack, manifest } => verify(pack, manifest.as_deref(), &dir),
+        AssetsCommand::Fetch { into, hub } => {
+            let into = into.clone().unwrap_or_else(|| fetched_pack(&dir));
+            fetch(hub, &into)
+        }
+    }
+}
+
+/// The built-in pack, and the fetched one if there is one.
+fn known_packs(sources: &Path) -> Vec<String> {
+    let fetched = fetched_pack(sources);
+    let fetched = fetched.is_dir().then(|| fetched.display().to_string());
+    [PRIMITIVES.to_owned()].into_iter().chain(fetched).collect()
+}
+
+/// Where `fetch` puts LIBERO's assets unless it is told otherwise.
+fn fetched_pack(sources: &Path) -> PathBuf {
+    sources.join("packs/libero")
+}
+
+fn describe(pack: &AssetPack, sources: &Sources) -> Result<String, AssetsError> {
+    let files = Manifest::of_folder(pack.dir())?;
+    let coverage = Coverage::of(pack, sources)?;
+    Ok(format!(
+        "{}\n  folder      {}\n  digest      {}\n  files       {}, {}\n{coverage}",
+        pack.name(),
+        pack.dir().display(),
+        pack.digest(),
+        files.count(),
+        progress::in_words(files.total_bytes()),
+    ))
+}
+
+fn verify(pack: &str, manifest: Option<&Path>, sources: &Path) -> Result<(), AssetsError> {
+    let folder = if pack == PRIMITIVES {
+        let pack = AssetPack::open(PRIMITIVES, &Sources::open(sources)?)?;
+        pack.dir().to_owned()
+    } else {
+        PathBuf::from(pack)
+    };
+    if pack == PRIMITIVES && manifest.is_none() {
+        return verify_primitives(&folder, sources);
+    }
+    let file = match manifest {
+        Some(file) => file.to_owned(),
+        None => manifest::beside(&folder),
+    };
+    let text = fs::read_to_string(&file).map_err(|source| AssetsError::NoManifest {
+        path: file.clone(),
+        source,
+    })?;
+    let expected: Manifest = text.parse().map_err(|problem| AssetsError::Manifest {
+        path: file.clone(),
+        problem,
+    })?;
+    let mut differences = expected.compare(&Manifest::of_folder(&folder)?);
+    if !differences.is_empty() {
+        let count = differences.len();
+        if count > MAX_NAMED {
+            differences.truncate(MAX_NAMED);
+            differences.push(format!("and {} more", count - MAX_NAMED));
+        }
+        return Err(AssetsError::Differs {
+            folder,
+            manifest: file,
+            count,
+            named: differences.join("\n  "),
+        });
+    }
+    print(&format!(
+        "{}: all {} files are as they should be\n",
+        folder.display(),
+        expected.count()
+    ))
+}
+
+/// The built-in pack knows its own digest; the folder must have the same.
+fn verify_primitives(folder: &Path, sources: &Path) -> Result<(), AssetsError> {
+    let sources = Sources::open(sources)?;
+    let built_in = AssetPack::open(PRIMITIVES, &sources)?;
+    let unpacked = AssetPack::open(&folder.to_string_lossy(), &sources)?;
+    if built_in.digest() != unpacked.digest() {
+        let folder = folder.to_owned();
+        return Err(AssetsError::Primitives { folder });
+    }
+    print(&format!(
+        "{}: all files are as they should be\n",
+        folder.display()
+    ))
+}
+
+fn fetch(hub: &str, into: &Path) -> Result<(), AssetsError> {
+    let hub = Hub::new(hub);
+    let mut bar = Bar::new();
+    let mut fetch = Fetch {
+        hub: &hub,
+        into,
+        pause: &mut thread::sleep,
+        progress: &mut |progress| bar.show(progress),
+    };
+    let fetched = fetch.run();
+    bar.finish();
+    let manifest = fetched?;
+    print(&format!(
+        "{}: {} files, {}; give it as --assets {}\n",
+        into.display(),
+        manifest.count(),
+        progress::in_words(manifest.total_bytes()),
+        into.display()
+    ))
+}
+
+fn print(text: &str) -> Result<(), AssetsError> {
+    let printed = io::stdout().lock().write_all(text.as_bytes());
+    printed.map_err(AssetsError::Print)
+}

@@ -1,0 +1,127 @@
+//! Keeps what is worth a look while a rollout runs, and writes it down
+//! afterwards: pictures as PNG, the trace as NPZ. What cannot be drawn costs the
+//! pictures, never the rollout.
+
+use std::fs;
+use std::io;
+use std::ops::ControlFlow;
+use std::path::Path;
+
+use image::{Rgb, RgbImage};
+use sim::{Episode, Frame, Observation};
+
+use super::trace::Trace;
+use super::{SingleError, write_error};
+use crate::recording::photograph;
+use crate::rollout::{Step, Watcher, chain};
+
+/// Watches one rollout.
+pub(super) struct Looker {
+    draw: bool,
+    trace: Trace,
+    /// Before the first control step and after the last one.
+    ends: Vec<(&'static str, Vec<Frame>)>,
+    first_query: Option<(u32, Vec<Frame>)>,
+    last_query: Option<(u32, Vec<Frame>)>,
+}
+
+impl Looker {
+    /// Draws the first and the last picture only if `draw`.
+    pub(super) fn new(draw: bool) -> Self {
+        Self {
+            draw,
+            trace: Trace::default(),
+            ends: Vec::new(),
+            first_query: None,
+            last_query: None,
+        }
+    }
+
+    /// Writes `frames/` and `trace.npz`, each only if there is something for
+    /// it.
+    pub(super) fn write(&self, output: &Path) -> Result<(), SingleError> {
+        let queries = self.first_query.iter().chain(&self.last_query);
+        let queries = queries.map(|(query, frames)| (format!("query-{query:03}"), frames));
+        let ends = self.ends.iter();
+        let ends = ends.map(|(end, frames)| ((*end).to_owned(), frames));
+        let folder = output.join("frames");
+        for (title, frames) in ends.chain(queries) {
+            for frame in frames {
+                fs::create_dir_all(&folder).map_err(|source| write_error(&folder, source))?;
+                let path = folder.join(format!("{title}-{}.png", frame.camera));
+                let saved = upright(frame).save(&path).map_err(io::Error::other);
+                saved.map_err(|source| write_error(&path, source))?;
+            }
+        }
+        if self.trace.is_empty() {
+            return Ok(());
+        }
+        let path = output.join("trace.npz");
+        let written = self.trace.write(&path);
+        written.map_err(|source| write_error(&path, source))
+    }
+
+    fn photograph(&mut self, title: &'static str, episode: &mut Episode<'_>) {
+        if !self.draw {
+            return;
+        }
+        match photograph(episode) {
+            Ok(frames) => self.ends.push((title, frames.into())),
+            Err(error) => {
+                let problem = chain(&error);
+                tracing::warn!("no {title} picture of the rollout: failed to {problem}");
+            }
+        }
+    }
+}
+
+impl Watcher for Looker {
+    fn progress(&mut self, _control_steps: u32) -> ControlFlow<()> {
+        ControlFlow::Continue(())
+    }
+
+    fn observed(&mut self, query_index: u32, observation: &Observation) {
+        let seen = Some((query_index, observation.frames.clone()));
+        if self.first_query.is_none() {
+            self.first_query = seen;
+        } else {
+            self.last_query = seen;
+        }
+    }
+
+    fn moved(&mut self, step: Option<&Step>, episode: &mut Episode<'_>) {
+        self.trace.add(step, episode.environment());
+        if step.is_none() {
+            self.photograph("first", episode);
+        }
+    }
+
+    fn ended(&mut self, episode: &mut Episode<'_>) {
+        self.photograph("last", episode);
+    }
+}
+
+/// A frame with row 0 at its top.
+fn upright(frame: &Frame) -> RgbImage {
+    let (width, height) = (frame.width, frame.height);
+    RgbImage::from_fn(width, height, |x, y| {
+        let at = ((height - 1 - y) * width + x) as usize * 3;
+        Rgb([frame.rgb[at], frame.rgb[at + 1], frame.rgb[at + 2]])
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pictures_are_written_upright() {
+        let frame = Frame {
+            camera: "agentview".to_owned(),
+            width: 1,
+            height: 2,
+            rgb: vec![1, 2, 3, 4, 5, 6],
+        };
+        assert_eq!(upright(&frame).into_raw(), [4, 5, 6, 1, 2, 3]);
+    }
+}

@@ -1,0 +1,104 @@
+//! A task that is none of the protocol's: a BDDL file and its initial states.
+//! It stands in for the task of a row, from which come what it has not: the
+//! suite that the policy is told, seeds, step budget, and a perturbation.
+
+use std::fs;
+use std::path::PathBuf;
+
+use protocol::{ManifestRow, RolloutId, Suite, TaskRef};
+use scene::TaskFiles;
+
+use super::{SingleError, row_of};
+
+/// A task of one's own.
+#[derive(Debug)]
+pub struct OwnTask {
+    /// The BDDL problem file.
+    pub bddl: PathBuf,
+    /// The `.pruned_init` file.
+    pub init: PathBuf,
+    /// Which of its states.
+    pub init_id: u16,
+    /// What the policy is told; none: what the BDDL file says.
+    pub instruction: Option<String>,
+    /// Control steps that the policy has; none: as many as the row's suite.
+    pub max_steps: Option<u32>,
+    /// The rollout whose place it takes; none: a nominal one of `libero_10`,
+    /// the suite with the largest budget.
+    pub id: Option<RolloutId>,
+}
+
+impl OwnTask {
+    /// Where it is.
+    pub fn files(&self) -> TaskFiles {
+        TaskFiles {
+            bddl: self.bddl.clone(),
+            init: self.init.clone(),
+        }
+    }
+
+    /// The row of its rollout. The language axis stays out of it: paraphrases
+    /// are of the protocol's own instructions.
+    ///
+    /// # Errors
+    /// If the protocol has no such rollout, the BDDL file is malformed, or
+    /// there is no instruction.
+    pub fn row(&self) -> Result<ManifestRow, SingleError> {
+        self.files().problem()?;
+        let nominal = || {
+            let task = TaskRef::new(Suite::Long, 0).expect("every suite has a task 0");
+            RolloutId::clean(task, 0)
+        };
+        let mut row = row_of(self.id.unwrap_or_else(nominal))?;
+        row.init_id = self.init_id;
+        row.init_slot = self.init_id;
+        row.variant_id = None;
+        row.instruction = match &self.instruction {
+            Some(instruction) => instruction.clone(),
+            None => self.instruction_of_the_file()?,
+        };
+        row.max_steps = self.max_steps.unwrap_or(row.max_steps);
+        Ok(row)
+    }
+
+    fn instruction_of_the_file(&self) -> Result<String, SingleError> {
+        // It was read a moment ago; what fails now is no worse than an absence.
+        let text = fs::read_to_string(&self.bddl).unwrap_or_default();
+        instruction_in(&text).ok_or_else(|| SingleError::NoInstruction {
+            bddl: self.bddl.clone(),
+        })
+    }
+}
+
+/// The words of `(:language …)`, in lower case as the original reads them.
+fn instruction_in(bddl: &str) -> Option<String> {
+    let lines = bddl.lines();
+    let code: Vec<&str> = lines.filter_map(|line| line.split(';').next()).collect();
+    let code = code.join("\n").to_lowercase();
+    let (_, rest) = code.split_once("(:language")?;
+    let (words, _) = rest.split_once(')')?;
+    let words: Vec<&str> = words.split_whitespace().collect();
+    (!words.is_empty()).then(|| words.join(" "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::instruction_in;
+
+    #[test]
+    fn the_instruction_is_what_the_bddl_file_says() {
+        let check = |text: &str, expected: Option<&str>| {
+            assert_eq!(instruction_in(text).as_deref(), expected, "{text}");
+        };
+        check(
+            "(define\n  (:Language Turn on\n  the stove)\n)",
+            Some("turn on the stove"),
+        );
+        check(
+            "; (:language a comment)\n(:language put it there)",
+            Some("put it there"),
+        );
+        check("(:language )", None);
+        check("(define (:goal (And (On a b))))", None);
+    }
+}

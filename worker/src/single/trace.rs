@@ -1,0 +1,110 @@
+//! What a rollout did, step by step, as NumPy reads it. With n control steps of
+//! the policy and a goal of g predicates, `trace.npz` holds:
+//!
+//! | array | shape | what |
+//! | --- | --- | --- |
+//! | `actions` | n × 7 | as the policy sent them |
+//! | `executed` | n × 7 | the same, clipped into -1..1; before the actuation axis distorts them |
+//! | `eef_pos` | n+1 × 3 | site between the fingertips, world frame, m |
+//! | `eef_quat_xyzw` | n+1 × 4 | hand body, world frame |
+//! | `joint_pos` | n+1 × 7 | arm, rad |
+//! | `gripper_pos` | n+1 × 2 | fingers, m |
+//! | `qpos` | n+1 × nq | all position coordinates of the model, m and rad |
+//! | `goal_truths` | n+1 × g | whether each predicate of the goal holds |
+//! | `success` | n+1 | whether all of them do |
+//!
+//! Row 0 of the longer arrays is the scene at rest before the first action, row
+//! k after action k. Robot readings lag as in the policy's observations; `qpos`
+//! does not.
+
+use std::fs::File;
+use std::io::{self, BufWriter, Seek, Write};
+use std::path::Path;
+
+use npyz::WriterBuilder;
+use npyz::npz::NpzWriter;
+use npyz::zip::write::FileOptions;
+use sim::Environment;
+
+use crate::policy::ACTION_WIDTH;
+use crate::rollout::Step;
+
+/// A trace as it grows: arrays row after row.
+#[derive(Default)]
+pub(super) struct Trace {
+    actions: Vec<f64>,
+    executed: Vec<f64>,
+    eef_pos: Vec<f64>,
+    eef_quat_xyzw: Vec<f64>,
+    joint_pos: Vec<f64>,
+    gripper_pos: Vec<f64>,
+    qpos: Vec<f64>,
+    goal_truths: Vec<bool>,
+    success: Vec<bool>,
+}
+
+impl Trace {
+    /// Whether nothing was ever seen.
+    pub(super) fn is_empty(&self) -> bool {
+        self.success.is_empty()
+    }
+
+    /// Adds a scene, and the step that led to it unless it is the first.
+    pub(super) fn add(&mut self, step: Option<&Step>, environment: &mut Environment) {
+        if let Some(step) = step {
+            self.actions.extend(step.sent);
+            self.executed.extend(step.executed);
+        }
+        let robot = environment.robot_state();
+        self.eef_pos.extend(robot.eef_pos);
+        self.eef_quat_xyzw.extend(robot.eef_quat_xyzw);
+        self.joint_pos.extend(robot.joint_pos);
+        self.gripper_pos.extend(robot.gripper_pos);
+        let qpos = environment.data().qpos(environment.model());
+        self.qpos.extend_from_slice(qpos);
+        self.goal_truths.extend(environment.goal_truths());
+        self.success.push(environment.succeeded());
+    }
+
+    /// Writes the NPZ file, compressed.
+    pub(super) fn write(&self, path: &Path) -> io::Result<()> {
+        let mut npz = NpzWriter::new(BufWriter::new(File::create(path)?));
+        let scenes = self.success.len();
+        let steps = self.actions.len() / ACTION_WIDTH;
+        for (name, rows, values) in [
+            ("actions", steps, &self.actions),
+            ("executed", steps, &self.executed),
+            ("eef_pos", scenes, &self.eef_pos),
+            ("eef_quat_xyzw", scenes, &self.eef_quat_xyzw),
+            ("joint_pos", scenes, &self.joint_pos),
+            ("gripper_pos", scenes, &self.gripper_pos),
+            ("qpos", scenes, &self.qpos),
+        ] {
+            // An array without rows has its width all the same: only actions
+            // can be without any.
+            let width = values.len().checked_div(rows).unwrap_or(ACTION_WIDTH);
+            write_array(&mut npz, name, &[rows, width], values)?;
+        }
+        let width = self.goal_truths.len() / scenes.max(1);
+        write_array(&mut npz, "goal_truths", &[scenes, width], &self.goal_truths)?;
+        write_array(&mut npz, "success", &[scenes], &self.success)?;
+        npz.zip_writer().finish()?.flush()
+    }
+}
+
+fn write_array<T, W>(
+    npz: &mut NpzWriter<W>,
+    name: &str,
+    shape: &[usize],
+    values: &[T],
+) -> io::Result<()>
+where
+    T: npyz::AutoSerialize + Copy,
+    W: Write + Seek,
+{
+    let shape: Vec<u64> = shape.iter().map(|&size| size as u64).collect();
+    let array = npz.array(name, FileOptions::default())?;
+    let mut array = array.default_dtype().shape(&shape).begin_nd()?;
+    array.extend(values.iter().copied())?;
+    array.finish()
+}
