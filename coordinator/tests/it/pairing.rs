@@ -2,7 +2,7 @@
 
 use proto::coordinator as wire;
 use proto::coordinator::commit_response::Verdict;
-use serde_json::json;
+use serde_json::{Value, json};
 use tonic::Code;
 
 use crate::harness::{Bench, Worker, sha, small_spec, with};
@@ -89,6 +89,172 @@ async fn other_initial_states_are_no_siblings_and_replicates_are() {
     assert_eq!(worker.commit_request(replicate).await.0, Verdict::Unpaired);
 }
 
+/// The leases of a campaign of one configuration, in paired-unit order.
+async fn leases_of(changes: Value) -> (Bench, Worker, Vec<wire::Lease>) {
+    let bench = Bench::start().await;
+    let spec = with(small_spec("paired"), changes);
+    bench.create(&spec).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    let leases = worker.claim(64).await;
+    (bench, worker, leases)
+}
+
+/// Commits with an altered provenance; returns what became of it, in words.
+async fn commit_altered(
+    worker: &mut Worker,
+    lease: &wire::Lease,
+    alter: impl FnOnce(&mut wire::Provenance),
+) -> (Verdict, String) {
+    let mut report = worker.report(lease, true);
+    alter(report.provenance.as_mut().expect("provenance"));
+    worker.commit_request(report).await
+}
+
+/// Makes one axis' digest another.
+fn realise_otherwise(provenance: &mut wire::Provenance, axis: &str) {
+    let digests = provenance.perturbation_digest.split(',');
+    let digests: Vec<String> = digests
+        .map(|part| match part.split_once(':') {
+            Some((name, _)) if name == axis => format!("{axis}:{}", sha("otherwise")),
+            _ => part.to_owned(),
+        })
+        .collect();
+    provenance.perturbation_digest = digests.join(",");
+}
+
+#[tokio::test]
+async fn an_axis_realised_otherwise_in_the_combination_than_alone_is_refused_by_name() {
+    let (_bench, mut worker, leases) = leases_of(json!({})).await;
+    let [clean, camera, sensor, combination] = leases.as_slice() else {
+        panic!("{} leases", leases.len());
+    };
+    for lease in [clean, camera, sensor] {
+        assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
+    }
+    let otherwise = |p: &mut wire::Provenance| realise_otherwise(p, "sensor");
+    let (verdict, detail) = commit_altered(&mut worker, combination, otherwise).await;
+    assert_eq!(verdict, Verdict::Unpaired);
+    for word in [
+        "perturbation digest of axis sensor",
+        "object/t0/sensor/L1/c00",
+        "worker `a`",
+    ] {
+        assert!(detail.contains(word), "{detail} lacks {word}");
+    }
+}
+
+#[tokio::test]
+async fn in_reference_mode_the_sensor_may_be_drawn_anew_and_the_camera_may_not() {
+    let verdict_of = async |axis: &'static str| {
+        let (_bench, mut worker, leases) = leases_of(json!({"realisation": "reference"})).await;
+        for lease in &leases[..3] {
+            assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
+        }
+        let otherwise = |p: &mut wire::Provenance| realise_otherwise(p, axis);
+        commit_altered(&mut worker, &leases[3], otherwise).await.0
+    };
+    assert_eq!(verdict_of("sensor").await, Verdict::Accepted);
+    assert_eq!(verdict_of("camera").await, Verdict::Unpaired);
+}
+
+#[tokio::test]
+async fn a_replicate_that_was_perturbed_otherwise_is_refused() {
+    let once = json!({"axes": ["camera"], "nominal": "none", "replicates": 2});
+    let (_bench, mut worker, leases) = leases_of(once).await;
+    assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
+    let otherwise = |p: &mut wire::Provenance| realise_otherwise(p, "camera");
+    let (verdict, detail) = commit_altered(&mut worker, &leases[1], otherwise).await;
+    assert_eq!(verdict, Verdict::Unpaired);
+    assert!(detail.contains("axis camera"), "{detail}");
+}
+
+#[tokio::test]
+async fn a_rollout_that_left_its_perturbation_out_is_refused() {
+    let words = [
+        "set of perturbed axes",
+        "`none` here",
+        "`sensor` in its manifest row",
+    ];
+    check_unpaired(|p| p.perturbation_digest.clear(), &words).await;
+}
+
+#[tokio::test]
+async fn a_replicate_that_saw_another_first_frame_is_refused_unless_another_renderer_drew_it() {
+    let thrice = json!({"axes": ["camera"], "nominal": "none", "replicates": 3});
+    let (_bench, mut worker, leases) = leases_of(thrice).await;
+    let saw = |frame: &str, renderer: &'static str| {
+        let frame = sha(frame);
+        move |p: &mut wire::Provenance| {
+            p.first_frame_digest = frame;
+            p.gl_renderer = renderer.to_owned();
+        }
+    };
+    let first = commit_altered(&mut worker, &leases[0], saw("one", "llvmpipe")).await;
+    assert_eq!(first.0, Verdict::Accepted);
+    let (verdict, detail) = commit_altered(&mut worker, &leases[1], saw("two", "llvmpipe")).await;
+    assert_eq!(verdict, Verdict::Unpaired);
+    for word in ["first-frame digest", &sha("one"), &sha("two")] {
+        assert!(detail.contains(word), "{detail} lacks {word}");
+    }
+    let elsewhere = commit_altered(&mut worker, &leases[2], saw("two", "NVIDIA H200")).await;
+    assert_eq!(elsewhere.0, Verdict::Accepted);
+}
+
+#[tokio::test]
+async fn conditions_that_leave_the_pictures_alone_must_see_the_nominal_first_frame() {
+    let (_bench, mut worker, leases) =
+        leases_of(json!({"axes": ["camera", "actuation", "language"]})).await;
+    let mut saw = async |lease: &wire::Lease, frame: &str| {
+        let frame = sha(frame);
+        commit_altered(&mut worker, lease, |p| p.first_frame_digest = frame).await
+    };
+    let [clean, camera, actuation, language, combination] = leases.as_slice() else {
+        panic!("{} leases", leases.len());
+    };
+    for (lease, frame) in [
+        (clean, "nominal"),
+        (camera, "moved"),
+        (actuation, "nominal"),
+    ] {
+        assert_eq!(saw(lease, frame).await.0, Verdict::Accepted);
+    }
+    let (verdict, detail) = saw(language, "moved").await;
+    assert_eq!(verdict, Verdict::Unpaired);
+    assert!(detail.contains("object/t0/clean/L0"), "{detail}");
+    // Of this combination only the camera shows in the first picture.
+    let (verdict, detail) = saw(combination, "nominal").await;
+    assert_eq!(verdict, Verdict::Unpaired);
+    assert!(detail.contains("object/t0/camera/L1/c00"), "{detail}");
+}
+
+#[tokio::test]
+async fn all_four_digests_are_stored_with_the_result() {
+    let (bench, mut worker, lease) = with_siblings().await;
+    let mut report = worker.report(&lease, true);
+    let sent = report.provenance.as_mut().expect("provenance");
+    sent.first_frame_digest = sha("first frame");
+    let sent = sent.clone();
+    assert_eq!(worker.commit_request(report).await.0, Verdict::Accepted);
+    let pool = bench.database().await;
+    let stored: (String, String, String, String) = sqlx::query_as(
+        "SELECT scene_digest, init_state_digest, perturbation_digests, first_frame_digest
+         FROM result WHERE job_id = ?",
+    )
+    .bind(lease.job_id)
+    .fetch_one(&pool)
+    .await
+    .expect("a result");
+    pool.close().await;
+    assert!(sent.perturbation_digest.starts_with("sensor:"));
+    let sent = (
+        sent.scene_digest,
+        sent.init_state_digest,
+        sent.perturbation_digest,
+        sent.first_frame_digest,
+    );
+    assert_eq!(stored, sent);
+}
+
 #[tokio::test]
 async fn an_outcome_without_its_origin_or_with_nonsense_is_refused_unread() {
     let (bench, mut worker, lease) = with_siblings().await;
@@ -111,6 +277,11 @@ async fn an_outcome_without_its_origin_or_with_nonsense_is_refused_unread() {
     check(
         &|r| r.provenance.as_mut().unwrap().init_state_digest = "0".repeat(63),
         "SHA-256",
+    )
+    .await;
+    check(
+        &|r| r.provenance.as_mut().unwrap().perturbation_digest = sha("all at once"),
+        "`perturbation_digest`",
     )
     .await;
     check(

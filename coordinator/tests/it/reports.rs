@@ -5,6 +5,7 @@ use proto::coordinator as wire;
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
 use serde_json::{Value, json};
+use tonic::Code;
 
 use crate::harness::{Bench, Worker, rollout_id, small_spec, with};
 
@@ -187,4 +188,35 @@ async fn a_privileged_policy_and_mixed_origins_are_said_at_the_top() {
         assert!(words.contains(warning), "{table}");
     }
     assert!(!words.contains("say nothing about LIBERO"), "{table}");
+}
+
+/// No commit lets this happen: the database is altered past the coordinator.
+#[tokio::test]
+async fn a_report_refuses_to_pool_realisation_modes() {
+    let bench = Bench::start().await;
+    bench.create(&spec()).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    let lease = worker.claim_one().await;
+    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+    let table = report(&bench).await.table;
+    assert!(table.contains("realisation matched"), "{table}");
+
+    let pool = bench.database().await;
+    let alter = "UPDATE provenance SET realisation = 'reference'";
+    sqlx::query(alter).execute(&pool).await.expect("altered");
+    pool.close().await;
+    let request = wire::ReportRequest {
+        campaign: "told".to_owned(),
+    };
+    let refused = bench.operator().await.report(request).await;
+    let refused = refused.expect_err("two modes");
+    assert_eq!(refused.code(), Code::FailedPrecondition);
+    for word in [
+        "`told`",
+        "mode matched",
+        "mode reference",
+        "campaign of its own",
+    ] {
+        assert!(refused.message().contains(word), "{refused}");
+    }
 }
