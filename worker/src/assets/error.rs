@@ -44,7 +44,7 @@ pub enum AssetsError {
     },
     /// A pack is not what its manifest says.
     #[error(
-        "verify {}: {count} files are not as {} has them:\n  {named}",
+        "verify {}: it is not as {} has it; files that differ: {count}\n  {named}",
         folder.display(),
         manifest.display()
     )]
