@@ -1,0 +1,159 @@
+//! The whole design on a small part of the benchmark: all seven conditions at
+//! all three levels through real processes, to a complete paired table.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use protocol::{Axis, Condition, Level, ManifestRow, RolloutId};
+use serde_json::{Value, json};
+use sqlx::Connection;
+use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
+use tests::programs::{Campaigns, Process};
+
+const NAME: &str = "all-axes";
+const TASKS: [&str; 2] = ["libero_object/0", "libero_spatial/0"];
+/// Six axes alone, and all of them together.
+const CONDITIONS: usize = 7;
+/// One configuration of each task: its nominal rollout, and every condition at
+/// every level.
+const ROLLOUTS: usize = TASKS.len() * (1 + CONDITIONS * Level::PERTURBED.len());
+
+#[test]
+fn all_seven_conditions_at_three_levels_come_to_a_complete_paired_table() {
+    let data = tempfile::tempdir().unwrap();
+    let campaigns = Campaigns::start(data.path());
+    let endpoint = &campaigns.gateway.url;
+    #[rustfmt::skip]
+    campaigns.succeed(&[
+        "campaign", "create", "--name", NAME, "--policy", "expert", "--endpoint", endpoint,
+        "--tasks", &TASKS.join(","), "--axes", "all", "--levels", "L1,L2,L3", "--configs", "0",
+        "--nominal", "eval",
+    ]);
+    let _worker = Process::worker(&campaigns.coordinator.url, 2, "primitives");
+    campaigns.wait_for_commits(NAME, None);
+
+    check_export(&campaigns.outcomes(NAME));
+    check_report(&campaigns.succeed(&["report", NAME, "--json"]));
+    check_table(&campaigns.succeed(&["report", NAME]));
+    check_stored(&stored(data.path()));
+}
+
+/// Every rollout of the design once, and each of them a row of the reference's.
+fn check_export(rows: &[String]) {
+    assert_eq!(rows.len(), ROLLOUTS);
+    let mut conditions: BTreeMap<(Condition, Level), usize> = BTreeMap::new();
+    let mut ids = BTreeSet::new();
+    for row in rows {
+        let row: Value = serde_json::from_str(row).unwrap();
+        let id: RolloutId = row["rollout_id"].as_str().unwrap().parse().unwrap();
+        assert_eq!(row["axis"], json!(id.condition()));
+        *conditions.entry((id.condition(), id.level())).or_default() += 1;
+        ids.insert(id);
+    }
+    assert_eq!(ids.len(), ROLLOUTS);
+    assert_eq!(conditions.len(), 1 + CONDITIONS * Level::PERTURBED.len());
+    assert!(
+        conditions.values().all(|count| *count == TASKS.len()),
+        "{conditions:?}"
+    );
+}
+
+/// Three complete cells, with the paired measures of both configurations.
+fn check_report(report: &str) {
+    let report: Value = serde_json::from_str(report).unwrap();
+    assert_eq!(report["realisation"], "matched");
+    assert_eq!(report["axes"], json!(Axis::ALL));
+    assert_eq!(report["quarantined"], json!([]));
+    assert_eq!(report["nominal"][0]["count"]["n"], TASKS.len());
+    let cells = report["cells"].as_array().unwrap();
+    let levels: Vec<&Value> = cells.iter().map(|cell| &cell["level"]).collect();
+    assert_eq!(levels, ["L1", "L2", "L3"]);
+    for cell in cells {
+        let completeness = &cell["completeness"];
+        assert_eq!(completeness["complete"], TASKS.len(), "{cell}");
+        assert_eq!(completeness["expected"], TASKS.len(), "{cell}");
+        assert_eq!(cell["together"]["n"], TASKS.len(), "{cell}");
+        assert_eq!(cell["paired"]["n"], TASKS.len(), "{cell}");
+        for axis in Axis::ALL {
+            let alone = &cell["alone"][axis.name()]["count"];
+            assert_eq!(alone["n"], TASKS.len(), "{axis}: {cell}");
+        }
+    }
+}
+
+fn check_table(table: &str) {
+    for word in ["camera", "language", "R_e", "R_c", "realisation matched"] {
+        assert!(table.contains(word), "no `{word}` in the report:\n{table}");
+    }
+    for word in ["no result yet", "incomplete"] {
+        assert!(!table.contains(word), "`{word}` in the report:\n{table}");
+    }
+}
+
+/// A committed rollout: what the policy was told to do, and what was realised
+/// of its perturbation.
+struct Stored {
+    row: ManifestRow,
+    realised: BTreeMap<String, String>,
+}
+
+/// Language spoke in paraphrases, the combination in the same, all else
+/// canonically; and every axis was realised alone as in the combination.
+fn check_stored(stored: &BTreeMap<RolloutId, Stored>) {
+    assert_eq!(stored.len(), ROLLOUTS);
+    for (id, Stored { row, realised }) in stored {
+        let canonical = id.task().instruction();
+        let alone = |axis| {
+            let config = id.config().unwrap();
+            let condition = Condition::Single(axis);
+            let alone = RolloutId::perturbed(id.task(), condition, id.level(), config);
+            &stored[&alone.unwrap()]
+        };
+        match id.condition() {
+            Condition::Single(Axis::Language) => {
+                assert_ne!(row.instruction, canonical, "{id}");
+                assert!(row.variant_id.is_some(), "{id}");
+            }
+            Condition::Combination => {
+                let language = &alone(Axis::Language).row;
+                assert_eq!(row.instruction, language.instruction, "{id}");
+                assert_eq!(realised.len(), Axis::METRIC.len(), "{id}");
+                for axis in Axis::METRIC {
+                    let name = axis.name();
+                    assert_eq!(realised[name], alone(axis).realised[name], "{id}: {axis}");
+                }
+            }
+            Condition::Clean | Condition::Single(_) => {
+                assert_eq!(row.instruction, canonical, "{id}");
+            }
+        }
+    }
+}
+
+/// What the coordinator's database keeps of the committed rollouts. The manifest
+/// row is what was leased, and its instruction goes to the policy verbatim.
+fn stored(data: &Path) -> BTreeMap<RolloutId, Stored> {
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let rows: Vec<(String, String)> = runtime.block_on(async {
+        let options = SqliteConnectOptions::new()
+            .filename(data.join("coordinator.sqlite"))
+            .read_only(true);
+        let mut database = SqliteConnection::connect_with(&options).await.unwrap();
+        let rows = sqlx::query_as(
+            "SELECT j.manifest_row, r.perturbation_digests
+             FROM result r JOIN job j ON j.id = r.job_id",
+        );
+        rows.fetch_all(&mut database).await.unwrap()
+    });
+    let stored = rows.iter().map(|(row, realised)| {
+        let row: ManifestRow = serde_json::from_str(row).unwrap();
+        let parts = realised.split(',').filter(|part| !part.is_empty());
+        let realised = parts.map(|part| {
+            let (axis, digest) = part.split_once(':').unwrap();
+            (axis.to_owned(), digest.to_owned())
+        });
+        let realised = realised.collect();
+        (row.id, Stored { row, realised })
+    });
+    stored.collect()
+}
