@@ -8,6 +8,8 @@
 mod geometry;
 mod goal;
 mod grasp;
+#[cfg(test)]
+mod kinematic_scene;
 mod motion;
 mod place;
 mod routine;
@@ -18,7 +20,8 @@ use std::collections::VecDeque;
 
 use proto::policy::{DescribeResponse, Language, Observation, ResetRequest};
 
-use super::BuiltinPolicy;
+use super::{Action, BuiltinPolicy};
+use geometry::Vec3;
 use goal::Skill;
 use motion::{Command, Fingers, HandPose, Motion};
 use world::World;
@@ -29,18 +32,13 @@ pub fn describe() -> DescribeResponse {
     DescribeResponse {
         protocol_version: proto::PROTOCOL_VERSION,
         name: "expert".to_owned(),
-        checkpoint: "builtin:expert".to_owned(),
-        checkpoint_digest: String::new(),
-        parameters: 0,
-        cameras: Vec::new(),
-        state: Vec::new(),
+        checkpoint: format!("builtin:expert {}", env!("CARGO_PKG_VERSION")),
         horizon: 1,
         execute: 1,
         stateful: true,
-        stochastic: false,
         language: Language::Ignored.into(),
-        max_batch: 1,
         privileged: true,
+        ..DescribeResponse::default()
     }
 }
 
@@ -50,6 +48,8 @@ pub struct Expert {
     /// What is left to do; none before the first observation.
     plan: Option<VecDeque<Skill>>,
     motion: Motion,
+    /// As seen in the first observation, when the hand is at rest.
+    shoulder: Option<Vec3>,
 }
 
 impl Expert {
@@ -59,6 +59,7 @@ impl Expert {
         Self {
             plan: None,
             motion: Motion::default(),
+            shoulder: None,
         }
     }
 
@@ -94,13 +95,80 @@ impl BuiltinPolicy for Expert {
         &mut self,
         _query_index: u32,
         observation: &Observation,
-    ) -> Result<Vec<[f32; 7]>, String> {
+    ) -> Result<Vec<Action>, String> {
         let state = observation.privileged.as_ref();
         let state = state
             .ok_or("the observation carries no privileged state, which the expert asks for")?;
-        let world = World::read(state)?;
+        let mut world = World::read(state)?;
+        world.shoulder = *self.shoulder.get_or_insert(world.shoulder);
         self.motion.observe(&world);
         let command = self.command(&world)?;
         Ok(vec![motion::servo(&world, &self.motion, &command)])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::kinematic_scene::KinematicScene;
+    use super::*;
+
+    fn scene() -> KinematicScene {
+        KinematicScene::new("on", &["bowl_1", "plate_1"])
+            .object("bowl_1", [-0.1, -0.1, 0.025], [0.054, 0.054, 0.025])
+            .object("plate_1", [0.05, 0.2, 0.01], [0.069, 0.069, 0.01])
+    }
+
+    /// Every action of an episode of `steps` steps.
+    fn episode(steps: u32) -> Vec<Action> {
+        let (mut scene, mut expert) = (scene(), Expert::new(&ResetRequest::default()));
+        let mut actions = Vec::new();
+        for query_index in 0..steps {
+            let observation = Observation {
+                privileged: Some(scene.state.clone()),
+                ..Observation::default()
+            };
+            let answer = expert.infer(query_index, &observation).expect("an answer");
+            scene.apply(answer[0]);
+            actions.extend(answer);
+        }
+        actions
+    }
+
+    #[test]
+    fn an_episode_is_the_same_twice_and_every_action_is_in_range() {
+        let actions = episode(250);
+        assert_eq!(actions, episode(250));
+        assert_eq!(actions.len(), 250);
+        assert!(actions.iter().flatten().all(|v| (-1.0..=1.0).contains(v)));
+    }
+
+    #[test]
+    fn an_observation_without_privileged_state_is_refused() {
+        let mut expert = Expert::new(&ResetRequest::default());
+        let refusal = expert.infer(0, &Observation::default()).unwrap_err();
+        assert!(refusal.contains("privileged"), "{refusal}");
+    }
+
+    #[test]
+    fn an_entity_of_the_wrong_width_is_refused_by_name() {
+        let mut state = scene().state;
+        state.entities[0].pos.pop();
+        let observation = Observation {
+            privileged: Some(state),
+            ..Observation::default()
+        };
+        let mut expert = Expert::new(&ResetRequest::default());
+        let refusal = expert.infer(0, &observation).unwrap_err();
+        assert!(
+            refusal.contains("bowl_1") && refusal.contains("pos"),
+            "{refusal}"
+        );
+    }
+
+    #[test]
+    fn it_says_that_it_is_privileged_and_needs_no_camera() {
+        let described = describe();
+        assert!(described.privileged && described.cameras.is_empty());
+        assert_eq!((described.horizon, described.execute), (1, 1));
     }
 }

@@ -87,6 +87,8 @@ impl Mul<f64> for Vec3 {
     }
 }
 
+const AXES: [Vec3; 3] = [Vec3::new(1.0, 0.0, 0.0), Vec3::new(0.0, 1.0, 0.0), Vec3::UP];
+
 /// A rotation as a unit quaternion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Quat {
@@ -204,10 +206,20 @@ pub(super) fn footprint(quat: Quat, half: Vec3) -> Footprint {
     }
 }
 
+/// The horizontal part of the body axis that points up: none where the body
+/// stands or lies square, towards its low side where it is tilted.
+pub(super) fn lean(quat: Quat) -> Vec3 {
+    let most_upright = AXES
+        .map(|axis| quat.rotate(axis))
+        .into_iter()
+        .max_by(|a, b| a.z.abs().total_cmp(&b.z.abs()))
+        .unwrap_or(Vec3::UP);
+    most_upright.at_height(0.0) * most_upright.z.signum()
+}
+
 /// Heading of a body axis that lies nearest to the horizontal plane.
 fn horizontal_axis_angle(quat: Quat) -> f64 {
-    let axes = [Vec3::new(1.0, 0.0, 0.0), Vec3::new(0.0, 1.0, 0.0), Vec3::UP];
-    let flattest = axes
+    let flattest = AXES
         .map(|axis| quat.rotate(axis))
         .into_iter()
         .min_by(|a, b| a.z.abs().total_cmp(&b.z.abs()))

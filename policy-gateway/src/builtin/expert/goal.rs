@@ -161,3 +161,105 @@ fn transfer(world: &World, object: &str, place: Place) -> Result<Option<Skill>, 
     let transfer = Transfer::new(object.to_owned(), place);
     Ok((!there).then(|| Skill::Transfer(transfer)))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::kinematic_scene::KinematicScene;
+    use super::*;
+
+    const MUG: [f64; 3] = [0.03, 0.03, 0.05];
+    const DRAWER: &str = "cabinet_1_top_region";
+
+    fn mug_into_drawer_and_close_it(position: f64) -> KinematicScene {
+        KinematicScene::new("close", &[DRAWER])
+            .goal("in", &["mug_1", DRAWER])
+            .object("mug_1", [0.0, 0.0, 0.05], MUG)
+            .fixture("cabinet_1", [0.0, 0.3, 0.1], [0.1, 0.1, 0.1])
+            .region(DRAWER, "cabinet_1", [0.0, 0.3, 0.15], [0.1, 0.08, 0.03])
+            .joint("cabinet_1_top_level", position)
+    }
+
+    /// Checks that the plan's skills show these words, one each.
+    fn check(scene: &KinematicScene, expected: &[&str]) {
+        let skills = plan(&scene.world()).expect("a plan");
+        let shown: Vec<String> = skills.iter().map(|skill| format!("{skill:?}")).collect();
+        assert_eq!(shown.len(), expected.len(), "{shown:#?}");
+        for (skill, word) in shown.iter().zip(expected) {
+            assert!(skill.contains(word), "{skill} does not show {word}");
+        }
+    }
+
+    #[test]
+    fn an_open_drawer_is_filled_before_it_is_closed() {
+        check(
+            &mug_into_drawer_and_close_it(-0.15),
+            &["Transfer", "PushDrawer"],
+        );
+    }
+
+    #[test]
+    fn a_shut_drawer_is_opened_before_it_is_filled() {
+        check(
+            &mug_into_drawer_and_close_it(0.005),
+            &["PullDrawer", "Transfer"],
+        );
+    }
+
+    #[test]
+    fn what_is_done_already_is_left_out() {
+        let scene = KinematicScene::new("in", &["mug_1", "basket_1_contain_region"])
+            .goal("turnon", &["stove_1"])
+            .object("mug_1", [0.0, 0.0, 0.05], MUG)
+            .region(
+                "basket_1_contain_region",
+                "basket_1",
+                [0.0, 0.0, 0.07],
+                [0.06, 0.06, 0.07],
+            )
+            .fixture("stove_1", [0.0, 0.4, 0.05], [0.1, 0.1, 0.05])
+            .joint("stove_1_button", 1.2);
+        check(&scene, &[]);
+    }
+
+    #[test]
+    fn two_objects_on_one_target_go_to_its_two_sides() {
+        let scene = KinematicScene::new("on", &["mug_1", "stove_1_cook_region"])
+            .goal("on", &["mug_2", "stove_1_cook_region"])
+            .object("mug_1", [0.0, 0.0, 0.05], MUG)
+            .object("mug_2", [0.1, 0.0, 0.05], MUG)
+            .region(
+                "stove_1_cook_region",
+                "stove_1",
+                [0.3, 0.0, 0.0],
+                [0.07, 0.07, 0.002],
+            );
+        check(&scene, &["slot: -1.0", "slot: 1.0"]);
+    }
+
+    #[test]
+    fn a_flat_plate_is_dragged_to_its_region() {
+        let scene = KinematicScene::new("on", &["plate_1", "table_front_region"])
+            .object("plate_1", [0.0, 0.0, 0.0095], [0.069, 0.069, 0.0095])
+            .region(
+                "table_front_region",
+                "",
+                [0.3, 0.0, 0.0],
+                [0.04, 0.04, 0.007],
+            );
+        check(&scene, &["Drag"]);
+    }
+
+    #[test]
+    fn a_goal_without_a_skill_is_refused_by_name() {
+        let scene = KinematicScene::new("turnoff", &["stove_1"]);
+        let refusal = plan(&scene.world()).unwrap_err();
+        assert!(refusal.contains("turnoff stove_1"), "{refusal}");
+    }
+
+    #[test]
+    fn a_goal_about_something_that_is_not_there_is_refused_by_name() {
+        let scene = KinematicScene::new("on", &["ghost_1", "plate_1"]);
+        let refusal = plan(&scene.world()).unwrap_err();
+        assert!(refusal.contains("ghost_1"), "{refusal}");
+    }
+}

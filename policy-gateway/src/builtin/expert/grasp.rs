@@ -4,7 +4,7 @@
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
-use super::geometry::{Footprint, Vec3, footprint, half_turn};
+use super::geometry::{Footprint, Vec3, footprint, half_turn, lean};
 use super::motion::FINGERTIP_M;
 use super::world::{Entity, Solid, World};
 
@@ -31,8 +31,15 @@ const ROUND_RATIO: f64 = 1.12;
 const OFF_CENTRE: [f64; 5] = [0.0, 0.25, -0.25, 0.5, -0.5];
 /// How far an open finger reaches out from the grip point, m.
 const FINGER_REACH_M: f64 = 0.058;
-/// What a quarter turn away from a place's wish is worth, rad.
+/// What is as bad as how much turning of the hand: a closing direction a
+/// quarter turn away from a place's wish, rad; a part of the hand in the way,
+/// rad; a finger in a wall, an arm stretched too far, and a rim point on the
+/// low side of a tilted body, rad per m.
 const ASKEW_WEIGHT: f64 = 3.0;
+const COLLISION_WEIGHT: f64 = 4.0;
+const WALL_WEIGHT: f64 = 140.0;
+const STRETCH_WEIGHT: f64 = 60.0;
+const TILT_WEIGHT: f64 = 150.0;
 
 /// A part of the open hand, from the grip point: where it is along the closing
 /// direction, its half sizes along and across, and how high its lower end is,
@@ -98,12 +105,22 @@ pub(super) enum Wish {
     Handle,
 }
 
+/// What a grasp is for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Purpose {
+    pub(super) wish: Wish,
+    /// Where the object's origin is taken to, seen from above, and its lowest
+    /// point.
+    pub(super) destination: Vec3,
+}
+
 /// All ways to hold `object`, best first: little turning of the hand, no
-/// finger in a neighbour, room beside the rim.
-pub(super) fn choices(world: &World, object: &Entity, wish: Wish) -> Vec<Grasp> {
+/// finger in a neighbour, room beside the rim, and within the arm's reach here
+/// and there.
+pub(super) fn choices(world: &World, object: &Entity, purpose: Purpose) -> Vec<Grasp> {
     let shape = footprint(object.quat, object.half);
     let handle = HANDLES.iter().find(|h| h.0 == object.category);
-    let mut all = if let (Wish::Handle, Some((_, way))) = (wish, handle) {
+    let mut all = if let (Wish::Handle, Some((_, way))) = (purpose.wish, handle) {
         vec![by_handle(object, shape, object.quat.rotate(*way))]
     } else if let Some((_, depth)) = KNOBS.iter().find(|k| k.0 == object.category) {
         vec![knob(object, shape, *depth)]
@@ -112,7 +129,7 @@ pub(super) fn choices(world: &World, object: &Entity, wish: Wish) -> Vec<Grasp> 
     } else {
         rims(object, shape)
     };
-    let rank = |grasp: &Grasp| cost(world, object, wish, grasp);
+    let rank = |grasp: &Grasp| cost(world, object, purpose, grasp);
     all.sort_by(|a, b| rank(a).total_cmp(&rank(b)));
     all
 }
@@ -180,14 +197,20 @@ fn grip_height(object: &Entity, depth: f64) -> f64 {
 }
 
 /// Rank of a grasp, in radians of hand turning that it is worth.
-fn cost(world: &World, object: &Entity, wish: Wish, grasp: &Grasp) -> f64 {
+fn cost(world: &World, object: &Entity, purpose: Purpose, grasp: &Grasp) -> f64 {
     let turning = half_turn(grasp.closing - FRAC_PI_2).abs();
-    let askew = match wish {
+    let askew = match purpose.wish {
         Wish::Across(way) => ASKEW_WEIGHT * Vec3::heading(grasp.closing).dot(way).abs(),
         Wish::Any | Wish::Handle => 0.0,
     };
-    let collisions = collisions(world, object, grasp) as f64;
-    turning + askew + grasp.strain + 4.0 * collisions + 140.0 * into_wall(world, object, grasp)
+    let collisions = COLLISION_WEIGHT * collisions(world, object, grasp) as f64;
+    let into_wall = WALL_WEIGHT * into_wall(world, object, grasp);
+    let here = object.centre + grasp.offset;
+    let there = (purpose.destination + here - object.pos)
+        .at_height(purpose.destination.z + here.z - object.bottom());
+    let stretch = STRETCH_WEIGHT * (world.overstretch(here) + world.overstretch(there));
+    let downhill = TILT_WEIGHT * lean(object.quat).dot(grasp.offset);
+    turning + askew + grasp.strain + collisions + into_wall + stretch + downhill
 }
 
 /// How often a part of the open hand would come down on something. What the
@@ -222,4 +245,131 @@ fn into_wall(world: &World, object: &Entity, grasp: &Grasp) -> f64 {
     let beyond = |region: &Entity, p: Vec3| (region.local(p).abs() - region.half).max_coordinate();
     let containers = world.regions().filter(|r| beyond(r, object.centre) < 0.0);
     containers.map(|r| beyond(r, finger)).fold(0.0, f64::max)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::geometry::Quat;
+    use super::super::kinematic_scene::KinematicScene;
+    use super::*;
+
+    const BOX: [f64; 3] = [0.04, 0.02, 0.03];
+    const BOWL: [f64; 3] = [0.054, 0.054, 0.025];
+
+    fn scene() -> KinematicScene {
+        KinematicScene::new("on", &["thing", "plate"])
+    }
+
+    fn best(scene: &KinematicScene, wish: Wish) -> Grasp {
+        let purpose = Purpose {
+            wish,
+            destination: Vec3::new(0.0, 0.2, 0.0),
+        };
+        let world = scene.world();
+        choices(&world, world.entity("thing").unwrap(), purpose)[0]
+    }
+
+    fn parallel(a: f64, b: f64) -> bool {
+        half_turn(a - b).abs() < 1e-6
+    }
+
+    #[test]
+    fn a_box_is_pinched_in_the_middle_across_its_narrow_side() {
+        let grasp = best(&scene().object("thing", [0.0, 0.0, 0.03], BOX), Wish::Any);
+        assert!(parallel(grasp.closing, FRAC_PI_2), "{grasp:?}");
+        assert!(grasp.offset.horizontal_norm() < 1e-9, "{grasp:?}");
+    }
+
+    #[test]
+    fn fingers_that_reach_for_a_flat_box_stay_above_what_it_stands_on() {
+        let flat = [0.04, 0.02, 0.009];
+        let grasp = best(&scene().object("thing", [0.0, 0.0, 0.009], flat), Wish::Any);
+        let lowest = 0.009 + grasp.offset.z - FINGERTIP_M;
+        assert!((lowest - FLOOR_GAP_M).abs() < 1e-9, "{grasp:?}");
+    }
+
+    #[test]
+    fn a_bowl_is_held_at_its_rim_with_the_fingers_on_both_sides_of_it() {
+        let grasp = best(&scene().object("thing", [0.0, 0.0, 0.025], BOWL), Wish::Any);
+        let radius = grasp.offset.horizontal_norm();
+        assert!(
+            (radius - (BOWL[0] - RIM_INSETS_M[0])).abs() < 1e-9,
+            "{grasp:?}"
+        );
+        assert!(parallel(
+            grasp.closing,
+            grasp.offset.y.atan2(grasp.offset.x)
+        ));
+    }
+
+    #[test]
+    fn a_mug_is_held_at_its_sides_and_not_where_its_handle_is() {
+        let mug = [0.05, 0.07, 0.05];
+        let grasp = best(&scene().object("thing", [0.0, 0.0, 0.05], mug), Wish::Any);
+        assert!(
+            grasp.offset.y.abs() < 1e-9 && grasp.offset.x.abs() > 0.04,
+            "{grasp:?}"
+        );
+    }
+
+    #[test]
+    fn a_neighbour_drives_the_grasp_to_the_other_side_of_the_rim() {
+        for side in [-1.0, 1.0] {
+            let scene = scene().object("thing", [0.0, 0.0, 0.025], BOWL).object(
+                "bottle",
+                [0.0, side * 0.1, 0.07],
+                [0.03, 0.03, 0.07],
+            );
+            let grasp = best(&scene, Wish::Any);
+            assert!(grasp.offset.y * side < 0.0, "{side}: {grasp:?}");
+        }
+    }
+
+    #[test]
+    fn a_neighbour_of_a_box_moves_the_pinch_off_its_centre() {
+        // The palm, not a finger, would hit the bottle.
+        let scene = scene()
+            .object("thing", [0.0, 0.0, 0.009], [0.04, 0.02, 0.009])
+            .object("bottle", [0.035, 0.1, 0.07], [0.022, 0.03, 0.07]);
+        let grasp = best(&scene, Wish::Any);
+        assert!(grasp.offset.x < -0.005, "{grasp:?}");
+    }
+
+    #[test]
+    fn in_a_drawer_the_rim_is_held_where_the_outer_finger_has_room() {
+        let scene = scene().object("thing", [0.0, 0.0, 0.925], BOWL).region(
+            "in_drawer",
+            "cabinet_1",
+            [0.0, 0.0, 0.925],
+            [0.15, 0.075, 0.03],
+        );
+        let grasp = best(&scene, Wish::Any);
+        let reach = grasp.offset * (1.0 + FINGER_REACH_M / grasp.offset.horizontal_norm());
+        assert!(reach.x.abs() < 0.155 && reach.y.abs() < 0.08, "{grasp:?}");
+    }
+
+    #[test]
+    fn a_place_can_ask_for_the_palm_to_stay_parallel_to_its_front() {
+        let scene = scene().object("thing", [0.0, 0.0, 0.025], BOWL);
+        let grasp = best(&scene, Wish::Across(Vec3::new(0.0, 1.0, 0.0)));
+        assert!(parallel(grasp.closing, 0.0), "{grasp:?}");
+    }
+
+    #[test]
+    fn a_tilted_bowl_is_held_at_the_high_side_of_its_rim() {
+        let mut scene = scene().object("thing", [0.0, 0.0, 0.03], BOWL);
+        let tilt = Quat::turn(Vec3::new(1.0, 0.0, 0.0), 0.3);
+        scene.state.entities[0].quat = vec![tilt.w, tilt.v.x, tilt.v.y, tilt.v.z];
+        // Turned about x, the side at +y has gone up.
+        let grasp = best(&scene, Wish::Any);
+        assert!(grasp.offset.y > 0.03, "{grasp:?}");
+    }
+
+    #[test]
+    fn far_away_the_rim_is_held_on_the_robot_s_side() {
+        // The hand rests 0.45 m in front of the robot.
+        let scene = scene().object("thing", [0.33, 0.0, 0.025], BOWL);
+        let grasp = best(&scene, Wish::Any);
+        assert!(grasp.offset.x < -0.03, "{grasp:?}");
+    }
 }

@@ -11,6 +11,7 @@ use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2};
 
 use super::geometry::{Quat, Vec3, half_turn};
 use super::world::{Entity, Solid, World};
+use crate::builtin::Action;
 
 /// What one unit of action asks for: m and rad (LIBERO's OSC_POSE settings).
 const UNIT_M: f64 = 0.05;
@@ -39,6 +40,21 @@ const STILL_M: f64 = 0.0008;
 pub(super) struct HandPose {
     pub(super) pos: Vec3,
     pub(super) quat: Quat,
+}
+
+impl HandPose {
+    pub(super) fn moved(self, by: Vec3) -> Self {
+        Self {
+            pos: self.pos + by,
+            ..self
+        }
+    }
+
+    /// Whether the hand is there, up to so many metres and radians.
+    pub(super) fn is_near(self, world: &World, near_m: f64, near_rad: f64) -> bool {
+        let turn = self.quat.after(world.grip_quat.inverse()).rotation_vector();
+        (self.pos - world.grip).norm() < near_m && turn.norm() < near_rad
+    }
 }
 
 /// The hand pointing down, closing along the horizontal direction `angle`. Of
@@ -77,7 +93,7 @@ pub(super) struct Command {
 }
 
 /// The action that serves `command`: seven numbers in [-1, 1].
-pub(super) fn servo(world: &World, motion: &Motion, command: &Command) -> [f32; 7] {
+pub(super) fn servo(world: &World, motion: &Motion, command: &Command) -> Action {
     let foretold = world.grip + motion.per_step() * LOOKAHEAD_STEPS;
     let shift = (command.hand.pos - foretold) * (POSITION_GAIN / UNIT_M);
     let turn = command
@@ -235,5 +251,128 @@ impl Motion {
     /// For how many steps the fingers have not moved against each other.
     pub(super) fn finger_still_steps(&self) -> u32 {
         self.finger_still_steps
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::kinematic_scene::KinematicScene;
+    use super::*;
+
+    fn scene() -> KinematicScene {
+        KinematicScene::new("on", &["a", "b"])
+    }
+
+    fn command(world: &World, by: Vec3, pace: f64) -> Command {
+        let hand = HandPose {
+            pos: world.grip + by,
+            quat: world.grip_quat,
+        };
+        Command {
+            hand,
+            fingers: Fingers::Close,
+            pace,
+        }
+    }
+
+    #[test]
+    fn a_distant_goal_saturates_the_action_and_keeps_its_direction() {
+        let world = scene().world();
+        let far = command(&world, Vec3::new(0.4, -0.2, 0.0), 1.0);
+        let action = servo(&world, &Motion::default(), &far);
+        assert_eq!(action[0], 1.0);
+        assert!((action[1] + 0.5).abs() < 1e-6, "{action:?}");
+    }
+
+    #[test]
+    fn a_gentle_pace_limits_the_way_down_and_not_the_way_across() {
+        let world = scene().world();
+        let far = command(&world, Vec3::new(0.4, 0.0, -0.4), 0.3);
+        let action = servo(&world, &Motion::default(), &far);
+        assert_eq!((action[0], action[2]), (1.0, -0.3));
+    }
+
+    #[test]
+    fn a_hand_at_its_goal_is_sent_nowhere() {
+        let world = scene().world();
+        let action = servo(
+            &world,
+            &Motion::default(),
+            &command(&world, Vec3::default(), 1.0),
+        );
+        assert!(action[..6].iter().all(|v| v.abs() < 1e-6), "{action:?}");
+        assert_eq!(action[6], 1.0);
+    }
+
+    #[test]
+    fn both_ways_to_close_along_a_line_give_the_pose_nearer_to_rest() {
+        for angle in [-1.3, -0.4, 0.2, 1.0, 1.5] {
+            let pose = pointing_down(angle);
+            assert!(
+                pose.after(pointing_down(angle + std::f64::consts::PI).inverse())
+                    .rotation_vector()
+                    .norm()
+                    < 1e-9
+            );
+            let from_rest = pose
+                .after(pointing_down(FRAC_PI_2).inverse())
+                .rotation_vector();
+            assert!(from_rest.norm() <= FRAC_PI_2 + 1e-9, "{angle}");
+            assert!(
+                (pose.rotate(Vec3::UP) + Vec3::UP).norm() < 1e-9,
+                "points down"
+            );
+        }
+    }
+
+    #[test]
+    fn a_tilted_hand_points_ahead() {
+        let ahead = Vec3::heading(0.7);
+        let pose = tilted(pointing_down(0.7), ahead, FRAC_PI_2);
+        assert!((pose.rotate(Vec3::UP) - ahead).norm() < 1e-9);
+    }
+
+    #[test]
+    fn the_hand_climbs_over_what_stands_in_its_way_before_it_crosses() {
+        let mut world = scene()
+            .object("tower", [0.2, 0.0, 0.25], [0.03, 0.03, 0.25])
+            .world();
+        let goal = Vec3::new(0.4, 0.0, 0.1);
+        let up = detour(&world, goal, Errand::Empty(FINGERTIP_M));
+        assert_eq!((up.x, up.y), (0.0, 0.0));
+        assert!(up.z > 0.5 + FINGERTIP_M + CLEARANCE_M);
+        world.grip.z = up.z;
+        let across = detour(&world, goal, Errand::Empty(FINGERTIP_M));
+        assert_eq!((across.x, across.y), (goal.x, goal.y));
+        assert!(across.z > 0.5);
+        world.grip = goal.at_height(up.z);
+        assert_eq!(detour(&world, goal, Errand::Empty(FINGERTIP_M)), goal);
+    }
+
+    #[test]
+    fn a_held_object_comes_out_from_under_a_shelf_before_it_goes_up() {
+        let scene = scene()
+            .object("cup", [0.0, 0.0, 0.3], [0.04, 0.04, 0.05])
+            .object("shelf", [0.05, 0.0, 0.5], [0.06, 0.2, 0.02]);
+        let world = scene.world();
+        let cup = world.entity("cup").unwrap();
+        let next = detour(&world, Vec3::new(0.3, 0.0, 0.7), Errand::With(cup));
+        assert!(next.x < -0.03 && next.z == world.grip.z, "{next:?}");
+    }
+
+    #[test]
+    fn a_hand_that_stops_moving_is_noticed_after_as_many_steps() {
+        let mut scene = scene();
+        let mut motion = Motion::default();
+        scene.apply([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0]);
+        motion.observe(&scene.world());
+        scene.apply([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0]);
+        motion.observe(&scene.world());
+        assert_eq!(motion.still_steps(), 0);
+        assert!(motion.per_step().x > 0.01);
+        for _ in 0..3 {
+            motion.observe(&scene.world());
+        }
+        assert_eq!(motion.still_steps(), 3);
     }
 }

@@ -193,3 +193,67 @@ impl Spot {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::kinematic_scene::KinematicScene;
+    use super::*;
+
+    const MUG: [f64; 3] = [0.03, 0.03, 0.05];
+
+    fn scene() -> KinematicScene {
+        KinematicScene::new("in", &["mug_1", "oven_1_inside"])
+            .object("mug_1", [0.0, 0.0, 0.05], MUG)
+            .object("plate_1", [0.3, 0.0, 0.01], [0.07, 0.07, 0.01])
+            .fixture("oven_1", [0.0, 0.4, 0.1], [0.2, 0.1, 0.1])
+            .region(
+                "oven_1_inside",
+                "oven_1",
+                [0.0, 0.4, 0.1],
+                [0.12, 0.08, 0.08],
+            )
+            .region(
+                "oven_1_top_side",
+                "oven_1",
+                [0.0, 0.4, 0.2],
+                [0.15, 0.1, 0.001],
+            )
+    }
+
+    fn place(relation: Relation, target: &str, slot: f64) -> Place {
+        Place {
+            relation,
+            target: target.to_owned(),
+            slot,
+        }
+    }
+
+    fn spot(place: &Place) -> Spot {
+        let world = scene().world();
+        place.spot(&world, world.entity("mug_1").unwrap()).unwrap()
+    }
+
+    #[test]
+    fn what_is_put_on_a_plate_comes_straight_down_onto_its_middle() {
+        let spot = spot(&place(Relation::On, "plate_1", 0.0));
+        assert_eq!((spot.gate.x, spot.gate.y), (0.3, 0.0));
+        assert!(spot.gate.z > 0.02 && spot.rest.z <= 0.0, "{spot:?}");
+        assert_eq!(spot.way_out(), Vec3::UP);
+    }
+
+    #[test]
+    fn neighbours_on_one_target_do_not_touch() {
+        let [left, right] = [-1.0, 1.0].map(|slot| spot(&place(Relation::On, "plate_1", slot)));
+        assert!((left.rest - right.rest).horizontal_norm() > 2.0 * MUG[0]);
+    }
+
+    #[test]
+    fn what_is_covered_is_reached_through_its_open_front() {
+        let inside = place(Relation::In, "oven_1_inside", 0.0);
+        let spot = spot(&inside);
+        assert!(spot.gate.y < 0.3 && spot.rest.y > 0.32, "{spot:?}");
+        assert_eq!(spot.gate.z, spot.rest.z);
+        assert_eq!(spot.way_out(), Vec3::new(0.0, -1.0, 0.0));
+        assert_eq!(inside.wish(&scene().world()), Ok(Wish::Handle));
+    }
+}

@@ -140,12 +140,7 @@ impl Routine {
     }
 
     fn over(&self, stage: &Stage, world: &World, motion: &Motion) -> bool {
-        let turn = stage
-            .hand
-            .quat
-            .after(world.grip_quat.inverse())
-            .rotation_vector();
-        let near = (stage.hand.pos - world.grip).norm() < NEAR_M && turn.norm() < NEAR_RAD;
+        let near = stage.hand.is_near(world, NEAR_M, NEAR_RAD);
         let stopped = self.ticks > 5 && motion.still_steps() >= 3;
         let over = match stage.until {
             Until::Travelled => near,

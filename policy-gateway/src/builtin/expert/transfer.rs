@@ -3,7 +3,7 @@
 //! way, starts the next attempt with the next grasp.
 
 use super::geometry::{Quat, Vec3};
-use super::grasp::{self, Grasp};
+use super::grasp::{self, Grasp, Purpose};
 use super::motion::{Command, Errand, Fingers, HandPose, Motion, detour, pointing_down};
 use super::place::{Place, Spot};
 use super::world::{Entity, World};
@@ -25,8 +25,12 @@ const LIFT_M: f64 = 0.03;
 /// at most the second number.
 const CLOSING_STEPS: (u32, u32) = (5, 12);
 const OPENING_STEPS: u32 = 5;
-/// Steps after which a phase that gets nowhere is given up.
+/// Steps after which a phase near things is ended as it is, and after which a
+/// way across is given up.
 const PATIENCE_STEPS: u32 = 60;
+const TRAVEL_STEPS: u32 = 120;
+/// A hand that has run out of patience this near to its goal goes on, m.
+const ALMOST_M: f64 = 0.03;
 /// Share of full speed near things.
 const GENTLE: f64 = 0.4;
 
@@ -137,24 +141,32 @@ impl Transfer {
                 stay(hand, Fingers::Open, 1.0)
             }
             Phase::Release { hand, way_out } => {
-                Next::Go(Phase::Retreat(moved(hand, way_out * RETREAT_M)))
+                Next::Go(Phase::Retreat(hand.moved(way_out * RETREAT_M)))
             }
-            Phase::Retreat(hand) if self.near(world, hand) || self.overdue() => Next::Done,
+            Phase::Retreat(hand) if near(world, hand) || self.overdue() => Next::Done,
             Phase::Retreat(hand) => stay(hand, Fingers::Open, 1.0),
         })
     }
 
     fn choose(&self, world: &World, object: &Entity) -> Result<Next, String> {
-        let choices = grasp::choices(world, object, self.place.wish(world)?);
+        let purpose = Purpose {
+            wish: self.place.wish(world)?,
+            destination: self.place.spot(world, object)?.rest,
+        };
+        let choices = grasp::choices(world, object, purpose);
         let grasp = choices[self.missed % choices.len()];
         let quat = pointing_down(grasp.closing);
         Ok(Next::Go(Phase::Approach(Grip { grasp, quat })))
     }
 
     fn approach(&self, world: &World, object: &Entity, grip: Grip) -> Next {
-        let above = moved(grip.hand(object), Vec3::UP * HOVER_M);
-        if self.near(world, above) || self.overdue() {
+        let above = grip.hand(object).moved(Vec3::UP * HOVER_M);
+        let almost = (above.pos - world.grip).norm() < ALMOST_M;
+        if near(world, above) || (almost && self.overdue()) {
             return Next::Go(Phase::Descend(grip));
+        }
+        if self.ticks >= TRAVEL_STEPS {
+            return Next::Missed;
         }
         let pos = detour(world, above.pos, Errand::For(object));
         stay(HandPose { pos, ..above }, Fingers::Open, 1.0)
@@ -199,34 +211,20 @@ impl Transfer {
         if world.grip.z > hold.lifted_from.z + LIFT_M {
             return Next::Go(Phase::Carry(hold));
         }
-        stay(
-            HandPose {
-                pos: goal,
-                quat: hold.quat,
-            },
-            Fingers::Close,
-            1.0,
-        )
+        hold_to(goal, hold, 1.0)
     }
 
     fn carry(&self, world: &World, object: &Entity, hold: Hold) -> Result<Next, String> {
-        if hold.lost(world, object) {
+        if hold.lost(world, object) || self.ticks >= TRAVEL_STEPS {
             return Ok(Next::Missed);
         }
         let spot = self.place.spot(world, object)?;
         let goal = Spot::hand_for(world, object, spot.gate);
-        if spot.at_gate(goal - world.grip) || self.overdue() {
+        if spot.at_gate(goal - world.grip) {
             return Ok(Next::Go(Phase::Lower(hold)));
         }
         let pos = detour(world, goal, Errand::With(object));
-        Ok(stay(
-            HandPose {
-                pos,
-                quat: hold.quat,
-            },
-            Fingers::Close,
-            1.0,
-        ))
+        Ok(hold_to(pos, hold, 1.0))
     }
 
     fn lower(
@@ -249,19 +247,7 @@ impl Transfer {
             }));
         }
         let pos = Spot::hand_for(world, object, spot.rest);
-        Ok(stay(
-            HandPose {
-                pos,
-                quat: hold.quat,
-            },
-            Fingers::Close,
-            GENTLE,
-        ))
-    }
-
-    fn near(&self, world: &World, hand: HandPose) -> bool {
-        let turn = hand.quat.after(world.grip_quat.inverse()).rotation_vector();
-        (hand.pos - world.grip).norm() < NEAR_M && turn.norm() < NEAR_RAD
+        Ok(hold_to(pos, hold, GENTLE))
     }
 
     fn overdue(&self) -> bool {
@@ -285,6 +271,10 @@ impl Hold {
     }
 }
 
+fn near(world: &World, hand: HandPose) -> bool {
+    hand.is_near(world, NEAR_M, NEAR_RAD)
+}
+
 fn stay(hand: HandPose, fingers: Fingers, pace: f64) -> Next {
     Next::Stay(Command {
         hand,
@@ -293,9 +283,134 @@ fn stay(hand: HandPose, fingers: Fingers, pace: f64) -> Next {
     })
 }
 
-fn moved(hand: HandPose, by: Vec3) -> HandPose {
-    HandPose {
-        pos: hand.pos + by,
-        ..hand
+/// Keeps the fingers closed on the way to `pos`.
+fn hold_to(pos: Vec3, hold: Hold, pace: f64) -> Next {
+    stay(
+        HandPose {
+            pos,
+            quat: hold.quat,
+        },
+        Fingers::Close,
+        pace,
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::kinematic_scene::KinematicScene;
+    use super::super::motion::servo;
+    use super::super::place::Relation;
+    use super::*;
+
+    const BASKET: &str = "basket_1_contain_region";
+
+    fn scene() -> KinematicScene {
+        KinematicScene::new("in", &["can_1", BASKET])
+            .object("can_1", [-0.1, -0.2, 0.038], [0.031, 0.031, 0.038])
+            .object("basket_1", [0.0, 0.26, 0.07], [0.08, 0.085, 0.07])
+            .region(
+                BASKET,
+                "basket_1",
+                [0.0, 0.26, 0.067],
+                [0.061, 0.061, 0.069],
+            )
+    }
+
+    fn can_into_basket() -> Transfer {
+        let place = Place {
+            relation: Relation::In,
+            target: BASKET.to_owned(),
+            slot: 0.0,
+        };
+        Transfer::new("can_1".to_owned(), place)
+    }
+
+    /// Runs the skill to its end and returns the names of its phases, each as
+    /// often as it was entered. `disturb` sees the phase before each step.
+    fn run(
+        scene: &mut KinematicScene,
+        mut disturb: impl FnMut(&mut KinematicScene, Phase),
+    ) -> Vec<String> {
+        let (mut transfer, mut motion) = (can_into_basket(), Motion::default());
+        let mut phases: Vec<String> = Vec::new();
+        for _ in 0..400 {
+            let world = scene.world();
+            motion.observe(&world);
+            let Some(command) = transfer.step(&world, &motion).expect("a readable scene") else {
+                return phases;
+            };
+            let shown = format!("{:?}", transfer.phase);
+            let name = shown
+                .split(['(', ' '])
+                .next()
+                .unwrap_or_default()
+                .to_owned();
+            if phases.last() != Some(&name) {
+                phases.push(name);
+            }
+            scene.apply(servo(&world, &motion, &command));
+            disturb(scene, transfer.phase);
+        }
+        panic!("the skill did not end; phases: {phases:?}");
+    }
+
+    const WHOLE: [&str; 8] = [
+        "Approach", "Descend", "Close", "Lift", "Carry", "Lower", "Release", "Retreat",
+    ];
+
+    fn in_basket(scene: &KinematicScene) -> bool {
+        let world = scene.world();
+        can_into_basket()
+            .place
+            .holds(&world, world.entity("can_1").unwrap())
+            .unwrap()
+    }
+
+    #[test]
+    fn a_can_goes_into_a_basket_phase_by_phase() {
+        let mut scene = scene();
+        assert_eq!(run(&mut scene, |_, _| ()), WHOLE);
+        assert!(in_basket(&scene));
+    }
+
+    #[test]
+    fn a_missed_grasp_is_noticed_on_lifting_and_tried_again() {
+        let mut scene = scene();
+        scene.slippery = 1;
+        let phases = run(&mut scene, |_, _| ());
+        let missed = ["Approach", "Descend", "Close", "Lift"];
+        assert_eq!(phases, [&missed[..], &WHOLE[..]].concat());
+        assert!(in_basket(&scene));
+    }
+
+    #[test]
+    fn an_object_lost_on_the_way_is_picked_up_again() {
+        let mut scene = scene();
+        let mut lost = false;
+        let phases = run(&mut scene, |scene, phase| {
+            if matches!(phase, Phase::Carry(_)) && !lost && scene.state.grip_pos[1] > 0.0 {
+                scene.knock_out_of_hand();
+                lost = true;
+            }
+        });
+        assert_eq!(phases, [&WHOLE[..5], &WHOLE[..]].concat());
+        assert!(in_basket(&scene));
+    }
+
+    #[test]
+    fn each_attempt_takes_the_next_grasp() {
+        let scene = scene();
+        let world = scene.world();
+        let can = world.entity("can_1").unwrap();
+        let mut transfer = can_into_basket();
+        let mut chosen = Vec::new();
+        for missed in 0..2 {
+            transfer.missed = missed;
+            match transfer.choose(&world, can) {
+                Ok(Next::Go(Phase::Approach(grip))) => chosen.push(grip.grasp),
+                _ => panic!("no grasp chosen"),
+            }
+        }
+        assert_ne!(chosen[0], chosen[1]);
     }
 }

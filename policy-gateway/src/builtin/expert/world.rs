@@ -67,7 +67,22 @@ pub(super) struct World {
     pub(super) grip_quat: Quat,
     /// Distance between the fingers, m.
     pub(super) opening: f64,
+    /// The arm's shoulder, if the hand is at rest. The robot's base is not
+    /// observed: whoever follows an episode keeps the first one.
+    pub(super) shoulder: Vec3,
 }
+
+/// The shoulder from the grip point at rest: LIBERO's robots face the world's
+/// x and rest with the hand that far in front, m.
+const SHOULDER_FROM_REST: Vec3 = Vec3::new(-0.45, 0.0, 0.071);
+/// With the hand pointing down, the wrist from the grip point: up, and back
+/// towards the shoulder, m (the Panda's flange and seventh link).
+const WRIST_UP_M: f64 = 0.204;
+const WRIST_BACK_M: f64 = 0.088;
+/// A wrist further from the shoulder than this comes near the stretched arm,
+/// which the controller does not get out of well, m; at 0.70 the elbow is
+/// straight.
+const COMFORTABLE_REACH_M: f64 = 0.65;
 
 /// One goal predicate, arguments as the task file names them.
 #[derive(Clone, Debug, PartialEq)]
@@ -95,6 +110,7 @@ impl World {
             });
         }
         let goal = state.goal.iter();
+        let grip = vec3(&state.grip_pos, "gripper", "grip_pos")?;
         let mut world = Self {
             entities,
             solids: Vec::new(),
@@ -109,7 +125,8 @@ impl World {
                     arguments: g.arguments.clone(),
                 })
                 .collect(),
-            grip: vec3(&state.grip_pos, "gripper", "grip_pos")?,
+            grip,
+            shoulder: grip + SHOULDER_FROM_REST,
             grip_quat: quat(&state.grip_quat, "gripper")?,
             opening: state.gripper_opening,
         };
@@ -144,6 +161,15 @@ impl World {
             .iter()
             .map(|j| j.0.as_str())
             .filter(move |n| n.starts_with(&prefix))
+    }
+
+    /// How far beyond its comfortable reach the arm is with the hand pointing
+    /// down at `grip`, m; 0 within.
+    pub(super) fn overstretch(&self, grip: Vec3) -> f64 {
+        let from_shoulder = grip - self.shoulder;
+        let across = from_shoulder.horizontal_norm() - WRIST_BACK_M;
+        let reach = across.hypot(from_shoulder.z + WRIST_UP_M);
+        (reach - COMFORTABLE_REACH_M).max(0.0)
     }
 
     /// Everything that can be run into.
