@@ -33,6 +33,10 @@ impl Element {
         if depth == MAX_DEPTH {
             return Err(format!("elements are nested more than {MAX_DEPTH} deep"));
         }
+        // Only the part after the colon is kept, which may then be twice there.
+        if let Some(strange) = node.attributes().find(|a| a.namespace().is_some()) {
+            return Err(format!("attribute `{}` is in a namespace", strange.name()));
+        }
         let attributes = node
             .attributes()
             .map(|a| (a.name().to_owned(), a.value().to_owned()))
@@ -171,6 +175,10 @@ fn escape(value: &str) -> String {
         .replace('&', "&amp;")
         .replace('<', "&lt;")
         .replace('"', "&quot;")
+        // Read as plain blanks unless written as numbers.
+        .replace('\t', "&#9;")
+        .replace('\n', "&#10;")
+        .replace('\r', "&#13;")
 }
 
 /// Numbers as MJCF writes them, each in the shortest form that reads back as
@@ -192,9 +200,15 @@ mod tests {
     use super::*;
 
     #[test]
+    fn attributes_in_namespaces_are_refused() {
+        let problem = Element::parse(r#"<a xmlns:b="c" name="x" b:name="y"/>"#).unwrap_err();
+        assert_eq!(problem, "attribute `name` is in a namespace");
+    }
+
+    #[test]
     fn writing_and_reading_again_gives_the_same_tree() {
         let element = Element::new("a")
-            .with("name", "x \"<&>\" y")
+            .with("name", "x \"<&>\" \t\r\n y")
             .with("pos", numbers(&[0.1, -0.0, 1e-300, 5.0]));
         let mut outer = Element::new("b");
         outer.children.push(element);
