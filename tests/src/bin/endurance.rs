@@ -1,0 +1,200 @@
+//! Whether memory stays level over many rollouts in one process: short rollouts
+//! over several tasks, more tasks than scenes are kept, so that scenes and
+//! their pictures are made and dropped all the time. Exits with 1 if memory
+//! grows after the warm-up.
+//!
+//! With a software renderer, textures and buffers lie in this process's memory
+//! and are counted with it; with a driver, compare what the driver reports.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Instant;
+
+use anyhow::{Context, Result, ensure};
+use clap::error::ErrorKind;
+use clap::{CommandFactory, Parser};
+use protocol::presets::apply_preset;
+use protocol::{
+    Axis, Condition, Level, ManifestRow, Perturbation, Realisation, RolloutId, TaskRef,
+};
+use scene::{AssetPack, Sources};
+use sim::{CameraRequest, GlDevice, ObservationRequest, Simulator, SimulatorConfig};
+use tests::motion::smooth_action;
+
+/// Run short rollouts and watch this process's memory.
+#[derive(Parser)]
+struct Arguments {
+    /// Rollouts in all, at least three rounds over the tasks.
+    #[arg(long, default_value_t = 500)]
+    rollouts: usize,
+    /// Tasks, spread evenly over the forty.
+    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u8).range(1..=40))]
+    tasks: u8,
+    /// `primitives`, or a LIBERO assets folder.
+    #[arg(long, default_value = "primitives")]
+    assets: String,
+    /// Compiled scenes that are kept.
+    #[arg(long, default_value_t = 3)]
+    cached_scenes: usize,
+    /// Folder with the unpacked sources.
+    #[arg(long)]
+    sources: Option<PathBuf>,
+}
+
+/// Control steps of the policy in a rollout.
+const STEPS: usize = 20;
+/// Side of the one frame drawn, pixels.
+const FRAME: u32 = 64;
+/// Configurations of the protocol, which the rounds go through.
+const CONFIGS: usize = 10;
+/// One in so many rounds, the first ones, belongs to the warm-up.
+const WARM_UP_PART: usize = 3;
+/// Growth beyond the warm-up that is no leak yet: allocators keep and return
+/// pages as they see fit.
+const ALLOWED_GROWTH: f64 = 0.05;
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    let tasks: Vec<TaskRef> = TaskRef::all()
+        .step_by(TaskRef::all().count() / usize::from(arguments.tasks))
+        .take(usize::from(arguments.tasks))
+        .collect();
+    let rounds = arguments.rollouts / tasks.len();
+    if rounds < WARM_UP_PART {
+        let problem = format!(
+            "{} rollouts make {rounds} rounds over {} tasks; to measure growth takes {WARM_UP_PART}",
+            arguments.rollouts,
+            tasks.len()
+        );
+        let error = Arguments::command().error(ErrorKind::ValueValidation, problem);
+        error.exit();
+    }
+    match run(&arguments, &tasks, rounds) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: failed to {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(arguments: &Arguments, tasks: &[TaskRef], rounds: usize) -> Result<()> {
+    let mut simulator = simulator(arguments)?;
+    println!("renderer: {}", simulator.gl_renderer()?);
+    let start = Instant::now();
+    // At the end of a round the same scenes are in the cache as ever.
+    let mut memory = Vec::new();
+    for round in 0..rounds {
+        for task in tasks {
+            roll_out(&mut simulator, *task, round % CONFIGS)
+                .with_context(|| format!("run {task}"))?;
+        }
+        let used = Memory::now()?;
+        println!(
+            "{:5} rollouts, {:6.0} s: {:7.1} MiB resident, {} threads, {} files open",
+            (round + 1) * tasks.len(),
+            start.elapsed().as_secs_f64(),
+            used.resident_mib,
+            used.threads,
+            used.open_files
+        );
+        memory.push(used);
+    }
+    judge(&memory, tasks.len())
+}
+
+/// Compares what was used after the warm-up with what was used in it.
+fn judge(memory: &[Memory], tasks: usize) -> Result<()> {
+    let (warm_up, later) = memory.split_at(memory.len() / WARM_UP_PART);
+    let most = |used: &[Memory]| used.iter().map(|m| m.resident_mib).fold(0.0, f64::max);
+    let growth = most(later) / most(warm_up) - 1.0;
+    println!(
+        "most resident: {:.1} MiB in the first {} rollouts, {:.1} MiB in the {} after them: {:+.1} %",
+        most(warm_up),
+        warm_up.len() * tasks,
+        most(later),
+        later.len() * tasks,
+        growth * 100.0
+    );
+    ensure!(
+        growth <= ALLOWED_GROWTH,
+        "keep memory level: it grew by {:.1} %, {:.0} % are allowed",
+        growth * 100.0,
+        ALLOWED_GROWTH * 100.0
+    );
+    let things = |used: &Memory| (used.threads, used.open_files);
+    if let (Some(before), Some(after)) = (warm_up.last(), later.last()) {
+        ensure!(
+            things(before) == things(after),
+            "keep threads and open files level: {:?} became {:?}",
+            things(before),
+            things(after)
+        );
+    }
+    Ok(())
+}
+
+fn simulator(arguments: &Arguments) -> Result<Simulator> {
+    let dir = arguments.sources.clone();
+    let sources = Sources::open(&dir.unwrap_or_else(Sources::default_dir))?;
+    Ok(Simulator::new(SimulatorConfig {
+        pack: AssetPack::open(&arguments.assets, &sources)?,
+        sources,
+        gl_device: GlDevice::Auto,
+        cached_scenes: arguments.cached_scenes,
+    }))
+}
+
+/// One short rollout with all metric axes perturbed, as a campaign has them.
+fn roll_out(simulator: &mut Simulator, task: TaskRef, config: usize) -> Result<()> {
+    const LEVEL: Level = Level::L2;
+    let init_id = task.eval_init_ids()[config];
+    let config = u16::try_from(config)?;
+    let mut perturbation = Perturbation::default();
+    for axis in Axis::METRIC {
+        apply_preset(&mut perturbation, axis, LEVEL, config);
+    }
+    let id = RolloutId::perturbed(task, Condition::Combination, LEVEL, config)?;
+    let row = ManifestRow::new(id, config, init_id, perturbation);
+    let mut episode = simulator.begin(&row, Realisation::Matched)?;
+    episode.settle()?;
+    for step in 0..STEPS {
+        episode.step(&smooth_action(step))?;
+    }
+    let camera = CameraRequest {
+        name: "agentview".to_owned(),
+        width: FRAME,
+        height: FRAME,
+    };
+    episode.observe(&ObservationRequest {
+        cameras: vec![camera],
+        privileged: true,
+    })?;
+    Ok(())
+}
+
+/// What this process uses.
+struct Memory {
+    resident_mib: f64,
+    threads: usize,
+    open_files: usize,
+}
+
+impl Memory {
+    fn now() -> Result<Self> {
+        let path = "/proc/self/status";
+        let status = std::fs::read_to_string(path).with_context(|| format!("read {path}"))?;
+        let field = |name: &str| -> Result<usize> {
+            status
+                .lines()
+                .find_map(|line| line.strip_prefix(name)?.split_whitespace().next())
+                .and_then(|value| value.parse().ok())
+                .with_context(|| format!("find `{name}` in {path}"))
+        };
+        Ok(Self {
+            resident_mib: field("VmRSS:")? as f64 / 1024.0,
+            threads: field("Threads:")?,
+            open_files: std::fs::read_dir("/proc/self/fd")?.count(),
+        })
+    }
+}

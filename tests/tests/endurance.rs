@@ -1,0 +1,27 @@
+//! Memory over many rollouts, small: `endurance --rollouts 500 --assets PATH`
+//! is the measure itself.
+
+use std::process::Command;
+
+#[test]
+fn memory_stays_level_over_sixty_rollouts_of_four_tasks() {
+    let output = Command::new(env!("CARGO_BIN_EXE_endurance"))
+        .args(["--rollouts", "60", "--tasks", "4", "--assets", "primitives"])
+        .output()
+        .unwrap();
+    let printed = String::from_utf8_lossy(&output.stdout);
+    let complaint = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{printed}\n{complaint}");
+    assert!(printed.contains("   60 rollouts"), "{printed}");
+}
+
+#[test]
+fn too_few_rollouts_to_measure_growth_are_refused() {
+    let output = Command::new(env!("CARGO_BIN_EXE_endurance"))
+        .args(["--rollouts", "4", "--tasks", "4"])
+        .output()
+        .unwrap();
+    let complaint = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{complaint}");
+    assert!(complaint.contains("make 1 rounds"), "{complaint}");
+}
