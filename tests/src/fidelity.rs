@@ -97,8 +97,7 @@ pub struct Worst {
 
 impl Worst {
     pub(crate) fn see(&mut self, value: f64, place: impl FnOnce() -> String) {
-        // A difference that is no number must not look small.
-        if !(value <= self.value) {
+        if exceeds(value, self.value) {
             *self = Self {
                 value,
                 place: place(),
@@ -122,7 +121,7 @@ impl Findings {
     pub fn violations(&self, limits: &Limits) -> Vec<String> {
         let mut found = Vec::new();
         let mut check = |what: &str, worst: &Worst, limit: f64| {
-            if !(worst.value <= limit) {
+            if exceeds(worst.value, limit) {
                 found.push(format!("{what}: {:.3e} at {}", worst.value, worst.place));
             }
         };
@@ -142,13 +141,13 @@ impl Findings {
         }
         if let Some(contact) = &self.contact {
             if let Some(multiple) = contact.sensitivities
-                && !(multiple <= limits.sensitivities)
+                && exceeds(multiple, limits.sensitivities)
             {
                 found.push(format!(
                     "contact-rich steps: {multiple:.0} × the original's sensitivity"
                 ));
             }
-            if !(contact.worst_while_calm <= limits.smooth) {
+            if exceeds(contact.worst_while_calm, limits.smooth) {
                 found.push(format!(
                     "contact-rich steps: {:.3e}",
                     contact.worst_while_calm
@@ -171,6 +170,11 @@ impl Findings {
         }
         found
     }
+}
+
+/// A difference that is no number exceeds every limit.
+fn exceeds(value: f64, limit: f64) -> bool {
+    value.is_nan() || value > limit
 }
 
 /// Compares one task.

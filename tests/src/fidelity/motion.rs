@@ -149,7 +149,7 @@ pub(super) fn compare_contact(
     }
     let mut findings = ContactFindings::default();
     let mut calm = true;
-    for step in 0..=actions.len() {
+    for (step, sensitivity) in sensitivity.into_iter().enumerate() {
         let succeeded = match step {
             0 => environment.succeeded(),
             _ => environment.step(&action(actions.row(step - 1))?)?,
@@ -157,11 +157,11 @@ pub(super) fn compare_contact(
         let ours = environment.data().qpos(environment.model());
         let difference = largest_difference(ours, qpos.row(step));
         findings.worst = findings.worst.max(difference);
-        calm &= sensitivity[step] <= CALM;
+        calm &= sensitivity <= CALM;
         if calm {
             findings.worst_while_calm = findings.worst_while_calm.max(difference);
         } else if measured {
-            let multiple = difference / sensitivity[step];
+            let multiple = difference / sensitivity;
             findings.sensitivities = Some(findings.sensitivities.unwrap_or(0.0).max(multiple));
         }
         findings.success_flags += usize::from(succeeded != (success.values[step] != 0.0));

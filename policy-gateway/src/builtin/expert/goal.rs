@@ -159,7 +159,7 @@ fn slot(goal: &[Predicate], predicate: &Predicate) -> f64 {
 fn transfer(world: &World, object: &str, place: Place) -> Result<Option<Skill>, String> {
     let there = place.holds(world, world.entity(object)?)?;
     let transfer = Transfer::new(object.to_owned(), place);
-    Ok((!there).then(|| Skill::Transfer(transfer)))
+    Ok((!there).then_some(Skill::Transfer(transfer)))
 }
 
 #[cfg(test)]
