@@ -2,6 +2,8 @@
 //! code 2 is for a command that is wrong, 1 for one that failed.
 
 mod create;
+mod files;
+mod manifest;
 mod output;
 mod serve;
 mod status;
@@ -31,6 +33,9 @@ enum Command {
     /// Create, list and follow campaigns.
     #[command(subcommand)]
     Campaign(CampaignCommand),
+    /// Expand, check and compare manifests.
+    #[command(subcommand)]
+    Manifest(manifest::ManifestCommand),
     /// Print the paired report of a campaign, as far as it has come.
     Report(output::ReportArguments),
     /// Write the committed results of a campaign.
@@ -40,7 +45,7 @@ enum Command {
 #[derive(Debug, Subcommand)]
 enum CampaignCommand {
     /// Create a campaign from a specification, or from flags.
-    Create(create::CreateArguments),
+    Create(Box<create::CreateArguments>),
     /// List all campaigns.
     List(status::ListArguments),
     /// Show how a campaign stands.
@@ -106,9 +111,10 @@ pub(crate) fn run(arguments: Arguments) -> ExitCode {
 async fn execute(command: Command) -> Result<(), CommandError> {
     match command {
         Command::Serve(arguments) => Ok(serve::serve(arguments).await?),
-        Command::Campaign(CampaignCommand::Create(arguments)) => create::create(arguments).await,
+        Command::Campaign(CampaignCommand::Create(arguments)) => create::create(*arguments).await,
         Command::Campaign(CampaignCommand::List(arguments)) => status::list(arguments).await,
         Command::Campaign(CampaignCommand::Status(arguments)) => status::status(arguments).await,
+        Command::Manifest(command) => manifest::manifest(command),
         Command::Report(arguments) => output::report(arguments).await,
         Command::Export(arguments) => output::export(arguments).await,
     }

@@ -156,7 +156,7 @@ fn differs(what: &str, here: &str, there: &str, whose: &str) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
-    use protocol::{CampaignSpec, PolicyRoute};
+    use protocol::Design;
 
     use super::*;
     use crate::ids::WorkerId;
@@ -177,11 +177,7 @@ mod tests {
 
     /// A row of the whole design.
     fn row(id: &str) -> ManifestRow {
-        let policy = PolicyRoute {
-            name: "p".to_owned(),
-            endpoint: "http://127.0.0.1:9".to_owned(),
-        };
-        let rows = CampaignSpec::v0_1("all", policy).expand().expect("rows");
+        let rows = Design::v0_1().expand().expect("rows");
         let id: RolloutId = id.parse().expect("an id");
         let mut rows = rows.into_iter();
         rows.find(|row| row.id == id).expect("one of the design")
@@ -310,7 +306,7 @@ mod tests {
 
     #[test]
     fn an_axis_left_out_or_added_is_told_from_the_manifest_row() {
-        let other = sibling("goal/t0/clean/L0/c06", &[], "");
+        let other = sibling("goal/t0/clean/i06", &[], "");
         let matched = |id| (id, Realisation::Matched);
         check(
             kept_out(matched(COMBINATION), &FIVE[..4], "", &other),
@@ -325,7 +321,7 @@ mod tests {
     #[test]
     fn replicates_and_conditions_that_leave_the_pictures_alone_see_the_same_first_frame() {
         let matched = |id| (id, Realisation::Matched);
-        let (clean, language) = ("goal/t0/clean/L0/c06", "goal/t0/language/L3/c01");
+        let (clean, language) = ("goal/t0/clean/i06", "goal/t0/language/L3/c01");
         let (actuation, actuated) = ("goal/t0/actuation/L2/c01", &FIVE[4..]);
         let saw = |id, realised: &[_], other: &Sibling| {
             kept_out(matched(id), realised, &hex(b'f'), other)
@@ -358,7 +354,7 @@ mod tests {
 
     #[test]
     fn another_renderer_or_policy_draws_other_frames() {
-        let nominal = || sibling("goal/t0/clean/L0/c06", &[], &hex(b'0'));
+        let nominal = || sibling("goal/t0/clean/i06", &[], &hex(b'0'));
         let language = ("goal/t0/language/L3/c01", Realisation::Matched);
         for other in [
             Sibling {

@@ -119,7 +119,7 @@ fn the_arm_moves_as_the_original_does_whatever_the_asset_pack() {
     for (task, motion) in figures().arm {
         let task: TaskRef = task.parse().unwrap();
         let id: RolloutId = format!(
-            "{}/t{}/clean/L0/c{:02}",
+            "{}/t{}/clean/i{:02}",
             task.suite().short_name(),
             task.index(),
             motion.init_id

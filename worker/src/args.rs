@@ -90,7 +90,7 @@ pub struct SimulatorArguments {
 )]
 pub struct RolloutArguments {
     /// The rollout, for example spatial/t0/camera/L2/c00, or
-    /// spatial/t0/clean/L0/c07. Beside --bddl: the rollout whose suite, seeds
+    /// spatial/t0/clean/i07. Beside --bddl: the rollout whose suite, seeds
     /// and perturbation are used (its language axis is not)
     #[arg(long, value_name = "ID")]
     pub id: Option<RolloutId>,
@@ -274,7 +274,7 @@ mod tests {
 
     #[test]
     fn one_rollout_needs_no_coordinator() {
-        let line = "worker rollout --id spatial/t0/clean/L0/c07 --endpoint grpc://h:1 \
+        let line = "worker rollout --id spatial/t0/clean/i07 --endpoint grpc://h:1 \
                     --assets primitives --output out --gl-device 1";
         let read = parse(line).expect("complete");
         let Some(Command::Rollout(rollout)) = read.command else {
@@ -299,7 +299,7 @@ mod tests {
             format!("{own} --actions a.npz --endpoint grpc://h:1 {end}"),
             format!("worker rollout --bddl a.bddl --actions a.npz {end}"),
             format!("worker rollout --actions a.npz {end}"),
-            format!("worker rollout --id goal/t0/clean/L0/c00 --init-id 3 --actions a.npz {end}"),
+            format!("worker rollout --id goal/t0/clean/i00 --init-id 3 --actions a.npz {end}"),
         ] {
             assert_eq!(parse(&line).expect_err(&line).exit_code(), 2, "{line}");
         }

@@ -222,7 +222,7 @@ mod tests {
     #[test]
     fn orders_and_reports_are_single_lines_that_read_back() {
         let row = ManifestRow::new(
-            "goal/t0/clean/L0/c06".parse().expect("an id"),
+            "goal/t0/clean/i06".parse().expect("an id"),
             6,
             6,
             protocol::Perturbation::default(),

@@ -13,7 +13,7 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use protocol::{CampaignSpec, ManifestRow, Nominal, PolicyRoute, RolloutId};
+use protocol::{Axis, Condition, Design, ManifestRow, Nominal, RolloutId};
 use scene::{SceneError, TaskFiles};
 use serde::Serialize;
 use sim::Simulator;
@@ -75,27 +75,31 @@ pub enum SingleError {
     },
 }
 
-/// The row of an id in LIBERO-CTRL v0.1: a combination combines all six axes.
+/// The row of an id in LIBERO-CTRL v0.1, or beyond it in the design of seed 0.
+/// A combination combines all six axes, or at a radius of its own, for which
+/// there are no paraphrases, the five metric ones.
 ///
 /// # Errors
-/// If the protocol has no such configuration, or it cannot be realised.
+/// If there is no such configuration.
 pub fn row_of(id: RolloutId) -> Result<ManifestRow, SingleError> {
     let problem = |problem: String| SingleError::Row { id, problem };
-    // Nobody is asked there: the specification must only be complete.
-    let policy = PolicyRoute {
-        name: "policy".to_owned(),
-        endpoint: "http://127.0.0.1:1".to_owned(),
-    };
-    let mut spec = CampaignSpec {
+    let mut design = Design {
         tasks: vec![id.task()],
-        ..CampaignSpec::v0_1("single", policy)
+        ..Design::v0_1()
     };
     if let Some(config) = id.config() {
-        spec.levels = vec![id.level()];
-        spec.configs = vec![config];
-        spec.nominal = Nominal::None;
+        design.axes = match id.condition() {
+            Condition::Single(axis) => vec![axis],
+            _ if id.level().is_named() => Axis::ALL.to_vec(),
+            _ => Axis::METRIC.to_vec(),
+        };
+        design.levels = vec![id.level()];
+        design.configs = vec![config];
+        design.nominal = Nominal::None;
     }
-    let rows = spec.expand().map_err(|error| problem(error.to_string()))?;
+    let rows = design
+        .expand()
+        .map_err(|error| problem(error.to_string()))?;
     let row = rows.into_iter().find(|row| row.id == id);
     row.ok_or_else(|| problem("the protocol has no such configuration".to_owned()))
 }

@@ -1,24 +1,21 @@
 //! `coordinator campaign create`.
 
-use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use anyhow::{Context, anyhow};
+use anyhow::Context;
 use clap::{ArgGroup, Args, ValueEnum};
 use coordinator::expand::NewCampaign;
 use protocol::{
-    Axis, CampaignSpec, Level, Nominal, PolicyRoute, Realisation, Record, TaskRef, UnknownName,
-    select_tasks,
+    Axis, CampaignSpec, Design, Level, MAX_CONFIGS, Nominal, PolicyRoute, Realisation, Record,
+    Rollouts, TaskRef, UnknownName, select_tasks,
 };
 
-use super::{CommandError, Connection, print_line};
-
-/// Largest specification that is read, bytes.
-const MAX_SPEC_BYTES: u64 = 1 << 20;
+use super::files::{name_of, read_text};
+use super::{CommandError, Connection, manifest, print_line};
 
 /// The flags that say what a specification says.
-const SPEC_FLAGS: [&str; 10] = [
+const SPEC_FLAGS: [&str; 12] = [
     "policy",
     "endpoint",
     "tasks",
@@ -26,19 +23,25 @@ const SPEC_FLAGS: [&str; 10] = [
     "levels",
     "configs",
     "nominal",
+    "design_seed",
+    "manifest",
     "realisation",
     "replicates",
     "record",
 ];
 
+/// The flags that say what a manifest says.
+const DESIGN_FLAGS: [&str; 5] = ["axes", "levels", "configs", "nominal", "design_seed"];
+
 #[derive(Args, Debug)]
 #[command(group = ArgGroup::new("source").required(true).args(["spec", "name"]))]
+#[command(group = ArgGroup::new("rollouts").args(["tasks", "manifest"]))]
 pub(super) struct CreateArguments {
     /// File of a specification in JSON; `-` reads standard input.
     #[arg(long, value_name = "FILE", conflicts_with_all = SPEC_FLAGS)]
     spec: Option<PathBuf>,
     /// Name of the campaign; the flags below then say the rest.
-    #[arg(long, requires_all = ["policy", "endpoint", "tasks"])]
+    #[arg(long, requires_all = ["policy", "endpoint", "rollouts"])]
     name: Option<String>,
     /// Name of the policy at its endpoint.
     #[arg(long)]
@@ -53,15 +56,22 @@ pub(super) struct CreateArguments {
     /// `all`, or `none`.
     #[arg(long, value_delimiter = ',', default_value = "metric")]
     axes: Vec<String>,
-    /// Levels: L1, L2, L3.
+    /// Levels: L1, L2, L3, or any radius: `r2.5`.
     #[arg(long, value_delimiter = ',', default_value = "L2")]
     levels: Vec<String>,
-    /// Configurations: `0-9`, `0,3,5-7`.
+    /// Configurations: `0-9`, `0,3,5-7`. From 10 on they are drawn.
     #[arg(long, value_delimiter = ',', default_value = "0-9")]
     configs: Vec<String>,
     /// Nominal rollouts: of the configurations' initial states, of all, none.
     #[arg(long, value_enum, default_value_t = NominalChoice::Eval)]
     nominal: NominalChoice,
+    /// From what the configurations beyond the protocol's ten are drawn.
+    #[arg(long, value_name = "SEED", default_value_t = 0)]
+    design_seed: u64,
+    /// Manifest to run as it stands, instructions included, instead of a
+    /// design; `-` reads standard input.
+    #[arg(long, value_name = "FILE", conflicts_with_all = DESIGN_FLAGS)]
+    manifest: Option<PathBuf>,
     /// Where the perturbations' random elements come from: matched, reference.
     #[arg(long, default_value = "matched")]
     realisation: String,
@@ -92,7 +102,7 @@ enum RecordChoice {
 pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandError> {
     let spec = match &arguments.spec {
         Some(path) => spec_of_file(path)?,
-        None => spec_of_flags(&arguments).map_err(CommandError::Usage)?,
+        None => spec_of_flags(&arguments)?,
     };
     // Expanding here finds every mistake before anybody is asked.
     let campaign =
@@ -115,25 +125,40 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     Ok(())
 }
 
-fn spec_of_file(path: &Path) -> Result<CampaignSpec, CommandError> {
-    let mut text = String::new();
-    let (name, read) = if path.as_os_str() == "-" {
-        let read = std::io::stdin()
-            .take(MAX_SPEC_BYTES)
-            .read_to_string(&mut text);
-        ("standard input".to_owned(), read)
-    } else {
-        let read = std::fs::File::open(path)
-            .and_then(|file| file.take(MAX_SPEC_BYTES).read_to_string(&mut text));
-        (path.display().to_string(), read)
-    };
-    read.with_context(|| format!("read {name}"))
-        .map_err(CommandError::Usage)?;
-    CampaignSpec::from_json(&text)
-        .map_err(|error| CommandError::Usage(anyhow!(error).context(format!("use {name}"))))
+/// Reads a specification. One that is refused is a wrong command.
+pub(super) fn spec_of_file(path: &Path) -> Result<CampaignSpec, CommandError> {
+    let spec = CampaignSpec::from_json(&read_text(path)?);
+    spec.with_context(|| format!("use {}", name_of(path)))
+        .map_err(CommandError::Usage)
 }
 
-fn spec_of_flags(arguments: &CreateArguments) -> anyhow::Result<CampaignSpec> {
+fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandError> {
+    let rollouts = match &arguments.manifest {
+        Some(path) => Rollouts::Manifest(manifest::read(path)?),
+        None => Rollouts::Design(design_of_flags(arguments).map_err(CommandError::Usage)?),
+    };
+    let realisation = arguments.realisation.parse::<Realisation>();
+    let spec = CampaignSpec {
+        name: arguments.name.clone().unwrap_or_default(),
+        policy: PolicyRoute {
+            name: arguments.policy.clone().unwrap_or_default(),
+            endpoint: arguments.endpoint.clone().unwrap_or_default(),
+        },
+        rollouts,
+        realisation: realisation.map_err(|error| CommandError::Usage(error.into()))?,
+        replicates: arguments.replicates,
+        record: match arguments.record {
+            RecordChoice::None => Record::None,
+            RecordChoice::Failures => Record::Failures,
+            RecordChoice::All => Record::All,
+        },
+    };
+    spec.check()
+        .map_err(|error| CommandError::Usage(error.into()))?;
+    Ok(spec)
+}
+
+fn design_of_flags(arguments: &CreateArguments) -> anyhow::Result<Design> {
     let axes = match texts(&arguments.axes).as_slice() {
         ["metric"] => Axis::METRIC.to_vec(),
         ["all"] => Axis::ALL.to_vec(),
@@ -145,31 +170,19 @@ fn spec_of_flags(arguments: &CreateArguments) -> anyhow::Result<CampaignSpec> {
         true => Vec::new(),
         false => parsed(&texts(&arguments.levels))?,
     };
-    let spec = CampaignSpec {
-        name: arguments.name.clone().unwrap_or_default(),
-        policy: PolicyRoute {
-            name: arguments.policy.clone().unwrap_or_default(),
-            endpoint: arguments.endpoint.clone().unwrap_or_default(),
-        },
+    let design = Design {
         tasks: tasks(&arguments.tasks)?,
-        axes: in_order(axes),
-        levels: in_order(levels),
-        configs: in_order(configs(&arguments.configs)?),
+        axes,
+        levels,
+        configs: configs(&arguments.configs)?,
         nominal: match arguments.nominal {
             NominalChoice::Eval => Nominal::Eval,
             NominalChoice::All => Nominal::All,
             NominalChoice::None => Nominal::None,
         },
-        realisation: arguments.realisation.parse::<Realisation>()?,
-        replicates: arguments.replicates,
-        record: match arguments.record {
-            RecordChoice::None => Record::None,
-            RecordChoice::Failures => Record::Failures,
-            RecordChoice::All => Record::All,
-        },
+        seed: arguments.design_seed,
     };
-    spec.check()?;
-    Ok(spec)
+    Ok(design.in_order())
 }
 
 /// Tasks as [`select_tasks`] reads them, and ranges of a suite's tasks.
@@ -188,7 +201,7 @@ fn tasks(given: &[String]) -> anyhow::Result<Vec<TaskRef>> {
             _ => tasks.extend(select_tasks(text)?),
         }
     }
-    Ok(in_order(tasks))
+    Ok(tasks)
 }
 
 fn configs(given: &[String]) -> anyhow::Result<Vec<u16>> {
@@ -202,11 +215,11 @@ fn configs(given: &[String]) -> anyhow::Result<Vec<u16>> {
     Ok(configs)
 }
 
-/// "3" or "0-9", small numbers only.
+/// "3" or "0-9", at most as many as a design may have.
 fn range(text: &str) -> Option<(u16, u16)> {
     let (first, last) = text.split_once('-').unwrap_or((text, text));
     let (first, last) = (first.parse().ok()?, last.parse().ok()?);
-    (first <= last && last < 1_000).then_some((first, last))
+    (first <= last && last <= MAX_CONFIGS).then_some((first, last))
 }
 
 fn parsed<T: FromStr<Err = UnknownName>>(names: &[&str]) -> Result<Vec<T>, UnknownName> {
@@ -215,11 +228,4 @@ fn parsed<T: FromStr<Err = UnknownName>>(names: &[&str]) -> Result<Vec<T>, Unkno
 
 fn texts(given: &[String]) -> Vec<&str> {
     given.iter().map(String::as_str).collect()
-}
-
-/// Each once, in the protocol's order: equal designs have equal specifications.
-fn in_order<T: Ord>(mut values: Vec<T>) -> Vec<T> {
-    values.sort();
-    values.dedup();
-    values
 }

@@ -1,13 +1,13 @@
 //! `coordinator report` and `coordinator export`.
 
-use std::fs::File;
 use std::io::{BufWriter, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use coordinator::client::Client;
 
+use super::files::WholeFile;
 use super::{CommandError, Connection, print_line};
 
 #[derive(Args, Debug)]
@@ -60,34 +60,13 @@ pub(super) async fn export(arguments: ExportArguments) -> Result<(), CommandErro
             write_lines(&client, &arguments.campaign, &mut stdout).await?;
         }
         Some(path) => {
-            let rows = export_to(&client, &arguments.campaign, path).await?;
+            let mut file = WholeFile::create(path)?;
+            let rows = write_lines(&client, &arguments.campaign, file.writer()).await?;
+            file.finish()?;
             eprintln!("wrote {rows} results to {}", path.display());
         }
     }
     Ok(())
-}
-
-/// Writes under another name first: a file that is there is whole.
-async fn export_to(client: &Client, campaign: &str, path: &Path) -> Result<u64, CommandError> {
-    let mut partial = path.as_os_str().to_owned();
-    partial.push(".partial");
-    let partial = PathBuf::from(partial);
-    let file = File::create(&partial)
-        .with_context(|| format!("write {}: may this user write there?", partial.display()))?;
-    let mut file = BufWriter::new(file);
-    let written = write_lines(client, campaign, &mut file).await;
-    let finished = written.and_then(|rows| {
-        let file = file.into_inner().context("write the last results")?;
-        file.sync_all().context("write the results to the disk")?;
-        std::fs::rename(&partial, path)
-            .with_context(|| format!("move {} to {}", partial.display(), path.display()))?;
-        Ok(rows)
-    });
-    if finished.is_err() {
-        // The first error is the one to tell.
-        let _ = std::fs::remove_file(&partial);
-    }
-    finished
 }
 
 async fn write_lines(

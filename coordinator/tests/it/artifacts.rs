@@ -40,7 +40,7 @@ async fn a_video_is_kept_for_who_holds_or_committed_the_rollout() {
     let path = put(&mut worker, &lease, "video.mp4", &pieces)
         .await
         .expect("kept");
-    assert_eq!(path, "artifacts/filmed/object_t0_clean_L0_c16.r0.mp4");
+    assert_eq!(path, "artifacts/filmed/object_t0_clean_i16.r0.mp4");
     let stored = std::fs::read(bench.folder.path().join(&path)).expect("a file");
     assert_eq!(stored, pieces.concat());
 

@@ -133,7 +133,7 @@ async fn results_are_exported_as_reference_rows_in_a_stable_order() {
     }
     let init_id = 16;
     let clean = format!(
-        r#"{{"rollout_id":"object/t0/clean/L0/c{init_id}","success":true,"steps":120,"axis":"clean","level":"L0","suite":"libero_object","task_id":0,"init_id":{init_id},"config":null,"policy":"expert","wall_s":1.5"#
+        r#"{{"rollout_id":"object/t0/clean/i{init_id}","success":true,"steps":120,"axis":"clean","level":"L0","suite":"libero_object","task_id":0,"init_id":{init_id},"config":null,"policy":"expert","wall_s":1.5"#
     );
     let robot = format!(
         r#"{{"rollout_id":"object/t0/robot/L1/c00","success":true,"steps":120,"axis":"robot","level":"L1","suite":"libero_object","task_id":0,"init_id":{init_id},"config":0,"policy":"expert","wall_s":1.5,"ik_res_mm":0.125"#

@@ -6,6 +6,7 @@ mod campaigns;
 mod claims;
 mod faults;
 mod harness;
+mod manifests;
 mod outages;
 mod pairing;
 mod process;

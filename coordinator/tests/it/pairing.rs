@@ -220,7 +220,7 @@ async fn conditions_that_leave_the_pictures_alone_must_see_the_nominal_first_fra
     }
     let (verdict, detail) = saw(language, "moved").await;
     assert_eq!(verdict, Verdict::Unpaired);
-    assert!(detail.contains("object/t0/clean/L0"), "{detail}");
+    assert!(detail.contains("object/t0/clean/i"), "{detail}");
     // Of this combination only the camera shows in the first picture.
     let (verdict, detail) = saw(combination, "nominal").await;
     assert_eq!(verdict, Verdict::Unpaired);

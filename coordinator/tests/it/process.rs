@@ -14,13 +14,13 @@ use tokio::task::JoinSet;
 use crate::harness::{Worker, open_database, registration, small_spec};
 
 /// `coordinator serve` as a process; killed when it goes out of scope.
-struct Serve {
+pub(crate) struct Serve {
     child: Child,
     url: String,
 }
 
 impl Serve {
-    fn start(data: &Path) -> Serve {
+    pub(crate) fn start(data: &Path) -> Serve {
         let mut child = Command::new(env!("CARGO_BIN_EXE_coordinator"))
             .args(["serve", "--listen", "127.0.0.1:0", "--data"])
             .arg(data)
@@ -46,7 +46,7 @@ impl Serve {
         assert!(status.expect("kill runs").success());
     }
 
-    async fn worker(&self, id: &str) -> Worker {
+    pub(crate) async fn worker(&self, id: &str) -> Worker {
         let service = WorkerServiceClient::connect(self.url.clone()).await;
         let mut worker = Worker {
             id: id.to_owned(),
@@ -62,7 +62,7 @@ impl Serve {
     }
 
     /// Runs another command of the program against this coordinator.
-    fn command(&self, arguments: &[&str]) -> Output {
+    pub(crate) fn command(&self, arguments: &[&str]) -> Output {
         coordinator(&[arguments, &["--connect", &self.url]].concat())
     }
 }
@@ -75,7 +75,7 @@ impl Drop for Serve {
     }
 }
 
-fn coordinator(arguments: &[&str]) -> Output {
+pub(crate) fn coordinator(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_coordinator"))
         .args(arguments)
         .env_remove("COORDINATOR_URL")
@@ -84,7 +84,7 @@ fn coordinator(arguments: &[&str]) -> Output {
         .expect("runs")
 }
 
-fn text(bytes: &[u8]) -> &str {
+pub(crate) fn text(bytes: &[u8]) -> &str {
     std::str::from_utf8(bytes).expect("UTF-8")
 }
 
@@ -193,7 +193,8 @@ async fn commands_that_are_wrong_exit_with_2_and_write_nothing() {
     check("--tasks", "libero_object/8-11", &["libero_object/10"]);
     check("--axes", "camrea", &["camrea", "camera, lighting, robot"]);
     check("--levels", "L9", &["L9", "L1, L2, L3"]);
-    check("--configs", "7-12", &["configs", "0 to 9"]);
+    check("--configs", "998-1000", &["configs", "0 to 999"]);
+    check("--levels", "r0", &["r0", "r0.001 to r100"]);
     check("--configs", "x", &["`x`"]);
     check("--name", "a/b", &["a/b"]);
     check("--endpoint", "localhost", &["localhost", "http://"]);

@@ -15,6 +15,8 @@ const RATE_LABEL: usize = 8;
 const RATE_COLUMN: usize = 10;
 const PAIRED_LABEL: usize = 20;
 const PAIRED_COLUMN: usize = 19;
+/// Paired cells beside each other.
+const PAIRED_CELLS: usize = 3;
 /// Set-aside rollouts that are named; the others are counted.
 const MAX_NAMED: usize = 6;
 
@@ -43,7 +45,9 @@ pub fn table(report: &Report) -> String {
         let of = of_replicate(replicate, report);
         push_rates(&mut text, report, &cells, &of);
         if cells.iter().any(|cell| cell.together.is_some()) {
-            push_paired(&mut text, &cells, &of);
+            for cells in cells.chunks(PAIRED_CELLS) {
+                push_paired(&mut text, cells, &of);
+            }
         }
         push_gaps(&mut text, &cells);
     }
@@ -103,7 +107,13 @@ fn push_rates(text: &mut String, report: &Report, cells: &[&Cell], of: &str) {
         let success = |count: &Count| count.rate().map_or_else(|| "-".to_owned(), rate);
         let rates = report.axes.iter().map(|axis| success(&alone(axis).count));
         let rates = rates.chain(cell.together.as_ref().map(success));
-        push_row(text, RATE_LABEL, RATE_COLUMN, cell.level.name(), rates);
+        push_row(
+            text,
+            RATE_LABEL,
+            RATE_COLUMN,
+            &cell.level.to_string(),
+            rates,
+        );
         let row = report.axes.iter().map(|axis| counts(&alone(axis).count));
         let row = row.chain(cell.together.as_ref().map(counts));
         push_row(text, RATE_LABEL, RATE_COLUMN, "  counts", row);
@@ -148,7 +158,7 @@ const SOLVABLE_LINES: [Line; 4] = [
 fn push_paired(text: &mut String, cells: &[&Cell], of: &str) {
     separate(text);
     let _ = writeln!(text, "paired outcomes of complete configurations, %{of}");
-    let levels = cells.iter().map(|cell| cell.level.name());
+    let levels = cells.iter().map(|cell| cell.level.to_string());
     push_row(text, PAIRED_LABEL, PAIRED_COLUMN, "", levels);
     let complete = cells.iter().map(|cell| {
         let completeness = &cell.completeness;

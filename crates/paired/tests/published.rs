@@ -149,8 +149,8 @@ fn published_outcomes_reproduce_their_cells_exactly() {
     };
     assert_eq!(report.axes, Axis::ALL);
     for cell in &report.cells {
-        let published = &published["paired"]["openvla_oft"][cell.level.name()];
-        check_cell(cell, published, cell.level.name());
+        let level = cell.level.to_string();
+        check_cell(cell, &published["paired"]["openvla_oft"][&level], &level);
         assert_eq!(cell.completeness.complete, 400);
         assert!(cell.completeness.gaps.is_empty());
     }

@@ -1,54 +1,52 @@
-//! A campaign: which policy is measured on which part of the design. This
-//! module reads and checks the specification; `expansion` makes rows of it.
-//!
-//! LIBERO-CTRL v0.1 is one campaign among others: all six axes, three levels,
-//! forty tasks, ten configurations and all nominal rollouts.
+//! A campaign: which policy is measured on which rollouts. This module reads
+//! and checks the specification; which rollouts a design has is `design`'s
+//! business, and what an imported row may say is `manifest`'s.
 
-use std::collections::BTreeSet;
+use serde::{Deserialize, Serialize};
 
-use serde::{Deserialize, Deserializer, Serialize};
-
-use crate::condition::{Axis, Condition, Level, Realisation};
-use crate::names::{UnknownName, serde_as_text};
+use crate::condition::{Axis, Realisation};
+use crate::design::{Design, DesignError, DesignVersion, Nominal, select_tasks};
+use crate::level::Level;
+use crate::manifest::{self, ManifestErrors};
+use crate::names::UnknownName;
 use crate::presets::PRESETS;
-use crate::suite::{Suite, TaskRef};
+use crate::row::ManifestRow;
+use crate::suite::TaskRef;
 
 /// Most replicates of a campaign: replicates multiply its rollouts.
 pub const MAX_REPLICATES: u32 = 100;
 
 /// The specification of a campaign, as people and tools write it in JSON.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+///
+/// The fields of its [`Rollouts`] stand beside the others: `tasks`, `axes`,
+/// `levels` and, optional, `configs`, `nominal` and `design_seed`; or
+/// `manifest` instead of all these. Tasks are written as `libero_goal/3`,
+/// `libero_goal` (its ten tasks) or `all`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "SpecText", into = "SpecText")]
 pub struct CampaignSpec {
     /// Name, unique at a coordinator.
     pub name: String,
     /// Who acts.
     pub policy: PolicyRoute,
-    /// Tasks. Written as `libero_goal/3`, `libero_goal` (its ten tasks) or
-    /// `all`; kept in the benchmark's order, each once.
-    #[serde(deserialize_with = "tasks_from_text")]
-    pub tasks: Vec<TaskRef>,
-    /// Axes: each is perturbed alone, and all of them together.
-    #[serde(deserialize_with = "in_order")]
-    pub axes: Vec<Axis>,
-    /// Levels of every axis.
-    #[serde(deserialize_with = "in_order")]
-    pub levels: Vec<Level>,
-    /// Configurations, of 0 to 9.
-    #[serde(default = "all_configs", deserialize_with = "in_order")]
-    pub configs: Vec<u16>,
-    /// Which nominal rollouts go with them.
-    #[serde(default)]
-    pub nominal: Nominal,
+    /// What is run.
+    pub rollouts: Rollouts,
     /// Where random elements come from.
-    #[serde(default)]
     pub realisation: Realisation,
     /// How often every rollout runs, with other policy seeds.
-    #[serde(default = "one")]
     pub replicates: u32,
     /// Which rollouts are filmed.
-    #[serde(default)]
     pub record: Record,
+}
+
+/// Where the rows of a campaign come from.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Rollouts {
+    /// From a design, expanded with the protocol's figures and this project's
+    /// paraphrases.
+    Design(Design),
+    /// From a manifest: the rows as they stand, instructions included.
+    Manifest(Vec<ManifestRow>),
 }
 
 /// A policy and where it answers.
@@ -59,19 +57,6 @@ pub struct PolicyRoute {
     pub name: String,
     /// URL of the gateway, or of the policy itself.
     pub endpoint: String,
-}
-
-/// Which nominal rollouts a campaign contains.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Nominal {
-    /// All fifty initial states of every task.
-    #[default]
-    All,
-    /// The initial states of the campaign's configurations.
-    Eval,
-    /// None.
-    None,
 }
 
 /// Which rollouts of a campaign are filmed.
@@ -87,42 +72,8 @@ pub enum Record {
     All,
 }
 
-/// Which design a campaign follows: `v0.1` exactly for LIBERO-CTRL v0.1, else
-/// `custom-` and a checksum of the design. Results of different designs are
-/// never pooled.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct DesignVersion(String);
-
-impl DesignVersion {
-    /// The text.
-    pub fn as_str(&self) -> &str {
-        &self.0
-    }
-}
-
-impl std::fmt::Display for DesignVersion {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(&self.0)
-    }
-}
-
-impl std::str::FromStr for DesignVersion {
-    type Err = UnknownName;
-
-    fn from_str(text: &str) -> Result<Self, UnknownName> {
-        match text == V0_1 || text.starts_with("custom-") {
-            true => Ok(Self(text.to_owned())),
-            false => Err(UnknownName::new("design", text, &[V0_1, "custom-CHECKSUM"])),
-        }
-    }
-}
-
-serde_as_text!(DesignVersion);
-
-const V0_1: &str = "v0.1";
-
 /// A specification that cannot run.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SpecError {
     /// Not JSON, an unknown or missing field, or an unknown name in one.
     #[error("read campaign specification: {problem}")]
@@ -138,15 +89,13 @@ pub enum SpecError {
         /// What to write.
         remedy: &'static str,
     },
-    /// A number outside its range.
-    #[error("read campaign specification: `{field}` has {given}, valid are {valid}")]
-    OutOfRange {
-        /// The field.
-        field: &'static str,
-        /// The number.
-        given: u64,
-        /// Its range.
-        valid: String,
+    /// Too few or too many replicates.
+    #[error(
+        "read campaign specification: `replicates` has {given}, valid are 1 to {MAX_REPLICATES}"
+    )]
+    Replicates {
+        /// What it says.
+        given: u32,
     },
     /// Not a URL.
     #[error(
@@ -157,25 +106,16 @@ pub enum SpecError {
         /// What it says.
         given: String,
     },
+    /// A design that cannot be run.
+    #[error("read campaign specification: {0}")]
+    Design(#[from] DesignError),
+    /// Imported rows that cannot be run. The lines are those of a manifest with
+    /// one row a line.
+    #[error(transparent)]
+    Manifest(#[from] ManifestErrors),
 }
 
 impl CampaignSpec {
-    /// LIBERO-CTRL v0.1: the whole design, 10,400 rollouts.
-    pub fn v0_1(name: impl Into<String>, policy: PolicyRoute) -> Self {
-        Self {
-            name: name.into(),
-            policy,
-            tasks: TaskRef::all().collect(),
-            axes: Axis::ALL.to_vec(),
-            levels: Level::PERTURBED.to_vec(),
-            configs: all_configs(),
-            nominal: Nominal::All,
-            realisation: Realisation::Matched,
-            replicates: 1,
-            record: Record::None,
-        }
-    }
-
     /// Reads and checks a specification.
     ///
     /// # Errors
@@ -204,121 +144,155 @@ impl CampaignSpec {
             let given = self.policy.endpoint.clone();
             return Err(SpecError::Endpoint { given });
         }
-        if self.tasks.is_empty() {
-            return empty("tasks", "write for example libero_goal/3 or all");
-        }
-        if self.axes.is_empty() != self.levels.is_empty() {
-            return empty(
-                if self.axes.is_empty() {
-                    "axes"
-                } else {
-                    "levels"
-                },
-                "axes and levels go together: give both, or neither for nominal rollouts",
-            );
-        }
-        if self.axes.is_empty() && self.nominal == Nominal::None {
-            return empty("axes", "and no nominal rollouts are asked for either");
-        }
-        if self.configs.is_empty() {
-            return empty("configs", "write some of 0 to 9");
-        }
-        let out_of_range = |field, given, valid: String| SpecError::OutOfRange {
-            field,
-            given,
-            valid,
-        };
-        if let Some(&config) = self.configs.iter().find(|&&config| config >= PRESETS) {
-            let valid = format!("0 to {}", PRESETS - 1);
-            return Err(out_of_range("configs", u64::from(config), valid));
-        }
-        if self.levels.contains(&Level::L0) {
-            return Err(out_of_range("levels", 0, "L1, L2, L3".to_owned()));
-        }
         if !(1..=MAX_REPLICATES).contains(&self.replicates) {
-            let valid = format!("1 to {MAX_REPLICATES}");
-            return Err(out_of_range(
-                "replicates",
-                u64::from(self.replicates),
-                valid,
-            ));
+            let given = self.replicates;
+            return Err(SpecError::Replicates { given });
+        }
+        match &self.rollouts {
+            Rollouts::Design(design) => design.check()?,
+            Rollouts::Manifest(rows) => manifest::check(rows)?,
         }
         Ok(())
     }
 
-    /// The perturbed conditions: each axis alone, then, of two axes or more,
-    /// their combination.
-    pub fn conditions(&self) -> Vec<Condition> {
-        let mut conditions: Vec<Condition> =
-            self.axes.iter().copied().map(Condition::Single).collect();
-        if conditions.len() > 1 {
-            conditions.push(Condition::Combination);
-        }
-        conditions
-    }
-
     /// Which design this is.
     pub fn version(&self) -> DesignVersion {
-        let design = (
-            &self.tasks,
-            &self.axes,
-            &self.levels,
-            &self.configs,
-            self.nominal,
-        );
-        let whole = Self::v0_1("", self.policy.clone());
-        let whole = (
-            &whole.tasks,
-            &whole.axes,
-            &whole.levels,
-            &whole.configs,
-            whole.nominal,
-        );
-        if design == whole {
-            return DesignVersion(V0_1.to_owned());
+        match &self.rollouts {
+            Rollouts::Design(design) => design.version(),
+            Rollouts::Manifest(rows) => DesignVersion::of_manifest(rows),
         }
-        let text = serde_json::to_string(&design).expect("names and numbers serialise");
-        DesignVersion(format!("custom-{:08x}", crc32fast::hash(text.as_bytes())))
     }
 }
 
-fn all_configs() -> Vec<u16> {
-    (0..PRESETS).collect()
+/// A specification as it is written.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SpecText {
+    name: String,
+    policy: PolicyRoute,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    tasks: Option<Vec<String>>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    axes: Option<Vec<Axis>>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    levels: Option<Vec<Level>>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    configs: Option<Vec<u16>>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    nominal: Option<Nominal>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    design_seed: Option<u64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    manifest: Option<Vec<ManifestRow>>,
+    #[serde(default)]
+    realisation: Realisation,
+    #[serde(default = "one")]
+    replicates: u32,
+    #[serde(default)]
+    record: Record,
+}
+
+/// Fields that do not go together, or a task that is none.
+#[derive(Debug, thiserror::Error)]
+enum TextError {
+    #[error("missing field `{0}`: a campaign has `tasks`, `axes` and `levels`, or a `manifest`")]
+    Missing(&'static str),
+    #[error("`{0}` beside `manifest`: the manifest itself says what is run, take one of them out")]
+    BesideManifest(&'static str),
+    #[error(transparent)]
+    Task(#[from] UnknownName),
+}
+
+impl TryFrom<SpecText> for CampaignSpec {
+    type Error = TextError;
+
+    fn try_from(mut text: SpecText) -> Result<Self, TextError> {
+        let rollouts = match text.manifest.take() {
+            Some(rows) => {
+                no_design(&text)?;
+                Rollouts::Manifest(rows)
+            }
+            None => Rollouts::Design(design(&mut text)?),
+        };
+        Ok(Self {
+            name: text.name,
+            policy: text.policy,
+            rollouts,
+            realisation: text.realisation,
+            replicates: text.replicates,
+            record: text.record,
+        })
+    }
+}
+
+impl From<CampaignSpec> for SpecText {
+    fn from(spec: CampaignSpec) -> Self {
+        let mut text = Self {
+            name: spec.name,
+            policy: spec.policy,
+            tasks: None,
+            axes: None,
+            levels: None,
+            configs: None,
+            nominal: None,
+            design_seed: None,
+            manifest: None,
+            realisation: spec.realisation,
+            replicates: spec.replicates,
+            record: spec.record,
+        };
+        match spec.rollouts {
+            Rollouts::Manifest(rows) => text.manifest = Some(rows),
+            Rollouts::Design(design) => {
+                text.tasks = Some(design.tasks.iter().map(TaskRef::to_string).collect());
+                text.axes = Some(design.axes);
+                text.levels = Some(design.levels);
+                text.configs = Some(design.configs);
+                text.nominal = Some(design.nominal);
+                text.design_seed = (design.seed != 0).then_some(design.seed);
+            }
+        }
+        text
+    }
+}
+
+fn no_design(text: &SpecText) -> Result<(), TextError> {
+    let written = [
+        ("tasks", text.tasks.is_some()),
+        ("axes", text.axes.is_some()),
+        ("levels", text.levels.is_some()),
+        ("configs", text.configs.is_some()),
+        ("nominal", text.nominal.is_some()),
+        ("design_seed", text.design_seed.is_some()),
+    ];
+    match written.iter().find(|(_, written)| *written) {
+        Some((field, _)) => Err(TextError::BesideManifest(field)),
+        None => Ok(()),
+    }
+}
+
+fn design(text: &mut SpecText) -> Result<Design, TextError> {
+    let names = text.tasks.take().ok_or(TextError::Missing("tasks"))?;
+    let mut tasks = Vec::new();
+    for name in names {
+        tasks.extend(select_tasks(&name)?);
+    }
+    let design = Design {
+        tasks,
+        axes: text.axes.take().ok_or(TextError::Missing("axes"))?,
+        levels: text.levels.take().ok_or(TextError::Missing("levels"))?,
+        configs: text
+            .configs
+            .take()
+            .unwrap_or_else(|| (0..PRESETS).collect()),
+        nominal: text.nominal.unwrap_or_default(),
+        seed: text.design_seed.unwrap_or_default(),
+    };
+    Ok(design.in_order())
 }
 
 fn one() -> u32 {
     1
-}
-
-/// Reads a list as a set: sorted, each once, so that equal designs are equal.
-fn in_order<'de, T, D>(source: D) -> Result<Vec<T>, D::Error>
-where
-    T: Deserialize<'de> + Ord,
-    D: Deserializer<'de>,
-{
-    Ok(BTreeSet::deserialize(source)?.into_iter().collect())
-}
-
-fn tasks_from_text<'de, D: Deserializer<'de>>(source: D) -> Result<Vec<TaskRef>, D::Error> {
-    let mut tasks = BTreeSet::new();
-    for text in Vec::<String>::deserialize(source)? {
-        tasks.extend(select_tasks(&text).map_err(serde::de::Error::custom)?);
-    }
-    Ok(tasks.into_iter().collect())
-}
-
-/// The tasks that a text names: `all`, a suite, or one task.
-///
-/// # Errors
-/// If it names none.
-pub fn select_tasks(text: &str) -> Result<Vec<TaskRef>, UnknownName> {
-    if text == "all" {
-        return Ok(TaskRef::all().collect());
-    }
-    if text.contains('/') {
-        return Ok(vec![text.parse()?]);
-    }
-    Ok(text.parse::<Suite>()?.tasks().collect())
 }
 
 #[cfg(test)]
@@ -343,31 +317,63 @@ mod tests {
     #[test]
     fn a_specification_reads_back_and_is_in_order() {
         let spec = spec(&[]).expect("a specification");
-        assert_eq!(spec.tasks.len(), 2);
-        assert_eq!(spec.axes, [Axis::Camera, Axis::Sensor]);
-        assert_eq!(spec.configs, (0..10).collect::<Vec<_>>());
+        let design = design(&spec);
+        assert_eq!(design.tasks.len(), 2);
+        assert_eq!(design.axes, [Axis::Camera, Axis::Sensor]);
+        assert_eq!(design.configs, (0..10).collect::<Vec<_>>());
         let text = serde_json::to_string(&spec).expect("JSON");
         assert_eq!(CampaignSpec::from_json(&text).expect("reads back"), spec);
     }
 
+    fn design(spec: &CampaignSpec) -> &Design {
+        match &spec.rollouts {
+            Rollouts::Design(design) => design,
+            Rollouts::Manifest(_) => panic!("{spec:?}"),
+        }
+    }
+
     #[test]
-    fn only_the_whole_design_is_v0_1() {
-        let whole = CampaignSpec::v0_1("whole", spec(&[]).expect("a specification").policy);
-        assert_eq!(whole.version().as_str(), "v0.1");
-        let replicated = CampaignSpec {
-            replicates: 3,
-            ..whole.clone()
-        };
-        assert_eq!(replicated.version().as_str(), "v0.1");
-        let part = CampaignSpec {
-            configs: vec![0],
-            ..whole
-        };
-        assert!(part.version().as_str().starts_with("custom-"));
-        assert_ne!(
-            part.version(),
-            spec(&[]).expect("a specification").version()
+    fn a_manifest_stands_in_place_of_a_design() {
+        let rows = Design::v0_1().expand().expect("rows");
+        let row = &rows[..1];
+        let mut json = serde_json::json!({
+            "name": "imported",
+            "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
+            "manifest": row,
+        });
+        let spec = CampaignSpec::from_json(&json.to_string()).expect("a specification");
+        assert_eq!(spec.rollouts, Rollouts::Manifest(row.to_vec()));
+        let text = serde_json::to_string(&spec).expect("JSON");
+        assert_eq!(CampaignSpec::from_json(&text).expect("reads back"), spec);
+
+        json["configs"] = serde_json::json!([0]);
+        let error = CampaignSpec::from_json(&json.to_string()).expect_err("both");
+        assert!(
+            error.to_string().contains("`configs` beside `manifest`"),
+            "{error}"
         );
+    }
+
+    #[test]
+    fn imported_rows_are_checked_like_those_of_a_file() {
+        let check = |rows: &[ManifestRow], expected: &str| {
+            let json = serde_json::json!({
+                "name": "imported",
+                "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
+                "manifest": rows,
+            });
+            let error = CampaignSpec::from_json(&json.to_string()).expect_err(expected);
+            assert!(error.to_string().contains(expected), "{error}");
+        };
+        let rows = Design::v0_1().expand().expect("rows");
+        check(&[], "it has no rows");
+        check(
+            &[rows[0].clone(), rows[0].clone()],
+            "line 2: spatial/t0/clean/i43 is already",
+        );
+        let mut weaker = rows[1].clone();
+        weaker.perturbation = rows[8].perturbation;
+        check(&[weaker], "have radius");
     }
 
     #[test]
@@ -400,10 +406,11 @@ mod tests {
             "level `L4`: valid are L1, L2, L3",
         );
         check("levels", json(r#"["L0"]"#), "valid are L1, L2, L3");
+        check("levels", json("null"), "missing field `levels`");
         check(
             "configs",
-            json("[10]"),
-            "`configs` has 10, valid are 0 to 9",
+            json("[1000]"),
+            "`configs` has 1000, valid are 0 to 999",
         );
         check("nominal", json(r#""some""#), "unknown variant `some`");
         check(

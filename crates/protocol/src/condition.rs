@@ -1,5 +1,5 @@
-//! What is done to a rollout: the axes of perturbation, their conditions,
-//! levels and realisations. The magnitudes are in `presets`.
+//! What is done to a rollout: the axes of perturbation, their conditions and
+//! realisations. How much is in `level` and `presets`.
 
 use std::fmt;
 use std::str::FromStr;
@@ -121,53 +121,6 @@ impl FromStr for Condition {
 
 serde_as_text!(Condition);
 
-/// Severity: the radius of a perturbation in normalised coordinates.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Level {
-    /// Nominal: radius 0.
-    L0,
-    /// Radius 2.
-    L1,
-    /// Radius 4.
-    L2,
-    /// Radius 8.
-    L3,
-}
-
-impl Level {
-    /// The levels at which something is perturbed.
-    pub const PERTURBED: [Self; 3] = [Self::L1, Self::L2, Self::L3];
-
-    /// Name in rollout ids and manifests.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::L0 => "L0",
-            Self::L1 => "L1",
-            Self::L2 => "L2",
-            Self::L3 => "L3",
-        }
-    }
-}
-
-impl fmt::Display for Level {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(self.name())
-    }
-}
-
-impl FromStr for Level {
-    type Err = UnknownName;
-
-    fn from_str(text: &str) -> Result<Self, UnknownName> {
-        [Self::L0, Self::L1, Self::L2, Self::L3]
-            .into_iter()
-            .find(|level| level.name() == text)
-            .ok_or_else(|| UnknownName::new("level", text, &Self::PERTURBED.map(Self::name)))
-    }
-}
-
-serde_as_text!(Level);
-
 /// Where the random elements of a perturbation come from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Realisation {
@@ -214,16 +167,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn conditions_and_levels_read_back_from_their_text() {
+    fn conditions_read_back_from_their_text() {
         let singles = Axis::ALL.map(Condition::Single);
         for condition in [Condition::Clean, Condition::Combination]
             .into_iter()
             .chain(singles)
         {
             assert_eq!(condition.to_string().parse(), Ok(condition));
-        }
-        for level in Level::PERTURBED {
-            assert_eq!(level.to_string().parse(), Ok(level));
         }
     }
 

@@ -1,32 +1,50 @@
-//! From a campaign to manifest rows: which rollouts it has, in which order,
+//! From a design to manifest rows: which rollouts it has, in which order,
 //! with which values. Replicates are not rows: they repeat them.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
-use crate::campaign::{CampaignSpec, Nominal, SpecError};
-use crate::condition::{Axis, Condition, Level};
+use crate::campaign::{CampaignSpec, Rollouts, SpecError};
+use crate::condition::{Axis, Condition};
+use crate::design::{Design, DesignError, Nominal};
+use crate::directions::{direction, init_id};
+use crate::level::Level;
 use crate::paraphrase::paraphrase;
 use crate::perturbation::Perturbation;
-use crate::presets::apply_preset;
+use crate::presets::{PRESETS, apply_direction};
 use crate::rollout_id::RolloutId;
 use crate::row::ManifestRow;
 use crate::suite::{INIT_STATES_PER_TASK, TaskRef};
 
 impl CampaignSpec {
-    /// The campaign's rows, paired units first: configuration by configuration,
-    /// task by task, the nominal rollout and then all conditions of a
-    /// configuration stand together, so that interim paired figures cover all
-    /// tasks early. The other nominal rollouts come last.
+    /// The campaign's rows, in the order of [`Design::expand`]: those of its
+    /// design, or those of its manifest, values and instructions as they stand.
     ///
     /// # Errors
     /// If the specification is wrong.
     pub fn expand(&self) -> Result<Vec<ManifestRow>, SpecError> {
         self.check()?;
+        Ok(match &self.rollouts {
+            Rollouts::Design(design) => design.expand()?,
+            Rollouts::Manifest(rows) => paired_units_first(rows.clone()),
+        })
+    }
+}
+
+impl Design {
+    /// The design's rows, paired units first: configuration by configuration,
+    /// task by task, the nominal rollout and then all conditions of a
+    /// configuration stand together, so that interim paired figures cover all
+    /// tasks early. The other nominal rollouts come last.
+    ///
+    /// # Errors
+    /// If the design cannot be run.
+    pub fn expand(&self) -> Result<Vec<ManifestRow>, DesignError> {
+        self.check()?;
         let mut rows = Vec::new();
         let mut nominal = BTreeSet::new();
         for &config in &self.configs {
             for &task in &self.tasks {
-                let init_id = task.eval_init_ids()[usize::from(config)];
+                let init_id = init_id(task, config, self.seed);
                 if self.nominal != Nominal::None && nominal.insert((task, init_id)) {
                     rows.push(clean_row(task, init_id));
                 }
@@ -60,14 +78,16 @@ impl CampaignSpec {
         };
         let mut perturbation = Perturbation::default();
         for &axis in &axes {
-            apply_preset(&mut perturbation, axis, level, config);
+            let direction = direction(axis, config, self.seed);
+            apply_direction(&mut perturbation, axis, level, &direction);
         }
         let id = RolloutId::perturbed(task, condition, level, config)
-            .expect("a checked campaign perturbs at a level above L0");
-        let init_id = task.eval_init_ids()[usize::from(config)];
+            .expect("a checked design perturbs at a level above L0");
+        let init_id = init_id(task, config, self.seed);
         let mut row = ManifestRow::new(id, config, init_id, perturbation);
         if axes.contains(&Axis::Language) {
-            let paraphrase = paraphrase(task, level, config);
+            // There are ten variants; configurations beyond them speak them again.
+            let paraphrase = paraphrase(task, level, config % PRESETS);
             row.instruction = paraphrase.text;
             row.variant_id = Some(paraphrase.variant_id);
         }
@@ -80,25 +100,39 @@ fn clean_row(task: TaskRef, init_id: u16) -> ManifestRow {
     ManifestRow::new(id, init_id, init_id, Perturbation::default())
 }
 
+/// Rows of any origin in the order of [`Design::expand`].
+fn paired_units_first(mut rows: Vec<ManifestRow>) -> Vec<ManifestRow> {
+    let mut first_configs = BTreeMap::new();
+    for row in &rows {
+        if let Some(config) = row.id.config() {
+            let first = first_configs.entry((row.id.task(), row.init_id));
+            let first = first.or_insert(config);
+            *first = config.min(*first);
+        }
+    }
+    rows.sort_by_key(|row| {
+        let (id, task) = (row.id, row.id.task());
+        let paired = first_configs.get(&(task, row.init_id)).copied();
+        let unit = id.config().or(paired);
+        (unit.is_none(), unit, task, id.level(), id)
+    });
+    rows
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::campaign::PolicyRoute;
 
-    fn metric_campaign() -> CampaignSpec {
-        let policy = PolicyRoute {
-            name: "expert".to_owned(),
-            endpoint: "http://127.0.0.1:50051".to_owned(),
-        };
-        CampaignSpec {
+    fn metric_design() -> Design {
+        Design {
             axes: Axis::METRIC.to_vec(),
-            ..CampaignSpec::v0_1("metric", policy)
+            ..Design::v0_1()
         }
     }
 
     #[test]
     fn five_axes_have_six_conditions_at_every_configuration() {
-        let rows = metric_campaign().expand().expect("rows");
+        let rows = metric_design().expand().expect("rows");
         assert_eq!(rows.len(), 2_000 + 40 * 10 * 3 * 6);
         let ids: BTreeSet<RolloutId> = rows.iter().map(|row| row.id).collect();
         assert_eq!(ids.len(), rows.len());
@@ -106,12 +140,12 @@ mod tests {
 
     #[test]
     fn a_configuration_stands_together_with_its_nominal_rollout() {
-        let rows = metric_campaign().expand().expect("rows");
+        let rows = metric_design().expand().expect("rows");
         let ids: Vec<String> = rows.iter().map(|row| row.id.to_string()).collect();
         assert_eq!(
             ids[..8],
             [
-                "spatial/t0/clean/L0/c43",
+                "spatial/t0/clean/i43",
                 "spatial/t0/camera/L1/c00",
                 "spatial/t0/lighting/L1/c00",
                 "spatial/t0/robot/L1/c00",
@@ -121,22 +155,22 @@ mod tests {
                 "spatial/t0/camera/L2/c00",
             ]
         );
-        assert_eq!(ids[19], "spatial/t1/clean/L0/c24");
+        assert_eq!(ids[19], "spatial/t1/clean/i24");
         assert_eq!(rows[6].init_id, 43);
         assert_eq!(rows[6].perturbation.axes(), Axis::METRIC);
     }
 
     #[test]
-    fn a_combination_combines_exactly_the_campaigns_axes() {
-        let spec = CampaignSpec {
+    fn a_combination_combines_exactly_the_axes_of_its_design() {
+        let design = Design {
             axes: vec![Axis::Camera, Axis::Robot],
             nominal: Nominal::None,
             levels: vec![Level::L2],
             tasks: select("libero_goal/3"),
             configs: vec![4],
-            ..metric_campaign()
+            ..metric_design()
         };
-        let rows = spec.expand().expect("rows");
+        let rows = design.expand().expect("rows");
         let conditions: Vec<Condition> = rows.iter().map(|row| row.id.condition()).collect();
         assert_eq!(
             conditions,
@@ -154,13 +188,13 @@ mod tests {
     #[test]
     fn nominal_rollouts_are_all_those_of_the_configurations_or_none() {
         let count = |nominal| {
-            let spec = CampaignSpec {
+            let design = Design {
                 nominal,
                 tasks: select("libero_goal"),
                 levels: vec![Level::L1],
-                ..metric_campaign()
+                ..metric_design()
             };
-            let rows = spec.expand().expect("rows");
+            let rows = design.expand().expect("rows");
             let clean = rows.iter().filter(|row| row.id.config().is_none());
             clean.count()
         };
@@ -171,25 +205,31 @@ mod tests {
 
     #[test]
     fn the_whole_design_has_10_400_rows() {
-        let whole = CampaignSpec {
-            axes: Axis::ALL.to_vec(),
-            ..metric_campaign()
-        };
-        assert_eq!(whole.version().as_str(), "v0.1");
-        assert_eq!(whole.expand().expect("rows").len(), 10_400);
+        let rows = Design::v0_1().expand().expect("rows");
+        let clean = rows.iter().filter(|row| row.id.config().is_none());
+        assert_eq!((clean.count(), rows.len()), (2_000, 10_400));
+    }
+
+    #[test]
+    fn an_imported_manifest_runs_in_the_order_of_a_design() {
+        let rows = Design::v0_1().expand().expect("rows");
+        let mut as_written = rows.clone();
+        as_written.sort_by_key(|row| row.id);
+        assert_ne!(as_written, rows);
+        assert_eq!(paired_units_first(as_written), rows);
     }
 
     #[test]
     fn the_language_axis_and_its_combination_say_the_same_and_the_others_speak_canonically() {
-        let spec = CampaignSpec {
+        let design = Design {
             axes: vec![Axis::Camera, Axis::Language],
             nominal: Nominal::None,
             levels: vec![Level::L2],
             tasks: select("libero_goal/3"),
             configs: vec![4],
-            ..metric_campaign()
+            ..metric_design()
         };
-        let rows = spec.expand().expect("rows");
+        let rows = design.expand().expect("rows");
         let [camera, language, combination] = rows.as_slice() else {
             panic!("{} rows", rows.len());
         };
@@ -204,6 +244,6 @@ mod tests {
     }
 
     fn select(tasks: &str) -> Vec<TaskRef> {
-        crate::campaign::select_tasks(tasks).expect("tasks")
+        crate::design::select_tasks(tasks).expect("tasks")
     }
 }

@@ -14,7 +14,10 @@ pub mod streams;
 
 mod campaign;
 mod condition;
+mod design;
+mod directions;
 mod expansion;
+mod level;
 mod names;
 mod paraphrase;
 mod perturbation;
@@ -23,11 +26,11 @@ mod row;
 mod suite;
 mod tasks;
 
-pub use campaign::{
-    CampaignSpec, DesignVersion, MAX_REPLICATES, Nominal, PolicyRoute, Record, SpecError,
-    select_tasks,
-};
-pub use condition::{Axis, Condition, Level, Realisation};
+pub use campaign::{CampaignSpec, MAX_REPLICATES, PolicyRoute, Record, Rollouts, SpecError};
+pub use condition::{Axis, Condition, Realisation};
+pub use design::{Design, DesignError, DesignVersion, MAX_ROWS, Nominal, select_tasks};
+pub use directions::MAX_CONFIGS;
+pub use level::Level;
 pub use names::UnknownName;
 pub use paraphrase::{Paraphrase, paraphrase};
 pub use perturbation::{

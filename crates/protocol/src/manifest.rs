@@ -10,10 +10,13 @@ use std::fmt::{self, Write};
 
 use serde_json::Value;
 
-use crate::condition::{Axis, Level};
-use crate::presets::{radius, unit};
+use crate::condition::Axis;
+use crate::design::MAX_ROWS;
+use crate::level::Level;
+use crate::presets::unit;
 use crate::rollout_id::RolloutId;
 use crate::row::ManifestRow;
+use crate::suite::TaskRef;
 
 /// Errors that are listed; more are counted.
 const MAX_LISTED: usize = 20;
@@ -22,40 +25,53 @@ const MAX_LISTED: usize = 20;
 /// the published directions have four or five decimals.
 const RADIUS_TOLERANCE: f64 = 2e-3;
 
+/// Half a unit in the last decimal of a parameter, which is much of a small
+/// radius.
+const ROUNDING: f64 = 0.5e-6;
+
 /// Reads a manifest. Empty lines are skipped.
 ///
 /// # Errors
 /// Lists every line that is refused: no row, a row that contradicts itself,
-/// parameters of another level, an id that was there before.
+/// parameters of another level, an id that was there before, a configuration
+/// that is not one. A manifest without rows is refused too.
 pub fn parse(text: &str) -> Result<Vec<ManifestRow>, ManifestErrors> {
     let mut rows = Vec::new();
-    let mut errors = ManifestErrors::default();
-    let mut lines_of_ids = BTreeMap::new();
+    let mut checker = Checker::default();
     for (index, text) in text.lines().enumerate() {
         if text.trim().is_empty() {
             continue;
         }
         let line = index + 1;
-        match parse_line(text) {
-            Err(problem) => errors.add(line, problem),
-            Ok(row) => match lines_of_ids.insert(row.id, line) {
-                Some(first) => {
-                    let id = row.id;
-                    errors.add(line, LineProblem::Duplicate { id, first });
-                }
-                None => rows.push(row),
-            },
+        match serde_json::from_str(text) {
+            Ok(row) => {
+                checker.check(line, &row);
+                rows.push(row);
+            }
+            Err(error) => {
+                let problem = LineProblem::Row(without_place(&error));
+                checker.errors.add(line, problem);
+            }
         }
     }
-    if errors.count == 0 {
-        Ok(rows)
-    } else {
-        Err(errors)
+    checker.finish(rows.len())?;
+    Ok(rows)
+}
+
+/// Checks rows that were not read from a text: the first is line 1.
+///
+/// # Errors
+/// As [`parse`].
+pub fn check(rows: &[ManifestRow]) -> Result<(), ManifestErrors> {
+    let mut checker = Checker::default();
+    for (index, row) in rows.iter().enumerate() {
+        checker.check(index + 1, row);
     }
+    checker.finish(rows.len())
 }
 
 /// Writes a manifest, one row per line.
-pub fn to_text(rows: &[ManifestRow]) -> String {
+pub fn to_text<'a>(rows: impl IntoIterator<Item = &'a ManifestRow>) -> String {
     let mut text = String::new();
     for row in rows {
         let json = serde_json::to_string(row).expect("a row of text and numbers serialises");
@@ -155,6 +171,23 @@ pub enum LineProblem {
         /// Where it was first.
         first: usize,
     },
+    /// Another initial state or other parameters than the configuration's
+    /// other rows: the two would be compared, and are not comparable.
+    #[error("{id}: {column} differ from those of its configuration in line {first}")]
+    Unpaired {
+        /// The row.
+        id: RolloutId,
+        /// What differs.
+        column: String,
+        /// The row that it should agree with.
+        first: usize,
+    },
+    /// More rows than anybody could run.
+    #[error("more than {MAX_ROWS} rows: divide it")]
+    TooMany,
+    /// Nothing at all.
+    #[error("it has no rows")]
+    NoRows,
     /// Parameters of another level.
     #[error("{id}: parameters of axis {axis} have radius {given:.3}, at {level} it is {expected}")]
     Radius {
@@ -192,7 +225,12 @@ impl ManifestErrors {
 
 impl fmt::Display for ManifestErrors {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "read manifest: {} lines are refused", self.count)?;
+        let are = if self.count == 1 {
+            "line is"
+        } else {
+            "lines are"
+        };
+        write!(f, "read manifest: {} {are} refused", self.count)?;
         for LineError { line, problem } in &self.listed {
             write!(f, "\n  line {line}: {problem}")?;
         }
@@ -205,11 +243,67 @@ impl fmt::Display for ManifestErrors {
 
 impl std::error::Error for ManifestErrors {}
 
-fn parse_line(text: &str) -> Result<ManifestRow, LineProblem> {
-    let row: ManifestRow =
-        serde_json::from_str(text).map_err(|error| LineProblem::Row(without_place(&error)))?;
-    check_radii(&row)?;
-    Ok(row)
+/// What is to be said of rows beyond each row's own sense.
+#[derive(Default)]
+struct Checker {
+    lines_of_ids: BTreeMap<RolloutId, usize>,
+    configurations: BTreeMap<(TaskRef, Level, u16), Configuration>,
+    errors: ManifestErrors,
+}
+
+/// What all rows of a configuration share, and in which line it was first said.
+struct Configuration {
+    init_id: (usize, u16),
+    values: BTreeMap<Axis, (usize, Vec<f64>)>,
+}
+
+impl Checker {
+    fn check(&mut self, line: usize, row: &ManifestRow) {
+        if let Err(problem) = check_radii(row) {
+            self.errors.add(line, problem);
+        }
+        let id = row.id;
+        if let Some(first) = self.lines_of_ids.insert(id, line) {
+            self.errors.add(line, LineProblem::Duplicate { id, first });
+        } else if let Some((column, first)) = self.difference(line, row) {
+            let problem = LineProblem::Unpaired { id, column, first };
+            self.errors.add(line, problem);
+        }
+    }
+
+    /// Where a row contradicts its configuration, and which line said so.
+    fn difference(&mut self, line: usize, row: &ManifestRow) -> Option<(String, usize)> {
+        let key = (row.id.task(), row.id.level(), row.id.config()?);
+        let known = self.configurations.entry(key);
+        let known = known.or_insert_with(|| Configuration {
+            init_id: (line, row.init_id),
+            values: BTreeMap::new(),
+        });
+        if known.init_id.1 != row.init_id {
+            return Some(("initial states".to_owned(), known.init_id.0));
+        }
+        row.perturbation.axes().into_iter().find_map(|axis| {
+            let values = row.perturbation.values(axis);
+            let (first, known) = known
+                .values
+                .entry(axis)
+                .or_insert_with(|| (line, values.clone()));
+            (*known != values).then(|| (format!("parameters of axis {axis}"), *first))
+        })
+    }
+
+    fn finish(mut self, rows: usize) -> Result<(), ManifestErrors> {
+        if rows > MAX_ROWS {
+            self.errors.add(MAX_ROWS + 1, LineProblem::TooMany);
+        }
+        if rows == 0 && self.errors.count == 0 {
+            self.errors.add(1, LineProblem::NoRows);
+        }
+        match self.errors.count {
+            0 => Ok(()),
+            _ => Err(self.errors),
+        }
+    }
 }
 
 /// The message without serde's "at line 1 column 7": the line is the file's.
@@ -223,15 +317,14 @@ fn without_place(error: &serde_json::Error) -> String {
 
 fn check_radii(row: &ManifestRow) -> Result<(), LineProblem> {
     let (id, level) = (row.id, row.id.level());
-    let expected = radius(level);
+    let expected = level.radius();
     for axis in row.perturbation.axes() {
         let values = row.perturbation.values(axis);
-        let normalised = values
-            .iter()
-            .zip(unit(axis))
-            .map(|(value, unit)| value / unit);
+        let normalised = values.iter().zip(unit(axis)).map(|(x, unit)| x / unit);
         let given = normalised.map(|x| x * x).sum::<f64>().sqrt();
-        if (given - expected).abs() > RADIUS_TOLERANCE * expected {
+        let rounding = unit(axis).iter().map(|unit| ROUNDING / unit);
+        let rounding = rounding.map(|x| x * x).sum::<f64>().sqrt();
+        if (given - expected).abs() > RADIUS_TOLERANCE * expected + rounding {
             return Err(LineProblem::Radius {
                 id,
                 axis,
@@ -279,18 +372,10 @@ fn compare(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::campaign::{CampaignSpec, PolicyRoute};
+    use crate::design::Design;
 
     fn rows() -> Vec<ManifestRow> {
-        let policy = PolicyRoute {
-            name: "expert".to_owned(),
-            endpoint: "http://127.0.0.1:50051".to_owned(),
-        };
-        let spec = CampaignSpec {
-            axes: Axis::METRIC.to_vec(),
-            ..CampaignSpec::v0_1("metric", policy)
-        };
-        spec.expand().expect("rows")
+        Design::v0_1().expand().expect("rows")
     }
 
     fn check_refused(line: &str, expected: &str) {
@@ -333,6 +418,28 @@ mod tests {
         check_refused(
             &sensor.replace("L1", "L2"),
             "axis sensor have radius 2.000, at L2 it is 4",
+        );
+    }
+
+    #[test]
+    fn rows_of_a_configuration_that_could_not_be_compared_are_refused() {
+        let rows = rows();
+        let unit = &rows[1..8];
+        assert!(check(unit).is_ok());
+        let check = |change: fn(&mut ManifestRow), expected: &str| {
+            let mut unit = unit.to_vec();
+            change(&mut unit[6]);
+            let message = check(&unit).expect_err(expected).to_string();
+            assert!(message.contains(expected), "{message}");
+        };
+        check(
+            |row| row.init_id += 1,
+            "line 7: spatial/t0/combination/L1/c00: initial states differ from those of its \
+             configuration in line 1",
+        );
+        check(
+            |row| row.perturbation.robot.as_mut().expect("all axes").eef_dx_m *= -1.0,
+            "parameters of axis robot differ from those of its configuration in line 3",
         );
     }
 

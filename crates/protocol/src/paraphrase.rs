@@ -31,7 +31,7 @@ use std::sync::LazyLock;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 
-use crate::condition::Level;
+use crate::level::Level;
 use crate::presets::PRESETS;
 use crate::suite::TaskRef;
 use speech::{Form, Speaker};
@@ -54,8 +54,8 @@ pub struct Paraphrase {
 /// The same arguments always give the same sentence.
 ///
 /// # Panics
-/// If `level` is L0, where the instruction is canonical, or `config` is not
-/// below [`PRESETS`].
+/// If `level` is not one of [`Level::PERTURBED`], or `config` is not below
+/// [`PRESETS`].
 pub fn paraphrase(task: TaskRef, level: Level, config: u16) -> Paraphrase {
     let variant = usize::from(config);
     assert!(
@@ -76,7 +76,6 @@ fn sentence(task: TaskRef, level: Level, variant: usize) -> String {
     let structure = &construction.structures[variant];
     let (lead, body) = structure.split_once('|').unwrap_or(("", structure));
     let text = match level {
-        Level::L0 => panic!("no paraphrase at L0: the instruction is canonical there"),
         Level::L1 => speaker.say(&construction.plain, Form::Base),
         Level::L2 => speaker.say(&format!("{lead}{body}"), Form::Base),
         Level::L3 => {
@@ -84,6 +83,7 @@ fn sentence(task: TaskRef, level: Level, variant: usize) -> String {
             let before = speaker.say(&frame.before.replace("{lead}", lead), Form::Base);
             format!("{before} {}", speaker.say(body, frame.form))
         }
+        other => panic!("no paraphrase at {other}: valid are L1, L2, L3"),
     };
     text.split_whitespace().collect::<Vec<_>>().join(" ")
 }

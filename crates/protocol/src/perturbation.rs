@@ -243,7 +243,7 @@ pub enum PerturbError {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::condition::Level;
+    use crate::level::Level;
     use crate::presets::apply_preset;
 
     fn preset(axes: &[Axis]) -> Perturbation {

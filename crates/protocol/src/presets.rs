@@ -10,7 +10,8 @@ use std::sync::LazyLock;
 
 use serde::Deserialize;
 
-use crate::condition::{Axis, Level};
+use crate::condition::Axis;
+use crate::level::Level;
 use crate::perturbation::{
     ActuationDistortion, CameraShift, LightingShift, Perturbation, RobotShift, SensorCorruption,
 };
@@ -27,17 +28,6 @@ pub const SETTLE_STEPS: u32 = 10;
 /// reset, so that every rollout of a task sees the same fixtures.
 pub const ENV_SEED: u32 = 20_260_904;
 
-/// The radius of a level in normalised coordinates: 2, 4 or 8, and 0 at L0.
-pub fn radius(level: Level) -> f64 {
-    let radii = &presets().radii;
-    match level {
-        Level::L0 => 0.0,
-        Level::L1 => radii[0],
-        Level::L2 => radii[1],
-        Level::L3 => radii[2],
-    }
-}
-
 /// The units of an axis's parameters, in their order: what radius 1 is. Empty
 /// for the language axis.
 pub fn unit(axis: Axis) -> &'static [f64] {
@@ -48,29 +38,61 @@ pub fn unit(axis: Axis) -> &'static [f64] {
 /// Adds preset `config` of `axis` at `level` to a perturbation. The language
 /// axis has no numbers and adds nothing.
 ///
-/// Every parameter is radius × unit × direction, rounded to six decimals.
-///
 /// # Panics
 /// If `config` is not below [`PRESETS`].
 pub fn apply_preset(perturbation: &mut Perturbation, axis: Axis, level: Level, config: u16) {
+    apply_direction(perturbation, axis, level, preset_direction(axis, config));
+}
+
+/// Adds the parameters of `axis` that lie in `direction` at `level` to a
+/// perturbation. The language axis has no numbers and adds nothing.
+///
+/// Every parameter is radius × unit × direction, rounded to six decimals.
+///
+/// # Panics
+/// If `direction` has not one component per parameter.
+pub(crate) fn apply_direction(
+    perturbation: &mut Perturbation,
+    axis: Axis,
+    level: Level,
+    direction: &[f64],
+) {
     match axis {
         Axis::Camera => {
-            perturbation.camera = Some(CameraShift::from(values(axis, level, config)));
+            perturbation.camera = Some(CameraShift::from(values(axis, level, direction)));
         }
         Axis::Lighting => {
-            perturbation.lighting = Some(LightingShift::from(values(axis, level, config)));
+            perturbation.lighting = Some(LightingShift::from(values(axis, level, direction)));
         }
         Axis::Robot => {
-            perturbation.robot = Some(RobotShift::from(values(axis, level, config)));
+            perturbation.robot = Some(RobotShift::from(values(axis, level, direction)));
         }
         Axis::Sensor => {
-            perturbation.sensor = Some(SensorCorruption::from(values(axis, level, config)));
+            perturbation.sensor = Some(SensorCorruption::from(values(axis, level, direction)));
         }
         Axis::Actuation => {
-            perturbation.actuation = Some(ActuationDistortion::from(values(axis, level, config)));
+            let distortion = ActuationDistortion::from(values(axis, level, direction));
+            perturbation.actuation = Some(distortion);
         }
         Axis::Language => {}
     }
+}
+
+/// The direction of preset `config`: a unit vector, empty for the language
+/// axis.
+///
+/// # Panics
+/// If `config` is not below [`PRESETS`].
+pub(crate) fn preset_direction(axis: Axis, config: u16) -> &'static [f64] {
+    let presets = presets().axes.get(axis.name());
+    presets.map_or(&[], |presets| &presets.directions[usize::from(config)])
+}
+
+/// The components of an axis's directions of which only one sign counts: a
+/// camera farther away, a hand higher up, a lag, a noise.
+pub(crate) fn half_space(axis: Axis) -> &'static [usize] {
+    let presets = presets().axes.get(axis.name());
+    presets.map_or(&[], |presets| &presets.half_space)
 }
 
 /// Rounds to six decimals as Python's `round(x, 6)`: correctly from the exact
@@ -91,7 +113,6 @@ pub(crate) struct SuitePresets {
 }
 
 pub(crate) struct Presets {
-    radii: [f64; 3],
     suites: [SuitePresets; 4],
     axes: BTreeMap<String, AxisPresets>,
 }
@@ -113,36 +134,24 @@ pub(crate) fn presets() -> &'static Presets {
     &PRESETS
 }
 
-fn values<const N: usize>(axis: Axis, level: Level, config: u16) -> [f64; N] {
-    let AxisPresets { unit, directions } = &presets().axes[axis.name()];
-    let direction = &directions[usize::from(config)];
-    let radius = radius(level);
+fn values<const N: usize>(axis: Axis, level: Level, direction: &[f64]) -> [f64; N] {
+    let (unit, radius) = (unit(axis), level.radius());
     std::array::from_fn(|i| round6(radius * unit[i] * direction[i]))
 }
 
 struct AxisPresets {
     unit: Vec<f64>,
+    half_space: Vec<usize>,
     directions: Vec<Vec<f64>>,
 }
 
 /// The file as it is written.
 #[derive(Deserialize)]
 struct PresetsFile {
-    severity_multipliers: Multipliers,
     protocol: ProtocolFigures,
     axes: BTreeMap<String, AxisFigures>,
     directions: BTreeMap<String, Vec<Vec<f64>>>,
     eval_init_ids: BTreeMap<Suite, [[u16; 10]; 10]>,
-}
-
-#[derive(Deserialize)]
-struct Multipliers {
-    #[serde(rename = "L1")]
-    l1: f64,
-    #[serde(rename = "L2")]
-    l2: f64,
-    #[serde(rename = "L3")]
-    l3: f64,
 }
 
 #[derive(Deserialize)]
@@ -154,11 +163,11 @@ struct ProtocolFigures {
 #[derive(Deserialize)]
 struct AxisFigures {
     unit: Vec<f64>,
+    half_space: Vec<usize>,
 }
 
 impl From<PresetsFile> for Presets {
     fn from(mut file: PresetsFile) -> Self {
-        let multipliers = file.severity_multipliers;
         let suites = Suite::ALL.map(|suite| SuitePresets {
             max_steps: file.protocol.max_steps[&suite],
             demo_action_rms: file.protocol.demo_action_rms[&suite],
@@ -166,11 +175,14 @@ impl From<PresetsFile> for Presets {
         });
         let axes = file.axes.into_iter().map(|(name, figures)| {
             let directions = file.directions.remove(&name).unwrap_or_default();
-            let unit = figures.unit;
-            (name, AxisPresets { unit, directions })
+            let presets = AxisPresets {
+                unit: figures.unit,
+                half_space: figures.half_space,
+                directions,
+            };
+            (name, presets)
         });
         Self {
-            radii: [multipliers.l1, multipliers.l2, multipliers.l3],
             suites,
             axes: axes.collect(),
         }
@@ -189,7 +201,9 @@ mod tests {
     fn check_keys(axis: Axis, keys: &[&str]) {
         let file = file();
         assert_eq!(file["axes"][axis.name()]["keys"], serde_json::json!(keys));
-        let AxisPresets { unit, directions } = &presets().axes[axis.name()];
+        let AxisPresets {
+            unit, directions, ..
+        } = &presets().axes[axis.name()];
         assert_eq!(unit.len(), keys.len(), "{axis}");
         assert_eq!(directions.len(), usize::from(PRESETS), "{axis}");
         assert!(directions.iter().all(|d| d.len() == keys.len()), "{axis}");
@@ -210,6 +224,10 @@ mod tests {
         assert_eq!(protocol["env_seed"], ENV_SEED);
         assert_eq!(protocol["num_steps_wait"], SETTLE_STEPS);
         assert_eq!(protocol["eval_configs"], PRESETS);
+        for level in Level::PERTURBED {
+            let multiplier = &file()["severity_multipliers"][level.to_string()];
+            assert_eq!(multiplier, &level.radius());
+        }
         assert_eq!(Suite::Long.max_steps(), 520);
         assert_eq!(Suite::Goal.demo_action_rms(), [0.739, 0.143]);
     }
@@ -218,6 +236,9 @@ mod tests {
     /// decimal tie, as the reference's manifest writes them.
     #[test]
     fn parameters_equal_the_references_digits() {
+        fn values<const N: usize>(axis: Axis, level: Level, config: u16) -> [f64; N] {
+            super::values(axis, level, preset_direction(axis, config))
+        }
         let camera: [f64; 5] = values(Axis::Camera, Level::L1, 1);
         assert_eq!(camera, [-3.58936, 0.404697, 0.063736, 0.013033, -0.016198]);
         let robot: [f64; 6] = values(Axis::Robot, Level::L1, 1);

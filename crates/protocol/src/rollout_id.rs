@@ -4,18 +4,19 @@
 use std::fmt;
 use std::str::FromStr;
 
-use crate::condition::{Condition, Level};
+use crate::condition::Condition;
+use crate::level::Level;
 use crate::names::{UnknownName, serde_as_text};
 use crate::suite::{INIT_STATES_PER_TASK, Suite, TaskRef};
 
 const PATTERN: &str = "SUITE/tN/CONDITION/LEVEL/cNN, for example spatial/t0/camera/L2/c00 \
-                       or, nominal, spatial/t0/clean/L0/c07";
+                       or, nominal, spatial/t0/clean/i07";
 
 /// Names one rollout: `spatial/t0/camera/L2/c00`.
 ///
-/// In a perturbed rollout the last number is the configuration; in a clean one
-/// it is the initial state, as `spatial/t0/clean/L0/c07`. The reference's own
-/// files write the latter `spatial/t0/clean/i07`; that is read too.
+/// The last number is the configuration. A clean rollout has none, but an
+/// initial state: `spatial/t0/clean/i07`, as the reference's files write it,
+/// because seeds are made from this text. `spatial/t0/clean/L0/c07` is read too.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct RolloutId {
     task: TaskRef,
@@ -87,15 +88,15 @@ impl RolloutId {
 
 impl fmt::Display for RolloutId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            f,
-            "{}/t{}/{}/{}/c{:02}",
-            self.task.suite().short_name(),
-            self.task.index(),
-            self.condition,
-            self.level,
-            self.number
-        )
+        let (suite, task) = (self.task.suite().short_name(), self.task.index());
+        let (condition, number) = (self.condition, self.number);
+        match condition {
+            Condition::Clean => write!(f, "{suite}/t{task}/{condition}/i{number:02}"),
+            _ => {
+                let level = self.level;
+                write!(f, "{suite}/t{task}/{condition}/{level}/c{number:02}")
+            }
+        }
     }
 }
 
@@ -152,8 +153,10 @@ mod tests {
     fn ids_read_back_from_their_text() {
         check("spatial/t0/camera/L2/c00", "spatial/t0/camera/L2/c00");
         check("long/t5/combination/L3/c08", "long/t5/combination/L3/c08");
-        check("goal/t9/clean/L0/c49", "goal/t9/clean/L0/c49");
-        check("spatial/t0/clean/i07", "spatial/t0/clean/L0/c07");
+        check("goal/t9/robot/r2.5/c123", "goal/t9/robot/r2.5/c123");
+        check("goal/t9/robot/r4.0/c1", "goal/t9/robot/L2/c01");
+        check("goal/t9/clean/i49", "goal/t9/clean/i49");
+        check("spatial/t0/clean/L0/c07", "spatial/t0/clean/i07");
         let id: RolloutId = "long/t5/sensor/L3/c08".parse().expect("an id");
         assert_eq!(id.task(), "libero_10/5".parse().expect("a task"));
         assert_eq!(id.condition(), Condition::Single(Axis::Sensor));
@@ -170,7 +173,9 @@ mod tests {
             "spatial/t0/camera/L2/c+1",
             "spatial/t0/camera/L0/c00",
             "spatial/t0/clean/L1/c00",
+            "spatial/t0/clean/i50",
             "spatial/t0/clean/L0/c50",
+            "spatial/t0/camera/r0/c00",
             "spatial/t10/camera/L2/c00",
             "spatial/t0/camera/L2/c00/r1",
         ] {

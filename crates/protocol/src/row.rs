@@ -5,7 +5,8 @@
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
-use crate::condition::{Condition, Level};
+use crate::condition::Condition;
+use crate::level::Level;
 use crate::perturbation::{PerturbError, Perturbation};
 use crate::presets::SETTLE_STEPS;
 use crate::rollout_id::RolloutId;
@@ -250,7 +251,7 @@ mod tests {
         for row in [
             row("goal/t0/combination/L1/c01", &Axis::METRIC),
             row("goal/t0/sensor/L3/c09", &[Axis::Sensor]),
-            row("goal/t0/clean/L0/c06", &[]),
+            row("goal/t0/clean/i06", &[]),
         ] {
             let text = serde_json::to_string(&row).expect("JSON");
             let read: ManifestRow = serde_json::from_str(&text).expect("reads back");
@@ -269,7 +270,7 @@ mod tests {
             "max_steps": 300, "num_steps_wait": 10, "policy_seed": 0,
         }))
         .expect("reads");
-        assert_eq!(read, row("goal/t0/clean/L0/c06", &[]));
+        assert_eq!(read, row("goal/t0/clean/i06", &[]));
     }
 
     #[test]

@@ -46,7 +46,7 @@ mod tests {
             policy_seed(&id("long/t5/combination/L3/c08"), 0),
             2_736_294_675
         );
-        assert_eq!(policy_seed(&id("goal/t9/clean/L0/c00"), 1), 1_063_919_398);
+        assert_eq!(policy_seed(&id("goal/t9/clean/i00"), 1), 250_929_353);
     }
 
     #[test]

@@ -13,7 +13,8 @@ use rand_chacha::ChaCha12Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use sha2::{Digest, Sha256};
 
-use crate::condition::{Axis, Level, Realisation};
+use crate::condition::{Axis, Realisation};
+use crate::level::Level;
 use crate::numpy::{standard_normal, unit_from_bits};
 use crate::rollout_id::RolloutId;
 use crate::seeds::reference_seed;
@@ -59,7 +60,11 @@ pub struct MatchedStream {
 impl MatchedStream {
     /// The stream of one axis of one configuration.
     pub fn new(task: TaskRef, level: Level, config: u16, axis: Axis) -> Self {
-        let name = format!("{STREAM_VERSION}/{task}/{level}/c{config}/{axis}");
+        Self::named(&format!("{STREAM_VERSION}/{task}/{level}/c{config}/{axis}"))
+    }
+
+    /// The stream of anything else that has a name.
+    pub(crate) fn named(name: &str) -> Self {
         Self {
             key: Sha256::digest(name.as_bytes()).into(),
         }

@@ -4,22 +4,27 @@ use proptest::prelude::*;
 use proptest::sample::{select, subsequence};
 use protocol::streams::Randomness;
 use protocol::{
-    Axis, CampaignSpec, Condition, Level, ManifestRow, Nominal, PolicyRoute, Realisation, TaskRef,
+    Axis, Condition, Design, Level, MAX_CONFIGS, ManifestRow, Nominal, Realisation, TaskRef,
 };
 
-fn campaign(axes: Vec<Axis>, task: TaskRef, level: Level, config: u16) -> CampaignSpec {
-    let policy = PolicyRoute {
-        name: "expert".to_owned(),
-        endpoint: "http://127.0.0.1:50051".to_owned(),
-    };
-    CampaignSpec {
+fn design(axes: Vec<Axis>, task: TaskRef, level: Level, config: u16) -> Design {
+    Design {
         axes,
         tasks: vec![task],
         levels: vec![level],
         configs: vec![config],
         nominal: Nominal::Eval,
-        ..CampaignSpec::v0_1("pairs", policy)
+        seed: 7,
     }
+}
+
+/// The protocol's levels and others.
+fn level() -> impl Strategy<Value = Level> {
+    let other = (1..100_000_u32).prop_map(|millis| {
+        let text = format!("r{}.{:03}", millis / 1_000, millis % 1_000);
+        text.parse().expect("a level")
+    });
+    prop_oneof![select(Level::PERTURBED.to_vec()), other]
 }
 
 fn row(rows: &[ManifestRow], condition: Condition) -> &ManifestRow {
@@ -39,11 +44,11 @@ proptest! {
     fn an_axis_is_realised_alike_alone_and_in_any_combination(
         axes in subsequence(Axis::METRIC.to_vec(), 2..=5),
         task in select(TaskRef::all().collect::<Vec<_>>()),
-        level in select(Level::PERTURBED.to_vec()),
-        config in 0..10_u16,
+        level in level(),
+        config in 0..MAX_CONFIGS,
         step in 0..520_u32,
     ) {
-        let rows = campaign(axes.clone(), task, level, config).expand().expect("rows");
+        let rows = design(axes.clone(), task, level, config).expand().expect("rows");
         let combined = row(&rows, Condition::Combination);
         let nominal = row(&rows, Condition::Clean);
         prop_assert_eq!(combined.perturbation.axes(), axes.clone());

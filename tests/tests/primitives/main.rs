@@ -56,7 +56,7 @@ fn check_suite(suite: Suite) {
 /// A nominal rollout of a task from one of its released states.
 fn begin(simulator: &mut Simulator, task: TaskRef, state: u16) -> Episode<'_> {
     let (suite, index) = (task.suite().short_name(), task.index());
-    let id: RolloutId = format!("{suite}/t{index}/clean/L0/c{state:02}")
+    let id: RolloutId = format!("{suite}/t{index}/clean/i{state:02}")
         .parse()
         .unwrap();
     let row = ManifestRow::new(id, state, state, Perturbation::default());

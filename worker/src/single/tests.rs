@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use npyz::npz::NpzArchive;
-use protocol::{Axis, Realisation};
+use protocol::Realisation;
 use scene::{AssetPack, Sources};
 use sim::{GlDevice, SimulatorConfig};
 
@@ -14,7 +14,7 @@ use crate::message::{VideoOf, VideoOrder};
 #[test]
 fn an_id_alone_says_what_is_simulated() {
     let row = |id: &str| row_of(id.parse().expect("an id"));
-    let clean = row("spatial/t0/clean/L0/c07").expect("a row");
+    let clean = row("spatial/t0/clean/i07").expect("a row");
     assert_eq!((clean.init_id, clean.perturbation.axes().len()), (7, 0));
     let single = row("spatial/t0/camera/L2/c00").expect("a row");
     assert_eq!(
@@ -26,8 +26,10 @@ fn an_id_alone_says_what_is_simulated() {
     let paraphrased = row("spatial/t0/language/L2/c00").expect("a row");
     assert_eq!(all.instruction, paraphrased.instruction);
     assert_ne!(all.instruction, clean.instruction);
-    let error = row("spatial/t0/camera/L2/c10").expect_err("ten configurations");
-    assert!(error.to_string().contains("c10"), "{error}");
+    let other = row("spatial/t0/combination/r2.5/c10").expect("a row");
+    assert_eq!(other.perturbation.axes(), Axis::METRIC);
+    let error = row("spatial/t0/camera/L2/c1000").expect_err("too many");
+    assert!(error.to_string().contains("c1000"), "{error}");
 }
 
 /// Nothing of the protocol: the sources' libero_90 stands in for somebody's
@@ -142,7 +144,7 @@ fn both_cameras_first_and_last_pictures_are_kept_though_nobody_looked() {
     let recording = folder.path().join("actions.jsonl");
     fs::write(&recording, "[1, 0, -1, 0, 0, 0, -1]\n".repeat(4)).expect("writes");
     let mut recorded = RecordedActions::read(&recording).expect("actions");
-    let mut row = row_of("object/t0/clean/L0/c03".parse().expect("an id")).expect("a row");
+    let mut row = row_of("object/t0/clean/i03".parse().expect("an id")).expect("a row");
     row.max_steps = recorded.count();
     let video = folder.path().join("video.mp4");
     let assignment = assignment(row, Some(&video));

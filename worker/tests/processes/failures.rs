@@ -35,7 +35,7 @@ async fn answers_that_no_robot_can_execute_are_the_policys_fault() {
     }
     let policy = ScriptedPolicy::start().await;
     let coordinator = ScriptedCoordinator::start().await;
-    let session = |query: &str| format!("query {query} of session object/t0/clean/L0/c03#r0#a1");
+    let session = |query: &str| format!("query {query} of session object/t0/clean/i03#r0#a1");
     check(
         coordinator,
         &policy.url(),

@@ -64,7 +64,7 @@ async fn a_policy_is_shown_what_it_wants_once_per_query() {
     let [reset] = asked.resets.as_slice() else {
         panic!("{:?}", asked.resets)
     };
-    assert_eq!(reset.session, "object/t0/clean/L0/c03#r0#a1");
+    assert_eq!(reset.session, "object/t0/clean/i03#r0#a1");
     assert_eq!((reset.suite.as_str(), reset.seed), ("libero_object", 7));
     assert_eq!(
         reset.instruction,

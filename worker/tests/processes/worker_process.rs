@@ -25,7 +25,7 @@ pub(crate) fn ready(test: &str) -> bool {
 
 /// A job of the scripted coordinator: a short nominal rollout.
 pub(crate) fn lease(job: i64, policy: &str, endpoint: &str) -> Lease {
-    let id = "object/t0/clean/L0/c03".parse().expect("an id");
+    let id = "object/t0/clean/i03".parse().expect("an id");
     let mut row = ManifestRow::new(id, 3, 3, protocol::Perturbation::default());
     row.max_steps = MAX_STEPS;
     Lease {

@@ -1,0 +1,99 @@
+//! The files that people name on the command line: read up to a bound, written
+//! whole or not at all.
+
+use std::fs::File;
+use std::io::{BufWriter, Read, Write};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, anyhow};
+
+use super::CommandError;
+
+/// Largest specification or manifest that is read, bytes. It must fit into a
+/// message to the coordinator.
+const MAX_INPUT_BYTES: u64 = 24 << 20;
+
+/// Reads a text; `-` is standard input. A file that cannot be read is a wrong
+/// command.
+pub(super) fn read_text(path: &Path) -> Result<String, CommandError> {
+    let name = name_of(path);
+    let mut text = String::new();
+    let read = if is_standard_input(path) {
+        read_bounded(std::io::stdin(), &mut text)
+    } else {
+        File::open(path).and_then(|file| read_bounded(file, &mut text))
+    };
+    let read = read.with_context(|| format!("read {name}"));
+    let read = read.map_err(CommandError::Usage)?;
+    if read > MAX_INPUT_BYTES as usize {
+        let most = MAX_INPUT_BYTES >> 20;
+        let error =
+            anyhow!("it is larger than {most} MiB: divide it").context(format!("read {name}"));
+        return Err(CommandError::Usage(error));
+    }
+    Ok(text)
+}
+
+/// How a path is called in messages.
+pub(super) fn name_of(path: &Path) -> String {
+    match is_standard_input(path) {
+        true => "standard input".to_owned(),
+        false => path.display().to_string(),
+    }
+}
+
+/// A file under another name until it is whole; nothing is left of one that is
+/// not finished.
+pub(super) struct WholeFile {
+    path: PathBuf,
+    partial: PathBuf,
+    file: Option<BufWriter<File>>,
+}
+
+impl WholeFile {
+    pub(super) fn create(path: &Path) -> anyhow::Result<WholeFile> {
+        let mut partial = path.as_os_str().to_owned();
+        partial.push(".partial");
+        let partial = PathBuf::from(partial);
+        let file = File::create(&partial)
+            .with_context(|| format!("write {}: may this user write there?", partial.display()))?;
+        Ok(WholeFile {
+            path: path.to_owned(),
+            partial,
+            file: Some(BufWriter::new(file)),
+        })
+    }
+
+    /// Where to write.
+    pub(super) fn writer(&mut self) -> &mut impl Write {
+        self.file.as_mut().expect("taken only when finished")
+    }
+
+    /// Gives the file its name, once it is on the disk.
+    pub(super) fn finish(mut self) -> anyhow::Result<()> {
+        let (path, partial) = (self.path.display(), self.partial.display());
+        let file = self.file.take().expect("finished once");
+        let file = file.into_inner();
+        let file = file.with_context(|| format!("write the end of {partial}"))?;
+        let synced = file.sync_all();
+        synced.with_context(|| format!("write {partial} to the disk"))?;
+        std::fs::rename(&self.partial, &self.path)
+            .with_context(|| format!("move {partial} to {path}"))
+    }
+}
+
+impl Drop for WholeFile {
+    fn drop(&mut self) {
+        // After `finish` there is none; before, the first error is the one to
+        // tell.
+        let _ = std::fs::remove_file(&self.partial);
+    }
+}
+
+fn is_standard_input(path: &Path) -> bool {
+    path.as_os_str() == "-"
+}
+
+fn read_bounded(source: impl Read, text: &mut String) -> std::io::Result<usize> {
+    source.take(MAX_INPUT_BYTES + 1).read_to_string(text)
+}

@@ -1,0 +1,147 @@
+//! `coordinator manifest`: manifests as files. Needs no coordinator. What a
+//! manifest may say, and in what two of them differ, is the protocol's business.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, anyhow};
+use clap::{ArgGroup, Args, Subcommand, ValueEnum};
+use protocol::{Design, DesignVersion, ManifestRow, manifest};
+
+use super::files::{WholeFile, name_of, read_text};
+use super::{CommandError, create, print_line};
+
+#[derive(Debug, Subcommand)]
+pub(super) enum ManifestCommand {
+    /// Write the rows of a design as JSON Lines, in the order in which they
+    /// would run.
+    Expand(ExpandArguments),
+    /// Check a manifest line by line.
+    Check(CheckArguments),
+    /// Say in which rows and columns two manifests differ.
+    Diff(DiffArguments),
+}
+
+#[derive(Args, Debug)]
+#[command(group = ArgGroup::new("source").required(true).args(["version", "spec"]))]
+pub(super) struct ExpandArguments {
+    /// A published design.
+    #[arg(long, value_enum, value_name = "VERSION")]
+    version: Option<Published>,
+    /// File of a campaign's specification in JSON, for its own design; `-`
+    /// reads standard input.
+    #[arg(long, value_name = "FILE")]
+    spec: Option<PathBuf>,
+    /// Which rows: nominal ones, perturbed ones, or all.
+    #[arg(long, value_enum, default_value_t = Split::All)]
+    split: Split,
+    /// File to write; standard output without it.
+    #[arg(long, value_name = "FILE")]
+    output: Option<PathBuf>,
+}
+
+#[derive(Args, Debug)]
+pub(super) struct CheckArguments {
+    /// The manifest; `-` reads standard input.
+    file: PathBuf,
+}
+
+#[derive(Args, Debug)]
+pub(super) struct DiffArguments {
+    /// The first manifest.
+    first: PathBuf,
+    /// The second manifest.
+    second: PathBuf,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Published {
+    /// LIBERO-CTRL v0.1.
+    #[value(name = "v0.1")]
+    V0_1,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Split {
+    Clean,
+    Eval,
+    All,
+}
+
+pub(super) fn manifest(command: ManifestCommand) -> Result<(), CommandError> {
+    match command {
+        ManifestCommand::Expand(arguments) => expand(&arguments),
+        ManifestCommand::Check(arguments) => check(&arguments.file),
+        ManifestCommand::Diff(arguments) => diff(&arguments.first, &arguments.second),
+    }
+}
+
+/// Reads a manifest. One that is refused is a failure: the command was right.
+pub(super) fn read(path: &Path) -> Result<Vec<ManifestRow>, CommandError> {
+    let text = read_text(path)?;
+    let rows = manifest::parse(&text).with_context(|| format!("use {}", name_of(path)));
+    Ok(rows?)
+}
+
+fn expand(arguments: &ExpandArguments) -> Result<(), CommandError> {
+    let rows = match &arguments.spec {
+        Some(path) => {
+            let rows = create::spec_of_file(path)?.expand();
+            rows.map_err(|error| CommandError::Usage(error.into()))?
+        }
+        None => Design::v0_1().expand().context("expand v0.1")?,
+    };
+    let is_wanted = |row: &&ManifestRow| match arguments.split {
+        Split::All => true,
+        Split::Clean => is_nominal(row),
+        Split::Eval => !is_nominal(row),
+    };
+    let rows: Vec<&ManifestRow> = rows.iter().filter(is_wanted).collect();
+    let text = manifest::to_text(rows.iter().copied());
+    let Some(path) = &arguments.output else {
+        let mut stdout = std::io::stdout().lock();
+        let written = stdout.write_all(text.as_bytes());
+        let written = written.and_then(|()| stdout.flush());
+        return Ok(written.context("print to standard output")?);
+    };
+    let mut file = WholeFile::create(path)?;
+    let written = file.writer().write_all(text.as_bytes());
+    written.with_context(|| format!("write {}", path.display()))?;
+    file.finish()?;
+    eprintln!("wrote {} rows to {}", rows.len(), path.display());
+    Ok(())
+}
+
+fn check(path: &Path) -> Result<(), CommandError> {
+    let rows = read(path)?;
+    let nominal = rows.iter().filter(|row| is_nominal(row)).count();
+    Ok(print_line(&format!(
+        "{}: {} rows, {nominal} nominal and {} perturbed; design {}",
+        name_of(path),
+        rows.len(),
+        rows.len() - nominal,
+        DesignVersion::of_manifest(&rows)
+    ))?)
+}
+
+fn diff(first: &Path, second: &Path) -> Result<(), CommandError> {
+    let (left, right) = (read(first)?, read(second)?);
+    let differences = manifest::diff(&left, &right);
+    for difference in &differences {
+        print_line(&difference.to_string())?;
+    }
+    let (first, second) = (name_of(first), name_of(second));
+    match differences.len() {
+        0 => Ok(print_line(&format!(
+            "{first} and {second} have the same {} rows",
+            left.len()
+        ))?),
+        count => Err(CommandError::Failure(anyhow!(
+            "find {first} and {second} alike: they differ in {count} places"
+        ))),
+    }
+}
+
+fn is_nominal(row: &ManifestRow) -> bool {
+    row.id.config().is_none()
+}

@@ -1,0 +1,270 @@
+//! Manifests as files: expanded, checked, compared, and run as they stand.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::process::Output;
+
+use serde_json::{Value, json};
+
+use crate::harness::small_spec;
+use crate::process::{Serve, coordinator, text};
+
+fn expand(folder: &Path, name: &str, more: &[&str]) -> PathBuf {
+    let path = folder.join(name);
+    let output = [
+        "manifest",
+        "expand",
+        "--output",
+        path.to_str().expect("UTF-8"),
+    ];
+    let output = coordinator(&[&output, more].concat());
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    path
+}
+
+fn rows(path: &Path) -> Vec<Value> {
+    let text = std::fs::read_to_string(path).expect("readable");
+    let rows = text
+        .lines()
+        .map(|line| serde_json::from_str(line).expect("JSON"));
+    rows.collect()
+}
+
+fn write(path: &Path, rows: &[Value]) {
+    let lines = rows.iter().map(|row| format!("{row}\n"));
+    std::fs::write(path, lines.collect::<String>()).expect("written");
+}
+
+fn manifest(command: &str, files: &[&Path]) -> Output {
+    let mut arguments = vec!["manifest", command];
+    arguments.extend(files.iter().map(|file| file.to_str().expect("UTF-8")));
+    coordinator(&arguments)
+}
+
+#[test]
+fn the_whole_design_is_2_000_clean_and_8_400_perturbed_rows() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let split = |split| {
+        let name = format!("{split}.jsonl");
+        expand(
+            folder.path(),
+            &name,
+            &["--version", "v0.1", "--split", split],
+        )
+    };
+    let (clean, eval, all) = (split("clean"), split("eval"), split("all"));
+    let counts = [&clean, &eval, &all].map(|path| rows(path).len());
+    assert_eq!(counts, [2_000, 8_400, 10_400]);
+
+    let all = rows(&all);
+    let ids: BTreeSet<&str> = all
+        .iter()
+        .map(|row| row["rollout_id"].as_str().expect("text"))
+        .collect();
+    assert_eq!(ids.len(), all.len());
+    assert!(ids.contains("spatial/t0/clean/i07"));
+    let row = |id: &str| all.iter().find(|row| row["rollout_id"] == id).expect(id);
+    // As the reference's own files have them.
+    let camera = row("goal/t0/combination/L1/c01");
+    assert_eq!(camera["init_id"], 6);
+    assert_eq!(camera["perturb"]["camera"]["d_azimuth_deg"], -3.58936);
+    let robot = row("goal/t2/combination/L3/c05");
+    assert_eq!(robot["init_id"], 15);
+    assert_eq!(robot["perturb"]["robot"]["eef_rz_deg"], 21.091923);
+    assert_eq!(row("long/t5/language/L2/c08")["perturb"], json!({}));
+
+    let output = manifest("check", &[&folder.path().join("all.jsonl")]);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let said = text(&output.stdout);
+    assert!(
+        said.ends_with("10400 rows, 2000 nominal and 8400 perturbed; design v0.1\n"),
+        "{said}"
+    );
+}
+
+#[test]
+fn a_design_of_ones_own_is_expanded_from_its_specification() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let mut spec = small_spec("own");
+    spec["levels"] = json!(["r2.5"]);
+    spec["configs"] = json!([3, 12]);
+    let path = folder.path().join("spec.json");
+    std::fs::write(&path, spec.to_string()).expect("written");
+    let path = path.to_str().expect("UTF-8");
+    let output = coordinator(&["manifest", "expand", "--spec", path, "--split", "eval"]);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let ids: Vec<Value> = text(&output.stdout)
+        .lines()
+        .map(|line| serde_json::from_str::<Value>(line).expect("JSON")["rollout_id"].take())
+        .collect();
+    assert_eq!(
+        ids,
+        [
+            "object/t0/camera/r2.5/c03",
+            "object/t0/sensor/r2.5/c03",
+            "object/t0/combination/r2.5/c03",
+            "object/t0/camera/r2.5/c12",
+            "object/t0/sensor/r2.5/c12",
+            "object/t0/combination/r2.5/c12",
+        ]
+    );
+}
+
+#[test]
+fn a_bad_manifest_exits_with_1_and_names_its_lines_and_a_wrong_command_with_2() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = expand(
+        folder.path(),
+        "v.jsonl",
+        &["--version", "v0.1", "--split", "eval"],
+    );
+    let mut rows = rows(&path);
+    rows.truncate(6);
+    rows[1]["perturb"]["blur_sigma"] = json!(1.0);
+    rows[2]["level"] = json!("L3");
+    rows[3]["init_id"] = json!(50);
+    rows[4]["rollout_id"] = rows[0]["rollout_id"].clone();
+    rows[4]["axis"] = rows[0]["axis"].clone();
+    rows[4]["perturb"] = rows[0]["perturb"].clone();
+    rows[5]["colour"] = json!("red");
+    write(&path, &rows);
+    let output = manifest("check", &[&path]);
+    assert_eq!(output.status.code(), Some(1));
+    let stderr = text(&output.stderr);
+    for words in [
+        "v.jsonl: read manifest: 5 lines are refused",
+        "line 2: read row spatial/t0/lighting/L1/c00: read `perturb`",
+        "unknown field `blur_sigma`",
+        "line 3: read row spatial/t0/robot/L1/c00: `level` is L3, but the id says L1",
+        "line 4: read row spatial/t0/sensor/L1/c00: `init_id` is 50, valid are 0 to 49",
+        "line 5: spatial/t0/camera/L1/c00 is already in line 1",
+        "line 6: unknown field `colour`",
+    ] {
+        assert!(stderr.contains(words), "no {words:?} in {stderr}");
+    }
+    for wrong in [
+        &["manifest", "check", "nowhere.jsonl"][..],
+        &["manifest", "check"],
+        &["manifest", "expand"],
+        &["manifest", "expand", "--version", "v0.2"],
+        &["manifest", "expand", "--version", "v0.1", "--spec", "x"],
+        &["manifest", "diff", "one.jsonl"],
+    ] {
+        let output = coordinator(wrong);
+        assert_eq!(output.status.code(), Some(2), "{wrong:?}");
+        assert!(output.stdout.is_empty(), "{wrong:?}");
+    }
+}
+
+#[test]
+fn differences_are_named_by_row_and_column() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let one = expand(
+        folder.path(),
+        "one.jsonl",
+        &["--version", "v0.1", "--split", "clean"],
+    );
+    let other = folder.path().join("other.jsonl");
+    let mut changed = rows(&one);
+    changed.reverse();
+    write(&other, &changed);
+    let output = manifest("diff", &[&one, &other]);
+    assert!(output.status.success(), "the order of rows does not count");
+    assert!(text(&output.stdout).ends_with("have the same 2000 rows\n"));
+
+    changed[0]["language"] = json!("sing");
+    let removed = changed.pop().expect("rows");
+    write(&other, &changed);
+    let output = manifest("diff", &[&one, &other]);
+    assert_eq!(output.status.code(), Some(1));
+    let said = text(&output.stdout);
+    assert!(said.contains("and \"sing\"\n"), "{said}");
+    let removed = removed["rollout_id"].as_str().expect("text");
+    assert!(
+        said.contains(&format!("{removed}: only in the first\n")),
+        "{said}"
+    );
+    assert!(text(&output.stderr).contains("differ in 2 places"));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_imported_manifest_is_run_as_it_stands() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let all = expand(folder.path(), "all.jsonl", &["--version", "v0.1"]);
+    let mut rows = rows(&all);
+    // A configuration's language row and its nominal one, the latter last and
+    // spelt otherwise.
+    rows.retain(|row| {
+        let id = row["rollout_id"].as_str().expect("text");
+        id == "goal/t7/language/L3/c02" || id.starts_with("goal/t7/clean/")
+    });
+    let paired = rows
+        .iter()
+        .find(|row| row["axis"] == "language")
+        .expect("a row")["init_id"]
+        .clone();
+    rows.retain(|row| row["init_id"] == paired);
+    rows.sort_by_key(|row| row["axis"] == "clean");
+    rows[0]["language"] = json!("kindle the stove");
+    rows[0]["max_steps"] = json!(123);
+    rows[1]["rollout_id"] = json!(format!("goal/t7/clean/L0/c{paired:02}"));
+    let path = folder.path().join("imported.jsonl");
+    write(&path, &rows);
+    let path = path.to_str().expect("UTF-8");
+
+    let data = folder.path().join("data");
+    let serve = Serve::start(&data);
+    let create = |more: &[&str]| {
+        let create = [
+            "campaign", "create", "--name", "imported", "--policy", "expert",
+        ];
+        let endpoint = ["--endpoint", "http://127.0.0.1:50051", "--manifest", path];
+        serve.command(&[&create[..], &endpoint, more].concat())
+    };
+    let refused = create(&["--levels", "L1"]);
+    assert_eq!(
+        refused.status.code(),
+        Some(2),
+        "a flag that would be ignored"
+    );
+    let created = create(&["--replicates", "2"]);
+    assert_eq!(
+        text(&created.stdout),
+        "campaign imported created: 4 rollouts\n",
+        "{}",
+        text(&created.stderr)
+    );
+
+    let mut worker = serve.worker("a").await;
+    let leases = worker.claim(4).await;
+    let leased: Vec<(Value, u32)> = leases
+        .iter()
+        .map(|lease| {
+            let row = serde_json::from_str(&lease.manifest_row).expect("a manifest row");
+            (row, lease.replicate)
+        })
+        .collect();
+    let told: Vec<(&str, u32)> = leased
+        .iter()
+        .map(|(row, replicate)| (row["language"].as_str().expect("text"), *replicate))
+        .collect();
+    assert_eq!(
+        told,
+        [
+            ("turn on the stove", 0),
+            ("kindle the stove", 0),
+            ("turn on the stove", 1),
+            ("kindle the stove", 1),
+        ]
+    );
+    assert_eq!(leased[1].0["max_steps"], 123);
+    // A replicate repeats the row and changes the policy's seed.
+    assert_eq!(leased[0].0, leased[2].0);
+    assert_eq!(leased[1].0, leased[3].0);
+    let seeds: BTreeSet<u64> = leases.iter().map(|lease| lease.policy_seed).collect();
+    assert_eq!(seeds.len(), 4);
+
+    let report = serve.command(&["report", "imported"]);
+    let report = text(&report.stdout);
+    assert!(report.contains("design manifest-"), "{report}");
+}

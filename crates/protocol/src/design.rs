@@ -1,0 +1,381 @@
+//! A design: which part of the protocol is run, or what beyond it. This module
+//! says what a design is, checks it and names it; `expansion` makes rows of it.
+
+use serde::{Deserialize, Serialize};
+
+use crate::condition::{Axis, Condition};
+use crate::directions::MAX_CONFIGS;
+use crate::level::Level;
+use crate::manifest;
+use crate::names::{UnknownName, serde_as_text};
+use crate::presets::PRESETS;
+use crate::row::ManifestRow;
+use crate::suite::{INIT_STATES_PER_TASK, Suite, TaskRef};
+
+/// Most rows of a campaign, whether designed or imported.
+pub const MAX_ROWS: usize = 250_000;
+
+/// Tasks × configurations × levels × conditions, and nominal rollouts.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Design {
+    /// Tasks, in the benchmark's order, each once.
+    pub tasks: Vec<TaskRef>,
+    /// Axes: each is perturbed alone, and of two or more all together.
+    pub axes: Vec<Axis>,
+    /// Levels of every axis.
+    pub levels: Vec<Level>,
+    /// Configurations: 0 to 9 are the protocol's presets, others are drawn.
+    pub configs: Vec<u16>,
+    /// Which nominal rollouts go with them.
+    pub nominal: Nominal,
+    /// From what configurations beyond the presets are drawn.
+    pub seed: u64,
+}
+
+/// Which nominal rollouts a design contains.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Nominal {
+    /// All fifty initial states of every task.
+    #[default]
+    All,
+    /// The initial states of the design's configurations.
+    Eval,
+    /// None.
+    None,
+}
+
+/// A design that cannot be run.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum DesignError {
+    /// A field that must not be empty.
+    #[error("`{field}` is empty, {remedy}")]
+    Empty {
+        /// The field.
+        field: &'static str,
+        /// What to write.
+        remedy: &'static str,
+    },
+    /// A number outside its range.
+    #[error("`{field}` has {given}, valid are {valid}")]
+    OutOfRange {
+        /// The field.
+        field: &'static str,
+        /// The number.
+        given: u64,
+        /// Its range.
+        valid: String,
+    },
+    /// The language axis where there are no paraphrases.
+    #[error(
+        "axis `language` has paraphrases at L1, L2 and L3 and not at {level}: \
+         take it out of `axes`, or import a manifest that says what is said"
+    )]
+    NoParaphrase {
+        /// The level.
+        level: Level,
+    },
+    /// More rows than anybody could run.
+    #[error("it has {rows} rollouts, at most {MAX_ROWS} are expanded: divide it")]
+    TooLarge {
+        /// How many it has.
+        rows: usize,
+    },
+}
+
+impl Design {
+    /// LIBERO-CTRL v0.1: 2,000 nominal and 8,400 perturbed rollouts.
+    pub fn v0_1() -> Self {
+        Self {
+            tasks: TaskRef::all().collect(),
+            axes: Axis::ALL.to_vec(),
+            levels: Level::PERTURBED.to_vec(),
+            configs: (0..PRESETS).collect(),
+            nominal: Nominal::All,
+            seed: 0,
+        }
+    }
+
+    /// The same design with every list in order and each entry once, so that
+    /// equal designs are equal.
+    pub fn in_order(self) -> Self {
+        Self {
+            tasks: in_order(self.tasks),
+            axes: in_order(self.axes),
+            levels: in_order(self.levels),
+            configs: in_order(self.configs),
+            ..self
+        }
+    }
+
+    /// Checks what the types leave open.
+    ///
+    /// # Errors
+    /// Names what is wrong and what would be right.
+    pub fn check(&self) -> Result<(), DesignError> {
+        let empty = |field, remedy| Err(DesignError::Empty { field, remedy });
+        if self.tasks.is_empty() {
+            return empty("tasks", "write for example libero_goal/3 or all");
+        }
+        if self.axes.is_empty() != self.levels.is_empty() {
+            let missing = match self.axes.is_empty() {
+                true => "axes",
+                false => "levels",
+            };
+            return empty(
+                missing,
+                "axes and levels go together: give both, or neither for nominal rollouts",
+            );
+        }
+        if self.axes.is_empty() && self.nominal == Nominal::None {
+            return empty("axes", "and no nominal rollouts are asked for either");
+        }
+        if self.configs.is_empty() {
+            return empty("configs", "write some of 0 to 9");
+        }
+        if let Some(&config) = self.configs.iter().find(|&&config| config >= MAX_CONFIGS) {
+            return Err(DesignError::OutOfRange {
+                field: "configs",
+                given: u64::from(config),
+                valid: format!("0 to {}", MAX_CONFIGS - 1),
+            });
+        }
+        if self.levels.contains(&Level::L0) {
+            return Err(DesignError::OutOfRange {
+                field: "levels",
+                given: 0,
+                valid: "L1, L2, L3 and radii such as r2.5".to_owned(),
+            });
+        }
+        let unnamed = self.levels.iter().find(|level| !level.is_named());
+        if let (true, Some(&level)) = (self.axes.contains(&Axis::Language), unnamed) {
+            return Err(DesignError::NoParaphrase { level });
+        }
+        match self.rows_at_most() {
+            rows if rows > MAX_ROWS => Err(DesignError::TooLarge { rows }),
+            _ => Ok(()),
+        }
+    }
+
+    /// The perturbed conditions: each axis alone, then, of two axes or more,
+    /// their combination.
+    pub fn conditions(&self) -> Vec<Condition> {
+        let mut conditions: Vec<Condition> =
+            self.axes.iter().copied().map(Condition::Single).collect();
+        if conditions.len() > 1 {
+            conditions.push(Condition::Combination);
+        }
+        conditions
+    }
+
+    /// Which design this is.
+    pub fn version(&self) -> DesignVersion {
+        if self.is(&Self::v0_1()) {
+            return DesignVersion(V0_1.to_owned());
+        }
+        let text = serde_json::to_string(&(
+            &self.tasks,
+            &self.axes,
+            &self.levels,
+            &self.configs,
+            self.nominal,
+            self.effective_seed(),
+        ));
+        let text = text.expect("names and numbers serialise");
+        DesignVersion(format!("{CUSTOM}{:08x}", crc32fast::hash(text.as_bytes())))
+    }
+
+    /// Whether both have the same rollouts.
+    fn is(&self, other: &Self) -> bool {
+        let seedless = |design: &Self| Self {
+            seed: 0,
+            ..design.clone()
+        };
+        seedless(self) == seedless(other) && self.effective_seed() == other.effective_seed()
+    }
+
+    /// The seed, where anything is drawn from it.
+    fn effective_seed(&self) -> Option<u64> {
+        let drawn = self.configs.iter().any(|&config| config >= PRESETS);
+        drawn.then_some(self.seed)
+    }
+
+    fn rows_at_most(&self) -> usize {
+        let configurations = self.tasks.len() * self.configs.len();
+        let nominal = self.tasks.len() * usize::from(INIT_STATES_PER_TASK);
+        configurations * self.levels.len() * self.conditions().len() + nominal
+    }
+}
+
+/// Which design results belong to: `v0.1` exactly for LIBERO-CTRL v0.1, else
+/// `custom-` and a checksum of the design, or `manifest-` and a checksum of the
+/// imported rows. Results of different designs are never pooled.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct DesignVersion(String);
+
+impl DesignVersion {
+    /// The version of imported rows, whatever their order. Rows that are those
+    /// of v0.1 to the last letter are v0.1; the reference's own manifest is
+    /// not, because it has other paraphrases.
+    pub fn of_manifest(rows: &[ManifestRow]) -> Self {
+        let text = |rows: &[ManifestRow]| {
+            let mut rows: Vec<&ManifestRow> = rows.iter().collect();
+            rows.sort_by_key(|row| row.id);
+            manifest::to_text(rows)
+        };
+        let ours = text(rows);
+        let whole = Design::v0_1().expand().expect("v0.1 is a design");
+        if rows.len() == whole.len() && ours == text(&whole) {
+            return Self(V0_1.to_owned());
+        }
+        Self(format!(
+            "{MANIFEST}{:08x}",
+            crc32fast::hash(ours.as_bytes())
+        ))
+    }
+
+    /// The text.
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
+impl std::fmt::Display for DesignVersion {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl std::str::FromStr for DesignVersion {
+    type Err = UnknownName;
+
+    fn from_str(text: &str) -> Result<Self, UnknownName> {
+        match text == V0_1 || text.starts_with(CUSTOM) || text.starts_with(MANIFEST) {
+            true => Ok(Self(text.to_owned())),
+            false => {
+                let valid = [V0_1, "custom-CHECKSUM", "manifest-CHECKSUM"];
+                Err(UnknownName::new("design", text, &valid))
+            }
+        }
+    }
+}
+
+serde_as_text!(DesignVersion);
+
+const V0_1: &str = "v0.1";
+const CUSTOM: &str = "custom-";
+const MANIFEST: &str = "manifest-";
+
+/// The tasks that a text names: `all`, a suite, or one task.
+///
+/// # Errors
+/// If it names none.
+pub fn select_tasks(text: &str) -> Result<Vec<TaskRef>, UnknownName> {
+    if text == "all" {
+        return Ok(TaskRef::all().collect());
+    }
+    if text.contains('/') {
+        return Ok(vec![text.parse()?]);
+    }
+    Ok(text.parse::<Suite>()?.tasks().collect())
+}
+
+fn in_order<T: Ord>(mut values: Vec<T>) -> Vec<T> {
+    values.sort();
+    values.dedup();
+    values
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn small() -> Design {
+        Design {
+            tasks: select_tasks("libero_goal/3").expect("a task"),
+            axes: vec![Axis::Camera, Axis::Robot],
+            levels: vec![Level::L2],
+            configs: vec![4],
+            nominal: Nominal::Eval,
+            seed: 0,
+        }
+    }
+
+    #[test]
+    fn only_the_whole_design_is_v0_1() {
+        let whole = Design::v0_1();
+        assert_eq!(whole.version().as_str(), "v0.1");
+        // Nothing is drawn from the seed: it is the same design.
+        let seeded = Design {
+            seed: 7,
+            ..whole.clone()
+        };
+        assert_eq!(seeded.version().as_str(), "v0.1");
+        let mut versions = vec![small().version(), whole.version()];
+        let mut add = |change: fn(&mut Design)| {
+            let mut design = Design::v0_1();
+            change(&mut design);
+            assert!(
+                design.version().as_str().starts_with("custom-"),
+                "{design:?}"
+            );
+            versions.push(design.version());
+        };
+        add(|design| design.configs = vec![0]);
+        add(|design| design.configs.push(10));
+        add(|design| {
+            design.configs.push(10);
+            design.seed = 7;
+        });
+        add(|design| design.nominal = Nominal::Eval);
+        add(|design| {
+            design.axes.pop();
+        });
+        add(|design| {
+            design.axes.pop();
+            design.levels.push("r2.5".parse().expect("a level"));
+        });
+        let distinct: std::collections::BTreeSet<_> = versions.iter().collect();
+        assert_eq!(distinct.len(), versions.len());
+    }
+
+    #[test]
+    fn imported_rows_are_v0_1_only_to_the_last_letter() {
+        let mut rows = Design::v0_1().expand().expect("rows");
+        rows.reverse();
+        assert_eq!(DesignVersion::of_manifest(&rows).as_str(), "v0.1");
+        rows[17].instruction.push('!');
+        let changed = DesignVersion::of_manifest(&rows);
+        assert!(changed.as_str().starts_with("manifest-"), "{changed}");
+        assert_eq!(changed.to_string().parse(), Ok(changed.clone()));
+        rows.pop();
+        assert_ne!(DesignVersion::of_manifest(&rows), changed);
+    }
+
+    #[test]
+    fn a_language_axis_is_refused_where_there_are_no_paraphrases() {
+        let design = Design {
+            axes: vec![Axis::Language],
+            levels: vec![Level::L1, "r2.5".parse().expect("a level")],
+            ..small()
+        };
+        let error = design.check().expect_err("no paraphrases").to_string();
+        assert!(error.contains("not at r2.5"), "{error}");
+    }
+
+    #[test]
+    fn a_design_that_nobody_could_run_is_refused_before_it_is_expanded() {
+        let levels = (1..=9).map(|tenths| format!("r1.{tenths}").parse().expect("a level"));
+        let design = Design {
+            axes: Axis::METRIC.to_vec(),
+            levels: levels.collect(),
+            configs: (0..MAX_CONFIGS).collect(),
+            ..Design::v0_1()
+        };
+        let error = design.check().expect_err("too large").to_string();
+        assert!(
+            error.contains("it has 2162000 rollouts, at most 250000"),
+            "{error}"
+        );
+    }
+}

@@ -1,0 +1,113 @@
+//! Configurations beyond the ten presets: directions on the unit sphere and
+//! initial states, drawn from the seed of a design. Configurations 0 to 9 are
+//! the protocol's in every design.
+
+use crate::condition::Axis;
+use crate::presets::{PRESETS, half_space, preset_direction, unit};
+use crate::streams::{MatchedRng, MatchedStream};
+use crate::suite::{INIT_STATES_PER_TASK, TaskRef};
+
+/// Most configurations of a design: they multiply its rollouts.
+pub const MAX_CONFIGS: u16 = 1_000;
+
+/// Part of every key: a change of what is drawn must change it.
+const VERSION: &str = "libero-ctrl/configurations/1";
+
+/// The direction of a configuration in the normalised coordinates of an axis: a
+/// unit vector, empty for the language axis.
+///
+/// Beyond the presets it is uniform on the sphere, then folded into the axis's
+/// half-spaces, and a function of `design_seed`, axis and configuration alone.
+pub(crate) fn direction(axis: Axis, config: u16, design_seed: u64) -> Vec<f64> {
+    if config < PRESETS {
+        return preset_direction(axis, config).to_vec();
+    }
+    let mut rng = draws(design_seed, &format!("{axis}/c{config}"));
+    // A vector of independent normals points everywhere alike.
+    let mut direction: Vec<f64> = unit(axis).iter().map(|_| rng.standard_normal()).collect();
+    let length = direction.iter().map(|x| x * x).sum::<f64>().sqrt();
+    for component in &mut direction {
+        *component /= length;
+    }
+    for &component in half_space(axis) {
+        direction[component] = direction[component].abs();
+    }
+    direction
+}
+
+/// The initial state that a configuration of a task is paired with.
+///
+/// The presets have the protocol's; the configurations after them have the
+/// other states of the task in an order drawn from `design_seed`, so that fifty
+/// configurations have all fifty. From the fifty-first on they repeat.
+pub(crate) fn init_id(task: TaskRef, config: u16, design_seed: u64) -> u16 {
+    let evaluated = task.eval_init_ids();
+    let place = usize::from(config % INIT_STATES_PER_TASK);
+    if let Some(&init_id) = evaluated.get(place) {
+        return init_id;
+    }
+    let mut others: Vec<u16> = (0..INIT_STATES_PER_TASK)
+        .filter(|init_id| !evaluated.contains(init_id))
+        .collect();
+    let mut rng = draws(design_seed, &format!("{task}/init"));
+    for last in (1..others.len()).rev() {
+        let other = (rng.random() * (last + 1) as f64) as usize;
+        others.swap(last, other);
+    }
+    others[place - evaluated.len()]
+}
+
+fn draws(design_seed: u64, name: &str) -> MatchedRng {
+    MatchedStream::named(&format!("{VERSION}/{design_seed}/{name}")).fixed()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn fifty_configurations_have_fifty_initial_states() {
+        for task in TaskRef::all() {
+            let states: BTreeSet<u16> = (0..50).map(|config| init_id(task, config, 7)).collect();
+            assert_eq!(states.len(), 50, "{task}");
+            assert_eq!(init_id(task, 53, 7), init_id(task, 3, 7));
+        }
+    }
+
+    #[test]
+    fn the_seed_of_a_design_changes_nothing_of_the_presets() {
+        let task: TaskRef = "libero_goal/3".parse().expect("a task");
+        for config in 0..PRESETS {
+            assert_eq!(
+                init_id(task, config, 1),
+                task.eval_init_ids()[config as usize]
+            );
+            for axis in Axis::ALL {
+                assert_eq!(direction(axis, config, 1), direction(axis, config, 2));
+            }
+        }
+        let of_seed = |seed| (10..50).map(|c| init_id(task, c, seed)).collect::<Vec<_>>();
+        assert_ne!(of_seed(1), of_seed(2));
+        assert_ne!(
+            direction(Axis::Camera, 10, 1),
+            direction(Axis::Camera, 10, 2)
+        );
+    }
+
+    /// Pins the draws: a change here changes what the configurations of every
+    /// custom design mean and needs a new [`VERSION`].
+    #[test]
+    fn the_configurations_of_a_seed_never_change() {
+        let task: TaskRef = "libero_goal/3".parse().expect("a task");
+        let states: Vec<u16> = (10..16).map(|config| init_id(task, config, 0)).collect();
+        assert_eq!(states, [35, 1, 29, 22, 45, 34]);
+        let expected = [
+            -0.752559361788223,
+            -0.46056951937932705,
+            0.4261873060080315,
+            -0.19973608837967805,
+        ];
+        assert_eq!(direction(Axis::Sensor, 10, 0), expected);
+    }
+}

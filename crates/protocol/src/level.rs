@@ -1,0 +1,171 @@
+//! Levels: how severe a perturbation is. Not responsible for what a radius
+//! means on an axis: the units are in `presets`.
+
+use std::fmt;
+use std::str::FromStr;
+
+use crate::names::{UnknownName, serde_as_text};
+
+/// Severity: the radius of a perturbation in normalised coordinates, in which
+/// every parameter of an axis is divided by its unit.
+///
+/// LIBERO-CTRL names four radii, and `L2` is how radius 4 is written. Any other
+/// is written as itself, `r2.5`, with up to six decimals. Levels are ordered by
+/// radius.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Level {
+    // A decimal, so that a level is equal to what its text says.
+    radius_micros: u32,
+}
+
+impl Level {
+    /// Nominal: radius 0.
+    pub const L0: Self = Self::of_whole_radius(0);
+    /// Radius 2.
+    pub const L1: Self = Self::of_whole_radius(2);
+    /// Radius 4.
+    pub const L2: Self = Self::of_whole_radius(4);
+    /// Radius 8.
+    pub const L3: Self = Self::of_whole_radius(8);
+
+    /// The protocol's levels at which something is perturbed.
+    pub const PERTURBED: [Self; 3] = [Self::L1, Self::L2, Self::L3];
+
+    /// The radius.
+    pub fn radius(self) -> f64 {
+        f64::from(self.radius_micros) / f64::from(MICROS)
+    }
+
+    /// Whether it is one of [`Self::PERTURBED`].
+    pub fn is_named(self) -> bool {
+        Self::PERTURBED.contains(&self)
+    }
+
+    const fn of_whole_radius(radius: u32) -> Self {
+        Self {
+            radius_micros: radius * MICROS,
+        }
+    }
+}
+
+impl fmt::Display for Level {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some((name, _)) = NAMES.iter().find(|(_, level)| level == self) {
+            return f.pad(name);
+        }
+        let (whole, micros) = (self.radius_micros / MICROS, self.radius_micros % MICROS);
+        let decimals = format!("{micros:06}");
+        let decimals = decimals.trim_end_matches('0');
+        let point = if decimals.is_empty() { "" } else { "." };
+        f.pad(&format!("r{whole}{point}{decimals}"))
+    }
+}
+
+impl FromStr for Level {
+    type Err = UnknownName;
+
+    fn from_str(text: &str) -> Result<Self, UnknownName> {
+        if let Some((_, level)) = NAMES.iter().find(|(name, _)| *name == text) {
+            return Ok(*level);
+        }
+        let radius = text.strip_prefix('r').and_then(micros);
+        radius
+            .filter(|radius| (LEAST_MICROS..=MOST_MICROS).contains(radius))
+            .map(|radius_micros| Self { radius_micros })
+            .ok_or_else(|| UnknownName::new("level", text, &VALID))
+    }
+}
+
+serde_as_text!(Level);
+
+const NAMES: [(&str, Level); 4] = [
+    ("L0", Level::L0),
+    ("L1", Level::L1),
+    ("L2", Level::L2),
+    ("L3", Level::L3),
+];
+
+const VALID: [&str; 4] = ["L1", "L2", "L3", "or a radius from r0.001 to r100"];
+
+/// Parts of 1 that a radius is counted in.
+const MICROS: u32 = 1_000_000;
+/// Most decimals of a radius.
+const DECIMALS: usize = 6;
+/// Below this radius, parameters would be rounded to nothing.
+const LEAST_MICROS: u32 = MICROS / 1_000;
+/// Above this radius, a light's brightness would leave single precision.
+const MOST_MICROS: u32 = 100 * MICROS;
+
+/// Reads a decimal number.
+fn micros(text: &str) -> Option<u32> {
+    let (whole, decimals) = text.split_once('.').unwrap_or((text, "0"));
+    let digits = |text: &str| !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit());
+    if !digits(whole) || !digits(decimals) || decimals.len() > DECIMALS {
+        return None;
+    }
+    let whole = whole.parse::<u32>().ok()?.checked_mul(MICROS)?;
+    let micros: u32 = format!("{decimals:0<DECIMALS$}").parse().ok()?;
+    whole.checked_add(micros)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_radius_is_what_its_text_says() {
+        let check = |text: &str, radius: f64| {
+            let level: Level = text.parse().expect("a level");
+            assert_eq!(level.to_string(), text);
+            assert_eq!(level.radius(), radius, "{text}");
+        };
+        check("r2.5", 2.5);
+        check("r1.632993", 1.632993);
+        check("r0.001", 0.001);
+        check("r16", 16.0);
+        check("r100", 100.0);
+        check("L0", 0.0);
+        check("L3", 8.0);
+    }
+
+    #[test]
+    fn equal_radii_are_one_level() {
+        assert_eq!("r4".parse(), Ok(Level::L2));
+        assert_eq!("r2.000".parse(), Ok(Level::L1));
+        assert_eq!("r2.50".parse::<Level>(), "r2.5".parse());
+    }
+
+    #[test]
+    fn levels_are_ordered_by_radius() {
+        let mut levels: Vec<Level> = ["L3", "r2.5", "L1", "r10", "L2"]
+            .map(|text| text.parse().expect("a level"))
+            .to_vec();
+        levels.sort();
+        let texts: Vec<String> = levels.iter().map(Level::to_string).collect();
+        assert_eq!(texts, ["L1", "r2.5", "L2", "L3", "r10"]);
+    }
+
+    #[test]
+    fn what_is_no_radius_is_refused() {
+        for text in [
+            "",
+            "r",
+            "r0",
+            "r-1",
+            "r+1",
+            "r.5",
+            "r1.",
+            "r1.2345678",
+            "r1e3",
+            "rnan",
+            "r0.0009",
+            "r100.000001",
+            "r99999999999",
+            "L4",
+            "2.5",
+        ] {
+            let error = text.parse::<Level>().expect_err(text).to_string();
+            assert!(error.contains("r0.001 to r100"), "{error}");
+        }
+    }
+}
