@@ -4,7 +4,8 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 fn main() -> std::io::Result<()> {
-    let pack = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/primitives");
+    let pack = Path::new(&std::env::var_os("CARGO_MANIFEST_DIR").expect("cargo names the folder"))
+        .join("../../assets/primitives");
     println!("cargo:rerun-if-changed={}", pack.display());
     let mut files = Vec::new();
     let mut folders = vec![pack.clone()];
