@@ -74,8 +74,9 @@ pub struct SimulatorArguments {
     #[arg(long, value_name = "PACK_OR_PATH")]
     pub assets: String,
     /// Robot models, task files and initial states, as `cargo xtask setup`
-    /// unpacks them [default: rollout/sources in the user's cache folder]
-    #[arg(long, value_name = "DIR", env = "ROLLOUT_SOURCES")]
+    /// unpacks them [default: $ROLLOUT_SOURCES, else rollout/sources in the
+    /// user's cache folder]
+    #[arg(long, value_name = "DIR")]
     pub sources: Option<PathBuf>,
     /// Which of the graphics devices draws: `auto`, or its number
     #[arg(long, value_name = "DEVICE", default_value = "auto", value_parser = gl_device)]
@@ -154,8 +155,9 @@ pub struct AssetsArguments {
     #[command(subcommand)]
     pub command: AssetsCommand,
     /// Robot models, task files and initial states, as `cargo xtask setup`
-    /// unpacks them [default: rollout/sources in the user's cache folder]
-    #[arg(long, value_name = "DIR", env = "ROLLOUT_SOURCES", global = true)]
+    /// unpacks them [default: $ROLLOUT_SOURCES, else rollout/sources in the
+    /// user's cache folder]
+    #[arg(long, value_name = "DIR", global = true)]
     pub sources: Option<PathBuf>,
 }
 

@@ -1,5 +1,7 @@
 //! Bad input: what is wrong, where, and what to do about it.
 
+use std::process::Command;
+
 use crate::worker_process::{ready, run};
 
 fn check(arguments: &[&str], exit_code: i32, expected: &[&str]) {
@@ -21,6 +23,25 @@ fn a_worker_without_its_sources_says_how_to_get_them() {
         1,
         &expected,
     );
+}
+
+/// A variable in the environment must not look like half a command line.
+#[test]
+fn the_environment_names_the_sources_in_every_mode() {
+    for mode in [
+        "--connect http://127.0.0.1:9 --assets primitives",
+        "preview --suite libero_goal --task 0 --assets primitives --output unwritten",
+        "slot --assets primitives",
+    ] {
+        let ran = Command::new(env!("CARGO_BIN_EXE_worker"))
+            .args(mode.split(' '))
+            .env("ROLLOUT_SOURCES", "/nonexistent")
+            .output()
+            .expect("runs");
+        let said = String::from_utf8_lossy(&ran.stderr);
+        assert_eq!(ran.status.code(), Some(1), "{mode}: {said}");
+        assert!(said.contains("/nonexistent/robosuite"), "{mode}: {said}");
+    }
 }
 
 #[test]
