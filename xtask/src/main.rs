@@ -49,6 +49,12 @@ enum Command {
 
 #[derive(Subcommand)]
 enum Bench {
+    /// The paired report of 62,400 rollouts, six policies with all intervals.
+    Report {
+        /// With the release profile instead of the one of daily work.
+        #[arg(long)]
+        release: bool,
+    },
     /// The simulator on one task, beside MuJoCo alone.
     Sim {
         /// Passed on: --task SUITE/N [--assets PACK_OR_PATH] [--steps N].
@@ -62,6 +68,7 @@ fn main() -> ExitCode {
         Command::Setup => setup::run(&root()).map(|_| ()),
         Command::Demo(options) => demo::run(&root(), &options),
         Command::Test { filters } => test::run(&root(), &filters),
+        Command::Bench(Bench::Report { release }) => test::bench_report(&root(), release),
         Command::Bench(Bench::Sim { arguments }) => test::program(&root(), "bench_sim", &arguments),
         Command::Parity { arguments } => test::program(&root(), "parity", &arguments),
     };

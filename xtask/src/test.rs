@@ -56,6 +56,20 @@ pub(crate) fn program(root: &Path, name: &str, arguments: &[String]) -> Result<(
     run_command(program.args(arguments))
 }
 
+/// Measures how long the statistics take, which needs no simulator.
+pub(crate) fn bench_report(root: &Path, release: bool) -> Result<()> {
+    let mut program = cargo(root);
+    program.args([
+        "run",
+        "--quiet",
+        "--package",
+        "paired",
+        "--example",
+        "bench",
+    ]);
+    run_command(program.args(release.then_some("--release")))
+}
+
 /// A virtual environment with the policies package, editable; returns its
 /// interpreter.
 fn python(root: &Path, cache: &Path) -> Result<String> {

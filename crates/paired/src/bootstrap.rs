@@ -2,6 +2,10 @@
 //! independent of one another, so whole tasks are drawn, with replacement, and
 //! a task drawn twice counts twice.
 
+use std::num::NonZero;
+use std::ops::Range;
+use std::thread;
+
 use rand_chacha::ChaCha12Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde::{Deserialize, Serialize};
@@ -9,13 +13,17 @@ use serde::{Deserialize, Serialize};
 /// Lower and upper end of a 95 % interval.
 pub type Interval = [f64; 2];
 
+/// Most threads that resample: beyond them, starting a thread costs more than
+/// it saves.
+const MAX_THREADS: usize = 8;
+
 /// How intervals are made. The default is the protocol's: 4,000 replicates, and
 /// a fixed seed, so that a report is a function of its records.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Bootstrap {
     /// Resamplings.
     pub replicates: u32,
-    /// Seed of the ChaCha stream that draws them.
+    /// Seed of the ChaCha streams that draw them, one stream per resampling.
     pub seed: u64,
 }
 
@@ -29,41 +37,83 @@ impl Default for Bootstrap {
 }
 
 impl Bootstrap {
-    /// Intervals of `N` statistics over `clusters` clusters. `statistics` gets,
-    /// per cluster, how often it was drawn.
+    /// Percentile intervals of `N` statistics over `clusters` clusters: the
+    /// 2.5th and 97.5th percentile of the statistics' values over all
+    /// resamplings. `statistics` gets, per cluster, how often it was drawn.
     ///
-    /// None with fewer than two clusters: there is nothing to resample.
+    /// Resampling k is a function of the seed and k alone, so that the number
+    /// of threads changes nothing. None with fewer than two clusters: there is
+    /// nothing to resample.
+    ///
+    /// Source: B. Efron and R. Tibshirani, An Introduction to the Bootstrap
+    /// (1993), section 13.3; tasks as clusters: section 6 of the protocol.
     pub fn intervals<const N: usize>(
         &self,
         clusters: usize,
-        mut statistics: impl FnMut(&[u32]) -> [f64; N],
+        statistics: impl Fn(&[u32]) -> [f64; N] + Sync,
+    ) -> Option<[Interval; N]> {
+        let cores = thread::available_parallelism().map_or(1, NonZero::get);
+        self.intervals_on(cores.min(MAX_THREADS), clusters, statistics)
+    }
+
+    fn intervals_on<const N: usize>(
+        &self,
+        threads: usize,
+        clusters: usize,
+        statistics: impl Fn(&[u32]) -> [f64; N] + Sync,
     ) -> Option<[Interval; N]> {
         if clusters < 2 || self.replicates == 0 {
             return None;
         }
+        let share = self.replicates.div_ceil(threads as u32);
+        let shares = (0..self.replicates).step_by(share as usize);
+        let shares = shares.map(|first| first..self.replicates.min(first + share));
+        let values: Vec<[f64; N]> = thread::scope(|scope| {
+            let statistics = &statistics;
+            let resampling =
+                |share| scope.spawn(move || self.resample(share, clusters, statistics));
+            let running: Vec<_> = shares.map(resampling).collect();
+            let done = running.into_iter();
+            done.flat_map(|thread| thread.join().expect("a statistic does not panic"))
+                .collect()
+        });
+        Some(std::array::from_fn(|i| {
+            let mut values: Vec<f64> = values.iter().map(|values| values[i]).collect();
+            values.sort_unstable_by(f64::total_cmp);
+            [quantile(&values, 0.025), quantile(&values, 0.975)]
+        }))
+    }
+
+    /// The statistics of some of the resamplings.
+    fn resample<const N: usize>(
+        &self,
+        replicates: Range<u32>,
+        clusters: usize,
+        statistics: &(impl Fn(&[u32]) -> [f64; N] + Sync),
+    ) -> Vec<[f64; N]> {
         let mut rng = ChaCha12Rng::seed_from_u64(self.seed);
         let mut draws = vec![0; clusters];
-        let mut values: [Vec<f64>; N] = std::array::from_fn(|_| Vec::new());
-        for _ in 0..self.replicates {
+        let of_one = |replicate: u32| {
+            rng.set_stream(u64::from(replicate));
+            rng.set_word_pos(0);
             draws.fill(0);
             for _ in 0..clusters {
                 // The upper half of the product is uniform in 0..clusters.
                 let wide = u128::from(rng.next_u64()) * clusters as u128;
                 draws[(wide >> 64) as usize] += 1;
             }
-            for (values, value) in values.iter_mut().zip(statistics(&draws)) {
-                values.push(value);
-            }
-        }
-        Some(values.map(|mut values| {
-            values.sort_unstable_by(f64::total_cmp);
-            [quantile(&values, 0.025), quantile(&values, 0.975)]
-        }))
+            statistics(&draws)
+        };
+        replicates.map(of_one).collect()
     }
 }
 
-/// A quantile of sorted values, by linear interpolation.
-fn quantile(sorted: &[f64], share: f64) -> f64 {
+/// A quantile of sorted values, by linear interpolation between the two
+/// nearest: NumPy's and SciPy's default (Hyndman and Fan's type 7).
+///
+/// # Panics
+/// If there is no value.
+pub fn quantile(sorted: &[f64], share: f64) -> f64 {
     let position = share * (sorted.len() - 1) as f64;
     let below = sorted[position.floor() as usize];
     let above = sorted[position.ceil() as usize];
@@ -74,30 +124,42 @@ fn quantile(sorted: &[f64], share: f64) -> f64 {
 mod tests {
     use super::*;
 
-    #[test]
-    fn quantiles_interpolate_as_numpys() {
-        let values = [1.0, 2.0, 4.0, 8.0];
-        assert_eq!(quantile(&values, 0.5), 3.0);
-        assert!((quantile(&values, 0.975) - 7.7).abs() < 1e-12);
-        assert_eq!(quantile(&values, 0.0), 1.0);
+    fn mean(draws: &[u32]) -> [f64; 1] {
+        let values = (0..40).map(|i| f64::from(i % 10));
+        let sum: f64 = draws
+            .iter()
+            .zip(values)
+            .map(|(&d, v)| f64::from(d) * v)
+            .sum();
+        [sum / 40.0]
     }
 
     #[test]
     fn the_interval_of_a_mean_is_that_of_its_normal_approximation() {
-        let means: Vec<f64> = (0..40).map(|i| f64::from(i % 10)).collect();
-        let mean = |draws: &[u32]| {
-            let sum: f64 = draws
-                .iter()
-                .zip(&means)
-                .map(|(&d, m)| f64::from(d) * m)
-                .sum();
-            [sum / 40.0]
-        };
         let [[low, high]] = Bootstrap::default().intervals(40, mean).expect("clusters");
         // Deviation of one value is √8.25, of the mean of 40 that over √40.
         let half_width = 1.96 * (8.25_f64 / 40.0).sqrt();
         assert!((low - (4.5 - half_width)).abs() < 0.05, "{low}");
         assert!((high - (4.5 + half_width)).abs() < 0.05, "{high}");
+    }
+
+    #[test]
+    fn the_number_of_threads_changes_nothing() {
+        let bootstrap = Bootstrap {
+            replicates: 1001,
+            seed: 7,
+        };
+        let alone = bootstrap.intervals_on(1, 40, mean);
+        for threads in [2, 3, 7, 16] {
+            assert_eq!(bootstrap.intervals_on(threads, 40, mean), alone);
+        }
+    }
+
+    #[test]
+    fn every_resampling_draws_as_many_clusters_as_there_are() {
+        let drawn = |draws: &[u32]| [f64::from(draws.iter().sum::<u32>())];
+        let interval = Bootstrap::default().intervals(7, drawn);
+        assert_eq!(interval, Some([[7.0, 7.0]]));
     }
 
     #[test]

@@ -10,18 +10,26 @@
 #![forbid(unsafe_code)]
 
 mod bootstrap;
+mod bounds;
+mod design;
+mod gate;
 mod mcnemar;
 mod measures;
 mod outcomes;
+mod replication;
 mod report;
 mod table;
 
-pub use bootstrap::{Bootstrap, Interval};
+pub use bootstrap::{Bootstrap, Interval, quantile};
+pub use bounds::Bounds;
+pub use design::{PairedDesign, minimum_detectable_effect, task_correlation};
+pub use gate::{GATE_ROLLOUTS, GATE_TOLERANCE, Gate, GateVerdict};
 pub use mcnemar::mcnemar_exact;
 pub use measures::{Configuration, Measures};
-pub use outcomes::{Outcome, Record};
+pub use outcomes::{DuplicateRecord, Matched, Outcome, Record, Records, Transition};
+pub use replication::{Change, Flips, Replication};
 pub use report::{
-    Cell, Completeness, Count, DuplicateRecord, Gap, Nominal, Options, Replication, Report,
-    SingleAxis, report,
+    Cell, Completeness, Count, Gap, Nominal, NominalSource, Options, Report, SingleAxis, report,
+    report_of,
 };
 pub use table::table;

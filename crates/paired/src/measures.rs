@@ -19,11 +19,18 @@ pub struct Configuration {
     pub together: bool,
 }
 
-/// Measures over matched configurations. Rates are fractions; names are those
-/// of the protocol.
+impl Configuration {
+    /// Success under every axis alone: Π_a Y_a.
+    pub fn conjunction(&self) -> bool {
+        self.alone.values().all(|&success| success)
+    }
+}
+
+/// Measures over matched configurations. Rates are fractions; names and
+/// formulas are those of section 6 of the protocol (arXiv 2609.15940).
 ///
 /// A measure is exact; its interval (`…_ci95`) is a percentile cluster
-/// bootstrap, absent with fewer than two tasks.
+/// bootstrap ([`Bootstrap::intervals`]), absent with fewer than two tasks.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Measures {
     /// Configurations.
@@ -69,29 +76,18 @@ pub struct Measures {
 }
 
 impl Measures {
-    /// The measures of some configurations; none of no configuration.
+    /// The measures of some configurations; none of no configuration. Their
+    /// order, and the names of tasks and axes, change no measure.
     ///
     /// # Panics
     /// If two configurations have different axes.
     pub fn of(configurations: &[Configuration], bootstrap: &Bootstrap) -> Option<Self> {
         let axes: Vec<Axis> = configurations.first()?.alone.keys().copied().collect();
-        let mut clusters: BTreeMap<TaskRef, Tally> = BTreeMap::new();
-        for configuration in configurations {
-            let tally = clusters.entry(configuration.task).or_default();
-            tally.add(configuration, &axes);
-        }
-        let clusters: Vec<Tally> = clusters.into_values().collect();
-        let mut total = Tally::default();
-        for tally in &clusters {
-            total.merge(tally, 1);
-        }
+        let clusters = Tally::of_tasks(configurations, &axes);
+        let total = Tally::drawn(&clusters, &vec![1; clusters.len()]);
         let point = total.rates();
         let intervals = bootstrap.intervals(clusters.len(), |draws| {
-            let mut drawn = Tally::default();
-            for (tally, &times) in clusters.iter().zip(draws) {
-                drawn.merge(tally, u64::from(times));
-            }
-            drawn.rates().with_intervals()
+            Tally::drawn(&clusters, draws).rates().with_intervals()
         });
         let [d_ci95, i_ci95, r_e_ci95, r_c_ci95, r_d_ci95] = match intervals {
             Some(intervals) => intervals.map(Some),
@@ -125,7 +121,7 @@ impl Measures {
 
 /// Counts of successes: all that the measures need, and additive over clusters.
 #[derive(Clone, Debug, Default)]
-struct Tally {
+pub(crate) struct Tally {
     n: u64,
     alone: Vec<u64>,
     conjunction: u64,
@@ -134,16 +130,35 @@ struct Tally {
     c: u64,
 }
 
-struct Rates {
+pub(crate) struct Rates {
     s_axis: Vec<f64>,
     s_indep: f64,
     s_conj: f64,
-    s_sim: f64,
+    pub(crate) s_sim: f64,
     r_e: f64,
     r_c: f64,
 }
 
 impl Tally {
+    /// The tally of each task, in the tasks' order.
+    pub(crate) fn of_tasks(configurations: &[Configuration], axes: &[Axis]) -> Vec<Self> {
+        let mut clusters: BTreeMap<TaskRef, Self> = BTreeMap::new();
+        for configuration in configurations {
+            let tally = clusters.entry(configuration.task).or_default();
+            tally.add(configuration, axes);
+        }
+        clusters.into_values().collect()
+    }
+
+    /// Tasks as often as they were drawn.
+    pub(crate) fn drawn(clusters: &[Self], draws: &[u32]) -> Self {
+        let mut drawn = Self::default();
+        for (tally, &times) in clusters.iter().zip(draws) {
+            drawn.merge(tally, u64::from(times));
+        }
+        drawn
+    }
+
     fn add(&mut self, configuration: &Configuration, axes: &[Axis]) {
         let same_axes = configuration.alone.keys().eq(axes);
         assert!(same_axes, "configurations of one cell have the same axes");
@@ -151,7 +166,7 @@ impl Tally {
         for (count, &success) in self.alone.iter_mut().zip(configuration.alone.values()) {
             *count += u64::from(success);
         }
-        let conjunction = configuration.alone.values().all(|&success| success);
+        let conjunction = configuration.conjunction();
         let together = configuration.together;
         self.n += 1;
         self.conjunction += u64::from(conjunction);
@@ -172,7 +187,7 @@ impl Tally {
         self.c += times * other.c;
     }
 
-    fn rates(&self) -> Rates {
+    pub(crate) fn rates(&self) -> Rates {
         let rate = |count: u64| count as f64 / self.n as f64;
         let s_axis: Vec<f64> = self.alone.iter().map(|&count| rate(count)).collect();
         Rates {
@@ -188,7 +203,7 @@ impl Tally {
 
 impl Rates {
     /// d, i, r_e, r_c, r_d: those that get an interval.
-    fn with_intervals(&self) -> [f64; 5] {
+    pub(crate) fn with_intervals(&self) -> [f64; 5] {
         [
             self.s_conj - self.s_indep,
             self.s_sim - self.s_conj,

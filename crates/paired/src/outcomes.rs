@@ -1,15 +1,22 @@
-//! What is known of a rollout.
+//! What is known of rollouts, and the matching of those of one configuration.
 
-use protocol::RolloutId;
+use std::collections::{BTreeMap, BTreeSet};
+
+use protocol::{Axis, Condition, Level, RolloutId, TaskRef};
+use serde::{Deserialize, Serialize};
+
+use crate::measures::Configuration;
 
 /// How a rollout ended, if it did.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Outcome {
     /// The goal held within the step budget.
     Success,
     /// It did not.
     Failure,
     /// Expanded, and without a result yet.
+    #[default]
     Missing,
     /// Set aside after too many failed attempts: in no rate, and named.
     Quarantined,
@@ -26,8 +33,17 @@ impl Outcome {
     }
 }
 
+impl From<bool> for Outcome {
+    fn from(success: bool) -> Self {
+        match success {
+            true => Self::Success,
+            false => Self::Failure,
+        }
+    }
+}
+
 /// One row of a campaign × one replicate.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Record {
     /// Which rollout.
     pub id: RolloutId,
@@ -38,4 +54,191 @@ pub struct Record {
     pub replicate: u32,
     /// How it ended.
     pub outcome: Outcome,
+}
+
+/// The same rollout and replicate twice.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("report on {id}, replicate {replicate}: it is recorded twice, keep one")]
+pub struct DuplicateRecord {
+    /// The rollout.
+    pub id: RolloutId,
+    /// The replicate.
+    pub replicate: u32,
+}
+
+/// One configuration at one level in one replicate, with all that is known of
+/// its rollouts.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Matched {
+    /// The replicate.
+    pub replicate: u32,
+    /// The level.
+    pub level: Level,
+    /// The task.
+    pub task: TaskRef,
+    /// The configuration's number.
+    pub config: u16,
+    /// The initial state of all its rollouts.
+    pub init_id: u16,
+    /// The unperturbed rollout from the same initial state; missing too where
+    /// the campaign has none.
+    pub nominal: Outcome,
+    /// Under each axis alone, all axes of the campaign.
+    pub alone: BTreeMap<Axis, Outcome>,
+    /// Under all axes at once; missing too where the campaign combines nothing.
+    pub together: Outcome,
+}
+
+/// What perturbing everything at once does to an outcome that the axes alone
+/// would lead one to expect.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Transition {
+    /// Every axis alone succeeds, and so do all at once.
+    StillSucceeds,
+    /// Some axis alone fails, and so do all at once.
+    StillFails,
+    /// Every axis alone succeeds, all at once fail: counted in `b`.
+    Emergent,
+    /// Some axis alone fails, all at once succeed: counted in `c`.
+    Compensated,
+}
+
+impl Transition {
+    /// The transition from the conjunction of the axes' successes to the
+    /// success of all at once.
+    pub const fn between(conjunction: bool, together: bool) -> Self {
+        match (conjunction, together) {
+            (true, true) => Self::StillSucceeds,
+            (false, false) => Self::StillFails,
+            (true, false) => Self::Emergent,
+            (false, true) => Self::Compensated,
+        }
+    }
+
+    /// Name in tables: `still succeeds`, `still fails`, `emergent`,
+    /// `compensated`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::StillSucceeds => "still succeeds",
+            Self::StillFails => "still fails",
+            Self::Emergent => "emergent",
+            Self::Compensated => "compensated",
+        }
+    }
+}
+
+impl Matched {
+    /// The configuration, if all its outcomes are known.
+    pub fn configuration(&self) -> Option<Configuration> {
+        let mut alone = BTreeMap::new();
+        for (&axis, outcome) in &self.alone {
+            alone.insert(axis, outcome.success()?);
+        }
+        Some(Configuration {
+            task: self.task,
+            alone,
+            together: self.together.success()?,
+        })
+    }
+
+    /// The transition, if all outcomes are known.
+    pub fn transition(&self) -> Option<Transition> {
+        let configuration = self.configuration()?;
+        let conjunction = configuration.conjunction();
+        Some(Transition::between(conjunction, configuration.together))
+    }
+
+    /// The outcome under one of the campaign's conditions.
+    pub fn outcome(&self, condition: Condition) -> Outcome {
+        match condition {
+            Condition::Clean => self.nominal,
+            Condition::Single(axis) => self.alone.get(&axis).copied().unwrap_or_default(),
+            Condition::Combination => self.together,
+        }
+    }
+}
+
+/// Records by rollout, and what they have in common.
+#[derive(Clone, Debug, Default)]
+pub struct Records {
+    pub(crate) outcomes: BTreeMap<(u32, RolloutId), Outcome>,
+    pub(crate) axes: BTreeSet<Axis>,
+    pub(crate) combines: bool,
+    pub(crate) matched: Vec<Matched>,
+}
+
+impl Records {
+    /// Matches the records of each configuration.
+    ///
+    /// # Errors
+    /// If a rollout and replicate is recorded twice.
+    pub fn new(records: &[Record]) -> Result<Self, DuplicateRecord> {
+        let mut matching = Self::default();
+        for record in records {
+            let (id, replicate) = (record.id, record.replicate);
+            let known = matching.outcomes.insert((replicate, id), record.outcome);
+            if known.is_some() {
+                return Err(DuplicateRecord { id, replicate });
+            }
+            match id.condition() {
+                Condition::Clean => {}
+                Condition::Single(axis) => {
+                    matching.axes.insert(axis);
+                }
+                Condition::Combination => matching.combines = true,
+            }
+        }
+        matching.matched = matching.matched(records);
+        Ok(matching)
+    }
+
+    /// Every configuration of which any perturbed rollout is among the records,
+    /// by replicate, level, task and number.
+    pub fn configurations(&self) -> &[Matched] {
+        &self.matched
+    }
+
+    /// Axes that were perturbed alone, in the protocol's order.
+    pub fn axes(&self) -> impl Iterator<Item = Axis> {
+        self.axes.iter().copied()
+    }
+
+    /// How a rollout ended; missing where it is not among the records.
+    pub(crate) fn outcome(&self, replicate: u32, id: RolloutId) -> Outcome {
+        let outcome = self.outcomes.get(&(replicate, id));
+        outcome.copied().unwrap_or_default()
+    }
+
+    fn matched(&self, records: &[Record]) -> Vec<Matched> {
+        let mut matched = BTreeMap::new();
+        for &Record {
+            id,
+            init_id,
+            replicate,
+            outcome,
+        } in records
+        {
+            let Some(config) = id.config() else { continue };
+            let key = (replicate, id.level(), id.task(), config);
+            let entry = matched.entry(key).or_insert_with(|| Matched {
+                replicate,
+                level: id.level(),
+                task: id.task(),
+                config,
+                init_id,
+                nominal: self.outcome(replicate, RolloutId::clean(id.task(), init_id)),
+                alone: self.axes().map(|axis| (axis, Outcome::Missing)).collect(),
+                together: Outcome::Missing,
+            });
+            match id.condition() {
+                Condition::Single(axis) => {
+                    entry.alone.insert(axis, outcome);
+                }
+                Condition::Combination => entry.together = outcome,
+                Condition::Clean => {}
+            }
+        }
+        matched.into_values().collect()
+    }
 }

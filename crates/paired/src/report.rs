@@ -3,12 +3,16 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use protocol::{Axis, Condition, Level, RolloutId, TaskRef};
+use protocol::{Axis, Condition, Level};
 use serde::{Deserialize, Serialize};
 
 use crate::bootstrap::Bootstrap;
+use crate::bounds::Bounds;
+use crate::design::{PairedDesign, minimum_detectable_effect, task_correlation};
+use crate::gate::Gate;
 use crate::measures::{Configuration, Measures};
-use crate::outcomes::{Outcome, Record};
+use crate::outcomes::{DuplicateRecord, Matched, Outcome, Record, Records};
+use crate::replication::Replication;
 
 /// What the caller decides.
 #[derive(Clone, Debug, Default)]
@@ -18,6 +22,11 @@ pub struct Options {
     pub notes: Vec<String>,
     /// How intervals are made.
     pub bootstrap: Bootstrap,
+    /// The policy's published nominal success rate, a fraction, for the gate.
+    pub published_nominal: Option<f64>,
+    /// Nominal successes as somebody else counted them; used where there is no
+    /// clean rollout among the records.
+    pub reported_nominal: Option<Count>,
 }
 
 /// Everything that is said of one policy's records.
@@ -29,6 +38,8 @@ pub struct Report {
     pub axes: Vec<Axis>,
     /// Nominal success, per replicate.
     pub nominal: Vec<Nominal>,
+    /// The reproduction gate, where a published figure is known.
+    pub gate: Option<Gate>,
     /// Cells, by replicate and level.
     pub cells: Vec<Cell>,
     /// Each further replicate against the first.
@@ -53,10 +64,22 @@ pub struct Count {
 pub struct Nominal {
     /// The replicate.
     pub replicate: u32,
+    /// Who counted.
+    pub source: NominalSource,
     /// What succeeded.
     pub count: Count,
     /// What is left out.
     pub gap: Gap,
+}
+
+/// Where nominal counts come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum NominalSource {
+    /// From clean rollouts among the records.
+    Records,
+    /// From somebody else's count.
+    Reported,
 }
 
 /// One level of one replicate.
@@ -80,6 +103,14 @@ pub struct Cell {
     /// The same on configurations whose nominal rollout succeeded: what was
     /// solvable to begin with.
     pub solvable: Option<Measures>,
+    /// Worst and best case; absent where no rollout was set aside.
+    pub bounds: Option<Bounds>,
+    /// How much configurations of a task resemble one another, see
+    /// [`task_correlation`].
+    pub task_correlation: Option<f64>,
+    /// The smallest |`i`| that so many configurations show, see
+    /// [`minimum_detectable_effect`].
+    pub minimum_detectable_i: Option<f64>,
 }
 
 /// One axis alone at one level.
@@ -112,254 +143,136 @@ pub struct Gap {
     pub quarantined: u64,
 }
 
-/// A further replicate against the first, over what both have.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Replication {
-    /// The replicate that is compared with replicate 0.
-    pub replicate: u32,
-    /// Rollouts with an outcome in both.
-    pub compared: u64,
-    /// Those whose outcomes differ.
-    pub flipped: u64,
-    /// By how much `i` is larger than in replicate 0, per level where both
-    /// have it.
-    pub i_difference: BTreeMap<Level, f64>,
-}
-
-/// The same rollout and replicate twice.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("report on {id}, replicate {replicate}: it is recorded twice, keep one")]
-pub struct DuplicateRecord {
-    /// The rollout.
-    pub id: RolloutId,
-    /// The replicate.
-    pub replicate: u32,
-}
-
 /// Reports on one policy's records. Every expanded rollout should be among
 /// them, also those without a result: what is expected is read from them.
 ///
 /// # Errors
 /// If a rollout and replicate is recorded twice.
 pub fn report(records: &[Record], options: &Options) -> Result<Report, DuplicateRecord> {
-    let grouped = Grouped::new(records)?;
-    let nominal: Vec<Nominal> = grouped
-        .replicates
+    Ok(report_of(&Records::new(records)?, options))
+}
+
+/// Reports on records that are matched already.
+pub fn report_of(records: &Records, options: &Options) -> Report {
+    let replicates: BTreeSet<u32> = records.outcomes.keys().map(|key| key.0).collect();
+    let mut nominal: Vec<Nominal> = replicates
         .iter()
-        .filter_map(|&replicate| grouped.nominal(replicate))
+        .filter_map(|&replicate| nominal(records, replicate))
         .collect();
-    let mut cells = Vec::new();
-    for &replicate in &grouped.replicates {
-        for &level in &grouped.levels {
-            cells.push(grouped.cell(replicate, level, &options.bootstrap));
-        }
+    if let (true, Some(count)) = (nominal.is_empty(), options.reported_nominal) {
+        nominal.push(Nominal {
+            replicate: 0,
+            source: NominalSource::Reported,
+            count,
+            gap: Gap::default(),
+        });
     }
-    let later = grouped
-        .replicates
-        .iter()
-        .filter(|&&replicate| replicate > 0);
-    let replication = later.map(|&replicate| grouped.replication(replicate, &cells));
-    Ok(Report {
+    let first = nominal.iter().find(|nominal| nominal.replicate == 0);
+    let first = first.map_or(Count::default(), |nominal| nominal.count);
+    let cells = records.configurations();
+    let cells = cells.chunk_by(|a, b| (a.replicate, a.level) == (b.replicate, b.level));
+    let cells = cells.map(|matched| {
+        let own = |nominal: &&Nominal| nominal.replicate == matched[0].replicate;
+        let clean = nominal.iter().find(own);
+        let clean = clean.and_then(|nominal| nominal.count.rate());
+        cell(records, matched, clean, &options.bootstrap)
+    });
+    let cells = cells.collect();
+    let later = replicates.iter().filter(|&&replicate| replicate > 0);
+    let later = later.map(|&replicate| Replication::of(records, replicate, &options.bootstrap));
+    Report {
         notes: options.notes.clone(),
-        replication: replication.collect(),
-        axes: grouped.axes.iter().copied().collect(),
+        axes: records.axes().collect(),
+        gate: options.published_nominal.map(|rate| Gate::new(rate, first)),
         nominal,
         cells,
-        quarantined: grouped.quarantined(),
+        replication: later.collect(),
+        quarantined: quarantined(records),
         bootstrap: options.bootstrap,
+    }
+}
+
+fn nominal(records: &Records, replicate: u32) -> Option<Nominal> {
+    let (mut count, mut gap) = (Count::default(), Gap::default());
+    let mut any = false;
+    for (&(of, id), &outcome) in &records.outcomes {
+        if of == replicate && id.condition() == Condition::Clean {
+            any = true;
+            count.add(outcome);
+            gap.add(outcome);
+        }
+    }
+    any.then_some(Nominal {
+        replicate,
+        source: NominalSource::Records,
+        count,
+        gap,
     })
 }
 
-type Key = (TaskRef, u16);
-
-/// The records by what they are compared with.
-struct Grouped {
-    outcomes: BTreeMap<(u32, RolloutId), Outcome>,
-    /// Initial states of the configurations.
-    init_ids: BTreeMap<(Level, Key), u16>,
-    replicates: BTreeSet<u32>,
-    levels: BTreeSet<Level>,
-    axes: BTreeSet<Axis>,
-    combines: bool,
+/// The cell of all configurations of one level and replicate.
+fn cell(records: &Records, matched: &[Matched], clean: Option<f64>, bootstrap: &Bootstrap) -> Cell {
+    let mut conditions: Vec<Condition> = records.axes().map(Condition::Single).collect();
+    if records.combines {
+        conditions.push(Condition::Combination);
+    }
+    let mut counts = BTreeMap::new();
+    let mut gaps = BTreeMap::new();
+    for &condition in &conditions {
+        let (mut count, mut gap) = (Count::default(), Gap::default());
+        for matched in matched {
+            count.add(matched.outcome(condition));
+            gap.add(matched.outcome(condition));
+        }
+        counts.insert(condition, count);
+        if gap != Gap::default() {
+            gaps.insert(condition, gap);
+        }
+    }
+    let complete: Vec<Configuration> = matched.iter().filter_map(Matched::configuration).collect();
+    let solvable = matched.iter().filter(|m| m.nominal == Outcome::Success);
+    let solvable: Vec<Configuration> = solvable.filter_map(Matched::configuration).collect();
+    let alone = records.axes().map(|axis| {
+        let count = counts[&Condition::Single(axis)];
+        (axis, SingleAxis::new(count, clean))
+    });
+    let paired = Measures::of(&complete, bootstrap);
+    let task_correlation = task_correlation(&complete);
+    let minimum_detectable_i = paired.as_ref().and_then(|measures| {
+        minimum_detectable_effect(&PairedDesign {
+            tasks: measures.tasks as u32,
+            configs_per_task: measures.n as f64 / measures.tasks as f64,
+            r_d: measures.r_d,
+            task_correlation: task_correlation?,
+        })
+    });
+    Cell {
+        replicate: matched[0].replicate,
+        level: matched[0].level,
+        alone: alone.collect(),
+        together: counts.get(&Condition::Combination).copied(),
+        completeness: Completeness {
+            complete: complete.len() as u64,
+            expected: matched.len() as u64,
+            gaps,
+        },
+        paired,
+        solvable: Measures::of(&solvable, bootstrap),
+        bounds: Bounds::of(matched),
+        task_correlation,
+        minimum_detectable_i,
+    }
 }
 
-impl Grouped {
-    fn new(records: &[Record]) -> Result<Self, DuplicateRecord> {
-        let mut grouped = Self {
-            outcomes: BTreeMap::new(),
-            init_ids: BTreeMap::new(),
-            replicates: BTreeSet::new(),
-            levels: BTreeSet::new(),
-            axes: BTreeSet::new(),
-            combines: false,
-        };
-        for record in records {
-            let (id, replicate) = (record.id, record.replicate);
-            let known = grouped.outcomes.insert((replicate, id), record.outcome);
-            if known.is_some() {
-                return Err(DuplicateRecord { id, replicate });
-            }
-            grouped.replicates.insert(replicate);
-            match id.condition() {
-                Condition::Clean => continue,
-                Condition::Single(axis) => {
-                    grouped.axes.insert(axis);
-                }
-                Condition::Combination => grouped.combines = true,
-            }
-            grouped.levels.insert(id.level());
-            let key = (id.task(), id.number());
-            grouped.init_ids.insert((id.level(), key), record.init_id);
-        }
-        Ok(grouped)
-    }
-
-    fn outcome(&self, replicate: u32, id: RolloutId) -> Outcome {
-        let outcome = self.outcomes.get(&(replicate, id));
-        outcome.copied().unwrap_or(Outcome::Missing)
-    }
-
-    /// The outcome of a configuration under a condition.
-    fn perturbed(&self, replicate: u32, condition: Condition, level: Level, key: Key) -> Outcome {
-        RolloutId::perturbed(key.0, condition, level, key.1)
-            .map_or(Outcome::Missing, |id| self.outcome(replicate, id))
-    }
-
-    fn nominal(&self, replicate: u32) -> Option<Nominal> {
-        let mut nominal = Nominal {
-            replicate,
-            count: Count::default(),
-            gap: Gap::default(),
-        };
-        let of_replicate = self
-            .outcomes
-            .iter()
-            .filter(|((r, id), _)| *r == replicate && id.condition() == Condition::Clean);
-        let mut any = false;
-        for (_, &outcome) in of_replicate {
-            any = true;
-            nominal.count.add(outcome);
-            nominal.gap.add(outcome);
-        }
-        any.then_some(nominal)
-    }
-
-    fn cell(&self, replicate: u32, level: Level, bootstrap: &Bootstrap) -> Cell {
-        let clean = self
-            .nominal(replicate)
-            .and_then(|nominal| nominal.count.rate());
-        let mut conditions: Vec<Condition> =
-            self.axes.iter().copied().map(Condition::Single).collect();
-        if self.combines {
-            conditions.push(Condition::Combination);
-        }
-        let keys = self.init_ids.iter().filter(|((l, _), _)| *l == level);
-        let keys: Vec<(Key, u16)> = keys.map(|(&(_, key), &init_id)| (key, init_id)).collect();
-
-        let mut counts = BTreeMap::new();
-        let mut gaps = BTreeMap::new();
-        for &condition in &conditions {
-            let (mut count, mut gap) = (Count::default(), Gap::default());
-            for &(key, _) in &keys {
-                let outcome = self.perturbed(replicate, condition, level, key);
-                count.add(outcome);
-                gap.add(outcome);
-            }
-            counts.insert(condition, count);
-            if gap != Gap::default() {
-                gaps.insert(condition, gap);
-            }
-        }
-
-        let complete: Vec<(Configuration, bool)> = keys
-            .iter()
-            .filter_map(|&(key, init_id)| {
-                let solvable = self.outcome(replicate, RolloutId::clean(key.0, init_id));
-                let configuration = self.configuration(replicate, level, key)?;
-                Some((configuration, solvable == Outcome::Success))
-            })
-            .collect();
-        let all: Vec<Configuration> = complete.iter().map(|(c, _)| c.clone()).collect();
-        let solvable = complete.into_iter().filter(|(_, solvable)| *solvable);
-        let solvable: Vec<Configuration> = solvable.map(|(c, _)| c).collect();
-        Cell {
-            replicate,
-            level,
-            alone: self
-                .axes
-                .iter()
-                .map(|&axis| {
-                    let count = counts[&Condition::Single(axis)];
-                    (axis, SingleAxis::new(count, clean))
-                })
-                .collect(),
-            together: counts.get(&Condition::Combination).copied(),
-            completeness: Completeness {
-                complete: all.len() as u64,
-                expected: keys.len() as u64,
-                gaps,
-            },
-            paired: Measures::of(&all, bootstrap),
-            solvable: Measures::of(&solvable, bootstrap),
-        }
-    }
-
-    /// A configuration, if all its outcomes are known.
-    fn configuration(&self, replicate: u32, level: Level, key: Key) -> Option<Configuration> {
-        let success = |condition| self.perturbed(replicate, condition, level, key).success();
-        let together = self
-            .combines
-            .then(|| success(Condition::Combination))
-            .flatten()?;
-        let mut alone = BTreeMap::new();
-        for &axis in &self.axes {
-            alone.insert(axis, success(Condition::Single(axis))?);
-        }
-        Some(Configuration {
-            task: key.0,
-            alone,
-            together,
+fn quarantined(records: &Records) -> Vec<String> {
+    let aside = records.outcomes.iter();
+    let aside = aside.filter(|(_, outcome)| **outcome == Outcome::Quarantined);
+    aside
+        .map(|((replicate, id), _)| match replicate {
+            0 => id.to_string(),
+            k => format!("{id}#r{k}"),
         })
-    }
-
-    fn replication(&self, replicate: u32, cells: &[Cell]) -> Replication {
-        let (mut compared, mut flipped) = (0, 0);
-        for (&(of, id), outcome) in &self.outcomes {
-            let first = self.outcome(0, id);
-            if let (true, Some(now), Some(then)) =
-                (of == replicate, outcome.success(), first.success())
-            {
-                compared += 1;
-                flipped += u64::from(now != then);
-            }
-        }
-        let i_of = |replicate: u32, level: Level| {
-            let mut cells = cells.iter();
-            let cell = cells.find(|cell| (cell.replicate, cell.level) == (replicate, level))?;
-            cell.paired.as_ref().map(|measures| measures.i)
-        };
-        let i_difference = self
-            .levels
-            .iter()
-            .filter_map(|&level| Some((level, i_of(replicate, level)? - i_of(0, level)?)));
-        Replication {
-            replicate,
-            compared,
-            flipped,
-            i_difference: i_difference.collect(),
-        }
-    }
-
-    fn quarantined(&self) -> Vec<String> {
-        let aside = self.outcomes.iter();
-        let aside = aside.filter(|(_, outcome)| **outcome == Outcome::Quarantined);
-        aside
-            .map(|((replicate, id), _)| match replicate {
-                0 => id.to_string(),
-                k => format!("{id}#r{k}"),
-            })
-            .collect()
-    }
+        .collect()
 }
 
 impl Count {

@@ -6,8 +6,10 @@ use std::fmt::Write;
 use protocol::{Axis, Condition};
 
 use crate::bootstrap::Interval;
+use crate::bounds::Bounds;
+use crate::gate::{GATE_TOLERANCE, Gate, GateVerdict};
 use crate::measures::Measures;
-use crate::report::{Cell, Count, Gap, Nominal, Report};
+use crate::report::{Cell, Count, Gap, Nominal, NominalSource, Report};
 
 /// Columns of the terminal.
 const WIDTH: usize = 80;
@@ -33,6 +35,9 @@ pub fn table(report: &Report) -> String {
     for nominal in &report.nominal {
         separate(&mut text);
         push_wrapped(&mut text, "", &nominal_line(nominal, report));
+    }
+    if let Some(gate) = &report.gate {
+        push_wrapped(&mut text, "", &gate_line(gate));
     }
     let mut replicates: Vec<u32> = report.cells.iter().map(|cell| cell.replicate).collect();
     replicates.dedup();
@@ -79,7 +84,25 @@ fn nominal_line(nominal: &Nominal, report: &Report) -> String {
         Some(gap) => format!("; {gap}"),
         None => String::new(),
     };
-    format!("nominal success{of}: {rate} % ({successes}/{n}){missing}")
+    let source = match nominal.source {
+        NominalSource::Records => "",
+        NominalSource::Reported => ", as reported",
+    };
+    format!("nominal success{of}: {rate} % ({successes}/{n}{source}){missing}")
+}
+
+fn gate_line(gate: &Gate) -> String {
+    let verdict = match gate.verdict {
+        GateVerdict::Passed => "passed",
+        GateVerdict::Failed => "FAILED: robustness is not to be interpreted",
+        GateVerdict::Undecided => "undecided: not all 2,000 clean rollouts have a result",
+    };
+    let difference = gate.difference.map_or_else(|| "-".to_owned(), points);
+    format!(
+        "reproduction gate: {difference} points from the published {} %, tolerance {:.0}: {verdict}",
+        percent(Some(gate.published)),
+        100.0 * GATE_TOLERANCE
+    )
 }
 
 fn push_rates(text: &mut String, report: &Report, cells: &[&Cell], of: &str) {
@@ -155,6 +178,18 @@ const SOLVABLE_LINES: [Line; 4] = [
     ("    95 %", |m| points_interval(m.i_ci95)),
 ];
 
+/// One line of the worst and best case.
+type BoundsLine = (&'static str, fn(&Bounds) -> String);
+
+/// What the measures could be, whatever the rollouts that were set aside had
+/// come to.
+const BOUNDS_LINES: [BoundsLine; 4] = [
+    ("worst and best: n", |b| b.n.to_string()),
+    ("  I", |b| points_interval(Some(b.i))),
+    ("  R_e", |b| rate_interval(Some(b.r_e))),
+    ("  R_c", |b| rate_interval(Some(b.r_c))),
+];
+
 fn push_paired(text: &mut String, cells: &[&Cell], of: &str) {
     separate(text);
     let _ = writeln!(text, "paired outcomes of complete configurations, %{of}");
@@ -169,11 +204,31 @@ fn push_paired(text: &mut String, cells: &[&Cell], of: &str) {
         let values = cells.iter().map(|cell| shown(cell.paired.as_ref(), value));
         push_row(text, PAIRED_LABEL, PAIRED_COLUMN, label, values);
     }
+    let detectable = cells.iter().map(|cell| match cell.minimum_detectable_i {
+        Some(i) => format!("{:.2}", 100.0 * i),
+        None => "-".to_owned(),
+    });
+    push_row(
+        text,
+        PAIRED_LABEL,
+        PAIRED_COLUMN,
+        "detectable |I|",
+        detectable,
+    );
     if cells.iter().any(|cell| cell.solvable.is_some()) {
         for (label, value) in SOLVABLE_LINES {
             let values = cells
                 .iter()
                 .map(|cell| shown(cell.solvable.as_ref(), value));
+            push_row(text, PAIRED_LABEL, PAIRED_COLUMN, label, values);
+        }
+    }
+    if cells.iter().any(|cell| cell.bounds.is_some()) {
+        for (label, value) in BOUNDS_LINES {
+            let values = cells.iter().map(|cell| match &cell.bounds {
+                Some(bounds) => value(bounds),
+                None => "-".to_owned(),
+            });
             push_row(text, PAIRED_LABEL, PAIRED_COLUMN, label, values);
         }
     }
@@ -210,24 +265,23 @@ fn push_replication(text: &mut String, report: &Report) {
     }
     separate(text);
     for replication in &report.replication {
-        let share = match replication.compared {
-            0 => None,
-            n => Some(replication.flipped as f64 / n as f64),
+        let changes = replication.changes.iter();
+        let changes = changes.map(|(level, change)| {
+            let interval = points_interval(change.i_ci95);
+            format!("{level} {} {interval}", points(change.i))
+        });
+        let changes = changes.collect::<Vec<_>>().join(", ");
+        let changes = match changes.as_str() {
+            "" => "?",
+            changes => changes,
         };
-        let differences = replication.i_difference.iter();
-        let differences = differences.map(|(level, i)| format!("{level} {}", points(*i)));
-        let differences = differences.collect::<Vec<_>>().join(", ");
+        let flips = &replication.flips;
         let line = format!(
-            "replicate {} against 0: {} % of outcomes differ ({}/{}); I changes by {}",
+            "replicate {} against 0: {} % of outcomes differ ({}/{}); I changes by {changes}",
             replication.replicate,
-            percent(share),
-            replication.flipped,
-            replication.compared,
-            if differences.is_empty() {
-                "?"
-            } else {
-                &differences
-            },
+            percent(flips.rate()),
+            flips.flipped,
+            flips.compared,
         );
         push_wrapped(text, "", &line);
     }

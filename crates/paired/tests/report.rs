@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 
 use paired::{
-    Bootstrap, Configuration, DuplicateRecord, Measures, Options, Outcome, Record, report, table,
+    Bootstrap, Configuration, Count, DuplicateRecord, Flips, GateVerdict, Measures, NominalSource,
+    Options, Outcome, Record, report, table, task_correlation,
 };
 use proptest::collection::vec;
 use proptest::prelude::*;
@@ -67,6 +68,76 @@ proptest! {
         configurations.rotate_left(by);
         configurations.reverse();
         prop_assert_eq!(Measures::of(&configurations, &quick()), before);
+    }
+
+    #[test]
+    fn other_names_for_the_tasks_change_no_estimate(configurations in configurations()) {
+        let renamed: Vec<Configuration> = configurations
+            .iter()
+            .map(|configuration| Configuration {
+                // Eight tasks of another suite, in the opposite order.
+                task: task(37 - TaskRef::all().position(|t| t == configuration.task).expect("one")),
+                ..configuration.clone()
+            })
+            .collect();
+        let before = Measures::of(&configurations, &quick()).expect("not empty");
+        let after = Measures::of(&renamed, &quick()).expect("not empty");
+        prop_assert_eq!((before.n, before.tasks, before.b, before.c),
+            (after.n, after.tasks, after.b, after.c));
+        prop_assert_eq!((before.s_indep, before.d, before.i), (after.s_indep, after.d, after.i));
+        prop_assert_eq!(task_correlation(&configurations).is_some(),
+            task_correlation(&renamed).is_some());
+    }
+
+    #[test]
+    fn bounds_are_reached_and_never_left(
+        drawn in vec((0..4_usize, [0..3_u8, 0..3, 0..3]), 1..6),
+        choices in any::<u32>(),
+    ) {
+        let known = |code: u8| [F, S, Q][usize::from(code)];
+        let records = |known: &mut dyn FnMut(u8) -> Outcome| -> Vec<Record> {
+            let rows = drawn.iter().enumerate();
+            rows.flat_map(|(config, (task, codes))| {
+                let conditions = [
+                    Condition::Single(Axis::Camera),
+                    Condition::Single(Axis::Robot),
+                    Condition::Combination,
+                ];
+                let outcomes = codes.map(&mut *known);
+                let record = |(c, o)| perturbed(*task, c, config as u16, o);
+                conditions.into_iter().zip(outcomes).map(record).collect::<Vec<_>>()
+            })
+            .collect()
+        };
+        let options = Options { bootstrap: quick(), ..Options::default() };
+        let aside = report(&records(&mut |code| known(code)), &options).expect("no duplicates");
+        let mut next = 0;
+        // Any way in which what was set aside could have ended, all of them
+        // badly, and all of them well.
+        let mut fates: Vec<Box<dyn FnMut() -> bool>> = vec![
+            Box::new(move || { next += 1; choices >> (next % 32) & 1 == 1 }),
+            Box::new(|| false),
+            Box::new(|| true),
+        ];
+        for fate in &mut fates {
+            let mut settle = |code| match known(code) {
+                Q => Outcome::from(fate()),
+                outcome => outcome,
+            };
+            let settled = report(&records(&mut settle), &options).expect("no duplicates");
+            let m = settled.cells[0].paired.as_ref().expect("complete");
+            let Some(bounds) = &aside.cells[0].bounds else {
+                prop_assert!(aside.quarantined.is_empty());
+                break;
+            };
+            prop_assert_eq!(bounds.n, m.n);
+            let values = [m.s_indep, m.s_conj, m.s_sim, m.d, m.i, m.r_e, m.r_c, m.r_d];
+            let b = bounds;
+            let ranges = [b.s_indep, b.s_conj, b.s_sim, b.d, b.i, b.r_e, b.r_c, b.r_d];
+            for (value, [low, high]) in values.into_iter().zip(ranges) {
+                prop_assert!(low - 1e-12 <= value && value <= high + 1e-12, "{value} {low} {high}");
+            }
+        }
     }
 
     #[test]
@@ -190,6 +261,59 @@ fn an_incomplete_cell_counts_what_is_complete_and_says_what_is_not() {
 }
 
 #[test]
+fn what_was_set_aside_is_bounded_by_the_worst_and_the_best_case() {
+    // Either of them could have been an emergent failure, or none.
+    let records = campaign([[S, S, S, F], [S, S, Q, F], [S, S, S, Q]]);
+    let report = report(&records, &Options::default()).expect("no duplicates");
+    let cell = &report.cells[0];
+    assert_eq!(cell.paired.as_ref().expect("one is complete").n, 1);
+    let bounds = cell.bounds.as_ref().expect("two were set aside");
+    assert_eq!((bounds.n, bounds.affected), (3, 2));
+    assert_eq!(bounds.r_e, [1.0 / 3.0, 1.0]);
+    assert_eq!(bounds.r_c, [0.0, 0.0]);
+    assert_eq!(bounds.i, [-1.0, -1.0 / 3.0]);
+    assert_eq!(bounds.s_axis[&Axis::Sensor], [2.0 / 3.0, 1.0]);
+    assert!(
+        table(&report).contains("worst and best: n"),
+        "{}",
+        table(&report)
+    );
+}
+
+#[test]
+fn nominal_counts_of_others_serve_where_no_clean_rollout_was_run() {
+    let mut records = campaign([[S, S, S, F], [S, F, S, S], [F, S, S, S]]);
+    let options = Options {
+        published_nominal: Some(0.971),
+        reported_nominal: Some(Count {
+            successes: 1934,
+            n: 2000,
+        }),
+        ..Options::default()
+    };
+    let own = report(&records, &options).expect("no duplicates");
+    assert_eq!(own.nominal[0].count, Count { successes: 2, n: 3 });
+    assert_eq!(
+        own.gate.expect("a published figure").verdict,
+        GateVerdict::Undecided
+    );
+
+    records.retain(|record| record.id.condition() != Condition::Clean);
+    let theirs = report(&records, &options).expect("no duplicates");
+    assert_eq!(theirs.nominal[0].source, NominalSource::Reported);
+    assert_eq!(
+        theirs.gate.expect("a published figure").verdict,
+        GateVerdict::Passed
+    );
+    let text = table(&theirs);
+    assert!(text.contains("96.7 % (1934/2000, as reported)"), "{text}");
+    assert!(
+        text.contains("-0.40 points from the published 97.1 %, tolerance 5: passed"),
+        "{text}"
+    );
+}
+
+#[test]
 fn notes_come_first_and_fit_a_terminal() {
     let note = "simulated with the built-in `primitives` asset pack, which is another \
                 benchmark than LIBERO, so that no figure here compares with a published one";
@@ -240,9 +364,15 @@ fn replicates_are_compared_with_the_first() {
     records.extend(again);
     let report = report(&records, &Options::default()).expect("no duplicates");
     let replication = &report.replication[0];
-    assert_eq!((replication.compared, replication.flipped), (11, 1));
-    let change = replication.i_difference[&Level::L2];
-    assert!((change - 1.0 / 3.0).abs() < 1e-12, "{change}");
+    let Flips { compared, flipped } = replication.flips;
+    assert_eq!((compared, flipped), (11, 1));
+    let together = replication.flips_by_condition[&Condition::Combination];
+    assert_eq!(together.rate(), Some(1.0 / 3.0));
+    let change = &replication.changes[&Level::L2];
+    assert_eq!((change.n, change.same_transition), (3, 2));
+    assert_eq!((change.changed, change.changed_again), (2, 1));
+    assert!((change.i - 1.0 / 3.0).abs() < 1e-12, "{change:?}");
+    assert!((change.r_e + 1.0 / 3.0).abs() < 1e-12, "{change:?}");
     assert!(table(&report).contains("replicate 1 against 0: 9.1 % of outcomes differ (1/11)"));
 }
 

@@ -1,0 +1,85 @@
+//! The reproduction gate: whether a policy does unperturbed what its authors
+//! say it does. Before it does, its robustness is not worth interpreting.
+
+use serde::{Deserialize, Serialize};
+
+use crate::report::Count;
+
+/// Largest difference that passes, as a fraction: 5 points. Source: section 6
+/// of the protocol.
+pub const GATE_TOLERANCE: f64 = 0.05;
+/// Clean rollouts that the published figures are of: 40 tasks × 50 initial
+/// states.
+pub const GATE_ROLLOUTS: u64 = 2000;
+
+/// Nominal success against the published figure.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Gate {
+    /// The published success rate, a fraction.
+    pub published: f64,
+    /// What was counted.
+    pub nominal: Count,
+    /// The measured rate − `published`; absent where nothing was counted.
+    pub difference: Option<f64>,
+    /// How it came out.
+    pub verdict: GateVerdict,
+}
+
+/// How the gate came out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum GateVerdict {
+    /// Within [`GATE_TOLERANCE`] over all [`GATE_ROLLOUTS`].
+    Passed,
+    /// Outside of it over all of them.
+    Failed,
+    /// Fewer clean rollouts than [`GATE_ROLLOUTS`] have a result: undecided.
+    Undecided,
+}
+
+impl Gate {
+    /// The gate: |successes / n − published| ≤ [`GATE_TOLERANCE`], with
+    /// n = [`GATE_ROLLOUTS`] at least.
+    pub fn new(published: f64, nominal: Count) -> Self {
+        let difference = nominal.rate().map(|rate| rate - published);
+        // What is exactly at the tolerance passes, whatever the last bit says.
+        let close = |difference: f64| difference.abs() <= GATE_TOLERANCE + 1e-9;
+        let verdict = match difference {
+            Some(difference) if nominal.n >= GATE_ROLLOUTS => match close(difference) {
+                true => GateVerdict::Passed,
+                false => GateVerdict::Failed,
+            },
+            _ => GateVerdict::Undecided,
+        };
+        Self {
+            published,
+            nominal,
+            difference,
+            verdict,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn check(published: f64, successes: u64, n: u64, expected: GateVerdict) {
+        let gate = Gate::new(published, Count { successes, n });
+        assert_eq!(gate.verdict, expected, "{gate:?}");
+    }
+
+    #[test]
+    fn five_points_pass_and_more_do_not() {
+        check(0.971, 1934, 2000, GateVerdict::Passed);
+        check(0.95, 2000, 2000, GateVerdict::Passed);
+        check(0.95, 1799, 2000, GateVerdict::Failed);
+        check(0.95, 1800, 2000, GateVerdict::Passed);
+    }
+
+    #[test]
+    fn some_of_the_rollouts_decide_nothing() {
+        check(0.95, 1999, 1999, GateVerdict::Undecided);
+        check(0.95, 0, 0, GateVerdict::Undecided);
+    }
+}
