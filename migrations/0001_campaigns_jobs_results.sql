@@ -1,9 +1,9 @@
 -- The campaign's memory: what is to be run, who holds it, what came out.
 --
 -- The CHECK constraints say what the Rust enums of coordinator::lease,
--- coordinator::outage and coordinator::ids say, in both directions: a row that
--- the enum cannot express cannot be stored, and every state carries exactly
--- its own columns. Instants are milliseconds since the Unix epoch, UTC.
+-- coordinator::campaign and coordinator::outage say, in both directions: a row
+-- that the enum cannot express cannot be stored, and every state carries
+-- exactly its own columns. Instants are milliseconds since the Unix epoch, UTC.
 
 -- One row per policy at one endpoint, shared by the campaigns that measure it.
 -- An outage pauses the jobs of this policy and of no other; after `resume_ms`
@@ -40,7 +40,13 @@ CREATE TABLE campaign (
     policy_id        INTEGER NOT NULL REFERENCES policy (id),
     realisation      TEXT    NOT NULL CHECK (realisation IN ('matched', 'reference')),
     record           TEXT    NOT NULL CHECK (record IN ('none', 'failures', 'all')),
+    -- Rollouts that it was expanded into.
+    jobs             INTEGER NOT NULL CHECK (jobs >= 0),
     created_ms       INTEGER NOT NULL,
+    -- Only the jobs of a running campaign are leased.
+    state            TEXT    NOT NULL DEFAULT 'running'
+                     CHECK (state IN ('running', 'paused', 'cancelled')),
+    state_since_ms   INTEGER NOT NULL,
     pinned_ms        INTEGER,
     asset_pack       TEXT,
     asset_pack_digest TEXT,
@@ -51,6 +57,18 @@ CREATE TABLE campaign (
 ) STRICT;
 
 CREATE INDEX campaign_by_policy ON campaign (policy_id);
+
+CREATE TRIGGER campaign_cancelled_is_final
+BEFORE UPDATE OF state ON campaign WHEN OLD.state = 'cancelled' AND NEW.state <> 'cancelled'
+BEGIN
+    SELECT RAISE (ABORT, 'campaign_cancelled_is_final');
+END;
+
+-- Folders of deleted campaigns' files that are still on the disk: a row goes
+-- in with the deletion and out when the folder is gone.
+CREATE TABLE removal (
+    folder           TEXT    PRIMARY KEY CHECK (folder <> '')
+) STRICT, WITHOUT ROWID;
 
 -- The tasks of a campaign: at most a few score rows, which a claim walks
 -- instead of the job table.
@@ -98,6 +116,10 @@ CREATE TABLE job (
     attempt          INTEGER NOT NULL DEFAULT 0 CHECK (attempt >= 0),
     charged_attempts INTEGER NOT NULL DEFAULT 0
                      CHECK (charged_attempts BETWEEN 0 AND attempt),
+    -- Failures up to this attempt were forgiven when the job was taken out of
+    -- quarantine by hand.
+    forgiven_attempt INTEGER NOT NULL DEFAULT 0
+                     CHECK (forgiven_attempt BETWEEN 0 AND attempt),
     not_before_ms    INTEGER DEFAULT 0,
     lease_owner      TEXT    REFERENCES worker (id),
     leased_ms        INTEGER,
@@ -177,7 +199,13 @@ CREATE TABLE result (
     provenance_id    INTEGER NOT NULL REFERENCES provenance (id),
     scene_digest     TEXT    NOT NULL CHECK (length(scene_digest) = 64),
     init_state_digest TEXT   NOT NULL CHECK (length(init_state_digest) = 64),
-    perturbation_digest TEXT NOT NULL CHECK (length(perturbation_digest) IN (0, 64)),
+    -- The perturbation as realised, axis by axis: `camera:HEX,sensor:HEX`,
+    -- SHA-256 each, and the empty text for a nominal rollout. One digest over
+    -- all axes could not show that an axis alone and the same axis in a
+    -- combination were realised identically.
+    perturbation_digests TEXT NOT NULL CHECK
+                     (perturbation_digests = '' OR (perturbation_digests GLOB '[a-z]*:[0-9a-f]*'
+                         AND perturbation_digests NOT GLOB '*[^0-9a-z:,]*')),
     first_frame_digest TEXT  NOT NULL CHECK (length(first_frame_digest) IN (0, 64))
 ) STRICT;
 
@@ -224,11 +252,12 @@ CREATE TABLE failure (
     failed_ms        INTEGER NOT NULL,
     reason           TEXT    NOT NULL CHECK (reason IN
                      ('simulator_error', 'slot_crashed', 'slot_stuck', 'policy_misbehaved',
-                      'lease_lost', 'unpaired', 'policy_unavailable', 'draining')),
+                      'lease_lost', 'unpaired', 'policy_unavailable', 'draining',
+                      'cancelled')),
     charged          INTEGER NOT NULL CHECK (charged IN (0, 1)),
     error            TEXT    NOT NULL,
     PRIMARY KEY (job_id, attempt),
-    CHECK (charged = (reason NOT IN ('policy_unavailable', 'draining')))
+    CHECK (charged = (reason NOT IN ('policy_unavailable', 'draining', 'cancelled')))
 ) STRICT, WITHOUT ROWID;
 
 -- Files kept beside a rollout, by kind; the path is below the data folder.

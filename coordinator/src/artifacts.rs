@@ -9,10 +9,11 @@ use std::str::FromStr;
 use tokio::fs::File;
 use tokio::io::AsyncWriteExt;
 
-use crate::ids::{JobId, LeaseRef};
+use crate::ids::{CampaignName, JobId, LeaseRef};
 use crate::queue::Queue;
 use crate::store::artifacts::ArtifactOwner;
-use crate::store::{self, StoreError, artifacts};
+use crate::store::failpoint::Step;
+use crate::store::{StoreError, artifacts};
 
 /// Largest artifact, bytes. A 520-step rollout filmed by two 512² cameras takes
 /// about 8 MiB.
@@ -164,7 +165,7 @@ impl<'a> Upload<'a> {
     /// When the sender lost the rollout meanwhile, or the disk fails.
     pub async fn finish(self) -> Result<String, ArtifactError> {
         self.file.sync_all().await.map_err(at(&self.partial))?;
-        let mut tx = self.queue.store().write().await?;
+        let mut tx = self.queue.store().write(Step::Artifact).await?;
         if artifacts::owner(&mut tx, &self.lease).await?.is_none() {
             let lease = self.lease.clone();
             return Err(ArtifactError::NotTheOwner { lease });
@@ -176,7 +177,7 @@ impl<'a> Upload<'a> {
         tokio::fs::rename(&self.partial, &target)
             .await
             .map_err(at(&target))?;
-        store::commit(tx).await?;
+        tx.commit().await?;
         Ok(self.path)
     }
 
@@ -186,6 +187,11 @@ impl<'a> Upload<'a> {
             tracing::warn!("failed to remove {}: {error}", self.partial.display());
         }
     }
+}
+
+/// The folder of a campaign's files, below the data folder.
+pub(crate) fn campaign_folder(campaign: &CampaignName) -> String {
+    format!("{ARTIFACTS_FOLDER}/{campaign}")
 }
 
 /// Removes what uploads of an earlier run left half-way.
@@ -222,8 +228,8 @@ impl fmt::Display for ArtifactKind {
 /// letters, digits, underscores and slashes only, campaign names no slash.
 fn relative_path(owner: &ArtifactOwner, kind: ArtifactKind) -> String {
     format!(
-        "{ARTIFACTS_FOLDER}/{}/{}.r{}.{}",
-        owner.campaign,
+        "{}/{}.r{}.{}",
+        campaign_folder(&owner.campaign),
         owner.rollout_id.replace('/', "_"),
         owner.replicate,
         kind.extension()

@@ -1,12 +1,18 @@
 //! What people type: reading the command line and saying what came of it. Exit
 //! code 2 is for a command that is wrong, 1 for one that failed.
 
+mod backup;
+mod check;
 mod create;
 mod files;
+mod jobs;
 mod manifest;
+mod operate;
 mod output;
 mod serve;
 mod status;
+mod watch;
+mod workers;
 
 use std::io::Write;
 use std::process::ExitCode;
@@ -14,7 +20,7 @@ use std::time::Duration;
 
 use anyhow::Context;
 use clap::{Args, Parser, Subcommand};
-use coordinator::client::{Client, ClientError, RETRY_FOR};
+use coordinator::client::{Change, Client, ClientError, RETRY_FOR};
 use tracing_subscriber::EnvFilter;
 
 /// The campaign's memory: creates campaigns, leases their rollouts to workers,
@@ -33,6 +39,15 @@ enum Command {
     /// Create, list and follow campaigns.
     #[command(subcommand)]
     Campaign(CampaignCommand),
+    /// List, show and retry the rollouts of a campaign.
+    #[command(subcommand)]
+    Jobs(jobs::JobsCommand),
+    /// List the workers and how they stand.
+    Workers(workers::WorkersArguments),
+    /// Copy the database while the coordinator runs.
+    Backup(backup::BackupArguments),
+    /// Verify every invariant of a database, reading only.
+    Check(check::CheckArguments),
     /// Expand, check and compare manifests.
     #[command(subcommand)]
     Manifest(manifest::ManifestCommand),
@@ -48,8 +63,16 @@ enum CampaignCommand {
     Create(Box<create::CreateArguments>),
     /// List all campaigns.
     List(status::ListArguments),
-    /// Show how a campaign stands.
+    /// Show how one campaign stands, or all.
     Status(status::StatusArguments),
+    /// Lease nothing more; what is being run may still be committed.
+    Pause(operate::ChangeArguments),
+    /// Go on with a paused campaign.
+    Resume(operate::ChangeArguments),
+    /// End a campaign for ever; its results stay.
+    Cancel(operate::ChangeArguments),
+    /// Remove a campaign with its results and files.
+    Delete(operate::DeleteArguments),
 }
 
 /// Where the coordinator is.
@@ -111,12 +134,26 @@ pub(crate) fn run(arguments: Arguments) -> ExitCode {
 async fn execute(command: Command) -> Result<(), CommandError> {
     match command {
         Command::Serve(arguments) => Ok(serve::serve(arguments).await?),
-        Command::Campaign(CampaignCommand::Create(arguments)) => create::create(*arguments).await,
-        Command::Campaign(CampaignCommand::List(arguments)) => status::list(arguments).await,
-        Command::Campaign(CampaignCommand::Status(arguments)) => status::status(arguments).await,
+        Command::Campaign(command) => campaign(command).await,
+        Command::Jobs(command) => jobs::jobs(command).await,
+        Command::Workers(arguments) => workers::workers(arguments).await,
+        Command::Backup(arguments) => backup::backup(arguments).await,
+        Command::Check(arguments) => check::check(arguments).await,
         Command::Manifest(command) => manifest::manifest(command),
         Command::Report(arguments) => output::report(arguments).await,
         Command::Export(arguments) => output::export(arguments).await,
+    }
+}
+
+async fn campaign(command: CampaignCommand) -> Result<(), CommandError> {
+    match command {
+        CampaignCommand::Create(arguments) => create::create(*arguments).await,
+        CampaignCommand::List(arguments) => status::list(arguments).await,
+        CampaignCommand::Status(arguments) => status::status(arguments).await,
+        CampaignCommand::Pause(arguments) => operate::change(arguments, Change::Pause).await,
+        CampaignCommand::Resume(arguments) => operate::change(arguments, Change::Resume).await,
+        CampaignCommand::Cancel(arguments) => operate::change(arguments, Change::Cancel).await,
+        CampaignCommand::Delete(arguments) => operate::delete(arguments).await,
     }
 }
 

@@ -1,6 +1,8 @@
 //! Talking to a running coordinator as an operator: connecting, retrying while
 //! it cannot be reached, and telling a refusal from a failure.
 
+mod operate;
+
 use std::future::Future;
 use std::time::Duration;
 
@@ -10,8 +12,12 @@ use tokio::time::Instant;
 use tonic::transport::{Channel, Endpoint};
 use tonic::{Code, Status, Streaming};
 
-/// How a campaign stands, as it comes over the wire.
-pub use proto::coordinator::CampaignStatus;
+pub use operate::Change;
+/// How campaigns, jobs and workers stand, as it comes over the wire.
+pub use proto::coordinator::{
+    CampaignStatus, GetJobResponse, Job, JobName, ListJobsRequest, WorkerStatus,
+    campaign_status::State,
+};
 
 /// How long a command tries to reach a coordinator.
 pub const RETRY_FOR: Duration = Duration::from_secs(30);

@@ -1,6 +1,8 @@
 //! The wire: checks what strangers send, calls the queue, and turns its answers
 //! and errors into messages. Nothing is decided here.
 
+mod backup;
+mod listing;
 mod operator;
 mod read;
 mod worker;
@@ -59,8 +61,13 @@ fn queue_failed(error: QueueError) -> Status {
         // precondition must stop.
         QueueError::UnknownWorker { .. }
         | QueueError::UnknownJob { .. }
-        | QueueError::UnknownCampaign { .. } => Code::NotFound,
-        QueueError::WorkerStopped { .. } => Code::FailedPrecondition,
+        | QueueError::UnknownCampaign { .. }
+        | QueueError::UnknownRollout { .. } => Code::NotFound,
+        QueueError::WorkerStopped { .. }
+        | QueueError::Cancelled { .. }
+        | QueueError::CampaignInUse { .. }
+        | QueueError::NotSetAside { .. } => Code::FailedPrecondition,
+        QueueError::BackupInHand => Code::ResourceExhausted,
         QueueError::CampaignDiffers { .. } => Code::AlreadyExists,
         QueueError::ShuttingDown => Code::Unavailable,
     };

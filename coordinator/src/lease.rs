@@ -100,6 +100,8 @@ pub enum FailureReason {
     PolicyUnavailable,
     /// The worker drains.
     Draining,
+    /// The campaign was cancelled.
+    Cancelled,
 }
 
 /// What a failed attempt's job does next.
@@ -190,7 +192,7 @@ impl FailureReason {
     pub fn is_charged(self) -> bool {
         !matches!(
             self,
-            FailureReason::PolicyUnavailable | FailureReason::Draining
+            FailureReason::PolicyUnavailable | FailureReason::Draining | FailureReason::Cancelled
         )
     }
 
@@ -205,8 +207,15 @@ impl FailureReason {
             FailureReason::Unpaired => "unpaired",
             FailureReason::PolicyUnavailable => "policy_unavailable",
             FailureReason::Draining => "draining",
+            FailureReason::Cancelled => "cancelled",
         }
     }
+}
+
+/// Whether an operator may requeue a job: what was set aside, and nothing else.
+/// Its failures up to now are forgiven then, its attempts are not forgotten.
+pub fn may_retry(state: &JobState) -> bool {
+    *state == JobState::Quarantined
 }
 
 /// Counts one more charged failure of a worker that had `in_a_row` before it.

@@ -9,6 +9,7 @@
 #![forbid(unsafe_code)]
 
 pub mod artifacts;
+pub mod campaign;
 pub mod client;
 pub mod clock;
 pub mod digests;
@@ -16,6 +17,7 @@ pub mod expand;
 pub mod export;
 mod grpc;
 pub mod ids;
+pub mod invariants;
 pub mod lease;
 pub mod outage;
 mod pairing;

@@ -91,7 +91,7 @@ fn from_the_perturbation(
     realised: &AxisDigests,
 ) -> Option<String> {
     siblings.iter().find_map(|sibling| {
-        let there = sibling.perturbation.as_ref()?;
+        let there = &sibling.perturbation;
         realised.axes().find_map(|axis| {
             if !shares(axis, demand.realisation, &demand.row.id, &sibling.rollout) {
                 return None;
@@ -127,10 +127,8 @@ fn from_the_first_frame(
         return None;
     }
     let looks_alike = |sibling: &&Sibling| {
-        let there = sibling.perturbation.as_ref();
-        let pictured = |axis: &Axis| {
-            there.is_some_and(|there| there.of(*axis) == digests.perturbation.of(*axis))
-        };
+        let there = &sibling.perturbation;
+        let pictured = |axis: &Axis| there.of(*axis) == digests.perturbation.of(*axis);
         !sibling.first_frame.is_empty()
             && sibling.gl_renderer == provenance.gl_renderer
             && sibling.policy_name == provenance.policy_name
@@ -207,7 +205,7 @@ mod tests {
             worker: WorkerId("w".to_owned()),
             scene: hex(b'1'),
             init_state: hex(b'2'),
-            perturbation: Some(axes(perturbation)),
+            perturbation: axes(perturbation),
             first_frame: first_frame.to_owned(),
             gl_renderer: there.gl_renderer,
             policy_name: there.policy_name,
@@ -363,11 +361,6 @@ mod tests {
             },
             Sibling {
                 policy_checkpoint_digest: hex(b'9'),
-                ..nominal()
-            },
-            // Stored before it was kept what its perturbation was.
-            Sibling {
-                perturbation: None,
                 ..nominal()
             },
         ] {

@@ -6,22 +6,29 @@
 mod campaigns;
 mod claim;
 mod finish;
+mod operate;
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use rand_chacha::ChaCha8Rng;
+use sqlx::SqliteConnection;
 use tokio::sync::{Notify, watch};
 
 use crate::clock::{Clock, UnixMillis};
 use crate::ids::{CampaignName, JobId, LeaseRef, WorkerId};
 use crate::plan::{Decision, ExpiredLease, SweepState, plan};
+use crate::store::failpoint::Step;
 use crate::store::workers::WorkerInfo;
-use crate::store::{self, Store, StoreError, jobs, policies, workers};
+use crate::store::{Store, StoreError, jobs, policies, workers};
 
 pub use campaigns::{CampaignStatus, Created, RATE_WINDOW};
 pub use claim::{ClaimRequest, Claimed, ClaimedJob, MAX_CLAIM_JOBS, MAX_CLAIM_WAIT};
 pub use finish::{CommitReply, CommitReport, CommitVerdict, ReleaseReply, ReleaseVerdict};
+pub use operate::{
+    BackupInHand, JobFilter, JobName, MAX_JOBS_LISTED, MAX_JOBS_RETRIED, MAX_WORKERS_LISTED, Retry,
+    WorkerStatus,
+};
 
 /// Leases that one sweep takes away.
 const MAX_EXPIRED_PER_SWEEP: u32 = 1_024;
@@ -96,6 +103,43 @@ pub enum QueueError {
         /// The fields that differ.
         differs: String,
     },
+    /// A cancelled campaign was to go on.
+    #[error("change campaign `{campaign}`: it is cancelled, which is final; create another")]
+    Cancelled {
+        /// Which.
+        campaign: CampaignName,
+    },
+    /// A campaign with leased rollouts was to be deleted.
+    #[error(
+        "delete campaign `{campaign}`: {leased} of its rollouts are being run; cancel it first, or pause it and wait"
+    )]
+    CampaignInUse {
+        /// Which.
+        campaign: CampaignName,
+        /// How many.
+        leased: u64,
+    },
+    /// There is no such rollout in the campaign.
+    #[error(
+        "find `{job}`: campaign `{campaign}` has no such rollout; `coordinator jobs list {campaign}` shows what it has"
+    )]
+    UnknownRollout {
+        /// Where.
+        campaign: CampaignName,
+        /// Which.
+        job: JobName,
+    },
+    /// A job that was not set aside was to be retried.
+    #[error("retry `{job}`: it is {state}; only what was set aside can be retried")]
+    NotSetAside {
+        /// Which.
+        job: JobName,
+        /// Its state.
+        state: String,
+    },
+    /// A backup is being made.
+    #[error("make a backup: another one is being made; try again when it is done")]
+    BackupInHand,
     /// The coordinator is shutting down.
     #[error("lease jobs: the coordinator is shutting down")]
     ShuttingDown,
@@ -114,6 +158,11 @@ pub struct Queue {
     /// Rung when jobs may have become leasable.
     work: Notify,
     draining: watch::Sender<bool>,
+    /// Held while a campaign comes or goes: its files must not be removed
+    /// under a new one of the same name.
+    campaigns: tokio::sync::Mutex<()>,
+    /// Held while a backup is made.
+    backing_up: Arc<tokio::sync::Mutex<()>>,
 }
 
 impl Queue {
@@ -129,10 +178,10 @@ impl Queue {
         timing: Timing,
     ) -> Result<Queue, StoreError> {
         let now = clock.now();
-        let mut tx = store.write().await?;
+        let mut tx = store.write(Step::Start).await?;
         jobs::extend_leases(&mut tx, now.plus(timing.lease)).await?;
-        store::commit(tx).await?;
-        Ok(Queue {
+        tx.commit().await?;
+        let queue = Queue {
             store,
             clock,
             rng: Mutex::new(rng),
@@ -140,7 +189,11 @@ impl Queue {
             last_sweep: Mutex::new(now),
             work: Notify::new(),
             draining: watch::Sender::new(false),
-        })
+            campaigns: tokio::sync::Mutex::default(),
+            backing_up: Arc::default(),
+        };
+        queue.finish_removals().await?;
+        Ok(queue)
     }
 
     /// How long things last here.
@@ -163,9 +216,9 @@ impl Queue {
     /// # Errors
     /// When the database fails.
     pub async fn register(&self, worker: &WorkerInfo) -> Result<(), QueueError> {
-        let mut tx = self.store.write().await?;
+        let mut tx = self.store.write(Step::Register).await?;
         workers::upsert(&mut tx, worker, self.now()).await?;
-        store::commit(tx).await?;
+        tx.commit().await?;
         // One more live worker may free a job that the others failed on.
         self.work.notify_waiters();
         Ok(())
@@ -182,7 +235,7 @@ impl Queue {
         progress: &[(LeaseRef, u32)],
     ) -> Result<Vec<JobId>, QueueError> {
         let now = self.now();
-        let mut tx = self.store.write().await?;
+        let mut tx = self.store.write(Step::Heartbeat).await?;
         if !workers::seen(&mut tx, worker, now).await? {
             return Err(QueueError::UnknownWorker {
                 worker: worker.clone(),
@@ -207,7 +260,7 @@ impl Queue {
                     .await?;
             }
         }
-        store::commit(tx).await?;
+        tx.commit().await?;
         Ok(lost)
     }
 
@@ -219,7 +272,7 @@ impl Queue {
     pub async fn sweep(&self) -> Result<(), QueueError> {
         let now = self.now();
         let last_sweep = self.last_sweep();
-        let mut tx = self.store.write().await?;
+        let mut tx = self.store.write(Step::Sweep).await?;
         let state = SweepState {
             last_sweep,
             lease: self.timing.lease,
@@ -230,7 +283,7 @@ impl Queue {
             self.execute(&mut tx, decision, now).await?;
         }
         let fell_due = jobs::fell_due(&mut tx, last_sweep, now).await?;
-        store::commit(tx).await?;
+        tx.commit().await?;
         *self
             .last_sweep
             .lock()
@@ -256,7 +309,7 @@ impl Queue {
 
     async fn expired(
         &self,
-        tx: &mut store::Tx,
+        tx: &mut SqliteConnection,
         now: UnixMillis,
     ) -> Result<Vec<ExpiredLease>, StoreError> {
         let mut expired = Vec::new();
@@ -281,7 +334,7 @@ impl Queue {
 
     async fn execute(
         &self,
-        tx: &mut store::Tx,
+        tx: &mut SqliteConnection,
         decision: &Decision,
         now: UnixMillis,
     ) -> Result<(), StoreError> {

@@ -7,14 +7,19 @@
 //! power cut.
 
 pub mod artifacts;
+pub mod backup;
 pub mod campaigns;
+pub mod failpoint;
 pub mod jobs;
+pub mod listing;
 pub mod policies;
+pub mod removals;
 pub mod results;
 pub mod workers;
 
 use std::fs::{File, TryLockError};
 use std::io;
+use std::ops::{Deref, DerefMut};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -23,6 +28,8 @@ use sqlx::sqlite::{
     SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous,
 };
 use sqlx::{Connection, Sqlite, SqliteConnection, Transaction};
+
+use failpoint::{Failpoints, Side, Step};
 
 /// The database's file in the data folder.
 pub const DATABASE_FILE: &str = "coordinator.sqlite";
@@ -45,6 +52,7 @@ pub struct Store {
     folder: PathBuf,
     writer: SqlitePool,
     readers: SqlitePool,
+    failpoints: Failpoints,
     /// Held for as long as the store lives; the kernel lets go of it whichever
     /// way the process ends.
     _lock: File,
@@ -113,8 +121,16 @@ pub struct StoreError {
     pub source: sqlx::Error,
 }
 
-/// A transaction: the writer's, or a consistent view for readers.
-pub type Tx = Transaction<'static, Sqlite>;
+/// A consistent view of what is committed.
+pub(crate) type View = Transaction<'static, Sqlite>;
+
+/// The writing transaction. There is one at a time; dropping it undoes it.
+#[derive(Debug)]
+pub(crate) struct Tx<'a> {
+    transaction: Transaction<'static, Sqlite>,
+    step: Step,
+    failpoints: &'a Failpoints,
+}
 
 /// Says what a failed statement was for.
 pub(crate) trait Doing<T> {
@@ -149,6 +165,7 @@ impl Store {
         }
         std::fs::create_dir_all(folder).map_err(in_folder)?;
         let lock = lock_folder(folder)?;
+        backup::remove_leftover(folder);
         let options = SqliteConnectOptions::new()
             .filename(&path)
             .create_if_missing(true)
@@ -188,6 +205,7 @@ impl Store {
             folder: folder.to_owned(),
             writer,
             readers,
+            failpoints: Failpoints::from_environment(),
             _lock: lock,
         })
     }
@@ -197,17 +215,18 @@ impl Store {
         &self.folder
     }
 
-    /// Begins a transaction that writes. There is one at a time; dropping it
-    /// undoes it.
-    pub(crate) async fn write(&self) -> Result<Tx, StoreError> {
-        self.writer
-            .begin_with("BEGIN IMMEDIATE")
-            .await
-            .doing("begin a transaction")
+    /// Begins the writing transaction, for `step`; waits for the one before it.
+    pub(crate) async fn write(&self, step: Step) -> Result<Tx<'_>, StoreError> {
+        let transaction = self.writer.begin_with("BEGIN IMMEDIATE").await;
+        Ok(Tx {
+            transaction: transaction.doing("begin a transaction")?,
+            step,
+            failpoints: &self.failpoints,
+        })
     }
 
     /// Begins a consistent view of what is committed.
-    pub(crate) async fn read(&self) -> Result<Tx, StoreError> {
+    pub(crate) async fn read(&self) -> Result<View, StoreError> {
         self.readers.begin().await.doing("begin reading")
     }
 
@@ -238,9 +257,29 @@ pub fn newest_known_schema() -> i64 {
         .unwrap_or(0)
 }
 
-/// Ends a writing transaction.
-pub(crate) async fn commit(tx: Tx) -> Result<(), StoreError> {
-    tx.commit().await.doing("commit a transaction")
+impl Tx<'_> {
+    /// Ends the transaction: what it wrote is on the disk.
+    pub(crate) async fn commit(self) -> Result<(), StoreError> {
+        self.failpoints.reach(Side::Before, self.step);
+        let committed = self.transaction.commit().await;
+        committed.doing("commit a transaction")?;
+        self.failpoints.reach(Side::After, self.step);
+        Ok(())
+    }
+}
+
+impl Deref for Tx<'_> {
+    type Target = SqliteConnection;
+
+    fn deref(&self) -> &SqliteConnection {
+        &self.transaction
+    }
+}
+
+impl DerefMut for Tx<'_> {
+    fn deref_mut(&mut self) -> &mut SqliteConnection {
+        &mut self.transaction
+    }
 }
 
 fn lock_folder(folder: &Path) -> Result<File, OpenError> {
@@ -287,7 +326,9 @@ async fn refuse_newer_schema(path: &Path) -> Result<(), OpenError> {
     }
 }
 
-async fn schema_version(connection: &mut SqliteConnection) -> Result<Option<i64>, sqlx::Error> {
+pub(crate) async fn schema_version(
+    connection: &mut SqliteConnection,
+) -> Result<Option<i64>, sqlx::Error> {
     let has_versions: bool = sqlx::query_scalar(
         "SELECT EXISTS (SELECT 1 FROM sqlite_master WHERE name = '_sqlx_migrations')",
     )
@@ -299,4 +340,30 @@ async fn schema_version(connection: &mut SqliteConnection) -> Result<Option<i64>
     sqlx::query_scalar("SELECT max(version) FROM _sqlx_migrations")
         .fetch_one(connection)
         .await
+}
+
+/// Lays this program's schema beside that of the open database, as the
+/// temporary table `known_schema`.
+pub(crate) async fn know_schema(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
+    let mut fresh = SqliteConnection::connect("sqlite::memory:").await?;
+    MIGRATIONS
+        .run_direct(None, &mut fresh, false)
+        .await
+        .map_err(|error| sqlx::Error::Migrate(Box::new(error)))?;
+    let known: Vec<(String, String, Option<String>)> =
+        sqlx::query_as("SELECT type, name, sql FROM sqlite_schema")
+            .fetch_all(&mut fresh)
+            .await?;
+    sqlx::query("CREATE TEMP TABLE known_schema (type TEXT, name TEXT, sql TEXT)")
+        .execute(&mut *connection)
+        .await?;
+    for (kind, name, sql) in known {
+        sqlx::query("INSERT INTO temp.known_schema VALUES (?, ?, ?)")
+            .bind(kind)
+            .bind(name)
+            .bind(sql)
+            .execute(&mut *connection)
+            .await?;
+    }
+    Ok(())
 }

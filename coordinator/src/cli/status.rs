@@ -1,21 +1,16 @@
 //! `coordinator campaign list` and `coordinator campaign status`: how campaigns
-//! stand, once or live. Every line fits 80 columns.
+//! stand, in words and bars. Every line fits 80 columns. Following them live is
+//! `watch`'s business.
 
-use std::io::{IsTerminal, Write};
-use std::time::Duration;
-
-use anyhow::Context;
 use clap::Args;
-use coordinator::client::CampaignStatus;
+use coordinator::client::{CampaignStatus, State};
 use coordinator::ids::shortened;
-use coordinator::queue::RATE_WINDOW;
 
+use super::watch::watch;
 use super::{CommandError, Connection, print_line};
 
-/// Between two looks at a campaign on a terminal, where one line rewrites
-/// itself, and elsewhere, where every look is a line of a log.
-const TERMINAL_PERIOD: Duration = Duration::from_secs(1);
-const LOG_PERIOD: Duration = Duration::from_secs(5);
+/// What is said where there are none.
+const NO_CAMPAIGNS: &str = "no campaigns yet; `coordinator campaign create` makes one";
 /// Width of a line, and of its progress bar where there is room, columns.
 const LINE_COLUMNS: usize = 79;
 const BAR_COLUMNS: usize = 16;
@@ -30,9 +25,9 @@ pub(super) struct ListArguments {
 
 #[derive(Args, Debug)]
 pub(super) struct StatusArguments {
-    /// Name of the campaign.
-    campaign: String,
-    /// Follow it until it is finished.
+    /// Name of the campaign; all campaigns without it.
+    campaign: Option<String>,
+    /// Follow until everything is finished.
     #[arg(long)]
     watch: bool,
     #[command(flatten)]
@@ -42,8 +37,7 @@ pub(super) struct StatusArguments {
 pub(super) async fn list(arguments: ListArguments) -> Result<(), CommandError> {
     let campaigns = arguments.connection.client()?.list_campaigns().await?;
     if campaigns.is_empty() {
-        let hint = "no campaigns yet; `coordinator campaign create` makes one";
-        return Ok(print_line(hint)?);
+        return Ok(print_line(NO_CAMPAIGNS)?);
     }
     let text: Vec<String> = campaigns
         .iter()
@@ -57,98 +51,34 @@ pub(super) async fn list(arguments: ListArguments) -> Result<(), CommandError> {
 
 pub(super) async fn status(arguments: StatusArguments) -> Result<(), CommandError> {
     let client = arguments.connection.client()?;
-    let mut status = client.campaign_status(&arguments.campaign).await?;
-    if arguments.watch {
-        let mut screen = Screen::new(std::io::stdout().is_terminal());
-        screen.say(&format!(
-            "ETA = rollouts left / rate of the last {} minutes",
-            RATE_WINDOW.as_secs() / 60
-        ))?;
-        loop {
-            screen.show(&status)?;
-            if is_finished(&status) {
-                break;
-            }
-            tokio::time::sleep(screen.period()).await;
-            status = client.campaign_status(&arguments.campaign).await?;
-        }
-        screen.end()?;
+    let name = arguments.campaign.as_deref();
+    let campaigns = match (arguments.watch, name) {
+        (true, name) => watch(&client, name).await?,
+        (false, Some(name)) => vec![client.campaign_status(name).await?],
+        (false, None) => client.list_campaigns().await?,
+    };
+    if campaigns.is_empty() {
+        return Ok(print_line(NO_CAMPAIGNS)?);
     }
-    Ok(print_line(&details(&status))?)
+    let text: Vec<String> = campaigns.iter().map(details).collect();
+    Ok(print_line(&text.join("\n"))?)
 }
 
-/// What is being followed: on a terminal one line that rewrites itself, else a
-/// line per look.
-struct Screen {
-    is_terminal: bool,
-    attention: Option<String>,
-}
-
-impl Screen {
-    fn new(is_terminal: bool) -> Screen {
-        Screen {
-            is_terminal,
-            attention: None,
-        }
-    }
-
-    fn period(&self) -> Duration {
-        if self.is_terminal {
-            TERMINAL_PERIOD
-        } else {
-            LOG_PERIOD
-        }
-    }
-
-    /// Prints a line that stays.
-    fn say(&self, text: &str) -> anyhow::Result<()> {
-        let clear = if self.is_terminal { "\r\x1b[2K" } else { "" };
-        self.print(&format!("{clear}{text}\n"))
-    }
-
-    /// Shows how the campaign stands, and, when it changes, what needs looking
-    /// after.
-    fn show(&mut self, status: &CampaignStatus) -> anyhow::Result<()> {
-        let attention = attention(status);
-        if attention != self.attention {
-            if let Some(note) = &attention {
-                self.say(note)?;
-            }
-            self.attention = attention;
-        }
-        if self.is_terminal {
-            self.print(&format!("\r\x1b[2K{}", line(status)))
-        } else {
-            self.say(&line(status))
-        }
-    }
-
-    fn end(&self) -> anyhow::Result<()> {
-        if self.is_terminal {
-            self.print("\n")?;
-        }
-        Ok(())
-    }
-
-    fn print(&self, text: &str) -> anyhow::Result<()> {
-        let mut stdout = std::io::stdout().lock();
-        stdout
-            .write_all(text.as_bytes())
-            .and_then(|()| stdout.flush())
-            .context("print the campaign's progress")
-    }
-}
-
-fn is_finished(status: &CampaignStatus) -> bool {
-    status.committed + status.quarantined == status.total
+/// Whether nothing more will happen by itself.
+pub(super) fn is_finished(status: &CampaignStatus) -> bool {
+    status.state() == State::Cancelled || status.committed + status.quarantined == status.total
 }
 
 /// One line: name, bar, counts, rate, ETA. The bar gets what the rest leaves.
-fn line(status: &CampaignStatus) -> String {
+pub(super) fn line(status: &CampaignStatus) -> String {
     let done = status.committed + status.quarantined;
     let percent = (done * 100).checked_div(status.total).unwrap_or(0);
-    let pace = if is_finished(status) {
+    let pace = if status.state() == State::Cancelled {
+        "cancelled".to_owned()
+    } else if is_finished(status) {
         "finished".to_owned()
+    } else if status.state() == State::Paused {
+        format!("paused, {} running", status.leased)
     } else {
         let rate = status.rate_per_sec.map_or("–/s".to_owned(), rate_text);
         let eta = status.eta_secs.map_or("–".to_owned(), duration_text);
@@ -166,7 +96,7 @@ fn line(status: &CampaignStatus) -> String {
 }
 
 /// What keeps a campaign from going on, if something does.
-fn attention(status: &CampaignStatus) -> Option<String> {
+pub(super) fn attention(status: &CampaignStatus) -> Option<String> {
     let mut notes = Vec::new();
     if status.policy_paused {
         notes.push(format!(
@@ -178,8 +108,8 @@ fn attention(status: &CampaignStatus) -> Option<String> {
     }
     if status.quarantined > 0 {
         notes.push(format!(
-            "{} set aside after failing too often; the report names them",
-            status.quarantined
+            "{} set aside after failing too often: `coordinator jobs list {} --state quarantined`",
+            status.quarantined, status.campaign
         ));
     }
     (!notes.is_empty()).then(|| notes.join("; "))
@@ -189,7 +119,10 @@ fn attention(status: &CampaignStatus) -> Option<String> {
 fn details(status: &CampaignStatus) -> String {
     let mut lines = vec![
         line(status),
-        format!("  policy       {}", status.policy),
+        format!(
+            "  policy       {} at {}",
+            status.policy, status.policy_endpoint
+        ),
         format!("  committed    {:>7}", status.committed),
         format!("  succeeded    {:>7}", status.succeeded),
         format!("  running      {:>7}", status.leased),
@@ -211,7 +144,7 @@ fn rate_text(per_sec: f64) -> String {
     }
 }
 
-fn duration_text(secs: f64) -> String {
+pub(super) fn duration_text(secs: f64) -> String {
     let secs = secs.round() as u64;
     match (secs / 86_400, secs / 3_600 % 24, secs / 60 % 60, secs % 60) {
         (0, 0, 0, s) => format!("{s}s"),
@@ -257,6 +190,17 @@ mod tests {
         };
         let columns = line(&status).chars().count();
         assert!(columns <= 80, "{columns}: {}", line(&status));
+    }
+
+    #[test]
+    fn a_paused_or_cancelled_campaign_shows_no_eta() {
+        let with = |state: State| CampaignStatus {
+            state: state.into(),
+            ..running(57, 140)
+        };
+        assert!(line(&with(State::Paused)).ends_with("40%  paused, 2 running"));
+        assert!(line(&with(State::Cancelled)).ends_with("40%  cancelled"));
+        assert!(is_finished(&with(State::Cancelled)) && !is_finished(&with(State::Paused)));
     }
 
     #[test]

@@ -8,11 +8,13 @@ use proto::coordinator::operator_service_server::OperatorService;
 use tokio_stream::{Stream, StreamExt};
 use tonic::{Request, Response, Status};
 
-use super::{chain, export_failed, queue_failed, report_failed};
+use super::backup::{self, Chunks};
+use super::{chain, export_failed, listing, queue_failed, read, report_failed};
+use crate::campaign::CampaignState;
 use crate::expand::NewCampaign;
 use crate::export::Export;
-use crate::ids::CampaignName;
-use crate::queue::{CampaignStatus, Queue};
+use crate::ids::{CampaignName, JobId};
+use crate::queue::{CampaignStatus, JobFilter, Queue};
 use crate::report;
 
 /// The operator service on a queue.
@@ -29,6 +31,7 @@ impl OperatorApi {
 
 #[tonic::async_trait]
 impl OperatorService for OperatorApi {
+    type BackupStream = Chunks;
     type ExportStream = Pin<Box<dyn Stream<Item = Result<wire::ExportLine, Status>> + Send>>;
 
     async fn create_campaign(
@@ -68,6 +71,101 @@ impl OperatorService for OperatorApi {
         }))
     }
 
+    async fn change_campaign(
+        &self,
+        request: Request<wire::ChangeCampaignRequest>,
+    ) -> Result<Response<wire::ChangeCampaignResponse>, Status> {
+        let request = request.into_inner();
+        let name = campaign_name(&request.campaign)?;
+        let change = read::change(request.change)?;
+        let state = self.queue.change_campaign(&name, change).await;
+        let state = write_state(state.map_err(queue_failed)?);
+        Ok(Response::new(wire::ChangeCampaignResponse {
+            state: state.into(),
+        }))
+    }
+
+    async fn delete_campaign(
+        &self,
+        request: Request<wire::DeleteCampaignRequest>,
+    ) -> Result<Response<wire::DeleteCampaignResponse>, Status> {
+        let request = request.into_inner();
+        let name = campaign_name(&request.campaign)?;
+        if request.confirm != request.campaign {
+            return Err(Status::invalid_argument(format!(
+                "delete campaign `{name}`: `confirm` must be its name once more"
+            )));
+        }
+        let deleted = self.queue.delete_campaign(&name).await;
+        let deleted = deleted.map_err(queue_failed)?;
+        Ok(Response::new(wire::DeleteCampaignResponse {
+            jobs: deleted.total(),
+            results: deleted.committed,
+        }))
+    }
+
+    async fn list_jobs(
+        &self,
+        request: Request<wire::ListJobsRequest>,
+    ) -> Result<Response<wire::ListJobsResponse>, Status> {
+        let request = request.into_inner();
+        let name = campaign_name(&request.campaign)?;
+        let filter = JobFilter {
+            state: read::job_state(&request.state)?,
+            after: JobId(request.after_job_id),
+            limit: request.limit,
+        };
+        let jobs = self.queue.list_jobs(&name, filter).await;
+        let now = self.queue.now();
+        let jobs = jobs.map_err(queue_failed)?.into_iter();
+        Ok(Response::new(wire::ListJobsResponse {
+            jobs: jobs.map(|line| listing::job(line, now)).collect(),
+        }))
+    }
+
+    async fn get_job(
+        &self,
+        request: Request<wire::GetJobRequest>,
+    ) -> Result<Response<wire::GetJobResponse>, Status> {
+        let request = request.into_inner();
+        let name = campaign_name(&request.campaign)?;
+        let job = read::job_name(request.job.unwrap_or_default())?;
+        let details = self.queue.job_details(&name, &job).await;
+        let details = details.map_err(queue_failed)?;
+        Ok(Response::new(listing::details(details, self.queue.now())))
+    }
+
+    async fn retry_jobs(
+        &self,
+        request: Request<wire::RetryJobsRequest>,
+    ) -> Result<Response<wire::RetryJobsResponse>, Status> {
+        let request = request.into_inner();
+        let name = campaign_name(&request.campaign)?;
+        let retry = read::retry(request.jobs, request.all)?;
+        let jobs = self.queue.retry_jobs(&name, &retry).await;
+        Ok(Response::new(wire::RetryJobsResponse {
+            jobs: jobs.map_err(queue_failed)?,
+        }))
+    }
+
+    async fn list_workers(
+        &self,
+        _: Request<wire::ListWorkersRequest>,
+    ) -> Result<Response<wire::ListWorkersResponse>, Status> {
+        let workers = self.queue.list_workers().await.map_err(queue_failed)?;
+        Ok(Response::new(wire::ListWorkersResponse {
+            workers: workers.into_iter().map(listing::worker).collect(),
+        }))
+    }
+
+    async fn backup(
+        &self,
+        _: Request<wire::BackupRequest>,
+    ) -> Result<Response<Self::BackupStream>, Status> {
+        let backup = self.queue.backup().await.map_err(queue_failed)?;
+        Ok(Response::new(backup::chunks(backup).await?))
+    }
+
     async fn report(
         &self,
         request: Request<wire::ReportRequest>,
@@ -104,6 +202,7 @@ fn write_status(status: CampaignStatus) -> wire::CampaignStatus {
     wire::CampaignStatus {
         campaign: status.name.as_str().to_owned(),
         policy: status.policy,
+        policy_endpoint: status.policy_endpoint,
         total: counts.total(),
         queued: counts.queued,
         leased: counts.leased,
@@ -116,5 +215,15 @@ fn write_status(status: CampaignStatus) -> wire::CampaignStatus {
         eta_secs: status.eta_secs,
         live_workers: status.live_workers,
         waiting_reason: status.waiting_reason,
+        state: write_state(status.state).into(),
+    }
+}
+
+fn write_state(state: CampaignState) -> wire::campaign_status::State {
+    use wire::campaign_status::State;
+    match state {
+        CampaignState::Running { .. } => State::Running,
+        CampaignState::Paused { .. } => State::Paused,
+        CampaignState::Cancelled { .. } => State::Cancelled,
     }
 }

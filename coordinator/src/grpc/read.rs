@@ -4,15 +4,18 @@
 use proto::coordinator as wire;
 use tonic::Status;
 
+use crate::campaign::Change;
 use crate::digests::{AxisDigests, AxisDigestsError, is_sha256};
 use crate::ids::{Attempt, JobId, LeaseRef, WorkerId, shortened};
 use crate::lease::FailureReason;
-use crate::queue::CommitReport;
+use crate::queue::{CommitReport, JobName, MAX_JOBS_RETRIED, Retry};
 use crate::store::results::{Digests, Outcome, Provenance};
 use crate::store::workers::WorkerInfo;
 
 /// Longest name or version that is kept, bytes.
 const MAX_TEXT_BYTES: usize = 512;
+/// Longest rollout id that is looked for, bytes.
+const MAX_ROLLOUT_ID_BYTES: usize = 128;
 /// Longest error message that is kept, bytes; the rest is cut off.
 const MAX_ERROR_BYTES: usize = 4_096;
 
@@ -74,6 +77,55 @@ pub(super) fn commit(request: wire::CommitRequest) -> Result<CommitReport, Statu
             program_version: text("program_version", provenance.program_version)?,
         },
     })
+}
+
+pub(super) fn change(change: i32) -> Result<Change, Status> {
+    use wire::change_campaign_request::Change as Wire;
+    match Wire::try_from(change) {
+        Ok(Wire::Pause) => Ok(Change::Pause),
+        Ok(Wire::Resume) => Ok(Change::Resume),
+        Ok(Wire::Cancel) => Ok(Change::Cancel),
+        Ok(Wire::Unspecified) | Err(_) => Err(Status::invalid_argument(format!(
+            "`change` is {change}, which is none of this protocol version"
+        ))),
+    }
+}
+
+/// The name of a job's state; none where all are wanted.
+pub(super) fn job_state(state: &str) -> Result<Option<&str>, Status> {
+    match state {
+        "" => Ok(None),
+        "queued" | "leased" | "committed" | "quarantined" => Ok(Some(state)),
+        other => Err(Status::invalid_argument(format!(
+            "`{}` is no state of a job; there are queued, leased, committed, quarantined",
+            shortened(other, MAX_ROLLOUT_ID_BYTES)
+        ))),
+    }
+}
+
+pub(super) fn job_name(name: wire::JobName) -> Result<JobName, Status> {
+    if name.rollout_id.len() > MAX_ROLLOUT_ID_BYTES {
+        return Err(Status::invalid_argument(format!(
+            "a rollout id is longer than {MAX_ROLLOUT_ID_BYTES} bytes"
+        )));
+    }
+    Ok(JobName {
+        rollout_id: required("rollout_id", name.rollout_id)?,
+        replicate: name.replicate,
+    })
+}
+
+pub(super) fn retry(jobs: Vec<wire::JobName>, all: bool) -> Result<Retry, Status> {
+    match (all, jobs.len()) {
+        (true, 0) => Ok(Retry::All),
+        (false, 1..=MAX_JOBS_RETRIED) => {
+            let names: Result<Vec<JobName>, Status> = jobs.into_iter().map(job_name).collect();
+            Ok(Retry::Named(names?))
+        }
+        _ => Err(Status::invalid_argument(format!(
+            "name 1 to {MAX_JOBS_RETRIED} jobs, or ask for all"
+        ))),
+    }
 }
 
 pub(super) fn failure_reason(reason: i32) -> Result<FailureReason, Status> {

@@ -2,18 +2,23 @@
 
 use std::time::Duration;
 
+use sqlx::SqliteConnection;
+
 use super::claim::{describe, suits};
 use super::{Queue, QueueError};
+use crate::artifacts;
+use crate::campaign::CampaignState;
 use crate::clock::UnixMillis;
 use crate::expand::{NewCampaign, differing_fields};
 use crate::ids::CampaignName;
 use crate::outage::PolicyState;
 use crate::store::campaigns::{CampaignRow, Counts};
+use crate::store::failpoint::Step;
 use crate::store::workers::Pin;
-use crate::store::{self, StoreError, campaigns, workers};
+use crate::store::{StoreError, campaigns, removals, workers};
 
-/// A campaign's rate is taken over so long, or since its first lease if that
-/// is less.
+/// A campaign's rate is taken over so long, or since its first lease or since it
+/// was resumed if that is less.
 pub const RATE_WINDOW: Duration = Duration::from_secs(300);
 
 /// What creating a campaign did.
@@ -34,6 +39,10 @@ pub struct CampaignStatus {
     pub spec: String,
     /// Its policy's name.
     pub policy: String,
+    /// Its policy's endpoint.
+    pub policy_endpoint: String,
+    /// Where it stands with its operator.
+    pub state: CampaignState,
     /// Its jobs by state.
     pub counts: Counts,
     /// Why its policy's jobs wait, if they do.
@@ -55,7 +64,8 @@ impl Queue {
     /// # Errors
     /// When another specification has the name, or the database fails.
     pub async fn create_campaign(&self, campaign: &NewCampaign) -> Result<Created, QueueError> {
-        let mut tx = self.store.write().await?;
+        let _alone = self.campaigns.lock().await;
+        let mut tx = self.store.write(Step::CreateCampaign).await?;
         if let Some(existing) = campaigns::by_name(&mut tx, &campaign.name).await? {
             if existing.spec_digest != campaign.spec_digest {
                 return Err(QueueError::CampaignDiffers {
@@ -70,7 +80,10 @@ impl Queue {
             });
         }
         campaigns::insert(&mut tx, campaign, self.now()).await?;
-        store::commit(tx).await?;
+        // Files that could not be removed with a deleted campaign of this name
+        // stay now, rather than to take the new one's with them.
+        removals::done(&mut tx, &artifacts::campaign_folder(&campaign.name)).await?;
+        tx.commit().await?;
         tracing::info!(campaign = %campaign.name, jobs = campaign.jobs.len(), "campaign created");
         self.work.notify_waiters();
         let jobs = campaign.jobs.len() as u64;
@@ -99,32 +112,30 @@ impl Queue {
     /// When there is no such campaign or the database fails.
     pub async fn campaign_status(&self, name: &CampaignName) -> Result<CampaignStatus, QueueError> {
         let mut tx = self.store.read().await?;
-        let row = campaigns::by_name(&mut tx, name).await?;
-        let row = row.ok_or_else(|| QueueError::UnknownCampaign {
-            campaign: name.clone(),
-        })?;
+        let row = self.campaign(&mut tx, name).await?;
         Ok(self.status_of(&mut tx, row).await?)
     }
 
     async fn status_of(
         &self,
-        tx: &mut store::Tx,
+        tx: &mut SqliteConnection,
         row: CampaignRow,
     ) -> Result<CampaignStatus, StoreError> {
         let now = self.now();
         let counts = campaigns::counts(tx, row.id).await?;
         let health = campaigns::policy_health(tx, row.id).await?;
         let live = workers::live_pins(tx, now.minus(self.timing().worker_alive)).await?;
-        let rate_per_sec = match row.pinned_ms {
-            Some(started) => {
-                let since = started.max(now.minus(RATE_WINDOW));
+        let state = row.state()?;
+        let rate_per_sec = match (row.pinned_ms, state) {
+            (Some(started), CampaignState::Running { since: resumed }) => {
+                let since = started.max(resumed).max(now.minus(RATE_WINDOW));
                 rate(
                     campaigns::committed_since(tx, row.id, since).await?,
                     since,
                     now,
                 )
             }
-            None => None,
+            _ => None,
         };
         let left = counts.queued + counts.leased;
         let policy_pause_reason = match health.state {
@@ -138,7 +149,7 @@ impl Queue {
             .iter()
             .filter(|live| pin.as_ref().is_none_or(|pin| suits(pin, live)));
         let live_workers = u32::try_from(able.count()).unwrap_or(u32::MAX);
-        let waiting_reason = if counts.queued == 0 || counts.leased > 0 {
+        let waiting_reason = if counts.queued == 0 || counts.leased > 0 || !state.may_lease() {
             String::new()
         } else if let Some(reason) = &policy_pause_reason {
             format!("policy `{}` is down: {reason}", row.policy)
@@ -149,6 +160,8 @@ impl Queue {
             name: row.name,
             spec: row.spec,
             policy: row.policy,
+            policy_endpoint: row.endpoint,
+            state,
             counts,
             policy_pause_reason,
             rate_per_sec,

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use sqlx::SqliteConnection;
 use tokio::time::Instant;
 
 use super::{Queue, QueueError};
@@ -9,9 +10,10 @@ use crate::clock::UnixMillis;
 use crate::ids::{Attempt, CampaignId, CampaignName, JobId, PolicyId, WorkerId};
 use crate::outage::{Allowance, PolicyState};
 use crate::plan::choose_task;
+use crate::store::failpoint::Step;
 use crate::store::jobs::{Claimant, LeasedJob, WaitingCampaign};
 use crate::store::workers::Pin;
-use crate::store::{self, StoreError, campaigns, jobs, policies, workers};
+use crate::store::{StoreError, campaigns, jobs, policies, workers};
 
 /// Most jobs that one claim leases.
 pub const MAX_CLAIM_JOBS: u32 = 64;
@@ -98,19 +100,19 @@ impl Queue {
 
     /// Notes that a worker is there: once per claim, however often it is woken.
     async fn note_presence(&self, worker: &WorkerId) -> Result<(), QueueError> {
-        let mut tx = self.store.write().await?;
+        let mut tx = self.store.write(Step::Claim).await?;
         if !workers::seen(&mut tx, worker, self.now()).await? {
             return Err(QueueError::UnknownWorker {
                 worker: worker.clone(),
             });
         }
-        Ok(store::commit(tx).await?)
+        Ok(tx.commit().await?)
     }
 
     async fn claim_now(&self, request: &ClaimRequest) -> Result<Claimed, QueueError> {
         let now = self.now();
         let worker = &request.worker;
-        let mut tx = self.store.write().await?;
+        let mut tx = self.store.write(Step::Claim).await?;
         let Some(standing) = workers::standing(&mut tx, worker).await? else {
             return Err(QueueError::UnknownWorker {
                 worker: worker.clone(),
@@ -131,13 +133,13 @@ impl Queue {
         let claimed = self
             .lease_from_campaigns(&mut tx, request, claimant)
             .await?;
-        store::commit(tx).await?;
+        tx.commit().await?;
         Ok(claimed)
     }
 
     async fn lease_from_campaigns(
         &self,
-        tx: &mut store::Tx,
+        tx: &mut SqliteConnection,
         request: &ClaimRequest,
         claimant: Claimant<'_>,
     ) -> Result<Claimed, StoreError> {
@@ -177,7 +179,7 @@ impl Queue {
 
     async fn lease_from(
         &self,
-        tx: &mut store::Tx,
+        tx: &mut SqliteConnection,
         campaign: CampaignId,
         request: &ClaimRequest,
         claimant: Claimant<'_>,
@@ -198,7 +200,7 @@ impl Queue {
     /// Workers alive that run on `pin`; all of them, if there is none yet.
     pub(super) async fn able_workers(
         &self,
-        tx: &mut store::Tx,
+        tx: &mut SqliteConnection,
         pin: Option<&Pin>,
         now: UnixMillis,
     ) -> Result<u32, StoreError> {
@@ -225,7 +227,7 @@ pub(super) fn describe(pin: &Pin) -> String {
 }
 
 async fn hand_out(
-    tx: &mut store::Tx,
+    tx: &mut SqliteConnection,
     campaign: &WaitingCampaign,
     leased: Vec<LeasedJob>,
 ) -> Result<Vec<ClaimedJob>, StoreError> {
@@ -248,7 +250,11 @@ async fn hand_out(
 }
 
 /// Why jobs wait that this worker does not get; empty if none do.
-async fn idle_reason(tx: &mut store::Tx, pin: &Pin, now: UnixMillis) -> Result<String, StoreError> {
+async fn idle_reason(
+    tx: &mut SqliteConnection,
+    pin: &Pin,
+    now: UnixMillis,
+) -> Result<String, StoreError> {
     let mut reasons = Vec::new();
     for campaign in campaigns::waiting(tx).await? {
         if let Some(other) = campaign.pin().filter(|other| !suits(other, pin)) {
@@ -258,6 +264,10 @@ async fn idle_reason(tx: &mut store::Tx, pin: &Pin, now: UnixMillis) -> Result<S
                 describe(&other),
                 describe(pin)
             ));
+            continue;
+        }
+        if !campaign.state()?.may_lease() {
+            reasons.push(format!("campaign `{}` is paused", campaign.name));
             continue;
         }
         let health = campaigns::policy_health(tx, campaign.id).await?;

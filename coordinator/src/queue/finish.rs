@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use sqlx::SqliteConnection;
+
 use super::{Queue, QueueError};
 use crate::clock::UnixMillis;
 use crate::ids::{CampaignId, JobId, LeaseRef, PolicyId, WorkerId};
@@ -11,8 +13,9 @@ use crate::lease::{
 };
 use crate::outage::{Allowance, PolicyHealth, PolicyState};
 use crate::pairing::{self, Demand};
+use crate::store::failpoint::Step;
 use crate::store::results::{Digests, Outcome, Provenance};
-use crate::store::{self, StoreError, campaigns, jobs, policies, results, workers};
+use crate::store::{StoreError, campaigns, jobs, policies, results, workers};
 
 /// An outcome as a worker reports it.
 #[derive(Clone, Debug)]
@@ -85,7 +88,7 @@ impl Queue {
             success: report.outcome.success,
             steps: report.outcome.steps,
         };
-        let mut tx = self.store.write().await?;
+        let mut tx = self.store.write(Step::Commit).await?;
         workers::seen(&mut tx, &lease.worker, now).await?;
         let (job, campaign) = self.job(&mut tx, lease.job).await?;
         let granted = jobs::was_granted(&mut tx, lease).await?;
@@ -106,7 +109,7 @@ impl Queue {
                 stale(&job, lease)
             }
         };
-        store::commit(tx).await?;
+        tx.commit().await?;
         if reply.verdict != CommitVerdict::Accepted {
             tracing::warn!(job = %lease.job, worker = %lease.worker, verdict = ?reply.verdict,
                 "{}", reply.detail);
@@ -125,11 +128,11 @@ impl Queue {
         error: &str,
     ) -> Result<ReleaseReply, QueueError> {
         let now = self.now();
-        let mut tx = self.store.write().await?;
+        let mut tx = self.store.write(Step::Release).await?;
         workers::seen(&mut tx, &lease.worker, now).await?;
         let (job, campaign) = self.job(&mut tx, lease.job).await?;
         if !job.is_held_by(lease) {
-            store::commit(tx).await?;
+            tx.commit().await?;
             return Ok(ReleaseReply {
                 verdict: ReleaseVerdict::Stale,
                 backoff: Duration::ZERO,
@@ -139,7 +142,7 @@ impl Queue {
         let reply = self
             .end_attempt(&mut tx, &job, campaign, lease, (reason, error), now)
             .await?;
-        store::commit(tx).await?;
+        tx.commit().await?;
         tracing::info!(job = %lease.job, worker = %lease.worker, verdict = ?reply.verdict,
             "released ({}): {error}", reason.as_str());
         Ok(reply)
@@ -148,7 +151,7 @@ impl Queue {
     /// For and against setting a job aside that just failed on `worker`.
     pub(super) async fn suspicion(
         &self,
-        tx: &mut store::Tx,
+        tx: &mut SqliteConnection,
         job: JobId,
         campaign: CampaignId,
         worker: &WorkerId,
@@ -164,7 +167,7 @@ impl Queue {
     /// Stores a worker's run of failures. Returns why it must stop, if it must.
     pub(super) async fn strike(
         &self,
-        tx: &mut store::Tx,
+        tx: &mut SqliteConnection,
         worker: &WorkerId,
         strike: Strike,
         last_error: &str,
@@ -186,7 +189,7 @@ impl Queue {
     /// A lease ended for a reason that says nothing about its policy.
     pub(super) async fn lease_told_nothing_of_its_policy(
         &self,
-        tx: &mut store::Tx,
+        tx: &mut SqliteConnection,
         lease: &LeaseRef,
         now: UnixMillis,
     ) -> Result<(), StoreError> {
@@ -201,7 +204,7 @@ impl Queue {
     /// there is one writer.
     pub(super) async fn set_health(
         &self,
-        tx: &mut store::Tx,
+        tx: &mut SqliteConnection,
         policy: PolicyId,
         (before, after): (&PolicyHealth, &PolicyHealth),
         now: UnixMillis,
@@ -215,7 +218,11 @@ impl Queue {
         policies::set_health(tx, policy, after).await
     }
 
-    async fn job(&self, tx: &mut store::Tx, job: JobId) -> Result<(Job, CampaignId), QueueError> {
+    pub(super) async fn job(
+        &self,
+        tx: &mut SqliteConnection,
+        job: JobId,
+    ) -> Result<(Job, CampaignId), QueueError> {
         jobs::load(tx, job)
             .await?
             .ok_or(QueueError::UnknownJob { job })
@@ -225,7 +232,7 @@ impl Queue {
     /// with its siblings.
     async fn accept(
         &self,
-        tx: &mut store::Tx,
+        tx: &mut SqliteConnection,
         job: &Job,
         campaign: CampaignId,
         report: &CommitReport,
@@ -274,7 +281,7 @@ impl Queue {
     /// worker's failure, and tells the policy's health.
     async fn end_attempt(
         &self,
-        tx: &mut store::Tx,
+        tx: &mut SqliteConnection,
         job: &Job,
         campaign: CampaignId,
         lease: &LeaseRef,
@@ -326,7 +333,7 @@ impl Queue {
     /// jobs wait.
     async fn outage(
         &self,
-        tx: &mut store::Tx,
+        tx: &mut SqliteConnection,
         job: &Job,
         lease: &LeaseRef,
         error: &str,

@@ -1,9 +1,11 @@
-//! Statements on `campaign` and `campaign_task`: creating, pinning, counting.
+//! Statements on `campaign` and `campaign_task`: creating, pinning, moving,
+//! counting, deleting.
 
 use protocol::Realisation;
 use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
 
 use super::{Doing, StoreError, policies, undecodable};
+use crate::campaign::CampaignState;
 use crate::clock::UnixMillis;
 use crate::expand::{NewCampaign, NewJob};
 use crate::ids::{CampaignId, CampaignName};
@@ -24,6 +26,8 @@ pub(crate) struct CampaignRow {
     pub(crate) endpoint: String,
     pub(crate) realisation: String,
     pub(crate) record: String,
+    pub(crate) state: String,
+    pub(crate) state_since_ms: UnixMillis,
     pub(crate) pinned_ms: Option<UnixMillis>,
     pub(crate) asset_pack: Option<String>,
     pub(crate) asset_pack_digest: Option<String>,
@@ -48,8 +52,8 @@ pub struct Counts {
 /// The columns of [`CampaignRow`].
 macro_rules! campaign_columns {
     () => {
-        "c.id, c.name, c.spec, c.spec_digest, p.name AS policy, p.endpoint, c.realisation,
-         c.record, c.pinned_ms, c.asset_pack, c.asset_pack_digest, c.mujoco_version"
+        "c.id, c.name, c.spec, c.spec_digest, p.name AS policy, p.endpoint,
+         c.realisation, c.record, c.state, c.state_since_ms, c.pinned_ms, c.asset_pack, c.asset_pack_digest, c.mujoco_version"
     };
 }
 
@@ -70,6 +74,17 @@ impl CampaignRow {
     }
 }
 
+impl CampaignRow {
+    /// Where it stands with its operator; the CHECK constraints promise that
+    /// this works.
+    pub(crate) fn state(&self) -> Result<CampaignState, StoreError> {
+        CampaignState::from_name(&self.state, self.state_since_ms).ok_or_else(|| StoreError {
+            doing: "read a campaign's state",
+            source: sqlx::Error::Decode(format!("campaign state `{}`", self.state).into()),
+        })
+    }
+}
+
 impl Counts {
     /// All jobs.
     pub fn total(&self) -> u64 {
@@ -87,8 +102,8 @@ pub(crate) async fn insert(
         policies::find_or_insert(tx, &campaign.policy_endpoint, &campaign.policy, now).await?;
     let id: CampaignId = sqlx::query_scalar(
         "INSERT INTO campaign (name, spec, spec_digest, policy_id, realisation, record,
-             created_ms)
-         VALUES (?, ?, ?, ?, ?, ?, ?) RETURNING id",
+             jobs, created_ms, state_since_ms)
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?8) RETURNING id",
     )
     .bind(&campaign.name)
     .bind(&campaign.spec)
@@ -96,6 +111,7 @@ pub(crate) async fn insert(
     .bind(policy)
     .bind(&campaign.realisation)
     .bind(campaign.record)
+    .bind(campaign.jobs.len() as i64)
     .bind(now)
     .fetch_one(&mut *tx)
     .await
@@ -187,7 +203,8 @@ pub(crate) async fn waiting(tx: &mut SqliteConnection) -> Result<Vec<CampaignRow
         "SELECT ",
         campaign_columns!(),
         " FROM campaign c JOIN policy p ON p.id = c.policy_id
-          WHERE EXISTS (SELECT 1 FROM job j WHERE j.campaign_id = c.id AND j.state = 'queued')
+          WHERE c.state <> 'cancelled' AND EXISTS
+              (SELECT 1 FROM job j WHERE j.campaign_id = c.id AND j.state = 'queued')
           ORDER BY c.id"
     ))
     .fetch_all(tx)
@@ -216,6 +233,38 @@ pub(crate) async fn pin(
     .execute(tx)
     .await
     .doing("pin a campaign")?;
+    Ok(())
+}
+
+/// Stores where a campaign stands with its operator.
+pub(crate) async fn set_state(
+    tx: &mut SqliteConnection,
+    id: CampaignId,
+    state: CampaignState,
+) -> Result<(), StoreError> {
+    sqlx::query("UPDATE campaign SET state = ?, state_since_ms = ? WHERE id = ?")
+        .bind(state.name())
+        .bind(state.since())
+        .bind(id)
+        .execute(tx)
+        .await
+        .doing("store a campaign's state")?;
+    Ok(())
+}
+
+/// Removes a campaign with its jobs and their results.
+pub(crate) async fn delete(tx: &mut SqliteConnection, id: CampaignId) -> Result<(), StoreError> {
+    // Jobs first: each row of `campaign_task` would look for its own.
+    for statement in [
+        "DELETE FROM job WHERE campaign_id = ?",
+        "DELETE FROM campaign WHERE id = ?",
+    ] {
+        sqlx::query(statement)
+            .bind(id)
+            .execute(&mut *tx)
+            .await
+            .doing("delete a campaign")?;
+    }
     Ok(())
 }
 

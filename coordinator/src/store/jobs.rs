@@ -23,7 +23,8 @@ macro_rules! is_waiting {
         "j.state = 'queued' AND j.not_before_ms <= ?2
          AND NOT (j.charged_attempts >= ?3 AND ?4 >= 2 AND EXISTS
              (SELECT 1 FROM failure f
-              WHERE f.job_id = j.id AND f.charged = 1 AND f.worker_id = ?5))"
+              WHERE f.job_id = j.id AND f.charged = 1 AND f.worker_id = ?5
+                  AND f.attempt > j.forgiven_attempt))"
     };
 }
 
@@ -116,7 +117,8 @@ pub(crate) async fn waiting_campaigns(
         "SELECT c.id, c.policy_id, p.state, p.outages, p.available_ms, p.resume_ms,
              p.pause_reason, p.probe_job_id, p.probe_attempt
          FROM campaign c JOIN policy p ON p.id = c.policy_id
-         WHERE (c.pinned_ms IS NULL OR (c.asset_pack_digest = ? AND c.mujoco_version = ?))
+         WHERE c.state = 'running'
+             AND (c.pinned_ms IS NULL OR (c.asset_pack_digest = ? AND c.mujoco_version = ?))
              AND EXISTS (SELECT 1 FROM job j WHERE j.campaign_id = c.id AND j.state = 'queued')
          ORDER BY c.id",
     )
@@ -364,6 +366,59 @@ pub(crate) async fn count_stale_report(
     Ok(())
 }
 
+/// The leases of a campaign.
+pub(crate) async fn leased(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+) -> Result<Vec<LeaseRef>, StoreError> {
+    let rows: Vec<(WorkerId, JobId, Attempt)> = sqlx::query_as(
+        "SELECT lease_owner, id, attempt FROM job WHERE campaign_id = ? AND state = 'leased'
+         ORDER BY id",
+    )
+    .bind(campaign)
+    .fetch_all(tx)
+    .await
+    .doing("look for a campaign's leases")?;
+    let lease = |(worker, job, attempt)| LeaseRef {
+        worker,
+        job,
+        attempt,
+    };
+    Ok(rows.into_iter().map(lease).collect())
+}
+
+/// The jobs of a campaign that are set aside.
+pub(crate) async fn quarantined(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+) -> Result<Vec<JobId>, StoreError> {
+    sqlx::query_scalar("SELECT id FROM job WHERE campaign_id = ? AND state = 'quarantined'")
+        .bind(campaign)
+        .fetch_all(tx)
+        .await
+        .doing("look for jobs that are set aside")
+}
+
+/// Takes a job out of quarantine: it may be leased at once, and its failures so
+/// far are forgiven.
+pub(crate) async fn retry(
+    tx: &mut SqliteConnection,
+    job: JobId,
+    now: UnixMillis,
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "UPDATE job SET state = 'queued', not_before_ms = ?, charged_attempts = 0,
+             forgiven_attempt = attempt
+         WHERE id = ? AND state = 'quarantined'",
+    )
+    .bind(now)
+    .bind(job)
+    .execute(tx)
+    .await
+    .doing("take a job out of quarantine")?;
+    Ok(())
+}
+
 /// Whether this worker ever held this attempt.
 pub(crate) async fn was_granted(
     tx: &mut SqliteConnection,
@@ -390,8 +445,9 @@ pub(crate) async fn failed_on_workers(
     worker: &WorkerId,
 ) -> Result<u32, StoreError> {
     sqlx::query_scalar(
-        "SELECT 1 + count(DISTINCT worker_id) FROM failure
-         WHERE job_id = ? AND charged = 1 AND worker_id <> ?",
+        "SELECT 1 + count(DISTINCT f.worker_id) FROM failure f JOIN job j ON j.id = f.job_id
+         WHERE f.job_id = ? AND f.charged = 1 AND f.attempt > j.forgiven_attempt
+             AND f.worker_id <> ?",
     )
     .bind(job)
     .bind(worker)

@@ -80,8 +80,7 @@ pub(crate) struct Sibling {
     pub(crate) worker: WorkerId,
     pub(crate) scene: String,
     pub(crate) init_state: String,
-    /// None in results that were stored before it was kept.
-    pub(crate) perturbation: Option<AxisDigests>,
+    pub(crate) perturbation: AxisDigests,
     pub(crate) first_frame: String,
     pub(crate) gl_renderer: String,
     pub(crate) policy_name: String,
@@ -96,7 +95,7 @@ struct SiblingRow {
     worker_id: WorkerId,
     scene_digest: String,
     init_state_digest: String,
-    perturbation_digests: Option<String>,
+    perturbation_digests: String,
     first_frame_digest: String,
     gl_renderer: String,
     policy_name: String,
@@ -237,8 +236,7 @@ pub(crate) async fn siblings(
          JOIN result r ON r.job_id = s.id
          JOIN provenance v ON v.id = r.provenance_id
          WHERE j.id = ?
-         GROUP BY s.rollout_id, r.perturbation_digests IS NULL, r.first_frame_digest = '',
-             v.gl_renderer, v.policy_name, v.policy_checkpoint, v.policy_checkpoint_digest
+         GROUP BY s.rollout_id, r.first_frame_digest = '', v.gl_renderer, v.policy_name, v.policy_checkpoint, v.policy_checkpoint_digest
          ORDER BY 1",
     )
     .bind(job)
@@ -252,8 +250,7 @@ impl TryFrom<SiblingRow> for Sibling {
     type Error = sqlx::Error;
 
     fn try_from(row: SiblingRow) -> Result<Sibling, sqlx::Error> {
-        let perturbation = row.perturbation_digests.as_deref().map(str::parse);
-        let perturbation = perturbation.transpose();
+        let perturbation = row.perturbation_digests.parse();
         Ok(Sibling {
             rollout: row.rollout_id.parse().map_err(undecodable)?,
             worker: row.worker_id,

@@ -88,7 +88,7 @@ pub(crate) fn text(bytes: &[u8]) -> &str {
     std::str::from_utf8(bytes).expect("UTF-8")
 }
 
-const CREATE: [&str; 14] = [
+pub(crate) const CREATE: [&str; 14] = [
     "campaign",
     "create",
     "--name",

@@ -1,0 +1,42 @@
+//! `coordinator backup`.
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use anyhow::Context;
+use clap::Args;
+
+use super::files::WholeFile;
+use super::{CommandError, Connection, print_line};
+
+/// Copies the database as it is now, while the coordinator runs. To restore it,
+/// put the file as `coordinator.sqlite` into an empty folder and start
+/// `coordinator serve --data` there. Videos are files below the data folder's
+/// `artifacts` and are not in it.
+#[derive(Args, Debug)]
+pub(super) struct BackupArguments {
+    /// File to write, on this machine; replaced only by a whole copy.
+    #[arg(long, value_name = "FILE")]
+    output: PathBuf,
+    #[command(flatten)]
+    connection: Connection,
+}
+
+pub(super) async fn backup(arguments: BackupArguments) -> Result<(), CommandError> {
+    let client = arguments.connection.client()?;
+    let mut chunks = client.backup().await?;
+    let mut file = WholeFile::create(&arguments.output)?;
+    let mut size_bytes = 0;
+    loop {
+        let chunk = chunks.message().await;
+        let Some(chunk) = chunk.map_err(|status| client.broken_stream(&status))? else {
+            break;
+        };
+        let written = file.writer().write_all(&chunk.data);
+        written.with_context(|| format!("write {}", arguments.output.display()))?;
+        size_bytes += chunk.data.len();
+    }
+    file.finish()?;
+    let path = arguments.output.display();
+    Ok(print_line(&format!("wrote {size_bytes} bytes to {path}"))?)
+}

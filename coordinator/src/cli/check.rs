@@ -1,0 +1,42 @@
+//! `coordinator check`.
+
+use std::path::PathBuf;
+
+use anyhow::anyhow;
+use clap::Args;
+use coordinator::invariants::{CheckError, Invariant, check as check_database};
+
+use super::{CommandError, print_line};
+
+#[derive(Args, Debug)]
+pub(super) struct CheckArguments {
+    /// A data folder, or a database file such as a backup.
+    #[arg(value_name = "DATA_DIR_OR_DB")]
+    path: PathBuf,
+}
+
+pub(super) async fn check(arguments: CheckArguments) -> Result<(), CommandError> {
+    let violations = check_database(&arguments.path).await;
+    let violations = violations.map_err(|error| match error {
+        CheckError::Missing { .. } => CommandError::Usage(error.into()),
+        error => CommandError::Failure(error.into()),
+    })?;
+    for violation in &violations {
+        print_line(&format!("{}: {}", violation.invariant, violation.count))?;
+        for told in &violation.told {
+            print_line(&format!("  {told}"))?;
+        }
+        if violation.count > violation.told.len() {
+            print_line("  …")?;
+        }
+    }
+    let all = Invariant::ALL.len();
+    if violations.is_empty() {
+        return Ok(print_line(&format!("all {all} invariants hold"))?);
+    }
+    let error = anyhow!("{} of {all} invariants do not hold", violations.len());
+    let database = arguments.path.display();
+    Err(CommandError::Failure(
+        error.context(format!("find {database} in order")),
+    ))
+}

@@ -1,0 +1,242 @@
+//! `coordinator jobs list|show|retry`.
+
+use anyhow::anyhow;
+use clap::{Args, Subcommand, ValueEnum};
+use coordinator::client::{GetJobResponse, Job, JobName, ListJobsRequest};
+use coordinator::ids::shortened;
+
+use super::status::duration_text;
+use super::{CommandError, Connection, print_line};
+
+/// Jobs asked for at a time.
+const PAGE_JOBS: u32 = 500;
+/// Longest error in a line of the list, bytes.
+const ERROR_BYTES: usize = 60;
+
+#[derive(Debug, Subcommand)]
+pub(super) enum JobsCommand {
+    /// List the rollouts of a campaign and how they stand.
+    List(ListArguments),
+    /// Show one rollout with all its attempts.
+    Show(ShowArguments),
+    /// Requeue rollouts that were set aside after failing too often.
+    Retry(RetryArguments),
+}
+
+#[derive(Args, Debug)]
+pub(super) struct ListArguments {
+    /// Name of the campaign.
+    campaign: String,
+    /// Only those in this state.
+    #[arg(long, value_enum)]
+    state: Option<StateChoice>,
+    /// Most rollouts to list.
+    #[arg(long, default_value_t = 50, value_parser = clap::value_parser!(u32).range(1..))]
+    limit: u32,
+    #[command(flatten)]
+    connection: Connection,
+}
+
+#[derive(Args, Debug)]
+pub(super) struct ShowArguments {
+    /// Name of the campaign.
+    campaign: String,
+    /// Rollout id; `ID#r1` is its second replicate.
+    rollout: String,
+    #[command(flatten)]
+    connection: Connection,
+}
+
+#[derive(Args, Debug)]
+pub(super) struct RetryArguments {
+    /// Name of the campaign.
+    campaign: String,
+    /// Rollout ids; `ID#r1` is a second replicate.
+    #[arg(required_unless_present = "all")]
+    rollouts: Vec<String>,
+    /// Everything that is set aside.
+    #[arg(long, conflicts_with = "rollouts")]
+    all: bool,
+    #[command(flatten)]
+    connection: Connection,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum StateChoice {
+    Queued,
+    Leased,
+    Committed,
+    Quarantined,
+}
+
+pub(super) async fn jobs(command: JobsCommand) -> Result<(), CommandError> {
+    match command {
+        JobsCommand::List(arguments) => list(arguments).await,
+        JobsCommand::Show(arguments) => show(arguments).await,
+        JobsCommand::Retry(arguments) => retry(arguments).await,
+    }
+}
+
+async fn list(arguments: ListArguments) -> Result<(), CommandError> {
+    let client = arguments.connection.client()?;
+    let mut request = ListJobsRequest {
+        campaign: arguments.campaign.clone(),
+        state: arguments.state.map_or("", StateChoice::name).to_owned(),
+        ..ListJobsRequest::default()
+    };
+    let mut left = arguments.limit;
+    loop {
+        // One more than is shown tells whether there are more.
+        request.limit = left.min(PAGE_JOBS) + 1;
+        let page = client.list_jobs(&request).await?;
+        let shown = page.iter().take(request.limit as usize - 1);
+        for job in shown {
+            print_line(&line(job))?;
+            request.after_job_id = job.job_id;
+            left -= 1;
+        }
+        if page.len() < request.limit as usize {
+            return Ok(());
+        }
+        if left == 0 {
+            return Ok(print_line("… and more: --limit shows them")?);
+        }
+    }
+}
+
+async fn show(arguments: ShowArguments) -> Result<(), CommandError> {
+    let client = arguments.connection.client()?;
+    let name = job_name(&arguments.rollout)?;
+    let details = client.job(&arguments.campaign, name).await?;
+    Ok(print_line(&whole(&details))?)
+}
+
+async fn retry(arguments: RetryArguments) -> Result<(), CommandError> {
+    let names: Result<Vec<JobName>, CommandError> =
+        arguments.rollouts.iter().map(|id| job_name(id)).collect();
+    let client = arguments.connection.client()?;
+    let jobs = client.retry_jobs(&arguments.campaign, names?).await?;
+    Ok(print_line(&match jobs {
+        0 => "nothing is set aside".to_owned(),
+        jobs => format!("{jobs} requeued"),
+    })?)
+}
+
+/// "spatial/t0/camera/L2/c03" or "spatial/t0/camera/L2/c03#r1".
+fn job_name(text: &str) -> Result<JobName, CommandError> {
+    let (rollout_id, replicate) = match text.split_once("#r") {
+        None => (text, Some(0)),
+        Some((id, replicate)) => (id, replicate.parse().ok()),
+    };
+    let replicate = replicate.ok_or_else(|| {
+        let error = anyhow!("write a rollout id, and #r1 after it for its second replicate");
+        CommandError::Usage(error.context(format!("read rollout `{text}`")))
+    })?;
+    Ok(JobName {
+        rollout_id: rollout_id.to_owned(),
+        replicate,
+    })
+}
+
+fn name(job: &Job) -> String {
+    match job.replicate {
+        0 => job.rollout_id.clone(),
+        replicate => format!("{}#r{replicate}", job.rollout_id),
+    }
+}
+
+/// How a job stands, in words.
+fn standing(job: &Job) -> String {
+    match (job.state.as_str(), job.success) {
+        ("leased", _) => format!(
+            "running on {}, control step {}, lease ends in {}",
+            job.lease_owner,
+            job.control_steps,
+            duration_text(job.lease_left_secs)
+        ),
+        ("queued", _) if job.backoff_left_secs > 0.0 => {
+            format!("waits {}", duration_text(job.backoff_left_secs))
+        }
+        ("queued", _) => "waits".to_owned(),
+        ("quarantined", _) => "set aside".to_owned(),
+        (_, Some(success)) => format!(
+            "{} after {} steps",
+            if success { "success" } else { "failure" },
+            job.steps.unwrap_or(0)
+        ),
+        (state, None) => state.to_owned(),
+    }
+}
+
+fn line(job: &Job) -> String {
+    let mut line = format!("{:<36} {}", name(job), standing(job));
+    if job.charged_attempts > 0 {
+        line.push_str(&format!(", {} charged", job.charged_attempts));
+    }
+    if job.state != "committed" && !job.last_error.is_empty() {
+        line.push_str(&format!(": {}", shortened(&job.last_error, ERROR_BYTES)));
+    }
+    line
+}
+
+fn whole(details: &GetJobResponse) -> String {
+    let job = details.job.clone().unwrap_or_default();
+    let mut lines = vec![
+        format!("{}  (job {})", name(&job), job.job_id),
+        format!("  now            {}", standing(&job)),
+        format!(
+            "  attempts       {}, of which {} count against it",
+            job.attempt, job.charged_attempts
+        ),
+    ];
+    if details.stale_reports > 0 {
+        lines.push(format!(
+            "  late reports   {} refused",
+            details.stale_reports
+        ));
+    }
+    if let Some(result) = &details.result {
+        lines.push(format!(
+            "  result         attempt {} by {} on {} ({}), {:.1} s, {} ago",
+            result.attempt,
+            result.worker_id,
+            result.host,
+            result.gl_renderer,
+            result.wall_secs,
+            duration_text(result.ago_secs)
+        ));
+        if result.divergences > 0 {
+            lines.push(format!(
+                "  divergent      reported {} times with another outcome",
+                result.divergences
+            ));
+        }
+        if !result.video.is_empty() {
+            lines.push(format!("  video          {}", result.video));
+        }
+    }
+    for failure in &details.failures {
+        lines.push(format!(
+            "  attempt {:<6} {} on {}, {} ago{}: {}",
+            failure.attempt,
+            failure.reason.replace('_', " "),
+            failure.worker_id,
+            duration_text(failure.ago_secs),
+            if failure.charged { "" } else { ", not charged" },
+            failure.error
+        ));
+    }
+    lines.push(format!("  manifest row   {}", details.manifest_row));
+    lines.join("\n")
+}
+
+impl StateChoice {
+    fn name(self) -> &'static str {
+        match self {
+            StateChoice::Queued => "queued",
+            StateChoice::Leased => "leased",
+            StateChoice::Committed => "committed",
+            StateChoice::Quarantined => "quarantined",
+        }
+    }
+}

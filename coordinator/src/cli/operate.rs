@@ -1,0 +1,81 @@
+//! `coordinator campaign pause|resume|cancel|delete`.
+
+use std::io::{IsTerminal, Write};
+
+use anyhow::{Context, anyhow};
+use clap::Args;
+use coordinator::client::{Change, State};
+
+use super::{CommandError, Connection, print_line};
+
+#[derive(Args, Debug)]
+pub(super) struct ChangeArguments {
+    /// Name of the campaign.
+    campaign: String,
+    #[command(flatten)]
+    connection: Connection,
+}
+
+#[derive(Args, Debug)]
+pub(super) struct DeleteArguments {
+    /// Name of the campaign.
+    campaign: String,
+    /// The name once more; without it, it is asked for on the terminal.
+    #[arg(long, value_name = "NAME")]
+    confirm: Option<String>,
+    #[command(flatten)]
+    connection: Connection,
+}
+
+pub(super) async fn change(arguments: ChangeArguments, change: Change) -> Result<(), CommandError> {
+    let name = &arguments.campaign;
+    let client = arguments.connection.client()?;
+    let state = client.change_campaign(name, change).await?;
+    let text = match state {
+        State::Running | State::Unspecified => "running",
+        State::Paused => "paused; what is being run may still be committed",
+        State::Cancelled => "cancelled; its results stay",
+    };
+    Ok(print_line(&format!("campaign {name} is {text}"))?)
+}
+
+pub(super) async fn delete(arguments: DeleteArguments) -> Result<(), CommandError> {
+    let name = &arguments.campaign;
+    let confirmed = match &arguments.confirm {
+        Some(confirmed) => confirmed.clone(),
+        None => ask(name)?,
+    };
+    if confirmed != *name {
+        let error = anyhow!("it is not `{confirmed}`; nothing was deleted");
+        return Err(CommandError::Usage(
+            error.context(format!("delete campaign `{name}`")),
+        ));
+    }
+    let deleted = arguments.connection.client()?.delete_campaign(name).await?;
+    Ok(print_line(&format!(
+        "campaign {name} deleted: {} rollouts, {} results and their files",
+        deleted.jobs, deleted.results
+    ))?)
+}
+
+/// Asks for the name of what is to be deleted.
+fn ask(name: &str) -> Result<String, CommandError> {
+    if !std::io::stdin().is_terminal() {
+        let error = anyhow!("say --confirm {name} if its results and files are to go for ever");
+        return Err(CommandError::Usage(
+            error.context(format!("delete campaign `{name}`")),
+        ));
+    }
+    let mut stderr = std::io::stderr().lock();
+    write!(
+        stderr,
+        "The results and files of campaign {name} go for ever. Its name again: "
+    )
+    .and_then(|()| stderr.flush())
+    .context("ask for the campaign's name")?;
+    let mut answer = String::new();
+    std::io::stdin()
+        .read_line(&mut answer)
+        .context("read the campaign's name")?;
+    Ok(answer.trim().to_owned())
+}

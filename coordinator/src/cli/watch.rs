@@ -1,0 +1,184 @@
+//! `coordinator campaign status --watch`: campaigns followed live, with a bar,
+//! a rate and an ETA for each, and for each policy that several of them measure.
+
+use std::collections::BTreeMap;
+use std::io::{IsTerminal, Write};
+use std::time::Duration;
+
+use anyhow::Context;
+use coordinator::client::{CampaignStatus, Client, State};
+use coordinator::queue::RATE_WINDOW;
+
+use super::CommandError;
+use super::status::{attention, is_finished, line};
+
+/// Between two looks on a terminal, where the table rewrites itself, and
+/// elsewhere, where every look adds lines to a log.
+const TERMINAL_PERIOD: Duration = Duration::from_secs(1);
+const LOG_PERIOD: Duration = Duration::from_secs(5);
+
+/// Follows one campaign, or all, until nothing more will happen by itself.
+/// Returns how they stand then.
+pub(super) async fn watch(
+    client: &Client,
+    name: Option<&str>,
+) -> Result<Vec<CampaignStatus>, CommandError> {
+    let mut screen = Screen::new(std::io::stdout().is_terminal());
+    screen.say(&format!(
+        "ETA = rollouts left / rate; rate = rollouts committed in the last {} minutes,\n\
+         or since the first lease or the last resume, if that is less; of a policy,\n\
+         what is left of its running campaigns / the sum of their rates",
+        RATE_WINDOW.as_secs() / 60
+    ))?;
+    loop {
+        let campaigns = match name {
+            Some(name) => vec![client.campaign_status(name).await?],
+            None => client.list_campaigns().await?,
+        };
+        screen.show(&campaigns)?;
+        if campaigns.iter().all(is_finished) {
+            return Ok(campaigns);
+        }
+        tokio::time::sleep(screen.period()).await;
+    }
+}
+
+/// What is being followed: on a terminal a table that rewrites itself, else
+/// lines per look.
+struct Screen {
+    is_terminal: bool,
+    /// Lines that the next look rewrites.
+    lines: usize,
+    attention: Vec<String>,
+}
+
+impl Screen {
+    fn new(is_terminal: bool) -> Screen {
+        Screen {
+            is_terminal,
+            lines: 0,
+            attention: Vec::new(),
+        }
+    }
+
+    fn period(&self) -> Duration {
+        if self.is_terminal {
+            TERMINAL_PERIOD
+        } else {
+            LOG_PERIOD
+        }
+    }
+
+    /// Prints lines that stay, above the table.
+    fn say(&mut self, text: &str) -> anyhow::Result<()> {
+        let clear = match (self.is_terminal, self.lines) {
+            (true, lines @ 1..) => format!("\x1b[{lines}A\r\x1b[J"),
+            _ => String::new(),
+        };
+        self.lines = 0;
+        print(&format!("{clear}{text}\n"))
+    }
+
+    /// Shows how the campaigns stand, and, when it changes, what needs looking
+    /// after.
+    fn show(&mut self, campaigns: &[CampaignStatus]) -> anyhow::Result<()> {
+        let notes: Vec<String> = campaigns.iter().filter_map(attention).collect();
+        let known = std::mem::replace(&mut self.attention, notes.clone());
+        for note in notes.iter().filter(|note| !known.contains(note)) {
+            self.say(note)?;
+        }
+        let table = table(campaigns);
+        self.say(&table.join("\n"))?;
+        self.lines = table.len();
+        Ok(())
+    }
+}
+
+/// A line per campaign, and one per policy that several of them measure.
+fn table(campaigns: &[CampaignStatus]) -> Vec<String> {
+    let mut policies: BTreeMap<(&str, &str), Vec<&CampaignStatus>> = BTreeMap::new();
+    for status in campaigns {
+        let policy = (status.policy_endpoint.as_str(), status.policy.as_str());
+        policies.entry(policy).or_default().push(status);
+    }
+    let shared = policies.values().filter(|campaigns| campaigns.len() > 1);
+    let totals = shared.map(|campaigns| line(&of_policy(campaigns)));
+    campaigns.iter().map(line).chain(totals).collect()
+}
+
+/// The campaigns of a policy as if they were one. What is paused or cancelled
+/// is not left to be done.
+fn of_policy(campaigns: &[&CampaignStatus]) -> CampaignStatus {
+    let mut sum = CampaignStatus::default();
+    for status in campaigns {
+        sum.campaign = format!("all of {}", status.policy);
+        sum.total += status.total;
+        sum.leased += status.leased;
+        sum.committed += status.committed;
+        sum.quarantined += status.quarantined;
+        if !matches!(status.state(), State::Paused | State::Cancelled) {
+            sum.queued += status.queued;
+        }
+        if let Some(rate) = status.rate_per_sec {
+            sum.rate_per_sec = Some(sum.rate_per_sec.unwrap_or(0.0) + rate);
+        }
+    }
+    let left = (sum.queued + sum.leased) as f64;
+    sum.eta_secs = sum.rate_per_sec.map(|rate| left / rate);
+    sum
+}
+
+fn print(text: &str) -> anyhow::Result<()> {
+    let mut stdout = std::io::stdout().lock();
+    stdout
+        .write_all(text.as_bytes())
+        .and_then(|()| stdout.flush())
+        .context("print the campaigns' progress")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn campaign(name: &str, policy: &str) -> CampaignStatus {
+        CampaignStatus {
+            campaign: name.to_owned(),
+            policy: policy.to_owned(),
+            total: 100,
+            queued: 49,
+            leased: 1,
+            committed: 50,
+            rate_per_sec: Some(0.5),
+            eta_secs: Some(100.0),
+            ..CampaignStatus::default()
+        }
+    }
+
+    #[test]
+    fn a_policy_of_several_campaigns_has_a_line_and_an_eta_of_its_own() {
+        let table = table(&[
+            campaign("one", "expert"),
+            campaign("two", "expert"),
+            campaign("three", "servo"),
+        ]);
+        assert_eq!(table.len(), 4);
+        assert_eq!(
+            table[3],
+            "all of expert ████████░░░░░░░░ 100/200 50%  2 running  1.0/s  ETA 1m40s"
+        );
+    }
+
+    #[test]
+    fn what_waits_its_turn_counts_into_a_policys_eta_and_what_is_paused_does_not() {
+        let idle = |state: State| CampaignStatus {
+            rate_per_sec: None,
+            eta_secs: None,
+            leased: 0,
+            state: state.into(),
+            ..campaign("idle", "expert")
+        };
+        let eta = |other| of_policy(&[&campaign("one", "expert"), &other]).eta_secs;
+        assert_eq!(eta(idle(State::Running)), Some(198.0));
+        assert_eq!(eta(idle(State::Paused)), Some(100.0));
+    }
+}

@@ -1,0 +1,52 @@
+//! `coordinator workers`.
+
+use clap::Args;
+use coordinator::client::WorkerStatus;
+
+use super::status::duration_text;
+use super::{CommandError, Connection, print_line};
+
+#[derive(Args, Debug)]
+pub(super) struct WorkersArguments {
+    /// List those that have gone, too.
+    #[arg(long)]
+    all: bool,
+    #[command(flatten)]
+    connection: Connection,
+}
+
+pub(super) async fn workers(arguments: WorkersArguments) -> Result<(), CommandError> {
+    let workers = arguments.connection.client()?.list_workers().await?;
+    let (alive, gone): (Vec<_>, Vec<_>) = workers.into_iter().partition(|worker| worker.alive);
+    let shown = alive.iter().chain(gone.iter().filter(|_| arguments.all));
+    let mut lines: Vec<String> = shown.map(line).collect();
+    if lines.is_empty() {
+        lines.push("no worker is here; start one with `worker --connect`".to_owned());
+    }
+    if !arguments.all && !gone.is_empty() {
+        lines.push(format!("{} that have gone: --all shows them", gone.len()));
+    }
+    Ok(print_line(&lines.join("\n"))?)
+}
+
+fn line(worker: &WorkerStatus) -> String {
+    let standing = match (worker.alive, worker.stopped_reason.as_str()) {
+        (false, _) => "gone".to_owned(),
+        (true, "") => format!("{}/{} slots busy", worker.leases, worker.slots),
+        (true, reason) => format!("leases no more: {reason}"),
+    };
+    let failures = match worker.charged_in_a_row {
+        0 => String::new(),
+        failures => format!(", {failures} failures in a row"),
+    };
+    format!(
+        "{} on {}: {standing}{failures}, heard of {} ago\n  {}, MuJoCo {}, {}, program {}",
+        worker.worker_id,
+        worker.host,
+        duration_text(worker.silent_secs),
+        worker.asset_pack,
+        worker.mujoco_version,
+        worker.gl_renderer,
+        worker.program_version
+    )
+}

@@ -1,0 +1,75 @@
+//! Jobs and workers as messages. Instants become spans here: the reader's clock
+//! may go wrong.
+
+use proto::coordinator as wire;
+
+use crate::clock::UnixMillis;
+use crate::queue::WorkerStatus;
+use crate::store::listing::{FailureLine, JobDetails, JobLine, ResultLine};
+
+pub(super) fn job(line: JobLine, now: UnixMillis) -> wire::Job {
+    let left = |instant: Option<UnixMillis>| {
+        instant.map_or(0.0, |instant| instant.since(now).as_secs_f64())
+    };
+    wire::Job {
+        job_id: line.id.0,
+        rollout_id: line.rollout_id,
+        replicate: line.replicate,
+        state: line.state,
+        attempt: line.attempt.0,
+        charged_attempts: line.charged_attempts,
+        lease_owner: line.lease_owner.map(|owner| owner.0).unwrap_or_default(),
+        lease_left_secs: left(line.lease_expires_ms),
+        control_steps: line.control_steps.unwrap_or(0),
+        backoff_left_secs: left(line.not_before_ms),
+        last_error: line.last_error.unwrap_or_default(),
+        success: line.success,
+        steps: line.steps,
+    }
+}
+
+pub(super) fn details(details: JobDetails, now: UnixMillis) -> wire::GetJobResponse {
+    let failure = |line: FailureLine| wire::Failure {
+        attempt: line.attempt.0,
+        worker_id: line.worker_id.0,
+        ago_secs: now.since(line.failed_ms).as_secs_f64(),
+        reason: line.reason,
+        charged: line.charged,
+        error: line.error,
+    };
+    let result = |line: ResultLine| wire::ResultOrigin {
+        attempt: line.attempt.0,
+        worker_id: line.worker_id.0,
+        ago_secs: now.since(line.committed_ms).as_secs_f64(),
+        wall_secs: line.wall_secs,
+        host: line.host,
+        gl_renderer: line.gl_renderer,
+        divergences: line.divergences,
+        video: line.video.unwrap_or_default(),
+    };
+    wire::GetJobResponse {
+        job: Some(job(details.line, now)),
+        manifest_row: details.manifest_row,
+        stale_reports: details.stale_reports,
+        failures: details.failures.into_iter().map(failure).collect(),
+        result: details.result.map(result),
+    }
+}
+
+pub(super) fn worker(status: WorkerStatus) -> wire::WorkerStatus {
+    let line = status.line;
+    wire::WorkerStatus {
+        worker_id: line.id.0,
+        host: line.host,
+        slots: line.slots,
+        leases: line.leases,
+        asset_pack: line.asset_pack,
+        mujoco_version: line.mujoco_version,
+        gl_renderer: line.gl_renderer,
+        program_version: line.program_version,
+        silent_secs: status.silent_secs,
+        alive: status.is_alive,
+        charged_in_a_row: line.charged_in_a_row,
+        stopped_reason: line.stopped_reason.unwrap_or_default(),
+    }
+}

@@ -1,0 +1,212 @@
+//! Every invariant is found when it is broken, by its name, and `check` changes
+//! nothing.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use coordinator::invariants::{Invariant, check};
+use coordinator::store::DATABASE_FILE;
+use proto::coordinator::commit_response::Verdict;
+use proto::coordinator::release_request::Reason;
+use serde_json::json;
+use sqlx::sqlite::SqliteConnectOptions;
+use sqlx::{ConnectOptions, Connection};
+use tempfile::TempDir;
+
+use crate::harness::{Bench, small_spec, with};
+use crate::process::{coordinator, text};
+
+/// What breaks each, past the coordinator, and a word of what is told of it.
+const BROKEN: [(Invariant, &str, &str); 16] = [
+    (
+        Invariant::FileIsWhole,
+        "PRAGMA writable_schema = 1; DELETE FROM sqlite_schema WHERE name = 'job_queued'",
+        "never used",
+    ),
+    (
+        Invariant::SchemaIsThePrograms,
+        "DROP INDEX job_queued",
+        "index job_queued is missing",
+    ),
+    (
+        Invariant::ReferencesHold,
+        "UPDATE campaign SET policy_id = 99",
+        "refers to no row of policy",
+    ),
+    (
+        Invariant::ExpansionIsWhole,
+        "DELETE FROM job WHERE state = 'queued'",
+        "expanded into 8 jobs and has",
+    ),
+    (
+        Invariant::CommittedHasOneResult,
+        "DELETE FROM result",
+        "is committed at attempt 1 and its result is of attempt none",
+    ),
+    (
+        Invariant::QuarantineHasItsFailure,
+        "UPDATE job SET last_error = 'another' WHERE state = 'quarantined'",
+        "ended with slot_crashed",
+    ),
+    (
+        Invariant::AttemptsAreAccountedFor,
+        "UPDATE job SET attempt = attempt + 1 WHERE state = 'leased'",
+        "is leased: 2 attempts",
+    ),
+    (
+        Invariant::ChargesAreAccountedFor,
+        "UPDATE job SET charged_attempts = 1 WHERE state = 'leased'",
+        "1 charged attempts",
+    ),
+    (
+        Invariant::AttemptsOnlyRise,
+        "UPDATE failure SET attempt = attempt + 10",
+        "has a failure of attempt 11",
+    ),
+    (
+        Invariant::LeasesPinTheCampaign,
+        "UPDATE campaign SET pinned_ms = NULL, asset_pack = NULL, asset_pack_digest = NULL,
+             mujoco_version = NULL",
+        "pinned to nothing",
+    ),
+    (
+        Invariant::CancelledLeasesNothing,
+        "UPDATE campaign SET state = 'cancelled'",
+        "campaign sound is cancelled",
+    ),
+    (
+        Invariant::ProbeIsOut,
+        "UPDATE policy SET state = 'probing', outages = 1, pause_reason = 'down',
+             probe_job_id = 1, probe_attempt = 7",
+        "tried by attempt 7 of job 1",
+    ),
+    (
+        Invariant::ResultsAreOfThePin,
+        "UPDATE provenance SET mujoco_version = '3.4.0'",
+        "not of the assets, simulator",
+    ),
+    (
+        Invariant::ConfigurationsAgree,
+        "UPDATE result SET scene_digest =
+             'ffffffffffffffffffffffffffffffffffffffffffffffffffffffffffffffff'
+         WHERE job_id = (SELECT min(job_id) FROM result)",
+        "has 2 scenes",
+    ),
+    (
+        Invariant::DivergencesDiffer,
+        "INSERT INTO divergence SELECT NULL, job_id, attempt, worker_id, 0, success, steps, 0,
+             provenance_id FROM result LIMIT 1",
+        "no other outcome",
+    ),
+    (
+        Invariant::RemovalsAreOfNoCampaign,
+        "INSERT INTO removal VALUES ('artifacts/sound')",
+        "artifacts/sound",
+    ),
+];
+
+/// A database at rest with jobs in every state.
+async fn sound() -> TempDir {
+    let bench = Bench::start().await;
+    let spec = with(small_spec("sound"), json!({"configs": [0, 1]}));
+    bench.create(&spec).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    for _ in 0..3 {
+        let lease = worker.claim_one().await;
+        worker.release(&lease, Reason::SlotCrashed).await;
+        bench.pass(61).await;
+    }
+    for lease in worker.claim(2).await {
+        assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+    }
+    worker.claim_one().await;
+    bench.stop().await
+}
+
+/// Alters a copy of a database as no coordinator would.
+async fn broken(folder: &Path, statement: &'static str) -> TempDir {
+    let copy = tempfile::tempdir().expect("a temporary folder");
+    let file = copy.path().join(DATABASE_FILE);
+    std::fs::copy(folder.join(DATABASE_FILE), &file).expect("copied");
+    let options = SqliteConnectOptions::new().filename(&file);
+    let mut connection = options
+        .foreign_keys(false)
+        .pragma("ignore_check_constraints", "1")
+        .connect()
+        .await
+        .expect("a database");
+    let triggers: Vec<(String, String)> =
+        sqlx::query_as("SELECT name, sql FROM sqlite_schema WHERE type = 'trigger'")
+            .fetch_all(&mut connection)
+            .await
+            .expect("triggers");
+    let run = async |connection: &mut _, sql: String| {
+        sqlx::raw_sql(sqlx::AssertSqlSafe(sql))
+            .execute(connection)
+            .await
+            .expect("done")
+    };
+    for (name, _) in &triggers {
+        run(&mut connection, format!("DROP TRIGGER {name}")).await;
+    }
+    let done = run(&mut connection, statement.to_owned()).await;
+    assert!(
+        statement.starts_with("DROP") || done.rows_affected() > 0,
+        "{statement}"
+    );
+    for (_, sql) in triggers {
+        run(&mut connection, sql).await;
+    }
+    connection.close().await.expect("closes");
+    copy
+}
+
+#[tokio::test]
+async fn each_invariant_is_found_by_its_name_when_it_is_broken() {
+    let folder = sound().await;
+    assert_eq!(check(folder.path()).await.expect("a database"), []);
+    for (invariant, statement, word) in BROKEN {
+        let copy = broken(folder.path(), statement).await;
+        let file = copy.path().join(DATABASE_FILE);
+        let before = std::fs::read(&file).expect("a file");
+        let violations = check(copy.path()).await.expect("a database");
+        let found = violations
+            .iter()
+            .find(|violation| violation.invariant == invariant);
+        let found = found.unwrap_or_else(|| panic!("{invariant}: {violations:?}"));
+        assert!(found.told[0].contains(word), "{found:?}");
+        assert_eq!(
+            std::fs::read(&file).expect("a file"),
+            before,
+            "it reads only"
+        );
+        let beside = std::fs::read_dir(copy.path()).expect("a folder").count();
+        assert_eq!(beside, 1, "and leaves nothing behind");
+    }
+    let tried: BTreeSet<Invariant> = BROKEN.iter().map(|(invariant, ..)| *invariant).collect();
+    assert!(tried.into_iter().eq(Invariant::ALL), "each is tried once");
+}
+
+#[tokio::test]
+async fn the_program_names_violations_and_fails() {
+    let folder = sound().await;
+    let path = |folder: &TempDir| folder.path().to_str().expect("UTF-8").to_owned();
+    let output = coordinator(&["check", &path(&folder)]);
+    assert_eq!(text(&output.stdout), "all 16 invariants hold\n");
+    let copy = broken(folder.path(), "DELETE FROM result").await;
+    let output = coordinator(&["check", &path(&copy)]);
+    assert_eq!(output.status.code(), Some(1));
+    let said = text(&output.stdout);
+    assert!(said.contains("committed_has_one_result: 2\n"), "{said}");
+    assert!(text(&output.stderr).contains("1 of 16 invariants"));
+    let output = coordinator(&["check", "/nowhere"]);
+    assert_eq!(output.status.code(), Some(2));
+}
+
+#[test]
+fn the_architecture_names_every_invariant() {
+    let map = include_str!("../../../docs/ARCHITECTURE.md");
+    for invariant in Invariant::ALL {
+        assert!(map.contains(&format!("`{invariant}`")), "{invariant}");
+    }
+}

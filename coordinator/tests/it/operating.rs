@@ -1,0 +1,458 @@
+//! Pausing, cancelling, deleting and backing up campaigns; jobs and workers as
+//! operators see them.
+
+use coordinator::invariants::check;
+use proto::coordinator as wire;
+use proto::coordinator::campaign_status::State;
+use proto::coordinator::change_campaign_request::Change;
+use proto::coordinator::commit_response::Verdict;
+use proto::coordinator::release_request::Reason;
+use proto::coordinator::release_response::Verdict as Released;
+use serde_json::json;
+use tonic::{Code, Status};
+
+use crate::harness::{Bench, Worker, small_spec, with};
+use crate::process::{CREATE, Serve, coordinator, text};
+
+async fn change(bench: &Bench, campaign: &str, change: Change) -> Result<State, Status> {
+    let request = wire::ChangeCampaignRequest {
+        campaign: campaign.to_owned(),
+        change: change.into(),
+    };
+    let response = bench.operator().await.change_campaign(request).await?;
+    Ok(response.into_inner().state())
+}
+
+async fn delete(bench: &Bench, campaign: &str, confirm: &str) -> Result<u64, Status> {
+    let request = wire::DeleteCampaignRequest {
+        campaign: campaign.to_owned(),
+        confirm: confirm.to_owned(),
+    };
+    let response = bench.operator().await.delete_campaign(request).await?;
+    Ok(response.into_inner().results)
+}
+
+async fn retry(bench: &Bench, campaign: &str, jobs: &[&str], all: bool) -> Result<u64, Status> {
+    let name = |id: &&str| wire::JobName {
+        rollout_id: (*id).to_owned(),
+        replicate: 0,
+    };
+    let request = wire::RetryJobsRequest {
+        campaign: campaign.to_owned(),
+        jobs: jobs.iter().map(name).collect(),
+        all,
+    };
+    let response = bench.operator().await.retry_jobs(request).await?;
+    Ok(response.into_inner().jobs)
+}
+
+async fn is_in_order(bench: &Bench) {
+    let violations = check(bench.folder.path()).await.expect("a database");
+    assert_eq!(violations, []);
+}
+
+/// A campaign of one rollout that a lone worker failed on until it was set
+/// aside.
+async fn set_aside(bench: &Bench) -> Worker {
+    let changes = json!({"axes": ["camera"], "nominal": "none"});
+    let spec = with(small_spec("one"), changes);
+    bench.create(&spec).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    for expected in [
+        Released::Requeued,
+        Released::Requeued,
+        Released::Quarantined,
+    ] {
+        let lease = worker.claim_one().await;
+        let released = worker.release(&lease, Reason::SlotCrashed).await;
+        assert_eq!(released.verdict(), expected);
+        bench.pass(61).await;
+    }
+    worker
+}
+
+const CAMERA: &str = "object/t0/camera/L1/c00";
+
+#[tokio::test]
+async fn a_paused_campaign_leases_nothing_and_takes_what_was_leased() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("held")).await.expect("created");
+    bench.create(&small_spec("other")).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    let lease = worker.claim_one().await;
+    assert_eq!(lease.campaign, "held");
+    let paused = change(&bench, "held", Change::Pause).await;
+    assert_eq!(paused.expect("paused"), State::Paused);
+
+    assert_eq!(worker.claim_one().await.campaign, "other");
+    assert!(worker.heartbeat(&[&lease], 9).await.is_empty());
+    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+    let status = bench.status("held").await;
+    assert_eq!((status.committed, status.queued), (1, 3));
+    assert_eq!((status.state(), status.eta_secs), (State::Paused, None));
+    worker.claim(64).await;
+    let idle = worker.claim_response(1, "").await.idle_reason;
+    assert!(idle.contains("`held` is paused"), "{idle}");
+
+    let resumed = change(&bench, "held", Change::Resume).await;
+    assert_eq!(resumed.expect("resumed"), State::Running);
+    assert_eq!(worker.claim(64).await.len(), 3);
+    is_in_order(&bench).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn resuming_wakes_claims_that_wait() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("held")).await.expect("created");
+    change(&bench, "held", Change::Pause).await.expect("paused");
+    let mut worker = bench.worker("a").await;
+    let mut waiting = tokio::task::JoinSet::new();
+    waiting.spawn(async move { worker.try_claim(1, 25.0, "").await });
+    tokio::time::sleep(std::time::Duration::from_millis(200)).await;
+    let resumed = std::time::Instant::now();
+    change(&bench, "held", Change::Resume)
+        .await
+        .expect("resumed");
+    let claimed = waiting.join_all().await.remove(0).expect("an answer");
+    assert_eq!(claimed.leases.len(), 1);
+    assert!(resumed.elapsed().as_secs() < 10, "woken, not timed out");
+}
+
+#[tokio::test]
+async fn a_cancelled_campaign_takes_its_leases_back_and_keeps_its_results() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("ended")).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    let (first, second) = (worker.claim_one().await, worker.claim_one().await);
+    assert_eq!(worker.commit(&first, true).await, Verdict::Accepted);
+    let cancelled = change(&bench, "ended", Change::Cancel).await;
+    assert_eq!(cancelled.expect("cancelled"), State::Cancelled);
+
+    assert_eq!(worker.heartbeat(&[&second], 9).await, [second.job_id]);
+    assert_eq!(worker.commit(&second, true).await, Verdict::Stale);
+    assert_eq!(worker.commit(&first, true).await, Verdict::Duplicate);
+    assert!(worker.claim(4).await.is_empty());
+    let status = bench.status("ended").await;
+    assert_eq!((status.committed, status.leased, status.queued), (1, 0, 3));
+    assert_eq!(
+        bench.count("SELECT sum(charged_attempts) FROM job").await,
+        0
+    );
+    assert_eq!(bench.count("SELECT charged_in_a_row FROM worker").await, 0);
+    for undo in [Change::Pause, Change::Resume] {
+        let refused = change(&bench, "ended", undo).await.expect_err("final");
+        assert_eq!(refused.code(), Code::FailedPrecondition);
+        assert!(refused.message().contains("final"), "{refused}");
+    }
+    change(&bench, "ended", Change::Cancel)
+        .await
+        .expect("so already");
+    is_in_order(&bench).await;
+}
+
+#[tokio::test]
+async fn cancelling_frees_a_policy_whose_probe_it_takes_back() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("first")).await.expect("created");
+    bench.create(&small_spec("second")).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    let lease = worker.claim_one().await;
+    worker.release(&lease, Reason::PolicyUnavailable).await;
+    bench.pass(61).await;
+    let probe = worker.claim_one().await;
+    assert!(worker.claim(4).await.is_empty(), "one probe at a time");
+    assert_eq!(probe.campaign, "first");
+    change(&bench, "first", Change::Cancel)
+        .await
+        .expect("cancelled");
+    is_in_order(&bench).await;
+    assert_eq!(worker.claim_one().await.campaign, "second");
+}
+
+#[tokio::test]
+async fn a_campaign_is_deleted_with_its_files_by_who_names_it_twice() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("old")).await.expect("created");
+    bench.create(&small_spec("kept")).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    let lease = worker.claim_one().await;
+    let video = tokio_stream::iter([wire::ArtifactChunk {
+        lease: Some(worker.held(&lease)),
+        name: "video.mp4".to_owned(),
+        data: vec![1; 100],
+    }]);
+    let put = worker.service.put_artifact(video).await.expect("kept");
+    let video = bench.folder.path().join(put.into_inner().path);
+    assert!(video.is_file());
+
+    let refused = delete(&bench, "old", "odl").await.expect_err("mistyped");
+    assert_eq!(refused.code(), Code::InvalidArgument);
+    let refused = delete(&bench, "old", "old").await.expect_err("leased");
+    assert_eq!(refused.code(), Code::FailedPrecondition);
+    assert!(refused.message().contains("1 of its rollouts"), "{refused}");
+    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+
+    assert_eq!(delete(&bench, "old", "old").await.expect("deleted"), 1);
+    assert!(!video.exists());
+    for (query, left) in [
+        ("SELECT count(*) FROM campaign", 1),
+        ("SELECT count(*) FROM job", 4),
+        ("SELECT count(*) FROM result", 0),
+        ("SELECT count(*) FROM removal", 0),
+    ] {
+        assert_eq!(bench.count(query).await, left, "{query}");
+    }
+    is_in_order(&bench).await;
+    let refused = delete(&bench, "old", "old").await.expect_err("gone");
+    assert_eq!(refused.code(), Code::NotFound);
+    assert_eq!(worker.claim(64).await.len(), 4);
+}
+
+#[tokio::test]
+async fn what_was_set_aside_is_requeued_by_hand_with_its_failures_forgiven() {
+    let bench = Bench::start().await;
+    let mut worker = set_aside(&bench).await;
+    let unknown = retry(&bench, "one", &[CAMERA, "object/t0/camera/L1/c09"], false).await;
+    assert_eq!(unknown.expect_err("unknown").code(), Code::NotFound);
+    assert_eq!(bench.status("one").await.quarantined, 1, "all or none");
+    assert_eq!(
+        retry(&bench, "one", &[CAMERA], false)
+            .await
+            .expect("requeued"),
+        1
+    );
+    let again = retry(&bench, "one", &[CAMERA], false)
+        .await
+        .expect_err("waits");
+    assert_eq!(again.code(), Code::FailedPrecondition);
+    assert!(again.message().contains("queued"), "{again}");
+    assert_eq!(retry(&bench, "one", &[], true).await.expect("none left"), 0);
+
+    // Three more failures, not one, set it aside again.
+    for expected in [Released::Requeued, Released::Requeued] {
+        let lease = worker.claim_one().await;
+        let released = worker.release(&lease, Reason::Draining).await;
+        assert_eq!(released.verdict(), expected);
+        is_in_order(&bench).await;
+    }
+    let mut fresh = bench.worker("b").await;
+    let lease = fresh.claim_one().await;
+    assert_eq!(lease.attempt, 6, "attempts are not forgotten");
+    let released = fresh.release(&lease, Reason::SlotCrashed).await;
+    assert_eq!(released.verdict(), Released::Requeued);
+    bench.pass(61).await;
+    let lease = fresh.claim_one().await;
+    assert_eq!(fresh.commit(&lease, true).await, Verdict::Accepted);
+    is_in_order(&bench).await;
+}
+
+#[tokio::test]
+async fn a_job_is_shown_with_all_its_attempts() {
+    let bench = Bench::start().await;
+    let mut worker = set_aside(&bench).await;
+    retry(&bench, "one", &[], true).await.expect("requeued");
+    let lease = worker.claim_one().await;
+    worker.heartbeat(&[&lease], 42).await;
+    let job = || wire::GetJobRequest {
+        campaign: "one".to_owned(),
+        job: Some(wire::JobName {
+            rollout_id: CAMERA.to_owned(),
+            replicate: 0,
+        }),
+    };
+    let shown = bench.operator().await.get_job(job()).await.expect("shown");
+    let shown = shown.into_inner();
+    let line = shown.job.expect("a job");
+    assert_eq!(
+        (line.state.as_str(), line.attempt, line.control_steps),
+        ("leased", 4, 42)
+    );
+    assert_eq!(
+        (line.lease_owner.as_str(), line.lease_left_secs),
+        ("a", 30.0)
+    );
+    let attempts: Vec<u32> = shown
+        .failures
+        .iter()
+        .map(|failure| failure.attempt)
+        .collect();
+    assert_eq!(attempts, [3, 2, 1]);
+    assert_eq!(shown.failures[0].reason, "slot_crashed");
+    assert!(shown.failures.iter().all(|failure| failure.charged));
+
+    assert_eq!(worker.commit(&lease, false).await, Verdict::Accepted);
+    let shown = bench.operator().await.get_job(job()).await.expect("shown");
+    let shown = shown.into_inner();
+    assert_eq!(shown.job.expect("a job").success, Some(false));
+    assert_eq!(shown.result.expect("an origin").worker_id, "a");
+}
+
+#[tokio::test]
+async fn jobs_are_listed_page_by_page_and_by_state() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("paged")).await.expect("created");
+    bench.worker("a").await.claim_one().await;
+    let mut operator = bench.operator().await;
+    let mut list = async |state: &str, after: i64, limit: u32| -> Vec<wire::Job> {
+        let request = wire::ListJobsRequest {
+            campaign: "paged".to_owned(),
+            state: state.to_owned(),
+            after_job_id: after,
+            limit,
+        };
+        operator
+            .list_jobs(request)
+            .await
+            .expect("a page")
+            .into_inner()
+            .jobs
+    };
+    let first = list("", 0, 3).await;
+    assert_eq!(first.len(), 3);
+    assert_eq!(list("", first[2].job_id, 3).await.len(), 1);
+    assert_eq!(list("queued", 0, 64).await.len(), 3);
+    assert_eq!(
+        list("leased", 0, 64).await[0].rollout_id,
+        "object/t0/clean/i16"
+    );
+    let request = wire::ListJobsRequest {
+        campaign: "paged".to_owned(),
+        state: "lost".to_owned(),
+        ..wire::ListJobsRequest::default()
+    };
+    let refused = operator.list_jobs(request).await.expect_err("no state");
+    assert_eq!(refused.code(), Code::InvalidArgument);
+}
+
+#[tokio::test]
+async fn workers_are_listed_with_their_leases_and_why_they_stopped() {
+    let bench = Bench::start().await;
+    let spec = with(small_spec("many"), json!({"configs": [0, 1]}));
+    bench.create(&spec).await.expect("created");
+    bench.worker("gone").await;
+    bench.pass(100).await;
+    let mut broken = bench.worker("broken").await;
+    bench.worker("sound").await.claim(2).await;
+    for lease in broken.claim(5).await {
+        broken.release(&lease, Reason::SlotCrashed).await;
+    }
+    let request = wire::ListWorkersRequest {};
+    let list = bench.operator().await.list_workers(request).await;
+    let list = list.expect("a list").into_inner().workers;
+    let of = |id: &str| {
+        list.iter()
+            .find(|worker| worker.worker_id == id)
+            .expect("listed")
+    };
+    assert_eq!((of("gone").alive, of("gone").silent_secs), (false, 100.0));
+    assert_eq!((of("sound").alive, of("sound").leases), (true, 2));
+    assert_eq!((of("broken").charged_in_a_row, of("broken").leases), (5, 0));
+    assert!(of("broken").stopped_reason.contains("5 times in a row"));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_backup_of_a_running_coordinator_is_in_order_and_can_be_served() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    assert!(serve.command(&CREATE).status.success());
+    let mut worker = serve.worker("a").await;
+    let leases = worker.claim(3).await;
+    assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
+    let restored = folder.path().join("restored");
+    std::fs::create_dir(&restored).expect("a folder");
+    let copy = restored.join("coordinator.sqlite");
+    let copy = copy.to_str().expect("UTF-8");
+    let made = serve.command(&["backup", "--output", copy]);
+    assert!(made.status.success(), "{}", text(&made.stderr));
+    assert_eq!(worker.commit(&leases[1], true).await, Verdict::Accepted);
+    assert!(!folder.path().join("backup.partial").exists());
+
+    let checked = coordinator(&["check", copy]);
+    assert_eq!(text(&checked.stdout), "all 16 invariants hold\n");
+    let second = Serve::start(&restored);
+    let mut worker = second.worker("a").await;
+    // What was committed since is repeated; what was leased then is still held.
+    assert_eq!(worker.commit(&leases[0], true).await, Verdict::Duplicate);
+    assert_eq!(worker.commit(&leases[1], true).await, Verdict::Accepted);
+    assert_eq!(worker.commit(&leases[2], true).await, Verdict::Accepted);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_operator_follows_and_ends_a_campaign_from_the_command_line() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    let run = |arguments: &[&str], code: i32, words: &[&str]| {
+        let output = serve.command(arguments);
+        let said = format!("{}{}", text(&output.stdout), text(&output.stderr));
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {said}");
+        for word in words {
+            assert!(said.contains(word), "{arguments:?}: {said}");
+        }
+    };
+    run(&["campaign", "status"], 0, &["no campaigns yet"]);
+    run(&CREATE, 0, &["14 rollouts"]);
+    run(&["workers"], 0, &["no worker is here"]);
+    let mut worker = serve.worker("slow-1").await;
+    let lease = worker.claim_one().await;
+    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+    worker.claim_one().await;
+    run(&["workers"], 0, &["slow-1 on bench: 1/2 slots busy"]);
+    run(
+        &["jobs", "list", "demo", "--limit", "1"],
+        0,
+        &["success after 120", "more: --limit"],
+    );
+    run(
+        &["jobs", "list", "demo", "--state", "leased"],
+        0,
+        &["running on slow-1"],
+    );
+    run(
+        &["jobs", "show", "demo", "object/t0/clean/i16"],
+        0,
+        &["attempt 1 by slow-1 on bench"],
+    );
+    run(
+        &["jobs", "show", "demo", "object/t0/clean/i16#rx"],
+        2,
+        &["#r1"],
+    );
+    run(
+        &["jobs", "show", "demo", "object/t9/clean/i1"],
+        1,
+        &["no such rollout"],
+    );
+    run(&["jobs", "retry", "demo"], 2, &["<ROLLOUTS>"]);
+    run(
+        &["jobs", "retry", "demo", "--all"],
+        0,
+        &["nothing is set aside"],
+    );
+    run(&["campaign", "pause", "demo"], 0, &["demo is paused"]);
+    run(&["campaign", "status", "demo"], 0, &["paused, 1 running"]);
+    run(&["campaign", "resume", "demo"], 0, &["demo is running"]);
+    run(&["campaign", "delete", "demo"], 2, &["--confirm demo"]);
+    run(
+        &["campaign", "delete", "demo", "--confirm", "dmeo"],
+        2,
+        &["nothing was deleted"],
+    );
+    run(
+        &["campaign", "delete", "demo", "--confirm", "demo"],
+        1,
+        &["cancel it first"],
+    );
+    run(&["campaign", "cancel", "demo"], 0, &["its results stay"]);
+    run(
+        &["campaign", "status", "--watch"],
+        0,
+        &["ETA = ", "1/14 7%  cancelled"],
+    );
+    run(&["campaign", "resume", "demo"], 1, &["final"]);
+    run(
+        &["campaign", "delete", "demo", "--confirm", "demo"],
+        0,
+        &["14 rollouts, 1 results"],
+    );
+    run(&["campaign", "list"], 0, &["no campaigns yet"]);
+}
