@@ -1,0 +1,51 @@
+"""Numbers between a network's range and the world's, and chunks that overlap."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Sequence
+
+import numpy as np
+
+
+def within_bounds(
+    values: np.ndarray, low: Sequence[float], high: Sequence[float], mask: Sequence[bool]
+) -> np.ndarray:
+    """From the world to -1..1, `low` to -1 and `high` to 1, clipped; what
+    `mask` leaves out is only clipped. OpenVLA-OFT's `normalize_proprio`."""
+    low, high = np.asarray(low), np.asarray(high)
+    scaled = 2 * (values - low) / (high - low + 1e-8) - 1
+    return np.clip(np.where(mask, scaled, values), -1.0, 1.0)
+
+
+def from_bounds(
+    values: np.ndarray, low: Sequence[float], high: Sequence[float], mask: Sequence[bool]
+) -> np.ndarray:
+    """From -1..1 back to the world where `mask` says so: UniVLA's decoder, with
+    the first and the last percentile as bounds."""
+    low, high = np.asarray(low), np.asarray(high)
+    return np.where(mask, 0.5 * (values + 1) * (high - low) + low, values)
+
+
+@dataclass
+class Ensemble:
+    """Mean of what the last chunks say about now.
+
+    The newest chunk weighs 1 and one that is `age` queries older
+    exp(-decay * age). UniVLA's `ActionDecoder`, with a decay of 0.1.
+    """
+
+    decay: float
+    #: Chunks [n, 7] of one query after the other, the newest first.
+    chunks: deque[np.ndarray] = field(default_factory=deque)
+
+    def add(self, chunk: np.ndarray) -> np.ndarray:
+        """Takes the chunk of this query and returns the action of now [7]."""
+        self.chunks.appendleft(np.asarray(chunk, dtype=np.float64))
+        # A chunk of n actions says nothing about the n-th query after it.
+        while len(self.chunks) > len(self.chunks[-1]):
+            self.chunks.pop()
+        weights = np.exp(-self.decay * np.arange(len(self.chunks)))
+        opinions = np.stack([chunk[age] for age, chunk in enumerate(self.chunks)])
+        return weights @ opinions / weights.sum()

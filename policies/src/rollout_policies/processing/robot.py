@@ -1,0 +1,49 @@
+"""Readings of the robot as policies take them, and the gripper's conventions."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..episode import Observation
+from ..description import State
+
+#: What `state_vector` needs.
+STATE_FIELDS = (State.EEF_POS, State.EEF_QUAT_XYZW, State.GRIPPER_POS)
+
+
+def axis_angle(quaternion: np.ndarray) -> np.ndarray:
+    """Axis times angle, rad (3), of a quaternion x y z w.
+
+    robosuite's `quat2axisangle`: the sign of the quaternion is kept, so angles
+    reach up to two pi. Making w positive first describes the same rotation by
+    other numbers, which the policies have never seen.
+    """
+    w = np.clip(quaternion[3], -1.0, 1.0)
+    length = np.sqrt(1.0 - w * w)
+    if length == 0.0:
+        return np.zeros(3)
+    return np.asarray(quaternion[:3]) * (2.0 * np.arccos(w) / length)
+
+
+def state_vector(observation: Observation) -> np.ndarray:
+    """The eight numbers of LIBERO policies, float64: position of the fingertips'
+    site (m), orientation as axis times angle (rad), the two finger joints (m)."""
+    return np.concatenate(
+        [
+            observation.state[State.EEF_POS],
+            axis_angle(observation.state[State.EEF_QUAT_XYZW]),
+            observation.state[State.GRIPPER_POS],
+        ]
+    )
+
+
+def gripper_from_rlds(actions: np.ndarray) -> np.ndarray:
+    """Actions [.., 7] whose gripper was learnt as 0 closed, 1 open, with
+    LIBERO's: -1 open, 1 closed.
+
+    OpenVLA's `normalize_gripper_action(binarize=True)`, then
+    `invert_gripper_action`; just one half gives 0.
+    """
+    turned = np.array(actions, dtype=np.float64)
+    turned[..., -1] = -np.sign(2 * turned[..., -1] - 1)
+    return turned

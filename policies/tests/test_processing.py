@@ -1,0 +1,160 @@
+"""Frames, readings and actions against what the upstream definitions give.
+
+Where a framework defines the result, the numbers here were printed by it for
+the frame of `pattern`: TensorFlow 2.15.1 and PyTorch 2.7.1, on x86-64.
+"""
+
+import hashlib
+import math
+
+import numpy as np
+import pytest
+
+from rollout_policies.processing import images, jpeg
+from rollout_policies.processing.actions import Ensemble, from_bounds, within_bounds
+from rollout_policies.processing.robot import axis_angle, gripper_from_rlds
+
+
+def pattern(side):
+    """A frame of curved stripes, different in each colour."""
+    y, x = np.mgrid[0:side, 0:side]
+    planes = [7 * x + 3 * y * y, x * x + 11 * y, 5 * x * y + 40]
+    return np.stack([plane % 256 for plane in planes], axis=-1).astype(np.uint8)
+
+
+def test_lanczos_shrinks_as_tensorflow_with_antialias():
+    assert images.resize(pattern(8), 5, 5, images.LANCZOS3)[..., 0].tolist() == [
+        [3, 14, 25, 36, 47],
+        [13, 24, 35, 46, 58],
+        [38, 50, 61, 72, 83],
+        [81, 92, 103, 115, 126],
+        [137, 148, 159, 171, 182],
+    ]
+
+
+def test_lanczos_enlarges_as_tensorflow():
+    assert images.resize(pattern(8), 11, 11, images.LANCZOS3)[3, :4].tolist() == [
+        [12, 22, 39],
+        [16, 23, 45],
+        [22, 24, 54],
+        [27, 27, 61],
+    ]
+
+
+def test_bilinear_shrinks_as_torch_with_antialias():
+    assert images.resize(pattern(8), 5, 5, images.BILINEAR)[..., 2].tolist() == [
+        [41, 44, 47, 50, 53],
+        [44, 59, 74, 89, 103],
+        [47, 74, 101, 129, 155],
+        [50, 89, 129, 169, 207],
+        [53, 103, 155, 207, 168],
+    ]
+
+
+def test_halving_with_a_triangle_weighs_four_samples_by_hand():
+    # Centre 1.0 of samples at 0.5, 1.5 (distance 1/4 of the filter's half
+    # width 2) and 2.5 (3/4); the edge has lost its left quarter.
+    row = np.zeros((1, 8, 3), dtype=np.uint8)
+    row[0, :, :] = np.array([10, 50, 90, 250, 0, 0, 80, 40])[:, None]
+    first = (0.75 * 10 + 0.75 * 50 + 0.25 * 90) / 1.75
+    second = (0.25 * 50 + 0.75 * 90 + 0.75 * 250 + 0.25 * 0) / 2
+    reduced = images.resize(row, 1, 4, images.BILINEAR)[0, :, 0]
+    assert reduced[:2].tolist() == [round(first), round(second)]
+
+
+def test_the_centre_crop_is_tensorflows():
+    assert images.centre_crop(pattern(8), 0.9, 6)[..., 1].tolist() == [
+        [2, 4, 10, 19, 32, 48],
+        [16, 19, 24, 34, 47, 63],
+        [31, 33, 39, 48, 61, 78],
+        [46, 48, 54, 63, 76, 92],
+        [60, 63, 68, 78, 91, 107],
+        [75, 77, 83, 92, 105, 121],
+    ]
+
+
+def test_a_crop_of_everything_changes_nothing():
+    assert (images.centre_crop(pattern(16), 1.0, 16) == pattern(16)).all()
+
+
+@pytest.mark.parametrize(
+    ("side", "sha256"),
+    [
+        (32, "a1afc92175dc7d302493e700745e5e40bf9548cca0078e9afab8f6a4ff597937"),
+        (256, "aa84d65ea01646a44f261da896b150024442ef63dc532e17b56e029b773a846d"),
+    ],
+)
+def test_the_jpeg_round_trip_is_tensorflows_to_the_last_bit(side, sha256):
+    restored = jpeg.round_trip(pattern(side))
+    assert hashlib.sha256(restored.tobytes()).hexdigest() == sha256
+
+
+def test_a_jpeg_keeps_an_even_surface():
+    grey = np.full((16, 32, 3), 77, dtype=np.uint8)
+    assert (jpeg.round_trip(grey) == grey).all()
+
+
+def test_a_frame_that_is_not_made_of_units_is_refused():
+    with pytest.raises(ValueError, match="20x16"):
+        jpeg.round_trip(np.zeros((16, 20, 3), dtype=np.uint8))
+
+
+def test_frames_become_planes_between_0_and_1():
+    planes = images.unit_planes(pattern(8))
+    assert planes.shape == (3, 8, 8) and planes.dtype == np.float32
+    assert planes[2, 0, 0] == np.float32(40 / 255)
+
+
+@pytest.mark.parametrize(
+    ("quaternion", "expected"),
+    [
+        ([0.0, 0.0, 0.0, 1.0], [0, 0, 0]),
+        # 2 acos(0.8), and the same rotation from the other side: 2 pi less it.
+        ([0.6, 0.0, 0.0, 0.8], [2 * math.acos(0.8), 0, 0]),
+        ([0.6, 0.0, 0.0, -0.8], [2 * math.pi - 2 * math.acos(0.8), 0, 0]),
+        # A hand that points down, as LIBERO's does.
+        ([1.0, 0.0, 0.0, 0.0], [math.pi, 0, 0]),
+        # Rounding may leave w beyond 1.
+        ([0.0, 0.0, 0.0, 1.0 + 1e-9], [0, 0, 0]),
+    ],
+)
+def test_axis_angles_are_robosuites_and_antipodes_are_not_flipped(quaternion, expected):
+    assert axis_angle(np.array(quaternion)) == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize(("learnt", "commanded"), [(0.0, 1), (0.2, 1), (0.5, 0), (0.9, -1), (1, -1)])
+def test_a_gripper_learnt_as_0_closed_becomes_1_closed(learnt, commanded):
+    chunk = np.zeros((2, 7))
+    chunk[:, :6] = 0.3
+    chunk[:, 6] = learnt
+    turned = gripper_from_rlds(chunk)
+    assert (turned[:, 6] == commanded).all()
+    assert (turned[:, :6] == 0.3).all() and chunk[0, 6] == learnt
+
+
+def test_bounds_go_to_one_and_back_and_the_mask_leaves_out():
+    low, high, mask = [-2.0, 0.0, -1.0], [4.0, 1.0, 1.0], [True, True, False]
+    world = np.array([-2.0, 0.75, 0.4])
+    scaled = within_bounds(world, low, high, mask)
+    assert scaled == pytest.approx([-1, 0.5, 0.4], abs=1e-7)
+    assert from_bounds(scaled, low, high, mask) == pytest.approx(world, abs=1e-7)
+    # Beyond the percentiles is clipped on the way in, as training clipped it.
+    assert within_bounds(np.array([9.0, -3.0, 5.0]), low, high, mask).tolist() == [1, -1, 1]
+
+
+def test_the_ensemble_weighs_what_earlier_chunks_said_about_now():
+    ensemble = Ensemble(decay=0.1)
+    first = np.arange(3)[:, None] + np.zeros(7)  # says 0, then 1, then 2
+    assert ensemble.add(first)[0] == 0
+    second = 10 + first
+    older = math.exp(-0.1)
+    assert ensemble.add(second)[0] == pytest.approx((10 + older * 1) / (1 + older))
+    third = 20 + first
+    oldest = math.exp(-0.2)
+    expected = (20 + older * 11 + oldest * 2) / (1 + older + oldest)
+    assert ensemble.add(third)[0] == pytest.approx(expected)
+    # The first chunk had three actions, and says nothing about the fourth step.
+    fourth = 30 + first
+    expected = (30 + older * 21 + oldest * 12) / (1 + older + oldest)
+    assert ensemble.add(fourth)[0] == pytest.approx(expected)
+    assert len(ensemble.chunks) == 3
