@@ -1,0 +1,51 @@
+"""Policies that turn noise into a chunk of actions, one chunk per query, and
+keep nothing in between."""
+
+from __future__ import annotations
+
+from typing import Sequence
+
+import numpy as np
+
+from ..catalogue import Entry
+from ..description import Description
+from ..episode import Episode, Observation
+from ..policy import Policy
+from .lerobot import CAMERAS, FIELDS, LerobotModel
+
+
+class FlowPolicy(Policy):
+    """One chunk per query; of its actions, `execute` are executed."""
+
+    def __init__(
+        self, entry: Entry, model: LerobotModel, *, execute: int, max_batch: int = 1
+    ) -> None:
+        self.model = model
+        self.description = Description(
+            name=entry.name,
+            checkpoint=model.checkpoint,
+            checkpoint_digest=model.checkpoint_digest,
+            parameters=model.parameters,
+            cameras=CAMERAS,
+            state=FIELDS,
+            horizon=model.config.chunk_size,
+            execute=execute,
+            stochastic=True,
+            max_batch=max_batch,
+        )
+
+    def reset(self, episode: Episode) -> None:
+        """Nothing is kept: the instruction goes with every query."""
+
+    def infer(self, observation: Observation) -> np.ndarray:
+        return self.infer_batch([observation])[0]
+
+    def infer_batch(self, observations: Sequence[Observation]) -> Sequence[np.ndarray]:
+        return list(self.model.chunks(observations, self.noise(observations)))
+
+    def noise(self, observations: Sequence[Observation]) -> np.ndarray:
+        """Where the flow starts, [batch, n, width]: each row from its own
+        query's generator, whoever its neighbours are."""
+        config = self.model.config
+        shape = (config.chunk_size, config.max_action_dim)
+        return np.stack([one.rng.standard_normal(shape, dtype=np.float32) for one in observations])

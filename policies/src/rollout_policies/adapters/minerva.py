@@ -1,0 +1,57 @@
+"""MINERVA, whose repository is a lerobot of its own.
+
+It reads no language: the instruction is looked up in a table of LIBERO's 40
+tasks, and any other wording is an error. It is therefore described as knowing
+canonical instructions only. The language axis is the identity for it, and
+nothing that it does there says anything about language.
+
+It sees two observations at a time and is asked at every step; the overlapping
+chunks are averaged inside, with weights exp(-0.01 i).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..catalogue import Entry
+from ..description import Description, Language
+from ..episode import Episode, Observation
+from ..policy import Policy
+from . import Options
+from .lerobot import CAMERAS, FIELDS, LerobotModel
+
+#: The authors' protocol.
+EXECUTE = 1
+ENSEMBLE = 0.01
+
+
+class Minerva(Policy):
+    """One action per query, out of the chunks of this and earlier ones."""
+
+    def __init__(self, entry: Entry, model: LerobotModel) -> None:
+        self.model = model
+        self.description = Description(
+            name=entry.name,
+            checkpoint=model.checkpoint,
+            checkpoint_digest=model.checkpoint_digest,
+            parameters=model.parameters,
+            cameras=CAMERAS,
+            state=FIELDS,
+            horizon=EXECUTE,
+            stateful=True,
+            language=Language.CANONICAL_ONLY,
+        )
+
+    def reset(self, episode: Episode) -> None:
+        episode.memory = self.model.fresh_memory()
+
+    def infer(self, observation: Observation) -> np.ndarray:
+        return self.model.act(observation, observation.episode.memory)
+
+
+def load(entry: Entry, options: Options) -> Policy:
+    """Loads the checkpoint; see `rollout_policies.adapters.load`."""
+    model = LerobotModel.load(
+        entry, options, n_action_steps=EXECUTE, temporal_ensemble_coeff=ENSEMBLE
+    )
+    return Minerva(entry, model)

@@ -1,0 +1,26 @@
+"""π0.5, as lerobot runs it.
+
+Frames are resized with padding to 224 x 224 by the model, and the state is
+written into the prompt. Whoever runs openpi's own server instead needs no
+adapter: a gateway speaks its protocol.
+
+`lerobot/pi05_libero_base` is not fine-tuned and has no statistics of LIBERO: it
+loads, moves and scores nothing. `lerobot/pi05-libero` is the one to serve.
+"""
+
+from __future__ import annotations
+
+from ..catalogue import Entry
+from ..policy import Policy
+from . import Options
+from .flow import FlowPolicy
+from .lerobot import LerobotModel
+
+#: LIBERO-CTRL's protocol, which is that of the checkpoint.
+EXECUTE = 10
+
+
+def load(entry: Entry, options: Options) -> Policy:
+    """Loads the checkpoint; see `rollout_policies.adapters.load`."""
+    model = LerobotModel.load(entry, options, n_action_steps=EXECUTE)
+    return FlowPolicy(entry, model, execute=EXECUTE, max_batch=options.max_batch)

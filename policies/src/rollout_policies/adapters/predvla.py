@@ -1,0 +1,190 @@
+"""PredVLA: a recurrent network that corrects itself while it acts.
+
+At every step it infers, by ten iterations of Adam over its last forty steps,
+which free variables explain what it saw and felt. All of that belongs to one
+episode; here every episode has its own, made from its own instruction, so that
+no instruction can outlive its episode.
+
+Frames are not turned. They are drawn at 256 like every policy's, since blur and
+noise are defined in those pixels, and reduced to the 128 it was trained on.
+"""
+
+from __future__ import annotations
+
+import types
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..catalogue import Entry, NoCheckpoint
+from ..description import Camera, Description, State
+from ..episode import Episode, Observation
+from ..policy import Policy
+from ..processing.images import BILINEAR, resize
+from . import Options
+from .upstream import digest, require, require_suite
+
+SCENE, WRIST = Camera("agentview"), Camera("robot0_eye_in_hand")
+#: Side of the frames that it was trained on, pixels.
+SIDE = 128
+#: The published protocol of the correction.
+CORRECTION = {
+    "window": 40,
+    "n_itr": 10,
+    "lr": 0.05,
+    "er_w": 1.0,
+    "er_opt": "adam",
+    "er_lambda_v": 1.0,
+    "er_lambda_q": 1.0,
+    "a_init": "prior",
+}
+
+
+def frame(raw: np.ndarray) -> np.ndarray:
+    """A frame as the simulator renders it, reduced to 128 x 128."""
+    return resize(raw, SIDE, SIDE, BILINEAR)
+
+
+def looks(step: int, stride: int) -> bool:
+    """Whether frames are looked at in this step: in the first, and then every
+    `stride`-th."""
+    return step % stride == 0
+
+
+@dataclass
+class Memory:
+    """One episode's correction, and how far it is."""
+
+    correction: Any
+    step: int = 0
+
+
+@dataclass
+class PredvlaModel:
+    """The network, its frozen front end, and how corrections are made."""
+
+    network: Any
+    front: Any
+    correction_class: Any
+    stride: int
+    device: str
+    roll: Any = None
+
+    @property
+    def parameters(self) -> int:
+        """How many numbers were learnt; the frozen front end is not counted."""
+        return sum(number.numel() for number in self.network.parameters())
+
+    def begin(self, instruction: str) -> Any:
+        """A correction that starts with this instruction and with nothing else."""
+        import torch
+
+        language = torch.stack([self.front.lang(instruction).to(self.device)])
+        correction = self.correction_class(
+            self.network, language, device=self.device, vision_stride=self.stride, **CORRECTION
+        )
+        if self.roll is not None:
+            correction._roll = types.MethodType(self.roll, correction)
+        return correction
+
+    def step(
+        self, correction: Any, joints: np.ndarray, frames: tuple[np.ndarray, np.ndarray] | None
+    ) -> np.ndarray:
+        """One step: seven joints and two fingers [9], both frames if it looks."""
+        import torch
+
+        felt = self.front.q(
+            {
+                "robot0_joint_pos": joints[:7].astype(np.float32),
+                "robot0_gripper_qpos": joints[7:].astype(np.float32),
+            }
+        )
+        seen = torch.zeros(self.network.v_dim) if frames is None else self.front.v(*frames)
+        looked = torch.full((1,), 0.0 if frames is None else 1.0, device=self.device)
+        action = correction.step(seen.to(self.device)[None], felt.to(self.device)[None], looked)
+        return np.asarray(action[0], dtype=np.float64)
+
+
+class PredVla(Policy):
+    """One action per step."""
+
+    def __init__(
+        self, entry: Entry, model: PredvlaModel, *, suite: str, checkpoint: str, weights: str = ""
+    ) -> None:
+        self.entry = entry
+        self.suite = suite
+        self.model = model
+        self.description = Description(
+            name=entry.name,
+            checkpoint=checkpoint,
+            checkpoint_digest=weights,
+            parameters=model.parameters,
+            cameras=(SCENE, WRIST),
+            state=(State.JOINT_POS, State.GRIPPER_POS),
+            stateful=True,
+        )
+
+    def reset(self, episode: Episode) -> None:
+        require_suite(self.entry, self.suite, episode)
+        episode.memory = Memory(self.model.begin(episode.instruction))
+
+    def infer(self, observation: Observation) -> np.ndarray:
+        memory = observation.episode.memory
+        frames = None
+        if looks(memory.step, self.model.stride):
+            frames = tuple(frame(observation.images[one.name]) for one in (SCENE, WRIST))
+        joints = observation.vector(State.JOINT_POS, State.GRIPPER_POS)
+        action = self.model.step(memory.correction, joints, frames)
+        memory.step += 1
+        return action
+
+
+def load(entry: Entry, options: Options) -> Policy:
+    """Loads the checkpoint; see `rollout_policies.adapters.load`."""
+    listed = entry.checkpoint_for(options.suite)
+    file = Path(options.checkpoint or listed)
+    if not file.is_file():
+        raise NoCheckpoint(
+            f"{entry.title}'s weights are a file, and {file} is none; name it with --checkpoint"
+        )
+    torch = require("torch", entry)
+    package = require("predvla.model", entry)
+    correction = require("predvla.er_batch", entry).ERBatch
+    saved = torch.load(file, map_location="cpu", weights_only=False)
+    network = package.PredVLA(saved["cfg"]).to(options.device).eval()
+    network.load_state_dict(saved["model"])
+    for number in network.parameters():
+        number.requires_grad_(False)
+    front = require("predvla.frontend", entry).Frontend(
+        _cache(saved["cfg"]["paths"]["cache_root"], Path(package.__file__).parents[1]),
+        device=options.device,
+    )
+    # Four hundred steps of a small network per action: compiled, it is several
+    # times faster; upstream does so on this kind of device only.
+    compiled = options.device.startswith("cuda")
+    model = PredvlaModel(
+        network,
+        front,
+        correction,
+        int(saved["cfg"]["data"]["vision_stride"]),
+        options.device,
+        torch.compile(correction._roll, dynamic=False) if compiled else None,
+    )
+    return PredVla(
+        entry,
+        model,
+        suite=options.suite,
+        checkpoint=options.checkpoint or listed,
+        weights=digest([file]),
+    )
+
+
+def _cache(named: str, home: Path) -> str:
+    """Where the front end's statistics lie. Checkpoints name them relative to a
+    folder of the authors' that lay beside `home`'s data."""
+    path = Path(named)
+    if path.is_absolute():
+        return str(path)
+    return str(home.joinpath(*(part for part in path.parts if part != "..")))

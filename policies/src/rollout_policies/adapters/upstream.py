@@ -1,0 +1,73 @@
+"""What every adapter does with packages and files that are not ours."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+from pathlib import Path
+from types import ModuleType
+from typing import Iterable
+
+from ..catalogue import Entry
+from ..episode import Episode
+
+#: Bytes read at a time.
+PIECE = 1 << 20
+
+
+class UpstreamMissing(ImportError):
+    """The package that a policy is made of cannot be imported."""
+
+
+class UnusableCheckpoint(ValueError):
+    """The weights are not what the policy needs."""
+
+
+class WrongSuite(ValueError):
+    """An episode of one suite reached the weights of another."""
+
+
+def require(module: str, entry: Entry) -> ModuleType:
+    """Imports a module of the policy's upstream package.
+
+    Raises UpstreamMissing, which says what to install.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise UpstreamMissing(
+            f"failed to import {module}, which {entry.title} is made of ({error});"
+            f" install it: {entry.install}"
+        ) from error
+
+
+def require_suite(entry: Entry, served: str | None, episode: Episode) -> None:
+    """Refuses an episode that these weights were not trained for.
+
+    Such a policy moves, fails every task and looks merely bad.
+    """
+    if entry.per_suite and episode.suite != served:
+        raise WrongSuite(
+            f"this server has {entry.title}'s weights for {served}, and the episode is of"
+            f" {episode.suite or 'no suite'}; route every suite to its own server"
+        )
+
+
+def digest(files: Iterable[Path]) -> str:
+    """SHA-256 over files, by name and content, hex: two servers of one policy
+    have the same weights only if this agrees."""
+    total = hashlib.sha256()
+    for path in sorted(files, key=lambda path: path.name):
+        total.update(path.name.encode())
+        with path.open("rb") as file:
+            one = hashlib.sha256()
+            while piece := file.read(PIECE):
+                one.update(piece)
+        total.update(one.digest())
+    return total.hexdigest()
+
+
+def seed_of(observation) -> int:
+    """A seed for a library's own generator, from the rollout's seed and the
+    query alone."""
+    return int(observation.rng.integers(2**63))

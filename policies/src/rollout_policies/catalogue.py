@@ -1,0 +1,70 @@
+"""What checkpoints.toml says of the policies that this package can serve."""
+
+from __future__ import annotations
+
+import importlib.resources
+from dataclasses import dataclass
+from typing import Mapping
+
+try:
+    import tomllib
+except ModuleNotFoundError:  # Python 3.10
+    import tomli as tomllib
+
+
+class UnknownPolicy(ValueError):
+    """No adapter has this name."""
+
+
+class NoCheckpoint(ValueError):
+    """Which weights to serve was not said."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One policy of the catalogue."""
+
+    #: As the command line and the policy's description call it.
+    name: str
+    #: As its paper calls it.
+    title: str
+    #: As its publisher counts them.
+    parameters: int
+    #: Checkpoint id; by suite where every suite has its own.
+    checkpoint: str | Mapping[str, str]
+    #: The upstream package's top module, and how to install it.
+    module: str
+    install: str
+
+    @property
+    def per_suite(self) -> bool:
+        """Whether every suite has its own weights, and so its own server."""
+        return not isinstance(self.checkpoint, str)
+
+    def checkpoint_for(self, suite: str | None) -> str:
+        """The checkpoint's id for a suite such as "libero_goal".
+
+        Raises NoCheckpoint where a suite is needed and is missing or unknown.
+        """
+        if isinstance(self.checkpoint, str):
+            return self.checkpoint
+        if suite not in self.checkpoint:
+            raise NoCheckpoint(
+                f"{self.title} has other weights for every suite: --suite must be one of"
+                f" {', '.join(self.checkpoint)}, and is {suite or 'missing'}"
+            )
+        return self.checkpoint[suite]
+
+
+def entries() -> dict[str, Entry]:
+    """All policies by name, in the paper's order of fame."""
+    text = importlib.resources.files(__package__).joinpath("checkpoints.toml").read_text("utf-8")
+    return {name: Entry(name=name, **fields) for name, fields in tomllib.loads(text).items()}
+
+
+def entry(name: str) -> Entry:
+    """One policy. Raises UnknownPolicy, naming those that there are."""
+    known = entries()
+    if name not in known:
+        raise UnknownPolicy(f"there is no adapter {name!r}; there are: {', '.join(known)}")
+    return known[name]

@@ -1,0 +1,370 @@
+"""The adapters up to the call of the upstream network, which is recorded.
+
+The recording stand-ins answer what a test gives them; everything around them,
+from the observation to the arguments and from the answer to the actions, is
+what serves.
+"""
+
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from test_processing import pattern
+
+from rollout_policies import Episode, Observation, State
+from rollout_policies.adapters import MODULES, NoBatches, Options, load
+from rollout_policies.adapters import openvla_oft, predvla, univla
+from rollout_policies.adapters.flow import FlowPolicy
+from rollout_policies.adapters.lerobot import batch_of, camera_of_slot
+from rollout_policies.adapters.minerva import Minerva
+from rollout_policies.adapters.upstream import WrongSuite, digest
+from rollout_policies.adapters.vla_jepa import VlaJepa
+from rollout_policies.catalogue import NoCheckpoint, entries, entry
+from rollout_policies.description import Language
+
+#: Half a turn about x: a hand that points down.
+POINTING_DOWN = [1.0, 0.0, 0.0, 0.0]
+
+
+def observation(seed=7, query_index=0, suite="libero_goal", instruction="Open the Drawer"):
+    episode = Episode("s", suite, instruction, seed)
+    return Observation(
+        episode,
+        query_index,
+        {"agentview": pattern(256), "robot0_eye_in_hand": pattern(256)[::-1]},
+        {
+            State.EEF_POS: np.array([0.1, 0.2, 0.3]),
+            State.EEF_QUAT_XYZW: np.array(POINTING_DOWN),
+            State.GRIPPER_POS: np.array([0.04, -0.04]),
+            State.JOINT_POS: np.arange(7.0),
+        },
+    )
+
+
+def next_one(earlier, query_index):
+    return Observation(earlier.episode, query_index, earlier.images, earlier.state)
+
+
+# What lerobot runs.
+
+
+def test_the_first_two_slots_get_cameras_and_the_others_get_nothing():
+    slots = [
+        "observation.images.camera3",
+        "observation.images.camera1",
+        "observation.images.empty_camera_0",
+        "observation.images.camera2",
+    ]
+    assert camera_of_slot(slots) == {
+        "observation.images.camera1": "agentview",
+        "observation.images.camera2": "robot0_eye_in_hand",
+    }
+    assert list(camera_of_slot(["observation.images.wrist_image", "observation.images.image"])) == [
+        "observation.images.image",
+        "observation.images.wrist_image",
+    ]
+
+
+def test_lerobot_gets_turned_frames_and_eight_numbers():
+    slots = camera_of_slot(["observation.images.image", "observation.images.image2"])
+    batch = batch_of([observation(), observation(instruction="other")], slots)
+    frames = batch["observation.images.image"]
+    assert frames.shape == (2, 3, 256, 256) and frames.dtype == np.float32
+    # The last pixel of the last row comes first.
+    assert (frames[0, :, 0, 0] == pattern(256)[255, 255] / np.float32(255)).all()
+    assert (frames[0, :, 0, 1] == pattern(256)[255, 254] / np.float32(255)).all()
+    assert batch["observation.state"].dtype == np.float32
+    expected = [0.1, 0.2, 0.3, np.pi, 0, 0, 0.04, -0.04]
+    assert batch["observation.state"][1] == pytest.approx(expected)
+    assert batch["task"] == ["Open the Drawer", "other"]
+    assert "observation.state" not in batch_of([observation()], slots, with_state=False)
+
+
+class RecordingFlow:
+    """Answers its noise, or what its generator would draw."""
+
+    checkpoint, checkpoint_digest, parameters = "weights", "d1", 3
+    config = SimpleNamespace(chunk_size=50, max_action_dim=32)
+
+    def __init__(self):
+        self.seeds = []
+
+    def seed(self, seed):
+        self.seeds.append(seed)
+
+    def chunks(self, observations, noise=None):
+        if noise is None:
+            generator = np.random.default_rng(self.seeds[-1])
+            noise = generator.standard_normal((len(observations), 50, 7))
+        return noise[..., :7]
+
+
+def flow(cls=FlowPolicy, name="smolvla", **fields):
+    return cls(entry(name), RecordingFlow(), execute=1, **fields)
+
+
+def test_a_flow_policy_describes_its_chunk_and_what_is_executed():
+    described = flow(max_batch=8).description
+    assert (described.horizon, described.execute, described.max_batch) == (50, 1, 8)
+    assert described.stochastic and not described.stateful
+    assert [camera.name for camera in described.cameras] == ["agentview", "robot0_eye_in_hand"]
+
+
+@pytest.mark.parametrize(("cls", "name"), [(FlowPolicy, "smolvla"), (VlaJepa, "vla-jepa")])
+def test_noise_depends_on_seed_and_query_and_on_no_neighbour(cls, name):
+    policy = flow(cls, name)
+    ours, other = observation(seed=1, query_index=3), observation(seed=2, query_index=3)
+    alone = policy.infer(ours)
+    assert (policy.infer(ours) == alone).all()
+    assert (policy.infer_batch([other, ours])[1] == alone).all()
+    assert (policy.infer(other) != alone).any()
+    assert (policy.infer(next_one(ours, 4)) != alone).any()
+    assert alone.shape == (50, 7)
+
+
+class RecordingLerobot:
+    """Keeps a count per episode, as lerobot's queues would."""
+
+    checkpoint, checkpoint_digest, parameters = "weights", "d1", 3
+
+    def fresh_memory(self):
+        return {"count": 0}
+
+    def act(self, observation, memory):
+        memory["count"] += 1
+        return np.full(7, memory["count"] / 10)
+
+
+def test_minerva_knows_canonical_instructions_only_and_mixes_no_episodes():
+    policy = Minerva(entry("minerva"), RecordingLerobot())
+    assert policy.description.language is Language.CANONICAL_ONLY
+    assert policy.description.stateful and policy.description.horizon == 1
+    one, two = observation(), observation()
+    policy.reset(one.episode)
+    policy.reset(two.episode)
+    answers = [policy.infer(which)[0] for which in (one, one, two, one)]
+    assert answers == pytest.approx([0.1, 0.2, 0.1, 0.3])
+
+
+# OpenVLA-OFT and UniVLA.
+
+
+class RecordingOft:
+    parameters = 3
+    proprio_statistics = {"q01": [0.0] * 8, "q99": [1.0] * 8}
+
+    def chunk(self, *arguments):
+        self.arguments = arguments
+        return np.full((8, 7), 0.9)
+
+
+def test_openvla_oft_is_asked_with_cropped_frames_a_prompt_and_percentiles():
+    model = RecordingOft()
+    policy = openvla_oft.OpenVlaOft(
+        entry("openvla-oft"), model, suite="libero_goal", checkpoint="weights"
+    )
+    seen = observation()
+    policy.reset(seen.episode)
+    actions = policy.infer(seen)
+    scene, wrist, text, state = model.arguments
+    assert scene.shape == (224, 224, 3) and scene.dtype == np.uint8
+    assert (scene == openvla_oft.frame(pattern(256)[::-1, ::-1])).all()
+    assert (wrist == openvla_oft.frame(pattern(256)[:, ::-1])).all()
+    assert text == "In: What action should the robot take to open the drawer?\nOut:"
+    # pi and -0.04 lie beyond the percentiles.
+    assert state == pytest.approx([-0.8, -0.6, -0.4, 1, -1, -1, -0.92, -1], abs=1e-6)
+    assert actions.shape == (8, 7)
+    assert (actions[:, 6] == -1).all() and (actions[:, :6] == 0.9).all()
+    assert (policy.description.horizon, policy.description.execute) == (8, 8)
+
+
+def test_statistics_are_found_with_and_without_no_noops():
+    assert openvla_oft.statistics_of("libero_10", {"libero_10_no_noops": {}}) == (
+        "libero_10_no_noops"
+    )
+    assert openvla_oft.statistics_of("libero_10", {"libero_10": {}}) == "libero_10"
+    with pytest.raises(ValueError, match="no statistics of libero_10; it has those of bridge"):
+        openvla_oft.statistics_of("libero_10", {"bridge": {}})
+
+
+class RecordingUnivla:
+    parameters = 3
+
+    def __init__(self):
+        self.asked = []
+
+    def chunk(self, pixels, text, seed):
+        self.asked.append((text, seed))
+        # The n-th chunk says n, and its gripper is open.
+        chunk = np.full((12, 7), len(self.asked) / 10)
+        chunk[:, 6] = 1
+        return chunk, [32001, 2, 32032, 32005]
+
+
+def test_univla_carries_latent_actions_and_chunks_from_query_to_query():
+    model = RecordingUnivla()
+    bounds = {"q01": [-2.0] * 7, "q99": [2.0] * 7, "mask": [True] * 6 + [False]}
+    policy = univla.UniVla(
+        entry("univla"), model, bounds, suite="libero_goal", checkpoint="weights"
+    )
+    seen = observation()
+    policy.reset(seen.episode)
+    first = policy.infer(seen)
+    second = policy.infer(next_one(seen, 1))
+    assert first == pytest.approx([0.2] * 6 + [-1])
+    weight = np.exp(-0.1)
+    assert second[0] == pytest.approx(2 * (0.2 + weight * 0.1) / (1 + weight))
+    question = "In: What action should the robot take to open the drawer?"
+    assert model.asked[0][0] == f"{question}\nOut:"
+    # The end of the sentence, token 2, is no latent action.
+    assert model.asked[1][0] == f"{question} History action <ACT_0><ACT_31><ACT_4>\nOut:"
+    # A new episode starts from nothing, and draws as its seed says.
+    again = observation()
+    policy.reset(again.episode)
+    policy.infer(again)
+    assert model.asked[2] == model.asked[0] != model.asked[1]
+    assert policy.description.stateful and policy.description.stochastic
+
+
+# PredVLA.
+
+
+class RecordingPredvla:
+    parameters, stride = 3, 4
+
+    def begin(self, instruction):
+        return [instruction]
+
+    def step(self, correction, joints, frames):
+        correction.append(None if frames is None else [frame.shape for frame in frames])
+        self.joints, self.frames = joints, frames or self.frames
+        return np.zeros(7)
+
+
+def test_predvla_looks_every_fourth_step_at_frames_that_are_not_turned():
+    model = RecordingPredvla()
+    policy = predvla.PredVla(entry("predvla"), model, suite="libero_goal", checkpoint="weights")
+    seen = observation()
+    policy.reset(seen.episode)
+    for query_index in range(6):
+        policy.infer(next_one(seen, query_index))
+    small = [(128, 128, 3)] * 2
+    expected = ["Open the Drawer", small, None, None, None, small, None]
+    assert seen.episode.memory.correction == expected
+    assert (model.frames[0] == predvla.frame(pattern(256))).all()
+    assert model.joints.tolist() == [0, 1, 2, 3, 4, 5, 6, 0.04, -0.04]
+
+
+def test_every_episode_of_predvla_has_its_own_instruction():
+    policy = predvla.PredVla(
+        entry("predvla"), RecordingPredvla(), suite="libero_goal", checkpoint="weights"
+    )
+    one, two = observation(instruction="one"), observation(instruction="two")
+    policy.reset(one.episode)
+    policy.reset(two.episode)
+    policy.infer(one)
+    assert one.episode.memory.correction[0] == "one"
+    assert two.episode.memory.correction == ["two"]
+
+
+def test_cached_statistics_are_looked_for_in_the_package(tmp_path):
+    assert predvla._cache("../data/cache_l64", tmp_path) == str(tmp_path / "data/cache_l64")
+    assert predvla._cache("/elsewhere/cache", tmp_path) == "/elsewhere/cache"
+
+
+# All of them.
+
+
+@pytest.mark.parametrize("name", ["openvla-oft", "univla", "predvla"])
+def test_an_episode_of_another_suite_is_refused(name):
+    made = {
+        "openvla-oft": lambda: openvla_oft.OpenVlaOft(
+            entry(name), RecordingOft(), suite="libero_10", checkpoint="w"
+        ),
+        "univla": lambda: univla.UniVla(
+            entry(name), RecordingUnivla(), {}, suite="libero_10", checkpoint="w"
+        ),
+        "predvla": lambda: predvla.PredVla(
+            entry(name), RecordingPredvla(), suite="libero_10", checkpoint="w"
+        ),
+    }[name]()
+    with pytest.raises(WrongSuite, match="libero_10, and the episode is of libero_goal"):
+        made.reset(observation().episode)
+
+
+def test_every_policy_of_the_catalogue_has_an_adapter():
+    assert list(entries()) == list(MODULES)
+    for listed in entries().values():
+        assert listed.install and listed.parameters > 0
+        for suite in ("libero_spatial", "libero_object", "libero_goal", "libero_10"):
+            assert listed.checkpoint_for(suite)
+
+
+def test_weights_of_a_suite_need_a_suite():
+    with pytest.raises(NoCheckpoint, match="--suite must be one of libero_spatial"):
+        entry("univla").checkpoint_for("libero_90")
+
+
+def test_batches_are_refused_where_neighbours_would_share_noise():
+    with pytest.raises(NoBatches, match="VLA-JEPA answers one query at a time"):
+        load("vla-jepa", Options(max_batch=4))
+
+
+def test_a_digest_changes_with_content_and_name(tmp_path):
+    (tmp_path / "a").write_bytes(b"weights")
+    (tmp_path / "b").write_bytes(b"weights")
+    one, other = digest([tmp_path / "a"]), digest([tmp_path / "b"])
+    assert len(one) == 64 and one != other
+    assert digest([tmp_path / "b", tmp_path / "a"]) == digest([tmp_path / "a", tmp_path / "b"])
+
+
+def command(*arguments):
+    return subprocess.run(
+        [sys.executable, "-m", "rollout_policies", *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def test_the_command_line_lists_every_policy_with_what_it_needs():
+    listed = command("list")
+    assert listed.returncode == 0
+    for name in MODULES:
+        assert f"{name}  (" in listed.stdout
+    assert "pip install 'lerobot[smolvla]" in listed.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (("serve", "gpt"), 2, ["invalid choice", "smolvla"]),
+        (("serve", "predvla"), 2, ["--suite must be one of"]),
+        (("serve", "smolvla", "--max-batch", "0"), 2, ["0 is below 1"]),
+        (("serve", "minerva", "--max-batch", "2"), 2, ["MINERVA", "--max-batch"]),
+        (
+            ("serve", "univla", "--suite", "libero_goal"),
+            2,
+            ["univla-libero-goal is no folder", "--checkpoint"],
+        ),
+    ],
+)
+def test_a_wrong_command_is_refused_with_the_remedy(arguments, code, words):
+    refused = command(*arguments)
+    assert refused.returncode == code, refused.stderr
+    for word in words:
+        assert word in refused.stderr
+
+
+def test_a_missing_upstream_package_is_named_with_how_to_install_it():
+    try:
+        import timm  # noqa: F401
+    except ImportError:
+        refused = command("serve", "openvla-oft", "--suite", "libero_10")
+        assert refused.returncode == 1
+        for word in ("failed to import timm", "OpenVLA-OFT", "github.com/moojink/openvla-oft"):
+            assert word in refused.stderr
+    else:
+        pytest.skip("timm is installed here")
