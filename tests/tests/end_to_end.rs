@@ -80,13 +80,40 @@ fn a_python_policy_answers_from_pixels_through_the_gateway() {
     let mut policy = Command::new(python);
     policy.args(["-u", "-m", "rollout_policies.examples.colour_servo"]);
     let policy = Process::serve(policy.args(["--listen", "127.0.0.1:0"]));
-    let bare = policy.url.strip_prefix("http://").unwrap();
+    roll_out("servo", &policy);
+}
+
+#[test]
+fn a_typescript_policy_conforms_and_answers_through_the_gateway() {
+    let Some(server) = std::env::var_os("ROLLOUT_TYPESCRIPT_POLICY") else {
+        eprintln!(
+            "SKIPPED a_typescript_policy_conforms_and_answers_through_the_gateway: \
+             `cargo xtask test` builds it and names it, where npm is installed"
+        );
+        return;
+    };
+    let policy = Process::serve(Command::new("node").arg(server).arg("127.0.0.1:0"));
+    let check = Command::new(program("policy-gateway"))
+        .args(["check", &grpc_url(&policy)])
+        .output()
+        .unwrap();
+    let verdicts = String::from_utf8_lossy(&check.stdout);
+    assert!(check.status.success(), "{verdicts}");
+    roll_out("wander", &policy);
+}
+
+fn grpc_url(policy: &Process) -> String {
+    policy.url.replacen("http://", "grpc://", 1)
+}
+
+/// One rollout with a policy server behind a gateway.
+fn roll_out(name: &str, policy: &Process) {
     let mut gateway = Command::new(program("policy-gateway"));
     gateway.args([
         "--listen",
         "127.0.0.1:0",
         "--route",
-        &format!("servo=grpc://{bare}"),
+        &format!("{name}={}", grpc_url(policy)),
     ]);
     let gateway = Process::serve(&mut gateway);
     let output = tempfile::tempdir().unwrap();
@@ -100,7 +127,7 @@ fn a_python_policy_answers_from_pixels_through_the_gateway() {
         ])
         .args([
             "--policy",
-            "servo",
+            name,
             "--endpoint",
             &gateway.url,
             "--no-video",

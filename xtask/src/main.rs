@@ -10,6 +10,7 @@ mod process;
 mod setup;
 mod step;
 mod test;
+mod typescript;
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;

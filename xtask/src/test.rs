@@ -1,4 +1,5 @@
-//! All tests of the workspace and of the Python package.
+//! All tests of the workspace, of the Python package and of the policy server in
+//! another language.
 
 use std::path::Path;
 use std::process::Command;
@@ -9,6 +10,7 @@ use crate::cargo::{build_programs, cargo};
 use crate::process::{capture, run as run_command};
 use crate::setup;
 use crate::step::step;
+use crate::typescript;
 
 /// Sets up, builds and runs everything.
 pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
@@ -16,6 +18,7 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
     // The end-to-end tests start the real programs.
     let programs = build_programs(root)?;
     let python = step("Python environment for policies/", || python(root, &cache))?;
+    let typescript = typescript::build(root)?;
     step("built-in pack as generated", || {
         let mut generator = Command::new("python3");
         capture(
@@ -35,6 +38,9 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
     tests
         .env("ROLLOUT_PROGRAMS", &programs)
         .env("ROLLOUT_PYTHON", &python);
+    if let Some(server) = typescript {
+        tests.env("ROLLOUT_TYPESCRIPT_POLICY", server);
+    }
     run_command(&mut tests)?;
     if filters.is_empty() {
         let mut pytest = Command::new(&python);

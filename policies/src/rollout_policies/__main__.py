@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import logging
 import sys
 
@@ -32,7 +33,10 @@ def main(arguments: list[str] | None = None) -> int:
         max_batch=given.max_batch,
     )
     try:
-        policy = load(given.policy, options)
+        # Upstream packages print while they load; the first line of the output
+        # is the address.
+        with contextlib.redirect_stdout(sys.stderr):
+            policy = load(given.policy, options)
         serve(policy, given.listen)
     except (NoCheckpoint, NoBatches) as error:
         print(f"error: {error}", file=sys.stderr)
