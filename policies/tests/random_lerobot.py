@@ -9,8 +9,11 @@ all of the real code.
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from pathlib import Path
+from typing import Any, Callable, Iterator
+from unittest import mock
 
 import torch
 from lerobot.configs.types import FeatureType, PolicyFeature
@@ -127,6 +130,170 @@ def smolvla(folder: Path) -> None:
     save(config, folder)
 
 
+@contextlib.contextmanager
+def small_pi05() -> Iterator[None]:
+    """lerobot fixes π0.5's sizes in its code; inside this, they are small. What
+    stays large is the vocabulary, of half a billion numbers."""
+    from lerobot.policies.pi05 import modeling_pi05 as upstream
+    from transformers import CONFIG_MAPPING
+
+    def small_paligemma() -> Any:
+        config = CONFIG_MAPPING["paligemma"]()
+        config.vision_config.num_hidden_layers = 2
+        return config
+
+    widths = {"gemma_2b": 2048, "gemma_300m": 256}
+    configs = {"paligemma": small_paligemma, "gemma": CONFIG_MAPPING["gemma"]}
+    with (
+        mock.patch.object(
+            upstream,
+            "get_gemma_config",
+            lambda variant: upstream.GemmaConfig(widths[variant], 2, 512, 8, 1, 256),
+        ),
+        mock.patch.object(upstream, "CONFIG_MAPPING", configs),
+    ):
+        yield
+
+
+def pi05(folder: Path) -> None:
+    """π0.5: two layers in place of eighteen and twenty-seven."""
+    from lerobot.policies.pi05.configuration_pi05 import PI05Config
+
+    words = folder / "words"
+    tokeniser(words, [])
+    config = PI05Config(
+        chunk_size=10,
+        n_action_steps=10,
+        dtype="bfloat16",
+        input_features={
+            "observation.images.image": visual(),
+            "observation.images.image2": visual(),
+            "observation.images.empty_camera_0": visual(224),
+            "observation.state": state(),
+        },
+        output_features=ACTIONS,
+        device="cpu",
+    )
+    # The name of the tokeniser, too, is fixed in lerobot's code.
+    replaced = mock.patch(
+        "lerobot.policies.pi05.processor_pi05.TokenizerProcessorStep",
+        _with_tokeniser(str(words)),
+    )
+    with small_pi05(), replaced:
+        save(config, folder)
+
+
+def _with_tokeniser(name: str) -> Callable[..., Any]:
+    from lerobot.processor import TokenizerProcessorStep
+
+    def step(**fields: Any) -> Any:
+        return TokenizerProcessorStep(**{**fields, "tokenizer_name": name})
+
+    return step
+
+
+def vla_jepa(folder: Path) -> None:
+    """VLA-JEPA without its world model: two layers, a thirtieth of the width."""
+    from lerobot.policies.vla_jepa.configuration_vla_jepa import VLAJEPAConfig
+    from transformers import Qwen2VLImageProcessorFast, Qwen3VLConfig, Qwen3VLProcessor
+    from transformers import Qwen3VLForConditionalGeneration, Qwen3VLVideoProcessor
+
+    backbone = folder / "backbone"
+    marks = ["start", "end"]
+    special = [f"<|vision_{mark}|>" for mark in marks] + [f"<|im_{mark}|>" for mark in marks]
+    special += ["<|image_pad|>", "<|video_pad|>"]
+    # Seven actions, four tokens each, and the one that the actions hang on.
+    actions = [*(f"<|action_{index}|>" for index in range(28)), "<|embodied_action|>"]
+    words = tokeniser(backbone, [*special, *actions])
+    tokens = dict(zip(special, words.convert_tokens_to_ids(special)))
+    config = Qwen3VLConfig(
+        text_config={
+            "hidden_size": 64,
+            "intermediate_size": 128,
+            "num_hidden_layers": 2,
+            "num_attention_heads": 4,
+            "num_key_value_heads": 2,
+            "head_dim": 16,
+            "vocab_size": len(words),
+            "rope_scaling": {"rope_type": "default", "mrope_section": [4, 2, 2]},
+        },
+        vision_config={
+            "hidden_size": 32,
+            "intermediate_size": 64,
+            "depth": 2,
+            "num_heads": 2,
+            "out_hidden_size": 64,
+            "deepstack_visual_indexes": [0],
+        },
+        image_token_id=tokens["<|image_pad|>"],
+        video_token_id=tokens["<|video_pad|>"],
+        vision_start_token_id=tokens["<|vision_start|>"],
+        vision_end_token_id=tokens["<|vision_end|>"],
+    )
+    torch.manual_seed(SEED)
+    Qwen3VLForConditionalGeneration(config).save_pretrained(backbone)
+    Qwen3VLProcessor(
+        Qwen2VLImageProcessorFast(patch_size=16),
+        words,
+        Qwen3VLVideoProcessor(),
+        chat_template=(
+            "{% for message in messages %}{% for part in message.content %}"
+            "{% if part.type == 'image' %}<|vision_start|><|image_pad|><|vision_end|>"
+            "{% else %}{{ part.text }}{% endif %}{% endfor %}{% endfor %}"
+        ),
+    ).save_pretrained(backbone)
+    save(
+        VLAJEPAConfig(
+            qwen_model_name=str(backbone),
+            enable_world_model=False,
+            torch_dtype="float32",
+            action_model_type="DiT-test",
+            action_hidden_size=32,
+            action_num_layers=2,
+            resize_images_to=(224, 224),
+            input_features={
+                "observation.images.image": visual(),
+                "observation.images.image2": visual(),
+                "observation.state": state(),
+            },
+            output_features=ACTIONS,
+            device="cpu",
+        ),
+        folder,
+    )
+
+
+def act(folder: Path) -> None:
+    """lerobot's ACT, which keeps chunks in an ensemble: what can stand in
+    MINERVA's place where MINERVA cannot be installed."""
+    from lerobot.configs.types import NormalizationMode
+    from lerobot.policies.act.configuration_act import ACTConfig
+
+    modes = {"VISUAL": NormalizationMode.IDENTITY, "STATE": NormalizationMode.MEAN_STD}
+    save(
+        ACTConfig(
+            chunk_size=16,
+            n_action_steps=1,
+            temporal_ensemble_coeff=0.5,
+            normalization_mapping={**modes, "ACTION": NormalizationMode.MEAN_STD},
+            pretrained_backbone_weights=None,
+            dim_model=64,
+            n_heads=2,
+            dim_feedforward=64,
+            n_encoder_layers=1,
+            n_vae_encoder_layers=1,
+            input_features={
+                "observation.images.image": visual(),
+                "observation.images.image2": visual(),
+                "observation.state": state(),
+            },
+            output_features=ACTIONS,
+            device="cpu",
+        ),
+        folder,
+    )
+
+
 def save(config, folder: Path) -> None:
     """Draws weights and saves them with their processors."""
     torch.manual_seed(SEED)
@@ -136,7 +303,7 @@ def save(config, folder: Path) -> None:
         processor.save_pretrained(folder)
 
 
-POLICIES = {"smolvla": smolvla}
+POLICIES = {"smolvla": smolvla, "pi05": pi05, "vla-jepa": vla_jepa, "act": act}
 
 if __name__ == "__main__":
     POLICIES[sys.argv[1]](Path(sys.argv[2]))
