@@ -107,17 +107,19 @@ pub(super) enum Wish {
 
 /// What a grasp is for.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Purpose {
+pub(super) struct Purpose<'a> {
     pub(super) wish: Wish,
     /// Where the object's origin is taken to, seen from above, and its lowest
     /// point.
     pub(super) destination: Vec3,
+    /// The object or fixture that is there, which the hand may touch.
+    pub(super) owner: &'a str,
 }
 
 /// All ways to hold `object`, best first: little turning of the hand, no
 /// finger in a neighbour, room beside the rim, and within the arm's reach here
 /// and there.
-pub(super) fn choices(world: &World, object: &Entity, purpose: Purpose) -> Vec<Grasp> {
+pub(super) fn choices(world: &World, object: &Entity, purpose: Purpose<'_>) -> Vec<Grasp> {
     let shape = footprint(object.quat, object.half);
     let handle = HANDLES.iter().find(|h| h.0 == object.category);
     let mut all = if let (Wish::Handle, Some((_, way))) = (purpose.wish, handle) {
@@ -197,39 +199,39 @@ fn grip_height(object: &Entity, depth: f64) -> f64 {
 }
 
 /// Rank of a grasp, in radians of hand turning that it is worth.
-fn cost(world: &World, object: &Entity, purpose: Purpose, grasp: &Grasp) -> f64 {
+fn cost(world: &World, object: &Entity, purpose: Purpose<'_>, grasp: &Grasp) -> f64 {
     let turning = half_turn(grasp.closing - FRAC_PI_2).abs();
     let askew = match purpose.wish {
         Wish::Across(way) => ASKEW_WEIGHT * Vec3::heading(grasp.closing).dot(way).abs(),
         Wish::Any | Wish::Handle => 0.0,
     };
-    let collisions = COLLISION_WEIGHT * collisions(world, object, grasp) as f64;
-    let into_wall = WALL_WEIGHT * into_wall(world, object, grasp);
     let here = object.centre + grasp.offset;
     let there = (purpose.destination + here - object.pos)
         .at_height(purpose.destination.z + here.z - object.bottom());
+    let beside = |solid: &Solid| solid.owner != object.name && solid.gap(object.centre) > 0.0;
+    let beyond = |solid: &Solid| solid.owner != object.name && solid.owner != purpose.owner;
+    let collisions = COLLISION_WEIGHT
+        * (collisions(world, here, grasp.closing, beside)
+            + collisions(world, there, grasp.closing, beyond)) as f64;
+    let into_wall = WALL_WEIGHT * into_wall(world, object, grasp);
     let stretch = STRETCH_WEIGHT * (world.overstretch(here) + world.overstretch(there));
     let downhill = TILT_WEIGHT * lean(object.quat).dot(grasp.offset);
     turning + askew + grasp.strain + collisions + into_wall + stretch + downhill
 }
 
-/// How often a part of the open hand would come down on something. What the
-/// object is in does not count: its walls are looked at by [`into_wall`].
-fn collisions(world: &World, object: &Entity, grasp: &Grasp) -> usize {
-    let grip = object.centre + grasp.offset;
-    let (along, across) = (
-        Vec3::heading(grasp.closing),
-        Vec3::heading(grasp.closing + FRAC_PI_2),
-    );
-    let hits = |part: &Part, other: &Solid| {
+/// How often a part of the open hand would come down on one of `among`, with
+/// the grip point at `grip`. What the object is in does not count: its walls
+/// are looked at by [`into_wall`].
+fn collisions(world: &World, grip: Vec3, closing: f64, among: impl Fn(&Solid) -> bool) -> usize {
+    let (along, across) = (Vec3::heading(closing), Vec3::heading(closing + FRAC_PI_2));
+    let hits = |part: &Part, solid: &Solid| {
         let reach = [along * part.half.0, across * part.half.1];
-        let above = grip.z + part.bottom > other.top();
-        !above && other.overlaps_from_above(grip + along * part.at, reach)
+        let above = grip.z + part.bottom > solid.top();
+        !above && solid.overlaps_from_above(grip + along * part.at, reach)
     };
-    let solids = world.solids().iter();
+    let solids = world.solids().iter().filter(|solid| among(solid));
     solids
-        .filter(|other| other.owner != object.name && other.gap(object.centre) > 0.0)
-        .map(|other| HAND.iter().filter(|part| hits(part, other)).count())
+        .map(|solid| HAND.iter().filter(|part| hits(part, solid)).count())
         .sum()
 }
 
@@ -263,7 +265,8 @@ mod tests {
     fn best(scene: &KinematicScene, wish: Wish) -> Grasp {
         let purpose = Purpose {
             wish,
-            destination: Vec3::new(0.0, 0.2, 0.0),
+            destination: Vec3::new(-0.2, 0.0, 0.0),
+            owner: "plate",
         };
         let world = scene.world();
         choices(&world, world.entity("thing").unwrap(), purpose)[0]

@@ -136,6 +136,19 @@ impl Place {
         })
     }
 
+    /// The object or fixture that the target is, or is on.
+    ///
+    /// # Errors
+    /// Names a target that the scene lacks.
+    pub(super) fn owner<'a>(&self, world: &'a World) -> Result<&'a str, String> {
+        let target = world.entity(&self.target)?;
+        Ok(if target.is_region() {
+            &target.category
+        } else {
+            &target.name
+        })
+    }
+
     /// What the place asks of the grasp.
     ///
     /// # Errors

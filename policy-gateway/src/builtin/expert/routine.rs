@@ -59,7 +59,7 @@ const DRAG_FROM_M: f64 = 0.03;
 const DRAG_DONE_M: f64 = 0.012;
 /// How far ahead of the fingertips their goal is: gentler than with fixtures,
 /// since a light plate is thrown off by a jerk.
-const DRAG_LEAD_M: f64 = 0.07;
+const DRAG_LEAD_M: f64 = 0.05;
 
 /// What to do.
 #[derive(Clone, Debug, PartialEq)]

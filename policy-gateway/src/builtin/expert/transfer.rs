@@ -152,6 +152,7 @@ impl Transfer {
         let purpose = Purpose {
             wish: self.place.wish(world)?,
             destination: self.place.spot(world, object)?.rest,
+            owner: self.place.owner(world)?,
         };
         let choices = grasp::choices(world, object, purpose);
         let grasp = choices[self.missed % choices.len()];
