@@ -22,6 +22,7 @@ use anyhow::Context;
 use clap::{Args, Parser, Subcommand};
 use coordinator::client::{Change, Client, ClientError, RETRY_FOR};
 use tracing_subscriber::EnvFilter;
+use transport::{ClientArguments, Role};
 
 /// The campaign's memory: creates campaigns, leases their rollouts to workers,
 /// keeps the results and reports them.
@@ -89,6 +90,8 @@ struct Connection {
     /// Seconds to keep trying while the coordinator does not answer.
     #[arg(long, value_name = "SECS", default_value_t = RETRY_FOR.as_secs())]
     retry_secs: u64,
+    #[command(flatten)]
+    access: ClientArguments,
 }
 
 /// A command that did not do what it should.
@@ -133,7 +136,7 @@ pub(crate) fn run(arguments: Arguments) -> ExitCode {
 
 async fn execute(command: Command) -> Result<(), CommandError> {
     match command {
-        Command::Serve(arguments) => Ok(serve::serve(arguments).await?),
+        Command::Serve(arguments) => serve::serve(arguments).await,
         Command::Campaign(command) => campaign(command).await,
         Command::Jobs(command) => jobs::jobs(command).await,
         Command::Workers(arguments) => workers::workers(arguments).await,
@@ -168,8 +171,12 @@ fn print_line(text: &str) -> anyhow::Result<()> {
 
 impl Connection {
     fn client(&self) -> Result<Client, CommandError> {
+        // Who may steer campaigns may read them too.
+        let access = self.access.access(&[Role::Operator, Role::Viewer]);
+        let access = access.map_err(|error| CommandError::Failure(error.into()))?;
         Ok(Client::new(
             &self.connect,
+            &access,
             Duration::from_secs(self.retry_secs),
         )?)
     }

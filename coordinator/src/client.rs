@@ -9,8 +9,9 @@ use std::time::Duration;
 use proto::coordinator as wire;
 use proto::coordinator::operator_service_client::OperatorServiceClient;
 use tokio::time::Instant;
-use tonic::transport::{Channel, Endpoint};
+use tonic::transport::Endpoint;
 use tonic::{Code, Status, Streaming};
+use transport::{Access, Connection};
 
 pub use operate::Change;
 /// How campaigns, jobs and workers stand, as it comes over the wire.
@@ -32,7 +33,7 @@ const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 pub struct Client {
     url: String,
     retry_for: Duration,
-    service: OperatorServiceClient<Channel>,
+    service: OperatorServiceClient<Connection>,
 }
 
 /// A request that came to nothing.
@@ -75,20 +76,18 @@ impl Client {
     ///
     /// # Errors
     /// When `url` is none.
-    pub fn new(url: &str, retry_for: Duration) -> Result<Client, ClientError> {
-        let endpoint =
-            Endpoint::from_shared(url.to_owned()).map_err(|source| ClientError::Url {
-                url: url.to_owned(),
-                source,
-            })?;
-        let channel = endpoint
-            .connect_timeout(CONNECT_TIMEOUT)
-            .tcp_nodelay(true)
-            .connect_lazy();
+    pub fn new(url: &str, access: &Access, retry_for: Duration) -> Result<Client, ClientError> {
+        let no_url = |source| ClientError::Url {
+            url: url.to_owned(),
+            source,
+        };
+        let endpoint = Endpoint::from_shared(url.to_owned()).map_err(no_url)?;
+        let endpoint = endpoint.connect_timeout(CONNECT_TIMEOUT).tcp_nodelay(true);
+        let connection = access.connect_lazy(endpoint).map_err(no_url)?;
         Ok(Client {
             url: url.to_owned(),
             retry_for,
-            service: OperatorServiceClient::new(channel)
+            service: OperatorServiceClient::new(connection)
                 .max_decoding_message_size(proto::MAX_MESSAGE_BYTES)
                 .max_encoding_message_size(proto::MAX_MESSAGE_BYTES),
         })
@@ -177,7 +176,7 @@ impl Client {
     /// of its operator's calls may be repeated safely.
     async fn call<T, F>(
         &self,
-        send: impl Fn(OperatorServiceClient<Channel>) -> F,
+        send: impl Fn(OperatorServiceClient<Connection>) -> F,
     ) -> Result<T, ClientError>
     where
         F: Future<Output = Result<tonic::Response<T>, Status>>,

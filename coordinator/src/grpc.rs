@@ -1,6 +1,7 @@
 //! The wire: checks what strangers send, calls the queue, and turns its answers
 //! and errors into messages. Nothing is decided here.
 
+pub(crate) mod access;
 mod backup;
 mod listing;
 mod operator;
@@ -24,10 +25,14 @@ use crate::store::StoreError;
 use operator::OperatorApi;
 use worker::WorkerApi;
 
+/// Largest message of a worker, bytes: a piece of a video takes a quarter of a
+/// megabyte, everything else far less.
+const MAX_WORKER_MESSAGE_BYTES: usize = 2 << 20;
+
 /// The services for workers and operators, on a queue.
 pub(crate) fn services(queue: &Arc<Queue>) -> Routes {
     let worker = WorkerServiceServer::new(WorkerApi::new(queue.clone()))
-        .max_decoding_message_size(proto::MAX_MESSAGE_BYTES)
+        .max_decoding_message_size(MAX_WORKER_MESSAGE_BYTES)
         .max_encoding_message_size(proto::MAX_MESSAGE_BYTES);
     let operator = OperatorServiceServer::new(OperatorApi::new(queue.clone()))
         .max_decoding_message_size(proto::MAX_MESSAGE_BYTES)

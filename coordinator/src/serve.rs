@@ -13,11 +13,11 @@ use tokio::sync::oneshot;
 use tokio::time::{MissedTickBehavior, timeout};
 use tokio_stream::StreamExt;
 use tokio_stream::wrappers::TcpListenerStream;
-use tonic::transport::Server;
+use transport::{Security, SecurityError};
 
 use crate::artifacts;
 use crate::clock::Clock;
-use crate::grpc;
+use crate::grpc::{self, access};
 use crate::queue::{Queue, Timing};
 use crate::store::{OpenError, Store, StoreError};
 
@@ -27,11 +27,6 @@ const SHUTDOWN_GRACE: Duration = Duration::from_secs(10);
 /// 64 KiB, the default, would stop it at every sixteenth of one.
 const STREAM_WINDOW_BYTES: u32 = 4 << 20;
 const CONNECTION_WINDOW_BYTES: u32 = 16 << 20;
-/// Between pings on a silent connection, and how long an answer may take: a
-/// worker whose machine vanished frees its connection.
-const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(30);
-const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(20);
-
 /// What a coordinator runs with.
 pub struct Config {
     /// Where it keeps everything.
@@ -42,6 +37,8 @@ pub struct Config {
     pub clock: Arc<dyn Clock>,
     /// What back-offs are jittered with.
     pub rng: ChaCha8Rng,
+    /// Who may connect.
+    pub security: Security,
 }
 
 /// A coordinator that cannot go on.
@@ -56,6 +53,9 @@ pub enum ServeError {
     /// Its socket fails.
     #[error("serve: the listening socket failed")]
     Transport(#[from] tonic::transport::Error),
+    /// Its certificate is no use.
+    #[error(transparent)]
+    Security(#[from] SecurityError),
     /// Its data folder holds an earlier run's leftovers that cannot be removed.
     #[error("tidy the artifacts in {}", folder.display())]
     Tidy {
@@ -70,6 +70,7 @@ pub enum ServeError {
 #[derive(Debug)]
 pub struct Coordinator {
     queue: Arc<Queue>,
+    security: Security,
 }
 
 /// Opens the data folder, then serves on `listener` until `shutdown` is ready.
@@ -102,6 +103,7 @@ impl Coordinator {
         let queue = Queue::start(store, config.clock, config.rng, config.timing).await?;
         Ok(Coordinator {
             queue: Arc::new(queue),
+            security: config.security,
         })
     }
 
@@ -123,7 +125,7 @@ impl Coordinator {
     ) -> Result<(), ServeError> {
         let queue = self.queue;
         let (stop, stopped) = oneshot::channel::<()>();
-        let server = server(&queue, listener, async {
+        let server = server(&queue, &self.security, listener, async {
             // A sender that was dropped stops the server just as well.
             let _ = stopped.await;
         });
@@ -160,9 +162,10 @@ impl Coordinator {
 
 async fn server(
     queue: &Arc<Queue>,
+    security: &Security,
     listener: TcpListener,
     stopped: impl Future<Output = ()>,
-) -> Result<(), tonic::transport::Error> {
+) -> Result<(), ServeError> {
     // Without TCP_NODELAY a small answer waits 40 ms for the peer's delayed
     // acknowledgement.
     let connections = TcpListenerStream::new(listener).map(|connection| {
@@ -171,14 +174,14 @@ async fn server(
             Ok(stream)
         })
     });
-    Server::builder()
+    security
+        .server(access::demands)?
         .initial_stream_window_size(STREAM_WINDOW_BYTES)
         .initial_connection_window_size(CONNECTION_WINDOW_BYTES)
-        .http2_keepalive_interval(Some(KEEPALIVE_INTERVAL))
-        .http2_keepalive_timeout(Some(KEEPALIVE_TIMEOUT))
         .add_routes(grpc::services(queue))
         .serve_with_incoming_shutdown(connections, stopped)
-        .await
+        .await?;
+    Ok(())
 }
 
 fn source_of(error: &dyn std::error::Error) -> String {

@@ -9,6 +9,7 @@ use std::fmt;
 
 use thiserror::Error;
 use tonic::Status;
+use transport::Access;
 
 use crate::check;
 use probe::{Episode, Order, Probe};
@@ -34,6 +35,8 @@ pub struct Target {
     pub url: String,
     /// Which policy there; empty: the only one.
     pub policy: String,
+    /// How to get in.
+    pub access: Access,
 }
 
 /// One point of the protocol.

@@ -10,7 +10,8 @@ use std::{convert::Infallible, time::Duration};
 use proto::policy::policy_server::PolicyServer;
 use thiserror::Error;
 use tokio::{net::TcpListener, sync::oneshot};
-use tonic::transport::{Server, server::TcpIncoming};
+use tonic::transport::server::TcpIncoming;
+use transport::{Demand, Role, Security, SecurityError};
 
 use crate::{
     config::{CONNECTION_WINDOW_BYTES, Config, STREAM_WINDOW_BYTES},
@@ -39,6 +40,7 @@ pub const SHUTDOWN_GRACE: Duration = Duration::from_secs(10);
 /// When an address cannot be used or the listener fails.
 pub async fn run(
     config: Config,
+    security: &Security,
     listener: TcpListener,
     shutdown: impl Future<Output = ()>,
 ) -> Result<(), RunError> {
@@ -49,7 +51,8 @@ pub async fn run(
     health.set_serving::<PolicyServer<Gateway>>().await;
 
     let (stopping, stopped) = oneshot::channel::<Infallible>();
-    let served = Server::builder()
+    let served = security
+        .server(demands)?
         .initial_stream_window_size(STREAM_WINDOW_BYTES)
         .initial_connection_window_size(CONNECTION_WINDOW_BYTES)
         .add_service(health_service)
@@ -77,10 +80,23 @@ pub async fn run(
     }
 }
 
+/// Who may make the call at a path: robots ask policies, and operators check
+/// that they can. Whether a gateway is up is nobody's secret: those who ask are
+/// often no program of this system.
+fn demands(path: &str) -> Demand {
+    match path.starts_with("/grpc.health.v1.Health/") {
+        true => Demand::Nothing,
+        false => Demand::OneOf(&[Role::Worker, Role::Operator]),
+    }
+}
+
 /// Why a gateway cannot serve.
 #[derive(Debug, Error)]
 pub enum RunError {
     /// An address that cannot be used, or a listener that failed.
     #[error("serve policies")]
     Transport(#[from] tonic::transport::Error),
+    /// A certificate that is no use.
+    #[error(transparent)]
+    Security(#[from] SecurityError),
 }

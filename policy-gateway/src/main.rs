@@ -20,6 +20,7 @@ use tokio::{
     signal::unix::{SignalKind, signal},
 };
 use tracing_subscriber::EnvFilter;
+use transport::{ClientArguments, Role, Security, SecurityError, ServerArguments};
 
 /// Serves policies to workers: each route is a name and what answers for it.
 #[derive(Debug, Parser)]
@@ -46,6 +47,9 @@ struct Serve {
     /// builtin:noop or builtin:expert (repeatable)
     #[arg(long = "route", value_name = "NAME=BACKEND", required = true)]
     routes: Vec<RouteSpec>,
+
+    #[command(flatten)]
+    security: ServerArguments,
 }
 
 #[derive(Debug, Subcommand)]
@@ -59,6 +63,9 @@ enum Command {
         /// Which policy there, if it serves several
         #[arg(long, value_name = "NAME", default_value = "")]
         policy: String,
+
+        #[command(flatten)]
+        access: ClientArguments,
     },
 }
 
@@ -70,15 +77,25 @@ fn main() -> ExitCode {
         .with_writer(std::io::stderr)
         .init();
     let done = match arguments.command {
-        Some(Command::Check { url, policy }) => check(&Target { url, policy }),
+        Some(Command::Check {
+            url,
+            policy,
+            access,
+        }) => check(url, policy, &access),
         None => {
-            let config = Config::new(arguments.serve.routes).unwrap_or_else(|error| {
-                let text = format!("failed to {error}");
-                Arguments::command()
-                    .error(ErrorKind::ValueValidation, text)
-                    .exit()
-            });
-            serve(arguments.serve.listen, config).map(|()| ExitCode::SUCCESS)
+            let listen = arguments.serve.listen;
+            let security = arguments.serve.security.security(listen);
+            let unguarded = matches!(security, Err(SecurityError::Unguarded { .. }));
+            let security = match security {
+                Err(error) if unguarded => usage_error(&error),
+                security => security,
+            };
+            let config =
+                Config::new(arguments.serve.routes).unwrap_or_else(|error| usage_error(&error));
+            security
+                .map_err(anyhow::Error::from)
+                .and_then(|security| serve(listen, config, &security))
+                .map(|()| ExitCode::SUCCESS)
         }
     };
     done.unwrap_or_else(|error| {
@@ -87,10 +104,23 @@ fn main() -> ExitCode {
     })
 }
 
+/// Ends the program: what was typed cannot be meant.
+fn usage_error(error: &dyn std::error::Error) -> ! {
+    let text = format!("failed to {error}");
+    Arguments::command()
+        .error(ErrorKind::ValueValidation, text)
+        .exit()
+}
+
 /// Prints a verdict per point; fails if one of them did.
 #[tokio::main]
-async fn check(target: &Target) -> anyhow::Result<ExitCode> {
-    let conforms = conformance::check(target, &mut |finding| println!("{finding}")).await?;
+async fn check(url: String, policy: String, access: &ClientArguments) -> anyhow::Result<ExitCode> {
+    let target = Target {
+        url,
+        policy,
+        access: access.access(&[Role::Operator, Role::Worker])?,
+    };
+    let conforms = conformance::check(&target, &mut |finding| println!("{finding}")).await?;
     println!(
         "{}",
         if conforms {
@@ -107,7 +137,7 @@ async fn check(target: &Target) -> anyhow::Result<ExitCode> {
 }
 
 #[tokio::main]
-async fn serve(listen: SocketAddr, config: Config) -> anyhow::Result<()> {
+async fn serve(listen: SocketAddr, config: Config, security: &Security) -> anyhow::Result<()> {
     let mut terminate = signal(SignalKind::terminate()).context("listen for SIGTERM")?;
     let mut interrupt = signal(SignalKind::interrupt()).context("listen for SIGINT")?;
     let listener = TcpListener::bind(listen)
@@ -116,7 +146,12 @@ async fn serve(listen: SocketAddr, config: Config) -> anyhow::Result<()> {
     let address = listener
         .local_addr()
         .context("read the address listened on")?;
-    writeln!(stdout(), "listening on {address}").context("print the address listened on")?;
+    let over = if security.is_encrypted() {
+        " over TLS"
+    } else {
+        ""
+    };
+    writeln!(stdout(), "listening on {address}{over}").context("print the address listened on")?;
 
     let shutdown = async move {
         tokio::select! {
@@ -125,5 +160,5 @@ async fn serve(listen: SocketAddr, config: Config) -> anyhow::Result<()> {
         }
         tracing::info!("stopping: letting the queries under way finish");
     };
-    Ok(policy_gateway::run(config, listener, shutdown).await?)
+    Ok(policy_gateway::run(config, security, listener, shutdown).await?)
 }

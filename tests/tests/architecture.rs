@@ -74,6 +74,10 @@ fn crates_use_one_another_in_the_agreed_directions_only() {
         ("sim", &["proto", "tokio", "sqlx", "paired"]),
         ("paired", &["scene", "sim", "proto", "tokio", "sqlx"]),
         ("proto", &["protocol", "scene", "sim", "paired"]),
+        (
+            "transport",
+            &["proto", "protocol", "scene", "sim", "paired", "sqlx"],
+        ),
         ("coordinator", &["scene", "sim", "worker", "policy-gateway"]),
         (
             "worker",

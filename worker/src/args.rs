@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use clap::{ArgGroup, Args, Parser, Subcommand};
 use protocol::{Level, Realisation, RolloutId, Suite};
 use sim::GlDevice;
+use transport::ClientArguments;
 
 use crate::grpc::{EndpointError, parse_endpoint};
 
@@ -31,6 +32,9 @@ pub struct Arguments {
     /// What a worker does as a rule: serves a coordinator,
     #[command(flatten)]
     pub serve: Option<ServeArguments>,
+    /// getting in like this, at the coordinator and at policies,
+    #[command(flatten)]
+    pub access: ClientArguments,
     /// with this simulator.
     #[command(flatten)]
     pub simulator: Option<SimulatorArguments>,
@@ -49,7 +53,7 @@ pub enum Command {
     Assets(AssetsArguments),
     /// The process of one slot, started by a worker
     #[command(hide = true)]
-    Slot(SimulatorArguments),
+    Slot(SlotArguments),
 }
 
 /// How to serve a coordinator.
@@ -64,6 +68,21 @@ pub struct ServeArguments {
     /// Asks policies here instead of where the campaign says
     #[arg(long, value_name = "URL", value_parser = server_url)]
     pub policy_endpoint: Option<String>,
+    /// Starts this program as a slot in place of `worker slot`, with the same
+    /// arguments: a wrapper (numactl, a debugger), or a simulated slot
+    #[arg(long, value_name = "FILE", hide = true)]
+    pub slot_program: Option<PathBuf>,
+}
+
+/// What a slot is told.
+#[derive(Clone, Debug, Args)]
+pub struct SlotArguments {
+    /// How to get in at policies.
+    #[command(flatten)]
+    pub access: ClientArguments,
+    /// What simulates.
+    #[command(flatten)]
+    pub simulator: SimulatorArguments,
 }
 
 /// What simulates.
@@ -122,6 +141,9 @@ pub struct RolloutArguments {
     /// step
     #[arg(long)]
     pub no_video: bool,
+    /// How to get in at the policy.
+    #[command(flatten)]
+    pub access: ClientArguments,
     /// What simulates.
     #[command(flatten)]
     pub simulator: SimulatorArguments,

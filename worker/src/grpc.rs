@@ -1,6 +1,7 @@
 //! What both clients of this worker need to know of gRPC: reading the URLs of
-//! servers (`grpc://HOST:PORT` and `http://HOST:PORT` mean the same), bounding
-//! calls in time, and telling failures in words.
+//! servers (`grpc://HOST:PORT` and `http://HOST:PORT` mean the same, and so do
+//! `grpcs://` and `https://`), bounding calls in time, and telling failures in
+//! words.
 
 use std::error::Error as _;
 use std::time::Duration;
@@ -10,7 +11,9 @@ use tonic::{Response, Status};
 
 /// A URL that is none.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("read endpoint `{given}`: it must look like http://HOST:PORT or grpc://HOST:PORT")]
+#[error(
+    "read endpoint `{given}`: it must look like http://HOST:PORT or grpc://HOST:PORT, with TLS https:// or grpcs://"
+)]
 pub struct EndpointError {
     /// What was given.
     pub given: String,
@@ -24,12 +27,13 @@ pub fn parse_endpoint(url: &str) -> Result<Endpoint, EndpointError> {
     let error = || EndpointError {
         given: url.to_owned(),
     };
-    let authority = url
-        .strip_prefix("grpc://")
-        .or_else(|| url.strip_prefix("http://"))
-        .ok_or_else(error)?
-        .trim_end_matches('/');
-    let endpoint = Endpoint::from_shared(format!("http://{authority}")).map_err(|_| error())?;
+    let (scheme, authority) = match url.split_once("://") {
+        Some(("http" | "grpc", authority)) => ("http", authority),
+        Some(("https" | "grpcs", authority)) => ("https", authority),
+        _ => return Err(error()),
+    };
+    let authority = authority.trim_end_matches('/');
+    let endpoint = Endpoint::from_shared(format!("{scheme}://{authority}")).map_err(|_| error())?;
     let named = endpoint.uri().host().is_some_and(|host| !host.is_empty());
     let bare = matches!(endpoint.uri().path(), "" | "/") && endpoint.uri().query().is_none();
     (named && bare).then_some(endpoint).ok_or_else(error)
@@ -71,11 +75,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn both_schemes_name_the_same_server() {
+    fn all_schemes_name_the_same_server() {
         for url in [
             "grpc://gpu-3:7100",
             "http://gpu-3:7100",
             "http://gpu-3:7100/",
+            "grpcs://gpu-3:7100",
+            "https://gpu-3:7100",
         ] {
             let endpoint = parse_endpoint(url).expect(url);
             assert_eq!(

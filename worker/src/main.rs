@@ -5,7 +5,7 @@
 use std::convert::Infallible;
 use std::ffi::OsString;
 use std::io::IsTerminal as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::Context;
@@ -16,9 +16,11 @@ use sim::{Simulator, SimulatorConfig};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::mpsc;
 use tracing_subscriber::EnvFilter;
+use transport::{ClientArguments, Role};
 use worker::actor::Actor;
 use worker::args::{
     Arguments, Command, PreviewArguments, RolloutArguments, ServeArguments, SimulatorArguments,
+    SlotArguments,
 };
 use worker::ids::{WorkerId, host_name, random_number};
 use worker::message::{Assignment, VideoOf, VideoOrder};
@@ -43,13 +45,13 @@ fn main() -> ExitCode {
         .with_target(false)
         .init();
     let result = match (arguments.command, arguments.serve, arguments.simulator) {
-        (Some(Command::Slot(simulator)), ..) => run_slot(&simulator),
+        (Some(Command::Slot(slot)), ..) => run_slot(&slot),
         (Some(Command::Rollout(rollout)), ..) => run_rollout(rollout),
         (Some(Command::Preview(preview)), ..) => run_preview(&preview),
         (Some(Command::Assets(arguments)), ..) => {
             assets::run(&arguments).map_err(anyhow::Error::from)
         }
-        (None, Some(serve), Some(simulator)) => run_worker(serve, &simulator),
+        (None, Some(serve), Some(simulator)) => run_worker(serve, &arguments.access, &simulator),
         (None, ..) => unreachable!("clap asks for --connect and --assets"),
     };
     match result {
@@ -73,8 +75,9 @@ fn open(arguments: &SimulatorArguments) -> anyhow::Result<SimulatorConfig> {
     })
 }
 
-fn run_slot(arguments: &SimulatorArguments) -> anyhow::Result<()> {
-    Ok(slot::run(open(arguments)?)?)
+fn run_slot(arguments: &SlotArguments) -> anyhow::Result<()> {
+    let access = arguments.access.access(&[Role::Worker])?;
+    Ok(slot::run(open(&arguments.simulator)?, &access)?)
 }
 
 fn run_preview(arguments: &PreviewArguments) -> anyhow::Result<()> {
@@ -104,7 +107,10 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
             row.max_steps = row.max_steps.min(recorded.count());
             Box::new(recorded)
         }
-        (None, Some(endpoint)) => Box::new(PolicyClient::new(endpoint)?),
+        (None, Some(endpoint)) => Box::new(PolicyClient::new(
+            endpoint,
+            &arguments.access.access(&[Role::Worker, Role::Operator])?,
+        )?),
         (None, None) => unreachable!("clap asks for --endpoint or --actions"),
     };
     let mut simulator = Simulator::new(open(&arguments.simulator)?);
@@ -160,9 +166,11 @@ fn own_task(arguments: &RolloutArguments) -> Option<OwnTask> {
 
 fn run_worker(
     arguments: ServeArguments,
+    client: &ClientArguments,
     simulator_arguments: &SimulatorArguments,
 ) -> anyhow::Result<()> {
     // Opened here too, so that what is missing is said once and at once.
+    let access = client.access(&[Role::Worker])?;
     let simulator = open(simulator_arguments)?;
     let host = host_name();
     let seed = random_number();
@@ -185,9 +193,15 @@ fn run_worker(
     let scratch = tempfile::tempdir().context("make a folder for videos")?;
     let config = Config {
         coordinator: arguments.connect,
+        access,
         identity,
         slots: arguments.slots.get(),
-        slot_command: slot_command(simulator_arguments, simulator.sources.dir())?,
+        slot_command: slot_command(
+            arguments.slot_program,
+            simulator_arguments,
+            client,
+            simulator.sources.dir(),
+        )?,
         policy_endpoint: arguments.policy_endpoint,
         scratch: scratch.path().to_owned(),
         seed,
@@ -224,9 +238,17 @@ async fn forward(
     }
 }
 
-/// This program again, as a slot, on the same files.
-fn slot_command(arguments: &SimulatorArguments, sources: &Path) -> anyhow::Result<SlotCommand> {
-    let program = std::env::current_exe().context("find this program's own file")?;
+/// This program again, as a slot, on the same files; or `instead`.
+fn slot_command(
+    instead: Option<PathBuf>,
+    arguments: &SimulatorArguments,
+    access: &ClientArguments,
+    sources: &Path,
+) -> anyhow::Result<SlotCommand> {
+    let program = match instead {
+        Some(program) => program,
+        None => std::env::current_exe().context("find this program's own file")?,
+    };
     let device = match arguments.gl_device {
         sim::GlDevice::Auto => "auto".to_owned(),
         sim::GlDevice::Index(index) => index.to_string(),
@@ -234,6 +256,12 @@ fn slot_command(arguments: &SimulatorArguments, sources: &Path) -> anyhow::Resul
     let mut slot: Vec<OsString> = vec!["slot".into(), "--assets".into()];
     slot.extend([arguments.assets.clone().into(), "--sources".into()]);
     slot.extend([sources.into(), "--gl-device".into(), device.into()]);
+    // Files only: a token in an argument could be read in every process list.
+    for (flag, file) in [("--token-file", &access.token_file), ("--ca", &access.ca)] {
+        if let Some(file) = file {
+            slot.extend([flag.into(), file.into()]);
+        }
+    }
     Ok(SlotCommand {
         program,
         arguments: slot,

@@ -13,8 +13,9 @@ use proto::policy::{
 };
 use proto::{MAX_MESSAGE_BYTES, PROTOCOL_VERSION};
 use tokio::runtime::Runtime;
-use tonic::transport::{Channel, Endpoint};
+use tonic::transport::Endpoint;
 use tonic::{Code, Response, Status};
+use transport::{Access, Connection};
 
 use crate::actor::Actor;
 use crate::grpc::{EndpointError, in_words, parse_endpoint, within};
@@ -43,6 +44,9 @@ pub enum PolicyError {
     /// The endpoint is not one.
     #[error(transparent)]
     Endpoint(#[from] EndpointError),
+    /// The certificate authority is no use.
+    #[error("use the certificate authority for the policy: {0}")]
+    Tls(#[source] tonic::transport::Error),
     /// No runtime to call from.
     #[error("start the policy client: {0}")]
     Runtime(#[source] std::io::Error),
@@ -113,7 +117,7 @@ pub struct PolicyClient {
     // One thread in the background, so that the connection is looked after
     // while the simulator has this one.
     runtime: Runtime,
-    grpc: GrpcClient<Channel>,
+    grpc: GrpcClient<Connection>,
 }
 
 /// Whom to ask, in which episode, for how long.
@@ -128,22 +132,22 @@ pub struct Episode<'a> {
 }
 
 impl PolicyClient {
-    /// A client of the endpoint, `grpc://HOST:PORT` or `http://HOST:PORT`. The
-    /// connection is made at the first call.
+    /// A client of the endpoint, `grpc://HOST:PORT` or `http://HOST:PORT`, with
+    /// TLS `grpcs://` or `https://`. The connection is made at the first call.
     ///
     /// # Errors
     /// If the endpoint is no such URL.
-    pub fn new(endpoint: &str) -> Result<Self, PolicyError> {
+    pub fn new(endpoint: &str, access: &Access) -> Result<Self, PolicyError> {
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(1)
             .enable_all()
             .build()
             .map_err(PolicyError::Runtime)?;
-        let channel = {
+        let connection = {
             let _inside = runtime.enter();
-            with_settings(parse_endpoint(endpoint)?).connect_lazy()
+            access.connect_lazy(with_settings(parse_endpoint(endpoint)?))
         };
-        let grpc = GrpcClient::new(channel)
+        let grpc = GrpcClient::new(connection.map_err(PolicyError::Tls)?)
             .max_decoding_message_size(MAX_MESSAGE_BYTES)
             .max_encoding_message_size(MAX_MESSAGE_BYTES);
         Ok(Self {

@@ -13,6 +13,7 @@ use std::{process, thread};
 
 use sim::{Simulator, SimulatorConfig};
 use tokio::signal::unix::{SignalKind, signal};
+use transport::Access;
 
 use crate::message::{Assignment, MAX_LINE_BYTES, Order, Report};
 use crate::policy::{PolicyClient, PolicyError};
@@ -36,11 +37,11 @@ pub enum SlotError {
     Report(#[source] io::Error),
 }
 
-/// Serves the parent process until it closes this process's standard input.
+/// Serves the parent process, with `access` to policies, until it closes this process's standard input.
 ///
 /// # Errors
 /// If the parent stops listening.
-pub fn run(config: SimulatorConfig) -> Result<(), SlotError> {
+pub fn run(config: SimulatorConfig, access: &Access) -> Result<(), SlotError> {
     leave_signals_to_the_parent().map_err(SlotError::Signals)?;
     let abandoned = Arc::new(AtomicBool::new(false));
     let assignments = listen(Arc::clone(&abandoned));
@@ -52,7 +53,12 @@ pub fn run(config: SimulatorConfig) -> Result<(), SlotError> {
             abandoned: &abandoned,
             broken: None,
         };
-        let ending = attempt(&mut simulator, &mut policy, &assignment, &mut watcher);
+        let ending = attempt(
+            &mut simulator,
+            (&mut policy, access),
+            &assignment,
+            &mut watcher,
+        );
         if let Some(error) = watcher.broken {
             return Err(error);
         }
@@ -76,11 +82,11 @@ fn leave_signals_to_the_parent() -> io::Result<()> {
 
 fn attempt(
     simulator: &mut Simulator,
-    policy: &mut Option<PolicyClient>,
+    (policy, access): (&mut Option<PolicyClient>, &Access),
     assignment: &Assignment,
     watcher: &mut Reporter<'_>,
 ) -> Report {
-    let outcome = client(policy, &assignment.policy_endpoint)
+    let outcome = client(policy, &assignment.policy_endpoint, access)
         .map_err(RolloutError::from)
         .and_then(|policy| {
             rollout::run(
@@ -103,10 +109,11 @@ fn attempt(
 fn client<'a>(
     last: &'a mut Option<PolicyClient>,
     endpoint: &str,
+    access: &Access,
 ) -> Result<&'a mut PolicyClient, PolicyError> {
     let client = match last.take() {
         Some(client) if client.endpoint() == endpoint => client,
-        _ => PolicyClient::new(endpoint)?,
+        _ => PolicyClient::new(endpoint, access)?,
     };
     Ok(last.insert(client))
 }

@@ -17,6 +17,7 @@ use proto::PROTOCOL_VERSION;
 use proto::coordinator::{RegisterRequest, RegisterResponse};
 use tokio::sync::{mpsc, watch};
 use tokio::time::Instant;
+use transport::Access;
 
 use crate::grpc::{EndpointError, in_words};
 use crate::ids::WorkerId;
@@ -33,6 +34,8 @@ const EVENT_QUEUE: usize = 256;
 pub struct Config {
     /// URL of the coordinator.
     pub coordinator: String,
+    /// How to get in there.
+    pub access: Access,
     /// Who it is to the coordinator.
     pub identity: Identity,
     /// Rollouts at a time.
@@ -68,6 +71,9 @@ pub enum SuperviseError {
     /// The coordinator's URL is none.
     #[error(transparent)]
     Endpoint(#[from] EndpointError),
+    /// The certificate authority is no use.
+    #[error("use the certificate authority for the coordinator")]
+    Tls(#[source] tonic::transport::Error),
     /// The coordinator will not have this worker.
     #[error("register with the coordinator at {url}: {answer}")]
     Refused {
@@ -100,7 +106,7 @@ pub enum SuperviseError {
 /// If the coordinator refuses the worker or stops it, or its slots cannot run.
 pub async fn run(config: Config, mut shutdown: mpsc::Receiver<()>) -> Result<(), SuperviseError> {
     let (drain, draining) = watch::channel(false);
-    let link = Link::new(&config.coordinator, config.seed, draining)?;
+    let link = Link::new(&config.coordinator, &config.access, config.seed, draining)?;
     let registering = link.register(registration(&config));
     let registered = tokio::select! {
         answer = registering => answer.map_err(|status| SuperviseError::Refused {

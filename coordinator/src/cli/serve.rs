@@ -14,8 +14,9 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
+use transport::{Security, SecurityError, ServerArguments};
 
-use super::print_line;
+use super::{CommandError, print_line};
 
 /// Heartbeats that fit into a lease: a few may be lost before it is.
 const HEARTBEATS_PER_LEASE: u32 = 6;
@@ -36,9 +37,22 @@ pub(super) struct ServeArguments {
     #[arg(long, value_name = "SECS", default_value_t = 180,
         value_parser = clap::value_parser!(u32).range(1..=86_400))]
     progress_timeout_secs: u32,
+    #[command(flatten)]
+    security: ServerArguments,
 }
 
-pub(super) async fn serve(arguments: ServeArguments) -> anyhow::Result<()> {
+pub(super) async fn serve(arguments: ServeArguments) -> Result<(), CommandError> {
+    let security = match arguments.security.security(arguments.listen) {
+        Ok(security) => security,
+        Err(error @ SecurityError::Unguarded { .. }) => {
+            return Err(CommandError::Usage(error.into()));
+        }
+        Err(error) => return Err(CommandError::Failure(error.into())),
+    };
+    Ok(run(arguments, security).await?)
+}
+
+async fn run(arguments: ServeArguments, security: Security) -> anyhow::Result<()> {
     // Listening for signals begins before the first line is printed: who reads
     // it may send one.
     let mut terminate = signal(SignalKind::terminate()).context("listen for SIGTERM")?;
@@ -52,15 +66,20 @@ pub(super) async fn serve(arguments: ServeArguments) -> anyhow::Result<()> {
     let address = listener
         .local_addr()
         .context("read the listening address")?;
-    let coordinator = Coordinator::open(config(&arguments)).await?;
-    if !address.ip().is_loopback() {
+    let over = if security.is_encrypted() {
+        " over TLS"
+    } else {
+        ""
+    };
+    let coordinator = Coordinator::open(config(&arguments, security)).await?;
+    if arguments.security.insecure && !address.ip().is_loopback() {
         tracing::warn!(
-            "{address} can be reached from other machines, and nobody is asked who they are: \
-             let trusted networks only reach it"
+            "--insecure: whoever reaches {address} can listen to what is said there, or lease jobs \
+             and report outcomes"
         );
     }
     let data = arguments.data.display();
-    print_line(&format!("listening on {address}, data in {data}"))?;
+    print_line(&format!("listening on {address}{over}, data in {data}"))?;
     let shutdown = async move {
         tokio::select! {
             _ = terminate.recv() => {}
@@ -73,7 +92,7 @@ pub(super) async fn serve(arguments: ServeArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn config(arguments: &ServeArguments) -> Config {
+fn config(arguments: &ServeArguments, security: Security) -> Config {
     let clock = SystemClock;
     let lease = Duration::from_secs(arguments.lease_secs.into());
     let seed = clock.now().0.unsigned_abs() ^ u64::from(std::process::id()).rotate_left(32);
@@ -87,5 +106,6 @@ fn config(arguments: &ServeArguments) -> Config {
         },
         clock: Arc::new(clock),
         rng: ChaCha8Rng::seed_from_u64(seed),
+        security,
     }
 }

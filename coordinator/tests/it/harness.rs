@@ -63,6 +63,7 @@ impl Bench {
             },
             clock: clock.clone(),
             rng: ChaCha8Rng::seed_from_u64(7),
+            security: transport::Security::loopback(),
         };
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
         let address = listener.local_addr().expect("an address");

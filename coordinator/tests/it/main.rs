@@ -1,6 +1,7 @@
 //! The coordinator as its users meet it: real sockets, real SQLite files, and
 //! where a process has to die, real processes. Only the clock is moved by hand.
 
+mod access;
 mod artifacts;
 mod campaigns;
 mod claims;

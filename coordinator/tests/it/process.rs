@@ -16,24 +16,30 @@ use crate::harness::{Worker, open_database, registration, small_spec};
 /// `coordinator serve` as a process; killed when it goes out of scope.
 pub(crate) struct Serve {
     child: Child,
-    url: String,
+    pub(crate) url: String,
 }
 
 impl Serve {
     pub(crate) fn start(data: &Path) -> Serve {
+        Serve::start_with(data, &[], Stdio::null())
+    }
+
+    /// With more arguments, and its log somewhere.
+    pub(crate) fn start_with(data: &Path, arguments: &[&str], log: Stdio) -> Serve {
         let mut child = Command::new(env!("CARGO_BIN_EXE_coordinator"))
             .args(["serve", "--listen", "127.0.0.1:0", "--data"])
             .arg(data)
+            .args(arguments)
             .env_remove("RUST_LOG")
             .stdout(Stdio::piped())
-            .stderr(Stdio::null())
+            .stderr(log)
             .spawn()
             .expect("starts");
         let mut line = String::new();
         let stdout = child.stdout.take().expect("a pipe");
         BufReader::new(stdout).read_line(&mut line).expect("a line");
         let address = line.strip_prefix("listening on ").expect("the ready line");
-        let address = address.split(',').next().expect("an address");
+        let address = address.split([',', ' ']).next().expect("an address");
         Serve {
             child,
             url: format!("http://{address}"),

@@ -8,13 +8,11 @@ use proto::policy::{
     ResetRequest, infer_result, policy_client::PolicyClient, policy_server::SERVICE_NAME,
 };
 use tokio::task::JoinSet;
-use tonic::{
-    Code, Status,
-    transport::{Channel, Endpoint},
-};
+use tonic::{Code, Status, transport::Endpoint};
 use tonic_health::pb::{
     HealthCheckRequest, health_check_response::ServingStatus, health_client::HealthClient,
 };
+use transport::Connection;
 
 use super::{
     ConformanceError, QUERIES, Target, scene,
@@ -47,8 +45,8 @@ pub struct Episode {
 /// A client of the server under check.
 #[derive(Clone, Debug)]
 pub struct Probe {
-    channel: Channel,
-    client: PolicyClient<Channel>,
+    connection: Connection,
+    client: PolicyClient<Connection>,
     policy: String,
     described: DescribeResponse,
     /// Tells this check's sessions from those of an earlier one.
@@ -61,7 +59,10 @@ impl Probe {
     /// # Errors
     /// When the address is none, nothing listens there, or it does not answer.
     pub async fn connect(target: &Target) -> Result<Self, ConformanceError> {
-        let url = target.url.replacen("grpc://", "http://", 1);
+        let url = match target.url.strip_prefix("grpc") {
+            Some(rest) => format!("http{rest}"),
+            None => target.url.clone(),
+        };
         let endpoint = Endpoint::from_shared(url)
             .map_err(|_| ConformanceError::Url {
                 url: target.url.clone(),
@@ -71,14 +72,16 @@ impl Probe {
             .tcp_nodelay(true)
             .initial_stream_window_size(STREAM_WINDOW_BYTES)
             .initial_connection_window_size(CONNECTION_WINDOW_BYTES);
-        let channel = endpoint
-            .connect()
-            .await
-            .map_err(|source| ConformanceError::Connect {
-                url: target.url.clone(),
-                source,
-            })?;
-        let mut client = PolicyClient::new(channel.clone())
+        let connection =
+            target
+                .access
+                .connect(endpoint)
+                .await
+                .map_err(|source| ConformanceError::Connect {
+                    url: target.url.clone(),
+                    source,
+                })?;
+        let mut client = PolicyClient::new(connection.clone())
             .max_decoding_message_size(proto::MAX_MESSAGE_BYTES)
             .max_encoding_message_size(proto::MAX_MESSAGE_BYTES);
         let described = client
@@ -91,7 +94,7 @@ impl Probe {
             .into_inner();
         let policy = target.policy.clone();
         Ok(Self {
-            channel,
+            connection,
             client,
             policy,
             described,
@@ -129,7 +132,7 @@ impl Probe {
         let request = HealthCheckRequest {
             service: SERVICE_NAME.to_owned(),
         };
-        let answer = HealthClient::new(self.channel.clone())
+        let answer = HealthClient::new(self.connection.clone())
             .check(request)
             .await?
             .into_inner();

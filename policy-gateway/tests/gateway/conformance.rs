@@ -20,6 +20,7 @@ async fn failures(server: &Running, policy: &str) -> Vec<Point> {
     let target = Target {
         url: format!("grpc://{}", server.address),
         policy: policy.to_owned(),
+        access: transport::Access::none(),
     };
     let mut failed = vec![];
     let conforms = conformance::check(&target, &mut |finding| {

@@ -6,6 +6,11 @@ use std::{
     process::{Child, Command, Stdio},
 };
 
+use proto::policy::policy_client::PolicyClient;
+use tonic::{Code, transport::Endpoint};
+use tonic_health::pb::{HealthCheckRequest, health_client::HealthClient};
+use transport::{ClientArguments, Role};
+
 use crate::support::{client, describe};
 
 fn program(arguments: &[&str]) -> Command {
@@ -89,4 +94,71 @@ async fn a_port_that_is_taken_exits_with_1_and_names_it() {
         stderr.contains(&format!("failed to listen on {taken}")),
         "{stderr}"
     );
+}
+
+/// Tokens of a worker and of a viewer in a file.
+fn token_file() -> tempfile::NamedTempFile {
+    let file = tempfile::NamedTempFile::new().expect("a file");
+    let tokens = "worker worker-secret-0123456789\nviewer viewer-secret-0123456789\n";
+    std::fs::write(file.path(), tokens).expect("written");
+    file
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_gateway_with_tokens_answers_workers_and_tells_everybody_that_it_is_up() {
+    let tokens = token_file();
+    let path = tokens.path().to_str().expect("UTF-8");
+    let guarded = ["--listen", "127.0.0.1:0", "--route", "noop=builtin:noop"];
+    let mut child = program(&[&guarded[..], &["--token-file", path]].concat())
+        .spawn()
+        .expect("the program starts");
+    let address = address(&mut child);
+
+    let refused = client(address).await.describe(describe("noop")).await;
+    assert_eq!(refused.expect_err("no token").code(), Code::Unauthenticated);
+    let endpoint = Endpoint::from_shared(format!("http://{address}")).expect("a URL");
+    let health = HealthClient::new(endpoint.connect_lazy())
+        .check(HealthCheckRequest::default())
+        .await;
+    health.expect("health is for everybody");
+
+    let role = |role| {
+        let arguments = ClientArguments {
+            token_file: Some(tokens.path().to_owned()),
+            ca: None,
+        };
+        let access = arguments.access(&[role]).expect("a token");
+        let connection = access.connect_lazy(endpoint.clone()).expect("no TLS");
+        PolicyClient::new(connection)
+    };
+    let answered = role(Role::Worker).describe(describe("noop")).await;
+    assert_eq!(answered.expect("a worker").get_ref().name, "noop");
+    let refused = role(Role::Viewer).describe(describe("noop")).await;
+    assert_eq!(
+        refused.expect_err("a viewer").code(),
+        Code::PermissionDenied
+    );
+
+    // Whoever has the token in the environment can check a policy.
+    let url = format!("grpc://{address}");
+    let checked = program(&["check", &url, "--policy", "noop"])
+        .env("ROLLOUT_TOKEN_FILE", path)
+        .output()
+        .expect("the program runs");
+    let said = String::from_utf8_lossy(&checked.stdout);
+    assert!(said.contains("pass  the description can be true"), "{said}");
+    child.kill().expect("it runs");
+    child.wait().expect("it ends");
+}
+
+#[test]
+fn other_machines_are_listened_to_only_with_guards() {
+    let output = program(&["--listen", "0.0.0.0:0", "--route", "x=builtin:noop"])
+        .output()
+        .expect("the program runs");
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{stderr}");
+    for word in ["0.0.0.0:0", "--tls-cert", "--insecure"] {
+        assert!(stderr.contains(word), "{stderr}");
+    }
 }

@@ -60,7 +60,7 @@ pub(crate) async fn gateway_at(address: SocketAddr, routes: &[&str]) -> Running 
     let mut task = JoinSet::new();
     task.spawn(async move {
         let shutdown = async { stopped.await.unwrap_or(()) };
-        policy_gateway::run(config, listener, shutdown)
+        policy_gateway::run(config, &transport::Security::loopback(), listener, shutdown)
             .await
             .expect("the gateway serves");
     });

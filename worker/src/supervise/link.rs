@@ -14,11 +14,12 @@ use proto::coordinator::{
 };
 use tokio::sync::{Notify, watch};
 use tokio::time::Instant;
-use tonic::transport::Channel;
 use tonic::{Code, Response, Status};
+use transport::{Access, Connection};
 
+use super::SuperviseError;
 use crate::backoff::{Backoff, FIRST_WAIT, LONGEST_WAIT};
-use crate::grpc::{EndpointError, in_words, parse_endpoint, within};
+use crate::grpc::{in_words, parse_endpoint, within};
 
 /// How long the coordinator may wait for a job before it answers "none". A
 /// draining worker waits for that answer, because it could be a lease.
@@ -35,7 +36,7 @@ const MAX_VIDEO_BYTES: u64 = 256 << 20;
 /// A connection to the coordinator, shared by all calls.
 #[derive(Clone, Debug)]
 pub(crate) struct Link {
-    grpc: WorkerServiceClient<Channel>,
+    grpc: WorkerServiceClient<Connection>,
     state: Arc<LinkState>,
     /// Set once the worker takes on no more work.
     draining: watch::Receiver<bool>,
@@ -55,15 +56,16 @@ impl Link {
     /// A link to the coordinator at `url`, which is called when needed.
     pub(crate) fn new(
         url: &str,
+        access: &Access,
         seed: u64,
         draining: watch::Receiver<bool>,
-    ) -> Result<Self, EndpointError> {
-        let channel = parse_endpoint(url)?
+    ) -> Result<Self, SuperviseError> {
+        let endpoint = parse_endpoint(url)?
             .connect_timeout(CALL_DEADLINE)
-            .tcp_nodelay(true)
-            .connect_lazy();
+            .tcp_nodelay(true);
+        let connection = access.connect_lazy(endpoint).map_err(SuperviseError::Tls)?;
         Ok(Self {
-            grpc: WorkerServiceClient::new(channel),
+            grpc: WorkerServiceClient::new(connection),
             state: Arc::new(LinkState {
                 url: url.to_owned(),
                 seed,
@@ -158,7 +160,7 @@ impl Link {
     async fn insist<T, F>(
         &self,
         deadline: Duration,
-        call: impl Fn(WorkerServiceClient<Channel>) -> F,
+        call: impl Fn(WorkerServiceClient<Connection>) -> F,
     ) -> Result<T, Status>
     where
         F: Future<Output = Result<Response<T>, Status>>,

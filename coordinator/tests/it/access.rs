@@ -1,0 +1,327 @@
+//! Strangers: without a token, with a wrong one, with one of another role, with
+//! messages and names that are too long, and a coordinator whose certificate
+//! cannot be trusted. The real program on real sockets; after each, the
+//! database's bytes are what they were.
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::process::Output;
+
+use proto::coordinator as wire;
+use proto::coordinator::operator_service_client::OperatorServiceClient;
+use proto::coordinator::worker_service_client::WorkerServiceClient;
+use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, IsCa, KeyPair, date_time_ymd};
+use tempfile::TempDir;
+use tonic::codegen::InterceptedService;
+use tonic::transport::Channel;
+use tonic::{Code, Request, Status};
+
+use crate::harness::{registration, small_spec};
+use crate::process::{Serve, coordinator, text};
+
+const WORKER: &str = "worker-secret-0123456789";
+const OPERATOR: &str = "operator-secret-0123456789";
+const VIEWER: &str = "viewer-secret-0123456789";
+/// Characters of a name that is meant to hurt.
+const MILLION: usize = 1_000_000;
+
+/// A guarded coordinator with its log.
+struct Guarded {
+    folder: TempDir,
+    serve: Serve,
+}
+
+impl Guarded {
+    fn start(arguments: &[&str]) -> Guarded {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let tokens = format!("worker {WORKER}\noperator {OPERATOR}\nviewer {VIEWER}\n");
+        std::fs::write(folder.path().join("tokens"), tokens).expect("written");
+        let log = File::create(folder.path().join("log")).expect("a log");
+        let tokens = folder.path().join("tokens");
+        let tokens = ["--token-file", tokens.to_str().expect("UTF-8")];
+        let arguments = [&tokens, arguments].concat();
+        let data = folder.path().join("data");
+        let serve = Serve::start_with(&data, &arguments, log.into());
+        Guarded { folder, serve }
+    }
+
+    async fn channel(&self) -> Channel {
+        let endpoint = Channel::from_shared(self.serve.url.clone()).expect("a URL");
+        endpoint.connect().await.expect("a connection")
+    }
+
+    /// The database with its write-ahead log, byte by byte.
+    fn database(&self) -> [Vec<u8>; 2] {
+        ["coordinator.sqlite", "coordinator.sqlite-wal"].map(|name| {
+            let path = self.folder.path().join("data").join(name);
+            std::fs::read(path).unwrap_or_default()
+        })
+    }
+
+    /// Lines of the log that hold a word.
+    fn logged(&self, word: &str) -> usize {
+        let log = std::fs::read_to_string(self.folder.path().join("log")).expect("a log");
+        for secret in [WORKER, OPERATOR, VIEWER, "wrong-secret"] {
+            assert!(!log.contains(secret), "a token is in the log:\n{log}");
+        }
+        log.lines().filter(|line| line.contains(word)).count()
+    }
+}
+
+type Shown = Box<dyn FnMut(Request<()>) -> Result<Request<()>, Status>>;
+
+/// Shows a token, or none.
+fn showing(channel: &Channel, token: Option<&str>) -> InterceptedService<Channel, Shown> {
+    let value = token.map(|token| format!("Bearer {token}").parse().expect("a header"));
+    let show: Shown = Box::new(move |mut request: Request<()>| {
+        if let Some(value) = &value {
+            request.metadata_mut().insert(
+                "authorization",
+                tonic::metadata::MetadataValue::clone(value),
+            );
+        }
+        Ok(request)
+    });
+    InterceptedService::new(channel.clone(), show)
+}
+
+async fn register(channel: &Channel, token: Option<&str>, id: &str) -> Result<(), Status> {
+    let mut service = WorkerServiceClient::new(showing(channel, token));
+    service.register(registration(id, "primitives")).await?;
+    Ok(())
+}
+
+async fn create(channel: &Channel, token: Option<&str>, spec: String) -> Result<(), Status> {
+    let mut service = OperatorServiceClient::new(showing(channel, token));
+    service
+        .create_campaign(wire::CreateCampaignRequest { spec })
+        .await?;
+    Ok(())
+}
+
+async fn list(channel: &Channel, token: Option<&str>) -> Result<(), Status> {
+    let mut service = OperatorServiceClient::new(showing(channel, token));
+    service
+        .list_campaigns(wire::ListCampaignsRequest {})
+        .await?;
+    Ok(())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_stranger_is_refused_logged_once_and_changes_nothing() {
+    let guarded = Guarded::start(&[]);
+    let channel = guarded.channel().await;
+    let before = guarded.database();
+    let spec = || small_spec("theirs").to_string();
+    for token in [None, Some("wrong-secret-0123456789"), Some("x")] {
+        for _ in 0..3 {
+            let refused = register(&channel, token, "w")
+                .await
+                .expect_err("a stranger");
+            assert_eq!(refused.code(), Code::Unauthenticated, "{refused}");
+            let refused = create(&channel, token, spec()).await;
+            assert_eq!(
+                refused.expect_err("a stranger").code(),
+                Code::Unauthenticated
+            );
+        }
+    }
+    assert_eq!(guarded.logged("was refused"), 1);
+    assert_eq!(guarded.database(), before);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_role_allows_what_it_is_for_and_nothing_else() {
+    let guarded = Guarded::start(&[]);
+    let channel = guarded.channel().await;
+    let before = guarded.database();
+    let spec = || small_spec("one").to_string();
+    for (role, token) in [("worker", WORKER), ("viewer", VIEWER)] {
+        let refused = create(&channel, Some(token), spec()).await;
+        let refused = refused.expect_err(role);
+        assert_eq!(refused.code(), Code::PermissionDenied, "{refused}");
+        assert!(refused.message().contains(role), "{refused}");
+        assert!(refused.message().contains("operator"), "{refused}");
+    }
+    for token in [OPERATOR, VIEWER] {
+        let refused = register(&channel, Some(token), "w").await;
+        assert_eq!(refused.expect_err(token).code(), Code::PermissionDenied);
+        list(&channel, Some(token)).await.expect("may read");
+    }
+    // A worker reads nothing of anybody's: neither campaigns nor results.
+    let refused = list(&channel, Some(WORKER)).await.expect_err("a worker");
+    assert_eq!(refused.code(), Code::PermissionDenied);
+    assert_eq!(guarded.logged("was refused"), 1);
+    assert_eq!(guarded.database(), before);
+
+    create(&channel, Some(OPERATOR), spec())
+        .await
+        .expect("an operator");
+    register(&channel, Some(WORKER), "w")
+        .await
+        .expect("a worker");
+    assert_ne!(guarded.database(), before);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_million_characters_are_refused_wherever_they_stand() {
+    let guarded = Guarded::start(&[]);
+    let channel = guarded.channel().await;
+    let before = guarded.database();
+    let long = "n".repeat(MILLION);
+    let mut worker = WorkerServiceClient::new(showing(&channel, Some(WORKER)));
+    for field in [
+        "worker_id",
+        "host",
+        "asset_pack",
+        "asset_pack_digest",
+        "gl_renderer",
+    ] {
+        let mut request = registration("w", "primitives");
+        match field {
+            "worker_id" => request.worker_id = long.clone(),
+            "host" => request.host = long.clone(),
+            "asset_pack" => request.asset_pack = long.clone(),
+            "asset_pack_digest" => request.asset_pack_digest = long.clone(),
+            _ => request.gl_renderer = long.clone(),
+        }
+        let refused = worker.register(request).await.expect_err(field);
+        assert_eq!(refused.code(), Code::InvalidArgument, "{field}: {refused}");
+        assert!(refused.message().len() < 1_000, "{field} is echoed");
+    }
+    for key in ["name", "tasks"] {
+        let mut spec = small_spec("named");
+        spec[key] = match key {
+            "name" => long.clone().into(),
+            _ => vec![long.clone()].into(),
+        };
+        let refused = create(&channel, Some(OPERATOR), spec.to_string()).await;
+        let refused = refused.expect_err(key);
+        assert_eq!(refused.code(), Code::InvalidArgument, "{key}: {refused}");
+        assert!(refused.message().len() < 5_000, "{key} is echoed");
+    }
+    let refused = register(&channel, Some(&long), "w").await;
+    refused.expect_err("a token of a megabyte");
+    assert_eq!(guarded.logged("was refused"), 1);
+    assert_eq!(guarded.database(), before);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_oversized_message_is_refused_before_it_is_read() {
+    let guarded = Guarded::start(&[]);
+    let channel = guarded.channel().await;
+    let before = guarded.database();
+    let mut worker = WorkerServiceClient::new(showing(&channel, Some(WORKER)));
+    let refused = worker
+        .release(wire::ReleaseRequest {
+            error: "e".repeat(4 << 20),
+            ..wire::ReleaseRequest::default()
+        })
+        .await
+        .expect_err("four megabytes");
+    assert_eq!(refused.code(), Code::OutOfRange, "{refused}");
+    assert_eq!(guarded.logged("was refused"), 1);
+    assert_eq!(guarded.database(), before);
+}
+
+/// A certificate authority in a folder, and what it signs for `localhost`.
+struct Authority {
+    folder: TempDir,
+    issuer: CertifiedIssuer<'static, KeyPair>,
+}
+
+impl Authority {
+    fn new() -> Authority {
+        let mut params = CertificateParams::new(Vec::new()).expect("no names");
+        params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
+        let key = KeyPair::generate().expect("a key");
+        let authority = Authority {
+            folder: tempfile::tempdir().expect("a temporary folder"),
+            issuer: CertifiedIssuer::self_signed(params, key).expect("signed"),
+        };
+        std::fs::write(authority.path("ca.pem"), authority.issuer.pem()).expect("written");
+        authority
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    /// A server's certificate that is valid until the end of a year.
+    fn sign(&self, until_year: i32) -> [String; 4] {
+        let mut params = CertificateParams::new(["localhost".to_owned()]).expect("a name");
+        params.not_after = date_time_ymd(until_year, 12, 31);
+        let key = KeyPair::generate().expect("a key");
+        let certificate = params.signed_by(&key, &self.issuer).expect("signed");
+        let paths = [self.path("cert.pem"), self.path("key.pem")];
+        std::fs::write(&paths[0], certificate.pem()).expect("written");
+        std::fs::write(&paths[1], key.serialize_pem()).expect("written");
+        let [certificate, key] = paths.map(|path| path.display().to_string());
+        ["--tls-cert".into(), certificate, "--tls-key".into(), key]
+    }
+}
+
+/// Lists the campaigns over TLS, trusting a file.
+fn list_over_tls(guarded: &Guarded, ca: &Path) -> Output {
+    let port = guarded.serve.url.rsplit(':').next().expect("a port");
+    let tokens = guarded.folder.path().join("tokens");
+    coordinator(&[
+        "campaign",
+        "list",
+        "--connect",
+        &format!("https://localhost:{port}"),
+        "--retry-secs",
+        "1",
+        "--ca",
+        ca.to_str().expect("UTF-8"),
+        "--token-file",
+        tokens.to_str().expect("UTF-8"),
+    ])
+}
+
+#[test]
+fn over_tls_a_token_opens_and_what_cannot_be_trusted_is_refused() {
+    let authority = Authority::new();
+    let valid = authority.sign(3_000);
+    let guarded = Guarded::start(&valid.each_ref().map(String::as_str));
+    let listed = list_over_tls(&guarded, &authority.path("ca.pem"));
+    assert!(listed.status.success(), "{}", text(&listed.stderr));
+    let before = guarded.database();
+    let other = Authority::new();
+    let refused = list_over_tls(&guarded, &other.path("ca.pem"));
+    assert_eq!(refused.status.code(), Some(1));
+    assert!(
+        text(&refused.stderr).contains("invalid peer certificate"),
+        "{}",
+        text(&refused.stderr)
+    );
+    assert_eq!(guarded.database(), before);
+}
+
+#[test]
+fn an_expired_certificate_is_refused_by_its_name_and_told_once() {
+    let authority = Authority::new();
+    let expired = authority.sign(2_020);
+    let guarded = Guarded::start(&expired.each_ref().map(String::as_str));
+    let before = guarded.database();
+    let refused = list_over_tls(&guarded, &authority.path("ca.pem"));
+    assert_eq!(refused.status.code(), Some(1));
+    let told = text(&refused.stderr);
+    assert!(told.contains("certificate expired"), "{told}");
+    assert_eq!(told.matches("trying again").count(), 1, "{told}");
+    assert_eq!(guarded.database(), before);
+}
+
+#[test]
+fn other_machines_are_listened_to_only_with_guards_or_on_demand() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let data = folder.path().join("data");
+    let data = data.to_str().expect("UTF-8");
+    let output = coordinator(&["serve", "--listen", "0.0.0.0:0", "--data", data]);
+    assert_eq!(output.status.code(), Some(2));
+    let told = text(&output.stderr);
+    for word in ["0.0.0.0:0", "--tls-cert", "--token-file", "--insecure"] {
+        assert!(told.contains(word), "{told}");
+    }
+    assert!(!folder.path().join("data").exists());
+}

@@ -1,0 +1,202 @@
+//! The gate before a server's calls: counts how often a connection asks, demands
+//! the token of a role where the server's table says so, and logs refusals, its
+//! own and those of the calls behind it, which it keeps short. It never sees a
+//! message.
+
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::task::{Context, Poll};
+
+use tokio::time::Instant;
+use tonic::body::Body;
+use tonic::codegen::http::{HeaderMap, Request, Response, header};
+use tonic::codegen::{BoxFuture, Service};
+use tonic::transport::server::{TcpConnectInfo, TlsConnectInfo};
+use tonic::{Code, Status};
+use tower_layer::Layer;
+
+use crate::rate::{MAX_REQUESTS_PER_SEC, Rates};
+use crate::refusals::Refusals;
+use crate::token::{Role, Tokens};
+
+/// Who may make a call.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Demand {
+    /// Everybody: it tells nothing and changes nothing.
+    Nothing,
+    /// Whoever has one of these roles.
+    OneOf(&'static [Role]),
+}
+
+/// Puts a gate before a server's calls.
+#[derive(Clone, Debug)]
+pub struct Gate {
+    shared: Arc<Shared>,
+}
+
+/// A server's calls behind a gate.
+#[derive(Clone, Debug)]
+pub struct Gated<S> {
+    inner: S,
+    shared: Arc<Shared>,
+}
+
+#[derive(Debug)]
+struct Shared {
+    /// None: everybody is let in, because only this machine can connect, or
+    /// because the operator said so.
+    tokens: Option<Tokens>,
+    /// From a call's path, `/package.Service/Method`.
+    demands: fn(&str) -> Demand,
+    rates: Mutex<Rates>,
+    refusals: Mutex<Refusals>,
+}
+
+impl Gate {
+    /// A gate that knows these tokens; without any, it lets everybody in.
+    pub(crate) fn new(tokens: Option<Tokens>, demands: fn(&str) -> Demand) -> Gate {
+        Gate {
+            shared: Arc::new(Shared {
+                tokens,
+                demands,
+                rates: Mutex::default(),
+                refusals: Mutex::default(),
+            }),
+        }
+    }
+}
+
+impl<S> Layer<S> for Gate {
+    type Service = Gated<S>;
+
+    fn layer(&self, inner: S) -> Gated<S> {
+        Gated {
+            inner,
+            shared: Arc::clone(&self.shared),
+        }
+    }
+}
+
+impl<S, B> Service<Request<B>> for Gated<S>
+where
+    S: Service<Request<B>, Response = Response<Body>>,
+    S::Future: Send + 'static,
+{
+    type Response = Response<Body>;
+    type Error = S::Error;
+    type Future = BoxFuture<Response<Body>, S::Error>;
+
+    fn poll_ready(&mut self, context: &mut Context<'_>) -> Poll<Result<(), S::Error>> {
+        self.inner.poll_ready(context)
+    }
+
+    fn call(&mut self, request: Request<B>) -> Self::Future {
+        let caller = caller(&request);
+        let shared = Arc::clone(&self.shared);
+        let path = request.uri().path().to_owned();
+        if let Err(status) = shared.admit(caller, &path, request.headers()) {
+            shared.tell(caller, &path, status.code(), status.message());
+            return Box::pin(async move { Ok(status.into_http()) });
+        }
+        let answer = self.inner.call(request);
+        Box::pin(async move {
+            let answer = answer.await?;
+            let Some(status) = Status::from_header_map(answer.headers()) else {
+                return Ok(answer);
+            };
+            if is_refusal(status.code()) {
+                shared.tell(caller, &path, status.code(), status.message());
+            }
+            if status.message().len() <= MAX_STATUS_CHARS {
+                return Ok(answer);
+            }
+            let message: String = status.message().chars().take(MAX_STATUS_CHARS).collect();
+            Ok(Status::new(status.code(), message + "…").into_http())
+        })
+    }
+}
+
+impl Shared {
+    fn admit(&self, caller: SocketAddr, path: &str, headers: &HeaderMap) -> Result<(), Status> {
+        if !lock(&self.rates).admit(caller, Instant::now()) {
+            return Err(Status::resource_exhausted(format!(
+                "more than {MAX_REQUESTS_PER_SEC} requests per second over one connection"
+            )));
+        }
+        let (Some(tokens), Demand::OneOf(roles)) = (&self.tokens, (self.demands)(path)) else {
+            return Ok(());
+        };
+        let shown = bearer(headers).ok_or_else(|| {
+            Status::unauthenticated(
+                "this server asks for a token and was shown none: name a --token-file (it is sent \
+                 over https:// and to this machine only)",
+            )
+        })?;
+        match tokens.role_of(shown) {
+            None => Err(Status::unauthenticated(
+                "the token is none that this server knows",
+            )),
+            Some(role) if roles.contains(&role) => Ok(()),
+            Some(role) => Err(Status::permission_denied(format!(
+                "a {role}'s token does not allow this; it takes that of {}",
+                roles
+                    .iter()
+                    .map(|role| role.name())
+                    .collect::<Vec<_>>()
+                    .join(" or ")
+            ))),
+        }
+    }
+
+    fn tell(&self, caller: SocketAddr, path: &str, code: Code, why: &str) {
+        if lock(&self.refusals).is_news(caller.ip(), code, Instant::now()) {
+            let path = path.escape_debug().take(MAX_LOGGED_CHARS);
+            let why = why.escape_debug().take(MAX_LOGGED_CHARS);
+            tracing::warn!(
+                "{} was refused {}: {} (more of this kind from there is not logged)",
+                caller.ip(),
+                path.collect::<String>(),
+                why.collect::<String>()
+            );
+        }
+    }
+}
+
+/// Longest piece of a stranger's words in the log.
+const MAX_LOGGED_CHARS: usize = 300;
+/// Longest refusal. It travels in a header, and one that quotes a
+/// megabyte of what was asked would break the connection instead of telling.
+const MAX_STATUS_CHARS: usize = 2_000;
+
+fn caller<B>(request: &Request<B>) -> SocketAddr {
+    let extensions = request.extensions();
+    let plain = extensions.get::<TcpConnectInfo>();
+    let tls = extensions.get::<TlsConnectInfo<TcpConnectInfo>>();
+    plain
+        .or_else(|| tls.map(TlsConnectInfo::get_ref))
+        .and_then(TcpConnectInfo::remote_addr)
+        .unwrap_or((IpAddr::from(Ipv4Addr::UNSPECIFIED), 0).into())
+}
+
+fn bearer(headers: &HeaderMap) -> Option<&str> {
+    let value = headers.get(header::AUTHORIZATION)?.to_str().ok()?;
+    value.strip_prefix("Bearer ")
+}
+
+/// Whether a call was the caller's fault, not the server's, which is logged
+/// where it is handled.
+fn is_refusal(code: Code) -> bool {
+    matches!(
+        code,
+        Code::InvalidArgument
+            | Code::OutOfRange
+            | Code::PermissionDenied
+            | Code::Unauthenticated
+            | Code::Unimplemented
+    )
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    // Nothing panics while it holds one of these.
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

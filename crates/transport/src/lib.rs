@@ -1,0 +1,31 @@
+//! Who may talk: where the programs' servers listen, over what, who is let in
+//! with which role, how often one caller may ask, and what clients bring along.
+//! One room for all programs, so that a rule holds everywhere. Not responsible
+//! for what is asked: which call demands which role is each server's table.
+//!
+//! A server on a loopback address asks for nothing. On any other it must have a
+//! certificate and tokens, or be told `--insecure`. Tokens come from a file or
+//! the environment, never from an argument, which every process list shows; they
+//! are kept as digests, compared in constant time, and never logged.
+
+#![forbid(unsafe_code)]
+
+mod client;
+mod gate;
+mod rate;
+mod refusals;
+mod server;
+mod token;
+
+pub use client::{Access, AccessError, Bearer, ClientArguments, Connection};
+pub use gate::{Demand, Gate, Gated};
+pub use rate::{BURST_REQUESTS, MAX_REQUESTS_PER_SEC};
+pub use refusals::{LOG_AGAIN_AFTER, MAX_REMEMBERED_REFUSALS};
+pub use server::{
+    HANDSHAKE_TIMEOUT, MAX_HEADER_BYTES, MAX_STREAMS_PER_CONNECTION, Security, SecurityError,
+    ServerArguments,
+};
+pub use token::{
+    MAX_TOKEN_BYTES, MAX_TOKEN_FILE_BYTES, MAX_TOKENS, MIN_TOKEN_BYTES, Role, Token, TokenError,
+    Tokens,
+};

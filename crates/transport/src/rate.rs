@@ -1,0 +1,95 @@
+//! How often one connection may ask: a bucket per connection that fills with
+//! time and empties with requests. Pure; the gate passes the time in.
+
+use std::collections::HashMap;
+use std::net::SocketAddr;
+
+use tokio::time::Instant;
+
+/// Requests per second that one connection may make for any length of time: far
+/// above a worker of a hundred slots, far below what would starve the others.
+pub const MAX_REQUESTS_PER_SEC: f64 = 10_000.0;
+/// Requests that a connection may make at once.
+pub const BURST_REQUESTS: f64 = 20_000.0;
+/// Buckets that are kept. Full ones are forgotten first, which changes nothing.
+const MAX_BUCKETS: usize = 8_192;
+
+/// The buckets of all connections.
+#[derive(Debug, Default)]
+pub(crate) struct Rates {
+    buckets: HashMap<SocketAddr, Bucket>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Bucket {
+    left: f64,
+    at: Instant,
+}
+
+impl Bucket {
+    fn filled(self, now: Instant) -> f64 {
+        let secs = now.saturating_duration_since(self.at).as_secs_f64();
+        (self.left + secs * MAX_REQUESTS_PER_SEC).min(BURST_REQUESTS)
+    }
+}
+
+impl Rates {
+    /// Counts a request; whether there is room for it.
+    pub(crate) fn admit(&mut self, caller: SocketAddr, now: Instant) -> bool {
+        if self.buckets.len() >= MAX_BUCKETS && !self.buckets.contains_key(&caller) {
+            self.buckets
+                .retain(|_, bucket| bucket.filled(now) < BURST_REQUESTS);
+            if self.buckets.len() >= MAX_BUCKETS {
+                return false;
+            }
+        }
+        let bucket = self.buckets.entry(caller).or_insert(Bucket {
+            left: BURST_REQUESTS,
+            at: now,
+        });
+        let left = bucket.filled(now);
+        let admitted = left >= 1.0;
+        *bucket = Bucket {
+            left: if admitted { left - 1.0 } else { left },
+            at: now,
+        };
+        admitted
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::Ipv4Addr;
+    use std::time::Duration;
+
+    use super::*;
+
+    fn caller(port: u16) -> SocketAddr {
+        (Ipv4Addr::LOCALHOST, port).into()
+    }
+
+    #[test]
+    fn a_burst_is_admitted_and_what_follows_it_waits_for_time() {
+        let mut rates = Rates::default();
+        let start = Instant::now();
+        let burst = BURST_REQUESTS as usize;
+        assert!((0..burst).all(|_| rates.admit(caller(1), start)));
+        assert!(!rates.admit(caller(1), start));
+        assert!(rates.admit(caller(2), start), "others are not held up");
+        let later = start + Duration::from_millis(100);
+        let admitted = (0..burst).filter(|_| rates.admit(caller(1), later)).count();
+        assert_eq!(admitted, 1_000);
+    }
+
+    #[test]
+    fn buckets_are_bounded() {
+        let mut rates = Rates::default();
+        let start = Instant::now();
+        let ports = 0..MAX_BUCKETS as u16;
+        assert!(ports.clone().all(|port| rates.admit(caller(port), start)));
+        assert!(!rates.admit(caller(u16::MAX), start));
+        let later = start + Duration::from_secs(1);
+        assert!(rates.admit(caller(u16::MAX), later));
+        assert_eq!(rates.buckets.len(), 1);
+    }
+}

@@ -1,0 +1,67 @@
+//! What has been said about refused callers: each kind of refusal of a machine
+//! is logged once while it goes on, so that a stranger who knocks for a night
+//! does not fill the disk.
+
+use std::collections::HashMap;
+use std::net::IpAddr;
+use std::time::Duration;
+
+use tokio::time::Instant;
+use tonic::Code;
+
+/// A refusal that goes on is logged again after so long.
+pub const LOG_AGAIN_AFTER: Duration = Duration::from_secs(600);
+/// Refusals that are remembered. Beyond them nothing is logged until some of
+/// them are old.
+pub const MAX_REMEMBERED_REFUSALS: usize = 1_024;
+
+/// The refusals that were logged.
+#[derive(Debug, Default)]
+pub(crate) struct Refusals {
+    logged: HashMap<(IpAddr, Code), Instant>,
+}
+
+impl Refusals {
+    /// Whether this refusal is to be logged now.
+    pub(crate) fn is_news(&mut self, caller: IpAddr, code: Code, now: Instant) -> bool {
+        self.logged
+            .retain(|_, at| now.saturating_duration_since(*at) < LOG_AGAIN_AFTER);
+        let key = (caller, code);
+        if self.logged.contains_key(&key) || self.logged.len() >= MAX_REMEMBERED_REFUSALS {
+            return false;
+        }
+        self.logged.insert(key, now);
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::Ipv4Addr;
+
+    use super::*;
+
+    #[test]
+    fn a_refusal_is_news_once_and_again_when_it_is_old() {
+        let mut refusals = Refusals::default();
+        let start = Instant::now();
+        let one = IpAddr::from(Ipv4Addr::LOCALHOST);
+        assert!(refusals.is_news(one, Code::Unauthenticated, start));
+        assert!(!refusals.is_news(one, Code::Unauthenticated, start));
+        assert!(refusals.is_news(one, Code::InvalidArgument, start));
+        let other = IpAddr::from([10, 0, 0, 1]);
+        assert!(refusals.is_news(other, Code::Unauthenticated, start));
+        let later = start + LOG_AGAIN_AFTER;
+        assert!(refusals.is_news(one, Code::Unauthenticated, later));
+        assert_eq!(refusals.logged.len(), 1);
+    }
+
+    #[test]
+    fn what_is_remembered_is_bounded() {
+        let mut refusals = Refusals::default();
+        let now = Instant::now();
+        let news = (0..5_000_u32)
+            .filter(|ip| refusals.is_news(Ipv4Addr::from(*ip).into(), Code::NotFound, now));
+        assert_eq!(news.count(), MAX_REMEMBERED_REFUSALS);
+    }
+}

@@ -1,0 +1,215 @@
+//! What a server is told at its start about who may connect, checked before it
+//! listens, and the bounds that hold for every connection.
+
+use std::io;
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use clap::Args;
+use tonic::transport::{Identity, Server, ServerTlsConfig};
+
+use crate::gate::{Demand, Gate};
+use crate::token::{TokenError, Tokens};
+
+/// Longest time for a TLS handshake: who connects and says nothing goes.
+pub const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(10);
+/// Calls under way at a time over one connection: every slot of a large worker
+/// may wait for a job, commit and send a video.
+pub const MAX_STREAMS_PER_CONNECTION: u32 = 1_024;
+/// Largest headers of a call, bytes.
+pub const MAX_HEADER_BYTES: u32 = 16 << 10;
+/// Between pings on a silent connection, and how long an answer may take: a
+/// peer whose machine vanished frees its connection.
+const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(30);
+const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(20);
+/// The environment variable that holds the lines of a token file.
+pub(crate) const TOKENS_VARIABLE: &str = "ROLLOUT_TOKENS";
+
+/// Who may connect.
+#[derive(Args, Clone, Debug, Default)]
+pub struct ServerArguments {
+    /// Certificate chain of this server, PEM. With it, clients write https://
+    #[arg(long, value_name = "FILE", requires = "tls_key")]
+    pub tls_cert: Option<PathBuf>,
+    /// Its private key, PEM
+    #[arg(long, value_name = "FILE", requires = "tls_cert")]
+    pub tls_key: Option<PathBuf>,
+    /// File of tokens that are let in, one `ROLE TOKEN` per line, the role being
+    /// worker, operator or viewer [or their lines in ROLLOUT_TOKENS]
+    #[arg(long, value_name = "FILE", env = "ROLLOUT_TOKEN_FILE")]
+    pub token_file: Option<PathBuf>,
+    /// Listens to other machines without TLS or without tokens: for networks
+    /// that only trusted people reach
+    #[arg(long)]
+    pub insecure: bool,
+}
+
+/// How a server guards its port.
+#[derive(Clone, Debug)]
+pub struct Security {
+    identity: Option<Identity>,
+    tokens: Option<Tokens>,
+}
+
+/// A server that must not, or cannot, listen like this. Reads after "failed
+/// to …".
+#[derive(Debug, thiserror::Error)]
+pub enum SecurityError {
+    /// Other machines could connect, and something is missing for that.
+    #[error(
+        "listen on {address}: other machines can reach that, and {missing}; give --tls-cert, \
+         --tls-key and --token-file, or --insecure if only trusted people reach this network"
+    )]
+    Unguarded {
+        /// Where.
+        address: SocketAddr,
+        /// What is missing.
+        missing: &'static str,
+    },
+    /// The tokens are no use.
+    #[error(transparent)]
+    Tokens(#[from] TokenError),
+    /// A certificate or key cannot be read.
+    #[error("read {}: is it a PEM file that this user may read?", path.display())]
+    Pem {
+        /// Which.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The certificate and the key are no use.
+    #[error("use the certificate and the key: give a PEM chain and its PKCS#8 private key")]
+    Tls(#[source] tonic::transport::Error),
+}
+
+impl ServerArguments {
+    /// Reads what the arguments and the environment name, and checks that it
+    /// suffices for an address.
+    ///
+    /// # Errors
+    /// See [`SecurityError`].
+    pub fn security(&self, address: SocketAddr) -> Result<Security, SecurityError> {
+        let identity = match (&self.tls_cert, &self.tls_key) {
+            (Some(certificate), Some(key)) => {
+                Some(Identity::from_pem(read_pem(certificate)?, read_pem(key)?))
+            }
+            _ => None,
+        };
+        let tokens = tokens(self.token_file.as_deref())?;
+        let missing = match (&identity, &tokens) {
+            (None, None) => Some("nobody would be asked who they are"),
+            (None, Some(_)) => Some("tokens would be sent in the clear"),
+            (Some(_), None) => Some("nobody would be asked for a token"),
+            (Some(_), Some(_)) => None,
+        };
+        match missing {
+            Some(missing) if !self.insecure && !address.ip().to_canonical().is_loopback() => {
+                Err(SecurityError::Unguarded { address, missing })
+            }
+            _ => Ok(Security { identity, tokens }),
+        }
+    }
+}
+
+impl Security {
+    /// A server on a loopback address, which asks nobody for anything.
+    pub fn loopback() -> Security {
+        Security {
+            identity: None,
+            tokens: None,
+        }
+    }
+
+    /// Whether clients write https://.
+    pub fn is_encrypted(&self) -> bool {
+        self.identity.is_some()
+    }
+
+    /// A server with these guards, whose calls demand what the table says.
+    ///
+    /// # Errors
+    /// When the certificate and the key are no use.
+    pub fn server(
+        &self,
+        demands: fn(&str) -> Demand,
+    ) -> Result<Server<tower_layer::Stack<Gate, tower_layer::Identity>>, SecurityError> {
+        let mut server = Server::builder()
+            .http2_keepalive_interval(Some(KEEPALIVE_INTERVAL))
+            .http2_keepalive_timeout(Some(KEEPALIVE_TIMEOUT))
+            .http2_max_header_list_size(MAX_HEADER_BYTES)
+            .max_concurrent_streams(MAX_STREAMS_PER_CONNECTION);
+        if let Some(identity) = &self.identity {
+            let tls = ServerTlsConfig::new()
+                .identity(identity.clone())
+                .timeout(HANDSHAKE_TIMEOUT);
+            server = server.tls_config(tls).map_err(SecurityError::Tls)?;
+        }
+        Ok(server.layer(Gate::new(self.tokens.clone(), demands)))
+    }
+}
+
+/// Tokens from a file, or else from the environment; none where neither is.
+pub(crate) fn tokens(file: Option<&Path>) -> Result<Option<Tokens>, TokenError> {
+    if let Some(file) = file {
+        return Tokens::read(file).map(Some);
+    }
+    match std::env::var(TOKENS_VARIABLE) {
+        Ok(text) if !text.is_empty() => Tokens::parse(&text, TOKENS_VARIABLE).map(Some),
+        _ => Ok(None),
+    }
+}
+
+pub(crate) fn read_pem(path: &Path) -> Result<Vec<u8>, SecurityError> {
+    std::fs::read(path).map_err(|source| SecurityError::Pem {
+        path: path.to_owned(),
+        source,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn arguments(insecure: bool) -> ServerArguments {
+        ServerArguments {
+            insecure,
+            ..ServerArguments::default()
+        }
+    }
+
+    #[test]
+    fn only_loopback_is_open_without_being_told_so() {
+        let refused = |address: &str, insecure| {
+            let address = address.parse().expect(address);
+            arguments(insecure).security(address).is_err()
+        };
+        for loopback in [
+            "127.0.0.1:1",
+            "127.9.9.9:0",
+            "[::1]:1",
+            "[::ffff:127.0.0.1]:1",
+        ] {
+            assert!(!refused(loopback, false), "{loopback}");
+        }
+        for open in ["0.0.0.0:1", "[::]:1", "10.0.0.7:1", "[::ffff:10.0.0.7]:1"] {
+            assert!(refused(open, false), "{open}");
+            assert!(!refused(open, true), "{open}");
+        }
+    }
+
+    #[test]
+    fn tokens_alone_do_not_open_an_address() {
+        let file = tempfile::NamedTempFile::new().expect("a file");
+        std::fs::write(file.path(), "worker 0123456789abcdef").expect("written");
+        let arguments = ServerArguments {
+            token_file: Some(file.path().to_owned()),
+            ..ServerArguments::default()
+        };
+        let address = "0.0.0.0:7411".parse().expect("an address");
+        let error = arguments.security(address).expect_err("in the clear");
+        for word in ["0.0.0.0:7411", "in the clear", "--tls-cert", "--insecure"] {
+            assert!(error.to_string().contains(word), "{error}");
+        }
+    }
+}

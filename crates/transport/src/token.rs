@@ -1,0 +1,320 @@
+//! Tokens and the roles that they give: reading them, and comparing what a
+//! stranger shows with what is known. A token file has one `ROLE TOKEN` per
+//! line; empty lines and lines that begin with `#` are skipped.
+
+use std::fmt;
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use sha2::{Digest, Sha256};
+use subtle::{ConditionallySelectable, ConstantTimeEq};
+
+/// Shortest token, bytes: 128 bits of hex fit in 32, of base64 in 22, and what
+/// people think of themselves stays out.
+pub const MIN_TOKEN_BYTES: usize = 16;
+/// Longest token, bytes.
+pub const MAX_TOKEN_BYTES: usize = 256;
+/// Most tokens in one file.
+pub const MAX_TOKENS: usize = 256;
+/// Largest token file, bytes.
+pub const MAX_TOKEN_FILE_BYTES: u64 = 128 << 10;
+
+/// What a caller may do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Role {
+    /// Leases jobs, reports outcomes, asks policies.
+    Worker,
+    /// Creates and steers campaigns, and reads everything.
+    Operator,
+    /// Reads campaigns, reports and results.
+    Viewer,
+}
+
+impl Role {
+    /// All of them.
+    pub const ALL: [Role; 3] = [Role::Worker, Role::Operator, Role::Viewer];
+
+    /// As a token file writes it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Role::Worker => "worker",
+            Role::Operator => "operator",
+            Role::Viewer => "viewer",
+        }
+    }
+}
+
+impl fmt::Display for Role {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for Role {
+    type Err = ();
+
+    fn from_str(text: &str) -> Result<Role, ()> {
+        Role::ALL
+            .into_iter()
+            .find(|role| role.name() == text)
+            .ok_or(())
+    }
+}
+
+/// A secret. It does not print, and it does not compare with `==`.
+#[derive(Clone)]
+pub struct Token(String);
+
+impl Token {
+    /// Checks a token: visible ASCII without spaces, of a sensible length.
+    ///
+    /// # Errors
+    /// With what is wrong, and never the token itself.
+    pub fn parse(text: &str) -> Result<Token, &'static str> {
+        if text.len() < MIN_TOKEN_BYTES {
+            return Err("the token is too short to be a secret: take 32 random hex digits");
+        }
+        if text.len() > MAX_TOKEN_BYTES {
+            return Err("the token is longer than any token");
+        }
+        if !text.bytes().all(|byte| byte.is_ascii_graphic()) {
+            return Err("the token holds something other than visible ASCII characters");
+        }
+        Ok(Token(text.to_owned()))
+    }
+
+    /// The secret, for the one header that carries it.
+    pub(crate) fn secret(&self) -> &str {
+        &self.0
+    }
+}
+
+impl fmt::Debug for Token {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Token(…)")
+    }
+}
+
+/// Tokens with their roles, in the order of their file.
+#[derive(Clone, Debug)]
+pub struct Tokens {
+    tokens: Vec<(Role, Token)>,
+    /// SHA-256 of each: of one length, so that comparing them tells nothing
+    /// about the secret's.
+    digests: Vec<[u8; 32]>,
+}
+
+/// Tokens that cannot be used. Reads after "failed to …"; never holds a token.
+#[derive(Debug, thiserror::Error)]
+pub enum TokenError {
+    /// The file cannot be read.
+    #[error("read token file {}", path.display())]
+    Read {
+        /// Which.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The file is larger than any token file.
+    #[error("read token file {}: it is larger than {MAX_TOKEN_FILE_BYTES} bytes", path.display())]
+    TooLarge {
+        /// Which.
+        path: PathBuf,
+    },
+    /// A line is wrong.
+    #[error(
+        "read line {line} of {place}: {problem}; write one `ROLE TOKEN` per line, the role being \
+         worker, operator or viewer"
+    )]
+    Line {
+        /// The file, or the environment variable.
+        place: String,
+        /// Which line, from 1.
+        line: usize,
+        /// What is wrong with it.
+        problem: &'static str,
+    },
+    /// There is no token at all.
+    #[error("find a token in {place}: write one `ROLE TOKEN` per line")]
+    Empty {
+        /// The file, or the environment variable.
+        place: String,
+    },
+    /// There are too many.
+    #[error("read {place}: it holds more than {MAX_TOKENS} tokens")]
+    TooMany {
+        /// The file, or the environment variable.
+        place: String,
+    },
+}
+
+impl Tokens {
+    /// Reads a token file.
+    ///
+    /// # Errors
+    /// See [`TokenError`].
+    pub fn read(path: &Path) -> Result<Tokens, TokenError> {
+        let at = |source| TokenError::Read {
+            path: path.to_owned(),
+            source,
+        };
+        let mut bytes = Vec::new();
+        let file = File::open(path).map_err(at)?;
+        let mut bounded = file.take(MAX_TOKEN_FILE_BYTES + 1);
+        bounded.read_to_end(&mut bytes).map_err(at)?;
+        if bytes.len() as u64 > MAX_TOKEN_FILE_BYTES {
+            return Err(TokenError::TooLarge {
+                path: path.to_owned(),
+            });
+        }
+        let text = String::from_utf8(bytes).map_err(|_| {
+            at(io::Error::new(
+                io::ErrorKind::InvalidData,
+                "it is not UTF-8",
+            ))
+        })?;
+        Tokens::parse(&text, &format!("token file {}", path.display()))
+    }
+
+    /// Reads the text of a token file that was found at `place`.
+    ///
+    /// # Errors
+    /// See [`TokenError`].
+    pub fn parse(text: &str, place: &str) -> Result<Tokens, TokenError> {
+        let mut tokens = Vec::new();
+        for (index, line) in text.lines().enumerate() {
+            let line = line.trim();
+            if line.is_empty() || line.starts_with('#') {
+                continue;
+            }
+            let entry = parse_line(line).map_err(|problem| TokenError::Line {
+                place: place.to_owned(),
+                line: index + 1,
+                problem,
+            })?;
+            tokens.push(entry);
+            if tokens.len() > MAX_TOKENS {
+                let place = place.to_owned();
+                return Err(TokenError::TooMany { place });
+            }
+        }
+        if tokens.is_empty() {
+            let place = place.to_owned();
+            return Err(TokenError::Empty { place });
+        }
+        let digests = tokens.iter().map(|(_, token)| digest(token.secret()));
+        Ok(Tokens {
+            digests: digests.collect(),
+            tokens,
+        })
+    }
+
+    /// The role that `shown` gives. Takes equally long whichever token it is,
+    /// and whether it is one.
+    pub fn role_of(&self, shown: &str) -> Option<Role> {
+        let shown = digest(shown);
+        let mut found = 0_u32;
+        for (place, known) in (1_u32..).zip(&self.digests) {
+            found.conditional_assign(&place, known.ct_eq(&shown));
+        }
+        let place = usize::try_from(found).ok()?.checked_sub(1)?;
+        self.tokens.get(place).map(|(role, _)| *role)
+    }
+
+    /// The first token of one of these roles, in the order of the roles.
+    pub fn for_role(&self, wanted: &[Role]) -> Option<&Token> {
+        wanted.iter().find_map(|wanted| {
+            let found = self.tokens.iter().find(|(role, _)| role == wanted);
+            found.map(|(_, token)| token)
+        })
+    }
+}
+
+fn parse_line(line: &str) -> Result<(Role, Token), &'static str> {
+    let mut words = line.split_whitespace();
+    let (Some(role), Some(token), None) = (words.next(), words.next(), words.next()) else {
+        return Err("it is not two words");
+    };
+    let role = role.parse().map_err(|()| "its first word is no role")?;
+    Ok((role, Token::parse(token)?))
+}
+
+fn digest(secret: &str) -> [u8; 32] {
+    Sha256::digest(secret.as_bytes()).into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FILE: &str = "# who may talk\n\nworker 0123456789abcdef0123\n  operator fedcba98765432100123  \r\nviewer vvvvvvvvvvvvvvvvvvvv\n";
+
+    fn tokens() -> Tokens {
+        Tokens::parse(FILE, "the test").expect("tokens")
+    }
+
+    #[test]
+    fn a_token_gives_its_role_and_anything_else_none() {
+        let tokens = tokens();
+        let role = |shown: &str| tokens.role_of(shown);
+        assert_eq!(role("0123456789abcdef0123"), Some(Role::Worker));
+        assert_eq!(role("fedcba98765432100123"), Some(Role::Operator));
+        assert_eq!(role("vvvvvvvvvvvvvvvvvvvv"), Some(Role::Viewer));
+        for stranger in ["", "worker", "0123456789abcdef012", "0123456789abcdef01234"] {
+            assert_eq!(role(stranger), None, "{stranger}");
+        }
+    }
+
+    #[test]
+    fn a_client_takes_the_token_of_the_first_role_that_it_can_use() {
+        let tokens = tokens();
+        let secret = |roles: &[Role]| tokens.for_role(roles).map(|token| token.secret());
+        assert_eq!(secret(&[Role::Worker]), Some("0123456789abcdef0123"));
+        let either = [Role::Operator, Role::Viewer];
+        assert_eq!(secret(&either), Some("fedcba98765432100123"));
+    }
+
+    #[test]
+    fn a_bad_line_is_named_by_its_number_and_never_by_its_secret() {
+        let check = |text: &str, words: &[&str]| {
+            let error = Tokens::parse(text, "the test").expect_err(text).to_string();
+            for word in words {
+                assert!(error.contains(word), "{error}");
+            }
+            assert!(!error.contains("s3cret"), "{error}");
+        };
+        check("", &["the test", "ROLE TOKEN"]);
+        check("# only this", &["find a token"]);
+        check("worker s3cret", &["line 1", "too short"]);
+        check("\nboss s3cret-s3cret-s3cret", &["line 2", "no role"]);
+        check("s3cret-s3cret-s3cret", &["two words"]);
+        check("worker s3cret-s3cret s3cret-s3cret", &["two words"]);
+        check("worker s3crét-s3cret-s3cret", &["visible ASCII"]);
+        let long = format!("worker {}", "s3cret".repeat(100));
+        check(&long, &["longer"]);
+        let many = "viewer 0123456789abcdef\n".repeat(MAX_TOKENS + 1);
+        check(&many, &["more than 256"]);
+    }
+
+    #[test]
+    fn tokens_do_not_print() {
+        let printed = format!("{:?}", tokens().tokens);
+        assert!(!printed.contains("0123456789"), "{printed}");
+    }
+
+    #[test]
+    fn a_token_file_is_bounded_and_named() {
+        let file = tempfile::NamedTempFile::new().expect("a file");
+        let path = file.path();
+        std::fs::write(path, FILE).expect("written");
+        assert!(Tokens::read(path).is_ok());
+        std::fs::write(path, vec![b'#'; 1 << 20]).expect("written");
+        let error = Tokens::read(path).expect_err("too large").to_string();
+        assert!(error.contains("larger than 131072 bytes"), "{error}");
+        assert!(error.contains(&path.display().to_string()), "{error}");
+        std::fs::write(path, [0xff, 0xfe]).expect("written");
+        assert!(matches!(Tokens::read(path), Err(TokenError::Read { .. })));
+    }
+}
