@@ -45,7 +45,7 @@ pub struct Arguments {
 pub enum Command {
     /// Simulates one rollout with a policy, without a coordinator, and writes
     /// what came of it to a folder
-    Rollout(RolloutArguments),
+    Rollout(Box<RolloutArguments>),
     /// Shows what the perturbations of a configuration look like, without any
     /// policy
     Preview(PreviewArguments),

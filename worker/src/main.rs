@@ -46,7 +46,7 @@ fn main() -> ExitCode {
         .init();
     let result = match (arguments.command, arguments.serve, arguments.simulator) {
         (Some(Command::Slot(slot)), ..) => run_slot(&slot),
-        (Some(Command::Rollout(rollout)), ..) => run_rollout(rollout),
+        (Some(Command::Rollout(rollout)), ..) => run_rollout(*rollout),
         (Some(Command::Preview(preview)), ..) => run_preview(&preview),
         (Some(Command::Assets(arguments)), ..) => {
             assets::run(&arguments).map_err(anyhow::Error::from)

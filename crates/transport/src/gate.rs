@@ -120,7 +120,7 @@ impl Shared {
     fn admit(&self, caller: SocketAddr, path: &str, headers: &HeaderMap) -> Result<(), Status> {
         if !lock(&self.rates).admit(caller, Instant::now()) {
             return Err(Status::resource_exhausted(format!(
-                "more than {MAX_REQUESTS_PER_SEC} requests per second over one connection"
+                "answer more than {MAX_REQUESTS_PER_SEC} requests per second over one connection"
             )));
         }
         let (Some(tokens), Demand::OneOf(roles)) = (&self.tokens, (self.demands)(path)) else {
@@ -128,17 +128,17 @@ impl Shared {
         };
         let shown = bearer(headers).ok_or_else(|| {
             Status::unauthenticated(
-                "this server asks for a token and was shown none: name a --token-file (it is sent \
-                 over https:// and to this machine only)",
+                "be let in without a token: name a --token-file (it is sent over https:// and to \
+                 this machine only)",
             )
         })?;
         match tokens.role_of(shown) {
             None => Err(Status::unauthenticated(
-                "the token is none that this server knows",
+                "be let in: the token is none that this server knows",
             )),
             Some(role) if roles.contains(&role) => Ok(()),
             Some(role) => Err(Status::permission_denied(format!(
-                "a {role}'s token does not allow this; it takes that of {}",
+                "do this with the token of a {role}: it takes that of {}",
                 roles
                     .iter()
                     .map(|role| role.name())
