@@ -4,11 +4,12 @@
 mod backup;
 mod check;
 mod create;
+mod export;
 mod files;
 mod jobs;
 mod manifest;
 mod operate;
-mod output;
+mod report;
 mod serve;
 mod status;
 mod watch;
@@ -52,10 +53,10 @@ enum Command {
     /// Expand, check and compare manifests.
     #[command(subcommand)]
     Manifest(manifest::ManifestCommand),
-    /// Print the paired report of a campaign, as far as it has come.
-    Report(output::ReportArguments),
+    /// Report on campaigns as far as they have come, or on result files.
+    Report(report::ReportArguments),
     /// Write the committed results of a campaign.
-    Export(output::ExportArguments),
+    Export(export::ExportArguments),
 }
 
 #[derive(Debug, Subcommand)]
@@ -143,8 +144,8 @@ async fn execute(command: Command) -> Result<(), CommandError> {
         Command::Backup(arguments) => backup::backup(arguments).await,
         Command::Check(arguments) => check::check(arguments).await,
         Command::Manifest(command) => manifest::manifest(command),
-        Command::Report(arguments) => output::report(arguments).await,
-        Command::Export(arguments) => output::export(arguments).await,
+        Command::Report(arguments) => report::report(arguments).await,
+        Command::Export(arguments) => export::export(arguments).await,
     }
 }
 

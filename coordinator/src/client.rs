@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use proto::coordinator as wire;
 use proto::coordinator::operator_service_client::OperatorServiceClient;
+use report::Subject;
 use tokio::time::Instant;
 use tonic::transport::Endpoint;
 use tonic::{Code, Status, Streaming};
@@ -137,19 +138,30 @@ impl Client {
         Ok(response.await?.status.unwrap_or_default())
     }
 
-    /// The paired report of a campaign.
+    /// A campaign as it stands, for a report.
     ///
     /// # Errors
     /// See [`ClientError`].
-    pub async fn report(&self, name: &str) -> Result<wire::ReportResponse, ClientError> {
+    pub async fn report(&self, name: &str) -> Result<Subject, ClientError> {
         let request = wire::ReportRequest {
             campaign: name.to_owned(),
         };
-        self.call(|mut service| {
+        let parts = self.call(|mut service| {
             let request = request.clone();
             async move { service.report(request).await }
+        });
+        let mut parts = parts.await?;
+        let mut json = Vec::new();
+        while let Some(part) = parts.message().await.map_err(|s| self.failed(&s))? {
+            json.extend(part.json);
+        }
+        serde_json::from_slice(&json).map_err(|error| ClientError::Refused {
+            message: format!(
+                "read what the coordinator at {} sent of `{name}` ({error}): use the same version \
+                 of both programs",
+                self.url
+            ),
         })
-        .await
     }
 
     /// The results of a campaign, line by line.

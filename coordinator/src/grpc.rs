@@ -95,7 +95,6 @@ fn artifact_failed(error: ArtifactError) -> Status {
 fn report_failed(error: ReportError) -> Status {
     match error {
         ReportError::Queue(error) => queue_failed(error),
-        error @ ReportError::Modes { .. } => Status::failed_precondition(chain(&error)),
         error => Status::internal(chain(&error)),
     }
 }

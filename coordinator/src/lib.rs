@@ -1,6 +1,6 @@
 //! The campaign's memory: expands campaigns into jobs, leases them to workers,
-//! keeps their outcomes with everything that made them, and reports. It knows
-//! no simulator and no policy.
+//! keeps their outcomes with everything that made them. It knows no simulator
+//! and no policy.
 //!
 //! Requests come in through `grpc`; [`queue`] reads the state, lets the pure
 //! modules ([`lease`], [`outage`], [`plan`]) decide, and executes through

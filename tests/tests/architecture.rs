@@ -73,6 +73,7 @@ fn crates_use_one_another_in_the_agreed_directions_only() {
         ("scene", &["sim", "proto", "tokio", "mujoco-rs"]),
         ("sim", &["proto", "tokio", "sqlx", "paired"]),
         ("paired", &["scene", "sim", "proto", "tokio", "sqlx"]),
+        ("report", &["scene", "sim", "proto", "tokio", "sqlx"]),
         ("proto", &["protocol", "scene", "sim", "paired"]),
         (
             "transport",
@@ -81,7 +82,7 @@ fn crates_use_one_another_in_the_agreed_directions_only() {
         ("coordinator", &["scene", "sim", "worker", "policy-gateway"]),
         (
             "worker",
-            &["sqlx", "coordinator", "policy-gateway", "paired"],
+            &["sqlx", "coordinator", "policy-gateway", "paired", "report"],
         ),
         (
             "policy-gateway",

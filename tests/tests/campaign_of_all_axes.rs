@@ -60,7 +60,8 @@ fn check_export(rows: &[String]) {
 
 /// Three complete cells, with the paired measures of both configurations.
 fn check_report(report: &str) {
-    let report: Value = serde_json::from_str(report).unwrap();
+    let document: Value = serde_json::from_str(report).unwrap();
+    let report = &document["reports"][0];
     assert_eq!(report["realisation"], "matched");
     assert_eq!(report["axes"], json!(Axis::ALL));
     assert_eq!(report["quarantined"], json!([]));

@@ -1,6 +1,6 @@
 //! A small campaign from end to end, with the real programs: a coordinator, a
 //! gateway with the scripted expert, a worker with several slots, and at the
-//! end the paired table, the results and a video.
+//! end the paired table, the report as a page, the results and a video.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader};
@@ -94,7 +94,9 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     println!();
     run_command(&mut call(&["campaign", "status", CAMPAIGN, "--watch"]))?;
     println!();
-    run_command(&mut call(&["report", CAMPAIGN]))?;
+    let page = dir.join("report.html");
+    let page_arg = page.to_string_lossy();
+    run_command(&mut call(&["report", CAMPAIGN, "--html", &page_arg]))?;
 
     let results = dir.join("results.jsonl");
     let results_arg = results.to_string_lossy();
@@ -109,6 +111,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     ]))?;
     let video = step("one video", || film(&programs, &gateway, options, &dir))?;
     println!();
+    println!("report    {}", page.display());
     println!("results   {}", results.display());
     println!("database  {}", data.display());
     println!("video     {video}");

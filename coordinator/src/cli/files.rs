@@ -65,7 +65,7 @@ impl WholeFile {
     }
 
     /// Where to write.
-    pub(super) fn writer(&mut self) -> &mut impl Write {
+    pub(super) fn writer(&mut self) -> &mut (impl Write + Send) {
         self.file.as_mut().expect("taken only when finished")
     }
 

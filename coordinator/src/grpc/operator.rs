@@ -17,6 +17,9 @@ use crate::ids::{CampaignName, JobId};
 use crate::queue::{CampaignStatus, JobFilter, Queue};
 use crate::report;
 
+/// Bytes of a report that go into one message.
+const REPORT_PART_BYTES: usize = 1 << 20;
+
 /// The operator service on a queue.
 #[derive(Debug)]
 pub(super) struct OperatorApi {
@@ -32,6 +35,7 @@ impl OperatorApi {
 #[tonic::async_trait]
 impl OperatorService for OperatorApi {
     type BackupStream = Chunks;
+    type ReportStream = Pin<Box<dyn Stream<Item = Result<wire::ReportPart, Status>> + Send>>;
     type ExportStream = Pin<Box<dyn Stream<Item = Result<wire::ExportLine, Status>> + Send>>;
 
     async fn create_campaign(
@@ -169,14 +173,19 @@ impl OperatorService for OperatorApi {
     async fn report(
         &self,
         request: Request<wire::ReportRequest>,
-    ) -> Result<Response<wire::ReportResponse>, Status> {
+    ) -> Result<Response<Self::ReportStream>, Status> {
         let name = campaign_name(&request.into_inner().campaign)?;
-        let report = report::of_campaign(&self.queue, &name).await;
-        let report = report.map_err(report_failed)?;
-        Ok(Response::new(wire::ReportResponse {
-            json: report.json,
-            table: report.table,
-        }))
+        let json = report::subject_json(&self.queue, &name).await;
+        let json = json.map_err(report_failed)?;
+        let parts: Vec<_> = json
+            .chunks(REPORT_PART_BYTES)
+            .map(|part| {
+                Ok(wire::ReportPart {
+                    json: part.to_vec(),
+                })
+            })
+            .collect();
+        Ok(Response::new(Box::pin(tokio_stream::iter(parts))))
     }
 
     async fn export(

@@ -123,6 +123,7 @@ pub(crate) struct RecordRow {
     pub(crate) init_id: u16,
     pub(crate) is_quarantined: bool,
     pub(crate) success: Option<bool>,
+    pub(crate) realisation: Option<String>,
 }
 
 /// A job that was set aside.
@@ -298,8 +299,9 @@ pub(crate) async fn records(
 ) -> Result<Vec<RecordRow>, StoreError> {
     sqlx::query_as(
         "SELECT j.rollout_id, j.replicate, j.init_id, j.state = 'quarantined' AS is_quarantined,
-             r.success
+             r.success, v.realisation
          FROM job j LEFT JOIN result r ON r.job_id = j.id
+         LEFT JOIN provenance v ON v.id = r.provenance_id
          WHERE j.campaign_id = ? ORDER BY j.rollout_id, j.replicate",
     )
     .bind(campaign)

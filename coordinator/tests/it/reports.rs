@@ -4,10 +4,14 @@
 use proto::coordinator as wire;
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
+use report::Document;
 use serde_json::{Value, json};
-use tonic::Code;
 
 use crate::harness::{Bench, Worker, rollout_id, small_spec, with};
+use crate::process::{Serve, coordinator, text};
+
+/// The published outcomes of OpenVLA-OFT.
+const EXAMPLE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/openvla_oft");
 
 fn spec() -> Value {
     let tasks = json!(["libero_object/0", "libero_object/1"]);
@@ -32,12 +36,29 @@ async fn run_all(bench: &Bench, worker: &mut Worker) {
     }
 }
 
-async fn report(bench: &Bench) -> wire::ReportResponse {
+/// The report in both of its forms.
+struct Told {
+    json: Value,
+    table: String,
+}
+
+/// What `coordinator report` makes of what the coordinator sends.
+async fn report(bench: &Bench) -> Told {
     let request = wire::ReportRequest {
         campaign: "told".to_owned(),
     };
-    let report = bench.operator().await.report(request).await;
-    report.expect("a report").into_inner()
+    let parts = bench.operator().await.report(request).await;
+    let mut parts = parts.expect("a report").into_inner();
+    let mut json = Vec::new();
+    while let Some(part) = parts.message().await.expect("a part") {
+        json.extend(part.json);
+    }
+    let subject = serde_json::from_slice(&json).expect("a subject");
+    let document = Document::new(vec![subject]).expect("no duplicates");
+    Told {
+        json: serde_json::from_str(&document.json().expect("written")).expect("JSON"),
+        table: document.text(),
+    }
 }
 
 #[tokio::test]
@@ -76,10 +97,11 @@ async fn a_finished_campaign_has_its_paired_measures() {
     let mut worker = bench.worker("a").await;
     run_all(&bench, &mut worker).await;
     let report = report(&bench).await;
-    let json: Value = serde_json::from_str(&report.json).expect("JSON");
-    assert_eq!(json["campaign"], "told");
+    let json = &report.json["reports"][0];
+    assert_eq!(json["origin"]["campaign"]["name"], "told");
     assert_eq!(json["realisation"], "matched");
-    let paired = &json["cells"][0]["paired"];
+    let paired = &report.json["paired"]["expert"]["L1"];
+    assert_eq!(paired, &json["cells"][0]["paired"]);
     assert_eq!(
         (&paired["n"], &paired["b"], &paired["c"]),
         (&json!(4), &json!(2), &json!(0))
@@ -153,10 +175,12 @@ async fn what_was_set_aside_is_named_with_its_error_and_in_no_rate() {
         "{}",
         report.table
     );
-    let json: Value = serde_json::from_str(&report.json).expect("JSON");
+    let json = &report.json["reports"][0];
     assert_eq!(json["quarantined"], json!(["object/t1/sensor/L1/c01"]));
     assert_eq!(json["errors"][0]["last_error"], "the bench said so");
     assert_eq!(json["cells"][0]["paired"]["n"], 3);
+    let bounds = &json["cells"][0]["bounds"];
+    assert_eq!((&bounds["n"], &bounds["affected"]), (&json!(4), &json!(1)));
     assert_eq!(
         json["cells"][0]["alone"]["sensor"]["count"],
         json!({"successes": 3, "n": 3})
@@ -192,31 +216,144 @@ async fn a_privileged_policy_and_mixed_origins_are_said_at_the_top() {
 
 /// No commit lets this happen: the database is altered past the coordinator.
 #[tokio::test]
-async fn a_report_refuses_to_pool_realisation_modes() {
+async fn a_report_leaves_results_of_another_realisation_out_and_says_so_at_the_top() {
     let bench = Bench::start().await;
     bench.create(&spec()).await.expect("created");
     let mut worker = bench.worker("a").await;
-    let lease = worker.claim_one().await;
-    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+    run_all(&bench, &mut worker).await;
     let table = report(&bench).await.table;
     assert!(table.contains("realisation matched"), "{table}");
 
     let pool = bench.database().await;
-    let alter = "UPDATE provenance SET realisation = 'reference'";
-    sqlx::query(alter).execute(&pool).await.expect("altered");
-    pool.close().await;
-    let request = wire::ReportRequest {
-        campaign: "told".to_owned(),
-    };
-    let refused = bench.operator().await.report(request).await;
-    let refused = refused.expect_err("two modes");
-    assert_eq!(refused.code(), Code::FailedPrecondition);
-    for word in [
-        "`told`",
-        "mode matched",
-        "mode reference",
-        "campaign of its own",
+    for alter in [
+        "INSERT INTO provenance SELECT 99, host, gl_renderer, '3.9.9', asset_pack,
+             asset_pack_digest, 'reference', policy_name, policy_checkpoint,
+             policy_checkpoint_digest, policy_privileged, batch_mode, program_version
+         FROM provenance",
+        "UPDATE result SET provenance_id = 99 WHERE job_id =
+             (SELECT id FROM job WHERE rollout_id = 'object/t0/combination/L1/c01')",
     ] {
-        assert!(refused.message().contains(word), "{refused}");
+        sqlx::query(alter).execute(&pool).await.expect("altered");
     }
+    pool.close().await;
+    let report = report(&bench).await;
+    assert_eq!(report.json["paired"]["expert"]["L1"]["n"], 3);
+    let words: Vec<&str> = report.table.split_whitespace().collect();
+    let words = words.join(" ");
+    for warning in [
+        "realisation modes are mixed: 1 results are of another mode than `matched`",
+        "results of more than one MuJoCo version are mixed",
+        "1 of 16 rollouts have no result yet",
+    ] {
+        assert!(words.contains(warning), "{}", report.table);
+    }
+}
+
+#[test]
+fn result_files_are_reported_without_a_coordinator_in_every_form() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
+    let (html, figures, csv) = (path("report.html"), path("figures"), path("table.csv"));
+    let parquet = path("table.parquet");
+    #[rustfmt::skip]
+    let output = coordinator(&[
+        "report", "--from", EXAMPLE, "--json", "--html", &html, "--figures", &figures,
+        "--table", &csv, "--table", &parquet,
+    ]);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let json: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let l2 = &json["paired"]["OpenVLA-OFT"]["L2"];
+    assert_eq!((&l2["b"], &l2["c"]), (&json!(54), &json!(55)));
+    let read = |path: &str| std::fs::read(path).expect("written");
+    assert!(text(&read(&html)).contains("<title>Robustness of OpenVLA-OFT</title>"));
+    assert_eq!(text(&read(&csv)).lines().count(), 1 + 1200);
+    assert!(read(&parquet).starts_with(b"PAR1"));
+    let written = std::fs::read_dir(&figures).expect("a folder");
+    assert_eq!(written.count(), 1 + 4 * 3);
+
+    let output = coordinator(&["report", "--from", EXAMPLE]);
+    let table = text(&output.stdout);
+    assert!(table.contains("reproduction gate: -0.40 points"), "{table}");
+    assert!(
+        table.lines().all(|line| line.chars().count() <= 80),
+        "{table}"
+    );
+}
+
+#[test]
+fn a_wrong_report_command_exits_with_2_and_writes_nothing() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let rows = folder.path().join("rollouts.jsonl");
+    let good = r#"{"rollout_id": "goal/t0/camera/L2/c01", "success": true}"#;
+    std::fs::write(&rows, format!("{good}\n{{\n")).expect("written");
+    let bad = folder.path().to_string_lossy().into_owned();
+    let check = |arguments: &[&str], words: &[&str]| {
+        let output = coordinator(arguments);
+        let error = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {error}");
+        for word in words {
+            assert!(error.contains(word), "{word}: {error}");
+        }
+    };
+    check(&["report"], &["CAMPAIGNS"]);
+    check(&["report", "--from", &bad], &["1 line is bad", "line 2: "]);
+    let table = folder
+        .path()
+        .join("table.xlsx")
+        .to_string_lossy()
+        .into_owned();
+    check(
+        &["report", "--from", EXAMPLE, "--table", &table],
+        &["table.xlsx", "neither with .csv nor with .parquet"],
+    );
+    check(
+        &["report", "--from", EXAMPLE, "--published", "oft=97.1"],
+        &["--published oft", "valid are OpenVLA-OFT"],
+    );
+    check(
+        &[
+            "report",
+            "--from",
+            EXAMPLE,
+            "--published",
+            "OpenVLA-OFT=971",
+        ],
+        &["`971` is no percentage"],
+    );
+    let left = std::fs::read_dir(folder.path()).expect("a folder");
+    assert_eq!(left.count(), 1, "only the rows");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_campaign_and_published_results_stand_side_by_side() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    let created = serve.command(&[
+        "campaign",
+        "create",
+        "--name",
+        "own",
+        "--policy",
+        "expert",
+        "--endpoint",
+        "http://127.0.0.1:50051",
+        "--tasks",
+        "libero_object/0-1",
+        "--configs",
+        "0",
+        "--levels",
+        "L1",
+    ]);
+    assert!(created.status.success(), "{}", text(&created.stderr));
+    let mut worker = serve.worker("a").await;
+    while let [lease] = worker.claim(1).await.as_slice() {
+        assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
+    }
+    let output = serve.command(&["report", "own", "--from", EXAMPLE, "--json"]);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let json: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    assert_eq!(json["paired"]["expert"]["L1"]["n"], 2);
+    assert_eq!(json["paired"]["OpenVLA-OFT"]["L3"]["b"], 66);
+    let warning = json["warnings"][0].as_str().expect("a warning");
+    assert!(warning.contains("different realisation modes"), "{warning}");
 }

@@ -32,4 +32,4 @@ pub use report::{
     Cell, Completeness, Count, Gap, Nominal, NominalSource, Options, Report, SingleAxis, report,
     report_of,
 };
-pub use table::table;
+pub use table::{push_wrapped, table};

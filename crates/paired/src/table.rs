@@ -354,9 +354,9 @@ fn push_row<T: AsRef<str>>(
     text.push('\n');
 }
 
-/// Words over as many lines as they need, the first after `prefix`, the others
-/// below it.
-fn push_wrapped(text: &mut String, prefix: &str, words: &str) {
+/// Words over as many lines of a terminal as they need, the first after
+/// `prefix`, the others below it.
+pub fn push_wrapped(text: &mut String, prefix: &str, words: &str) {
     let indent = " ".repeat(prefix.len());
     let mut line = prefix.to_owned();
     let mut empty = true;

@@ -1,4 +1,4 @@
-//! `coordinator report` and `coordinator export`.
+//! `coordinator export`: committed results as the reference's rows.
 
 use std::io::{BufWriter, Write};
 use std::path::PathBuf;
@@ -8,18 +8,7 @@ use clap::{Args, ValueEnum};
 use coordinator::client::Client;
 
 use super::files::WholeFile;
-use super::{CommandError, Connection, print_line};
-
-#[derive(Args, Debug)]
-pub(super) struct ReportArguments {
-    /// Name of the campaign.
-    campaign: String,
-    /// Print JSON instead of a table.
-    #[arg(long)]
-    json: bool,
-    #[command(flatten)]
-    connection: Connection,
-}
+use super::{CommandError, Connection};
 
 #[derive(Args, Debug)]
 pub(super) struct ExportArguments {
@@ -38,17 +27,6 @@ pub(super) struct ExportArguments {
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum Format {
     Jsonl,
-}
-
-pub(super) async fn report(arguments: ReportArguments) -> Result<(), CommandError> {
-    let client = arguments.connection.client()?;
-    let report = client.report(&arguments.campaign).await?;
-    let text = if arguments.json {
-        report.json
-    } else {
-        report.table
-    };
-    Ok(print_line(text.trim_end())?)
 }
 
 pub(super) async fn export(arguments: ExportArguments) -> Result<(), CommandError> {

@@ -1,0 +1,153 @@
+//! `coordinator report`: campaigns of a coordinator and files of result rows,
+//! measured and written in the forms that were asked for.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, anyhow};
+use clap::Args;
+use report::{Document, Subject, write_csv, write_parquet};
+
+use super::files::WholeFile;
+use super::{CommandError, Connection, print_line};
+
+#[derive(Args, Debug)]
+pub(super) struct ReportArguments {
+    /// Names of campaigns: several are set beside one another.
+    #[arg(required_unless_present = "from")]
+    campaigns: Vec<String>,
+    /// Folder with a `rollouts.jsonl` of the reference or of `export`, one
+    /// policy each; or such a file.
+    #[arg(long, value_name = "DIR", num_args = 1..)]
+    from: Vec<PathBuf>,
+    /// Print JSON instead of a table.
+    #[arg(long)]
+    json: bool,
+    /// Write the report as one page that needs no network.
+    #[arg(long, value_name = "FILE")]
+    html: Option<PathBuf>,
+    /// Write the page's figures as SVG files into a folder.
+    #[arg(long, value_name = "DIR")]
+    figures: Option<PathBuf>,
+    /// Write all outcomes, one row per configuration: FILE.csv or FILE.parquet.
+    #[arg(long, value_name = "FILE")]
+    table: Vec<PathBuf>,
+    /// Published nominal success of a policy, for the reproduction gate.
+    #[arg(long, value_name = "POLICY=PERCENT", value_parser = published)]
+    published: Vec<(String, f64)>,
+    #[command(flatten)]
+    connection: Connection,
+}
+
+/// Forms of the table.
+#[derive(Clone, Copy)]
+enum TableForm {
+    Csv,
+    Parquet,
+}
+
+pub(super) async fn report(arguments: ReportArguments) -> Result<(), CommandError> {
+    // What is wrong with the command is said before anything is computed.
+    let tables: Vec<(&Path, TableForm)> = arguments
+        .table
+        .iter()
+        .map(|path| Ok((path.as_path(), form_of(path)?)))
+        .collect::<anyhow::Result<_>>()
+        .map_err(CommandError::Usage)?;
+    let mut subjects = Vec::new();
+    if !arguments.campaigns.is_empty() {
+        let client = arguments.connection.client()?;
+        for campaign in &arguments.campaigns {
+            subjects.push(client.report(campaign).await?);
+        }
+    }
+    for path in &arguments.from {
+        let subject = report::import(path);
+        subjects.push(subject.map_err(|error| CommandError::Usage(error.into()))?);
+    }
+    add_published(&mut subjects, &arguments.published).map_err(CommandError::Usage)?;
+    // Thousands of resamplings, but nobody else waits for this thread.
+    let document = Document::new(subjects).map_err(anyhow::Error::from)?;
+    for (path, form) in tables {
+        write_table(&document, path, form)?;
+    }
+    if let Some(folder) = &arguments.figures {
+        write_figures(&document, folder)?;
+    }
+    if let Some(path) = &arguments.html {
+        write_whole(path, report::page(&document).as_bytes())?;
+        eprintln!("wrote the report to {}", path.display());
+    }
+    let text = match arguments.json {
+        true => document.json().map_err(anyhow::Error::from)?,
+        false => document.text(),
+    };
+    Ok(print_line(text.trim_end())?)
+}
+
+fn published(text: &str) -> Result<(String, f64), String> {
+    let (policy, percent) = text
+        .rsplit_once('=')
+        .ok_or("write for example openvla=97.1")?;
+    match percent.parse::<f64>() {
+        Ok(percent) if (0.0..=100.0).contains(&percent) => Ok((policy.to_owned(), percent / 100.0)),
+        _ => Err(format!("`{percent}` is no percentage from 0 to 100")),
+    }
+}
+
+fn add_published(subjects: &mut [Subject], published: &[(String, f64)]) -> anyhow::Result<()> {
+    for (policy, rate) in published {
+        let mut any = false;
+        for subject in subjects.iter_mut().filter(|s| s.policy == *policy) {
+            subject.published_nominal = Some(*rate);
+            any = true;
+        }
+        if !any {
+            let known: Vec<&str> = subjects.iter().map(|s| s.policy.as_str()).collect();
+            let known = known.join(", ");
+            return Err(anyhow!("valid are {known}"))
+                .with_context(|| format!("use --published {policy}: no such policy here"));
+        }
+    }
+    Ok(())
+}
+
+fn form_of(path: &Path) -> anyhow::Result<TableForm> {
+    match path.extension().and_then(|extension| extension.to_str()) {
+        Some("csv") => Ok(TableForm::Csv),
+        Some("parquet") => Ok(TableForm::Parquet),
+        _ => Err(anyhow!("its name ends neither with .csv nor with .parquet"))
+            .with_context(|| format!("write the table {}", path.display())),
+    }
+}
+
+fn write_table(document: &Document, path: &Path, form: TableForm) -> anyhow::Result<()> {
+    let mut file = WholeFile::create(path)?;
+    let written = match form {
+        TableForm::Csv => write_csv(document, file.writer()),
+        TableForm::Parquet => write_parquet(document, file.writer()),
+    };
+    written.with_context(|| format!("write {}", path.display()))?;
+    file.finish()?;
+    eprintln!("wrote the table to {}", path.display());
+    Ok(())
+}
+
+fn write_figures(document: &Document, folder: &Path) -> anyhow::Result<()> {
+    std::fs::create_dir_all(folder).with_context(|| format!("make {}", folder.display()))?;
+    let figures = report::figures::all(document);
+    for figure in &figures {
+        let path = folder.join(format!("{}.svg", figure.name));
+        write_whole(&path, figure.standalone().as_bytes())?;
+    }
+    eprintln!("wrote {} figures to {}", figures.len(), folder.display());
+    Ok(())
+}
+
+fn write_whole(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+    use std::io::Write;
+
+    let mut file = WholeFile::create(path)?;
+    let written = file.writer().write_all(bytes);
+    written.with_context(|| format!("write {}", path.display()))?;
+    file.finish()
+}

@@ -1,0 +1,243 @@
+//! A report on one or several policies, and its forms for a terminal and for
+//! programs.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use paired::{Cell, DuplicateRecord, Measures, Options, Records, Report, push_wrapped};
+use protocol::Level;
+use serde::Serialize;
+
+use crate::subject::{Origin, SetAside, Subject};
+use crate::warnings;
+
+/// Columns of a terminal. Errors are cut there; the JSON form has them whole.
+const WIDTH: usize = 80;
+
+/// Policies, measured.
+#[derive(Clone, Debug)]
+pub struct Document {
+    /// What a reader must know first of comparing them.
+    pub warnings: Vec<String>,
+    /// One per subject, in the given order.
+    pub analyses: Vec<Analysis>,
+}
+
+/// One policy, measured.
+#[derive(Clone, Debug)]
+pub struct Analysis {
+    /// What it is called in this document, unlike all others.
+    pub label: String,
+    /// What it is of.
+    pub subject: Subject,
+    /// Its outcomes, matched.
+    pub records: Records,
+    /// The statistics.
+    pub report: Report,
+}
+
+/// A report that cannot be made.
+#[derive(Debug, thiserror::Error)]
+pub enum DocumentError {
+    /// The same rollout twice.
+    #[error("measure policy `{policy}`")]
+    Duplicate {
+        /// Whose.
+        policy: String,
+        /// Which.
+        source: DuplicateRecord,
+    },
+    /// It cannot be written as JSON.
+    #[error("write the report as JSON")]
+    Json(#[from] serde_json::Error),
+}
+
+/// The JSON form: the measures of each policy and level first, where programs
+/// look for them, then everything.
+#[derive(Serialize)]
+struct JsonForm<'a> {
+    warnings: &'a [String],
+    /// Of replicate 0; null where no configuration is complete.
+    paired: BTreeMap<&'a str, BTreeMap<Level, Option<&'a Measures>>>,
+    reports: Vec<JsonReport<'a>>,
+}
+
+#[derive(Serialize)]
+struct JsonReport<'a> {
+    label: &'a str,
+    policy: &'a str,
+    origin: &'a Origin,
+    realisation: Option<&'a str>,
+    errors: &'a [SetAside],
+    #[serde(flatten)]
+    report: &'a Report,
+}
+
+impl Document {
+    /// Measures the subjects.
+    ///
+    /// # Errors
+    /// If a subject holds the same rollout and replicate twice.
+    pub fn new(subjects: Vec<Subject>) -> Result<Self, DocumentError> {
+        let warnings = warnings::of_comparison(&subjects);
+        let labels = labels(&subjects);
+        let analyses = labels.into_iter().zip(subjects);
+        let analyses = analyses.map(|(label, subject)| Analysis::new(label, subject));
+        Ok(Self {
+            warnings,
+            analyses: analyses.collect::<Result<_, _>>()?,
+        })
+    }
+
+    /// The report as JSON, several lines.
+    ///
+    /// # Errors
+    /// If serde cannot write it, which is a defect.
+    pub fn json(&self) -> Result<String, DocumentError> {
+        let paired = self.analyses.iter().map(|analysis| {
+            let levels = analysis
+                .cells()
+                .map(|cell| (cell.level, cell.paired.as_ref()));
+            (analysis.label.as_str(), levels.collect())
+        });
+        let reports = self.analyses.iter().map(|analysis| JsonReport {
+            label: &analysis.label,
+            policy: &analysis.subject.policy,
+            origin: &analysis.subject.origin,
+            realisation: analysis.subject.realisation.map(|r| r.name()),
+            errors: &analysis.subject.errors,
+            report: &analysis.report,
+        });
+        Ok(serde_json::to_string_pretty(&JsonForm {
+            warnings: &self.warnings,
+            paired: paired.collect(),
+            reports: reports.collect(),
+        })?)
+    }
+
+    /// The report for a terminal of 80 columns.
+    pub fn text(&self) -> String {
+        let mut text = String::new();
+        for warning in &self.warnings {
+            push_wrapped(&mut text, "! ", warning);
+        }
+        for analysis in &self.analyses {
+            if !text.is_empty() {
+                text.push('\n');
+            }
+            text.push_str(&head(&analysis.subject));
+            text.push('\n');
+            text.push_str(&paired::table(&analysis.report));
+            text.push_str(&tail(&analysis.subject));
+        }
+        text
+    }
+}
+
+impl Analysis {
+    fn new(label: String, subject: Subject) -> Result<Self, DocumentError> {
+        let records = Records::new(&subject.records);
+        let records = records.map_err(|source| DocumentError::Duplicate {
+            policy: label.clone(),
+            source,
+        })?;
+        let report = paired::report_of(
+            &records,
+            &Options {
+                notes: warnings::of_subject(&subject),
+                published_nominal: subject.published_nominal,
+                reported_nominal: subject.reported_nominal,
+                ..Options::default()
+            },
+        );
+        Ok(Self {
+            label,
+            subject,
+            records,
+            report,
+        })
+    }
+
+    /// The cells of replicate 0, by level.
+    pub fn cells(&self) -> impl Iterator<Item = &Cell> {
+        self.report.cells.iter().filter(|cell| cell.replicate == 0)
+    }
+
+    /// The cell of a level in replicate 0.
+    pub fn cell(&self, level: Level) -> Option<&Cell> {
+        self.cells().find(|cell| cell.level == level)
+    }
+}
+
+/// The policies' names, with their origins where two have the same, and with a
+/// number where that is not enough.
+fn labels(subjects: &[Subject]) -> Vec<String> {
+    let mut labels: Vec<String> = Vec::new();
+    let mut taken = BTreeSet::new();
+    for subject in subjects {
+        let of_name = subjects
+            .iter()
+            .filter(|other| other.policy == subject.policy);
+        let mut label = match of_name.count() {
+            1 => subject.policy.clone(),
+            _ => format!("{} ({})", subject.policy, subject.origin_name()),
+        };
+        let first = label.clone();
+        for number in 2.. {
+            if taken.insert(label.clone()) {
+                break;
+            }
+            label = format!("{first} {number}");
+        }
+        labels.push(label);
+    }
+    labels
+}
+
+fn head(subject: &Subject) -> String {
+    let policy = &subject.policy;
+    let realisation = match subject.realisation {
+        Some(realisation) => realisation.name(),
+        None => "unknown",
+    };
+    match &subject.origin {
+        Origin::Campaign {
+            name,
+            endpoint,
+            design,
+        } => format!(
+            "campaign {name}\npolicy {policy} at {endpoint}\n\
+             design {design}, realisation {realisation}\n"
+        ),
+        Origin::File {
+            name,
+            digest,
+            source,
+        } => {
+            let mut head = format!("policy {policy}, results of {name}\n");
+            if !source.is_empty() {
+                push_wrapped(&mut head, "", source);
+            }
+            let digest = warnings::short(digest);
+            head.push_str(&format!("SHA-256 {digest}…, realisation {realisation}\n"));
+            head
+        }
+    }
+}
+
+/// What the rollouts that were set aside last failed with, each on a line.
+fn tail(subject: &Subject) -> String {
+    let mut text = String::new();
+    if !subject.errors.is_empty() {
+        text.push_str("\nset aside, with the last error:\n");
+    }
+    for SetAside {
+        rollout,
+        last_error,
+    } in &subject.errors
+    {
+        let error = last_error.lines().next().unwrap_or_default();
+        text.extend(format!("  {rollout}: {error}").chars().take(WIDTH));
+        text.push('\n');
+    }
+    text
+}

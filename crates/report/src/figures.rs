@@ -1,0 +1,132 @@
+//! The figures, as SVG. Each is a panel of one fixed width, so that a page can
+//! set panels side by side where there is room and below one another where
+//! there is not, and no text has to shrink.
+//!
+//! A meaning never rests on colour alone: transitions have marks, measures have
+//! shapes, heat maps have numbers. Colours are those of M. Okabe and K. Ito,
+//! Color Universal Design (2008), and, for the heat map, of ColorBrewer's YlGnBu
+//! (C. Brewer, 2002).
+
+mod decomposition;
+mod directions;
+mod gate;
+mod heat_map;
+mod matrix;
+mod replication;
+mod svg;
+
+use std::collections::BTreeSet;
+
+use maud::{Markup, PreEscaped, html};
+use protocol::Level;
+
+use crate::document::{Analysis, Document};
+
+pub use decomposition::decomposition;
+pub use directions::directions;
+pub use gate::gate;
+pub use heat_map::heat_map;
+pub use matrix::matrix;
+pub use replication::{flips, replicates};
+
+/// Width of every panel, in its own units: pixels, where it is not scaled.
+pub const WIDTH: f64 = 380.0;
+
+/// The style that the panels need; a page includes it once.
+pub const STYLE: &str = include_str!("figures/style.css");
+
+/// One panel.
+#[derive(Clone, Debug)]
+pub struct Figure {
+    /// Name of its file, without extension.
+    pub name: String,
+    /// What it shows, for those who cannot see it.
+    pub title: String,
+    height: f64,
+    body: Markup,
+}
+
+impl Figure {
+    fn new(name: &str, title: String, height: f64, body: Markup) -> Self {
+        let plain = |c: char| match c.is_ascii_alphanumeric() || c == '.' {
+            true => c.to_ascii_lowercase(),
+            false => '-',
+        };
+        Self {
+            name: name.chars().map(plain).collect(),
+            title,
+            height,
+            body,
+        }
+    }
+
+    /// For a page that includes [`STYLE`].
+    pub fn inline(&self) -> Markup {
+        self.svg(html! {})
+    }
+
+    /// For a file of its own.
+    pub fn standalone(&self) -> String {
+        // A viewer's own background may be of the other scheme than the text.
+        let style = html! {
+            style { (PreEscaped(STYLE)) }
+            rect class="ground" width="100%" height="100%" {}
+        };
+        format!(
+            "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n{}\n",
+            self.svg(style).0
+        )
+    }
+
+    fn svg(&self, style: Markup) -> Markup {
+        let (width, height) = (svg::number(WIDTH), svg::number(self.height));
+        html! {
+            svg xmlns="http://www.w3.org/2000/svg" class="panel" role="img"
+                viewBox={ "0 0 " (width) " " (height) } width=(width) height=(height) {
+                title { (self.title) }
+                (style)
+                (self.body)
+            }
+        }
+    }
+}
+
+/// The levels of a document, by radius.
+pub fn levels(document: &Document) -> Vec<Level> {
+    let cells = document.analyses.iter().flat_map(Analysis::cells);
+    let levels: BTreeSet<Level> = cells.map(|cell| cell.level).collect();
+    levels.into_iter().collect()
+}
+
+/// All figures of a document, in the page's order.
+pub fn all(document: &Document) -> Vec<Figure> {
+    let mut figures = Vec::new();
+    figures.extend(gate(document));
+    let levels = levels(document);
+    figures.extend(levels.iter().filter_map(|&level| heat_map(document, level)));
+    figures.extend(
+        levels
+            .iter()
+            .filter_map(|&level| decomposition(document, level)),
+    );
+    figures.extend(
+        levels
+            .iter()
+            .filter_map(|&level| directions(document, level)),
+    );
+    for analysis in &document.analyses {
+        figures.extend(levels.iter().filter_map(|&level| matrix(analysis, level)));
+    }
+    for analysis in &document.analyses {
+        figures.extend(replicates(analysis));
+        figures.extend(flips(analysis));
+    }
+    // Two labels can have one plain form, and no file may overwrite another.
+    let mut taken = BTreeSet::new();
+    for figure in &mut figures {
+        while !taken.insert(figure.name.clone()) {
+            figure.name.push_str("-2");
+        }
+    }
+    figures
+}

@@ -1,0 +1,129 @@
+//! What the figures are drawn with: numbers, scales, axes, intervals.
+
+use maud::{Markup, html};
+use paired::Interval;
+
+use super::WIDTH;
+
+/// Space left and right of what is drawn to a scale.
+pub(super) const MARGIN: f64 = 14.0;
+/// Height of a panel's heading.
+pub(super) const HEAD: f64 = 26.0;
+/// Height of an axis with its numbers and its title.
+pub(super) const AXIS: f64 = 40.0;
+
+/// A coordinate, as short as it can be written.
+pub(super) fn number(value: f64) -> String {
+    let text = format!("{value:.2}");
+    text.trim_end_matches('0').trim_end_matches('.').to_owned()
+}
+
+/// From values to horizontal places.
+#[derive(Clone, Copy)]
+pub(super) struct Scale {
+    domain: [f64; 2],
+    range: [f64; 2],
+}
+
+impl Scale {
+    /// Over a panel's width.
+    pub(super) fn over(domain: [f64; 2]) -> Self {
+        Self::between(domain, [MARGIN, WIDTH - MARGIN])
+    }
+
+    pub(super) fn between(domain: [f64; 2], range: [f64; 2]) -> Self {
+        Self { domain, range }
+    }
+
+    pub(super) fn at(&self, value: f64) -> f64 {
+        let [from, to] = self.domain;
+        let [left, right] = self.range;
+        let share = ((value - from) / (to - from)).clamp(0.0, 1.0);
+        left + share * (right - left)
+    }
+
+    /// Vertical lines at some values between two heights, their numbers below
+    /// and what they are in the middle.
+    pub(super) fn axis(
+        &self,
+        [top, bottom]: [f64; 2],
+        ticks: &[(f64, String)],
+        title: &str,
+    ) -> Markup {
+        let [left, right] = self.range;
+        html! {
+            @for (value, label) in ticks {
+                line class="grid" x1=(number(self.at(*value))) x2=(number(self.at(*value)))
+                    y1=(number(top)) y2=(number(bottom)) {}
+                (text(self.at(*value), bottom + 14.0, "tiny muted middle", label))
+            }
+            (text(f64::midpoint(left, right), bottom + 31.0, "small muted middle", title))
+        }
+    }
+}
+
+/// Ticks at every `step`, in percent of a fraction.
+pub(super) fn percent_ticks([from, to]: [f64; 2], step: f64, signed: bool) -> Vec<(f64, String)> {
+    let first = (from / step - 1e-9).ceil() as i64;
+    let last = (to / step + 1e-9).floor() as i64;
+    let label = |value: f64| match (signed, value == 0.0) {
+        (true, false) => format!("{:+}", (100.0 * value).round()).replace('-', "−"),
+        _ => format!("{}", (100.0 * value).round().abs()),
+    };
+    (first..=last)
+        .map(|k| (k as f64 * step, label(k as f64 * step)))
+        .collect()
+}
+
+pub(super) fn text(x: f64, y: f64, class: &str, content: &str) -> Markup {
+    html! { text x=(number(x)) y=(number(y)) class=(class) { (content) } }
+}
+
+/// An interval as a line with ends.
+pub(super) fn whisker(scale: &Scale, [low, high]: Interval, y: f64) -> Markup {
+    let (low, high) = (number(scale.at(low)), number(scale.at(high)));
+    let (top, middle, bottom) = (number(y - 4.0), number(y), number(y + 4.0));
+    html! {
+        path class="whisker"
+            d={ "M" (low) " " (top) "V" (bottom) "M" (low) " " (middle) "H" (high)
+                "M" (high) " " (top) "V" (bottom) } {}
+    }
+}
+
+pub(super) fn circle(x: f64, y: f64, class: &str) -> Markup {
+    html! { circle class=(class) cx=(number(x)) cy=(number(y)) r="5" {} }
+}
+
+pub(super) fn diamond(x: f64, y: f64, class: &str) -> Markup {
+    let (left, right, x) = (number(x - 6.5), number(x + 6.5), number(x));
+    let (top, bottom, y) = (number(y - 6.5), number(y + 6.5), number(y));
+    let d = format!("M{x} {top}L{right} {y}L{x} {bottom}L{left} {y}Z");
+    html! { path class=(class) d=(d) {} }
+}
+
+pub(super) fn square(x: f64, y: f64, class: &str) -> Markup {
+    html! {
+        rect class=(class) x=(number(x - 5.0)) y=(number(y - 5.0)) width="10" height="10" {}
+    }
+}
+
+pub(super) fn rect(x: f64, y: f64, width: f64, height: f64, class: &str) -> Markup {
+    html! {
+        rect class=(class) x=(number(x)) y=(number(y)) width=(number(width.max(0.0)))
+            height=(number(height)) {}
+    }
+}
+
+pub(super) fn line(class: &str, [x1, y1]: [f64; 2], [x2, y2]: [f64; 2]) -> Markup {
+    html! {
+        line class=(class) x1=(number(x1)) y1=(number(y1)) x2=(number(x2)) y2=(number(y2)) {}
+    }
+}
+
+/// A name that has room for so many characters.
+pub(super) fn shortened(name: &str, most: usize) -> String {
+    match name.chars().count() > most {
+        true => name.chars().take(most - 1).chain(['…']).collect(),
+        false => name.to_owned(),
+    }
+}

@@ -1,0 +1,25 @@
+//! From outcomes to what people read: text for a terminal, JSON, one page of
+//! HTML, its figures as SVG, and the table of configurations as CSV or Parquet.
+//! Not responsible for the statistics, which are `paired`'s, nor for where
+//! outcomes are kept: a [`Subject`] comes from a coordinator or from
+//! [`import`].
+//!
+//! The same subjects give the same bytes: no instant, no machine, no order of
+//! arrival.
+
+#![forbid(unsafe_code)]
+
+mod document;
+pub mod figures;
+mod import;
+mod page;
+mod subject;
+mod table;
+mod warnings;
+mod words;
+
+pub use document::{Analysis, Document, DocumentError};
+pub use import::{BadLine, ImportError, import};
+pub use page::{STYLE, page};
+pub use subject::{Origin, Provenance, SetAside, Subject, rollout_name};
+pub use table::{TableError, write_csv, write_parquet};

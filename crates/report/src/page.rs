@@ -1,0 +1,130 @@
+//! The report as one page of HTML: no script, no network, light and dark, on a
+//! phone and on paper. What is written in its sections is in the modules below.
+
+mod findings;
+mod methods;
+mod tables;
+
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+
+use crate::document::{Analysis, Document};
+use crate::figures::{self, Figure, levels};
+
+/// The page's style, with that of its figures.
+pub const STYLE: &str = concat!(
+    include_str!("page/style.css"),
+    include_str!("figures/style.css")
+);
+
+/// The page, a whole file.
+pub fn page(document: &Document) -> String {
+    let title = title(document);
+    let page = html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                meta name="color-scheme" content="light dark";
+                meta name="generator" content={ "rollout " (env!("CARGO_PKG_VERSION")) };
+                title { (title) }
+                style { (PreEscaped(STYLE)) }
+            }
+            body {
+                header {
+                    p.kicker { "LIBERO-CTRL paired report" }
+                    h1 { (title) }
+                    (findings::subtitle(document))
+                }
+                main { (sections(document)) }
+            }
+        }
+    };
+    page.into_string()
+}
+
+fn title(document: &Document) -> String {
+    match document.analyses.as_slice() {
+        [one] => format!("Robustness of {}", one.label),
+        several => format!("Robustness of {} policies", several.len()),
+    }
+}
+
+fn sections(document: &Document) -> Markup {
+    let levels = levels(document);
+    let per_level = |panel: fn(&Document, protocol::Level) -> Option<Figure>| {
+        let panels = levels.iter().filter_map(|&level| panel(document, level));
+        panels.collect::<Vec<_>>()
+    };
+    html! {
+        (findings::warnings(document))
+        (findings::in_words(document))
+        section {
+            h2 { "Paired outcomes" }
+            (tables::paired(document))
+        }
+        (figure("Success under each axis alone, and under all axes at once.",
+            per_level(figures::heat_map)))
+        (figure("From independent axes to all at once. D: how far the axes' failures coincide in \
+            the same configurations. I: what perturbing everything at once adds to that, for \
+            better or for worse. In brackets, 95 % intervals.",
+            per_level(figures::decomposition)))
+        (figure("In which direction outcomes change. Left, every axis alone succeeds and all at \
+            once fail; right, some axis alone fails and all at once succeed. Whiskers and \
+            brackets: 95 % intervals; p: exact McNemar test of left against right.",
+            per_level(figures::directions)))
+        (figure("Every configuration: tasks downwards, configurations to the right, one square \
+            each. On a screen, pointing at a square tells its rollouts.",
+            document.analyses.iter().flat_map(|analysis| {
+                levels.iter().filter_map(move |&level| figures::matrix(analysis, level))
+            }).collect()))
+        section {
+            h2 { "Nominal success and single axes" }
+            (tables::nominal(document))
+            (figure("The reproduction gate: a policy that does not reach its published nominal \
+                success within 5 points is not set up as its authors had it, and its robustness is \
+                not to be interpreted.", figures::gate(document).into_iter().collect()))
+            (tables::single_axes(document))
+        }
+        (replication(document))
+        (tables::solvable(document))
+        (tables::bounds(document))
+        (tables::set_aside(document))
+        (methods::methods(document))
+    }
+}
+
+/// Panels with one caption; nothing where there is no panel.
+fn figure(caption: &str, panels: Vec<Figure>) -> Markup {
+    html! {
+        @if !panels.is_empty() {
+            figure {
+                div.panels { @for panel in &panels { (panel.inline()) } }
+                figcaption { (caption) }
+            }
+        }
+    }
+}
+
+fn replication(document: &Document) -> Markup {
+    let panels = |analysis: &Analysis| {
+        let panels = [figures::replicates(analysis), figures::flips(analysis)];
+        panels.into_iter().flatten().collect::<Vec<_>>()
+    };
+    let replicated = document.analyses.iter();
+    let replicated = replicated.filter(|analysis| !analysis.report.replication.is_empty());
+    let replicated: Vec<&Analysis> = replicated.collect();
+    html! {
+        @if !replicated.is_empty() {
+            section {
+                h2 { "Replication" }
+                p { "The same initial states and realised perturbations, another policy seed." }
+                @for analysis in replicated {
+                    (figure(&format!("{}: agreement of the replicates. Whiskers: 95 % intervals.",
+                        analysis.label), panels(analysis)))
+                    (tables::replication(analysis))
+                }
+            }
+        }
+    }
+}

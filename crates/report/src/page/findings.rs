@@ -1,0 +1,133 @@
+//! What comes first: what the report is of, what to know before believing it,
+//! and what it shows, in words.
+
+use maud::{Markup, html};
+use paired::{Cell, Measures};
+
+use crate::document::{Analysis, Document};
+use crate::subject::Origin;
+use crate::words;
+
+/// Below this p-value, b and c are said to differ.
+const SIGNIFICANT: f64 = 0.05;
+
+pub(super) fn subtitle(document: &Document) -> Markup {
+    let rollouts = document.analyses.iter().map(|analysis| {
+        let records = analysis.subject.records.iter();
+        records
+            .filter(|record| record.outcome.success().is_some())
+            .count()
+    });
+    let rollouts: usize = rollouts.sum();
+    html! {
+        p.muted {
+            (rollouts) " rollouts: the same configurations under each axis alone, and under all \
+            axes at once."
+            @if let [Analysis { subject, .. }] = document.analyses.as_slice() {
+                @match &subject.origin {
+                    Origin::Campaign { name, design, .. } => {
+                        " Campaign " (name) ", design " code { (design) } "."
+                    }
+                    Origin::File { name, source, .. } => {
+                        " Results of " (name) @if !source.is_empty() { ": " (source) } "."
+                    }
+                }
+            }
+        }
+    }
+}
+
+pub(super) fn warnings(document: &Document) -> Markup {
+    let several = document.analyses.len() > 1;
+    let of = |analysis: &Analysis| html! { @if several { strong { (analysis.label) ": " } } };
+    let any = document.analyses.iter().any(|analysis| {
+        !(analysis.report.notes.is_empty() && analysis.report.quarantined.is_empty())
+    });
+    html! {
+        @if any || !document.warnings.is_empty() {
+            section.warnings role="note" aria-label="Warnings" {
+                h2 { "Before you believe these figures" }
+                ul {
+                    @for warning in &document.warnings { li { (sentence(warning)) } }
+                    @for analysis in &document.analyses {
+                        @for warning in &analysis.report.notes {
+                            li { (of(analysis)) (sentence(warning)) }
+                        }
+                        @let aside = analysis.report.quarantined.len();
+                        @if aside > 0 {
+                            li {
+                                (of(analysis)) (aside)
+                                @if aside == 1 { " rollout was" } @else { " rollouts were" }
+                                " set aside after repeated errors: in no rate, bounded and listed \
+                                below."
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// A warning as a sentence, names between backticks as code.
+fn sentence(warning: &str) -> Markup {
+    let mut letters = warning.chars();
+    let first = letters.next().map(|c| c.to_uppercase().to_string());
+    let text = format!("{}{}.", first.unwrap_or_default(), letters.as_str());
+    html! {
+        @for (index, part) in text.split('`').enumerate() {
+            @if index % 2 == 1 { code { (part) } } @else { (part) }
+        }
+    }
+}
+
+pub(super) fn in_words(document: &Document) -> Markup {
+    let cells: Vec<(&Analysis, &Cell, &Measures)> = document
+        .analyses
+        .iter()
+        .flat_map(|analysis| {
+            let cells = analysis.cells();
+            cells.filter_map(move |cell| Some((analysis, cell, cell.paired.as_ref()?)))
+        })
+        .collect();
+    html! {
+        @if !cells.is_empty() {
+            section {
+                h2 { "What it shows" }
+                ul.findings.many[document.analyses.len() > 1] {
+                    @for (analysis, cell, measures) in cells {
+                        (finding(&format!("{}, {}", analysis.label, cell.level), cell, measures))
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn finding(what: &str, cell: &Cell, m: &Measures) -> Markup {
+    let net = match (m.mcnemar_p < SIGNIFICANT, m.i < 0.0) {
+        (false, _) => "neither direction outweighs the other by more than chance would",
+        (true, true) => "failures emerge more often than they are compensated",
+        (true, false) => "failures are compensated more often than they emerge",
+    };
+    html! {
+        li {
+            strong { (what) } ": of " (m.n)
+            @if cell.completeness.complete < cell.completeness.expected {
+                " complete configurations out of " (cell.completeness.expected)
+            } @else { " configurations" }
+            ", "
+            span.emergent {
+                (m.b) @if m.b == 1 { " fails" } @else { " fail" }
+                " only when everything is perturbed at once"
+            }
+            " and "
+            span.compensated {
+                (m.c) @if m.c == 1 { " succeeds" } @else { " succeed" }
+                " although an axis alone makes them fail"
+            }
+            ". Net effect " (words::points(m.i)) " points" (words::points_interval(m.i_ci95))
+            "; " (net) " (p = " (words::p_value(m.mcnemar_p)) ")."
+        }
+    }
+}

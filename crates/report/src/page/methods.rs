@@ -1,0 +1,102 @@
+//! How the figures were made: versions, digests, modes, and the statistics, so
+//! that somebody else can make them again.
+
+use std::collections::BTreeSet;
+
+use maud::{Markup, html};
+
+use crate::document::{Analysis, Document};
+use crate::subject::{Origin, Provenance};
+
+pub(super) fn methods(document: &Document) -> Markup {
+    let bootstrap = document
+        .analyses
+        .first()
+        .map(|analysis| analysis.report.bootstrap);
+    html! {
+        section {
+            h2 { "Methods" }
+            p {
+                "Protocol: LIBERO-CTRL (arXiv 2609.15940). Every configuration pairs one initial \
+                state with one preset of each axis; it is run under each axis alone and under all \
+                at once, so that outcomes are compared configuration by configuration. S_indep is \
+                the product of the axes' success rates, S_conj the share of configurations that \
+                succeed under every axis alone, S_sim the success rate under all at once; D = S_conj − \
+                S_indep, I = S_sim − S_conj."
+                @if let Some(bootstrap) = bootstrap {
+                    " Intervals are 95 % percentile intervals of " (bootstrap.replicates)
+                    " bootstrap replicates that resample whole tasks (ChaCha12, seed "
+                    (bootstrap.seed) "); p-values are of McNemar's exact two-sided test."
+                }
+                " Incomplete configurations are in no paired figure; rollouts that infrastructure \
+                kept from finishing are never counted as failures. Computed by rollout "
+                (env!("CARGO_PKG_VERSION")) "."
+            }
+            @for analysis in &document.analyses { (of_policy(analysis)) }
+        }
+    }
+}
+
+fn of_policy(analysis: &Analysis) -> Markup {
+    let subject = &analysis.subject;
+    let distinct = |of: fn(&Provenance) -> String| -> Option<String> {
+        let values: BTreeSet<String> = subject.provenances.iter().map(of).collect();
+        let values: Vec<String> = values
+            .into_iter()
+            .filter(|value| !value.is_empty())
+            .collect();
+        (!values.is_empty()).then(|| values.join("; "))
+    };
+    let named = |name: &str, digest: &str| match digest {
+        "" => name.to_owned(),
+        digest => format!("{name}, SHA-256 {digest}"),
+    };
+    let entries = [
+        ("MuJoCo", distinct(|p| p.mujoco_version.clone())),
+        ("renderer", distinct(|p| p.gl_renderer.clone())),
+        ("batch mode", distinct(|p| p.batch_mode.clone())),
+        (
+            "worker",
+            distinct(|p| format!("rollout {}", p.program_version)),
+        ),
+        ("machines", distinct(|p| p.host.clone())),
+    ];
+    let packs: BTreeSet<String> = subject
+        .provenances
+        .iter()
+        .map(|p| named(&p.asset_pack, &p.asset_pack_digest))
+        .collect();
+    let checkpoints: BTreeSet<String> = subject
+        .provenances
+        .iter()
+        .map(|p| {
+            let name = format!("{} {}", p.policy_name, p.policy_checkpoint);
+            named(name.trim(), &p.policy_checkpoint_digest)
+        })
+        .collect();
+    html! {
+        h3 { (analysis.label) }
+        dl.methods {
+            @match &subject.origin {
+                Origin::Campaign { name, endpoint, design } => {
+                    dt { "campaign" } dd { (name) ", design " code { (design) } }
+                    dt { "policy" } dd { (subject.policy) " at " code { (endpoint) } }
+                }
+                Origin::File { name, digest, source } => {
+                    dt { "results" } dd { (name) ", SHA-256 " code { (digest) } }
+                    @if !source.is_empty() { dt { "source" } dd { (source) } }
+                }
+            }
+            dt { "realisation" }
+            dd { (subject.realisation.map_or("not known", |realisation| realisation.name())) }
+            @for checkpoint in &checkpoints { dt { "checkpoint" } dd { (checkpoint) } }
+            @for pack in &packs { dt { "asset pack" } dd { (pack) } }
+            @for (name, values) in entries {
+                @if let Some(values) = values { dt { (name) } dd { (values) } }
+            }
+            @if subject.provenances.is_empty() {
+                dt { "simulator" } dd { "not known: result rows do not say" }
+            }
+        }
+    }
+}

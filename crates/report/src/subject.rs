@@ -1,0 +1,111 @@
+//! What a report is of: one policy's outcomes, and everything known about how
+//! they were made.
+
+use paired::{Count, Record};
+use protocol::Realisation;
+use serde::{Deserialize, Serialize};
+
+/// One policy's outcomes under one set of circumstances.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Subject {
+    /// What the policy is called.
+    pub policy: String,
+    /// Where its outcomes come from.
+    pub origin: Origin,
+    /// Where the perturbations' random elements came from, if that is known.
+    pub realisation: Option<Realisation>,
+    /// Every rollout that was meant to run, with or without an outcome.
+    pub records: Vec<Record>,
+    /// What the rollouts that were set aside last failed with.
+    pub errors: Vec<SetAside>,
+    /// Rollouts that ran twice and came out differently.
+    pub divergent: Vec<String>,
+    /// Results of another realisation than `realisation`: in no figure, and
+    /// missing among the records.
+    pub left_out: u64,
+    /// The distinct circumstances under which the outcomes were made.
+    pub provenances: Vec<Provenance>,
+    /// The published nominal success rate, a fraction.
+    pub published_nominal: Option<f64>,
+    /// Nominal successes as somebody else counted them.
+    pub reported_nominal: Option<Count>,
+}
+
+/// Where outcomes come from.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Origin {
+    /// A campaign of a coordinator.
+    Campaign {
+        /// Its name.
+        name: String,
+        /// Where its policy was reached.
+        endpoint: String,
+        /// Its design's version.
+        design: String,
+    },
+    /// A file of result rows.
+    File {
+        /// The folder's or the file's own name, without what is above it.
+        name: String,
+        /// SHA-256 of the file.
+        digest: String,
+        /// What its makers say of it; empty where they say nothing.
+        source: String,
+    },
+}
+
+/// Where results came from, as far as many results share it.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct Provenance {
+    /// Machine.
+    pub host: String,
+    /// What rendered the frames.
+    pub gl_renderer: String,
+    /// Version of the simulator.
+    pub mujoco_version: String,
+    /// Name of the asset pack.
+    pub asset_pack: String,
+    /// Digest of the asset pack.
+    pub asset_pack_digest: String,
+    /// "matched" or "reference".
+    pub realisation: String,
+    /// What the policy calls itself.
+    pub policy_name: String,
+    /// Its checkpoint.
+    pub policy_checkpoint: String,
+    /// Digest of its checkpoint.
+    pub policy_checkpoint_digest: String,
+    /// Whether it saw privileged simulator state.
+    pub policy_privileged: bool,
+    /// How its queries were batched.
+    pub batch_mode: String,
+    /// Version of the worker's program.
+    pub program_version: String,
+}
+
+/// A rollout that was set aside, and what it last failed with.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SetAside {
+    /// `ID` or `ID#rK`.
+    pub rollout: String,
+    /// The last error, whole.
+    pub last_error: String,
+}
+
+/// How a rollout of a replicate is called: `ID` or `ID#rK`.
+pub fn rollout_name(rollout_id: &str, replicate: u32) -> String {
+    match replicate {
+        0 => rollout_id.to_owned(),
+        k => format!("{rollout_id}#r{k}"),
+    }
+}
+
+impl Subject {
+    /// The campaign's or the file's name.
+    pub fn origin_name(&self) -> &str {
+        match &self.origin {
+            Origin::Campaign { name, .. } | Origin::File { name, .. } => name,
+        }
+    }
+}

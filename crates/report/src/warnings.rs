@@ -1,0 +1,181 @@
+//! What a reader must know before a figure is believed, in words. Pure, and the
+//! same for the same results: no instant, no count of attempts, no worker.
+
+use std::collections::BTreeSet;
+
+use paired::Outcome;
+
+use crate::subject::{Provenance, Subject};
+
+/// The built-in pack, which is another benchmark than LIBERO.
+const PRIMITIVES: &str = "primitives";
+/// Rollouts named in one warning; more are counted.
+const MAX_NAMED: usize = 5;
+/// Digits of a digest that are shown.
+const DIGEST_DIGITS: usize = 12;
+
+/// The warnings about one subject, worst first.
+pub(crate) fn of_subject(subject: &Subject) -> Vec<String> {
+    let provenances = &subject.provenances;
+    let mut warnings = Vec::new();
+    warnings.extend(left_out(subject));
+    for (what, so, of) in MIXTURES {
+        warnings.extend(mixed(provenances, what, so, of));
+    }
+    if provenances.iter().any(|p| p.asset_pack == PRIMITIVES) {
+        warnings.push(format!(
+            "simulated with the built-in `{PRIMITIVES}` asset pack: boxes and cylinders, not \
+             LIBERO's objects; these rates say nothing about LIBERO and compare with no \
+             published figure"
+        ));
+    }
+    if provenances.iter().any(|p| p.policy_privileged) {
+        warnings.push(format!(
+            "policy `{}` is privileged: it was given the simulator's own state, which no real \
+             policy sees; these rates are a check of the set-up, not a measurement of a policy",
+            subject.policy
+        ));
+    }
+    warnings.extend(divergent(subject));
+    warnings.extend(incomplete(subject));
+    warnings
+}
+
+/// The warnings about comparing subjects with one another, worst first.
+pub(crate) fn of_comparison(subjects: &[Subject]) -> Vec<String> {
+    let mut warnings = Vec::new();
+    if subjects.len() < 2 {
+        return warnings;
+    }
+    let realisations: BTreeSet<&str> = subjects
+        .iter()
+        .filter_map(|subject| Some(subject.realisation?.name()))
+        .collect();
+    if realisations.len() > 1 {
+        warnings.push(format!(
+            "the policies were perturbed in different realisation modes ({}): the magnitudes \
+             agree, the random elements do not; compare them with care",
+            realisations.into_iter().collect::<Vec<_>>().join(", ")
+        ));
+    }
+    let comparable = [
+        ("MuJoCo version", "each is another simulator", mujoco as Of),
+        ("asset pack", "each is another benchmark", pack),
+    ];
+    for (what, so, of) in comparable {
+        let values = subjects.iter().flat_map(|s| s.provenances.iter().map(of));
+        let values: BTreeSet<String> = values.collect();
+        if values.len() > 1 {
+            warnings.push(format!(
+                "the policies were measured with more than one {what} ({so}): {}",
+                values.into_iter().collect::<Vec<_>>().join("; ")
+            ));
+        }
+    }
+    warnings
+}
+
+type Of = fn(&Provenance) -> String;
+
+/// What should be one in all results of a campaign, and what it means that it
+/// is not.
+const MIXTURES: [(&str, &str, Of); 6] = [
+    (
+        "MuJoCo version",
+        "never pooled: each is another simulator",
+        mujoco,
+    ),
+    (
+        "asset pack",
+        "never pooled: each is another benchmark",
+        pack,
+    ),
+    ("policy checkpoint", "each is another policy", checkpoint),
+    (
+        "batch mode",
+        "batched queries can change a policy's answers",
+        |p| p.batch_mode.clone(),
+    ),
+    ("renderer", "pictures differ between them", |p| {
+        p.gl_renderer.clone()
+    }),
+    ("program version", "compare with care", |p| {
+        p.program_version.clone()
+    }),
+];
+
+fn mujoco(p: &Provenance) -> String {
+    p.mujoco_version.clone()
+}
+
+fn pack(p: &Provenance) -> String {
+    format!("{} ({})", p.asset_pack, short(&p.asset_pack_digest))
+}
+
+fn checkpoint(p: &Provenance) -> String {
+    let digest = short(&p.policy_checkpoint_digest);
+    format!("{} {} ({digest})", p.policy_name, p.policy_checkpoint)
+}
+
+fn mixed(provenances: &[Provenance], what: &str, so: &str, of: Of) -> Option<String> {
+    let values: BTreeSet<String> = provenances.iter().map(of).collect();
+    (values.len() > 1).then(|| {
+        let values: Vec<String> = values.into_iter().collect();
+        format!(
+            "results of more than one {what} are mixed ({so}): {}",
+            values.join("; ")
+        )
+    })
+}
+
+fn left_out(subject: &Subject) -> Option<String> {
+    let own = subject.realisation?;
+    (subject.left_out > 0).then(|| {
+        format!(
+            "realisation modes are mixed: {} results are of another mode than `{own}`, which \
+             perturbs differently; they are in no figure and count as missing",
+            subject.left_out
+        )
+    })
+}
+
+fn divergent(subject: &Subject) -> Option<String> {
+    let divergent = &subject.divergent;
+    (!divergent.is_empty()).then(|| {
+        format!(
+            "{} rollouts ran twice and came out differently (the first outcome counts): {}",
+            divergent.len(),
+            some_of(divergent)
+        )
+    })
+}
+
+fn incomplete(subject: &Subject) -> Option<String> {
+    let open = subject.records.iter();
+    let open = open
+        .filter(|record| record.outcome == Outcome::Missing)
+        .count();
+    (open > 0).then(|| {
+        format!(
+            "{open} of {} rollouts have no result yet: figures are of what is complete",
+            subject.records.len()
+        )
+    })
+}
+
+/// Some names, and how many more there are.
+pub(crate) fn some_of(names: &[String]) -> String {
+    let mut text = names[..names.len().min(MAX_NAMED)].join("; ");
+    if names.len() > MAX_NAMED {
+        text.push_str(&format!("; and {} more", names.len() - MAX_NAMED));
+    }
+    text
+}
+
+/// The beginning of a digest.
+pub(crate) fn short(digest: &str) -> &str {
+    match digest.get(..DIGEST_DIGITS).unwrap_or(digest) {
+        "" => "no digest",
+        digest => digest,
+    }
+}

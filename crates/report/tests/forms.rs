@@ -1,0 +1,317 @@
+//! The forms of a report: that each says what it should, and that a page needs
+//! nothing but itself.
+
+use std::path::Path;
+
+use paired::{Count, Outcome};
+use parquet::file::reader::{FileReader, SerializedFileReader};
+use report::{
+    Document, Origin, Provenance, SetAside, Subject, figures, import, page, write_csv,
+    write_parquet,
+};
+use serde_json::Value;
+
+fn example() -> Subject {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/openvla_oft");
+    import(Path::new(folder)).expect("the example data")
+}
+
+fn document(subjects: Vec<Subject>) -> Document {
+    Document::new(subjects).expect("no duplicates")
+}
+
+fn provenance(mujoco_version: &str, batch_mode: &str) -> Provenance {
+    Provenance {
+        host: "one".to_owned(),
+        gl_renderer: "llvmpipe".to_owned(),
+        mujoco_version: mujoco_version.to_owned(),
+        asset_pack: "libero".to_owned(),
+        asset_pack_digest: "a".repeat(64),
+        realisation: "matched".to_owned(),
+        policy_name: "servo <b>".to_owned(),
+        policy_checkpoint: "step 7".to_owned(),
+        policy_checkpoint_digest: "c".repeat(64),
+        policy_privileged: false,
+        batch_mode: batch_mode.to_owned(),
+        program_version: "0.1.0".to_owned(),
+    }
+}
+
+/// A campaign with everything wrong that can be: outcomes of the example, some
+/// of them taken away.
+fn broken() -> Subject {
+    let mut subject = example();
+    for (index, record) in subject.records.iter_mut().enumerate() {
+        match index % 97 {
+            0 => record.outcome = Outcome::Quarantined,
+            1 => record.outcome = Outcome::Missing,
+            _ => {}
+        }
+    }
+    let aside = subject
+        .records
+        .iter()
+        .filter(|r| r.outcome == Outcome::Quarantined);
+    Subject {
+        policy: "servo <b>".to_owned(),
+        origin: Origin::Campaign {
+            name: "broken".to_owned(),
+            endpoint: "http://127.0.0.1:1".to_owned(),
+            design: "libero-ctrl-v0.1".to_owned(),
+        },
+        realisation: Some("matched".parse().expect("a mode")),
+        errors: aside
+            .map(|record| SetAside {
+                rollout: record.id.to_string(),
+                last_error: "the simulator said <nothing>".to_owned(),
+            })
+            .collect(),
+        left_out: 3,
+        provenances: vec![
+            provenance("3.3.7", "single"),
+            provenance("3.2.3", "dynamic 8"),
+        ],
+        published_nominal: Some(0.9),
+        reported_nominal: Some(Count {
+            successes: 100,
+            n: 2000,
+        }),
+        ..subject
+    }
+}
+
+/// Three replicates, the later ones with other outcomes here and there.
+fn replicated() -> Subject {
+    let mut subject = example();
+    for replicate in 1..3 {
+        for index in 0..8400 {
+            let mut record = subject.records[index];
+            record.replicate = replicate;
+            if (index + replicate as usize).is_multiple_of(13) {
+                record.outcome = Outcome::from(record.outcome != Outcome::Success);
+            }
+            subject.records.push(record);
+        }
+    }
+    subject
+}
+
+#[test]
+fn json_has_the_measures_of_each_policy_and_level() {
+    let json = document(vec![example()]).json().expect("written");
+    let json: Value = serde_json::from_str(&json).expect("JSON");
+    let levels = json["paired"]["OpenVLA-OFT"].as_object().expect("levels");
+    assert_eq!(levels.keys().collect::<Vec<_>>(), ["L1", "L2", "L3"]);
+    let l2 = &levels["L2"];
+    assert_eq!(
+        (&l2["n"], &l2["b"], &l2["c"]),
+        (&400.into(), &54.into(), &55.into())
+    );
+    assert_eq!(l2["s_axis"]["camera"], 0.875);
+    assert_eq!(
+        (&l2["s_conj"], &l2["s_sim"]),
+        (&0.575.into(), &0.5775.into())
+    );
+    for key in ["s_indep", "d", "i", "r_e", "r_c", "r_d", "mcnemar_p"] {
+        assert!(l2[key].is_f64(), "{key}: {l2}");
+    }
+    for key in ["i_ci95", "r_e_ci95", "r_c_ci95"] {
+        assert_eq!(l2[key].as_array().map(Vec::len), Some(2), "{key}: {l2}");
+    }
+    // The paper's interval, within Monte-Carlo error.
+    let end = |k: usize| 100.0 * l2["i_ci95"][k].as_f64().expect("a number");
+    assert!(
+        (end(0) + 6.0).abs() < 0.6 && (end(1) - 6.51).abs() < 0.6,
+        "{l2}"
+    );
+}
+
+#[test]
+fn policies_of_one_name_are_told_apart() {
+    let document = document(vec![example(), broken(), example()]);
+    let labels: Vec<&str> = document.analyses.iter().map(|a| a.label.as_str()).collect();
+    assert_eq!(
+        labels,
+        [
+            "OpenVLA-OFT (openvla_oft)",
+            "servo <b>",
+            "OpenVLA-OFT (openvla_oft) 2"
+        ]
+    );
+}
+
+#[test]
+fn the_text_fits_a_terminal() {
+    let text = document(vec![example(), broken(), replicated()]).text();
+    for line in text.lines() {
+        assert!(line.chars().count() <= 80, "{line}");
+    }
+    assert!(text.starts_with("! the policies were perturbed in different realisation modes"));
+}
+
+#[test]
+fn a_page_needs_nothing_but_itself() {
+    let page = page(&document(vec![example(), broken(), replicated()]));
+    for foreign in ["<script", "<link", "@import", "src=", "href=", "url("] {
+        assert!(!page.contains(foreign), "the page holds {foreign}");
+    }
+    // Addresses are namespaces and where a policy was, never something to load.
+    let addresses = page.match_indices("http").map(|(at, _)| &page[at..at + 26]);
+    for address in addresses {
+        let known = ["http://www.w3.org/2000/svg", "http://127.0.0.1:1"];
+        assert!(
+            known.iter().any(|known| address.starts_with(known)),
+            "{address}"
+        );
+    }
+    assert!(
+        !page.contains("<b>") && page.contains("servo &lt;b&gt;"),
+        "names are escaped"
+    );
+    assert!(
+        !page.contains("NaN") && !page.contains(">inf"),
+        "numbers are numbers"
+    );
+}
+
+#[test]
+fn a_broken_campaign_is_warned_of_before_any_figure() {
+    let page = page(&document(vec![broken()]));
+    let figures = page.find("<figure").expect("figures");
+    for warning in [
+        "Realisation modes are mixed: 3 results",
+        "Results of more than one MuJoCo version are mixed",
+        "Results of more than one batch mode are mixed",
+        "87 of 8400 rollouts have no result yet",
+        "87 rollouts were set aside",
+    ] {
+        let at = page.find(warning);
+        assert!(at.is_some_and(|at| at < figures), "{warning}");
+    }
+    assert!(
+        !page.contains("The policies were measured with"),
+        "there is one policy"
+    );
+    assert!(page.contains("failed: robustness is not to be interpreted"));
+    assert!(page.contains("Worst and best case"));
+    assert!(page.contains("the simulator said &lt;nothing&gt;"));
+}
+
+#[test]
+fn a_whole_evaluation_is_warned_of_nothing() {
+    assert!(!page(&document(vec![example()])).contains("class=\"warnings\""));
+}
+
+#[test]
+fn a_campaign_without_any_result_makes_a_page_that_says_so() {
+    let mut subject = broken();
+    for record in &mut subject.records {
+        record.outcome = Outcome::Missing;
+    }
+    subject.errors.clear();
+    let document = document(vec![subject]);
+    assert!(page(&document).contains("8400 of 8400 rollouts have no result yet"));
+    assert!(document.json().expect("written").contains("\"L1\": null"));
+}
+
+#[test]
+fn figures_are_well_formed_files_with_units_and_counts() {
+    // Another label, but the same letters.
+    let twin = Subject {
+        policy: "servo {b}".to_owned(),
+        ..broken()
+    };
+    let document = document(vec![example(), broken(), twin, replicated()]);
+    let figures = figures::all(&document);
+    let mut names: Vec<&str> = figures.iter().map(|figure| figure.name.as_str()).collect();
+    for expected in [
+        "single-axis-l1",
+        "decomposition-l2",
+        "directions-l3",
+        "reproduction-gate",
+    ] {
+        assert!(names.contains(&expected), "{names:?}");
+    }
+    for kind in ["matrix-", "replicates-", "flips-"] {
+        assert!(names.iter().any(|name| name.starts_with(kind)), "{names:?}");
+    }
+    for figure in &figures {
+        let file = figure.standalone();
+        let svg = roxmltree::Document::parse(&file);
+        let svg = svg.unwrap_or_else(|error| panic!("{}: {error}", figure.name));
+        let texts = svg.descendants().filter_map(|node| node.text());
+        let texts: String = texts.collect();
+        assert!(!figure.title.is_empty());
+        assert!(
+            texts.contains("n = ") || texts.contains(" of "),
+            "{}",
+            figure.name
+        );
+        assert!(!file.contains("NaN"), "{}", figure.name);
+    }
+    names.sort_unstable();
+    names.dedup();
+    assert_eq!(names.len(), figures.len(), "no file overwrites another");
+}
+
+#[test]
+fn the_same_subjects_give_the_same_bytes_in_any_order_of_their_records() {
+    let mut turned = replicated();
+    turned.records.reverse();
+    let (one, other) = (document(vec![replicated()]), document(vec![turned]));
+    assert!(page(&one) == page(&other));
+    assert_eq!(one.json().expect("written"), other.json().expect("written"));
+}
+
+#[test]
+fn the_csv_table_has_a_row_per_configuration() {
+    let mut bytes = Vec::new();
+    write_csv(&document(vec![example(), broken()]), &mut bytes).expect("written");
+    let mut reader = csv::Reader::from_reader(bytes.as_slice());
+    let header = reader.headers().expect("names").clone();
+    let column = |name: &str| header.iter().position(|n| n == name).expect("a column");
+    let (transition, policy) = (column("transition"), column("policy"));
+    let (level, unresolved) = (column("level"), column("unresolved"));
+    let rows: Vec<csv::StringRecord> = reader.records().collect::<Result<_, _>>().expect("rows");
+    assert_eq!(rows.len(), 2 * 1200);
+    let of_cell = rows
+        .iter()
+        .filter(|r| &r[policy] == "OpenVLA-OFT" && &r[level] == "L2");
+    let count = |what: &str| of_cell.clone().filter(|r| &r[transition] == what).count();
+    assert_eq!((count("emergent"), count("compensated")), (54, 55));
+    let incomplete = rows.iter().filter(|r| r[transition].is_empty());
+    assert!(incomplete.clone().count() > 100);
+    for row in incomplete {
+        assert!(row[unresolved].contains("missing") || row[unresolved].contains("set aside"));
+    }
+}
+
+#[test]
+fn the_parquet_table_reads_back_as_the_csv_table() {
+    let document = document(vec![example(), broken()]);
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("table.parquet");
+    let file = std::fs::File::create(&path).expect("created");
+    write_parquet(&document, file).expect("written");
+    let mut csv_bytes = Vec::new();
+    write_csv(&document, &mut csv_bytes).expect("written");
+    let mut csv = csv::Reader::from_reader(csv_bytes.as_slice());
+
+    let file = std::fs::File::open(&path).expect("opened");
+    let reader = SerializedFileReader::new(file).expect("Parquet");
+    let mut rows = 0;
+    for (row, expected) in reader.get_row_iter(None).expect("rows").zip(csv.records()) {
+        let row = row.expect("a row");
+        let values: Vec<String> = row
+            .get_column_iter()
+            .map(|(_, field)| match field {
+                parquet::record::Field::Null => String::new(),
+                parquet::record::Field::Str(text) => text.clone(),
+                other => other.to_string(),
+            })
+            .collect();
+        assert_eq!(values, expected.expect("a row").iter().collect::<Vec<_>>());
+        rows += 1;
+    }
+    assert_eq!(rows, 2 * 1200);
+}
