@@ -8,6 +8,7 @@ mod demo;
 mod packages;
 mod process;
 mod setup;
+mod skipped;
 mod step;
 mod test;
 mod typescript;

@@ -9,6 +9,7 @@ use anyhow::{Context, Result};
 use crate::cargo::{build_programs, cargo};
 use crate::process::{capture, run as run_command};
 use crate::setup;
+use crate::skipped;
 use crate::step::step;
 use crate::typescript;
 
@@ -42,6 +43,9 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
         tests.env("ROLLOUT_TYPESCRIPT_POLICY", server);
     }
     run_command(&mut tests)?;
+    if nextest {
+        skipped::print(&programs.with_file_name("nextest/default/junit.xml"))?;
+    }
     if filters.is_empty() {
         let mut pytest = Command::new(&python);
         run_command(
