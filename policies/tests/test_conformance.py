@@ -11,6 +11,8 @@ import pytest
 from conftest import Noisy
 
 from rollout_policies import Camera, Description, Policy, State, start
+from rollout_policies.adapters import openvla_oft, predvla, univla
+from rollout_policies.catalogue import entry
 from rollout_policies.examples.colour_servo import ColourServo
 
 
@@ -37,7 +39,57 @@ class Remembering(Policy):
         return np.full(7, observation.episode.memory)
 
 
-@pytest.mark.parametrize("policy", [Noisy(), Batched(), Remembering(), ColourServo()])
+class ComputedOft:
+    """In the place of OpenVLA-OFT's network: brightness and state."""
+
+    parameters = 0
+    proprio_statistics = {"q01": [-1.0] * 8, "q99": [1.0] * 8}
+
+    def chunk(self, scene, wrist, text, state):
+        return np.full((8, 7), (scene.mean() - wrist.mean()) / 255 + state.mean() / 10)
+
+
+class ComputedUnivla:
+    """In the place of UniVLA's networks: chance, brightness and the prompt."""
+
+    parameters = 0
+
+    def chunk(self, pixels, text, seed):
+        rng = np.random.default_rng([seed, pixels.sum(), *text.encode()])
+        return rng.uniform(-1, 1, (12, 7)), (32001 + rng.integers(0, 32, 4)).tolist()
+
+
+class ComputedPredvla:
+    """In the place of PredVLA's networks: a running mean."""
+
+    parameters, stride = 0, 4
+
+    def begin(self, instruction):
+        return [len(instruction) / 100]
+
+    def step(self, correction, joints, frames):
+        seen = 0.0 if frames is None else frames[0].mean() / 255
+        correction.append((correction[-1] + seen + joints.mean() / 10) / 3)
+        return np.full(7, correction[-1])
+
+
+def around_computed_networks():
+    """Adapters of policies whose upstream no registry has. The check asks about
+    a task of libero_object."""
+    served = {"suite": "libero_object", "checkpoint": "none: computed in the network's place"}
+    bounds = {"q01": [-1.0] * 7, "q99": [1.0] * 7, "mask": [True] * 6 + [False]}
+    return [
+        openvla_oft.OpenVlaOft(entry("openvla-oft"), ComputedOft(), **served),
+        univla.UniVla(entry("univla"), ComputedUnivla(), bounds, **served),
+        predvla.PredVla(entry("predvla"), ComputedPredvla(), **served),
+    ]
+
+
+@pytest.mark.parametrize(
+    "policy",
+    [Noisy(), Batched(), Remembering(), ColourServo(), *around_computed_networks()],
+    ids=lambda policy: policy.description.name,
+)
 def test_a_server_of_this_package_conforms(policy):
     program = os.environ.get("POLICY_GATEWAY")
     if program is None:

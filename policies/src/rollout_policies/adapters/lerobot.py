@@ -30,8 +30,6 @@ CAMERAS = (Camera("agentview"), Camera("robot0_eye_in_hand"))
 FIELDS = STATE_FIELDS
 #: Tensors up to this size are compared with the file after loading.
 COMPARED_NUMBERS = 1 << 20
-#: Attributes of a torch module that are the network's and not an episode's.
-NETWORK = ("training", "config", "model")
 
 
 def camera_of_slot(slots: Sequence[str]) -> dict[str, str]:
@@ -155,12 +153,14 @@ class LerobotModel:
         torch.manual_seed(seed)
 
     def fresh_memory(self) -> dict[str, Any]:
-        """What the network keeps between the queries of an episode, new."""
+        """What the network keeps between the queries of an episode, new: all of
+        its attributes but the weights and the configuration."""
+        import torch
+
         self.network.reset()
         kept = vars(self.network)
-        return copy.deepcopy(
-            {key: kept[key] for key in kept if key not in _module_attributes() + NETWORK}
-        )
+        others = {"config", *vars(torch.nn.Module())}
+        return copy.deepcopy({key: kept[key] for key in kept if key not in others})
 
     def act(self, observation: Observation, memory: dict[str, Any]) -> np.ndarray:
         """The next action [7] of an episode, whose memory is advanced.
@@ -186,13 +186,6 @@ class LerobotModel:
                 for key, value in batch.items()
             }
         )
-
-
-def _module_attributes() -> tuple[str, ...]:
-    """Attributes that every torch module has."""
-    import torch
-
-    return tuple(vars(torch.nn.Module()))
 
 
 def _fetch(name: str, entry: Entry) -> str:

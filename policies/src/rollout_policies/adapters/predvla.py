@@ -40,6 +40,8 @@ CORRECTION = {
     "er_lambda_q": 1.0,
     "a_init": "prior",
 }
+#: How many compiled variants of a step torch may keep, as upstream sets it.
+COMPILED_VARIANTS = 32
 
 
 def frame(raw: np.ndarray) -> np.ndarray:
@@ -164,6 +166,10 @@ def load(entry: Entry, options: Options) -> Policy:
     # Four hundred steps of a small network per action: compiled, it is several
     # times faster; upstream does so on this kind of device only.
     compiled = options.device.startswith("cuda")
+    if compiled:
+        # With and without gradients, with and without states; beyond the usual
+        # limit, torch would go back to the slow way without a word.
+        torch._dynamo.config.cache_size_limit = COMPILED_VARIANTS
     model = PredvlaModel(
         network,
         front,
