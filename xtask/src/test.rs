@@ -52,7 +52,8 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
         run_command(
             pytest
                 .args(["-m", "pytest", "--quiet", "-p", "no:cacheprovider"])
-                .arg(root.join("policies/tests")),
+                .arg(root.join("policies/tests"))
+                .env("POLICY_GATEWAY", programs.join("policy-gateway")),
         )?;
     }
     Ok(())
