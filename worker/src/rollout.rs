@@ -4,6 +4,7 @@
 //! policy will look at it. Knows no coordinator: what a rollout is for, who acts
 //! in it and who is told about it, is the caller's.
 
+use std::borrow::Cow;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -56,6 +57,17 @@ impl<'a> Stage<'a> {
         match &self.files {
             None => self.simulator.begin(row, realisation),
             Some(files) => self.simulator.begin_with(files.clone(), row, realisation),
+        }
+    }
+
+    /// What a policy is told to do: the row's words. One that knows the canonical
+    /// instructions by heart, and no other wording, is told those: the language
+    /// axis is the identity for it, and not an error in every rollout.
+    fn instruction<'r>(&self, row: &'r ManifestRow, description: &Description) -> Cow<'r, str> {
+        let by_heart = description.about.language() == wire::Language::CanonicalOnly;
+        match &self.files {
+            None if by_heart => Cow::Owned(row.id.task().instruction()),
+            _ => Cow::Borrowed(&row.instruction),
         }
     }
 
@@ -212,6 +224,7 @@ impl Run<'_> {
             row, realisation, ..
         } = self.assignment;
         let started = Instant::now();
+        let instruction = stage.instruction(row, self.description);
         let mut episode = stage
             .begin(row, *realisation)
             .map_err(|source| self.simulator_failed(source))?;
@@ -225,7 +238,7 @@ impl Run<'_> {
         self.actor.reset(
             self.assignment.episode(),
             suite.name(),
-            &row.instruction,
+            &instruction,
             self.assignment.policy_seed,
         )?;
         let success = self.act(&mut episode)?;

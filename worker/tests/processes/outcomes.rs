@@ -1,6 +1,7 @@
 //! Rollouts that have an outcome.
 
 use proto::coordinator::release_request::Reason;
+use protocol::ManifestRow;
 
 use crate::scripted_coordinator::{ScriptedCoordinator, Told};
 use crate::scripted_policy::{FRAME_SIDE, HORIZON, ScriptedPolicy};
@@ -88,6 +89,42 @@ async fn a_policy_is_shown_what_it_wants_once_per_query() {
         assert_eq!(widths, [3, 3, 2]);
         assert!(shown.privileged.is_none());
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_policy_that_knows_canonical_instructions_only_is_told_no_paraphrase() {
+    if !ready("a_policy_that_knows_canonical_instructions_only_is_told_no_paraphrase") {
+        return;
+    }
+    let coordinator = ScriptedCoordinator::start().await;
+    let policy = ScriptedPolicy::start().await;
+    for (job, name) in [(1, "looking"), (2, "by-heart")] {
+        let mut lease = lease(job, name, &policy.url());
+        let mut row: ManifestRow = serde_json::from_str(&lease.manifest_row).expect("a row");
+        row.instruction = "kindly put the soup into the basket".to_owned();
+        lease.manifest_row = serde_json::to_string(&row).expect("JSON");
+        coordinator.lease(lease);
+    }
+    let _worker = WorkerProcess::start(&coordinator.url());
+    for number in 1..=2 {
+        coordinator.told(number).await.commit();
+    }
+    let asked = policy.asked.lock().expect("unpoisoned");
+    let told: Vec<_> = asked
+        .resets
+        .iter()
+        .map(|reset| (reset.policy.as_str(), reset.instruction.as_str()))
+        .collect();
+    assert_eq!(
+        told,
+        [
+            ("looking", "kindly put the soup into the basket"),
+            (
+                "by-heart",
+                "pick up the alphabet soup and place it in the basket"
+            ),
+        ]
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]

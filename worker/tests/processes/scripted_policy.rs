@@ -101,6 +101,7 @@ impl Policy for Service {
             "unknown" => return Err(Status::not_found("no such policy here")),
             "of-another-version" => about.protocol_version += 1,
             "hungry" => about.execute = HORIZON + 1,
+            "by-heart" => about.language = Language::CanonicalOnly as i32,
             "looking" => {
                 about.cameras = ["agentview", "robot0_eye_in_hand"].map(camera).to_vec();
                 about.state = [
