@@ -132,8 +132,7 @@ def smolvla(folder: Path) -> None:
 
 @contextlib.contextmanager
 def small_pi05() -> Iterator[None]:
-    """lerobot fixes π0.5's sizes in its code; inside this, they are small. What
-    stays large is the vocabulary, of half a billion numbers."""
+    """lerobot fixes π0.5's sizes in its code; inside this, they are small."""
     from lerobot.policies.pi05 import modeling_pi05 as upstream
     from transformers import CONFIG_MAPPING
 
@@ -142,16 +141,21 @@ def small_pi05() -> Iterator[None]:
         config.vision_config.num_hidden_layers = 2
         return config
 
+    def with_few_words(made: Callable[..., Any]) -> Callable[..., Any]:
+        def make(config: Any) -> Any:
+            config.get_text_config().vocab_size = 512
+            return made(config=config)
+
+        return make
+
     widths = {"gemma_2b": 2048, "gemma_300m": 256}
-    configs = {"paligemma": small_paligemma, "gemma": CONFIG_MAPPING["gemma"]}
-    with (
-        mock.patch.object(
-            upstream,
-            "get_gemma_config",
-            lambda variant: upstream.GemmaConfig(widths[variant], 2, 512, 8, 1, 256),
-        ),
-        mock.patch.object(upstream, "CONFIG_MAPPING", configs),
-    ):
+    replacements = {
+        "get_gemma_config": lambda kind: upstream.GemmaConfig(widths[kind], 2, 512, 8, 1, 256),
+        "CONFIG_MAPPING": {"paligemma": small_paligemma, "gemma": CONFIG_MAPPING["gemma"]},
+    }
+    for name in ("PaliGemmaForConditionalGenerationWithPiGemma", "PiGemmaForCausalLM"):
+        replacements[name] = with_few_words(getattr(upstream, name))
+    with mock.patch.multiple(upstream, **replacements):
         yield
 
 
@@ -164,7 +168,6 @@ def pi05(folder: Path) -> None:
     config = PI05Config(
         chunk_size=10,
         n_action_steps=10,
-        dtype="bfloat16",
         input_features={
             "observation.images.image": visual(),
             "observation.images.image2": visual(),

@@ -77,9 +77,11 @@ class LerobotModel:
     checkpoint_digest: str
 
     @classmethod
-    def load(cls, entry: Entry, options: Options, **settings: Any) -> LerobotModel:
-        """Loads a checkpoint from a folder or a hub; `settings` replace what
-        its configuration says."""
+    def load(
+        cls, entry: Entry, options: Options, *, kind: str | None = None, **settings: Any
+    ) -> LerobotModel:
+        """Loads a checkpoint from a folder or a hub, which must be of this kind
+        of lerobot's; `settings` replace what its configuration says."""
         name = options.checkpoint or entry.checkpoint_for(options.suite)
         configs = require("lerobot.configs.policies", entry)
         factory = require("lerobot.policies.factory", entry)
@@ -87,12 +89,13 @@ class LerobotModel:
         config = configs.PreTrainedConfig.from_pretrained(folder)
         config.device = options.device
         config.pretrained_path = folder
+        unknown = [field for field in settings if not hasattr(config, field)]
+        if unknown or kind not in (None, config.type):
+            raise UnusableCheckpoint(
+                f"checkpoint {name} is a policy of kind {config.type!r}, not {entry.title};"
+                " name another with --checkpoint"
+            )
         for field, value in settings.items():
-            if not hasattr(config, field):
-                raise UnusableCheckpoint(
-                    f"checkpoint {name} is a {config.type!r} policy without {field!r};"
-                    f" is it one of {entry.title}?"
-                )
             setattr(config, field, value)
         network = factory.get_policy_class(config.type).from_pretrained(folder, config=config)
         network.to(options.device).eval()

@@ -22,5 +22,5 @@ EXECUTE = 10
 
 def load(entry: Entry, options: Options) -> Policy:
     """Loads the checkpoint; see `rollout_policies.adapters.load`."""
-    model = LerobotModel.load(entry, options, n_action_steps=EXECUTE)
+    model = LerobotModel.load(entry, options, kind="pi05", n_action_steps=EXECUTE)
     return FlowPolicy(entry, model, execute=EXECUTE, max_batch=options.max_batch)

@@ -38,5 +38,7 @@ class VlaJepa(FlowPolicy):
 def load(entry: Entry, options: Options) -> Policy:
     """Loads the checkpoint; see `rollout_policies.adapters.load`."""
     # The world model is there to train with; without it nothing else is fetched.
-    model = LerobotModel.load(entry, options, n_action_steps=EXECUTE, enable_world_model=False)
+    model = LerobotModel.load(
+        entry, options, kind="vla_jepa", n_action_steps=EXECUTE, enable_world_model=False
+    )
     return VlaJepa(entry, model, execute=EXECUTE)
