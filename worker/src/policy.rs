@@ -127,6 +127,8 @@ pub struct Episode<'a> {
     pub policy: &'a str,
     /// The episode's name.
     pub session: &'a str,
+    /// Its suite, of which a policy may have a checkpoint of its own.
+    pub suite: &'a str,
     /// Longest wait for one answer.
     pub deadline: Duration,
 }
@@ -202,6 +204,7 @@ impl Actor for PolicyClient {
         let request = DescribeRequest {
             protocol_version: PROTOCOL_VERSION,
             policy: episode.policy.to_owned(),
+            suite: episode.suite.to_owned(),
         };
         let mut grpc = self.grpc.clone();
         let about = self

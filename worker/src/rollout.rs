@@ -346,6 +346,7 @@ impl Assignment {
         policy::Episode {
             policy: &self.policy,
             session: self.session.as_str(),
+            suite: self.row.id.task().suite().name(),
             deadline: self.policy_deadline,
         }
     }
