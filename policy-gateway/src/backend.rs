@@ -7,6 +7,11 @@ use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest}
 use thiserror::Error;
 use tonic::{Code, Status};
 
+use crate::{
+    check::{ActionFault, DescriptionFault},
+    health::Cause,
+};
+
 pub mod builtin;
 pub mod grpc;
 
@@ -14,11 +19,12 @@ pub mod grpc;
 /// caller's name of the route and means nothing to a back-end.
 #[tonic::async_trait]
 pub trait Backend: fmt::Display + Send + Sync {
-    /// What the policy is and wants to see. Speaks [`proto::PROTOCOL_VERSION`].
+    /// What the policy is and wants to see, with the checkpoint for `suite` if
+    /// it has several. Speaks [`proto::PROTOCOL_VERSION`].
     ///
     /// # Errors
     /// As every method here: [`BackendError`].
-    async fn describe(&self) -> Result<DescribeResponse, BackendError>;
+    async fn describe(&self, suite: &str) -> Result<DescribeResponse, BackendError>;
 
     /// Starts an episode; one that is open is started anew.
     ///
@@ -48,24 +54,54 @@ pub enum BackendError {
         /// The innermost cause, as the transport says it.
         reason: String,
     },
-    /// It could not be reached a moment ago.
-    #[error(
-        "the policy server at {address} cannot be reached; it is tried again in {:.1} s",
-        retry_in.as_secs_f64()
-    )]
-    BackingOff {
-        /// host:port.
-        address: String,
+    /// It is out, and only a probe goes through.
+    #[error("{backend} {cause}; it is tried again in {:.1} s", retry_in.as_secs_f64())]
+    Out {
+        /// As configured.
+        backend: String,
+        /// Why.
+        cause: Cause,
         /// Until the next attempt.
         retry_in: Duration,
     },
     /// Connected, but silent.
-    #[error("the policy server at {address} did not answer within {} s", limit.as_secs())]
+    #[error("{backend} did not answer within {:.1} s", limit.as_secs_f64())]
     TimedOut {
-        /// host:port.
-        address: String,
+        /// As configured.
+        backend: String,
         /// How long it was given.
         limit: Duration,
+    },
+    /// An error that says more of the server than of the query.
+    #[error("{backend} is out, because it {cause}")]
+    Sick {
+        /// As configured.
+        backend: String,
+        /// What is wrong with it.
+        cause: Cause,
+    },
+    /// It describes itself as nothing that can be run.
+    #[error("policy {policy:?} describes itself wrongly: {fault}")]
+    Description {
+        /// The policy's own name.
+        policy: String,
+        /// What is wrong.
+        fault: DescriptionFault,
+    },
+    /// It describes itself otherwise than before, or than its replicas.
+    #[error(
+        "it {difference}; put the same weights everywhere, then reload the gateway's \
+         configuration (SIGHUP)"
+    )]
+    Disagrees {
+        /// Since when or from whom, and in what.
+        difference: String,
+    },
+    /// It answered nonsense.
+    #[error("{fault}")]
+    Nonsense {
+        /// What is wrong.
+        fault: ActionFault,
     },
     /// It answered with an error of its own.
     #[error("the policy server at {address} answered {:?}: {}", status.code(), status.message())]
@@ -113,17 +149,34 @@ impl BackendError {
     /// The gRPC code that says it to a worker.
     pub fn code(&self) -> Code {
         match self {
-            Self::Unreachable { .. } | Self::BackingOff { .. } | Self::SessionLost => {
-                Code::Unavailable
-            }
+            Self::Unreachable { .. }
+            | Self::Out { .. }
+            | Self::Sick { .. }
+            | Self::Disagrees { .. }
+            | Self::SessionLost => Code::Unavailable,
             Self::TimedOut { .. } => Code::DeadlineExceeded,
             // An exception that a server let through, in most languages.
             Self::Refused { status, .. } if status.code() == Code::Unknown => Code::Internal,
             Self::Refused { status, .. } => status.code(),
             Self::Version { .. } | Self::OutOfOrder { .. } => Code::FailedPrecondition,
-            Self::Policy { .. } => Code::Internal,
+            Self::Policy { .. } | Self::Description { .. } | Self::Nonsense { .. } => {
+                Code::Internal
+            }
         }
     }
+
+    /// Whether the infrastructure failed, not this query.
+    pub fn is_outage(&self) -> bool {
+        is_outage(self.code())
+    }
+}
+
+/// Whether a gRPC code says that the infrastructure failed.
+pub fn is_outage(code: Code) -> bool {
+    matches!(
+        code,
+        Code::Unavailable | Code::DeadlineExceeded | Code::ResourceExhausted
+    )
 }
 
 /// The last error of a chain, which is the one that names the cause.

@@ -91,6 +91,31 @@ pub fn description(described: &DescribeResponse) -> Result<(), DescriptionFault>
     Ok(())
 }
 
+/// The first thing in which two descriptions differ, in words. How large a batch
+/// a replica takes is its own affair.
+pub fn difference(one: &DescribeResponse, other: &DescribeResponse) -> Option<String> {
+    let said = |it: &DescribeResponse| {
+        [
+            ("name", it.name.clone()),
+            ("checkpoint digest", it.checkpoint_digest.clone()),
+            ("checkpoint", it.checkpoint.clone()),
+            ("parameter count", it.parameters.to_string()),
+            ("horizon", it.horizon.to_string()),
+            ("execute", it.execute.to_string()),
+            ("cameras", format!("{:?}", it.cameras)),
+            ("robot readings", format!("{:?}", it.state)),
+            ("stateful", it.stateful.to_string()),
+            ("stochastic", it.stochastic.to_string()),
+            ("language", it.language.to_string()),
+            ("privileged", it.privileged.to_string()),
+        ]
+    };
+    let mut pairs = said(one).into_iter().zip(said(other));
+    pairs
+        .find(|((_, was), (_, is))| was != is)
+        .map(|((what, was), (_, is))| format!("its {what} is {is:?}, not {was:?}"))
+}
+
 /// Why an answer is not a chunk of actions.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum ActionFault {

@@ -1,7 +1,9 @@
-//! What a gateway is told at its start: its routes. Responsible for reading
-//! them and for refusing what cannot be meant, before anything is opened.
+//! What a gateway is told: its routes. Responsible for refusing what cannot be
+//! meant, before anything is opened; [`file`] reads them from TOML.
 
-use std::{fmt, str::FromStr};
+use std::{collections::BTreeMap, fmt, path::PathBuf, str::FromStr, time::Duration};
+
+use serde::Deserialize;
 
 use thiserror::Error;
 
@@ -10,6 +12,8 @@ use crate::{
     builtin::{Builtin, UnknownBuiltin},
 };
 
+pub mod file;
+
 /// HTTP/2 window of one call, bytes: an observation of two 256×256 frames fits
 /// twenty times, so that no call waits for a window update.
 pub const STREAM_WINDOW_BYTES: u32 = 8 << 20;
@@ -17,6 +21,12 @@ pub const STREAM_WINDOW_BYTES: u32 = 8 << 20;
 pub const CONNECTION_WINDOW_BYTES: u32 = 32 << 20;
 /// Longest route name, bytes.
 pub const MAX_ROUTE_NAME_BYTES: usize = 64;
+
+/// Replicas of one checkpoint.
+pub const MAX_REPLICAS: usize = 64;
+/// Longest wait for an answer, unless a route says otherwise: shorter than a
+/// worker's, so that it is the gateway that notices a silent server.
+pub const DEFAULT_ANSWER_WITHIN: Duration = Duration::from_secs(50);
 
 /// The routes of a gateway: at least one, each name once.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -42,6 +52,7 @@ impl Config {
                     name: route.name.clone(),
                 });
             }
+            route.check()?;
         }
         Ok(Self { routes })
     }
@@ -52,25 +63,82 @@ impl Config {
     }
 }
 
-/// One route as written: `NAME=BACKEND`.
+/// One route. As a flag: `NAME=BACKEND`, or `NAME=BACKEND,BACKEND` for
+/// replicas.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RouteSpec {
     /// What a request's `policy` says.
     pub name: RouteName,
     /// What answers.
-    pub backend: BackendSpec,
+    pub checkpoints: CheckpointSpecs,
+    /// How queries reach a server.
+    pub batching: Batching,
+    /// Longest wait for an answer.
+    pub answer_within: Duration,
+}
+
+/// The replicas that answer for a route.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum CheckpointSpecs {
+    /// One checkpoint for all suites.
+    One(Vec<BackendSpec>),
+    /// A checkpoint per suite, by the suite's name.
+    PerSuite(BTreeMap<String, Vec<BackendSpec>>),
+}
+
+/// How queries reach a server.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Batching {
+    /// One by one, at the replica with the least to do.
+    #[default]
+    Single,
+    /// One by one, and all sessions of a seed at the same replica: for policies
+    /// whose low-order bits depend on either.
+    Deterministic,
+}
+
+impl RouteSpec {
+    fn check(&self) -> Result<(), ConfigError> {
+        let name = || self.name.clone();
+        let pools: Vec<&[BackendSpec]> = match &self.checkpoints {
+            CheckpointSpecs::One(replicas) => vec![replicas],
+            CheckpointSpecs::PerSuite(suites) => suites.values().map(Vec::as_slice).collect(),
+        };
+        if pools.is_empty() || pools.iter().any(|replicas| replicas.is_empty()) {
+            return Err(ConfigError::NoReplica { name: name() });
+        }
+        for replicas in pools {
+            if replicas.len() > MAX_REPLICAS {
+                return Err(ConfigError::TooManyReplicas { name: name() });
+            }
+            for (at, replica) in replicas.iter().enumerate() {
+                if replicas[..at].contains(replica) {
+                    return Err(ConfigError::ReplicaTwice {
+                        name: name(),
+                        replica: replica.to_string(),
+                    });
+                }
+            }
+        }
+        Ok(())
+    }
 }
 
 impl FromStr for RouteSpec {
     type Err = ConfigError;
 
     fn from_str(text: &str) -> Result<Self, ConfigError> {
-        let (name, backend) = text.split_once('=').ok_or_else(|| ConfigError::Form {
+        let (name, replicas) = text.split_once('=').ok_or_else(|| ConfigError::Form {
             text: text.to_owned(),
         })?;
+        let name = name.parse()?;
+        let replicas = replicas.split(',').map(str::parse);
         Ok(Self {
-            name: name.parse()?,
-            backend: backend.parse()?,
+            name,
+            checkpoints: CheckpointSpecs::One(replicas.collect::<Result<_, _>>()?),
+            batching: Batching::default(),
+            answer_within: DEFAULT_ANSWER_WITHIN,
         })
     }
 }
@@ -132,12 +200,81 @@ impl FromStr for BackendSpec {
     }
 }
 
+impl fmt::Display for BackendSpec {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Builtin(builtin) => builtin.fmt(f),
+            Self::Grpc(address) => address.fmt(f),
+        }
+    }
+}
+
 /// Why routes cannot be served. Reads after "failed to …".
 #[derive(Debug, Error)]
 pub enum ConfigError {
     /// Nothing to serve.
-    #[error("find a route: give at least one --route NAME=BACKEND")]
+    #[error("find a route: give at least one --route NAME=BACKEND, or a [policy.NAME] in --config")]
     NoRoute,
+    /// A file that cannot be read.
+    #[error("read {path:?}")]
+    Unreadable {
+        /// Which.
+        path: PathBuf,
+        /// Why not.
+        source: std::io::Error,
+    },
+    /// A file that is no configuration.
+    #[error("read {path:?} as a gateway's configuration")]
+    Toml {
+        /// Which.
+        path: PathBuf,
+        /// Where and what.
+        source: Box<toml::de::Error>,
+    },
+    /// Something in a file that cannot be meant.
+    #[error("use {path:?}")]
+    InFile {
+        /// Which.
+        path: PathBuf,
+        /// What.
+        source: Box<ConfigError>,
+    },
+    /// Nobody to answer.
+    #[error(
+        "find a server for policy {name}: give `replicas`, or a `suites` table, each with one at least"
+    )]
+    NoReplica {
+        /// Name of the route.
+        name: RouteName,
+    },
+    /// Both ways of naming servers.
+    #[error("choose between `replicas` and `suites` of policy {name}: give one of them")]
+    BothKinds {
+        /// Name of the route.
+        name: RouteName,
+    },
+    /// More than anybody has.
+    #[error("take more than {MAX_REPLICAS} replicas of one checkpoint of policy {name}")]
+    TooManyReplicas {
+        /// Name of the route.
+        name: RouteName,
+    },
+    /// The same server as two replicas.
+    #[error("tell two replicas of policy {name} apart: {replica} is given twice")]
+    ReplicaTwice {
+        /// Name of the route.
+        name: RouteName,
+        /// As written.
+        replica: String,
+    },
+    /// No time to answer.
+    #[error("use answer_within_secs = {secs} of policy {name}: take a positive number up to 3600")]
+    AnswerWithin {
+        /// Name of the route.
+        name: RouteName,
+        /// As written.
+        secs: f64,
+    },
     /// Not `NAME=BACKEND`.
     #[error("read route {text:?}: write NAME=BACKEND, for example expert=builtin:expert")]
     Form {
@@ -190,6 +327,7 @@ mod tests {
         check("x=builtin:nope", "noop and expert");
         check("x=ws://host:1", "grpc://HOST:PORT or builtin:NAME");
         check("x=grpc://host", "grpc://HOST:PORT");
+        check("x=grpc://host:1,", "grpc://HOST:PORT");
     }
 
     #[test]
@@ -198,6 +336,9 @@ mod tests {
         assert!(matches!(Config::new(vec![]), Err(ConfigError::NoRoute)));
         let twice = vec![route("x=builtin:noop"), route("x=grpc://h:1")];
         assert!(matches!(Config::new(twice), Err(ConfigError::Twice { .. })));
+        let same = vec![route("x=grpc://h:1,grpc://h:1")];
+        let error = Config::new(same).expect_err("one server twice");
+        assert!(error.to_string().contains("grpc://h:1 is given twice"));
         let two = vec![route("x=builtin:noop"), route("y=grpc://h:1")];
         assert_eq!(Config::new(two.clone()).expect("two routes").routes(), two);
     }

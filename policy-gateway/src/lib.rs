@@ -14,16 +14,16 @@ use tonic::transport::server::TcpIncoming;
 use transport::{Demand, Role, Security, SecurityError};
 
 use crate::{
-    config::{CONNECTION_WINDOW_BYTES, Config, STREAM_WINDOW_BYTES},
+    config::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES},
     service::Gateway,
 };
 
 pub mod backend;
-pub mod backoff;
 pub mod builtin;
 pub mod check;
 pub mod config;
 pub mod conformance;
+pub mod health;
 pub mod route;
 pub mod service;
 pub mod sessions;
@@ -39,12 +39,12 @@ pub const SHUTDOWN_GRACE: Duration = Duration::from_secs(10);
 /// # Errors
 /// When an address cannot be used or the listener fails.
 pub async fn run(
-    config: Config,
+    gateway: Gateway,
     security: &Security,
     listener: TcpListener,
     shutdown: impl Future<Output = ()>,
 ) -> Result<(), RunError> {
-    let policies = PolicyServer::new(Gateway::new(&config)?)
+    let policies = PolicyServer::new(gateway)
         .max_decoding_message_size(proto::MAX_MESSAGE_BYTES)
         .max_encoding_message_size(proto::MAX_MESSAGE_BYTES);
     let (health, health_service) = tonic_health::server::health_reporter();

@@ -6,18 +6,21 @@
 use std::{
     io::{Write, stdout},
     net::SocketAddr,
+    path::{Path, PathBuf},
     process::ExitCode,
 };
 
 use anyhow::Context;
 use clap::{Args, CommandFactory, Parser, Subcommand, error::ErrorKind};
 use policy_gateway::{
-    config::{Config, RouteSpec},
+    config::{self, Config, RouteSpec},
     conformance::{self, Target},
+    service::Gateway,
 };
 use tokio::{
     net::TcpListener,
-    signal::unix::{SignalKind, signal},
+    signal::unix::{Signal, SignalKind, signal},
+    task::JoinSet,
 };
 use tracing_subscriber::EnvFilter;
 use transport::{ClientArguments, Role, Security, SecurityError, ServerArguments};
@@ -44,9 +47,20 @@ struct Serve {
     listen: SocketAddr,
 
     /// A policy's name and what answers for it: grpc://HOST:PORT[/POLICY],
-    /// builtin:noop or builtin:expert (repeatable)
-    #[arg(long = "route", value_name = "NAME=BACKEND", required = true)]
+    /// builtin:noop or builtin:expert, or several replicas with commas between
+    /// (repeatable)
+    #[arg(
+        long = "route",
+        value_name = "NAME=BACKEND",
+        required_unless_present = "config",
+        conflicts_with = "config"
+    )]
     routes: Vec<RouteSpec>,
+
+    /// A file of policies, their replicas and checkpoints per suite; SIGHUP
+    /// reads it again
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
 
     #[command(flatten)]
     security: ServerArguments,
@@ -83,18 +97,25 @@ fn main() -> ExitCode {
             access,
         }) => check(url, policy, &access),
         None => {
-            let listen = arguments.serve.listen;
-            let security = arguments.serve.security.security(listen);
+            let Serve {
+                listen,
+                routes,
+                config: file,
+                security,
+            } = arguments.serve;
+            let security = security.security(listen);
             let unguarded = matches!(security, Err(SecurityError::Unguarded { .. }));
             let security = match security {
                 Err(error) if unguarded => usage_error(&error),
                 security => security,
             };
-            let config =
-                Config::new(arguments.serve.routes).unwrap_or_else(|error| usage_error(&error));
+            let config = match &file {
+                Some(file) => config::file::read(file).map_err(anyhow::Error::from),
+                None => Ok(Config::new(routes).unwrap_or_else(|error| usage_error(&error))),
+            };
             security
                 .map_err(anyhow::Error::from)
-                .and_then(|security| serve(listen, config, &security))
+                .and_then(|security| serve(listen, &config?, file, &security))
                 .map(|()| ExitCode::SUCCESS)
         }
     };
@@ -137,7 +158,19 @@ async fn check(url: String, policy: String, access: &ClientArguments) -> anyhow:
 }
 
 #[tokio::main]
-async fn serve(listen: SocketAddr, config: Config, security: &Security) -> anyhow::Result<()> {
+async fn serve(
+    listen: SocketAddr,
+    config: &Config,
+    file: Option<PathBuf>,
+    security: &Security,
+) -> anyhow::Result<()> {
+    let gateway = Gateway::new(config)?;
+    // Ends with this function.
+    let mut reloading = JoinSet::new();
+    if let Some(file) = file {
+        let hangups = signal(SignalKind::hangup()).context("listen for SIGHUP")?;
+        reloading.spawn(reload(gateway.clone(), file, hangups));
+    }
     let mut terminate = signal(SignalKind::terminate()).context("listen for SIGTERM")?;
     let mut interrupt = signal(SignalKind::interrupt()).context("listen for SIGINT")?;
     let listener = TcpListener::bind(listen)
@@ -160,5 +193,21 @@ async fn serve(listen: SocketAddr, config: Config, security: &Security) -> anyho
         }
         tracing::info!("stopping: letting the queries under way finish");
     };
-    Ok(policy_gateway::run(config, security, listener, shutdown).await?)
+    Ok(policy_gateway::run(gateway, security, listener, shutdown).await?)
+}
+
+/// Reads the configuration again at every hang-up. One that cannot be used
+/// changes nothing.
+async fn reload(gateway: Gateway, file: PathBuf, mut hangups: Signal) {
+    let read_again = |file: &Path| -> anyhow::Result<usize> {
+        let config = config::file::read(file)?;
+        gateway.reload(&config)?;
+        Ok(config.routes().len())
+    };
+    while hangups.recv().await.is_some() {
+        match read_again(&file) {
+            Ok(policies) => tracing::info!(policies, "read {} again", file.display()),
+            Err(error) => tracing::error!("going on as before: failed to {error:#}"),
+        }
+    }
 }

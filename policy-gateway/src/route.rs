@@ -1,24 +1,33 @@
-//! One route: a name, the back-end that answers for it, and what the gateway
-//! adds, which is the same for all back-ends: retries of a session's last
-//! query get the same answer, answers are checked, and queries in flight are
-//! bounded.
+//! One route: a name, the checkpoints behind it, and the sessions that it has
+//! open. Responsible for what is the same whatever answers: a session stays
+//! with the pool it was opened in, retries of its last query get the same
+//! answer, a query whose replica is lost goes to another where the policy
+//! allows it, and queries in flight are bounded.
 
 use std::{
-    error::Error as _,
-    sync::{Arc, Mutex, PoisonError},
+    collections::BTreeMap,
+    sync::{
+        Arc, Mutex, PoisonError, RwLock,
+        atomic::{AtomicBool, Ordering},
+    },
 };
 
 use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
-use thiserror::Error;
-use tokio::sync::{RwLock, Semaphore};
-use tonic::{Code, Status};
+use tokio::sync::Semaphore;
 
+use self::{pool::Pool, replica::Replica};
 use crate::{
-    backend::{Backend, BackendError, builtin::BuiltinBackend, grpc::GrpcBackend},
-    check::{self, ActionFault, DescriptionFault},
-    config::{BackendSpec, RouteName, RouteSpec},
+    backend::BackendError,
+    config::{CheckpointSpecs, RouteName, RouteSpec},
+    health::Call,
     sessions::{MAX_SESSION_BYTES, MAX_SESSIONS, SessionTable},
 };
+
+mod error;
+pub mod pool;
+pub mod replica;
+
+pub use error::RouteError;
 
 /// Queries of one route that may wait for their answers at once; more are
 /// refused, so that a stalled server does not fill the memory with frames.
@@ -27,16 +36,36 @@ pub const MAX_QUERIES_IN_FLIGHT: usize = 1024;
 /// A name and what answers for it.
 pub struct Route {
     name: RouteName,
-    backend: Box<dyn Backend>,
-    /// What the policy last said of itself.
-    described: RwLock<Option<Arc<DescribeResponse>>>,
-    sessions: Mutex<SessionTable<Session>>,
+    checkpoints: RwLock<Arc<Checkpoints>>,
+    sessions: Mutex<SessionTable<Arc<Session>>>,
     in_flight: Semaphore,
+    retired: AtomicBool,
 }
 
-/// The last answer of a session. Locked while a query is under way, so that a
-/// retry which overtakes its first attempt waits for that one's answer.
-type Session = Arc<tokio::sync::Mutex<Option<Answer>>>;
+/// The pools of a route, as last configured.
+enum Checkpoints {
+    One(Arc<Pool>),
+    PerSuite(BTreeMap<String, Arc<Pool>>),
+}
+
+/// An open episode.
+struct Session {
+    /// The pool it was opened in. A reload that makes another one leaves this
+    /// to its sessions.
+    pool: Arc<Pool>,
+    /// None: the gateway restarted since, and the only replica may know it.
+    reset: Option<ResetRequest>,
+    /// Locked while a query is under way, so that a retry which overtakes its
+    /// first attempt waits for that one's answer.
+    state: tokio::sync::Mutex<SessionState>,
+}
+
+struct SessionState {
+    described: Arc<DescribeResponse>,
+    /// The replicas that had its Reset.
+    open_on: Vec<Arc<Replica>>,
+    last: Option<Answer>,
+}
 
 struct Answer {
     query_index: u32,
@@ -44,21 +73,17 @@ struct Answer {
 }
 
 impl Route {
-    /// A route whose back-end has not been asked anything yet.
+    /// A route whose back-ends have not been asked anything yet.
     ///
     /// # Errors
-    /// When the back-end's address is none.
+    /// When a back-end's address is none.
     pub fn new(spec: &RouteSpec) -> Result<Self, tonic::transport::Error> {
-        let backend: Box<dyn Backend> = match &spec.backend {
-            BackendSpec::Builtin(builtin) => Box::new(BuiltinBackend::new(*builtin)),
-            BackendSpec::Grpc(address) => Box::new(GrpcBackend::new(address.clone())?),
-        };
         Ok(Self {
             name: spec.name.clone(),
-            backend,
-            described: RwLock::default(),
+            checkpoints: RwLock::new(Arc::new(Checkpoints::new(spec, &[])?)),
             sessions: Mutex::new(SessionTable::new(MAX_SESSIONS)),
             in_flight: Semaphore::new(MAX_QUERIES_IN_FLIGHT),
+            retired: AtomicBool::new(false),
         })
     }
 
@@ -67,48 +92,105 @@ impl Route {
         &self.name
     }
 
-    /// Asks the back-end what its policy is.
+    /// Whether new sessions are refused.
+    pub fn is_retired(&self) -> bool {
+        self.retired.load(Ordering::Relaxed)
+    }
+
+    /// Takes no new sessions from now on; those that are open go on.
+    pub fn retire(&self) {
+        self.retired.store(true, Ordering::Relaxed);
+    }
+
+    /// Is what `spec` says from now on, for new sessions. Replicas that stay
+    /// keep their connections; what checkpoints were agreed on is forgotten.
     ///
     /// # Errors
-    /// When it does not answer, or its answer cannot be true.
-    pub async fn describe(&self) -> Result<Arc<DescribeResponse>, RouteError> {
-        let described = self
-            .backend
-            .describe()
-            .await
-            .map_err(|source| self.failed("", source))?;
-        check::description(&described).map_err(|source| RouteError::Description {
-            policy: described.name.clone(),
-            route: self.name.clone(),
-            backend: self.backend.to_string(),
-            source,
-        })?;
-        let described = Arc::new(described);
-        *self.described.write().await = Some(Arc::clone(&described));
-        Ok(described)
+    /// When a back-end's address is none; then nothing changes.
+    pub fn reload(&self, spec: &RouteSpec) -> Result<(), tonic::transport::Error> {
+        let known = self.checkpoints().replicas();
+        let renewed = Arc::new(Checkpoints::new(spec, &known)?);
+        *self
+            .checkpoints
+            .write()
+            .unwrap_or_else(PoisonError::into_inner) = renewed;
+        self.retired.store(false, Ordering::Relaxed);
+        Ok(())
+    }
+
+    /// Asks what the policy is that answers for `suite`.
+    ///
+    /// # Errors
+    /// When nobody answers, or the answer cannot be used.
+    pub async fn describe(&self, suite: &str) -> Result<Arc<DescribeResponse>, RouteError> {
+        let pool = self.pool(suite)?;
+        let mut tried = vec![];
+        let mut failure = None;
+        while let Some(replica) = pool.for_query("", &[], &tried) {
+            match pool.describe(&replica, Call::Describe).await {
+                Ok(described) => return Ok(described),
+                Err(error) => {
+                    let error = self.failed("", &replica, error);
+                    failure = Some(first_worth_telling(failure, error));
+                    tried.push(replica);
+                }
+            }
+        }
+        Err(self.nobody(failure, ""))
     }
 
     /// Starts an episode.
     ///
     /// # Errors
-    /// When the session has no usable name or the back-end does not answer.
+    /// When the session has no usable name, its suite no checkpoint, or nobody
+    /// answers.
     pub async fn reset(&self, request: ResetRequest) -> Result<(), RouteError> {
         check_session(&request.session)?;
-        let session = request.session.clone();
-        self.backend
-            .reset(request)
-            .await
-            .map_err(|source| self.failed(&format!(" on Reset of session {session:?}"), source))?;
-        self.sessions().open(&session, Session::default());
-        Ok(())
+        if self.is_retired() {
+            let route = self.name.clone();
+            return Err(RouteError::Retired { route });
+        }
+        let pool = self.pool(&request.suite)?;
+        let session = request.session.as_str();
+        let mut tried = vec![];
+        let mut failure = None;
+        while let Some(replica) = pool.for_session(session, request.seed, &tried) {
+            match open(&pool, &replica, &request).await {
+                Ok(described) => {
+                    let state = SessionState {
+                        described,
+                        open_on: vec![replica],
+                        last: None,
+                    };
+                    let open = Session {
+                        pool: Arc::clone(&pool),
+                        reset: Some(request.clone()),
+                        state: state.into(),
+                    };
+                    self.sessions().open(session, Arc::new(open));
+                    return Ok(());
+                }
+                Err(error) => {
+                    let is_outage = error.is_outage();
+                    let at = format!(" on Reset of session {session:?}");
+                    let error = self.failed(&at, &replica, error);
+                    if !is_outage {
+                        return Err(error);
+                    }
+                    failure = Some(first_worth_telling(failure, error));
+                    tried.push(replica);
+                }
+            }
+        }
+        Err(self.nobody(failure, session))
     }
 
     /// Answers one observation; a retry of a session's last query gets the
     /// answer that was given.
     ///
     /// # Errors
-    /// When the back-end does not answer, or its answer is no chunk of actions
-    /// (see [`check::actions`]).
+    /// When nobody answers, or the answer is no chunk of actions (see
+    /// [`crate::check::actions`]).
     pub async fn infer(&self, request: InferRequest) -> Result<InferResponse, RouteError> {
         check_session(&request.session)?;
         let _in_flight = self
@@ -117,67 +199,247 @@ impl Route {
             .map_err(|_| RouteError::Overloaded {
                 route: self.name.clone(),
             })?;
-        let InferRequest {
-            session,
-            query_index,
-            ..
-        } = &request;
-        let (session, query_index) = (session.clone(), *query_index);
-        let last = self.session(&session);
-        let mut last = last.lock().await;
-        if let Some(answer) = last
+        let session = self.session(&request.session).await?;
+        let mut state = session.state.lock().await;
+        let query_index = request.query_index;
+        if let Some(answer) = state
+            .last
             .as_ref()
             .filter(|answer| answer.query_index == query_index)
         {
             return Ok(answer.response.clone());
         }
-        let known = self.described.read().await.clone();
-        let described = match known {
-            Some(described) => described,
-            None => self.describe().await?,
-        };
-        let response = self.backend.infer(request).await.map_err(|source| {
-            self.failed(
-                &format!(" on session {session:?}, query {query_index}"),
-                source,
-            )
-        })?;
-        check::actions(&response, described.horizon).map_err(|source| RouteError::Action {
-            policy: described.name.clone(),
-            route: self.name.clone(),
-            session,
-            query_index,
-            source,
-        })?;
-        *last = Some(Answer {
+        let response = self.ask(&session, &mut state, request).await?;
+        state.last = Some(Answer {
             query_index,
             response: response.clone(),
         });
         Ok(response)
     }
 
-    /// The session's last answer. A gateway that restarted does not know a
-    /// session that its back-end may still hold, so an unknown one is opened
-    /// and the back-end judges.
-    fn session(&self, session: &str) -> Session {
-        let mut sessions = self.sessions();
-        match sessions.get(session) {
-            Some(open) => Arc::clone(open),
-            None => Arc::clone(sessions.open(session, Session::default())),
+    /// Asks one replica after the other, as far as the policy allows it.
+    async fn ask(
+        &self,
+        session: &Session,
+        state: &mut SessionState,
+        request: InferRequest,
+    ) -> Result<InferResponse, RouteError> {
+        let name = request.session.as_str();
+        let task = session.reset.as_ref().map_or_else(
+            || name.to_owned(),
+            |it| format!("{} {}", it.suite, it.instruction),
+        );
+        let moves = session.reset.is_some() && !session.pool.pins(&state.described);
+        let mut tried = vec![];
+        let mut failure = None;
+        loop {
+            let replica = if moves {
+                session.pool.for_query(name, &state.open_on, &tried)
+            } else {
+                state.open_on.first().filter(|_| tried.is_empty()).cloned()
+            };
+            let Some(replica) = replica else {
+                return Err(self.nobody(failure, name));
+            };
+            let error = match ask_one(session, state, &replica, &request, &task).await {
+                Ok(response) => return Ok(response),
+                Err(error) => error,
+            };
+            let is_outage = error.is_outage();
+            // Whoever asked is gone after a silence.
+            let is_late = matches!(error, BackendError::TimedOut { .. });
+            let error = self.failed_query(&state.described, &request, &replica, error);
+            if !is_outage || is_late {
+                return Err(error);
+            }
+            if moves {
+                state.open_on.retain(|it| !Arc::ptr_eq(it, &replica));
+            }
+            failure = Some(first_worth_telling(failure, error));
+            tried.push(replica);
         }
     }
 
-    fn sessions(&self) -> std::sync::MutexGuard<'_, SessionTable<Session>> {
+    /// An open session. A gateway that restarted does not know a session that
+    /// its back-end may still hold: if there is but one that could, it judges.
+    async fn session(&self, name: &str) -> Result<Arc<Session>, RouteError> {
+        if let Some(open) = self.sessions().get(name) {
+            return Ok(Arc::clone(open));
+        }
+        let only = match &*self.checkpoints() {
+            Checkpoints::One(pool) => match pool.replicas() {
+                [replica] => Some((Arc::clone(pool), Arc::clone(replica))),
+                _ => None,
+            },
+            Checkpoints::PerSuite(_) => None,
+        };
+        let Some((pool, replica)) = only else {
+            return Err(self.nobody(None, name));
+        };
+        let described = pool
+            .describe(&replica, Call::Of(name))
+            .await
+            .map_err(|error| self.failed("", &replica, error))?;
+        let state = SessionState {
+            described,
+            open_on: vec![replica],
+            last: None,
+        };
+        let adopted = Arc::new(Session {
+            pool,
+            reset: None,
+            state: state.into(),
+        });
+        let mut sessions = self.sessions();
+        // Another query of the session may have been faster.
+        Ok(match sessions.get(name) {
+            Some(open) => Arc::clone(open),
+            None => Arc::clone(sessions.open(name, adopted)),
+        })
+    }
+
+    fn pool(&self, suite: &str) -> Result<Arc<Pool>, RouteError> {
+        match &*self.checkpoints() {
+            Checkpoints::One(pool) => Ok(Arc::clone(pool)),
+            Checkpoints::PerSuite(pools) => {
+                pools.get(suite).cloned().ok_or_else(|| RouteError::Suite {
+                    route: self.name.clone(),
+                    suite: suite.to_owned(),
+                    known: pools.keys().cloned().collect::<Vec<_>>().join(", "),
+                })
+            }
+        }
+    }
+
+    fn checkpoints(&self) -> Arc<Checkpoints> {
+        let checkpoints = self.checkpoints.read();
+        Arc::clone(&checkpoints.unwrap_or_else(PoisonError::into_inner))
+    }
+
+    fn sessions(&self) -> std::sync::MutexGuard<'_, SessionTable<Arc<Session>>> {
         self.sessions.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn failed(&self, at: &str, source: BackendError) -> RouteError {
-        RouteError::Backend {
+    fn failed(&self, at: &str, replica: &Replica, source: BackendError) -> RouteError {
+        RouteError::Replica {
             route: self.name.clone(),
-            backend: self.backend.to_string(),
+            replica: replica.to_string(),
             at: at.to_owned(),
             source: source.into(),
         }
+    }
+
+    fn failed_query(
+        &self,
+        described: &DescribeResponse,
+        request: &InferRequest,
+        replica: &Replica,
+        source: BackendError,
+    ) -> RouteError {
+        let InferRequest {
+            session,
+            query_index,
+            ..
+        } = request;
+        match source {
+            BackendError::Nonsense { fault } => RouteError::Action {
+                policy: described.name.clone(),
+                route: self.name.clone(),
+                replica: replica.to_string(),
+                session: session.clone(),
+                query_index: *query_index,
+                source: fault,
+            },
+            source => {
+                let at = format!(" on session {session:?}, query {query_index}");
+                self.failed(&at, replica, source)
+            }
+        }
+    }
+
+    fn nobody(&self, failure: Option<RouteError>, session: &str) -> RouteError {
+        failure.unwrap_or_else(|| RouteError::SessionLost {
+            route: self.name.clone(),
+            session: session.to_owned(),
+        })
+    }
+}
+
+impl Checkpoints {
+    /// Pools as `spec` says, with those of the `known` replicas that stay.
+    fn new(spec: &RouteSpec, known: &[Arc<Replica>]) -> Result<Self, tonic::transport::Error> {
+        let pool = |suite: &str, replicas: &[_]| {
+            let replicas = replicas.iter().map(|backend| {
+                let stays = known.iter().find(|it| it.is(backend, spec.answer_within));
+                match stays {
+                    Some(replica) => Ok(Arc::clone(replica)),
+                    None => Replica::new(backend, spec.answer_within).map(Arc::new),
+                }
+            });
+            let replicas = replicas.collect::<Result<_, _>>()?;
+            Ok(Arc::new(Pool::new(suite, replicas, spec.batching)))
+        };
+        Ok(match &spec.checkpoints {
+            CheckpointSpecs::One(replicas) => Self::One(pool("", replicas)?),
+            CheckpointSpecs::PerSuite(suites) => {
+                let pools = suites
+                    .iter()
+                    .map(|(suite, replicas)| Ok((suite.clone(), pool(suite, replicas)?)));
+                Self::PerSuite(pools.collect::<Result<_, tonic::transport::Error>>()?)
+            }
+        })
+    }
+
+    fn replicas(&self) -> Vec<Arc<Replica>> {
+        match self {
+            Self::One(pool) => pool.replicas().to_vec(),
+            Self::PerSuite(pools) => pools
+                .values()
+                .flat_map(|pool| pool.replicas().iter().cloned())
+                .collect(),
+        }
+    }
+}
+
+/// Opens a session on a replica, which must be what the pool agreed on.
+async fn open(
+    pool: &Pool,
+    replica: &Replica,
+    request: &ResetRequest,
+) -> Result<Arc<DescribeResponse>, BackendError> {
+    let described = pool.describe(replica, Call::Of(&request.session)).await?;
+    replica.reset(request.clone()).await?;
+    Ok(described)
+}
+
+/// Asks one replica, after the session's Reset if it has not had that.
+async fn ask_one(
+    session: &Session,
+    state: &mut SessionState,
+    replica: &Arc<Replica>,
+    request: &InferRequest,
+    task: &str,
+) -> Result<InferResponse, BackendError> {
+    if !state.open_on.iter().any(|it| Arc::ptr_eq(it, replica))
+        && let Some(reset) = &session.reset
+    {
+        open(&session.pool, replica, reset).await?;
+        state.open_on.push(Arc::clone(replica));
+    }
+    let horizon = state.described.horizon;
+    replica.infer(request.clone(), horizon, task).await
+}
+
+/// Of two failures of one call, the one to tell: that a replica was out already
+/// says less than why another failed now.
+fn first_worth_telling(earlier: Option<RouteError>, now: RouteError) -> RouteError {
+    let was_out = |error: &RouteError| {
+        matches!(error, RouteError::Replica { source, .. }
+            if matches!(**source, BackendError::Out { .. }))
+    };
+    match earlier {
+        Some(earlier) if !was_out(&earlier) => earlier,
+        _ => now,
     }
 }
 
@@ -188,97 +450,5 @@ fn check_session(session: &str) -> Result<(), RouteError> {
         Err(RouteError::Session {
             bytes: session.len(),
         })
-    }
-}
-
-/// Why a route did not answer.
-#[derive(Debug, Error)]
-pub enum RouteError {
-    /// The back-end did not.
-    #[error("route {route} ({backend}){at}")]
-    Backend {
-        /// Name of the route.
-        route: RouteName,
-        /// Its back-end as configured.
-        backend: String,
-        /// " on session …", as far as known.
-        at: String,
-        /// Why not.
-        #[source]
-        source: Box<BackendError>,
-    },
-    /// The policy answered nonsense.
-    #[error("policy {policy:?} (route {route}), session {session:?}, query {query_index}")]
-    Action {
-        /// The policy's own name.
-        policy: String,
-        /// Name of the route.
-        route: RouteName,
-        /// The episode.
-        session: String,
-        /// Which of its queries.
-        query_index: u32,
-        /// What is wrong.
-        #[source]
-        source: ActionFault,
-    },
-    /// The policy describes itself as nothing that can be run.
-    #[error("policy {policy:?} (route {route}, {backend}) describes itself wrongly")]
-    Description {
-        /// The policy's own name.
-        policy: String,
-        /// Name of the route.
-        route: RouteName,
-        /// Its back-end as configured.
-        backend: String,
-        /// What is wrong.
-        #[source]
-        source: DescriptionFault,
-    },
-    /// A session without a name, or with a book for one.
-    #[error("a session's name has 1 to {MAX_SESSION_BYTES} bytes, this one {bytes}")]
-    Session {
-        /// Its length.
-        bytes: usize,
-    },
-    /// Too many queries wait already.
-    #[error("route {route} has {MAX_QUERIES_IN_FLIGHT} queries under way; try again later")]
-    Overloaded {
-        /// Name of the route.
-        route: RouteName,
-    },
-}
-
-impl RouteError {
-    /// The gRPC code that says it to a worker: see [`BackendError`].
-    pub fn code(&self) -> Code {
-        match self {
-            Self::Backend { source, .. } => source.code(),
-            Self::Action { .. } | Self::Description { .. } => Code::Internal,
-            Self::Session { .. } => Code::InvalidArgument,
-            Self::Overloaded { .. } => Code::ResourceExhausted,
-        }
-    }
-
-    /// The error and its cause in one line, for the wire.
-    pub fn message(&self) -> String {
-        match self.source() {
-            Some(cause) => format!("{self}: {cause}"),
-            None => self.to_string(),
-        }
-    }
-
-    /// Whether the infrastructure failed, not this query.
-    pub fn is_outage(&self) -> bool {
-        matches!(
-            self.code(),
-            Code::Unavailable | Code::DeadlineExceeded | Code::ResourceExhausted
-        )
-    }
-}
-
-impl From<RouteError> for Status {
-    fn from(error: RouteError) -> Self {
-        Self::new(error.code(), error.message())
     }
 }

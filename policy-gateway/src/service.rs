@@ -1,7 +1,10 @@
 //! `rollout.policy.v1` as the gateway offers it. Responsible for choosing the
 //! route and for the version handshake; everything else is the route's.
 
-use std::{fmt, sync::Arc};
+use std::{
+    fmt,
+    sync::{Arc, PoisonError, RwLock},
+};
 
 use proto::policy::{
     DescribeRequest, DescribeResponse, InferBatchRequest, InferBatchResponse, InferRequest,
@@ -11,16 +14,21 @@ use tokio::task::JoinSet;
 use tonic::{Request, Response, Status};
 
 use crate::{
-    config::Config,
+    config::{Config, RouteSpec},
     route::{Route, RouteError},
 };
 
 /// Queries in one `InferBatch`.
 pub const MAX_BATCH_QUERIES: usize = 64;
 
-/// The policies of a gateway, by route.
+/// Routes that the configuration no longer names and that are kept for their
+/// open sessions; the one retired first is dropped for one more.
+pub const MAX_RETIRED_ROUTES: usize = 64;
+
+/// The policies of a gateway, by route. Clones are the same gateway.
+#[derive(Clone)]
 pub struct Gateway {
-    routes: Vec<Arc<Route>>,
+    routes: Arc<RwLock<Vec<Arc<Route>>>>,
 }
 
 impl Gateway {
@@ -33,28 +41,60 @@ impl Gateway {
             .routes()
             .iter()
             .map(|spec| Route::new(spec).map(Arc::new));
+        let routes = routes.collect::<Result<Vec<_>, _>>()?;
         Ok(Self {
-            routes: routes.collect::<Result<_, _>>()?,
+            routes: Arc::new(RwLock::new(routes)),
         })
     }
 
-    fn route(&self, policy: &str) -> Result<&Arc<Route>, Status> {
-        match (policy, self.routes.as_slice()) {
-            ("", [only]) => Ok(only),
-            ("", _) => Err(Status::invalid_argument(format!(
+    /// Is what `config` says from now on, for new sessions; those that are open
+    /// go on where they are.
+    ///
+    /// # Errors
+    /// When an address is none; then routes before it may have changed already.
+    pub fn reload(&self, config: &Config) -> Result<(), tonic::transport::Error> {
+        let mut routes = self.routes.write().unwrap_or_else(PoisonError::into_inner);
+        for spec in config.routes() {
+            match routes.iter().find(|route| route.name() == &spec.name) {
+                Some(route) => route.reload(spec)?,
+                None => routes.push(Arc::new(Route::new(spec)?)),
+            }
+        }
+        for route in routes.iter() {
+            let stays = |spec: &RouteSpec| &spec.name == route.name();
+            if !config.routes().iter().any(stays) {
+                route.retire();
+            }
+        }
+        let mut surplus = routes.iter().filter(|it| it.is_retired()).count();
+        routes.retain(|route| {
+            let drop = route.is_retired() && surplus > MAX_RETIRED_ROUTES;
+            surplus -= usize::from(drop);
+            !drop
+        });
+        Ok(())
+    }
+
+    /// The route of a policy; the only one that takes sessions if none is
+    /// named.
+    fn route(&self, policy: &str) -> Result<Arc<Route>, Status> {
+        let routes = self.routes.read().unwrap_or_else(PoisonError::into_inner);
+        if !policy.is_empty() {
+            let named = routes.iter().find(|it| it.name().as_str() == policy);
+            return named.cloned().ok_or_else(|| {
+                Status::not_found(format!(
+                    "this gateway serves no policy {policy:?}; it serves {}",
+                    Names(&routes)
+                ))
+            });
+        }
+        let mut serving = routes.iter().filter(|it| !it.is_retired());
+        match (serving.next(), serving.next()) {
+            (Some(only), None) => Ok(Arc::clone(only)),
+            _ => Err(Status::invalid_argument(format!(
                 "the request names no policy, and this gateway serves several: {}",
-                Names(&self.routes)
+                Names(&routes)
             ))),
-            _ => self
-                .routes
-                .iter()
-                .find(|route| route.name().as_str() == policy)
-                .ok_or_else(|| {
-                    Status::not_found(format!(
-                        "this gateway serves no policy {policy:?}; it serves {}",
-                        Names(&self.routes)
-                    ))
-                }),
         }
     }
 }
@@ -64,7 +104,8 @@ struct Names<'a>(&'a [Arc<Route>]);
 
 impl fmt::Display for Names<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for (at, route) in self.0.iter().enumerate() {
+        let serving = self.0.iter().filter(|it| !it.is_retired());
+        for (at, route) in serving.enumerate() {
             let separator = if at == 0 { "" } else { ", " };
             write!(f, "{separator}{}", route.name())?;
         }
@@ -81,6 +122,7 @@ impl Policy for Gateway {
         let DescribeRequest {
             protocol_version,
             policy,
+            suite,
         } = request.into_inner();
         if protocol_version != proto::PROTOCOL_VERSION {
             return Err(Status::failed_precondition(format!(
@@ -89,7 +131,7 @@ impl Policy for Gateway {
                 proto::PROTOCOL_VERSION
             )));
         }
-        let described = self.route(&policy)?.describe().await?;
+        let described = self.route(&policy)?.describe(&suite).await?;
         Ok(Response::new(DescribeResponse::clone(&described)))
     }
 
@@ -129,7 +171,7 @@ impl Policy for Gateway {
         let mut results = vec![InferResult::default(); queries.len()];
         let mut under_way = JoinSet::new();
         for (at, query) in queries.into_iter().enumerate() {
-            let route = Arc::clone(self.route(&query.policy)?);
+            let route = self.route(&query.policy)?;
             under_way.spawn(async move { (at, route.infer(query).await) });
         }
         while let Some(joined) = under_way.join_next().await {

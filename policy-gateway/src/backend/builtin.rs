@@ -46,7 +46,7 @@ impl BuiltinBackend {
 
 #[tonic::async_trait]
 impl Backend for BuiltinBackend {
-    async fn describe(&self) -> Result<DescribeResponse, BackendError> {
+    async fn describe(&self, _suite: &str) -> Result<DescribeResponse, BackendError> {
         Ok(self.described.clone())
     }
 

@@ -1,14 +1,9 @@
 //! The back-end of policy servers elsewhere that speak `rollout.policy.v1`,
-//! other gateways included. Responsible for the connection: it is made at the
-//! first query, made again with back-off when it breaks, and every call has a
-//! deadline. What a server answers is judged by the route.
+//! other gateways included. Responsible for the connection, which is made at the
+//! first query and made again when it broke. Deadlines, back-off and what a
+//! server answers are the replica's business.
 
-use std::{
-    fmt,
-    str::FromStr,
-    sync::{Mutex, PoisonError},
-    time::{Duration, Instant},
-};
+use std::{fmt, str::FromStr, time::Duration};
 
 use proto::policy::{
     DescribeRequest, DescribeResponse, InferRequest, InferResponse, ResetRequest,
@@ -22,16 +17,10 @@ use tonic::{
 };
 
 use super::{Backend, BackendError, innermost};
-use crate::{
-    backoff::Backoff,
-    config::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES},
-};
+use crate::config::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES};
 
 /// Longest wait for a connection.
 pub const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
-/// Longest wait for an answer. A model's first query may compile for most of a
-/// minute.
-pub const CALL_TIMEOUT: Duration = Duration::from_secs(60);
 /// How soon the kernel notices a host that vanished without a word.
 const TCP_KEEPALIVE: Duration = Duration::from_secs(15);
 
@@ -99,7 +88,6 @@ pub struct AddressError {
 pub struct GrpcBackend {
     address: GrpcAddress,
     client: PolicyClient<Channel>,
-    backoff: Mutex<Backoff>,
 }
 
 impl GrpcBackend {
@@ -111,66 +99,34 @@ impl GrpcBackend {
         let client = PolicyClient::new(address.endpoint()?.connect_lazy())
             .max_decoding_message_size(proto::MAX_MESSAGE_BYTES)
             .max_encoding_message_size(proto::MAX_MESSAGE_BYTES);
-        Ok(Self {
-            address,
-            client,
-            backoff: Mutex::default(),
-        })
+        Ok(Self { address, client })
     }
 
-    /// Makes one call, if the back-off admits it, and notes how it went.
+    /// Makes one call, and tells its two kinds of failure apart.
     async fn call<T>(
         &self,
         call: impl Future<Output = Result<Response<T>, Status>>,
     ) -> Result<T, BackendError> {
-        let address = || self.address.authority.clone();
-        self.with_backoff(|backoff| backoff.admit(Instant::now()))
-            .map_err(|retry_in| BackendError::BackingOff {
-                address: address(),
-                retry_in,
-            })?;
-        let Ok(answer) = tokio::time::timeout(CALL_TIMEOUT, call).await else {
-            return Err(BackendError::TimedOut {
-                address: address(),
-                limit: CALL_TIMEOUT,
-            });
-        };
-        match answer {
-            Err(status) if is_transport_failure(&status) => {
-                if self.with_backoff(|backoff| backoff.failed(Instant::now())) {
-                    tracing::warn!(backend = %self, "policy server lost; trying again with back-off");
-                }
+        let address = self.address.authority.clone();
+        call.await.map(Response::into_inner).map_err(|status| {
+            if is_transport_failure(&status) {
                 let reason = innermost(&status);
-                Err(BackendError::Unreachable {
-                    address: address(),
-                    reason,
-                })
+                BackendError::Unreachable { address, reason }
+            } else {
+                let status = status.into();
+                BackendError::Refused { address, status }
             }
-            answered => {
-                if self.with_backoff(Backoff::reached) {
-                    tracing::info!(backend = %self, "policy server back");
-                }
-                answered
-                    .map(Response::into_inner)
-                    .map_err(|status| BackendError::Refused {
-                        address: address(),
-                        status: status.into(),
-                    })
-            }
-        }
-    }
-
-    fn with_backoff<T>(&self, act: impl FnOnce(&mut Backoff) -> T) -> T {
-        act(&mut self.backoff.lock().unwrap_or_else(PoisonError::into_inner))
+        })
     }
 }
 
 #[tonic::async_trait]
 impl Backend for GrpcBackend {
-    async fn describe(&self) -> Result<DescribeResponse, BackendError> {
+    async fn describe(&self, suite: &str) -> Result<DescribeResponse, BackendError> {
         let request = DescribeRequest {
             protocol_version: proto::PROTOCOL_VERSION,
             policy: self.address.policy.clone(),
+            suite: suite.to_owned(),
         };
         let described = self.call(self.client.clone().describe(request)).await?;
         let theirs = described.protocol_version;

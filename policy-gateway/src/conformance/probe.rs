@@ -19,10 +19,13 @@ use super::{
     verdict::{self, Verdict},
 };
 use crate::{
-    backend::grpc::{CALL_TIMEOUT, CONNECT_TIMEOUT},
-    config::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES},
+    backend::grpc::CONNECT_TIMEOUT,
+    config::{CONNECTION_WINDOW_BYTES, DEFAULT_ANSWER_WITHIN, STREAM_WINDOW_BYTES},
     service::MAX_BATCH_QUERIES,
 };
+
+/// The suite of the made-up task.
+const SUITE: &str = "libero_object";
 
 /// In which order an episode's queries are asked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -68,7 +71,7 @@ impl Probe {
                 url: target.url.clone(),
             })?
             .connect_timeout(CONNECT_TIMEOUT)
-            .timeout(CALL_TIMEOUT)
+            .timeout(DEFAULT_ANSWER_WITHIN)
             .tcp_nodelay(true)
             .initial_stream_window_size(STREAM_WINDOW_BYTES)
             .initial_connection_window_size(CONNECTION_WINDOW_BYTES);
@@ -289,7 +292,7 @@ impl Probe {
         let request = ResetRequest {
             policy: self.policy.clone(),
             session: self.session(name),
-            suite: "libero_object".to_owned(),
+            suite: SUITE.to_owned(),
             instruction: "pick up the butter and place it in the basket".to_owned(),
             seed,
         };
@@ -319,5 +322,6 @@ fn describe(policy: &str, protocol_version: u32) -> DescribeRequest {
     DescribeRequest {
         protocol_version,
         policy: policy.to_owned(),
+        suite: SUITE.to_owned(),
     }
 }

@@ -5,5 +5,6 @@ mod answers;
 mod conformance;
 mod outages;
 mod program;
+mod replicas;
 mod routing;
 mod support;

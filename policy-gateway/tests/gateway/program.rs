@@ -57,6 +57,37 @@ async fn the_program_names_its_port_serves_and_stops_on_sigterm() {
     assert!(child.wait().expect("the program ends").success());
 }
 
+// Two threads, as above.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_hangup_reads_the_configuration_again_unless_it_is_wrong() {
+    let file = tempfile::NamedTempFile::new().expect("a file");
+    let write = |text: &str| std::fs::write(file.path(), text).expect("written");
+    write("[policy.stand]\nreplicas = [\"builtin:noop\"]");
+    let path = file.path().to_str().expect("UTF-8");
+    let mut child = program(&["--listen", "127.0.0.1:0", "--config", path])
+        .spawn()
+        .expect("the program starts");
+    let mut client = client(address(&mut child)).await;
+    let mut lines = BufReader::new(child.stderr.take().expect("stderr is piped")).lines();
+    let pid = child.id().to_string();
+    let mut hang_up = |expected: &str| {
+        let sent = Command::new("kill").args(["-HUP", &pid]).status();
+        assert!(sent.expect("kill runs").success());
+        let line = lines.find(|line| line.as_ref().is_ok_and(|it| it.contains(expected)));
+        line.expect(expected).expect("UTF-8");
+    };
+
+    write("[policy.stand]\nreplicas = [\"nobody\"]");
+    hang_up("failed to use");
+    client.describe(describe("stand")).await.expect("as before");
+    write("[policy.work]\nreplicas = [\"builtin:expert\"]");
+    hang_up("again");
+    client.describe(describe("work")).await.expect("as written");
+
+    child.kill().expect("it runs");
+    child.wait().expect("it ends");
+}
+
 #[test]
 fn usage_errors_exit_with_2_and_say_what_to_write() {
     let cases: [(&[&str], &str); 5] = [

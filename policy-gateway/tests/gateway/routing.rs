@@ -90,7 +90,7 @@ async fn a_caller_of_another_protocol_version_is_refused_naming_both() {
     let gateway = gateway(&["noop=builtin:noop"]).await;
     let request = DescribeRequest {
         protocol_version: 99,
-        policy: String::new(),
+        ..DescribeRequest::default()
     };
     let refused = gateway
         .client()

@@ -10,7 +10,10 @@ use std::{
     },
 };
 
-use policy_gateway::config::{Config, RouteSpec};
+use policy_gateway::{
+    config::{Config, RouteSpec},
+    service::Gateway,
+};
 use proto::policy::{
     DescribeRequest, DescribeResponse, InferBatchRequest, InferBatchResponse, InferRequest,
     InferResponse, Observation, ResetRequest, ResetResponse,
@@ -54,21 +57,38 @@ pub(crate) async fn gateway_at(address: SocketAddr, routes: &[&str]) -> Running 
         .map(|text| text.parse::<RouteSpec>().expect(text))
         .collect();
     let config = Config::new(routes).expect("routes that can be served");
+    run(Gateway::new(&config).expect("addresses"), address).await
+}
+
+async fn run(gateway: Gateway, address: SocketAddr) -> Running {
     let listener = TcpListener::bind(address).await.expect("a free port");
     let address = listener.local_addr().expect("a bound address");
     let (stop, stopped) = oneshot::channel();
     let mut task = JoinSet::new();
     task.spawn(async move {
         let shutdown = async { stopped.await.unwrap_or(()) };
-        policy_gateway::run(config, &transport::Security::loopback(), listener, shutdown)
-            .await
-            .expect("the gateway serves");
+        policy_gateway::run(
+            gateway,
+            &transport::Security::loopback(),
+            listener,
+            shutdown,
+        )
+        .await
+        .expect("the gateway serves");
     });
     Running {
         address,
         stop,
         task,
     }
+}
+
+/// A gateway of these routes on a free port, and what reloads it.
+pub(crate) async fn reloadable(routes: Vec<RouteSpec>) -> (Running, Gateway) {
+    let config = Config::new(routes).expect("routes that can be served");
+    let gateway = Gateway::new(&config).expect("addresses");
+    let address = "127.0.0.1:0".parse().expect("an address");
+    (run(gateway.clone(), address).await, gateway)
 }
 
 /// A policy server that is not a gateway, on a free port.
@@ -112,6 +132,7 @@ pub(crate) fn describe(policy: &str) -> DescribeRequest {
     DescribeRequest {
         protocol_version: proto::PROTOCOL_VERSION,
         policy: policy.to_owned(),
+        suite: String::new(),
     }
 }
 
@@ -165,7 +186,7 @@ pub(crate) struct Query {
 /// A policy that describes itself as told and answers what a function says. It
 /// keeps nothing of the protocol by itself.
 pub(crate) struct Scripted<F> {
-    described: DescribeResponse,
+    described: Box<dyn Fn() -> DescribeResponse + Send + Sync>,
     answer: F,
     seeds: Mutex<HashMap<String, u64>>,
     asked: AtomicU32,
@@ -177,11 +198,20 @@ where
 {
     pub(crate) fn new(described: DescribeResponse, answer: F) -> Self {
         Self {
-            described,
+            described: Box::new(move || described.clone()),
             answer,
             seeds: Mutex::default(),
             asked: AtomicU32::new(0),
         }
+    }
+
+    /// The same, with a description that a function makes anew every time.
+    pub(crate) fn describing(
+        mut self,
+        described: impl Fn() -> DescribeResponse + Send + Sync + 'static,
+    ) -> Self {
+        self.described = Box::new(described);
+        self
     }
 }
 
@@ -194,7 +224,7 @@ where
         &self,
         _: Request<DescribeRequest>,
     ) -> Result<Response<DescribeResponse>, Status> {
-        Ok(Response::new(self.described.clone()))
+        Ok(Response::new((self.described)()))
     }
 
     async fn reset(

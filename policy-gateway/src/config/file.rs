@@ -1,0 +1,165 @@
+//! A gateway's configuration file. Responsible for its form:
+//!
+//! ```toml
+//! [policy.pi05]
+//! replicas = ["grpc://gpu1:5000", "grpc://gpu2:5000"]
+//!
+//! [policy.openvla-oft]
+//! batching = "deterministic"
+//! answer_within_secs = 20
+//!
+//! [policy.openvla-oft.suites]
+//! libero_goal = ["grpc://gpu3:5001"]
+//! libero_spatial = ["grpc://gpu3:5002"]
+//! ```
+
+use std::{collections::BTreeMap, path::Path, time::Duration};
+
+use serde::Deserialize;
+
+use super::{
+    BackendSpec, Batching, CheckpointSpecs, Config, ConfigError, DEFAULT_ANSWER_WITHIN, RouteName,
+    RouteSpec,
+};
+
+/// Longest `answer_within_secs`.
+const MAX_ANSWER_WITHIN_SECS: f64 = 3600.0;
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Document {
+    #[serde(default)]
+    policy: BTreeMap<String, Table>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Table {
+    #[serde(default)]
+    replicas: Vec<String>,
+    #[serde(default)]
+    suites: BTreeMap<String, Vec<String>>,
+    #[serde(default)]
+    batching: Batching,
+    answer_within_secs: Option<f64>,
+}
+
+/// Reads a configuration from a file.
+///
+/// # Errors
+/// When there is none, or what it says cannot be meant; the file is named.
+pub fn read(path: &Path) -> Result<Config, ConfigError> {
+    let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Unreadable {
+        path: path.to_owned(),
+        source,
+    })?;
+    let document = toml::from_str::<Document>(&text).map_err(|source| ConfigError::Toml {
+        path: path.to_owned(),
+        source: source.into(),
+    })?;
+    let routes = document
+        .policy
+        .into_iter()
+        .map(|(name, table)| route(&name, table));
+    routes
+        .collect::<Result<_, _>>()
+        .and_then(Config::new)
+        .map_err(|source| ConfigError::InFile {
+            path: path.to_owned(),
+            source: source.into(),
+        })
+}
+
+fn route(name: &str, table: Table) -> Result<RouteSpec, ConfigError> {
+    let name: RouteName = name.parse()?;
+    let secs = table.answer_within_secs;
+    let answer_within = match secs {
+        None => DEFAULT_ANSWER_WITHIN,
+        Some(secs) if secs > 0.0 && secs <= MAX_ANSWER_WITHIN_SECS => Duration::from_secs_f64(secs),
+        Some(secs) => return Err(ConfigError::AnswerWithin { name, secs }),
+    };
+    let checkpoints = match (table.replicas.is_empty(), table.suites.is_empty()) {
+        (false, false) => return Err(ConfigError::BothKinds { name }),
+        (_, true) => CheckpointSpecs::One(backends(&table.replicas)?),
+        (true, false) => {
+            let suites = table.suites.into_iter();
+            let suites = suites.map(|(suite, replicas)| Ok((suite, backends(&replicas)?)));
+            CheckpointSpecs::PerSuite(suites.collect::<Result<_, ConfigError>>()?)
+        }
+    };
+    Ok(RouteSpec {
+        name,
+        checkpoints,
+        batching: table.batching,
+        answer_within,
+    })
+}
+
+fn backends(texts: &[String]) -> Result<Vec<BackendSpec>, ConfigError> {
+    texts.iter().map(|text| text.parse()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write;
+
+    use super::*;
+
+    fn read_text(text: &str) -> Result<Config, ConfigError> {
+        let mut file = tempfile::NamedTempFile::new().expect("a file");
+        file.write_all(text.as_bytes()).expect("written");
+        read(file.path())
+    }
+
+    fn check(text: &str, expected: &str) {
+        let error = read_text(text).expect_err(text);
+        let whole = format!("{:#}", anyhow::Error::from(error));
+        assert!(whole.contains(expected), "{text}: {whole}");
+    }
+
+    #[test]
+    fn policies_with_replicas_and_checkpoints_per_suite_are_read() {
+        let config = read_text(
+            r#"
+            [policy.pi05]
+            replicas = ["grpc://a:1", "grpc://b:1/pi05"]
+
+            [policy.oft]
+            batching = "deterministic"
+            answer_within_secs = 0.5
+            [policy.oft.suites]
+            libero_goal = ["grpc://a:2"]
+            "#,
+        )
+        .expect("a configuration");
+        let [oft, pi05] = config.routes() else {
+            panic!("two routes, by name: {config:?}");
+        };
+        assert_eq!(oft.batching, Batching::Deterministic);
+        assert_eq!(oft.answer_within, Duration::from_millis(500));
+        let goal = vec!["grpc://a:2".parse().expect("a back-end")];
+        let suites = BTreeMap::from([("libero_goal".to_owned(), goal)]);
+        assert_eq!(oft.checkpoints, CheckpointSpecs::PerSuite(suites));
+        assert_eq!(pi05.answer_within, DEFAULT_ANSWER_WITHIN);
+        assert!(matches!(&pi05.checkpoints, CheckpointSpecs::One(two) if two.len() == 2));
+    }
+
+    #[test]
+    fn what_cannot_be_meant_is_refused_with_its_place() {
+        check("", "find a route");
+        check("[policy.x]", "find a server for policy x");
+        check("[policy.x]\nreplicas = [\"ws://a:1\"]", "ws://a:1");
+        check("[policy.x]\nreplica = []", "unknown field `replica`");
+        check("[policy.x]\nbatching = \"big\"", "unknown variant `big`");
+        check("[policy.\"a b\"]", "letters, digits");
+        check(
+            "[policy.x]\nreplicas = [\"grpc://a:1\"]\nanswer_within_secs = 0",
+            "answer_within_secs = 0",
+        );
+        check(
+            "[policy.x]\nreplicas = [\"grpc://a:1\"]\n[policy.x.suites]\ng = [\"grpc://a:2\"]",
+            "`replicas` and `suites`",
+        );
+        check("[policy.x.suites]\ng = []", "find a server for policy x");
+    }
+}

@@ -1,0 +1,432 @@
+//! When a policy server is asked, and when not: fail fast while it is out, and
+//! let one session at a time through to try it. Pure: the time is passed in.
+//! Not responsible for telling what went wrong; the replica does that.
+//!
+//! A server that could not be reached is back with any answer. One that was
+//! silent or sick is back only with an answered query: its Describe and its
+//! Reset often go on working when its accelerator does not.
+
+use std::{
+    fmt,
+    time::{Duration, Instant},
+};
+
+/// Wait after a server could not be reached for the first time.
+pub const FIRST_WAIT: Duration = Duration::from_millis(100);
+/// Longest wait for a server that could not be reached: one that comes back is
+/// in use again within this time.
+pub const LONGEST_WAIT: Duration = Duration::from_secs(5);
+/// Wait after a server was found sick or silent.
+pub const FIRST_SICK_WAIT: Duration = Duration::from_secs(1);
+/// Longest wait for a sick or silent server.
+pub const LONGEST_SICK_WAIT: Duration = Duration::from_secs(60);
+/// How long a probing session may take to come to an answer before another
+/// session may try.
+pub const PROBE_PATIENCE: Duration = Duration::from_secs(60);
+/// Different tasks that must get the same error, with no answer in between,
+/// for the server to count as sick. One task alone may be the cause of its
+/// own error; its retries count once.
+pub const SAME_ERROR_TASKS: usize = 3;
+/// Characters of an error that are compared.
+const COMPARED_CHARS: usize = 160;
+/// What the errors of an accelerator look like from which only a new process
+/// recovers: the words of CUDA, cuBLAS, cuDNN, HIP and PyTorch.
+const BROKEN_WORDS: [&str; 8] = [
+    "cuda error",
+    "cuda runtime error",
+    "cublas_status",
+    "cudnn_status",
+    "hip error",
+    "device-side assert",
+    "illegal memory access",
+    "out of memory",
+];
+
+/// What wants to go to a server.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Call<'a> {
+    /// A description, for nobody's episode.
+    Describe,
+    /// Something of this session.
+    Of(&'a str),
+}
+
+/// What a server answered to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Answered {
+    /// Anything but a query of an episode.
+    Something,
+    /// A query, with actions.
+    Query,
+}
+
+/// Why a server is out.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Cause {
+    /// No connection.
+    Unreachable,
+    /// It describes itself otherwise than it did, or than its fellow replicas.
+    Disagrees(String),
+    /// Connected, but without an answer in time.
+    Silent,
+    /// The same error to different tasks.
+    Repeats(String),
+    /// An error from which its process does not recover.
+    Broken(String),
+}
+
+impl Cause {
+    fn waits(&self) -> (Duration, Duration) {
+        match self {
+            Self::Unreachable => (FIRST_WAIT, LONGEST_WAIT),
+            _ => (FIRST_SICK_WAIT, LONGEST_SICK_WAIT),
+        }
+    }
+
+    /// Whether it takes an answered query to show that it is over.
+    fn needs_query(&self) -> bool {
+        matches!(self, Self::Silent | Self::Repeats(_) | Self::Broken(_))
+    }
+}
+
+impl fmt::Display for Cause {
+    /// Reads after the server's name.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Unreachable => f.write_str("cannot be reached"),
+            Self::Disagrees(difference) => f.write_str(difference),
+            Self::Silent => f.write_str("did not answer in time"),
+            Self::Repeats(error) => write!(f, "gave different tasks the same error: {error}"),
+            Self::Broken(error) => write!(
+                f,
+                "gave an error from which its process does not recover (restart it): {error}"
+            ),
+        }
+    }
+}
+
+/// How a server does, as far as known.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Health {
+    /// It is asked.
+    Up(Errors),
+    /// It is not, but for a probe.
+    Out(Outage),
+}
+
+/// One error that a server gave lately, and the tasks that got it.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Errors {
+    alike: String,
+    tasks: Vec<String>,
+}
+
+/// A server that is out.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Outage {
+    /// Why.
+    pub cause: Cause,
+    /// How long the next failed probe makes it wait.
+    wait: Duration,
+    /// When a probe may go.
+    probe_at: Instant,
+    /// The session that is through to try it.
+    probe: Option<Probe>,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Probe {
+    /// None: a description, which is one call and no session.
+    session: Option<String>,
+    until: Instant,
+}
+
+impl Default for Health {
+    fn default() -> Self {
+        Self::Up(Errors::default())
+    }
+}
+
+impl Health {
+    /// Whether a call may go out at `now`.
+    ///
+    /// # Errors
+    /// With the reason why the server is out, and the time left to wait.
+    pub fn admit(&mut self, call: Call<'_>, now: Instant) -> Result<(), (Cause, Duration)> {
+        let Self::Out(outage) = self else {
+            return Ok(());
+        };
+        let probe = outage.probe.as_ref().filter(|probe| now < probe.until);
+        match (probe, call) {
+            (Some(probe), Call::Of(session)) if probe.session.as_deref() == Some(session) => Ok(()),
+            (Some(probe), _) => Err((outage.cause.clone(), probe.until - now)),
+            (None, _) if now < outage.probe_at => {
+                Err((outage.cause.clone(), outage.probe_at - now))
+            }
+            // It says nothing about queries, so the probe is still to come.
+            (None, Call::Describe) if outage.cause.needs_query() => Ok(()),
+            (None, call) => {
+                let session = match call {
+                    Call::Describe => None,
+                    Call::Of(session) => Some(session.to_owned()),
+                };
+                let until = now + PROBE_PATIENCE;
+                outage.probe = Some(Probe { session, until });
+                Ok(())
+            }
+        }
+    }
+
+    /// Notes an answer. True if the server had been out and is back.
+    pub fn answered(&mut self, answered: Answered) -> bool {
+        match (&*self, answered) {
+            (Self::Up(_), Answered::Something) => false,
+            (Self::Out(outage), Answered::Something) if outage.cause.needs_query() => false,
+            (was, _) => {
+                let back = matches!(was, Self::Out(_));
+                *self = Self::default();
+                back
+            }
+        }
+    }
+
+    /// Notes at `now` that the server gave no answer, or none that can be used
+    /// with anybody. True if it had been up.
+    ///
+    /// Queries that were on their way when it failed fail too, all at once;
+    /// only a probe's failure lengthens the wait.
+    pub fn failed(&mut self, cause: Cause, now: Instant) -> bool {
+        let (first, longest) = cause.waits();
+        let (wait, was_up) = match self {
+            Self::Up(_) => (first, true),
+            Self::Out(Outage { probe: None, .. }) => return false,
+            Self::Out(outage) => (outage.wait.clamp(first, longest), false),
+        };
+        *self = Self::Out(Outage {
+            cause,
+            wait: (wait * 2).min(longest),
+            probe_at: now + wait,
+            probe: None,
+        });
+        was_up
+    }
+
+    /// Notes at `now` an error that the server answered to a query of `task`.
+    /// Returns why the server is out if it is, which excuses the query: then
+    /// the error is the server's, not the task's.
+    pub fn erred(&mut self, error: &str, task: &str, now: Instant) -> Option<Cause> {
+        if is_broken(error) {
+            let cause = Cause::Broken(error.to_owned());
+            self.failed(cause.clone(), now);
+            return Some(cause);
+        }
+        let alike = comparable(error);
+        match self {
+            Self::Up(errors) => {
+                if errors.alike != alike {
+                    let tasks = vec![];
+                    *errors = Errors { alike, tasks };
+                }
+                if !errors.tasks.iter().any(|known| known == task) {
+                    errors.tasks.push(task.to_owned());
+                }
+                if errors.tasks.len() < SAME_ERROR_TASKS {
+                    return None;
+                }
+                let cause = Cause::Repeats(error.to_owned());
+                self.failed(cause.clone(), now);
+                Some(cause)
+            }
+            Self::Out(Outage {
+                cause: Cause::Repeats(known),
+                ..
+            }) if comparable(known) != alike => {
+                // It is well enough to find something else wrong.
+                let tasks = vec![task.to_owned()];
+                *self = Self::Up(Errors { alike, tasks });
+                None
+            }
+            Self::Out(outage) => {
+                let cause = outage.cause.clone();
+                self.failed(cause.clone(), now);
+                Some(cause)
+            }
+        }
+    }
+}
+
+fn is_broken(error: &str) -> bool {
+    let error = error.to_lowercase();
+    BROKEN_WORDS.iter().any(|words| error.contains(words))
+}
+
+/// An error without its numbers, which are often those of a session or query.
+fn comparable(error: &str) -> String {
+    let digits = |c: char| if c.is_ascii_digit() { '#' } else { c };
+    error.chars().map(digits).take(COMPARED_CHARS).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const SESSIONS: [&str; 3] = ["a", "b", "c"];
+
+    #[derive(Clone, Debug)]
+    enum Event {
+        Admit(Option<usize>),
+        Answered(Answered),
+        Failed(Cause),
+        Erred(&'static str, usize),
+        Pass(u64),
+    }
+
+    fn event() -> impl Strategy<Value = Event> {
+        let cause = prop_oneof![
+            Just(Cause::Unreachable),
+            Just(Cause::Silent),
+            Just(Cause::Disagrees("digest".to_owned())),
+        ];
+        prop_oneof![
+            prop::option::of(0..SESSIONS.len()).prop_map(Event::Admit),
+            prop_oneof![Just(Answered::Something), Just(Answered::Query)].prop_map(Event::Answered),
+            cause.prop_map(Event::Failed),
+            (
+                prop_oneof![
+                    Just("ValueError: 1"),
+                    Just("KeyError"),
+                    Just("CUDA error: assert")
+                ],
+                0..4_usize
+            )
+                .prop_map(|(error, task)| Event::Erred(error, task)),
+            (0..90_000_u64).prop_map(Event::Pass),
+        ]
+    }
+
+    fn call(session: Option<usize>) -> Call<'static> {
+        session.map_or(Call::Describe, |at| Call::Of(SESSIONS[at]))
+    }
+
+    fn apply(health: &mut Health, event: &Event, now: &mut Instant) {
+        match event {
+            Event::Admit(session) => drop(health.admit(call(*session), *now)),
+            Event::Answered(answered) => drop(health.answered(*answered)),
+            Event::Failed(cause) => drop(health.failed(cause.clone(), *now)),
+            Event::Erred(error, task) => drop(health.erred(error, &task.to_string(), *now)),
+            Event::Pass(millis) => *now += Duration::from_millis(*millis),
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn whatever_happened_a_server_is_tried_again_and_one_answered_query_brings_it_back(
+            events in prop::collection::vec(event(), 0..60),
+        ) {
+            let (mut health, mut now) = (Health::default(), Instant::now());
+            for event in &events {
+                apply(&mut health, event, &mut now);
+            }
+            now += LONGEST_SICK_WAIT + PROBE_PATIENCE;
+            prop_assert!(health.admit(Call::Of("new"), now).is_ok());
+            health.answered(Answered::Query);
+            prop_assert_eq!(health, Health::default());
+        }
+
+        #[test]
+        fn while_a_server_is_out_no_two_sessions_are_let_through_at_once(
+            events in prop::collection::vec(event(), 0..60),
+        ) {
+            let (mut health, mut now) = (Health::default(), Instant::now());
+            for event in &events {
+                apply(&mut health, event, &mut now);
+                let Health::Out(_) = &health else { continue };
+                let mut asked = health.clone();
+                let through = SESSIONS.iter().filter(|it| asked.admit(Call::Of(it), now).is_ok());
+                prop_assert!(through.count() <= 1);
+            }
+        }
+
+        #[test]
+        fn a_failure_is_followed_by_a_wait_within_its_bounds(
+            events in prop::collection::vec(event(), 0..60),
+            cause in prop_oneof![Just(Cause::Unreachable), Just(Cause::Silent)],
+        ) {
+            let (mut health, mut now) = (Health::default(), Instant::now());
+            for event in &events {
+                apply(&mut health, event, &mut now);
+            }
+            now += LONGEST_SICK_WAIT + PROBE_PATIENCE;
+            prop_assert!(health.admit(Call::Of("probe"), now).is_ok());
+            health.failed(cause.clone(), now);
+            let (refused, wait) = health.admit(Call::Of("probe"), now).expect_err("it failed just now");
+            let (first, longest) = cause.waits();
+            prop_assert_eq!(refused, cause);
+            prop_assert!((first..=longest).contains(&wait), "{:?}", wait);
+        }
+
+        #[test]
+        fn a_sick_server_is_not_brought_back_by_a_description(
+            events in prop::collection::vec(event(), 0..60),
+        ) {
+            let (mut health, mut now) = (Health::default(), Instant::now());
+            for event in &events {
+                apply(&mut health, event, &mut now);
+                if matches!(&health, Health::Out(outage) if outage.cause.needs_query()) {
+                    prop_assert!(!health.answered(Answered::Something));
+                    prop_assert!(matches!(health, Health::Out(_)));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn waits_double_up_to_the_longest_and_late_failures_do_not_count() {
+        let mut health = Health::default();
+        let mut now = Instant::now();
+        let mut waits = Vec::new();
+        for _ in 0..8 {
+            health.failed(Cause::Unreachable, now);
+            // A query that was on its way when the connection broke.
+            health.failed(Cause::Unreachable, now);
+            let (_, wait) = health.admit(Call::Describe, now).expect_err("a wait");
+            waits.push(wait.as_millis());
+            now += wait;
+            assert_eq!(health.admit(Call::Describe, now), Ok(()));
+        }
+        assert_eq!(waits, [100, 200, 400, 800, 1600, 3200, 5000, 5000]);
+    }
+
+    #[test]
+    fn an_error_from_which_no_process_recovers_counts_at_once() {
+        let mut health = Health::default();
+        let error = "RuntimeError: CUDA error: device-side assert triggered";
+        let cause = health.erred(error, "task 1", Instant::now());
+        assert_eq!(cause, Some(Cause::Broken(error.to_owned())));
+        assert!(health.admit(Call::Of("s"), Instant::now()).is_err());
+    }
+
+    #[test]
+    fn the_same_error_counts_once_per_task_whatever_its_numbers() {
+        let (mut health, now) = (Health::default(), Instant::now());
+        let mut err = |error: &str, task: &str| health.erred(error, task, now).is_some();
+        assert!(!err("ValueError: session 1", "butter"));
+        assert!(!err("ValueError: session 2", "butter"));
+        assert!(!err("ValueError: session 3", "milk"));
+        assert!(!err("KeyError", "bowl"));
+        assert!(!err("ValueError: session 4", "butter"));
+        assert!(!err("ValueError: session 5", "milk"));
+        assert!(err("ValueError: session 6", "bowl"));
+    }
+
+    #[test]
+    fn an_answered_query_between_errors_shows_that_the_server_is_well() {
+        let (mut health, now) = (Health::default(), Instant::now());
+        for task in ["butter", "milk", "bowl", "plate"] {
+            assert_eq!(health.erred("ValueError", task, now), None);
+            health.answered(Answered::Query);
+        }
+    }
+}

@@ -1,0 +1,126 @@
+//! Why a route did not answer, as a worker is told.
+
+use std::error::Error as _;
+
+use thiserror::Error;
+use tonic::{Code, Status};
+
+use super::MAX_QUERIES_IN_FLIGHT;
+use crate::{
+    backend::{self, BackendError},
+    check::ActionFault,
+    config::RouteName,
+    sessions::MAX_SESSION_BYTES,
+};
+
+/// Why a route did not answer.
+#[derive(Debug, Error)]
+pub enum RouteError {
+    /// The replica did not.
+    #[error("route {route} ({replica}){at}")]
+    Replica {
+        /// Name of the route.
+        route: RouteName,
+        /// Its back-end as configured.
+        replica: String,
+        /// " on session …", as far as known.
+        at: String,
+        /// Why not.
+        #[source]
+        source: Box<BackendError>,
+    },
+    /// The policy answered nonsense.
+    #[error(
+        "policy {policy:?} (route {route}, {replica}), session {session:?}, query {query_index}"
+    )]
+    Action {
+        /// The policy's own name.
+        policy: String,
+        /// Name of the route.
+        route: RouteName,
+        /// Its back-end as configured.
+        replica: String,
+        /// The episode.
+        session: String,
+        /// Which of its queries.
+        query_index: u32,
+        /// What is wrong.
+        #[source]
+        source: ActionFault,
+    },
+    /// A session that is not open, because it never was, or because the gateway
+    /// restarted or forgot it since: the episode is lost, through no fault of
+    /// the policy.
+    #[error(
+        "route {route}: session {session:?} is not open here (the gateway may have restarted \
+         since its Reset); start the rollout again"
+    )]
+    SessionLost {
+        /// Name of the route.
+        route: RouteName,
+        /// The episode.
+        session: String,
+    },
+    /// No checkpoint for what is asked.
+    #[error(
+        "route {route} has a checkpoint per suite and none for {suite:?}; it has them for {known}"
+    )]
+    Suite {
+        /// Name of the route.
+        route: RouteName,
+        /// As asked for.
+        suite: String,
+        /// The suites that it has.
+        known: String,
+    },
+    /// A session without a name, or with a book for one.
+    #[error("a session's name has 1 to {MAX_SESSION_BYTES} bytes, this one {bytes}")]
+    Session {
+        /// Its length.
+        bytes: usize,
+    },
+    /// The configuration no longer names the route.
+    #[error("route {route} takes no new sessions: it was taken out of the configuration")]
+    Retired {
+        /// Name of the route.
+        route: RouteName,
+    },
+    /// Too many queries wait already.
+    #[error("route {route} has {MAX_QUERIES_IN_FLIGHT} queries under way; try again later")]
+    Overloaded {
+        /// Name of the route.
+        route: RouteName,
+    },
+}
+
+impl RouteError {
+    /// The gRPC code that says it to a worker: see [`BackendError`].
+    pub fn code(&self) -> Code {
+        match self {
+            Self::Replica { source, .. } => source.code(),
+            Self::Action { .. } => Code::Internal,
+            Self::SessionLost { .. } | Self::Retired { .. } => Code::Unavailable,
+            Self::Suite { .. } | Self::Session { .. } => Code::InvalidArgument,
+            Self::Overloaded { .. } => Code::ResourceExhausted,
+        }
+    }
+
+    /// The error and its cause in one line, for the wire.
+    pub fn message(&self) -> String {
+        match self.source() {
+            Some(cause) => format!("{self}: {cause}"),
+            None => self.to_string(),
+        }
+    }
+
+    /// Whether the infrastructure failed, not this query.
+    pub fn is_outage(&self) -> bool {
+        backend::is_outage(self.code())
+    }
+}
+
+impl From<RouteError> for Status {
+    fn from(error: RouteError) -> Self {
+        Self::new(error.code(), error.message())
+    }
+}

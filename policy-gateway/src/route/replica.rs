@@ -1,0 +1,238 @@
+//! One replica: a back-end, how busy it is and how it does. Responsible for
+//! deadlines, for health and for the checks at the boundary, so that whatever
+//! comes out of here may go on towards a robot.
+
+use std::{
+    fmt,
+    sync::{
+        Mutex, PoisonError,
+        atomic::{AtomicU64, AtomicUsize, Ordering},
+    },
+    time::{Duration, Instant},
+};
+
+use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
+
+use crate::{
+    backend::{Backend, BackendError, builtin::BuiltinBackend, grpc::GrpcBackend},
+    check,
+    config::BackendSpec,
+    health::{Answered, Call, Cause, Health},
+};
+
+/// One of those that answer for a checkpoint.
+pub struct Replica {
+    spec: BackendSpec,
+    answer_within: Duration,
+    backend: Box<dyn Backend>,
+    health: Mutex<Health>,
+    /// Queries under way.
+    load: AtomicUsize,
+    /// When it was last given a session, counted in sessions given.
+    last_given: AtomicU64,
+}
+
+/// A query under way; one less when dropped, however it ends.
+struct UnderWay<'a>(&'a AtomicUsize);
+
+impl Drop for UnderWay<'_> {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+impl Replica {
+    /// A replica that has not been asked anything yet.
+    ///
+    /// # Errors
+    /// When the back-end's address is none.
+    pub fn new(
+        spec: &BackendSpec,
+        answer_within: Duration,
+    ) -> Result<Self, tonic::transport::Error> {
+        let backend: Box<dyn Backend> = match spec {
+            BackendSpec::Builtin(builtin) => Box::new(BuiltinBackend::new(*builtin)),
+            BackendSpec::Grpc(address) => Box::new(GrpcBackend::new(address.clone())?),
+        };
+        Ok(Self {
+            spec: spec.clone(),
+            answer_within,
+            backend,
+            health: Mutex::default(),
+            load: AtomicUsize::new(0),
+            last_given: AtomicU64::new(0),
+        })
+    }
+
+    /// Whether a replica made to this order would be the same as this one.
+    pub fn is(&self, spec: &BackendSpec, answer_within: Duration) -> bool {
+        self.spec == *spec && self.answer_within == answer_within
+    }
+
+    /// Queries under way.
+    pub fn load(&self) -> usize {
+        self.load.load(Ordering::Relaxed)
+    }
+
+    /// When it was last given a session.
+    pub fn last_given(&self) -> u64 {
+        self.last_given.load(Ordering::Relaxed)
+    }
+
+    /// Notes that it is given a session as the `number`th.
+    pub fn give(&self, number: u64) {
+        self.last_given.store(number, Ordering::Relaxed);
+    }
+
+    /// Whether a call would go out now.
+    pub fn would_admit(&self, call: Call<'_>) -> bool {
+        let mut health = self.health().clone();
+        health.admit(call, Instant::now()).is_ok()
+    }
+
+    /// Asks what its policy is, for `suite` if that is not empty. `agrees` says what is wrong with an answer that
+    /// can be true but is not what was expected.
+    ///
+    /// # Errors
+    /// When it does not answer, or with something that cannot be used.
+    pub async fn describe(
+        &self,
+        call: Call<'_>,
+        suite: &str,
+        agrees: impl FnOnce(&DescribeResponse) -> Result<(), String>,
+    ) -> Result<DescribeResponse, BackendError> {
+        let described = self.in_time(call, self.backend.describe(suite)).await?;
+        check::description(&described).map_err(|fault| BackendError::Description {
+            policy: described.name.clone(),
+            fault,
+        })?;
+        if let Err(difference) = agrees(&described) {
+            self.lost(Cause::Disagrees(difference.clone()));
+            return Err(BackendError::Disagrees { difference });
+        }
+        self.answered(Answered::Something);
+        Ok(described)
+    }
+
+    /// Starts an episode.
+    ///
+    /// # Errors
+    /// When it does not answer, or refuses.
+    pub async fn reset(&self, request: ResetRequest) -> Result<(), BackendError> {
+        let session = request.session.clone();
+        self.in_time(Call::Of(&session), self.backend.reset(request))
+            .await?;
+        self.answered(Answered::Something);
+        Ok(())
+    }
+
+    /// Answers one observation of `task` with actions of which there are at
+    /// most `horizon`.
+    ///
+    /// # Errors
+    /// When it does not answer, or its answer is no chunk of actions (see
+    /// [`check::actions`]).
+    pub async fn infer(
+        &self,
+        request: InferRequest,
+        horizon: u32,
+        task: &str,
+    ) -> Result<InferResponse, BackendError> {
+        self.load.fetch_add(1, Ordering::Relaxed);
+        let _under_way = UnderWay(&self.load);
+        let session = request.session.clone();
+        let answer = self
+            .in_time(Call::Of(&session), self.backend.infer(request))
+            .await;
+        let checked = answer.and_then(|response| match check::actions(&response, horizon) {
+            Ok(_) => Ok(response),
+            Err(fault) => Err(BackendError::Nonsense { fault }),
+        });
+        match checked {
+            Ok(response) => {
+                self.answered(Answered::Query);
+                Ok(response)
+            }
+            Err(error) if error.is_outage() => Err(error),
+            Err(error) => Err(self.judge(error, task)),
+        }
+    }
+
+    /// An error that was answered to a query: the query's, or the server's if
+    /// that is out.
+    fn judge(&self, error: BackendError, task: &str) -> BackendError {
+        let was_up = matches!(*self.health(), Health::Up(_));
+        let cause = self
+            .health()
+            .erred(&error.to_string(), task, Instant::now());
+        match cause {
+            None => error,
+            Some(cause) => {
+                if was_up {
+                    self.log_loss(&cause);
+                }
+                BackendError::Sick {
+                    backend: self.to_string(),
+                    cause,
+                }
+            }
+        }
+    }
+
+    /// Makes one call, if the replica's health admits it, and notes if it
+    /// brought no answer in time.
+    async fn in_time<T>(
+        &self,
+        call: Call<'_>,
+        answer: impl Future<Output = Result<T, BackendError>>,
+    ) -> Result<T, BackendError> {
+        self.health()
+            .admit(call, Instant::now())
+            .map_err(|(cause, retry_in)| BackendError::Out {
+                backend: self.to_string(),
+                cause,
+                retry_in,
+            })?;
+        let limit = self.answer_within;
+        let Ok(answer) = tokio::time::timeout(limit, answer).await else {
+            self.lost(Cause::Silent);
+            return Err(BackendError::TimedOut {
+                backend: self.to_string(),
+                limit,
+            });
+        };
+        match &answer {
+            Err(BackendError::Unreachable { .. }) => self.lost(Cause::Unreachable),
+            // "Not now" is an answer, too.
+            Err(error) if error.is_outage() => self.answered(Answered::Something),
+            _ => {}
+        }
+        answer
+    }
+
+    fn answered(&self, answered: Answered) {
+        if self.health().answered(answered) {
+            tracing::info!(backend = %self, "policy server back");
+        }
+    }
+
+    fn lost(&self, cause: Cause) {
+        if self.health().failed(cause.clone(), Instant::now()) {
+            self.log_loss(&cause);
+        }
+    }
+
+    fn log_loss(&self, cause: &Cause) {
+        tracing::warn!(backend = %self, "policy server out, tried again with back-off: it {cause}");
+    }
+
+    fn health(&self) -> std::sync::MutexGuard<'_, Health> {
+        self.health.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl fmt::Display for Replica {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.backend.fmt(f)
+    }
+}

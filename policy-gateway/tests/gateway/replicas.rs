@@ -1,0 +1,269 @@
+//! Several servers behind one name: which one answers, and which may not.
+
+use std::{
+    collections::BTreeSet,
+    sync::{
+        Arc,
+        atomic::{AtomicU32, Ordering},
+    },
+};
+
+use policy_gateway::config::{Batching, CheckpointSpecs, Config, RouteSpec};
+use proto::policy::{DescribeRequest, DescribeResponse, ResetRequest, policy_client::PolicyClient};
+use tonic::{Code, transport::Channel};
+
+use crate::support::{
+    Running, Scripted, chunk, describe, description, gateway, infer, reloadable, reset, serve,
+    unused_address,
+};
+
+/// A server that answers `number` everywhere.
+async fn numbered(described: DescribeResponse, number: f32) -> Running {
+    serve(Scripted::new(described, move |_| {
+        Ok(chunk(&[number; 7], 7))
+    }))
+    .await
+}
+
+async fn number(client: &mut PolicyClient<Channel>, session: &str, query_index: u32) -> f32 {
+    let answer = client.infer(infer("x", session, query_index)).await;
+    answer.expect("an answer").get_ref().actions[0]
+}
+
+fn stateful() -> DescribeResponse {
+    DescribeResponse {
+        stateful: true,
+        ..description("p", 1)
+    }
+}
+
+fn replicas(servers: &[&Running]) -> String {
+    let addresses: Vec<_> = servers
+        .iter()
+        .map(|it| format!("grpc://{}", it.address))
+        .collect();
+    format!("x={}", addresses.join(","))
+}
+
+#[tokio::test]
+async fn sessions_of_a_stateful_policy_are_shared_out_and_stay_where_they_are() {
+    let one = numbered(stateful(), 0.1).await;
+    let two = numbered(stateful(), 0.2).await;
+    let gateway = gateway(&[&replicas(&[&one, &two])]).await;
+    let mut client = gateway.client().await;
+    let mut places = vec![];
+    for session in ["a", "b", "c", "d"] {
+        client.reset(reset("x", session)).await.expect("an episode");
+        places.push(number(&mut client, session, 0).await);
+    }
+    assert_eq!(places.iter().filter(|it| **it == 0.1).count(), 2);
+    for query_index in 1..4 {
+        for (session, place) in ["a", "b", "c", "d"].iter().zip(&places) {
+            assert_eq!(number(&mut client, session, query_index).await, *place);
+        }
+    }
+    // Whoever holds such a session may not be replaced by another.
+    let (fallen, victim) = (one, places.iter().position(|it| *it == 0.1));
+    fallen.stop().await;
+    let victim = ["a", "b", "c", "d"][victim.expect("one of them")];
+    let lost = client
+        .infer(infer("x", victim, 4))
+        .await
+        .expect_err("its replica is gone");
+    assert_eq!(lost.code(), Code::Unavailable, "{lost}");
+}
+
+#[tokio::test]
+async fn a_query_of_a_stateless_policy_goes_on_at_another_replica_which_gets_its_reset() {
+    let by_seed = |query: crate::support::Query| {
+        let seed = query
+            .seed
+            .ok_or_else(|| tonic::Status::internal("no Reset"))?;
+        Ok(chunk(&[seed as f32; 7], 7))
+    };
+    let one = serve(Scripted::new(description("p", 1), by_seed)).await;
+    let two = serve(Scripted::new(description("p", 1), by_seed)).await;
+    let gateway = gateway(&[&replicas(&[&one, &two])]).await;
+    let mut client = gateway.client().await;
+    client.reset(reset("x", "s")).await.expect("an episode");
+    assert_eq!(number(&mut client, "s", 0).await, 7.0);
+    one.stop().await;
+    assert_eq!(number(&mut client, "s", 1).await, 7.0);
+    // New sessions find the one that is left, too.
+    for session in ["t", "u", "v"] {
+        client.reset(reset("x", session)).await.expect("an episode");
+        assert_eq!(number(&mut client, session, 0).await, 7.0);
+    }
+}
+
+#[tokio::test]
+async fn a_replica_with_other_weights_is_refused_by_name_and_the_others_go_on() {
+    let digest = |digest: &str| DescribeResponse {
+        checkpoint_digest: digest.to_owned(),
+        ..description("p", 1)
+    };
+    let one = numbered(digest("aaaa"), 0.1).await;
+    let two = numbered(digest("bbbb"), 0.2).await;
+    let route = replicas(&[&one, &two]);
+    let gateway = gateway(&[&route]).await;
+    let mut client = gateway.client().await;
+    for session in ["a", "b", "c"] {
+        client.reset(reset("x", session)).await.expect("an episode");
+        assert_eq!(number(&mut client, session, 0).await, 0.1);
+    }
+    one.stop().await;
+    let refused = client
+        .reset(reset("x", "d"))
+        .await
+        .expect_err("nobody with these weights is left");
+    assert_eq!(refused.code(), Code::Unavailable, "{refused}");
+}
+
+#[tokio::test]
+async fn the_only_replica_that_changes_its_description_is_refused_by_what_it_changed() {
+    let asked = Arc::new(AtomicU32::new(0));
+    let count = Arc::clone(&asked);
+    let server = serve(
+        Scripted::new(description("p", 1), |_| Ok(chunk(&[0.5; 7], 7))).describing(move || {
+            DescribeResponse {
+                checkpoint_digest: format!("digest {}", count.load(Ordering::SeqCst)),
+                ..description("p", 1)
+            }
+        }),
+    )
+    .await;
+    let gateway = gateway(&[&replicas(&[&server])]).await;
+    let mut client = gateway.client().await;
+    client.reset(reset("x", "s")).await.expect("an episode");
+    asked.store(1, Ordering::SeqCst);
+    let changed = client
+        .reset(reset("x", "t"))
+        .await
+        .expect_err("other weights than before");
+    assert_eq!(changed.code(), Code::Unavailable);
+    for part in ["checkpoint digest", "digest 1", "digest 0", "SIGHUP"] {
+        assert!(changed.message().contains(part), "{part} in {changed}");
+    }
+}
+
+/// A route with a checkpoint for each of two suites.
+fn per_suite(goal: &Running, object: &Running) -> RouteSpec {
+    let backend = |server: &Running| {
+        let text = format!("grpc://{}", server.address);
+        vec![text.parse().expect("an address")]
+    };
+    let suites = [("libero_goal", goal), ("libero_object", object)];
+    let suites = suites.map(|(suite, server)| (suite.to_owned(), backend(server)));
+    RouteSpec {
+        checkpoints: CheckpointSpecs::PerSuite(suites.into_iter().collect()),
+        ..route(&replicas(&[goal]))
+    }
+}
+
+fn route(text: &str) -> RouteSpec {
+    text.parse().expect(text)
+}
+
+#[tokio::test]
+async fn a_suite_is_answered_by_its_own_checkpoint_and_an_unknown_one_by_none() {
+    let goal = numbered(description("oft goal", 1), 0.1).await;
+    let object = numbered(description("oft object", 1), 0.2).await;
+    let (gateway, _) = reloadable(vec![per_suite(&goal, &object)]).await;
+    let mut client = gateway.client().await;
+    for (suite, expected) in [("libero_goal", 0.1), ("libero_object", 0.2)] {
+        let request = DescribeRequest {
+            suite: suite.to_owned(),
+            ..describe("x")
+        };
+        let described = client.describe(request).await.expect("a description");
+        assert!(suite.ends_with(&described.get_ref().name[4..]));
+        let request = ResetRequest {
+            suite: suite.to_owned(),
+            ..reset("x", suite)
+        };
+        client.reset(request).await.expect("an episode");
+        assert_eq!(number(&mut client, suite, 0).await, expected);
+    }
+    let unknown = client
+        .describe(describe("x"))
+        .await
+        .expect_err("no suite named");
+    assert_eq!(unknown.code(), Code::InvalidArgument);
+    assert!(
+        unknown.message().contains("libero_goal, libero_object"),
+        "{unknown}"
+    );
+}
+
+#[tokio::test]
+async fn a_reload_moves_new_sessions_and_leaves_open_ones_where_they_are() {
+    let old = numbered(stateful(), 0.1).await;
+    let new = numbered(stateful(), 0.2).await;
+    let (running, gateway) = reloadable(vec![route(&replicas(&[&old]))]).await;
+    let mut client = running.client().await;
+    client
+        .reset(reset("x", "before"))
+        .await
+        .expect("an episode");
+    assert_eq!(number(&mut client, "before", 0).await, 0.1);
+
+    let config = Config::new(vec![route(&replicas(&[&new]))]).expect("routes");
+    gateway.reload(&config).expect("addresses");
+    assert_eq!(number(&mut client, "before", 1).await, 0.1);
+    client.reset(reset("x", "after")).await.expect("an episode");
+    assert_eq!(number(&mut client, "after", 0).await, 0.2);
+
+    // A policy that is no longer configured ends with its open sessions.
+    let other = Config::new(vec![route("y=builtin:noop")]).expect("routes");
+    gateway.reload(&other).expect("addresses");
+    assert_eq!(number(&mut client, "before", 2).await, 0.1);
+    let refused = client
+        .reset(reset("x", "late"))
+        .await
+        .expect_err("x is no longer served");
+    assert_eq!(refused.code(), Code::Unavailable, "{refused}");
+    assert!(client.describe(describe("")).await.is_ok());
+}
+
+#[tokio::test]
+async fn a_deterministic_policy_answers_one_seed_at_one_replica_whatever_else_goes_on() {
+    let servers = [
+        numbered(description("p", 1), 0.0).await,
+        numbered(description("p", 1), 1.0).await,
+        numbered(description("p", 1), 2.0).await,
+    ];
+    let spec = RouteSpec {
+        batching: Batching::Deterministic,
+        ..route(&replicas(&[&servers[0], &servers[1], &servers[2]]))
+    };
+    let (gateway, _) = reloadable(vec![spec]).await;
+    let mut client = gateway.client().await;
+    let mut places = BTreeSet::new();
+    for seed in 0..24 {
+        let mut of_seed = BTreeSet::new();
+        for attempt in 0..3 {
+            let session = format!("{seed} {attempt}");
+            let request = ResetRequest {
+                seed,
+                ..reset("x", &session)
+            };
+            client.reset(request).await.expect("an episode");
+            of_seed.insert(number(&mut client, &session, 0).await as u32);
+        }
+        assert_eq!(of_seed.len(), 1);
+        places.extend(of_seed);
+    }
+    assert_eq!(places.len(), 3, "24 seeds find all of three replicas");
+}
+
+#[tokio::test]
+async fn of_two_replicas_one_may_be_down_from_the_start() {
+    let nowhere = unused_address().await;
+    let one = numbered(description("p", 1), 0.1).await;
+    let route = format!("x=grpc://{nowhere},grpc://{}", one.address);
+    let gateway = gateway(&[&route]).await;
+    let mut client = gateway.client().await;
+    client.describe(describe("x")).await.expect("the other one");
+    client.reset(reset("x", "s")).await.expect("an episode");
+    assert_eq!(number(&mut client, "s", 0).await, 0.1);
+}
