@@ -51,7 +51,7 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
         let mut pytest = Command::new(&python);
         run_command(
             pytest
-                .args(["-m", "pytest", "--quiet", "-p", "no:cacheprovider"])
+                .args(["-m", "pytest", "--quiet", "-rs", "-p", "no:cacheprovider"])
                 .arg(root.join("policies/tests"))
                 .env("POLICY_GATEWAY", programs.join("policy-gateway")),
         )?;
