@@ -8,3 +8,4 @@ mod program;
 mod replicas;
 mod routing;
 mod support;
+mod wrong_servers;

@@ -1,0 +1,166 @@
+//! Servers that are wrong on purpose: each is told apart for the right reason,
+//! and what is the server's trouble reaches a worker as an outage, which is
+//! charged to nobody.
+
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicBool, AtomicU32, Ordering},
+    },
+    time::{Duration, Instant},
+};
+
+use policy_gateway::{
+    config::RouteSpec,
+    health::{FIRST_SICK_WAIT, LONGEST_SICK_WAIT},
+};
+use proto::policy::{
+    DescribeRequest, DescribeResponse, InferBatchRequest, InferBatchResponse, InferRequest,
+    InferResponse, ResetRequest, ResetResponse, policy_client::PolicyClient, policy_server::Policy,
+};
+use tonic::{Code, Request, Response, Status, transport::Channel};
+
+use crate::support::{
+    Running, Scripted, chunk, description, gateway, infer, reloadable, reset, serve,
+};
+
+/// One query of a new session whose task is `task`.
+async fn one_query(client: &mut PolicyClient<Channel>, task: &str) -> Result<(), Status> {
+    let request = ResetRequest {
+        instruction: task.to_owned(),
+        ..reset("x", task)
+    };
+    client.reset(request).await?;
+    client.infer(infer("x", task, 0)).await.map(drop)
+}
+
+async fn behind_a_gateway(server: &Running) -> Running {
+    gateway(&[&format!("x=grpc://{}", server.address)]).await
+}
+
+#[tokio::test]
+async fn a_broken_accelerator_is_out_with_its_first_error_until_a_query_is_answered() {
+    let broken = Arc::new(AtomicBool::new(true));
+    let asked = Arc::new(AtomicU32::new(0));
+    let (is_broken, count) = (Arc::clone(&broken), Arc::clone(&asked));
+    let answer = move |_| {
+        count.fetch_add(1, Ordering::SeqCst);
+        match is_broken.load(Ordering::SeqCst) {
+            true => Err(Status::unknown("CUDA error: device-side assert triggered")),
+            false => Ok(chunk(&[0.5; 7], 7)),
+        }
+    };
+    let server = serve(Scripted::new(description("p", 1), answer)).await;
+    let gateway = behind_a_gateway(&server).await;
+    let mut client = gateway.client().await;
+
+    let first = one_query(&mut client, "butter").await.expect_err("broken");
+    assert_eq!(first.code(), Code::Unavailable);
+    for part in ["device-side assert", "restart it", "session \"butter\""] {
+        assert!(first.message().contains(part), "{part} in {first}");
+    }
+    for task in ["milk", "bowl", "plate"] {
+        let refused = one_query(&mut client, task).await.expect_err("still out");
+        assert_eq!(refused.code(), Code::Unavailable);
+        assert!(refused.message().contains("tried again in"), "{refused}");
+    }
+    assert_eq!(
+        asked.load(Ordering::SeqCst),
+        1,
+        "the others did not reach it"
+    );
+
+    broken.store(false, Ordering::SeqCst);
+    let deadline = Instant::now() + LONGEST_SICK_WAIT;
+    while let Err(status) = one_query(&mut client, "again").await {
+        assert_eq!(status.code(), Code::Unavailable, "{status}");
+        assert!(Instant::now() < deadline, "{status}");
+        tokio::time::sleep(FIRST_SICK_WAIT / 10).await;
+    }
+    one_query(&mut client, "milk").await.expect("it is back");
+}
+
+#[tokio::test]
+async fn the_same_error_to_three_tasks_is_the_servers_and_to_one_task_is_the_tasks() {
+    let answer = |_| Err::<InferResponse, _>(Status::internal("ValueError: shape (3, 4)"));
+    let server = serve(Scripted::new(description("p", 1), answer)).await;
+    let gateway = behind_a_gateway(&server).await;
+    let mut client = gateway.client().await;
+    let mut codes = vec![];
+    for task in ["butter", "butter", "butter", "butter", "milk", "bowl"] {
+        let status = one_query(&mut client, task).await.expect_err("an error");
+        assert!(status.message().contains("ValueError"), "{status}");
+        codes.push(status.code());
+    }
+    assert_eq!(codes[..5], [Code::Internal; 5]);
+    assert_eq!(codes[5], Code::Unavailable);
+}
+
+#[tokio::test]
+async fn answers_of_no_use_to_three_tasks_are_an_outage_of_the_policy() {
+    for nonsense in [
+        chunk(&[f32::NAN; 7], 7),
+        chunk(&[0.0; 18], 6),
+        chunk(&[], 7),
+    ] {
+        let answer = move |_| Ok(nonsense.clone());
+        let server = serve(Scripted::new(description("p", 1), answer)).await;
+        let gateway = behind_a_gateway(&server).await;
+        let mut client = gateway.client().await;
+        let mut codes = vec![];
+        for task in ["butter", "milk", "bowl"] {
+            let status = one_query(&mut client, task).await.expect_err("nonsense");
+            codes.push(status.code());
+        }
+        assert_eq!(codes, [Code::Internal, Code::Internal, Code::Unavailable]);
+    }
+}
+
+/// Opens sessions and never answers a query.
+struct Silent;
+
+#[tonic::async_trait]
+impl Policy for Silent {
+    async fn describe(
+        &self,
+        _: Request<DescribeRequest>,
+    ) -> Result<Response<DescribeResponse>, Status> {
+        Ok(Response::new(description("silent", 1)))
+    }
+
+    async fn reset(&self, _: Request<ResetRequest>) -> Result<Response<ResetResponse>, Status> {
+        Ok(Response::new(ResetResponse {}))
+    }
+
+    async fn infer(&self, _: Request<InferRequest>) -> Result<Response<InferResponse>, Status> {
+        std::future::pending().await
+    }
+
+    async fn infer_batch(
+        &self,
+        _: Request<InferBatchRequest>,
+    ) -> Result<Response<InferBatchResponse>, Status> {
+        std::future::pending().await
+    }
+}
+
+#[tokio::test]
+async fn a_server_that_never_answers_is_out_after_its_time_and_others_fail_fast() {
+    let server = serve(Silent).await;
+    let route = format!("x=grpc://{}", server.address);
+    let spec = RouteSpec {
+        answer_within: Duration::from_millis(300),
+        ..route.parse().expect("a route")
+    };
+    let (gateway, _) = reloadable(vec![spec]).await;
+    let mut client = gateway.client().await;
+    let late = one_query(&mut client, "butter").await.expect_err("silence");
+    assert_eq!(late.code(), Code::DeadlineExceeded);
+    assert!(late.message().contains("within 0.3 s"), "{late}");
+    let refused = one_query(&mut client, "milk").await.expect_err("out");
+    assert_eq!(refused.code(), Code::Unavailable);
+    assert!(
+        refused.message().contains("did not answer in time"),
+        "{refused}"
+    );
+}
