@@ -37,12 +37,22 @@ pub trait Backend: fmt::Display + Send + Sync {
     /// # Errors
     /// [`BackendError`].
     async fn infer(&self, request: InferRequest) -> Result<InferResponse, BackendError>;
+
+    /// Answers several independent observations at once, each unchecked, in
+    /// their order.
+    ///
+    /// # Errors
+    /// [`BackendError`], if none of them was answered.
+    async fn infer_batch(
+        &self,
+        requests: Vec<InferRequest>,
+    ) -> Result<Vec<Result<InferResponse, BackendError>>, BackendError>;
 }
 
 /// Why a back-end did not answer. Each has one gRPC code, which tells a worker
 /// whether the infrastructure failed (`UNAVAILABLE`, `DEADLINE_EXCEEDED`,
 /// `RESOURCE_EXHAUSTED`: not charged to the rollout) or the policy did.
-#[derive(Debug, Error)]
+#[derive(Clone, Debug, Error)]
 pub enum BackendError {
     /// No connection, or it broke.
     #[error(
@@ -103,6 +113,23 @@ pub enum BackendError {
         /// What is wrong.
         fault: ActionFault,
     },
+    /// Too many queries wait for it.
+    #[error("{queued} queries wait for their batch already; try again later")]
+    QueueFull {
+        /// How many.
+        queued: usize,
+    },
+    /// A batch that came to nothing, through no fault of its queries.
+    #[error("the batch ended without an answer to this query")]
+    BatchLost,
+    /// An answer to a batch that does not fit it.
+    #[error("it answered a batch of {asked} with {answered} results")]
+    BatchSize {
+        /// Queries sent.
+        asked: usize,
+        /// Results that came.
+        answered: usize,
+    },
     /// It answered with an error of its own.
     #[error("the policy server at {address} answered {:?}: {}", status.code(), status.message())]
     Refused {
@@ -153,15 +180,18 @@ impl BackendError {
             | Self::Out { .. }
             | Self::Sick { .. }
             | Self::Disagrees { .. }
+            | Self::BatchLost
             | Self::SessionLost => Code::Unavailable,
+            Self::QueueFull { .. } => Code::ResourceExhausted,
             Self::TimedOut { .. } => Code::DeadlineExceeded,
             // An exception that a server let through, in most languages.
             Self::Refused { status, .. } if status.code() == Code::Unknown => Code::Internal,
             Self::Refused { status, .. } => status.code(),
             Self::Version { .. } | Self::OutOfOrder { .. } => Code::FailedPrecondition,
-            Self::Policy { .. } | Self::Description { .. } | Self::Nonsense { .. } => {
-                Code::Internal
-            }
+            Self::Policy { .. }
+            | Self::Description { .. }
+            | Self::Nonsense { .. }
+            | Self::BatchSize { .. } => Code::Internal,
         }
     }
 

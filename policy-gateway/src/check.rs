@@ -6,6 +6,8 @@
 use proto::policy::{DescribeResponse, InferResponse, StateField};
 use thiserror::Error;
 
+use crate::service::MAX_BATCH_QUERIES;
+
 /// Numbers in one action: translation (3), rotation (3), gripper.
 pub const ACTION_WIDTH: u32 = 7;
 /// Longest chunk that a policy may declare: twice LIBERO's longest episode.
@@ -89,6 +91,18 @@ pub fn description(described: &DescribeResponse) -> Result<(), DescriptionFault>
         return Err(DescriptionFault::FramesTooLarge { bytes });
     }
     Ok(())
+}
+
+/// How many queries of this policy go to its server at once, by what it
+/// declares and what a message holds.
+pub fn batch_size(described: &DescribeResponse) -> usize {
+    let cameras = described.cameras.iter();
+    let pixels = cameras.map(|it| u64::from(it.width) * u64::from(it.height));
+    // Readings are small; half of the message leaves them more than enough.
+    let query_bytes = 3 * pixels.sum::<u64>().max(1);
+    let fitting = proto::MAX_MESSAGE_BYTES as u64 / 2 / query_bytes;
+    let declared = u64::from(described.max_batch).min(MAX_BATCH_QUERIES as u64);
+    declared.min(fitting).max(1) as usize
 }
 
 /// The first thing in which two descriptions differ, in words. How large a batch

@@ -90,8 +90,11 @@ pub enum CheckpointSpecs {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Batching {
-    /// One by one, at the replica with the least to do.
+    /// Together with others, at servers that declare batches; one by one at
+    /// others. At the replica with the least to do.
     #[default]
+    Dynamic,
+    /// One by one, at the replica with the least to do.
     Single,
     /// One by one, and all sessions of a seed at the same replica: for policies
     /// whose low-order bits depend on either.

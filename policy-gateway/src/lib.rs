@@ -19,6 +19,7 @@ use crate::{
 };
 
 pub mod backend;
+pub mod batch;
 pub mod builtin;
 pub mod check;
 pub mod config;

@@ -370,10 +370,12 @@ impl Checkpoints {
     fn new(spec: &RouteSpec, known: &[Arc<Replica>]) -> Result<Self, tonic::transport::Error> {
         let pool = |suite: &str, replicas: &[_]| {
             let replicas = replicas.iter().map(|backend| {
-                let stays = known.iter().find(|it| it.is(backend, spec.answer_within));
+                let stays = known
+                    .iter()
+                    .find(|it| it.is(backend, spec.answer_within, spec.batching));
                 match stays {
                     Some(replica) => Ok(Arc::clone(replica)),
-                    None => Replica::new(backend, spec.answer_within).map(Arc::new),
+                    None => Replica::new(backend, spec.answer_within, spec.batching).map(Arc::new),
                 }
             });
             let replicas = replicas.collect::<Result<_, _>>()?;

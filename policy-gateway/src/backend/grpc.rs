@@ -6,8 +6,8 @@
 use std::{fmt, str::FromStr, time::Duration};
 
 use proto::policy::{
-    DescribeRequest, DescribeResponse, InferRequest, InferResponse, ResetRequest,
-    policy_client::PolicyClient,
+    DescribeRequest, DescribeResponse, InferBatchRequest, InferRequest, InferResponse, InferResult,
+    ResetRequest, infer_result, policy_client::PolicyClient,
 };
 use thiserror::Error;
 use tonic::{
@@ -150,6 +150,28 @@ impl Backend for GrpcBackend {
     async fn infer(&self, mut request: InferRequest) -> Result<InferResponse, BackendError> {
         request.policy.clone_from(&self.address.policy);
         self.call(self.client.clone().infer(request)).await
+    }
+
+    async fn infer_batch(
+        &self,
+        mut requests: Vec<InferRequest>,
+    ) -> Result<Vec<Result<InferResponse, BackendError>>, BackendError> {
+        for request in &mut requests {
+            request.policy.clone_from(&self.address.policy);
+        }
+        let asked = requests.len();
+        let request = InferBatchRequest { queries: requests };
+        let batch = self.call(self.client.clone().infer_batch(request)).await?;
+        let answered = batch.results.len();
+        if answered != asked {
+            return Err(BackendError::BatchSize { asked, answered });
+        }
+        let answer = |it: InferResult| match it.result {
+            Some(infer_result::Result::Response(response)) => Ok(response),
+            Some(infer_result::Result::Error(message)) => Err(BackendError::Policy { message }),
+            None => Ok(InferResponse::default()),
+        };
+        Ok(batch.results.into_iter().map(answer).collect())
     }
 }
 

@@ -62,7 +62,7 @@ impl Pool {
     ) -> Option<Arc<Replica>> {
         let chosen = match self.batching {
             Batching::Deterministic => self.fixed(seed).filter(|it| !contains(tried, it)),
-            Batching::Single => self.idlest(session, tried, &[]),
+            Batching::Dynamic | Batching::Single => self.idlest(session, tried, &[]),
         };
         if let Some(replica) = chosen {
             replica.give(self.sessions_given.fetch_add(1, Ordering::Relaxed) + 1);

@@ -5,7 +5,7 @@
 use std::{
     fmt,
     sync::{
-        Mutex, PoisonError,
+        Arc, Mutex, PoisonError,
         atomic::{AtomicU64, AtomicUsize, Ordering},
     },
     time::{Duration, Instant},
@@ -15,8 +15,9 @@ use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest}
 
 use crate::{
     backend::{Backend, BackendError, builtin::BuiltinBackend, grpc::GrpcBackend},
+    batch::batcher::Batcher,
     check,
-    config::BackendSpec,
+    config::{BackendSpec, Batching},
     health::{Answered, Call, Cause, Health},
 };
 
@@ -24,7 +25,11 @@ use crate::{
 pub struct Replica {
     spec: BackendSpec,
     answer_within: Duration,
-    backend: Box<dyn Backend>,
+    batching: Batching,
+    backend: Arc<dyn Backend>,
+    batcher: Batcher,
+    /// Queries in one batch, as last described.
+    batch_size: AtomicUsize,
     health: Mutex<Health>,
     /// Queries under way.
     load: AtomicUsize,
@@ -49,15 +54,19 @@ impl Replica {
     pub fn new(
         spec: &BackendSpec,
         answer_within: Duration,
+        batching: Batching,
     ) -> Result<Self, tonic::transport::Error> {
-        let backend: Box<dyn Backend> = match spec {
-            BackendSpec::Builtin(builtin) => Box::new(BuiltinBackend::new(*builtin)),
-            BackendSpec::Grpc(address) => Box::new(GrpcBackend::new(address.clone())?),
+        let backend: Arc<dyn Backend> = match spec {
+            BackendSpec::Builtin(builtin) => Arc::new(BuiltinBackend::new(*builtin)),
+            BackendSpec::Grpc(address) => Arc::new(GrpcBackend::new(address.clone())?),
         };
         Ok(Self {
             spec: spec.clone(),
             answer_within,
+            batching,
+            batcher: Batcher::new(Arc::clone(&backend), answer_within),
             backend,
+            batch_size: AtomicUsize::new(1),
             health: Mutex::default(),
             load: AtomicUsize::new(0),
             last_given: AtomicU64::new(0),
@@ -65,8 +74,8 @@ impl Replica {
     }
 
     /// Whether a replica made to this order would be the same as this one.
-    pub fn is(&self, spec: &BackendSpec, answer_within: Duration) -> bool {
-        self.spec == *spec && self.answer_within == answer_within
+    pub fn is(&self, spec: &BackendSpec, answer_within: Duration, batching: Batching) -> bool {
+        (&self.spec, self.answer_within, self.batching) == (spec, answer_within, batching)
     }
 
     /// Queries under way.
@@ -111,6 +120,11 @@ impl Replica {
             return Err(BackendError::Disagrees { difference });
         }
         self.answered(Answered::Something);
+        let batch_size = match self.batching {
+            Batching::Dynamic => check::batch_size(&described),
+            Batching::Single | Batching::Deterministic => 1,
+        };
+        self.batch_size.store(batch_size, Ordering::Relaxed);
         Ok(described)
     }
 
@@ -141,9 +155,13 @@ impl Replica {
         self.load.fetch_add(1, Ordering::Relaxed);
         let _under_way = UnderWay(&self.load);
         let session = request.session.clone();
-        let answer = self
-            .in_time(Call::Of(&session), self.backend.infer(request))
-            .await;
+        let answer = async {
+            match self.batch_size.load(Ordering::Relaxed) {
+                1 => self.backend.infer(request).await,
+                size => self.batcher.infer(request, size).await,
+            }
+        };
+        let answer = self.in_time(Call::Of(&session), answer).await;
         let checked = answer.and_then(|response| match check::actions(&response, horizon) {
             Ok(_) => Ok(response),
             Err(fault) => Err(BackendError::Nonsense { fault }),
@@ -202,6 +220,8 @@ impl Replica {
             });
         };
         match &answer {
+            Err(BackendError::TimedOut { .. }) => self.lost(Cause::Silent),
+            Err(BackendError::QueueFull { .. } | BackendError::BatchLost) => {}
             Err(BackendError::Unreachable { .. }) => self.lost(Cause::Unreachable),
             // "Not now" is an answer, too.
             Err(error) if error.is_outage() => self.answered(Answered::Something),

@@ -2,6 +2,7 @@
 //! behind it.
 
 mod answers;
+mod batches;
 mod conformance;
 mod outages;
 mod program;

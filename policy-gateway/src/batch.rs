@@ -1,0 +1,191 @@
+//! Which queries go to a server together, and when. Pure: the time is passed
+//! in. [`batcher`] carries it out.
+//!
+//! A full batch goes as soon as the server has room for one more; what is less
+//! goes when the server has nothing to do and its oldest query has waited.
+
+use std::{
+    collections::VecDeque,
+    time::{Duration, Instant},
+};
+
+pub mod batcher;
+
+/// Longest wait of a query for companions while its server has nothing to do.
+pub const MAX_WAIT: Duration = Duration::from_millis(5);
+/// Queries of one replica that may wait; more are refused, so that a worker
+/// waits and not the memory grows.
+pub const MAX_QUEUED: usize = 256;
+/// Batches at a server at once: the second travels while the first is
+/// computed.
+pub const MAX_UNDER_WAY: usize = 2;
+
+/// Queries that wait for their batch, in the order in which they came.
+#[derive(Debug)]
+pub struct Queue<T> {
+    waiting: VecDeque<(Instant, T)>,
+    under_way: usize,
+}
+
+/// What to do now.
+#[derive(Debug, PartialEq, Eq)]
+pub enum Next<T> {
+    /// Send these, and say [`Queue::done`] when they are answered.
+    Send(Vec<T>),
+    /// Ask again then, or when something changes.
+    WaitUntil(Instant),
+    /// Ask again when something changes.
+    Nothing,
+}
+
+impl<T> Default for Queue<T> {
+    fn default() -> Self {
+        Self {
+            waiting: VecDeque::new(),
+            under_way: 0,
+        }
+    }
+}
+
+impl<T> Queue<T> {
+    /// Takes one more query.
+    ///
+    /// # Errors
+    /// With the query, if [`MAX_QUEUED`] wait already.
+    pub fn push(&mut self, query: T, now: Instant) -> Result<(), T> {
+        if self.waiting.len() >= MAX_QUEUED {
+            return Err(query);
+        }
+        self.waiting.push_back((now, query));
+        Ok(())
+    }
+
+    /// Drops the queries that nobody waits for any longer.
+    pub fn forget(&mut self, is_left: impl Fn(&T) -> bool) {
+        self.waiting.retain(|(_, query)| !is_left(query));
+    }
+
+    /// What to do at `now` with batches of at most `size`.
+    pub fn next(&mut self, size: usize, now: Instant) -> Next<T> {
+        let size = size.max(1);
+        let Some((oldest, _)) = self.waiting.front() else {
+            return Next::Nothing;
+        };
+        let ripe = *oldest + MAX_WAIT;
+        let is_full = self.waiting.len() >= size;
+        match self.under_way {
+            0 if !is_full && now < ripe => return Next::WaitUntil(ripe),
+            1..MAX_UNDER_WAY if !is_full => return Next::Nothing,
+            MAX_UNDER_WAY.. => return Next::Nothing,
+            _ => {}
+        }
+        self.under_way += 1;
+        let batch = self.waiting.drain(..size.min(self.waiting.len()));
+        Next::Send(batch.map(|(_, query)| query).collect())
+    }
+
+    /// Notes that a batch is answered, or never will be.
+    pub fn done(&mut self) {
+        self.under_way = self.under_way.saturating_sub(1);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[derive(Clone, Debug)]
+    enum Event {
+        Push(usize),
+        Next,
+        Done,
+        Pass(u64),
+    }
+
+    fn event() -> impl Strategy<Value = Event> {
+        prop_oneof![
+            (1..40_usize).prop_map(Event::Push),
+            Just(Event::Next),
+            Just(Event::Done),
+            (0..8_u64).prop_map(Event::Pass),
+        ]
+    }
+
+    proptest! {
+        #[test]
+        fn every_query_taken_is_sent_once_in_order_and_within_the_bounds(
+            size in 1..20_usize,
+            events in prop::collection::vec(event(), 0..120),
+        ) {
+            let (mut queue, mut now) = (Queue::default(), Instant::now());
+            let (mut taken, mut sent, mut under_way) = (vec![], vec![], 0_usize);
+            let mut number = 0_u32;
+            for event in events {
+                match event {
+                    Event::Push(count) => for _ in 0..count {
+                        match queue.push(number, now) {
+                            Ok(()) => taken.push(number),
+                            Err(back) => prop_assert_eq!(back, number),
+                        }
+                        number += 1;
+                    },
+                    Event::Next => if let Next::Send(batch) = queue.next(size, now) {
+                        prop_assert!((1..=size).contains(&batch.len()));
+                        sent.extend(batch);
+                        under_way += 1;
+                    },
+                    Event::Done => {
+                        queue.done();
+                        under_way = under_way.saturating_sub(1);
+                    }
+                    Event::Pass(millis) => now += Duration::from_millis(millis),
+                }
+                prop_assert!(under_way <= MAX_UNDER_WAY);
+                prop_assert!(taken.len() - sent.len() <= MAX_QUEUED);
+                prop_assert_eq!(&taken[..sent.len()], &sent[..]);
+            }
+            // Nobody is left behind: when the server is free, all that wait go,
+            // each lot after one wait at most.
+            while under_way > 0 {
+                queue.done();
+                under_way -= 1;
+            }
+            now += MAX_WAIT;
+            while let Next::Send(batch) = queue.next(size, now) {
+                sent.extend(batch);
+                queue.done();
+            }
+            prop_assert_eq!(taken, sent);
+        }
+    }
+
+    #[test]
+    fn a_lone_query_waits_for_companions_and_no_longer() {
+        let (mut queue, now) = (Queue::default(), Instant::now());
+        queue.push("a", now).expect("room");
+        assert_eq!(queue.next(2, now), Next::WaitUntil(now + MAX_WAIT));
+        assert_eq!(queue.next(2, now + MAX_WAIT), Next::Send(vec!["a"]));
+    }
+
+    #[test]
+    fn while_a_batch_is_computed_only_a_full_one_follows_and_then_none() {
+        let (mut queue, now) = (Queue::default(), Instant::now());
+        for query in 0..7 {
+            queue.push(query, now).expect("room");
+        }
+        let late = now + 10 * MAX_WAIT;
+        assert_eq!(queue.next(3, now), Next::Send(vec![0, 1, 2]));
+        assert_eq!(queue.next(3, now), Next::Send(vec![3, 4, 5]));
+        assert_eq!(queue.next(3, late), Next::Nothing);
+        queue.done();
+        assert_eq!(
+            queue.next(3, late),
+            Next::Nothing,
+            "a lone one waits for a free server"
+        );
+        queue.done();
+        assert_eq!(queue.next(3, late), Next::Send(vec![6]));
+    }
+}

@@ -1,0 +1,137 @@
+//! Queries that go to a server together. The server here is simulated: its
+//! batches take a fixed time, one after the other.
+
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicUsize, Ordering},
+    },
+    time::Duration,
+};
+
+use policy_gateway::config::{Batching, RouteSpec};
+use proto::policy::{
+    DescribeRequest, DescribeResponse, InferBatchRequest, InferBatchResponse, InferRequest,
+    InferResponse, InferResult, ResetRequest, ResetResponse, infer_result, policy_server::Policy,
+};
+use tokio::{sync::Mutex, task::JoinSet};
+use tonic::{Code, Request, Response, Status};
+
+use crate::support::{chunk, description, infer, reloadable, reset, serve};
+
+/// Largest batch of the simulated server.
+const LARGEST: u32 = 4;
+/// What one batch of it takes.
+const BATCH_TIME: Duration = Duration::from_millis(5);
+
+/// A simulated server of fixed speed. It answers the number in a session's
+/// name, and an error to session 3.
+struct FixedSpeed {
+    computing: Mutex<()>,
+    /// Size of the largest batch so far.
+    largest: Arc<AtomicUsize>,
+}
+
+fn answer(request: &InferRequest) -> Result<InferResponse, String> {
+    let number: u32 = request.session.parse().map_err(|_| "no number")?;
+    match number {
+        3 => Err("KeyError: 3".to_owned()),
+        _ => Ok(chunk(&[number as f32 / 100.0; 7], 7)),
+    }
+}
+
+#[tonic::async_trait]
+impl Policy for FixedSpeed {
+    async fn describe(
+        &self,
+        _: Request<DescribeRequest>,
+    ) -> Result<Response<DescribeResponse>, Status> {
+        Ok(Response::new(DescribeResponse {
+            max_batch: LARGEST,
+            ..description("simulated", 1)
+        }))
+    }
+
+    async fn reset(&self, _: Request<ResetRequest>) -> Result<Response<ResetResponse>, Status> {
+        Ok(Response::new(ResetResponse {}))
+    }
+
+    async fn infer(&self, it: Request<InferRequest>) -> Result<Response<InferResponse>, Status> {
+        self.largest.fetch_max(1, Ordering::SeqCst);
+        answer(it.get_ref())
+            .map(Response::new)
+            .map_err(Status::internal)
+    }
+
+    async fn infer_batch(
+        &self,
+        request: Request<InferBatchRequest>,
+    ) -> Result<Response<InferBatchResponse>, Status> {
+        let queries = request.into_inner().queries;
+        self.largest.fetch_max(queries.len(), Ordering::SeqCst);
+        let _one_at_a_time = self.computing.lock().await;
+        tokio::time::sleep(BATCH_TIME).await;
+        let result = |query: &InferRequest| InferResult {
+            result: Some(match answer(query) {
+                Ok(response) => infer_result::Result::Response(response),
+                Err(error) => infer_result::Result::Error(error),
+            }),
+        };
+        let results = queries.iter().map(result).collect();
+        Ok(Response::new(InferBatchResponse { results }))
+    }
+}
+
+/// Plays 12 sessions of 3 queries at once; returns the largest batch.
+async fn play(batching: Batching) -> usize {
+    let largest = Arc::new(AtomicUsize::new(0));
+    let server = serve(FixedSpeed {
+        computing: Mutex::default(),
+        largest: Arc::clone(&largest),
+    })
+    .await;
+    let route = format!("x=grpc://{}", server.address);
+    let spec = RouteSpec {
+        batching,
+        ..route.parse().expect("a route")
+    };
+    let (gateway, _) = reloadable(vec![spec]).await;
+    let mut playing = JoinSet::new();
+    for number in 0..12_u32 {
+        let mut client = gateway.client().await;
+        playing.spawn(async move {
+            let session = number.to_string();
+            client
+                .reset(reset("x", &session))
+                .await
+                .expect("an episode");
+            for query_index in 0..3 {
+                let answer = client.infer(infer("x", &session, query_index)).await;
+                if number == 3 {
+                    let status = answer.expect_err("it fails alone");
+                    assert_eq!(status.code(), Code::Internal, "{status}");
+                    assert!(status.message().contains("KeyError: 3"), "{status}");
+                } else {
+                    let answer = answer.expect("an answer").into_inner();
+                    assert_eq!(answer.actions, [number as f32 / 100.0; 7]);
+                }
+            }
+        });
+    }
+    while let Some(played) = playing.join_next().await {
+        played.expect("no session panicked");
+    }
+    largest.load(Ordering::SeqCst)
+}
+
+#[tokio::test]
+async fn queries_go_together_and_each_gets_its_own_answer() {
+    let largest = play(Batching::Dynamic).await;
+    assert!((2..=LARGEST as usize).contains(&largest), "{largest}");
+}
+
+#[tokio::test]
+async fn a_policy_that_is_to_be_asked_one_by_one_is() {
+    assert_eq!(play(Batching::Single).await, 1);
+    assert_eq!(play(Batching::Deterministic).await, 1);
+}
