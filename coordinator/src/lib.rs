@@ -13,6 +13,7 @@ pub mod campaign;
 pub mod client;
 pub mod clock;
 pub mod digests;
+pub mod disk;
 pub mod expand;
 pub mod export;
 mod grpc;

@@ -158,6 +158,8 @@ pub struct Queue {
     /// Rung when jobs may have become leasable.
     work: Notify,
     draining: watch::Sender<bool>,
+    /// Why nothing is leased for now, if that is so.
+    hold: watch::Sender<Option<String>>,
     /// Held while a campaign comes or goes: its files must not be removed
     /// under a new one of the same name.
     campaigns: tokio::sync::Mutex<()>,
@@ -189,6 +191,7 @@ impl Queue {
             last_sweep: Mutex::new(now),
             work: Notify::new(),
             draining: watch::Sender::new(false),
+            hold: watch::Sender::new(None),
             campaigns: tokio::sync::Mutex::default(),
             backing_up: Arc::default(),
         };
@@ -297,6 +300,30 @@ impl Queue {
     /// Leases nothing from now on; claims that wait are answered at once.
     pub fn drain(&self) {
         self.draining.send_replace(true);
+    }
+
+    /// Leases nothing while there is a reason not to, and goes on when there is
+    /// none any more; tells both, once. What is under way goes on.
+    pub fn hold_leasing(&self, reason: Option<String>) {
+        let changed = self.hold.send_if_modified(|held| {
+            // The words may change with every look at a disk that fills.
+            let changed = held.is_some() != reason.is_some();
+            held.clone_from(&reason);
+            changed
+        });
+        match reason {
+            Some(reason) if changed => tracing::error!("leasing nothing: {reason}"),
+            None if changed => {
+                tracing::info!("leasing again");
+                self.work.notify_waiters();
+            }
+            _ => {}
+        }
+    }
+
+    /// Why nothing is leased for now, if that is so.
+    pub(crate) fn held(&self) -> Option<String> {
+        self.hold.borrow().clone()
     }
 
     /// Closes the database.

@@ -17,6 +17,7 @@ use transport::{Security, SecurityError};
 
 use crate::artifacts;
 use crate::clock::Clock;
+use crate::disk::Room;
 use crate::grpc::{self, access};
 use crate::queue::{Queue, Timing};
 use crate::store::{OpenError, Store, StoreError};
@@ -39,6 +40,8 @@ pub struct Config {
     pub rng: ChaCha8Rng,
     /// Who may connect.
     pub security: Security,
+    /// Free on the data folder's disk, or nothing is leased, bytes.
+    pub min_free_bytes: u64,
 }
 
 /// A coordinator that cannot go on.
@@ -70,7 +73,9 @@ pub enum ServeError {
 #[derive(Debug)]
 pub struct Coordinator {
     queue: Arc<Queue>,
+    data: PathBuf,
     security: Security,
+    min_free_bytes: u64,
 }
 
 /// Opens the data folder, then serves on `listener` until `shutdown` is ready.
@@ -103,7 +108,9 @@ impl Coordinator {
         let queue = Queue::start(store, config.clock, config.rng, config.timing).await?;
         Ok(Coordinator {
             queue: Arc::new(queue),
+            data: config.data,
             security: config.security,
+            min_free_bytes: config.min_free_bytes,
         })
     }
 
@@ -149,9 +156,14 @@ impl Coordinator {
                     break;
                 }
                 _ = sweep.tick() => {
-                    if let Err(error) = queue.sweep().await {
-                        tracing::error!("failed to {error}: {}", source_of(&error));
-                    }
+                    let shortage = match queue.sweep().await {
+                        Ok(()) => Room::look(&self.data, self.min_free_bytes).shortage(&self.data),
+                        Err(error) => Some(format!(
+                            "the database cannot be written (failed to {error}: {})",
+                            source_of(&error)
+                        )),
+                    };
+                    queue.hold_leasing(shortage);
                 }
             }
         }

@@ -65,22 +65,38 @@ impl Process {
     /// # Panics
     /// If it cannot be started.
     pub fn worker(coordinator: &str, slots: u32, assets: &str) -> Self {
-        let child = Command::new(program("worker"))
-            .args([
-                "--connect",
-                coordinator,
-                "--slots",
-                &slots.to_string(),
-                "--assets",
-                assets,
-            ])
+        let mut command = Command::new(program("worker"));
+        command.args(["--connect", coordinator, "--assets", assets]);
+        Self::start(command.args(["--slots", &slots.to_string()]))
+    }
+
+    /// Starts a program that says nothing.
+    ///
+    /// # Panics
+    /// If it cannot be started.
+    pub fn start(command: &mut Command) -> Self {
+        let child = command
             .stdout(Stdio::null())
             .spawn()
-            .expect("the worker starts");
+            .expect("the program starts");
         Self {
             child,
             url: String::new(),
         }
+    }
+
+    /// Its number.
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Waits for its end.
+    ///
+    /// # Panics
+    /// If it does not end well.
+    pub fn wait(&mut self) {
+        let status = self.child.wait().expect("it can be waited for");
+        assert!(status.success(), "it ended with {status}");
     }
 
     /// Sends a signal, for example `-KILL`.

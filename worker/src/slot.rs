@@ -9,7 +9,7 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use std::{process, thread};
+use std::{fs, process, thread};
 
 use sim::{Simulator, SimulatorConfig};
 use tokio::signal::unix::{SignalKind, signal};
@@ -22,6 +22,8 @@ use crate::rollout::{self, RolloutError, Stage, Watcher};
 /// Rollouts that wait while another one is simulated: the parent never sends
 /// more than one.
 const ASSIGNMENT_QUEUE: usize = 1;
+/// Of -1000 to 1000, see proc(5); more than other processes have.
+const OOM_SCORE_ADJ: &str = "500";
 /// A report of progress every so many control steps: half a second of the
 /// robot's time.
 const PROGRESS_EVERY: u32 = 10;
@@ -43,6 +45,7 @@ pub enum SlotError {
 /// If the parent stops listening.
 pub fn run(config: SimulatorConfig, access: &Access) -> Result<(), SlotError> {
     leave_signals_to_the_parent().map_err(SlotError::Signals)?;
+    die_first();
     let abandoned = Arc::new(AtomicBool::new(false));
     let assignments = listen(Arc::clone(&abandoned));
     let mut simulator = Simulator::new(config);
@@ -78,6 +81,13 @@ fn leave_signals_to_the_parent() -> io::Result<()> {
     drop(signal(SignalKind::terminate())?);
     drop(signal(SignalKind::interrupt())?);
     Ok(())
+}
+
+/// Where memory runs out, the kernel is to take a slot, which is replaced, and
+/// not its parent or a coordinator on the same machine. Where it does not let
+/// itself be told, nothing is lost but that.
+fn die_first() {
+    let _ = fs::write("/proc/self/oom_score_adj", OOM_SCORE_ADJ);
 }
 
 fn attempt(

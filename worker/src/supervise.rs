@@ -6,6 +6,7 @@
 
 mod deliver;
 mod link;
+mod memory;
 mod process;
 mod slot_state;
 mod supervisor;

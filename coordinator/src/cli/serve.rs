@@ -8,6 +8,7 @@ use std::time::Duration;
 use anyhow::Context;
 use clap::Args;
 use coordinator::clock::{Clock, SystemClock};
+use coordinator::disk::DEFAULT_MIN_FREE_MIB;
 use coordinator::queue::Timing;
 use coordinator::{Config, Coordinator};
 use rand_chacha::ChaCha8Rng;
@@ -37,6 +38,11 @@ pub(super) struct ServeArguments {
     #[arg(long, value_name = "SECS", default_value_t = 180,
         value_parser = clap::value_parser!(u32).range(1..=86_400))]
     progress_timeout_secs: u32,
+    /// MiB that must be free on the data folder's disk; with less, nothing is
+    /// leased.
+    #[arg(long, value_name = "MIB", default_value_t = DEFAULT_MIN_FREE_MIB,
+        value_parser = clap::value_parser!(u64).range(0..=1 << 40))]
+    min_free_mib: u64,
     #[command(flatten)]
     security: ServerArguments,
 }
@@ -107,5 +113,6 @@ fn config(arguments: &ServeArguments, security: Security) -> Config {
         clock: Arc::new(clock),
         rng: ChaCha8Rng::seed_from_u64(seed),
         security,
+        min_free_bytes: arguments.min_free_mib << 20,
     }
 }

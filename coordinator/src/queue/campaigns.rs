@@ -151,6 +151,8 @@ impl Queue {
         let live_workers = u32::try_from(able.count()).unwrap_or(u32::MAX);
         let waiting_reason = if counts.queued == 0 || counts.leased > 0 || !state.may_lease() {
             String::new()
+        } else if let Some(reason) = self.held() {
+            reason
         } else if let Some(reason) = &policy_pause_reason {
             format!("policy `{}` is down: {reason}", row.policy)
         } else {

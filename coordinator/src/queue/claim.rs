@@ -86,7 +86,13 @@ impl Queue {
             // Listening begins before looking: what is queued in between rings.
             let mut work = std::pin::pin!(self.work.notified());
             work.as_mut().enable();
-            let claimed = self.claim_now(request).await?;
+            let claimed = match self.held() {
+                Some(idle_reason) => Claimed {
+                    jobs: Vec::new(),
+                    idle_reason,
+                },
+                None => self.claim_now(request).await?,
+            };
             if !claimed.jobs.is_empty() {
                 return Ok(claimed);
             }

@@ -64,6 +64,7 @@ impl Bench {
             clock: clock.clone(),
             rng: ChaCha8Rng::seed_from_u64(7),
             security: transport::Security::loopback(),
+            min_free_bytes: 0,
         };
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
         let address = listener.local_addr().expect("an address");
@@ -233,6 +234,16 @@ impl Worker {
     /// Reports an outcome of `lease` that came about in good order.
     pub(crate) async fn commit(&mut self, lease: &wire::Lease, success: bool) -> Verdict {
         self.commit_request(self.report(lease, success)).await.0
+    }
+
+    /// As [`commit`](Self::commit), for a coordinator that may not answer.
+    pub(crate) async fn try_commit(
+        &mut self,
+        lease: &wire::Lease,
+        success: bool,
+    ) -> Result<Verdict, Status> {
+        let response = self.service.commit(self.report(lease, success)).await?;
+        Ok(response.into_inner().verdict())
     }
 
     pub(crate) async fn commit_request(

@@ -5,6 +5,7 @@ mod access;
 mod artifacts;
 mod campaigns;
 mod claims;
+mod disk;
 mod faults;
 mod harness;
 mod invariants;

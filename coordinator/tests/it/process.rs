@@ -24,9 +24,13 @@ impl Serve {
         Serve::start_with(data, &[], Stdio::null())
     }
 
-    /// With more arguments, and its log somewhere.
+    /// With more arguments, and its log somewhere. Through a shell that makes a
+    /// write beyond a limit fail instead of killing: a full disk does not kill
+    /// either.
     pub(crate) fn start_with(data: &Path, arguments: &[&str], log: Stdio) -> Serve {
-        let mut child = Command::new(env!("CARGO_BIN_EXE_coordinator"))
+        let mut child = Command::new("sh")
+            .args(["-c", "trap '' XFSZ; exec \"$0\" \"$@\""])
+            .arg(env!("CARGO_BIN_EXE_coordinator"))
             .args(["serve", "--listen", "127.0.0.1:0", "--data"])
             .arg(data)
             .args(arguments)
@@ -44,6 +48,15 @@ impl Serve {
             child,
             url: format!("http://{address}"),
         }
+    }
+
+    /// Sets how large its files may become, `soft:hard`.
+    pub(crate) fn limit_files(&self, limit: &str) {
+        let status = Command::new("prlimit")
+            .args(["--pid", &self.child.id().to_string()])
+            .arg(format!("--fsize={limit}"))
+            .status();
+        assert!(status.expect("prlimit runs").success());
     }
 
     fn signal(&self, name: &str) {

@@ -13,6 +13,7 @@ use tokio::process::{Child, ChildStdin, ChildStdout, Command};
 use tokio::sync::mpsc;
 use tokio::task::JoinSet;
 
+use super::memory::{OomKills, Verdict};
 use super::supervisor::Event;
 use crate::message::{MAX_LINE_BYTES, Order, Report};
 
@@ -98,6 +99,7 @@ async fn attend(
     orders: mpsc::Receiver<ProcessCommand>,
     events: mpsc::Sender<Event>,
 ) {
+    let kills_before = OomKills::read();
     let (stdin, stdout, stderr) = (child.stdin.take(), child.stdout.take(), child.stderr.take());
     let listening = async {
         if let Some(stdout) = stdout {
@@ -111,7 +113,8 @@ async fn attend(
         }
     };
     let ((), last_words, status) = tokio::join!(listening, relaying, obey(child, stdin, orders));
-    let end = explain_end(status, &last_words);
+    let kills = OomKills::read().since(kills_before);
+    let end = explain_end(status, kills, &last_words);
     // A supervisor that is gone needs no explanation.
     let _ = events.send(Event::Ended { key, end }).await;
 }
@@ -193,9 +196,13 @@ async fn next_line(stream: &mut (impl AsyncBufRead + Unpin), max_bytes: u64) -> 
     }
 }
 
-fn explain_end(status: io::Result<ExitStatus>, last_words: &VecDeque<String>) -> String {
+fn explain_end(
+    status: io::Result<ExitStatus>,
+    kills: Verdict,
+    last_words: &VecDeque<String>,
+) -> String {
     let mut text = match status {
-        Ok(status) => explain_status(status),
+        Ok(status) => explain_status(status, kills),
         Err(error) => format!("could not be waited for ({error})"),
     };
     if !last_words.is_empty() {
@@ -211,11 +218,9 @@ fn explain_end(status: io::Result<ExitStatus>, last_words: &VecDeque<String>) ->
     text
 }
 
-fn explain_status(status: ExitStatus) -> String {
+fn explain_status(status: ExitStatus, kills: Verdict) -> String {
     match (status.code(), status.signal()) {
-        (_, Some(9)) => "was killed by SIGKILL; if nobody sent it, the kernel ran out of memory: \
-                         give the worker fewer --slots or more memory"
-            .to_owned(),
+        (_, Some(9)) => format!("was killed by SIGKILL{}", kills.in_words()),
         (_, Some(signal)) => format!("died of signal {signal} ({})", signal_name(signal)),
         (Some(code), None) => format!("exited with code {code}"),
         (None, None) => format!("ended ({status})"),
@@ -252,14 +257,14 @@ mod tests {
     #[test]
     fn the_end_of_a_process_is_told_in_words() {
         let check = |wait_status: i32, expected: &str| {
-            let text = explain_status(ExitStatus::from_raw(wait_status));
+            let text = explain_status(ExitStatus::from_raw(wait_status), Verdict::GroupLimit);
             assert!(text.contains(expected), "{text}");
         };
-        check(9, "fewer --slots or more memory");
+        check(9, "SIGKILL: out of memory");
         check(11, "signal 11 (SIGSEGV");
         check(1 << 8, "exited with code 1");
         let last_words = VecDeque::from(["one".to_owned(), "two".to_owned()]);
-        let text = explain_end(Ok(ExitStatus::from_raw(6)), &last_words);
+        let text = explain_end(Ok(ExitStatus::from_raw(6)), Verdict::Unknown, &last_words);
         assert!(text.ends_with("its last words: one | two"), "{text}");
     }
 }

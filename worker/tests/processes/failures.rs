@@ -187,3 +187,28 @@ async fn a_worker_that_is_told_to_stop_says_why_and_fails() {
         [_, Told::Released(_)]
     ));
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_slot_that_crashes_again_and_again_stops_the_worker_with_the_reason() {
+    if !ready("a_slot_that_crashes_again_and_again_stops_the_worker_with_the_reason") {
+        return;
+    }
+    let coordinator = ScriptedCoordinator::start().await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let broken = folder.path().join("broken-slot");
+    let script = "#!/bin/sh\necho libEGL is missing >&2\nexit 3\n";
+    std::fs::write(&broken, script).expect("written");
+    let mode = std::os::unix::fs::PermissionsExt::from_mode(0o755);
+    std::fs::set_permissions(&broken, mode).expect("its own file");
+    let program = broken.to_str().expect("UTF-8");
+    let worker = WorkerProcess::start_with(&coordinator.url(), &["--slot-program", program]);
+    let (status, said) = worker.wait();
+    assert_eq!(status.code(), Some(1));
+    for words in [
+        "ended 5 times in a row",
+        "exited with code 3",
+        "libEGL is missing",
+    ] {
+        assert!(said.contains(words), "{said}");
+    }
+}

@@ -49,8 +49,13 @@ pub(crate) struct WorkerProcess {
 
 impl WorkerProcess {
     pub(crate) fn start(coordinator: &str) -> Self {
+        Self::start_with(coordinator, &[])
+    }
+
+    pub(crate) fn start_with(coordinator: &str, arguments: &[&str]) -> Self {
         let child = Command::new(env!("CARGO_BIN_EXE_worker"))
             .args(["--connect", coordinator, "--assets", "primitives"])
+            .args(arguments)
             .stderr(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()

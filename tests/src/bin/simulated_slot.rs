@@ -1,0 +1,162 @@
+//! A simulated slot: takes a slot's orders and gives its reports, asks the real
+//! policy over the real protocol, and simulates nothing. Its outcomes follow
+//! from the rollout's id and the policy's actions alone, so that a campaign run
+//! through whatever faults must come out the same. For tests of faults, where
+//! MuJoCo would only take time; its results mean nothing.
+
+#![forbid(unsafe_code)]
+
+use std::io::{self, BufRead, Write};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, sync_channel};
+use std::time::{Duration, Instant};
+use std::{process, thread};
+
+use sha2::{Digest, Sha256};
+use transport::Access;
+use worker::actor::Actor;
+use worker::message::{
+    Assignment, Evidence, Failure, FailureKind, Finished, Order, Outcome, Report,
+};
+use worker::policy::{Episode, PolicyClient, PolicyError};
+
+/// Control steps of a rollout, and how long one takes.
+const STEPS: u32 = 12;
+const STEP_TIME: Duration = Duration::from_millis(12);
+/// The policy is asked before every so many of them.
+const STEPS_PER_QUERY: u32 = 4;
+
+fn main() {
+    let abandoned = Arc::new(AtomicBool::new(false));
+    let assignments = listen(Arc::clone(&abandoned));
+    report(&Report::Ready);
+    while let Ok(assignment) = assignments.recv() {
+        report(&rollout(&assignment, &abandoned));
+    }
+}
+
+/// Plays a rollout to its end.
+fn rollout(assignment: &Assignment, abandoned: &AtomicBool) -> Report {
+    match play(assignment, abandoned) {
+        Ok(Some(finished)) => Report::Finished(Box::new(finished)),
+        Ok(None) => Report::Abandoned,
+        Err(error) => Report::Failed(Failure {
+            kind: match error.is_misbehaviour() {
+                true => FailureKind::PolicyMisbehaved,
+                false => FailureKind::PolicyUnavailable,
+            },
+            error: error.to_string(),
+        }),
+    }
+}
+
+/// None if it was abandoned.
+fn play(assignment: &Assignment, abandoned: &AtomicBool) -> Result<Option<Finished>, PolicyError> {
+    let started = Instant::now();
+    let row = &assignment.row;
+    let suite = row.id.task().suite();
+    let episode = Episode {
+        policy: &assignment.policy,
+        session: assignment.session.as_str(),
+        suite: suite.name(),
+        deadline: assignment.policy_deadline,
+    };
+    let mut policy = PolicyClient::new(&assignment.policy_endpoint, &Access::none())?;
+    let description = policy.describe(episode)?;
+    policy.reset(
+        episode,
+        suite.name(),
+        &row.instruction,
+        assignment.policy_seed,
+    )?;
+    let mut fate = Sha256::new();
+    fate.update(row.id.to_string());
+    for step in 0..STEPS {
+        if abandoned.load(Ordering::Relaxed) {
+            return Ok(None);
+        }
+        if step % STEPS_PER_QUERY == 0 {
+            let query = step / STEPS_PER_QUERY;
+            let observation = proto::policy::Observation::default();
+            let actions = policy.infer(episode, query, observation, description.horizon)?;
+            for number in actions.iter().flatten() {
+                fate.update(number.to_le_bytes());
+            }
+        }
+        thread::sleep(STEP_TIME);
+        report(&Report::Progress(row.settle_steps + step + 1));
+    }
+    let fate = fate.finalize();
+    let about = description.about;
+    Ok(Some(Finished {
+        outcome: Outcome {
+            success: fate[0].is_multiple_of(2),
+            steps: 20 + u32::from(fate[1]),
+            wall_secs: started.elapsed().as_secs_f64(),
+            ik: None,
+            clipped_actions: 0,
+            policy_queries: STEPS / STEPS_PER_QUERY,
+        },
+        evidence: Evidence {
+            gl_renderer: String::new(),
+            scene_digest: digest(&row.id.task().to_string()),
+            init_state_digest: digest(&format!("{} {}", row.id.task(), row.init_id)),
+            perturbation_digest: perturbation_digest(assignment),
+            first_frame_digest: String::new(),
+            policy_name: about.name,
+            policy_checkpoint: about.checkpoint,
+            policy_checkpoint_digest: about.checkpoint_digest,
+            policy_privileged: about.privileged,
+        },
+        video: None,
+    }))
+}
+
+/// Of each perturbed axis its values, as a slot would have realised them.
+fn perturbation_digest(assignment: &Assignment) -> String {
+    let perturbation = &assignment.row.perturbation;
+    let axes = perturbation.axes().into_iter().map(|axis| {
+        let values = digest(&format!("{axis} {:?}", perturbation.values(axis)));
+        format!("{axis}:{values}")
+    });
+    axes.collect::<Vec<_>>().join(",")
+}
+
+fn digest(text: &str) -> String {
+    let digest = Sha256::digest(text);
+    digest.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn report(report: &Report) {
+    let line = serde_json::to_string(report).expect("a report is JSON");
+    let mut stdout = io::stdout().lock();
+    if writeln!(stdout, "{line}")
+        .and_then(|()| stdout.flush())
+        .is_err()
+    {
+        // The parent is gone, and with it everybody who wants to know.
+        process::exit(0);
+    }
+}
+
+/// Reads orders on a thread of their own; their end is this program's.
+fn listen(abandoned: Arc<AtomicBool>) -> Receiver<Assignment> {
+    let (sender, assignments) = sync_channel(1);
+    thread::spawn(move || {
+        for line in io::stdin().lock().lines() {
+            let Ok(line) = line else { break };
+            match serde_json::from_str(&line).expect("an order") {
+                Order::Abandon => abandoned.store(true, Ordering::Relaxed),
+                Order::Run(assignment) => {
+                    abandoned.store(false, Ordering::Relaxed);
+                    if sender.send(*assignment).is_err() {
+                        break;
+                    }
+                }
+            }
+        }
+        process::exit(0);
+    });
+    assignments
+}

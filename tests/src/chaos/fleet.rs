@@ -1,0 +1,440 @@
+//! A whole system as processes: a policy behind a gateway, a coordinator, two
+//! workers with a slot each, and a wire wherever one dials another. Everything
+//! may be killed and comes back.
+
+use std::fs::{File, OpenOptions};
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use super::schedule::{Fault, Schedule, Way};
+use super::wire::Wire;
+use crate::programs::{Process, program};
+
+/// How long a lease lasts without a heartbeat.
+pub const LEASE: Duration = Duration::from_secs(3);
+/// Longest time that a campaign takes after the last fault. Outages and charged
+/// attempts wait some seconds, doubling.
+const PATIENCE: Duration = Duration::from_secs(120);
+/// Lines of the log that a failure shows.
+const LAST_LINES: usize = 60;
+/// The campaign's name.
+const CAMPAIGN: &str = "chaos";
+/// Where the campaign takes its policy to be. Reports name it; the workers are
+/// told where the wire to the gateway is.
+const ENDPOINT: &str = "http://gateway.invalid:7412";
+/// A user who may write nothing of ours.
+const NOBODY: &str = "65534";
+
+/// What the slots are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SlotKind {
+    /// `simulated_slot`: takes milliseconds, its results mean nothing.
+    Simulated,
+    /// MuJoCo with the built-in assets.
+    Real,
+}
+
+/// A running system.
+pub struct Fleet {
+    folder: tempfile::TempDir,
+    slots: SlotKind,
+    to_coordinator: Wire,
+    to_gateway: Wire,
+    to_policy: Wire,
+    coordinator: Option<Process>,
+    gateway: Option<Process>,
+    policy: Option<Process>,
+    workers: Vec<Process>,
+}
+
+impl Fleet {
+    /// Starts everything, and a campaign.
+    ///
+    /// # Panics
+    /// If something does not start.
+    pub fn start(slots: SlotKind) -> Self {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        // Another user must be able to look, for the read-only database.
+        let mode = std::fs::Permissions::from_mode(0o755);
+        std::fs::set_permissions(folder.path(), mode).expect("its own folder");
+        let mut fleet = Self {
+            folder,
+            slots,
+            to_coordinator: Wire::new(),
+            to_gateway: Wire::new(),
+            to_policy: Wire::new(),
+            coordinator: None,
+            gateway: None,
+            policy: None,
+            workers: Vec::new(),
+        };
+        fleet.start_policy();
+        fleet.start_gateway();
+        fleet.start_coordinator();
+        let (tasks, configs) = match slots {
+            SlotKind::Simulated => ("libero_object/0,libero_spatial/0", "0-1"),
+            SlotKind::Real => ("libero_object/0", "0"),
+        };
+        #[rustfmt::skip]
+        fleet.ask(&[
+            "campaign", "create", "--name", CAMPAIGN, "--policy", "chaos", "--endpoint", ENDPOINT,
+            "--tasks", tasks, "--axes", "metric", "--levels", "L3", "--configs", configs,
+            "--nominal", "eval",
+        ]);
+        fleet.start_worker();
+        fleet.start_worker();
+        fleet
+    }
+
+    /// Lets everything of a schedule go wrong, and puts it right again.
+    ///
+    /// # Panics
+    /// If something does not come back.
+    pub fn suffer(&mut self, schedule: &Schedule) {
+        let start = Instant::now();
+        for (at, fault) in &schedule.faults {
+            sleep(at.saturating_sub(start.elapsed()));
+            self.suffer_one(*fault);
+        }
+    }
+
+    /// Waits until the campaign is finished, and returns everything that it
+    /// tells: the report, as table and as JSON, and the results without their
+    /// wall times.
+    ///
+    /// # Panics
+    /// If it does not finish, or its database is not in order.
+    pub fn outcome(&mut self) -> String {
+        let start = Instant::now();
+        loop {
+            let status = self.ask(&["campaign", "status", CAMPAIGN]);
+            if status.contains("finished") {
+                break;
+            }
+            assert!(start.elapsed() < PATIENCE, "it does not finish: {status}");
+            sleep(Duration::from_millis(300));
+        }
+        let report = self.ask(&["report", CAMPAIGN]);
+        let json = self.ask(&["report", CAMPAIGN, "--json"]);
+        let export = self.ask(&["export", CAMPAIGN, "--format", "jsonl"]);
+        let mut rows: Vec<String> = export.lines().map(without_wall_time).collect();
+        rows.sort();
+        self.stop();
+        self.check();
+        format!("{report}\n{json}\n{}", rows.join("\n"))
+    }
+
+    /// Waits until so many rollouts are committed.
+    ///
+    /// # Panics
+    /// If that takes too long.
+    pub fn wait_for_commits(&self, count: usize) {
+        let start = Instant::now();
+        let results = ["export", CAMPAIGN, "--format", "jsonl"];
+        while self.ask(&results).lines().count() < count {
+            assert!(start.elapsed() < PATIENCE, "too few are committed");
+            sleep(Duration::from_millis(50));
+        }
+    }
+
+    /// Stops the parents of all workers for a while; their slots go on.
+    pub fn stop_all_workers(&self, time: Duration) {
+        for worker in &self.workers {
+            worker.signal("-STOP");
+        }
+        sleep(time);
+        for worker in &self.workers {
+            worker.signal("-CONT");
+        }
+    }
+
+    /// The end of what all programs said.
+    pub fn last_words(&self) -> String {
+        let log = std::fs::read_to_string(self.folder.path().join("log")).unwrap_or_default();
+        let lines: Vec<&str> = log.lines().collect();
+        lines[lines.len().saturating_sub(LAST_LINES)..].join("\n")
+    }
+
+    /// The coordinator's data folder.
+    pub fn data(&self) -> PathBuf {
+        self.folder.path().join("data")
+    }
+
+    /// Asks a question of the coordinator, past the wires.
+    ///
+    /// # Panics
+    /// If it is refused.
+    pub fn ask(&self, arguments: &[&str]) -> String {
+        let coordinator = self.coordinator.as_ref().expect("a coordinator");
+        let output = Command::new(program("coordinator"))
+            .args(arguments)
+            .args(["--connect", &coordinator.url])
+            .output()
+            .expect("the command runs");
+        let complaint = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{arguments:?}: {complaint}");
+        String::from_utf8(output.stdout).expect("UTF-8")
+    }
+
+    /// Lets one thing go wrong, and puts it right again.
+    ///
+    /// # Panics
+    /// If something does not come back.
+    pub fn suffer_one(&mut self, fault: Fault) {
+        match fault {
+            Fault::KillCoordinator(down) => {
+                self.kill_coordinator();
+                sleep(down);
+                self.start_coordinator();
+            }
+            Fault::KillWorker => {
+                let victim = self.workers.remove(0);
+                victim.signal("-KILL");
+                self.start_worker();
+            }
+            Fault::KillSlot => {
+                for slot in children(self.workers[0].id()) {
+                    // It may have ended between the look and the shot.
+                    let _ = Command::new("kill")
+                        .args(["-KILL", &slot.to_string()])
+                        .status();
+                }
+            }
+            Fault::KillGateway(down) => {
+                self.to_gateway.lead_to(None);
+                self.gateway = None;
+                sleep(down);
+                self.start_gateway();
+            }
+            Fault::KillPolicy(down) => {
+                self.to_policy.lead_to(None);
+                self.policy = None;
+                sleep(down);
+                self.start_policy();
+            }
+            Fault::StopWorker(time) => pause(&self.workers[0], time),
+            Fault::StopCoordinator(time) => {
+                pause(self.coordinator.as_ref().expect("a coordinator"), time);
+            }
+            Fault::Cut(way) => self.wire(way).cut(),
+            Fault::Delay(way, by) => {
+                self.wire(way).delay(by);
+                sleep(Duration::from_secs(1));
+                self.wire(way).delay(Duration::ZERO);
+            }
+            Fault::Duplicate(time) => {
+                self.to_coordinator.duplicate(true);
+                sleep(time);
+                self.to_coordinator.duplicate(false);
+            }
+            Fault::FullDisk(time) => {
+                let coordinator = self.coordinator.as_ref().expect("a coordinator");
+                limit_files(coordinator, "0:unlimited");
+                sleep(time);
+                limit_files(coordinator, "unlimited:unlimited");
+            }
+            Fault::ReadOnlyDatabase => {
+                self.kill_coordinator();
+                self.refuses_to_start_read_only();
+                self.start_coordinator();
+            }
+        }
+    }
+
+    fn wire(&self, way: Way) -> &Wire {
+        match way {
+            Way::ToCoordinator => &self.to_coordinator,
+            Way::ToGateway => &self.to_gateway,
+            Way::ToPolicy => &self.to_policy,
+        }
+    }
+
+    fn start_coordinator(&mut self) {
+        let mut command = self.coordinator_command();
+        let coordinator = Process::serve(&mut command);
+        self.to_coordinator.lead_to(Some(&coordinator.url));
+        self.coordinator = Some(coordinator);
+    }
+
+    /// Through a shell that makes a write beyond the limit fail instead of
+    /// killing: a full disk does not kill either.
+    fn coordinator_command(&self) -> Command {
+        let mut command = Command::new("sh");
+        command
+            .args(["-c", "trap '' XFSZ; exec \"$0\" \"$@\""])
+            .arg(program("coordinator"))
+            .args(["serve", "--listen", "127.0.0.1:0", "--lease-secs"])
+            .arg(LEASE.as_secs().to_string())
+            .arg("--data")
+            .arg(self.data())
+            .stderr(self.log());
+        command
+    }
+
+    fn kill_coordinator(&mut self) {
+        self.to_coordinator.lead_to(None);
+        // Dropping a process kills it, and waits for it.
+        self.coordinator = None;
+    }
+
+    fn start_gateway(&mut self) {
+        let policy = self.to_policy.url().replacen("http://", "grpc://", 1);
+        let gateway = self.serve_policies(&format!("chaos={policy}/noop"));
+        self.to_gateway.lead_to(Some(&gateway.url));
+        self.gateway = Some(gateway);
+    }
+
+    fn start_policy(&mut self) {
+        let policy = self.serve_policies("noop=builtin:noop");
+        self.to_policy.lead_to(Some(&policy.url));
+        self.policy = Some(policy);
+    }
+
+    fn serve_policies(&self, route: &str) -> Process {
+        let mut command = Command::new(program("policy-gateway"));
+        command.args(["--listen", "127.0.0.1:0", "--route", route]);
+        Process::serve(command.stderr(self.log()))
+    }
+
+    fn start_worker(&mut self) {
+        let mut command = Command::new(program("worker"));
+        command.args(["--connect", &self.to_coordinator.url()]);
+        command.args(["--policy-endpoint", &self.to_gateway.url()]);
+        command.args(["--assets", "primitives"]);
+        if self.slots == SlotKind::Simulated {
+            command.arg("--slot-program").arg(program("simulated_slot"));
+        }
+        let worker = Process::start(command.stderr(self.log()));
+        self.workers.push(worker);
+    }
+
+    /// Ends everything in good order.
+    fn stop(&mut self) {
+        self.workers.clear();
+        self.gateway = None;
+        self.policy = None;
+        if let Some(mut coordinator) = self.coordinator.take() {
+            coordinator.signal("-TERM");
+            coordinator.wait();
+        }
+    }
+
+    /// Every invariant of the database.
+    fn check(&self) {
+        let output = Command::new(program("coordinator"))
+            .arg("check")
+            .arg(self.data())
+            .output()
+            .expect("the command runs");
+        let told = String::from_utf8_lossy(&output.stdout);
+        let complaint = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{told}{complaint}");
+    }
+
+    /// A coordinator that may read the database and not write it says so and
+    /// ends.
+    fn refuses_to_start_read_only(&self) {
+        let Some(mut command) = as_somebody_who_may_not_write(&self.data()) else {
+            return;
+        };
+        let output = command
+            .arg(program("coordinator"))
+            .args(["serve", "--listen", "127.0.0.1:0", "--data"])
+            .arg(self.data())
+            .output()
+            .expect("the program runs");
+        set_modes(&self.data(), 0o755, 0o644);
+        let told = String::from_utf8_lossy(&output.stderr);
+        if output.status.code() == Some(127) || output.status.code() == Some(126) {
+            eprintln!("SKIPPED the read-only database: nobody may run the program: {told}");
+            return;
+        }
+        assert_eq!(output.status.code(), Some(1), "{told}");
+        assert!(told.contains("failed to open"), "{told}");
+    }
+
+    fn log(&self) -> Stdio {
+        let path = self.folder.path().join("log");
+        let file: File = OpenOptions::new()
+            .create(true)
+            .append(true)
+            .open(path)
+            .expect("a log");
+        file.into()
+    }
+}
+
+/// A command that runs another one without the right to write in a folder.
+fn as_somebody_who_may_not_write(folder: &Path) -> Option<Command> {
+    let id = Command::new("id").arg("-u").output().expect("id runs");
+    if id.stdout.trim_ascii() != b"0" {
+        set_modes(folder, 0o555, 0o444);
+        return Some(Command::new("env"));
+    }
+    // What root may not do is no question of modes.
+    set_modes(folder, 0o755, 0o644);
+    let mut command = Command::new("setpriv");
+    command.args(["--reuid", NOBODY, "--regid", NOBODY, "--clear-groups"]);
+    if command.arg("true").status().is_ok_and(|it| it.success()) {
+        let mut command = Command::new("setpriv");
+        command.args(["--reuid", NOBODY, "--regid", NOBODY, "--clear-groups"]);
+        return Some(command);
+    }
+    eprintln!("SKIPPED the read-only database: root, and no setpriv to be anybody else");
+    None
+}
+
+fn set_modes(folder: &Path, of_folder: u32, of_files: u32) {
+    let set = |path: &Path, mode| {
+        let mode = std::fs::Permissions::from_mode(mode);
+        std::fs::set_permissions(path, mode).expect("its own file");
+    };
+    for entry in std::fs::read_dir(folder).expect("a folder").flatten() {
+        if entry.path().is_file() {
+            set(&entry.path(), of_files);
+        }
+    }
+    set(folder, of_folder);
+}
+
+/// Stops a process for a while.
+fn pause(process: &Process, time: Duration) {
+    process.signal("-STOP");
+    sleep(time);
+    process.signal("-CONT");
+}
+
+/// Sets how large files may become, `soft:hard`.
+fn limit_files(process: &Process, limit: &str) {
+    let status = Command::new("prlimit")
+        .args(["--pid", &process.id().to_string()])
+        .arg(format!("--fsize={limit}"))
+        .status();
+    assert!(status.expect("prlimit runs").success());
+}
+
+/// The processes that a process started.
+fn children(pid: u32) -> Vec<u32> {
+    let Ok(threads) = std::fs::read_dir(format!("/proc/{pid}/task")) else {
+        return Vec::new();
+    };
+    let lists = threads.flatten().map(|thread| {
+        let list = std::fs::read_to_string(thread.path().join("children"));
+        list.unwrap_or_default()
+    });
+    lists
+        .flat_map(|list| {
+            let children = list.split_whitespace().map(str::parse);
+            children.flatten().collect::<Vec<u32>>()
+        })
+        .collect()
+}
+
+fn without_wall_time(line: &str) -> String {
+    let mut row: serde_json::Value = serde_json::from_str(line).expect("JSON");
+    row.as_object_mut().expect("an object").remove("wall_s");
+    row.to_string()
+}

@@ -1,0 +1,166 @@
+//! What is broken when: drawn from a seed, so that a failure can be played
+//! again.
+
+use std::fmt;
+use std::time::Duration;
+
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+
+/// Faults of one schedule.
+const FAULTS: u64 = 3;
+/// Faults of one schedule that are charged to a rollout. Three charged attempts
+/// would set it aside, which is what should happen, but not what is tested.
+const MAX_CHARGED: usize = 2;
+/// When the last fault begins, at the latest: while the campaign still runs.
+const LAST_BEGINNING_MS: u64 = 2_500;
+
+/// A wire that can be broken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Way {
+    /// From the workers.
+    ToCoordinator,
+    /// From the slots.
+    ToGateway,
+    /// From the gateway.
+    ToPolicy,
+}
+
+/// One thing that goes wrong.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fault {
+    /// `kill -9`, and started again after so long.
+    KillCoordinator(Duration),
+    /// `kill -9` of a worker's parent process; another one is started.
+    KillWorker,
+    /// `kill -9` of a slot's process.
+    KillSlot,
+    /// `kill -9`, and started again after so long.
+    KillGateway(Duration),
+    /// `kill -9`, and started again after so long.
+    KillPolicy(Duration),
+    /// SIGSTOP of a worker's parent for longer than its lease, then SIGCONT.
+    StopWorker(Duration),
+    /// SIGSTOP of the coordinator, then SIGCONT.
+    StopCoordinator(Duration),
+    /// All connections of a wire are cut at once.
+    Cut(Way),
+    /// Everything on a wire arrives late.
+    Delay(Way, Duration),
+    /// Everything that workers tell the coordinator for so long arrives twice.
+    Duplicate(Duration),
+    /// The coordinator can write nothing for so long.
+    FullDisk(Duration),
+    /// The coordinator is started on a database that it may not write; then it
+    /// may again.
+    ReadOnlyDatabase,
+}
+
+/// Kinds of faults.
+const KINDS: u64 = 12;
+
+/// Faults, each with the time at which it begins, from the campaign's start.
+#[derive(Clone, Debug)]
+pub struct Schedule {
+    /// What it was drawn from.
+    pub seed: u64,
+    /// In the order of time.
+    pub faults: Vec<(Duration, Fault)>,
+}
+
+impl Schedule {
+    /// The schedule of a seed. Consecutive seeds begin with different kinds of
+    /// faults, so that a dozen of them have every kind.
+    pub fn new(seed: u64) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut faults = vec![draw(&mut rng, seed % KINDS)];
+        while (faults.len() as u64) < FAULTS {
+            let kind = rng.next_u64() % KINDS;
+            let fault = draw(&mut rng, kind);
+            let charged = faults.iter().chain([&fault]).filter(|it| it.is_charged());
+            if charged.count() <= MAX_CHARGED {
+                faults.push(fault);
+            }
+        }
+        let mut faults: Vec<_> = faults
+            .into_iter()
+            .map(|fault| (between(&mut rng, 0, LAST_BEGINNING_MS), fault))
+            .collect();
+        faults.sort_by_key(|(at, _)| *at);
+        Self { seed, faults }
+    }
+}
+
+impl Fault {
+    /// Whether it may cost a rollout one of its attempts.
+    fn is_charged(self) -> bool {
+        match self {
+            Fault::KillWorker
+            | Fault::KillSlot
+            | Fault::StopWorker(_)
+            | Fault::Cut(Way::ToCoordinator)
+            | Fault::Delay(Way::ToCoordinator, _)
+            | Fault::Duplicate(_)
+            // A claim whose answer is lost with it leaves a lease that nobody
+            // holds.
+            | Fault::KillCoordinator(_)
+            | Fault::FullDisk(_)
+            | Fault::ReadOnlyDatabase
+            | Fault::StopCoordinator(_) => true,
+            Fault::KillGateway(_) | Fault::KillPolicy(_) | Fault::Cut(_) | Fault::Delay(..) => false,
+        }
+    }
+}
+
+impl fmt::Display for Schedule {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "seed {}:", self.seed)?;
+        for (at, fault) in &self.faults {
+            write!(f, " at {:.2} s {fault:?};", at.as_secs_f64())?;
+        }
+        Ok(())
+    }
+}
+
+fn draw(rng: &mut ChaCha8Rng, kind: u64) -> Fault {
+    let down = between(rng, 0, 800);
+    match kind {
+        0 => Fault::KillCoordinator(down),
+        1 => Fault::KillWorker,
+        2 => Fault::KillSlot,
+        3 => Fault::KillGateway(down),
+        4 => Fault::KillPolicy(down),
+        5 => Fault::StopWorker(super::LEASE + between(rng, 1_200, 2_000)),
+        6 => Fault::StopCoordinator(between(rng, 300, 2_500)),
+        7 => Fault::Cut(way(rng)),
+        8 => Fault::Delay(way(rng), between(rng, 20, 400)),
+        9 => Fault::Duplicate(between(rng, 300, 900)),
+        10 => Fault::FullDisk(between(rng, 300, 2_500)),
+        _ => Fault::ReadOnlyDatabase,
+    }
+}
+
+fn way(rng: &mut ChaCha8Rng) -> Way {
+    let ways = [Way::ToCoordinator, Way::ToGateway, Way::ToPolicy];
+    ways[(rng.next_u64() % 3) as usize]
+}
+
+fn between(rng: &mut ChaCha8Rng, least_ms: u64, most_ms: u64) -> Duration {
+    Duration::from_millis(least_ms + rng.next_u64() % (most_ms - least_ms + 1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_seed_always_gives_the_same_schedule() {
+        for seed in 0..100 {
+            let schedule = Schedule::new(seed);
+            assert_eq!(schedule.faults, Schedule::new(seed).faults);
+            assert_eq!(schedule.faults.len() as u64, FAULTS);
+            let charged = schedule.faults.iter().filter(|(_, it)| it.is_charged());
+            assert!(charged.count() <= MAX_CHARGED, "{schedule}");
+        }
+    }
+}

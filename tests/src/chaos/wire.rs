@@ -1,0 +1,150 @@
+//! A wire between two programs: forwards connections, and cuts, delays or
+//! duplicates them when told to. What listens behind it may end and come back at
+//! another port; what dials it never notices but by the connection.
+
+use std::io::{Read, Write};
+use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread;
+use std::time::Duration;
+
+/// Bytes that are forwarded at a time.
+const PIECE_BYTES: usize = 16 << 10;
+
+/// A wire; it ends with the test's process.
+#[derive(Clone)]
+pub struct Wire {
+    address: SocketAddr,
+    state: Arc<State>,
+}
+
+#[derive(Default)]
+struct State {
+    /// Where it leads; none: to nobody.
+    target: Mutex<Option<SocketAddr>>,
+    /// Every connection that is open, both ends.
+    open: Mutex<Vec<TcpStream>>,
+    /// Before each piece that is forwarded.
+    delay_ms: AtomicU64,
+    /// Whether what is said on new connections is said twice.
+    duplicates: AtomicBool,
+}
+
+impl Wire {
+    /// A wire that leads nowhere yet.
+    ///
+    /// # Panics
+    /// If there is no free port.
+    pub fn new() -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
+        let wire = Self {
+            address: listener.local_addr().expect("an address"),
+            state: Arc::default(),
+        };
+        let state = Arc::clone(&wire.state);
+        thread::spawn(move || {
+            for caller in listener.incoming().flatten() {
+                let state = Arc::clone(&state);
+                thread::spawn(move || state.forward(&caller));
+            }
+        });
+        wire
+    }
+
+    /// `http://…` of this end.
+    pub fn url(&self) -> String {
+        format!("http://{}", self.address)
+    }
+
+    /// Leads to another server from now on; to nobody, if there is none.
+    pub fn lead_to(&self, url: Option<&str>) {
+        let address = url.map(|url| {
+            let bare = url.trim_start_matches("http://");
+            bare.parse().expect("an address")
+        });
+        *self.state.target.lock().expect("no panic") = address;
+    }
+
+    /// Cuts every connection that is open.
+    pub fn cut(&self) {
+        for stream in self.state.open.lock().expect("no panic").drain(..) {
+            // The other end may have closed it already.
+            let _ = stream.shutdown(Shutdown::Both);
+        }
+    }
+
+    /// Holds every piece back for so long.
+    pub fn delay(&self, by: Duration) {
+        let millis = u64::try_from(by.as_millis()).expect("a short time");
+        self.state.delay_ms.store(millis, Ordering::Relaxed);
+    }
+
+    /// Says everything twice: what a client sends goes to the server over a
+    /// second connection too, whose answers nobody hears. Begins with new
+    /// connections, so that the second one is a whole conversation.
+    pub fn duplicate(&self, duplicates: bool) {
+        self.state.duplicates.store(duplicates, Ordering::Relaxed);
+        self.cut();
+    }
+}
+
+impl Default for Wire {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl State {
+    fn forward(self: &Arc<Self>, caller: &TcpStream) {
+        let target = *self.target.lock().expect("no panic");
+        let Some(server) = target.and_then(|target| TcpStream::connect(target).ok()) else {
+            return;
+        };
+        let second = match (self.duplicates.load(Ordering::Relaxed), target) {
+            (true, Some(target)) => TcpStream::connect(target).ok(),
+            _ => None,
+        };
+        for stream in [Some(caller), Some(&server), second.as_ref()] {
+            let Some(stream) = stream else { continue };
+            // A stream that cannot be set up is about to fail anyway.
+            let _ = stream.set_nodelay(true);
+            if let Ok(stream) = stream.try_clone() {
+                self.open.lock().expect("no panic").push(stream);
+            }
+        }
+        thread::scope(|threads| {
+            threads.spawn(|| self.copy(&server, &[caller]));
+            if let Some(second) = &second {
+                threads.spawn(|| self.copy(second, &[]));
+            }
+            let servers: Vec<&TcpStream> = [Some(&server), second.as_ref()]
+                .into_iter()
+                .flatten()
+                .collect();
+            self.copy(caller, &servers);
+        });
+    }
+
+    /// Until either end closes; then both are closed.
+    fn copy(&self, mut from: &TcpStream, to: &[&TcpStream]) {
+        let mut piece = vec![0; PIECE_BYTES];
+        while let Ok(count @ 1..) = from.read(&mut piece) {
+            let delay = self.delay_ms.load(Ordering::Relaxed);
+            if delay > 0 {
+                thread::sleep(Duration::from_millis(delay));
+            }
+            let sent = |(place, mut stream): (usize, &TcpStream)| {
+                // The second conversation may end when it likes.
+                stream.write_all(&piece[..count]).is_ok() || place > 0
+            };
+            if !to.iter().copied().enumerate().all(sent) {
+                break;
+            }
+        }
+        for stream in to {
+            let _ = stream.shutdown(Shutdown::Both);
+        }
+        let _ = from.shutdown(Shutdown::Both);
+    }
+}

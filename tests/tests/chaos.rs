@@ -1,0 +1,119 @@
+//! Whole campaigns while everything fails: seeded schedules of faults on real
+//! processes. After each, the campaign finishes, its database holds every
+//! invariant, and its report and results are those of the undisturbed one, byte
+//! for byte.
+//!
+//! `ROLLOUT_CHAOS_SEEDS=17` plays one schedule again, `=1000-1999` plays others
+//! (docs/RELIABILITY.md).
+
+use std::collections::VecDeque;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Mutex;
+use std::time::{Duration, Instant};
+
+use tests::chaos::{Fleet, LEASE, Schedule, SlotKind};
+
+/// Schedules with simulated slots, and with MuJoCo.
+const SIMULATED: u64 = 48;
+const REAL: u64 = 4;
+/// Systems that suffer at a time: they wait more than they work.
+const AT_A_TIME: usize = 6;
+
+#[test]
+fn whatever_fails_a_campaign_ends_as_the_undisturbed_one() {
+    play(SlotKind::Simulated, seeds(0..SIMULATED));
+}
+
+#[test]
+fn with_mujoco_too_a_campaign_ends_as_the_undisturbed_one() {
+    play(SlotKind::Real, seeds(100..100 + REAL));
+}
+
+/// The seeds that were asked for, or these.
+fn seeds(usual: std::ops::Range<u64>) -> VecDeque<u64> {
+    let Ok(text) = std::env::var("ROLLOUT_CHAOS_SEEDS") else {
+        return usual.collect();
+    };
+    let (first, last) = text.split_once('-').unwrap_or((&text, &text));
+    let number = |text: &str| text.parse::<u64>().expect("ROLLOUT_CHAOS_SEEDS: N or N-M");
+    (number(first)..=number(last)).collect()
+}
+
+/// Plays schedules, some at a time; names those that failed at the end.
+fn play(slots: SlotKind, seeds: VecDeque<u64>) {
+    let start = Instant::now();
+    let expected = Fleet::start(slots).outcome();
+    let results = expected.matches("\"success\":").count();
+    assert!(
+        results >= 7,
+        "the undisturbed campaign has {results} results"
+    );
+    let count = seeds.len();
+    let (seeds, failed) = (Mutex::new(seeds), Mutex::new(Vec::new()));
+    std::thread::scope(|threads| {
+        for _ in 0..AT_A_TIME {
+            threads.spawn(|| {
+                while let Some(seed) = { seeds.lock().unwrap().pop_front() } {
+                    if !survives(&Schedule::new(seed), slots, &expected) {
+                        failed.lock().unwrap().push(seed);
+                    }
+                }
+            });
+        }
+    });
+    let secs = start.elapsed().as_secs();
+    eprintln!("{count} schedules of {slots:?} slots in {secs} s");
+    let failed = failed.into_inner().unwrap();
+    assert!(
+        failed.is_empty(),
+        "schedules {failed:?} failed; play one again with ROLLOUT_CHAOS_SEEDS=SEED"
+    );
+}
+
+/// Plays one schedule. If it fails, says what it was and what was said.
+fn survives(schedule: &Schedule, slots: SlotKind, expected: &str) -> bool {
+    let mut fleet = Fleet::start(slots);
+    let played = catch_unwind(AssertUnwindSafe(|| {
+        fleet.suffer(schedule);
+        fleet.outcome()
+    }));
+    let same = played.as_deref().is_ok_and(|outcome| outcome == expected);
+    if !same {
+        let outcome = played.unwrap_or_else(|_| "none".to_owned());
+        eprintln!(
+            "FAILED {slots:?} {schedule}\n{}\n{}",
+            difference(expected, &outcome),
+            fleet.last_words()
+        );
+    }
+    same
+}
+
+/// The first line that differs.
+fn difference(expected: &str, outcome: &str) -> String {
+    let mut pairs = expected.lines().zip(outcome.lines());
+    match pairs.find(|(one, other)| one != other) {
+        Some((one, other)) => format!("expected {one}\ngot      {other}"),
+        None => "one of the two ends early".to_owned(),
+    }
+}
+
+#[test]
+fn a_worker_that_slept_through_its_lease_is_refused_when_it_wakes() {
+    let mut fleet = Fleet::start(SlotKind::Simulated);
+    fleet.wait_for_commits(3);
+    // All of them: what another worker finished meanwhile would make the late
+    // report a duplicate, which is fine and not what is tested.
+    fleet.stop_all_workers(LEASE + Duration::from_secs(2));
+    fleet.outcome();
+    let database = fleet.data().join("coordinator.sqlite");
+    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(database);
+    let stale: i64 = tokio::runtime::Runtime::new().unwrap().block_on(async {
+        let pool = sqlx::SqlitePool::connect_with(options).await.unwrap();
+        sqlx::query_scalar("SELECT coalesce(sum(stale_reports), 0) FROM job")
+            .fetch_one(&pool)
+            .await
+            .unwrap()
+    });
+    assert!(stale > 0, "it reported nothing that was too late");
+}

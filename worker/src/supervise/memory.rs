@@ -1,0 +1,169 @@
+//! Whether the kernel killed something for want of memory: all that can be
+//! known without reading its log, which takes rights that a worker need not
+//! have. The kernel counts such kills, of a control group and of the machine; a
+//! counter that rose while a process ended by SIGKILL says who sent it.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// The kernel's counters at one instant; none where it does not keep them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct OomKills {
+    /// In the control group of this process, which its slots share.
+    group: Option<u64>,
+    /// On the whole machine.
+    machine: Option<u64>,
+}
+
+/// What the counters say about a SIGKILL between two readings.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Verdict {
+    /// The kernel killed in our control group: its memory limit was reached.
+    GroupLimit,
+    /// The kernel killed somewhere on this machine: its memory was used up.
+    Machine,
+    /// The kernel killed nothing: somebody sent the signal.
+    Somebody,
+    /// There is no counter here.
+    Unknown,
+}
+
+impl OomKills {
+    /// The counters now.
+    pub(crate) fn read() -> Self {
+        Self::read_below(Path::new("/"))
+    }
+
+    fn read_below(root: &Path) -> Self {
+        let groups = fs::read_to_string(root.join("proc/self/cgroup")).unwrap_or_default();
+        let counters = group_files(root, &groups).into_iter();
+        Self {
+            group: counters.filter_map(|file| counter(&file)).next(),
+            machine: counter(&root.join("proc/vmstat")),
+        }
+    }
+
+    /// What happened since an earlier reading.
+    pub(crate) fn since(self, earlier: Self) -> Verdict {
+        let rose = |now: Option<u64>, before: Option<u64>| Some(now? > before?);
+        match (
+            rose(self.group, earlier.group),
+            rose(self.machine, earlier.machine),
+        ) {
+            (Some(true), _) => Verdict::GroupLimit,
+            (_, Some(true)) => Verdict::Machine,
+            (None, None) => Verdict::Unknown,
+            _ => Verdict::Somebody,
+        }
+    }
+}
+
+impl Verdict {
+    /// Reads after "was killed by SIGKILL".
+    pub(crate) fn in_words(self) -> &'static str {
+        match self {
+            Self::GroupLimit => {
+                ": out of memory, the limit of its control group was reached; give the worker \
+                 fewer --slots or a higher limit"
+            }
+            Self::Machine => {
+                ": out of memory, the kernel was killing processes on this machine; give the \
+                 worker fewer --slots or the machine more memory"
+            }
+            Self::Somebody => ", and not for want of memory: somebody sent it",
+            Self::Unknown => {
+                "; if nobody sent it, the kernel ran out of memory: give the worker fewer --slots \
+                 or more memory"
+            }
+        }
+    }
+}
+
+/// Where the counter of a process's control group is: `memory.events` in the
+/// unified hierarchy, `memory.oom_control` in the memory hierarchy before it.
+fn group_files(root: &Path, groups: &str) -> Vec<PathBuf> {
+    let file = |line: &str| {
+        let mut fields = line.splitn(3, ':');
+        let (_, controllers, path) = (fields.next()?, fields.next()?, fields.next()?);
+        let path = path.trim_start_matches('/');
+        let base = root.join("sys/fs/cgroup");
+        if controllers.is_empty() {
+            Some(base.join(path).join("memory.events"))
+        } else if controllers.split(',').any(|it| it == "memory") {
+            Some(base.join("memory").join(path).join("memory.oom_control"))
+        } else {
+            None
+        }
+    };
+    groups.lines().filter_map(file).collect()
+}
+
+/// The number behind `oom_kill` in a file of names and numbers.
+fn counter(file: &Path) -> Option<u64> {
+    let text = fs::read_to_string(file).ok()?;
+    let number = |line: &str| line.strip_prefix("oom_kill ")?.trim().parse().ok();
+    text.lines().find_map(number)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn write(root: &Path, file: &str, text: &str) {
+        let path = root.join(file);
+        fs::create_dir_all(path.parent().expect("a folder")).expect("made");
+        fs::write(path, text).expect("written");
+    }
+
+    #[test]
+    fn the_counter_of_either_hierarchy_is_found() {
+        let unified = tempfile::tempdir().expect("a folder");
+        write(unified.path(), "proc/self/cgroup", "0::/batch/job-7\n");
+        let events = "low 0\noom 3\noom_kill 2\noom_group_kill 0\n";
+        write(
+            unified.path(),
+            "sys/fs/cgroup/batch/job-7/memory.events",
+            events,
+        );
+        write(unified.path(), "proc/vmstat", "pgfault 9\noom_kill 5\n");
+        let (group, machine) = (Some(2), Some(5));
+        let read = OomKills::read_below(unified.path());
+        assert_eq!(read, OomKills { group, machine });
+
+        let before = tempfile::tempdir().expect("a folder");
+        write(
+            before.path(),
+            "proc/self/cgroup",
+            "4:memory:/job\n1:cpu,cpuacct:/job\n0::/\n",
+        );
+        let control = "oom_kill_disable 0\nunder_oom 0\noom_kill 4\n";
+        write(
+            before.path(),
+            "sys/fs/cgroup/memory/job/memory.oom_control",
+            control,
+        );
+        let read = OomKills::read_below(before.path());
+        let (group, machine) = (Some(4), None);
+        assert_eq!(read, OomKills { group, machine });
+    }
+
+    #[test]
+    fn a_counter_that_rose_says_who_killed() {
+        let kills = |group, machine| OomKills { group, machine };
+        let check = |before, after: OomKills, expected| {
+            assert_eq!(after.since(before), expected, "{before:?} {after:?}");
+        };
+        let one = kills(Some(1), Some(7));
+        check(one, kills(Some(2), Some(8)), Verdict::GroupLimit);
+        check(one, kills(Some(1), Some(8)), Verdict::Machine);
+        check(one, one, Verdict::Somebody);
+        check(kills(None, None), kills(None, None), Verdict::Unknown);
+        check(kills(None, Some(1)), kills(None, Some(2)), Verdict::Machine);
+    }
+
+    #[test]
+    fn this_machine_counts() {
+        // Every Linux since 4.13 does.
+        assert!(OomKills::read().machine.is_some());
+    }
+}
