@@ -101,6 +101,18 @@ pub enum Batching {
     Deterministic,
 }
 
+impl Batching {
+    /// What goes with every result of a policy that takes batches of
+    /// `batch_size`.
+    pub fn describe(self, batch_size: usize) -> String {
+        match self {
+            Self::Deterministic => "deterministic".to_owned(),
+            Self::Dynamic if batch_size > 1 => format!("up to {batch_size}"),
+            Self::Dynamic | Self::Single => "single".to_owned(),
+        }
+    }
+}
+
 impl RouteSpec {
     fn check(&self) -> Result<(), ConfigError> {
         let name = || self.name.clone();

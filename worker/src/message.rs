@@ -165,6 +165,8 @@ pub struct Evidence {
     pub policy_checkpoint_digest: String,
     /// Whether it sees the simulator's own state.
     pub policy_privileged: bool,
+    /// How a gateway asks it: "single" unless one says otherwise.
+    pub batch_mode: String,
 }
 
 /// Why a rollout has no outcome.

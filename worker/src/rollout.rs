@@ -152,6 +152,10 @@ pub(crate) fn chain(error: &dyn std::error::Error) -> String {
     text
 }
 
+/// How a query reaches a policy that no gateway says more of: alone, not in a
+/// batch of several rollouts.
+const UNBATCHED: &str = "single";
+
 /// Runs one rollout to its outcome, and records it if that is wanted.
 ///
 /// # Errors
@@ -193,6 +197,10 @@ pub fn run(
         policy_checkpoint: description.about.checkpoint.clone(),
         policy_checkpoint_digest: description.about.checkpoint_digest.clone(),
         policy_privileged: description.about.privileged,
+        batch_mode: match description.about.batch_mode.as_str() {
+            "" => UNBATCHED.to_owned(),
+            mode => mode.to_owned(),
+        },
     };
     let video = run.record(&mut stage, &outcome)?;
     Ok(Finished {

@@ -116,11 +116,16 @@ impl Pool {
         replica: &Replica,
         call: Call<'_>,
     ) -> Result<Arc<DescribeResponse>, BackendError> {
-        let described = replica
+        let mut described = replica
             .describe(call, &self.suite, |described| {
                 self.agree(replica, described)
             })
             .await?;
+        // A gateway behind this one knows better how the policy is asked.
+        if described.batch_mode.is_empty() {
+            let batch_size = check::batch_size(&described);
+            described.batch_mode = self.batching.describe(batch_size);
+        }
         Ok(Arc::new(described))
     }
 

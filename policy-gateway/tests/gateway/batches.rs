@@ -17,7 +17,7 @@ use proto::policy::{
 use tokio::{sync::Mutex, task::JoinSet};
 use tonic::{Code, Request, Response, Status};
 
-use crate::support::{chunk, description, infer, reloadable, reset, serve};
+use crate::support::{chunk, describe, description, infer, reloadable, reset, serve};
 
 /// Largest batch of the simulated server.
 const LARGEST: u32 = 4;
@@ -82,8 +82,9 @@ impl Policy for FixedSpeed {
     }
 }
 
-/// Plays 12 sessions of 3 queries at once; returns the largest batch.
-async fn play(batching: Batching) -> usize {
+/// Plays 12 sessions of 3 queries at once; returns the largest batch, and what
+/// results say of how the policy was asked.
+async fn play(batching: Batching) -> (usize, String) {
     let largest = Arc::new(AtomicUsize::new(0));
     let server = serve(FixedSpeed {
         computing: Mutex::default(),
@@ -96,6 +97,8 @@ async fn play(batching: Batching) -> usize {
         ..route.parse().expect("a route")
     };
     let (gateway, _) = reloadable(vec![spec]).await;
+    let described = gateway.client().await.describe(describe("x")).await;
+    let batch_mode = described.expect("a description").into_inner().batch_mode;
     let mut playing = JoinSet::new();
     for number in 0..12_u32 {
         let mut client = gateway.client().await;
@@ -121,17 +124,19 @@ async fn play(batching: Batching) -> usize {
     while let Some(played) = playing.join_next().await {
         played.expect("no session panicked");
     }
-    largest.load(Ordering::SeqCst)
+    (largest.load(Ordering::SeqCst), batch_mode)
 }
 
 #[tokio::test]
 async fn queries_go_together_and_each_gets_its_own_answer() {
-    let largest = play(Batching::Dynamic).await;
+    let (largest, batch_mode) = play(Batching::Dynamic).await;
+    assert_eq!(batch_mode, format!("up to {LARGEST}"));
     assert!((2..=LARGEST as usize).contains(&largest), "{largest}");
 }
 
 #[tokio::test]
 async fn a_policy_that_is_to_be_asked_one_by_one_is() {
-    assert_eq!(play(Batching::Single).await, 1);
-    assert_eq!(play(Batching::Deterministic).await, 1);
+    let (single, deterministic) = ("single".to_owned(), "deterministic".to_owned());
+    assert_eq!(play(Batching::Single).await, (1, single));
+    assert_eq!(play(Batching::Deterministic).await, (1, deterministic));
 }

@@ -2,7 +2,8 @@
 
 use policy_gateway::{builtin::noop::NOOP_ACTION, service::MAX_BATCH_QUERIES};
 use proto::policy::{
-    DescribeRequest, Image, InferBatchRequest, InferRequest, Observation, infer_result,
+    DescribeRequest, DescribeResponse, Image, InferBatchRequest, InferRequest, Observation,
+    infer_result,
 };
 use tonic::{Code, transport::Endpoint};
 use tonic_health::pb::{
@@ -47,7 +48,12 @@ async fn a_gateway_behind_a_gateway_looks_like_a_policy() {
         .await
         .expect("a description")
         .into_inner();
-    assert_eq!(described, policy_gateway::builtin::expert::describe());
+    assert_eq!(described.batch_mode, "single");
+    let expected = DescribeResponse {
+        batch_mode: "single".to_owned(),
+        ..policy_gateway::builtin::expert::describe()
+    };
+    assert_eq!(described, expected);
 
     let route = format!("x=grpc://{}/noop", inner.address);
     let outer = gateway(&[&route]).await;

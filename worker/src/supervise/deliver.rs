@@ -17,9 +17,6 @@ use super::link::Link;
 use crate::grpc::in_words;
 use crate::message::{Evidence, Failure, Finished, Outcome as SlotOutcome};
 
-/// How a query reached the policy: alone, not in a batch of several rollouts.
-const BATCH_MODE: &str = "single";
-
 /// How a rollout ended.
 #[derive(Debug)]
 pub(crate) enum Ending {
@@ -183,7 +180,7 @@ fn provenance(evidence: Evidence, identity: Identity, realisation: Realisation) 
         policy_checkpoint: evidence.policy_checkpoint,
         policy_checkpoint_digest: evidence.policy_checkpoint_digest,
         policy_privileged: evidence.policy_privileged,
-        batch_mode: BATCH_MODE.to_owned(),
+        batch_mode: evidence.batch_mode,
         program_version: env!("CARGO_PKG_VERSION").to_owned(),
     }
 }
