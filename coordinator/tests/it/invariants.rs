@@ -106,7 +106,7 @@ const BROKEN: [(Invariant, &str, &str); 16] = [
 ];
 
 /// A database at rest with jobs in every state.
-async fn sound() -> TempDir {
+pub(crate) async fn sound() -> TempDir {
     let bench = Bench::start().await;
     let spec = with(small_spec("sound"), json!({"configs": [0, 1]}));
     bench.create(&spec).await.expect("created");

@@ -6,6 +6,7 @@ mod artifacts;
 mod campaigns;
 mod claims;
 mod disk;
+mod failpoints;
 mod faults;
 mod harness;
 mod invariants;

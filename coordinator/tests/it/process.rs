@@ -2,7 +2,7 @@
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use proto::coordinator as wire;
@@ -10,12 +10,14 @@ use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::operator_service_client::OperatorServiceClient;
 use proto::coordinator::worker_service_client::WorkerServiceClient;
 use tokio::task::JoinSet;
+use tonic::Status;
 
 use crate::harness::{Worker, open_database, registration, small_spec};
 
 /// `coordinator serve` as a process; killed when it goes out of scope.
 pub(crate) struct Serve {
     child: Child,
+    /// Empty if it ended before it listened.
     pub(crate) url: String,
 }
 
@@ -28,7 +30,7 @@ impl Serve {
     /// write beyond a limit fail instead of killing: a full disk does not kill
     /// either.
     pub(crate) fn start_with(data: &Path, arguments: &[&str], log: Stdio) -> Serve {
-        let mut child = Command::new("sh")
+        let child = Command::new("sh")
             .args(["-c", "trap '' XFSZ; exec \"$0\" \"$@\""])
             .arg(env!("CARGO_BIN_EXE_coordinator"))
             .args(["serve", "--listen", "127.0.0.1:0", "--data"])
@@ -39,15 +41,32 @@ impl Serve {
             .stderr(log)
             .spawn()
             .expect("starts");
+        let serve = Serve::of(child);
+        assert!(serve.is_ready(), "it listens");
+        serve
+    }
+
+    /// Waits until the process listens or ends.
+    pub(crate) fn of(mut child: Child) -> Serve {
         let mut line = String::new();
         let stdout = child.stdout.take().expect("a pipe");
         BufReader::new(stdout).read_line(&mut line).expect("a line");
-        let address = line.strip_prefix("listening on ").expect("the ready line");
-        let address = address.split([',', ' ']).next().expect("an address");
-        Serve {
-            child,
-            url: format!("http://{address}"),
-        }
+        let address = line.strip_prefix("listening on ").unwrap_or_default();
+        let url = match address.split([',', ' ']).next() {
+            Some("") | None => String::new(),
+            Some(address) => format!("http://{address}"),
+        };
+        Serve { child, url }
+    }
+
+    /// Whether it came to listen.
+    pub(crate) fn is_ready(&self) -> bool {
+        !self.url.is_empty()
+    }
+
+    /// How it ended, if it has.
+    pub(crate) fn ended(&mut self) -> Option<ExitStatus> {
+        self.child.try_wait().expect("a child")
     }
 
     /// Sets how large its files may become, `soft:hard`.
@@ -66,18 +85,19 @@ impl Serve {
     }
 
     pub(crate) async fn worker(&self, id: &str) -> Worker {
+        self.try_worker(id).await.expect("registers")
+    }
+
+    pub(crate) async fn try_worker(&self, id: &str) -> Result<Worker, Status> {
         let service = WorkerServiceClient::connect(self.url.clone()).await;
         let mut worker = Worker {
             id: id.to_owned(),
             pack: "primitives".to_owned(),
-            service: service.expect("a connection"),
+            service: service.map_err(|error| Status::unavailable(error.to_string()))?,
         };
-        let registered = worker
-            .service
-            .register(registration(id, "primitives"))
-            .await;
-        registered.expect("registers");
-        worker
+        let registration = registration(id, "primitives");
+        worker.service.register(registration).await?;
+        Ok(worker)
     }
 
     /// Runs another command of the program against this coordinator.

@@ -1,0 +1,243 @@
+//! The process dies before and after the end of every transaction of the store,
+//! each once. Whatever it was doing, what is left is in order, and the campaign
+//! comes to the same report.
+
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use coordinator::invariants::check;
+use coordinator::store::DATABASE_FILE;
+use coordinator::store::failpoint::{FAILPOINT_VARIABLE, Side, Step};
+use proto::coordinator as wire;
+use proto::coordinator::change_campaign_request::Change;
+use proto::coordinator::operator_service_client::OperatorServiceClient;
+use proto::coordinator::release_request::Reason;
+use tempfile::TempDir;
+use tokio::task::JoinSet;
+use tonic::Status;
+
+use crate::harness::{Worker, small_spec};
+use crate::invariants::sound;
+use crate::process::Serve;
+
+/// Processes that die side by side.
+const AT_ONCE: usize = 4;
+/// The lease's seconds and the sweep that finds it over.
+const LEASE_SECS: u32 = 3;
+const EXPIRING_SWEEP: u32 = 5;
+/// How long a process may take to reach its failpoint.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// `coordinator serve` on a folder, to die at a point.
+fn serve(folder: &Path, point: &str) -> Child {
+    Command::new(env!("CARGO_BIN_EXE_coordinator"))
+        .args(["serve", "--listen", "127.0.0.1:0", "--lease-secs"])
+        .arg(LEASE_SECS.to_string())
+        .arg("--data")
+        .arg(folder)
+        .env(FAILPOINT_VARIABLE, point)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("starts")
+}
+
+/// Everything that writes, once, and as long as the coordinator answers.
+async fn everything(serve: &Serve) -> Result<(), Status> {
+    let mut operator = OperatorServiceClient::connect(serve.url.clone())
+        .await
+        .map_err(|error| Status::unavailable(error.to_string()))?;
+    let spec = small_spec("passing").to_string();
+    operator
+        .create_campaign(wire::CreateCampaignRequest { spec })
+        .await?;
+    let mut worker = serve.try_worker("b").await?;
+    let lease = worker.try_claim(1, 0.0, "").await?.leases.remove(0);
+    let beat = wire::HeartbeatRequest {
+        worker_id: worker.id.clone(),
+        progress: vec![wire::Progress {
+            job_id: lease.job_id,
+            attempt: lease.attempt,
+            control_steps: 5,
+        }],
+    };
+    worker.service.heartbeat(beat).await?;
+    let release = wire::ReleaseRequest {
+        lease: Some(worker.held(&lease)),
+        reason: Reason::SimulatorError.into(),
+        error: "on purpose".to_owned(),
+    };
+    worker.service.release(release).await?;
+    let lease = worker.try_claim(1, 0.0, "").await?.leases.remove(0);
+    let video = tokio_stream::iter([wire::ArtifactChunk {
+        lease: Some(worker.held(&lease)),
+        name: "video.mp4".to_owned(),
+        data: vec![1; 1_000],
+    }]);
+    worker.service.put_artifact(video).await?;
+    let report = worker.report(&lease, true);
+    worker.service.commit(report).await?;
+    for (campaign, change) in [
+        ("sound", Change::Pause),
+        ("sound", Change::Resume),
+        ("passing", Change::Cancel),
+    ] {
+        let request = wire::ChangeCampaignRequest {
+            campaign: campaign.to_owned(),
+            change: change.into(),
+        };
+        operator.change_campaign(request).await?;
+    }
+    retry_all(&mut operator).await?;
+    let request = wire::DeleteCampaignRequest {
+        campaign: "passing".to_owned(),
+        confirm: "passing".to_owned(),
+    };
+    operator.delete_campaign(request).await?;
+    Ok(())
+}
+
+async fn retry_all(
+    operator: &mut OperatorServiceClient<tonic::transport::Channel>,
+) -> Result<(), Status> {
+    let request = wire::RetryJobsRequest {
+        campaign: "sound".to_owned(),
+        all: true,
+        ..wire::RetryJobsRequest::default()
+    };
+    operator.retry_jobs(request).await.map(|_| ())
+}
+
+/// Brings the campaign to its end on a sound coordinator. Returns its report.
+async fn finish(folder: &Path) -> String {
+    let serve = Serve::start(folder);
+    let mut operator = OperatorServiceClient::connect(serve.url.clone())
+        .await
+        .expect("a connection");
+    let resume = wire::ChangeCampaignRequest {
+        campaign: "sound".to_owned(),
+        change: Change::Resume.into(),
+    };
+    operator.change_campaign(resume).await.expect("resumed");
+    retry_all(&mut operator).await.expect("retried");
+    // It holds no lease of before: what it had then is its own again.
+    let mut worker = serve.worker("a").await;
+    let began = Instant::now();
+    loop {
+        take_over(&mut worker, &serve, &mut operator).await;
+        let request = wire::GetCampaignRequest {
+            campaign: "sound".to_owned(),
+        };
+        let status = operator.get_campaign(request).await.expect("a status");
+        let status = status.into_inner().status.expect("a status");
+        if status.committed == status.total {
+            break;
+        }
+        assert!(began.elapsed() < PATIENCE, "{status:?}");
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+    let request = wire::ReportRequest {
+        campaign: "sound".to_owned(),
+    };
+    let report = operator.report(request).await.expect("a report");
+    report.into_inner().json
+}
+
+/// Commits whatever can be leased, and what an earlier life left leased.
+async fn take_over(
+    worker: &mut Worker,
+    serve: &Serve,
+    operator: &mut OperatorServiceClient<tonic::transport::Channel>,
+) {
+    for lease in worker.claim(64).await {
+        worker.commit(&lease, true).await;
+    }
+    let request = wire::ListJobsRequest {
+        campaign: "sound".to_owned(),
+        state: "leased".to_owned(),
+        limit: 64,
+        ..wire::ListJobsRequest::default()
+    };
+    let left = operator
+        .list_jobs(request)
+        .await
+        .expect("a list")
+        .into_inner();
+    for job in left.jobs {
+        let owner = serve.worker(&job.lease_owner).await;
+        let request = wire::ReleaseRequest {
+            lease: Some(wire::LeaseRef {
+                worker_id: owner.id.clone(),
+                job_id: job.job_id,
+                attempt: job.attempt,
+            }),
+            reason: Reason::Draining.into(),
+            error: "another life".to_owned(),
+        };
+        let mut owner = owner;
+        owner.service.release(request).await.expect("released");
+    }
+}
+
+/// A copy of a folder at rest.
+fn copy_of(folder: &Path) -> TempDir {
+    let copy = tempfile::tempdir().expect("a temporary folder");
+    std::fs::copy(folder.join(DATABASE_FILE), copy.path().join(DATABASE_FILE)).expect("copied");
+    copy
+}
+
+/// One life that ends at the failpoint, and the next. Returns the report.
+async fn die_at(folder: TempDir, side: Side, step: Step) -> String {
+    let times = if step == Step::Sweep {
+        EXPIRING_SWEEP
+    } else {
+        1
+    };
+    let point = format!("{}:{}:{times}", side.name(), step.name());
+    let child = serve(folder.path(), &point);
+    let mut serve = Serve::of(child);
+    if serve.is_ready() {
+        // It breaks off wherever the process ends.
+        let _ = everything(&serve).await;
+    }
+    let began = Instant::now();
+    let status = loop {
+        if let Some(status) = serve.ended() {
+            break status;
+        }
+        assert!(began.elapsed() < PATIENCE, "{point} was never reached");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    };
+    assert!(!status.success(), "{point}: {status}");
+    let violations = check(folder.path()).await.expect("a database");
+    assert_eq!(violations, [], "{point}");
+    let report = finish(folder.path()).await;
+    let violations = check(folder.path()).await.expect("a database");
+    assert_eq!(violations, [], "{point}");
+    assert!(
+        !folder.path().join("artifacts/passing").exists() || step != Step::FinishRemoval,
+        "{point}: a deleted campaign's files are removed at the next start"
+    );
+    report
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_process_that_dies_around_any_transaction_leaves_order_and_the_same_report() {
+    let folder = sound().await;
+    let undisturbed = finish(copy_of(folder.path()).path()).await;
+    let mut points: Vec<(Side, Step)> = [Side::Before, Side::After]
+        .into_iter()
+        .flat_map(|side| Step::ALL.map(|step| (side, step)))
+        .collect();
+    let mut lives = JoinSet::new();
+    while !points.is_empty() || !lives.is_empty() {
+        while let (true, Some((side, step))) = (lives.len() < AT_ONCE, points.pop()) {
+            let copy = copy_of(folder.path());
+            lives.spawn(async move { (side, step, die_at(copy, side, step).await) });
+        }
+        let life = lives.join_next().await.expect("one is alive");
+        let (side, step, report) = life.expect("it was as it should be");
+        assert_eq!(report, undisturbed, "{side:?} {step:?}");
+    }
+}
