@@ -7,18 +7,22 @@ mod campaigns;
 mod claim;
 mod finish;
 mod operate;
+mod writer;
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use rand_chacha::ChaCha8Rng;
 use sqlx::SqliteConnection;
-use tokio::sync::{Notify, watch};
+use tokio::sync::{Notify, mpsc, watch};
+use tokio::task::JoinSet;
 
 use crate::clock::{Clock, UnixMillis};
 use crate::ids::{CampaignName, JobId, LeaseRef, WorkerId};
 use crate::plan::{Decision, ExpiredLease, SweepState, plan};
 use crate::store::failpoint::Step;
+use writer::Operation;
+
 use crate::store::workers::WorkerInfo;
 use crate::store::{Store, StoreError, jobs, policies, workers};
 
@@ -155,6 +159,10 @@ pub struct Queue {
     rng: Mutex<ChaCha8Rng>,
     timing: Timing,
     last_sweep: Mutex<UnixMillis>,
+    /// What workers ask for, on its way into the next transaction.
+    operations: mpsc::Sender<Operation>,
+    /// The task that executes it; ends with the queue.
+    writer: Mutex<JoinSet<()>>,
     /// Rung when jobs may have become leasable.
     work: Notify,
     draining: watch::Sender<bool>,
@@ -178,23 +186,30 @@ impl Queue {
         clock: Arc<dyn Clock>,
         rng: ChaCha8Rng,
         timing: Timing,
-    ) -> Result<Queue, StoreError> {
+    ) -> Result<Arc<Queue>, StoreError> {
         let now = clock.now();
         let mut tx = store.write(Step::Start).await?;
         jobs::extend_leases(&mut tx, now.plus(timing.lease)).await?;
         tx.commit().await?;
-        let queue = Queue {
+        let (operations, asked) = writer::line();
+        let queue = Arc::new(Queue {
             store,
             clock,
             rng: Mutex::new(rng),
             timing,
             last_sweep: Mutex::new(now),
+            operations,
+            writer: Mutex::default(),
             work: Notify::new(),
             draining: watch::Sender::new(false),
             hold: watch::Sender::new(None),
             campaigns: tokio::sync::Mutex::default(),
             backing_up: Arc::default(),
-        };
+        });
+        let writer = writer::run(Arc::downgrade(&queue), asked);
+        let mut tasks = queue.tasks();
+        tasks.spawn(writer);
+        drop(tasks);
         queue.finish_removals().await?;
         Ok(queue)
     }
@@ -237,18 +252,28 @@ impl Queue {
         worker: &WorkerId,
         progress: &[(LeaseRef, u32)],
     ) -> Result<Vec<JobId>, QueueError> {
+        let (worker, progress) = (worker.clone(), progress.to_vec());
+        self.ask(|pending| Operation::Heartbeat(worker, progress, pending))
+            .await
+    }
+
+    async fn heartbeat_in(
+        &self,
+        tx: &mut SqliteConnection,
+        worker: &WorkerId,
+        progress: &[(LeaseRef, u32)],
+    ) -> Result<Vec<JobId>, QueueError> {
         let now = self.now();
-        let mut tx = self.store.write(Step::Heartbeat).await?;
-        if !workers::seen(&mut tx, worker, now).await? {
+        if !workers::seen(tx, worker, now).await? {
             return Err(QueueError::UnknownWorker {
                 worker: worker.clone(),
             });
         }
-        let probes = policies::probes(&mut tx).await?;
+        let probes = policies::probes(tx).await?;
         let mut lost = Vec::new();
         for (lease, control_steps) in progress {
             let expires = now.plus(self.timing.lease);
-            if !jobs::renew(&mut tx, lease, *control_steps, expires).await? {
+            if !jobs::renew(tx, lease, *control_steps, expires).await? {
                 lost.push(lease.job);
                 continue;
             }
@@ -257,13 +282,12 @@ impl Queue {
                     && *control_steps > probe.settle_steps
             });
             if let Some(probe) = answered {
-                let before = policies::health(&mut tx, probe.policy).await?;
+                let before = policies::health(tx, probe.policy).await?;
                 let after = before.after_answer((probe.job, probe.attempt), now);
-                self.set_health(&mut tx, probe.policy, (&before, &after), now)
+                self.set_health(tx, probe.policy, (&before, &after), now)
                     .await?;
             }
         }
-        tx.commit().await?;
         Ok(lost)
     }
 
@@ -386,6 +410,10 @@ impl Queue {
                 Ok(())
             }
         }
+    }
+
+    fn tasks(&self) -> std::sync::MutexGuard<'_, JoinSet<()>> {
+        self.writer.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn last_sweep(&self) -> UnixMillis {

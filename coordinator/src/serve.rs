@@ -107,7 +107,7 @@ impl Coordinator {
         })?;
         let queue = Queue::start(store, config.clock, config.rng, config.timing).await?;
         Ok(Coordinator {
-            queue: Arc::new(queue),
+            queue,
             data: config.data,
             security: config.security,
             min_free_bytes: config.min_free_bytes,

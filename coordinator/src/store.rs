@@ -128,7 +128,8 @@ pub(crate) type View = Transaction<'static, Sqlite>;
 #[derive(Debug)]
 pub(crate) struct Tx<'a> {
     transaction: Transaction<'static, Sqlite>,
-    step: Step,
+    /// What it is for.
+    steps: Vec<Step>,
     failpoints: &'a Failpoints,
 }
 
@@ -217,10 +218,15 @@ impl Store {
 
     /// Begins the writing transaction, for `step`; waits for the one before it.
     pub(crate) async fn write(&self, step: Step) -> Result<Tx<'_>, StoreError> {
+        self.write_many(vec![step]).await
+    }
+
+    /// Begins the writing transaction, for several steps at once.
+    pub(crate) async fn write_many(&self, steps: Vec<Step>) -> Result<Tx<'_>, StoreError> {
         let transaction = self.writer.begin_with("BEGIN IMMEDIATE").await;
         Ok(Tx {
             transaction: transaction.doing("begin a transaction")?,
-            step,
+            steps,
             failpoints: &self.failpoints,
         })
     }
@@ -260,10 +266,14 @@ pub fn newest_known_schema() -> i64 {
 impl Tx<'_> {
     /// Ends the transaction: what it wrote is on the disk.
     pub(crate) async fn commit(self) -> Result<(), StoreError> {
-        self.failpoints.reach(Side::Before, self.step);
+        for step in &self.steps {
+            self.failpoints.reach(Side::Before, *step);
+        }
         let committed = self.transaction.commit().await;
         committed.doing("commit a transaction")?;
-        self.failpoints.reach(Side::After, self.step);
+        for step in &self.steps {
+            self.failpoints.reach(Side::After, *step);
+        }
         Ok(())
     }
 }

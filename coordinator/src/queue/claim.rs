@@ -5,12 +5,13 @@ use std::time::Duration;
 use sqlx::SqliteConnection;
 use tokio::time::Instant;
 
+use super::writer::{Operation, Presence};
 use super::{Queue, QueueError};
 use crate::clock::UnixMillis;
 use crate::ids::{Attempt, CampaignId, CampaignName, JobId, PolicyId, WorkerId};
+use crate::lease::MIN_WORKERS_TO_QUARANTINE;
 use crate::outage::{Allowance, PolicyState};
 use crate::plan::choose_task;
-use crate::store::failpoint::Step;
 use crate::store::jobs::{Claimant, LeasedJob, WaitingCampaign};
 use crate::store::workers::Pin;
 use crate::store::{StoreError, campaigns, jobs, policies, workers};
@@ -78,7 +79,7 @@ impl Queue {
     ) -> Result<Claimed, QueueError> {
         let deadline = Instant::now() + wait.min(MAX_CLAIM_WAIT);
         let mut draining = self.draining.subscribe();
-        self.note_presence(&request.worker).await?;
+        let mut presence = Presence::Noted;
         loop {
             if *draining.borrow_and_update() {
                 return Err(QueueError::ShuttingDown);
@@ -86,13 +87,11 @@ impl Queue {
             // Listening begins before looking: what is queued in between rings.
             let mut work = std::pin::pin!(self.work.notified());
             work.as_mut().enable();
-            let claimed = match self.held() {
-                Some(idle_reason) => Claimed {
-                    jobs: Vec::new(),
-                    idle_reason,
-                },
-                None => self.claim_now(request).await?,
-            };
+            let request = request.clone();
+            let claimed = self
+                .ask(|pending| Operation::Claim(request, presence, pending))
+                .await?;
+            presence = Presence::Unknown;
             if !claimed.jobs.is_empty() {
                 return Ok(claimed);
             }
@@ -104,43 +103,42 @@ impl Queue {
         }
     }
 
-    /// Notes that a worker is there: once per claim, however often it is woken.
-    async fn note_presence(&self, worker: &WorkerId) -> Result<(), QueueError> {
-        let mut tx = self.store.write(Step::Claim).await?;
-        if !workers::seen(&mut tx, worker, self.now()).await? {
-            return Err(QueueError::UnknownWorker {
-                worker: worker.clone(),
-            });
-        }
-        Ok(tx.commit().await?)
-    }
-
-    async fn claim_now(&self, request: &ClaimRequest) -> Result<Claimed, QueueError> {
+    /// What a worker can have now.
+    pub(super) async fn claim_in(
+        &self,
+        tx: &mut SqliteConnection,
+        request: &ClaimRequest,
+        presence: Presence,
+    ) -> Result<Claimed, QueueError> {
         let now = self.now();
         let worker = &request.worker;
-        let mut tx = self.store.write(Step::Claim).await?;
-        let Some(standing) = workers::standing(&mut tx, worker).await? else {
+        let Some(standing) = workers::standing(tx, worker).await? else {
             return Err(QueueError::UnknownWorker {
                 worker: worker.clone(),
             });
         };
+        if presence == Presence::Noted && standing.last_seen < now {
+            workers::seen(tx, worker, now).await?;
+        }
         if let Some(reason) = standing.stopped_reason {
             return Err(QueueError::WorkerStopped {
                 worker: worker.clone(),
                 reason,
             });
         }
+        if let Some(idle_reason) = self.held() {
+            return Ok(Claimed {
+                jobs: Vec::new(),
+                idle_reason,
+            });
+        }
         let claimant = Claimant {
             worker,
             pin: &standing.pin,
-            able_workers: self.able_workers(&mut tx, Some(&standing.pin), now).await?,
+            able_workers: self.able_workers(tx, Some(&standing.pin), now).await?,
             now,
         };
-        let claimed = self
-            .lease_from_campaigns(&mut tx, request, claimant)
-            .await?;
-        tx.commit().await?;
-        Ok(claimed)
+        Ok(self.lease_from_campaigns(tx, request, claimant).await?)
     }
 
     async fn lease_from_campaigns(
@@ -170,9 +168,11 @@ impl Queue {
                 policies::set_health(tx, campaign.policy, &health).await?;
                 probed.push(campaign.policy);
             }
-            campaigns::pin(tx, campaign.id, claimant.pin, claimant.now).await?;
+            if !campaign.is_pinned {
+                campaigns::pin(tx, campaign.id, claimant.pin, claimant.now).await?;
+            }
             room -= u32::try_from(leased.len()).unwrap_or(room).min(room);
-            claimed.jobs.extend(hand_out(tx, &campaign, leased).await?);
+            claimed.jobs.extend(hand_out(&campaign, leased));
             if room == 0 {
                 break;
             }
@@ -193,6 +193,11 @@ impl Queue {
     ) -> Result<Vec<LeasedJob>, StoreError> {
         let expires = claimant.now.plus(self.timing.lease);
         let mut leased = Vec::new();
+        // The task that `choose_task` prefers to all others needs no look at
+        // the others.
+        if let (Some(warm), 1..) = (&request.warm_task, limit) {
+            leased = jobs::claim(tx, (campaign, warm), claimant, expires, limit).await?;
+        }
         while let room @ 1.. = limit.saturating_sub(u32::try_from(leased.len()).unwrap_or(limit)) {
             let tasks = jobs::waiting_tasks(tx, campaign, claimant).await?;
             let Some(task) = choose_task(&tasks, request.warm_task.as_deref()) else {
@@ -203,18 +208,16 @@ impl Queue {
         Ok(leased)
     }
 
-    /// Workers alive that run on `pin`; all of them, if there is none yet.
+    /// Workers alive that run on `pin`, or on anything if there is none yet; as
+    /// many as make a difference.
     pub(super) async fn able_workers(
         &self,
         tx: &mut SqliteConnection,
         pin: Option<&Pin>,
         now: UnixMillis,
     ) -> Result<u32, StoreError> {
-        let live = workers::live_pins(tx, now.minus(self.timing.worker_alive)).await?;
-        let able = live
-            .iter()
-            .filter(|live| pin.is_none_or(|pin| suits(pin, live)));
-        Ok(u32::try_from(able.count()).unwrap_or(u32::MAX))
+        let since = now.minus(self.timing.worker_alive);
+        workers::able(tx, pin, since, MIN_WORKERS_TO_QUARANTINE).await
     }
 }
 
@@ -232,27 +235,20 @@ pub(super) fn describe(pin: &Pin) -> String {
     )
 }
 
-async fn hand_out(
-    tx: &mut SqliteConnection,
-    campaign: &WaitingCampaign,
-    leased: Vec<LeasedJob>,
-) -> Result<Vec<ClaimedJob>, StoreError> {
-    let campaign = campaigns::by_id(tx, campaign.id).await?;
-    Ok(leased
-        .into_iter()
-        .map(|job| ClaimedJob {
-            job: job.id,
-            attempt: job.attempt,
-            campaign: campaign.name.clone(),
-            replicate: job.replicate,
-            manifest_row: job.manifest_row,
-            policy_seed: job.policy_seed.cast_unsigned(),
-            policy: campaign.policy.clone(),
-            policy_endpoint: campaign.endpoint.clone(),
-            realisation: campaign.realisation.clone(),
-            record: campaign.record.clone(),
-        })
-        .collect())
+fn hand_out(campaign: &WaitingCampaign, leased: Vec<LeasedJob>) -> Vec<ClaimedJob> {
+    let claimed = |job: LeasedJob| ClaimedJob {
+        job: job.id,
+        attempt: job.attempt,
+        campaign: campaign.name.clone(),
+        replicate: job.replicate,
+        manifest_row: job.manifest_row,
+        policy_seed: job.policy_seed.cast_unsigned(),
+        policy: campaign.policy_name.clone(),
+        policy_endpoint: campaign.policy_endpoint.clone(),
+        realisation: campaign.realisation.clone(),
+        record: campaign.record.clone(),
+    };
+    leased.into_iter().map(claimed).collect()
 }
 
 /// Why jobs wait that this worker does not get; empty if none do.

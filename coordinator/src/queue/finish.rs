@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use sqlx::SqliteConnection;
 
+use super::writer::Operation;
 use super::{Queue, QueueError};
 use crate::clock::UnixMillis;
 use crate::ids::{CampaignId, JobId, LeaseRef, PolicyId, WorkerId};
@@ -13,7 +14,7 @@ use crate::lease::{
 };
 use crate::outage::{Allowance, PolicyHealth, PolicyState};
 use crate::pairing::{self, Demand};
-use crate::store::failpoint::Step;
+use crate::store::jobs::ReportedJob;
 use crate::store::results::{Digests, Outcome, Provenance};
 use crate::store::{StoreError, campaigns, jobs, policies, results, workers};
 
@@ -65,6 +66,17 @@ pub enum ReleaseVerdict {
     Stale,
 }
 
+/// An attempt that ended without an outcome, as a worker reports it.
+#[derive(Clone, Debug)]
+pub(super) struct Release {
+    /// Under which lease.
+    pub(super) lease: LeaseRef,
+    /// Why.
+    pub(super) reason: FailureReason,
+    /// In words.
+    pub(super) error: String,
+}
+
 /// The answer to a release.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ReleaseReply {
@@ -82,34 +94,11 @@ impl Queue {
     /// # Errors
     /// When the job is unknown or the database fails.
     pub async fn commit(&self, report: &CommitReport) -> Result<CommitReply, QueueError> {
-        let now = self.now();
         let lease = &report.lease;
-        let reported = OutcomeKey {
-            success: report.outcome.success,
-            steps: report.outcome.steps,
-        };
-        let mut tx = self.store.write(Step::Commit).await?;
-        workers::seen(&mut tx, &lease.worker, now).await?;
-        let (job, campaign) = self.job(&mut tx, lease.job).await?;
-        let granted = jobs::was_granted(&mut tx, lease).await?;
-        let stored = results::stored_outcome(&mut tx, lease.job).await?;
-        let reply = match job.judge_commit(lease, granted, reported, stored) {
-            CommitJudgement::Accept => self.accept(&mut tx, &job, campaign, report, now).await?,
-            CommitJudgement::Duplicate => CommitReply {
-                verdict: CommitVerdict::Duplicate,
-                detail: "this outcome is stored already".to_owned(),
-            },
-            CommitJudgement::Divergent => {
-                let (outcome, provenance) = (&report.outcome, &report.provenance);
-                results::insert_divergence(&mut tx, lease, outcome, provenance, now).await?;
-                divergent(&job, reported, stored)
-            }
-            CommitJudgement::Stale => {
-                jobs::count_stale_report(&mut tx, lease.job).await?;
-                stale(&job, lease)
-            }
-        };
-        tx.commit().await?;
+        let report = Box::new(report.clone());
+        let reply = self
+            .ask(|pending| Operation::Commit(report, pending))
+            .await?;
         if reply.verdict != CommitVerdict::Accepted {
             tracing::warn!(job = %lease.job, worker = %lease.worker, verdict = ?reply.verdict,
                 "{}", reply.detail);
@@ -127,25 +116,78 @@ impl Queue {
         reason: FailureReason,
         error: &str,
     ) -> Result<ReleaseReply, QueueError> {
+        let release = Release {
+            lease: lease.clone(),
+            reason,
+            error: error.to_owned(),
+        };
+        let reply = self
+            .ask(|pending| Operation::Release(release, pending))
+            .await?;
+        if reply.verdict != ReleaseVerdict::Stale {
+            tracing::info!(job = %lease.job, worker = %lease.worker, verdict = ?reply.verdict,
+                "released ({}): {error}", reason.as_str());
+        }
+        Ok(reply)
+    }
+
+    pub(super) async fn commit_in(
+        &self,
+        tx: &mut SqliteConnection,
+        report: &CommitReport,
+    ) -> Result<CommitReply, QueueError> {
         let now = self.now();
-        let mut tx = self.store.write(Step::Release).await?;
-        workers::seen(&mut tx, &lease.worker, now).await?;
-        let (job, campaign) = self.job(&mut tx, lease.job).await?;
+        let lease = &report.lease;
+        let key = OutcomeKey {
+            success: report.outcome.success,
+            steps: report.outcome.steps,
+        };
+        let reported = jobs::reported(tx, lease.job).await?;
+        let reported = reported.ok_or(QueueError::UnknownJob { job: lease.job })?;
+        let stored = reported.stored;
+        let granted = stored.is_some() && jobs::was_granted(tx, lease).await?;
+        let judgement = reported.job.judge_commit(lease, granted, key, stored);
+        if judgement == CommitJudgement::Accept {
+            return Ok(self.accept(tx, &reported, report, now).await?);
+        }
+        workers::seen(tx, &lease.worker, now).await?;
+        Ok(match judgement {
+            CommitJudgement::Accept | CommitJudgement::Duplicate => CommitReply {
+                verdict: CommitVerdict::Duplicate,
+                detail: "this outcome is stored already".to_owned(),
+            },
+            CommitJudgement::Divergent => {
+                let (outcome, provenance) = (&report.outcome, &report.provenance);
+                results::insert_divergence(tx, lease, outcome, provenance, now).await?;
+                divergent(&reported.job, key, stored)
+            }
+            CommitJudgement::Stale => {
+                jobs::count_stale_report(tx, lease.job).await?;
+                stale(&reported.job, lease)
+            }
+        })
+    }
+
+    pub(super) async fn release_in(
+        &self,
+        tx: &mut SqliteConnection,
+        release: &Release,
+    ) -> Result<ReleaseReply, QueueError> {
+        let now = self.now();
+        let lease = &release.lease;
+        workers::seen(tx, &lease.worker, now).await?;
+        let (job, campaign) = self.job(tx, lease.job).await?;
         if !job.is_held_by(lease) {
-            tx.commit().await?;
             return Ok(ReleaseReply {
                 verdict: ReleaseVerdict::Stale,
                 backoff: Duration::ZERO,
                 stop_leasing: None,
             });
         }
-        let reply = self
-            .end_attempt(&mut tx, &job, campaign, lease, (reason, error), now)
-            .await?;
-        tx.commit().await?;
-        tracing::info!(job = %lease.job, worker = %lease.worker, verdict = ?reply.verdict,
-            "released ({}): {error}", reason.as_str());
-        Ok(reply)
+        let failure = (release.reason, release.error.as_str());
+        Ok(self
+            .end_attempt(tx, &job, campaign, lease, failure, now)
+            .await?)
     }
 
     /// For and against setting a job aside that just failed on `worker`.
@@ -233,21 +275,22 @@ impl Queue {
     async fn accept(
         &self,
         tx: &mut SqliteConnection,
-        job: &Job,
-        campaign: CampaignId,
+        reported: &ReportedJob,
         report: &CommitReport,
         now: UnixMillis,
     ) -> Result<CommitReply, StoreError> {
         let lease = &report.lease;
-        let owner = campaigns::by_id(tx, campaign).await?;
+        let (job, campaign) = (&reported.job, reported.campaign);
+        let (owner, policy, health) = campaigns::with_health(tx, campaign).await?;
         let demand = Demand {
             pin: owner.pin(),
             realisation: owner.mode()?,
-            row: jobs::manifest_row(tx, lease.job).await?,
+            row: reported.manifest_row()?,
         };
         let siblings = results::siblings(tx, lease.job).await?;
         let (provenance, digests) = (&report.provenance, &report.digests);
         if let Some(detail) = pairing::difference(&demand, &siblings, provenance, digests) {
+            workers::seen(tx, &lease.worker, now).await?;
             let failure = (FailureReason::Unpaired, detail.as_str());
             self.end_attempt(tx, job, campaign, lease, failure, now)
                 .await?;
@@ -266,11 +309,9 @@ impl Queue {
         )
         .await?;
         jobs::mark_committed(tx, lease).await?;
-        workers::clear_strikes(tx, &lease.worker).await?;
-        let policy = policies::of_job(tx, lease.job).await?;
-        let before = policies::health(tx, policy).await?;
-        let after = before.after_commit((lease.job, lease.attempt), now);
-        self.set_health(tx, policy, (&before, &after), now).await?;
+        workers::succeeded(tx, &lease.worker, now).await?;
+        let after = health.after_commit((lease.job, lease.attempt), now);
+        self.set_health(tx, policy, (&health, &after), now).await?;
         Ok(CommitReply {
             verdict: CommitVerdict::Accepted,
             detail: String::new(),

@@ -8,8 +8,9 @@ use super::{Doing, StoreError, policies, undecodable};
 use crate::campaign::CampaignState;
 use crate::clock::UnixMillis;
 use crate::expand::{NewCampaign, NewJob};
-use crate::ids::{CampaignId, CampaignName};
-use crate::store::policies::HealthRow;
+use crate::ids::{CampaignId, CampaignName, PolicyId};
+use crate::outage::PolicyHealth;
+use crate::store::policies::{HealthColumns, HealthRow};
 use crate::store::workers::Pin;
 
 /// Jobs inserted by one statement: SQLite binds at most 32,766 values.
@@ -25,7 +26,6 @@ pub(crate) struct CampaignRow {
     pub(crate) policy: String,
     pub(crate) endpoint: String,
     pub(crate) realisation: String,
-    pub(crate) record: String,
     pub(crate) state: String,
     pub(crate) state_since_ms: UnixMillis,
     pub(crate) pinned_ms: Option<UnixMillis>,
@@ -53,7 +53,7 @@ pub struct Counts {
 macro_rules! campaign_columns {
     () => {
         "c.id, c.name, c.spec, c.spec_digest, p.name AS policy, p.endpoint,
-         c.realisation, c.record, c.state, c.state_since_ms, c.pinned_ms, c.asset_pack, c.asset_pack_digest, c.mujoco_version"
+         c.realisation, c.state, c.state_since_ms, c.pinned_ms, c.asset_pack, c.asset_pack_digest, c.mujoco_version"
     };
 }
 
@@ -183,6 +183,35 @@ pub(crate) async fn by_id(
     .fetch_one(tx)
     .await
     .doing("look up a campaign")
+}
+
+/// A campaign by its row number, with its policy and that policy's health.
+pub(crate) async fn with_health(
+    tx: &mut SqliteConnection,
+    id: CampaignId,
+) -> Result<(CampaignRow, PolicyId, PolicyHealth), StoreError> {
+    #[derive(sqlx::FromRow)]
+    struct Row {
+        #[sqlx(flatten)]
+        campaign: CampaignRow,
+        policy_id: PolicyId,
+        policy_state: String,
+        #[sqlx(flatten)]
+        health: HealthColumns,
+    }
+    let row: Row = sqlx::query_as(concat!(
+        "SELECT ",
+        campaign_columns!(),
+        ", c.policy_id, p.state AS policy_state, p.outages, p.available_ms, p.resume_ms,
+             p.pause_reason, p.probe_job_id, p.probe_attempt
+          FROM campaign c JOIN policy p ON p.id = c.policy_id WHERE c.id = ?"
+    ))
+    .bind(id)
+    .fetch_one(tx)
+    .await
+    .doing("look up a campaign")?;
+    let health = row.health.into_health(&row.policy_state)?;
+    Ok((row.campaign, row.policy_id, health))
 }
 
 /// All campaigns, oldest first.

@@ -8,8 +8,8 @@ use sqlx::SqliteConnection;
 
 use super::{Doing, StoreError, undecodable};
 use crate::clock::UnixMillis;
-use crate::ids::{Attempt, CampaignId, JobId, LeaseRef, PolicyId, WorkerId};
-use crate::lease::{AfterFailure, FailureReason, Job, JobState, MAX_CHARGED_ATTEMPTS};
+use crate::ids::{Attempt, CampaignId, CampaignName, JobId, LeaseRef, PolicyId, WorkerId};
+use crate::lease::{AfterFailure, FailureReason, Job, JobState, MAX_CHARGED_ATTEMPTS, OutcomeKey};
 use crate::outage::PolicyHealth;
 use crate::plan::WaitingTask;
 use crate::store::policies::HealthRow;
@@ -51,6 +51,18 @@ pub(crate) struct WaitingCampaign {
     pub(crate) policy: PolicyId,
     /// That policy's health.
     pub(crate) health: PolicyHealth,
+    /// Whether a lease has pinned it yet.
+    pub(crate) is_pinned: bool,
+    /// Its name.
+    pub(crate) name: CampaignName,
+    /// Its policy's name at its endpoint.
+    pub(crate) policy_name: String,
+    /// Its policy's endpoint.
+    pub(crate) policy_endpoint: String,
+    /// "matched" or "reference".
+    pub(crate) realisation: String,
+    /// Which rollouts are filmed: "none", "failures" or "all".
+    pub(crate) record: String,
 }
 
 /// A job as it is handed to a worker.
@@ -70,6 +82,18 @@ pub struct LeasedJob {
     pub policy_seed: i64,
     /// Place in paired-unit order.
     pub unit_order: i64,
+}
+
+/// A job as a report of its outcome finds it.
+#[derive(Clone, Debug)]
+pub(crate) struct ReportedJob {
+    /// The job.
+    pub(crate) job: Job,
+    /// Its campaign.
+    pub(crate) campaign: CampaignId,
+    /// Its committed outcome, if it has one.
+    pub(crate) stored: Option<OutcomeKey>,
+    manifest_row: String,
 }
 
 /// A leased job whose time is over.
@@ -110,11 +134,18 @@ pub(crate) async fn waiting_campaigns(
     struct Row {
         id: CampaignId,
         policy_id: PolicyId,
+        is_pinned: bool,
+        name: CampaignName,
+        policy_name: String,
+        endpoint: String,
+        realisation: String,
+        record: String,
         #[sqlx(flatten)]
         health: HealthRow,
     }
     let rows: Vec<Row> = sqlx::query_as(
-        "SELECT c.id, c.policy_id, p.state, p.outages, p.available_ms, p.resume_ms,
+        "SELECT c.id, c.policy_id, c.pinned_ms IS NOT NULL AS is_pinned, c.name,
+             p.name AS policy_name, p.endpoint, c.realisation, c.record, p.state, p.outages, p.available_ms, p.resume_ms,
              p.pause_reason, p.probe_job_id, p.probe_attempt
          FROM campaign c JOIN policy p ON p.id = c.policy_id
          WHERE c.state = 'running'
@@ -133,6 +164,12 @@ pub(crate) async fn waiting_campaigns(
                 id: row.id,
                 policy: row.policy_id,
                 health: row.health.into_health()?,
+                is_pinned: row.is_pinned,
+                name: row.name,
+                policy_name: row.policy_name,
+                policy_endpoint: row.endpoint,
+                realisation: row.realisation,
+                record: row.record,
             })
         })
         .collect()
@@ -232,17 +269,48 @@ pub(crate) async fn load(
     .transpose()
 }
 
-/// The rollout that a job is to run.
-pub(crate) async fn manifest_row(
+/// One job as a report of its outcome finds it.
+pub(crate) async fn reported(
     tx: &mut SqliteConnection,
     id: JobId,
-) -> Result<ManifestRow, StoreError> {
-    let row = sqlx::query_scalar("SELECT manifest_row FROM job WHERE id = ?")
-        .bind(id)
-        .fetch_one(tx)
-        .await;
-    row.and_then(|row: String| serde_json::from_str(&row).map_err(undecodable))
-        .doing("read a job's manifest row")
+) -> Result<Option<ReportedJob>, StoreError> {
+    #[derive(sqlx::FromRow)]
+    struct Row {
+        #[sqlx(flatten)]
+        job: JobRow,
+        manifest_row: String,
+        success: Option<bool>,
+        steps: Option<u32>,
+    }
+    let row: Option<Row> = sqlx::query_as(
+        "SELECT j.id, j.campaign_id, j.attempt, j.charged_attempts, j.state, j.not_before_ms,
+             j.lease_owner, j.leased_ms, j.lease_expires_ms, j.manifest_row, r.success, r.steps
+         FROM job j LEFT JOIN result r ON r.job_id = j.id WHERE j.id = ?",
+    )
+    .bind(id)
+    .fetch_optional(tx)
+    .await
+    .doing("read a job")?;
+    row.map(|row| {
+        Ok(ReportedJob {
+            campaign: row.job.campaign_id,
+            job: row.job.into_job()?,
+            manifest_row: row.manifest_row,
+            stored: match (row.success, row.steps) {
+                (Some(success), Some(steps)) => Some(OutcomeKey { success, steps }),
+                _ => None,
+            },
+        })
+    })
+    .transpose()
+}
+
+impl ReportedJob {
+    /// The rollout that the job is to run.
+    pub(crate) fn manifest_row(&self) -> Result<ManifestRow, StoreError> {
+        let row = serde_json::from_str(&self.manifest_row).map_err(undecodable);
+        row.doing("read a job's manifest row")
+    }
 }
 
 /// Renews a lease and stores its progress. Answers whether it is still held.

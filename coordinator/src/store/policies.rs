@@ -11,6 +11,13 @@ use crate::outage::{PolicyHealth, PolicyState};
 #[derive(sqlx::FromRow)]
 pub(crate) struct HealthRow {
     state: String,
+    #[sqlx(flatten)]
+    columns: HealthColumns,
+}
+
+/// What a policy's state carries.
+#[derive(sqlx::FromRow)]
+pub(crate) struct HealthColumns {
     outages: u32,
     available_ms: UnixMillis,
     resume_ms: Option<UnixMillis>,
@@ -126,13 +133,16 @@ pub(crate) async fn set_health(
 impl HealthRow {
     /// Reads the row; the CHECK constraints promise that this works.
     pub(crate) fn into_health(self) -> Result<PolicyHealth, StoreError> {
+        self.columns.into_health(&self.state)
+    }
+}
+
+impl HealthColumns {
+    /// Reads the columns of a state; the CHECK constraints promise that this
+    /// works.
+    pub(crate) fn into_health(self, state: &str) -> Result<PolicyHealth, StoreError> {
         let reason = self.pause_reason.unwrap_or_default();
-        let state = match (
-            self.state.as_str(),
-            self.resume_ms,
-            self.probe_job_id,
-            self.probe_attempt,
-        ) {
+        let state = match (state, self.resume_ms, self.probe_job_id, self.probe_attempt) {
             ("available", None, None, None) => PolicyState::Available,
             ("paused", Some(resume), None, None) => PolicyState::Paused { resume, reason },
             ("probing", None, Some(job), Some(attempt)) => PolicyState::Probing {
@@ -141,7 +151,7 @@ impl HealthRow {
                 reason,
             },
             _ => {
-                let what = format!("policy state `{}` with foreign columns", self.state);
+                let what = format!("policy state `{state}` with foreign columns");
                 return Err(sqlx::Error::Decode(what.into())).doing("read a policy's health");
             }
         };

@@ -8,7 +8,6 @@ use super::{Doing, StoreError, undecodable};
 use crate::clock::UnixMillis;
 use crate::digests::{AxisDigests, AxisDigestsError};
 use crate::ids::{CampaignId, JobId, LeaseRef, WorkerId};
-use crate::lease::OutcomeKey;
 
 /// What a rollout came to.
 #[derive(Clone, Debug, PartialEq)]
@@ -205,20 +204,6 @@ pub(crate) async fn insert_divergence(
     Ok(())
 }
 
-/// The committed outcome of a job.
-pub(crate) async fn stored_outcome(
-    tx: &mut SqliteConnection,
-    job: JobId,
-) -> Result<Option<OutcomeKey>, StoreError> {
-    let row: Option<(bool, u32)> =
-        sqlx::query_as("SELECT success, steps FROM result WHERE job_id = ?")
-            .bind(job)
-            .fetch_optional(tx)
-            .await
-            .doing("read a result")?;
-    Ok(row.map(|(success, steps)| OutcomeKey { success, steps }))
-}
-
 /// The committed rollouts of the same campaign, task and initial state as
 /// `job`. Replicates that drew with one renderer for one policy agree, so that
 /// the first speaks for the others.
@@ -377,11 +362,11 @@ async fn provenance_id(
         &p.batch_mode,
         &p.program_version,
     ];
-    let mut insert = sqlx::query(
-        "INSERT OR IGNORE INTO provenance (host, gl_renderer, mujoco_version, asset_pack,
+    let mut insert = sqlx::query_scalar(
+        "INSERT INTO provenance (host, gl_renderer, mujoco_version, asset_pack,
              asset_pack_digest, realisation, policy_name, policy_checkpoint,
              policy_checkpoint_digest, batch_mode, program_version, policy_privileged)
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) RETURNING id",
     );
     let mut select = sqlx::query_scalar(
         "SELECT id FROM provenance WHERE host = ? AND gl_renderer = ? AND mujoco_version = ?
@@ -393,14 +378,17 @@ async fn provenance_id(
         insert = insert.bind(text);
         select = select.bind(text);
     }
-    insert
+    let known: Option<i64> = select
         .bind(p.policy_privileged)
-        .execute(&mut *tx)
+        .fetch_optional(&mut *tx)
         .await
-        .doing("store where a result came from")?;
-    select
+        .doing("look up where a result came from")?;
+    if let Some(id) = known {
+        return Ok(id);
+    }
+    insert
         .bind(p.policy_privileged)
         .fetch_one(tx)
         .await
-        .doing("look up where a result came from")
+        .doing("store where a result came from")
 }

@@ -44,6 +44,8 @@ pub struct Pin {
 pub struct Standing {
     /// What it runs on.
     pub pin: Pin,
+    /// When it was last heard of.
+    pub last_seen: UnixMillis,
     /// Charged failures in a row.
     pub charged_in_a_row: u32,
     /// Why it may lease no more, if so.
@@ -86,9 +88,10 @@ pub(crate) async fn standing(
     tx: &mut SqliteConnection,
     id: &WorkerId,
 ) -> Result<Option<Standing>, StoreError> {
-    type Row = (String, String, String, u32, Option<String>);
+    type Row = (String, String, String, UnixMillis, u32, Option<String>);
     let row: Option<Row> = sqlx::query_as(
-        "SELECT asset_pack, asset_pack_digest, mujoco_version, charged_in_a_row, stopped_reason
+        "SELECT asset_pack, asset_pack_digest, mujoco_version, last_seen_ms, charged_in_a_row,
+             stopped_reason
          FROM worker WHERE id = ?",
     )
     .bind(id)
@@ -96,13 +99,21 @@ pub(crate) async fn standing(
     .await
     .doing("look up a worker")?;
     Ok(row.map(
-        |(asset_pack, asset_pack_digest, mujoco_version, charged_in_a_row, stopped_reason)| {
+        |(
+            asset_pack,
+            asset_pack_digest,
+            mujoco_version,
+            last_seen,
+            charged_in_a_row,
+            stopped_reason,
+        )| {
             Standing {
                 pin: Pin {
                     asset_pack,
                     asset_pack_digest,
                     mujoco_version,
                 },
+                last_seen,
                 charged_in_a_row,
                 stopped_reason,
             }
@@ -145,16 +156,22 @@ pub(crate) async fn set_strike(
     Ok(())
 }
 
-/// A committed rollout ends a worker's run of failures.
-pub(crate) async fn clear_strikes(
+/// A worker reported a rollout that was committed: it is there, and its run of
+/// failures is over.
+pub(crate) async fn succeeded(
     tx: &mut SqliteConnection,
     id: &WorkerId,
+    now: UnixMillis,
 ) -> Result<(), StoreError> {
-    sqlx::query("UPDATE worker SET charged_in_a_row = 0 WHERE id = ? AND charged_in_a_row > 0")
-        .bind(id)
-        .execute(tx)
-        .await
-        .doing("clear a worker's failures")?;
+    sqlx::query(
+        "UPDATE worker SET charged_in_a_row = 0, last_seen_ms = max(last_seen_ms, ?1)
+         WHERE id = ?2 AND (charged_in_a_row > 0 OR last_seen_ms < ?1)",
+    )
+    .bind(now)
+    .bind(id)
+    .execute(tx)
+    .await
+    .doing("clear a worker's failures")?;
     Ok(())
 }
 
@@ -171,4 +188,26 @@ pub(crate) async fn live_pins(
     .fetch_all(tx)
     .await
     .doing("count live workers")
+}
+
+/// Whether at least `enough` workers heard of since `since` may lease and run on
+/// `pin`, or on anything if there is none yet; counts no further.
+pub(crate) async fn able(
+    tx: &mut SqliteConnection,
+    pin: Option<&Pin>,
+    since: UnixMillis,
+    enough: u32,
+) -> Result<u32, StoreError> {
+    sqlx::query_scalar(
+        "SELECT count(*) FROM
+             (SELECT 1 FROM worker WHERE last_seen_ms >= ?1 AND stopped_reason IS NULL
+                  AND (?2 IS NULL OR (asset_pack_digest = ?2 AND mujoco_version = ?3)) LIMIT ?4)",
+    )
+    .bind(since)
+    .bind(pin.map(|pin| &pin.asset_pack_digest))
+    .bind(pin.map(|pin| &pin.mujoco_version))
+    .bind(enough)
+    .fetch_one(tx)
+    .await
+    .doing("look for able workers")
 }

@@ -1,0 +1,330 @@
+//! How fast the queue is: simulated slots claim, wait as long as a rollout would
+//! take, and commit, on a real SQLite file with `synchronous=FULL`. The queue is
+//! called in this process, without sockets. Prints one JSON object; `cargo xtask
+//! bench queue` calls it.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail};
+use clap::Parser;
+use coordinator::clock::SystemClock;
+use coordinator::expand::NewCampaign;
+use coordinator::ids::{LeaseRef, WorkerId};
+use coordinator::queue::{ClaimRequest, ClaimedJob, CommitReport, CommitVerdict, Queue, Timing};
+use coordinator::store::results::{Digests, Outcome, Provenance};
+use coordinator::store::workers::WorkerInfo;
+use coordinator::store::{DATABASE_FILE, Store};
+use protocol::ManifestRow;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use serde_json::{Value, json};
+use sha2::{Digest, Sha256};
+use tokio::task::JoinSet;
+
+/// Time the queue with simulated slots.
+#[derive(Clone, Parser)]
+struct Arguments {
+    /// Rollouts, at least; whole configurations of all tasks, axes and levels.
+    #[arg(long, default_value_t = 100_000)]
+    jobs: u64,
+    /// Slots.
+    #[arg(long, default_value_t = 2_000)]
+    slots: u32,
+    /// Slots of one worker, which sends one heartbeat for all of them.
+    #[arg(long, default_value_t = 8)]
+    slots_per_worker: u32,
+    /// Milliseconds that a rollout takes, a fifth more or less by chance.
+    #[arg(long, default_value_t = 900)]
+    rollout_millis: u64,
+    /// Folder for the database; a temporary one without it.
+    #[arg(long)]
+    data: Option<PathBuf>,
+}
+
+/// Rollouts of one configuration: 40 tasks, 7 conditions, 3 levels.
+const ROLLOUTS_PER_CONFIG: u64 = 840;
+/// Longest wait of a claim.
+const CLAIM_WAIT: Duration = Duration::from_secs(30);
+
+/// What the slots measure.
+#[derive(Default)]
+struct Measured {
+    committed: AtomicU64,
+    claim_micros: Mutex<Vec<u64>>,
+    commit_micros: Mutex<Vec<u64>>,
+}
+
+#[tokio::main]
+async fn main() -> Result<()> {
+    let arguments = Arguments::parse();
+    let temporary = tempfile::tempdir().context("make a temporary folder")?;
+    let folder = arguments.data.clone().unwrap_or(temporary.path().into());
+    let store = Store::open(&folder).await?;
+    let rng = ChaCha8Rng::seed_from_u64(1);
+    let queue = Queue::start(store, Arc::new(SystemClock), rng, Timing::default()).await?;
+    let (jobs, expand_secs) = create(&queue, &arguments).await?;
+
+    let mut beats = JoinSet::new();
+    for worker in 0..arguments.slots.div_ceil(arguments.slots_per_worker) {
+        queue.register(&worker_info(worker, &arguments)).await?;
+        beats.spawn(beat(queue.clone(), worker));
+    }
+    let sweeping = queue.clone();
+    beats.spawn(async move {
+        loop {
+            tokio::time::sleep(sweeping.timing().sweep).await;
+            sweeping.sweep().await?;
+        }
+    });
+
+    let measured = Arc::new(Measured::default());
+    let began = Instant::now();
+    let mut slots = JoinSet::new();
+    for slot in 0..arguments.slots {
+        slots.spawn(run_slot(
+            queue.clone(),
+            measured.clone(),
+            slot,
+            arguments.clone(),
+            jobs,
+        ));
+    }
+    let seconds = watch(&measured, jobs).await;
+    let elapsed = began.elapsed();
+    slots.abort_all();
+    beats.abort_all();
+    let report = report(
+        &arguments,
+        (&measured, &seconds, elapsed),
+        jobs,
+        expand_secs,
+        &folder,
+    )?;
+    println!("{}", serde_json::to_string_pretty(&report)?);
+    queue.close().await?;
+    Ok(())
+}
+
+async fn create(queue: &Queue, arguments: &Arguments) -> Result<(u64, f64)> {
+    let configs: Vec<u64> = (0..arguments.jobs.div_ceil(ROLLOUTS_PER_CONFIG)).collect();
+    let spec = json!({
+        "name": "bench",
+        "policy": {"name": "simulated", "endpoint": "http://127.0.0.1:1"},
+        "tasks": protocol::select_tasks("all")?,
+        "axes": protocol::Axis::ALL,
+        "levels": ["L1", "L2", "L3"],
+        "configs": configs,
+        "nominal": "none",
+    });
+    let began = Instant::now();
+    let campaign = NewCampaign::from_json(&spec.to_string())?;
+    let created = queue.create_campaign(&campaign).await?;
+    Ok((created.jobs_total, began.elapsed().as_secs_f64()))
+}
+
+/// One simulated slot: claims, waits, commits, until it is stopped.
+async fn run_slot(
+    queue: Arc<Queue>,
+    measured: Arc<Measured>,
+    slot: u32,
+    arguments: Arguments,
+    jobs: u64,
+) -> Result<()> {
+    let mut rng = ChaCha8Rng::seed_from_u64(u64::from(slot));
+    let worker = worker_id(slot / arguments.slots_per_worker);
+    let span = Duration::from_millis(arguments.rollout_millis);
+    // Slots that start together would claim together.
+    tokio::time::sleep(span.mul_f64(share(&mut rng))).await;
+    let mut warm_task = None;
+    while measured.committed.load(Ordering::Relaxed) < jobs {
+        let request = ClaimRequest {
+            worker: worker.clone(),
+            max_jobs: 1,
+            warm_task: warm_task.take(),
+        };
+        let began = Instant::now();
+        let claimed = queue.claim(&request, CLAIM_WAIT).await?;
+        let Some(job) = claimed.jobs.into_iter().next() else {
+            continue;
+        };
+        note(&measured.claim_micros, began);
+        let row: ManifestRow = serde_json::from_str(&job.manifest_row)?;
+        warm_task = Some(row.id.task().to_string());
+        tokio::time::sleep(span.mul_f64(0.8 + 0.4 * share(&mut rng))).await;
+        let report = outcome(&worker, &job, &row, &mut rng)?;
+        let began = Instant::now();
+        let reply = queue.commit(&report).await?;
+        note(&measured.commit_micros, began);
+        if reply.verdict != CommitVerdict::Accepted {
+            bail!("a commit was not accepted: {}", reply.detail);
+        }
+        measured.committed.fetch_add(1, Ordering::Relaxed);
+    }
+    Ok(())
+}
+
+/// A worker's heartbeats. They carry no lease: rollouts are shorter than one.
+async fn beat(queue: Arc<Queue>, worker: u32) -> Result<()> {
+    loop {
+        tokio::time::sleep(queue.timing().heartbeat).await;
+        queue.heartbeat(&worker_id(worker), &[]).await?;
+    }
+}
+
+/// Rollouts committed in every second until all are.
+async fn watch(measured: &Measured, jobs: u64) -> Vec<u64> {
+    let mut seconds = Vec::new();
+    let mut before = 0;
+    let mut tick = tokio::time::interval(Duration::from_secs(1));
+    tick.tick().await;
+    while before < jobs {
+        tick.tick().await;
+        let now = measured.committed.load(Ordering::Relaxed);
+        seconds.push(now - before);
+        before = now;
+    }
+    seconds
+}
+
+fn report(
+    arguments: &Arguments,
+    (measured, seconds, elapsed): (&Measured, &[u64], Duration),
+    jobs: u64,
+    expand_secs: f64,
+    folder: &Path,
+) -> Result<Value> {
+    // The first seconds fill the slots, the last ones empty them.
+    let inner = &seconds[2.min(seconds.len())..seconds.len().saturating_sub(3).max(2)];
+    let mut sorted = inner.to_vec();
+    sorted.sort_unstable();
+    let database = std::fs::metadata(folder.join(DATABASE_FILE))?.len();
+    let log = std::fs::metadata(folder.join(format!("{DATABASE_FILE}-wal")))?.len();
+    Ok(json!({
+        "queue": "in process, SQLite file with WAL and synchronous=FULL",
+        "build": if cfg!(debug_assertions) { "dev" } else { "release" },
+        "cores": std::thread::available_parallelism()?.get(),
+        "jobs": jobs,
+        "slots": arguments.slots,
+        "rollout_millis": arguments.rollout_millis,
+        "expand_secs": expand_secs,
+        "elapsed_secs": elapsed.as_secs_f64(),
+        "committed_per_sec": {
+            "mean": inner.iter().sum::<u64>() as f64 / inner.len().max(1) as f64,
+            "least": sorted.first(),
+            "median": sorted.get(sorted.len() / 2),
+            "most": sorted.last(),
+        },
+        "claim_millis": percentiles(&measured.claim_micros),
+        "commit_millis": percentiles(&measured.commit_micros),
+        "memory_peak_mib": memory_peak_mib()?,
+        "database_mib": database as f64 / f64::from(1 << 20),
+        "log_mib": log as f64 / f64::from(1 << 20),
+    }))
+}
+
+fn percentiles(micros: &Mutex<Vec<u64>>) -> Value {
+    let mut micros = micros.lock().expect("no slot panicked").clone();
+    micros.sort_unstable();
+    let at = |share: f64| {
+        let place = (micros.len() as f64 * share) as usize;
+        micros
+            .get(place.min(micros.len().saturating_sub(1)))
+            .map(|micros| *micros as f64 / 1e3)
+    };
+    json!({"p50": at(0.5), "p90": at(0.9), "p99": at(0.99), "most": at(1.0)})
+}
+
+fn note(micros: &Mutex<Vec<u64>>, began: Instant) {
+    let span = began.elapsed().as_micros() as u64;
+    micros.lock().expect("no slot panicked").push(span);
+}
+
+/// The most memory that this process ever had.
+fn memory_peak_mib() -> Result<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").context("read /proc/self/status")?;
+    let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+    let kib = peak.and_then(|peak| peak.split_whitespace().next());
+    Ok(kib.context("find VmHWM")?.parse::<f64>()? / 1024.0)
+}
+
+fn share(rng: &mut impl Rng) -> f64 {
+    f64::from(rng.next_u32()) / f64::from(u32::MAX)
+}
+
+fn worker_id(number: u32) -> WorkerId {
+    WorkerId(format!("simulated-{number}"))
+}
+
+fn worker_info(number: u32, arguments: &Arguments) -> WorkerInfo {
+    WorkerInfo {
+        id: worker_id(number),
+        host: "simulated".to_owned(),
+        slots: arguments.slots_per_worker,
+        asset_pack: "simulated".to_owned(),
+        asset_pack_digest: digest("pack"),
+        mujoco_version: "simulated".to_owned(),
+        gl_renderer: "simulated".to_owned(),
+        program_version: env!("CARGO_PKG_VERSION").to_owned(),
+    }
+}
+
+/// An outcome as the slot's rollout would have: by chance, with the digests
+/// that its siblings have.
+fn outcome(
+    worker: &WorkerId,
+    job: &ClaimedJob,
+    row: &ManifestRow,
+    rng: &mut impl Rng,
+) -> Result<CommitReport> {
+    let task = row.id.task();
+    let unit = format!("{task}/{}/{:?}", row.id.level(), row.id.config());
+    let axes = row.perturbation.axes().into_iter();
+    let axes: Vec<String> = axes
+        .map(|axis| format!("{axis}:{}", digest(&format!("{unit}/{axis}"))))
+        .collect();
+    Ok(CommitReport {
+        lease: LeaseRef {
+            worker: worker.clone(),
+            job: job.job,
+            attempt: job.attempt,
+        },
+        outcome: Outcome {
+            success: rng.next_u32() % 2 == 0,
+            steps: rng.next_u32() % 500,
+            wall_secs: 1.0,
+            ik_residual_mm: None,
+            ik_residual_deg: None,
+            ik_clamped_joints: None,
+            clipped_actions: 0,
+            policy_queries: 100,
+        },
+        provenance: Provenance {
+            host: "simulated".to_owned(),
+            gl_renderer: "simulated".to_owned(),
+            mujoco_version: "simulated".to_owned(),
+            asset_pack: "simulated".to_owned(),
+            asset_pack_digest: digest("pack"),
+            realisation: job.realisation.clone(),
+            policy_name: job.policy.clone(),
+            policy_checkpoint: String::new(),
+            policy_checkpoint_digest: String::new(),
+            policy_privileged: false,
+            batch_mode: String::new(),
+            program_version: env!("CARGO_PKG_VERSION").to_owned(),
+        },
+        digests: Digests {
+            scene: digest(&task.to_string()),
+            init_state: digest(&format!("{task}/{}", row.init_id)),
+            perturbation: axes.join(",").parse()?,
+            first_frame: String::new(),
+        },
+    })
+}
+
+fn digest(of: &str) -> String {
+    let bytes = Sha256::digest(of.as_bytes());
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
