@@ -1,10 +1,17 @@
 //! Random sequences of events. Whatever happens, attempts only rise, a stale
-//! attempt never commits, and every job ends with exactly one result or one
-//! quarantine. A failing sequence is printed, shrunk, with its seed.
+//! attempt never commits, a paused campaign leases nothing, a cancelled one
+//! holds nothing, and every job of another ends with exactly one result or one
+//! quarantine. Duplicates and late reports come about by themselves: leases are
+//! named whether or not they are still held.
+//!
+//! A failing sequence is printed, shrunk. Its seed is the line `cc …` that is
+//! written into `proptest-regressions` beside this file; the next run, here or
+//! wherever the file is copied to, replays it first.
 
 mod pure_core;
 mod real_queue;
 
+use coordinator::campaign::Change;
 use coordinator::lease::FailureReason;
 use proptest::prelude::*;
 
@@ -22,6 +29,9 @@ enum Event {
     Commit { lease: usize, success: bool },
     Release { lease: usize, reason: FailureReason },
     Pass { secs: u64 },
+    Operate { change: Change },
+    Retry { job: usize },
+    Restart,
 }
 
 fn event() -> impl Strategy<Value = Event> {
@@ -36,10 +46,15 @@ fn event() -> impl Strategy<Value = Event> {
     ]);
     let lease = 0..32_usize;
     prop_oneof![
-        4 => (0..WORKERS, 0..JOBS).prop_map(|(worker, job)| Event::Claim { worker, job }),
-        2 => (lease.clone(), 0..40_u32).prop_map(|(lease, steps)| Event::Heartbeat { lease, steps }),
-        2 => (lease.clone(), any::<bool>()).prop_map(|(lease, success)| Event::Commit { lease, success }),
-        3 => (lease, reason).prop_map(|(lease, reason)| Event::Release { lease, reason }),
-        3 => (1..14_u64).prop_map(|secs| Event::Pass { secs }),
+        40 => (0..WORKERS, 0..JOBS).prop_map(|(worker, job)| Event::Claim { worker, job }),
+        20 => (lease.clone(), 0..40_u32).prop_map(|(lease, steps)| Event::Heartbeat { lease, steps }),
+        20 => (lease.clone(), any::<bool>()).prop_map(|(lease, success)| Event::Commit { lease, success }),
+        30 => (lease, reason).prop_map(|(lease, reason)| Event::Release { lease, reason }),
+        30 => (1..14_u64).prop_map(|secs| Event::Pass { secs }),
+        5 => Just(Event::Operate { change: Change::Pause }),
+        8 => Just(Event::Operate { change: Change::Resume }),
+        1 => Just(Event::Operate { change: Change::Cancel }),
+        6 => (0..JOBS).prop_map(|job| Event::Retry { job }),
+        4 => Just(Event::Restart),
     ]
 }
