@@ -6,6 +6,7 @@
 mod campaigns;
 mod claim;
 mod finish;
+mod memo;
 mod operate;
 mod writer;
 

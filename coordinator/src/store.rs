@@ -9,6 +9,7 @@
 pub mod artifacts;
 pub mod backup;
 pub mod campaigns;
+pub mod claims;
 pub mod failpoint;
 pub mod jobs;
 pub mod listing;

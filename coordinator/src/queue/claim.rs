@@ -5,6 +5,7 @@ use std::time::Duration;
 use sqlx::SqliteConnection;
 use tokio::time::Instant;
 
+use super::memo::Memo;
 use super::writer::{Operation, Presence};
 use super::{Queue, QueueError};
 use crate::clock::UnixMillis;
@@ -12,9 +13,9 @@ use crate::ids::{Attempt, CampaignId, CampaignName, JobId, PolicyId, WorkerId};
 use crate::lease::MIN_WORKERS_TO_QUARANTINE;
 use crate::outage::{Allowance, PolicyState};
 use crate::plan::choose_task;
-use crate::store::jobs::{Claimant, LeasedJob, WaitingCampaign};
+use crate::store::claims::{Claimant, LeasedJob, WaitingCampaign};
 use crate::store::workers::Pin;
-use crate::store::{StoreError, campaigns, jobs, policies, workers};
+use crate::store::{StoreError, campaigns, claims, policies, workers};
 
 /// Most jobs that one claim leases.
 pub const MAX_CLAIM_JOBS: u32 = 64;
@@ -107,6 +108,7 @@ impl Queue {
     pub(super) async fn claim_in(
         &self,
         tx: &mut SqliteConnection,
+        memo: &mut Memo,
         request: &ClaimRequest,
         presence: Presence,
     ) -> Result<Claimed, QueueError> {
@@ -138,19 +140,22 @@ impl Queue {
             able_workers: self.able_workers(tx, Some(&standing.pin), now).await?,
             now,
         };
-        Ok(self.lease_from_campaigns(tx, request, claimant).await?)
+        Ok(self
+            .lease_from_campaigns(tx, memo, request, claimant)
+            .await?)
     }
 
     async fn lease_from_campaigns(
         &self,
         tx: &mut SqliteConnection,
+        memo: &mut Memo,
         request: &ClaimRequest,
         claimant: Claimant<'_>,
     ) -> Result<Claimed, StoreError> {
         let mut room = request.max_jobs.clamp(1, MAX_CLAIM_JOBS);
         let mut claimed = Claimed::default();
         let mut probed: Vec<PolicyId> = Vec::new();
-        for campaign in jobs::waiting_campaigns(tx, claimant.pin).await? {
+        for campaign in memo.waiting(tx, claimant.pin).await?.iter() {
             let allowed = match campaign.health.allowance(claimant.now) {
                 _ if probed.contains(&campaign.policy) => 0,
                 Allowance::Unlimited => room,
@@ -167,12 +172,14 @@ impl Queue {
                 let health = campaign.health.with_probe(first.id, first.attempt);
                 policies::set_health(tx, campaign.policy, &health).await?;
                 probed.push(campaign.policy);
+                memo.forget();
             }
             if !campaign.is_pinned {
                 campaigns::pin(tx, campaign.id, claimant.pin, claimant.now).await?;
+                memo.forget();
             }
             room -= u32::try_from(leased.len()).unwrap_or(room).min(room);
-            claimed.jobs.extend(hand_out(&campaign, leased));
+            claimed.jobs.extend(hand_out(campaign, leased));
             if room == 0 {
                 break;
             }
@@ -196,14 +203,15 @@ impl Queue {
         // The task that `choose_task` prefers to all others needs no look at
         // the others.
         if let (Some(warm), 1..) = (&request.warm_task, limit) {
-            leased = jobs::claim(tx, (campaign, warm), claimant, expires, limit).await?;
+            leased = claims::claim(tx, (campaign, warm), claimant, expires, limit).await?;
         }
         while let room @ 1.. = limit.saturating_sub(u32::try_from(leased.len()).unwrap_or(limit)) {
-            let tasks = jobs::waiting_tasks(tx, campaign, claimant).await?;
+            let tasks = claims::waiting_tasks(tx, campaign, claimant).await?;
             let Some(task) = choose_task(&tasks, request.warm_task.as_deref()) else {
                 break;
             };
-            leased.extend(jobs::claim(tx, (campaign, &task.task), claimant, expires, room).await?);
+            leased
+                .extend(claims::claim(tx, (campaign, &task.task), claimant, expires, room).await?);
         }
         Ok(leased)
     }

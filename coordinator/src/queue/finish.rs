@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use sqlx::SqliteConnection;
 
+use super::memo::Memo;
 use super::writer::Operation;
 use super::{Queue, QueueError};
 use crate::clock::UnixMillis;
@@ -134,6 +135,7 @@ impl Queue {
     pub(super) async fn commit_in(
         &self,
         tx: &mut SqliteConnection,
+        memo: &mut Memo,
         report: &CommitReport,
     ) -> Result<CommitReply, QueueError> {
         let now = self.now();
@@ -148,7 +150,7 @@ impl Queue {
         let granted = stored.is_some() && jobs::was_granted(tx, lease).await?;
         let judgement = reported.job.judge_commit(lease, granted, key, stored);
         if judgement == CommitJudgement::Accept {
-            return Ok(self.accept(tx, &reported, report, now).await?);
+            return Ok(self.accept(tx, memo, &reported, report, now).await?);
         }
         workers::seen(tx, &lease.worker, now).await?;
         Ok(match judgement {
@@ -275,13 +277,15 @@ impl Queue {
     async fn accept(
         &self,
         tx: &mut SqliteConnection,
+        memo: &mut Memo,
         reported: &ReportedJob,
         report: &CommitReport,
         now: UnixMillis,
     ) -> Result<CommitReply, StoreError> {
         let lease = &report.lease;
         let (job, campaign) = (&reported.job, reported.campaign);
-        let (owner, policy, health) = campaigns::with_health(tx, campaign).await?;
+        let owner = memo.owner(tx, campaign).await?;
+        let (owner, policy, health) = &*owner;
         let demand = Demand {
             pin: owner.pin(),
             realisation: owner.mode()?,
@@ -290,6 +294,7 @@ impl Queue {
         let siblings = results::siblings(tx, lease.job).await?;
         let (provenance, digests) = (&report.provenance, &report.digests);
         if let Some(detail) = pairing::difference(&demand, &siblings, provenance, digests) {
+            memo.forget();
             workers::seen(tx, &lease.worker, now).await?;
             let failure = (FailureReason::Unpaired, detail.as_str());
             self.end_attempt(tx, job, campaign, lease, failure, now)
@@ -299,19 +304,15 @@ impl Queue {
                 detail,
             });
         }
-        results::insert(
-            tx,
-            lease,
-            campaign,
-            &report.outcome,
-            (provenance, digests),
-            now,
-        )
-        .await?;
+        let origin = memo.origin(tx, provenance).await?;
+        results::insert(tx, lease, campaign, &report.outcome, (origin, digests), now).await?;
         jobs::mark_committed(tx, lease).await?;
         workers::succeeded(tx, &lease.worker, now).await?;
         let after = health.after_commit((lease.job, lease.attempt), now);
-        self.set_health(tx, policy, (&health, &after), now).await?;
+        if after != *health {
+            memo.forget();
+            self.set_health(tx, *policy, (health, &after), now).await?;
+        }
         Ok(CommitReply {
             verdict: CommitVerdict::Accepted,
             detail: String::new(),

@@ -10,6 +10,7 @@ use std::sync::Weak;
 use tokio::sync::{mpsc, oneshot};
 
 use super::finish::Release;
+use super::memo::Memo;
 use super::{ClaimRequest, Claimed, CommitReply, CommitReport, Queue, QueueError, ReleaseReply};
 use crate::ids::{JobId, LeaseRef, WorkerId};
 use crate::store::StoreError;
@@ -105,21 +106,26 @@ impl Queue {
         steps.sort_unstable();
         steps.dedup();
         let mut tx = self.store.write_many(steps).await?;
+        let mut memo = Memo::default();
         for operation in operations {
             match operation {
                 // A lease for somebody who has gone would only run out.
                 Operation::Claim(.., pending) if pending.reply.is_closed() => {}
                 Operation::Claim(request, presence, pending) => {
-                    pending.put(self.claim_in(&mut tx, request, *presence).await)?;
+                    let claimed = self.claim_in(&mut tx, &mut memo, request, *presence);
+                    pending.put(claimed.await)?;
                 }
                 Operation::Heartbeat(worker, progress, pending) => {
                     pending.put(self.heartbeat_in(&mut tx, worker, progress).await)?;
+                    memo.forget();
                 }
                 Operation::Commit(report, pending) => {
-                    pending.put(self.commit_in(&mut tx, report).await)?;
+                    let reply = self.commit_in(&mut tx, &mut memo, report);
+                    pending.put(reply.await)?;
                 }
                 Operation::Release(release, pending) => {
                     pending.put(self.release_in(&mut tx, release).await)?;
+                    memo.forget();
                 }
             }
         }

@@ -59,6 +59,11 @@ pub struct Provenance {
     pub program_version: String,
 }
 
+/// Row number of an origin that is stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, sqlx::Type)]
+#[sqlx(transparent)]
+pub(crate) struct ProvenanceId(i64);
+
 /// What makes two rollouts comparable, SHA-256 in hex.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Digests {
@@ -140,10 +145,9 @@ pub(crate) async fn insert(
     lease: &LeaseRef,
     campaign: CampaignId,
     outcome: &Outcome,
-    (provenance, digests): (&Provenance, &Digests),
+    (provenance, digests): (ProvenanceId, &Digests),
     now: UnixMillis,
 ) -> Result<(), StoreError> {
-    let provenance = provenance_id(tx, provenance).await?;
     sqlx::query(
         "INSERT INTO result (job_id, campaign_id, attempt, worker_id, committed_ms, success,
              steps, wall_secs, ik_residual_mm, ik_residual_deg, ik_clamped_joints,
@@ -344,10 +348,11 @@ pub(crate) async fn divergent(
     .doing("read divergent outcomes")
 }
 
-async fn provenance_id(
+/// The row number of an origin, which is stored if it is new.
+pub(crate) async fn provenance_id(
     tx: &mut SqliteConnection,
     provenance: &Provenance,
-) -> Result<i64, StoreError> {
+) -> Result<ProvenanceId, StoreError> {
     let p = provenance;
     let texts = [
         &p.host,
@@ -378,7 +383,7 @@ async fn provenance_id(
         insert = insert.bind(text);
         select = select.bind(text);
     }
-    let known: Option<i64> = select
+    let known: Option<ProvenanceId> = select
         .bind(p.policy_privileged)
         .fetch_optional(&mut *tx)
         .await

@@ -267,3 +267,50 @@ async fn leases_get_their_full_time_again_after_a_restart() {
     assert!(worker.heartbeat(&[&lease], 40).await.is_empty());
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_report_that_the_database_refuses_spoils_no_other() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("shared")).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    let leases = worker.claim(4).await;
+    let pool = bench.database().await;
+    let refuse = format!(
+        "CREATE TRIGGER refuse BEFORE INSERT ON result WHEN NEW.job_id = {}
+         BEGIN SELECT RAISE (ABORT, 'on purpose'); END",
+        leases[1].job_id
+    );
+    let made = sqlx::raw_sql(sqlx::AssertSqlSafe(refuse))
+        .execute(&pool)
+        .await;
+    made.expect("a trigger");
+    // While this transaction is open, the reports gather.
+    let mut writing = pool
+        .begin_with("BEGIN IMMEDIATE")
+        .await
+        .expect("a transaction");
+    let mut reports = tokio::task::JoinSet::new();
+    for (number, lease) in leases.iter().enumerate() {
+        let mut worker = worker.clone();
+        let report = worker.report(lease, true);
+        reports.spawn(async move { (number, worker.service.commit(report).await) });
+    }
+    tokio::time::sleep(std::time::Duration::from_millis(300)).await;
+    sqlx::query("UPDATE campaign SET name = name")
+        .execute(&mut *writing)
+        .await
+        .expect("done");
+    writing.commit().await.expect("ended");
+    for (number, answer) in reports.join_all().await {
+        match (number, answer) {
+            (1, answer) => assert_eq!(answer.expect_err("refused").code(), Code::Unavailable),
+            (_, answer) => {
+                let verdict = answer.expect("an answer").into_inner().verdict();
+                assert_eq!(verdict, Verdict::Accepted);
+            }
+        }
+    }
+    pool.close().await;
+    assert_eq!(bench.status("shared").await.committed, 3);
+    assert_eq!(bench.status("shared").await.leased, 1);
+}
