@@ -219,6 +219,7 @@ fn report(
         },
         "claim_millis": percentiles(&measured.claim_micros),
         "commit_millis": percentiles(&measured.commit_micros),
+        "cpu_millis_per_rollout": cpu_secs()? * 1e3 / jobs as f64,
         "memory_peak_mib": memory_peak_mib()?,
         "database_mib": database as f64 / f64::from(1 << 20),
         "log_mib": log as f64 / f64::from(1 << 20),
@@ -248,6 +249,17 @@ fn memory_peak_mib() -> Result<f64> {
     let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
     let kib = peak.and_then(|peak| peak.split_whitespace().next());
     Ok(kib.context("find VmHWM")?.parse::<f64>()? / 1024.0)
+}
+
+/// Processor time that this process took, expansion included.
+fn cpu_secs() -> Result<f64> {
+    let stat = std::fs::read_to_string("/proc/self/stat").context("read /proc/self/stat")?;
+    // The name, which may hold spaces, ends with the last parenthesis; user and
+    // system time are the 12th and 13th field after it, in hundredths.
+    let fields = stat.rsplit_once(')').map_or("", |(_, fields)| fields);
+    let ticks = fields.split_whitespace().skip(11).take(2);
+    let ticks = ticks.map(|field| field.parse::<f64>().context("read a processor time"));
+    Ok(ticks.sum::<Result<f64>>()? / 100.0)
 }
 
 fn share(rng: &mut impl Rng) -> f64 {
@@ -292,7 +304,7 @@ fn outcome(
             attempt: job.attempt,
         },
         outcome: Outcome {
-            success: rng.next_u32() % 2 == 0,
+            success: rng.next_u32().is_multiple_of(2),
             steps: rng.next_u32() % 500,
             wall_secs: 1.0,
             ik_residual_mm: None,

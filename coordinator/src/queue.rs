@@ -208,9 +208,7 @@ impl Queue {
             backing_up: Arc::default(),
         });
         let writer = writer::run(Arc::downgrade(&queue), asked);
-        let mut tasks = queue.tasks();
-        tasks.spawn(writer);
-        drop(tasks);
+        queue.tasks().spawn(writer);
         queue.finish_removals().await?;
         Ok(queue)
     }

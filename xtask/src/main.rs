@@ -63,6 +63,12 @@ enum Bench {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
     },
+    /// The coordinator's queue under simulated slots, as a release build.
+    Queue {
+        /// Passed on: [--jobs N] [--slots N] [--rollout-millis N] [--data DIR].
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        arguments: Vec<String>,
+    },
 }
 
 fn main() -> ExitCode {
@@ -72,6 +78,7 @@ fn main() -> ExitCode {
         Command::Test { filters } => test::run(&root(), &filters),
         Command::Bench(Bench::Report { release }) => test::bench_report(&root(), release),
         Command::Bench(Bench::Sim { arguments }) => test::program(&root(), "bench_sim", &arguments),
+        Command::Bench(Bench::Queue { arguments }) => bench_queue(&arguments),
         Command::Parity { arguments } => test::program(&root(), "parity", &arguments),
     };
     match outcome {
@@ -81,6 +88,15 @@ fn main() -> ExitCode {
             ExitCode::FAILURE
         }
     }
+}
+
+/// It needs no simulator, so nothing is set up for it. The queue's speed is that
+/// of SQLite, which the development profile hardly optimises.
+fn bench_queue(arguments: &[String]) -> anyhow::Result<()> {
+    let mut program = cargo::cargo(&root());
+    program.args(["run", "--quiet", "--release", "--package", "coordinator"]);
+    program.args(["--example", "bench_queue", "--"]);
+    process::run(program.args(arguments))
 }
 
 /// The workspace's folder. `cargo run` names it, and it is asked first: two
