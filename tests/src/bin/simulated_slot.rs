@@ -108,6 +108,7 @@ fn play(assignment: &Assignment, abandoned: &AtomicBool) -> Result<Option<Finish
             policy_checkpoint: about.checkpoint,
             policy_checkpoint_digest: about.checkpoint_digest,
             policy_privileged: about.privileged,
+            batch_mode: "single".to_owned(),
         },
         video: None,
     }))
