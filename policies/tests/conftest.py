@@ -1,6 +1,8 @@
 """Real servers on free ports of the loopback, and a client of them."""
 
 import contextlib
+import os
+import subprocess
 
 import grpc
 import numpy as np
@@ -97,3 +99,25 @@ class Answering(Policy):
         if isinstance(self.answer, Exception):
             raise self.answer
         return self.answer
+
+
+def assert_conforms(policy):
+    """Serves `policy` and has the gateway's conformance check look at it.
+
+    Runs the program that the environment variable POLICY_GATEWAY names.
+    """
+    program = os.environ.get("POLICY_GATEWAY")
+    if program is None:
+        pytest.skip("POLICY_GATEWAY does not name the policy-gateway program")
+    server = start(policy)
+    try:
+        check = subprocess.run(
+            [program, "check", f"grpc://{server.address}"],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+    finally:
+        server.stop(0)
+    print(check.stdout)
+    assert check.returncode == 0, check.stdout + check.stderr

@@ -7,12 +7,11 @@ Skipped where lerobot is not installed (it brings PyTorch):
 """
 
 import contextlib
-import os
 import shutil
-import subprocess
 
 import numpy as np
 import pytest
+from conftest import assert_conforms
 from test_adapters import next_one, observation
 
 pytest.importorskip("lerobot", reason="lerobot is not installed")
@@ -20,7 +19,6 @@ pytest.importorskip("lerobot", reason="lerobot is not installed")
 import random_lerobot  # noqa: E402
 from safetensors.torch import load_file, save_file  # noqa: E402
 
-from rollout_policies import start  # noqa: E402
 from rollout_policies.adapters import Options, load  # noqa: E402
 from rollout_policies.adapters.upstream import UnusableCheckpoint  # noqa: E402
 
@@ -125,18 +123,4 @@ def test_a_checkpoint_of_another_policy_is_refused(checkpoint):
 
 
 def test_a_server_of_it_conforms(policy):
-    program = os.environ.get("POLICY_GATEWAY")
-    if program is None:
-        pytest.skip("POLICY_GATEWAY does not name the policy-gateway program")
-    server = start(policy)
-    try:
-        check = subprocess.run(
-            [program, "check", f"grpc://{server.address}"],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-    finally:
-        server.stop(0)
-    print(check.stdout)
-    assert check.returncode == 0, check.stdout + check.stderr
+    assert_conforms(policy)

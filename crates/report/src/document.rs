@@ -88,6 +88,16 @@ impl Document {
         })
     }
 
+    /// The policies with complete configurations at a level: how each is called
+    /// here, and its measures.
+    pub(crate) fn paired(&self, level: Level) -> Vec<(&str, &Measures)> {
+        let policies = self.analyses.iter().filter_map(|analysis| {
+            let measures = analysis.cell(level)?.paired.as_ref()?;
+            Some((analysis.label.as_str(), measures))
+        });
+        policies.collect()
+    }
+
     /// The report as JSON, several lines.
     ///
     /// # Errors

@@ -17,14 +17,7 @@ const ROW: f64 = 66.0;
 
 /// The panel of a level; none where no policy has a complete configuration.
 pub fn decomposition(document: &Document, level: Level) -> Option<Figure> {
-    let rows: Vec<(&str, &Measures)> = document
-        .analyses
-        .iter()
-        .filter_map(|analysis| {
-            let measures = analysis.cell(level)?.paired.as_ref()?;
-            Some((analysis.label.as_str(), measures))
-        })
-        .collect();
+    let rows = document.paired(level);
     if rows.is_empty() {
         return None;
     }
