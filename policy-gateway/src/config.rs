@@ -19,6 +19,10 @@ pub mod file;
 pub const STREAM_WINDOW_BYTES: u32 = 8 << 20;
 /// HTTP/2 window of one connection, bytes.
 pub const CONNECTION_WINDOW_BYTES: u32 = 32 << 20;
+/// Largest HTTP/2 frame taken, bytes: an observation comes in one, where the
+/// usual 16 KiB make two dozen, each with its own write and its own waking of
+/// the reader.
+pub const MAX_FRAME_BYTES: u32 = 1 << 20;
 /// Longest route name, bytes.
 pub const MAX_ROUTE_NAME_BYTES: usize = 64;
 

@@ -14,7 +14,7 @@ use tonic::transport::server::TcpIncoming;
 use transport::{Demand, Role, Security, SecurityError};
 
 use crate::{
-    config::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES},
+    config::{CONNECTION_WINDOW_BYTES, MAX_FRAME_BYTES, STREAM_WINDOW_BYTES},
     service::Gateway,
 };
 
@@ -25,6 +25,7 @@ pub mod check;
 pub mod config;
 pub mod conformance;
 pub mod health;
+pub mod held;
 pub mod route;
 pub mod service;
 pub mod sessions;
@@ -56,6 +57,7 @@ pub async fn run(
         .server(demands)?
         .initial_stream_window_size(STREAM_WINDOW_BYTES)
         .initial_connection_window_size(CONNECTION_WINDOW_BYTES)
+        .max_frame_size(MAX_FRAME_BYTES)
         .add_service(health_service)
         .add_service(policies)
         // Without TCP_NODELAY a frame-sized message stalls for 40 ms.

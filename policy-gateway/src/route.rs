@@ -2,50 +2,38 @@
 //! open. Responsible for what is the same whatever answers: a session stays
 //! with the pool it was opened in, retries of its last query get the same
 //! answer, a query whose replica is lost goes to another where the policy
-//! allows it, and queries in flight are bounded.
+//! allows it, and what waiting queries hold is bounded.
 
-use std::{
-    collections::BTreeMap,
-    sync::{
-        Arc, Mutex, PoisonError, RwLock,
-        atomic::{AtomicBool, Ordering},
-    },
+use std::sync::{
+    Arc, Mutex, PoisonError, RwLock,
+    atomic::{AtomicBool, Ordering},
 };
 
 use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
-use tokio::sync::Semaphore;
 
-use self::{pool::Pool, replica::Replica};
+use self::{checkpoints::Checkpoints, pool::Pool, replica::Replica};
 use crate::{
     backend::BackendError,
-    config::{CheckpointSpecs, RouteName, RouteSpec},
+    config::{RouteName, RouteSpec},
     health::Call,
+    held::Held,
     sessions::{MAX_SESSION_BYTES, MAX_SESSIONS, SessionTable},
 };
 
+mod checkpoints;
 mod error;
 pub mod pool;
 pub mod replica;
 
 pub use error::RouteError;
 
-/// Queries of one route that may wait for their answers at once; more are
-/// refused, so that a stalled server does not fill the memory with frames.
-pub const MAX_QUERIES_IN_FLIGHT: usize = 1024;
-
 /// A name and what answers for it.
 pub struct Route {
     name: RouteName,
     checkpoints: RwLock<Arc<Checkpoints>>,
     sessions: Mutex<SessionTable<Arc<Session>>>,
-    in_flight: Semaphore,
+    held: Arc<Held>,
     retired: AtomicBool,
-}
-
-/// The pools of a route, as last configured.
-enum Checkpoints {
-    One(Arc<Pool>),
-    PerSuite(BTreeMap<String, Arc<Pool>>),
 }
 
 /// An open episode.
@@ -73,16 +61,17 @@ struct Answer {
 }
 
 impl Route {
-    /// A route whose back-ends have not been asked anything yet.
+    /// A route whose back-ends have not been asked anything yet. What its
+    /// queries hold counts in `held`, which all routes of a gateway share.
     ///
     /// # Errors
     /// When a back-end's address is none.
-    pub fn new(spec: &RouteSpec) -> Result<Self, tonic::transport::Error> {
+    pub fn new(spec: &RouteSpec, held: Arc<Held>) -> Result<Self, tonic::transport::Error> {
         Ok(Self {
             name: spec.name.clone(),
             checkpoints: RwLock::new(Arc::new(Checkpoints::new(spec, &[])?)),
             sessions: Mutex::new(SessionTable::new(MAX_SESSIONS)),
-            in_flight: Semaphore::new(MAX_QUERIES_IN_FLIGHT),
+            held,
             retired: AtomicBool::new(false),
         })
     }
@@ -193,12 +182,7 @@ impl Route {
     /// [`crate::check::actions`]).
     pub async fn infer(&self, request: InferRequest) -> Result<InferResponse, RouteError> {
         check_session(&request.session)?;
-        let _in_flight = self
-            .in_flight
-            .try_acquire()
-            .map_err(|_| RouteError::Overloaded {
-                route: self.name.clone(),
-            })?;
+        let _held = self.held.hold(&request).ok_or(RouteError::Overloaded)?;
         let session = self.session(&request.session).await?;
         let mut state = session.state.lock().await;
         let query_index = request.query_index;
@@ -266,14 +250,7 @@ impl Route {
         if let Some(open) = self.sessions().get(name) {
             return Ok(Arc::clone(open));
         }
-        let only = match &*self.checkpoints() {
-            Checkpoints::One(pool) => match pool.replicas() {
-                [replica] => Some((Arc::clone(pool), Arc::clone(replica))),
-                _ => None,
-            },
-            Checkpoints::PerSuite(_) => None,
-        };
-        let Some((pool, replica)) = only else {
+        let Some((pool, replica)) = self.checkpoints().only() else {
             return Err(self.nobody(None, name));
         };
         let described = pool
@@ -299,16 +276,15 @@ impl Route {
     }
 
     fn pool(&self, suite: &str) -> Result<Arc<Pool>, RouteError> {
-        match &*self.checkpoints() {
-            Checkpoints::One(pool) => Ok(Arc::clone(pool)),
-            Checkpoints::PerSuite(pools) => {
-                pools.get(suite).cloned().ok_or_else(|| RouteError::Suite {
-                    route: self.name.clone(),
-                    suite: suite.to_owned(),
-                    known: pools.keys().cloned().collect::<Vec<_>>().join(", "),
-                })
-            }
-        }
+        let checkpoints = self.checkpoints();
+        checkpoints
+            .pool(suite)
+            .cloned()
+            .ok_or_else(|| RouteError::Suite {
+                route: self.name.clone(),
+                suite: suite.to_owned(),
+                known: checkpoints.suites(),
+            })
     }
 
     fn checkpoints(&self) -> Arc<Checkpoints> {
@@ -362,44 +338,6 @@ impl Route {
             route: self.name.clone(),
             session: session.to_owned(),
         })
-    }
-}
-
-impl Checkpoints {
-    /// Pools as `spec` says, with those of the `known` replicas that stay.
-    fn new(spec: &RouteSpec, known: &[Arc<Replica>]) -> Result<Self, tonic::transport::Error> {
-        let pool = |suite: &str, replicas: &[_]| {
-            let replicas = replicas.iter().map(|backend| {
-                let stays = known
-                    .iter()
-                    .find(|it| it.is(backend, spec.answer_within, spec.batching));
-                match stays {
-                    Some(replica) => Ok(Arc::clone(replica)),
-                    None => Replica::new(backend, spec.answer_within, spec.batching).map(Arc::new),
-                }
-            });
-            let replicas = replicas.collect::<Result<_, _>>()?;
-            Ok(Arc::new(Pool::new(suite, replicas, spec.batching)))
-        };
-        Ok(match &spec.checkpoints {
-            CheckpointSpecs::One(replicas) => Self::One(pool("", replicas)?),
-            CheckpointSpecs::PerSuite(suites) => {
-                let pools = suites
-                    .iter()
-                    .map(|(suite, replicas)| Ok((suite.clone(), pool(suite, replicas)?)));
-                Self::PerSuite(pools.collect::<Result<_, tonic::transport::Error>>()?)
-            }
-        })
-    }
-
-    fn replicas(&self) -> Vec<Arc<Replica>> {
-        match self {
-            Self::One(pool) => pool.replicas().to_vec(),
-            Self::PerSuite(pools) => pools
-                .values()
-                .flat_map(|pool| pool.replicas().iter().cloned())
-                .collect(),
-        }
     }
 }
 

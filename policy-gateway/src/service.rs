@@ -15,6 +15,7 @@ use tonic::{Request, Response, Status};
 
 use crate::{
     config::{Config, RouteSpec},
+    held::Held,
     route::{Route, RouteError},
 };
 
@@ -29,6 +30,7 @@ pub const MAX_RETIRED_ROUTES: usize = 64;
 #[derive(Clone)]
 pub struct Gateway {
     routes: Arc<RwLock<Vec<Arc<Route>>>>,
+    held: Arc<Held>,
 }
 
 impl Gateway {
@@ -37,13 +39,15 @@ impl Gateway {
     /// # Errors
     /// When an address is none.
     pub fn new(config: &Config) -> Result<Self, tonic::transport::Error> {
+        let held = Arc::<Held>::default();
         let routes = config
             .routes()
             .iter()
-            .map(|spec| Route::new(spec).map(Arc::new));
+            .map(|spec| Route::new(spec, Arc::clone(&held)).map(Arc::new));
         let routes = routes.collect::<Result<Vec<_>, _>>()?;
         Ok(Self {
             routes: Arc::new(RwLock::new(routes)),
+            held,
         })
     }
 
@@ -57,7 +61,7 @@ impl Gateway {
         for spec in config.routes() {
             match routes.iter().find(|route| route.name() == &spec.name) {
                 Some(route) => route.reload(spec)?,
-                None => routes.push(Arc::new(Route::new(spec)?)),
+                None => routes.push(Arc::new(Route::new(spec, Arc::clone(&self.held))?)),
             }
         }
         for route in routes.iter() {

@@ -26,7 +26,7 @@ fn image(frame: Frame) -> wire::Image {
         camera: frame.camera,
         width: frame.width,
         height: frame.height,
-        rgb: frame.rgb,
+        rgb: frame.rgb.into(),
     }
 }
 

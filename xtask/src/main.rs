@@ -69,6 +69,13 @@ enum Bench {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
     },
+    /// The gateway before a simulated policy server, as a release build.
+    Gateway {
+        /// Passed on: [--slots N] [--batch-millis N] [--max-batch N] [--rate N]
+        /// [--secs N] [--rounds N], or `slots --address HOST:PORT`.
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        arguments: Vec<String>,
+    },
 }
 
 fn main() -> ExitCode {
@@ -79,6 +86,7 @@ fn main() -> ExitCode {
         Command::Bench(Bench::Report { release }) => test::bench_report(&root(), release),
         Command::Bench(Bench::Sim { arguments }) => test::program(&root(), "bench_sim", &arguments),
         Command::Bench(Bench::Queue { arguments }) => bench_queue(&arguments),
+        Command::Bench(Bench::Gateway { arguments }) => bench_gateway(&arguments),
         Command::Parity { arguments } => test::program(&root(), "parity", &arguments),
     };
     match outcome {
@@ -96,6 +104,19 @@ fn bench_queue(arguments: &[String]) -> anyhow::Result<()> {
     let mut program = cargo::cargo(&root());
     program.args(["run", "--quiet", "--release", "--package", "coordinator"]);
     program.args(["--example", "bench_queue", "--"]);
+    process::run(program.args(arguments))
+}
+
+/// It needs no simulator either. The gateway runs as the program that it is,
+/// beside the example that asks it.
+fn bench_gateway(arguments: &[String]) -> anyhow::Result<()> {
+    let package = ["--release", "--package", "policy-gateway"];
+    let mut gateway = cargo::cargo(&root());
+    gateway.args(["build", "--quiet"]).args(package);
+    process::run(gateway.args(["--bin", "policy-gateway"]))?;
+    let mut program = cargo::cargo(&root());
+    program.args(["run", "--quiet"]).args(package);
+    program.args(["--example", "bench_gateway", "--"]);
     process::run(program.args(arguments))
 }
 

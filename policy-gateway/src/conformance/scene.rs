@@ -18,7 +18,8 @@ pub fn observation(described: &DescribeResponse, query_index: u32) -> Observatio
         rgb: pixels(
             u64::from(camera.width) * u64::from(camera.height),
             query_index,
-        ),
+        )
+        .into(),
     });
     let state = described.state().map(|field| StateReading {
         field: field.into(),

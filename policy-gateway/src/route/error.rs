@@ -5,11 +5,11 @@ use std::error::Error as _;
 use thiserror::Error;
 use tonic::{Code, Status};
 
-use super::MAX_QUERIES_IN_FLIGHT;
 use crate::{
     backend::{self, BackendError},
     check::ActionFault,
     config::RouteName,
+    held::MAX_HELD_BYTES,
     sessions::MAX_SESSION_BYTES,
 };
 
@@ -86,11 +86,12 @@ pub enum RouteError {
         route: RouteName,
     },
     /// Too many queries wait already.
-    #[error("route {route} has {MAX_QUERIES_IN_FLIGHT} queries under way; try again later")]
-    Overloaded {
-        /// Name of the route.
-        route: RouteName,
-    },
+    #[error(
+        "this gateway holds {} MiB of observations that wait for their answers; try again later, \
+         or give policies more replicas",
+        MAX_HELD_BYTES >> 20
+    )]
+    Overloaded,
 }
 
 impl RouteError {
@@ -101,7 +102,7 @@ impl RouteError {
             Self::Action { .. } => Code::Internal,
             Self::SessionLost { .. } | Self::Retired { .. } => Code::Unavailable,
             Self::Suite { .. } | Self::Session { .. } => Code::InvalidArgument,
-            Self::Overloaded { .. } => Code::ResourceExhausted,
+            Self::Overloaded => Code::ResourceExhausted,
         }
     }
 

@@ -12,6 +12,7 @@ use std::{
 };
 
 use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
+use tokio::sync::Semaphore;
 
 use crate::{
     backend::{Backend, BackendError, builtin::BuiltinBackend, grpc::GrpcBackend},
@@ -21,6 +22,10 @@ use crate::{
     health::{Answered, Call, Cause, Health},
 };
 
+/// Single queries at one server at once: it is asked one by one, and what waits
+/// behind these costs this side no second copy of its observation.
+pub const MAX_CALLS: usize = 64;
+
 /// One of those that answer for a checkpoint.
 pub struct Replica {
     spec: BackendSpec,
@@ -28,6 +33,7 @@ pub struct Replica {
     batching: Batching,
     backend: Arc<dyn Backend>,
     batcher: Batcher,
+    calls: Semaphore,
     /// Queries in one batch, as last described.
     batch_size: AtomicUsize,
     health: Mutex<Health>,
@@ -66,6 +72,7 @@ impl Replica {
             batching,
             batcher: Batcher::new(Arc::clone(&backend), answer_within),
             backend,
+            calls: Semaphore::new(MAX_CALLS),
             batch_size: AtomicUsize::new(1),
             health: Mutex::default(),
             load: AtomicUsize::new(0),
@@ -99,8 +106,9 @@ impl Replica {
         health.admit(call, Instant::now()).is_ok()
     }
 
-    /// Asks what its policy is, for `suite` if that is not empty. `agrees` says what is wrong with an answer that
-    /// can be true but is not what was expected.
+    /// Asks what its policy is, for `suite` if that is not empty. `agrees` says
+    /// what is wrong with an answer that can be true but is not what was
+    /// expected.
     ///
     /// # Errors
     /// When it does not answer, or with something that cannot be used.
@@ -157,7 +165,11 @@ impl Replica {
         let session = request.session.clone();
         let answer = async {
             match self.batch_size.load(Ordering::Relaxed) {
-                1 => self.backend.infer(request).await,
+                1 => {
+                    // Never closed; waiting is part of the answer's time.
+                    let _call = self.calls.acquire().await;
+                    self.backend.infer(request).await
+                }
                 size => self.batcher.infer(request, size).await,
             }
         };

@@ -200,7 +200,7 @@ async fn frames_beyond_the_usual_message_limit_pass_through_a_chain() {
         camera: "agentview".to_owned(),
         width: side,
         height: side,
-        rgb: vec![7; (side * side * 3) as usize],
+        rgb: vec![7; (side * side * 3) as usize].into(),
     };
     let observation = Observation {
         images: vec![frame],

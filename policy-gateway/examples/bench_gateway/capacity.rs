@@ -1,0 +1,108 @@
+//! How many observations per second come through when every slot asks again as
+//! soon as it is answered.
+
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result};
+use clap::Args;
+use serde_json::{Value, json};
+use tokio::task::JoinSet;
+
+use crate::{
+    Measure,
+    load::{Slot, percentiles, spread},
+    programs::Running,
+    simulated,
+};
+
+/// Answers that come before this are not counted: queues fill meanwhile.
+const WARM_UP: Duration = Duration::from_secs(2);
+
+#[derive(Args)]
+pub(crate) struct Slots {
+    /// Where the policy server or gateway listens
+    #[arg(long, value_name = "HOST:PORT")]
+    address: String,
+    /// Which policy there, if it serves several
+    #[arg(long, default_value = "")]
+    policy: String,
+    /// Slots
+    #[arg(long, default_value_t = 64)]
+    slots: u32,
+    /// Seconds
+    #[arg(long, default_value_t = 20)]
+    secs: u64,
+}
+
+/// A gateway before a simulated server, and the share of that one's capacity
+/// that its slots get.
+pub(crate) async fn measure(measure: &Measure) -> Result<Value> {
+    let options = simulated::Options {
+        batch_millis: measure.batch_millis,
+        max_batch: measure.max_batch,
+        stalled: false,
+    };
+    let server = Running::simulated(&options).await?;
+    let gateway = Running::gateway(&server).await?;
+    let mut report = ask(&Slots {
+        address: gateway.address.clone(),
+        policy: String::new(),
+        slots: measure.slots,
+        secs: measure.secs,
+    })
+    .await?;
+    let capacity = f64::from(measure.max_batch) * 1e3 / measure.batch_millis.max(1) as f64;
+    let answered = report["answers_per_sec"]["mean"].as_f64();
+    report["batch_millis"] = measure.batch_millis.into();
+    report["max_batch"] = measure.max_batch.into();
+    report["server_answers_per_sec"] = capacity.into();
+    report["share_of_server"] = (answered.context("a mean")? / capacity).into();
+    Ok(report)
+}
+
+/// Puts the slots on a server; fails if one of their queries does.
+pub(crate) async fn ask(slots: &Slots) -> Result<Value> {
+    let began = Instant::now() + WARM_UP;
+    let ends = began + Duration::from_secs(slots.secs);
+    let mut asking = JoinSet::new();
+    for slot in Slot::open_all(&slots.address, &slots.policy, slots.slots).await? {
+        asking.spawn(until(slot, ends));
+    }
+    let mut answers = Vec::new();
+    while let Some(asked) = asking.join_next().await {
+        let counted = asked??.into_iter().filter(|(at, _)| *at >= began);
+        answers.extend(counted);
+    }
+    let mut seconds = vec![0.0; slots.secs as usize];
+    for (at, _) in &answers {
+        let second = (*at - began).as_secs() as usize;
+        // The queries under way at the end are answered after it.
+        if let Some(second) = seconds.get_mut(second) {
+            *second += 1.0;
+        }
+    }
+    let latencies: Vec<_> = answers.iter().map(|(_, latency)| *latency).collect();
+    let mut per_sec = spread(&seconds);
+    per_sec["mean"] = (seconds.iter().sum::<f64>() / seconds.len().max(1) as f64).into();
+    Ok(json!({
+        "slots": slots.slots,
+        "secs": slots.secs,
+        "answers_per_sec": per_sec,
+        "latency_millis": percentiles(&latencies),
+    }))
+}
+
+/// When each query was answered, and after how long.
+async fn until(slot: Slot, ends: Instant) -> Result<Vec<(Instant, Duration)>> {
+    let mut answered = Vec::new();
+    for query_index in 0.. {
+        let asked = Instant::now();
+        if asked >= ends {
+            break;
+        }
+        slot.ask(query_index).await?;
+        let at = Instant::now();
+        answered.push((at, at - asked));
+    }
+    Ok(answered)
+}

@@ -1,0 +1,102 @@
+//! What the gateway adds to a query's latency: the same open loop of queries at
+//! a fixed rate, directly and through the gateway in turn. The server answers
+//! at once and takes no batches, so that nothing waits on purpose.
+
+use std::{
+    thread,
+    time::{Duration, Instant},
+};
+
+use anyhow::Result;
+use serde_json::{Value, json};
+use tokio::{sync::mpsc, task::JoinSet};
+
+use crate::{
+    Measure,
+    load::{Slot, percentile_millis, spread},
+    programs::Running,
+    simulated,
+};
+
+/// Slots that take turns. Each asks again long after its last answer.
+const SLOTS: u32 = 64;
+
+pub(crate) async fn measure(measure: &Measure) -> Result<Value> {
+    let options = simulated::Options {
+        batch_millis: 0,
+        max_batch: 1,
+        stalled: false,
+    };
+    let server = Running::simulated(&options).await?;
+    let gateway = Running::gateway(&server).await?;
+    let direct = Slot::open_all(&server.address, "", SLOTS).await?;
+    let through = Slot::open_all(&gateway.address, "", SLOTS).await?;
+    let secs = Duration::from_secs(measure.secs);
+    let mut first_query = 0;
+    let mut rounds = Vec::new();
+    // The first round makes connections and memory warm and is not counted.
+    for _ in 0..=measure.rounds {
+        let queries = first_query..first_query + measure.rate * measure.secs as u32;
+        first_query = queries.end;
+        let alone = open_loop(&direct, measure.rate, secs, queries.start).await?;
+        let with = open_loop(&through, measure.rate, secs, queries.start).await?;
+        rounds.push((alone, with));
+    }
+    let counted = &rounds[1..];
+    let of = |share: f64| {
+        let at = |latencies: &[Duration]| percentile_millis(latencies, share);
+        let direct: Vec<_> = counted.iter().map(|(alone, _)| at(alone)).collect();
+        let through: Vec<_> = counted.iter().map(|(_, with)| at(with)).collect();
+        let pairs = direct.iter().zip(&through);
+        let added: Vec<_> = pairs.map(|(direct, through)| through - direct).collect();
+        json!({
+            "direct_millis": spread(&direct),
+            "through_millis": spread(&through),
+            "added_millis": spread(&added),
+        })
+    };
+    Ok(json!({
+        "rate_per_sec": measure.rate,
+        "rounds": measure.rounds,
+        "secs_per_round": measure.secs,
+        "p50": of(0.5),
+        "p99": of(0.99),
+    }))
+}
+
+/// Asks at a fixed rate, whether earlier queries are answered or not: latencies
+/// from the moment at which each was due.
+async fn open_loop(
+    slots: &[Slot],
+    rate: u32,
+    span: Duration,
+    first_query: u32,
+) -> Result<Vec<Duration>> {
+    let queries = rate * span.as_secs() as u32;
+    let (due, mut dues) = mpsc::unbounded_channel();
+    // A thread of its own: the runtime's timer counts whole milliseconds.
+    let ticker = thread::spawn(move || {
+        let began = Instant::now();
+        for number in 0..queries {
+            let then = began + Duration::from_secs(1) * number / rate;
+            thread::sleep(then.saturating_duration_since(Instant::now()));
+            if due.send((number, then)).is_err() {
+                break;
+            }
+        }
+    });
+    let mut under_way = JoinSet::new();
+    while let Some((number, then)) = dues.recv().await {
+        let slot = slots[number as usize % slots.len()].clone();
+        under_way.spawn(async move {
+            slot.ask(first_query + number).await?;
+            anyhow::Ok(then.elapsed())
+        });
+    }
+    let mut latencies = Vec::new();
+    while let Some(asked) = under_way.join_next().await {
+        latencies.push(asked??);
+    }
+    ticker.join().expect("the ticker does not panic");
+    Ok(latencies)
+}

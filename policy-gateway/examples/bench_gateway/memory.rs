@@ -1,0 +1,63 @@
+//! What memory the gateway takes while more queries wait than it takes, at a
+//! server that answers none.
+
+use std::time::Duration;
+
+use anyhow::{Result, bail};
+use serde_json::{Value, json};
+use tokio::task::JoinSet;
+use tonic::Code;
+
+use crate::{Measure, load::Slot, programs::Running, simulated};
+
+/// Connections over which the queries come.
+const CONNECTIONS: u32 = 64;
+/// How long neither a refusal comes nor memory grows before all is in.
+const QUIET: Duration = Duration::from_secs(2);
+
+pub(crate) async fn measure(measure: &Measure) -> Result<Value> {
+    let options = simulated::Options {
+        batch_millis: 0,
+        max_batch: 1,
+        stalled: true,
+    };
+    let server = Running::simulated(&options).await?;
+    let gateway = Running::gateway(&server).await?;
+    let slots = Slot::open_all(&gateway.address, "", CONNECTIONS).await?;
+    let mut waiting = Vec::new();
+    for number in 0..measure.stalled_queries {
+        waiting.push(
+            slots[(number % CONNECTIONS) as usize]
+                .sibling(number)
+                .await?,
+        );
+    }
+    let before = gateway.memory_mib("VmRSS")?;
+    let mut asking = JoinSet::new();
+    for slot in waiting {
+        asking.spawn(async move { slot.ask(0).await });
+    }
+    let mut refused = 0;
+    let mut most = before;
+    loop {
+        while let Ok(Some(answered)) = tokio::time::timeout(QUIET, asking.join_next()).await {
+            match answered? {
+                Err(status) if status.code() == Code::ResourceExhausted => refused += 1,
+                other => bail!("a query to the stalled server ended otherwise: {other:?}"),
+            }
+        }
+        let now = gateway.memory_mib("VmRSS")?;
+        if now <= most {
+            break;
+        }
+        most = now;
+    }
+    Ok(json!({
+        "queries": measure.stalled_queries,
+        "refused": refused,
+        "waiting": asking.len(),
+        "before_mib": before,
+        "with_waiting_mib": gateway.memory_mib("VmRSS")?,
+        "most_mib": gateway.memory_mib("VmHWM")?,
+    }))
+}

@@ -1,0 +1,67 @@
+//! How much of the workers' observations a gateway holds at once, so that a
+//! stalled server does not fill the memory with frames. Responsible for that
+//! bound only.
+
+use proto::policy::InferRequest;
+use tokio::sync::{Semaphore, SemaphorePermit};
+
+/// Observations held at once, bytes: 682 of two 256 × 256 frames, which is more
+/// than ten machines of 64 slots ask about together.
+pub const MAX_HELD_BYTES: usize = 256 << 20;
+/// What a query counts at least: many without frames are held in check, too.
+pub const MIN_QUERY_BYTES: usize = 64 << 10;
+
+/// Counts the observations of queries that wait for their answers.
+#[derive(Debug)]
+pub struct Held(Semaphore);
+
+impl Default for Held {
+    fn default() -> Self {
+        Self(Semaphore::new(MAX_HELD_BYTES))
+    }
+}
+
+impl Held {
+    /// Counts a query's observation until the permit is dropped; None if it is
+    /// one too many.
+    pub fn hold(&self, query: &InferRequest) -> Option<SemaphorePermit<'_>> {
+        let frames = query.observation.iter().flat_map(|it| &it.images);
+        let bytes = frames.map(|frame| frame.rgb.len()).sum::<usize>();
+        // A message has an upper bound far below the type's.
+        let bytes = u32::try_from(bytes.max(MIN_QUERY_BYTES)).ok()?;
+        self.0.try_acquire_many(bytes).ok()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proto::policy::{Image, Observation};
+
+    use super::*;
+
+    fn query(frame_bytes: usize) -> InferRequest {
+        let frame = Image {
+            rgb: vec![0; frame_bytes].into(),
+            ..Image::default()
+        };
+        InferRequest {
+            observation: Some(Observation {
+                images: vec![frame],
+                ..Observation::default()
+            }),
+            ..InferRequest::default()
+        }
+    }
+
+    #[test]
+    fn queries_are_held_up_to_the_bound_and_again_when_others_are_answered() {
+        let held = Held::default();
+        let large = query(MAX_HELD_BYTES - MIN_QUERY_BYTES);
+        let first = held.hold(&large).expect("room");
+        let second = held.hold(&query(0)).expect("room for one without frames");
+        assert!(held.hold(&query(0)).is_none());
+        drop(first);
+        assert!(held.hold(&large).is_some());
+        drop(second);
+    }
+}

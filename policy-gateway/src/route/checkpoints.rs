@@ -1,0 +1,84 @@
+//! The pools of a route, as last configured: one for all suites, or one per
+//! suite.
+
+use std::{collections::BTreeMap, sync::Arc};
+
+use super::{pool::Pool, replica::Replica};
+use crate::config::{BackendSpec, CheckpointSpecs, RouteSpec};
+
+pub(super) enum Checkpoints {
+    One(Arc<Pool>),
+    PerSuite(BTreeMap<String, Arc<Pool>>),
+}
+
+impl Checkpoints {
+    /// Pools as `spec` says, with those of the `known` replicas that stay.
+    ///
+    /// # Errors
+    /// When a back-end's address is none.
+    pub(super) fn new(
+        spec: &RouteSpec,
+        known: &[Arc<Replica>],
+    ) -> Result<Self, tonic::transport::Error> {
+        let replica = |backend: &BackendSpec| {
+            let stays = known
+                .iter()
+                .find(|it| it.is(backend, spec.answer_within, spec.batching));
+            match stays {
+                Some(replica) => Ok(Arc::clone(replica)),
+                None => Replica::new(backend, spec.answer_within, spec.batching).map(Arc::new),
+            }
+        };
+        let pool = |suite: &str, replicas: &[BackendSpec]| {
+            let replicas = replicas.iter().map(replica).collect::<Result<_, _>>()?;
+            Ok(Arc::new(Pool::new(suite, replicas, spec.batching)))
+        };
+        Ok(match &spec.checkpoints {
+            CheckpointSpecs::One(replicas) => Self::One(pool("", replicas)?),
+            CheckpointSpecs::PerSuite(suites) => {
+                let pools = suites
+                    .iter()
+                    .map(|(suite, replicas)| Ok((suite.clone(), pool(suite, replicas)?)));
+                Self::PerSuite(pools.collect::<Result<_, tonic::transport::Error>>()?)
+            }
+        })
+    }
+
+    /// The pool that answers for a suite.
+    pub(super) fn pool(&self, suite: &str) -> Option<&Arc<Pool>> {
+        match self {
+            Self::One(pool) => Some(pool),
+            Self::PerSuite(pools) => pools.get(suite),
+        }
+    }
+
+    /// The suites that have one of their own, as a list.
+    pub(super) fn suites(&self) -> String {
+        match self {
+            Self::One(_) => String::new(),
+            Self::PerSuite(pools) => pools.keys().cloned().collect::<Vec<_>>().join(", "),
+        }
+    }
+
+    /// The only replica, if there is but one for everything.
+    pub(super) fn only(&self) -> Option<(Arc<Pool>, Arc<Replica>)> {
+        match self {
+            Self::One(pool) => match pool.replicas() {
+                [replica] => Some((Arc::clone(pool), Arc::clone(replica))),
+                _ => None,
+            },
+            Self::PerSuite(_) => None,
+        }
+    }
+
+    /// Every replica of every pool.
+    pub(super) fn replicas(&self) -> Vec<Arc<Replica>> {
+        match self {
+            Self::One(pool) => pool.replicas().to_vec(),
+            Self::PerSuite(pools) => pools
+                .values()
+                .flat_map(|pool| pool.replicas().iter().cloned())
+                .collect(),
+        }
+    }
+}
