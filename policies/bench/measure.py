@@ -1,0 +1,139 @@
+"""What a GPU policy answers per second: the network alone, behind the Python
+server, and behind the gateway too.
+
+Writes one JSON object. Slots are those of `bench_gateway slots`: each asks again
+as soon as it is answered, over a connection of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import platform
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+from simulated_smolvla import BATCHES, CAMERAS, STATE, SimulatedSmolvla
+
+from rollout_policies import Episode, Observation
+
+HERE = Path(__file__).parent
+#: How long a server may take to make its network ready.
+READY_SECS = 300
+
+
+def observations(policy: SimulatedSmolvla, count: int) -> list[Observation]:
+    """Made-up ones, each of an episode of its own."""
+    made = []
+    for seed in range(count):
+        episode = Episode(f"s{seed}", "libero_object", "pick up the butter", seed)
+        policy.reset(episode)
+        frames = np.random.default_rng(seed).integers(0, 256, (2, 256, 256, 3), dtype=np.uint8)
+        images = {camera.name: frame for camera, frame in zip(CAMERAS, frames)}
+        state = {field: np.zeros(field.size) for field in STATE}
+        made.append(Observation(episode, 0, images, state))
+    return made
+
+
+def limit(policy: SimulatedSmolvla, batch: int, secs: float) -> dict:
+    """The network alone, in this process, one batch after the other."""
+    asked = observations(policy, batch)
+    for _ in range(3):
+        policy.infer_batch(asked)
+    took = []
+    ends = time.perf_counter() + secs
+    while time.perf_counter() < ends:
+        began = time.perf_counter()
+        # Answers come back to the processor, so that the batch is done.
+        policy.infer_batch(asked)
+        took.append(time.perf_counter() - began)
+    millis = 1e3 * np.array(took)
+    return {
+        "batch": batch,
+        "observations_per_sec": batch * len(took) / sum(took),
+        "batch_millis": {
+            "p50": float(np.percentile(millis, 50)),
+            "p99": float(np.percentile(millis, 99)),
+        },
+    }
+
+
+@contextlib.contextmanager
+def running(command: list[str]):
+    """A server process, by the address that it prints; ends with the block."""
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        line = process.stdout.readline().split()
+        if line[:2] != ["listening", "on"]:
+            raise SystemExit(f"error: failed to start {command[0]}: it printed {line}")
+        yield line[2]
+    finally:
+        process.terminate()
+        process.wait(READY_SECS)
+
+
+def slots(programs: dict, address: str, count: int, secs: int) -> dict:
+    """A closed loop of slots on a server."""
+    command = [programs["bench"], "slots", "--address", address]
+    command += ["--slots", str(count), "--secs", str(secs)]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    return json.loads(done.stdout)
+
+
+def served(programs: dict, arguments: argparse.Namespace, max_batch: int) -> dict:
+    """The same network behind the Python server, asked directly and through the
+    gateway."""
+    command = [sys.executable, str(HERE / "simulated_smolvla.py"), "--device", arguments.device]
+    command += ["--max-batch", str(max_batch)] + ["--tiny"] * arguments.tiny
+    with running(command) as server:
+        route = f"simulated_smolvla=grpc://{server}"
+        gateway = [programs["gateway"], "--listen", "127.0.0.1:0", "--route", route]
+        with running(gateway) as through:
+            return {
+                "max_batch": max_batch,
+                "direct": [slots(programs, server, n, arguments.secs) for n in (1, 64)],
+                "through_gateway": [slots(programs, through, n, arguments.secs) for n in (1, 64)],
+            }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--bin", type=Path, required=True, help="folder of the two programs")
+    parser.add_argument("--output", type=Path, required=True, help="JSON file to write")
+    parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
+    parser.add_argument("--secs", type=int, default=10)
+    parser.add_argument("--tiny", action="store_true", help="a network for a processor")
+    arguments = parser.parse_args()
+    found = [arguments.bin / "examples" / "bench_gateway", arguments.bin / "bench_gateway"]
+    programs = {
+        "gateway": str(arguments.bin / "policy-gateway"),
+        "bench": str(next((it for it in found if it.exists()), found[0])),
+    }
+    policy = SimulatedSmolvla(arguments.device, max(BATCHES), arguments.tiny)
+    limits = [limit(policy, batch, arguments.secs / 2) for batch in (1, 4, 16, 32)]
+    on_gpu = policy.device.type == "cuda"
+    report = {
+        "policy": policy.description.name,
+        "weights": "random",
+        "parameters": policy.description.parameters,
+        "dtype": str(policy.dtype),
+        "device": torch.cuda.get_device_name() if on_gpu else platform.processor() or "CPU",
+        "cores": os.cpu_count(),
+        "torch": torch.__version__,
+        "model_alone": limits,
+    }
+    # The servers need the memory.
+    del policy
+    report["served"] = [served(programs, arguments, max_batch) for max_batch in (16, 32)]
+    arguments.output.write_text(json.dumps(report, indent=2) + "\n")
+    print(json.dumps(report, indent=2))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,271 @@
+"""A policy of SmolVLA's size and shape with random weights, to be timed.
+
+Not SmolVLA: nothing is loaded, and what it answers means nothing. What it costs
+is alike: two frames enlarged to 512 x 512 and encoded to 64 tokens each; a
+prefix of frames, instruction and state through sixteen layers, once per query;
+a smaller network beside them that turns noise into 50 actions, attending to the
+prefix, in ten steps of flow matching. Sizes as in the publications of SmolVLM2
+(500 M) and SmolVLA: 399 M parameters, in bfloat16. The 450 M of SmolVLA include
+a head for words, which no action depends on and which is left out here.
+
+Needs PyTorch, NumPy and this package. On a GPU every batch size that is served
+is captured as a CUDA graph, because launching its kernels one by one takes
+longer than running them.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from typing import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from rollout_policies import Camera, Description, Episode, Observation, Policy, State, serve
+
+#: Actions of one answer, and their width inside the network.
+CHUNK, WIDTH = 50, 32
+FLOW_STEPS = 10
+LANGUAGE_TOKENS = 48
+#: Batches that are captured; others are filled up to the next.
+BATCHES = (1, 2, 4, 8, 16, 32)
+CAMERAS = (Camera("agentview", 256, 256), Camera("robot0_eye_in_hand", 256, 256))
+STATE = (State.EEF_POS, State.EEF_AXIS_ANGLE, State.GRIPPER_POS)
+
+
+@dataclass(frozen=True)
+class Size:
+    """How large the network is."""
+
+    side: int = 512
+    patch: int = 16
+    #: Sides of the square of patches that become one token.
+    merge: int = 4
+    vision_width: int = 768
+    vision_layers: int = 12
+    width: int = 960
+    expert_width: int = 720
+    layers: int = 16
+    heads: int = 15
+    kv_heads: int = 5
+    head: int = 64
+    words: int = 49_280
+
+
+#: For a processor, to try the programs with.
+TINY = Size(128, 16, 4, 64, 2, 60, 30, 2, 3, 1, 16, 256)
+
+
+class VisionLayer(nn.Module):
+    """Attention among a frame's patches."""
+
+    def __init__(self, width: int, head: int) -> None:
+        super().__init__()
+        self.head = head
+        self.norms = nn.ModuleList([nn.LayerNorm(width), nn.LayerNorm(width)])
+        self.qkv = nn.Linear(width, 3 * width)
+        self.out = nn.Linear(width, width)
+        self.wide = nn.Sequential(
+            nn.Linear(width, 4 * width), nn.GELU("tanh"), nn.Linear(4 * width, width)
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        batch, count, width = x.shape
+        qkv = self.qkv(self.norms[0](x)).view(batch, count, 3, -1, self.head)
+        query, key, value = qkv.permute(2, 0, 3, 1, 4)
+        mixed = functional.scaled_dot_product_attention(query, key, value)
+        x = x + self.out(mixed.transpose(1, 2).reshape(batch, count, width))
+        return x + self.wide(self.norms[1](x))
+
+
+class Layer(nn.Module):
+    """A layer of the language model, or of the action expert beside it."""
+
+    def __init__(self, width: int, size: Size) -> None:
+        super().__init__()
+        self.size = size
+        hidden = 8 * width // 3
+        self.norms = nn.ModuleList([nn.RMSNorm(width), nn.RMSNorm(width)])
+        self.query = nn.Linear(width, size.heads * size.head, bias=False)
+        self.key_value = nn.Linear(width, 2 * size.kv_heads * size.head, bias=False)
+        self.out = nn.Linear(size.heads * size.head, width, bias=False)
+        self.gate_up = nn.Linear(width, 2 * hidden, bias=False)
+        self.down = nn.Linear(hidden, width, bias=False)
+
+    def forward(self, x: Tensor, before: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """`before`: keys and values [2, batch, kv heads, n, head] to attend to
+        besides its own. Returns its own, too."""
+        batch, count, _ = x.shape
+        normed = self.norms[0](x)
+        query = self.query(normed).view(batch, count, -1, self.size.head).transpose(1, 2)
+        own = self.key_value(normed).view(batch, count, 2, -1, self.size.head)
+        own = own.permute(2, 0, 3, 1, 4)
+        key, value = own if before is None else torch.cat([before, own], dim=3)
+        share = self.size.heads // self.size.kv_heads
+        key, value = (it.repeat_interleave(share, dim=1) for it in (key, value))
+        mixed = functional.scaled_dot_product_attention(query, key, value)
+        x = x + self.out(mixed.transpose(1, 2).reshape(batch, count, -1))
+        gate, up = self.gate_up(self.norms[1](x)).chunk(2, dim=-1)
+        return x + self.down(functional.silu(gate) * up), own
+
+
+class Network(nn.Module):
+    """Frames, words and state to a chunk of actions."""
+
+    def __init__(self, size: Size) -> None:
+        super().__init__()
+        self.size = size
+        patches = (size.side // size.patch) ** 2
+        self.patches = nn.Conv2d(3, size.vision_width, size.patch, size.patch)
+        self.places = nn.Parameter(torch.randn(patches, size.vision_width) * 0.02)
+        self.vision = nn.ModuleList(
+            VisionLayer(size.vision_width, min(64, size.vision_width))
+            for _ in range(size.vision_layers)
+        )
+        self.connect = nn.Linear(size.vision_width * size.merge**2, size.width, bias=False)
+        self.words = nn.Embedding(size.words, size.width)
+        self.state = nn.Linear(WIDTH, size.width)
+        self.layers = nn.ModuleList(Layer(size.width, size) for _ in range(size.layers))
+        self.action_in = nn.Linear(WIDTH + 1, size.expert_width)
+        self.expert = nn.ModuleList(Layer(size.expert_width, size) for _ in range(size.layers))
+        self.action_out = nn.Linear(size.expert_width, WIDTH)
+
+    def forward(self, frames: Tensor, words: Tensor, state: Tensor, noise: Tensor) -> Tensor:
+        """frames uint8 [b, 2, h, w, 3], words [b, n], state [b, 32], noise
+        [b, 50, 32]; returns [b, 50, 32]."""
+        batch = len(frames)
+        seen = self.see(frames).view(batch, -1, self.size.width)
+        prefix = torch.cat([seen, self.words(words), self.state(state)[:, None]], dim=1)
+        kept = []
+        for layer in self.layers:
+            prefix, keys_values = layer(prefix)
+            kept.append(keys_values)
+        actions = noise
+        for step in range(FLOW_STEPS):
+            time = torch.full_like(actions[..., :1], 1 - step / FLOW_STEPS)
+            x = self.action_in(torch.cat([actions, time], dim=-1))
+            for layer, keys_values in zip(self.expert, kept):
+                x, _ = layer(x, keys_values)
+            actions = actions - self.action_out(x) / FLOW_STEPS
+        return actions
+
+    def see(self, frames: Tensor) -> Tensor:
+        """Tokens of frames, [2 b, n, width]."""
+        size = self.size
+        frames = frames.flatten(0, 1).permute(0, 3, 1, 2).to(self.places.dtype) / 127.5 - 1
+        frames = functional.interpolate(frames, (size.side, size.side), mode="bilinear")
+        x = self.patches(frames).flatten(2).transpose(1, 2) + self.places
+        for layer in self.vision:
+            x = layer(x)
+        side = size.side // size.patch // size.merge
+        x = x.view(len(x), side, size.merge, side, size.merge, -1)
+        return self.connect(x.permute(0, 1, 3, 2, 4, 5).reshape(len(x), side * side, -1))
+
+
+class SimulatedSmolvla(Policy):
+    """The network behind the class that policies' authors subclass."""
+
+    def __init__(self, device: str, max_batch: int, tiny: bool = False) -> None:
+        torch.manual_seed(0)
+        self.device = torch.device(device)
+        with self.device:
+            network = Network(TINY if tiny else Size())
+        dtype = torch.float32 if self.device.type == "cpu" else torch.bfloat16
+        self.network = network.to(dtype).eval().requires_grad_(False)
+        self.dtype = dtype
+        self.graphs = {}
+        self.description = Description(
+            name="simulated_smolvla",
+            checkpoint="random weights",
+            parameters=sum(weight.numel() for weight in network.parameters()),
+            cameras=CAMERAS,
+            state=STATE,
+            horizon=CHUNK,
+            execute=1,
+            stochastic=True,
+            max_batch=max_batch,
+        )
+        if self.device.type == "cuda":
+            self.graphs = {count: self._capture(count) for count in BATCHES if count <= max_batch}
+
+    def reset(self, episode: Episode) -> None:
+        letters = episode.instruction.encode()[:LANGUAGE_TOKENS].ljust(LANGUAGE_TOKENS)
+        episode.memory = np.frombuffer(letters, dtype=np.uint8).astype(np.int64)
+
+    def infer(self, observation: Observation) -> np.ndarray:
+        return self.infer_batch([observation])[0]
+
+    def infer_batch(self, observations: Sequence[Observation]) -> Sequence[np.ndarray]:
+        count = len(observations)
+        # A batch is filled up to one that is captured.
+        places = next(size for size in BATCHES if size >= count) if self.graphs else count
+        padded = [*observations, *[observations[0]] * (places - count)]
+        answers = self._run(self._inputs(padded))[:count, :, :7]
+        return list(answers.float().clamp(-1, 1).cpu().numpy())
+
+    def _inputs(self, observations: Sequence[Observation]) -> list[Tensor]:
+        frames = np.stack(
+            [[one.rotated(camera.name) for camera in CAMERAS] for one in observations]
+        )
+        words = np.stack([one.episode.memory for one in observations])
+        state = np.zeros((len(observations), WIDTH), dtype=np.float32)
+        for row, one in zip(state, observations):
+            row[:8] = one.vector()
+        noise = np.stack(
+            [one.rng.standard_normal((CHUNK, WIDTH), dtype=np.float32) for one in observations]
+        )
+        return [
+            torch.from_numpy(frames).to(self.device),
+            torch.from_numpy(words).to(self.device),
+            torch.from_numpy(state).to(self.device, self.dtype),
+            torch.from_numpy(noise).to(self.device, self.dtype),
+        ]
+
+    def _run(self, inputs: list[Tensor]) -> Tensor:
+        captured = self.graphs.get(len(inputs[0]))
+        if captured is None:
+            return self.network(*inputs)
+        graph, into, answer = captured
+        for place, value in zip(into, inputs):
+            place.copy_(value)
+        graph.replay()
+        return answer
+
+    def _capture(self, count: int):
+        """A CUDA graph of one batch size, where its inputs go, and where its
+        answer appears."""
+        into = [
+            torch.zeros(count, 2, 256, 256, 3, dtype=torch.uint8, device=self.device),
+            torch.zeros(count, LANGUAGE_TOKENS, dtype=torch.int64, device=self.device),
+            torch.zeros(count, WIDTH, dtype=self.dtype, device=self.device),
+            torch.zeros(count, CHUNK, WIDTH, dtype=self.dtype, device=self.device),
+        ]
+        # Libraries choose their kernels at the first calls, outside the graph.
+        side = torch.cuda.Stream()
+        side.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(side):
+            for _ in range(3):
+                self.network(*into)
+        torch.cuda.current_stream().wait_stream(side)
+        graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(graph):
+            answer = self.network(*into)
+        return graph, into, answer
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Serve simulated_smolvla.")
+    parser.add_argument("--listen", default="127.0.0.1:0")
+    parser.add_argument("--device", default="cuda")
+    parser.add_argument("--max-batch", type=int, default=16)
+    parser.add_argument("--tiny", action="store_true", help="a network for a processor")
+    arguments = parser.parse_args()
+    policy = SimulatedSmolvla(arguments.device, arguments.max_batch, arguments.tiny)
+    serve(policy, arguments.listen)
+
+
+if __name__ == "__main__":
+    main()
