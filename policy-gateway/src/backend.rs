@@ -14,6 +14,10 @@ use crate::{
 
 pub mod builtin;
 pub mod grpc;
+pub mod openpi;
+
+/// How rustls begins to say what is wrong with a server's certificate.
+const BAD_CERTIFICATE: &str = "invalid peer certificate";
 
 /// Something that answers for a policy. The `policy` field of requests is the
 /// caller's name of the route and means nothing to a back-end.
@@ -62,6 +66,28 @@ pub enum BackendError {
         /// host:port.
         address: String,
         /// The innermost cause, as the transport says it.
+        reason: String,
+    },
+    /// Its certificate is not one that this gateway trusts.
+    #[error(
+        "cannot trust the policy server at {address}: {reason}; give the certificate authority \
+         that signed its certificate as `ca` of the policy, or renew the certificate"
+    )]
+    Untrusted {
+        /// host:port.
+        address: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// It does not let this gateway in.
+    #[error(
+        "the policy server at {address} does not let this gateway in: {reason}; put a token that \
+         it knows into the `token_file` of the policy, then reload the configuration (SIGHUP)"
+    )]
+    Barred {
+        /// host:port.
+        address: String,
+        /// What it answered.
         reason: String,
     },
     /// It is out, and only a probe goes through.
@@ -177,6 +203,8 @@ impl BackendError {
     pub fn code(&self) -> Code {
         match self {
             Self::Unreachable { .. }
+            | Self::Untrusted { .. }
+            | Self::Barred { .. }
             | Self::Out { .. }
             | Self::Sick { .. }
             | Self::Disagrees { .. }
@@ -192,6 +220,14 @@ impl BackendError {
             | Self::Description { .. }
             | Self::Nonsense { .. }
             | Self::BatchSize { .. } => Code::Internal,
+        }
+    }
+
+    /// No connection, for a reason of the transport's.
+    fn connecting(address: String, reason: String) -> Self {
+        match reason.contains(BAD_CERTIFICATE) {
+            true => Self::Untrusted { address, reason },
+            false => Self::Unreachable { address, reason },
         }
     }
 

@@ -1,6 +1,6 @@
 //! What a policy may say: the checks at the boundary, before an answer goes on
-//! towards a robot. Pure. Numbers outside -1..1 pass here: whoever drives the
-//! robot (the worker) clips them and counts what it clipped, because only it
+//! towards a robot. Pure. Numbers a little outside -1..1 pass here: whoever drives
+//! the robot (the worker) clips them and counts what it clipped, because only it
 //! writes the count into a result.
 
 use proto::policy::{DescribeResponse, InferResponse, StateField};
@@ -13,11 +13,18 @@ pub const ACTION_WIDTH: u32 = 7;
 /// Longest chunk that a policy may declare: twice LIBERO's longest episode.
 pub const MAX_HORIZON: u32 = 1040;
 
+/// Largest number taken for an action. Policies that answer millimetres, degrees
+/// or pixels by mistake stay below it, and are clipped and counted; what is
+/// beyond comes from no robot's units but from a broken network, and clipping it
+/// would count the failure as the task's.
+pub const LARGEST_NUMBER: f32 = 1e3;
+
 /// Checks one answer against the horizon that the policy declared, and returns
 /// the number of actions in it.
 ///
 /// # Errors
-/// When the answer is not n × 7 finite numbers with 0 < n ≤ `horizon`.
+/// When the answer is not n × 7 finite numbers with 0 < n ≤ `horizon`, none of
+/// them beyond [`LARGEST_NUMBER`].
 pub fn actions(response: &InferResponse, horizon: u32) -> Result<u32, ActionFault> {
     if response.action_width != ACTION_WIDTH {
         return Err(ActionFault::Width {
@@ -36,18 +43,23 @@ pub fn actions(response: &InferResponse, horizon: u32) -> Result<u32, ActionFaul
     if count > horizon as usize {
         return Err(ActionFault::TooMany { count, horizon });
     }
-    match response
-        .actions
-        .iter()
-        .position(|number| !number.is_finite())
-    {
-        Some(at) => Err(ActionFault::NotFinite {
-            action: at / width,
-            component: at % width,
-            value: response.actions[at],
-        }),
-        None => Ok(count as u32),
-    }
+    let is_number = |number: &f32| number.is_finite() && number.abs() <= LARGEST_NUMBER;
+    let Some(at) = response.actions.iter().position(|it| !is_number(it)) else {
+        return Ok(count as u32);
+    };
+    let (action, component, value) = (at / width, at % width, response.actions[at]);
+    Err(match value.is_finite() {
+        false => ActionFault::NotFinite {
+            action,
+            component,
+            value,
+        },
+        true => ActionFault::TooLarge {
+            action,
+            component,
+            value,
+        },
+    })
 }
 
 /// Checks what a policy says about itself. The protocol version is the
@@ -120,6 +132,7 @@ pub fn difference(one: &DescribeResponse, other: &DescribeResponse) -> Option<St
             ("robot readings", format!("{:?}", it.state)),
             ("stateful", it.stateful.to_string()),
             ("stochastic", it.stochastic.to_string()),
+            ("seeding", (!it.unseeded).to_string()),
             ("language", it.language.to_string()),
             ("privileged", it.privileged.to_string()),
         ]
@@ -159,6 +172,19 @@ pub enum ActionFault {
     /// NaN or infinite.
     #[error("component {component} of action {action} is {value}")]
     NotFinite {
+        /// Which action of the chunk, from 0.
+        action: usize,
+        /// Which of its seven numbers, from 0.
+        component: usize,
+        /// As answered.
+        value: f32,
+    },
+    /// Beyond [`LARGEST_NUMBER`].
+    #[error(
+        "component {component} of action {action} is {value:e}, and actions lie within -1..1: is \
+         it un-normalised?"
+    )]
+    TooLarge {
         /// Which action of the chunk, from 0.
         action: usize,
         /// Which of its seven numbers, from 0.
@@ -231,7 +257,7 @@ mod tests {
 
     #[test]
     fn numbers_beyond_one_pass_because_the_worker_clips_and_counts_them() {
-        assert_eq!(actions(&answer(&[1e9; 7], 7), 1), Ok(1));
+        assert_eq!(actions(&answer(&[-LARGEST_NUMBER; 7], 7), 1), Ok(1));
     }
 
     #[test]
@@ -255,6 +281,14 @@ mod tests {
                     action: 1,
                     component: 2,
                     value: f32::INFINITY,
+                },
+            ),
+            (
+                answer(&[0.0, 0.0, -1e9, 0.0, 0.0, 0.0, 0.0], 7),
+                ActionFault::TooLarge {
+                    action: 0,
+                    component: 2,
+                    value: -1e9,
                 },
             ),
         ];

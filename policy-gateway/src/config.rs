@@ -6,9 +6,13 @@ use std::{collections::BTreeMap, fmt, path::PathBuf, str::FromStr, time::Duratio
 use serde::Deserialize;
 
 use thiserror::Error;
+use transport::{Access, AccessError, Role};
 
 use crate::{
-    backend::grpc::{AddressError, GrpcAddress},
+    backend::{
+        grpc::{AddressError, GrpcAddress},
+        openpi::{OpenpiAddress, OpenpiAddressError},
+    },
     builtin::{Builtin, UnknownBuiltin},
 };
 
@@ -79,6 +83,39 @@ pub struct RouteSpec {
     pub batching: Batching,
     /// Longest wait for an answer.
     pub answer_within: Duration,
+    /// How to get into its servers.
+    pub access: AccessFiles,
+}
+
+/// What a policy's servers want to see, and how they are known.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct AccessFiles {
+    /// Certificate authority of servers over TLS, PEM.
+    pub ca: Option<PathBuf>,
+    /// File with the token for them, as `worker TOKEN`.
+    pub token_file: Option<PathBuf>,
+}
+
+impl AccessFiles {
+    /// Reads the files.
+    ///
+    /// # Errors
+    /// See [`AccessError`].
+    pub fn read(&self) -> Result<Access, AccessError> {
+        let roles = [Role::Worker, Role::Operator];
+        Access::from_files(self.ca.as_deref(), self.token_file.as_deref(), &roles)
+    }
+}
+
+/// Why a back-end cannot be made. Reads after "failed to …".
+#[derive(Debug, Error)]
+pub enum UnusableBackend {
+    /// Certificate authority or token cannot be read.
+    #[error(transparent)]
+    Access(#[from] AccessError),
+    /// An address or a certificate authority that is none.
+    #[error("use a policy server's address, or the `ca` to know it by")]
+    Transport(#[from] tonic::transport::Error),
 }
 
 /// The replicas that answer for a route.
@@ -132,6 +169,12 @@ impl RouteSpec {
                 return Err(ConfigError::TooManyReplicas { name: name() });
             }
             for (at, replica) in replicas.iter().enumerate() {
+                if replica.is_encrypted() && self.access.ca.is_none() {
+                    return Err(ConfigError::NoAuthority {
+                        name: name(),
+                        replica: replica.to_string(),
+                    });
+                }
                 if replicas[..at].contains(replica) {
                     return Err(ConfigError::ReplicaTwice {
                         name: name(),
@@ -158,6 +201,7 @@ impl FromStr for RouteSpec {
             checkpoints: CheckpointSpecs::One(replicas.collect::<Result<_, _>>()?),
             batching: Batching::default(),
             answer_within: DEFAULT_ANSWER_WITHIN,
+            access: AccessFiles::default(),
         })
     }
 }
@@ -194,27 +238,39 @@ impl fmt::Display for RouteName {
     }
 }
 
-/// What answers for a route: `builtin:NAME` or `grpc://HOST:PORT[/POLICY]`.
+/// What answers for a route: `builtin:NAME`, `grpc://HOST:PORT[/POLICY]`, the
+/// same with `https://` over TLS, or `ws://HOST:PORT` (`wss://` over TLS).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum BackendSpec {
     /// A policy inside the gateway.
     Builtin(Builtin),
     /// A policy server elsewhere.
     Grpc(GrpcAddress),
+    /// A policy server of openpi's.
+    Openpi(OpenpiAddress),
+}
+
+impl BackendSpec {
+    fn is_encrypted(&self) -> bool {
+        match self {
+            Self::Builtin(_) => false,
+            Self::Grpc(address) => address.encrypted,
+            Self::Openpi(address) => address.encrypted,
+        }
+    }
 }
 
 impl FromStr for BackendSpec {
     type Err = ConfigError;
 
     fn from_str(text: &str) -> Result<Self, ConfigError> {
-        if let Some(name) = text.strip_prefix("builtin:") {
-            Ok(Self::Builtin(name.parse()?))
-        } else if let Some(address) = text.strip_prefix("grpc://") {
-            Ok(Self::Grpc(address.parse()?))
-        } else {
-            Err(ConfigError::Backend {
+        match text.split_once(':') {
+            Some(("builtin", name)) => Ok(Self::Builtin(name.parse()?)),
+            Some(("grpc" | "https", _)) => Ok(Self::Grpc(text.parse()?)),
+            Some(("ws" | "wss", _)) => Ok(Self::Openpi(text.parse()?)),
+            _ => Err(ConfigError::Backend {
                 text: text.to_owned(),
-            })
+            }),
         }
     }
 }
@@ -224,6 +280,7 @@ impl fmt::Display for BackendSpec {
         match self {
             Self::Builtin(builtin) => builtin.fmt(f),
             Self::Grpc(address) => address.fmt(f),
+            Self::Openpi(address) => address.fmt(f),
         }
     }
 }
@@ -235,7 +292,7 @@ pub enum ConfigError {
     #[error("find a route: give at least one --route NAME=BACKEND, or a [policy.NAME] in --config")]
     NoRoute,
     /// A file that cannot be read.
-    #[error("read {path:?}")]
+    #[error("read {path:?}: give the path of a gateway's configuration, as in docs/POLICIES.md")]
     Unreadable {
         /// Which.
         path: PathBuf,
@@ -316,7 +373,10 @@ pub enum ConfigError {
         name: RouteName,
     },
     /// No such kind.
-    #[error("read back-end {text:?}: write grpc://HOST:PORT or builtin:NAME")]
+    #[error(
+        "read back-end {text:?}: write grpc://HOST:PORT, or https:// for one over TLS, or \
+         ws://HOST:PORT for an openpi server, or builtin:NAME"
+    )]
     Backend {
         /// As written.
         text: String,
@@ -327,6 +387,20 @@ pub enum ConfigError {
     /// `grpc://` and no address.
     #[error(transparent)]
     Address(#[from] AddressError),
+    /// `ws://` and no address.
+    #[error(transparent)]
+    Openpi(#[from] OpenpiAddressError),
+    /// TLS with a server that nobody vouches for.
+    #[error(
+        "trust {replica} of policy {name}: give the certificate authority that signed its \
+         certificate, as `ca = \"FILE\"` in --config"
+    )]
+    NoAuthority {
+        /// Name of the route.
+        name: RouteName,
+        /// As written.
+        replica: String,
+    },
 }
 
 #[cfg(test)]
@@ -334,7 +408,8 @@ mod tests {
     use super::*;
 
     fn check(route: &str, expected: &str) {
-        let error = route.parse::<RouteSpec>().expect_err(route).to_string();
+        let config = route.parse().and_then(|route| Config::new(vec![route]));
+        let error = config.expect_err(route).to_string();
         assert!(error.contains(expected), "{route}: {error}");
     }
 
@@ -344,7 +419,9 @@ mod tests {
         check("=builtin:noop", "letters, digits");
         check("a b=builtin:noop", "letters, digits");
         check("x=builtin:nope", "noop and expert");
-        check("x=ws://host:1", "grpc://HOST:PORT or builtin:NAME");
+        check("x=http://host:1", "grpc://HOST:PORT");
+        check("x=ws://host", "ws://HOST:PORT");
+        check("x=https://host:1", "`ca = \"FILE\"`");
         check("x=grpc://host", "grpc://HOST:PORT");
         check("x=grpc://host:1,", "grpc://HOST:PORT");
     }

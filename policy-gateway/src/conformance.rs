@@ -1,6 +1,7 @@
 //! Whether a policy server keeps the policy protocol: what `policy-gateway
 //! check URL` runs. Responsible for the order of the points and for nothing
-//! else: [`probe`] asks, [`verdict`] judges, [`scene`] makes up observations.
+//! else: [`probe`] asks, [`verdict`] judges, [`scene`] makes up observations,
+//! [`front`] translates for servers of another protocol.
 //!
 //! It judges the protocol, not the policy: the scenes are made up, and no
 //! answer to them is a good or a bad one.
@@ -15,6 +16,7 @@ use crate::check;
 use probe::{Episode, Order, Probe};
 use verdict::Verdict;
 
+pub mod front;
 pub mod probe;
 pub mod scene;
 pub mod verdict;
@@ -35,6 +37,8 @@ pub struct Target {
     pub url: String,
     /// Which policy there; empty: the only one.
     pub policy: String,
+    /// The suite whose task is made up, one of [`scene::TASKS`].
+    pub suite: String,
     /// How to get in.
     pub access: Access,
 }
@@ -156,6 +160,16 @@ async fn examine(point: Point, probe: &Probe, reference: &Episode) -> Result<Ver
     let described = probe.described();
     let answers = &reference.answers;
     Ok(match point {
+        Point::SameSeed
+        | Point::OtherSeed
+        | Point::Order
+        | Point::Isolation
+        | Point::Restart
+        | Point::Batch
+            if described.unseeded =>
+        {
+            verdict::skip("its random numbers follow no seed, so that no two episodes are alike")
+        }
         Point::Description => verdict::description(described, check::description(described)),
         Point::Version => probe.other_version().await,
         Point::Health => probe.health().await?,
@@ -198,7 +212,10 @@ async fn examine(point: Point, probe: &Probe, reference: &Episode) -> Result<Ver
 #[derive(Debug, Error)]
 pub enum ConformanceError {
     /// Not `grpc://HOST:PORT`.
-    #[error("read {url:?} as a policy server's address: write grpc://HOST:PORT")]
+    #[error(
+        "read {url:?} as a policy server's address: write grpc://HOST:PORT, or https:// for one \
+         over TLS, or ws://HOST:PORT for an openpi server"
+    )]
     Url {
         /// As given.
         url: String,
@@ -212,6 +229,9 @@ pub enum ConformanceError {
         #[source]
         source: tonic::transport::Error,
     },
+    /// No gateway can stand in front of it.
+    #[error(transparent)]
+    Front(#[from] front::FrontError),
     /// It does not say what it is.
     #[error("have {url} describe its policy: it answered {:?}: {}", status.code(), status.message())]
     Describe {

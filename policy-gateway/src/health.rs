@@ -65,6 +65,8 @@ pub enum Answered {
 pub enum Cause {
     /// No connection.
     Unreachable,
+    /// One of the two does not trust the other.
+    Distrust(String),
     /// It describes itself otherwise than it did, or than its fellow replicas.
     Disagrees(String),
     /// Connected, but without an answer in time.
@@ -94,6 +96,7 @@ impl fmt::Display for Cause {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Unreachable => f.write_str("cannot be reached"),
+            Self::Distrust(error) => write!(f, "cannot be asked: {error}"),
             Self::Disagrees(difference) => f.write_str(difference),
             Self::Silent => f.write_str("did not answer in time"),
             Self::Repeats(error) => write!(f, "gave different tasks the same error: {error}"),

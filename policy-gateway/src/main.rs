@@ -4,6 +4,7 @@
 #![forbid(unsafe_code)]
 
 use std::{
+    fmt::Display,
     io::{Write, stdout},
     net::SocketAddr,
     path::{Path, PathBuf},
@@ -13,8 +14,8 @@ use std::{
 use anyhow::Context;
 use clap::{Args, CommandFactory, Parser, Subcommand, error::ErrorKind};
 use policy_gateway::{
-    config::{self, Config, RouteSpec},
-    conformance::{self, Target},
+    config::{self, AccessFiles, Config, RouteSpec},
+    conformance::{self, Target, front::Front, scene},
     service::Gateway,
 };
 use tokio::{
@@ -23,7 +24,13 @@ use tokio::{
     task::JoinSet,
 };
 use tracing_subscriber::EnvFilter;
-use transport::{ClientArguments, Role, Security, SecurityError, ServerArguments};
+use transport::{Access, ClientArguments, Role, Security, SecurityError, ServerArguments};
+
+/// The suites that a policy can be checked with.
+const SUITES: [&str; 4] = {
+    let [a, b, c, d] = scene::TASKS;
+    [a.0, b.0, c.0, d.0]
+};
 
 /// Serves policies to workers: each route is a name and what answers for it.
 #[derive(Debug, Parser)]
@@ -47,8 +54,8 @@ struct Serve {
     listen: SocketAddr,
 
     /// A policy's name and what answers for it: grpc://HOST:PORT[/POLICY],
-    /// builtin:noop or builtin:expert, or several replicas with commas between
-    /// (repeatable)
+    /// ws://HOST:PORT (an openpi server), builtin:noop or builtin:expert, or
+    /// several replicas with commas between (repeatable)
     #[arg(
         long = "route",
         value_name = "NAME=BACKEND",
@@ -70,13 +77,18 @@ struct Serve {
 enum Command {
     /// Checks whether a policy server keeps the policy protocol, point by point
     Check {
-        /// Where it listens
-        #[arg(value_name = "grpc://HOST:PORT")]
+        /// Where it listens: grpc://HOST:PORT, https://HOST:PORT, or
+        /// ws://HOST:PORT for an openpi server
+        #[arg(value_name = "URL")]
         url: String,
 
         /// Which policy there, if it serves several
         #[arg(long, value_name = "NAME", default_value = "")]
         policy: String,
+
+        /// The suite of the task that it is asked about
+        #[arg(long, value_name = "SUITE", default_value = SUITES[0], value_parser = SUITES)]
+        suite: String,
 
         #[command(flatten)]
         access: ClientArguments,
@@ -94,8 +106,17 @@ fn main() -> ExitCode {
         Some(Command::Check {
             url,
             policy,
+            suite,
             access,
-        }) => check(url, policy, &access),
+        }) => {
+            let target = |access| Target {
+                url,
+                policy,
+                suite,
+                access,
+            };
+            check(target, access)
+        }
         None => {
             let Serve {
                 listen,
@@ -135,26 +156,38 @@ fn usage_error(error: &dyn std::error::Error) -> ! {
 
 /// Prints a verdict per point; fails if one of them did.
 #[tokio::main]
-async fn check(url: String, policy: String, access: &ClientArguments) -> anyhow::Result<ExitCode> {
-    let target = Target {
-        url,
-        policy,
-        access: access.access(&[Role::Operator, Role::Worker])?,
-    };
-    let conforms = conformance::check(&target, &mut |finding| println!("{finding}")).await?;
-    println!(
-        "{}",
-        if conforms {
-            "conforms"
-        } else {
-            "does not conform"
-        }
-    );
+async fn check(
+    target: impl FnOnce(Access) -> Target,
+    access: ClientArguments,
+) -> anyhow::Result<ExitCode> {
+    let mut target = target(access.access(&[Role::Operator, Role::Worker])?);
+    // Kept until the end.
+    let mut front = None;
+    if target.url.starts_with("ws") {
+        let ClientArguments { ca, token_file } = access;
+        let started = Front::start(&target.url, AccessFiles { ca, token_file }).await?;
+        say(&"checked as this gateway serves it: openpi's protocol says less than this one");
+        target.url = format!("grpc://{}", started.address);
+        front = Some(started);
+    }
+    let conforms = conformance::check(&target, &mut |finding| say(finding)).await?;
+    say(&if conforms {
+        "conforms"
+    } else {
+        "does not conform"
+    });
+    drop(front);
     Ok(if conforms {
         ExitCode::SUCCESS
     } else {
         ExitCode::FAILURE
     })
+}
+
+/// Prints a line. Whoever read the first ones may have gone (`| head`): the exit
+/// code still says how it ended.
+fn say(line: &dyn Display) {
+    drop(writeln!(stdout(), "{line}"));
 }
 
 #[tokio::main]

@@ -14,7 +14,7 @@ use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest}
 use self::{checkpoints::Checkpoints, pool::Pool, replica::Replica};
 use crate::{
     backend::BackendError,
-    config::{RouteName, RouteSpec},
+    config::{RouteName, RouteSpec, UnusableBackend},
     health::Call,
     held::Held,
     sessions::{MAX_SESSION_BYTES, MAX_SESSIONS, SessionTable},
@@ -65,8 +65,8 @@ impl Route {
     /// queries hold counts in `held`, which all routes of a gateway share.
     ///
     /// # Errors
-    /// When a back-end's address is none.
-    pub fn new(spec: &RouteSpec, held: Arc<Held>) -> Result<Self, tonic::transport::Error> {
+    /// See [`UnusableBackend`].
+    pub fn new(spec: &RouteSpec, held: Arc<Held>) -> Result<Self, UnusableBackend> {
         Ok(Self {
             name: spec.name.clone(),
             checkpoints: RwLock::new(Arc::new(Checkpoints::new(spec, &[])?)),
@@ -95,8 +95,8 @@ impl Route {
     /// keep their connections; what checkpoints were agreed on is forgotten.
     ///
     /// # Errors
-    /// When a back-end's address is none; then nothing changes.
-    pub fn reload(&self, spec: &RouteSpec) -> Result<(), tonic::transport::Error> {
+    /// See [`UnusableBackend`]; then nothing changes.
+    pub fn reload(&self, spec: &RouteSpec) -> Result<(), UnusableBackend> {
         let known = self.checkpoints().replicas();
         let renewed = Arc::new(Checkpoints::new(spec, &known)?);
         *self

@@ -14,7 +14,7 @@ use tokio::task::JoinSet;
 use tonic::{Request, Response, Status};
 
 use crate::{
-    config::{Config, RouteSpec},
+    config::{Config, RouteSpec, UnusableBackend},
     held::Held,
     route::{Route, RouteError},
 };
@@ -37,8 +37,8 @@ impl Gateway {
     /// A gateway whose back-ends have not been asked anything yet.
     ///
     /// # Errors
-    /// When an address is none.
-    pub fn new(config: &Config) -> Result<Self, tonic::transport::Error> {
+    /// See [`UnusableBackend`].
+    pub fn new(config: &Config) -> Result<Self, UnusableBackend> {
         let held = Arc::<Held>::default();
         let routes = config
             .routes()
@@ -55,8 +55,8 @@ impl Gateway {
     /// go on where they are.
     ///
     /// # Errors
-    /// When an address is none; then routes before it may have changed already.
-    pub fn reload(&self, config: &Config) -> Result<(), tonic::transport::Error> {
+    /// See [`UnusableBackend`]; then routes before it may have changed already.
+    pub fn reload(&self, config: &Config) -> Result<(), UnusableBackend> {
         let mut routes = self.routes.write().unwrap_or_else(PoisonError::into_inner);
         for spec in config.routes() {
             match routes.iter().find(|route| route.name() == &spec.name) {

@@ -13,6 +13,10 @@ use crate::skipped;
 use crate::step::step;
 use crate::typescript;
 
+/// What openpi's robots ask its servers with: the tests hold the gateway's
+/// messages against it.
+const OPENPI_CLIENT: &str = "openpi-client==0.1.2";
+
 /// Sets up, builds and runs everything.
 pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
     let cache = setup::run(root)?;
@@ -91,17 +95,25 @@ fn python(root: &Path, cache: &Path) -> Result<String> {
         capture(Command::new("python3").args(["-m", "venv"]).arg(&dir))
             .context("make a virtual environment (Debian: `apt-get install python3-venv`)")?;
     }
+    let install = [
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--disable-pip-version-check",
+    ];
     capture(
         Command::new(&python)
-            .args([
-                "-m",
-                "pip",
-                "install",
-                "--quiet",
-                "--disable-pip-version-check",
-            ])
+            .args(install)
             .arg("--editable")
             .arg(format!("{}[dev]", root.join("policies").display())),
+    )?;
+    // By itself: it asks for a NumPy before 2, which newer Pythons do not have,
+    // and does without.
+    capture(
+        Command::new(&python)
+            .args(install)
+            .args(["--no-deps", OPENPI_CLIENT]),
     )?;
     Ok(python.display().to_string())
 }

@@ -1,18 +1,26 @@
 //! What a client brings along: the certificate authority that it trusts, and
 //! the token that it shows.
 
-use std::path::PathBuf;
+use std::fmt::Display;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use clap::Args;
+use tokio::net::TcpStream;
+use tokio_rustls::TlsConnector;
+use tokio_rustls::client::TlsStream;
+use tokio_rustls::rustls::pki_types::pem::PemObject;
+use tokio_rustls::rustls::pki_types::{CertificateDer, ServerName};
+use tokio_rustls::rustls::{ClientConfig, RootCertStore, crypto};
 use tonic::codegen::InterceptedService;
-use tonic::codegen::http::Uri;
+use tonic::codegen::http::{HeaderValue, Uri};
 use tonic::metadata::{Ascii, MetadataValue};
 use tonic::service::Interceptor;
 use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint};
 use tonic::{Request, Status};
 
 use crate::server::{HANDSHAKE_TIMEOUT, SecurityError, read_pem, tokens};
-use crate::token::{Role, Token, TokenError};
+use crate::token::{Role, Token, TokenError, Tokens};
 
 /// How to get in where a server asks who is there.
 #[derive(Args, Clone, Debug, Default)]
@@ -30,7 +38,8 @@ pub struct ClientArguments {
 #[derive(Clone, Debug, Default)]
 pub struct Access {
     token: Option<Token>,
-    ca: Option<Certificate>,
+    /// PEM.
+    ca: Option<Vec<u8>>,
 }
 
 /// A connection that shows its token with every call.
@@ -64,11 +73,38 @@ impl ClientArguments {
     /// # Errors
     /// See [`AccessError`].
     pub fn access(&self, roles: &[Role]) -> Result<Access, AccessError> {
-        let ca = match &self.ca {
-            Some(path) => Some(Certificate::from_pem(read_pem(path)?)),
-            None => None,
-        };
-        let token = match tokens(self.token_file.as_deref())? {
+        let tokens = tokens(self.token_file.as_deref())?;
+        Access::new(self.ca.as_deref(), tokens, roles)
+    }
+}
+
+impl Access {
+    /// Nothing: for servers on this machine.
+    pub fn none() -> Access {
+        Access::default()
+    }
+
+    /// Reads files, and nothing from the environment: for a program that is a
+    /// server with tokens of its own as well as a client of others.
+    ///
+    /// # Errors
+    /// See [`AccessError`].
+    pub fn from_files(
+        ca: Option<&Path>,
+        token_file: Option<&Path>,
+        roles: &[Role],
+    ) -> Result<Access, AccessError> {
+        let tokens = token_file.map(Tokens::read).transpose()?;
+        Access::new(ca, tokens, roles)
+    }
+
+    fn new(
+        ca: Option<&Path>,
+        tokens: Option<Tokens>,
+        roles: &[Role],
+    ) -> Result<Access, AccessError> {
+        let ca = ca.map(read_pem).transpose()?;
+        let token = match tokens {
             Some(tokens) => {
                 let token = tokens.for_role(roles).cloned();
                 Some(token.ok_or_else(|| {
@@ -84,13 +120,6 @@ impl ClientArguments {
             None => None,
         };
         Ok(Access { token, ca })
-    }
-}
-
-impl Access {
-    /// Nothing: for servers on this machine.
-    pub fn none() -> Access {
-        Access::default()
     }
 
     /// A connection that is made at the first call. A token goes over TLS, or to
@@ -121,21 +150,56 @@ impl Access {
         }
         let tls = ClientTlsConfig::new().timeout(HANDSHAKE_TIMEOUT);
         endpoint.tls_config(match &self.ca {
-            Some(ca) => tls.ca_certificate(ca.clone()),
+            Some(ca) => tls.ca_certificate(Certificate::from_pem(ca)),
             None => tls,
         })
     }
 
+    /// Encrypts a connection to `host` that is no gRPC.
+    ///
+    /// # Errors
+    /// When the certificate authority is no use, the host's name is none, or the
+    /// server's certificate is not to be trusted.
+    pub async fn encrypt(
+        &self,
+        stream: TcpStream,
+        host: &str,
+    ) -> std::io::Result<TlsStream<TcpStream>> {
+        fn wrong(error: impl Display) -> std::io::Error {
+            std::io::Error::other(error.to_string())
+        }
+        let mut roots = RootCertStore::empty();
+        for certificate in CertificateDer::pem_slice_iter(self.ca.as_deref().unwrap_or_default()) {
+            roots.add(certificate.map_err(wrong)?).map_err(wrong)?;
+        }
+        let provider = Arc::new(crypto::ring::default_provider());
+        let config = ClientConfig::builder_with_provider(provider)
+            .with_safe_default_protocol_versions()
+            .map_err(wrong)?
+            .with_root_certificates(roots)
+            .with_no_client_auth();
+        let host = ServerName::try_from(host.to_owned()).map_err(wrong)?;
+        let handshake = TlsConnector::from(Arc::new(config)).connect(host, stream);
+        tokio::time::timeout(HANDSHAKE_TIMEOUT, handshake).await?
+    }
+
+    /// The value of an `authorization` header of this scheme, where the token
+    /// may be shown.
+    pub fn authorization(&self, uri: &Uri, scheme: &str) -> Option<HeaderValue> {
+        let token = self.token_for(uri)?;
+        // A token is visible ASCII: it always fits a header.
+        let mut value: HeaderValue = format!("{scheme} {}", token.secret()).parse().ok()?;
+        value.set_sensitive(true);
+        Some(value)
+    }
+
     fn bearer(&self, uri: &Uri) -> Bearer {
-        Bearer(self.token_for(uri).and_then(|token| {
-            // A token is visible ASCII: it always fits a header.
-            let value: Option<MetadataValue<Ascii>> =
-                format!("Bearer {}", token.secret()).parse().ok();
-            value.map(|mut value| {
-                value.set_sensitive(true);
-                value
-            })
-        }))
+        let value = self.authorization(uri, "Bearer");
+        let mut value = value.and_then(|it| MetadataValue::try_from(it.as_bytes()).ok());
+        if let Some(value) = &mut value {
+            value.set_sensitive(true);
+        }
+        Bearer(value)
     }
 
     fn token_for(&self, uri: &Uri) -> Option<&Token> {
@@ -156,7 +220,7 @@ impl Interceptor for Bearer {
 }
 
 fn is_encrypted(uri: &Uri) -> bool {
-    uri.scheme_str() == Some("https")
+    matches!(uri.scheme_str(), Some("https" | "wss"))
 }
 
 fn is_this_machine(uri: &Uri) -> bool {
@@ -185,10 +249,16 @@ mod tests {
             "http://127.0.0.1:1",
             "http://[::1]:1",
             "http://localhost:1",
+            "wss://h:1",
         ] {
             assert!(shows_its_token(url), "{url}");
         }
-        for url in ["http://h:1", "http://10.0.0.7:1", "http://localhost.evil:1"] {
+        for url in [
+            "http://h:1",
+            "ws://h:1",
+            "http://10.0.0.7:1",
+            "http://localhost.evil:1",
+        ] {
             assert!(!shows_its_token(url), "{url}");
         }
     }

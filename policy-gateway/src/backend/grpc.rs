@@ -10,11 +10,8 @@ use proto::policy::{
     ResetRequest, infer_result, policy_client::PolicyClient,
 };
 use thiserror::Error;
-use tonic::{
-    Response, Status,
-    codegen::http::Uri,
-    transport::{Channel, Endpoint},
-};
+use tonic::{Code, Response, Status, codegen::http::Uri, transport::Endpoint};
+use transport::{Access, Connection};
 
 use super::{Backend, BackendError, innermost};
 use crate::config::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES};
@@ -25,23 +22,28 @@ pub const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 const TCP_KEEPALIVE: Duration = Duration::from_secs(15);
 
 /// Where a policy server listens, and which of its policies is meant:
-/// `host:port` or `host:port/policy`.
+/// `grpc://HOST:PORT`, or `https://HOST:PORT` over TLS, and `/POLICY` behind it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct GrpcAddress {
     /// `host:port`.
     pub authority: String,
     /// Empty: the only one there.
     pub policy: String,
+    /// Over TLS.
+    pub encrypted: bool,
 }
 
 impl GrpcAddress {
     fn endpoint(&self) -> Result<Endpoint, tonic::transport::Error> {
-        Ok(Endpoint::from_shared(format!("http://{}", self.authority))?
-            .connect_timeout(CONNECT_TIMEOUT)
-            .tcp_nodelay(true)
-            .tcp_keepalive(Some(TCP_KEEPALIVE))
-            .initial_stream_window_size(STREAM_WINDOW_BYTES)
-            .initial_connection_window_size(CONNECTION_WINDOW_BYTES))
+        let scheme = if self.encrypted { "https" } else { "http" };
+        Ok(
+            Endpoint::from_shared(format!("{scheme}://{}", self.authority))?
+                .connect_timeout(CONNECT_TIMEOUT)
+                .tcp_nodelay(true)
+                .tcp_keepalive(Some(TCP_KEEPALIVE))
+                .initial_stream_window_size(STREAM_WINDOW_BYTES)
+                .initial_connection_window_size(CONNECTION_WINDOW_BYTES),
+        )
     }
 }
 
@@ -49,10 +51,20 @@ impl FromStr for GrpcAddress {
     type Err = AddressError;
 
     fn from_str(text: &str) -> Result<Self, AddressError> {
-        let (authority, policy) = text.split_once('/').unwrap_or((text, ""));
+        let wrong = || AddressError {
+            text: text.to_owned(),
+        };
+        let (scheme, rest) = text.split_once("://").ok_or_else(wrong)?;
+        let encrypted = match scheme {
+            "grpc" => false,
+            "https" => true,
+            _ => return Err(wrong()),
+        };
+        let (authority, policy) = rest.split_once('/').unwrap_or((rest, ""));
         let address = Self {
             authority: authority.to_owned(),
             policy: policy.to_owned(),
+            encrypted,
         };
         let uri = format!("http://{authority}").parse::<Uri>();
         let complete = uri.is_ok_and(|uri| {
@@ -61,9 +73,7 @@ impl FromStr for GrpcAddress {
         if complete && address.endpoint().is_ok() {
             Ok(address)
         } else {
-            Err(AddressError {
-                text: text.to_owned(),
-            })
+            Err(wrong())
         }
     }
 }
@@ -71,15 +81,19 @@ impl FromStr for GrpcAddress {
 impl fmt::Display for GrpcAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let separator = if self.policy.is_empty() { "" } else { "/" };
-        write!(f, "grpc://{}{separator}{}", self.authority, self.policy)
+        let scheme = if self.encrypted { "https" } else { "grpc" };
+        write!(f, "{scheme}://{}{separator}{}", self.authority, self.policy)
     }
 }
 
 /// Not an address.
 #[derive(Debug, Error)]
-#[error("read grpc://{text} as an address: write grpc://HOST:PORT, or grpc://HOST:PORT/POLICY")]
+#[error(
+    "read {text:?} as a policy server's address: write grpc://HOST:PORT or \
+     grpc://HOST:PORT/POLICY, with https:// in place of grpc:// over TLS"
+)]
 pub struct AddressError {
-    /// What follows `grpc://`.
+    /// As written.
     pub text: String,
 }
 
@@ -87,16 +101,16 @@ pub struct AddressError {
 #[derive(Debug)]
 pub struct GrpcBackend {
     address: GrpcAddress,
-    client: PolicyClient<Channel>,
+    client: PolicyClient<Connection>,
 }
 
 impl GrpcBackend {
     /// A back-end that has not connected yet.
     ///
     /// # Errors
-    /// When the address is none.
-    pub fn new(address: GrpcAddress) -> Result<Self, tonic::transport::Error> {
-        let client = PolicyClient::new(address.endpoint()?.connect_lazy())
+    /// When the address is none, or the certificate authority is no use.
+    pub fn new(address: GrpcAddress, access: &Access) -> Result<Self, tonic::transport::Error> {
+        let client = PolicyClient::new(access.connect_lazy(address.endpoint()?)?)
             .max_decoding_message_size(proto::MAX_MESSAGE_BYTES)
             .max_encoding_message_size(proto::MAX_MESSAGE_BYTES);
         Ok(Self { address, client })
@@ -110,8 +124,13 @@ impl GrpcBackend {
         let address = self.address.authority.clone();
         call.await.map(Response::into_inner).map_err(|status| {
             if is_transport_failure(&status) {
-                let reason = innermost(&status);
-                BackendError::Unreachable { address, reason }
+                BackendError::connecting(address, innermost(&status))
+            } else if matches!(
+                status.code(),
+                Code::Unauthenticated | Code::PermissionDenied
+            ) {
+                let reason = status.message().to_owned();
+                BackendError::Barred { address, reason }
             } else {
                 let status = status.into();
                 BackendError::Refused { address, status }
@@ -193,23 +212,30 @@ mod tests {
 
     #[test]
     fn an_address_may_name_one_of_several_policies() {
-        let address: GrpcAddress = "gpu7:5000/pi05".parse().expect("an address");
+        let address: GrpcAddress = "grpc://gpu7:5000/pi05".parse().expect("an address");
         assert_eq!(
             address,
             GrpcAddress {
                 authority: "gpu7:5000".into(),
-                policy: "pi05".into()
+                policy: "pi05".into(),
+                encrypted: false,
             }
         );
-        assert_eq!(address.to_string(), "grpc://gpu7:5000/pi05");
-        let address: GrpcAddress = "[::1]:5000".parse().expect("an address");
-        assert_eq!(address.to_string(), "grpc://[::1]:5000");
+        for text in [
+            "grpc://gpu7:5000/pi05",
+            "grpc://[::1]:5000",
+            "https://gpu7:5000",
+        ] {
+            let address: GrpcAddress = text.parse().expect(text);
+            assert_eq!(address.to_string(), text);
+        }
     }
 
     #[test]
     fn an_address_without_host_or_port_is_refused_with_the_form_to_write() {
         for text in ["", "gpu7", ":5000", "gpu7:", "gpu7:99999", "gpu 7:5000"] {
-            let error = text.parse::<GrpcAddress>().expect_err(text);
+            let text = format!("grpc://{text}");
+            let error = text.parse::<GrpcAddress>().expect_err(&text);
             assert!(error.to_string().contains("HOST:PORT"), "{error}");
         }
     }

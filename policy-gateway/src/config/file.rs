@@ -11,15 +11,24 @@
 //! [policy.openvla-oft.suites]
 //! libero_goal = ["grpc://gpu3:5001"]
 //! libero_spatial = ["grpc://gpu3:5002"]
+//!
+//! [policy.hosted]
+//! replicas = ["https://gpu4:5000"]
+//! ca = "gpu4-ca.pem"
+//! token_file = "gpu4-token"
 //! ```
 
-use std::{collections::BTreeMap, path::Path, time::Duration};
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+    time::Duration,
+};
 
 use serde::Deserialize;
 
 use super::{
-    BackendSpec, Batching, CheckpointSpecs, Config, ConfigError, DEFAULT_ANSWER_WITHIN, RouteName,
-    RouteSpec,
+    AccessFiles, BackendSpec, Batching, CheckpointSpecs, Config, ConfigError,
+    DEFAULT_ANSWER_WITHIN, RouteName, RouteSpec,
 };
 
 /// Longest `answer_within_secs`.
@@ -42,6 +51,8 @@ struct Table {
     #[serde(default)]
     batching: Batching,
     answer_within_secs: Option<f64>,
+    ca: Option<PathBuf>,
+    token_file: Option<PathBuf>,
 }
 
 /// Reads a configuration from a file.
@@ -92,6 +103,10 @@ fn route(name: &str, table: Table) -> Result<RouteSpec, ConfigError> {
         checkpoints,
         batching: table.batching,
         answer_within,
+        access: AccessFiles {
+            ca: table.ca,
+            token_file: table.token_file,
+        },
     })
 }
 
@@ -148,7 +163,8 @@ mod tests {
     fn what_cannot_be_meant_is_refused_with_its_place() {
         check("", "find a route");
         check("[policy.x]", "find a server for policy x");
-        check("[policy.x]\nreplicas = [\"ws://a:1\"]", "ws://a:1");
+        check("[policy.x]\nreplicas = [\"ftp://a:1\"]", "ftp://a:1");
+        check("[policy.x]\nreplicas = [\"wss://a:1\"]", "`ca =");
         check("[policy.x]\nreplica = []", "unknown field `replica`");
         check("[policy.x]\nbatching = \"big\"", "unknown variant `big`");
         check("[policy.\"a b\"]", "letters, digits");

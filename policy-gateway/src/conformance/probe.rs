@@ -24,9 +24,6 @@ use crate::{
     service::MAX_BATCH_QUERIES,
 };
 
-/// The suite of the made-up task.
-const SUITE: &str = "libero_object";
-
 /// In which order an episode's queries are asked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Order {
@@ -50,7 +47,7 @@ pub struct Episode {
 pub struct Probe {
     connection: Connection,
     client: PolicyClient<Connection>,
-    policy: String,
+    target: Target,
     described: DescribeResponse,
     /// Tells this check's sessions from those of an earlier one.
     run: u32,
@@ -88,18 +85,17 @@ impl Probe {
             .max_decoding_message_size(proto::MAX_MESSAGE_BYTES)
             .max_encoding_message_size(proto::MAX_MESSAGE_BYTES);
         let described = client
-            .describe(describe(&target.policy, proto::PROTOCOL_VERSION))
+            .describe(describe(target, proto::PROTOCOL_VERSION))
             .await
             .map_err(|status| ConformanceError::Describe {
                 url: target.url.clone(),
                 status: status.into(),
             })?
             .into_inner();
-        let policy = target.policy.clone();
         Ok(Self {
             connection,
             client,
-            policy,
+            target: target.clone(),
             described,
             run: std::process::id(),
         })
@@ -116,7 +112,7 @@ impl Probe {
         match self
             .client
             .clone()
-            .describe(describe(&self.policy, newer))
+            .describe(describe(&self.target, newer))
             .await
         {
             Err(status) if status.code() == Code::FailedPrecondition => verdict::pass(""),
@@ -290,10 +286,10 @@ impl Probe {
 
     async fn reset(&self, name: &str, seed: u64) -> Result<(), Status> {
         let request = ResetRequest {
-            policy: self.policy.clone(),
+            policy: self.target.policy.clone(),
             session: self.session(name),
-            suite: SUITE.to_owned(),
-            instruction: "pick up the butter and place it in the basket".to_owned(),
+            suite: self.target.suite.clone(),
+            instruction: scene::instruction(&self.target.suite).to_owned(),
             seed,
         };
         self.client.clone().reset(request).await.map(drop)
@@ -306,7 +302,7 @@ impl Probe {
 
     fn query(&self, name: &str, query_index: u32) -> InferRequest {
         InferRequest {
-            policy: self.policy.clone(),
+            policy: self.target.policy.clone(),
             session: self.session(name),
             query_index,
             observation: Some(scene::observation(&self.described, query_index)),
@@ -318,10 +314,10 @@ impl Probe {
     }
 }
 
-fn describe(policy: &str, protocol_version: u32) -> DescribeRequest {
+fn describe(target: &Target, protocol_version: u32) -> DescribeRequest {
     DescribeRequest {
         protocol_version,
-        policy: policy.to_owned(),
-        suite: SUITE.to_owned(),
+        policy: target.policy.clone(),
+        suite: target.suite.clone(),
     }
 }

@@ -8,6 +8,29 @@ use proto::policy::{
     StateReading, entity::Kind,
 };
 
+/// Suites, and a task's canonical instruction of each.
+pub const TASKS: [(&str, &str); 4] = [
+    (
+        "libero_object",
+        "pick up the butter and place it in the basket",
+    ),
+    (
+        "libero_spatial",
+        "pick up the black bowl between the plate and the ramekin and place it on the plate",
+    ),
+    ("libero_goal", "open the middle drawer of the cabinet"),
+    (
+        "libero_10",
+        "put both the alphabet soup and the tomato sauce in the basket",
+    ),
+];
+
+/// What to do in a suite; in one that is unknown, what is done in the first.
+pub fn instruction(suite: &str) -> &'static str {
+    let task = TASKS.iter().find(|(known, _)| *known == suite);
+    task.unwrap_or(&TASKS[0]).1
+}
+
 /// The observation at one query of every probing episode.
 pub fn observation(described: &DescribeResponse, query_index: u32) -> Observation {
     let cameras = described.cameras.iter();

@@ -4,7 +4,7 @@
 use std::{collections::BTreeMap, sync::Arc};
 
 use super::{pool::Pool, replica::Replica};
-use crate::config::{BackendSpec, CheckpointSpecs, RouteSpec};
+use crate::config::{BackendSpec, CheckpointSpecs, RouteSpec, UnusableBackend};
 
 pub(super) enum Checkpoints {
     One(Arc<Pool>),
@@ -15,23 +15,20 @@ impl Checkpoints {
     /// Pools as `spec` says, with those of the `known` replicas that stay.
     ///
     /// # Errors
-    /// When a back-end's address is none.
-    pub(super) fn new(
-        spec: &RouteSpec,
-        known: &[Arc<Replica>],
-    ) -> Result<Self, tonic::transport::Error> {
+    /// See [`UnusableBackend`].
+    pub(super) fn new(spec: &RouteSpec, known: &[Arc<Replica>]) -> Result<Self, UnusableBackend> {
+        let access = spec.access.read()?;
         let replica = |backend: &BackendSpec| {
-            let stays = known
-                .iter()
-                .find(|it| it.is(backend, spec.answer_within, spec.batching));
+            let stays = known.iter().find(|it| it.is(backend, spec));
             match stays {
                 Some(replica) => Ok(Arc::clone(replica)),
-                None => Replica::new(backend, spec.answer_within, spec.batching).map(Arc::new),
+                None => Replica::new(backend, &access, spec).map(Arc::new),
             }
         };
         let pool = |suite: &str, replicas: &[BackendSpec]| {
-            let replicas = replicas.iter().map(replica).collect::<Result<_, _>>()?;
-            Ok(Arc::new(Pool::new(suite, replicas, spec.batching)))
+            let replicas = replicas.iter().map(replica);
+            let replicas = replicas.collect::<Result<_, tonic::transport::Error>>()?;
+            Ok::<_, UnusableBackend>(Arc::new(Pool::new(suite, replicas, spec.batching)))
         };
         Ok(match &spec.checkpoints {
             CheckpointSpecs::One(replicas) => Self::One(pool("", replicas)?),
@@ -39,7 +36,7 @@ impl Checkpoints {
                 let pools = suites
                     .iter()
                     .map(|(suite, replicas)| Ok((suite.clone(), pool(suite, replicas)?)));
-                Self::PerSuite(pools.collect::<Result<_, tonic::transport::Error>>()?)
+                Self::PerSuite(pools.collect::<Result<_, UnusableBackend>>()?)
             }
         })
     }

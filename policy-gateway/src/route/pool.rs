@@ -125,6 +125,9 @@ impl Pool {
         if described.batch_mode.is_empty() {
             let batch_size = check::batch_size(&described);
             described.batch_mode = self.batching.describe(batch_size);
+            if described.unseeded {
+                described.batch_mode.push_str(", unseeded");
+            }
         }
         Ok(Arc::new(described))
     }

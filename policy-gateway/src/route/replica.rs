@@ -13,12 +13,15 @@ use std::{
 
 use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
 use tokio::sync::Semaphore;
+use transport::Access;
 
 use crate::{
-    backend::{Backend, BackendError, builtin::BuiltinBackend, grpc::GrpcBackend},
+    backend::{
+        Backend, BackendError, builtin::BuiltinBackend, grpc::GrpcBackend, openpi::OpenpiBackend,
+    },
     batch::batcher::Batcher,
     check,
-    config::{BackendSpec, Batching},
+    config::{AccessFiles, BackendSpec, Batching, RouteSpec},
     health::{Answered, Call, Cause, Health},
 };
 
@@ -29,6 +32,7 @@ pub const MAX_CALLS: usize = 64;
 /// One of those that answer for a checkpoint.
 pub struct Replica {
     spec: BackendSpec,
+    access: AccessFiles,
     answer_within: Duration,
     batching: Batching,
     backend: Arc<dyn Backend>,
@@ -56,18 +60,27 @@ impl Replica {
     /// A replica that has not been asked anything yet.
     ///
     /// # Errors
-    /// When the back-end's address is none.
+    /// When the back-end's address or the certificate authority is no use.
     pub fn new(
         spec: &BackendSpec,
-        answer_within: Duration,
-        batching: Batching,
+        access: &Access,
+        route: &RouteSpec,
     ) -> Result<Self, tonic::transport::Error> {
+        let RouteSpec {
+            answer_within,
+            batching,
+            ..
+        } = *route;
         let backend: Arc<dyn Backend> = match spec {
             BackendSpec::Builtin(builtin) => Arc::new(BuiltinBackend::new(*builtin)),
-            BackendSpec::Grpc(address) => Arc::new(GrpcBackend::new(address.clone())?),
+            BackendSpec::Grpc(address) => Arc::new(GrpcBackend::new(address.clone(), access)?),
+            BackendSpec::Openpi(address) => {
+                Arc::new(OpenpiBackend::new(address.clone(), access.clone()))
+            }
         };
         Ok(Self {
             spec: spec.clone(),
+            access: route.access.clone(),
             answer_within,
             batching,
             batcher: Batcher::new(Arc::clone(&backend), answer_within),
@@ -80,9 +93,12 @@ impl Replica {
         })
     }
 
-    /// Whether a replica made to this order would be the same as this one.
-    pub fn is(&self, spec: &BackendSpec, answer_within: Duration, batching: Batching) -> bool {
-        (&self.spec, self.answer_within, self.batching) == (spec, answer_within, batching)
+    /// Whether a replica made to this order would be the same as this one. What
+    /// is in the files of its access may have changed.
+    pub fn is(&self, spec: &BackendSpec, route: &RouteSpec) -> bool {
+        let made = (spec, &self.access, route.answer_within, route.batching);
+        self.access == AccessFiles::default()
+            && made == (&self.spec, &route.access, self.answer_within, self.batching)
     }
 
     /// Queries under way.
@@ -235,6 +251,9 @@ impl Replica {
             Err(BackendError::TimedOut { .. }) => self.lost(Cause::Silent),
             Err(BackendError::QueueFull { .. } | BackendError::BatchLost) => {}
             Err(BackendError::Unreachable { .. }) => self.lost(Cause::Unreachable),
+            Err(error @ (BackendError::Untrusted { .. } | BackendError::Barred { .. })) => {
+                self.lost(Cause::Distrust(error.to_string()));
+            }
             // "Not now" is an answer, too.
             Err(error) if error.is_outage() => self.answered(Answered::Something),
             _ => {}

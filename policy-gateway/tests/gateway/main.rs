@@ -1,6 +1,7 @@
 //! The gateway on real sockets: what it promises to workers, whatever answers
 //! behind it.
 
+mod access;
 mod answers;
 mod batches;
 mod conformance;

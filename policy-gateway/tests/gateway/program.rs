@@ -13,7 +13,7 @@ use transport::{ClientArguments, Role};
 
 use crate::support::{client, describe};
 
-fn program(arguments: &[&str]) -> Command {
+pub(crate) fn program(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_policy-gateway"));
     command
         .args(arguments)
@@ -22,15 +22,17 @@ fn program(arguments: &[&str]) -> Command {
     command
 }
 
-fn address(child: &mut Child) -> SocketAddr {
+/// What the program's first line says after "listening on".
+pub(crate) fn listening(child: &mut Child) -> String {
     let mut line = String::new();
     let stdout = child.stdout.as_mut().expect("stdout is piped");
     BufReader::new(stdout).read_line(&mut line).expect("a line");
-    let address = line
-        .trim_end()
-        .strip_prefix("listening on ")
-        .expect("the announced line");
-    address.parse().expect("an address")
+    let address = line.trim_end().strip_prefix("listening on ");
+    address.expect("the announced line").to_owned()
+}
+
+fn address(child: &mut Child) -> SocketAddr {
+    listening(child).parse().expect("an address")
 }
 
 // Two threads: the client must see the connection close while the test waits

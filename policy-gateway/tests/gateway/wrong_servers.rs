@@ -100,6 +100,7 @@ async fn the_same_error_to_three_tasks_is_the_servers_and_to_one_task_is_the_tas
 async fn answers_of_no_use_to_three_tasks_are_an_outage_of_the_policy() {
     for nonsense in [
         chunk(&[f32::NAN; 7], 7),
+        chunk(&[1e9; 7], 7),
         chunk(&[0.0; 18], 6),
         chunk(&[], 7),
     ] {
@@ -116,16 +117,16 @@ async fn answers_of_no_use_to_three_tasks_are_an_outage_of_the_policy() {
     }
 }
 
-/// Opens sessions and never answers a query.
-struct Silent;
+/// Opens sessions and answers a query after a while, if ever.
+struct Late(Option<Duration>);
 
 #[tonic::async_trait]
-impl Policy for Silent {
+impl Policy for Late {
     async fn describe(
         &self,
         _: Request<DescribeRequest>,
     ) -> Result<Response<DescribeResponse>, Status> {
-        Ok(Response::new(description("silent", 1)))
+        Ok(Response::new(description("late", 1)))
     }
 
     async fn reset(&self, _: Request<ResetRequest>) -> Result<Response<ResetResponse>, Status> {
@@ -133,7 +134,11 @@ impl Policy for Silent {
     }
 
     async fn infer(&self, _: Request<InferRequest>) -> Result<Response<InferResponse>, Status> {
-        std::future::pending().await
+        match self.0 {
+            Some(after) => tokio::time::sleep(after).await,
+            None => std::future::pending().await,
+        }
+        Ok(Response::new(chunk(&[0.5; 7], 7)))
     }
 
     async fn infer_batch(
@@ -146,7 +151,16 @@ impl Policy for Silent {
 
 #[tokio::test]
 async fn a_server_that_never_answers_is_out_after_its_time_and_others_fail_fast() {
-    let server = serve(Silent).await;
+    is_out_and_others_fail_fast(Late(None)).await;
+}
+
+#[tokio::test]
+async fn a_server_that_answers_after_its_time_is_out_like_one_that_never_does() {
+    is_out_and_others_fail_fast(Late(Some(Duration::from_millis(600)))).await;
+}
+
+async fn is_out_and_others_fail_fast(server: Late) {
+    let server = serve(server).await;
     let route = format!("x=grpc://{}", server.address);
     let spec = RouteSpec {
         answer_within: Duration::from_millis(300),

@@ -1,0 +1,95 @@
+"""A server that behaves towards its clients as openpi's WebsocketPolicyServer
+does, around a simulated policy: a metadata message first, then one msgpack
+message answered after the other; a traceback as text, and the end, when the
+policy raises. Messages are packed by the real openpi-client.
+
+What it was shown goes into a file, one JSON object a line, for a test to look at.
+"""
+
+import argparse
+import asyncio
+import hashlib
+import http
+import json
+import time
+import traceback
+
+import numpy as np
+import websockets
+from openpi_client import msgpack_numpy
+from websockets.asyncio.server import serve
+
+
+class SimulatedPolicy:
+    """Ten actions, with noise of a stream that runs on from query to query."""
+
+    def __init__(self, shown, width):
+        self.noise = np.random.default_rng()
+        self.shown = shown
+        self.width = width
+
+    def infer(self, observation):
+        if observation["prompt"] == "raise":
+            raise ValueError("the policy does not like this prompt")
+        images = [observation["observation/image"], observation["observation/wrist_image"]]
+        state = observation["observation/state"]
+        line = {
+            "keys": sorted(observation),
+            "images": [[str(image.dtype), *image.shape] for image in images],
+            "digests": [hashlib.sha256(image.tobytes()).hexdigest() for image in images],
+            "state": [str(state.dtype), *state.tolist()],
+            "prompt": observation["prompt"],
+        }
+        print(json.dumps(line), file=self.shown, flush=True)
+        actions = self.noise.uniform(-1, 1, (10, self.width))
+        return {"state": state, "actions": actions, "policy_timing": {"infer_ms": 1.0}}
+
+
+async def handle(socket, policy, metadata):
+    packer = msgpack_numpy.Packer()
+    await socket.send(packer.pack(metadata))
+    while True:
+        try:
+            observation = msgpack_numpy.unpackb(await socket.recv())
+            began = time.monotonic()
+            answer = policy.infer(observation)
+            answer["server_timing"] = {"infer_ms": 1e3 * (time.monotonic() - began)}
+            await socket.send(packer.pack(answer))
+        except websockets.ConnectionClosed:
+            return
+        except Exception:
+            await socket.send(traceback.format_exc())
+            await socket.close(1011, "Internal server error.")
+            return
+
+
+async def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--shown", required=True, help="file to write")
+    parser.add_argument("--width", type=int, default=7, help="numbers of an action")
+    parser.add_argument("--api-key", help="ask clients for it")
+    arguments = parser.parse_args()
+
+    def admit(connection, request):
+        shown = request.headers.get("Authorization")
+        if arguments.api_key and shown != f"Api-Key {arguments.api_key}":
+            return connection.respond(http.HTTPStatus.UNAUTHORIZED, "who are you?\n")
+        return None
+
+    with open(arguments.shown, "w", encoding="utf-8") as shown:
+        policy = SimulatedPolicy(shown, arguments.width)
+        served = serve(
+            lambda socket: handle(socket, policy, {"simulated": True}),
+            "127.0.0.1",
+            0,
+            compression=None,
+            max_size=None,
+            process_request=admit,
+        )
+        async with served as server:
+            port = server.sockets[0].getsockname()[1]
+            print(f"listening on 127.0.0.1:{port}", flush=True)
+            await server.serve_forever()
+
+
+asyncio.run(main())

@@ -1,0 +1,168 @@
+"""A server of openpi's kind, unmodified, behind the gateway: what it is shown is
+what openpi's own LIBERO client would show it.
+
+Runs the program that the environment variable POLICY_GATEWAY names.
+"""
+
+import contextlib
+import hashlib
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import grpc
+import numpy as np
+import pytest
+from conftest import Client
+
+from rollout_policies.proto import policy_pb2 as pb
+
+pytest.importorskip("openpi_client", reason="openpi-client is not installed")
+pytest.importorskip("websockets", reason="websockets is not installed")
+from openpi_client import image_tools  # noqa: E402
+
+SERVER = Path(__file__).parent / "simulated_openpi_server.py"
+KEY = "key-of-the-simulated-server"
+
+
+@contextlib.contextmanager
+def running(command):
+    """A program that prints where it listens."""
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        line = process.stdout.readline()
+        assert line.startswith("listening on "), line
+        yield line.split()[2]
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+@pytest.fixture
+def program():
+    program = os.environ.get("POLICY_GATEWAY")
+    if program is None:
+        pytest.skip("POLICY_GATEWAY does not name the policy-gateway program")
+    return program
+
+
+@pytest.fixture
+def shown(tmp_path):
+    """Where the server writes what it was shown."""
+    return tmp_path / "shown.jsonl"
+
+
+def simulated(shown, *arguments):
+    return running([sys.executable, str(SERVER), "--shown", str(shown), *arguments])
+
+
+@contextlib.contextmanager
+def client_behind(program, *arguments):
+    with running([program, "--listen", "127.0.0.1:0", *arguments]) as address:
+        client = Client(address)
+        yield client
+        client.channel.close()
+
+
+def observation(side=256):
+    frames = np.random.default_rng(3).integers(0, 256, (2, side, side, 3), dtype=np.uint8)
+    names = ("agentview", "robot0_eye_in_hand")
+    images = [
+        pb.Image(camera=name, width=side, height=side, rgb=frame.tobytes())
+        for name, frame in zip(names, frames)
+    ]
+    readings = {
+        pb.STATE_FIELD_EEF_POS: (0.1, 0.2, 0.3),
+        pb.STATE_FIELD_EEF_AXIS_ANGLE: (3.1, 0.0, -0.2),
+        pb.STATE_FIELD_GRIPPER_POS: (0.04, -0.04),
+    }
+    state = [pb.StateReading(field=field, values=values) for field, values in readings.items()]
+    return frames, pb.Observation(images=images, state=state)
+
+
+def test_the_server_is_shown_what_openpis_own_client_shows(program, shown):
+    frames, message = observation()
+    with simulated(shown) as server, client_behind(program, "--route", f"x=ws://{server}") as client:
+        described = client.describe()
+        assert (described.name, described.horizon, described.execute) == ("openpi", 5, 5)
+        assert described.stochastic and described.unseeded
+        client.reset(suite="libero_goal", instruction="open the drawer, please")
+        first = client.infer(query_index=0, observation=message)
+        again = client.infer(query_index=0, observation=message)
+        other = client.infer(query_index=1, observation=message)
+    assert first.shape == (5, 7)
+    assert (first == again).all(), "a retry is answered from the gateway's memory"
+    assert (first != other).any()
+    lines = [json.loads(line) for line in shown.read_text().splitlines()]
+    assert len(lines) == 2
+    expected = [
+        image_tools.convert_to_uint8(
+            image_tools.resize_with_pad(np.ascontiguousarray(frame[::-1, ::-1]), 224, 224)
+        )
+        for frame in frames
+    ]
+    assert lines[0] == {
+        "keys": ["observation/image", "observation/state", "observation/wrist_image", "prompt"],
+        "images": [["uint8", 224, 224, 3]] * 2,
+        "digests": [hashlib.sha256(frame.tobytes()).hexdigest() for frame in expected],
+        "state": ["float64", 0.1, 0.2, 0.3, 3.1, 0.0, -0.2, 0.04, -0.04],
+        "prompt": "open the drawer, please",
+    }
+
+
+def test_it_passes_the_conformance_check_but_for_its_seeds(program, shown):
+    with simulated(shown) as server:
+        check = subprocess.run(
+            [program, "check", f"ws://{server}?execute=10", "--suite", "libero_goal"],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+    assert check.returncode == 0, check.stdout + check.stderr
+    assert "skip  the same seed gives the same actions: its random numbers" in check.stdout
+    assert "pass  a retry gets the same actions" in check.stdout
+    prompts = {json.loads(line)["prompt"] for line in shown.read_text().splitlines()}
+    assert prompts == {"open the middle drawer of the cabinet"}
+
+
+def test_what_the_policy_raises_reaches_the_worker_and_the_next_query_is_answered(program, shown):
+    _, message = observation()
+    with simulated(shown) as server, client_behind(program, "--route", f"x=ws://{server}") as client:
+        client.reset(instruction="raise")
+        with pytest.raises(grpc.RpcError) as caught:
+            client.infer(observation=message)
+        assert caught.value.code() == grpc.StatusCode.INTERNAL
+        assert "does not like this prompt" in caught.value.details()
+        client.reset(instruction="reach")
+        assert client.infer(observation=message).shape == (5, 7)
+
+
+def test_actions_of_another_robot_are_named(program, shown):
+    _, message = observation()
+    with simulated(shown, "--width", "14") as server:
+        with client_behind(program, "--route", f"x=ws://{server}") as client:
+            client.reset(instruction="reach")
+            with pytest.raises(grpc.RpcError) as caught:
+                client.infer(observation=message)
+    assert "its actions are 14 numbers wide, not 7" in caught.value.details()
+
+
+def test_a_server_that_asks_for_a_key_is_shown_the_one_in_the_file(program, shown, tmp_path):
+    _, message = observation()
+    config = tmp_path / "gateway.toml"
+    key = tmp_path / "key"
+    with simulated(shown, "--api-key", KEY) as server:
+        config.write_text(f'[policy.x]\nreplicas = ["ws://{server}"]\ntoken_file = "{key}"\n')
+        key.write_text("worker another-key-than-that\n")
+        with client_behind(program, "--config", str(config)) as client:
+            with pytest.raises(grpc.RpcError) as caught:
+                client.reset(instruction="reach")
+        assert caught.value.code() == grpc.StatusCode.UNAVAILABLE
+        assert "401" in caught.value.details() and "`token_file`" in caught.value.details()
+        key.write_text(f"worker {KEY}\n")
+        with client_behind(program, "--config", str(config)) as client:
+            client.reset(instruction="reach")
+            assert client.infer(observation=message).shape == (5, 7)

@@ -1,0 +1,352 @@
+//! The back-end of openpi's own policy servers, unmodified: a π0.5 server that
+//! speaks msgpack over WebSocket. Responsible for being what openpi's LIBERO
+//! client is to it: what it shows of an observation, and how much of a chunk it
+//! executes; and for the connections. [`frame`] turns and shrinks frames,
+//! [`codec`] writes and reads messages.
+//!
+//! Such a server keeps nothing between queries, does not say which checkpoint it
+//! serves, and draws its noise from one stream that no seed reaches. The
+//! description says so.
+
+use std::{
+    fmt,
+    str::FromStr,
+    sync::{Mutex, PoisonError},
+};
+
+use proto::policy::{
+    CameraRequest, DescribeResponse, InferRequest, InferResponse, Language, ResetRequest,
+    StateField,
+};
+use sha2::{Digest, Sha256};
+use thiserror::Error;
+use tokio::sync::{Semaphore, SemaphorePermit};
+use tonic::codegen::http::Uri;
+use transport::Access;
+
+use self::connection::Connection;
+use super::{Backend, BackendError};
+use crate::{
+    check::ACTION_WIDTH,
+    sessions::{MAX_SESSIONS, SessionTable},
+};
+
+pub mod codec;
+mod connection;
+pub mod frame;
+
+/// Cameras, in the order of openpi's message.
+const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
+/// Side of the frames asked for, pixels: LIBERO's.
+const FRAME_SIDE: u32 = 256;
+/// Readings, end to end the eight numbers of its state.
+const STATE: [StateField; 3] = [
+    StateField::EefPos,
+    StateField::EefAxisAngle,
+    StateField::GripperPos,
+];
+/// Actions executed of every chunk, unless the address says otherwise: what
+/// openpi's LIBERO evaluation does (`replan_steps`).
+pub const DEFAULT_EXECUTE: u32 = 5;
+/// Most that an address may say.
+pub const MAX_EXECUTE: u32 = 100;
+/// Connections, and queries at the server, at once: it computes one after the
+/// other, and meanwhile the next one travels.
+pub const MAX_CONNECTIONS: usize = 2;
+
+/// Where such a server listens: `ws://HOST:PORT` or `wss://HOST:PORT`, with
+/// `?execute=N` for more or fewer actions per query than openpi's client.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct OpenpiAddress {
+    /// `host:port`.
+    pub authority: String,
+    /// Over TLS.
+    pub encrypted: bool,
+    /// Actions executed of every chunk.
+    pub execute: u32,
+}
+
+impl OpenpiAddress {
+    fn uri(&self) -> String {
+        let scheme = if self.encrypted { "wss" } else { "ws" };
+        format!("{scheme}://{}/", self.authority)
+    }
+}
+
+impl FromStr for OpenpiAddress {
+    type Err = OpenpiAddressError;
+
+    fn from_str(text: &str) -> Result<Self, OpenpiAddressError> {
+        let read = || {
+            let uri: Uri = text.parse().ok()?;
+            let encrypted = match uri.scheme_str()? {
+                "ws" => false,
+                "wss" => true,
+                _ => return None,
+            };
+            let execute = match uri.query() {
+                None => DEFAULT_EXECUTE,
+                Some(query) => query.strip_prefix("execute=")?.parse().ok()?,
+            };
+            let complete = uri.host().is_some_and(|host| !host.is_empty())
+                && uri.port_u16().is_some()
+                && uri.path() == "/"
+                && (1..=MAX_EXECUTE).contains(&execute);
+            complete.then(|| Self {
+                authority: uri.authority().map(ToString::to_string).unwrap_or_default(),
+                encrypted,
+                execute,
+            })
+        };
+        read().ok_or_else(|| OpenpiAddressError {
+            text: text.to_owned(),
+        })
+    }
+}
+
+impl fmt::Display for OpenpiAddress {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.uri().trim_end_matches('/'))?;
+        match self.execute {
+            DEFAULT_EXECUTE => Ok(()),
+            execute => write!(f, "?execute={execute}"),
+        }
+    }
+}
+
+/// Not such an address.
+#[derive(Debug, Error)]
+#[error(
+    "read {text:?} as an openpi server's address: write ws://HOST:PORT, or \
+     ws://HOST:PORT?execute=N with N from 1 to {MAX_EXECUTE}"
+)]
+pub struct OpenpiAddressError {
+    /// As written.
+    pub text: String,
+}
+
+/// An openpi server.
+pub struct OpenpiBackend {
+    address: OpenpiAddress,
+    access: Access,
+    /// The instruction of every session: it goes with every query.
+    prompts: Mutex<SessionTable<String>>,
+    turns: Semaphore,
+    /// Connections that nobody uses.
+    idle: Mutex<Vec<Connection>>,
+}
+
+impl OpenpiBackend {
+    /// A back-end that has not connected yet.
+    pub fn new(address: OpenpiAddress, access: Access) -> Self {
+        Self {
+            address,
+            access,
+            prompts: Mutex::new(SessionTable::new(MAX_SESSIONS)),
+            turns: Semaphore::new(MAX_CONNECTIONS),
+            idle: Mutex::default(),
+        }
+    }
+
+    async fn turn(&self) -> Option<SemaphorePermit<'_>> {
+        // Never closed.
+        self.turns.acquire().await.ok()
+    }
+
+    async fn connect(&self) -> Result<Connection, BackendError> {
+        Connection::open(&self.address, &self.access).await
+    }
+
+    fn idle(&self) -> std::sync::MutexGuard<'_, Vec<Connection>> {
+        self.idle.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn prompts(&self) -> std::sync::MutexGuard<'_, SessionTable<String>> {
+        self.prompts.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Asks one question. Whoever stops waiting takes the connection along, so
+    /// that nobody else is given the answer.
+    async fn ask(&self, message: Vec<u8>) -> Result<Vec<u8>, BackendError> {
+        let _turn = self.turn().await;
+        let idle = self.idle().pop();
+        if let Some(mut connection) = idle {
+            match connection.ask(message.clone()).await {
+                // The server restarted since; it keeps nothing that could be lost.
+                Err(BackendError::Unreachable { .. }) => self.idle().clear(),
+                answer => return self.keep(connection, answer),
+            }
+        }
+        let mut connection = self.connect().await?;
+        let answer = connection.ask(message).await;
+        self.keep(connection, answer)
+    }
+
+    /// After an error the server closes the connection.
+    fn keep<T>(
+        &self,
+        connection: Connection,
+        answer: Result<T, BackendError>,
+    ) -> Result<T, BackendError> {
+        if answer.is_ok() {
+            self.idle().push(connection);
+        }
+        answer
+    }
+}
+
+#[tonic::async_trait]
+impl Backend for OpenpiBackend {
+    async fn describe(&self, _suite: &str) -> Result<DescribeResponse, BackendError> {
+        let _turn = self.turn().await;
+        // A new connection each time: only that shows whether it is the same
+        // server still. The metadata are the first thing that it says.
+        let connection = self.connect().await?;
+        let described = describe(&self.address, connection.metadata());
+        let mut idle = self.idle();
+        idle.truncate(MAX_CONNECTIONS - 1);
+        idle.push(connection);
+        Ok(described)
+    }
+
+    async fn reset(&self, request: ResetRequest) -> Result<(), BackendError> {
+        self.prompts().open(&request.session, request.instruction);
+        Ok(())
+    }
+
+    async fn infer(&self, request: InferRequest) -> Result<InferResponse, BackendError> {
+        let prompt = self.prompts().get(&request.session).cloned();
+        let prompt = prompt.ok_or(BackendError::SessionLost)?;
+        let wrong = |message| BackendError::Policy { message };
+        let message = question(&request, &prompt).map_err(wrong)?;
+        let answer = self.ask(message).await?;
+        let chunk = codec::answer(&answer).map_err(|error| wrong(error.to_string()))?;
+        first_actions(&chunk, self.address.execute).map_err(wrong)
+    }
+
+    async fn infer_batch(
+        &self,
+        requests: Vec<InferRequest>,
+    ) -> Result<Vec<Result<InferResponse, BackendError>>, BackendError> {
+        let mut answers = vec![];
+        for request in requests {
+            answers.push(self.infer(request).await);
+        }
+        Ok(answers)
+    }
+}
+
+impl fmt::Display for OpenpiBackend {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.address.fmt(f)
+    }
+}
+
+/// What is known of any such server. Its metadata are whatever its training
+/// configuration says; replicas must say the same.
+fn describe(address: &OpenpiAddress, metadata: &[u8]) -> DescribeResponse {
+    let camera = |name: &str| CameraRequest {
+        name: name.to_owned(),
+        width: FRAME_SIDE,
+        height: FRAME_SIDE,
+    };
+    let digest = Sha256::digest(metadata);
+    let digest: String = digest[..8].iter().map(|it| format!("{it:02x}")).collect();
+    DescribeResponse {
+        protocol_version: proto::PROTOCOL_VERSION,
+        name: "openpi".to_owned(),
+        checkpoint: format!("not named by its server, whose metadata are sha256 {digest}…"),
+        cameras: CAMERAS.map(camera).into(),
+        state: STATE.map(i32::from).into(),
+        horizon: address.execute,
+        execute: address.execute,
+        stochastic: true,
+        unseeded: true,
+        language: Language::FreeForm.into(),
+        ..DescribeResponse::default()
+    }
+}
+
+/// An observation as openpi's LIBERO client shows it.
+fn question(request: &InferRequest, prompt: &str) -> Result<Vec<u8>, String> {
+    let observation = request.observation.as_ref();
+    let frame = |camera: &str| {
+        let mut frames = observation.iter().flat_map(|it| &it.images);
+        let frame = frames
+            .find(|it| it.camera == camera)
+            .filter(|it| (it.width, it.height) == (FRAME_SIDE, FRAME_SIDE))
+            .filter(|it| it.rgb.len() == 3 * (FRAME_SIDE * FRAME_SIDE) as usize);
+        let frame = frame.ok_or_else(|| format!("the observation has no frame of {camera}"))?;
+        Ok::<_, String>(frame::prepare(&frame.rgb, FRAME_SIDE as usize))
+    };
+    let mut state = vec![];
+    for field in STATE {
+        let mut readings = observation.iter().flat_map(|it| &it.state);
+        let reading = readings.find(|it| it.field() == field);
+        let reading =
+            reading.ok_or_else(|| format!("the observation lacks {}", field.as_str_name()))?;
+        state.extend_from_slice(&reading.values);
+    }
+    let [scene, wrist] = CAMERAS;
+    Ok(codec::observation(&codec::Shown {
+        side: frame::SIDE,
+        image: &frame(scene)?,
+        wrist_image: &frame(wrist)?,
+        state: &state,
+        prompt,
+    }))
+}
+
+/// The actions that are executed.
+fn first_actions(chunk: &codec::Chunk, execute: u32) -> Result<InferResponse, String> {
+    let [count, width] = chunk.shape;
+    if count < execute as usize {
+        return Err(format!(
+            "it answered {count} actions, and {execute} are executed per query: write \
+             ?execute={count} behind its address, or serve a checkpoint with longer chunks"
+        ));
+    }
+    // Another width is refused, and named, where all answers are checked.
+    let numbers = chunk.numbers[..execute as usize * width].to_vec();
+    Ok(InferResponse {
+        actions: numbers,
+        action_width: u32::try_from(width).unwrap_or(ACTION_WIDTH + 1),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_is_read_as_it_is_written() {
+        for text in ["ws://gpu7:8000", "wss://[::1]:8000?execute=10"] {
+            let address: OpenpiAddress = text.parse().expect(text);
+            assert_eq!(address.to_string(), text);
+        }
+        let wrong = [
+            "ws://gpu7",
+            "ws://:8000",
+            "http://gpu7:8000",
+            "ws://gpu7:8000/path",
+            "ws://gpu7:8000?execute=0",
+            "ws://gpu7:8000?run=5",
+        ];
+        for text in wrong {
+            let error = text.parse::<OpenpiAddress>().expect_err(text);
+            assert!(error.to_string().contains("ws://HOST:PORT"), "{error}");
+        }
+    }
+
+    #[test]
+    fn only_the_first_actions_of_a_chunk_are_handed_on() {
+        let chunk = codec::Chunk {
+            shape: [10, 7],
+            numbers: (0..70_u8).map(f32::from).collect(),
+        };
+        let response = first_actions(&chunk, 5).expect("enough actions");
+        assert_eq!(response.actions, chunk.numbers[..35]);
+        let error = first_actions(&chunk, 11).expect_err("too few");
+        assert!(error.contains("?execute=10"), "{error}");
+    }
+}

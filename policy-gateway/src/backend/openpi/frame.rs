@@ -1,0 +1,127 @@
+//! A frame as openpi's LIBERO client prepares it: turned by 180°, then resized
+//! to 224 × 224 as Pillow's bilinear filter does, to the last bit. Pure.
+//!
+//! The client would pad a frame that is not square; the simulator's are.
+
+/// Side of what comes out, pixels.
+pub const SIDE: usize = 224;
+/// Binary digits of Pillow's weights behind the point.
+const WEIGHT_BITS: u32 = 22;
+
+/// Turns a square RGB frame of `side` pixels whose row 0 is the BOTTOM of the
+/// picture upright (and mirrors it, as openpi's training data are), and resizes
+/// it to [`SIDE`].
+pub fn prepare(rgb: &[u8], side: usize) -> Vec<u8> {
+    let turned: Vec<u8> = rgb.rchunks_exact(3).flatten().copied().collect();
+    resize(&turned, side, SIDE)
+}
+
+/// The pixels that one pixel of the result is made of.
+struct Window {
+    first: usize,
+    weights: Vec<i32>,
+}
+
+/// Pillow's two passes, along rows and then along columns, with rounding to
+/// whole levels in between.
+fn resize(rgb: &[u8], from: usize, to: usize) -> Vec<u8> {
+    if from == to {
+        return rgb.to_vec();
+    }
+    let windows = windows(from, to);
+    let rows = rgb.chunks_exact(3 * from);
+    let narrow: Vec<u8> = rows.flat_map(|row| mix(&windows, row, 3)).collect();
+    mix(&windows, &narrow, 3 * to).collect()
+}
+
+/// Mixes lines of `stride` bytes into as many as there are windows.
+fn mix<'a>(windows: &'a [Window], lines: &'a [u8], stride: usize) -> impl Iterator<Item = u8> + 'a {
+    windows.iter().flat_map(move |window| {
+        (0..stride).map(move |at| {
+            let begin = window.first * stride + at;
+            let levels = lines[begin..].iter().step_by(stride);
+            let weighted = levels.zip(&window.weights);
+            let sum: i32 = weighted
+                .map(|(&level, weight)| i32::from(level) * weight)
+                .sum();
+            ((sum + (1 << (WEIGHT_BITS - 1))) >> WEIGHT_BITS).clamp(0, 255) as u8
+        })
+    })
+}
+
+/// A triangle as wide as one pixel of the larger grid to either side, around
+/// each pixel of the result.
+fn windows(from: usize, to: usize) -> Vec<Window> {
+    let scale = from as f64 / to as f64;
+    let support = scale.max(1.0);
+    let window = |at: usize| {
+        let centre = (at as f64 + 0.5) * scale;
+        let first = (centre - support + 0.5).max(0.0) as usize;
+        let last = ((centre + support + 0.5) as usize).min(from);
+        let triangle = |pixel: usize| {
+            let distance = (pixel as f64 - centre + 0.5) / support;
+            (1.0 - distance.abs()).max(0.0)
+        };
+        let weights: Vec<f64> = (first..last).map(triangle).collect();
+        let sum: f64 = weights.iter().sum();
+        let fixed = |weight: &f64| (0.5 + weight / sum * f64::from(1 << WEIGHT_BITS)) as i32;
+        Window {
+            first,
+            weights: weights.iter().map(fixed).collect(),
+        }
+    };
+    (0..to).map(window).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use sha2::{Digest, Sha256};
+
+    use super::*;
+
+    // The figures are those of Pillow 13.0.0, by way of openpi-client 0.1.2's
+    // `resize_with_pad`.
+
+    fn pattern(side: usize) -> Vec<u8> {
+        let pixel = |x: usize, y: usize| {
+            let level = x * 7 + y * 13 + (x * y) / 7;
+            [0, 50, 100].map(|colour| ((level + colour) % 256) as u8)
+        };
+        let rows = (0..side).map(|y| (0..side).map(move |x| pixel(x, y)));
+        rows.flatten().flatten().collect()
+    }
+
+    #[test]
+    fn a_frame_is_what_openpis_client_makes_of_it_to_the_last_bit() {
+        let prepared = prepare(&pattern(256), 256);
+        let at = |x: usize, y: usize| &prepared[3 * (y * SIDE + x)..][..3];
+        assert_eq!(at(0, 0), [45, 88, 138]);
+        assert_eq!(at(100, 100), [105, 55, 105]);
+        let digest = Sha256::digest(&prepared);
+        let digest: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
+        assert_eq!(
+            digest,
+            "9a4c9d135a8b82e596068dd9c126a3bccc9514f89fa7a4e358f2cf4f526b2cf3"
+        );
+    }
+
+    #[test]
+    fn edges_count_only_the_pixels_that_there_are() {
+        let resized = [
+            6, 56, 106, 15, 65, 115, 23, 73, 123, 22, 72, 122, 31, 81, 131, 39, 89, 139, 37, 87,
+            137, 46, 96, 146, 55, 105, 155,
+        ];
+        assert_eq!(resize(&pattern(4), 4, 3), resized);
+    }
+
+    #[test]
+    fn the_last_pixel_comes_first() {
+        assert_eq!(
+            prepare(&[7; 3 * SIDE * SIDE], SIDE),
+            vec![7; 3 * SIDE * SIDE]
+        );
+        let mut frame = vec![0; 3 * SIDE * SIDE];
+        frame[0] = 9;
+        assert_eq!(prepare(&frame, SIDE)[3 * SIDE * SIDE - 3..], [9, 0, 0]);
+    }
+}

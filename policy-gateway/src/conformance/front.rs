@@ -1,0 +1,69 @@
+//! A gateway on this machine, in this process, in front of a server that does
+//! not speak the policy protocol: what is checked then is what workers will see.
+
+use std::net::SocketAddr;
+
+use thiserror::Error;
+use tokio::{net::TcpListener, task::JoinSet};
+use transport::Security;
+
+use crate::{
+    config::{
+        AccessFiles, BackendSpec, Batching, CheckpointSpecs, Config, ConfigError,
+        DEFAULT_ANSWER_WITHIN, RouteSpec, UnusableBackend,
+    },
+    service::Gateway,
+};
+
+/// Such a gateway, until dropped.
+pub struct Front {
+    /// Where it listens.
+    pub address: SocketAddr,
+    _task: JoinSet<()>,
+}
+
+impl Front {
+    /// Starts a gateway in front of the server at `url`.
+    ///
+    /// # Errors
+    /// When the address or what is needed to get in is no use.
+    pub async fn start(url: &str, access: AccessFiles) -> Result<Self, FrontError> {
+        let backend: BackendSpec = url.parse()?;
+        let route = RouteSpec {
+            name: "policy".parse()?,
+            checkpoints: CheckpointSpecs::One(vec![backend]),
+            batching: Batching::default(),
+            answer_within: DEFAULT_ANSWER_WITHIN,
+            access,
+        };
+        let gateway = Gateway::new(&Config::new(vec![route])?)?;
+        let listener = TcpListener::bind(SocketAddr::from(([127, 0, 0, 1], 0))).await?;
+        let address = listener.local_addr()?;
+        let mut task = JoinSet::new();
+        task.spawn(async move {
+            let security = Security::loopback();
+            let until_dropped = std::future::pending();
+            if let Err(error) = crate::run(gateway, &security, listener, until_dropped).await {
+                tracing::error!("the gateway in front of the server failed to {error}");
+            }
+        });
+        Ok(Self {
+            address,
+            _task: task,
+        })
+    }
+}
+
+/// Why no gateway can stand in front of a server. Reads after "failed to …".
+#[derive(Debug, Error)]
+pub enum FrontError {
+    /// An address, or a server over TLS without an authority.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// Certificate authority or token that is no use.
+    #[error(transparent)]
+    Backend(#[from] UnusableBackend),
+    /// No free port.
+    #[error("listen on this machine")]
+    Listen(#[from] std::io::Error),
+}

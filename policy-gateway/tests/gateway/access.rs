@@ -1,0 +1,143 @@
+//! Policy servers over TLS and with tokens: the right papers let the gateway in,
+//! wrong ones are named with what to do about them, and none is ever logged. The
+//! server is the program itself.
+
+use std::{
+    io::Read,
+    path::{Path, PathBuf},
+    process::{Child, Stdio},
+};
+
+use policy_gateway::config;
+use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, IsCa, KeyPair, date_time_ymd};
+use tempfile::TempDir;
+use tonic::{Code, Status};
+
+use crate::{
+    program::{listening, program},
+    support::{infer, reloadable, reset},
+};
+
+const TOKEN: &str = "worker-secret-0123456789";
+const WRONG: &str = "wrong-secret-0123456789";
+
+/// Certificates and tokens in a folder.
+struct Papers {
+    folder: TempDir,
+    issuer: CertifiedIssuer<'static, KeyPair>,
+}
+
+impl Papers {
+    fn new() -> Self {
+        let mut params = CertificateParams::new(Vec::new()).expect("no names");
+        params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
+        let key = KeyPair::generate().expect("a key");
+        let papers = Self {
+            folder: tempfile::tempdir().expect("a temporary folder"),
+            issuer: CertifiedIssuer::self_signed(params, key).expect("signed"),
+        };
+        papers.write("ca.pem", &papers.issuer.pem());
+        papers.write("token", &format!("worker {TOKEN}\n"));
+        papers
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn write(&self, name: &str, text: &str) {
+        std::fs::write(self.path(name), text).expect("written");
+    }
+
+    /// A server of these papers, whose certificate is valid until the end of a
+    /// year.
+    fn serve(&self, until_year: i32) -> Server {
+        let mut params = CertificateParams::new(["localhost".to_owned()]).expect("a name");
+        params.not_after = date_time_ymd(until_year, 12, 31);
+        let key = KeyPair::generate().expect("a key");
+        let certificate = params.signed_by(&key, &self.issuer).expect("signed");
+        self.write("cert.pem", &certificate.pem());
+        self.write("key.pem", &key.serialize_pem());
+        let paths = ["cert.pem", "key.pem", "token"].map(|it| self.path(it).display().to_string());
+        let [certificate, key, tokens] = &paths;
+        let mut child = program(&["--listen", "127.0.0.1:0", "--route", "noop=builtin:noop"])
+            .args(["--tls-cert", certificate, "--tls-key", key])
+            .args(["--token-file", tokens])
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("the program starts");
+        let line = listening(&mut child);
+        let address = line.split_whitespace().next().expect("an address");
+        let port = address.rsplit(':').next().expect("a port").to_owned();
+        Server { child, port }
+    }
+}
+
+struct Server {
+    child: Child,
+    port: String,
+}
+
+impl Server {
+    /// Ends it, and hands over its log.
+    fn log(mut self) -> String {
+        self.child.kill().expect("it runs");
+        self.child.wait().expect("it ends");
+        let mut log = String::new();
+        let stderr = self.child.stderr.take().expect("stderr is piped");
+        { stderr }.read_to_string(&mut log).expect("UTF-8");
+        log
+    }
+}
+
+/// One query through a gateway that has these papers for the server.
+async fn ask(server: &Server, ca: &Path, token_file: &Path) -> Result<(), Status> {
+    let file = tempfile::NamedTempFile::new().expect("a file");
+    let text = format!(
+        "[policy.x]\nreplicas = [\"https://localhost:{}\"]\nca = {ca:?}\ntoken_file = {token_file:?}\n",
+        server.port
+    );
+    std::fs::write(file.path(), text).expect("written");
+    let config = config::file::read(file.path()).expect("a configuration");
+    let (gateway, _) = reloadable(config.routes().to_vec()).await;
+    let mut client = gateway.client().await;
+    client.reset(reset("x", "s")).await?;
+    client.infer(infer("x", "s", 0)).await.map(drop)
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_server_over_tls_is_asked_with_the_right_papers_and_wrong_ones_are_named() {
+    let papers = Papers::new();
+    let server = papers.serve(2099);
+    let (ca, token) = (papers.path("ca.pem"), papers.path("token"));
+    ask(&server, &ca, &token).await.expect("the right papers");
+
+    papers.write("other-token", &format!("worker {WRONG}\n"));
+    let stranger = ask(&server, &ca, &papers.path("other-token")).await;
+    let stranger = stranger.expect_err("a token that it does not know");
+    assert_eq!(stranger.code(), Code::Unavailable);
+    assert!(stranger.message().contains("`token_file`"), "{stranger}");
+    assert!(!stranger.message().contains(WRONG), "{stranger}");
+
+    let others = Papers::new();
+    let untrusted = ask(&server, &others.path("ca.pem"), &token).await;
+    let untrusted = untrusted.expect_err("another authority");
+    assert_eq!(untrusted.code(), Code::Unavailable);
+    for part in ["invalid peer certificate", "`ca` of the policy"] {
+        assert!(untrusted.message().contains(part), "{part} in {untrusted}");
+    }
+    let log = server.log();
+    assert!(!log.contains(TOKEN) && !log.contains(WRONG), "{log}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_expired_certificate_is_named() {
+    let papers = Papers::new();
+    let server = papers.serve(2020);
+    let expired = ask(&server, &papers.path("ca.pem"), &papers.path("token")).await;
+    let expired = expired.expect_err("expired");
+    assert_eq!(expired.code(), Code::Unavailable);
+    let text = expired.message();
+    assert!(text.contains("xpired") && text.contains("renew"), "{text}");
+    drop(server.log());
+}
