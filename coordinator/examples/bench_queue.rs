@@ -92,7 +92,10 @@ async fn main() -> Result<()> {
             jobs,
         ));
     }
-    let seconds = watch(&measured, jobs).await;
+    let seconds = tokio::select! {
+        seconds = watch(&measured, jobs) => seconds,
+        trouble = first_trouble(&mut slots) => return Err(trouble),
+    };
     let elapsed = began.elapsed();
     slots.abort_all();
     beats.abort_all();
@@ -172,6 +175,16 @@ async fn beat(queue: Arc<Queue>, worker: u32) -> Result<()> {
         tokio::time::sleep(queue.timing().heartbeat).await;
         queue.heartbeat(&worker_id(worker), &[]).await?;
     }
+}
+
+/// The first failure of a slot; waits for ever if all end well.
+async fn first_trouble(slots: &mut JoinSet<Result<()>>) -> anyhow::Error {
+    while let Some(ended) = slots.join_next().await {
+        if let Err(error) = ended.map_err(Into::into).and_then(|ended| ended) {
+            return error;
+        }
+    }
+    std::future::pending().await
 }
 
 /// Rollouts committed in every second until all are.
@@ -273,7 +286,7 @@ fn worker_id(number: u32) -> WorkerId {
 fn worker_info(number: u32, arguments: &Arguments) -> WorkerInfo {
     WorkerInfo {
         id: worker_id(number),
-        host: "simulated".to_owned(),
+        host: format!("simulated-{number}"),
         slots: arguments.slots_per_worker,
         asset_pack: "simulated".to_owned(),
         asset_pack_digest: digest("pack"),
@@ -314,7 +327,8 @@ fn outcome(
             policy_queries: 100,
         },
         provenance: Provenance {
-            host: "simulated".to_owned(),
+            // Every worker runs on a machine of its own.
+            host: worker.0.clone(),
             gl_renderer: "simulated".to_owned(),
             mujoco_version: "simulated".to_owned(),
             asset_pack: "simulated".to_owned(),

@@ -18,32 +18,32 @@ const DRAWING_NOTHING: [Axis; 3] = [Axis::Camera, Axis::Lighting, Axis::Robot];
 
 /// What a campaign demands of one of its results.
 #[derive(Clone, Debug)]
-pub(crate) struct Demand {
+pub(crate) struct Demand<'a> {
     /// What the campaign is pinned to.
     pub(crate) pin: Option<Pin>,
     /// The campaign's realisation mode.
     pub(crate) realisation: Realisation,
     /// The rollout that was to be run.
-    pub(crate) row: ManifestRow,
+    pub(crate) row: &'a ManifestRow,
 }
 
 /// The first difference that keeps a result out, in words; none if it may
 /// stand. The siblings are committed rollouts of the same campaign, task and
 /// initial state.
 pub(crate) fn difference(
-    demand: &Demand,
+    demand: &Demand<'_>,
     siblings: &[Sibling],
     provenance: &Provenance,
     digests: &Digests,
 ) -> Option<String> {
     from_the_campaign(demand, provenance)
-        .or_else(|| from_the_row(&demand.row, &digests.perturbation))
+        .or_else(|| from_the_row(demand.row, &digests.perturbation))
         .or_else(|| from_the_scene(siblings, digests))
         .or_else(|| from_the_perturbation(demand, siblings, &digests.perturbation))
         .or_else(|| from_the_first_frame(siblings, provenance, digests))
 }
 
-fn from_the_campaign(demand: &Demand, provenance: &Provenance) -> Option<String> {
+fn from_the_campaign(demand: &Demand<'_>, provenance: &Provenance) -> Option<String> {
     let campaign = "in the campaign";
     let pinned = demand.pin.as_ref().and_then(|pin| {
         let pack = (&provenance.asset_pack_digest, &pin.asset_pack_digest);
@@ -86,7 +86,7 @@ fn from_the_scene(siblings: &[Sibling], digests: &Digests) -> Option<String> {
 }
 
 fn from_the_perturbation(
-    demand: &Demand,
+    demand: &Demand<'_>,
     siblings: &[Sibling],
     realised: &AxisDigests,
 ) -> Option<String> {
@@ -221,10 +221,11 @@ mod tests {
         first_frame: &str,
         sibling: &Sibling,
     ) -> Option<String> {
+        let row = row(id);
         let demand = Demand {
             pin: None,
             realisation: mode,
-            row: row(id),
+            row: &row,
         };
         let digests = Digests {
             scene: hex(b'1'),

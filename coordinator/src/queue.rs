@@ -5,9 +5,10 @@
 
 mod campaigns;
 mod claim;
-mod finish;
-mod memo;
+mod commit;
+mod known;
 mod operate;
+mod release;
 mod writer;
 
 use std::sync::{Arc, Mutex, PoisonError};
@@ -22,6 +23,7 @@ use crate::clock::{Clock, UnixMillis};
 use crate::ids::{CampaignName, JobId, LeaseRef, WorkerId};
 use crate::plan::{Decision, ExpiredLease, SweepState, plan};
 use crate::store::failpoint::Step;
+use known::Known;
 use writer::Operation;
 
 use crate::store::workers::WorkerInfo;
@@ -29,11 +31,12 @@ use crate::store::{Store, StoreError, jobs, policies, workers};
 
 pub use campaigns::{CampaignStatus, Created, RATE_WINDOW};
 pub use claim::{ClaimRequest, Claimed, ClaimedJob, MAX_CLAIM_JOBS, MAX_CLAIM_WAIT};
-pub use finish::{CommitReply, CommitReport, CommitVerdict, ReleaseReply, ReleaseVerdict};
+pub use commit::{CommitReply, CommitReport, CommitVerdict};
 pub use operate::{
     BackupInHand, JobFilter, JobName, MAX_JOBS_LISTED, MAX_JOBS_RETRIED, MAX_WORKERS_LISTED, Retry,
     WorkerStatus,
 };
+pub use release::{ReleaseReply, ReleaseVerdict};
 
 /// Leases that one sweep takes away.
 const MAX_EXPIRED_PER_SWEEP: u32 = 1_024;
@@ -164,6 +167,9 @@ pub struct Queue {
     operations: mpsc::Sender<Operation>,
     /// The task that executes it; ends with the queue.
     writer: Mutex<JoinSet<()>>,
+    /// What the writer need not read again. Locked within the writing
+    /// transaction only.
+    known: tokio::sync::Mutex<Known>,
     /// Rung when jobs may have become leasable.
     work: Notify,
     draining: watch::Sender<bool>,
@@ -201,6 +207,7 @@ impl Queue {
             last_sweep: Mutex::new(now),
             operations,
             writer: Mutex::default(),
+            known: tokio::sync::Mutex::default(),
             work: Notify::new(),
             draining: watch::Sender::new(false),
             hold: watch::Sender::new(None),
@@ -263,16 +270,16 @@ impl Queue {
         progress: &[(LeaseRef, u32)],
     ) -> Result<Vec<JobId>, QueueError> {
         let now = self.now();
-        if !workers::seen(tx, worker, now).await? {
+        if workers::seen(tx, &[worker], now).await? == 0 {
             return Err(QueueError::UnknownWorker {
                 worker: worker.clone(),
             });
         }
         let probes = policies::probes(tx).await?;
+        let held = jobs::renew(tx, progress, now.plus(self.timing.lease)).await?;
         let mut lost = Vec::new();
         for (lease, control_steps) in progress {
-            let expires = now.plus(self.timing.lease);
-            if !jobs::renew(tx, lease, *control_steps, expires).await? {
+            if !held.contains(&lease.job) {
                 lost.push(lease.job);
                 continue;
             }

@@ -150,6 +150,11 @@ pub(crate) fn undecodable(error: impl std::error::Error + Send + Sync + 'static)
     sqlx::Error::Decode(Box::new(error))
 }
 
+/// Many values for one statement: it reads them with `json_each`.
+pub(crate) fn json(values: impl serde::Serialize) -> String {
+    serde_json::to_string(&values).expect("numbers and text are JSON")
+}
+
 impl Store {
     /// Opens the database of a data folder, creating and migrating it as
     /// needed.

@@ -180,7 +180,10 @@ async fn look_at(
         let index = index.and_then(|place| words.get(place + 1)).copied();
         walked.extend(index.map(str::to_owned));
         let is_scan = words[0] == "SCAN" && words[1] != "CONSTANT";
-        let is_small = SMALL.contains(&words[1]) || words[1].starts_with('(');
+        // `json_each` walks what the statement brought along.
+        let is_small = SMALL.contains(&words[1])
+            || words[1].starts_with('(')
+            || line.contains("VIRTUAL TABLE");
         if is_scan && !is_small && !index.is_some_and(|index| OF_FEW_JOBS.contains(&index)) {
             faults.push(line);
         }

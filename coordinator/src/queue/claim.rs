@@ -1,20 +1,22 @@
 //! Granting leases, at once or after a wait.
 
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
 use std::time::Duration;
 
 use sqlx::SqliteConnection;
 use tokio::time::Instant;
 
-use super::memo::Memo;
+use super::known::Known;
 use super::writer::{Operation, Presence};
 use super::{Queue, QueueError};
 use crate::clock::UnixMillis;
 use crate::ids::{Attempt, CampaignId, CampaignName, JobId, PolicyId, WorkerId};
-use crate::lease::MIN_WORKERS_TO_QUARANTINE;
+use crate::lease::{MAX_CHARGED_ATTEMPTS, MIN_WORKERS_TO_QUARANTINE};
 use crate::outage::{Allowance, PolicyState};
 use crate::plan::choose_task;
-use crate::store::claims::{Claimant, LeasedJob, WaitingCampaign};
-use crate::store::workers::Pin;
+use crate::store::claims::{Candidate, Claimant, LeasedJob, WaitingCampaign};
+use crate::store::workers::{Pin, Standing};
 use crate::store::{StoreError, campaigns, claims, policies, workers};
 
 /// Most jobs that one claim leases.
@@ -67,6 +69,17 @@ pub struct ClaimedJob {
     pub record: String,
 }
 
+/// A worker that asks for more of the scene that it holds.
+struct Wanted<'a> {
+    /// Which of those that ask.
+    place: usize,
+    worker: &'a WorkerId,
+    task: &'a str,
+    jobs: usize,
+    /// Campaigns that it suits; the jobs are the first one's.
+    waiting: Arc<Vec<WaitingCampaign>>,
+}
+
 impl Queue {
     /// Leases jobs; waits up to `wait` for the first.
     ///
@@ -104,30 +117,128 @@ impl Queue {
         }
     }
 
-    /// What a worker can have now.
+    /// What workers that ask at the same time can have now.
     pub(super) async fn claim_in(
         &self,
         tx: &mut SqliteConnection,
-        memo: &mut Memo,
-        request: &ClaimRequest,
-        presence: Presence,
-    ) -> Result<Claimed, QueueError> {
+        known: &mut Known,
+        requests: &[(&ClaimRequest, Presence)],
+    ) -> Result<Vec<Result<Claimed, QueueError>>, StoreError> {
+        if requests.is_empty() {
+            return Ok(Vec::new());
+        }
         let now = self.now();
-        let worker = &request.worker;
-        let Some(standing) = workers::standing(tx, worker).await? else {
-            return Err(QueueError::UnknownWorker {
-                worker: worker.clone(),
+        let standings = self.standings(tx, requests, now).await?;
+        let mut plain = self
+            .claim_plain(tx, known, requests, &standings, now)
+            .await?;
+        let mut answers = Vec::with_capacity(requests.len());
+        for (place, (request, _)) in requests.iter().enumerate() {
+            answers.push(match may_claim(&standings, &request.worker) {
+                Err(refusal) => Err(refusal),
+                Ok(standing) => Ok(match plain.remove(&place) {
+                    Some(claimed) => claimed,
+                    None => self.claim_alone(tx, known, request, standing, now).await?,
+                }),
             });
-        };
-        if presence == Presence::Noted && standing.last_seen < now {
-            workers::seen(tx, worker, now).await?;
         }
-        if let Some(reason) = standing.stopped_reason {
-            return Err(QueueError::WorkerStopped {
-                worker: worker.clone(),
-                reason,
-            });
+        Ok(answers)
+    }
+
+    /// Who asks, and notes that they are there.
+    async fn standings(
+        &self,
+        tx: &mut SqliteConnection,
+        requests: &[(&ClaimRequest, Presence)],
+        now: UnixMillis,
+    ) -> Result<BTreeMap<WorkerId, Standing>, StoreError> {
+        let asking: Vec<_> = requests
+            .iter()
+            .map(|(request, _)| &request.worker)
+            .collect();
+        let standings = workers::standings(tx, &asking).await?;
+        let mut heard_of = Vec::new();
+        for (request, presence) in requests {
+            let standing = standings.get(&request.worker);
+            let is_news = standing.is_some_and(|standing| standing.last_seen < now);
+            if *presence == Presence::Noted && is_news {
+                heard_of.push(&request.worker);
+            }
         }
+        if !heard_of.is_empty() {
+            workers::seen(tx, &heard_of, now).await?;
+        }
+        Ok(standings)
+    }
+
+    /// Leases to those who ask for more of the scene that they hold, as far as
+    /// the first campaign that they suit has it and nothing speaks against it,
+    /// all by the same two statements. Answers by places in `requests`; whoever
+    /// is missing is looked at alone.
+    async fn claim_plain(
+        &self,
+        tx: &mut SqliteConnection,
+        known: &mut Known,
+        requests: &[(&ClaimRequest, Presence)],
+        standings: &BTreeMap<WorkerId, Standing>,
+        now: UnixMillis,
+    ) -> Result<BTreeMap<usize, Claimed>, StoreError> {
+        let mut wanted: BTreeMap<CampaignId, Vec<Wanted<'_>>> = BTreeMap::new();
+        for (place, (request, _)) in requests.iter().enumerate() {
+            let (Ok(standing), Some(task), None) = (
+                may_claim(standings, &request.worker),
+                &request.warm_task,
+                self.held(),
+            ) else {
+                continue;
+            };
+            let waiting = known.waiting(tx, &standing.pin).await?;
+            let Some(first) = waiting.first() else {
+                continue;
+            };
+            if first.is_pinned && first.health.allowance(now) == Allowance::Unlimited {
+                wanted.entry(first.id).or_default().push(Wanted {
+                    place,
+                    worker: &request.worker,
+                    task,
+                    jobs: jobs_wanted(request) as usize,
+                    waiting: waiting.clone(),
+                });
+            }
+        }
+        let mut claimed = BTreeMap::new();
+        let expires = now.plus(self.timing.lease);
+        for (campaign, wanted) in wanted {
+            let candidates = claims::candidates(tx, campaign, &demand(&wanted), now).await?;
+            let shares = share_out(wanted, candidates);
+            let mut grants = Vec::new();
+            for (wanted, jobs) in &shares {
+                grants.extend(jobs.iter().map(|job| (*job, wanted.worker)));
+            }
+            let mut leased = claims::grant(tx, &grants, now, expires).await?;
+            for (wanted, jobs) in shares {
+                let leased = jobs.iter().filter_map(|job| leased.remove(job)).collect();
+                claimed.insert(
+                    wanted.place,
+                    Claimed {
+                        jobs: hand_out(&wanted.waiting[0], leased),
+                        idle_reason: String::new(),
+                    },
+                );
+            }
+        }
+        Ok(claimed)
+    }
+
+    /// What one worker can have now, whatever it asks for.
+    async fn claim_alone(
+        &self,
+        tx: &mut SqliteConnection,
+        known: &mut Known,
+        request: &ClaimRequest,
+        standing: &Standing,
+        now: UnixMillis,
+    ) -> Result<Claimed, StoreError> {
         if let Some(idle_reason) = self.held() {
             return Ok(Claimed {
                 jobs: Vec::new(),
@@ -135,27 +246,26 @@ impl Queue {
             });
         }
         let claimant = Claimant {
-            worker,
+            worker: &request.worker,
             pin: &standing.pin,
             able_workers: self.able_workers(tx, Some(&standing.pin), now).await?,
             now,
         };
-        Ok(self
-            .lease_from_campaigns(tx, memo, request, claimant)
-            .await?)
+        self.lease_from_campaigns(tx, known, request, claimant)
+            .await
     }
 
     async fn lease_from_campaigns(
         &self,
         tx: &mut SqliteConnection,
-        memo: &mut Memo,
+        known: &mut Known,
         request: &ClaimRequest,
         claimant: Claimant<'_>,
     ) -> Result<Claimed, StoreError> {
-        let mut room = request.max_jobs.clamp(1, MAX_CLAIM_JOBS);
+        let mut room = jobs_wanted(request);
         let mut claimed = Claimed::default();
         let mut probed: Vec<PolicyId> = Vec::new();
-        for campaign in memo.waiting(tx, claimant.pin).await?.iter() {
+        for campaign in known.waiting(tx, claimant.pin).await?.iter() {
             let allowed = match campaign.health.allowance(claimant.now) {
                 _ if probed.contains(&campaign.policy) => 0,
                 Allowance::Unlimited => room,
@@ -172,11 +282,11 @@ impl Queue {
                 let health = campaign.health.with_probe(first.id, first.attempt);
                 policies::set_health(tx, campaign.policy, &health).await?;
                 probed.push(campaign.policy);
-                memo.forget();
+                known.forget_owners();
             }
             if !campaign.is_pinned {
                 campaigns::pin(tx, campaign.id, claimant.pin, claimant.now).await?;
-                memo.forget();
+                known.forget_owners();
             }
             room -= u32::try_from(leased.len()).unwrap_or(room).min(room);
             claimed.jobs.extend(hand_out(campaign, leased));
@@ -227,6 +337,61 @@ impl Queue {
         let since = now.minus(self.timing.worker_alive);
         workers::able(tx, pin, since, MIN_WORKERS_TO_QUARANTINE).await
     }
+}
+
+/// The standing of a worker that may lease.
+fn may_claim<'a>(
+    standings: &'a BTreeMap<WorkerId, Standing>,
+    worker: &WorkerId,
+) -> Result<&'a Standing, QueueError> {
+    let standing = standings
+        .get(worker)
+        .ok_or_else(|| QueueError::UnknownWorker {
+            worker: worker.clone(),
+        })?;
+    match &standing.stopped_reason {
+        Some(reason) => Err(QueueError::WorkerStopped {
+            worker: worker.clone(),
+            reason: reason.clone(),
+        }),
+        None => Ok(standing),
+    }
+}
+
+fn jobs_wanted(request: &ClaimRequest) -> u32 {
+    request.max_jobs.clamp(1, MAX_CLAIM_JOBS)
+}
+
+/// Jobs wanted of each task.
+fn demand<'a>(wanted: &[Wanted<'a>]) -> BTreeMap<&'a str, usize> {
+    let mut demand = BTreeMap::new();
+    for wanted in wanted {
+        *demand.entry(wanted.task).or_default() += wanted.jobs;
+    }
+    demand
+}
+
+/// Gives everybody the next jobs of their task. Whoever would get fewer than
+/// they ask for, or a job that failed so often that it matters where, gets none
+/// here.
+fn share_out<'a>(
+    wanted: Vec<Wanted<'a>>,
+    mut candidates: BTreeMap<String, VecDeque<Candidate>>,
+) -> Vec<(Wanted<'a>, Vec<JobId>)> {
+    let mut shares = Vec::new();
+    for wanted in wanted {
+        let Some(waiting) = candidates.get_mut(wanted.task) else {
+            continue;
+        };
+        let mut next = waiting.iter().take(wanted.jobs);
+        if waiting.len() >= wanted.jobs
+            && next.all(|job| job.charged_attempts < MAX_CHARGED_ATTEMPTS)
+        {
+            let jobs = waiting.drain(..wanted.jobs).map(|job| job.id).collect();
+            shares.push((wanted, jobs));
+        }
+    }
+    shares
 }
 
 /// Whether two workers' results may be pooled.

@@ -135,6 +135,8 @@ impl Queue {
             });
         }
         campaigns::delete(&mut tx, row.id).await?;
+        // Another campaign may get its number.
+        self.known.lock().await.forget();
         removals::note(&mut tx, &folder).await?;
         tx.commit().await?;
         tracing::warn!(campaign = %name, jobs = counts.total(), results = counts.committed,

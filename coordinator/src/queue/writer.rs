@@ -3,14 +3,15 @@
 //!
 //! An operation that fails spoils nobody else's: the transaction is undone and
 //! each of its operations is tried in one of its own. Not responsible for what
-//! the operations do (`claim`, `finish`).
+//! the operations do (`claim`, `commit`, `release`).
 
 use std::sync::Weak;
 
+use sqlx::SqliteConnection;
 use tokio::sync::{mpsc, oneshot};
 
-use super::finish::Release;
-use super::memo::Memo;
+use super::known::Known;
+use super::release::Release;
 use super::{ClaimRequest, Claimed, CommitReply, CommitReport, Queue, QueueError, ReleaseReply};
 use crate::ids::{JobId, LeaseRef, WorkerId};
 use crate::store::StoreError;
@@ -100,36 +101,66 @@ impl Queue {
     }
 
     /// Executes operations in one transaction: each has its answer then, or
-    /// nothing at all happened.
+    /// nothing at all happened. Who asks for several things waits for each
+    /// answer, so that their order is free: what makes jobs leasable goes first,
+    /// and what can be done at once is done together.
     async fn transact(&self, operations: &mut [Operation]) -> Result<(), StoreError> {
         let mut steps: Vec<Step> = operations.iter().map(Operation::step).collect();
         steps.sort_unstable();
         steps.dedup();
         let mut tx = self.store.write_many(steps).await?;
-        let mut memo = Memo::default();
+        let mut known = self.known.lock().await;
+        known.begin();
+        let executed = self.execute_all(&mut tx, &mut known, operations).await;
+        let ended = match executed {
+            Ok(()) => tx.commit().await,
+            Err(error) => Err(error),
+        };
+        if ended.is_err() {
+            known.forget();
+        }
+        ended
+    }
+
+    async fn execute_all(
+        &self,
+        tx: &mut SqliteConnection,
+        known: &mut Known,
+        operations: &mut [Operation],
+    ) -> Result<(), StoreError> {
+        let mut commits = Vec::new();
+        let mut claims = Vec::new();
         for operation in operations {
             match operation {
-                // A lease for somebody who has gone would only run out.
-                Operation::Claim(.., pending) if pending.reply.is_closed() => {}
+                Operation::Commit(report, pending) => commits.push((&**report, pending)),
                 Operation::Claim(request, presence, pending) => {
-                    let claimed = self.claim_in(&mut tx, &mut memo, request, *presence);
-                    pending.put(claimed.await)?;
+                    // A lease for somebody who has gone would only run out.
+                    if !pending.reply.is_closed() {
+                        claims.push((&*request, *presence, pending));
+                    }
                 }
                 Operation::Heartbeat(worker, progress, pending) => {
-                    pending.put(self.heartbeat_in(&mut tx, worker, progress).await)?;
-                    memo.forget();
-                }
-                Operation::Commit(report, pending) => {
-                    let reply = self.commit_in(&mut tx, &mut memo, report);
-                    pending.put(reply.await)?;
+                    pending.put(self.heartbeat_in(tx, worker, progress).await)?;
                 }
                 Operation::Release(release, pending) => {
-                    pending.put(self.release_in(&mut tx, release).await)?;
-                    memo.forget();
+                    pending.put(self.release_in(tx, release).await)?;
                 }
             }
         }
-        tx.commit().await
+        let reports: Vec<&CommitReport> = commits.iter().map(|(report, _)| *report).collect();
+        let replies = self.commit_in(tx, known, &reports).await?;
+        for ((_, pending), reply) in commits.into_iter().zip(replies) {
+            pending.put(reply)?;
+        }
+        let requests: Vec<(&ClaimRequest, Presence)> = claims
+            .iter()
+            .map(|(request, presence, _)| (*request, *presence))
+            .collect();
+        let claimed = self.claim_in(tx, known, &requests).await?;
+        for ((.., pending), claimed) in claims.into_iter().zip(claimed) {
+            pending.put(claimed)?;
+        }
+        Ok(())
     }
 }
 

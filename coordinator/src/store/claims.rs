@@ -1,8 +1,10 @@
 //! Statements that grant leases: where jobs wait for a worker, and taking them.
 
+use std::collections::{BTreeMap, VecDeque};
+
 use sqlx::SqliteConnection;
 
-use super::{Doing, StoreError};
+use super::{Doing, StoreError, json};
 use crate::clock::UnixMillis;
 use crate::ids::{Attempt, CampaignId, CampaignName, JobId, PolicyId, WorkerId};
 use crate::lease::MAX_CHARGED_ATTEMPTS;
@@ -78,6 +80,17 @@ pub struct LeasedJob {
     pub policy_seed: i64,
     /// Place in paired-unit order.
     pub unit_order: i64,
+}
+
+/// A job that waits.
+#[derive(Clone, Debug, sqlx::FromRow)]
+pub(crate) struct Candidate {
+    /// The job.
+    pub(crate) id: JobId,
+    /// Its task, "libero_goal/3".
+    pub(crate) task: String,
+    /// How often it failed.
+    pub(crate) charged_attempts: u32,
 }
 
 /// Campaigns with waiting jobs that this worker's assets and simulator suit,
@@ -203,4 +216,66 @@ pub(crate) async fn claim(
     .doing("lease jobs")?;
     jobs.sort_by_key(|job| job.unit_order);
     Ok(jobs)
+}
+
+/// By task, jobs whose back-off is over, in paired-unit order: at least as many
+/// of each task as are demanded of it, if there are.
+pub(crate) async fn candidates(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+    demand: &BTreeMap<&str, usize>,
+    now: UnixMillis,
+) -> Result<BTreeMap<String, VecDeque<Candidate>>, StoreError> {
+    // A limit cannot name a column: it is the largest of all tasks'.
+    let limit = demand.values().max().copied().unwrap_or(0);
+    let waiting: Vec<Candidate> = sqlx::query_as(
+        "SELECT j.id, j.task, j.charged_attempts
+         FROM json_each(?3) AS demand JOIN job j ON j.id IN
+             (SELECT q.id FROM job q
+              WHERE q.campaign_id = ?1 AND q.task = demand.value AND q.state = 'queued'
+                  AND q.not_before_ms <= ?2
+              ORDER BY q.unit_order LIMIT ?4)
+         ORDER BY j.unit_order",
+    )
+    .bind(campaign)
+    .bind(now)
+    .bind(json(demand.keys().collect::<Vec<_>>()))
+    .bind(i64::try_from(limit).unwrap_or(i64::MAX))
+    .fetch_all(tx)
+    .await
+    .doing("look for waiting jobs")?;
+    let mut candidates: BTreeMap<String, VecDeque<Candidate>> = BTreeMap::new();
+    for job in waiting {
+        candidates
+            .entry(job.task.clone())
+            .or_default()
+            .push_back(job);
+    }
+    Ok(candidates)
+}
+
+/// Leases waiting jobs, each to its worker: one statement raises the attempts
+/// and grants the leases.
+pub(crate) async fn grant(
+    tx: &mut SqliteConnection,
+    grants: &[(JobId, &WorkerId)],
+    now: UnixMillis,
+    expires: UnixMillis,
+) -> Result<BTreeMap<JobId, LeasedJob>, StoreError> {
+    let grants = grants.iter().map(|(job, worker)| (job.0, &worker.0));
+    let jobs: Vec<LeasedJob> = sqlx::query_as(
+        "UPDATE job SET state = 'leased', attempt = attempt + 1, not_before_ms = NULL,
+             lease_owner = granted.value ->> 1, leased_ms = ?1, lease_expires_ms = ?2,
+             control_steps = 0
+         FROM json_each(?3) AS granted
+         WHERE job.id = granted.value ->> 0 AND state = 'queued'
+         RETURNING id, attempt, campaign_id, replicate, manifest_row, policy_seed, unit_order",
+    )
+    .bind(now)
+    .bind(expires)
+    .bind(json(grants.collect::<Vec<_>>()))
+    .fetch_all(tx)
+    .await
+    .doing("lease jobs")?;
+    Ok(jobs.into_iter().map(|job| (job.id, job)).collect())
 }

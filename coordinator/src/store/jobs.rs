@@ -4,10 +4,13 @@
 //! Every statement that moves a leased job is conditional on its owner and
 //! attempt, and answers whether it moved anything.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use protocol::ManifestRow;
 use sqlx::SqliteConnection;
 
-use super::{Doing, StoreError, undecodable};
+use super::results::InitialState;
+use super::{Doing, StoreError, json, undecodable};
 use crate::clock::UnixMillis;
 use crate::ids::{Attempt, CampaignId, JobId, LeaseRef, WorkerId};
 use crate::lease::{AfterFailure, FailureReason, Job, JobState, OutcomeKey};
@@ -17,11 +20,12 @@ use crate::lease::{AfterFailure, FailureReason, Job, JobState, OutcomeKey};
 pub(crate) struct ReportedJob {
     /// The job.
     pub(crate) job: Job,
-    /// Its campaign.
-    pub(crate) campaign: CampaignId,
+    /// What its siblings share with it.
+    pub(crate) of: InitialState,
+    /// The rollout that it is to run.
+    pub(crate) row: ManifestRow,
     /// Its committed outcome, if it has one.
     pub(crate) stored: Option<OutcomeKey>,
-    manifest_row: String,
 }
 
 /// A leased job whose time is over.
@@ -72,70 +76,76 @@ pub(crate) async fn load(
     .transpose()
 }
 
-/// One job as a report of its outcome finds it.
+/// Jobs as reports of their outcomes find them; those that there are.
 pub(crate) async fn reported(
     tx: &mut SqliteConnection,
-    id: JobId,
-) -> Result<Option<ReportedJob>, StoreError> {
+    ids: &[JobId],
+) -> Result<BTreeMap<JobId, ReportedJob>, StoreError> {
     #[derive(sqlx::FromRow)]
     struct Row {
         #[sqlx(flatten)]
         job: JobRow,
+        task: String,
+        init_id: i64,
         manifest_row: String,
         success: Option<bool>,
         steps: Option<u32>,
     }
-    let row: Option<Row> = sqlx::query_as(
+    let rows: Vec<Row> = sqlx::query_as(
         "SELECT j.id, j.campaign_id, j.attempt, j.charged_attempts, j.state, j.not_before_ms,
-             j.lease_owner, j.leased_ms, j.lease_expires_ms, j.manifest_row, r.success, r.steps
-         FROM job j LEFT JOIN result r ON r.job_id = j.id WHERE j.id = ?",
+             j.lease_owner, j.leased_ms, j.lease_expires_ms, j.task, j.init_id, j.manifest_row,
+             r.success, r.steps
+         FROM job j LEFT JOIN result r ON r.job_id = j.id
+         WHERE j.id IN (SELECT value FROM json_each(?))",
     )
-    .bind(id)
-    .fetch_optional(tx)
+    .bind(json(ids.iter().map(|id| id.0).collect::<Vec<_>>()))
+    .fetch_all(tx)
     .await
-    .doing("read a job")?;
-    row.map(|row| {
-        Ok(ReportedJob {
-            campaign: row.job.campaign_id,
+    .doing("read jobs")?;
+    let read = |row: Row| {
+        let manifest_row = serde_json::from_str(&row.manifest_row).map_err(undecodable);
+        let reported = ReportedJob {
+            of: InitialState {
+                campaign: row.job.campaign_id,
+                task: row.task,
+                init_id: row.init_id,
+            },
             job: row.job.into_job()?,
-            manifest_row: row.manifest_row,
+            row: manifest_row.doing("read a job's manifest row")?,
             stored: match (row.success, row.steps) {
                 (Some(success), Some(steps)) => Some(OutcomeKey { success, steps }),
                 _ => None,
             },
-        })
-    })
-    .transpose()
+        };
+        Ok((reported.job.id, reported))
+    };
+    rows.into_iter().map(read).collect()
 }
 
-impl ReportedJob {
-    /// The rollout that the job is to run.
-    pub(crate) fn manifest_row(&self) -> Result<ManifestRow, StoreError> {
-        let row = serde_json::from_str(&self.manifest_row).map_err(undecodable);
-        row.doing("read a job's manifest row")
-    }
-}
-
-/// Renews a lease and stores its progress. Answers whether it is still held.
+/// Renews leases and stores their progress. Answers which of them are still
+/// held.
 pub(crate) async fn renew(
     tx: &mut SqliteConnection,
-    lease: &LeaseRef,
-    control_steps: u32,
+    progress: &[(LeaseRef, u32)],
     expires: UnixMillis,
-) -> Result<bool, StoreError> {
-    let done = sqlx::query(
-        "UPDATE job SET lease_expires_ms = ?, control_steps = max(control_steps, ?)
-         WHERE id = ? AND attempt = ? AND lease_owner = ? AND state = 'leased'",
+) -> Result<BTreeSet<JobId>, StoreError> {
+    let renewed = progress
+        .iter()
+        .map(|(lease, control_steps)| (named(lease), *control_steps));
+    let held: Vec<JobId> = sqlx::query_scalar(
+        "UPDATE job
+         SET lease_expires_ms = ?1, control_steps = max(control_steps, renewed.value ->> 1)
+         FROM json_each(?2) AS renewed
+         WHERE job.id = renewed.value ->> '$[0][0]' AND attempt = renewed.value ->> '$[0][1]'
+             AND lease_owner = renewed.value ->> '$[0][2]' AND state = 'leased'
+         RETURNING id",
     )
     .bind(expires)
-    .bind(control_steps)
-    .bind(lease.job)
-    .bind(lease.attempt)
-    .bind(&lease.worker)
-    .execute(tx)
+    .bind(json(renewed.collect::<Vec<_>>()))
+    .fetch_all(tx)
     .await
-    .doing("renew a lease")?;
-    Ok(done.rows_affected() == 1)
+    .doing("renew leases")?;
+    Ok(held.into_iter().collect())
 }
 
 /// Gives every lease at least until `until`.
@@ -204,24 +214,30 @@ pub(crate) async fn fail(
     Ok(true)
 }
 
-/// Marks a held job as committed; its result was stored just before. Answers
-/// whether it was held.
+/// Marks held jobs as committed; their results were stored just before.
 pub(crate) async fn mark_committed(
     tx: &mut SqliteConnection,
-    lease: &LeaseRef,
-) -> Result<bool, StoreError> {
-    let done = sqlx::query(
+    leases: &[&LeaseRef],
+) -> Result<(), StoreError> {
+    sqlx::query(
         "UPDATE job SET state = 'committed', lease_owner = NULL, leased_ms = NULL,
              lease_expires_ms = NULL, control_steps = NULL
-         WHERE id = ? AND attempt = ? AND lease_owner = ? AND state = 'leased'",
+         FROM json_each(?) AS ended
+         WHERE job.id = ended.value ->> 0 AND attempt = ended.value ->> 1
+             AND lease_owner = ended.value ->> 2 AND state = 'leased'",
     )
-    .bind(lease.job)
-    .bind(lease.attempt)
-    .bind(&lease.worker)
+    .bind(json(
+        leases.iter().map(|lease| named(lease)).collect::<Vec<_>>(),
+    ))
     .execute(tx)
     .await
-    .doing("mark a job as committed")?;
-    Ok(done.rows_affected() == 1)
+    .doing("mark jobs as committed")?;
+    Ok(())
+}
+
+/// A lease as statements read it from JSON.
+fn named(lease: &LeaseRef) -> (i64, u32, &str) {
+    (lease.job.0, lease.attempt.0, &lease.worker.0)
 }
 
 /// Counts a report that was refused because its lease was gone.

@@ -2,12 +2,15 @@
 //! where it came from.
 
 use protocol::RolloutId;
-use sqlx::SqliteConnection;
+use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
 
 use super::{Doing, StoreError, undecodable};
 use crate::clock::UnixMillis;
 use crate::digests::{AxisDigests, AxisDigestsError};
-use crate::ids::{CampaignId, JobId, LeaseRef, WorkerId};
+use crate::ids::{CampaignId, LeaseRef, WorkerId};
+
+/// Results that one statement stores.
+const INSERTED_ROWS: [usize; 4] = [64, 16, 4, 1];
 
 /// What a rollout came to.
 #[derive(Clone, Debug, PartialEq)]
@@ -31,7 +34,7 @@ pub struct Outcome {
 }
 
 /// Where a result came from, as far as many results share it.
-#[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
+#[derive(Clone, Debug, PartialEq, Eq, Hash, sqlx::FromRow)]
 pub struct Provenance {
     /// Machine.
     pub host: String,
@@ -75,6 +78,26 @@ pub struct Digests {
     pub perturbation: AxisDigests,
     /// Of the first frames that the policy saw; empty where it looks at none.
     pub first_frame: String,
+}
+
+/// What matched rollouts share: one campaign, one scene, one initial state.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct InitialState {
+    pub(crate) campaign: CampaignId,
+    /// "libero_goal/3".
+    pub(crate) task: String,
+    pub(crate) init_id: i64,
+}
+
+/// An outcome on its way into the database.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct NewResult<'a> {
+    /// The lease that it ends.
+    pub(crate) lease: &'a LeaseRef,
+    pub(crate) campaign: CampaignId,
+    pub(crate) outcome: &'a Outcome,
+    pub(crate) origin: ProvenanceId,
+    pub(crate) digests: &'a Digests,
 }
 
 /// A committed rollout of the same initial state, to be compared with.
@@ -138,44 +161,58 @@ pub(crate) struct QuarantineRow {
     pub(crate) last_error: String,
 }
 
-/// Stores an outcome; the job is marked as committed right after, in the same
+/// Stores outcomes; their jobs are marked as committed right after, in the same
 /// transaction.
 pub(crate) async fn insert(
     tx: &mut SqliteConnection,
-    lease: &LeaseRef,
-    campaign: CampaignId,
-    outcome: &Outcome,
-    (provenance, digests): (ProvenanceId, &Digests),
+    results: &[NewResult<'_>],
     now: UnixMillis,
 ) -> Result<(), StoreError> {
-    sqlx::query(
+    let mut rest = results;
+    while !rest.is_empty() {
+        // A few sizes, so that a few statements stay prepared.
+        let rows = INSERTED_ROWS.into_iter().find(|rows| *rows <= rest.len());
+        let (chunk, others) = rest.split_at(rows.unwrap_or(1));
+        insert_chunk(tx, chunk, now).await?;
+        rest = others;
+    }
+    Ok(())
+}
+
+async fn insert_chunk(
+    tx: &mut SqliteConnection,
+    results: &[NewResult<'_>],
+    now: UnixMillis,
+) -> Result<(), StoreError> {
+    let mut statement = QueryBuilder::<Sqlite>::new(
         "INSERT INTO result (job_id, campaign_id, attempt, worker_id, committed_ms, success,
              steps, wall_secs, ik_residual_mm, ik_residual_deg, ik_clamped_joints,
              clipped_actions, policy_queries, provenance_id, scene_digest, init_state_digest,
-             perturbation_digests, first_frame_digest)
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
-    )
-    .bind(lease.job)
-    .bind(campaign)
-    .bind(lease.attempt)
-    .bind(&lease.worker)
-    .bind(now)
-    .bind(outcome.success)
-    .bind(outcome.steps)
-    .bind(outcome.wall_secs)
-    .bind(outcome.ik_residual_mm)
-    .bind(outcome.ik_residual_deg)
-    .bind(outcome.ik_clamped_joints)
-    .bind(outcome.clipped_actions)
-    .bind(outcome.policy_queries)
-    .bind(provenance)
-    .bind(&digests.scene)
-    .bind(&digests.init_state)
-    .bind(digests.perturbation.to_string())
-    .bind(&digests.first_frame)
-    .execute(tx)
-    .await
-    .doing("store a result")?;
+             perturbation_digests, first_frame_digest) ",
+    );
+    statement.push_values(results, |mut row, result| {
+        let (lease, outcome, digests) = (result.lease, result.outcome, result.digests);
+        row.push_bind(lease.job)
+            .push_bind(result.campaign)
+            .push_bind(lease.attempt)
+            .push_bind(&lease.worker)
+            .push_bind(now)
+            .push_bind(outcome.success)
+            .push_bind(outcome.steps)
+            .push_bind(outcome.wall_secs)
+            .push_bind(outcome.ik_residual_mm)
+            .push_bind(outcome.ik_residual_deg)
+            .push_bind(outcome.ik_clamped_joints)
+            .push_bind(outcome.clipped_actions)
+            .push_bind(outcome.policy_queries)
+            .push_bind(result.origin)
+            .push_bind(&digests.scene)
+            .push_bind(&digests.init_state)
+            .push_bind(digests.perturbation.to_string())
+            .push_bind(&digests.first_frame);
+    });
+    let done = statement.build().persistent(true).execute(tx).await;
+    done.doing("store results")?;
     Ok(())
 }
 
@@ -208,32 +245,65 @@ pub(crate) async fn insert_divergence(
     Ok(())
 }
 
-/// The committed rollouts of the same campaign, task and initial state as
-/// `job`. Replicates that drew with one renderer for one policy agree, so that
-/// the first speaks for the others.
+/// The committed rollouts of an initial state. Replicates that drew with one
+/// renderer for one policy agree, so that the first speaks for the others.
 pub(crate) async fn siblings(
     tx: &mut SqliteConnection,
-    job: JobId,
+    of: &InitialState,
 ) -> Result<Vec<Sibling>, StoreError> {
     // With a lone min(), SQLite takes the other columns from that very row.
     let rows: Result<Vec<SiblingRow>, sqlx::Error> = sqlx::query_as(
         "SELECT min(s.id), s.rollout_id, r.worker_id, r.scene_digest, r.init_state_digest,
              r.perturbation_digests, r.first_frame_digest, v.gl_renderer, v.policy_name,
              v.policy_checkpoint, v.policy_checkpoint_digest
-         FROM job j
-         JOIN job s ON s.campaign_id = j.campaign_id AND s.task = j.task
-             AND s.init_id = j.init_id AND s.state = 'committed'
+         FROM job s
          JOIN result r ON r.job_id = s.id
          JOIN provenance v ON v.id = r.provenance_id
-         WHERE j.id = ?
+         WHERE s.campaign_id = ? AND s.task = ? AND s.init_id = ? AND s.state = 'committed'
          GROUP BY s.rollout_id, r.first_frame_digest = '', v.gl_renderer, v.policy_name, v.policy_checkpoint, v.policy_checkpoint_digest
          ORDER BY 1",
     )
-    .bind(job)
+    .bind(of.campaign)
+    .bind(&of.task)
+    .bind(of.init_id)
     .fetch_all(tx)
     .await;
     let siblings = rows.and_then(|rows| rows.into_iter().map(Sibling::try_from).collect());
     siblings.doing("look for a configuration's siblings")
+}
+
+impl Sibling {
+    /// A rollout that is being committed, as those that come later see it.
+    pub(crate) fn new(
+        rollout: RolloutId,
+        worker: &WorkerId,
+        provenance: &Provenance,
+        digests: &Digests,
+    ) -> Sibling {
+        let (provenance, digests) = (provenance.clone(), digests.clone());
+        Sibling {
+            rollout,
+            worker: worker.clone(),
+            scene: digests.scene,
+            init_state: digests.init_state,
+            perturbation: digests.perturbation,
+            first_frame: digests.first_frame,
+            gl_renderer: provenance.gl_renderer,
+            policy_name: provenance.policy_name,
+            policy_checkpoint: provenance.policy_checkpoint,
+            policy_checkpoint_digest: provenance.policy_checkpoint_digest,
+        }
+    }
+
+    /// Whether the other is a replicate that nothing more can be compared with.
+    pub(crate) fn speaks_for(&self, other: &Sibling) -> bool {
+        self.rollout == other.rollout
+            && self.first_frame.is_empty() == other.first_frame.is_empty()
+            && self.gl_renderer == other.gl_renderer
+            && self.policy_name == other.policy_name
+            && self.policy_checkpoint == other.policy_checkpoint
+            && self.policy_checkpoint_digest == other.policy_checkpoint_digest
+    }
 }
 
 impl TryFrom<SiblingRow> for Sibling {

@@ -1,8 +1,10 @@
 //! Statements on `worker`: who is there, with which assets and simulator.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use sqlx::SqliteConnection;
 
-use super::{Doing, StoreError};
+use super::{Doing, StoreError, json};
 use crate::clock::UnixMillis;
 use crate::ids::WorkerId;
 use crate::lease::Strike;
@@ -29,7 +31,7 @@ pub struct WorkerInfo {
 }
 
 /// What a worker runs on: a campaign is pinned to one of these.
-#[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
+#[derive(Clone, Debug, PartialEq, Eq, Hash, sqlx::FromRow)]
 pub struct Pin {
     /// Name of the asset pack.
     pub asset_pack: String,
@@ -83,57 +85,57 @@ pub(crate) async fn upsert(
     Ok(())
 }
 
-/// A worker's standing; none if it never announced itself.
-pub(crate) async fn standing(
+/// The standing of those workers that ever announced themselves.
+pub(crate) async fn standings(
     tx: &mut SqliteConnection,
-    id: &WorkerId,
-) -> Result<Option<Standing>, StoreError> {
-    type Row = (String, String, String, UnixMillis, u32, Option<String>);
-    let row: Option<Row> = sqlx::query_as(
-        "SELECT asset_pack, asset_pack_digest, mujoco_version, last_seen_ms, charged_in_a_row,
-             stopped_reason
-         FROM worker WHERE id = ?",
+    ids: &[&WorkerId],
+) -> Result<BTreeMap<WorkerId, Standing>, StoreError> {
+    #[derive(sqlx::FromRow)]
+    struct Row {
+        id: WorkerId,
+        #[sqlx(flatten)]
+        pin: Pin,
+        last_seen_ms: UnixMillis,
+        charged_in_a_row: u32,
+        stopped_reason: Option<String>,
+    }
+    let rows: Vec<Row> = sqlx::query_as(
+        "SELECT id, asset_pack, asset_pack_digest, mujoco_version, last_seen_ms,
+             charged_in_a_row, stopped_reason
+         FROM worker WHERE id IN (SELECT value FROM json_each(?))",
     )
-    .bind(id)
-    .fetch_optional(tx)
+    .bind(json(ids.iter().map(|id| &id.0).collect::<BTreeSet<_>>()))
+    .fetch_all(tx)
     .await
-    .doing("look up a worker")?;
-    Ok(row.map(
-        |(
-            asset_pack,
-            asset_pack_digest,
-            mujoco_version,
-            last_seen,
-            charged_in_a_row,
-            stopped_reason,
-        )| {
-            Standing {
-                pin: Pin {
-                    asset_pack,
-                    asset_pack_digest,
-                    mujoco_version,
-                },
-                last_seen,
-                charged_in_a_row,
-                stopped_reason,
-            }
-        },
-    ))
+    .doing("look up workers")?;
+    let standing = |row: Row| {
+        let standing = Standing {
+            pin: row.pin,
+            last_seen: row.last_seen_ms,
+            charged_in_a_row: row.charged_in_a_row,
+            stopped_reason: row.stopped_reason,
+        };
+        (row.id, standing)
+    };
+    Ok(rows.into_iter().map(standing).collect())
 }
 
-/// Notes that a worker was heard of. Answers whether it is known.
+/// Notes that workers were heard of. Answers how many of them are known.
 pub(crate) async fn seen(
     tx: &mut SqliteConnection,
-    id: &WorkerId,
+    ids: &[&WorkerId],
     now: UnixMillis,
-) -> Result<bool, StoreError> {
-    let done = sqlx::query("UPDATE worker SET last_seen_ms = max(last_seen_ms, ?) WHERE id = ?")
-        .bind(now)
-        .bind(id)
-        .execute(tx)
-        .await
-        .doing("note that a worker was heard of")?;
-    Ok(done.rows_affected() == 1)
+) -> Result<u64, StoreError> {
+    let done = sqlx::query(
+        "UPDATE worker SET last_seen_ms = max(last_seen_ms, ?)
+         WHERE id IN (SELECT value FROM json_each(?))",
+    )
+    .bind(now)
+    .bind(json(ids.iter().map(|id| &id.0).collect::<BTreeSet<_>>()))
+    .execute(tx)
+    .await
+    .doing("note that workers were heard of")?;
+    Ok(done.rows_affected())
 }
 
 /// Stores a worker's run of failures, and why it must stop if it must.
@@ -156,22 +158,23 @@ pub(crate) async fn set_strike(
     Ok(())
 }
 
-/// A worker reported a rollout that was committed: it is there, and its run of
-/// failures is over.
+/// Workers reported rollouts that were committed: they are there, and their
+/// runs of failures are over.
 pub(crate) async fn succeeded(
     tx: &mut SqliteConnection,
-    id: &WorkerId,
+    ids: &[&WorkerId],
     now: UnixMillis,
 ) -> Result<(), StoreError> {
     sqlx::query(
         "UPDATE worker SET charged_in_a_row = 0, last_seen_ms = max(last_seen_ms, ?1)
-         WHERE id = ?2 AND (charged_in_a_row > 0 OR last_seen_ms < ?1)",
+         WHERE id IN (SELECT value FROM json_each(?2))
+             AND (charged_in_a_row > 0 OR last_seen_ms < ?1)",
     )
     .bind(now)
-    .bind(id)
+    .bind(json(ids.iter().map(|id| &id.0).collect::<BTreeSet<_>>()))
     .execute(tx)
     .await
-    .doing("clear a worker's failures")?;
+    .doing("clear workers' failures")?;
     Ok(())
 }
 

@@ -1,60 +1,19 @@
-//! How an attempt ends: with a result, or without one.
+//! How an attempt ends that brought no result (with one: `commit`).
 
 use std::time::Duration;
 
 use sqlx::SqliteConnection;
 
-use super::memo::Memo;
 use super::writer::Operation;
 use super::{Queue, QueueError};
 use crate::clock::UnixMillis;
 use crate::ids::{CampaignId, JobId, LeaseRef, PolicyId, WorkerId};
 use crate::lease::{
-    AfterFailure, CommitJudgement, FailureReason, Job, JobState, MAX_WORKER_FAILURES_IN_A_ROW,
-    OutcomeKey, Strike, Suspicion, strike,
+    AfterFailure, FailureReason, Job, JobState, MAX_WORKER_FAILURES_IN_A_ROW, Strike, Suspicion,
+    strike,
 };
 use crate::outage::{Allowance, PolicyHealth, PolicyState};
-use crate::pairing::{self, Demand};
-use crate::store::jobs::ReportedJob;
-use crate::store::results::{Digests, Outcome, Provenance};
-use crate::store::{StoreError, campaigns, jobs, policies, results, workers};
-
-/// An outcome as a worker reports it.
-#[derive(Clone, Debug)]
-pub struct CommitReport {
-    /// Under which lease.
-    pub lease: LeaseRef,
-    /// What came out.
-    pub outcome: Outcome,
-    /// Where it came from.
-    pub provenance: Provenance,
-    /// What makes it comparable.
-    pub digests: Digests,
-}
-
-/// What became of a reported outcome.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum CommitVerdict {
-    /// Stored.
-    Accepted,
-    /// Stored before with this outcome.
-    Duplicate,
-    /// A newer attempt owns the job: refused and counted.
-    Stale,
-    /// Stored before with another outcome: kept apart.
-    Divergent,
-    /// Disagrees with its configuration's siblings: refused and charged.
-    Unpaired,
-}
-
-/// The answer to a reported outcome.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct CommitReply {
-    /// What became of it.
-    pub verdict: CommitVerdict,
-    /// In words, unless it was accepted.
-    pub detail: String,
-}
+use crate::store::{StoreError, campaigns, jobs, policies, workers};
 
 /// What became of a job whose attempt ended without a result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -90,23 +49,6 @@ pub struct ReleaseReply {
 }
 
 impl Queue {
-    /// Stores an outcome and ends its lease, or says why not.
-    ///
-    /// # Errors
-    /// When the job is unknown or the database fails.
-    pub async fn commit(&self, report: &CommitReport) -> Result<CommitReply, QueueError> {
-        let lease = &report.lease;
-        let report = Box::new(report.clone());
-        let reply = self
-            .ask(|pending| Operation::Commit(report, pending))
-            .await?;
-        if reply.verdict != CommitVerdict::Accepted {
-            tracing::warn!(job = %lease.job, worker = %lease.worker, verdict = ?reply.verdict,
-                "{}", reply.detail);
-        }
-        Ok(reply)
-    }
-
     /// Ends a lease without an outcome.
     ///
     /// # Errors
@@ -132,44 +74,6 @@ impl Queue {
         Ok(reply)
     }
 
-    pub(super) async fn commit_in(
-        &self,
-        tx: &mut SqliteConnection,
-        memo: &mut Memo,
-        report: &CommitReport,
-    ) -> Result<CommitReply, QueueError> {
-        let now = self.now();
-        let lease = &report.lease;
-        let key = OutcomeKey {
-            success: report.outcome.success,
-            steps: report.outcome.steps,
-        };
-        let reported = jobs::reported(tx, lease.job).await?;
-        let reported = reported.ok_or(QueueError::UnknownJob { job: lease.job })?;
-        let stored = reported.stored;
-        let granted = stored.is_some() && jobs::was_granted(tx, lease).await?;
-        let judgement = reported.job.judge_commit(lease, granted, key, stored);
-        if judgement == CommitJudgement::Accept {
-            return Ok(self.accept(tx, memo, &reported, report, now).await?);
-        }
-        workers::seen(tx, &lease.worker, now).await?;
-        Ok(match judgement {
-            CommitJudgement::Accept | CommitJudgement::Duplicate => CommitReply {
-                verdict: CommitVerdict::Duplicate,
-                detail: "this outcome is stored already".to_owned(),
-            },
-            CommitJudgement::Divergent => {
-                let (outcome, provenance) = (&report.outcome, &report.provenance);
-                results::insert_divergence(tx, lease, outcome, provenance, now).await?;
-                divergent(&reported.job, key, stored)
-            }
-            CommitJudgement::Stale => {
-                jobs::count_stale_report(tx, lease.job).await?;
-                stale(&reported.job, lease)
-            }
-        })
-    }
-
     pub(super) async fn release_in(
         &self,
         tx: &mut SqliteConnection,
@@ -177,7 +81,7 @@ impl Queue {
     ) -> Result<ReleaseReply, QueueError> {
         let now = self.now();
         let lease = &release.lease;
-        workers::seen(tx, &lease.worker, now).await?;
+        workers::seen(tx, &[&lease.worker], now).await?;
         let (job, campaign) = self.job(tx, lease.job).await?;
         if !job.is_held_by(lease) {
             return Ok(ReleaseReply {
@@ -272,56 +176,9 @@ impl Queue {
             .ok_or(QueueError::UnknownJob { job })
     }
 
-    /// The reporter holds the lease: stores the result, unless it disagrees
-    /// with its siblings.
-    async fn accept(
-        &self,
-        tx: &mut SqliteConnection,
-        memo: &mut Memo,
-        reported: &ReportedJob,
-        report: &CommitReport,
-        now: UnixMillis,
-    ) -> Result<CommitReply, StoreError> {
-        let lease = &report.lease;
-        let (job, campaign) = (&reported.job, reported.campaign);
-        let owner = memo.owner(tx, campaign).await?;
-        let (owner, policy, health) = &*owner;
-        let demand = Demand {
-            pin: owner.pin(),
-            realisation: owner.mode()?,
-            row: reported.manifest_row()?,
-        };
-        let siblings = results::siblings(tx, lease.job).await?;
-        let (provenance, digests) = (&report.provenance, &report.digests);
-        if let Some(detail) = pairing::difference(&demand, &siblings, provenance, digests) {
-            memo.forget();
-            workers::seen(tx, &lease.worker, now).await?;
-            let failure = (FailureReason::Unpaired, detail.as_str());
-            self.end_attempt(tx, job, campaign, lease, failure, now)
-                .await?;
-            return Ok(CommitReply {
-                verdict: CommitVerdict::Unpaired,
-                detail,
-            });
-        }
-        let origin = memo.origin(tx, provenance).await?;
-        results::insert(tx, lease, campaign, &report.outcome, (origin, digests), now).await?;
-        jobs::mark_committed(tx, lease).await?;
-        workers::succeeded(tx, &lease.worker, now).await?;
-        let after = health.after_commit((lease.job, lease.attempt), now);
-        if after != *health {
-            memo.forget();
-            self.set_health(tx, *policy, (health, &after), now).await?;
-        }
-        Ok(CommitReply {
-            verdict: CommitVerdict::Accepted,
-            detail: String::new(),
-        })
-    }
-
     /// Ends a held attempt: requeues the job or sets it aside, counts the
     /// worker's failure, and tells the policy's health.
-    async fn end_attempt(
+    pub(super) async fn end_attempt(
         &self,
         tx: &mut SqliteConnection,
         job: &Job,
@@ -340,8 +197,10 @@ impl Queue {
             // It may be leased again at once.
             self.work.notify_waiters();
         } else {
-            let standing = workers::standing(tx, &lease.worker).await?;
-            let in_a_row = standing.map_or(0, |standing| standing.charged_in_a_row);
+            let standings = workers::standings(tx, &[&lease.worker]).await?;
+            let in_a_row = standings
+                .get(&lease.worker)
+                .map_or(0, |s| s.charged_in_a_row);
             stop_leasing = self
                 .strike(tx, &lease.worker, strike(in_a_row), error)
                 .await?;
@@ -396,35 +255,5 @@ impl Queue {
             PolicyState::Paused { resume, .. } => resume.since(now),
             PolicyState::Available | PolicyState::Probing { .. } => Duration::ZERO,
         })
-    }
-}
-
-fn divergent(job: &Job, reported: OutcomeKey, stored: Option<OutcomeKey>) -> CommitReply {
-    let say = |outcome: OutcomeKey| {
-        let word = if outcome.success {
-            "success"
-        } else {
-            "failure"
-        };
-        format!("{word} after {} steps", outcome.steps)
-    };
-    let stored = stored.map_or_else(String::new, say);
-    CommitReply {
-        verdict: CommitVerdict::Divergent,
-        detail: format!(
-            "job {} is committed with {stored} and was reported again with {}: both are kept",
-            job.id,
-            say(reported)
-        ),
-    }
-}
-
-fn stale(job: &Job, lease: &LeaseRef) -> CommitReply {
-    CommitReply {
-        verdict: CommitVerdict::Stale,
-        detail: format!(
-            "attempt {} of job {} by worker `{}` does not hold the lease (the newest attempt is {})",
-            lease.attempt, job.id, lease.worker, job.attempt
-        ),
     }
 }
