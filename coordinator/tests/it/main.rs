@@ -19,3 +19,4 @@ mod random;
 mod reports;
 mod schema;
 mod seeds;
+mod together;

@@ -1,0 +1,153 @@
+//! What arrives while a transaction runs goes into the next one together, and
+//! everybody is answered as if they had come alone.
+
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+use coordinator::invariants::check;
+use proto::coordinator as wire;
+use proto::coordinator::commit_response::Verdict;
+use proto::coordinator::release_request::Reason;
+use serde_json::json;
+use tokio::task::JoinSet;
+
+use crate::harness::{Bench, Worker, sha, small_spec, with};
+
+/// Long enough for requests to arrive while nothing can be written.
+const ARRIVAL: Duration = Duration::from_millis(300);
+
+/// Asks everything while another process holds the database, so that it waits
+/// for one transaction. Answers are in the order of the questions.
+async fn together<T: Send + 'static>(
+    bench: &Bench,
+    asked: Vec<impl Future<Output = T> + Send + 'static>,
+) -> Vec<T> {
+    let database = bench.database().await;
+    let hold = database.begin_with("BEGIN IMMEDIATE").await.expect("held");
+    let mut answers = JoinSet::new();
+    for (place, question) in asked.into_iter().enumerate() {
+        answers.spawn(async move { (place, question.await) });
+    }
+    tokio::time::sleep(ARRIVAL).await;
+    hold.rollback().await.expect("let go");
+    database.close().await;
+    let mut answers = answers.join_all().await;
+    answers.sort_by_key(|(place, _)| *place);
+    answers.into_iter().map(|(_, answer)| answer).collect()
+}
+
+/// Stops the coordinator; its database is in order.
+async fn in_order(bench: Bench) {
+    let folder = bench.stop().await;
+    let violations = check(folder.path()).await.expect("checked");
+    assert!(violations.is_empty(), "{violations:?}");
+}
+
+/// Twelve leases of one task: three configurations of four rollouts.
+async fn twelve_leases() -> (Bench, Worker, Vec<wire::Lease>) {
+    let bench = Bench::start().await;
+    let spec = with(small_spec("together"), json!({"configs": [0, 1, 2]}));
+    bench.create(&spec).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    let leases = worker.claim(12).await;
+    assert_eq!(leases.len(), 12);
+    (bench, worker, leases)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn reports_that_arrive_together_each_get_their_own_verdict() {
+    let (bench, mut worker, leases) = twelve_leases().await;
+    assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
+    let good: Vec<_> = [1, 2, 4, 5, 6, 7, 8]
+        .iter()
+        .map(|place| &leases[*place])
+        .map(|lease| (worker.report(lease, true), Verdict::Accepted))
+        .collect();
+    let mut moved = worker.report(&leases[3], true);
+    moved.provenance.as_mut().expect("some").scene_digest = sha("moved");
+    let mut stale = worker.report(&leases[9], true);
+    stale.lease.as_mut().expect("some").attempt += 1;
+    let again = worker.report(&leases[0], true);
+    let otherwise = worker.report(&leases[0], false);
+    let odd = [
+        (again, Verdict::Duplicate),
+        (otherwise, Verdict::Divergent),
+        (moved, Verdict::Unpaired),
+        (stale, Verdict::Stale),
+    ];
+    let mixed: Vec<_> = good.into_iter().chain(odd).collect();
+    let asked = mixed.iter().map(|(report, _)| {
+        let (mut worker, report) = (worker.clone(), report.clone());
+        async move { worker.commit_request(report).await.0 }
+    });
+    let verdicts = together(&bench, asked.collect()).await;
+    let expected: Vec<Verdict> = mixed.iter().map(|(_, verdict)| *verdict).collect();
+    assert_eq!(verdicts, expected);
+    assert_eq!(bench.status("together").await.committed, 8);
+    let one = "SELECT count(*) FROM divergence";
+    assert_eq!(bench.count(one).await, 1);
+    in_order(bench).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn of_two_reports_of_one_rollout_that_arrive_together_one_is_stored() {
+    let (bench, worker, leases) = twelve_leases().await;
+    let twice = leases[..6].iter().chain(&leases[..6]);
+    let asked = twice.map(|lease| {
+        let (mut worker, report) = (worker.clone(), worker.report(lease, true));
+        async move { worker.commit_request(report).await.0 }
+    });
+    let verdicts = together(&bench, asked.collect()).await;
+    for (first, second) in verdicts[..6].iter().zip(&verdicts[6..]) {
+        let pair = BTreeSet::from([first.as_str_name(), second.as_str_name()]);
+        let expected = [Verdict::Accepted, Verdict::Duplicate];
+        assert_eq!(pair, expected.iter().map(Verdict::as_str_name).collect());
+    }
+    in_order(bench).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn siblings_that_disagree_and_arrive_together_are_not_both_stored() {
+    let (bench, worker, leases) = twelve_leases().await;
+    let of_one_state = [&leases[0], &leases[1]];
+    let asked = of_one_state.iter().enumerate().map(|(place, lease)| {
+        let (mut worker, mut report) = (worker.clone(), worker.report(lease, true));
+        let provenance = report.provenance.as_mut().expect("some");
+        provenance.scene_digest = sha(&format!("scene {place}"));
+        async move { worker.commit_request(report).await.0 }
+    });
+    let mut verdicts = together(&bench, asked.collect()).await;
+    verdicts.sort_by_key(|verdict| i32::from(*verdict));
+    assert_eq!(verdicts, [Verdict::Accepted, Verdict::Unpaired]);
+    in_order(bench).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn claims_that_arrive_together_share_the_jobs_in_their_order() {
+    let (bench, mut first, leases) = twelve_leases().await;
+    // One is pinned and committed; the others come back.
+    assert_eq!(first.commit(&leases[0], true).await, Verdict::Accepted);
+    for lease in &leases[1..] {
+        first.release(lease, Reason::Draining).await;
+    }
+    let mut asked = Vec::new();
+    for number in 0..8_u32 {
+        let mut worker = bench.worker(&format!("w{number}")).await;
+        // Every fourth comes cold; the last ones find less than they ask for.
+        let warm = ["libero_object/0", ""][usize::from(number % 4 == 3)];
+        asked.push(async move { worker.claim_warm(2, warm).await });
+    }
+    let shares = together(&bench, asked).await;
+    let jobs: Vec<i64> = shares.iter().flatten().map(|lease| lease.job_id).collect();
+    let distinct: BTreeSet<i64> = jobs.iter().copied().collect();
+    assert_eq!(
+        (jobs.len(), distinct.len()),
+        (11, 11),
+        "each once: {jobs:?}"
+    );
+    for share in shares.iter().filter(|share| share.len() == 2) {
+        assert!(share[0].job_id < share[1].job_id, "in paired-unit order");
+        assert_eq!(share[0].attempt, 2);
+    }
+    in_order(bench).await;
+}
