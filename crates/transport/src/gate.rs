@@ -1,7 +1,7 @@
-//! The gate before a server's calls: counts how often a connection asks, demands
-//! the token of a role where the server's table says so, and logs refusals, its
-//! own and those of the calls behind it, which it keeps short. It never sees a
-//! message.
+//! The gate before a server's calls and pages: counts how often a connection
+//! asks, demands the token of a role where the server's table says so, and logs
+//! refusals, its own and those of the calls behind it, which it keeps short. It
+//! never sees a message.
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -9,12 +9,13 @@ use std::task::{Context, Poll};
 
 use tokio::time::Instant;
 use tonic::body::Body;
-use tonic::codegen::http::{HeaderMap, Request, Response, header};
+use tonic::codegen::http::{HeaderMap, Request, Response, StatusCode, header};
 use tonic::codegen::{BoxFuture, Service};
 use tonic::transport::server::{TcpConnectInfo, TlsConnectInfo};
 use tonic::{Code, Status};
 use tower_layer::Layer;
 
+use crate::browser;
 use crate::rate::{MAX_REQUESTS_PER_SEC, Rates};
 use crate::refusals::Refusals;
 use crate::token::{Role, Tokens};
@@ -48,17 +49,24 @@ struct Shared {
     tokens: Option<Tokens>,
     /// From a call's path, `/package.Service/Method`.
     demands: fn(&str) -> Demand,
+    /// Where people log in; none where there are no pages, only calls.
+    log_in: Option<&'static str>,
     rates: Mutex<Rates>,
     refusals: Mutex<Refusals>,
 }
 
 impl Gate {
     /// A gate that knows these tokens; without any, it lets everybody in.
-    pub(crate) fn new(tokens: Option<Tokens>, demands: fn(&str) -> Demand) -> Gate {
+    pub(crate) fn new(
+        tokens: Option<Tokens>,
+        demands: fn(&str) -> Demand,
+        log_in: Option<&'static str>,
+    ) -> Gate {
         Gate {
             shared: Arc::new(Shared {
                 tokens,
                 demands,
+                log_in,
                 rates: Mutex::default(),
                 refusals: Mutex::default(),
             }),
@@ -94,13 +102,23 @@ where
         let caller = caller(&request);
         let shared = Arc::clone(&self.shared);
         let path = request.uri().path().to_owned();
-        if let Err(status) = shared.admit(caller, &path, request.headers()) {
+        if let Err(status) = shared.admit(caller, &request) {
             shared.tell(caller, &path, status.code(), status.message());
-            return Box::pin(async move { Ok(status.into_http()) });
+            let answer = match shared.log_in {
+                Some(log_in) if !browser::is_grpc(request.headers()) => {
+                    browser::refusal(&status, &request, log_in)
+                }
+                _ => status.into_http(),
+            };
+            return Box::pin(async move { Ok(answer) });
         }
         let answer = self.inner.call(request);
         Box::pin(async move {
             let answer = answer.await?;
+            if answer.status() == StatusCode::UNAUTHORIZED {
+                let why = "log in: the token is none that this server knows";
+                shared.tell(caller, &path, Code::Unauthenticated, why);
+            }
             let Some(status) = Status::from_header_map(answer.headers()) else {
                 return Ok(answer);
             };
@@ -117,22 +135,24 @@ where
 }
 
 impl Shared {
-    fn admit(&self, caller: SocketAddr, path: &str, headers: &HeaderMap) -> Result<(), Status> {
+    fn admit<B>(&self, caller: SocketAddr, request: &Request<B>) -> Result<(), Status> {
         if !lock(&self.rates).admit(caller, Instant::now()) {
             return Err(Status::resource_exhausted(format!(
                 "answer more than {MAX_REQUESTS_PER_SEC} requests per second over one connection"
             )));
         }
-        let (Some(tokens), Demand::OneOf(roles)) = (&self.tokens, (self.demands)(path)) else {
+        browser::check(request, self.tokens.is_some())?;
+        let demand = (self.demands)(request.uri().path());
+        let (Some(tokens), Demand::OneOf(roles)) = (&self.tokens, demand) else {
             return Ok(());
         };
-        let shown = bearer(headers).ok_or_else(|| {
+        let shown = self.shown(request.headers()).ok_or_else(|| {
             Status::unauthenticated(
                 "be let in without a token: name a --token-file (it is sent over https:// and to \
                  this machine only)",
             )
         })?;
-        match tokens.role_of(shown) {
+        match tokens.role_of(&shown) {
             None => Err(Status::unauthenticated(
                 "be let in: the token is none that this server knows",
             )),
@@ -146,6 +166,16 @@ impl Shared {
                     .join(" or ")
             ))),
         }
+    }
+
+    /// The token that a request shows: as clients send it, or, where there are
+    /// pages, in a browser's cookie. No cookie opens a call.
+    fn shown(&self, headers: &HeaderMap) -> Option<String> {
+        if let Some(token) = bearer(headers) {
+            return Some(token.to_owned());
+        }
+        let may_be_a_browser = self.log_in.is_some() && !browser::is_grpc(headers);
+        may_be_a_browser.then(|| browser::token(headers)).flatten()
     }
 
     fn tell(&self, caller: SocketAddr, path: &str, code: Code, why: &str) {

@@ -6,10 +6,12 @@
 //! A server on a loopback address asks for nothing. On any other it must have a
 //! certificate and tokens, or be told `--insecure`. Tokens come from a file or
 //! the environment, never from an argument, which every process list shows; they
-//! are kept as digests, compared in constant time, and never logged.
+//! are kept as digests, compared in constant time, and never logged. A browser
+//! keeps its token in a cookie, which opens pages and no call.
 
 #![forbid(unsafe_code)]
 
+mod browser;
 mod client;
 mod gate;
 mod rate;
@@ -22,8 +24,8 @@ pub use gate::{Demand, Gate, Gated};
 pub use rate::{BURST_REQUESTS, MAX_REQUESTS_PER_SEC};
 pub use refusals::{LOG_AGAIN_AFTER, MAX_REMEMBERED_REFUSALS};
 pub use server::{
-    HANDSHAKE_TIMEOUT, MAX_HEADER_BYTES, MAX_STREAMS_PER_CONNECTION, Security, SecurityError,
-    ServerArguments,
+    GatedServer, HANDSHAKE_TIMEOUT, MAX_HEADER_BYTES, MAX_STREAMS_PER_CONNECTION, Security,
+    SecurityError, ServerArguments,
 };
 pub use token::{
     MAX_TOKEN_BYTES, MAX_TOKEN_FILE_BYTES, MAX_TOKENS, MIN_TOKEN_BYTES, Role, Token, TokenError,

@@ -9,8 +9,9 @@ use std::time::Duration;
 use clap::Args;
 use tonic::transport::{Identity, Server, ServerTlsConfig};
 
+use crate::browser;
 use crate::gate::{Demand, Gate};
-use crate::token::{TokenError, Tokens};
+use crate::token::{Role, TokenError, Tokens};
 
 /// Longest time for a TLS handshake: who connects and says nothing goes.
 pub const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(10);
@@ -51,6 +52,9 @@ pub struct Security {
     identity: Option<Identity>,
     tokens: Option<Tokens>,
 }
+
+/// A server behind a [`Gate`].
+pub type GatedServer = Server<tower_layer::Stack<Gate, tower_layer::Identity>>;
 
 /// A server that must not, or cannot, listen like this. Reads after "failed
 /// to …".
@@ -126,14 +130,53 @@ impl Security {
         self.identity.is_some()
     }
 
-    /// A server with these guards, whose calls demand what the table says.
+    /// Whether callers are asked for a token.
+    pub fn asks_for_tokens(&self) -> bool {
+        self.tokens.is_some()
+    }
+
+    /// What a browser is to keep so that it may see pages that demand one of
+    /// these roles: the value of `Set-Cookie`. None if the token is none of
+    /// theirs.
+    pub fn cookie_for(&self, token: &str, roles: &[Role]) -> Option<String> {
+        let role = self.tokens.as_ref()?.role_of(token)?;
+        let is_one = roles.contains(&role);
+        is_one.then(|| browser::cookie(token, self.is_encrypted()))
+    }
+
+    /// What makes a browser forget it: the value of `Set-Cookie`.
+    pub fn forgotten_cookie(&self) -> String {
+        browser::forgotten(self.is_encrypted())
+    }
+
+    /// A server of calls with these guards; they demand what the table says.
     ///
     /// # Errors
     /// When the certificate and the key are no use.
-    pub fn server(
+    pub fn server(&self, demands: fn(&str) -> Demand) -> Result<GatedServer, SecurityError> {
+        self.guarded(demands, None)
+    }
+
+    /// A server of calls and, beside them, of pages for browsers, which may
+    /// show their token in a cookie and are led to the path `log_in` where they
+    /// have none.
+    ///
+    /// # Errors
+    /// When the certificate and the key are no use.
+    pub fn server_with_pages(
         &self,
         demands: fn(&str) -> Demand,
-    ) -> Result<Server<tower_layer::Stack<Gate, tower_layer::Identity>>, SecurityError> {
+        log_in: &'static str,
+    ) -> Result<GatedServer, SecurityError> {
+        // Without TLS, browsers speak nothing newer.
+        Ok(self.guarded(demands, Some(log_in))?.accept_http1(true))
+    }
+
+    fn guarded(
+        &self,
+        demands: fn(&str) -> Demand,
+        log_in: Option<&'static str>,
+    ) -> Result<GatedServer, SecurityError> {
         let mut server = Server::builder()
             .http2_keepalive_interval(Some(KEEPALIVE_INTERVAL))
             .http2_keepalive_timeout(Some(KEEPALIVE_TIMEOUT))
@@ -145,7 +188,7 @@ impl Security {
                 .timeout(HANDSHAKE_TIMEOUT);
             server = server.tls_config(tls).map_err(SecurityError::Tls)?;
         }
-        Ok(server.layer(Gate::new(self.tokens.clone(), demands)))
+        Ok(server.layer(Gate::new(self.tokens.clone(), demands, log_in)))
     }
 }
 
