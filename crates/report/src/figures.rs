@@ -18,6 +18,7 @@ mod svg;
 use std::collections::BTreeSet;
 
 use maud::{Markup, PreEscaped, html};
+use paired::Matched;
 use protocol::Level;
 
 use crate::document::{Analysis, Document};
@@ -35,6 +36,9 @@ pub const WIDTH: f64 = 380.0;
 /// The style that the panels need; a page includes it once.
 pub const STYLE: &str = include_str!("figures/style.css");
 
+/// Where a configuration is shown rollout by rollout: an address.
+pub type Link<'a> = &'a dyn Fn(&Matched) -> String;
+
 /// One panel.
 #[derive(Clone, Debug)]
 pub struct Figure {
@@ -42,6 +46,7 @@ pub struct Figure {
     pub name: String,
     /// What it shows, for those who cannot see it.
     pub title: String,
+    has_links: bool,
     height: f64,
     body: Markup,
 }
@@ -55,6 +60,7 @@ impl Figure {
         Self {
             name: name.chars().map(plain).collect(),
             title,
+            has_links: false,
             height,
             body,
         }
@@ -80,8 +86,10 @@ impl Figure {
 
     fn svg(&self, style: Markup) -> Markup {
         let (width, height) = (svg::number(WIDTH), svg::number(self.height));
+        // What is in an image cannot be reached by those who do not see it.
+        let role = if self.has_links { "group" } else { "img" };
         html! {
-            svg xmlns="http://www.w3.org/2000/svg" class="panel" role="img"
+            svg xmlns="http://www.w3.org/2000/svg" class="panel" role=(role)
                 viewBox={ "0 0 " (width) " " (height) } width=(width) height=(height) {
                 title { (self.title) }
                 (style)
@@ -115,7 +123,8 @@ pub fn all(document: &Document) -> Vec<Figure> {
             .filter_map(|&level| directions(document, level)),
     );
     for analysis in &document.analyses {
-        figures.extend(levels.iter().filter_map(|&level| matrix(analysis, level)));
+        let matrices = levels.iter().map(|&level| matrix(analysis, level, None));
+        figures.extend(matrices.flatten());
     }
     for analysis in &document.analyses {
         figures.extend(replicates(analysis));

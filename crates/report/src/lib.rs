@@ -20,6 +20,6 @@ mod words;
 
 pub use document::{Analysis, Document, DocumentError};
 pub use import::{BadLine, ImportError, import};
-pub use page::{STYLE, page};
+pub use page::{STYLE, page, sections, warnings as page_warnings};
 pub use subject::{Origin, Provenance, SetAside, Subject, rollout_name};
 pub use table::{TableError, write_csv, write_parquet};

@@ -8,7 +8,7 @@ mod tables;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use crate::document::{Analysis, Document};
-use crate::figures::{self, Figure, levels};
+use crate::figures::{self, Figure, Link, levels};
 
 /// The page's style, with that of its figures.
 pub const STYLE: &str = concat!(
@@ -36,28 +36,28 @@ pub fn page(document: &Document) -> String {
                     h1 { (title) }
                     (findings::subtitle(document))
                 }
-                main { (sections(document)) }
+                main { (warnings(document)) (sections(document, None)) }
             }
         }
     };
     page.into_string()
 }
 
-fn title(document: &Document) -> String {
-    match document.analyses.as_slice() {
-        [one] => format!("Robustness of {}", one.label),
-        several => format!("Robustness of {} policies", several.len()),
-    }
+/// What to know before believing anything, for another page that includes
+/// [`STYLE`].
+pub fn warnings(document: &Document) -> Markup {
+    findings::warnings(document)
 }
 
-fn sections(document: &Document) -> Markup {
+/// What the page says below its warnings, for another page that includes
+/// [`STYLE`]. The squares of the outcome matrices lead to where `link` says.
+pub fn sections(document: &Document, link: Option<Link>) -> Markup {
     let levels = levels(document);
     let per_level = |panel: fn(&Document, protocol::Level) -> Option<Figure>| {
         let panels = levels.iter().filter_map(|&level| panel(document, level));
         panels.collect::<Vec<_>>()
     };
     html! {
-        (findings::warnings(document))
         (findings::in_words(document))
         section {
             h2 { "Paired outcomes" }
@@ -73,11 +73,9 @@ fn sections(document: &Document) -> Markup {
             once fail; right, some axis alone fails and all at once succeed. Whiskers and \
             brackets: 95 % intervals; p: exact McNemar test of left against right.",
             per_level(figures::directions)))
-        (figure("Every configuration: tasks downwards, configurations to the right, one square \
-            each. On a screen, pointing at a square tells its rollouts.",
-            document.analyses.iter().flat_map(|analysis| {
-                levels.iter().filter_map(move |&level| figures::matrix(analysis, level))
-            }).collect()))
+        (figure(matrix_caption(link), document.analyses.iter().flat_map(|analysis| {
+            levels.iter().filter_map(move |&level| figures::matrix(analysis, level, link))
+        }).collect()))
         section {
             h2 { "Nominal success and single axes" }
             (tables::nominal(document))
@@ -91,6 +89,27 @@ fn sections(document: &Document) -> Markup {
         (tables::bounds(document))
         (tables::set_aside(document))
         (methods::methods(document))
+    }
+}
+
+fn title(document: &Document) -> String {
+    match document.analyses.as_slice() {
+        [one] => format!("Robustness of {}", one.label),
+        several => format!("Robustness of {} policies", several.len()),
+    }
+}
+
+fn matrix_caption(link: Option<Link>) -> &'static str {
+    match link {
+        None => {
+            "Every configuration: tasks downwards, configurations to the right, one square each. \
+             On a screen, pointing at a square tells its rollouts."
+        }
+        Some(_) => {
+            "Every configuration: tasks downwards, configurations to the right, one square each. \
+             A square opens its rollouts side by side; with the keyboard, arrow keys go from \
+             square to square."
+        }
     }
 }
 

@@ -111,10 +111,10 @@ fn square(what: &str, count: Option<Count>, [x, y]: [f64; 2], width: f64) -> Mar
         g {
             title { (said) }
             @if let Some(rate) = rate {
-                @let ink = if rate > DARK_ABOVE { "fill:#fff" } else { "fill:#1b1f24" };
-                rect style={ "fill:" (colour(rate)) } x=(left) y=(top) width=(width) height=(height)
+                @let ink = if rate > DARK_ABOVE { "on-dark" } else { "on-light" };
+                rect fill=(colour(rate)) x=(left) y=(top) width=(width) height=(height)
                     rx="2" {}
-                text class="tiny middle bare" style=(ink) x=(middle) y=(base) {
+                text class={ "tiny middle bare " (ink) } x=(middle) y=(base) {
                     (words::percent(rate))
                 }
             } @else {
@@ -131,7 +131,7 @@ fn legend(top: f64, counts: &str) -> Markup {
     html! {
         @for index in 0..LEGEND_STEPS {
             @let (x, next) = (scale.at(step(index)), scale.at(step(index + 1)));
-            rect style={ "fill:" (colour(step(index) + 0.5 * step(1))) } x=(number(x))
+            rect fill=(colour(step(index) + 0.5 * step(1))) x=(number(x))
                 y=(number(top)) width=(number(next - x + 0.3)) height="8" {}
         }
         @for tick in [0.0, 0.25, 0.5, 0.75, 1.0] {

@@ -8,7 +8,7 @@ use paired::{Matched, Outcome, Transition};
 use protocol::{Axis, Condition, Level, Suite, TaskRef};
 
 use super::svg::{HEAD, number, rect, text};
-use super::{Figure, WIDTH};
+use super::{Figure, Link, WIDTH};
 use crate::document::Analysis;
 use crate::words;
 
@@ -21,9 +21,10 @@ const BLOCK_WIDTH: f64 = WIDTH / 2.0 + 6.0;
 const BLOCK_HEAD: f64 = 36.0;
 const LEGEND: f64 = 58.0;
 
-/// The matrix of a level in replicate 0; none where the policy has no such
-/// cell, or combines nothing.
-pub fn matrix(analysis: &Analysis, level: Level) -> Option<Figure> {
+/// The matrix of a level in replicate 0, its squares leading to where `link`
+/// says, if there is one; none where the policy has no such cell, or combines
+/// nothing.
+pub fn matrix(analysis: &Analysis, level: Level, link: Option<Link>) -> Option<Figure> {
     analysis.cell(level)?.together?;
     let mut tasks: BTreeMap<TaskRef, Vec<&Matched>> = BTreeMap::new();
     for matched in analysis.records.configurations() {
@@ -41,7 +42,12 @@ pub fn matrix(analysis: &Analysis, level: Level) -> Option<Figure> {
         let height = |suite: &Suite| tasks.keys().filter(|t| t.suite() == *suite).count();
         let rows = pair.iter().map(height).max().unwrap_or_default();
         for (column, suite) in pair.iter().enumerate() {
-            blocks.push(block(*suite, &tasks, [BLOCK_WIDTH * column as f64, y]));
+            blocks.push(block(
+                *suite,
+                &tasks,
+                link,
+                [BLOCK_WIDTH * column as f64, y],
+            ));
         }
         y += BLOCK_HEAD + SQUARE * rows as f64 + 8.0;
     }
@@ -66,7 +72,9 @@ pub fn matrix(analysis: &Analysis, level: Level) -> Option<Figure> {
         analysis.label
     );
     let name = format!("matrix-{}-{level}", analysis.label);
-    Some(Figure::new(&name, title, y + LEGEND, body))
+    let mut figure = Figure::new(&name, title, y + LEGEND, body);
+    figure.has_links = link.is_some();
+    Some(figure)
 }
 
 /// What the squares mean, in two lines below `top`.
@@ -102,7 +110,12 @@ fn legend(top: f64) -> Markup {
 }
 
 /// One suite: tasks downwards, configurations to the right.
-fn block(suite: Suite, tasks: &BTreeMap<TaskRef, Vec<&Matched>>, [x, y]: [f64; 2]) -> Markup {
+fn block(
+    suite: Suite,
+    tasks: &BTreeMap<TaskRef, Vec<&Matched>>,
+    link: Option<Link>,
+    [x, y]: [f64; 2],
+) -> Markup {
     let rows = tasks.iter().filter(|(task, _)| task.suite() == suite);
     let columns = rows
         .clone()
@@ -122,15 +135,26 @@ fn block(suite: Suite, tasks: &BTreeMap<TaskRef, Vec<&Matched>>, [x, y]: [f64; 2
             @let below = top + SQUARE * index as f64;
             (text(x + LABELS - 5.0, below + 10.5, "tiny muted end", &format!("t{}", task.index())))
             @for (column, matched) in row.iter().take(MAX_COLUMNS).enumerate() {
-                g {
-                    title { (said(matched)) }
-                    (mark([x + LABELS + SQUARE * column as f64, below], matched.transition()))
-                }
+                (square(matched, link, [x + LABELS + SQUARE * column as f64, below]))
             }
             @if row.len() > MAX_COLUMNS {
                 (text(x + LABELS + SQUARE * MAX_COLUMNS as f64 + 2.0, below + 10.5, "tiny muted",
                     &format!("+{}", row.len() - MAX_COLUMNS)))
             }
+        }
+    }
+}
+
+/// A configuration: its mark, what is said of it, and where it leads.
+fn square(matched: &Matched, link: Option<Link>, place: [f64; 2]) -> Markup {
+    let content = html! {
+        title { (said(matched)) }
+        (mark(place, matched.transition()))
+    };
+    html! {
+        @match link {
+            Some(link) => a href=(link(matched)) { (content) },
+            None => g { (content) },
         }
     }
 }
