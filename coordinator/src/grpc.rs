@@ -18,6 +18,7 @@ use tonic::{Code, Status};
 
 use crate::artifacts::ArtifactError;
 use crate::export::ExportError;
+use crate::page::Gauges;
 use crate::queue::{Queue, QueueError};
 use crate::report::ReportError;
 use crate::store::StoreError;
@@ -30,14 +31,14 @@ use worker::WorkerApi;
 const MAX_WORKER_MESSAGE_BYTES: usize = 2 << 20;
 
 /// The services for workers and operators, on a queue.
-pub(crate) fn services(queue: &Arc<Queue>) -> Routes {
-    let worker = WorkerServiceServer::new(WorkerApi::new(queue.clone()))
+pub(crate) fn services(queue: &Arc<Queue>, gauges: &Arc<Gauges>) -> axum::Router {
+    let worker = WorkerServiceServer::new(WorkerApi::new(queue.clone(), gauges.clone()))
         .max_decoding_message_size(MAX_WORKER_MESSAGE_BYTES)
         .max_encoding_message_size(proto::MAX_MESSAGE_BYTES);
     let operator = OperatorServiceServer::new(OperatorApi::new(queue.clone()))
         .max_decoding_message_size(proto::MAX_MESSAGE_BYTES)
         .max_encoding_message_size(proto::MAX_MESSAGE_BYTES);
-    Routes::new(worker).add_service(operator)
+    Routes::new(worker).add_service(operator).into_axum_router()
 }
 
 /// An error with its causes, on one line.

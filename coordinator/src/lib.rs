@@ -4,7 +4,8 @@
 //!
 //! Requests come in through `grpc`; [`queue`] reads the state, lets the pure
 //! modules ([`lease`], [`outage`], [`plan`]) decide, and executes through
-//! [`store`]. What people type is the program's business.
+//! [`store`]. `page` shows it all to browsers. What people type is the program's
+//! business.
 
 #![forbid(unsafe_code)]
 
@@ -21,11 +22,13 @@ pub mod ids;
 pub mod invariants;
 pub mod lease;
 pub mod outage;
+mod page;
 mod pairing;
 pub mod plan;
 pub mod queue;
 pub mod report;
 mod serve;
 pub mod store;
+pub mod words;
 
 pub use serve::{Config, Coordinator, ServeError, run};

@@ -10,15 +10,18 @@ use std::time::Duration;
 use rand_chacha::ChaCha8Rng;
 use tokio::net::TcpListener;
 use tokio::sync::oneshot;
+use tokio::task::JoinSet;
 use tokio::time::{MissedTickBehavior, timeout};
 use tokio_stream::StreamExt;
 use tokio_stream::wrappers::TcpListenerStream;
+use tonic::service::Routes;
 use transport::{Security, SecurityError};
 
 use crate::artifacts;
 use crate::clock::Clock;
 use crate::disk::Room;
 use crate::grpc::{self, access};
+use crate::page::{self, Gauges, Page};
 use crate::queue::{Queue, Timing};
 use crate::store::{OpenError, Store, StoreError};
 
@@ -119,7 +122,7 @@ impl Coordinator {
         &self.queue
     }
 
-    /// Serves workers and operators on `listener` until `shutdown` is ready;
+    /// Serves workers, operators and browsers on `listener` until `shutdown` is ready;
     /// then leases nothing more, finishes what is under way and closes the
     /// database.
     ///
@@ -132,7 +135,16 @@ impl Coordinator {
     ) -> Result<(), ServeError> {
         let queue = self.queue;
         let (stop, stopped) = oneshot::channel::<()>();
-        let server = server(&queue, &self.security, listener, async {
+        let gauges = Arc::new(Gauges::default());
+        let page = Page::new(&queue, &self.security, &gauges);
+        // Ends with this function.
+        let mut telling = JoinSet::new();
+        telling.spawn({
+            let page = page.clone();
+            async move { page.tell_changes().await }
+        });
+        let routes = Routes::from(page.clone().beside(grpc::services(&queue, &gauges)));
+        let server = server(routes, &self.security, listener, async {
             // A sender that was dropped stops the server just as well.
             let _ = stopped.await;
         });
@@ -149,6 +161,7 @@ impl Coordinator {
                 () = &mut shutdown => {
                     tracing::info!("stopping: leasing nothing more, finishing what is under way");
                     queue.drain();
+                    page.close();
                     let _ = stop.send(());
                     if timeout(SHUTDOWN_GRACE, &mut server).await.is_err() {
                         tracing::warn!("requests were still open after {SHUTDOWN_GRACE:?}");
@@ -167,13 +180,14 @@ impl Coordinator {
                 }
             }
         }
+        telling.shutdown().await;
         queue.close().await?;
         Ok(())
     }
 }
 
 async fn server(
-    queue: &Arc<Queue>,
+    routes: Routes,
     security: &Security,
     listener: TcpListener,
     stopped: impl Future<Output = ()>,
@@ -187,10 +201,10 @@ async fn server(
         })
     });
     security
-        .server(access::demands)?
+        .server_with_pages(access::demands, page::LOG_IN)?
         .initial_stream_window_size(STREAM_WINDOW_BYTES)
         .initial_connection_window_size(CONNECTION_WINDOW_BYTES)
-        .add_routes(grpc::services(queue))
+        .add_routes(routes)
         .serve_with_incoming_shutdown(connections, stopped)
         .await?;
     Ok(())

@@ -13,6 +13,7 @@ pub mod claims;
 pub mod failpoint;
 pub mod jobs;
 pub mod listing;
+pub(crate) mod page;
 pub mod policies;
 pub mod removals;
 pub mod results;

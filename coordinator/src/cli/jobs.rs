@@ -4,8 +4,8 @@ use anyhow::anyhow;
 use clap::{Args, Subcommand, ValueEnum};
 use coordinator::client::{GetJobResponse, Job, JobName, ListJobsRequest};
 use coordinator::ids::shortened;
+use coordinator::words::duration_text;
 
-use super::status::duration_text;
 use super::{CommandError, Connection, print_line};
 
 /// Jobs asked for at a time.

@@ -72,10 +72,9 @@ async fn run(arguments: ServeArguments, security: Security) -> anyhow::Result<()
     let address = listener
         .local_addr()
         .context("read the listening address")?;
-    let over = if security.is_encrypted() {
-        " over TLS"
-    } else {
-        ""
+    let (over, scheme) = match security.is_encrypted() {
+        true => (" over TLS", "https"),
+        false => ("", "http"),
     };
     let coordinator = Coordinator::open(config(&arguments, security)).await?;
     if arguments.security.insecure && !address.ip().is_loopback() {
@@ -85,7 +84,9 @@ async fn run(arguments: ServeArguments, security: Security) -> anyhow::Result<()
         );
     }
     let data = arguments.data.display();
-    print_line(&format!("listening on {address}{over}, data in {data}"))?;
+    print_line(&format!(
+        "listening on {address}{over}, page at {scheme}://{address}/, data in {data}"
+    ))?;
     let shutdown = async move {
         tokio::select! {
             _ = terminate.recv() => {}

@@ -5,6 +5,7 @@
 use clap::Args;
 use coordinator::client::{CampaignStatus, State};
 use coordinator::ids::shortened;
+use coordinator::words::{duration_text, rate_text};
 
 use super::watch::watch;
 use super::{CommandError, Connection, print_line};
@@ -132,26 +133,6 @@ fn details(status: &CampaignStatus) -> String {
     ];
     lines.extend(attention(status).map(|note| format!("  note         {note}")));
     lines.join("\n")
-}
-
-fn rate_text(per_sec: f64) -> String {
-    if per_sec >= 1.0 {
-        format!("{per_sec:.1}/s")
-    } else if per_sec * 60.0 >= 1.0 {
-        format!("{:.1}/min", per_sec * 60.0)
-    } else {
-        format!("{:.1}/h", per_sec * 3600.0)
-    }
-}
-
-pub(super) fn duration_text(secs: f64) -> String {
-    let secs = secs.round() as u64;
-    match (secs / 86_400, secs / 3_600 % 24, secs / 60 % 60, secs % 60) {
-        (0, 0, 0, s) => format!("{s}s"),
-        (0, 0, m, s) => format!("{m}m{s:02}s"),
-        (0, h, m, _) => format!("{h}h{m:02}m"),
-        (d, h, _, _) => format!("{d}d{h:02}h"),
-    }
 }
 
 #[cfg(test)]

@@ -2,8 +2,8 @@
 
 use clap::Args;
 use coordinator::client::WorkerStatus;
+use coordinator::words::duration_text;
 
-use super::status::duration_text;
 use super::{CommandError, Connection, print_line};
 
 #[derive(Args, Debug)]

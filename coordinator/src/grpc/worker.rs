@@ -11,6 +11,7 @@ use tonic::{Request, Response, Status, Streaming};
 use super::{artifact_failed, queue_failed, read};
 use crate::artifacts::{ArtifactKind, Upload};
 use crate::ids::LeaseRef;
+use crate::page::Gauges;
 use crate::queue::{
     ClaimRequest, ClaimedJob, CommitVerdict, MAX_CLAIM_JOBS, Queue, ReleaseVerdict,
 };
@@ -26,11 +27,12 @@ const MAX_TASK_BYTES: usize = 80;
 #[derive(Debug)]
 pub(super) struct WorkerApi {
     queue: Arc<Queue>,
+    gauges: Arc<Gauges>,
 }
 
 impl WorkerApi {
-    pub(super) fn new(queue: Arc<Queue>) -> WorkerApi {
-        WorkerApi { queue }
+    pub(super) fn new(queue: Arc<Queue>, gauges: Arc<Gauges>) -> WorkerApi {
+        WorkerApi { queue, gauges }
     }
 }
 
@@ -69,6 +71,7 @@ impl WorkerService for WorkerApi {
         &self,
         request: Request<wire::ClaimRequest>,
     ) -> Result<Response<wire::ClaimResponse>, Status> {
+        let _counted = self.gauges.claim();
         let request = request.into_inner();
         let warm = Some(request.warm_task);
         let claim = ClaimRequest {

@@ -19,20 +19,20 @@ use tonic::{Code, Request, Status};
 use crate::harness::{registration, small_spec};
 use crate::process::{Serve, coordinator, text};
 
-const WORKER: &str = "worker-secret-0123456789";
-const OPERATOR: &str = "operator-secret-0123456789";
-const VIEWER: &str = "viewer-secret-0123456789";
+pub(crate) const WORKER: &str = "worker-secret-0123456789";
+pub(crate) const OPERATOR: &str = "operator-secret-0123456789";
+pub(crate) const VIEWER: &str = "viewer-secret-0123456789";
 /// Characters of a name that is meant to hurt.
 const MILLION: usize = 1_000_000;
 
 /// A guarded coordinator with its log.
-struct Guarded {
+pub(crate) struct Guarded {
     folder: TempDir,
     serve: Serve,
 }
 
 impl Guarded {
-    fn start(arguments: &[&str]) -> Guarded {
+    pub(crate) fn start(arguments: &[&str]) -> Guarded {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let tokens = format!("worker {WORKER}\noperator {OPERATOR}\nviewer {VIEWER}\n");
         std::fs::write(folder.path().join("tokens"), tokens).expect("written");
@@ -43,6 +43,10 @@ impl Guarded {
         let data = folder.path().join("data");
         let serve = Serve::start_with(&data, &arguments, log.into());
         Guarded { folder, serve }
+    }
+
+    pub(crate) fn url(&self) -> &str {
+        &self.serve.url
     }
 
     async fn channel(&self) -> Channel {
@@ -59,7 +63,7 @@ impl Guarded {
     }
 
     /// Lines of the log that hold a word.
-    fn logged(&self, word: &str) -> usize {
+    pub(crate) fn logged(&self, word: &str) -> usize {
         let log = std::fs::read_to_string(self.folder.path().join("log")).expect("a log");
         for secret in [WORKER, OPERATOR, VIEWER, "wrong-secret"] {
             assert!(!log.contains(secret), "a token is in the log:\n{log}");

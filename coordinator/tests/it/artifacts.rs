@@ -6,7 +6,7 @@ use tonic::{Code, Status};
 
 use crate::harness::{Bench, Worker, small_spec};
 
-async fn put(
+pub(crate) async fn put(
     worker: &mut Worker,
     lease: &wire::Lease,
     name: &str,

@@ -13,6 +13,7 @@ mod invariants;
 mod manifests;
 mod operating;
 mod outages;
+mod page;
 mod pairing;
 mod process;
 mod random;

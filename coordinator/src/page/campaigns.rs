@@ -1,0 +1,120 @@
+//! The first page: every campaign, how far it is, and what keeps it.
+
+use maud::{Markup, html};
+
+use super::Page;
+use super::bar::{bar, legend};
+use super::layout::{Place, Sheet};
+use super::problem::Problem;
+use crate::campaign::CampaignState;
+use crate::queue::CampaignStatus;
+use crate::words::{duration_text, rate_text};
+
+/// The page.
+pub(super) async fn sheet(page: &Page) -> Result<Sheet, Problem> {
+    let mut campaigns = page.queue.list_campaigns().await?;
+    // What was begun last is what people come for.
+    campaigns.reverse();
+    let main = html! {
+        h1 { "Campaigns" }
+        @if campaigns.is_empty() {
+            p {
+                "No campaigns yet. " code { "coordinator campaign create" } " makes one: it names \
+                a policy, tasks, axes and levels."
+            }
+        }
+        @for status in &campaigns {
+            section.campaign aria-label=(status.name) {
+                h2 { a href={ "/campaigns/" (status.name) } { (status.name) } }
+                (progress(status))
+            }
+        }
+    };
+    Ok(Sheet {
+        title: "Campaigns".to_owned(),
+        place: Place::Campaigns,
+        main,
+    })
+}
+
+/// How one campaign stands: words, bar, counts, and what keeps it.
+pub(super) fn progress(status: &CampaignStatus) -> Markup {
+    let counts = &status.counts;
+    let done = counts.committed + counts.quarantined;
+    let percent = (done * 100).checked_div(counts.total()).unwrap_or(0);
+    html! {
+        p.pace {
+            strong { (percent) " %" }
+            " " (done) " of " (counts.total()) " rollouts"
+            " · " (pace(status))
+        }
+        (bar(counts))
+        (legend(counts))
+        p.muted {
+            "Policy " strong { (status.policy) } " at " code { (status.policy_endpoint) }
+            " · " (workers(status.live_workers))
+        }
+        // Told to those who listen, at every tenth only.
+        p.unseen role="status" { (status.name) ": " (percent / 10 * 10) " % done" }
+        (notes(status))
+    }
+}
+
+/// What keeps a campaign from going on, or wants to be looked at.
+fn notes(status: &CampaignStatus) -> Markup {
+    let aside = status.counts.quarantined;
+    let is_over = matches!(status.state, CampaignState::Cancelled { .. });
+    html! {
+        @if !is_over && (status.policy_pause_reason.is_some() || !status.waiting_reason.is_empty()
+            || aside > 0)
+        {
+            ul.notes {
+                @if let Some(reason) = &status.policy_pause_reason {
+                    li {
+                        "Policy " (status.policy) " is down, its rollouts wait, and nobody is \
+                        charged for it: " (reason) ". " a href="/policies" { "Policies" } "."
+                    }
+                } @else if !status.waiting_reason.is_empty() {
+                    li { "Nothing is running: " (status.waiting_reason) "." }
+                }
+                @if aside > 0 {
+                    li {
+                        (aside) @if aside == 1 { " rollout was" } @else { " rollouts were" }
+                        " set aside after failing too often: "
+                        a href={ "/campaigns/" (status.name) "/rollouts?state=quarantined" } {
+                            "which, and why"
+                        }
+                        "."
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn pace(status: &CampaignStatus) -> String {
+    let left = status.counts.queued + status.counts.leased;
+    match status.state {
+        CampaignState::Cancelled { .. } => "cancelled".to_owned(),
+        _ if left == 0 => "finished".to_owned(),
+        CampaignState::Paused { .. } => "paused by its operator".to_owned(),
+        CampaignState::Running { .. } => match (status.rate_per_sec, status.eta_secs) {
+            (Some(rate), Some(eta)) => {
+                format!(
+                    "{}, {} left at that pace",
+                    rate_text(rate),
+                    duration_text(eta)
+                )
+            }
+            _ => "no result of late to take a pace from".to_owned(),
+        },
+    }
+}
+
+fn workers(live: u32) -> String {
+    match live {
+        0 => "no worker that suits it".to_owned(),
+        1 => "1 worker that suits it".to_owned(),
+        live => format!("{live} workers that suit it"),
+    }
+}

@@ -1,0 +1,258 @@
+//! One configuration: its nominal rollout, each axis alone, and all at once,
+//! side by side.
+
+use std::collections::BTreeMap;
+
+use maud::{Markup, html};
+use paired::{Matched, Outcome, Record, Records, Transition};
+use protocol::{Axis, Condition, Level, ManifestRow, RolloutId};
+
+use super::campaign::{address, condition_name};
+use super::layout::{Place, Sheet};
+use super::problem::Problem;
+use super::{Page, card};
+use crate::ids::{JobId, shortened};
+use crate::store::View;
+use crate::store::campaigns::CampaignRow;
+use crate::store::page::{self as stored, JobFailure, OutcomeLine, RolloutLine};
+
+/// Failed attempts of a configuration that are shown, newest first.
+const MAX_FAILURES: u32 = 100;
+
+/// One of the rollouts side by side.
+pub(super) struct Shown {
+    pub(super) id: RolloutId,
+    pub(super) row: ManifestRow,
+    pub(super) line: RolloutLine,
+    pub(super) outcome: Option<OutcomeLine>,
+    pub(super) failures: Vec<JobFailure>,
+}
+
+/// The page.
+pub(super) async fn sheet(
+    page: &Page,
+    name: &str,
+    rollout: &str,
+    query: &str,
+) -> Result<Sheet, Problem> {
+    let (name, row, mut view) = page.campaign(name).await?;
+    let unknown = || Problem::Rollout {
+        campaign: name.to_string(),
+        rollout: shortened(rollout, 80).to_owned(),
+    };
+    let asked: RolloutId = rollout.parse().map_err(|_| unknown())?;
+    let replicate = replicate(query)?;
+    let replicates = stored::replicates(&mut view, row.id, &asked.to_string()).await?;
+    if !replicates.contains(&replicate) {
+        return Err(unknown());
+    }
+    let shown = rollouts(&mut view, &row, asked, replicate).await?;
+    let Some(first) = shown.iter().find(|shown| shown.id == asked) else {
+        return Err(unknown());
+    };
+    let neighbours = neighbours(&mut view, &row, asked).await?;
+    let campaign = name.as_str();
+    let main = html! {
+        p.crumbs {
+            a href="/" { "Campaigns" } " › "
+            a href={ "/campaigns/" (campaign) } { (campaign) }
+        }
+        h1 { (heading(asked)) }
+        p.instruction { "“" (first.row.id.task().instruction()) "”" }
+        p {
+            code { (asked.task()) } ", initial state " (first.row.init_id)
+            @if let Some(said) = transition(&shown, replicate) { ". " strong { (said) } }
+        }
+        (ways(campaign, asked, replicate, &replicates, &neighbours))
+        @if shown.iter().filter(|shown| shown.line.video_bytes.is_some()).count() > 1 {
+            (card::video_controls())
+        }
+        div.rollouts {
+            @for rollout in &shown { (card::card(campaign, rollout, replicate)) }
+        }
+    };
+    Ok(Sheet {
+        title: format!("{asked} in {name}"),
+        place: Place::Campaigns,
+        main,
+    })
+}
+
+/// The replicate that a query names; 0 where it names none.
+pub(super) fn replicate(query: &str) -> Result<u32, Problem> {
+    let mut pairs = form_urlencoded::parse(query.as_bytes());
+    match pairs.find(|(name, _)| name == "replicate") {
+        None => Ok(0),
+        Some((_, value)) => value
+            .parse()
+            .map_err(|_| Problem::Query("A replicate is a number: ?replicate=1 is the second.")),
+    }
+}
+
+/// The rollouts of a configuration that the campaign has, nominal first.
+async fn rollouts(
+    view: &mut View,
+    row: &CampaignRow,
+    asked: RolloutId,
+    replicate: u32,
+) -> Result<Vec<Shown>, Problem> {
+    let mut ids = siblings(asked);
+    let mut lines = stored::rollouts(view, row.id, &ids, replicate).await?;
+    let init_id = lines.iter().find_map(|line| Some(read(line).ok()?.init_id));
+    if let (Some(init_id), Some(_)) = (init_id, asked.config()) {
+        let nominal = RolloutId::clean(asked.task(), init_id).to_string();
+        lines.extend(
+            stored::rollouts(view, row.id, std::slice::from_ref(&nominal), replicate).await?,
+        );
+        ids.insert(0, nominal);
+    }
+    let jobs: Vec<JobId> = lines.iter().map(|line| line.id).collect();
+    let outcomes = stored::outcomes(view, &jobs).await?.into_iter();
+    let mut outcomes: BTreeMap<JobId, OutcomeLine> = outcomes.map(|o| (o.job_id, o)).collect();
+    let mut failures: BTreeMap<JobId, Vec<JobFailure>> = BTreeMap::new();
+    for failure in stored::failures(view, &jobs, MAX_FAILURES).await? {
+        failures.entry(failure.job_id).or_default().push(failure);
+    }
+    lines.sort_by_key(|line| ids.iter().position(|id| *id == line.rollout_id));
+    let shown = lines.into_iter().map(|line| {
+        let row = read(&line)?;
+        Ok(Shown {
+            id: row.id,
+            row,
+            outcome: outcomes.remove(&line.id),
+            failures: failures.remove(&line.id).unwrap_or_default(),
+            line,
+        })
+    });
+    shown.collect()
+}
+
+fn read(line: &RolloutLine) -> Result<ManifestRow, Problem> {
+    serde_json::from_str(&line.manifest_row).map_err(|error| Problem::failed(&error))
+}
+
+/// The ids of what is compared with a rollout, itself among them, in the order
+/// in which they are shown.
+fn siblings(asked: RolloutId) -> Vec<String> {
+    let Some(config) = asked.config() else {
+        return vec![asked.to_string()];
+    };
+    let singles = Axis::ALL.into_iter().map(Condition::Single);
+    let ids = singles
+        .chain([Condition::Combination])
+        .filter_map(|condition| {
+            RolloutId::perturbed(asked.task(), condition, asked.level(), config).ok()
+        });
+    ids.map(|id| id.to_string()).collect()
+}
+
+/// The rollouts of the same task and condition, by level and configuration.
+async fn neighbours(
+    view: &mut View,
+    row: &CampaignRow,
+    asked: RolloutId,
+) -> Result<Vec<RolloutId>, Problem> {
+    let (suite, task) = (asked.task().suite().short_name(), asked.task().index());
+    let prefix = format!("{suite}/t{task}/{}/", asked.condition());
+    let ids = stored::beginning(view, row.id, &prefix).await?;
+    let mut ids: Vec<RolloutId> = ids.iter().filter_map(|id| id.parse().ok()).collect();
+    ids.sort();
+    Ok(ids)
+}
+
+/// Where one can go from here: other replicates, levels and configurations.
+fn ways(
+    campaign: &str,
+    asked: RolloutId,
+    replicate: u32,
+    replicates: &[u32],
+    neighbours: &[RolloutId],
+) -> Markup {
+    let here = |id: &&RolloutId| id.level() == asked.level();
+    let row: Vec<&RolloutId> = neighbours.iter().filter(here).collect();
+    let place = row.iter().position(|id| **id == asked);
+    let before = place.and_then(|place| row.get(place.checked_sub(1)?));
+    let after = place.and_then(|place| row.get(place + 1));
+    let levels = neighbours.iter().filter(|id| id.number() == asked.number());
+    let levels: Vec<&RolloutId> = levels.collect();
+    let to = |id: RolloutId, replicate| address(campaign, id, replicate);
+    html! {
+        nav.ways aria-label="Other configurations" {
+            @if let Some(id) = before { a rel="prev" href=(to(**id, replicate)) { "← " (number(**id)) } }
+            @if let Some(id) = after { a rel="next" href=(to(**id, replicate)) { (number(**id)) " →" } }
+            @if levels.len() > 1 {
+                span {
+                    "Level "
+                    @for id in levels {
+                        @let current = (*id == asked).then_some("true");
+                        a href=(to(*id, replicate)) aria-current=[current] { (id.level()) } " "
+                    }
+                }
+            }
+            @if replicates.len() > 1 {
+                span {
+                    "Replicate "
+                    @for k in replicates {
+                        @let current = (*k == replicate).then_some("true");
+                        a href=(to(asked, *k)) aria-current=[current] { (k) } " "
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn number(id: RolloutId) -> String {
+    match id.config() {
+        Some(config) => format!("configuration {config}"),
+        None => format!("initial state {}", id.number()),
+    }
+}
+
+fn heading(asked: RolloutId) -> String {
+    let task = asked.task();
+    let (suite, index) = (task.suite().name(), task.index());
+    match (asked.config(), asked.level()) {
+        (Some(config), level) => {
+            format!("{suite}, task {index}, configuration {config} at {level}")
+        }
+        (None, Level::L0) | (None, _) => {
+            format!(
+                "{suite}, task {index}, nominal from initial state {}",
+                asked.number()
+            )
+        }
+    }
+}
+
+/// What perturbing everything at once did, in words, once it is known.
+fn transition(shown: &[Shown], replicate: u32) -> Option<&'static str> {
+    let records: Vec<Record> = shown
+        .iter()
+        .map(|shown| Record {
+            id: shown.id,
+            init_id: shown.row.init_id,
+            replicate,
+            outcome: match &shown.outcome {
+                Some(outcome) => Outcome::from(outcome.success),
+                None => Outcome::Missing,
+            },
+        })
+        .collect();
+    let records = Records::new(&records).ok()?;
+    let transition = records
+        .configurations()
+        .iter()
+        .find_map(Matched::transition)?;
+    Some(match transition {
+        Transition::Emergent => "Emergent: every axis alone succeeds, all at once fail.",
+        Transition::Compensated => "Compensated: an axis alone fails, all at once succeed.",
+        Transition::StillSucceeds => "Every axis alone succeeds, and so do all at once.",
+        Transition::StillFails => "An axis alone fails, and so do all at once.",
+    })
+}
+
+/// How a condition is called on its card.
+pub(super) fn card_title(id: RolloutId) -> &'static str {
+    condition_name(id.condition())
+}

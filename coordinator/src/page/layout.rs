@@ -1,0 +1,82 @@
+//! What all pages share: head, navigation, the line that says whether the page
+//! is live.
+
+use maud::{DOCTYPE, Markup, html};
+
+use super::answer::FILES_VERSION;
+
+/// A page without what all pages share.
+pub(super) struct Sheet {
+    pub(super) title: String,
+    /// Which entry of the navigation it belongs to.
+    pub(super) place: Place,
+    pub(super) main: Markup,
+}
+
+/// An entry of the navigation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Place {
+    Campaigns,
+    Workers,
+    Policies,
+    Quarantine,
+}
+
+/// Seconds between two looks of a browser that runs no script.
+const RELOAD_SECS: u32 = 10;
+
+const NAVIGATION: [(Place, &str, &str); 4] = [
+    (Place::Campaigns, "/", "Campaigns"),
+    (Place::Workers, "/workers", "Workers"),
+    (Place::Policies, "/policies", "Policies"),
+    (Place::Quarantine, "/quarantine", "Quarantine"),
+];
+
+/// A page that keeps itself up to date.
+pub(super) fn whole(sheet: &Sheet, may_log_out: bool) -> Markup {
+    let top = html! {
+        nav aria-label="Pages" {
+            @for (place, address, name) in NAVIGATION {
+                @let current = (place == sheet.place).then_some("page");
+                a href=(address) aria-current=[current] { (name) }
+            }
+        }
+        p #connection role="status" {}
+        @if may_log_out {
+            form method="post" action="/logout" { button { "Log out" } }
+        }
+    };
+    frame(&sheet.title, true, top, &sheet.main)
+}
+
+/// A page that stands still.
+pub(super) fn still(title: &str, main: &Markup) -> Markup {
+    let top = html! { nav aria-label="Pages" { a href="/" { "Campaigns" } } };
+    frame(title, false, top, main)
+}
+
+fn frame(title: &str, is_live: bool, top: Markup, main: &Markup) -> Markup {
+    let version = FILES_VERSION.as_str();
+    html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                meta name="color-scheme" content="light dark";
+                title { (title) " · rollout" }
+                link rel="icon" href={ "/icon.svg?v=" (version) };
+                link rel="stylesheet" href={ "/style.css?v=" (version) };
+                @if is_live {
+                    script src={ "/page.js?v=" (version) } defer {}
+                    noscript { meta http-equiv="refresh" content=(RELOAD_SECS); }
+                }
+            }
+            body {
+                a.skip href="#main" { "To the content" }
+                header.top { (top) }
+                main #main tabindex="-1" { (main) }
+            }
+        }
+    }
+}

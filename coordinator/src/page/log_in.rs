@@ -1,0 +1,119 @@
+//! Logging in: a token goes into a cookie, and out of it again. Whether it
+//! opens anything is the gate's business.
+
+use std::sync::Arc;
+
+use axum::body::Bytes;
+use axum::extract::State;
+use axum::http::{StatusCode, Uri, header};
+use axum::response::{IntoResponse, Response};
+use maud::html;
+
+use super::{LOG_IN, Page, answer, layout};
+use crate::grpc::access::READERS;
+
+/// Longest form that is read, bytes.
+const MAX_FORM_BYTES: usize = 4_096;
+
+/// The form.
+pub(super) async fn form(State(page): State<Arc<Page>>, uri: Uri) -> Response {
+    let next = next(uri.query().unwrap_or_default().as_bytes());
+    match page.security.asks_for_tokens() {
+        true => show(StatusCode::OK, &next, ""),
+        false => to(&next, None),
+    }
+}
+
+/// Takes the token and leads to where the browser wanted to go.
+pub(super) async fn submit(State(page): State<Arc<Page>>, body: Bytes) -> Response {
+    if body.len() > MAX_FORM_BYTES {
+        return show(
+            StatusCode::PAYLOAD_TOO_LARGE,
+            "/",
+            "That is longer than any token.",
+        );
+    }
+    let next = next(&body);
+    let token = form_urlencoded::parse(&body).find(|(name, _)| name == "token");
+    let token = token
+        .map(|(_, token)| token.trim().to_owned())
+        .unwrap_or_default();
+    match page.security.cookie_for(&token, &READERS) {
+        Some(cookie) => to(&next, Some(cookie)),
+        None => {
+            let why = "This is no token of a viewer or an operator of this coordinator.";
+            show(StatusCode::UNAUTHORIZED, &next, why)
+        }
+    }
+}
+
+/// Makes the browser forget its token.
+pub(super) async fn log_out(State(page): State<Arc<Page>>) -> Response {
+    to(LOG_IN, Some(page.security.forgotten_cookie()))
+}
+
+fn show(code: StatusCode, next: &str, why: &str) -> Response {
+    let main = html! {
+        h1 { "Log in" }
+        form.log-in method="post" action=(LOG_IN) {
+            input type="hidden" name="next" value=(next);
+            label for="token" { "Token of a viewer or an operator" }
+            input #token type="password" name="token" required autocomplete="current-password"
+                autofocus aria-describedby="why";
+            p #why role="alert" { (why) }
+            button { "Log in" }
+        }
+        p.muted {
+            "Tokens are the second words in the coordinator's token file. Logged in already, and \
+            led here by another site's link? " a href=(next) { "Go on" } "."
+        }
+    };
+    answer::page(code, layout::still("Log in", &main).into_string())
+}
+
+fn to(address: &str, cookie: Option<String>) -> Response {
+    let cookie = cookie.map(|cookie| [(header::SET_COOKIE, cookie)]);
+    let headers = [
+        (header::LOCATION, address.to_owned()),
+        (header::CACHE_CONTROL, "no-store".to_owned()),
+    ];
+    match cookie {
+        Some(cookie) => (StatusCode::SEE_OTHER, headers, cookie).into_response(),
+        None => (StatusCode::SEE_OTHER, headers).into_response(),
+    }
+}
+
+/// Where a form or a query wants to go on: an address of this server, or else
+/// its first page.
+fn next(form: &[u8]) -> String {
+    let next = form_urlencoded::parse(form).find(|(name, _)| name == "next");
+    let next = next.map(|(_, next)| next.into_owned()).unwrap_or_default();
+    let is_own = next.starts_with('/')
+        && !next.starts_with("//")
+        && next
+            .bytes()
+            .all(|byte| byte.is_ascii_graphic() && byte != b'\\');
+    if is_own { next } else { "/".to_owned() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_log_in_leads_to_this_server_only() {
+        assert_eq!(
+            next(b"next=%2Fcampaigns%2Fdemo%3Fa%3Db"),
+            "/campaigns/demo?a=b"
+        );
+        for foreign in [
+            "//evil.example",
+            "https://evil.example",
+            "/%5Cevil.example",
+            "/a%0Ab",
+            "",
+        ] {
+            assert_eq!(next(format!("next={foreign}").as_bytes()), "/", "{foreign}");
+        }
+    }
+}

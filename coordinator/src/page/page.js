@@ -1,0 +1,233 @@
+// Keeps a page up to date, lets arrow keys walk its matrices, and plays its
+// videos together. Everything on a page can be read without this.
+"use strict";
+
+const CUT_OFF = "Cut off from the coordinator; trying again by itself.";
+const LIVE = "Live";
+const CROWDED_MS = 15000;
+const RETRY_MS = 2000;
+
+// What changed, put into the page as it stands: nodes that are the same are
+// left alone, so that focus, scrolling, opened details and running videos stay.
+function merge(mine, theirs) {
+  const olds = [...mine.childNodes];
+  const news = [...theirs.childNodes];
+  news.forEach((fresh, index) => {
+    const old = olds[index];
+    if (!old) {
+      mine.append(document.importNode(fresh, true));
+    } else if (old.nodeType !== fresh.nodeType || old.nodeName !== fresh.nodeName) {
+      old.replaceWith(document.importNode(fresh, true));
+    } else if (fresh.nodeType !== Node.ELEMENT_NODE) {
+      if (old.data !== fresh.data) old.data = fresh.data;
+    } else if (!old.isEqualNode(fresh)) {
+      mergeElement(old, fresh);
+    }
+  });
+  olds.slice(news.length).forEach((old) => old.remove());
+}
+
+function mergeElement(old, fresh) {
+  // What the reader or this script has set on these is theirs.
+  const owned = { DETAILS: ["open"], A: ["tabindex"], DIV: ["hidden"] }[old.tagName.toUpperCase()] || [];
+  if (old.hasAttribute("data-keep") && old.getAttribute("src") === fresh.getAttribute("src")) return;
+  if (old.matches("input, select, #player")) return;
+  for (const { name } of [...old.attributes]) {
+    if (!fresh.hasAttribute(name) && !owned.includes(name)) old.removeAttribute(name);
+  }
+  for (const { name, value } of [...fresh.attributes]) {
+    if (old.getAttribute(name) !== value && !owned.includes(name)) old.setAttribute(name, value);
+  }
+  merge(old, fresh);
+}
+
+// Refreshing: one request at a time, none for what is here already, and over a
+// slow network not all the time.
+const PAUSE_PER_REQUEST = 5;
+let tag = "";
+let busy = false;
+let again = false;
+
+async function refresh() {
+  if (busy) {
+    again = true;
+    return;
+  }
+  busy = true;
+  const start = performance.now();
+  try {
+    const headers = tag ? { "If-None-Match": tag } : {};
+    const answer = await fetch(location.href, { headers, cache: "no-store" });
+    if (answer.redirected) location.reload();
+    if (answer.status === 200 || answer.status === 404) {
+      tag = answer.headers.get("ETag") || "";
+      const page = new DOMParser().parseFromString(await answer.text(), "text/html");
+      document.title = page.title;
+      merge(document.getElementById("main"), page.getElementById("main"));
+      walkMatrices();
+      watchVideos();
+    }
+  } catch {
+    say(CUT_OFF, true);
+  }
+  setTimeout(() => {
+    busy = false;
+    if (again) {
+      again = false;
+      refresh();
+    }
+  }, PAUSE_PER_REQUEST * (performance.now() - start));
+}
+
+function say(text, isCut) {
+  const line = document.getElementById("connection");
+  line.classList.toggle("cut", isCut);
+  if (line.textContent !== text) line.textContent = text;
+}
+
+// Following: the coordinator says when something changed. A page that nobody
+// sees follows nothing, because browsers open few connections to one server.
+let stream = null;
+let later = 0;
+
+function follow() {
+  clearTimeout(later);
+  if (stream || document.hidden) return;
+  stream = new EventSource("/events");
+  stream.addEventListener("change", () => {
+    say(LIVE, false);
+    refresh();
+  });
+  stream.addEventListener("error", async () => {
+    if (stream && stream.readyState === EventSource.CONNECTING) {
+      say(CUT_OFF, true);
+      return;
+    }
+    leave();
+    const crowded = await isThere();
+    say(crowded ? "Too many pages are open: this one looks again now and then." : CUT_OFF, !crowded);
+    if (crowded) refresh();
+    later = setTimeout(follow, crowded ? CROWDED_MS : RETRY_MS);
+  });
+}
+
+function leave() {
+  if (stream) stream.close();
+  stream = null;
+}
+
+async function isThere() {
+  try {
+    return (await fetch("/icon.svg", { cache: "no-store" })).ok;
+  } catch {
+    return false;
+  }
+}
+
+document.addEventListener("visibilitychange", () => {
+  if (document.hidden) {
+    leave();
+  } else {
+    follow();
+  }
+});
+
+// Matrices: one stop of the tab key each, and arrow keys within.
+function walkMatrices() {
+  for (const panel of document.querySelectorAll("svg.panel[role=group]")) {
+    const squares = [...panel.querySelectorAll("a")];
+    const current = squares.find((square) => square === document.activeElement) ||
+      squares.find((square) => square.getAttribute("tabindex") === "0") || squares[0];
+    squares.forEach((square) => square.setAttribute("tabindex", square === current ? "0" : "-1"));
+  }
+}
+
+function nearest(squares, from, [dx, dy]) {
+  const at = (square) => square.getBoundingClientRect();
+  const { x, y } = at(from);
+  let best = null;
+  let least = Infinity;
+  for (const square of squares) {
+    const along = (at(square).x - x) * dx + (at(square).y - y) * dy;
+    const aside = Math.abs((at(square).x - x) * dy) + Math.abs((at(square).y - y) * dx);
+    const far = along + 4 * aside;
+    if (along > 1 && far < least) [best, least] = [square, far];
+  }
+  return best;
+}
+
+document.addEventListener("keydown", (event) => {
+  const ways = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+  const way = ways[event.key];
+  const panel = event.target.closest && event.target.closest("svg.panel[role=group]");
+  if (!way || !panel || event.target.tagName.toLowerCase() !== "a") return;
+  event.preventDefault();
+  const next = nearest(panel.querySelectorAll("a"), event.target, way);
+  if (next) {
+    event.target.setAttribute("tabindex", "-1");
+    next.setAttribute("tabindex", "0");
+    next.focus();
+  }
+});
+
+// Videos: one control for all. The longest sets the length; a shorter one
+// stands still at its end.
+const player = () => document.getElementById("player");
+const videos = () => [...document.querySelectorAll("video")];
+const longest = () => videos().reduce((a, b) => ((b.duration || 0) > (a.duration || 0) ? b : a));
+
+function watchVideos() {
+  if (!player() || !player().hidden) return;
+  player().hidden = false;
+  videos().forEach((video) => video.removeAttribute("controls"));
+  document.getElementById("play").addEventListener("click", playOrPause);
+  document.getElementById("scrub").addEventListener("input", scrub);
+  document.getElementById("speed").addEventListener("change", (event) => {
+    videos().forEach((video) => { video.playbackRate = Number(event.target.value); });
+  });
+  requestAnimationFrame(showTime);
+}
+
+function isPlaying() {
+  return videos().some((video) => !video.paused && !video.ended);
+}
+
+function playOrPause() {
+  if (isPlaying()) {
+    videos().forEach((video) => video.pause());
+    return;
+  }
+  const lead = longest();
+  const time = lead.ended ? 0 : lead.currentTime;
+  for (const video of videos()) {
+    video.currentTime = Math.min(time, video.duration || 0);
+    if (time < (video.duration || 0)) video.play();
+  }
+}
+
+function scrub(event) {
+  const time = (event.target.value / 1000) * (longest().duration || 0);
+  videos().forEach((video) => {
+    video.pause();
+    video.currentTime = Math.min(time, video.duration || 0);
+  });
+}
+
+function showTime() {
+  if (!player()) return;
+  const lead = longest();
+  const play = isPlaying() ? "Pause" : "Play";
+  const button = document.getElementById("play");
+  if (button.textContent !== play) button.textContent = play;
+  document.getElementById("time").textContent = `${lead.currentTime.toFixed(1)} s`;
+  const slider = document.getElementById("scrub");
+  if (!slider.matches(":active")) {
+    slider.value = String((1000 * lead.currentTime) / (lead.duration || 1));
+  }
+  requestAnimationFrame(showTime);
+}
+
+say(LIVE, false);
+walkMatrices();
+watchVideos();
+follow();

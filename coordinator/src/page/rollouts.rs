@@ -1,0 +1,164 @@
+//! The rollouts of a campaign, one by one, by state.
+
+use maud::{Markup, html};
+use protocol::RolloutId;
+
+use super::Page;
+use super::campaign::address;
+use super::layout::{Place, Sheet};
+use super::problem::Problem;
+use crate::ids::JobId;
+use crate::store::listing::{self, JobLine};
+
+/// Rollouts on a page.
+const PAGE_JOBS: u32 = 200;
+
+/// The states that one can ask for, and how they are called.
+const STATES: [(&str, &str); 4] = [
+    ("leased", "running"),
+    ("queued", "waiting"),
+    ("committed", "with a result"),
+    ("quarantined", "set aside"),
+];
+
+/// What a query asks for.
+#[derive(Default)]
+struct Wanted {
+    state: Option<String>,
+    after: i64,
+    /// One rollout by its id, if any.
+    id: Option<String>,
+}
+
+/// The page.
+pub(super) async fn sheet(page: &Page, name: &str, query: &str) -> Result<Sheet, Problem> {
+    let wanted = Wanted::read(query)?;
+    let (name, row, mut view) = page.campaign(name).await?;
+    let state = wanted.state.as_deref();
+    let (lines, next) = match &wanted.id {
+        Some(id) => {
+            let found = listing::job(&mut view, row.id, id, 0).await?;
+            (Vec::from_iter(found), None)
+        }
+        None => {
+            let (after, limit) = (JobId(wanted.after), PAGE_JOBS + 1);
+            let mut lines = listing::jobs(&mut view, row.id, state, after, limit).await?;
+            let is_more = lines.len() > PAGE_JOBS as usize;
+            lines.truncate(PAGE_JOBS as usize);
+            let next = lines.last().filter(|_| is_more).map(|line| line.id.0);
+            (lines, next)
+        }
+    };
+    let campaign = name.as_str();
+    let main = html! {
+        p.crumbs {
+            a href="/" { "Campaigns" } " › "
+            a href={ "/campaigns/" (campaign) } { (campaign) }
+        }
+        h1 { "Rollouts of " (campaign) }
+        (filters(campaign, &wanted))
+        @if lines.is_empty() { p { "There are none." } } @else { (table(campaign, &lines)) }
+        @if let Some(next) = next {
+            @let state = state.unwrap_or_default();
+            p { a rel="next" href={ "?state=" (state) "&after=" (next) } { "The next ones" } }
+        }
+    };
+    Ok(Sheet {
+        title: format!("Rollouts of {name}"),
+        place: Place::Campaigns,
+        main,
+    })
+}
+
+impl Wanted {
+    fn read(query: &str) -> Result<Wanted, Problem> {
+        let mut wanted = Wanted::default();
+        for (name, value) in form_urlencoded::parse(query.as_bytes()) {
+            match name.as_ref() {
+                "state" if value.is_empty() => {}
+                "state" if STATES.iter().any(|(state, _)| *state == value) => {
+                    wanted.state = Some(value.into_owned());
+                }
+                "state" => {
+                    return Err(Problem::Query(
+                        "A state is one of queued, leased, committed and quarantined.",
+                    ));
+                }
+                "after" => {
+                    let after = value.parse();
+                    wanted.after = after.map_err(|_| Problem::Query("`after` takes a number."))?;
+                }
+                "id" if !value.trim().is_empty() => wanted.id = Some(value.trim().to_owned()),
+                _ => {}
+            }
+        }
+        Ok(wanted)
+    }
+}
+
+fn filters(campaign: &str, wanted: &Wanted) -> Markup {
+    let state = wanted.state.as_deref();
+    let base = format!("/campaigns/{campaign}/rollouts");
+    html! {
+        nav.ways aria-label="States" {
+            a href=(base) aria-current=[state.is_none().then_some("true")] { "all" }
+            @for (name, words) in STATES {
+                @let current = (state == Some(name)).then_some("true");
+                a href={ (base) "?state=" (name) } aria-current=[current] { (words) }
+            }
+        }
+        form.find action=(base) {
+            label for="id" { "Rollout id" }
+            input #id name="id" placeholder="object/t0/combination/L2/c00" size="32"
+                value=[wanted.id.as_deref()];
+            button { "Find" }
+        }
+    }
+}
+
+fn table(campaign: &str, lines: &[JobLine]) -> Markup {
+    html! {
+        div.scroll tabindex="0" role="region" aria-label="Rollouts" {
+            table {
+                thead {
+                    tr {
+                        th scope="col" { "rollout" }
+                        th.words scope="col" { "state" }
+                        th scope="col" { "attempts" }
+                        th.words scope="col" { "last error" }
+                    }
+                }
+                tbody {
+                    @for line in lines {
+                        tr {
+                            th scope="row" { (rollout(campaign, line)) }
+                            td.words { (standing(line)) }
+                            td { (line.attempt) }
+                            td.words { (line.last_error.as_deref().unwrap_or_default()) }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn rollout(campaign: &str, line: &JobLine) -> Markup {
+    let name = ::report::rollout_name(&line.rollout_id, line.replicate);
+    html! {
+        @match line.rollout_id.parse::<RolloutId>() {
+            Ok(id) => a href=(address(campaign, id, line.replicate)) { code { (name) } },
+            Err(_) => code { (name) },
+        }
+    }
+}
+
+fn standing(line: &JobLine) -> String {
+    match (line.state.as_str(), line.success, line.steps) {
+        (_, Some(true), Some(steps)) => format!("success after {steps} steps"),
+        (_, Some(false), Some(steps)) => format!("failure in {steps} steps"),
+        ("leased", ..) => format!("running, control step {}", line.control_steps.unwrap_or(0)),
+        ("quarantined", ..) => "set aside".to_owned(),
+        _ => "waiting".to_owned(),
+    }
+}

@@ -1,0 +1,217 @@
+//! What campaigns depend on: workers, policies and their health, and what was
+//! set aside.
+
+use maud::{Markup, html};
+use protocol::RolloutId;
+
+use super::Page;
+use super::campaign::address;
+use super::layout::{Place, Sheet};
+use super::problem::Problem;
+use crate::clock::UnixMillis;
+use crate::outage::PolicyState;
+use crate::queue::WorkerStatus;
+use crate::store::page::{self as stored, AsideLine, PolicyLine};
+use crate::words::duration_text;
+
+/// Rollouts that were set aside and are shown; more are counted.
+const MAX_ASIDE: u32 = 500;
+/// Workers that have gone and are still shown.
+const MAX_GONE: usize = 20;
+
+/// The workers.
+pub(super) async fn workers(page: &Page) -> Result<Sheet, Problem> {
+    let workers = page.queue.list_workers().await?;
+    let (alive, gone): (Vec<_>, Vec<_>) = workers.into_iter().partition(|w| w.is_alive);
+    let main = html! {
+        h1 { "Workers" }
+        @if alive.is_empty() {
+            p { "No worker is here. " code { "worker --connect" } " with this address starts one." }
+        } @else {
+            (workers_table("Workers that are here", &alive))
+        }
+        @if !gone.is_empty() {
+            h2 { "Gone" }
+            p.muted {
+                "What they held was leased to others. Of " (gone.len()) ", those heard of last:"
+            }
+            (workers_table("Workers that have gone", &gone[..gone.len().min(MAX_GONE)]))
+        }
+    };
+    Ok(sheet("Workers", Place::Workers, main))
+}
+
+/// The policies.
+pub(super) async fn policies(page: &Page) -> Result<Sheet, Problem> {
+    let mut view = page.queue.store().read().await?;
+    let policies = stored::policies(&mut view).await?;
+    let now = page.queue.now();
+    let main = html! {
+        h1 { "Policies" }
+        @if policies.is_empty() { p { "No campaign has named a policy yet." } }
+        @for policy in &policies { (policy_section(policy, now)) }
+    };
+    Ok(sheet("Policies", Place::Policies, main))
+}
+
+/// What was set aside, of all campaigns.
+pub(super) async fn quarantine(page: &Page) -> Result<Sheet, Problem> {
+    let mut view = page.queue.store().read().await?;
+    let aside = stored::set_aside(&mut view, None, MAX_ASIDE).await?;
+    let main = html! {
+        h1 { "Quarantine" }
+        @if aside.is_empty() {
+            p { "Nothing is set aside: every rollout that failed was tried again." }
+        } @else {
+            p {
+                "These failed too often, not by the policy's doing. They are in no rate; the \
+                report says between which ends the measures lie. "
+                code { "coordinator jobs retry CAMPAIGN ROLLOUT" } " gives one another chance."
+            }
+            @if aside.len() >= MAX_ASIDE as usize {
+                p { "The first " (MAX_ASIDE) " are shown." }
+            }
+            (aside_table(&aside))
+        }
+    };
+    Ok(sheet("Quarantine", Place::Quarantine, main))
+}
+
+fn sheet(title: &str, place: Place, main: Markup) -> Sheet {
+    Sheet {
+        title: title.to_owned(),
+        place,
+        main,
+    }
+}
+
+fn workers_table(name: &str, workers: &[WorkerStatus]) -> Markup {
+    let heads = [
+        "worker",
+        "machine",
+        "busy",
+        "heard of",
+        "standing.",
+        "runs on.",
+    ];
+    html! {
+        div.scroll tabindex="0" role="region" aria-label=(name) {
+            table {
+                thead {
+                    tr {
+                        @for head in heads {
+                            th scope="col" class=[head.ends_with('.').then_some("words")] {
+                                (head.trim_end_matches('.'))
+                            }
+                        }
+                    }
+                }
+                tbody { @for worker in workers { (worker_row(worker)) } }
+            }
+        }
+    }
+}
+
+fn worker_row(worker: &WorkerStatus) -> Markup {
+    let line = &worker.line;
+    html! {
+        tr {
+            th scope="row" { code { (line.id) } }
+            td { (line.host) }
+            td { (line.leases) " of " (line.slots) }
+            td { (duration_text(worker.silent_secs)) " ago" }
+            td.words {
+                @match &line.stopped_reason {
+                    Some(reason) => { "leases no more: " (reason) }
+                    None if line.charged_in_a_row > 0 => {
+                        (line.charged_in_a_row) " failures in a row"
+                    }
+                    None if worker.is_alive => "well",
+                    None => "gone",
+                }
+            }
+            td.words {
+                (line.asset_pack) ", MuJoCo " (line.mujoco_version) ", " (line.gl_renderer)
+                ", program " (line.program_version)
+            }
+        }
+    }
+}
+
+fn policy_section(policy: &PolicyLine, now: UnixMillis) -> Markup {
+    let (class, word) = match &policy.health.state {
+        PolicyState::Available => ("succeeded", "available"),
+        PolicyState::Paused { .. } => ("failed", "paused"),
+        PolicyState::Probing { .. } => ("running", "being tried"),
+    };
+    html! {
+        section.campaign aria-label=(policy.name) {
+            h2 { (policy.name) " " span class={ "badge " (class) } { (word) } }
+            p.muted { "at " code { (policy.endpoint) } }
+            @match &policy.health.state {
+                PolicyState::Available => {},
+                PolicyState::Paused { resume, reason } => {
+                    p {
+                        "Its rollouts wait, and nobody is charged. It is tried again "
+                        @if *resume > now { "in " (duration_text(resume.since(now).as_secs_f64())) }
+                        @else { "with the next rollout that a worker asks for" }
+                        ", after " (policy.health.outages) " outages. It said: "
+                    }
+                    pre { (reason) }
+                },
+                PolicyState::Probing { reason, .. } => {
+                    p { "One rollout is out to try it; the others wait. Before that, it said: " }
+                    pre { (reason) }
+                },
+            }
+            p {
+                "Measured by "
+                @if policy.campaigns.is_empty() { "no campaign any more" }
+                @for (index, campaign) in policy.campaigns.iter().enumerate() {
+                    @if index > 0 { ", " }
+                    a href={ "/campaigns/" (campaign) } { (campaign) }
+                }
+                "."
+            }
+        }
+    }
+}
+
+fn aside_table(aside: &[AsideLine]) -> Markup {
+    html! {
+        div.scroll tabindex="0" role="region" aria-label="Rollouts that were set aside" {
+            table {
+                thead {
+                    tr {
+                        th scope="col" { "rollout" }
+                        th.words scope="col" { "campaign" }
+                        th scope="col" { "failures" }
+                        th.words scope="col" { "last error" }
+                    }
+                }
+                tbody {
+                    @for line in aside {
+                        tr {
+                            th scope="row" { (aside_rollout(line)) }
+                            td.words { a href={ "/campaigns/" (line.campaign) } { (line.campaign) } }
+                            td { (line.charged_attempts) }
+                            td.words { pre { (line.last_error) } }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn aside_rollout(line: &AsideLine) -> Markup {
+    let name = ::report::rollout_name(&line.rollout_id, line.replicate);
+    html! {
+        @match line.rollout_id.parse::<RolloutId>() {
+            Ok(id) => {
+                a href=(address(line.campaign.as_str(), id, line.replicate)) { code { (name) } }
+            }
+            Err(_) => code { (name) },
+        }
+    }
+}

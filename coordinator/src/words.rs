@@ -1,0 +1,95 @@
+//! How spans, instants, rates and sizes are written for people, the same on a
+//! terminal and on the page.
+
+use crate::clock::UnixMillis;
+
+/// Rollouts per second, minute or hour, whichever gives a number above one:
+/// `2.1/s`, `25.2/min`.
+pub fn rate_text(per_sec: f64) -> String {
+    if per_sec >= 1.0 {
+        format!("{per_sec:.1}/s")
+    } else if per_sec * 60.0 >= 1.0 {
+        format!("{:.1}/min", per_sec * 60.0)
+    } else {
+        format!("{:.1}/h", per_sec * 3600.0)
+    }
+}
+
+/// A span in its two largest units: `42s`, `4m28s`, `3h05m`, `2d01h`.
+pub fn duration_text(secs: f64) -> String {
+    let secs = secs.round() as u64;
+    match (secs / 86_400, secs / 3_600 % 24, secs / 60 % 60, secs % 60) {
+        (0, 0, 0, s) => format!("{s}s"),
+        (0, 0, m, s) => format!("{m}m{s:02}s"),
+        (0, h, m, _) => format!("{h}h{m:02}m"),
+        (d, h, _, _) => format!("{d}d{h:02}h"),
+    }
+}
+
+/// An instant to the second: `2026-11-21 15:36:09 UTC`.
+pub fn utc_text(at: UnixMillis) -> String {
+    let secs = at.0.div_euclid(1_000);
+    let (days, second) = (secs.div_euclid(86_400), secs.rem_euclid(86_400));
+    let (year, month, day) = civil(days);
+    let (h, m, s) = (second / 3_600, second / 60 % 60, second % 60);
+    format!("{year:04}-{month:02}-{day:02} {h:02}:{m:02}:{s:02} UTC")
+}
+
+/// Year, month and day of the Gregorian calendar, from days since 1970-01-01.
+fn civil(days: i64) -> (i64, i64, i64) {
+    // Years that begin in March have their leap day at the end, and five months
+    // from there always have 153 days.
+    let days = days + 719_468;
+    let era = days.div_euclid(146_097);
+    let of_era = days.rem_euclid(146_097);
+    let year = (of_era - of_era / 1_460 + of_era / 36_524 - of_era / 146_096) / 365;
+    let of_year = of_era - (365 * year + year / 4 - year / 100);
+    let from_march = (5 * of_year + 2) / 153;
+    let day = of_year - (153 * from_march + 2) / 5 + 1;
+    let month = if from_march < 10 {
+        from_march + 3
+    } else {
+        from_march - 9
+    };
+    (year + era * 400 + i64::from(month <= 2), month, day)
+}
+
+/// A size: `812 B`, `3.4 MiB`.
+pub fn size_text(bytes: u64) -> String {
+    let units = ["KiB", "MiB", "GiB", "TiB"];
+    let mut size = bytes as f64 / 1024.0;
+    if size < 1.0 {
+        return format!("{bytes} B");
+    }
+    let mut unit = 0;
+    while size >= 1024.0 && unit + 1 < units.len() {
+        size /= 1024.0;
+        unit += 1;
+    }
+    format!("{size:.1} {}", units[unit])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_come_in_the_unit_that_people_would_choose() {
+        assert_eq!(rate_text(2.1), "2.1/s");
+        assert_eq!(rate_text(0.42), "25.2/min");
+        assert_eq!(rate_text(0.001), "3.6/h");
+        let spans = [42.0, 268.0, 11_100.0, 176_400.0].map(duration_text);
+        assert_eq!(spans, ["42s", "4m28s", "3h05m", "2d01h"]);
+        let instants =
+            [0, 951_827_696_000, 1_795_275_369_999, -1].map(|ms| utc_text(UnixMillis(ms)));
+        let told = [
+            "1970-01-01 00:00:00 UTC",
+            "2000-02-29 12:34:56 UTC",
+            "2026-11-21 15:36:09 UTC",
+            "1969-12-31 23:59:59 UTC",
+        ];
+        assert_eq!(instants, told);
+        let sizes = [812, 3_565_158, u64::MAX].map(size_text);
+        assert_eq!(sizes, ["812 B", "3.4 MiB", "16777216.0 TiB"]);
+    }
+}

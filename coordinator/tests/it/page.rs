@@ -1,0 +1,460 @@
+//! The live page and the metrics, as HTTP: what they say, who may read them,
+//! and what hostile addresses come to. How they look and move is a browser's
+//! business: `tests/tests/page.rs` of the package `tests`.
+
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::time::Duration;
+
+use proto::coordinator::release_request::Reason;
+
+use crate::access::{Guarded, OPERATOR, VIEWER, WORKER};
+use crate::artifacts::put;
+use crate::harness::{Bench, small_spec};
+
+/// A socket that says nothing for so long says nothing any more.
+const SILENCE: Duration = Duration::from_secs(30);
+
+/// An answer over HTTP/1.1.
+struct Answer {
+    code: u16,
+    head: String,
+    body: Vec<u8>,
+}
+
+impl Answer {
+    fn text(&self) -> String {
+        String::from_utf8_lossy(&self.body).into_owned()
+    }
+
+    /// The value of a header.
+    fn header(&self, name: &str) -> Option<&str> {
+        let mut lines = self.head.lines().filter_map(|line| line.split_once(": "));
+        let found = lines.find(|(key, _)| key.eq_ignore_ascii_case(name));
+        found.map(|(_, value)| value)
+    }
+}
+
+/// Sends a request as it is written: clients that tidy addresses would hide
+/// what is tested here. Chunked answers are put together.
+fn send(url: &str, request: &str) -> Answer {
+    let address = url.strip_prefix("http://").expect("a URL");
+    let mut stream = TcpStream::connect(address).expect("a connection");
+    stream.set_read_timeout(Some(SILENCE)).expect("set");
+    let (head, body) = request.split_once("\n\n").unwrap_or((request, ""));
+    let (first, rest) = head.split_once('\n').unwrap_or((head, ""));
+    let host = match rest.contains("host: ") {
+        true => String::new(),
+        false => format!("host: {address}\r\n"),
+    };
+    let mut headers = String::new();
+    for line in rest.lines().filter(|line| !line.is_empty()) {
+        headers.push_str(&format!("{line}\r\n"));
+    }
+    let length = body.len();
+    let text = format!(
+        "{first} HTTP/1.1\r\n{host}{headers}content-length: {length}\r\nconnection: close\r\n\r\n{body}"
+    );
+    stream.write_all(text.as_bytes()).expect("sent");
+    let mut bytes = Vec::new();
+    stream.read_to_end(&mut bytes).expect("an answer");
+    let end = bytes
+        .windows(4)
+        .position(|w| w == b"\r\n\r\n")
+        .expect("a head");
+    let head = String::from_utf8_lossy(&bytes[..end]).into_owned();
+    let code = head.split(' ').nth(1).and_then(|code| code.parse().ok());
+    let mut answer = Answer {
+        code: code.expect("a status"),
+        head,
+        body: bytes[end + 4..].to_vec(),
+    };
+    if answer.header("transfer-encoding") == Some("chunked") {
+        answer.body = joined(&answer.body);
+    }
+    answer
+}
+
+fn joined(mut chunks: &[u8]) -> Vec<u8> {
+    let mut body = Vec::new();
+    while let Some(end) = chunks.windows(2).position(|w| w == b"\r\n") {
+        let length = std::str::from_utf8(&chunks[..end]).expect("a length");
+        let length = usize::from_str_radix(length, 16).expect("a length");
+        body.extend_from_slice(&chunks[end + 2..end + 2 + length]);
+        chunks = &chunks[end + 4 + length..];
+    }
+    body
+}
+
+/// As [`send`], from a thread that may wait.
+async fn ask(url: &str, request: &str) -> Answer {
+    let (url, request) = (url.to_owned(), request.to_owned());
+    let answer = tokio::task::spawn_blocking(move || send(&url, &request));
+    answer.await.expect("an answer")
+}
+
+/// A campaign with two results, one job set aside and one that waits.
+async fn begun() -> Bench {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("begun")).await.expect("created");
+    let mut worker = bench.worker("w").await;
+    for success in [true, false] {
+        let lease = worker.claim_one().await;
+        worker.commit(&lease, success).await;
+    }
+    bench
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn every_page_says_what_there_is_and_may_load_nothing_from_elsewhere() {
+    let bench = begun().await;
+    let configuration = "/campaigns/begun/configurations/object/t0/combination/L1/c00";
+    for (address, words) in [
+        (
+            "/",
+            &["Campaigns", "begun", "50 %", "2 of 4 rollouts", "expert"][..],
+        ),
+        (
+            "/campaigns/begun",
+            &[
+                "Progress by condition",
+                "camera",
+                "sensor",
+                "all at once",
+                "nominal",
+                "1 missing",
+            ],
+        ),
+        (
+            configuration,
+            &[
+                "✓ success",
+                "✗ failure",
+                "waiting",
+                "azimuth",
+                "JPEG quality",
+                "policy seed",
+                "llvmpipe",
+            ],
+        ),
+        (
+            "/campaigns/begun/rollouts?state=committed",
+            &["object/t0/", "success after 120 steps"],
+        ),
+        (
+            "/campaigns/begun/rollouts?id=object/t0/camera/L1/c00",
+            &["object/t0/camera/L1/c00"],
+        ),
+        (
+            "/workers",
+            &["bench", "0 of 2", "primitives", "MuJoCo 3.3.7"],
+        ),
+        (
+            "/policies",
+            &["expert", "available", "http://127.0.0.1:50051", "begun"],
+        ),
+        ("/quarantine", &["Nothing is set aside"]),
+    ] {
+        let answer = ask(&bench.url, &format!("GET {address}")).await;
+        assert_eq!(answer.code, 200, "{address}: {}", answer.text());
+        for word in words {
+            assert!(
+                answer.text().contains(word),
+                "no `{word}` in {address}:\n{}",
+                answer.text()
+            );
+        }
+        let policy = answer.header("content-security-policy").expect("a policy");
+        assert!(policy.starts_with("default-src 'none'"), "{policy}");
+        assert_eq!(answer.header("cache-control"), Some("no-store"));
+        // A browser that has the page is not sent it again.
+        let tag = answer.header("etag").expect("a tag");
+        let again = ask(&bench.url, &format!("GET {address}\nif-none-match: {tag}")).await;
+        assert_eq!((again.code, again.body.len()), (304, 0), "{address}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_outage_and_a_quarantine_are_told_in_words() {
+    let bench = begun().await;
+    let mut worker = bench.worker("w").await;
+    let lease = worker.claim_one().await;
+    worker.release(&lease, Reason::PolicyUnavailable).await;
+    let page = ask(&bench.url, "GET /policies").await.text();
+    for word in ["paused", "is tried again", "the bench said so"] {
+        assert!(page.contains(word), "no `{word}`:\n{page}");
+    }
+    let page = ask(&bench.url, "GET /campaigns/begun").await.text();
+    assert!(page.contains("nobody is charged"), "{page}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn hostile_addresses_come_to_pages_that_say_what_to_do() {
+    let bench = begun().await;
+    std::fs::write(bench.folder.path().join("secret"), "hunter2").expect("written");
+    let long = "x".repeat(4_000);
+    for (address, code) in [
+        ("/nowhere", 404),
+        ("/campaigns/deleted", 404),
+        ("/campaigns/..%2f..%2fsecret", 404),
+        ("/campaigns/%3Cscript%3E", 404),
+        (
+            "/campaigns/begun/configurations/object/t0/camera/L1/c99",
+            404,
+        ),
+        ("/campaigns/begun/configurations/%00", 404),
+        (
+            "/campaigns/begun/configurations/object/t0/camera/L1/c00?replicate=-1",
+            400,
+        ),
+        (
+            "/campaigns/begun/configurations/object/t0/camera/L1/c00?replicate=7",
+            404,
+        ),
+        ("/campaigns/begun/rollouts?state=all&after=x", 400),
+        ("/campaigns/begun/rollouts?state=committed'--", 400),
+        ("/campaigns/begun/videos/object/t0/camera/L1/c00", 404),
+        ("/campaigns/begun/videos/../../../secret", 404),
+        ("/campaigns/begun/videos/..%2f..%2f..%2fsecret", 404),
+        (&format!("/campaigns/begun?{long}"), 400),
+        (&format!("/campaigns/{long}"), 400),
+    ] {
+        let answer = ask(&bench.url, &format!("GET {address}")).await;
+        let text = answer.text();
+        assert_eq!(answer.code, code, "{address}: {text}");
+        assert!(text.contains("All campaigns"), "{address}: {text}");
+        assert!(
+            !text.contains("<script>") && !text.contains("hunter2"),
+            "{text}"
+        );
+        assert!(text.len() < 4_000, "{address} is echoed");
+    }
+    let posted = ask(&bench.url, "POST /campaigns/begun\n\nstate=cancelled").await;
+    assert_eq!(posted.code, 405);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_workers_say_cannot_become_markup() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("tricked")).await.expect("created");
+    let mut worker = bench.worker("<script>alert(1)</script>").await;
+    let lease = worker.claim_one().await;
+    worker.release(&lease, Reason::SimulatorError).await;
+    for address in [
+        "/workers",
+        "/campaigns/tricked/configurations/object/t0/clean/i16",
+    ] {
+        let page = ask(&bench.url, &format!("GET {address}")).await.text();
+        assert!(page.contains("&lt;script&gt;alert"), "{page}");
+        assert!(!page.contains("<script>alert"), "{page}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_video_is_sent_whole_and_in_ranges() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("filmed")).await.expect("created");
+    let mut worker = bench.worker("w").await;
+    let lease = worker.claim_one().await;
+    let film: Vec<u8> = (0..200_000_u32).map(|n| n.to_le_bytes()[0]).collect();
+    put(
+        &mut worker,
+        &lease,
+        "video.mp4",
+        std::slice::from_ref(&film),
+    )
+    .await
+    .expect("kept");
+    let address = "/campaigns/filmed/videos/object/t0/clean/i16?replicate=0";
+    let whole = ask(&bench.url, &format!("GET {address}")).await;
+    assert_eq!(
+        (whole.code, whole.header("accept-ranges")),
+        (200, Some("bytes"))
+    );
+    assert_eq!(whole.header("content-type"), Some("video/mp4"));
+    assert_eq!(whole.body, film);
+    let part = ask(
+        &bench.url,
+        &format!("GET {address}\nrange: bytes=100000-100009"),
+    )
+    .await;
+    assert_eq!(part.code, 206);
+    assert_eq!(
+        part.header("content-range"),
+        Some("bytes 100000-100009/200000")
+    );
+    assert_eq!(part.body, film[100_000..100_010]);
+    let beyond = ask(&bench.url, &format!("GET {address}\nrange: bytes=200000-")).await;
+    assert_eq!(
+        (beyond.code, beyond.header("content-range")),
+        (416, Some("bytes */200000"))
+    );
+
+    // A database that leads elsewhere, whoever made it, leads nowhere.
+    let database = bench.database().await;
+    std::fs::write(bench.folder.path().join("outside"), "outside").expect("written");
+    for path in ["artifacts/../outside", "/etc/passwd", "outside"] {
+        let update = sqlx::query("UPDATE artifact SET path = ?").bind(path);
+        update.execute(&database).await.expect("altered");
+        let answer = ask(&bench.url, &format!("GET {address}")).await;
+        assert_eq!(answer.code, 404, "{path}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn metrics_are_prometheus_text_and_count_what_there_is() {
+    let bench = begun().await;
+    let answer = ask(&bench.url, "GET /metrics").await;
+    assert_eq!(
+        answer.header("content-type"),
+        Some("text/plain; version=0.0.4; charset=utf-8")
+    );
+    let text = answer.text();
+    for line in [
+        "rollout_jobs{campaign=\"begun\",state=\"committed\"} 2",
+        "rollout_jobs{campaign=\"begun\",state=\"queued\"} 2",
+        "rollout_commits_total{campaign=\"begun\",outcome=\"success\"} 1",
+        "rollout_attempts_ended_total{ending=\"committed\"} 2",
+        "rollout_policy_state{policy=\"expert\",endpoint=\"http://127.0.0.1:50051\",state=\"available\"} 1",
+        "rollout_claims_waiting 0",
+        "rollout_workers_alive 1",
+        "rollout_worker_slots_alive 2",
+        "rollout_page_streams 0",
+    ] {
+        assert!(text.lines().any(|found| found == line), "no {line}\n{text}");
+    }
+    // Every sample belongs to the family that was announced before it, once.
+    let mut family = "";
+    let mut families = Vec::new();
+    for line in text.lines() {
+        match line
+            .strip_prefix("# TYPE ")
+            .and_then(|line| line.split(' ').next())
+        {
+            Some(name) => {
+                family = name;
+                families.push(name);
+            }
+            None if line.starts_with('#') => {}
+            None => assert!(line.starts_with(family), "{line} under {family}"),
+        }
+    }
+    let count = families.len();
+    families.sort_unstable();
+    families.dedup();
+    assert_eq!(families.len(), count);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_stream_tells_of_a_commit_and_ends_with_the_coordinator() {
+    let bench = begun().await;
+    let address = bench.url.strip_prefix("http://").expect("a URL").to_owned();
+    let (said, heard) = std::sync::mpsc::channel();
+    let reader = std::thread::spawn(move || {
+        let mut stream = TcpStream::connect(&address).expect("a connection");
+        stream.set_read_timeout(Some(SILENCE)).expect("set");
+        let request = format!("GET /events HTTP/1.1\r\nhost: {address}\r\n\r\n");
+        stream.write_all(request.as_bytes()).expect("sent");
+        let mut buffer = [0; 4_096];
+        loop {
+            let count = stream.read(&mut buffer).expect("news, or the end");
+            let text = String::from_utf8_lossy(&buffer[..count]).into_owned();
+            if count == 0 || said.send(text).is_err() {
+                return;
+            }
+        }
+    });
+    let until = |word: &str| {
+        let mut text = String::new();
+        while !text.contains(word) {
+            text.push_str(&heard.recv_timeout(SILENCE).expect(word));
+        }
+    };
+    until("data: 0");
+    let mut worker = bench.worker("another").await;
+    let lease = worker.claim_one().await;
+    worker.commit(&lease, true).await;
+    tokio::task::block_in_place(|| until("data: 1"));
+    bench.stop().await;
+    reader.join().expect("the stream ended");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_browser_logs_in_once_and_a_worker_or_a_stranger_sees_nothing() {
+    let guarded = Guarded::start(&[]);
+    let url = guarded.url();
+    let led = ask(url, "GET /campaigns/a?b=c\naccept: text/html").await;
+    assert_eq!(led.code, 303);
+    assert_eq!(
+        led.header("location"),
+        Some("/login?next=/campaigns/a%3Fb%3Dc")
+    );
+    let form = ask(url, "GET /login?next=/workers\naccept: text/html").await;
+    assert!(
+        form.code == 200 && form.text().contains("value=\"/workers\""),
+        "{}",
+        form.text()
+    );
+
+    let log_in = |token: &str| format!("POST /login\n\nnext=%2Fworkers&token={token}");
+    for refused in ["wrong-secret-0123456789", WORKER, ""] {
+        let answer = ask(url, &log_in(refused)).await;
+        assert_eq!((answer.code, answer.header("set-cookie")), (401, None));
+        assert!(
+            answer.text().contains("no token of a viewer"),
+            "{}",
+            answer.text()
+        );
+    }
+    let answer = ask(url, &log_in(VIEWER)).await;
+    assert_eq!(
+        (answer.code, answer.header("location")),
+        (303, Some("/workers"))
+    );
+    let cookie = answer.header("set-cookie").expect("a cookie");
+    assert!(cookie.contains("HttpOnly; SameSite=Strict"), "{cookie}");
+    let cookie = cookie.split(';').next().expect("a pair");
+    let page = ask(url, &format!("GET /workers\ncookie: {cookie}")).await;
+    assert!(
+        page.code == 200 && page.text().contains("Log out"),
+        "{}",
+        page.text()
+    );
+
+    // What does not read pages is told; a token opens what it opens elsewhere.
+    for (token, code) in [
+        (None, 401),
+        (Some(WORKER), 403),
+        (Some(VIEWER), 200),
+        (Some(OPERATOR), 200),
+    ] {
+        let bearer = token.map(|token| format!("\nauthorization: Bearer {token}"));
+        let answer = ask(url, &format!("GET /metrics{}", bearer.unwrap_or_default())).await;
+        assert_eq!(answer.code, code, "{token:?}");
+    }
+    // A cookie opens no call.
+    let call = "/rollout.coordinator.v1.OperatorService/ListCampaigns";
+    let call = format!("POST {call}\ncontent-type: application/grpc\ncookie: {cookie}");
+    let answer = ask(url, &call).await;
+    assert_ne!(answer.header("grpc-status"), Some("0"));
+    let out = ask(url, &format!("POST /logout\ncookie: {cookie}\n\n")).await;
+    assert!(
+        out.header("set-cookie")
+            .is_some_and(|set| set.contains("Max-Age=0"))
+    );
+    // A token that is missing or wrong, one of another role, a call by a browser.
+    assert_eq!(guarded.logged("was refused"), 3, "each kind is logged once");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_strangers_page_in_the_same_browser_reaches_nothing() {
+    let bench = begun().await;
+    // Its own name, led to this machine.
+    let rebound = ask(&bench.url, "GET /\nhost: evil.example:7411").await;
+    assert_eq!(rebound.code, 403);
+    assert!(!rebound.text().contains("begun"), "{}", rebound.text());
+    let call = "POST /rollout.coordinator.v1.OperatorService/DeleteCampaign\n\
+        content-type: application/grpc";
+    let call = ask(&bench.url, call).await;
+    assert_eq!(call.header("grpc-status"), Some("3"), "{}", call.head);
+}
