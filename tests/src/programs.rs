@@ -129,15 +129,6 @@ pub struct Campaigns {
 impl Campaigns {
     /// Starts both, with the coordinator's data in a folder.
     pub fn start(data: &Path) -> Self {
-        let mut coordinator = Command::new(program("coordinator"));
-        coordinator.args([
-            "serve",
-            "--listen",
-            "127.0.0.1:0",
-            "--lease-secs",
-            "5",
-            "--data",
-        ]);
         let mut gateway = Command::new(program("policy-gateway"));
         gateway.args(["--listen", "127.0.0.1:0"]);
         gateway.args([
@@ -147,9 +138,36 @@ impl Campaigns {
             "noop=builtin:noop",
         ]);
         Self {
-            coordinator: Process::serve(coordinator.arg(data)),
+            coordinator: serve(data, "127.0.0.1:0"),
             gateway: Process::serve(&mut gateway),
         }
+    }
+
+    /// Kills the coordinator, as a power cut would.
+    pub fn kill_coordinator(&mut self) {
+        self.coordinator.signal("-KILL");
+        // A child that was not waited for keeps its number.
+        let _ = self.coordinator.child.wait();
+    }
+
+    /// Starts a coordinator that was killed again, on its data and address.
+    pub fn restart_coordinator(&mut self, data: &Path) {
+        let address = self
+            .coordinator
+            .url
+            .trim_start_matches("http://")
+            .to_owned();
+        self.coordinator = serve(data, &address);
+    }
+
+    /// Starts a worker whose slots simulate nothing, with more of an
+    /// environment.
+    pub fn simulated_worker(&self, slots: u32, environment: &[(&str, &str)]) -> Process {
+        let mut command = Command::new(program("worker"));
+        command.args(["--connect", &self.coordinator.url, "--assets", "primitives"]);
+        command.args(["--slots", &slots.to_string()]);
+        command.arg("--slot-program").arg(program("simulated_slot"));
+        Process::start(command.envs(environment.iter().copied()))
     }
 
     /// Calls `coordinator ARGUMENTS --connect …`.
@@ -222,4 +240,10 @@ impl Campaigns {
         rows.sort();
         rows
     }
+}
+
+fn serve(data: &Path, address: &str) -> Process {
+    let mut coordinator = Command::new(program("coordinator"));
+    coordinator.args(["serve", "--listen", address, "--lease-secs", "5", "--data"]);
+    Process::serve(coordinator.arg(data))
 }

@@ -21,6 +21,8 @@ const CAMPAIGN: &str = "demo";
 const TASKS: &str = "libero_object/0,libero_object/4,libero_spatial/0,libero_spatial/2";
 /// The rollout that is filmed: everything perturbed at once.
 const FILMED: &str = "object/t0/combination/L2/c00";
+/// Where the live page is, once the demo's data is served again.
+const PAGE_ADDRESS: &str = "127.0.0.1:7411";
 /// How long a program may take to say that it listens.
 const START_LIMIT: Duration = Duration::from_secs(30);
 /// How long a program may take to end when asked to.
@@ -112,6 +114,8 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let video = step("one video", || film(&programs, &gateway, options, &dir))?;
     println!();
     println!("report    {}", page.display());
+    println!("page      http://{PAGE_ADDRESS}/ as soon as this runs:");
+    println!("          {}", serve_again(&programs, &data));
     println!("results   {}", results.display());
     println!("database  {}", data.display());
     println!("video     {video}");
@@ -123,6 +127,16 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     );
     println!("To look at one rollout:  worker rollout --help");
     Ok(())
+}
+
+/// The command that serves a demo's data again, for a shell.
+fn serve_again(programs: &Path, data: &Path) -> String {
+    let program = programs.join("coordinator");
+    format!(
+        "'{}' serve --data '{}' --listen {PAGE_ADDRESS}",
+        program.display(),
+        data.display()
+    )
 }
 
 /// A new numbered folder: an earlier demo's results stay.

@@ -38,6 +38,8 @@ enum Command {
         #[arg(last = true)]
         filters: Vec<String>,
     },
+    /// Take the pictures of the live page in docs/screenshots.
+    Screenshots,
     /// Measure and print JSON.
     #[command(subcommand)]
     Bench(Bench),
@@ -83,6 +85,7 @@ fn main() -> ExitCode {
         Command::Setup => setup::run(&root()).map(|_| ()),
         Command::Demo(options) => demo::run(&root(), &options),
         Command::Test { filters } => test::run(&root(), &filters),
+        Command::Screenshots => test::screenshots(&root()),
         Command::Bench(Bench::Report { release }) => test::bench_report(&root(), release),
         Command::Bench(Bench::Sim { arguments }) => test::program(&root(), "bench_sim", &arguments),
         Command::Bench(Bench::Queue { arguments }) => bench_queue(&arguments),

@@ -21,6 +21,9 @@ const GL_PACKAGES: [&str; 5] = [
 ];
 const GL_LIBRARIES: [&str; 3] = ["libEGL.so.1", "libGL.so.1", "libOpenGL.so.0"];
 
+/// The browser, a Debian package and a program of one name.
+const BROWSER_PACKAGE: &str = "chromium";
+
 /// Sets the machine up; every step is skipped that has been done before.
 /// Returns the folder for whatever outlasts a build.
 pub(crate) fn run(root: &Path) -> Result<PathBuf> {
@@ -33,6 +36,18 @@ pub(crate) fn run(root: &Path) -> Result<PathBuf> {
     step("libmujoco for the linker", || link_mujoco(root, &cache))?;
     step("OpenGL without a screen", gl_packages)?;
     Ok(cache)
+}
+
+/// Installs the browser that the live page is tested and pictured with.
+///
+/// # Errors
+/// When it is missing and cannot be installed.
+pub(crate) fn browser() -> Result<&'static str> {
+    if capture(Command::new(BROWSER_PACKAGE).arg("--version")).is_ok() {
+        return Ok("already there");
+    }
+    install(&[BROWSER_PACKAGE])?;
+    Ok("installed")
 }
 
 fn cache_dir() -> Result<PathBuf> {
@@ -87,29 +102,29 @@ fn gl_packages() -> Result<&'static str> {
     if gl_libraries_present() {
         return Ok("already there");
     }
-    let install = format!("apt-get install --yes {}", GL_PACKAGES.join(" "));
-    let is_root = capture(Command::new("id").arg("-u")).is_ok_and(|id| id == "0");
-    if !is_root {
-        bail!("install the EGL run-time packages: run `sudo {install}`, then this again");
-    }
-    let quiet = |arguments: &[&str]| {
-        let mut apt = Command::new("apt-get");
-        apt.args(arguments).env("DEBIAN_FRONTEND", "noninteractive");
-        capture(&mut apt).with_context(|| format!("install packages (by hand: `{install}`)"))
-    };
-    quiet(&["update"])?;
-    quiet(
-        &[
-            &["install", "--yes", "--no-install-recommends"][..],
-            &GL_PACKAGES,
-        ]
-        .concat(),
-    )?;
+    install(&GL_PACKAGES)?;
     run_command(&mut Command::new("ldconfig"))?;
     if !gl_libraries_present() {
         bail!("find {} after installing them", GL_LIBRARIES.join(", "));
     }
     Ok("installed")
+}
+
+/// Installs Debian packages, which takes root.
+fn install(packages: &[&str]) -> Result<()> {
+    let by_hand = format!("apt-get install --yes {}", packages.join(" "));
+    let is_root = capture(Command::new("id").arg("-u")).is_ok_and(|id| id == "0");
+    if !is_root {
+        bail!("install what is missing: run `sudo {by_hand}`, then this again");
+    }
+    let quiet = |arguments: &[&str]| {
+        let mut apt = Command::new("apt-get");
+        apt.args(arguments).env("DEBIAN_FRONTEND", "noninteractive");
+        capture(&mut apt).with_context(|| format!("install packages (by hand: `{by_hand}`)"))
+    };
+    quiet(&["update"])?;
+    quiet(&[&["install", "--yes", "--no-install-recommends"], packages].concat())?;
+    Ok(())
 }
 
 fn gl_libraries_present() -> bool {

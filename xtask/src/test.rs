@@ -24,6 +24,11 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
     let programs = build_programs(root)?;
     let python = step("Python environment for policies/", || python(root, &cache))?;
     let typescript = typescript::build(root)?;
+    step("browser for the live page's tests", || {
+        // Without it these tests are skipped, and said to be.
+        let found = setup::browser().map(str::to_owned);
+        Ok(found.unwrap_or_else(|error| format!("none: {error:#}")))
+    })?;
     step("built-in pack as generated", || {
         let mut generator = Command::new("python3");
         capture(
@@ -70,6 +75,21 @@ pub(crate) fn program(root: &Path, name: &str, arguments: &[String]) -> Result<(
     let mut program = cargo(root);
     program.args(["run", "--quiet", "--package", "tests", "--bin", name, "--"]);
     run_command(program.args(arguments))
+}
+
+/// Takes the pictures of the live page that the documentation shows.
+pub(crate) fn screenshots(root: &Path) -> Result<()> {
+    setup::run(root)?;
+    step("browser", setup::browser)?;
+    let programs = build_programs(root)?;
+    println!("Taking pictures");
+    let mut program = Command::new(programs.join("screenshots"));
+    program
+        .env("ROLLOUT_PROGRAMS", &programs)
+        .arg("--outcomes")
+        .arg(root.join("examples/openvla_oft/rollouts.jsonl"));
+    program.arg("--output").arg(root.join("docs/screenshots"));
+    run_command(&mut program)
 }
 
 /// Measures how long the statistics take, which needs no simulator.

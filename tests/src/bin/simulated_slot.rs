@@ -1,11 +1,15 @@
 //! A simulated slot: takes a slot's orders and gives its reports, asks the real
 //! policy over the real protocol, and simulates nothing. Its outcomes follow
 //! from the rollout's id and the policy's actions alone, so that a campaign run
-//! through whatever faults must come out the same. For tests of faults, where
-//! MuJoCo would only take time; its results mean nothing.
+//! through whatever faults must come out the same. For tests of faults and of
+//! the live page, where MuJoCo would only take time; its results mean nothing.
+//!
+//! `SIMULATED_SLOT_OUTCOMES` names a file of result rows whose outcomes it
+//! repeats, and `SIMULATED_SLOT_STEP_MILLIS` says how long a step takes.
 
 #![forbid(unsafe_code)]
 
+use std::collections::HashMap;
 use std::io::{self, BufRead, Write};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -21,24 +25,55 @@ use worker::message::{
 };
 use worker::policy::{Episode, PolicyClient, PolicyError};
 
-/// Control steps of a rollout, and how long one takes.
+/// Control steps of a rollout, and how long one takes unless something else is
+/// asked for.
 const STEPS: u32 = 12;
-const STEP_TIME: Duration = Duration::from_millis(12);
+const STEP_MILLIS: u64 = 12;
 /// The policy is asked before every so many of them.
 const STEPS_PER_QUERY: u32 = 4;
 
 fn main() {
     let abandoned = Arc::new(AtomicBool::new(false));
     let assignments = listen(Arc::clone(&abandoned));
+    let script = Script::from_environment();
     report(&Report::Ready);
     while let Ok(assignment) = assignments.recv() {
-        report(&rollout(&assignment, &abandoned));
+        report(&rollout(&assignment, &script, &abandoned));
+    }
+}
+
+/// What was asked for through the environment.
+struct Script {
+    /// By rollout id.
+    outcomes: HashMap<String, bool>,
+    step: Duration,
+}
+
+impl Script {
+    fn from_environment() -> Self {
+        #[derive(serde::Deserialize)]
+        struct Row {
+            rollout_id: String,
+            success: bool,
+        }
+        let rows = std::env::var_os("SIMULATED_SLOT_OUTCOMES").map(|path| {
+            let text = std::fs::read_to_string(path).expect("a file of result rows");
+            let row = |line| serde_json::from_str::<Row>(line).expect("a result row");
+            let rows = text.lines().map(row);
+            rows.map(|row| (row.rollout_id, row.success)).collect()
+        });
+        let millis = std::env::var("SIMULATED_SLOT_STEP_MILLIS").ok();
+        let millis = millis.map(|millis| millis.parse().expect("milliseconds"));
+        Self {
+            outcomes: rows.unwrap_or_default(),
+            step: Duration::from_millis(millis.unwrap_or(STEP_MILLIS)),
+        }
     }
 }
 
 /// Plays a rollout to its end.
-fn rollout(assignment: &Assignment, abandoned: &AtomicBool) -> Report {
-    match play(assignment, abandoned) {
+fn rollout(assignment: &Assignment, script: &Script, abandoned: &AtomicBool) -> Report {
+    match play(assignment, script, abandoned) {
         Ok(Some(finished)) => Report::Finished(Box::new(finished)),
         Ok(None) => Report::Abandoned,
         Err(error) => Report::Failed(Failure {
@@ -52,7 +87,11 @@ fn rollout(assignment: &Assignment, abandoned: &AtomicBool) -> Report {
 }
 
 /// None if it was abandoned.
-fn play(assignment: &Assignment, abandoned: &AtomicBool) -> Result<Option<Finished>, PolicyError> {
+fn play(
+    assignment: &Assignment,
+    script: &Script,
+    abandoned: &AtomicBool,
+) -> Result<Option<Finished>, PolicyError> {
     let started = Instant::now();
     let row = &assignment.row;
     let suite = row.id.task().suite();
@@ -84,14 +123,15 @@ fn play(assignment: &Assignment, abandoned: &AtomicBool) -> Result<Option<Finish
                 fate.update(number.to_le_bytes());
             }
         }
-        thread::sleep(STEP_TIME);
+        thread::sleep(script.step);
         report(&Report::Progress(row.settle_steps + step + 1));
     }
     let fate = fate.finalize();
+    let repeated = script.outcomes.get(&row.id.to_string());
     let about = description.about;
     Ok(Some(Finished {
         outcome: Outcome {
-            success: fate[0].is_multiple_of(2),
+            success: repeated.map_or(fate[0].is_multiple_of(2), |success| *success),
             steps: 20 + u32::from(fate[1]),
             wall_secs: started.elapsed().as_secs_f64(),
             ik: None,

@@ -1,0 +1,152 @@
+//! Takes the pictures of the live page that the documentation shows: a real
+//! coordinator, a real browser; one campaign that repeats published outcomes
+//! through a simulated slot, and a small one that is simulated and filmed.
+
+#![forbid(unsafe_code)]
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, ensure};
+use clap::Parser;
+use tests::browser::{Browser, Screen};
+use tests::programs::{Campaigns, Process};
+
+/// The campaign that repeats published outcomes, and how far it is when its
+/// picture is taken.
+const REPEATED: &str = "openvla-oft";
+const REPEATED_RESULTS: usize = 5_600;
+/// The campaign that is simulated and filmed.
+const FILMED: &str = "first-look";
+/// Largest picture that is kept, bytes.
+const MAX_PICTURE_BYTES: usize = 300 << 10;
+
+/// Takes the pictures of the live page.
+#[derive(Parser)]
+struct Arguments {
+    /// Result rows whose outcomes are repeated.
+    #[arg(long)]
+    outcomes: PathBuf,
+    /// Where the pictures go.
+    #[arg(long)]
+    output: PathBuf,
+}
+
+/// A picture: its name, the page, where it begins and the screen.
+struct Picture {
+    name: &'static str,
+    path: String,
+    /// What is scrolled to the top; the page's top if this is empty.
+    from: &'static str,
+    screen: Screen,
+}
+
+fn main() -> Result<()> {
+    let arguments = Arguments::parse();
+    let folder = tempfile::tempdir().context("make a temporary folder")?;
+    let campaigns = Campaigns::start(&folder.path().join("data"));
+    let endpoint = campaigns.gateway.url.clone();
+    #[rustfmt::skip]
+    campaigns.succeed(&[
+        "campaign", "create", "--name", FILMED, "--policy", "expert", "--endpoint", &endpoint,
+        "--tasks", "libero_object/0-1", "--axes", "metric", "--levels", "L2", "--configs", "0-1",
+        "--nominal", "eval", "--record", "all",
+    ]);
+    let worker = Process::worker(&campaigns.coordinator.url, 2, "primitives");
+    campaigns.wait_for_commits(FILMED, None);
+    drop(worker);
+    #[rustfmt::skip]
+    campaigns.succeed(&[
+        "campaign", "create", "--name", REPEATED, "--policy", "noop", "--endpoint", &endpoint,
+        "--tasks", "all", "--axes", "all", "--levels", "L1,L2,L3", "--configs", "0-9",
+        "--nominal", "none",
+    ]);
+    let outcomes = arguments.outcomes.to_string_lossy();
+    let environment = [
+        ("SIMULATED_SLOT_OUTCOMES", outcomes.as_ref()),
+        ("SIMULATED_SLOT_STEP_MILLIS", "0"),
+    ];
+    let _worker = campaigns.simulated_worker(2, &environment);
+    campaigns.wait_for_commits(REPEATED, Some(REPEATED_RESULTS));
+    campaigns.succeed(&["campaign", "pause", REPEATED]);
+    std::fs::create_dir_all(&arguments.output)
+        .with_context(|| format!("make {}", arguments.output.display()))?;
+    let mut browser = Browser::start(&folder.path().join("profile"));
+    for picture in pictures() {
+        take(&mut browser, &campaigns, &picture, &arguments.output)?;
+    }
+    Ok(())
+}
+
+fn pictures() -> Vec<Picture> {
+    let desk = |height| Screen {
+        width: 1440,
+        height,
+        is_dark: false,
+    };
+    let phone = Screen {
+        width: 390,
+        height: 844,
+        is_dark: false,
+    };
+    let campaign = format!("/campaigns/{REPEATED}");
+    let configuration = format!("/campaigns/{FILMED}/configurations/object/t0/combination/L2/c00");
+    let picture = |name, path: &str, from, screen| Picture {
+        name,
+        path: path.to_owned(),
+        from,
+        screen,
+    };
+    vec![
+        picture("campaigns", "/", "", desk(620)),
+        picture("campaign", &campaign, "", desk(1_300)),
+        picture("matrix", &campaign, "figure:last-of-type", desk(640)),
+        picture("configuration", &configuration, "", desk(1_150)),
+        picture(
+            "campaign-dark",
+            &campaign,
+            "",
+            Screen {
+                is_dark: true,
+                ..desk(1_000)
+            },
+        ),
+        picture("phone", &campaign, "", phone),
+    ]
+}
+
+fn take(
+    browser: &mut Browser,
+    campaigns: &Campaigns,
+    picture: &Picture,
+    folder: &Path,
+) -> Result<()> {
+    browser.set_screen(picture.screen);
+    browser.go(&format!("{}{}", campaigns.coordinator.url, picture.path));
+    browser.wait_for("[...document.querySelectorAll('video')].every(v => v.readyState >= 3)");
+    // The middle of a video shows more than its beginning.
+    browser.value("document.querySelectorAll('video').forEach(v => { v.currentTime = 3; })");
+    browser.wait_for("[...document.querySelectorAll('video')].every(v => !v.seeking)");
+    if !picture.from.is_empty() {
+        browser.value(&format!(
+            "document.querySelector({:?}).scrollIntoView()",
+            picture.from
+        ));
+    }
+    let wide = browser.value("document.documentElement.scrollWidth > window.innerWidth");
+    ensure!(
+        wide == false,
+        "show {}: it is wider than its screen",
+        picture.name
+    );
+    let png = browser.screenshot();
+    ensure!(
+        png.len() <= MAX_PICTURE_BYTES,
+        "keep the picture {}: it takes {} bytes",
+        picture.name,
+        png.len()
+    );
+    let path = folder.join(format!("{}.png", picture.name));
+    std::fs::write(&path, png).with_context(|| format!("write {}", path.display()))?;
+    println!("{}", path.display());
+    Ok(())
+}

@@ -1,0 +1,269 @@
+//! Chromium without a screen, driven over its DevTools protocol through a pair
+//! of pipes: no port, no other program. For tests of the live page as people
+//! see it.
+
+use std::io::{BufRead, BufReader, Write};
+use std::path::Path;
+use std::process::{Child, ChildStdin, Command, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use base64::Engine;
+use base64::prelude::BASE64_STANDARD;
+use serde_json::{Value, json};
+
+/// What Debian calls it.
+pub const CHROMIUM: &str = "chromium";
+/// Longest that anything here waits for: the machine may be busy.
+const PATIENCE: Duration = Duration::from_secs(120);
+/// Between two looks at a page.
+const LOOK_EVERY: Duration = Duration::from_millis(100);
+
+/// A browser with one page.
+pub struct Browser {
+    child: Child,
+    orders: ChildStdin,
+    messages: Receiver<Value>,
+    last_order: u64,
+    session: String,
+    complaints: Vec<String>,
+    requests: Vec<String>,
+}
+
+/// How a page is looked at.
+#[derive(Clone, Copy, Debug)]
+pub struct Screen {
+    /// Width of the window, CSS pixels.
+    pub width: u32,
+    /// Its height.
+    pub height: u32,
+    /// Whether the reader prefers a dark page.
+    pub is_dark: bool,
+}
+
+/// Whether the browser is installed; if not, says which test is skipped.
+pub fn is_installed(test: &str) -> bool {
+    let found = Command::new(CHROMIUM).arg("--version").output().is_ok();
+    if !found {
+        println!("skipped {test}: no {CHROMIUM} (Debian: `apt-get install {CHROMIUM}`)");
+    }
+    found
+}
+
+impl Browser {
+    /// Starts it, with its profile in a folder.
+    ///
+    /// # Panics
+    /// If it does not start.
+    pub fn start(profile: &Path) -> Self {
+        // The shell puts the pipes where the browser looks for them.
+        let mut child = Command::new("sh")
+            .args([
+                "-c",
+                r#"exec "$0" "$@" 3<&0 4>&1 </dev/null >/dev/null 2>&1"#,
+            ])
+            .arg(CHROMIUM)
+            .args(["--headless", "--remote-debugging-pipe"])
+            // As root, in a container: without its sandbox and /dev/shm.
+            .args(["--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu"])
+            .args(["--no-first-run", "--disable-sync", "--disable-extensions"])
+            .args([
+                "--disable-background-networking",
+                "--disable-component-update",
+            ])
+            .args(["--hide-scrollbars", "--mute-audio"])
+            .arg(format!("--user-data-dir={}", profile.display()))
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .expect("the browser starts");
+        let orders = child.stdin.take().expect("a pipe");
+        let answers = child.stdout.take().expect("a pipe");
+        let (sender, messages) = channel();
+        thread::spawn(move || {
+            for message in BufReader::new(answers).split(0) {
+                let Ok(message) = message else { break };
+                let message = serde_json::from_slice(&message).expect("the browser sends JSON");
+                if sender.send(message).is_err() {
+                    break;
+                }
+            }
+        });
+        let mut browser = Self {
+            child,
+            orders,
+            messages,
+            last_order: 0,
+            session: String::new(),
+            complaints: Vec::new(),
+            requests: Vec::new(),
+        };
+        browser.open_page();
+        browser
+    }
+
+    /// Goes to an address and waits until it is loaded.
+    ///
+    /// # Panics
+    /// If it cannot be loaded.
+    pub fn go(&mut self, url: &str) {
+        let answer = self.order("Page.navigate", &json!({ "url": url }));
+        assert_eq!(answer["errorText"], Value::Null, "{url}");
+        self.wait_for("document.readyState === 'complete'");
+    }
+
+    /// The value of a JavaScript expression on the page.
+    ///
+    /// # Panics
+    /// If it throws.
+    pub fn value(&mut self, expression: &str) -> Value {
+        let parameters = json!({
+            "expression": expression, "awaitPromise": true, "returnByValue": true,
+        });
+        let mut answer = self.order("Runtime.evaluate", &parameters);
+        let thrown = &answer["exceptionDetails"];
+        assert_eq!(thrown, &Value::Null, "{expression}: {thrown}");
+        answer["result"]["value"].take()
+    }
+
+    /// Waits until an expression is true.
+    ///
+    /// # Panics
+    /// If that takes longer than anybody should wait.
+    pub fn wait_for(&mut self, expression: &str) {
+        let start = Instant::now();
+        while self.value(&format!("Boolean({expression})")) != true {
+            if start.elapsed() > PATIENCE {
+                let page = self.value("document.body.innerText");
+                panic!("never: {expression}\n{}", page.as_str().unwrap_or_default());
+            }
+            thread::sleep(LOOK_EVERY);
+        }
+    }
+
+    /// Presses a key in the element that has the focus.
+    pub fn press(&mut self, key: &str) {
+        for kind in ["keyDown", "keyUp"] {
+            let event = json!({ "type": kind, "key": key, "code": key });
+            self.order("Input.dispatchKeyEvent", &event);
+        }
+    }
+
+    /// Clicks where an element is, as a mouse does.
+    ///
+    /// # Panics
+    /// If there is no such element.
+    pub fn click(&mut self, selector: &str) {
+        let place = self.value(&format!(
+            "(() => {{ const e = document.querySelector({selector:?}); \
+             e.scrollIntoView({{ block: 'center' }}); const r = e.getBoundingClientRect(); \
+             return [r.x + r.width / 2, r.y + r.height / 2]; }})()"
+        ));
+        for kind in ["mousePressed", "mouseReleased"] {
+            let event = json!({
+                "type": kind, "x": place[0], "y": place[1], "button": "left", "clickCount": 1,
+            });
+            self.order("Input.dispatchMouseEvent", &event);
+        }
+    }
+
+    /// Looks at the page on another screen.
+    pub fn set_screen(&mut self, screen: Screen) {
+        let size = json!({
+            "width": screen.width, "height": screen.height, "deviceScaleFactor": 1,
+            "mobile": false,
+        });
+        self.order("Emulation.setDeviceMetricsOverride", &size);
+        let scheme = if screen.is_dark { "dark" } else { "light" };
+        let features = json!([{ "name": "prefers-color-scheme", "value": scheme }]);
+        self.order(
+            "Emulation.setEmulatedMedia",
+            &json!({ "features": features }),
+        );
+    }
+
+    /// What is on the screen, PNG.
+    ///
+    /// # Panics
+    /// If the browser cannot draw it.
+    pub fn screenshot(&mut self) -> Vec<u8> {
+        let answer = self.order("Page.captureScreenshot", &json!({ "format": "png" }));
+        let data = answer["data"].as_str().expect("a picture");
+        BASE64_STANDARD.decode(data).expect("base64")
+    }
+
+    /// Errors that the page told its console since this was last asked.
+    pub fn complaints(&mut self) -> Vec<String> {
+        // An answer comes after everything that was told before it.
+        self.value("0");
+        std::mem::take(&mut self.complaints)
+    }
+
+    /// Every address that the page has asked for.
+    pub fn requests(&mut self) -> &[String] {
+        self.value("0");
+        &self.requests
+    }
+
+    fn open_page(&mut self) {
+        let target = self.order("Target.createTarget", &json!({ "url": "about:blank" }));
+        let attach = json!({ "targetId": target["targetId"], "flatten": true });
+        let session = self.order("Target.attachToTarget", &attach);
+        self.session = session["sessionId"].as_str().expect("a session").to_owned();
+        for domain in ["Page", "Runtime", "Network", "Log"] {
+            self.order(&format!("{domain}.enable"), &json!({}));
+        }
+    }
+
+    /// Gives an order and waits for its answer; what the page tells meanwhile
+    /// is noted.
+    fn order(&mut self, method: &str, parameters: &Value) -> Value {
+        self.last_order += 1;
+        let id = self.last_order;
+        let mut order = json!({ "id": id, "method": method, "params": parameters });
+        if !self.session.is_empty() {
+            order["sessionId"] = self.session.clone().into();
+        }
+        let sent = self.orders.write_all(format!("{order}\0").as_bytes());
+        sent.and_then(|()| self.orders.flush())
+            .expect("the browser listens");
+        loop {
+            let mut message = match self.messages.recv_timeout(PATIENCE) {
+                Ok(message) => message,
+                Err(RecvTimeoutError::Timeout) => panic!("no answer to {method}"),
+                Err(RecvTimeoutError::Disconnected) => panic!("the browser ended"),
+            };
+            if message["id"] == id {
+                assert_eq!(message["error"], Value::Null, "{method}");
+                return message["result"].take();
+            }
+            self.note(&message);
+        }
+    }
+
+    fn note(&mut self, message: &Value) {
+        let told = &message["params"];
+        match message["method"].as_str().unwrap_or_default() {
+            "Runtime.exceptionThrown" => self.complaints.push(told["exceptionDetails"].to_string()),
+            "Runtime.consoleAPICalled" if told["type"] == "error" => {
+                self.complaints.push(told["args"].to_string());
+            }
+            "Log.entryAdded" if told["entry"]["level"] == "error" => {
+                self.complaints.push(told["entry"].to_string());
+            }
+            "Network.requestWillBeSent" => {
+                let url = told["request"]["url"].as_str().unwrap_or_default();
+                self.requests.push(url.to_owned());
+            }
+            _ => {}
+        }
+    }
+}
+
+impl Drop for Browser {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}

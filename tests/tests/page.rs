@@ -1,0 +1,167 @@
+//! The live page as people meet it: a real browser, a real coordinator, real
+//! campaigns. What the page says, word by word, is tested in the coordinator.
+
+use tempfile::TempDir;
+use tests::browser::{self, Browser, Screen};
+use tests::programs::{Campaigns, Process};
+
+const DESK: Screen = Screen {
+    width: 1440,
+    height: 1000,
+    is_dark: false,
+};
+/// Finished rollouts as the page of campaigns, or of one, says them.
+const DONE: &str = "Number(document.querySelector('.pace')?.innerText.match(/(\\d+) of/)?.[1])";
+
+struct Bench {
+    folder: TempDir,
+    campaigns: Campaigns,
+    browser: Browser,
+}
+
+impl Bench {
+    fn start() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let campaigns = Campaigns::start(&folder.path().join("data"));
+        let mut browser = Browser::start(&folder.path().join("profile"));
+        browser.set_screen(DESK);
+        Self {
+            folder,
+            campaigns,
+            browser,
+        }
+    }
+
+    fn url(&self, path: &str) -> String {
+        format!("{}{path}", self.campaigns.coordinator.url)
+    }
+
+    /// Nothing was asked of anybody else, and nothing went wrong.
+    fn check(&mut self) {
+        let complaints = self.browser.complaints();
+        assert!(complaints.is_empty(), "{complaints:#?}");
+        let own = self.url("/");
+        for url in self.browser.requests() {
+            let is_own = url.starts_with(&own) || url.starts_with("data:") || url == "about:blank";
+            assert!(is_own, "the page asked for {url}");
+        }
+    }
+}
+
+#[test]
+fn the_page_fills_in_by_itself_and_catches_up_after_a_restart() {
+    if !browser::is_installed("the_page_fills_in_by_itself_and_catches_up_after_a_restart") {
+        return;
+    }
+    let mut bench = Bench::start();
+    let tasks = "libero_object,libero_spatial/0-1";
+    bench.campaigns.create("live", "noop", tasks, "0-9");
+    bench.browser.go(&bench.url("/"));
+    // A reload would lose this.
+    bench.browser.value("window.since = 'the beginning'");
+    assert_eq!(bench.browser.value(DONE), 0);
+    let _worker = bench.campaigns.simulated_worker(2, &[]);
+    bench.browser.wait_for(&format!("{DONE} > 10"));
+    bench
+        .browser
+        .wait_for("document.getElementById('connection').innerText === 'Live'");
+    assert_eq!(bench.browser.value("window.since"), "the beginning");
+
+    bench.browser.click("section.campaign h2 a");
+    bench
+        .browser
+        .wait_for("document.querySelectorAll('svg.panel[role=group] a').length === 120");
+    let square = "document.querySelectorAll('svg.panel[role=group] a')";
+    bench
+        .browser
+        .value(&format!("window.since = 'the click', {square}[0].focus()"));
+    bench.browser.press("ArrowRight");
+    bench.browser.press("ArrowDown");
+    let walked = format!("document.activeElement === {square}[11]");
+    assert_eq!(
+        bench.browser.value(&walked),
+        true,
+        "arrow keys walk the matrix"
+    );
+    bench.browser.value("window.scrollTo(0, 700)");
+    let done = bench.browser.value(DONE).as_i64().unwrap();
+    bench.browser.wait_for(&format!("{DONE} > {done} + 10"));
+    let kept = format!("window.since === 'the click' && {walked} && window.scrollY === 700");
+    assert_eq!(bench.browser.value(&kept), true, "focus and scrolling stay");
+    bench.check();
+
+    let done = bench.browser.value(DONE).as_i64().unwrap();
+    bench.campaigns.kill_coordinator();
+    bench
+        .browser
+        .wait_for("document.getElementById('connection').innerText.includes('Cut off')");
+    bench.browser.complaints();
+    let data = bench.folder.path().join("data");
+    bench.campaigns.restart_coordinator(&data);
+    bench.browser.wait_for(&format!("{DONE} > {done} + 10"));
+    bench
+        .browser
+        .wait_for("document.getElementById('connection').innerText === 'Live'");
+    assert_eq!(bench.browser.value("window.since"), "the click");
+
+    bench.browser.click("svg.panel[role=group] a");
+    bench
+        .browser
+        .wait_for("document.querySelectorAll('article.rollout').length === 7");
+    let paper = "getComputedStyle(document.body).backgroundColor";
+    assert_eq!(bench.browser.value(paper), "rgb(255, 255, 255)");
+    bench.browser.set_screen(Screen {
+        is_dark: true,
+        ..DESK
+    });
+    assert_eq!(bench.browser.value(paper), "rgb(20, 24, 28)");
+}
+
+#[test]
+fn the_videos_of_a_configuration_play_together() {
+    if !browser::is_installed("the_videos_of_a_configuration_play_together") {
+        return;
+    }
+    let mut bench = Bench::start();
+    let endpoint = bench.campaigns.gateway.url.clone();
+    #[rustfmt::skip]
+    bench.campaigns.succeed(&[
+        "campaign", "create", "--name", "filmed", "--policy", "expert", "--endpoint", &endpoint,
+        "--tasks", "libero_object/0", "--axes", "camera,actuation", "--levels", "L1",
+        "--configs", "0", "--nominal", "eval", "--record", "all",
+    ]);
+    let worker = Process::worker(&bench.campaigns.coordinator.url, 2, "primitives");
+    bench.campaigns.wait_for_commits("filmed", None);
+    let configuration = "/campaigns/filmed/configurations/object/t0/combination/L1/c00";
+    bench.browser.go(&bench.url(configuration));
+    // A video may arrive a moment after its result.
+    bench
+        .browser
+        .wait_for("document.querySelectorAll('video').length === 4");
+    drop(worker);
+    let every = |what: &str| format!("[...document.querySelectorAll('video')].every(v => {what})");
+    bench.browser.wait_for(&every(
+        "v.readyState >= 3 && v.videoWidth > 0 && !v.controls",
+    ));
+    bench.browser.click("#play");
+    bench.browser.wait_for(&every("v.currentTime > 0.2"));
+    bench.browser.click("#play");
+    bench.browser.wait_for(&every("v.paused"));
+    bench.browser.value(
+        "document.getElementById('scrub').value = 500, \
+         document.getElementById('scrub').dispatchEvent(new Event('input'))",
+    );
+    bench
+        .browser
+        .wait_for(&every("!v.seeking && v.currentTime > 1"));
+    let apart = "(t => Math.max(...t) - Math.min(...t))(\
+        [...document.querySelectorAll('video')].map(v => Math.min(v.currentTime, v.duration)))";
+    let shortest = "Math.min(...[...document.querySelectorAll('video')].map(v => v.duration))";
+    let apart = bench.browser.value(apart).as_f64().unwrap();
+    let shortest = bench.browser.value(shortest).as_f64().unwrap();
+    assert!(
+        apart < 0.1 || shortest < 8.0,
+        "the videos are {apart} s apart"
+    );
+    bench.check();
+}
