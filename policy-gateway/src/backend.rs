@@ -15,6 +15,8 @@ use crate::{
 pub mod builtin;
 pub mod grpc;
 pub mod openpi;
+pub mod recorder;
+pub mod replay;
 
 /// How rustls begins to say what is wrong with a server's certificate.
 const BAD_CERTIFICATE: &str = "invalid peer certificate";

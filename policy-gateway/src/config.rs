@@ -12,8 +12,10 @@ use crate::{
     backend::{
         grpc::{AddressError, GrpcAddress},
         openpi::{OpenpiAddress, OpenpiAddressError},
+        recorder::RecordInto,
     },
     builtin::{Builtin, UnknownBuiltin},
+    recording::RecordingError,
 };
 
 pub mod file;
@@ -85,6 +87,8 @@ pub struct RouteSpec {
     pub answer_within: Duration,
     /// How to get into its servers.
     pub access: AccessFiles,
+    /// Where what its only server is asked and answers is recorded.
+    pub record: Option<RecordInto>,
 }
 
 /// What a policy's servers want to see, and how they are known.
@@ -113,6 +117,9 @@ pub enum UnusableBackend {
     /// Certificate authority or token cannot be read.
     #[error(transparent)]
     Access(#[from] AccessError),
+    /// Recordings that are no use.
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
     /// An address or a certificate authority that is none.
     #[error("use a policy server's address, or the `ca` to know it by")]
     Transport(#[from] tonic::transport::Error),
@@ -155,6 +162,18 @@ impl Batching {
 }
 
 impl RouteSpec {
+    /// A route of one server, and of its usual settings.
+    pub fn new(name: RouteName, backend: BackendSpec) -> Self {
+        Self {
+            name,
+            checkpoints: CheckpointSpecs::One(vec![backend]),
+            batching: Batching::default(),
+            answer_within: DEFAULT_ANSWER_WITHIN,
+            access: AccessFiles::default(),
+            record: None,
+        }
+    }
+
     fn check(&self) -> Result<(), ConfigError> {
         let name = || self.name.clone();
         let pools: Vec<&[BackendSpec]> = match &self.checkpoints {
@@ -202,6 +221,7 @@ impl FromStr for RouteSpec {
             batching: Batching::default(),
             answer_within: DEFAULT_ANSWER_WITHIN,
             access: AccessFiles::default(),
+            record: None,
         })
     }
 }
@@ -239,7 +259,8 @@ impl fmt::Display for RouteName {
 }
 
 /// What answers for a route: `builtin:NAME`, `grpc://HOST:PORT[/POLICY]`, the
-/// same with `https://` over TLS, or `ws://HOST:PORT` (`wss://` over TLS).
+/// same with `https://` over TLS, `ws://HOST:PORT` (`wss://` over TLS), or
+/// `replay:FOLDER`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum BackendSpec {
     /// A policy inside the gateway.
@@ -248,12 +269,14 @@ pub enum BackendSpec {
     Grpc(GrpcAddress),
     /// A policy server of openpi's.
     Openpi(OpenpiAddress),
+    /// A folder of recordings.
+    Replay(PathBuf),
 }
 
 impl BackendSpec {
     fn is_encrypted(&self) -> bool {
         match self {
-            Self::Builtin(_) => false,
+            Self::Builtin(_) | Self::Replay(_) => false,
             Self::Grpc(address) => address.encrypted,
             Self::Openpi(address) => address.encrypted,
         }
@@ -268,6 +291,7 @@ impl FromStr for BackendSpec {
             Some(("builtin", name)) => Ok(Self::Builtin(name.parse()?)),
             Some(("grpc" | "https", _)) => Ok(Self::Grpc(text.parse()?)),
             Some(("ws" | "wss", _)) => Ok(Self::Openpi(text.parse()?)),
+            Some(("replay", folder)) if !folder.is_empty() => Ok(Self::Replay(folder.into())),
             _ => Err(ConfigError::Backend {
                 text: text.to_owned(),
             }),
@@ -281,6 +305,7 @@ impl fmt::Display for BackendSpec {
             Self::Builtin(builtin) => builtin.fmt(f),
             Self::Grpc(address) => address.fmt(f),
             Self::Openpi(address) => address.fmt(f),
+            Self::Replay(folder) => write!(f, "replay:{}", folder.display()),
         }
     }
 }
@@ -375,7 +400,7 @@ pub enum ConfigError {
     /// No such kind.
     #[error(
         "read back-end {text:?}: write grpc://HOST:PORT, or https:// for one over TLS, or \
-         ws://HOST:PORT for an openpi server, or builtin:NAME"
+         ws://HOST:PORT for an openpi server, or builtin:NAME, or replay:FOLDER"
     )]
     Backend {
         /// As written.

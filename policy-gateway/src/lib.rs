@@ -26,6 +26,7 @@ pub mod config;
 pub mod conformance;
 pub mod health;
 pub mod held;
+pub mod recording;
 pub mod route;
 pub mod service;
 pub mod sessions;

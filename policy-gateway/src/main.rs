@@ -14,7 +14,8 @@ use std::{
 use anyhow::Context;
 use clap::{Args, CommandFactory, Parser, Subcommand, error::ErrorKind};
 use policy_gateway::{
-    config::{self, AccessFiles, Config, RouteSpec},
+    backend::recorder::{DEFAULT_MAX_BYTES, RecordInto},
+    config::{self, AccessFiles, BackendSpec, Config, RouteName, RouteSpec},
     conformance::{self, Target, front::Front, scene},
     service::Gateway,
 };
@@ -48,11 +49,17 @@ struct Arguments {
 }
 
 #[derive(Debug, Args)]
-struct Serve {
+struct Listen {
     /// Where to listen; port 0 takes a free one, and the line printed names it
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7071")]
     listen: SocketAddr,
 
+    #[command(flatten)]
+    security: ServerArguments,
+}
+
+#[derive(Debug, Args)]
+struct Serve {
     /// A policy's name and what answers for it: grpc://HOST:PORT[/POLICY],
     /// ws://HOST:PORT (an openpi server), builtin:noop or builtin:expert, or
     /// several replicas with commas between (repeatable)
@@ -70,7 +77,7 @@ struct Serve {
     config: Option<PathBuf>,
 
     #[command(flatten)]
-    security: ServerArguments,
+    listen: Listen,
 }
 
 #[derive(Debug, Subcommand)]
@@ -92,6 +99,42 @@ enum Command {
 
         #[command(flatten)]
         access: ClientArguments,
+    },
+    /// Stands before a policy server and records sessions: observations and
+    /// actions, a file each, until it is stopped
+    Record {
+        /// The server, as in --route
+        #[arg(long, value_name = "BACKEND")]
+        upstream: BackendSpec,
+
+        /// Folder for the recordings; made if need be
+        #[arg(long, value_name = "DIR")]
+        output: PathBuf,
+
+        /// The name under which it is served
+        #[arg(long, value_name = "NAME", default_value = "policy")]
+        policy: RouteName,
+
+        /// Mebibytes to record at most
+        #[arg(long, value_name = "N", default_value_t = DEFAULT_MAX_BYTES >> 20)]
+        max_mib: u64,
+
+        #[command(flatten)]
+        listen: Listen,
+    },
+    /// Serves recorded actions again, to the same observations of the same
+    /// episodes; names the first difference of another one
+    Replay {
+        /// Folder of the recordings
+        #[arg(value_name = "DIR")]
+        folder: PathBuf,
+
+        /// The name under which they are served
+        #[arg(long, value_name = "NAME", default_value = "policy")]
+        policy: RouteName,
+
+        #[command(flatten)]
+        listen: Listen,
     },
 }
 
@@ -117,33 +160,71 @@ fn main() -> ExitCode {
             };
             check(target, access)
         }
+        Some(Command::Record {
+            upstream,
+            output,
+            policy,
+            max_mib,
+            listen,
+        }) => {
+            let into = RecordInto {
+                max_bytes: max_mib << 20,
+                folder: output,
+            };
+            record(RouteSpec::new(policy, upstream), into, &listen)
+        }
+        Some(Command::Replay {
+            folder,
+            policy,
+            listen,
+        }) => {
+            let route = RouteSpec::new(policy, BackendSpec::Replay(folder));
+            serve_routes(vec![route], &listen)
+        }
         None => {
             let Serve {
-                listen,
                 routes,
                 config: file,
-                security,
+                listen,
             } = arguments.serve;
-            let security = security.security(listen);
-            let unguarded = matches!(security, Err(SecurityError::Unguarded { .. }));
-            let security = match security {
-                Err(error) if unguarded => usage_error(&error),
-                security => security,
-            };
-            let config = match &file {
-                Some(file) => config::file::read(file).map_err(anyhow::Error::from),
-                None => Ok(Config::new(routes).unwrap_or_else(|error| usage_error(&error))),
-            };
-            security
-                .map_err(anyhow::Error::from)
-                .and_then(|security| serve(listen, &config?, file, &security))
-                .map(|()| ExitCode::SUCCESS)
+            match file {
+                None => serve_routes(routes, &listen),
+                Some(file) => config::file::read(&file)
+                    .map_err(anyhow::Error::from)
+                    .and_then(|config| listen.serve(&config, Some(file))),
+            }
         }
     };
     done.unwrap_or_else(|error| {
         eprintln!("policy-gateway: failed to {error:#}");
         ExitCode::FAILURE
     })
+}
+
+impl Listen {
+    /// Serves until told to stop.
+    fn serve(&self, config: &Config, file: Option<PathBuf>) -> anyhow::Result<ExitCode> {
+        let security = match self.security.security(self.listen) {
+            Err(error @ SecurityError::Unguarded { .. }) => usage_error(&error),
+            security => security?,
+        };
+        serve(self.listen, config, file, &security)?;
+        Ok(ExitCode::SUCCESS)
+    }
+}
+
+fn serve_routes(routes: Vec<RouteSpec>, listen: &Listen) -> anyhow::Result<ExitCode> {
+    let config = Config::new(routes).unwrap_or_else(|error| usage_error(&error));
+    listen.serve(&config, None)
+}
+
+fn record(route: RouteSpec, into: RecordInto, listen: &Listen) -> anyhow::Result<ExitCode> {
+    let folder = &into.folder;
+    std::fs::create_dir_all(folder).with_context(|| {
+        format!("make the folder {folder:?}: give --output one that this user may write to")
+    })?;
+    let record = Some(into);
+    serve_routes(vec![RouteSpec { record, ..route }], listen)
 }
 
 /// Ends the program: what was typed cannot be meant.

@@ -107,6 +107,7 @@ fn route(name: &str, table: Table) -> Result<RouteSpec, ConfigError> {
             ca: table.ca,
             token_file: table.token_file,
         },
+        record: None,
     })
 }
 

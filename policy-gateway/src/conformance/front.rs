@@ -8,10 +8,7 @@ use tokio::{net::TcpListener, task::JoinSet};
 use transport::Security;
 
 use crate::{
-    config::{
-        AccessFiles, BackendSpec, Batching, CheckpointSpecs, Config, ConfigError,
-        DEFAULT_ANSWER_WITHIN, RouteSpec, UnusableBackend,
-    },
+    config::{AccessFiles, BackendSpec, Config, ConfigError, RouteSpec, UnusableBackend},
     service::Gateway,
 };
 
@@ -30,11 +27,8 @@ impl Front {
     pub async fn start(url: &str, access: AccessFiles) -> Result<Self, FrontError> {
         let backend: BackendSpec = url.parse()?;
         let route = RouteSpec {
-            name: "policy".parse()?,
-            checkpoints: CheckpointSpecs::One(vec![backend]),
-            batching: Batching::default(),
-            answer_within: DEFAULT_ANSWER_WITHIN,
             access,
+            ..RouteSpec::new("policy".parse()?, backend)
         };
         let gateway = Gateway::new(&Config::new(vec![route])?)?;
         let listener = TcpListener::bind(SocketAddr::from(([127, 0, 0, 1], 0))).await?;

@@ -27,7 +27,7 @@ impl Checkpoints {
         };
         let pool = |suite: &str, replicas: &[BackendSpec]| {
             let replicas = replicas.iter().map(replica);
-            let replicas = replicas.collect::<Result<_, tonic::transport::Error>>()?;
+            let replicas = replicas.collect::<Result<_, UnusableBackend>>()?;
             Ok::<_, UnusableBackend>(Arc::new(Pool::new(suite, replicas, spec.batching)))
         };
         Ok(match &spec.checkpoints {

@@ -18,10 +18,11 @@ use transport::Access;
 use crate::{
     backend::{
         Backend, BackendError, builtin::BuiltinBackend, grpc::GrpcBackend, openpi::OpenpiBackend,
+        recorder::Recorder, replay::Replay,
     },
     batch::batcher::Batcher,
     check,
-    config::{AccessFiles, BackendSpec, Batching, RouteSpec},
+    config::{AccessFiles, BackendSpec, Batching, RouteSpec, UnusableBackend},
     health::{Answered, Call, Cause, Health},
 };
 
@@ -60,12 +61,12 @@ impl Replica {
     /// A replica that has not been asked anything yet.
     ///
     /// # Errors
-    /// When the back-end's address or the certificate authority is no use.
+    /// See [`UnusableBackend`].
     pub fn new(
         spec: &BackendSpec,
         access: &Access,
         route: &RouteSpec,
-    ) -> Result<Self, tonic::transport::Error> {
+    ) -> Result<Self, UnusableBackend> {
         let RouteSpec {
             answer_within,
             batching,
@@ -77,6 +78,11 @@ impl Replica {
             BackendSpec::Openpi(address) => {
                 Arc::new(OpenpiBackend::new(address.clone(), access.clone()))
             }
+            BackendSpec::Replay(folder) => Arc::new(Replay::open(folder)?),
+        };
+        let backend = match &route.record {
+            Some(into) => Arc::new(Recorder::new(backend, into.clone())),
+            None => backend,
         };
         Ok(Self {
             spec: spec.clone(),

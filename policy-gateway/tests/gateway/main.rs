@@ -7,6 +7,7 @@ mod batches;
 mod conformance;
 mod outages;
 mod program;
+mod recordings;
 mod replicas;
 mod routing;
 mod support;

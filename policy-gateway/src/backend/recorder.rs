@@ -1,0 +1,193 @@
+//! A back-end that records what another one is asked and answers. Responsible
+//! for when a recording begins and ends, and for how much is written; a session
+//! whose recording fails goes on without it.
+
+use std::{
+    collections::HashMap,
+    fmt,
+    path::PathBuf,
+    sync::{Arc, Mutex, PoisonError},
+    time::{Duration, Instant},
+};
+
+use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
+
+use super::{Backend, BackendError};
+use crate::recording::{Pair, Writer};
+
+/// After so long without a query a session has ended: sessions have no end on
+/// the wire.
+pub const ENDED_AFTER: Duration = Duration::from_secs(120);
+/// Bytes written, unless told otherwise: four hundred sessions of a hundred
+/// observations.
+pub const DEFAULT_MAX_BYTES: u64 = 16 << 30;
+
+/// Where recordings go.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RecordInto {
+    /// An existing folder.
+    pub folder: PathBuf,
+    /// Bytes that may be written.
+    pub max_bytes: u64,
+}
+
+/// A back-end and the folder of its recordings.
+pub struct Recorder {
+    inner: Arc<dyn Backend>,
+    /// Shared with the threads that write.
+    shared: Arc<Mutex<Open>>,
+}
+
+struct Open {
+    folder: PathBuf,
+    bytes_left: u64,
+    described: DescribeResponse,
+    sessions: HashMap<String, (Instant, Writer)>,
+}
+
+impl Recorder {
+    /// Records what `inner` does.
+    pub fn new(inner: Arc<dyn Backend>, into: RecordInto) -> Self {
+        let RecordInto { folder, max_bytes } = into;
+        Self {
+            inner,
+            shared: Arc::new(Mutex::new(Open {
+                folder,
+                bytes_left: max_bytes,
+                described: DescribeResponse::default(),
+                sessions: HashMap::new(),
+            })),
+        }
+    }
+
+    /// Writes without holding up the other sessions' answers.
+    async fn write(&self, writing: impl FnOnce(&mut Open) + Send + 'static) {
+        let shared = Arc::clone(&self.shared);
+        let written = tokio::task::spawn_blocking(move || {
+            let mut open = shared.lock().unwrap_or_else(PoisonError::into_inner);
+            writing(&mut open);
+        });
+        if let Err(error) = written.await {
+            tracing::error!("a recording failed: {error}");
+        }
+    }
+}
+
+impl Open {
+    fn begin(&mut self, reset: &ResetRequest) {
+        self.end_idle();
+        if let Some((_, earlier)) = self.sessions.remove(&reset.session) {
+            earlier.discard();
+        }
+        if self.bytes_left == 0 {
+            return;
+        }
+        match Writer::begin(&self.folder, &self.described, reset) {
+            Ok(writer) => {
+                let session = reset.session.clone();
+                self.sessions.insert(session, (Instant::now(), writer));
+            }
+            Err(error) => tracing::error!("session {:?} is not recorded: {error}", reset.session),
+        }
+    }
+
+    fn add(&mut self, session: &str, pair: &Pair) {
+        let Some((_, mut writer)) = self.sessions.remove(session) else {
+            return;
+        };
+        match writer.add(pair) {
+            Ok(bytes) if bytes < self.bytes_left => {
+                self.bytes_left -= bytes;
+                let now = Instant::now();
+                self.sessions.insert(session.to_owned(), (now, writer));
+            }
+            Ok(_) => {
+                writer.discard();
+                self.bytes_left = 0;
+                tracing::error!(
+                    "recorded as much as was asked for: session {session:?} and later ones are \
+                     not; give a larger --max-mib"
+                );
+            }
+            Err(error) => {
+                writer.discard();
+                tracing::error!("session {session:?} is not recorded: {error}");
+            }
+        }
+    }
+
+    fn end_idle(&mut self) {
+        let ended = |(last, _): &(Instant, Writer)| last.elapsed() > ENDED_AFTER;
+        let ended = self.sessions.extract_if(|_, session| ended(session));
+        ended.for_each(|(session, (_, writer))| end(&session, writer));
+    }
+}
+
+impl Drop for Open {
+    fn drop(&mut self) {
+        for (session, (_, writer)) in self.sessions.drain() {
+            end(&session, writer);
+        }
+    }
+}
+
+fn end(session: &str, writer: Writer) {
+    match writer.finish() {
+        Ok(path) => tracing::info!("recorded session {session:?} in {}", path.display()),
+        Err(error) => tracing::error!("session {session:?} is not recorded: {error}"),
+    }
+}
+
+#[tonic::async_trait]
+impl Backend for Recorder {
+    async fn describe(&self, suite: &str) -> Result<DescribeResponse, BackendError> {
+        let described = self.inner.describe(suite).await?;
+        let mut open = self.shared.lock().unwrap_or_else(PoisonError::into_inner);
+        open.described.clone_from(&described);
+        Ok(described)
+    }
+
+    async fn reset(&self, request: ResetRequest) -> Result<(), BackendError> {
+        self.inner.reset(request.clone()).await?;
+        self.write(move |open| open.begin(&request)).await;
+        Ok(())
+    }
+
+    async fn infer(&self, query: InferRequest) -> Result<InferResponse, BackendError> {
+        let answer = self.inner.infer(query.clone()).await?;
+        let pair = Pair {
+            query,
+            answer: answer.clone(),
+        };
+        self.write(move |open| open.add(&pair.query.session, &pair))
+            .await;
+        Ok(answer)
+    }
+
+    async fn infer_batch(
+        &self,
+        queries: Vec<InferRequest>,
+    ) -> Result<Vec<Result<InferResponse, BackendError>>, BackendError> {
+        let answers = self.inner.infer_batch(queries.clone()).await?;
+        let pairs = queries.into_iter().zip(&answers);
+        let pairs: Vec<_> = pairs
+            .filter_map(|(query, answer)| {
+                let answer = answer.as_ref().ok()?.clone();
+                Some(Pair { query, answer })
+            })
+            .collect();
+        self.write(move |open| {
+            for pair in &pairs {
+                open.add(&pair.query.session, pair);
+            }
+        })
+        .await;
+        Ok(answers)
+    }
+}
+
+impl fmt::Display for Recorder {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.inner.fmt(f)
+    }
+}

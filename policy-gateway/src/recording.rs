@@ -1,0 +1,353 @@
+//! Recorded sessions: one file each, with everything that went to a policy server
+//! and what it answered. Responsible for the form of the files:
+//!
+//! ```text
+//! the line "rollout recording 1\n", and then messages of rollout.policy.v1, each
+//! behind its length in bytes as a varint (protobuf's delimited form):
+//!   DescribeResponse   what the policy said of itself
+//!   ResetRequest       the episode
+//!   InferRequest, InferResponse   … one pair per query, as asked
+//! ```
+//!
+//! A file that is written bears the suffix `.partial` and gets its name when its
+//! session has ended, so that a file with the right name is whole.
+
+use std::{
+    fs::File,
+    io::{self, BufReader, BufWriter, Read, Write},
+    path::{Path, PathBuf},
+};
+
+use prost::Message;
+use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
+use sha2::{Digest, Sha256};
+use thiserror::Error;
+
+/// How a file begins.
+const FIRST_LINE: &[u8] = b"rollout recording 1\n";
+/// Suffix of whole recordings.
+pub const SUFFIX: &str = "recording";
+/// Recordings that a folder may hold.
+pub const MAX_FILES: usize = 100_000;
+
+/// A query and its answer.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pair {
+    /// As asked.
+    pub query: InferRequest,
+    /// As answered.
+    pub answer: InferResponse,
+}
+
+/// A recording that is being written.
+#[derive(Debug)]
+pub struct Writer {
+    file: BufWriter<File>,
+    folder: PathBuf,
+    name: String,
+}
+
+impl Writer {
+    /// Begins the recording of a session. One of the same session is replaced
+    /// when this one is finished.
+    ///
+    /// # Errors
+    /// When nothing can be written to the folder.
+    pub fn begin(
+        folder: &Path,
+        described: &DescribeResponse,
+        reset: &ResetRequest,
+    ) -> io::Result<Self> {
+        let digest = Sha256::digest(&reset.session);
+        let name: String = digest[..8].iter().map(|it| format!("{it:02x}")).collect();
+        let file = File::create(folder.join(format!("{name}.partial")))?;
+        let mut writer = Self {
+            file: BufWriter::new(file),
+            folder: folder.to_owned(),
+            name,
+        };
+        writer.file.write_all(FIRST_LINE)?;
+        writer.message(described)?;
+        writer.message(reset)?;
+        Ok(writer)
+    }
+
+    /// Adds a pair; returns the bytes that it took.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn add(&mut self, pair: &Pair) -> io::Result<u64> {
+        Ok(self.message(&pair.query)? + self.message(&pair.answer)?)
+    }
+
+    /// Gives the file its name.
+    ///
+    /// # Errors
+    /// When something is not on the disk; then it has none.
+    pub fn finish(mut self) -> io::Result<PathBuf> {
+        self.file.flush()?;
+        self.file.get_ref().sync_all()?;
+        let whole = self.folder.join(format!("{}.{SUFFIX}", self.name));
+        std::fs::rename(self.partial(), &whole)?;
+        Ok(whole)
+    }
+
+    /// Removes what was written.
+    pub fn discard(self) {
+        // What cannot be removed stays as what it is called: partial.
+        drop(std::fs::remove_file(self.partial()));
+    }
+
+    fn partial(&self) -> PathBuf {
+        self.folder.join(format!("{}.partial", self.name))
+    }
+
+    fn message(&mut self, message: &impl Message) -> io::Result<u64> {
+        let bytes = message.encode_length_delimited_to_vec();
+        self.file.write_all(&bytes)?;
+        Ok(bytes.len() as u64)
+    }
+}
+
+/// A recording that is read, message by message.
+#[derive(Debug)]
+pub struct Reader {
+    path: PathBuf,
+    file: BufReader<File>,
+    /// What the policy said of itself.
+    pub described: DescribeResponse,
+    /// The episode.
+    pub reset: ResetRequest,
+}
+
+impl Reader {
+    /// Opens a recording.
+    ///
+    /// # Errors
+    /// When it cannot be read, or is none.
+    pub fn open(path: &Path) -> Result<Self, RecordingError> {
+        let mut reader = Self {
+            path: path.to_owned(),
+            file: BufReader::new(File::open(path).map_err(|source| io_error(path, source))?),
+            described: DescribeResponse::default(),
+            reset: ResetRequest::default(),
+        };
+        let mut line = [0; FIRST_LINE.len()];
+        let read = reader.file.read_exact(&mut line);
+        if read.is_err() || line != FIRST_LINE {
+            return Err(reader.broken());
+        }
+        reader.described = reader.message()?.ok_or_else(|| reader.broken())?;
+        reader.reset = reader.message()?.ok_or_else(|| reader.broken())?;
+        Ok(reader)
+    }
+
+    /// The next pair; None at the end.
+    ///
+    /// # Errors
+    /// When what follows is none.
+    pub fn pair(&mut self) -> Result<Option<Pair>, RecordingError> {
+        let Some(query) = self.message()? else {
+            return Ok(None);
+        };
+        let answer = self.message()?.ok_or_else(|| self.broken())?;
+        Ok(Some(Pair { query, answer }))
+    }
+
+    fn message<M: Message + Default>(&mut self) -> Result<Option<M>, RecordingError> {
+        let Some(bytes) = self.length()? else {
+            return Ok(None);
+        };
+        let mut message = vec![0; bytes];
+        self.file
+            .read_exact(&mut message)
+            .map_err(|_| self.broken())?;
+        let message = M::decode(message.as_slice());
+        message.map(Some).map_err(|_| self.broken())
+    }
+
+    /// The varint before a message; None at the end of the file.
+    fn length(&mut self) -> Result<Option<usize>, RecordingError> {
+        let mut length = 0_usize;
+        for place in 0..5 {
+            let mut byte = [0];
+            match self.file.read(&mut byte) {
+                Ok(0) if place == 0 => return Ok(None),
+                Ok(1) => {}
+                Ok(_) => return Err(self.broken()),
+                Err(source) => return Err(io_error(&self.path, source)),
+            }
+            length |= usize::from(byte[0] & 0x7f) << (7 * place);
+            if byte[0] & 0x80 == 0 {
+                let fits = length <= proto::MAX_MESSAGE_BYTES;
+                return fits.then_some(Some(length)).ok_or_else(|| self.broken());
+            }
+        }
+        Err(self.broken())
+    }
+
+    fn broken(&self) -> RecordingError {
+        RecordingError::Broken {
+            path: self.path.clone(),
+        }
+    }
+}
+
+/// The recordings of a folder, by name.
+///
+/// # Errors
+/// When it cannot be read, or holds none, or more than [`MAX_FILES`].
+pub fn files(folder: &Path) -> Result<Vec<PathBuf>, RecordingError> {
+    let entries = std::fs::read_dir(folder).map_err(|source| io_error(folder, source))?;
+    let mut files = vec![];
+    for entry in entries {
+        let path = entry.map_err(|source| io_error(folder, source))?.path();
+        if path.extension().is_some_and(|it| it == SUFFIX) {
+            files.push(path);
+        }
+        if files.len() > MAX_FILES {
+            return Err(RecordingError::TooMany {
+                folder: folder.to_owned(),
+            });
+        }
+    }
+    files.sort();
+    match files.is_empty() {
+        false => Ok(files),
+        true => Err(RecordingError::None {
+            folder: folder.to_owned(),
+        }),
+    }
+}
+
+/// A recording that is no use. Reads after "failed to …".
+#[derive(Debug, Error)]
+pub enum RecordingError {
+    /// It cannot be read.
+    #[error("read {path:?}")]
+    Io {
+        /// The file or folder.
+        path: PathBuf,
+        /// Why not.
+        source: io::Error,
+    },
+    /// It is not one.
+    #[error("read {path:?} as a recording: it is none, or damaged; record the session again")]
+    Broken {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A folder without any.
+    #[error(
+        "find a recording in {folder:?}: `policy-gateway record --output` makes them, one \
+         .{SUFFIX} file per session that has ended"
+    )]
+    None {
+        /// The folder.
+        folder: PathBuf,
+    },
+    /// A folder with more than anybody records.
+    #[error("take more than {MAX_FILES} recordings from {folder:?}: put some elsewhere")]
+    TooMany {
+        /// The folder.
+        folder: PathBuf,
+    },
+    /// Recordings of two policies.
+    #[error(
+        "replay {one:?} and {other:?} as one policy: {difference}; give each policy a folder of \
+         its own"
+    )]
+    Policies {
+        /// The first recording.
+        one: PathBuf,
+        /// One that differs.
+        other: PathBuf,
+        /// In what.
+        difference: String,
+    },
+}
+
+fn io_error(path: &Path, source: io::Error) -> RecordingError {
+    RecordingError::Io {
+        path: path.to_owned(),
+        source,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pair(query_index: u32) -> Pair {
+        Pair {
+            query: InferRequest {
+                query_index,
+                ..InferRequest::default()
+            },
+            answer: InferResponse {
+                actions: vec![0.5; 7],
+                action_width: 7,
+            },
+        }
+    }
+
+    fn write(folder: &Path, pairs: u32) -> Writer {
+        let described = DescribeResponse {
+            name: "p".to_owned(),
+            ..DescribeResponse::default()
+        };
+        let reset = ResetRequest {
+            session: "a/b".to_owned(),
+            seed: 7,
+            ..ResetRequest::default()
+        };
+        let mut writer = Writer::begin(folder, &described, &reset).expect("written");
+        for query in 0..pairs {
+            writer.add(&pair(query)).expect("written");
+        }
+        writer
+    }
+
+    #[test]
+    fn what_is_written_is_read_again_and_has_its_name_when_it_is_whole() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let writer = write(folder.path(), 2);
+        assert!(matches!(
+            files(folder.path()),
+            Err(RecordingError::None { .. })
+        ));
+        writer.finish().expect("finished");
+        let [path] = &files(folder.path()).expect("a recording")[..] else {
+            panic!("one file");
+        };
+        let mut reader = Reader::open(path).expect("a recording");
+        assert_eq!(
+            (reader.described.name.as_str(), reader.reset.seed),
+            ("p", 7)
+        );
+        assert_eq!(reader.pair().expect("a pair"), Some(pair(0)));
+        assert_eq!(reader.pair().expect("a pair"), Some(pair(1)));
+        assert_eq!(reader.pair().expect("the end"), None);
+    }
+
+    #[test]
+    fn wherever_a_file_is_cut_it_is_a_shorter_one_or_named_as_damaged() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = write(folder.path(), 2).finish().expect("finished");
+        let whole = std::fs::read(&path).expect("read");
+        for length in 0..whole.len() {
+            std::fs::write(&path, &whole[..length]).expect("written");
+            let pairs = Reader::open(&path).and_then(|mut reader| {
+                let mut pairs = 0;
+                while reader.pair()?.is_some() {
+                    pairs += 1;
+                }
+                Ok(pairs)
+            });
+            match pairs {
+                Ok(pairs) => assert!(pairs < 2),
+                Err(error) => assert!(matches!(error, RecordingError::Broken { .. }), "{error}"),
+            }
+        }
+    }
+}

@@ -1,0 +1,117 @@
+//! Sessions recorded and replayed: the same observation gets the same actions
+//! without the server, and another one is named.
+
+use std::path::Path;
+
+use policy_gateway::{
+    backend::recorder::RecordInto,
+    config::{BackendSpec, RouteSpec},
+    recording,
+};
+use proto::policy::{Image, InferRequest, InferResponse, Observation, policy_client::PolicyClient};
+use tonic::{Code, Status, transport::Channel};
+
+use crate::support::{
+    Query, Running, Scripted, chunk, description, infer, reloadable, reset, serve,
+};
+
+fn observation(query_index: u32) -> Observation {
+    let frame = Image {
+        camera: "agentview".to_owned(),
+        width: 2,
+        height: 2,
+        rgb: vec![query_index as u8; 12].into(),
+    };
+    Observation {
+        images: vec![frame],
+        ..Observation::default()
+    }
+}
+
+async fn ask(
+    client: &mut PolicyClient<Channel>,
+    query_index: u32,
+    observation: Observation,
+) -> Result<InferResponse, Status> {
+    let query = InferRequest {
+        observation: Some(observation),
+        ..infer("x", "s", query_index)
+    };
+    client.infer(query).await.map(tonic::Response::into_inner)
+}
+
+/// Two queries of one session through a gateway that records up to `max_bytes`.
+async fn record(folder: &Path, max_bytes: u64) -> Vec<InferResponse> {
+    let answer = |query: Query| Ok(chunk(&[0.1 * query.query_index as f32; 7], 7));
+    let server = serve(Scripted::new(description("p", 1), answer)).await;
+    let route: RouteSpec = format!("x=grpc://{}", server.address)
+        .parse()
+        .expect("a route");
+    let folder = folder.to_owned();
+    let record = Some(RecordInto { folder, max_bytes });
+    let (gateway, handle) = reloadable(vec![RouteSpec { record, ..route }]).await;
+    let mut client = gateway.client().await;
+    client.reset(reset("x", "s")).await.expect("an episode");
+    let mut answers = vec![];
+    for query in 0..2 {
+        answers.push(
+            ask(&mut client, query, observation(query))
+                .await
+                .expect("an answer"),
+        );
+    }
+    drop((client, handle));
+    gateway.stop().await;
+    server.stop().await;
+    answers
+}
+
+async fn replay(folder: &Path) -> Running {
+    let name = "x".parse().expect("a name");
+    let route = RouteSpec::new(name, BackendSpec::Replay(folder.to_owned()));
+    reloadable(vec![route]).await.0
+}
+
+#[tokio::test]
+async fn a_recorded_session_is_answered_again_and_the_first_difference_is_named() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let recorded = record(folder.path(), 1 << 20).await;
+    let gateway = replay(folder.path()).await;
+    let mut client = gateway.client().await;
+    client.reset(reset("x", "s")).await.expect("recorded");
+    for (query, answer) in (0..).zip(&recorded) {
+        let again = ask(&mut client, query, observation(query)).await;
+        assert_eq!(&again.expect("recorded"), answer);
+    }
+
+    client.reset(reset("x", "s")).await.expect("recorded");
+    let mut other = observation(0);
+    other.images[0].rgb = [[0; 3], [0; 3], [0, 9, 9], [0; 3]].concat().into();
+    let refused = ask(&mut client, 0, other).await.expect_err("it differs");
+    assert_eq!(refused.code(), Code::Internal);
+    let named = "2 of 12 numbers of \"agentview\" differ, first at column 0 of row 1 (0 was \
+                 recorded, 9 came)";
+    assert!(refused.message().contains(named), "{refused}");
+
+    let longer = ask(&mut client, 2, observation(2)).await;
+    let longer = longer.expect_err("it was not asked a third time");
+    assert!(
+        longer.message().contains("ends after 2 queries"),
+        "{longer}"
+    );
+    let stranger = proto::policy::ResetRequest {
+        seed: 8,
+        ..reset("x", "t")
+    };
+    let stranger = client.reset(stranger).await.expect_err("another seed");
+    assert!(stranger.message().contains("with seed 8"), "{stranger}");
+}
+
+#[tokio::test]
+async fn what_would_be_too_much_is_served_and_not_recorded() {
+    let folder = tempfile::tempdir().expect("a folder");
+    assert_eq!(record(folder.path(), 60).await.len(), 2);
+    assert!(recording::files(folder.path()).is_err());
+    let left = std::fs::read_dir(folder.path()).expect("a folder").count();
+    assert_eq!(left, 0, "not even a part of it");
+}
