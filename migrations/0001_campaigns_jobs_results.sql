@@ -39,7 +39,7 @@ CREATE TABLE campaign (
     spec_digest      TEXT    NOT NULL CHECK (length(spec_digest) = 64),
     policy_id        INTEGER NOT NULL REFERENCES policy (id),
     realisation      TEXT    NOT NULL CHECK (realisation IN ('matched', 'reference')),
-    record           TEXT    NOT NULL CHECK (record IN ('none', 'failures', 'all')),
+    record           TEXT    NOT NULL CHECK (record IN ('none', 'failures', 'transitions', 'all')),
     -- Rollouts that it was expanded into.
     jobs             INTEGER NOT NULL CHECK (jobs >= 0),
     created_ms       INTEGER NOT NULL,
@@ -228,6 +228,15 @@ WHEN NOT EXISTS (SELECT 1 FROM job WHERE id = NEW.job_id AND state = 'leased'
 BEGIN
     SELECT RAISE (ABORT, 'result_is_of_the_held_lease');
 END;
+
+-- How the robot of a committed rollout moved: where its end-effector was (x, y,
+-- z, tenths of a millimetre, 16 bits each), and what it was told, if that is
+-- kept (seven 32-bit floats a control step).
+CREATE TABLE motion (
+    job_id           INTEGER PRIMARY KEY REFERENCES job (id) ON DELETE CASCADE,
+    path             BLOB    NOT NULL CHECK (length(path) % 6 = 0),
+    actions          BLOB    NOT NULL CHECK (length(actions) % 28 = 0)
+) STRICT;
 
 -- A committed rollout that was reported again with another outcome: for a
 -- deterministic policy a finding, so it is kept.

@@ -14,6 +14,7 @@ use coordinator::clock::SystemClock;
 use coordinator::expand::NewCampaign;
 use coordinator::ids::{LeaseRef, WorkerId};
 use coordinator::queue::{ClaimRequest, ClaimedJob, CommitReport, CommitVerdict, Queue, Timing};
+use coordinator::store::motions::Motion;
 use coordinator::store::results::{Digests, Outcome, Provenance};
 use coordinator::store::workers::WorkerInfo;
 use coordinator::store::{DATABASE_FILE, Store};
@@ -311,6 +312,11 @@ fn outcome(
         .map(|axis| format!("{axis}:{}", digest(&format!("{unit}/{axis}"))))
         .collect();
     Ok(CommitReport {
+        // A rollout of eleven seconds.
+        motion: Motion {
+            path: vec![1; 6 * 221],
+            actions: Vec::new(),
+        },
         lease: LeaseRef {
             worker: worker.clone(),
             job: job.job,

@@ -107,6 +107,7 @@ impl NewCampaign {
             record: match spec.record {
                 Record::None => "none",
                 Record::Failures => "failures",
+                Record::Transitions => "transitions",
                 Record::All => "all",
             },
             jobs,

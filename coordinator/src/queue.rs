@@ -6,6 +6,7 @@
 mod campaigns;
 mod claim;
 mod commit;
+mod films;
 mod known;
 mod operate;
 mod release;
@@ -23,6 +24,7 @@ use crate::clock::{Clock, UnixMillis};
 use crate::ids::{CampaignName, JobId, LeaseRef, WorkerId};
 use crate::plan::{Decision, ExpiredLease, SweepState, plan};
 use crate::store::failpoint::Step;
+use films::HandedOut;
 use known::Known;
 use writer::Operation;
 
@@ -32,6 +34,7 @@ use crate::store::{Store, StoreError, jobs, policies, workers};
 pub use campaigns::{CampaignStatus, Created, RATE_WINDOW};
 pub use claim::{ClaimRequest, Claimed, ClaimedJob, MAX_CLAIM_JOBS, MAX_CLAIM_WAIT};
 pub use commit::{CommitReply, CommitReport, CommitVerdict};
+pub use films::Film;
 pub use operate::{
     BackupInHand, JobFilter, JobName, MAX_JOBS_LISTED, MAX_JOBS_RETRIED, MAX_WORKERS_LISTED, Retry,
     WorkerStatus,
@@ -170,6 +173,8 @@ pub struct Queue {
     /// What the writer need not read again. Locked within the writing
     /// transaction only.
     known: tokio::sync::Mutex<Known>,
+    /// What is being filmed.
+    handed_out: Mutex<HandedOut>,
     /// Rung when jobs may have become leasable.
     work: Notify,
     draining: watch::Sender<bool>,
@@ -208,6 +213,7 @@ impl Queue {
             operations,
             writer: Mutex::default(),
             known: tokio::sync::Mutex::default(),
+            handed_out: Mutex::default(),
             work: Notify::new(),
             draining: watch::Sender::new(false),
             hold: watch::Sender::new(None),
@@ -420,6 +426,12 @@ impl Queue {
 
     fn tasks(&self) -> std::sync::MutexGuard<'_, JoinSet<()>> {
         self.writer.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn handed_out(&self) -> std::sync::MutexGuard<'_, HandedOut> {
+        self.handed_out
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
     }
 
     fn last_sweep(&self) -> UnixMillis {

@@ -13,6 +13,7 @@ pub mod claims;
 pub mod failpoint;
 pub mod jobs;
 pub mod listing;
+pub mod motions;
 pub(crate) mod page;
 pub mod policies;
 pub mod removals;
@@ -149,6 +150,20 @@ impl<T> Doing<T> for Result<T, sqlx::Error> {
 /// A stored value that does not read back.
 pub(crate) fn undecodable(error: impl std::error::Error + Send + Sync + 'static) -> sqlx::Error {
     sqlx::Error::Decode(Box::new(error))
+}
+
+/// Rows that one statement stores: a few numbers, so that a few statements stay
+/// prepared.
+const INSERTED_ROWS: [usize; 4] = [64, 16, 4, 1];
+
+/// Rows in pieces of such numbers.
+pub(crate) fn in_few_statements<T>(mut rows: &[T]) -> impl Iterator<Item = &[T]> {
+    std::iter::from_fn(move || {
+        let size = INSERTED_ROWS.into_iter().find(|size| *size <= rows.len())?;
+        let (piece, others) = rows.split_at(size);
+        rows = others;
+        Some(piece)
+    })
 }
 
 /// Many values for one statement: it reads them with `json_each`.

@@ -14,6 +14,7 @@ use coordinator::expand::NewCampaign;
 use coordinator::ids::{LeaseRef, WorkerId};
 use coordinator::lease::FailureReason;
 use coordinator::queue::{ClaimRequest, CommitReport, CommitVerdict, Queue, Timing};
+use coordinator::store::motions::Motion;
 use coordinator::store::results::{Digests, Outcome, Provenance};
 use coordinator::store::workers::WorkerInfo;
 use coordinator::store::{DATABASE_FILE, Store};
@@ -81,6 +82,7 @@ fn claim(worker: &str, warm_task: Option<&str>) -> ClaimRequest {
 
 fn report(lease: &LeaseRef) -> CommitReport {
     CommitReport {
+        motion: Motion::default(),
         lease: lease.clone(),
         outcome: Outcome {
             success: true,

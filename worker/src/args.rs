@@ -22,6 +22,7 @@ use crate::grpc::{EndpointError, parse_endpoint};
     override_usage = "worker --connect URL --assets PACK [OPTIONS]\n       \
                       worker rollout --id ID --endpoint URL --assets PACK --output DIR [OPTIONS]\n       \
                       worker rollout --bddl FILE --init FILE --actions FILE --assets PACK --output DIR [OPTIONS]\n       \
+                      worker film --connect URL --assets PACK [OPTIONS]\n       \
                       worker preview --suite SUITE --task N --assets PACK --output DIR [OPTIONS]\n       \
                       worker assets list|verify|fetch [OPTIONS]"
 )]
@@ -49,6 +50,9 @@ pub enum Command {
     /// Shows what the perturbations of a configuration look like, without any
     /// policy
     Preview(PreviewArguments),
+    /// Makes the videos of campaigns that record transitions, from the actions
+    /// that were kept, until none is left; asks no policy
+    Film(FilmArguments),
     /// Looks after asset packs: lists, verifies and fetches them
     Assets(AssetsArguments),
     /// The process of one slot, started by a worker
@@ -72,6 +76,20 @@ pub struct ServeArguments {
     /// arguments: a wrapper (numactl, a debugger), or a simulated slot
     #[arg(long, value_name = "FILE", hide = true)]
     pub slot_program: Option<PathBuf>,
+}
+
+/// For whom to film, and with what.
+#[derive(Debug, Args)]
+pub struct FilmArguments {
+    /// URL of the coordinator
+    #[arg(long, value_name = "URL", value_parser = server_url)]
+    pub connect: String,
+    /// How to get in there.
+    #[command(flatten)]
+    pub access: ClientArguments,
+    /// What simulates and draws; the pack that the campaign ran on.
+    #[command(flatten)]
+    pub simulator: SimulatorArguments,
 }
 
 /// What a slot is told.

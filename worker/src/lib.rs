@@ -12,6 +12,7 @@ pub mod args;
 pub mod assets;
 pub mod backoff;
 mod digest;
+pub mod film;
 pub mod grpc;
 pub mod ids;
 pub mod message;

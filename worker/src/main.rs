@@ -19,15 +19,15 @@ use tracing_subscriber::EnvFilter;
 use transport::{ClientArguments, Role};
 use worker::actor::Actor;
 use worker::args::{
-    Arguments, Command, PreviewArguments, RolloutArguments, ServeArguments, SimulatorArguments,
-    SlotArguments,
+    Arguments, Command, FilmArguments, PreviewArguments, RolloutArguments, ServeArguments,
+    SimulatorArguments, SlotArguments,
 };
 use worker::ids::{WorkerId, host_name, random_number};
 use worker::message::{Assignment, VideoOf, VideoOrder};
 use worker::policy::{POLICY_CALL_DEADLINE, PolicyClient};
 use worker::single::{OwnTask, RecordedActions};
 use worker::supervise::{self, Config, Identity, SlotCommand};
-use worker::{assets, preview, single, slot};
+use worker::{assets, film, preview, single, slot};
 
 /// Compiled scenes that a slot keeps. Jobs of one task come together, so two
 /// are enough; each takes some hundred MB with the real assets.
@@ -48,6 +48,7 @@ fn main() -> ExitCode {
         (Some(Command::Slot(slot)), ..) => run_slot(&slot),
         (Some(Command::Rollout(rollout)), ..) => run_rollout(*rollout),
         (Some(Command::Preview(preview)), ..) => run_preview(&preview),
+        (Some(Command::Film(arguments)), ..) => run_film(arguments),
         (Some(Command::Assets(arguments)), ..) => {
             assets::run(&arguments).map_err(anyhow::Error::from)
         }
@@ -94,6 +95,24 @@ fn run_preview(arguments: &PreviewArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
+fn run_film(arguments: FilmArguments) -> anyhow::Result<()> {
+    let simulator = open(&arguments.simulator)?;
+    let config = film::Config {
+        coordinator: arguments.connect,
+        access: arguments.access.access(&[Role::Worker])?,
+        asset_pack_digest: simulator.pack.digest().to_owned(),
+        seed: random_number(),
+    };
+    let filmed = film::run(&config, &mut Simulator::new(simulator))?;
+    println!("{} videos stored", filmed.stored);
+    anyhow::ensure!(
+        filmed.failed == 0,
+        "film {} rollouts more: the log says why",
+        filmed.failed
+    );
+    Ok(())
+}
+
 fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
     let own_task = own_task(&arguments);
     let mut row = match (&own_task, arguments.id) {
@@ -126,6 +145,7 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
             file: arguments.output.join("video.mp4"),
             of: VideoOf::Everything,
         }),
+        keep_actions: false,
     };
     let order = single::Order {
         assignment: &assignment,

@@ -10,6 +10,8 @@ use proto::coordinator::release_request::Reason;
 use protocol::{ManifestRow, Realisation, RolloutId};
 use serde::{Deserialize, Serialize};
 
+use crate::policy::Action;
+
 /// Longest line that either side reads, bytes. A manifest row takes about one
 /// thousand.
 pub const MAX_LINE_BYTES: u64 = 1 << 20;
@@ -66,6 +68,8 @@ pub struct Assignment {
     pub session: Session,
     /// The video, if one is wanted.
     pub video: Option<VideoOrder>,
+    /// Whether the actions are wanted with the outcome.
+    pub keep_actions: bool,
 }
 
 /// A video that somebody wants.
@@ -110,8 +114,20 @@ pub struct Finished {
     pub outcome: Outcome,
     /// Which simulator, scene and policy it came out of.
     pub evidence: Evidence,
+    /// How the robot moved.
+    pub motion: Motion,
     /// The video, if one was wanted and could be made.
     pub video: Option<PathBuf>,
+}
+
+/// How the robot of a rollout moved.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Motion {
+    /// Where the site between the fingertips was, at rest and after every
+    /// control step: world frame, tenths of a millimetre.
+    pub path: Vec<[i16; 3]>,
+    /// What the robot was told in every control step, if that is wanted.
+    pub actions: Vec<Action>,
 }
 
 /// What came out of a rollout.
@@ -241,6 +257,7 @@ mod tests {
                 file: "videos/1.mp4".into(),
                 of: VideoOf::Failures,
             }),
+            keep_actions: true,
         }));
         let line = serde_json::to_string(&order).expect("JSON");
         assert!(!line.contains('\n'));

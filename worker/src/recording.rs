@@ -8,9 +8,9 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::{fs, io};
 
+use protocol::{ManifestRow, Realisation};
 use sim::{Episode, Frame, SimError};
 
-use crate::message::{Assignment, Outcome};
 use crate::policy::Action;
 use crate::rollout::Stage;
 use crate::video::{PANE_SIDE, Recorder, VideoError};
@@ -44,30 +44,42 @@ pub(crate) enum RecordError {
     Abandoned,
 }
 
-/// Records the rollout that `actions` led through, to `file`. The pictures are
-/// the scene as it is, without the sensor's corruption. `step` is called after
-/// every control step, settling included.
+/// A rollout that is over.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Take<'a> {
+    /// What was simulated.
+    pub(crate) row: &'a ManifestRow,
+    /// Where the perturbation's random elements came from.
+    pub(crate) realisation: Realisation,
+    /// What the robot was told.
+    pub(crate) actions: &'a [Action],
+    /// Whether the goal was reached.
+    pub(crate) success: bool,
+}
+
+/// Records a rollout again, to `file`. The pictures are the scene as it is,
+/// without the sensor's corruption. `step` is called after every control step,
+/// settling included.
 pub(crate) fn record(
     stage: &mut Stage<'_>,
-    assignment: &Assignment,
-    (actions, outcome): (&[Action], &Outcome),
+    take: Take<'_>,
     file: &Path,
     step: &mut dyn FnMut(u32) -> ControlFlow<()>,
 ) -> Result<(), RecordError> {
     let mut recorder = Recorder::new()?;
-    let row = &assignment.row;
-    let mut episode = stage.begin(row, assignment.realisation)?;
+    let row = take.row;
+    let mut episode = stage.begin(row, take.realisation)?;
     episode.settle()?;
     add_picture(&mut episode, &mut recorder)?;
     let mut success = false;
-    for (done, action) in (1..).zip(actions) {
+    for (done, action) in (1..).zip(take.actions) {
         if step(row.settle_steps + done).is_break() {
             return Err(RecordError::Abandoned);
         }
         success = episode.step(action)?;
         add_picture(&mut episode, &mut recorder)?;
     }
-    if success != outcome.success {
+    if success != take.success {
         return Err(RecordError::Differs);
     }
     fs::write(file, recorder.finish()?).map_err(|source| RecordError::Write {

@@ -18,11 +18,12 @@ use sim::{CameraRequest, Digests, Episode, Observation, ObservationRequest, SimE
 use crate::actor::Actor;
 use crate::digest::hex;
 use crate::message::{
-    Assignment, Evidence, Failure, FailureKind, Finished, IkResidual, Outcome, VideoOf, VideoOrder,
+    Assignment, Evidence, Failure, FailureKind, Finished, IkResidual, Motion, Outcome, VideoOf,
+    VideoOrder,
 };
 use crate::observation;
 use crate::policy::{self, Action, Description, PolicyError};
-use crate::recording::{RecordError, record};
+use crate::recording::{RecordError, Take, record};
 
 /// Where rollouts take place: a simulator, and the files of the task.
 pub struct Stage<'a> {
@@ -176,6 +177,7 @@ pub fn run(
         actor,
         watcher,
         executed: Vec::new(),
+        path: Vec::new(),
         clipped_actions: 0,
         queries: 0,
         first_frame_digest: String::new(),
@@ -203,9 +205,17 @@ pub fn run(
         },
     };
     let video = run.record(&mut stage, &outcome)?;
+    let actions = match assignment.keep_actions {
+        true => run.executed,
+        false => Vec::new(),
+    };
     Ok(Finished {
         outcome,
         evidence,
+        motion: Motion {
+            path: run.path,
+            actions,
+        },
         video,
     })
 }
@@ -220,6 +230,8 @@ struct Run<'a> {
     watcher: &'a mut dyn Watcher,
     /// What the policy did, clipped: the rollout can be simulated again.
     executed: Vec<Action>,
+    /// Where the end-effector was, tenths of a millimetre.
+    path: Vec<[i16; 3]>,
     clipped_actions: u32,
     queries: u32,
     first_frame_digest: String,
@@ -241,6 +253,7 @@ impl Run<'_> {
             .settle()
             .map_err(|source| self.simulator_failed(source))?;
         carry_on(self.watcher.progress(row.settle_steps))?;
+        self.path.push(whereabouts(&mut episode));
         self.watcher.moved(None, &mut episode);
         let suite = row.id.task().suite();
         self.actor.reset(
@@ -279,6 +292,7 @@ impl Run<'_> {
                     .step(&executed)
                     .map_err(|source| self.simulator_failed(source))?;
                 self.executed.push(executed);
+                self.path.push(whereabouts(episode));
                 self.watcher.moved(Some(&Step { sent, executed }), episode);
                 carry_on(self.watcher.progress(row.settle_steps + self.steps()))?;
                 if success {
@@ -323,8 +337,13 @@ impl Run<'_> {
         };
         let done = self.assignment.row.settle_steps + self.steps();
         let mut step = |again| self.watcher.progress(done + again);
-        let rollout = (self.executed.as_slice(), outcome);
-        match record(stage, self.assignment, rollout, &video.file, &mut step) {
+        let take = Take {
+            row: &self.assignment.row,
+            realisation: self.assignment.realisation,
+            actions: &self.executed,
+            success: outcome.success,
+        };
+        match record(stage, take, &video.file, &mut step) {
             Ok(()) => Ok(Some(video.file.clone())),
             Err(RecordError::Abandoned) => Err(RolloutError::Abandoned),
             Err(error) => {
@@ -365,6 +384,14 @@ fn carry_on(verdict: ControlFlow<()>) -> Result<(), RolloutError> {
         ControlFlow::Continue(()) => Ok(()),
         ControlFlow::Break(()) => Err(RolloutError::Abandoned),
     }
+}
+
+/// Where the end-effector is, in tenths of a millimetre.
+fn whereabouts(episode: &mut Episode<'_>) -> [i16; 3] {
+    const TENTHS_OF_MM_PER_M: f64 = 10_000.0;
+    let position = episode.environment().robot_state().eef_pos;
+    // A cast stops at the ends of its range, three metres away.
+    position.map(|metres| (metres * TENTHS_OF_MM_PER_M).round() as i16)
 }
 
 fn observation_request(description: &Description) -> ObservationRequest {

@@ -5,7 +5,7 @@
 //! anything: that is a slot's, in a process of its own.
 
 mod deliver;
-mod link;
+pub(crate) mod link;
 mod memory;
 mod process;
 mod slot_state;

@@ -96,6 +96,9 @@ enum NominalChoice {
 enum RecordChoice {
     None,
     Failures,
+    /// Of configurations that the combination of axes changes: afterwards, by
+    /// `worker film`
+    Transitions,
     All,
 }
 
@@ -150,6 +153,7 @@ fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandErr
         record: match arguments.record {
             RecordChoice::None => Record::None,
             RecordChoice::Failures => Record::Failures,
+            RecordChoice::Transitions => Record::Transitions,
             RecordChoice::All => Record::All,
         },
     };

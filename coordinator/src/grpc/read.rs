@@ -9,8 +9,9 @@ use crate::digests::{AxisDigests, AxisDigestsError, is_sha256};
 use crate::ids::{Attempt, JobId, LeaseRef, WorkerId, shortened};
 use crate::lease::FailureReason;
 use crate::queue::{CommitReport, JobName, MAX_JOBS_RETRIED, Retry};
+use crate::store::motions::Motion;
 use crate::store::results::{Digests, Outcome, Provenance};
-use crate::store::workers::WorkerInfo;
+use crate::store::workers::{Pin, WorkerInfo};
 
 /// Longest name or version that is kept, bytes.
 const MAX_TEXT_BYTES: usize = 512;
@@ -18,6 +19,15 @@ const MAX_TEXT_BYTES: usize = 512;
 const MAX_ROLLOUT_ID_BYTES: usize = 128;
 /// Longest error message that is kept, bytes; the rest is cut off.
 const MAX_ERROR_BYTES: usize = 4_096;
+/// Most control steps of which a motion is kept: ten times LIBERO's longest
+/// rollout.
+const MAX_MOTION_STEPS: usize = 5_200;
+/// A point of a path: three numbers of 16 bits.
+const POINT_BYTES: usize = 6;
+const MAX_PATH_BYTES: usize = (MAX_MOTION_STEPS + 1) * POINT_BYTES;
+/// An action: seven numbers of 32 bits.
+const ACTION_BYTES: usize = 28;
+const MAX_ACTIONS_BYTES: usize = MAX_MOTION_STEPS * ACTION_BYTES;
 
 pub(super) fn worker_id(id: &str) -> Result<WorkerId, Status> {
     WorkerId::parse(id).map_err(|error| Status::invalid_argument(error.to_string()))
@@ -48,9 +58,19 @@ pub(super) fn worker_info(request: wire::RegisterRequest) -> Result<WorkerInfo, 
     })
 }
 
+/// What a film is drawn with. The pack's name says nothing here.
+pub(super) fn pin(request: wire::NextFilmRequest) -> Result<Pin, Status> {
+    Ok(Pin {
+        asset_pack: String::new(),
+        asset_pack_digest: required("asset_pack_digest", request.asset_pack_digest)?,
+        mujoco_version: required("mujoco_version", request.mujoco_version)?,
+    })
+}
+
 pub(super) fn commit(request: wire::CommitRequest) -> Result<CommitReport, Status> {
     let provenance = request.provenance.ok_or_else(|| missing("provenance"))?;
     Ok(CommitReport {
+        motion: motion(request.motion.unwrap_or_default())?,
         lease: lease(request.lease)?,
         outcome: outcome(request.outcome.ok_or_else(|| missing("outcome"))?)?,
         digests: Digests {
@@ -155,6 +175,26 @@ pub(super) fn error_text(error: &str) -> &str {
 /// Seconds of a wait; what is not a sensible number waits not at all.
 pub(super) fn wait(secs: f64) -> std::time::Duration {
     std::time::Duration::try_from_secs_f64(secs).unwrap_or_default()
+}
+
+fn motion(motion: wire::Motion) -> Result<Motion, Status> {
+    let (path, actions) = (motion.path.len(), motion.actions.len());
+    if path > MAX_PATH_BYTES || !path.is_multiple_of(POINT_BYTES) {
+        return Err(Status::invalid_argument(format!(
+            "`motion.path` has {path} bytes: {POINT_BYTES} for each control step, and at most \
+             {MAX_PATH_BYTES}"
+        )));
+    }
+    if actions > MAX_ACTIONS_BYTES || !actions.is_multiple_of(ACTION_BYTES) {
+        return Err(Status::invalid_argument(format!(
+            "`motion.actions` has {actions} bytes: {ACTION_BYTES} for each control step, and at \
+             most {MAX_ACTIONS_BYTES}"
+        )));
+    }
+    Ok(Motion {
+        path: motion.path,
+        actions: motion.actions,
+    })
 }
 
 fn outcome(outcome: wire::Outcome) -> Result<Outcome, Status> {

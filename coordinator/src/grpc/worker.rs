@@ -13,7 +13,7 @@ use crate::artifacts::{ArtifactKind, Upload};
 use crate::ids::LeaseRef;
 use crate::page::Gauges;
 use crate::queue::{
-    ClaimRequest, ClaimedJob, CommitVerdict, MAX_CLAIM_JOBS, Queue, ReleaseVerdict,
+    ClaimRequest, ClaimedJob, CommitVerdict, Film, MAX_CLAIM_JOBS, Queue, ReleaseVerdict,
 };
 
 /// Most leases that one heartbeat renews.
@@ -160,6 +160,19 @@ impl WorkerService for WorkerApi {
         }))
     }
 
+    async fn next_film(
+        &self,
+        request: Request<wire::NextFilmRequest>,
+    ) -> Result<Response<wire::NextFilmResponse>, Status> {
+        let pin = read::pin(request.into_inner())?;
+        let next = self.queue.next_film(&pin).await.map_err(queue_failed)?;
+        let (film, left) = next.unzip();
+        Ok(Response::new(wire::NextFilmResponse {
+            film: film.map(write_film),
+            left: left.unwrap_or(0),
+        }))
+    }
+
     async fn put_artifact(
         &self,
         request: Request<Streaming<wire::ArtifactChunk>>,
@@ -204,6 +217,22 @@ async fn next_chunk(
     }
 }
 
+fn write_film(film: Film) -> wire::Film {
+    wire::Film {
+        lease: Some(wire::LeaseRef {
+            worker_id: film.lease.worker.0,
+            job_id: film.lease.job.0,
+            attempt: film.lease.attempt.0,
+        }),
+        campaign: film.campaign.as_str().to_owned(),
+        replicate: film.replicate,
+        manifest_row: film.manifest_row,
+        realisation: film.realisation,
+        actions: film.actions,
+        success: film.success,
+    }
+}
+
 fn write_lease(job: ClaimedJob) -> wire::Lease {
     wire::Lease {
         job_id: job.job.0,
@@ -215,7 +244,8 @@ fn write_lease(job: ClaimedJob) -> wire::Lease {
         policy: job.policy,
         policy_endpoint: job.policy_endpoint,
         realisation: job.realisation,
-        record_video: job.record != "none",
+        record_video: job.record == "all" || job.record == "failures",
         record_failures_only: job.record == "failures",
+        keep_actions: job.record == "transitions",
     }
 }

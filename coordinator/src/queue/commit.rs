@@ -13,8 +13,9 @@ use crate::ids::{JobId, LeaseRef};
 use crate::lease::{CommitJudgement, FailureReason, Job, OutcomeKey};
 use crate::pairing::{self, Demand};
 use crate::store::jobs::ReportedJob;
+use crate::store::motions::Motion;
 use crate::store::results::{Digests, NewResult, Outcome, Provenance, Sibling};
-use crate::store::{StoreError, jobs, results, workers};
+use crate::store::{StoreError, jobs, motions, results, workers};
 
 /// An outcome as a worker reports it.
 #[derive(Clone, Debug)]
@@ -27,6 +28,8 @@ pub struct CommitReport {
     pub provenance: Provenance,
     /// What makes it comparable.
     pub digests: Digests,
+    /// How the robot moved.
+    pub motion: Motion,
 }
 
 /// What became of a reported outcome.
@@ -244,6 +247,7 @@ impl Queue {
             outcome: &report.outcome,
             origin,
             digests,
+            motion: &report.motion,
         })
     }
 }
@@ -258,6 +262,7 @@ async fn store(
         return Ok(());
     }
     results::insert(tx, results, now).await?;
+    motions::insert(tx, results).await?;
     let leases: Vec<&LeaseRef> = results.iter().map(|result| result.lease).collect();
     jobs::mark_committed(tx, &leases).await?;
     let workers: Vec<_> = leases.iter().map(|lease| &lease.worker).collect();

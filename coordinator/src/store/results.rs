@@ -4,13 +4,11 @@
 use protocol::RolloutId;
 use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
 
-use super::{Doing, StoreError, undecodable};
+use super::motions::Motion;
+use super::{Doing, StoreError, in_few_statements, undecodable};
 use crate::clock::UnixMillis;
 use crate::digests::{AxisDigests, AxisDigestsError};
 use crate::ids::{CampaignId, LeaseRef, WorkerId};
-
-/// Results that one statement stores.
-const INSERTED_ROWS: [usize; 4] = [64, 16, 4, 1];
 
 /// What a rollout came to.
 #[derive(Clone, Debug, PartialEq)]
@@ -98,6 +96,7 @@ pub(crate) struct NewResult<'a> {
     pub(crate) outcome: &'a Outcome,
     pub(crate) origin: ProvenanceId,
     pub(crate) digests: &'a Digests,
+    pub(crate) motion: &'a Motion,
 }
 
 /// A committed rollout of the same initial state, to be compared with.
@@ -168,13 +167,8 @@ pub(crate) async fn insert(
     results: &[NewResult<'_>],
     now: UnixMillis,
 ) -> Result<(), StoreError> {
-    let mut rest = results;
-    while !rest.is_empty() {
-        // A few sizes, so that a few statements stay prepared.
-        let rows = INSERTED_ROWS.into_iter().find(|rows| *rows <= rest.len());
-        let (chunk, others) = rest.split_at(rows.unwrap_or(1));
+    for chunk in in_few_statements(results) {
         insert_chunk(tx, chunk, now).await?;
-        rest = others;
     }
     Ok(())
 }

@@ -259,6 +259,10 @@ impl Worker {
     pub(crate) fn report(&self, lease: &wire::Lease, success: bool) -> wire::CommitRequest {
         let row: Value = serde_json::from_str(&lease.manifest_row).expect("a manifest row");
         wire::CommitRequest {
+            motion: Some(wire::Motion {
+                path: vec![1; 6],
+                actions: vec![2; if lease.keep_actions { 28 } else { 0 }],
+            }),
             lease: Some(self.held(lease)),
             outcome: Some(wire::Outcome {
                 success,

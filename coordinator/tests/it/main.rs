@@ -8,6 +8,7 @@ mod claims;
 mod disk;
 mod failpoints;
 mod faults;
+mod films;
 mod harness;
 mod invariants;
 mod manifests;

@@ -68,6 +68,10 @@ pub enum Record {
     None,
     /// Those that fail.
     Failures,
+    /// Those of configurations whose outcome the combination of axes changes,
+    /// and their nominal rollouts: afterwards, from the actions that are kept
+    /// with every rollout.
+    Transitions,
     /// All.
     All,
 }

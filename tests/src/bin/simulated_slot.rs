@@ -21,7 +21,7 @@ use sha2::{Digest, Sha256};
 use transport::Access;
 use worker::actor::Actor;
 use worker::message::{
-    Assignment, Evidence, Failure, FailureKind, Finished, Order, Outcome, Report,
+    Assignment, Evidence, Failure, FailureKind, Finished, Motion, Order, Outcome, Report,
 };
 use worker::policy::{Episode, PolicyClient, PolicyError};
 
@@ -150,8 +150,26 @@ fn play(
             policy_privileged: about.privileged,
             batch_mode: "single".to_owned(),
         },
+        motion: Motion {
+            path: path(&fate),
+            actions: Vec::new(),
+        },
         video: None,
     }))
+}
+
+/// An arc whose height and width follow from the rollout's fate: nobody moved.
+fn path(fate: &[u8]) -> Vec<[i16; 3]> {
+    let (width, height) = (i16::from(fate[2]) * 8, i16::from(fate[3]) * 4);
+    let point = |step: u32| {
+        let angle = f64::from(step) * std::f64::consts::PI / f64::from(STEPS);
+        [
+            (f64::from(width) * angle.cos()) as i16,
+            0,
+            (f64::from(height) * angle.sin()) as i16 + 9_000,
+        ]
+    };
+    (0..=STEPS).map(point).collect()
 }
 
 /// Of each perturbed axis its values, as a slot would have realised them.

@@ -76,6 +76,7 @@ fn assignment(row: ManifestRow, video: Option<&Path>) -> Assignment {
             file: file.to_owned(),
             of: VideoOf::Everything,
         }),
+        keep_actions: false,
     }
 }
 

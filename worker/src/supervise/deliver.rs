@@ -7,7 +7,8 @@ use std::path::PathBuf;
 use proto::coordinator::commit_response::Verdict as CommitVerdict;
 use proto::coordinator::release_response::Verdict as ReleaseVerdict;
 use proto::coordinator::{
-    CommitRequest, CommitResponse, LeaseRef, Outcome, Provenance, ReleaseRequest, ReleaseResponse,
+    CommitRequest, CommitResponse, LeaseRef, Motion, Outcome, Provenance, ReleaseRequest,
+    ReleaseResponse,
 };
 use protocol::Realisation;
 use tonic::Status;
@@ -15,7 +16,7 @@ use tonic::Status;
 use super::Identity;
 use super::link::Link;
 use crate::grpc::in_words;
-use crate::message::{Evidence, Failure, Finished, Outcome as SlotOutcome};
+use crate::message::{Evidence, Failure, Finished, Motion as SlotMotion, Outcome as SlotOutcome};
 
 /// How a rollout ended.
 #[derive(Debug)]
@@ -133,6 +134,7 @@ pub(crate) async fn deliver(link: &Link, delivery: Delivery) -> Answer {
                     delivery.identity,
                     delivery.realisation,
                 )),
+                motion: Some(motion(&finished.motion)),
             };
             let answer = link.commit(request).await;
             answer.map_or_else(Answer::Refused, Answer::Committed)
@@ -161,6 +163,18 @@ fn outcome(outcome: &SlotOutcome) -> Outcome {
         ik_clamped_joints: ik.map(|ik| ik.clamped_joints),
         clipped_actions: outcome.clipped_actions,
         policy_queries: outcome.policy_queries,
+    }
+}
+
+fn motion(motion: &SlotMotion) -> Motion {
+    let path = motion.path.iter().flatten();
+    // Policies answer 32-bit numbers: nothing is lost.
+    let actions = motion.actions.iter().flatten();
+    Motion {
+        path: path.flat_map(|tenths| tenths.to_le_bytes()).collect(),
+        actions: actions
+            .flat_map(|number| (*number as f32).to_le_bytes())
+            .collect(),
     }
 }
 

@@ -9,8 +9,8 @@ use std::time::Duration;
 use proto::coordinator::worker_service_client::WorkerServiceClient;
 use proto::coordinator::{
     ArtifactChunk, ClaimRequest, ClaimResponse, CommitRequest, CommitResponse, HeartbeatRequest,
-    HeartbeatResponse, LeaseRef, PutArtifactResponse, RegisterRequest, RegisterResponse,
-    ReleaseRequest, ReleaseResponse,
+    HeartbeatResponse, LeaseRef, NextFilmRequest, NextFilmResponse, PutArtifactResponse,
+    RegisterRequest, RegisterResponse, ReleaseRequest, ReleaseResponse,
 };
 use tokio::sync::{Notify, watch};
 use tokio::time::Instant;
@@ -136,6 +136,18 @@ impl Link {
         self.insist(CALL_DEADLINE, |mut grpc| {
             let request = request.clone();
             async move { grpc.release(request).await }
+        })
+        .await
+    }
+
+    /// Asks for a rollout to film; until it is answered.
+    pub(crate) async fn next_film(
+        &self,
+        request: NextFilmRequest,
+    ) -> Result<NextFilmResponse, Status> {
+        self.insist(CALL_DEADLINE, |mut grpc| {
+            let request = request.clone();
+            async move { grpc.next_film(request).await }
         })
         .await
     }

@@ -7,6 +7,7 @@
 
 mod endings;
 mod failures;
+mod films;
 mod outcomes;
 mod refusals;
 mod scripted_coordinator;

@@ -8,9 +8,10 @@ use std::time::Duration;
 
 use proto::coordinator::worker_service_server::{WorkerService, WorkerServiceServer};
 use proto::coordinator::{
-    ArtifactChunk, ClaimRequest, ClaimResponse, CommitRequest, CommitResponse, HeartbeatRequest,
-    HeartbeatResponse, Lease, Progress, PutArtifactResponse, RegisterRequest, RegisterResponse,
-    ReleaseRequest, ReleaseResponse, commit_response, release_request, release_response,
+    ArtifactChunk, ClaimRequest, ClaimResponse, CommitRequest, CommitResponse, Film,
+    HeartbeatRequest, HeartbeatResponse, Lease, NextFilmRequest, NextFilmResponse, Progress,
+    PutArtifactResponse, RegisterRequest, RegisterResponse, ReleaseRequest, ReleaseResponse,
+    commit_response, release_request, release_response,
 };
 use tokio::net::TcpListener;
 use tokio::runtime::Runtime;
@@ -53,6 +54,7 @@ impl Told {
 #[derive(Debug, Default)]
 struct State {
     leases: VecDeque<Lease>,
+    films: VecDeque<Film>,
     lost_jobs: Vec<i64>,
     told: Vec<Told>,
     progress: Vec<Progress>,
@@ -112,6 +114,11 @@ impl ScriptedCoordinator {
     /// Hands this out next.
     pub(crate) fn lease(&self, lease: Lease) {
         self.change(|state| state.leases.push_back(lease));
+    }
+
+    /// Has this filmed next.
+    pub(crate) fn film(&self, film: Film) {
+        self.change(|state| state.films.push_back(film));
     }
 
     /// Says from now on that this job's lease is lost.
@@ -301,6 +308,17 @@ impl WorkerService for Service {
             verdict: release_response::Verdict::Requeued as i32,
             backoff_secs: 0.0,
             stop_leasing: self.change(|state| std::mem::take(&mut state.stop_leasing)),
+        }))
+    }
+
+    async fn next_film(
+        &self,
+        _request: Request<NextFilmRequest>,
+    ) -> Result<Response<NextFilmResponse>, Status> {
+        let (film, left) = self.change(|state| (state.films.pop_front(), state.films.len()));
+        Ok(Response::new(NextFilmResponse {
+            film,
+            left: left as u64,
         }))
     }
 

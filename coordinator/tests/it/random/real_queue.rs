@@ -14,6 +14,7 @@ use coordinator::queue::{
     ClaimRequest, CommitReport, CommitVerdict, Queue, QueueError, Retry, Timing,
 };
 use coordinator::store::Store;
+use coordinator::store::motions::Motion;
 use coordinator::store::results::{Digests, Outcome, Provenance};
 use coordinator::store::workers::WorkerInfo;
 use proptest::prelude::*;
@@ -222,6 +223,7 @@ fn worker_info(number: usize) -> WorkerInfo {
 
 fn report(lease: LeaseRef, success: bool) -> CommitReport {
     CommitReport {
+        motion: Motion::default(),
         lease,
         outcome: Outcome {
             success,

@@ -114,6 +114,7 @@ impl Supervisor {
             // A policy that hangs is to be blamed before its slot is.
             policy_deadline: POLICY_CALL_DEADLINE.min(self.timing.progress_timeout / 2),
             video: lease.record_video.then_some(video),
+            keep_actions: lease.keep_actions,
             row,
         })
     }

@@ -1,0 +1,89 @@
+//! Which rollouts of a campaign that records transitions are filmed.
+
+use proto::coordinator as wire;
+use serde_json::json;
+
+use crate::harness::{Bench, Worker, sha, small_spec, with};
+
+/// Longer than anybody may film what was handed out.
+const LONG_SECS: u64 = 16 * 60;
+
+/// A campaign of one configuration that keeps actions, its nominal rollout and
+/// both axes done, and the lease of the combination.
+async fn all_but_the_combination(outcome: bool) -> (Bench, Worker, wire::Lease) {
+    let bench = Bench::start().await;
+    let spec = with(small_spec("filmed"), json!({"record": "transitions"}));
+    bench.create(&spec).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    let mut leases = worker.claim(4).await;
+    let combination = leases
+        .iter()
+        .position(|lease| lease.manifest_row.contains("combination"))
+        .expect("a combination");
+    let combination = leases.remove(combination);
+    for lease in &leases {
+        assert!(lease.keep_actions && !lease.record_video);
+        worker.commit(lease, outcome).await;
+    }
+    (bench, worker, combination)
+}
+
+async fn next_film(worker: &mut Worker, pack: &str) -> wire::NextFilmResponse {
+    let request = wire::NextFilmRequest {
+        asset_pack_digest: sha(pack),
+        mujoco_version: "3.3.7".to_owned(),
+    };
+    let answer = worker.service.next_film(request).await;
+    answer.expect("an answer").into_inner()
+}
+
+/// Takes films until none is left; their jobs.
+async fn films(worker: &mut Worker) -> Vec<wire::Film> {
+    let mut films = Vec::new();
+    while let Some(film) = next_film(worker, "primitives").await.film {
+        films.push(film);
+    }
+    films
+}
+
+async fn upload(worker: &mut Worker, lease: Option<wire::LeaseRef>) {
+    let chunk = wire::ArtifactChunk {
+        lease,
+        name: "video.mp4".to_owned(),
+        data: b"a film".to_vec(),
+    };
+    let stored = worker.service.put_artifact(tokio_stream::iter([chunk]));
+    stored.await.expect("stored");
+}
+
+#[tokio::test]
+async fn a_configuration_that_its_combination_changes_is_filmed_whole() {
+    for conjunction in [true, false] {
+        let (bench, mut worker, combination) = all_but_the_combination(conjunction).await;
+        assert!(films(&mut worker).await.is_empty(), "its outcome is open");
+        worker.commit(&combination, !conjunction).await;
+        assert!(next_film(&mut worker, "other").await.film.is_none());
+        let all = films(&mut worker).await;
+        let rows = all.iter().map(|film| film.manifest_row.as_str());
+        let named = |name: &str| rows.clone().filter(|row| row.contains(name)).count();
+        assert_eq!(all.len(), 4, "the nominal rollout, two axes, all at once");
+        assert_eq!((named("/clean/"), named("/combination/")), (1, 1));
+        assert!(all.iter().all(|film| film.actions == [2; 28]));
+        // One is stored; the others were never brought back.
+        upload(&mut worker, all[1].lease.clone()).await;
+        bench.pass(LONG_SECS).await;
+        let answer = next_film(&mut worker, "primitives").await;
+        assert_eq!(answer.left, 3);
+        assert_eq!(1 + films(&mut worker).await.len(), 3);
+        bench.stop().await;
+    }
+}
+
+#[tokio::test]
+async fn a_configuration_that_stays_what_it_is_is_not_filmed() {
+    for outcome in [true, false] {
+        let (_bench, mut worker, combination) = all_but_the_combination(outcome).await;
+        worker.commit(&combination, outcome).await;
+        assert!(films(&mut worker).await.is_empty());
+    }
+}
