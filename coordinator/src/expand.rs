@@ -26,10 +26,12 @@ pub struct NewCampaign {
     pub policy_endpoint: String,
     /// "matched" or "reference".
     pub realisation: String,
-    /// Which rollouts are filmed: "none", "failures" or "all".
+    /// Which rollouts are filmed: "none", "failures", "transitions" or "all".
     pub record: &'static str,
     /// Its jobs, in paired-unit order.
     pub jobs: Vec<NewJob>,
+    /// Control steps of all its rollouts, if none reaches its goal.
+    pub step_budget: u64,
 }
 
 /// A job ready to be stored.
@@ -82,6 +84,8 @@ impl NewCampaign {
     pub fn from_spec(spec: &CampaignSpec) -> Result<NewCampaign, ExpandError> {
         let name = CampaignName::parse(&spec.name)?;
         let rows = spec.expand()?;
+        let budgets = rows.iter().map(|row| u64::from(row.max_steps));
+        let step_budget = budgets.sum::<u64>() * u64::from(spec.replicates);
         let mut jobs = Vec::with_capacity(rows.len() * spec.replicates as usize);
         for replicate in 0..spec.replicates {
             for row in &rows {
@@ -111,6 +115,7 @@ impl NewCampaign {
                 Record::All => "all",
             },
             jobs,
+            step_budget,
         })
     }
 

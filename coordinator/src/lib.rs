@@ -29,6 +29,7 @@ pub mod queue;
 pub mod report;
 mod serve;
 pub mod store;
+pub mod video_estimate;
 pub mod words;
 
 pub use serve::{Config, Coordinator, ServeError, run};

@@ -6,6 +6,7 @@ use std::str::FromStr;
 use anyhow::Context;
 use clap::{ArgGroup, Args, ValueEnum};
 use coordinator::expand::NewCampaign;
+use coordinator::video_estimate;
 use protocol::{
     Axis, CampaignSpec, Design, Level, MAX_CONFIGS, Nominal, PolicyRoute, Realisation, Record,
     Rollouts, TaskRef, UnknownName, select_tasks,
@@ -81,6 +82,10 @@ pub(super) struct CreateArguments {
     /// Rollouts that are filmed.
     #[arg(long, value_enum, default_value_t = RecordChoice::None)]
     record: RecordChoice,
+    /// Says what would be created, and what its videos would take, and creates
+    /// nothing
+    #[arg(long)]
+    dry_run: bool,
     #[command(flatten)]
     connection: Connection,
 }
@@ -110,12 +115,17 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     // Expanding here finds every mistake before anybody is asked.
     let campaign =
         NewCampaign::from_spec(&spec).map_err(|error| CommandError::Usage(error.into()))?;
+    let name = &campaign.name;
+    if arguments.dry_run {
+        let total = campaign.jobs.len();
+        print_line(&format!("campaign {name} would have {total} rollouts"))?;
+        return tell_size(&campaign);
+    }
     let created = arguments
         .connection
         .client()?
         .create_campaign(&campaign.spec)
         .await?;
-    let name = &campaign.name;
     if created.jobs_added == 0 {
         print_line(&format!(
             "campaign {name} was there already, with this specification: {} rollouts",
@@ -124,6 +134,13 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     } else {
         let total = created.jobs_total;
         print_line(&format!("campaign {name} created: {total} rollouts"))?;
+    }
+    tell_size(&campaign)
+}
+
+fn tell_size(campaign: &NewCampaign) -> Result<(), CommandError> {
+    if let Some(words) = video_estimate::in_words(campaign) {
+        print_line(&words)?;
     }
     Ok(())
 }

@@ -65,7 +65,7 @@ pub struct ClaimedJob {
     pub policy_endpoint: String,
     /// "matched" or "reference".
     pub realisation: String,
-    /// Which rollouts are filmed: "none", "failures" or "all".
+    /// Which rollouts are filmed: "none", "failures", "transitions" or "all".
     pub record: String,
 }
 

@@ -59,7 +59,7 @@ pub(crate) struct WaitingCampaign {
     pub(crate) policy_endpoint: String,
     /// "matched" or "reference".
     pub(crate) realisation: String,
-    /// Which rollouts are filmed: "none", "failures" or "all".
+    /// Which rollouts are filmed: "none", "failures", "transitions" or "all".
     pub(crate) record: String,
 }
 
