@@ -174,11 +174,12 @@ CREATE TABLE provenance (
     policy_checkpoint TEXT   NOT NULL,
     policy_checkpoint_digest TEXT NOT NULL,
     policy_privileged INTEGER NOT NULL CHECK (policy_privileged IN (0, 1)),
+    policy_canonical_only INTEGER NOT NULL CHECK (policy_canonical_only IN (0, 1)),
     batch_mode       TEXT    NOT NULL,
     program_version  TEXT    NOT NULL,
     UNIQUE (host, gl_renderer, mujoco_version, asset_pack, asset_pack_digest,
             realisation, policy_name, policy_checkpoint, policy_checkpoint_digest,
-            policy_privileged, batch_mode, program_version)
+            policy_privileged, policy_canonical_only, batch_mode, program_version)
 ) STRICT;
 
 -- The committed outcome of a job: one, for ever.

@@ -344,6 +344,7 @@ fn outcome(
             policy_checkpoint: String::new(),
             policy_checkpoint_digest: String::new(),
             policy_privileged: false,
+            policy_canonical_only: false,
             batch_mode: String::new(),
             program_version: env!("CARGO_PKG_VERSION").to_owned(),
         },

@@ -193,6 +193,7 @@ mod tests {
             policy_checkpoint: String::new(),
             policy_checkpoint_digest: String::new(),
             policy_privileged: false,
+            policy_canonical_only: false,
             batch_mode: String::new(),
             program_version: String::new(),
         }

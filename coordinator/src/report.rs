@@ -138,6 +138,7 @@ impl From<Provenance> for report::Provenance {
             policy_checkpoint: stored.policy_checkpoint,
             policy_checkpoint_digest: stored.policy_checkpoint_digest,
             policy_privileged: stored.policy_privileged,
+            policy_canonical_only: stored.policy_canonical_only,
             batch_mode: stored.batch_mode,
             program_version: stored.program_version,
         }

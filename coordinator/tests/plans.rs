@@ -105,6 +105,7 @@ fn report(lease: &LeaseRef) -> CommitReport {
             policy_checkpoint: String::new(),
             policy_checkpoint_digest: String::new(),
             policy_privileged: true,
+            policy_canonical_only: false,
             batch_mode: String::new(),
             program_version: "0.1.0".to_owned(),
         },

@@ -181,6 +181,8 @@ pub struct Evidence {
     pub policy_checkpoint_digest: String,
     /// Whether it sees the simulator's own state.
     pub policy_privileged: bool,
+    /// Whether it is told the canonical instruction whatever the condition.
+    pub policy_canonical_only: bool,
     /// How a gateway asks it: "single" unless one says otherwise.
     pub batch_mode: String,
 }

@@ -199,6 +199,7 @@ pub fn run(
         policy_checkpoint: description.about.checkpoint.clone(),
         policy_checkpoint_digest: description.about.checkpoint_digest.clone(),
         policy_privileged: description.about.privileged,
+        policy_canonical_only: description.about.language() == wire::Language::CanonicalOnly,
         batch_mode: match description.about.batch_mode.as_str() {
             "" => UNBATCHED.to_owned(),
             mode => mode.to_owned(),

@@ -93,6 +93,7 @@ pub(super) fn commit(request: wire::CommitRequest) -> Result<CommitReport, Statu
                 provenance.policy_checkpoint_digest,
             )?,
             policy_privileged: provenance.policy_privileged,
+            policy_canonical_only: provenance.policy_canonical_only,
             batch_mode: text("batch_mode", provenance.batch_mode)?,
             program_version: text("program_version", provenance.program_version)?,
         },

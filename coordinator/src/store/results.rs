@@ -54,6 +54,8 @@ pub struct Provenance {
     pub policy_checkpoint_digest: String,
     /// Whether it saw privileged simulator state.
     pub policy_privileged: bool,
+    /// Whether it was told the canonical instruction whatever the condition.
+    pub policy_canonical_only: bool,
     /// How its queries were batched.
     pub batch_mode: String,
     /// Version of the worker's program.
@@ -386,7 +388,7 @@ pub(crate) async fn provenances(
     sqlx::query_as(
         "SELECT host, gl_renderer, mujoco_version, asset_pack, asset_pack_digest, realisation,
              policy_name, policy_checkpoint, policy_checkpoint_digest, policy_privileged,
-             batch_mode, program_version
+             policy_canonical_only, batch_mode, program_version
          FROM provenance
          WHERE id IN (SELECT provenance_id FROM result WHERE campaign_id = ?)
          ORDER BY id",
@@ -434,14 +436,16 @@ pub(crate) async fn provenance_id(
     let mut insert = sqlx::query_scalar(
         "INSERT INTO provenance (host, gl_renderer, mujoco_version, asset_pack,
              asset_pack_digest, realisation, policy_name, policy_checkpoint,
-             policy_checkpoint_digest, batch_mode, program_version, policy_privileged)
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) RETURNING id",
+             policy_checkpoint_digest, batch_mode, program_version, policy_privileged,
+             policy_canonical_only)
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) RETURNING id",
     );
     let mut select = sqlx::query_scalar(
         "SELECT id FROM provenance WHERE host = ? AND gl_renderer = ? AND mujoco_version = ?
              AND asset_pack = ? AND asset_pack_digest = ? AND realisation = ?
              AND policy_name = ? AND policy_checkpoint = ? AND policy_checkpoint_digest = ?
-             AND batch_mode = ? AND program_version = ? AND policy_privileged = ?",
+             AND batch_mode = ? AND program_version = ? AND policy_privileged = ?
+             AND policy_canonical_only = ?",
     );
     for text in texts {
         insert = insert.bind(text);
@@ -449,6 +453,7 @@ pub(crate) async fn provenance_id(
     }
     let known: Option<ProvenanceId> = select
         .bind(p.policy_privileged)
+        .bind(p.policy_canonical_only)
         .fetch_optional(&mut *tx)
         .await
         .doing("look up where a result came from")?;
@@ -457,6 +462,7 @@ pub(crate) async fn provenance_id(
     }
     insert
         .bind(p.policy_privileged)
+        .bind(p.policy_canonical_only)
         .fetch_one(tx)
         .await
         .doing("store where a result came from")

@@ -197,6 +197,7 @@ async fn a_privileged_policy_and_mixed_origins_are_said_at_the_top() {
         let mut report = worker.report(lease, true);
         let provenance = report.provenance.as_mut().expect("one");
         provenance.policy_privileged = true;
+        provenance.policy_canonical_only = true;
         provenance.program_version = version.to_owned();
         provenance.policy_checkpoint = format!("step {version}");
         assert_eq!(worker.commit_request(report).await.0, Verdict::Accepted);
@@ -205,6 +206,7 @@ async fn a_privileged_policy_and_mixed_origins_are_said_at_the_top() {
     let words = table.split_whitespace().collect::<Vec<_>>().join(" ");
     for warning in [
         "policy `expert` is privileged",
+        "policy `expert` is always told the canonical instruction: its language axis is an identity",
         "more than one program version are mixed",
         "0.1.0; 0.2.0",
         "more than one policy checkpoint are mixed",
@@ -228,7 +230,8 @@ async fn a_report_leaves_results_of_another_realisation_out_and_says_so_at_the_t
     for alter in [
         "INSERT INTO provenance SELECT 99, host, gl_renderer, '3.9.9', asset_pack,
              asset_pack_digest, 'reference', policy_name, policy_checkpoint,
-             policy_checkpoint_digest, policy_privileged, batch_mode, program_version
+             policy_checkpoint_digest, policy_privileged, policy_canonical_only, batch_mode,
+             program_version
          FROM provenance",
         "UPDATE result SET provenance_id = 99 WHERE job_id =
              (SELECT id FROM job WHERE rollout_id = 'object/t0/combination/L1/c01')",

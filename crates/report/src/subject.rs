@@ -78,6 +78,9 @@ pub struct Provenance {
     pub policy_checkpoint_digest: String,
     /// Whether it saw privileged simulator state.
     pub policy_privileged: bool,
+    /// Whether it was told the canonical instruction whatever the condition.
+    #[serde(default)]
+    pub policy_canonical_only: bool,
     /// How its queries were batched.
     pub batch_mode: String,
     /// Version of the worker's program.

@@ -36,6 +36,13 @@ pub(crate) fn of_subject(subject: &Subject) -> Vec<String> {
             subject.policy
         ));
     }
+    if provenances.iter().any(|p| p.policy_canonical_only) {
+        warnings.push(format!(
+            "policy `{}` is always told the canonical instruction: its language axis is an \
+             identity, and its rates there say nothing about language",
+            subject.policy
+        ));
+    }
     warnings.extend(divergent(subject));
     warnings.extend(incomplete(subject));
     warnings

@@ -32,6 +32,7 @@ fn provenance(mujoco_version: &str, batch_mode: &str) -> Provenance {
         policy_checkpoint: "step 7".to_owned(),
         policy_checkpoint_digest: "c".repeat(64),
         policy_privileged: false,
+        policy_canonical_only: false,
         batch_mode: batch_mode.to_owned(),
         program_version: "0.1.0".to_owned(),
     }

@@ -148,6 +148,8 @@ fn play(
             policy_checkpoint: about.checkpoint,
             policy_checkpoint_digest: about.checkpoint_digest,
             policy_privileged: about.privileged,
+            policy_canonical_only: about.language
+                == i32::from(proto::policy::Language::CanonicalOnly),
             batch_mode: "single".to_owned(),
         },
         motion: Motion {

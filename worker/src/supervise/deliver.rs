@@ -194,6 +194,7 @@ fn provenance(evidence: Evidence, identity: Identity, realisation: Realisation) 
         policy_checkpoint: evidence.policy_checkpoint,
         policy_checkpoint_digest: evidence.policy_checkpoint_digest,
         policy_privileged: evidence.policy_privileged,
+        policy_canonical_only: evidence.policy_canonical_only,
         batch_mode: evidence.batch_mode,
         program_version: env!("CARGO_PKG_VERSION").to_owned(),
     }
