@@ -92,9 +92,18 @@ impl Server {
 
 /// One query through a gateway that has these papers for the server.
 async fn ask(server: &Server, ca: &Path, token_file: &Path) -> Result<(), Status> {
+    ask_over("https", server, ca, token_file).await
+}
+
+async fn ask_over(
+    scheme: &str,
+    server: &Server,
+    ca: &Path,
+    token_file: &Path,
+) -> Result<(), Status> {
     let file = tempfile::NamedTempFile::new().expect("a file");
     let text = format!(
-        "[policy.x]\nreplicas = [\"https://localhost:{}\"]\nca = {ca:?}\ntoken_file = {token_file:?}\n",
+        "[policy.x]\nreplicas = [\"{scheme}://localhost:{}\"]\nca = {ca:?}\ntoken_file = {token_file:?}\n",
         server.port
     );
     std::fs::write(file.path(), text).expect("written");
@@ -139,5 +148,22 @@ async fn an_expired_certificate_is_named() {
     assert_eq!(expired.code(), Code::Unavailable);
     let text = expired.message();
     assert!(text.contains("xpired") && text.contains("renew"), "{text}");
+    drop(server.log());
+}
+
+/// The server is none of openpi's: what is looked at is how far one gets.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn over_wss_too_only_a_server_of_the_given_authority_is_trusted() {
+    let papers = Papers::new();
+    let server = papers.serve(2099);
+    let (ca, token) = (papers.path("ca.pem"), papers.path("token"));
+    let others = Papers::new();
+    let untrusted = ask_over("wss", &server, &others.path("ca.pem"), &token).await;
+    let untrusted = untrusted.expect_err("another authority");
+    assert!(untrusted.message().contains("cannot trust"), "{untrusted}");
+    let trusted = ask_over("wss", &server, &ca, &token).await;
+    let trusted = trusted.expect_err("no WebSocket there");
+    assert_eq!(trusted.code(), Code::Unavailable);
+    assert!(trusted.message().contains("cannot reach"), "{trusted}");
     drop(server.log());
 }

@@ -129,6 +129,34 @@ async fn a_port_that_is_taken_exits_with_1_and_names_it() {
     );
 }
 
+#[test]
+fn a_configuration_that_is_not_there_is_named_with_what_to_give() {
+    let output = program(&["--config", "no/such.toml"])
+        .output()
+        .expect("the program runs");
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{stderr}");
+    for part in ["no/such.toml", "docs/POLICIES.md", "No such file"] {
+        assert!(stderr.contains(part), "{part} in {stderr}");
+    }
+}
+
+#[test]
+fn a_check_whose_reader_leaves_ends_with_its_verdict() {
+    let mut server = program(&["--listen", "127.0.0.1:0", "--route", "noop=builtin:noop"])
+        .spawn()
+        .expect("the program starts");
+    let url = format!("grpc://{}", address(&mut server));
+    let mut check = program(&["check", &url, "--suite", "libero_10"])
+        .spawn()
+        .expect("the program starts");
+    drop(check.stdout.take());
+    let ended = check.wait().expect("it ends");
+    server.kill().expect("it runs");
+    server.wait().expect("it ends");
+    assert!(ended.success(), "{ended}");
+}
+
 /// Tokens of a worker and of a viewer in a file.
 fn token_file() -> tempfile::NamedTempFile {
     let file = tempfile::NamedTempFile::new().expect("a file");

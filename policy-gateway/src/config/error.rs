@@ -1,0 +1,129 @@
+//! Why a gateway's routes cannot be served.
+
+use std::path::PathBuf;
+
+use thiserror::Error;
+
+use super::{MAX_REPLICAS, MAX_ROUTE_NAME_BYTES, RouteName};
+use crate::{
+    backend::{grpc::AddressError, openpi::OpenpiAddressError},
+    builtin::UnknownBuiltin,
+};
+
+/// Why routes cannot be served. Reads after "failed to …".
+#[derive(Debug, Error)]
+pub enum ConfigError {
+    /// Nothing to serve.
+    #[error("find a route: give at least one --route NAME=BACKEND, or a [policy.NAME] in --config")]
+    NoRoute,
+    /// A file that cannot be read.
+    #[error("read {path:?}: give the path of a gateway's configuration, as in docs/POLICIES.md")]
+    Unreadable {
+        /// Which.
+        path: PathBuf,
+        /// Why not.
+        source: std::io::Error,
+    },
+    /// A file that is no configuration.
+    #[error("read {path:?} as a gateway's configuration")]
+    Toml {
+        /// Which.
+        path: PathBuf,
+        /// Where and what.
+        source: Box<toml::de::Error>,
+    },
+    /// Something in a file that cannot be meant.
+    #[error("use {path:?}")]
+    InFile {
+        /// Which.
+        path: PathBuf,
+        /// What.
+        source: Box<ConfigError>,
+    },
+    /// Nobody to answer.
+    #[error(
+        "find a server for policy {name}: give `replicas`, or a `suites` table, each with one at least"
+    )]
+    NoReplica {
+        /// Name of the route.
+        name: RouteName,
+    },
+    /// Both ways of naming servers.
+    #[error("choose between `replicas` and `suites` of policy {name}: give one of them")]
+    BothKinds {
+        /// Name of the route.
+        name: RouteName,
+    },
+    /// More than anybody has.
+    #[error("take more than {MAX_REPLICAS} replicas of one checkpoint of policy {name}")]
+    TooManyReplicas {
+        /// Name of the route.
+        name: RouteName,
+    },
+    /// The same server as two replicas.
+    #[error("tell two replicas of policy {name} apart: {replica} is given twice")]
+    ReplicaTwice {
+        /// Name of the route.
+        name: RouteName,
+        /// As written.
+        replica: String,
+    },
+    /// No time to answer.
+    #[error("use answer_within_secs = {secs} of policy {name}: take a positive number up to 3600")]
+    AnswerWithin {
+        /// Name of the route.
+        name: RouteName,
+        /// As written.
+        secs: f64,
+    },
+    /// Not `NAME=BACKEND`.
+    #[error("read route {text:?}: write NAME=BACKEND, for example expert=builtin:expert")]
+    Form {
+        /// As written.
+        text: String,
+    },
+    /// A name that would be hard to quote.
+    #[error(
+        "use {name:?} as a route's name: take 1 to {MAX_ROUTE_NAME_BYTES} letters, digits, '.', \
+         '_' and '-'"
+    )]
+    Name {
+        /// As written.
+        name: String,
+    },
+    /// The same name for two routes.
+    #[error("tell two routes named {name} apart: give each its own name")]
+    Twice {
+        /// The name.
+        name: RouteName,
+    },
+    /// No such kind.
+    #[error(
+        "read back-end {text:?}: write grpc://HOST:PORT, or https:// for one over TLS, or \
+         ws://HOST:PORT for an openpi server, or builtin:NAME, or replay:FOLDER"
+    )]
+    Backend {
+        /// As written.
+        text: String,
+    },
+    /// `builtin:` and something unknown.
+    #[error(transparent)]
+    Builtin(#[from] UnknownBuiltin),
+    /// `grpc://` and no address.
+    #[error(transparent)]
+    Address(#[from] AddressError),
+    /// `ws://` and no address.
+    #[error(transparent)]
+    Openpi(#[from] OpenpiAddressError),
+    /// TLS with a server that nobody vouches for.
+    #[error(
+        "trust {replica} of policy {name}: give the certificate authority that signed its \
+         certificate, as `ca = \"FILE\"` in --config"
+    )]
+    NoAuthority {
+        /// Name of the route.
+        name: RouteName,
+        /// As written.
+        replica: String,
+    },
+}
