@@ -238,7 +238,7 @@ impl Queue {
     ) -> Result<NewResult<'a>, StoreError> {
         let (provenance, digests) = (&report.provenance, &report.digests);
         let origin = known.origin(tx, provenance).await?;
-        let rollout = reported.row.id.clone();
+        let rollout = reported.row.id;
         let sibling = Sibling::new(rollout, &report.lease.worker, provenance, digests);
         known.add_sibling(&reported.of, sibling);
         Ok(NewResult {
