@@ -166,6 +166,22 @@ mod tests {
     }
 
     #[test]
+    fn a_number_as_in_no_scene_is_refused_by_name() {
+        for number in [1e256, -101.0, f64::NAN, f64::INFINITY] {
+            let mut state = scene().state;
+            state.grip_pos[1] = number;
+            let observation = Observation {
+                privileged: Some(state),
+                ..Observation::default()
+            };
+            let mut expert = Expert::new(&ResetRequest::default());
+            let refusal = expert.infer(0, &observation).unwrap_err();
+            let expected = format!("grip_pos of 'gripper' holds {number}");
+            assert!(refusal.contains(&expected), "{refusal}");
+        }
+    }
+
+    #[test]
     fn it_says_that_it_is_privileged_and_needs_no_camera() {
         let described = describe();
         assert!(described.privileged && described.cameras.is_empty());

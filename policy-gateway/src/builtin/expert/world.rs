@@ -84,6 +84,13 @@ const WRIST_BACK_M: f64 = 0.088;
 /// straight.
 const COMFORTABLE_REACH_M: f64 = 0.65;
 
+/// Largest coordinate or extent, m: LIBERO's rooms are a few metres wide.
+const LARGEST_M: f64 = 100.0;
+/// Largest component of a unit quaternion, with room for its rounding.
+const LARGEST_OF_UNIT: f64 = 1.001;
+/// Most objects, fixtures and regions: LIBERO's scenes have some dozens.
+const MAX_ENTITIES: usize = 1_000;
+
 /// One goal predicate, arguments as the task file names them.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Predicate {
@@ -95,8 +102,15 @@ impl World {
     /// Reads the message.
     ///
     /// # Errors
-    /// Names the field that is missing or of the wrong width.
+    /// Names the field that is missing, of the wrong width, or that holds a number
+    /// that no scene has.
     pub(super) fn read(state: &PrivilegedState) -> Result<Self, String> {
+        if state.entities.len() > MAX_ENTITIES {
+            return Err(format!(
+                "the scene has {} objects, fixtures and regions; at most {MAX_ENTITIES} are looked at",
+                state.entities.len()
+            ));
+        }
         let mut entities = Vec::with_capacity(state.entities.len());
         for e in &state.entities {
             entities.push(Entity {
@@ -330,7 +344,21 @@ fn drawer(cabinet: &Entity, region: &Entity, out: Vec3) -> [Solid; 2] {
     ]
 }
 
+/// Paths are looked at every few centimetres: a number beyond all measure would
+/// keep this busy for minutes.
+fn within(values: &[f64], largest: f64, owner: &str, field: &str) -> Result<(), String> {
+    // What is no number is within nothing.
+    let is_within = |value: &f64| value.abs() <= largest;
+    match values.iter().find(|value| !is_within(value)) {
+        Some(value) => Err(format!(
+            "{field} of '{owner}' holds {value}, as in no scene"
+        )),
+        None => Ok(()),
+    }
+}
+
 fn vec3(values: &[f64], owner: &str, field: &str) -> Result<Vec3, String> {
+    within(values, LARGEST_M, owner, field)?;
     match *values {
         [x, y, z] => Ok(Vec3::new(x, y, z)),
         _ => Err(format!(
@@ -341,6 +369,7 @@ fn vec3(values: &[f64], owner: &str, field: &str) -> Result<Vec3, String> {
 }
 
 fn quat(values: &[f64], owner: &str) -> Result<Quat, String> {
+    within(values, LARGEST_OF_UNIT, owner, "quat")?;
     match *values {
         [w, x, y, z] => Ok(Quat {
             w,
