@@ -52,7 +52,7 @@ pub(super) fn progress(status: &CampaignStatus) -> Markup {
         (legend(counts))
         p.muted {
             "Policy " strong { (status.policy) } " at " code { (status.policy_endpoint) }
-            " · " (workers(status.live_workers))
+            @if left(status) > 0 { " · " (workers(status.live_workers)) }
         }
         // Told to those who listen, at every tenth only.
         p.unseen role="status" { (status.name) ": " (percent / 10 * 10) " % done" }
@@ -93,10 +93,9 @@ fn notes(status: &CampaignStatus) -> Markup {
 }
 
 fn pace(status: &CampaignStatus) -> String {
-    let left = status.counts.queued + status.counts.leased;
     match status.state {
         CampaignState::Cancelled { .. } => "cancelled".to_owned(),
-        _ if left == 0 => "finished".to_owned(),
+        _ if left(status) == 0 => "finished".to_owned(),
         CampaignState::Paused { .. } => "paused by its operator".to_owned(),
         CampaignState::Running { .. } => match (status.rate_per_sec, status.eta_secs) {
             (Some(rate), Some(eta)) => {
@@ -109,6 +108,11 @@ fn pace(status: &CampaignStatus) -> String {
             _ => "no result of late to take a pace from".to_owned(),
         },
     }
+}
+
+/// Rollouts that are still to come to something.
+fn left(status: &CampaignStatus) -> u64 {
+    status.counts.queued + status.counts.leased
 }
 
 fn workers(live: u32) -> String {

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use maud::{Markup, html};
 use paired::{Matched, Outcome, Record, Records, Transition};
-use protocol::{Axis, Condition, Level, ManifestRow, RolloutId};
+use protocol::{Axis, Condition, ManifestRow, RolloutId};
 
 use super::campaign::{address, condition_name};
 use super::layout::{Place, Sheet};
@@ -212,15 +212,14 @@ fn number(id: RolloutId) -> String {
 fn heading(asked: RolloutId) -> String {
     let task = asked.task();
     let (suite, index) = (task.suite().name(), task.index());
-    match (asked.config(), asked.level()) {
-        (Some(config), level) => {
+    match asked.config() {
+        Some(config) => {
+            let level = asked.level();
             format!("{suite}, task {index}, configuration {config} at {level}")
         }
-        (None, Level::L0) | (None, _) => {
-            format!(
-                "{suite}, task {index}, nominal from initial state {}",
-                asked.number()
-            )
+        None => {
+            let state = asked.number();
+            format!("{suite}, task {index}, nominal from initial state {state}")
         }
     }
 }

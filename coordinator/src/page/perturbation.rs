@@ -66,7 +66,7 @@ const SENSOR: [Told; 4] = [
         "noise, standard deviation",
         " % of full scale",
         |sigma| 100.0 * sigma.abs(),
-        1,
+        2,
     ),
     magnitude("blur, standard deviation", " px at 128 px", f64::abs, 2),
     magnitude("JPEG quality", "", |log2| 100.0 * (-log2.abs()).exp2(), 0),
@@ -168,7 +168,7 @@ mod tests {
         assert_eq!(
             lines(&row, Axis::Sensor),
             [
-                "noise, standard deviation 2.0 % of full scale",
+                "noise, standard deviation 2.00 % of full scale",
                 "blur, standard deviation 0.70 px at 128 px",
                 "JPEG quality 50",
                 "motion blur 2.50 px at 128 px",

@@ -11,6 +11,7 @@ use super::problem::Problem;
 use crate::clock::UnixMillis;
 use crate::outage::PolicyState;
 use crate::queue::WorkerStatus;
+use crate::store::listing::WorkerLine;
 use crate::store::page::{self as stored, AsideLine, PolicyLine};
 use crate::words::duration_text;
 
@@ -130,12 +131,18 @@ fn worker_row(worker: &WorkerStatus) -> Markup {
                     None => "gone",
                 }
             }
-            td.words {
-                (line.asset_pack) ", MuJoCo " (line.mujoco_version) ", " (line.gl_renderer)
-                ", program " (line.program_version)
-            }
+            td.words { (runs_on(line)) }
         }
     }
+}
+
+fn runs_on(line: &WorkerLine) -> String {
+    let simulator = format!("MuJoCo {}", line.mujoco_version);
+    let program = format!("program {}", line.program_version);
+    let parts = [&line.asset_pack, &simulator, &line.gl_renderer, &program];
+    // A worker that draws nothing has no renderer.
+    let told = parts.into_iter().filter(|part| !part.is_empty());
+    told.map(String::as_str).collect::<Vec<_>>().join(", ")
 }
 
 fn policy_section(policy: &PolicyLine, now: UnixMillis) -> Markup {

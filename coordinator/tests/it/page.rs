@@ -380,6 +380,36 @@ async fn the_stream_tells_of_a_commit_and_ends_with_the_coordinator() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn streams_are_bounded_and_a_seat_is_free_when_somebody_leaves() {
+    let bench = begun().await;
+    let address = bench.url.strip_prefix("http://").expect("a URL");
+    let follow = || {
+        let mut stream = TcpStream::connect(address).expect("a connection");
+        stream.set_read_timeout(Some(SILENCE)).expect("set");
+        let request = format!("GET /events HTTP/1.1\r\nhost: {address}\r\n\r\n");
+        stream.write_all(request.as_bytes()).expect("sent");
+        let mut status = [0; 12];
+        stream.read_exact(&mut status).expect("a status");
+        (stream, status == *b"HTTP/1.1 200")
+    };
+    let mut seated: Vec<TcpStream> = Vec::new();
+    for _ in 0..128 {
+        let (stream, is_in) = follow();
+        assert!(is_in, "{} are seated", seated.len());
+        seated.push(stream);
+    }
+    assert!(!follow().1, "the 129th is told to look by itself");
+    seated.clear();
+    // That they left is noticed when something is sent to them.
+    let mut tries = 0;
+    while !follow().1 {
+        tries += 1;
+        assert!(tries < 100, "no seat is free");
+        tokio::time::sleep(Duration::from_millis(200)).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_browser_logs_in_once_and_a_worker_or_a_stranger_sees_nothing() {
     let guarded = Guarded::start(&[]);
     let url = guarded.url();
