@@ -21,6 +21,7 @@ mod perturbation;
 mod problem;
 mod rollouts;
 mod standing;
+mod trace;
 mod video;
 
 use std::future::Future;

@@ -9,8 +9,8 @@ use super::perturbation;
 use crate::store::page::OutcomeLine;
 use crate::words::{duration_text, size_text, utc_text};
 
-/// The card.
-pub(super) fn card(campaign: &str, shown: &Shown, replicate: u32) -> Markup {
+/// The card, with a picture of how the hand moved if there is one.
+pub(super) fn card(campaign: &str, shown: &Shown, replicate: u32, trace: Option<Markup>) -> Markup {
     let title = card_title(shown.id);
     let (class, word, detail) = standing(shown);
     html! {
@@ -23,6 +23,7 @@ pub(super) fn card(campaign: &str, shown: &Shown, replicate: u32) -> Markup {
             @if let Some(bytes) = shown.line.video_bytes {
                 (video(campaign, shown, replicate, bytes.unsigned_abs()))
             }
+            @if let Some(trace) = trace { (trace) }
             (perturbed(shown))
             @if !shown.failures.is_empty() { (failures(shown)) }
             details {

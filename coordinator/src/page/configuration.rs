@@ -10,6 +10,7 @@ use protocol::{Axis, Condition, ManifestRow, RolloutId};
 use super::campaign::{address, condition_name};
 use super::layout::{Place, Sheet};
 use super::problem::Problem;
+use super::trace::{self, Extent, Path};
 use super::{Page, card};
 use crate::ids::{JobId, shortened};
 use crate::store::View;
@@ -26,6 +27,8 @@ pub(super) struct Shown {
     pub(super) line: RolloutLine,
     pub(super) outcome: Option<OutcomeLine>,
     pub(super) failures: Vec<JobFailure>,
+    /// How the hand moved; empty where that is not known.
+    pub(super) path: Path,
 }
 
 /// The page.
@@ -52,6 +55,19 @@ pub(super) async fn sheet(
     };
     let neighbours = neighbours(&mut view, &row, asked).await?;
     let campaign = name.as_str();
+    let extent = Extent::of(shown.iter().map(|shown| &shown.path));
+    let nominal = shown
+        .iter()
+        .find(|shown| shown.id.condition() == Condition::Clean);
+    let trace = |rollout: &Shown| {
+        let is_other = |nominal: &&Shown| nominal.id != rollout.id;
+        let under = nominal.filter(is_other).map(|nominal| &nominal.path);
+        let drawn = !rollout.path.is_empty();
+        extent
+            .as_ref()
+            .filter(|_| drawn)
+            .map(|extent| trace::plot(&rollout.path, under, extent))
+    };
     let main = html! {
         p.crumbs {
             a href="/" { "Campaigns" } " › "
@@ -68,7 +84,9 @@ pub(super) async fn sheet(
             (card::video_controls())
         }
         div.rollouts {
-            @for rollout in &shown { (card::card(campaign, rollout, replicate)) }
+            @for rollout in &shown {
+                (card::card(campaign, rollout, replicate, trace(rollout)))
+            }
         }
     };
     Ok(Sheet {
@@ -113,6 +131,9 @@ async fn rollouts(
     for failure in stored::failures(view, &jobs, MAX_FAILURES).await? {
         failures.entry(failure.job_id).or_default().push(failure);
     }
+    let paths = stored::paths(view, &jobs).await?.into_iter();
+    let mut paths: BTreeMap<JobId, Path> =
+        paths.map(|(job, path)| (job, trace::read(&path))).collect();
     lines.sort_by_key(|line| ids.iter().position(|id| *id == line.rollout_id));
     let shown = lines.into_iter().map(|line| {
         let row = read(&line)?;
@@ -121,6 +142,7 @@ async fn rollouts(
             row,
             outcome: outcomes.remove(&line.id),
             failures: failures.remove(&line.id).unwrap_or_default(),
+            path: paths.remove(&line.id).unwrap_or_default(),
             line,
         })
     });

@@ -248,6 +248,22 @@ pub(crate) async fn outcomes(
         .doing("read a configuration's outcomes")
 }
 
+/// How the robots of some committed jobs moved, as `motions` keeps it.
+pub(crate) async fn paths(
+    tx: &mut SqliteConnection,
+    jobs: &[JobId],
+) -> Result<Vec<(JobId, Vec<u8>)>, StoreError> {
+    let mut query = QueryBuilder::new("SELECT job_id, path FROM motion WHERE job_id IN ");
+    query.push_tuples(jobs, |mut tuple, job| {
+        tuple.push_bind(*job);
+    });
+    query
+        .build_query_as()
+        .fetch_all(tx)
+        .await
+        .doing("read how a configuration's robots moved")
+}
+
 /// The attempts of some jobs that brought no result, newest first, at most so
 /// many.
 pub(crate) async fn failures(

@@ -129,6 +129,7 @@ async fn every_page_says_what_there_is_and_may_load_nothing_from_elsewhere() {
             configuration,
             &[
                 "✓ success",
+                "hand from above",
                 "✗ failure",
                 "waiting",
                 "azimuth",

@@ -48,7 +48,7 @@ fn main() -> Result<()> {
     #[rustfmt::skip]
     campaigns.succeed(&[
         "campaign", "create", "--name", FILMED, "--policy", "expert", "--endpoint", &endpoint,
-        "--tasks", "libero_object/0-1", "--axes", "metric", "--levels", "L2", "--configs", "0-1",
+        "--tasks", "libero_object/0", "--axes", "metric", "--levels", "L3", "--configs", "0-1",
         "--nominal", "eval", "--record", "all",
     ]);
     let worker = Process::worker(&campaigns.coordinator.url, 2, "primitives");
@@ -88,7 +88,7 @@ fn pictures() -> Vec<Picture> {
         is_dark: false,
     };
     let campaign = format!("/campaigns/{REPEATED}");
-    let configuration = format!("/campaigns/{FILMED}/configurations/object/t0/combination/L2/c00");
+    let configuration = format!("/campaigns/{FILMED}/configurations/object/t0/combination/L3/c00");
     let picture = |name, path: &str, from, screen| Picture {
         name,
         path: path.to_owned(),

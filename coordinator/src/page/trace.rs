@@ -1,0 +1,215 @@
+//! How the hand moved in a rollout, as a small picture: its path from above, and
+//! its height over the control steps. All rollouts of a configuration have one
+//! scale, and the nominal path lies under each.
+
+use maud::{Markup, html};
+
+/// Positions of the hand, at rest and after every control step: x, y, z in the
+/// world frame, m.
+pub(super) type Path = Vec<[f64; 3]>;
+
+/// What a stored position is counted in, m.
+const UNIT_M: f64 = 1e-4;
+/// Bytes of a stored position.
+const POSITION_BYTES: usize = 6;
+/// Size of the picture, CSS pixels where it is not scaled.
+const WIDTH: f64 = 248.0;
+const HEIGHT: f64 = 136.0;
+/// Side of the square that shows the path from above.
+const ABOVE: f64 = 104.0;
+/// Where the drawings begin, below their headings.
+const TOP: f64 = 16.0;
+/// Where the drawing of the height begins.
+const LEFT: f64 = 138.0;
+/// The scale bar, m.
+const BAR_M: f64 = 0.1;
+/// Least extent of a scale, m: a hand that rests is not blown up.
+const LEAST_M: f64 = 0.1;
+
+/// The scale that several paths share.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Extent {
+    /// Least and greatest x, y and z, m.
+    low: [f64; 3],
+    high: [f64; 3],
+    /// Control steps of the longest.
+    steps: usize,
+}
+
+/// Reads a stored path: three 16-bit numbers a position, little endian. Half a
+/// position at the end is left out.
+pub(super) fn read(bytes: &[u8]) -> Path {
+    let number = |pair: &[u8]| f64::from(i16::from_le_bytes([pair[0], pair[1]])) * UNIT_M;
+    let positions = bytes.chunks_exact(POSITION_BYTES);
+    let position = |p: &[u8]| [number(&p[0..2]), number(&p[2..4]), number(&p[4..6])];
+    positions.map(position).collect()
+}
+
+impl Extent {
+    /// The extent of several paths; none where there is no position.
+    pub(super) fn of<'a>(paths: impl Iterator<Item = &'a Path>) -> Option<Extent> {
+        let mut extent: Option<Extent> = None;
+        for path in paths {
+            for position in path {
+                let known = extent.get_or_insert(Extent {
+                    low: *position,
+                    high: *position,
+                    steps: 0,
+                });
+                for (axis, value) in position.iter().enumerate() {
+                    known.low[axis] = known.low[axis].min(*value);
+                    known.high[axis] = known.high[axis].max(*value);
+                }
+                known.steps = known.steps.max(path.len() - 1);
+            }
+        }
+        extent
+    }
+
+    /// Pixels per metre in the square.
+    fn scale(&self) -> f64 {
+        let [x, y] = [0, 1].map(|axis| self.high[axis] - self.low[axis]);
+        ABOVE / x.max(y).max(LEAST_M)
+    }
+
+    /// From above, the robot at the top: world x downwards, y to the right.
+    fn seen_above(&self, [x, y, _]: [f64; 3]) -> [f64; 2] {
+        let scale = self.scale();
+        let middle = |axis: usize| f64::midpoint(self.low[axis], self.high[axis]);
+        let half = ABOVE / 2.0;
+        [
+            2.0 + half + (y - middle(1)) * scale,
+            TOP + half + (x - middle(0)) * scale,
+        ]
+    }
+
+    fn height(&self, step: usize, z: f64) -> [f64; 2] {
+        let across = step as f64 / self.steps.max(1) as f64;
+        let span = (self.high[2] - self.low[2]).max(LEAST_M);
+        [
+            LEFT + across * (WIDTH - LEFT - 4.0),
+            TOP + ABOVE - (z - self.low[2]) / span * ABOVE,
+        ]
+    }
+}
+
+/// The picture of a path, over the nominal one where that is another.
+pub(super) fn plot(path: &Path, nominal: Option<&Path>, extent: &Extent) -> Markup {
+    let (above, height) = lines(path, extent);
+    let under = nominal.map(|nominal| lines(nominal, extent));
+    let begin = path.first().map(|first| extent.seen_above(*first));
+    let end = path.last().map(|last| extent.seen_above(*last));
+    let bar = BAR_M * extent.scale();
+    let base = TOP + ABOVE + 12.0;
+    html! {
+        svg.panel.trace role="img" viewBox={ "0 0 " (WIDTH) " " (HEIGHT) } {
+            title { (said(path)) }
+            text.tiny.muted x="2" y="9" { "hand from above" }
+            text.tiny.muted x=(LEFT) y="9" { "height" }
+            line.grid x1=(LEFT) x2=(WIDTH - 4.0) y1=(TOP + ABOVE) y2=(TOP + ABOVE) {}
+            @if let Some((above, height)) = &under {
+                polyline.under points=(above) {}
+                polyline.under points=(height) {}
+            }
+            polyline.path points=(above) {}
+            polyline.path points=(height) {}
+            @if let Some([x, y]) = begin { circle.open cx=(px(x)) cy=(px(y)) r="3" {} }
+            @if let Some([x, y]) = end { circle.mark cx=(px(x)) cy=(px(y)) r="3.5" {} }
+            line.zero x1="2" x2=(px(2.0 + bar)) y1=(px(base - 4.0)) y2=(px(base - 4.0)) {}
+            text.tiny.muted x=(px(8.0 + bar)) y=(px(base)) { "10 cm" }
+            text.tiny.muted.end x=(WIDTH - 4.0) y=(px(base)) { (extent.steps) " steps" }
+        }
+    }
+}
+
+/// The points of a path from above and of its height.
+fn lines(path: &Path, extent: &Extent) -> (String, String) {
+    let point = |[x, y]: [f64; 2]| format!("{},{}", px(x), px(y));
+    let above = path
+        .iter()
+        .map(|position| point(extent.seen_above(*position)));
+    let heights = path.iter().enumerate();
+    let heights = heights.map(|(step, [_, _, z])| point(extent.height(step, *z)));
+    (
+        above.collect::<Vec<_>>().join(" "),
+        heights.collect::<Vec<_>>().join(" "),
+    )
+}
+
+/// The picture in words.
+fn said(path: &Path) -> String {
+    let centimetres = |[x, y, z]: &[f64; 3]| {
+        let [x, y, z] = [x, y, z].map(|metres| format!("{:.1}", 100.0 * metres).replace('-', "−"));
+        format!("x {x}, y {y}, z {z} cm")
+    };
+    let length: f64 = path.windows(2).map(|pair| distance(pair[0], pair[1])).sum();
+    match (path.first(), path.last()) {
+        (Some(first), Some(last)) => format!(
+            "The hand goes from {} to {} in {} control steps, {:.0} cm of way",
+            centimetres(first),
+            centimetres(last),
+            path.len() - 1,
+            100.0 * length
+        ),
+        _ => "The hand's path is empty".to_owned(),
+    }
+}
+
+fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
+    (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f64>().sqrt()
+}
+
+/// A coordinate with one decimal.
+fn px(value: f64) -> String {
+    format!("{value:.1}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn stored(positions: &[[i16; 3]]) -> Vec<u8> {
+        let numbers = positions.iter().flatten();
+        numbers.flat_map(|number| number.to_le_bytes()).collect()
+    }
+
+    #[test]
+    fn a_stored_path_reads_back_in_metres() {
+        let mut bytes = stored(&[[-1_000, 20, 10_000], [0, 0, 12_345]]);
+        bytes.push(7);
+        let path = read(&bytes);
+        let expected = [[-0.1, 0.002, 1.0], [0.0, 0.0, 1.2345]];
+        assert_eq!(path.len(), 2);
+        for (found, expected) in path.iter().flatten().zip(expected.iter().flatten()) {
+            assert!((found - expected).abs() < 1e-12, "{found}");
+        }
+    }
+
+    #[test]
+    fn every_path_stays_in_its_picture() {
+        let paths = [
+            read(&stored(&[
+                [-3_000, 3_000, 8_000],
+                [2_500, -1_000, 13_000],
+                [0, 0, 9_000],
+            ])),
+            read(&stored(&[[0, 0, 10_000]])),
+        ];
+        let extent = Extent::of(paths.iter()).expect("positions");
+        assert_eq!(extent.steps, 2);
+        for path in &paths {
+            for (step, position) in path.iter().enumerate() {
+                let [x, y] = extent.seen_above(*position);
+                assert!((2.0..=2.0 + ABOVE).contains(&x) && (TOP..=TOP + ABOVE).contains(&y));
+                let [x, y] = extent.height(step, position[2]);
+                assert!((LEFT..=WIDTH).contains(&x) && (TOP..=TOP + ABOVE + 1e-9).contains(&y));
+            }
+        }
+        assert!(Extent::of([Path::new()].iter()).is_none());
+        let words = said(&paths[0]);
+        assert!(
+            words.contains("2 control steps") && words.contains("x −30.0"),
+            "{words}"
+        );
+    }
+}
