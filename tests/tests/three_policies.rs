@@ -1,0 +1,67 @@
+//! Three policies behind one gateway, each with a campaign of its own. One server
+//! dies in the middle and comes back: the others' campaigns do not wait for it,
+//! its own goes on by itself, and nobody is charged.
+
+use std::path::Path;
+use std::process::Command;
+
+use tests::programs::{Campaigns, Process, program};
+
+/// Of each campaign: a task, two configurations under five axes and all at once,
+/// their nominal rollouts.
+const ROLLOUTS: usize = 14;
+
+/// A policy's server at an address; a gateway looks like one.
+fn server(name: &str, address: &str) -> Process {
+    let route = format!("{name}=builtin:noop");
+    let mut server = Command::new(program("policy-gateway"));
+    Process::serve(server.args(["--listen", address, "--route", &route]))
+}
+
+fn address(server: &Process) -> &str {
+    server.url.trim_start_matches("http://")
+}
+
+fn behind_one_gateway(data: &Path, servers: &[(&str, &Process)]) -> Campaigns {
+    let mut gateway = Command::new(program("policy-gateway"));
+    gateway.args(["--listen", "127.0.0.1:0"]);
+    for (name, server) in servers {
+        let route = format!("{name}=grpc://{}", address(server));
+        gateway.args(["--route", &route]);
+    }
+    let mut campaigns = Campaigns::start(data);
+    campaigns.gateway = Process::serve(&mut gateway);
+    campaigns
+}
+
+#[test]
+fn a_policy_that_dies_and_comes_back_holds_up_its_own_campaign_only() {
+    let names = ["steady", "calm", "mortal"];
+    let [steady, calm, mut mortal] = names.map(|name| server(name, "127.0.0.1:0"));
+    let data = tempfile::tempdir().expect("a folder");
+    let servers = [("steady", &steady), ("calm", &calm), ("mortal", &mortal)];
+    let campaigns = behind_one_gateway(data.path(), &servers);
+    // The mortal one's campaign comes first, so that it is under way.
+    campaigns.create("mortal", "mortal", "libero_object/0", "0,1");
+    let worker = campaigns.simulated_worker(2, &[]);
+    campaigns.wait_for_commits("mortal", Some(1));
+    mortal.signal("-KILL");
+    let address = address(&mortal).to_owned();
+    campaigns.create("steady", "steady", "libero_object/0", "0,1");
+    campaigns.create("calm", "calm", "libero_object/0", "0,1");
+    campaigns.wait_for_commits("steady", None);
+    campaigns.wait_for_commits("calm", None);
+    let status = campaigns.succeed(&["campaign", "status", "mortal"]);
+    assert!(!status.contains("finished"), "it waits: {status}");
+    assert!(status.contains("mortal"), "{status}");
+
+    mortal = server("mortal", &address);
+    campaigns.wait_for_commits("mortal", None);
+    for name in names {
+        assert_eq!(campaigns.outcomes(name).len(), ROLLOUTS, "{name}");
+        for row in campaigns.succeed(&["jobs", "list", name]).lines() {
+            assert!(!row.contains("charged") && !row.contains("set aside"), "{row}");
+        }
+    }
+    drop((worker, mortal));
+}
