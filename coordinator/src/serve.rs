@@ -122,6 +122,11 @@ impl Coordinator {
         &self.queue
     }
 
+    /// What workers and operators call, for whoever calls it without a socket.
+    pub fn services(&self) -> Routes {
+        Routes::from(grpc::services(&self.queue, &Arc::default()))
+    }
+
     /// Serves workers, operators and browsers on `listener` until `shutdown` is ready;
     /// then leases nothing more, finishes what is under way and closes the
     /// database.

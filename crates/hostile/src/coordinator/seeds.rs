@@ -1,0 +1,229 @@
+//! Messages that mean something, to begin with.
+
+use prost::Message;
+use proto::coordinator as wire;
+
+use super::{CLAIM, METHODS};
+use crate::script;
+
+/// A method and a message of it.
+type Said = (&'static str, Vec<u8>);
+
+/// Two rollouts: a perturbed one, and its nominal one.
+const SPEC: &str = r#"{"name":"c","policy":{"name":"p","endpoint":"http://127.0.0.1:1"},
+    "tasks":["libero_object/0"],"axes":["camera"],"levels":["L1"],"configs":[0],
+    "nominal":"eval"}"#;
+/// Control steps of the rollout.
+const STEPS: u32 = 100;
+/// What a worker calls its video.
+const VIDEO: &str = "video.mp4";
+
+/// Inputs: every method by itself, and a rollout from its lease to its export.
+pub(crate) fn seeds() -> Vec<Vec<u8>> {
+    let named = name().encode_to_vec();
+    let job = wire::GetJobRequest {
+        campaign: "c".into(),
+        job: Some(job()),
+    };
+    let jobs = wire::ListJobsRequest {
+        campaign: "c".into(),
+        state: "leased".into(),
+        after_job_id: 0,
+        limit: 10,
+    };
+    let retry = wire::RetryJobsRequest {
+        campaign: "c".into(),
+        jobs: vec![],
+        all: true,
+    };
+    let pause = wire::ChangeCampaignRequest {
+        campaign: "c".into(),
+        change: wire::change_campaign_request::Change::Pause.into(),
+    };
+    let cancel = wire::ChangeCampaignRequest {
+        change: wire::change_campaign_request::Change::Cancel.into(),
+        ..pause.clone()
+    };
+    let delete = wire::DeleteCampaignRequest {
+        campaign: "c".into(),
+        confirm: "c".into(),
+    };
+    let film = wire::NextFilmRequest {
+        asset_pack_digest: digest(),
+        mujoco_version: "3.3.7".into(),
+    };
+    let alone = [
+        ("WorkerService/NextFilm", film.encode_to_vec()),
+        ("OperatorService/ListCampaigns", vec![]),
+        ("OperatorService/GetCampaign", named.clone()),
+        ("OperatorService/ChangeCampaign", pause.encode_to_vec()),
+        ("OperatorService/ListJobs", jobs.encode_to_vec()),
+        ("OperatorService/GetJob", job.encode_to_vec()),
+        ("OperatorService/RetryJobs", retry.encode_to_vec()),
+        ("OperatorService/ListWorkers", vec![]),
+        ("OperatorService/Backup", vec![]),
+        ("OperatorService/Report", named.clone()),
+        ("OperatorService/Export", named.clone()),
+    ];
+    let upload = upload();
+    let mut seeds: Vec<Vec<u8>> = alone.iter().map(|said| calls(&[said])).collect();
+    seeds.push(upload.concat());
+    let committed = [
+        calls(&[&heartbeat()]),
+        upload.concat(),
+        calls(&[
+            &commit(),
+            &commit(),
+            &claim(),
+            &("OperatorService/Export", named),
+        ]),
+    ];
+    seeds.push(committed.concat());
+    let cancelled = ("OperatorService/ChangeCampaign", cancel.encode_to_vec());
+    let deleted = ("OperatorService/DeleteCampaign", delete.encode_to_vec());
+    seeds.push(calls(&[
+        &release(),
+        &claim(),
+        &cancelled,
+        &commit(),
+        &deleted,
+        &create(),
+    ]));
+    seeds
+}
+
+/// What was said before an input begins.
+pub(super) fn a_lease() -> [Said; 3] {
+    [create(), registration("w"), claim()]
+}
+
+/// A worker makes itself known.
+pub(super) fn registration(worker_id: &str) -> Said {
+    let request = wire::RegisterRequest {
+        protocol_version: proto::PROTOCOL_VERSION,
+        worker_id: worker_id.into(),
+        host: "h".into(),
+        slots: 1,
+        asset_pack: "primitives".into(),
+        asset_pack_digest: digest(),
+        mujoco_version: "3.3.7".into(),
+        ..wire::RegisterRequest::default()
+    };
+    ("WorkerService/Register", request.encode_to_vec())
+}
+
+/// Several calls as an input.
+fn calls(said: &[&Said]) -> Vec<u8> {
+    let write = |said: &&Said| script::write(number(said.0), &said.1);
+    said.iter().flat_map(write).collect()
+}
+
+fn number(method: &str) -> u8 {
+    let place = METHODS.iter().position(|it| *it == method);
+    u8::try_from(place.expect("a method")).expect("few")
+}
+
+fn create() -> Said {
+    let request = wire::CreateCampaignRequest { spec: SPEC.into() };
+    ("OperatorService/CreateCampaign", request.encode_to_vec())
+}
+
+fn claim() -> Said {
+    let request = wire::ClaimRequest {
+        worker_id: "w".into(),
+        max_jobs: 1,
+        ..wire::ClaimRequest::default()
+    };
+    (CLAIM, request.encode_to_vec())
+}
+
+fn heartbeat() -> Said {
+    let request = wire::HeartbeatRequest {
+        worker_id: "w".into(),
+        progress: vec![wire::Progress {
+            job_id: 1,
+            attempt: 1,
+            control_steps: 9,
+        }],
+    };
+    ("WorkerService/Heartbeat", request.encode_to_vec())
+}
+
+fn commit() -> Said {
+    let request = wire::CommitRequest {
+        lease: Some(lease()),
+        outcome: Some(wire::Outcome {
+            success: true,
+            steps: STEPS,
+            wall_secs: 1.5,
+            ..wire::Outcome::default()
+        }),
+        provenance: Some(wire::Provenance {
+            asset_pack: "primitives".into(),
+            asset_pack_digest: digest(),
+            mujoco_version: "3.3.7".into(),
+            scene_digest: digest(),
+            init_state_digest: digest(),
+            realisation: "matched".into(),
+            policy_name: "p".into(),
+            ..wire::Provenance::default()
+        }),
+        motion: Some(wire::Motion {
+            path: vec![0; (STEPS as usize + 1) * 6],
+            actions: vec![],
+        }),
+    };
+    ("WorkerService/Commit", request.encode_to_vec())
+}
+
+fn release() -> Said {
+    let request = wire::ReleaseRequest {
+        lease: Some(lease()),
+        reason: wire::release_request::Reason::SlotCrashed.into(),
+        error: "e".into(),
+    };
+    ("WorkerService/Release", request.encode_to_vec())
+}
+
+/// A video in two pieces.
+fn upload() -> [Vec<u8>; 2] {
+    let first = wire::ArtifactChunk {
+        lease: Some(lease()),
+        name: VIDEO.into(),
+        data: vec![1, 2, 3],
+    };
+    let second = wire::ArtifactChunk {
+        data: vec![4, 5],
+        ..wire::ArtifactChunk::default()
+    };
+    let number = number("WorkerService/PutArtifact");
+    [
+        script::write(number, &first.encode_to_vec()),
+        script::write(number | script::MORE, &second.encode_to_vec()),
+    ]
+}
+
+fn name() -> wire::GetCampaignRequest {
+    wire::GetCampaignRequest {
+        campaign: "c".into(),
+    }
+}
+
+fn job() -> wire::JobName {
+    wire::JobName {
+        rollout_id: "object/t0/camera/L1/c00".into(),
+        replicate: 0,
+    }
+}
+
+fn lease() -> wire::LeaseRef {
+    wire::LeaseRef {
+        worker_id: "w".into(),
+        job_id: 1,
+        attempt: 1,
+    }
+}
+
+fn digest() -> String {
+    "0".repeat(64)
+}
