@@ -81,8 +81,10 @@ impl Queue {
     ) -> Result<ReleaseReply, QueueError> {
         let now = self.now();
         let lease = &release.lease;
-        workers::seen(tx, &[&lease.worker], now).await?;
+        // First what may be refused: others' operations are in the transaction,
+        // and what was written by then stays.
         let (job, campaign) = self.job(tx, lease.job).await?;
+        workers::seen(tx, &[&lease.worker], now).await?;
         if !job.is_held_by(lease) {
             return Ok(ReleaseReply {
                 verdict: ReleaseVerdict::Stale,
