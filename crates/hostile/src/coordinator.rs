@@ -137,10 +137,19 @@ impl Open {
     async fn call(&mut self, method: &str, messages: &[&[u8]]) -> Option<Result<(), Status>> {
         let path = format!("/rollout.coordinator.v1.{method}");
         let answering = call(&mut self.services, &path, messages);
-        match method {
-            CLAIM => timeout(PATIENCE, answering).await.ok(),
-            _ => Some(answering.await),
+        if method != CLAIM {
+            return Some(answering.await);
         }
+        let answer = timeout(PATIENCE, answering).await.ok();
+        if answer.is_none() {
+            // What the caller hung up on may still be written down: not for the
+            // next call, which comes after this one.
+            let (method, message) = seeds::registration("next");
+            let path = format!("/rollout.coordinator.v1.{method}");
+            let after = call(&mut self.services, &path, &[&message]).await;
+            after.expect("a sound message");
+        }
+        answer
     }
 
     async fn close(self) {
@@ -180,6 +189,13 @@ fn files_below(folder: &Path) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_release_of_no_job_is_refused_and_changes_nothing() {
+        // Worker w releases attempt 1 of job 0.
+        let release = b"\x0a\x05\x0a\x01w\x18\x01\x10\x02\x1a\x01e";
+        assert!(!messages(&script::write(4, release)));
+    }
 
     #[test]
     fn every_method_of_both_services_is_called() {
