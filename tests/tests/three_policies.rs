@@ -60,7 +60,10 @@ fn a_policy_that_dies_and_comes_back_holds_up_its_own_campaign_only() {
     for name in names {
         assert_eq!(campaigns.outcomes(name).len(), ROLLOUTS, "{name}");
         for row in campaigns.succeed(&["jobs", "list", name]).lines() {
-            assert!(!row.contains("charged") && !row.contains("set aside"), "{row}");
+            assert!(
+                !row.contains("charged") && !row.contains("set aside"),
+                "{row}"
+            );
         }
     }
     drop((worker, mortal));
