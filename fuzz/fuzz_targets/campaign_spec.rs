@@ -1,0 +1,7 @@
+//! Campaign specifications. What must hold is said in `hostile`.
+
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|input: &[u8]| {
+    (hostile::named("campaign_spec").run)(input);
+});

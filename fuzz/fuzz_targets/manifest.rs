@@ -1,0 +1,7 @@
+//! Manifests. What must hold is said in `hostile`.
+
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|input: &[u8]| {
+    (hostile::named("manifest").run)(input);
+});

@@ -1,0 +1,7 @@
+//! Recorded sessions. What must hold is said in `hostile`.
+
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|input: &[u8]| {
+    (hostile::named("recording").run)(input);
+});

@@ -1,0 +1,7 @@
+//! What strangers send the gateway. What must hold is said in `hostile`.
+
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|input: &[u8]| {
+    (hostile::named("rpc_policy").run)(input);
+});
