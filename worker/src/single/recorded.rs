@@ -4,10 +4,10 @@
 //! rows of seven numbers.
 
 use std::fs::File;
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufRead, BufReader, Cursor, Read};
 use std::path::{Path, PathBuf};
 
-use npyz::npz::NpzArchive;
+use npyz::zip::ZipArchive;
 use npyz::{DType, NpyFile, TypeChar};
 use proto::policy::{DescribeResponse, Observation};
 use sha2::{Digest, Sha256};
@@ -19,6 +19,11 @@ use crate::policy::{ACTION_WIDTH, Action, Description, Episode, PolicyError};
 
 /// Most actions of a recording: far more than any budget of the protocol.
 const MAX_RECORDED_ACTIONS: usize = 10_000;
+/// Of an NPY file's header, what is looked at before it is parsed, bytes; NumPy
+/// writes 118.
+const MAX_HEADER_BYTES: u64 = 64 << 10;
+/// Brackets within brackets in a header; NumPy writes two.
+const MAX_HEADER_DEPTH: u32 = 4;
 /// Longest line of JSON lines, bytes.
 const MAX_LINE_BYTES: u64 = 4096;
 
@@ -129,16 +134,45 @@ fn read_actions(path: &Path) -> Result<Vec<Action>, String> {
     let open = || open().map_err(|error| error.to_string());
     match path.extension().and_then(|ending| ending.to_str()) {
         Some("npz") => {
-            let mut archive = NpzArchive::new(open()?).map_err(|error| error.to_string())?;
-            let array = archive
-                .by_name("actions")
-                .map_err(|error| error.to_string())?;
-            rows_of(array.ok_or("it has no array `actions`")?)
+            let mut archive = ZipArchive::new(open()?).map_err(|error| error.to_string())?;
+            let array = archive.by_name("actions.npy");
+            rows_of(array_of(
+                array.map_err(|_| "it has no array `actions`".to_owned())?,
+            )?)
         }
-        Some("npy") => rows_of(NpyFile::new(open()?).map_err(|error| error.to_string())?),
+        Some("npy") => rows_of(array_of(open()?)?),
         Some("jsonl" | "json") => read_lines(open()?),
         _ => Err("its name must end in .npz, .npy or .jsonl".to_owned()),
     }
+}
+
+/// Reads an array's header, unless it nests deeper than an array of numbers has
+/// reason to: the time that its parser takes doubles with every bracket.
+fn array_of(mut file: impl Read) -> Result<NpyFile<impl Read>, String> {
+    let mut start = Vec::new();
+    let read = file.by_ref().take(MAX_HEADER_BYTES).read_to_end(&mut start);
+    read.map_err(|error| error.to_string())?;
+    // Magic, version, the header's length in two bytes or, later, four.
+    let (length, from) = match start.as_slice() {
+        [_, _, _, _, _, _, 1, _, low, high, ..] => (u16::from_le_bytes([*low, *high]).into(), 10),
+        [_, _, _, _, _, _, _, _, a, b, c, d, ..] => (u32::from_le_bytes([*a, *b, *c, *d]), 12),
+        _ => return Err("it is too short for an array".to_owned()),
+    };
+    if u64::from(length) > MAX_HEADER_BYTES - 12 {
+        return Err("its header is too long: it is no array of numbers".to_owned());
+    }
+    let mut depth = 0_u32;
+    for byte in start.iter().skip(from).take(length as usize) {
+        match byte {
+            b'{' | b'[' | b'(' => depth += 1,
+            b'}' | b']' | b')' => depth = depth.saturating_sub(1),
+            _ => {}
+        }
+        if depth > MAX_HEADER_DEPTH {
+            return Err("its header nests too many brackets: it is no array of numbers".to_owned());
+        }
+    }
+    NpyFile::new(Cursor::new(start).chain(file)).map_err(|error| error.to_string())
 }
 
 fn rows_of(array: NpyFile<impl Read>) -> Result<Vec<Action>, String> {

@@ -189,4 +189,7 @@ fn recordings_that_no_robot_can_replay_are_named() {
     check("c.txt", "", ".jsonl");
     check("d.npz", "not a zip", "read recorded actions");
     check("e.npy", "not an array", "read recorded actions");
+    // A parser that tries every way to read this never comes back.
+    let brackets = format!("\u{1}NUMPY\u{1}\0v\0{}", "{".repeat(75));
+    check("f.npy", &brackets, "too many brackets");
 }
