@@ -45,14 +45,20 @@ pub trait Backend: fmt::Display + Send + Sync {
     async fn infer(&self, request: InferRequest) -> Result<InferResponse, BackendError>;
 
     /// Answers several independent observations at once, each unchecked, in
-    /// their order.
+    /// their order; one after the other where a policy knows no batches.
     ///
     /// # Errors
     /// [`BackendError`], if none of them was answered.
     async fn infer_batch(
         &self,
         requests: Vec<InferRequest>,
-    ) -> Result<Vec<Result<InferResponse, BackendError>>, BackendError>;
+    ) -> Result<Vec<Result<InferResponse, BackendError>>, BackendError> {
+        let mut answers = Vec::with_capacity(requests.len());
+        for request in requests {
+            answers.push(self.infer(request).await);
+        }
+        Ok(answers)
+    }
 }
 
 /// Why a back-end did not answer. Each has one gRPC code, which tells a worker

@@ -17,6 +17,9 @@ pub mod coordinator {
 
 /// Version of both protocols, exchanged on `Describe` and `Register`.
 pub const PROTOCOL_VERSION: u32 = 1;
+/// Most control steps of which a motion is sent: ten times LIBERO's longest
+/// rollout. Of a longer one the outcome goes without.
+pub const MAX_MOTION_STEPS: usize = 5_200;
 /// Largest message accepted, bytes: an observation of two 512×512 frames fits
 /// four times. tonic's own default of 4 MiB does not hold a batch.
 pub const MAX_MESSAGE_BYTES: usize = 32 << 20;

@@ -1,7 +1,7 @@
 //! Reading messages: every string is bounded, every number in range, every
 //! digest a digest, before it goes any further.
 
-use proto::coordinator as wire;
+use proto::{MAX_MOTION_STEPS, coordinator as wire};
 use tonic::Status;
 
 use crate::campaign::Change;
@@ -19,9 +19,6 @@ const MAX_TEXT_BYTES: usize = 512;
 const MAX_ROLLOUT_ID_BYTES: usize = 128;
 /// Longest error message that is kept, bytes; the rest is cut off.
 const MAX_ERROR_BYTES: usize = 4_096;
-/// Most control steps of which a motion is kept: ten times LIBERO's longest
-/// rollout.
-const MAX_MOTION_STEPS: usize = 5_200;
 /// A point of a path: three numbers of 16 bits.
 const POINT_BYTES: usize = 6;
 const MAX_PATH_BYTES: usize = (MAX_MOTION_STEPS + 1) * POINT_BYTES;

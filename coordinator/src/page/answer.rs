@@ -4,6 +4,7 @@
 
 use std::sync::LazyLock;
 
+use axum::body::Bytes;
 use axum::http::{HeaderMap, HeaderName, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use sha2::{Digest, Sha256};
@@ -35,7 +36,7 @@ pub(super) static FILES_VERSION: LazyLock<String> =
 /// A page that was made.
 #[derive(Debug)]
 pub(super) struct Rendered {
-    html: String,
+    html: Bytes,
     /// Its digest, as an entity tag.
     tag: String,
     /// The edition of everything that it was made from.
@@ -46,7 +47,7 @@ impl Rendered {
     pub(super) fn new(html: String, version: u64) -> Rendered {
         Rendered {
             tag: format!("\"{}\"", short_digest(&html)),
-            html,
+            html: html.into(),
             version,
         }
     }

@@ -310,11 +310,6 @@ impl Queue {
     ) -> Result<Vec<LeasedJob>, StoreError> {
         let expires = claimant.now.plus(self.timing.lease);
         let mut leased = Vec::new();
-        // The task that `choose_task` prefers to all others needs no look at
-        // the others.
-        if let (Some(warm), 1..) = (&request.warm_task, limit) {
-            leased = claims::claim(tx, (campaign, warm), claimant, expires, limit).await?;
-        }
         while let room @ 1.. = limit.saturating_sub(u32::try_from(leased.len()).unwrap_or(limit)) {
             let tasks = claims::waiting_tasks(tx, campaign, claimant).await?;
             let Some(task) = choose_task(&tasks, request.warm_task.as_deref()) else {

@@ -5,7 +5,7 @@
 //! What is handed out is remembered in memory only. Should that be lost, a
 //! rollout is filmed twice, with the same pictures.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use paired::{Outcome, Record, Records, Transition};
@@ -81,29 +81,6 @@ impl Queue {
     }
 }
 
-/// Bytes of a point of a path: three numbers of 16 bits.
-const POINT_BYTES: usize = 6;
-const METRES_PER_TENTH_OF_MM: f64 = 1e-4;
-
-impl Queue {
-    /// Where the end-effector of a committed rollout was, at rest and after
-    /// every control step: metres, world frame. None if there is no such result.
-    ///
-    /// # Errors
-    /// When the database fails.
-    pub async fn end_effector_path(&self, job: JobId) -> Result<Option<Vec<[f64; 3]>>, StoreError> {
-        let mut view = self.store.read().await?;
-        let path = motions::path(&mut view, job).await?;
-        let point = |point: &[u8; POINT_BYTES]| {
-            let (numbers, _) = point.as_chunks::<2>();
-            [0, 1, 2].map(|axis: usize| {
-                f64::from(i16::from_le_bytes(numbers[axis])) * METRES_PER_TENTH_OF_MM
-            })
-        };
-        Ok(path.map(|path| path.as_chunks().0.iter().map(point).collect()))
-    }
-}
-
 impl HandedOut {
     /// The first that nobody is filming.
     fn next(&mut self, wanting: &[JobId], now: UnixMillis) -> Option<JobId> {
@@ -133,26 +110,23 @@ fn wanting_films(rows: &[FilmableRow]) -> Result<Vec<JobId>, StoreError> {
     // A rollout and replicate is one job: the schema says so.
     let matched = Records::new(&records).map_err(undecodable);
     let matched = matched.doing("look for rollouts to film")?;
-    let changed: Vec<_> = matched
-        .configurations()
-        .iter()
-        .filter(|unit| {
-            let transition = unit.transition();
-            matches!(
-                transition,
-                Some(Transition::Emergent | Transition::Compensated)
-            )
-        })
-        .collect();
-    let is_of_changed = |record: &Record| {
-        changed.iter().any(|unit| {
-            let id = record.id;
-            let is_nominal = id.config().is_none() && record.init_id == unit.init_id;
-            let is_perturbed = id.config() == Some(unit.config) && id.level() == unit.level;
-            id.task() == unit.task
-                && record.replicate == unit.replicate
-                && (is_nominal || is_perturbed)
-        })
+    // A unit's perturbed rollouts share level and configuration, and with its
+    // nominal one the initial state.
+    let mut perturbed = BTreeSet::new();
+    let mut nominal = BTreeSet::new();
+    for unit in matched.configurations() {
+        let transition = unit.transition();
+        if let Some(Transition::Emergent | Transition::Compensated) = transition {
+            perturbed.insert((unit.replicate, unit.task, unit.level, unit.config));
+            nominal.insert((unit.replicate, unit.task, unit.init_id));
+        }
+    }
+    let is_of_changed = |record: &Record| match record.id.config() {
+        Some(config) => {
+            let (task, level) = (record.id.task(), record.id.level());
+            perturbed.contains(&(record.replicate, task, level, config))
+        }
+        None => nominal.contains(&(record.replicate, record.id.task(), record.init_id)),
     };
     let wanting = rows
         .iter()

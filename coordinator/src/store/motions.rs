@@ -66,18 +66,6 @@ pub(crate) async fn insert(
     Ok(())
 }
 
-/// How the robot of a committed rollout moved.
-pub(crate) async fn path(
-    tx: &mut SqliteConnection,
-    job: JobId,
-) -> Result<Option<Vec<u8>>, StoreError> {
-    sqlx::query_scalar("SELECT path FROM motion WHERE job_id = ?")
-        .bind(job)
-        .fetch_optional(tx)
-        .await
-        .doing("read how a robot moved")
-}
-
 /// Campaigns that record transitions with this asset pack and simulator.
 pub(crate) async fn filmed_campaigns(
     tx: &mut SqliteConnection,

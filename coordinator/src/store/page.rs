@@ -2,12 +2,12 @@
 //! that workers wait for uses them.
 
 use sqlx::pool::PoolConnection;
-use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
+use sqlx::{Sqlite, SqliteConnection};
 
 use super::listing::FailureLine;
 use super::policies::HealthColumns;
 use super::results::Provenance;
-use super::{DATABASE_FILE, Doing, Store, StoreError};
+use super::{DATABASE_FILE, Doing, Store, StoreError, json};
 use crate::clock::UnixMillis;
 use crate::ids::{Attempt, CampaignId, CampaignName, JobId, PolicyId, WorkerId};
 use crate::outage::PolicyHealth;
@@ -172,23 +172,20 @@ pub(crate) async fn rollouts(
     ids: &[String],
     replicate: u32,
 ) -> Result<Vec<RolloutLine>, StoreError> {
-    let mut query = QueryBuilder::new(
+    sqlx::query_as(
         "SELECT j.id, j.rollout_id, j.state, j.attempt, j.charged_attempts, j.manifest_row,
              j.policy_seed, j.lease_owner, j.control_steps, j.stale_reports,
              (SELECT a.size_bytes FROM artifact a WHERE a.job_id = j.id AND a.kind = 'video')
                  AS video_bytes
-         FROM job j WHERE j.campaign_id = ",
-    );
-    query.push_bind(campaign).push(" AND j.replicate = ");
-    query.push_bind(replicate).push(" AND j.rollout_id IN ");
-    query.push_tuples(ids, |mut tuple, id| {
-        tuple.push_bind(id);
-    });
-    query
-        .build_query_as()
-        .fetch_all(tx)
-        .await
-        .doing("read a configuration's rollouts")
+         FROM job j WHERE j.campaign_id = ? AND j.replicate = ?
+             AND j.rollout_id IN (SELECT value FROM json_each(?))",
+    )
+    .bind(campaign)
+    .bind(replicate)
+    .bind(json(ids))
+    .fetch_all(tx)
+    .await
+    .doing("read a configuration's rollouts")
 }
 
 /// The replicates in which a campaign has a rollout.
@@ -230,22 +227,19 @@ pub(crate) async fn outcomes(
     tx: &mut SqliteConnection,
     jobs: &[JobId],
 ) -> Result<Vec<OutcomeLine>, StoreError> {
-    let mut query = QueryBuilder::new(
+    sqlx::query_as(
         "SELECT r.job_id, r.attempt, r.worker_id, r.committed_ms, r.success, r.steps,
              r.wall_secs, r.ik_residual_mm, r.clipped_actions, r.policy_queries,
              (SELECT count(*) FROM divergence d WHERE d.job_id = r.job_id) AS divergences,
              r.scene_digest, r.init_state_digest, r.perturbation_digests, r.first_frame_digest,
              p.*
-         FROM result r JOIN provenance p ON p.id = r.provenance_id WHERE r.job_id IN ",
-    );
-    query.push_tuples(jobs, |mut tuple, job| {
-        tuple.push_bind(*job);
-    });
-    query
-        .build_query_as()
-        .fetch_all(tx)
-        .await
-        .doing("read a configuration's outcomes")
+         FROM result r JOIN provenance p ON p.id = r.provenance_id
+         WHERE r.job_id IN (SELECT value FROM json_each(?))",
+    )
+    .bind(numbers(jobs))
+    .fetch_all(tx)
+    .await
+    .doing("read a configuration's outcomes")
 }
 
 /// How the robots of some committed jobs moved, as `motions` keeps it.
@@ -253,15 +247,13 @@ pub(crate) async fn paths(
     tx: &mut SqliteConnection,
     jobs: &[JobId],
 ) -> Result<Vec<(JobId, Vec<u8>)>, StoreError> {
-    let mut query = QueryBuilder::new("SELECT job_id, path FROM motion WHERE job_id IN ");
-    query.push_tuples(jobs, |mut tuple, job| {
-        tuple.push_bind(*job);
-    });
-    query
-        .build_query_as()
-        .fetch_all(tx)
-        .await
-        .doing("read how a configuration's robots moved")
+    sqlx::query_as(
+        "SELECT job_id, path FROM motion WHERE job_id IN (SELECT value FROM json_each(?))",
+    )
+    .bind(numbers(jobs))
+    .fetch_all(tx)
+    .await
+    .doing("read how a configuration's robots moved")
 }
 
 /// The attempts of some jobs that brought no result, newest first, at most so
@@ -271,19 +263,21 @@ pub(crate) async fn failures(
     jobs: &[JobId],
     limit: u32,
 ) -> Result<Vec<JobFailure>, StoreError> {
-    let mut query = QueryBuilder::new(
+    sqlx::query_as(
         "SELECT job_id, attempt, worker_id, failed_ms, reason, charged, error
-         FROM failure WHERE job_id IN ",
-    );
-    query.push_tuples(jobs, |mut tuple, job| {
-        tuple.push_bind(*job);
-    });
-    query.push(" ORDER BY attempt DESC LIMIT ").push_bind(limit);
-    query
-        .build_query_as()
-        .fetch_all(tx)
-        .await
-        .doing("read a configuration's failures")
+         FROM failure WHERE job_id IN (SELECT value FROM json_each(?))
+         ORDER BY attempt DESC LIMIT ?",
+    )
+    .bind(numbers(jobs))
+    .bind(limit)
+    .fetch_all(tx)
+    .await
+    .doing("read a configuration's failures")
+}
+
+/// Jobs for one statement.
+fn numbers(jobs: &[JobId]) -> String {
+    json(jobs.iter().map(|job| job.0).collect::<Vec<_>>())
 }
 
 /// All policies with their health, by name.

@@ -276,18 +276,17 @@ impl Sibling {
         provenance: &Provenance,
         digests: &Digests,
     ) -> Sibling {
-        let (provenance, digests) = (provenance.clone(), digests.clone());
         Sibling {
             rollout,
             worker: worker.clone(),
-            scene: digests.scene,
-            init_state: digests.init_state,
-            perturbation: digests.perturbation,
-            first_frame: digests.first_frame,
-            gl_renderer: provenance.gl_renderer,
-            policy_name: provenance.policy_name,
-            policy_checkpoint: provenance.policy_checkpoint,
-            policy_checkpoint_digest: provenance.policy_checkpoint_digest,
+            scene: digests.scene.clone(),
+            init_state: digests.init_state.clone(),
+            perturbation: digests.perturbation.clone(),
+            first_frame: digests.first_frame.clone(),
+            gl_renderer: provenance.gl_renderer.clone(),
+            policy_name: provenance.policy_name.clone(),
+            policy_checkpoint: provenance.policy_checkpoint.clone(),
+            policy_checkpoint_digest: provenance.policy_checkpoint_digest.clone(),
         }
     }
 

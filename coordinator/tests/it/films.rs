@@ -2,6 +2,7 @@
 
 use proto::coordinator as wire;
 use serde_json::json;
+use tonic::Code;
 
 use crate::harness::{Bench, Worker, sha, small_spec, with};
 
@@ -77,6 +78,28 @@ async fn a_configuration_that_its_combination_changes_is_filmed_whole() {
         assert_eq!(1 + films(&mut worker).await.len(), 3);
         bench.stop().await;
     }
+}
+
+#[tokio::test]
+async fn a_motion_of_half_a_step_or_of_too_many_is_refused_and_stores_nothing() {
+    let (bench, mut worker, combination) = all_but_the_combination(true).await;
+    let steps = proto::MAX_MOTION_STEPS;
+    for (path, actions) in [
+        (7, 28),
+        (6, 27),
+        (6 * (steps + 2), 0),
+        (6, 28 * (steps + 1)),
+    ] {
+        let mut report = worker.report(&combination, false);
+        let motion = report.motion.as_mut().expect("a motion");
+        (motion.path, motion.actions) = (vec![0; path], vec![0; actions]);
+        let refused = worker.service.commit(report).await.expect_err("no motion");
+        assert_eq!(refused.code(), Code::InvalidArgument);
+        assert!(refused.message().contains("`motion."), "{refused}");
+    }
+    assert_eq!(bench.status("filmed").await.committed, 3);
+    worker.commit(&combination, false).await;
+    assert_eq!(bench.status("filmed").await.committed, 4);
 }
 
 #[tokio::test]

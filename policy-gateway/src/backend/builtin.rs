@@ -85,17 +85,6 @@ impl Backend for BuiltinBackend {
             action_width: ACTION_WIDTH,
         })
     }
-
-    async fn infer_batch(
-        &self,
-        requests: Vec<InferRequest>,
-    ) -> Result<Vec<Result<InferResponse, BackendError>>, BackendError> {
-        let mut answers = vec![];
-        for request in requests {
-            answers.push(self.infer(request).await);
-        }
-        Ok(answers)
-    }
 }
 
 impl fmt::Display for BuiltinBackend {

@@ -223,17 +223,6 @@ impl Backend for OpenpiBackend {
         let chunk = codec::answer(&answer).map_err(|error| wrong(error.to_string()))?;
         first_actions(&chunk, self.address.execute).map_err(wrong)
     }
-
-    async fn infer_batch(
-        &self,
-        requests: Vec<InferRequest>,
-    ) -> Result<Vec<Result<InferResponse, BackendError>>, BackendError> {
-        let mut answers = vec![];
-        for request in requests {
-            answers.push(self.infer(request).await);
-        }
-        Ok(answers)
-    }
 }
 
 impl fmt::Display for OpenpiBackend {

@@ -118,16 +118,14 @@ impl Backend for Replay {
         let episodes = self.sessions().get(&query.session).cloned();
         let episodes = episodes.ok_or(BackendError::SessionLost)?;
         let observation = query.observation.unwrap_or_default();
-        let (alike, others): (Vec<_>, Vec<_>) = episodes
+        let shown = digest(&observation);
+        let answer = episodes
             .iter()
-            .partition(|episode| episode.answer(query.query_index, &observation).is_some());
-        match alike.first() {
-            Some(episode) => {
-                let answer = episode.answer(query.query_index, &observation);
-                answer.ok_or(BackendError::SessionLost)
-            }
+            .find_map(|episode| episode.answer(query.query_index, shown));
+        match answer {
+            Some(answer) => Ok(answer.clone()),
             None => {
-                let path = others.first().map(|it| it.path.clone());
+                let path = episodes.first().map(|it| it.path.clone());
                 let path = path.unwrap_or_default();
                 let compare = move || difference(&path, query.query_index, &observation);
                 let compared = tokio::task::spawn_blocking(compare).await;
@@ -137,17 +135,6 @@ impl Backend for Replay {
                 })
             }
         }
-    }
-
-    async fn infer_batch(
-        &self,
-        queries: Vec<InferRequest>,
-    ) -> Result<Vec<Result<InferResponse, BackendError>>, BackendError> {
-        let mut answers = vec![];
-        for query in queries {
-            answers.push(self.infer(query).await);
-        }
-        Ok(answers)
     }
 }
 
@@ -165,10 +152,10 @@ impl Episode {
         Ok(Self { path, steps })
     }
 
-    /// What was answered to this observation.
-    fn answer(&self, query_index: u32, observation: &Observation) -> Option<InferResponse> {
+    /// What was answered to the observation of this digest.
+    fn answer(&self, query_index: u32, shown: [u8; 32]) -> Option<&InferResponse> {
         let step = self.steps.iter().find(|it| it.query_index == query_index)?;
-        (step.digest == digest(observation)).then(|| step.answer.clone())
+        (step.digest == shown).then_some(&step.answer)
     }
 }
 

@@ -45,7 +45,11 @@ async fn a_rollout_is_filmed_from_its_actions_when_its_policy_has_gone() {
     let filming = || run(&["film", "--connect", &url, "--assets", "primitives"]);
     let output = tokio::task::block_in_place(filming);
     assert!(output.status.success(), "{output:?}");
-    assert_eq!(output.stdout, b"1 videos stored\n");
+    let said = String::from_utf8(output.stdout).expect("text");
+    assert_eq!(
+        said,
+        "1 videos stored; no more is left to film with asset pack primitives and MuJoCo 3.3.7\n"
+    );
     let Told::Video { job, bytes } = coordinator.told(2).await else {
         panic!("{:?}", coordinator.everything_told());
     };
