@@ -12,7 +12,7 @@ use std::path::Path;
 use anyhow::{Context, Result, ensure};
 use scene::{AssetPack, Problem, Sources, compose};
 use sim::mujoco::{Model, ObjectKind};
-use sim::{Environment, GlContext};
+use sim::{Drawer, Environment};
 
 pub use reference::{Array, ReferenceTask, find_tasks, read_npz};
 
@@ -182,7 +182,7 @@ pub fn compare(
     task: &ReferenceTask,
     sources: &Sources,
     pack: &AssetPack,
-    gl: &GlContext,
+    drawer: &Drawer,
 ) -> Result<Findings> {
     let mut environment = build(task, sources, pack)?;
     let mut findings = Findings {
@@ -190,7 +190,7 @@ pub fn compare(
         arrays: differing_array(environment.model(), task)?,
         ..Findings::default()
     };
-    let mut frames = frames::Comparison::new(task, gl);
+    let mut frames = frames::Comparison::new(task, drawer);
     motion::compare_smooth(task, &mut environment, &mut findings, &mut frames)?;
     findings.frames = frames.result();
     motion::compare_predicates(task, &mut environment, &mut findings)?;

@@ -4,7 +4,7 @@
 use protocol::{ManifestRow, Perturbation, Realisation, RolloutId, TaskRef};
 use scene::{TaskFiles, compose};
 use serde::Deserialize;
-use sim::{GlContext, GlDevice, Simulator, SimulatorConfig};
+use sim::{Drawer, Renderer, Simulator, SimulatorConfig};
 use tests::fidelity::{Limits, compare, find_tasks};
 use tests::files::{primitives, shared, sources};
 use tests::motion::smooth_action;
@@ -19,11 +19,11 @@ fn check_suite(suite: &str) {
     };
     let sources = sources();
     let pack = scene::AssetPack::open(&assets.to_string_lossy(), &sources).unwrap();
-    let gl = GlContext::open(GlDevice::Auto).unwrap();
+    let drawer = Drawer::open(Renderer::default()).unwrap();
     let tasks = find_tasks(&reference).unwrap();
     let mut compared = 0;
     for task in tasks.iter().filter(|task| task.suite == suite) {
-        let findings = compare(task, &sources, &pack, &gl).unwrap();
+        let findings = compare(task, &sources, &pack, &drawer).unwrap();
         let violations = findings.violations(&Limits::default());
         assert!(violations.is_empty(), "{}: {violations:#?}", task.id());
         compared += 1;
@@ -113,7 +113,7 @@ fn the_arm_moves_as_the_original_does_whatever_the_asset_pack() {
     let mut simulator = Simulator::new(SimulatorConfig {
         sources,
         pack,
-        gl_device: GlDevice::Auto,
+        renderer: Renderer::default(),
         cached_scenes: 1,
     });
     for (task, motion) in figures().arm {

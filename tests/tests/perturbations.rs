@@ -9,7 +9,7 @@ use protocol::{
 };
 use scene::AssetPack;
 use sim::mujoco::ObjectKind;
-use sim::{GlDevice, Simulator, SimulatorConfig};
+use sim::{Renderer, Simulator, SimulatorConfig};
 use tests::fidelity::{Array, read_npz};
 use tests::files::{shared, sources};
 
@@ -29,7 +29,7 @@ fn check_suite(suite: Suite) {
     let mut simulator = Simulator::new(SimulatorConfig {
         sources,
         pack,
-        gl_device: GlDevice::Auto,
+        renderer: Renderer::default(),
         cached_scenes: 1,
     });
     let mut checked = 0;

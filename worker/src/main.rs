@@ -12,7 +12,7 @@ use anyhow::Context;
 use clap::Parser;
 use protocol::TaskRef;
 use scene::{AssetPack, Sources};
-use sim::{Simulator, SimulatorConfig};
+use sim::{Renderer, Simulator, SimulatorConfig};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::mpsc;
 use tracing_subscriber::EnvFilter;
@@ -71,7 +71,7 @@ fn open(arguments: &SimulatorArguments) -> anyhow::Result<SimulatorConfig> {
     Ok(SimulatorConfig {
         sources,
         pack,
-        gl_device: arguments.gl_device,
+        renderer: Renderer::Gl(arguments.gl_device),
         cached_scenes: CACHED_SCENES,
     })
 }
@@ -103,8 +103,13 @@ fn run_film(arguments: FilmArguments) -> anyhow::Result<()> {
         asset_pack_digest: simulator.pack.digest().to_owned(),
         seed: random_number(),
     };
+    let pack = simulator.pack.name().to_owned();
     let filmed = film::run(&config, &mut Simulator::new(simulator))?;
-    println!("{} videos stored", filmed.stored);
+    println!(
+        "{} videos stored; no more is left to film with asset pack {pack} and MuJoCo {}",
+        filmed.stored,
+        Simulator::mujoco_version()
+    );
     anyhow::ensure!(
         filmed.failed == 0,
         "film {} rollouts more: the log says why",

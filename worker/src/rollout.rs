@@ -186,7 +186,7 @@ pub fn run(
     let drew = !run.first_frame_digest.is_empty();
     let evidence = Evidence {
         gl_renderer: if drew {
-            let renderer = stage.simulator.gl_renderer();
+            let renderer = stage.simulator.renderer_name();
             renderer.map_err(|source| run.simulator_failed(source))?
         } else {
             String::new()
@@ -206,17 +206,10 @@ pub fn run(
         },
     };
     let video = run.record(&mut stage, &outcome)?;
-    let actions = match assignment.keep_actions {
-        true => run.executed,
-        false => Vec::new(),
-    };
     Ok(Finished {
         outcome,
         evidence,
-        motion: Motion {
-            path: run.path,
-            actions,
-        },
+        motion: run.into_motion(),
         video,
     })
 }
@@ -352,6 +345,20 @@ impl Run<'_> {
                 tracing::warn!("no video of {session}: failed to {}", chain(&error));
                 Ok(None)
             }
+        }
+    }
+
+    /// How the robot moved, as far as it is wanted.
+    fn into_motion(self) -> Motion {
+        if self.executed.len() > proto::MAX_MOTION_STEPS {
+            return Motion::default();
+        }
+        Motion {
+            path: self.path,
+            actions: match self.assignment.keep_actions {
+                true => self.executed,
+                false => Vec::new(),
+            },
         }
     }
 

@@ -9,7 +9,7 @@ use crate::error::SimError;
 use crate::mujoco::{self, Data, Model, ObjectKind};
 use crate::observation::{Frame, RobotState, axis_angle_of};
 use crate::predicates::Goal;
-use crate::render::{Canvas, GlContext};
+use crate::render::{Canvas, Drawer};
 
 /// `mjDSBL_AUTORESET`: an unstable state is reported, not silently replaced.
 const DISABLE_AUTORESET: i32 = 1 << 16;
@@ -233,7 +233,7 @@ impl Environment {
     /// Draws what a camera saw at the last step's instant of observation.
     pub fn draw(
         &mut self,
-        gl: &GlContext,
+        drawer: &Drawer,
         camera: &str,
         width: u32,
         height: u32,
@@ -244,10 +244,10 @@ impl Environment {
         if self
             .canvas
             .as_ref()
-            .is_none_or(|canvas| !canvas.holds(wide, high))
+            .is_none_or(|canvas| !canvas.suits(drawer, wide, high))
         {
             self.canvas = None;
-            self.canvas = Some(Canvas::new(gl, &mut self.model, wide, high)?);
+            self.canvas = Some(Canvas::new(drawer, &mut self.model, wide, high)?);
         }
         self.show_burners(|burner| burner.opacity_seen);
         let canvas = self.canvas.as_mut().expect("made above");
@@ -257,7 +257,7 @@ impl Environment {
             camera: camera.to_owned(),
             width,
             height,
-            rgb,
+            rgb: rgb?,
         })
     }
 

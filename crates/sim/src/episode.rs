@@ -165,8 +165,8 @@ impl<'a> Episode<'a> {
     /// What a camera of the scene sees, without the sensor's perturbation: for
     /// videos.
     pub fn photograph(&mut self, camera: &str, width: u32, height: u32) -> Result<Frame, SimError> {
-        let (ready, gl) = self.simulator.ready_to_draw()?;
-        ready.environment.draw(gl, camera, width, height)
+        let (ready, drawer) = self.simulator.ready_to_draw()?;
+        ready.environment.draw(drawer, camera, width, height)
     }
 
     /// The scene's environment, to be looked at.

@@ -26,5 +26,5 @@ pub use observation::{
     RobotState,
 };
 pub use perturb::IkSolution;
-pub use render::{GlContext, GlDevice};
+pub use render::{Drawer, GlDevice, Renderer};
 pub use simulator::{Simulator, SimulatorConfig};

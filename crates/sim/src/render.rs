@@ -1,77 +1,82 @@
-//! Drawing frames off-screen. One OpenGL context per process, owned by the
-//! thread that opened it; the pictures of each scene have their own buffers.
+//! Drawing frames off-screen: by our own renderer, or by MuJoCo's through
+//! OpenGL.
 
-mod egl;
+mod gl;
+mod gl_context;
 
-use std::mem::MaybeUninit;
-
-use mujoco_rs::mujoco_c as c;
+use gl::GlCanvas;
+pub use gl_context::{GlContext, GlDevice};
 
 use crate::error::SimError;
 use crate::mujoco::{Data, Model};
-
-pub use egl::{GlContext, GlDevice};
 
 /// Geoms in one picture at most, as in robosuite; further ones are not drawn.
 const MAX_GEOMS: i32 = 1000;
 /// Geom groups: collision geometry is not drawn, visual geometry is.
 const COLLISION_GROUP: usize = 0;
 
-/// What MuJoCo keeps to draw one scene. Dropping it needs the context that it
-/// was made with to be current, which [`GlContext`] being alive ensures.
-pub(crate) struct Canvas {
-    options: c::mjvOption,
-    scene: Box<c::mjvScene>,
-    context: Box<c::mjrContext>,
+/// Which renderer draws.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Renderer {
+    /// MuJoCo's, through OpenGL on a device.
+    Gl(GlDevice),
+}
+
+impl Default for Renderer {
+    fn default() -> Self {
+        Self::Gl(GlDevice::Auto)
+    }
+}
+
+/// A renderer that is ready to draw, on the thread that opened it.
+pub enum Drawer {
+    /// MuJoCo's.
+    Gl(GlContext),
+}
+
+impl Drawer {
+    /// Gets a renderer ready.
+    ///
+    /// # Errors
+    /// Where OpenGL is asked for and no device gives a context.
+    pub fn open(renderer: Renderer) -> Result<Self, SimError> {
+        match renderer {
+            Renderer::Gl(device) => Ok(Self::Gl(GlContext::open(device)?)),
+        }
+    }
+
+    /// What draws: of OpenGL the driver's words, for example `llvmpipe (…)`.
+    pub fn name(&self) -> &str {
+        match self {
+            Self::Gl(context) => context.renderer(),
+        }
+    }
+}
+
+/// What a renderer keeps to draw one scene.
+pub(crate) enum Canvas {
+    Gl(GlCanvas),
 }
 
 impl Canvas {
-    /// Uploads a model's meshes and textures; buffers for pictures up to this
-    /// size, pixels.
+    /// Prepares a model's meshes and textures, for pictures up to this size,
+    /// pixels.
     pub(crate) fn new(
-        _current: &GlContext,
+        drawer: &Drawer,
         model: &mut Model,
         width: u32,
         height: u32,
     ) -> Result<Self, SimError> {
-        model.grow_offscreen_buffer(width, height);
-        let mut options = MaybeUninit::uninit();
-        let mut scene = Box::new(MaybeUninit::uninit());
-        let mut context = Box::new(MaybeUninit::uninit());
-        // SAFETY: each object is written whole by its default function before
-        // it is assumed initialised; the boxes keep their addresses, which
-        // MuJoCo may remember; a GL context is current on this thread.
-        let mut canvas = unsafe {
-            c::mjv_defaultOption(options.as_mut_ptr());
-            c::mjv_defaultScene(scene.as_mut_ptr());
-            c::mjr_defaultContext(context.as_mut_ptr());
-            let mut canvas = Self {
-                options: options.assume_init(),
-                scene: scene.assume_init(),
-                context: context.assume_init(),
-            };
-            c::mjv_makeScene(model.as_ptr(), &mut *canvas.scene, MAX_GEOMS);
-            let scale = c::mjtFontScale::mjFONTSCALE_150 as i32;
-            c::mjr_makeContext(model.as_ptr(), &mut *canvas.context, scale);
-            c::mjr_setBuffer(
-                c::mjtFramebuffer::mjFB_OFFSCREEN as i32,
-                &mut *canvas.context,
-            );
-            canvas
-        };
-        canvas.options.geomgroup[COLLISION_GROUP] = 0;
-        if canvas.context.currentBuffer != c::mjtFramebuffer::mjFB_OFFSCREEN as i32 {
-            return Err(SimError::Graphics {
-                problem: format!("no off-screen buffer of {width} × {height}"),
-                remedy: "try a smaller picture or another --gl-device",
-            });
+        match drawer {
+            Drawer::Gl(context) => GlCanvas::new(context, model, width, height).map(Self::Gl),
         }
-        Ok(canvas)
     }
 
-    /// Whether a picture of this size fits the buffers.
-    pub(crate) fn holds(&self, width: u32, height: u32) -> bool {
-        self.context.offWidth >= width as i32 && self.context.offHeight >= height as i32
+    /// Whether this was made for the renderer, and a picture of this size fits.
+    pub(crate) fn suits(&self, drawer: &Drawer, width: u32, height: u32) -> bool {
+        match (self, drawer) {
+            (Self::Gl(canvas), Drawer::Gl(_)) => canvas.holds(width, height),
+        }
     }
 
     /// Draws what a camera of the model sees; rows from bottom to top.
@@ -82,50 +87,9 @@ impl Canvas {
         camera: usize,
         width: u32,
         height: u32,
-    ) -> Vec<u8> {
-        let mut rgb = vec![0; width as usize * height as usize * 3];
-        let viewport = c::mjrRect {
-            left: 0,
-            bottom: 0,
-            width: width as i32,
-            height: height as i32,
-        };
-        let mut view = MaybeUninit::uninit();
-        // SAFETY: model and data belong together; the picture has room for
-        // width × height pixels; the viewport lies inside the buffer, as the
-        // caller has checked with `holds`.
-        unsafe {
-            c::mjv_defaultCamera(view.as_mut_ptr());
-            let mut view: c::mjvCamera = view.assume_init();
-            view.type_ = c::mjtCamera::mjCAMERA_FIXED as i32;
-            view.fixedcamid = camera as i32;
-            c::mjv_updateScene(
-                model.as_ptr(),
-                data.as_mut_ptr(),
-                &self.options,
-                std::ptr::null(),
-                &mut view,
-                c::mjtCatBit::mjCAT_ALL as i32,
-                &mut *self.scene,
-            );
-            c::mjr_render(viewport, &mut *self.scene, &*self.context);
-            c::mjr_readPixels(
-                rgb.as_mut_ptr(),
-                std::ptr::null_mut(),
-                viewport,
-                &*self.context,
-            );
-        }
-        rgb
-    }
-}
-
-impl Drop for Canvas {
-    fn drop(&mut self) {
-        // SAFETY: both were made in `new` and are freed once.
-        unsafe {
-            c::mjr_freeContext(&mut *self.context);
-            c::mjv_freeScene(&mut *self.scene);
+    ) -> Result<Vec<u8>, SimError> {
+        match self {
+            Self::Gl(canvas) => Ok(canvas.draw(model, data, camera, width, height)),
         }
     }
 }

@@ -9,7 +9,7 @@ use crate::episode::Episode;
 use crate::error::SimError;
 use crate::mujoco::{self, ObjectKind};
 use crate::perturb::{CameraPose, look_at_point};
-use crate::render::{GlContext, GlDevice};
+use crate::render::{Drawer, Renderer};
 
 /// Placement seed of the protocol.
 const ENV_SEED: u32 = 20260904;
@@ -26,7 +26,7 @@ pub struct SimulatorConfig {
     /// Models of objects and arenas.
     pub pack: AssetPack,
     /// What draws.
-    pub gl_device: GlDevice,
+    pub renderer: Renderer,
     /// Compiled scenes kept; each takes some 100 MB with the real assets.
     pub cached_scenes: usize,
 }
@@ -34,9 +34,9 @@ pub struct SimulatorConfig {
 /// A simulator, bound to its thread.
 pub struct Simulator {
     config: SimulatorConfig,
-    /// Latest first. Before the context, which their pictures need.
+    /// Latest first. Before the drawer, which their canvases need.
     scenes: Vec<ReadyScene>,
-    gl: Option<GlContext>,
+    drawer: Option<Drawer>,
 }
 
 /// A compiled scene with what is computed once for it.
@@ -51,13 +51,13 @@ pub(crate) struct ReadyScene {
 }
 
 impl Simulator {
-    /// A simulator without any scene yet. OpenGL is not opened before the first
-    /// frame is drawn.
+    /// A simulator without any scene yet. The renderer is not opened before the
+    /// first frame is drawn.
     pub fn new(config: SimulatorConfig) -> Self {
         Self {
             config,
             scenes: Vec::new(),
-            gl: None,
+            drawer: None,
         }
     }
 
@@ -66,9 +66,9 @@ impl Simulator {
         mujoco::version()
     }
 
-    /// What draws, in the driver's words; opens the context.
-    pub fn gl_renderer(&mut self) -> Result<String, SimError> {
-        Ok(self.gl()?.renderer().to_owned())
+    /// What draws, by its own name; opens it.
+    pub fn renderer_name(&mut self) -> Result<String, SimError> {
+        Ok(self.drawer()?.name().to_owned())
     }
 
     /// Prepares a rollout up to its loaded, perturbed initial state.
@@ -98,18 +98,18 @@ impl Simulator {
         &mut self.scenes[0]
     }
 
-    /// The scene of the rollout in hand, and the context to draw it with.
-    pub(crate) fn ready_to_draw(&mut self) -> Result<(&mut ReadyScene, &GlContext), SimError> {
-        self.gl()?;
-        let gl = self.gl.as_ref().expect("opened above");
-        Ok((&mut self.scenes[0], gl))
+    /// The scene of the rollout in hand, and what draws it.
+    pub(crate) fn ready_to_draw(&mut self) -> Result<(&mut ReadyScene, &Drawer), SimError> {
+        self.drawer()?;
+        let drawer = self.drawer.as_ref().expect("opened above");
+        Ok((&mut self.scenes[0], drawer))
     }
 
-    fn gl(&mut self) -> Result<&GlContext, SimError> {
-        if self.gl.is_none() {
-            self.gl = Some(GlContext::open(self.config.gl_device)?);
+    fn drawer(&mut self) -> Result<&Drawer, SimError> {
+        if self.drawer.is_none() {
+            self.drawer = Some(Drawer::open(self.config.renderer)?);
         }
-        Ok(self.gl.as_ref().expect("just opened"))
+        Ok(self.drawer.as_ref().expect("just opened"))
     }
 
     /// Moves the files' scene to the front, compiling it if need be.

@@ -12,7 +12,7 @@ use scene::{AssetPack, InitialStates, Sources, TaskFiles, compose};
 use serde_json::json;
 use sim::controller::SUBSTEPS;
 use sim::mujoco::Data;
-use sim::{Environment, GlContext, GlDevice};
+use sim::{Drawer, Environment, Renderer};
 use tests::motion::smooth_action;
 
 /// Time the simulator on one task.
@@ -81,12 +81,12 @@ fn main() -> Result<()> {
             steps.push(millis);
         }
     }
-    let gl = GlContext::open(GlDevice::Auto)?;
+    let drawer = Drawer::open(Renderer::default())?;
     let mut frames = serde_json::Map::new();
     for camera in ["agentview", "robot0_eye_in_hand"] {
-        environment.draw(&gl, camera, FRAME, FRAME)?;
+        environment.draw(&drawer, camera, FRAME, FRAME)?;
         let millis = (0..FRAMES).map(|_| {
-            let (millis, frame) = timed(|| environment.draw(&gl, camera, FRAME, FRAME));
+            let (millis, frame) = timed(|| environment.draw(&drawer, camera, FRAME, FRAME));
             frame.map(|_| millis)
         });
         frames.insert(
@@ -102,7 +102,7 @@ fn main() -> Result<()> {
             "task": arguments.task.to_string(),
             "assets": pack.name(),
             "mujoco": sim::mujoco::version(),
-            "renderer": gl.renderer(),
+            "renderer": drawer.name(),
             "rollouts": arguments.rollouts,
             "steps": arguments.steps,
             "compile_cold_ms": round(cold),

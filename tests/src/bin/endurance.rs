@@ -18,7 +18,7 @@ use protocol::{
     Axis, Condition, Level, ManifestRow, Perturbation, Realisation, RolloutId, TaskRef,
 };
 use scene::{AssetPack, Sources};
-use sim::{CameraRequest, GlDevice, ObservationRequest, Simulator, SimulatorConfig};
+use sim::{CameraRequest, ObservationRequest, Renderer, Simulator, SimulatorConfig};
 use tests::motion::smooth_action;
 
 /// Run short rollouts and watch this process's memory.
@@ -80,7 +80,7 @@ fn main() -> ExitCode {
 
 fn run(arguments: &Arguments, tasks: &[TaskRef], rounds: usize) -> Result<()> {
     let mut simulator = simulator(arguments)?;
-    println!("renderer: {}", simulator.gl_renderer()?);
+    println!("renderer: {}", simulator.renderer_name()?);
     let start = Instant::now();
     // At the end of a round the same scenes are in the cache as ever.
     let mut memory = Vec::new();
@@ -140,7 +140,7 @@ fn simulator(arguments: &Arguments) -> Result<Simulator> {
     Ok(Simulator::new(SimulatorConfig {
         pack: AssetPack::open(&arguments.assets, &sources)?,
         sources,
-        gl_device: GlDevice::Auto,
+        renderer: Renderer::default(),
         cached_scenes: arguments.cached_scenes,
     }))
 }

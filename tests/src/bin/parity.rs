@@ -7,7 +7,7 @@ use std::process::ExitCode;
 use anyhow::{Context, Result};
 use clap::Parser;
 use scene::{AssetPack, Sources};
-use sim::{GlContext, GlDevice};
+use sim::{Drawer, Renderer};
 use tests::fidelity::{Findings, Limits, ReferenceTask, compare, find_tasks};
 
 /// Compare the simulator with reference data of the original LIBERO.
@@ -46,16 +46,16 @@ fn run(arguments: &Arguments) -> Result<bool> {
     let sources = Sources::open(&sources)?;
     let pack = AssetPack::open(&arguments.assets, &sources)?;
     let tasks = select(find_tasks(&arguments.reference)?, &arguments.tasks)?;
-    let gl = GlContext::open(GlDevice::Auto)?;
+    let drawer = Drawer::open(Renderer::default())?;
     println!(
         "MuJoCo {}, drawn by {}",
         sim::mujoco::version(),
-        gl.renderer()
+        drawer.name()
     );
     println!("{HEADER}");
     let (mut passed, mut multiples, limits) = (0, Vec::new(), Limits::default());
     for task in &tasks {
-        match compare(task, &sources, &pack, &gl) {
+        match compare(task, &sources, &pack, &drawer) {
             Ok(findings) => {
                 let violations = findings.violations(&limits);
                 println!("{}", row(task, &findings, violations.is_empty()));

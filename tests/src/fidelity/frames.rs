@@ -1,7 +1,7 @@
 //! Frames against the original's.
 
 use anyhow::{Context, Result, ensure};
-use sim::{Environment, GlContext};
+use sim::{Drawer, Environment};
 
 use super::reference::ReferenceTask;
 
@@ -11,17 +11,17 @@ const SIZE: u32 = 256;
 /// Compares frames as the motion passes their instants.
 pub(super) struct Comparison<'a> {
     task: &'a ReferenceTask,
-    gl: &'a GlContext,
+    drawer: &'a Drawer,
     equal: f64,
     channel: u8,
     seen: usize,
 }
 
 impl<'a> Comparison<'a> {
-    pub(super) fn new(task: &'a ReferenceTask, gl: &'a GlContext) -> Self {
+    pub(super) fn new(task: &'a ReferenceTask, drawer: &'a Drawer) -> Self {
         Self {
             task,
-            gl,
+            drawer,
             equal: 1.0,
             channel: 0,
             seen: 0,
@@ -50,7 +50,7 @@ impl<'a> Comparison<'a> {
                 "{} is not 256 × 256",
                 path.display()
             );
-            let frame = environment.draw(self.gl, camera, SIZE, SIZE)?;
+            let frame = environment.draw(self.drawer, camera, SIZE, SIZE)?;
             let mut equal = 0;
             for (ours, theirs) in frame.rgb.chunks_exact(3).zip(expected.chunks_exact(3)) {
                 equal += usize::from(ours == theirs);

@@ -8,7 +8,7 @@ mod table;
 use protocol::{ManifestRow, Perturbation, Realisation, RolloutId, Suite, TaskRef};
 use scene::{Problem, TaskFiles};
 use sim::episode::NO_OP;
-use sim::{Episode, GlDevice, Simulator, SimulatorConfig};
+use sim::{Episode, Renderer, Simulator, SimulatorConfig};
 use tests::files::{primitives, sources};
 
 use hand::reach_goal;
@@ -27,7 +27,7 @@ fn check_suite(suite: Suite) {
     let mut simulator = Simulator::new(SimulatorConfig {
         pack: primitives(&sources),
         sources: sources.clone(),
-        gl_device: GlDevice::Auto,
+        renderer: Renderer::default(),
         cached_scenes: 1,
     });
     let mut problems = Vec::new();

@@ -6,7 +6,7 @@ use std::time::Duration;
 use npyz::npz::NpzArchive;
 use protocol::Realisation;
 use scene::{AssetPack, Sources};
-use sim::{GlDevice, SimulatorConfig};
+use sim::{Renderer, SimulatorConfig};
 
 use super::*;
 use crate::message::{VideoOf, VideoOrder};
@@ -58,7 +58,7 @@ fn simulator(sources: Sources) -> Simulator {
     Simulator::new(SimulatorConfig {
         pack: AssetPack::open("primitives", &sources).expect("built in"),
         sources,
-        gl_device: GlDevice::Auto,
+        renderer: Renderer::default(),
         cached_scenes: 1,
     })
 }
@@ -156,7 +156,7 @@ fn both_cameras_first_and_last_pictures_are_kept_though_nobody_looked() {
         output: folder.path(),
     };
     let mut simulator = simulator(sources);
-    if let Err(error) = simulator.gl_renderer() {
+    if let Err(error) = simulator.renderer_name() {
         println!("skipped {test}: failed to {error}");
         return;
     }
