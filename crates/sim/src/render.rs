@@ -3,9 +3,11 @@
 
 mod gl;
 mod gl_context;
+mod software;
 
 use gl::GlCanvas;
 pub use gl_context::{GlContext, GlDevice};
+use software::SoftwareCanvas;
 
 use crate::error::SimError;
 use crate::mujoco::{Data, Model};
@@ -16,20 +18,19 @@ const MAX_GEOMS: i32 = 1000;
 const COLLISION_GROUP: usize = 0;
 
 /// Which renderer draws.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Renderer {
+    /// Our own: the same bits on every machine, without OpenGL.
+    #[default]
+    Software,
     /// MuJoCo's, through OpenGL on a device.
     Gl(GlDevice),
 }
 
-impl Default for Renderer {
-    fn default() -> Self {
-        Self::Gl(GlDevice::Auto)
-    }
-}
-
 /// A renderer that is ready to draw, on the thread that opened it.
 pub enum Drawer {
+    /// Our own, by its name.
+    Software(String),
     /// MuJoCo's.
     Gl(GlContext),
 }
@@ -41,13 +42,19 @@ impl Drawer {
     /// Where OpenGL is asked for and no device gives a context.
     pub fn open(renderer: Renderer) -> Result<Self, SimError> {
         match renderer {
+            Renderer::Software => Ok(Self::Software(format!(
+                "rollout-raster {}",
+                raster::VERSION
+            ))),
             Renderer::Gl(device) => Ok(Self::Gl(GlContext::open(device)?)),
         }
     }
 
-    /// What draws: of OpenGL the driver's words, for example `llvmpipe (…)`.
+    /// What draws, with its version: `rollout-raster 1`, or of OpenGL the driver's
+    /// words, for example `llvmpipe (…)`.
     pub fn name(&self) -> &str {
         match self {
+            Self::Software(name) => name,
             Self::Gl(context) => context.renderer(),
         }
     }
@@ -55,6 +62,7 @@ impl Drawer {
 
 /// What a renderer keeps to draw one scene.
 pub(crate) enum Canvas {
+    Software(Box<SoftwareCanvas>),
     Gl(GlCanvas),
 }
 
@@ -68,6 +76,7 @@ impl Canvas {
         height: u32,
     ) -> Result<Self, SimError> {
         match drawer {
+            Drawer::Software(_) => Ok(Self::Software(Box::new(SoftwareCanvas::new(model)?))),
             Drawer::Gl(context) => GlCanvas::new(context, model, width, height).map(Self::Gl),
         }
     }
@@ -75,7 +84,9 @@ impl Canvas {
     /// Whether this was made for the renderer, and a picture of this size fits.
     pub(crate) fn suits(&self, drawer: &Drawer, width: u32, height: u32) -> bool {
         match (self, drawer) {
+            (Self::Software(_), Drawer::Software(_)) => true,
             (Self::Gl(canvas), Drawer::Gl(_)) => canvas.holds(width, height),
+            _ => false,
         }
     }
 
@@ -89,6 +100,7 @@ impl Canvas {
         height: u32,
     ) -> Result<Vec<u8>, SimError> {
         match self {
+            Self::Software(canvas) => canvas.draw(model, data, camera, width, height),
             Self::Gl(canvas) => Ok(canvas.draw(model, data, camera, width, height)),
         }
     }

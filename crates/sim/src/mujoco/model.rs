@@ -209,7 +209,49 @@ impl Model {
         global.offheight = global.offheight.max(height as i32);
     }
 
+    /// Its textures.
+    pub(crate) fn textures(&self) -> impl Iterator<Item = TextureData<'_>> {
+        let raw = self.raw();
+        // SAFETY: the fields point at so many values while the model lives; a
+        // model without textures may have null pointers.
+        let of = |pointer: *const i32| unsafe { values(pointer, raw.ntex) };
+        let (kinds, spaces) = (of(raw.tex_type), of(raw.tex_colorspace));
+        let (widths, heights) = (of(raw.tex_width), of(raw.tex_height));
+        let (channels, starts) = (of(raw.tex_nchannel), of(raw.tex_adr));
+        // SAFETY: as above.
+        let texels = unsafe { values(raw.tex_data.cast_const(), raw.ntexdata) };
+        (0..kinds.len()).map(move |at| {
+            let (width, height) = (widths[at] as usize, heights[at] as usize);
+            let channels = channels[at] as usize;
+            TextureData {
+                kind: kinds[at],
+                colorspace: spaces[at],
+                width,
+                height,
+                channels,
+                texels: &texels[starts[at] as usize..][..width * height * channels],
+            }
+        })
+    }
+
+    /// Its meshes.
+    pub(crate) fn meshes(&self) -> Meshes<'_> {
+        Meshes(self.raw())
+    }
+
     slices! {
+        /// Geom types (`mjtGeom`).
+        geom_type: i32 = ngeom * 1;
+        /// Geom half extents, m.
+        geom_size: f64 = ngeom * 3;
+        /// Material of each geom, or -1.
+        geom_matid: i32 = ngeom * 1;
+        /// Textures of each material by role, or -1.
+        mat_texid: i32 = nmat * 10;
+        /// How often a material's texture repeats along x and y.
+        mat_texrepeat: f32 = nmat * 2;
+        /// Whether it repeats by metres.
+        mat_texuniform: u8 = nmat * 1;
         /// Joint types (`mjtJoint`).
         jnt_type: i32 = njnt * 1;
         /// First position coordinate of each joint.
@@ -262,6 +304,91 @@ impl Model {
         /// As the shared slice, to be changed.
         site_rgba_mut: site_rgba: f32 = nsite * 4;
     }
+}
+
+/// A texture as it was compiled.
+pub(crate) struct TextureData<'a> {
+    /// `mjtTexture`.
+    pub(crate) kind: i32,
+    /// `mjtColorSpace`.
+    pub(crate) colorspace: i32,
+    pub(crate) width: usize,
+    pub(crate) height: usize,
+    pub(crate) channels: usize,
+    pub(crate) texels: &'a [u8],
+}
+
+/// Meshes as they were compiled.
+pub(crate) struct Meshes<'a>(&'a c::mjModel);
+
+/// A mesh; faces name the vertices, normals and texture coordinates of their
+/// three corners.
+pub(crate) struct MeshData<'a> {
+    pub(crate) vertices: &'a [f32],
+    pub(crate) normals: &'a [f32],
+    pub(crate) texture_coordinates: Option<&'a [f32]>,
+    pub(crate) faces: &'a [i32],
+    pub(crate) face_normals: &'a [i32],
+    pub(crate) face_texture_coordinates: &'a [i32],
+}
+
+impl<'a> Meshes<'a> {
+    /// How many there are.
+    pub(crate) fn count(&self) -> usize {
+        self.0.nmesh as usize
+    }
+
+    /// One of them.
+    pub(crate) fn get(&self, index: usize) -> MeshData<'a> {
+        let raw = self.0;
+        // SAFETY: the fields point at so many values while the model lives; a
+        // model without meshes may have null pointers.
+        unsafe {
+            let of = |pointer: *const i32| values(pointer, raw.nmesh)[index];
+            let part = |pointer: *const f32, count: i32, start: i32, length: i32, width: usize| {
+                &values(pointer, count * width as i32)[start as usize * width..]
+                    [..length as usize * width]
+            };
+            let (first, length) = (of(raw.mesh_faceadr), of(raw.mesh_facenum));
+            let faces = |pointer: *const i32| {
+                &values(pointer, raw.nmeshface * 3)[first as usize * 3..][..length as usize * 3]
+            };
+            let (start, count) = (of(raw.mesh_texcoordadr), of(raw.mesh_texcoordnum));
+            MeshData {
+                vertices: part(
+                    raw.mesh_vert,
+                    raw.nmeshvert,
+                    of(raw.mesh_vertadr),
+                    of(raw.mesh_vertnum),
+                    3,
+                ),
+                normals: part(
+                    raw.mesh_normal,
+                    raw.nmeshnormal,
+                    of(raw.mesh_normaladr),
+                    of(raw.mesh_normalnum),
+                    3,
+                ),
+                texture_coordinates: (start >= 0)
+                    .then(|| part(raw.mesh_texcoord, raw.nmeshtexcoord, start, count, 2)),
+                faces: faces(raw.mesh_face),
+                face_normals: faces(raw.mesh_facenormal),
+                face_texture_coordinates: faces(raw.mesh_facetexcoord),
+            }
+        }
+    }
+}
+
+/// So many values; none of a null pointer.
+///
+/// # Safety
+/// The pointer is null, or points at so many values that outlive `'a`.
+unsafe fn values<'a, T>(pointer: *const T, count: i32) -> &'a [T] {
+    if pointer.is_null() || count <= 0 {
+        return &[];
+    }
+    // SAFETY: what the caller promises.
+    unsafe { std::slice::from_raw_parts(pointer, count as usize) }
 }
 
 impl Drop for Model {

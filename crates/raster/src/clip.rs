@@ -1,0 +1,170 @@
+//! Cutting triangles at the sides of what the camera sees, in clip space and in
+//! Mesa's order. Few triangles reach there, so this takes them one by one.
+
+use crate::instance::Instance;
+use crate::matrix::Vec3;
+
+/// A corner that came out of cutting.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct ClippedCorner {
+    /// Place in the picture, pixels, and depth.
+    pub(crate) window: [f32; 3],
+    pub(crate) over_w: f32,
+    /// How much it has of each of the whole triangle's corners.
+    pub(crate) shares: [f32; 3],
+}
+
+/// A piece of a triangle.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct ClippedTriangle {
+    /// The whole one's place in its mesh, and where its cluster's positions
+    /// start.
+    pub(crate) triangle: u32,
+    pub(crate) positions: u32,
+    /// In the order in which the whole one's are drawn.
+    pub(crate) corners: [ClippedCorner; 3],
+}
+
+/// A corner in clip space.
+#[derive(Clone, Copy)]
+struct Corner {
+    pos: [f32; 4],
+    shares: [f32; 3],
+    /// Of whole triangles' corners, which were not divided by w yet.
+    fused: bool,
+}
+
+/// Sides of what the camera sees, and a mirror's plane.
+const SIDES: usize = 7;
+const SIDE_PLANES: [[f32; 4]; SIDES - 1] = [
+    [-1.0, 0.0, 0.0, 1.0],
+    [1.0, 0.0, 0.0, 1.0],
+    [0.0, -1.0, 0.0, 1.0],
+    [0.0, 1.0, 0.0, 1.0],
+    [0.0, 0.0, 1.0, 0.0],
+    [0.0, 0.0, -1.0, 1.0],
+];
+
+/// Cuts a triangle at the sides whose bits are set; `half` is half the
+/// picture's size, pixels.
+pub(crate) fn clip(
+    instance: &Instance,
+    corners: [Vec3; 3],
+    beyond: i32,
+    plane: Option<[f32; 4]>,
+    half: [f32; 2],
+) -> Vec<ClippedTriangle> {
+    let mut polygon: Vec<Corner> = corners
+        .iter()
+        .enumerate()
+        .map(|(at, pos)| Corner {
+            pos: carried(instance, *pos),
+            shares: std::array::from_fn(|share| if share == at { 1.0 } else { 0.0 }),
+            fused: true,
+        })
+        .collect();
+    for side in (0..SIDES).filter(|side| beyond & (1 << side) != 0) {
+        let Some(normal) = SIDE_PLANES.get(side).copied().or(plane) else {
+            continue;
+        };
+        polygon = match cut(&polygon, normal) {
+            Some(polygon) => polygon,
+            None => return Vec::new(),
+        };
+    }
+    let finished: Vec<ClippedCorner> = polygon.iter().map(|it| finish(it, half)).collect();
+    let visible = |corners: &[ClippedCorner; 3]| {
+        corners
+            .iter()
+            .all(|it| it.window.iter().all(|part| part.is_finite()))
+    };
+    (2..finished.len())
+        .map(|last| [finished[last - 1], finished[last], finished[0]])
+        .filter(visible)
+        .map(|corners| ClippedTriangle {
+            triangle: 0,
+            positions: 0,
+            corners,
+        })
+        .collect()
+}
+
+fn carried(instance: &Instance, [x, y, z]: Vec3) -> [f32; 4] {
+    let m = &instance.to_clip.0;
+    std::array::from_fn(|row| x * m[row] + y * m[row + 4] + z * m[row + 8] + m[row + 12])
+}
+
+/// The part of a polygon on the inner side; none if that cannot be told.
+fn cut(polygon: &[Corner], plane: [f32; 4]) -> Option<Vec<Corner>> {
+    let distance = |it: &Corner| {
+        let p = it.pos;
+        p[0] * plane[0] + p[1] * plane[1] + p[2] * plane[2] + p[3] * plane[3]
+    };
+    let mut kept = Vec::with_capacity(polygon.len() + 1);
+    let mut last = polygon.first()?;
+    let mut last_distance = distance(last);
+    for corner in polygon.iter().skip(1).chain(polygon.first()) {
+        let here = distance(corner);
+        if !here.is_finite() || !last_distance.is_finite() {
+            return None;
+        }
+        if last_distance >= 0.0 {
+            kept.push(*last);
+        }
+        if (last_distance >= 0.0) != (here >= 0.0) {
+            // From the nearer corner, for precision.
+            let between = here - last_distance;
+            let from_here = match here < 0.0 {
+                true => -here < last_distance,
+                false => -last_distance >= here,
+            };
+            kept.push(match from_here {
+                true => toward(corner, last, here / between),
+                false => toward(last, corner, -last_distance / between),
+            });
+        }
+        (last, last_distance) = (corner, here);
+    }
+    Some(kept)
+}
+
+/// From one corner so far towards another.
+fn toward(from: &Corner, to: &Corner, share: f32) -> Corner {
+    let mix = |from: f32, to: f32| from + share * (to - from);
+    Corner {
+        pos: std::array::from_fn(|at| mix(from.pos[at], to.pos[at])),
+        shares: std::array::from_fn(|at| mix(from.shares[at], to.shares[at])),
+        fused: false,
+    }
+}
+
+/// Divides by w and carries into the picture. Mesa fuses the last operation for
+/// corners of whole triangles only.
+fn finish(it: &Corner, half: [f32; 2]) -> ClippedCorner {
+    let over_w = 1.0 / it.pos[3];
+    let place = |axis: usize| {
+        let share = it.pos[axis] * over_w;
+        match it.fused {
+            true => share.mul_add(half[axis], half[axis]),
+            false => share * half[axis] + half[axis],
+        }
+    };
+    ClippedCorner {
+        window: [place(0), place(1), it.pos[2] * over_w],
+        over_w,
+        shares: it.shares,
+    }
+}
+
+/// [`Slopes`](crate::raster::Slopes) of one triangle.
+pub(crate) fn slopes(x: &[f32; 3], y: &[f32; 3], values: &[f32; 3]) -> (f32, f32, f32) {
+    let (dx01, dy01) = (x[0] - x[1], y[0] - y[1]);
+    let (dx20, dy20) = (x[2] - x[0], y[2] - y[0]);
+    let over_area = 1.0 / (dx01 * dy20 - dy01 * dx20);
+    let (dx01, dy01) = (dx01 * over_area, dy01 * over_area);
+    let (dx20, dy20) = (dx20 * over_area, dy20 * over_area);
+    let (d01, d20) = (values[0] - values[1], values[2] - values[0]);
+    let per_x = d01 * dy20 - d20 * dy01;
+    let per_y = d20 * dx01 - d01 * dx20;
+    (values[0] - (per_x * x[0] + per_y * y[0]), per_x, per_y)
+}

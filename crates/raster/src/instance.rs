@@ -1,0 +1,310 @@
+//! One pass of a frame, and the meshes in it: with the matrices that carry them
+//! to the picture, and what they look like.
+
+use crate::matrix::{Matrix, Vec3, minus};
+use crate::mesh::Mesh;
+use crate::model::Model;
+use crate::scene::{Camera, Geom, Shape, TextureUse};
+use crate::texture::TextureKind;
+
+/// From the world to the picture.
+#[derive(Debug, Clone)]
+pub(crate) struct View {
+    pub(crate) projection: Matrix,
+    pub(crate) world_to_eye: Matrix,
+    /// Where the camera is, world frame.
+    pub(crate) head: Vec3,
+    /// Whether left and right are swapped, as in a mirror.
+    pub(crate) mirrored: bool,
+    /// What lies beyond this plane of clip space is cut off.
+    pub(crate) clip: Option<[f32; 4]>,
+    pub(crate) orthographic: bool,
+    pub(crate) far: f32,
+}
+
+impl View {
+    pub(crate) fn new(camera: &Camera, width: usize, height: usize) -> Self {
+        let half_width = match camera.half_width {
+            0.0 => 0.5 * (width as f32) / (height as f32) * (camera.top - camera.bottom),
+            given => given,
+        };
+        let sides = [camera.center - half_width, camera.center + half_width];
+        let (ends, depths) = ([camera.bottom, camera.top], [camera.near, camera.far]);
+        let projection = match camera.orthographic {
+            true => Matrix::orthographic(sides, ends, depths),
+            false => Matrix::perspective(sides, ends, depths),
+        };
+        Self {
+            projection,
+            world_to_eye: Matrix::look_at(camera.pos, camera.forward, camera.up),
+            head: camera.pos,
+            mirrored: false,
+            clip: None,
+            orthographic: camera.orthographic,
+            far: camera.far,
+        }
+    }
+
+    /// What a mirror through `pos` with this normal shows, and nothing on this
+    /// side of it.
+    pub(crate) fn in_mirror(&self, pos: Vec3, normal: Vec3) -> Self {
+        let plane = [
+            -normal[0],
+            -normal[1],
+            -normal[2],
+            pos[0] * normal[0] + pos[1] * normal[1] + pos[2] * normal[2],
+        ];
+        Self {
+            world_to_eye: self.world_to_eye.times(&Matrix::mirror(pos, normal)),
+            mirrored: !self.mirrored,
+            clip: self.plane_in_clip_space(plane),
+            ..self.clone()
+        }
+    }
+
+    /// A plane of the world as one of clip space.
+    fn plane_in_clip_space(&self, [a, b, c, d]: [f32; 4]) -> Option<[f32; 4]> {
+        let view = &self.world_to_eye;
+        let turn = view.inverse_of_linear_part()?;
+        // The normal turns with the rotation; the offset follows from a point.
+        let normal: Vec3 =
+            std::array::from_fn(|row| turn[row] * a + turn[3 + row] * b + turn[6 + row] * c);
+        let shift = [view.0[12], view.0[13], view.0[14]];
+        let offset = d - (normal[0] * shift[0] + normal[1] * shift[1] + normal[2] * shift[2]);
+        let p = &self.projection.0;
+        let (x, y) = (normal[0] / p[0], normal[1] / p[5]);
+        let (z, w) = if self.orthographic {
+            let z = normal[2] / p[10];
+            (z, offset - x * p[12] - y * p[13] - z * p[14])
+        } else {
+            let z = offset / p[14];
+            (z, (normal[2] - x * p[8] - y * p[9] - z * p[10]) / p[11])
+        };
+        Some([x, y, z, w])
+    }
+}
+
+/// Where a texture lies on what is drawn.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Mapping {
+    /// Nowhere.
+    None,
+    /// Flat, where the mesh's corners say.
+    Corners,
+    /// Flat, over x and y, scaled so.
+    Flat([f32; 2]),
+    /// A cube, in the direction from the centre, scaled so.
+    Cube([f32; 3]),
+    /// A cube around everything.
+    Sky,
+}
+
+/// A mesh in a pass.
+#[derive(Debug, Clone)]
+pub(crate) struct Instance {
+    pub(crate) mesh: MeshOf,
+    /// Its geom's place in the scene.
+    pub(crate) geom: usize,
+    pub(crate) to_eye: Matrix,
+    pub(crate) to_clip: Matrix,
+    /// Inverse of the upper left of `to_eye`, row by row.
+    pub(crate) normals: [f32; 9],
+    /// Where the eye is in the mesh's frame, or where it looks to if it is
+    /// infinitely far away.
+    pub(crate) eye: Vec3,
+    /// Whether the front of a triangle shows its corners counter-clockwise.
+    pub(crate) counter_clockwise: bool,
+    /// Whether the other side of its triangles is drawn than shows to an eye
+    /// outside.
+    pub(crate) inside_out: bool,
+    /// Whether lights make its colour; white otherwise.
+    pub(crate) is_lit: bool,
+    pub(crate) rgba: [f32; 4],
+    pub(crate) emission: f32,
+    pub(crate) specular: f32,
+    pub(crate) shininess: f32,
+    pub(crate) texture: Option<usize>,
+    pub(crate) mapping: Mapping,
+    /// Distance of its middle, squared, for drawing what is near first.
+    pub(crate) distance: f32,
+    /// Its place in the order in which OpenGL would draw.
+    pub(crate) rank: u32,
+}
+
+/// Names a mesh of a model.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum MeshOf {
+    Mesh(usize),
+    Plane(usize),
+    Rectangle,
+    Cuboid,
+    Sphere,
+    UpperHalf,
+    LowerHalf,
+    Cylinder,
+    OpenCylinder,
+}
+
+impl MeshOf {
+    pub(crate) fn of(self, model: &Model) -> &Mesh {
+        match self {
+            Self::Mesh(index) => &model.meshes[index],
+            Self::Plane(index) => &model.planes[index],
+            Self::Rectangle => &model.shapes.rectangle,
+            Self::Cuboid => &model.shapes.cuboid,
+            Self::Sphere => &model.shapes.sphere,
+            Self::UpperHalf => &model.shapes.upper_half,
+            Self::LowerHalf => &model.shapes.lower_half,
+            Self::Cylinder => &model.shapes.cylinder,
+            Self::OpenCylinder => &model.shapes.open_cylinder,
+        }
+    }
+}
+
+/// Adds what a geom consists of.
+pub(crate) fn add(geom: usize, it: &Geom, view: &View, model: &Model, into: &mut Vec<Instance>) {
+    let placed = view
+        .world_to_eye
+        .translated(it.pos)
+        .times(&Matrix::rotation(&it.mat));
+    let [x, y, z] = it.size;
+    let behind = is_plane(it) && is_behind(view.head, it);
+    let mut add = |mesh: MeshOf, to_eye: Matrix| {
+        let Some(mut instance) = Instance::new(mesh, geom, to_eye, view, model) else {
+            return;
+        };
+        instance.counter_clockwise = view.mirrored == behind;
+        instance.inside_out = behind;
+        instance.rank = into.len() as u32;
+        instance.rgba = it.rgba;
+        if behind {
+            // In double precision, as C multiplies by such a constant.
+            instance.rgba[3] = (f64::from(instance.rgba[3]) * 0.3) as f32;
+        }
+        instance.emission = it.emission;
+        instance.specular = it.specular;
+        instance.shininess = it.shininess * 128.0;
+        if let Some(used) = it.texture {
+            instance.texture = Some(used.texture);
+            instance.mapping = mapping(it, &used, model);
+        }
+        into.push(instance);
+    };
+    match it.shape {
+        Shape::Mesh(index) => add(MeshOf::Mesh(index), placed),
+        Shape::Plane(index) => add(MeshOf::Plane(index), placed),
+        Shape::Rectangle => add(MeshOf::Rectangle, placed.scaled([x, y, 1.0])),
+        Shape::Box => add(MeshOf::Cuboid, placed.scaled(it.size)),
+        Shape::Ellipsoid => add(MeshOf::Sphere, placed.scaled(it.size)),
+        Shape::Cylinder => add(MeshOf::Cylinder, placed.scaled(it.size)),
+        Shape::Capsule => {
+            let radius = (0.5 * f64::from(x + y)) as f32;
+            let middle = placed.scaled(it.size);
+            add(MeshOf::OpenCylinder, middle);
+            let above =
+                middle
+                    .scaled([1.0, 1.0, radius / z])
+                    .translated([0.0, 0.0, (z - radius) / radius]);
+            add(MeshOf::UpperHalf, above);
+            let below = above.translated([0.0, 0.0, 2.0 * (radius - z) / radius]);
+            add(MeshOf::LowerHalf, below);
+        }
+    }
+}
+
+/// The sky: a cylinder around the head, seen from inside.
+pub(crate) fn sky(texture: usize, view: &View, model: &Model) -> Option<Instance> {
+    // Just below the reciprocal of √2, so that no corner is beyond the far plane.
+    let size = (f64::from(view.far) * f64::from(0.70f32)) as f32;
+    let placed = view.world_to_eye.translated(view.head).scaled([size; 3]);
+    let mut sky = Instance::new(MeshOf::Cylinder, usize::MAX, placed, view, model)?;
+    sky.counter_clockwise = false;
+    sky.inside_out = true;
+    sky.is_lit = false;
+    sky.rank = u32::MAX;
+    sky.texture = Some(texture);
+    sky.mapping = Mapping::Sky;
+    Some(sky)
+}
+
+impl Instance {
+    /// None if nothing of the mesh can be seen, whatever the camera looks at.
+    fn new(mesh: MeshOf, geom: usize, to_eye: Matrix, view: &View, model: &Model) -> Option<Self> {
+        let bounds = mesh.of(model).bounds;
+        let finite = to_eye.0.iter().all(|value| value.is_finite());
+        if bounds.radius == 0.0 || !finite {
+            return None;
+        }
+        // Mesa takes the identity for the inverse of what has none.
+        const IDENTITY: [f32; 9] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+        let inverse = to_eye.inverse_of_linear_part();
+        let normals = inverse.unwrap_or(IDENTITY);
+        let shift = [to_eye.0[12], to_eye.0[13], to_eye.0[14]];
+        let back = |v: Vec3| -> Vec3 {
+            std::array::from_fn(|row| {
+                normals[3 * row] * v[0] + normals[3 * row + 1] * v[1] + normals[3 * row + 2] * v[2]
+            })
+        };
+        // What is no number hides nothing.
+        let eye = match (inverse, view.orthographic) {
+            (None, _) => [f32::NAN; 3],
+            (_, true) => back([0.0, 0.0, -1.0]),
+            (_, false) => back(shift.map(|part| -part)),
+        };
+        let middle = to_eye.point(bounds.center);
+        Some(Self {
+            mesh,
+            geom,
+            to_clip: view.projection.times(&to_eye),
+            normals,
+            eye,
+            to_eye,
+            counter_clockwise: true,
+            inside_out: false,
+            is_lit: true,
+            rgba: [1.0; 4],
+            emission: 0.0,
+            specular: 0.0,
+            shininess: 0.0,
+            texture: None,
+            mapping: Mapping::None,
+            rank: 0,
+            distance: middle[0] * middle[0] + middle[1] * middle[1] + middle[2] * middle[2],
+        })
+    }
+}
+
+pub(crate) fn is_plane(geom: &Geom) -> bool {
+    matches!(geom.shape, Shape::Plane(_) | Shape::Rectangle)
+}
+
+/// Whether a head is below the geom's xy plane.
+pub(crate) fn is_behind(head: Vec3, geom: &Geom) -> bool {
+    let off = minus(head, geom.pos);
+    off[0] * geom.mat[2] + off[1] * geom.mat[5] + off[2] * geom.mat[8] < 0.0
+}
+
+fn mapping(geom: &Geom, used: &TextureUse, model: &Model) -> Mapping {
+    let kind = model.textures[used.texture].kind;
+    let is_own_size = matches!(geom.shape, Shape::Mesh(_) | Shape::Plane(_));
+    match kind {
+        TextureKind::Flat { .. } if used.by_corner => Mapping::Corners,
+        TextureKind::Flat { .. } => {
+            let mut scale = used.repeat;
+            for (axis, scale) in scale.iter_mut().enumerate() {
+                let size = geom.size[axis];
+                if is_own_size && size > 0.0 {
+                    *scale = (f64::from(*scale) / f64::from(size).max(1e-15)) as f32;
+                }
+                if used.uniform && size > 0.0 {
+                    *scale *= size;
+                }
+            }
+            Mapping::Flat([
+                (0.5 * f64::from(scale[0])) as f32,
+                (-0.5 * f64::from(scale[1])) as f32,
+            ])
+        }
+        TextureKind::Cube => Mapping::Cube(if used.uniform { geom.size } else { [1.0; 3] }),
+    }
+}

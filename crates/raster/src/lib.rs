@@ -1,0 +1,38 @@
+//! MuJoCo's classic look, drawn in software: triangles, lights, textures,
+//! mirrors and glass, as MuJoCo's renderer draws them through Mesa's software
+//! OpenGL, with the same bits on every machine. No OpenGL, no MuJoCo: a
+//! [`Model`] is prepared once, a [`Scene`] is drawn on a [`Canvas`].
+//!
+//! Every operation is one of IEEE 754's, in a stated order: sums, products,
+//! quotients, square roots, and fused multiply-adds where they are called so.
+//! None is approximate, none depends on how many lanes a processor has.
+
+#![forbid(unsafe_code)]
+
+mod canvas;
+mod clip;
+mod error;
+mod instance;
+mod lanes;
+mod light;
+mod matrix;
+mod mesh;
+mod model;
+mod raster;
+mod sample;
+mod scene;
+mod shade;
+mod shapes;
+mod surface;
+mod texture;
+
+pub use canvas::Canvas;
+pub use error::{DrawError, ModelError};
+pub use mesh::{Corner, Mesh, MeshBuilder};
+pub use model::Model;
+pub use scene::{Camera, Geom, Light, LightKind, Scene, Shape, TextureUse};
+pub use shapes::{Quality, mesh_triangle, plane, plane_grid};
+pub use texture::{Texture, TextureKind};
+
+/// Changes whenever any frame of any scene changes by a bit.
+pub const VERSION: u32 = 1;

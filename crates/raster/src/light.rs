@@ -1,0 +1,299 @@
+//! OpenGL's lighting of vertices, as Mesa's vertex programs do it: a local
+//! viewer, one side, highlights added before the texture. Eight corners at a
+//! time.
+
+use crate::instance::{Instance, View};
+use crate::lanes::{F, Floats as _, I, Ints as _};
+use crate::matrix::{Vec3, dot};
+use crate::scene::{Light, LightKind};
+
+/// Lights that OpenGL has.
+pub(crate) const MOST_LIGHTS: usize = 8;
+/// Light that reaches everything in a scene without lights.
+const AMBIENT_WITHOUT_LIGHTS: f32 = 0.3;
+/// Largest exponent of a highlight.
+const MOST_SHININESS: f32 = 128.0;
+
+/// A light as an eye has it.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct EyeLight {
+    /// Where it is; or of a directional one where its light comes from.
+    place: Vec3,
+    cone: Option<Cone>,
+    is_directional: bool,
+    /// Attenuation with distance, where there is any.
+    attenuation: Option<Vec3>,
+    ambient: Vec3,
+    diffuse: Vec3,
+    specular: Vec3,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Cone {
+    axis: Vec3,
+    cosine: f32,
+    exponent: f32,
+}
+
+/// Of unit length, unless it has none; by Mesa's operations.
+fn unit(v: Vec3) -> Vec3 {
+    let square = dot(v, v);
+    if square == 0.0 {
+        return v;
+    }
+    let scale = 1.0 / square.sqrt();
+    v.map(|part| part * scale)
+}
+
+impl EyeLight {
+    pub(crate) fn new(light: &Light, view: &View) -> Self {
+        let (place, cone, attenuation) = match light.kind {
+            LightKind::Directional => {
+                let towards = light.dir.map(|part| -part);
+                (unit(view.world_to_eye.direction(towards)), None, None)
+            }
+            LightKind::Spot {
+                cutoff,
+                exponent,
+                attenuation,
+            } => {
+                let axis = unit(unit(view.world_to_eye.direction(light.dir)));
+                let radians = f64::from(cutoff) * std::f64::consts::PI / 180.0;
+                let cone = Cone {
+                    axis,
+                    cosine: libm::cosf(radians as f32).max(0.0),
+                    exponent,
+                };
+                (
+                    view.world_to_eye.point(light.pos),
+                    (cutoff != 180.0).then_some(cone),
+                    (attenuation != [1.0, 0.0, 0.0]).then_some(attenuation),
+                )
+            }
+        };
+        Self {
+            place,
+            cone,
+            is_directional: light.kind == LightKind::Directional,
+            attenuation,
+            ambient: light.ambient,
+            diffuse: light.diffuse,
+            specular: light.specular,
+        }
+    }
+}
+
+/// What an instance's material makes of the lights.
+#[derive(Debug, Clone)]
+pub(crate) struct Shading<'a> {
+    lights: &'a [EyeLight],
+    /// What it shows without any.
+    base: Vec3,
+    products: [[Vec3; 3]; MOST_LIGHTS],
+    shininess: f32,
+}
+
+impl<'a> Shading<'a> {
+    pub(crate) fn new(instance: &Instance, lights: &'a [EyeLight]) -> Self {
+        let [r, g, b, _] = instance.rgba;
+        let colour = [r, g, b];
+        let everywhere = if lights.is_empty() {
+            AMBIENT_WITHOUT_LIGHTS
+        } else {
+            0.0
+        };
+        let times = |light: Vec3, material: Vec3| -> Vec3 {
+            std::array::from_fn(|channel| light[channel] * material[channel])
+        };
+        Self {
+            lights,
+            base: colour.map(|part| everywhere * part + instance.emission * part),
+            products: std::array::from_fn(|at| {
+                lights.get(at).map_or([[0.0; 3]; 3], |light| {
+                    [
+                        times(light.ambient, colour),
+                        times(light.diffuse, colour),
+                        times(light.specular, [instance.specular; 3]),
+                    ]
+                })
+            }),
+            shininess: instance.shininess,
+        }
+    }
+}
+
+type Vec3x8 = [F; 3];
+
+/// The last part first, as Mesa adds up.
+#[inline(always)]
+fn dot8(a: Vec3x8, b: Vec3x8) -> F {
+    a[2] * b[2] + a[1] * b[1] + a[0] * b[0]
+}
+
+#[inline(always)]
+fn unit8(v: Vec3x8) -> Vec3x8 {
+    let scale = F::splat(1.0) / dot8(v, v).sqrt();
+    v.map(|part| part * scale)
+}
+
+#[inline(always)]
+fn minus8(a: Vec3x8, b: Vec3x8) -> Vec3x8 {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+/// The colours of corners at `pos` with `normal`, both as the eye has them, the
+/// latter of any length.
+#[inline(always)]
+pub(crate) fn shade(
+    shading: &Shading<'_>,
+    pos: Vec3x8,
+    normal: Vec3x8,
+) -> Vec3x8 {
+    let splat = |value: f32| F::splat(value);
+    let (zero, one) = (splat(0.0), splat(1.0));
+    let vec = |v: Vec3| v.map(splat);
+    let normal = unit8(normal);
+    let has_highlights = shading.shininess != 0.0;
+    let towards_pos = unit8(pos);
+    let mut colour = vec(shading.base);
+    for (light, products) in shading.lights.iter().zip(&shading.products) {
+        let [ambient, diffuse, specular] = products.map(vec);
+        let (to_light, attenuation) = if light.is_directional {
+            (vec(light.place), None)
+        } else {
+            let off = minus8(vec(light.place), pos);
+            let over_distance = one / dot8(off, off).sqrt();
+            let to_light = off.map(|part| part * over_distance);
+            (to_light, attenuated(light, to_light, over_distance))
+        };
+        let facing = dot8(normal, to_light);
+        let (is_lit, lit) = (facing.gt(zero), facing.max(zero));
+        // Without a shininess, Mesa's program reads the same number in its place.
+        let (near, exponent) = if has_highlights {
+            let half = unit8(minus8(to_light, towards_pos));
+            (
+                dot8(normal, half),
+                splat(shading.shininess.min(MOST_SHININESS)),
+            )
+        } else {
+            (facing, facing)
+        };
+        let highlight = if has_highlights || attenuation.is_some() {
+            is_lit.select(power(near.max(zero), exponent), zero)
+        } else {
+            is_lit.select(one, zero)
+        };
+        for channel in 0..3 {
+            let (glow, lit, highlight) = match attenuation {
+                Some(share) => (share * ambient[channel], lit * share, highlight * share),
+                None => (ambient[channel], lit, highlight),
+            };
+            colour[channel] = glow + colour[channel];
+            colour[channel] = lit * diffuse[channel] + colour[channel];
+            colour[channel] = highlight * specular[channel] + colour[channel];
+        }
+    }
+    colour.map(|part| part.max(zero).min(one))
+}
+
+/// How much of a light arrives; none if all does.
+#[inline(always)]
+fn attenuated(
+    light: &EyeLight,
+    to_light: Vec3x8,
+    over_distance: F,
+) -> Option<F> {
+    let splat = |value: f32| F::splat(value);
+    let one = splat(1.0);
+    let in_cone = light.cone.map(|cone| {
+        let along = dot8(to_light.map(|part| -part), cone.axis.map(splat));
+        let inside = splat(cone.cosine).lt(along);
+        let share = power(along.abs(), splat(cone.exponent));
+        inside.select(one, splat(0.0)) * share
+    });
+    let with_distance = light.attenuation.map(|[constant, linear, square]| {
+        let distance = one / over_distance;
+        let unity = over_distance * distance;
+        let squared = distance * distance;
+        let sum = splat(square) * squared + splat(linear) * distance + splat(constant) * unity;
+        one / sum
+    });
+    match (in_cone, with_distance) {
+        (Some(cone), Some(distance)) => Some(distance * cone),
+        (cone, distance) => cone.or(distance),
+    }
+}
+
+/// Mesa's approximation of the binary logarithm: coefficients of a polynomial in
+/// the square of (m − 1) / (m + 1), from the constant up.
+const LOG2: [f32; 5] = [
+    2.885_390_093_433_091_8_f64 as f32,
+    0.961_791_550_404_184_2_f64 as f32,
+    0.577_440_339_438_736_4_f64 as f32,
+    0.403_343_858_251_329_9_f64 as f32,
+    0.406_718_052_498_846_25_f64 as f32,
+];
+/// The same of the power of two, in the fraction.
+const EXP2: [f32; 6] = [
+    1.0,
+    0.693_153_073_200_168_9_f64 as f32,
+    0.240_153_617_044_375_4_f64 as f32,
+    0.055_826_318_053_295_67_f64 as f32,
+    0.008_989_340_090_494_664_f64 as f32,
+    0.001_877_576_675_194_791_3_f64 as f32,
+];
+
+/// `base` to the power of `exponent`, for a base that is not negative; zero for
+/// a base of zero, whatever the exponent.
+#[inline(always)]
+fn power(base: F, exponent: F) -> F {
+    let splat = |value: f32| F::splat(value);
+    let whole = |value: i32| I::splat(value);
+    let (zero, one) = (splat(0.0), splat(1.0));
+    let bits = base.as_ints();
+    let base_exponent = ((bits & whole(0x7f80_0000)) >> 23i32) - whole(127);
+    let mantissa = ((bits & whole(0x007f_ffff)) | whole(0x3f80_0000)).as_floats();
+    let y = (mantissa - one) / (mantissa + one);
+    let z = y * y;
+    let zz = z * z;
+    let even = splat(LOG2[4]).fused(zz, splat(LOG2[2]));
+    let even = zz.fused(even, splat(LOG2[0]));
+    let odd = zz.fused(splat(LOG2[3]), splat(LOG2[1]));
+    let polynomial = odd.fused(z, even);
+    let base_exponent: F = base_exponent.float();
+    let logarithm = y.fused(polynomial, base_exponent);
+    let x = (logarithm * exponent)
+        .min(splat(128.0))
+        .max(splat(-126.999_99));
+    let floor = x.floor();
+    let fraction = x - floor;
+    let floor: I = floor.whole();
+    let scale = ((floor + whole(127)) << 23i32).as_floats();
+    let square = fraction * fraction;
+    let even = square.fused(splat(EXP2[4]), splat(EXP2[2]));
+    let even = square.fused(even, splat(EXP2[0]));
+    let odd = square.fused(splat(EXP2[5]), splat(EXP2[3]));
+    let odd = square.fused(odd, splat(EXP2[1]));
+    let result = scale * odd.fused(fraction, even);
+    base.equals(zero).select(zero, result)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn powers_are_near_the_true_ones() {
+        let bases = [0.0, 1e-3, 0.1, 0.5, 0.9, 0.99, 1.0, 1.5];
+        for exponent in [0.5f32, 1.0, 10.0, 64.0] {
+            let found = power(F::new(bases), F::splat(exponent)).to_array();
+            for (base, found) in bases.iter().zip(found) {
+                let wanted = base.powf(exponent);
+                assert!(
+                    (found - wanted).abs() < 2e-4 * wanted.max(1.0),
+                    "{base}^{exponent}: {found}"
+                );
+            }
+        }
+    }
+}

@@ -1,0 +1,410 @@
+//! Triangles, prepared once: in clusters of neighbours that face the same way,
+//! so that whole clusters can be passed over, with each corner's position kept
+//! once per cluster and its normal and texture coordinates once per mesh.
+
+use std::collections::HashMap;
+
+use crate::lanes::LANES;
+use crate::matrix::{Vec3, cross, dot, minus};
+
+/// Triangles in a cluster at most. Their corners fit a byte.
+pub(crate) const CLUSTER: usize = 64;
+/// How much facing another way counts against lying elsewhere when clusters
+/// are cut, in radii of the mesh.
+const FACING_WEIGHT: f32 = 0.35;
+
+/// A corner of a triangle.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Corner {
+    /// Where it is.
+    pub pos: [f32; 3],
+    /// Where its face looks to; of any length.
+    pub normal: [f32; 3],
+    /// Where it lies on a texture.
+    pub st: [f32; 2],
+}
+
+/// What lighting and textures need of a corner.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Attributes {
+    pub(crate) normal: Vec3,
+    pub(crate) st: [f32; 2],
+}
+
+/// A mesh, ready to be drawn.
+#[derive(Debug, Default)]
+pub struct Mesh {
+    pub(crate) clusters: Vec<Cluster>,
+    /// Positions, cluster by cluster, each padded to a multiple of eight.
+    pub(crate) xs: Vec<f32>,
+    pub(crate) ys: Vec<f32>,
+    pub(crate) zs: Vec<f32>,
+    /// Triangles, cluster by cluster, each padded to a multiple of eight:
+    /// which of the cluster's positions its corners have.
+    pub(crate) corners: [Vec<u8>; 3],
+    /// Of each triangle its place in the order in which the mesh is drawn, and
+    /// its corners' attributes.
+    pub(crate) order: Vec<u32>,
+    pub(crate) attribute_ids: Vec<[u32; 3]>,
+    pub(crate) attributes: Vec<Attributes>,
+    pub(crate) bounds: Sphere,
+}
+
+/// A ball around something.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Sphere {
+    pub(crate) center: Vec3,
+    pub(crate) radius: f32,
+}
+
+/// Up to 64 triangles.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Cluster {
+    pub(crate) bounds: Sphere,
+    /// All its triangles face away from who is further than `1 / away` in this
+    /// sense: see [`Cluster::faces_away_from`].
+    axis: Vec3,
+    sine: f32,
+    pub(crate) first_position: u32,
+    pub(crate) positions: u32,
+    pub(crate) first_triangle: u32,
+    pub(crate) triangles: u32,
+}
+
+impl Cluster {
+    /// Whether no triangle shows its front to an eye, in the mesh's own frame.
+    pub(crate) fn faces_away_from(&self, eye: Vec3) -> bool {
+        let to = minus(self.bounds.center, eye);
+        let distance = dot(to, to).sqrt();
+        // Rounding, of poses too, must not hide a triangle on edge.
+        dot(to, self.axis) > (self.sine + 2e-3) * distance + 1.01 * self.bounds.radius
+    }
+
+    /// The same for an eye infinitely far away, which looks this way.
+    pub(crate) fn faces_along(&self, forward: Vec3) -> bool {
+        let length = dot(forward, forward).sqrt();
+        dot(forward, self.axis) > (self.sine + 2e-3) * length
+    }
+}
+
+/// Gathers the triangles of a mesh in the order in which they are drawn.
+#[derive(Debug, Default)]
+pub struct MeshBuilder {
+    triangles: Vec<[Corner; 3]>,
+}
+
+impl MeshBuilder {
+    /// Adds a triangle; its front shows its corners counter-clockwise.
+    pub fn triangle(&mut self, corners: [Corner; 3]) {
+        self.triangles.push(corners);
+    }
+
+    /// Adds a quadrilateral, cut as Mesa cuts it.
+    pub fn quad(&mut self, [a, b, c, d]: [Corner; 4]) {
+        self.triangle([a, b, d]);
+        self.triangle([b, c, d]);
+    }
+
+    /// Prepares the mesh. Triangles with a position that is no number, and
+    /// those with two corners in one place, are never seen and left out.
+    pub fn build(self) -> Mesh {
+        let bits = |corner: &Corner| corner.pos.map(f32::to_bits);
+        let seen = |corners: &[Corner; 3]| {
+            let [a, b, c] = corners.each_ref().map(bits);
+            let finite = corners
+                .iter()
+                .all(|it| it.pos.iter().all(|x| x.is_finite()));
+            finite && a != b && b != c && c != a
+        };
+        let all = self.triangles.iter().enumerate();
+        let mut pieces: Vec<Piece> = all
+            .filter(|(_, corners)| seen(corners))
+            .map(|(order, corners)| Piece::new(order as u32, corners))
+            .collect();
+        let mut mesh = Mesh {
+            bounds: ball(pieces.iter().flat_map(|piece| piece.pos)),
+            ..Mesh::default()
+        };
+        let weight = mesh.bounds.radius * FACING_WEIGHT;
+        for piece in &mut pieces {
+            for axis in 0..3 {
+                piece.key[3 + axis] = piece.facing[axis] * weight;
+            }
+        }
+        let mut known = HashMap::new();
+        cut(&mut pieces, &mut |cluster| {
+            mesh.add_cluster(cluster, &self.triangles, &mut known);
+        });
+        mesh
+    }
+}
+
+/// A triangle on its way into a cluster.
+struct Piece {
+    order: u32,
+    pos: [Vec3; 3],
+    /// Unit normal of its plane; zero where it has none.
+    facing: Vec3,
+    key: [f32; 6],
+}
+
+impl Piece {
+    fn new(order: u32, corners: &[Corner; 3]) -> Self {
+        let pos = corners.map(|corner| corner.pos);
+        let normal = cross(minus(pos[1], pos[0]), minus(pos[2], pos[0]));
+        let length = dot(normal, normal).sqrt();
+        let facing = match length > 0.0 && length.is_finite() {
+            true => normal.map(|part| part / length),
+            false => [0.0; 3],
+        };
+        let mut key = [0.0; 6];
+        for (axis, value) in key.iter_mut().take(3).enumerate() {
+            *value = (pos[0][axis] + pos[1][axis] + pos[2][axis]) / 3.0;
+        }
+        Self {
+            order,
+            pos,
+            facing,
+            key,
+        }
+    }
+}
+
+/// Cuts along the widest direction until the pieces are small enough.
+fn cut(pieces: &mut [Piece], emit: &mut impl FnMut(&mut [Piece])) {
+    if pieces.is_empty() {
+        return;
+    }
+    if pieces.len() <= CLUSTER {
+        emit(pieces);
+        return;
+    }
+    let widest = (0..6)
+        .map(|axis| {
+            let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
+            for piece in pieces.iter() {
+                low = low.min(piece.key[axis]);
+                high = high.max(piece.key[axis]);
+            }
+            (axis, high - low)
+        })
+        .max_by(|a, b| a.1.total_cmp(&b.1));
+    let axis = widest.map_or(0, |(axis, _)| axis);
+    // Full clusters on the left, whatever is over on the right.
+    let middle = (pieces.len() / 2).next_multiple_of(CLUSTER);
+    pieces.select_nth_unstable_by(middle - 1, |a, b| a.key[axis].total_cmp(&b.key[axis]));
+    let (left, right) = pieces.split_at_mut(middle);
+    cut(left, emit);
+    cut(right, emit);
+}
+
+impl Mesh {
+    fn add_cluster(
+        &mut self,
+        pieces: &mut [Piece],
+        triangles: &[[Corner; 3]],
+        known: &mut HashMap<[u32; 5], u32>,
+    ) {
+        // As it is drawn: later triangles win where depths are equal.
+        pieces.sort_unstable_by_key(|piece| piece.order);
+        let (first_position, first_triangle) = (self.xs.len() as u32, self.order.len() as u32);
+        let mut local: HashMap<[u32; 3], u8> = HashMap::new();
+        for piece in pieces.iter() {
+            for (corner, pos) in piece.pos.iter().enumerate() {
+                let next = local.len() as u8;
+                let id = *local.entry(pos.map(f32::to_bits)).or_insert_with(|| {
+                    self.push_position(*pos);
+                    next
+                });
+                self.corners[corner].push(id);
+            }
+            let corners = &triangles[piece.order as usize];
+            self.order.push(piece.order);
+            let ids = corners
+                .each_ref()
+                .map(|corner| self.attribute(corner, known));
+            self.attribute_ids.push(ids);
+        }
+        let bounds = ball(pieces.iter().flat_map(|piece| piece.pos));
+        let (axis, sine) = cone(pieces);
+        self.clusters.push(Cluster {
+            bounds,
+            axis,
+            sine,
+            first_position,
+            positions: local.len() as u32,
+            first_triangle,
+            triangles: pieces.len() as u32,
+        });
+        while self.xs.len() % LANES != 0 {
+            self.push_position(pieces[0].pos[0]);
+        }
+        while self.order.len() % LANES != 0 {
+            self.corners.iter_mut().for_each(|corners| corners.push(0));
+            self.order.push(0);
+            self.attribute_ids.push([0; 3]);
+        }
+    }
+
+    fn push_position(&mut self, [x, y, z]: Vec3) {
+        self.xs.push(x);
+        self.ys.push(y);
+        self.zs.push(z);
+    }
+
+    fn attribute(&mut self, corner: &Corner, known: &mut HashMap<[u32; 5], u32>) -> u32 {
+        let [nx, ny, nz] = corner.normal;
+        let [s, t] = corner.st;
+        *known
+            .entry([nx, ny, nz, s, t].map(f32::to_bits))
+            .or_insert_with(|| {
+                self.attributes.push(Attributes {
+                    normal: corner.normal,
+                    st: corner.st,
+                });
+                self.attributes.len() as u32 - 1
+            })
+    }
+
+    /// How many triangles it has.
+    pub fn triangles(&self) -> usize {
+        let counts = self
+            .clusters
+            .iter()
+            .map(|cluster| cluster.triangles as usize);
+        counts.sum()
+    }
+
+    /// Where a corner of a triangle is; `cluster` is the one that it is in.
+    pub(crate) fn position(&self, cluster: &Cluster, triangle: usize, corner: usize) -> Vec3 {
+        let at = cluster.first_position as usize + usize::from(self.corners[corner][triangle]);
+        [self.xs[at], self.ys[at], self.zs[at]]
+    }
+}
+
+/// A ball around points; not the smallest.
+fn ball(points: impl Iterator<Item = Vec3> + Clone) -> Sphere {
+    let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
+    for point in points.clone() {
+        for axis in 0..3 {
+            low[axis] = low[axis].min(point[axis]);
+            high[axis] = high[axis].max(point[axis]);
+        }
+    }
+    if low[0] > high[0] {
+        return Sphere::default();
+    }
+    // Halves first: the sum of two large numbers may be none.
+    let center: Vec3 = std::array::from_fn(|axis| low[axis] * 0.5 + high[axis] * 0.5);
+    let furthest = points
+        .map(|point| {
+            let off = minus(point, center);
+            dot(off, off)
+        })
+        .fold(0.0, f32::max);
+    Sphere {
+        center,
+        radius: furthest.sqrt() * 1.0001,
+    }
+}
+
+/// The mean direction that triangles face, and the sine of the widest angle
+/// from it; an axis of zero where they face everywhere.
+fn cone(pieces: &[Piece]) -> (Vec3, f32) {
+    const EVERYWHERE: (Vec3, f32) = ([0.0; 3], 1.0);
+    let mut sum = [0.0; 3];
+    for piece in pieces {
+        for axis in 0..3 {
+            sum[axis] += piece.facing[axis];
+        }
+    }
+    let length = dot(sum, sum).sqrt();
+    // Half a right angle per axis more than this would hide nothing.
+    if !(length > 1e-3) || pieces.iter().any(|piece| piece.facing == [0.0; 3]) {
+        return EVERYWHERE;
+    }
+    let axis = sum.map(|part| part / length);
+    let cosine = pieces
+        .iter()
+        .map(|piece| dot(piece.facing, axis))
+        .fold(1.0, f32::min);
+    if cosine <= 0.05 {
+        return EVERYWHERE;
+    }
+    (axis, (1.0 - cosine * cosine).max(0.0).sqrt())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn corner(x: f32, y: f32, z: f32) -> Corner {
+        Corner {
+            pos: [x, y, z],
+            normal: [0.0, 0.0, 1.0],
+            st: [0.0; 2],
+        }
+    }
+
+    #[test]
+    fn every_triangle_is_in_one_cluster_with_its_own_corners() {
+        let mut builder = MeshBuilder::default();
+        for index in 0..1000u32 {
+            let x = (index % 31) as f32;
+            let y = (index / 31) as f32;
+            builder.triangle([
+                corner(x, y, 0.0),
+                corner(x + 1.0, y, 0.0),
+                corner(x, y + 1.0, 0.0),
+            ]);
+        }
+        let wanted = builder.triangles.clone();
+        let mesh = builder.build();
+        assert_eq!(mesh.triangles(), 1000);
+        let mut found = vec![0; 1000];
+        for cluster in &mesh.clusters {
+            assert!(cluster.triangles as usize <= CLUSTER);
+            let first = cluster.first_triangle as usize;
+            for triangle in first..first + cluster.triangles as usize {
+                let order = mesh.order[triangle] as usize;
+                found[order] += 1;
+                for (at, corner) in wanted[order].iter().enumerate() {
+                    assert_eq!(mesh.position(cluster, triangle, at), corner.pos);
+                }
+            }
+        }
+        assert!(found.iter().all(|count| *count == 1));
+    }
+
+    #[test]
+    fn what_is_never_seen_is_left_out() {
+        let mut builder = MeshBuilder::default();
+        builder.triangle([
+            corner(0.0, 0.0, 0.0),
+            corner(0.0, 0.0, 0.0),
+            corner(1.0, 0.0, 0.0),
+        ]);
+        builder.triangle([
+            corner(f32::NAN, 0.0, 0.0),
+            corner(0.0, 1.0, 0.0),
+            corner(1.0, 0.0, 0.0),
+        ]);
+        let mesh = builder.build();
+        assert_eq!((mesh.triangles(), mesh.bounds.radius), (0, 0.0));
+    }
+
+    #[test]
+    fn a_cluster_faces_away_from_behind_only() {
+        let mut builder = MeshBuilder::default();
+        builder.triangle([
+            corner(0.0, 0.0, 0.0),
+            corner(1.0, 0.0, 0.0),
+            corner(0.0, 1.0, 0.0),
+        ]);
+        let mesh = builder.build();
+        let cluster = &mesh.clusters[0];
+        assert!(cluster.faces_away_from([0.3, 0.3, -9.0]));
+        assert!(!cluster.faces_away_from([0.3, 0.3, 9.0]));
+        assert!(!cluster.faces_away_from([9.0, 0.0, 0.0]));
+    }
+}

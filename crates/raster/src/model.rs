@@ -1,0 +1,47 @@
+//! What is prepared once and shared by all who draw it.
+
+use crate::error::ModelError;
+use crate::mesh::Mesh;
+use crate::shapes::{Quality, Shapes};
+use crate::texture::Texture;
+
+/// The meshes, planes and textures of a model, ready to be drawn.
+#[derive(Debug)]
+pub struct Model {
+    /// Meshes, named by their place.
+    pub meshes: Vec<Mesh>,
+    /// Planes with a grid, named by their place.
+    pub planes: Vec<Mesh>,
+    /// Textures, named by their place.
+    pub textures: Vec<Texture>,
+    pub(crate) shapes: Shapes,
+}
+
+impl Model {
+    /// A model of built-in shapes only, to be filled.
+    ///
+    /// # Errors
+    /// If shapes of so many pieces cannot be made.
+    pub fn new(quality: Quality) -> Result<Self, ModelError> {
+        let Quality {
+            slices,
+            stacks,
+            quads,
+        } = quality;
+        let possible =
+            (3..=512).contains(&slices) && (4..=512).contains(&stacks) && (1..=64).contains(&quads);
+        if !possible {
+            return Err(ModelError::Quality {
+                slices,
+                stacks,
+                quads,
+            });
+        }
+        Ok(Self {
+            meshes: Vec::new(),
+            planes: Vec::new(),
+            textures: Vec::new(),
+            shapes: Shapes::new(quality),
+        })
+    }
+}

@@ -1,0 +1,538 @@
+//! Sampling textures, eight places at a time, with llvmpipe's arithmetic: flat
+//! ones of plain colours in 8 bits, those of sRGB and cubes in single precision.
+
+use crate::lanes::{F, Floats as _, I, Ints as _, LANES, Mask};
+use crate::texture::{
+    Level, SRGB_LINEAR_FACTOR, SRGB_LINEAR_TO, SRGB_POLYNOMIAL, Texture, TextureKind,
+};
+
+/// Red, green, blue and opacity, 0 to 1.
+pub(crate) type Colour = [F; 4];
+const CHANNELS: usize = 4;
+/// From 8 bits to 0 to 1.
+const OVER_255: f32 = 1.0 / 255.0;
+
+/// Where eight places are on a texture; on a cube, in which direction.
+#[derive(Clone, Copy)]
+pub(crate) struct Place {
+    pub(crate) at: [F; 3],
+}
+
+/// What eight places show. `corner`, `right` and `above` are the places of three
+/// pixels of the square of four that each lies in.
+#[inline(always)]
+pub(crate) fn sample(
+    texture: &Texture,
+    own: Place,
+    [corner, right, above]: [Place; 3],
+) -> Colour {
+    let base = texture.levels[0];
+    let size = [base.width as f32, base.height as f32].map(|side| F::splat(side));
+    let difference = |to: &Place, axis: usize| to.at[axis] - corner.at[axis];
+    let changes = [&right, &above].map(|to| [0, 1, 2].map(|axis| difference(to, axis)));
+    match texture.kind {
+        TextureKind::Flat { srgb } => {
+            let levels = Levels::choose(texture,
+                footprint(changes.map(|it| [it[0], it[1]]), size),
+            );
+            let [s, t, _] = own.at;
+            match srgb {
+                false => flat_in_bytes(texture, &levels, s, t),
+                true => flat_in_floats(texture, &levels, s, t),
+            }
+        }
+        TextureKind::Cube => {
+            let (_, changes) = Face::of(&corner, &changes);
+            let levels = Levels::choose(texture, footprint(changes, size));
+            let (face, _) = Face::of(&own, &changes.map(|_| own.at));
+            cube(texture, &levels, &face)
+        }
+    }
+}
+
+/// The larger of the squared lengths of two changes of place, in texels.
+#[inline(always)]
+fn footprint(changes: [[F; 2]; 2], size: [F; 2]) -> F {
+    let [a, b] = changes.map(|change| {
+        let (s, t) = (change[0] * size[0], change[1] * size[1]);
+        s * s + t * t
+    });
+    a.max(b)
+}
+
+/// The two levels that eight places are sampled on.
+struct Levels {
+    first: [u8; LANES],
+    second: [u8; LANES],
+    /// How far from the first to the second, 0 to 1.
+    share: F,
+    is_one: bool,
+}
+
+impl Levels {
+    /// By the square of a pixel's size in texels of the largest level.
+    #[inline(always)]
+    fn choose(texture: &Texture, square: F) -> Self {
+        let whole = |value: i32| I::splat(value);
+        let bits = square.as_ints();
+        let exponent = ((bits >> 23i32) & whole(255)) - whole(128);
+        let mantissa = ((bits & whole(0x007f_ffff)) | whole(0x3f80_0000)).as_floats();
+        let exponent: F = exponent.float();
+        let detail = (exponent + mantissa) * F::splat(0.5);
+        let floor = detail.floor();
+        let level: I = floor.whole();
+        let last = whole(texture.levels.len() as i32 - 1);
+        let between = level.ge(whole(0)) & level.lt(last);
+        let first = level.max(whole(0)).min(last);
+        let share = between.select(detail - floor, F::splat(0.0));
+        let second = between.select_ints(first + whole(1), first);
+        let narrow = |values: I| -> [u8; LANES] {
+            let values: [i32; LANES] = values.into();
+            values.map(|value| value as u8)
+        };
+        Self {
+            first: narrow(first),
+            second: narrow(second),
+            is_one: !share.gt(F::splat(0.0)).any(),
+            share,
+        }
+    }
+}
+
+/// One level of each of eight places.
+struct Sizes {
+    width: I,
+    height: I,
+    start: I,
+    image: I,
+}
+
+impl Sizes {
+    #[inline(always)]
+    fn of(texture: &Texture, levels: &[u8; LANES]) -> Self {
+        let one = levels[0];
+        if levels.iter().all(|level| *level == one) {
+            let level = &texture.levels[usize::from(one)];
+            let splat = |value: usize| I::splat(value as i32);
+            return Self {
+                width: splat(level.width),
+                height: splat(level.height),
+                start: splat(level.start),
+                image: splat(level.image),
+            };
+        }
+        let each = |part: fn(&Level) -> usize| {
+            let of = |level: u8| part(&texture.levels[usize::from(level)]) as i32;
+            I::new(levels.map(of))
+        };
+        Self {
+            width: each(|level| level.width),
+            height: each(|level| level.height),
+            start: each(|level| level.start),
+            image: each(|level| level.image),
+        }
+    }
+}
+
+/// Eight texels. Places outside are none that sampling makes.
+#[inline(always)]
+fn fetch(texture: &Texture, at: I) -> I {
+    let at: [i32; LANES] = at.into();
+    I::new(at.map(|at| texture.texels[at as usize] as i32))
+}
+
+/// The texels around eight places of a flat texture, and the shares of the
+/// second ones along both directions, in whatever the arithmetic is.
+struct Around<W> {
+    texels: [I; 4],
+    shares: [W; 2],
+}
+
+#[inline(always)]
+fn around<W>(
+    texture: &Texture,
+    sizes: &Sizes,
+    (x, share_x): (I, W),
+    (y, share_y): (I, W),
+) -> Around<W> {
+    let one = I::splat(1);
+    let next = |at: I, size: I| {
+        let is_last = at.equals(size - one);
+        is_last.select_ints(I::splat(0), at + one)
+    };
+    let (x1, y1) = (next(x, sizes.width), next(y, sizes.height));
+    let row0 = sizes.start + y * sizes.width;
+    let row1 = sizes.start + y1 * sizes.width;
+    Around {
+        texels: [row0 + x, row0 + x1, row1 + x, row1 + x1].map(|at| fetch(texture, at)),
+        shares: [share_x, share_y],
+    }
+}
+
+#[inline(always)]
+fn flat_in_bytes(
+    texture: &Texture,
+    levels: &Levels,
+    s: F,
+    t: F,
+) -> Colour {
+    let on = |level: &[u8; LANES]| {
+        let sizes = Sizes::of(texture, level);
+        let base = &texture.levels[0];
+        let x = texel_in_256ths(s, sizes.width, base.width.is_power_of_two());
+        let y = texel_in_256ths(t, sizes.height, base.height.is_power_of_two());
+        let Around {
+            texels: [a, b, c, d],
+            shares: [u, v],
+        } = around(texture, &sizes, x, y);
+        [0, 1, 2, 3].map(|channel: u32| {
+            let part = |texel: I| (texel >> (8 * channel as i32)) & I::splat(255);
+            let top = blend(part(a), part(b), u);
+            blend(top, blend(part(c), part(d), u), v)
+        })
+    };
+    let mut colour = on(&levels.first);
+    if !levels.is_one {
+        let share: I = (levels.share * F::splat(256.0)).whole();
+        let second = on(&levels.second);
+        for channel in 0..CHANNELS {
+            colour[channel] = blend(colour[channel], second[channel], share);
+        }
+    }
+    colour.map(|part| {
+        let part: F = part.float();
+        part * F::splat(OVER_255)
+    })
+}
+
+/// From one value of 0 to 255 to another by so many 256ths.
+#[inline(always)]
+fn blend(from: I, to: I, share: I) -> I {
+    let change = (share * (to - from) + I::splat(128)) >> 8i32;
+    (from + change) & I::splat(255)
+}
+
+/// The texel before a place that repeats, and how far behind it that is.
+#[inline(always)]
+fn texel_in_256ths(
+    at: F,
+    size: I,
+    is_power_of_two: bool,
+) -> (I, I) {
+    let whole = |value: i32| I::splat(value);
+    if is_power_of_two {
+        let scale: F = (size << 8i32).float();
+        let place: I = (at * scale).nearest();
+        let place = place - whole(128);
+        return ((place >> 8i32) & (size - whole(1)), place & whole(255));
+    }
+    let size_as_float: F = size.float();
+    let fraction = at - at.floor();
+    let place = fraction * size_as_float * F::splat(256.0);
+    let place: I = place.nearest();
+    let place = place - whole(128);
+    let texel = place >> 8i32;
+    let texel = texel.lt(whole(0)).select_ints(size - whole(1), texel);
+    (texel.min(size - whole(1)).max(whole(0)), place & whole(255))
+}
+
+#[inline(always)]
+fn flat_in_floats(
+    texture: &Texture,
+    levels: &Levels,
+    s: F,
+    t: F,
+) -> Colour {
+    let on = |level: &[u8; LANES]| {
+        let sizes = Sizes::of(texture, level);
+        let base = &texture.levels[0];
+        let x = texel_and_share(s, sizes.width, base.width.is_power_of_two());
+        let y = texel_and_share(t, sizes.height, base.height.is_power_of_two());
+        let Around { texels, shares } = around(texture, &sizes, x, y);
+        mix_four(texels, shares, true)
+    };
+    let first = on(&levels.first);
+    if levels.is_one {
+        return first;
+    }
+    between(first, on(&levels.second), levels.share)
+}
+
+#[inline(always)]
+fn between(first: Colour, second: Colour, share: F) -> Colour {
+    [0, 1, 2, 3].map(|channel| mix(first[channel], second[channel], share))
+}
+
+#[inline(always)]
+fn mix(from: F, to: F, share: F) -> F {
+    share.fused(to - from, from)
+}
+
+#[inline(always)]
+fn mix_four(
+    texels: [I; 4],
+    [u, v]: [F; 2],
+    srgb: bool,
+) -> Colour {
+    [0, 1, 2, 3].map(|channel: u32| {
+        let [a, b, c, d] = texels.map(|texel| {
+            let part = (texel >> (8 * channel as i32)) & I::splat(255);
+            let part: F = part.float();
+            match srgb && channel < 3 {
+                true => linear(part),
+                false => part * F::splat(OVER_255),
+            }
+        });
+        mix(mix(a, b, u), mix(c, d, u), v)
+    })
+}
+
+/// From sRGB's 0 to 255 to linear 0 to 1.
+#[inline(always)]
+fn linear(value: F) -> F {
+    let splat = |value: f32| F::splat(value);
+    let [c0, c1, c2, c3] = SRGB_POLYNOMIAL.map(splat);
+    let square = value * value;
+    let even = square.fused(c2, c0);
+    let odd = square.fused(c3, c1);
+    let curved = odd.fused(value, even);
+    let straight = value * splat(SRGB_LINEAR_FACTOR);
+    value
+        .le(splat(SRGB_LINEAR_TO))
+        .select(straight, curved)
+}
+
+/// As [`texel_in_256ths`], with a fraction.
+#[inline(always)]
+fn texel_and_share(
+    at: F,
+    size: I,
+    is_power_of_two: bool,
+) -> (I, F) {
+    let whole = |value: i32| I::splat(value);
+    let size_as_float: F = size.float();
+    let half = F::splat(0.5);
+    let at = if is_power_of_two { at } else { at - at.floor() };
+    let place = at * size_as_float - half;
+    let floor = place.floor();
+    let texel: I = floor.whole();
+    let texel = if is_power_of_two {
+        texel & (size - whole(1))
+    } else {
+        let texel = texel.lt(whole(0)).select_ints(size - whole(1), texel);
+        texel.min(size - whole(1)).max(whole(0))
+    };
+    (texel, place - floor)
+}
+
+/// Where directions meet a cube.
+struct Face {
+    number: I,
+    s: F,
+    t: F,
+}
+
+impl Face {
+    /// The faces that directions meet, and how the places on them change with
+    /// two changes of direction.
+    #[inline(always)]
+    fn of(place: &Place, changes: &[[F; 3]; 2]) -> (Self, [[F; 2]; 2]) {
+        let [x, y, z] = place.at;
+        let half = F::splat(0.5);
+        let widest_is_x = x.abs().gt(y.abs());
+        let is_z = z.abs().ge(x.abs().max(y.abs()));
+        let choose =
+            |x: F, y: F, z: F| is_z.select(z, widest_is_x.select(x, y));
+        let major = choose(x, y, z);
+        let sign = |value: F| {
+            let signs: I = major.as_ints() & I::splat(i32::MIN);
+            (value.as_ints() ^ signs).as_floats()
+        };
+        let on_face =
+            |[x, y, z]: [F; 3]| [choose(sign(-z), x, sign(x)), choose(-y, sign(z), -y)];
+        let over_major = F::splat(1.0) / major;
+        let half_over_major = half * over_major;
+        let [s, t] = on_face(place.at);
+        let changes = changes.map(|change| {
+            let along = choose(change[0], change[1], change[2]) * over_major;
+            let [ds, dt] = on_face(change);
+            [
+                (ds - along * s) * half_over_major,
+                (dt - along * t) * half_over_major,
+            ]
+        });
+        let number = |value: i32| I::splat(value);
+        let axis = is_z.select_ints(number(4), widest_is_x.select_ints(number(0), number(2)));
+        let is_negative = (major.as_ints() >> 31i32) & number(1);
+        let face = Self {
+            number: axis | is_negative,
+            s: s * half_over_major.abs() + half,
+            t: t * half_over_major.abs() + half,
+        };
+        (face, changes)
+    }
+}
+
+#[inline(always)]
+fn cube(texture: &Texture, levels: &Levels, face: &Face) -> Colour {
+    let first = cube_on(texture, &levels.first, face);
+    if levels.is_one {
+        return first;
+    }
+    between(
+        first,
+        cube_on(texture, &levels.second, face),
+        levels.share,
+    )
+}
+
+#[inline(always)]
+fn cube_on(texture: &Texture, level: &[u8; LANES], face: &Face) -> Colour {
+    let sizes = Sizes::of(texture, level);
+    let whole = |value: i32| I::splat(value);
+    let side: F = sizes.width.float();
+    let place = |at: F| {
+        let place = at.max(F::splat(0.0)) * side - F::splat(0.5);
+        let floor = place.floor();
+        let texel: I = floor.whole();
+        (texel, place - floor)
+    };
+    let ((x, u), (y, v)) = (place(face.s), place(face.t));
+    let last = sizes.width - whole(1);
+    let inside = |at: I| at.ge(whole(0)) & at.lt(last);
+    let is_inside: Mask = inside(x) & inside(y);
+    // Clamped for those that reach over an edge, which are done again below.
+    let clamped = |at: I| at.max(whole(0)).min(last);
+    let (x0, x1) = (clamped(x), clamped(x + whole(1)));
+    let (y0, y1) = (clamped(y), clamped(y + whole(1)));
+    let start = sizes.start + face.number * sizes.image;
+    let (row0, row1) = (start + y0 * sizes.width, start + y1 * sizes.width);
+    let texels = [row0 + x0, row0 + x1, row1 + x0, row1 + x1].map(|at| fetch(texture, at));
+    let mut colour = mix_four(texels, [u, v], false);
+    if !is_inside.all() {
+        let bits = is_inside.bits();
+        for lane in (0..LANES).filter(|lane| bits & (1 << lane) == 0) {
+            let at = EdgePlace {
+                level: &texture.levels[usize::from(level[lane])],
+                face: face.number.as_array()[lane],
+                x: x.as_array()[lane],
+                y: y.as_array()[lane],
+                shares: [u.as_array()[lane], v.as_array()[lane]],
+            };
+            for (channel, value) in over_edge(texture, &at).into_iter().enumerate() {
+                colour[channel].as_mut_array()[lane] = value;
+            }
+        }
+    }
+    colour
+}
+
+/// A place on a cube beside an edge of a face.
+struct EdgePlace<'a> {
+    level: &'a Level,
+    face: i32,
+    x: i32,
+    y: i32,
+    shares: [f32; 2],
+}
+
+/// What is seen there: the neighbouring faces' texels over the edge, and in a
+/// corner only the three that meet.
+#[inline(never)]
+fn over_edge(texture: &Texture, at: &EdgePlace<'_>) -> [f32; CHANNELS] {
+    let side = at.level.width as i32;
+    let off = |index: i32| index < 0 || index >= side;
+    let places = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(dx, dy)| (at.x + dx, at.y + dy));
+    let texels = places.map(|(x, y)| match (off(x), off(y)) {
+        (true, true) => None,
+        (false, false) => Some(texel(texture, at.level, at.face, x, y)),
+        _ => {
+            let (face, x, y) = neighbour(side, at.face, x, y);
+            Some(texel(texture, at.level, face, x, y))
+        }
+    });
+    let [u, v] = at.shares;
+    if let [Some(a), Some(b), Some(c), Some(d)] = texels {
+        let mix = |a: f32, b: f32, share: f32| share.mul_add(b - a, a);
+        return std::array::from_fn(|channel| {
+            let top = mix(a[channel], b[channel], u);
+            mix(top, mix(c[channel], d[channel], u), v)
+        });
+    }
+    let (left, upper) = (1.0 - u, 1.0 - v);
+    let mut weights = [left * upper, u * upper, left * v, u * v];
+    let missing = texels.iter().position(Option::is_none).unwrap_or(0);
+    let spread = weights[missing] * (1.0 / 3.0);
+    weights = std::array::from_fn(|at| {
+        if at == missing {
+            0.0
+        } else {
+            weights[at] + spread
+        }
+    });
+    std::array::from_fn(|channel| {
+        let parts: [f32; 4] = std::array::from_fn(|at| {
+            weights[at] * texels[at].map_or(0.0, |texel: [f32; CHANNELS]| texel[channel])
+        });
+        parts[3] + (parts[2] + (parts[1] + parts[0]))
+    })
+}
+
+fn texel(texture: &Texture, level: &Level, face: i32, x: i32, y: i32) -> [f32; CHANNELS] {
+    let inside = |index: i32| (index.max(0) as usize).min(level.width - 1);
+    let at = level.start + face as usize * level.image + inside(y) * level.width + inside(x);
+    texture.texels[at]
+        .to_le_bytes()
+        .map(|part| f32::from(part) * OVER_255)
+}
+
+/// The texel over an edge: face, column, row.
+fn neighbour(side: i32, face: i32, x: i32, y: i32) -> (i32, i32, i32) {
+    // On the edge itself, −1 to 1 across each face, in double texels.
+    let on_face = |index: i32| (2 * index + 1 - side).clamp(-side, side);
+    let (s, t, one) = (on_face(x), on_face(y), side);
+    let [dx, dy, dz] = match face {
+        0 => [one, -t, -s],
+        1 => [-one, -t, s],
+        2 => [s, one, t],
+        3 => [s, -one, -t],
+        4 => [s, -t, one],
+        _ => [-s, -t, -one],
+    };
+    // The axis of the edge that is not this face's own.
+    let is_own = |axis: i32| face / 2 == axis;
+    let (face, s, t) = if dx.abs() == side && !is_own(0) {
+        (i32::from(dx < 0), if dx < 0 { dz } else { -dz }, -dy)
+    } else if dy.abs() == side && !is_own(1) {
+        (2 + i32::from(dy < 0), dx, if dy < 0 { -dz } else { dz })
+    } else {
+        (4 + i32::from(dz < 0), if dz < 0 { -dx } else { dx }, -dy)
+    };
+    let index = |place: i32| ((place + side) / 2).clamp(0, side - 1);
+    (face, index(s), index(t))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn going_over_an_edge_and_back_ends_where_it_began() {
+        let side = 4;
+        for face in 0..6 {
+            for along in 0..side {
+                for (x, y) in [(-1, along), (side, along), (along, -1), (along, side)] {
+                    let (other, ox, oy) = neighbour(side, face, x, y);
+                    assert_ne!(other / 2, face / 2, "a neighbour is on another axis");
+                    let inside = (x.clamp(0, side - 1), y.clamp(0, side - 1));
+                    let back = [(ox - 1, oy), (ox + 1, oy), (ox, oy - 1), (ox, oy + 1)]
+                        .into_iter()
+                        .filter(|(x, y)| !(0..side).contains(x) || !(0..side).contains(y))
+                        .map(|(x, y)| neighbour(side, other, x, y))
+                        .any(|place| place == (face, inside.0, inside.1));
+                    assert!(back, "face {face}, {x} {y} to {other}, {ox} {oy}");
+                }
+            }
+        }
+    }
+}

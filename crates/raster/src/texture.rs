@@ -1,0 +1,264 @@
+//! Textures with their smaller levels, made once, and what sampling them needs
+//! to know. Levels are averaged as Mesa averages them: by sampling the level
+//! before in the middle of each of their texels.
+
+use crate::error::ModelError;
+
+/// Longest side of a texture, texels.
+const MAX_SIDE: usize = 1 << 14;
+
+/// How a texture lies on things.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TextureKind {
+    /// Flat, repeated in both directions.
+    Flat {
+        /// Whether its colours are encoded as sRGB.
+        srgb: bool,
+    },
+    /// Six square faces around everything: +x, −x, +y, −y, +z, −z.
+    Cube,
+}
+
+/// A texture, ready to be sampled.
+#[derive(Debug)]
+pub struct Texture {
+    pub(crate) kind: TextureKind,
+    pub(crate) levels: Vec<Level>,
+    /// Red, green, blue, opacity from the lowest byte up; level by level, and in
+    /// a level image by image.
+    pub(crate) texels: Vec<u32>,
+}
+
+/// One size of a texture.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Level {
+    pub(crate) width: usize,
+    pub(crate) height: usize,
+    /// Where its first image starts.
+    pub(crate) start: usize,
+    /// From one image to the next; 0 where all faces show the same.
+    pub(crate) image: usize,
+}
+
+impl Texture {
+    /// A texture from its largest level, row by row, with 3 or 4 bytes a
+    /// texel. A cube has one square, for all its faces, or six below one
+    /// another.
+    ///
+    /// # Errors
+    /// If sizes, channels and bytes do not fit one another.
+    pub fn new(
+        kind: TextureKind,
+        width: usize,
+        height: usize,
+        channels: usize,
+        bytes: &[u8],
+    ) -> Result<Self, ModelError> {
+        let sized = (1..=MAX_SIDE).contains(&width) && (1..=6 * MAX_SIDE).contains(&height);
+        let shaped = match kind {
+            TextureKind::Flat { .. } => height <= MAX_SIDE,
+            TextureKind::Cube => height == width || height == 6 * width,
+        };
+        let whole = matches!(channels, 3 | 4) && bytes.len() == width * height * channels;
+        if !(sized && shaped && whole) {
+            return Err(ModelError::Texture {
+                width,
+                height,
+                channels,
+                bytes: bytes.len(),
+            });
+        }
+        let texels = bytes.chunks_exact(channels).map(|texel| {
+            let opacity = texel.get(3).copied().unwrap_or(255);
+            u32::from_le_bytes([texel[0], texel[1], texel[2], opacity])
+        });
+        let images = if kind == TextureKind::Cube {
+            height / width
+        } else {
+            1
+        };
+        let mut texture = Self {
+            kind,
+            levels: vec![Level::new(width, height / images, 0, images)],
+            texels: texels.collect(),
+        };
+        texture.add_smaller_levels(images);
+        Ok(texture)
+    }
+
+    fn add_smaller_levels(&mut self, images: usize) {
+        let mut last = self.levels[0];
+        while last.width > 1 || last.height > 1 {
+            let (width, height) = ((last.width / 2).max(1), (last.height / 2).max(1));
+            let level = Level::new(width, height, self.texels.len(), images);
+            for image in 0..images {
+                for y in 0..height {
+                    let t = (y as f32 + 0.5) / height as f32;
+                    for x in 0..width {
+                        let s = (x as f32 + 0.5) / width as f32;
+                        let texel = self.middle(&last, image, s, t);
+                        self.texels.push(texel);
+                    }
+                }
+            }
+            self.levels.push(level);
+            last = level;
+        }
+    }
+
+    /// What a level shows at a point of 0 to 1 in both directions, as the texel
+    /// of a smaller one.
+    fn middle(&self, level: &Level, image: usize, s: f32, t: f32) -> u32 {
+        let rows = &self.texels[level.start + image * level.image..];
+        let texel = |x: usize, y: usize| rows[y * level.width + x].to_le_bytes();
+        let srgb = self.kind == (TextureKind::Flat { srgb: true });
+        if !srgb {
+            let ((x0, x1, u), (y0, y1, v)) = (fixed(s, level.width), fixed(t, level.height));
+            let (a, b, c, d) = (texel(x0, y0), texel(x1, y0), texel(x0, y1), texel(x1, y1));
+            return u32::from_le_bytes(std::array::from_fn(|channel| {
+                let top = blend(a[channel], b[channel], u);
+                blend(top, blend(c[channel], d[channel], u), v)
+            }));
+        }
+        let ((x0, x1, u), (y0, y1, v)) = (floating(s, level.width), floating(t, level.height));
+        let (a, b, c, d) = (texel(x0, y0), texel(x1, y0), texel(x0, y1), texel(x1, y1));
+        u32::from_le_bytes(std::array::from_fn(|channel| {
+            let is_colour = channel < 3;
+            let decoded = |value: u8| match is_colour {
+                true => linear(value),
+                false => f32::from(value) * (1.0 / 255.0),
+            };
+            let mix = |a: f32, b: f32, weight: f32| weight.mul_add(b - a, a);
+            let top = mix(decoded(a[channel]), decoded(b[channel]), u);
+            let bottom = mix(decoded(c[channel]), decoded(d[channel]), u);
+            let value = mix(top, bottom, v);
+            match is_colour {
+                true => encoded(value),
+                false => (value.clamp(0.0, 1.0) * 255.0).round_ties_even() as u8,
+            }
+        }))
+    }
+}
+
+impl Level {
+    fn new(width: usize, height: usize, start: usize, images: usize) -> Self {
+        Self {
+            width,
+            height,
+            start,
+            image: if images == 1 { 0 } else { width * height },
+        }
+    }
+}
+
+/// The two texels beside a point between 0 and 1, and how far from the first to
+/// the second it is, in 256ths.
+fn fixed(at: f32, size: usize) -> (usize, usize, i32) {
+    let place = (at * (size * 256) as f32).round_ties_even() as i32 - 128;
+    let first = (place >> 8).rem_euclid(size as i32) as usize;
+    (first, (first + 1) % size, place & 255)
+}
+
+/// The same with a fraction, kept inside.
+fn floating(at: f32, size: usize) -> (usize, usize, f32) {
+    let place = at * size as f32 - 0.5;
+    let floor = place.floor();
+    let inside = |index: f32| (index.max(0.0) as usize).min(size - 1);
+    (inside(floor), inside(floor + 1.0), place - floor)
+}
+
+/// From one value to another, 0 to 255, by so many 256ths.
+fn blend(from: u8, to: u8, weight: i32) -> u8 {
+    let (from, to) = (i32::from(from), i32::from(to));
+    (from + ((weight * (to - from) + 128) >> 8)) as u8
+}
+
+/// Coefficients of the polynomial that Mesa decodes sRGB with, from the
+/// constant up, for values of 0 to 255; smaller ones are linear.
+pub(crate) const SRGB_POLYNOMIAL: [f32; 4] = [
+    0.0023,
+    0.0030 / 255.0,
+    0.6935 / (255.0 * 255.0),
+    0.3012 / (255.0 * 255.0 * 255.0),
+];
+/// Up to here decoding is linear, by this factor.
+pub(crate) const SRGB_LINEAR_TO: f32 = 15.0;
+/// See [`SRGB_LINEAR_TO`].
+pub(crate) const SRGB_LINEAR_FACTOR: f32 = 1.0 / (12.6 * 255.0);
+
+fn linear(value: u8) -> f32 {
+    let x = f32::from(value);
+    if x <= SRGB_LINEAR_TO {
+        return x * SRGB_LINEAR_FACTOR;
+    }
+    let square = x * x;
+    let even = square.mul_add(SRGB_POLYNOMIAL[2], SRGB_POLYNOMIAL[0]);
+    let odd = square.mul_add(SRGB_POLYNOMIAL[3], SRGB_POLYNOMIAL[1]);
+    odd.mul_add(x, even)
+}
+
+/// Back, by Mesa's approximation of the power.
+fn encoded(value: f32) -> u8 {
+    let value = value.clamp(0.0, 1.0);
+    let scaled = if value <= 0.003_130_8 {
+        value * (12.92 * 255.0)
+    } else {
+        let root = value.sqrt();
+        let power = (root * value).sqrt().sqrt();
+        let factor = |share: f32| (f64::from(share) * 1.0622 * 255.0) as f32;
+        factor(0.675) * power + factor(0.325).mul_add(root, -0.0620 * 255.0)
+    };
+    scaled.round_ties_even() as u8
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn levels_halve_down_to_one_texel() {
+        let bytes: Vec<u8> = (0..12 * 5 * 3).map(|byte| byte as u8).collect();
+        let flat = TextureKind::Flat { srgb: false };
+        let texture = Texture::new(flat, 12, 5, 3, &bytes).expect("it fits");
+        let sizes = texture
+            .levels
+            .iter()
+            .map(|level| (level.width, level.height));
+        assert_eq!(sizes.collect::<Vec<_>>(), [(12, 5), (6, 2), (3, 1), (1, 1)]);
+        assert_eq!(texture.texels.len(), 60 + 12 + 3 + 1);
+    }
+
+    #[test]
+    fn one_colour_stays_that_colour_on_every_level() {
+        for kind in [
+            TextureKind::Flat { srgb: false },
+            TextureKind::Flat { srgb: true },
+            TextureKind::Cube,
+        ] {
+            for value in [0u8, 1, 15, 16, 100, 254, 255] {
+                let bytes = vec![value; 8 * 8 * 3];
+                let texture = Texture::new(kind, 8, 8, 3, &bytes).expect("it fits");
+                let wanted = u32::from_le_bytes([value, value, value, 255]);
+                assert!(
+                    texture.texels.iter().all(|texel| *texel == wanted),
+                    "{kind:?} {value}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn what_does_not_fit_is_refused() {
+        let flat = TextureKind::Flat { srgb: false };
+        for (kind, width, height, channels, bytes) in [
+            (flat, 0, 0, 3, 0),
+            (flat, 2, 2, 2, 8),
+            (flat, 2, 2, 3, 11),
+            (flat, 1 << 20, 1, 3, 3 << 20),
+            (TextureKind::Cube, 2, 6, 3, 36),
+        ] {
+            let texture = Texture::new(kind, width, height, channels, &vec![0; bytes]);
+            assert!(texture.is_err(), "{kind:?} {width} {height}");
+        }
+    }
+}

@@ -1,0 +1,334 @@
+//! Our own renderer. What MuJoCo makes of a model and its state (`mjvScene`) is
+//! handed to it as it is; models are prepared from the compiled arrays.
+
+use std::mem::MaybeUninit;
+
+use mujoco_rs::mujoco_c as c;
+use raster::{
+    Camera, Geom, Light, LightKind, MeshBuilder, Quality, Scene, Shape, Texture, TextureKind,
+    TextureUse, mesh_triangle, plane, plane_grid,
+};
+
+use super::{COLLISION_GROUP, MAX_GEOMS};
+use crate::error::SimError;
+use crate::mujoco::{Data, Model};
+
+const REMEDY: &str = "draw it with --renderer gl";
+/// Roles of textures in `mat_texid`, and the one that colours.
+const TEXTURE_ROLES: usize = c::mjtTextureRole::mjNTEXROLE as usize;
+const COLOUR_ROLE: usize = c::mjtTextureRole::mjTEXROLE_RGB as usize;
+
+/// What our renderer keeps to draw one scene.
+pub(crate) struct SoftwareCanvas {
+    options: c::mjvOption,
+    abstraction: Box<c::mjvScene>,
+    prepared: raster::Model,
+    /// Of each material the texture that colours it, and how it repeats.
+    materials: Vec<Option<Material>>,
+    sky: Option<usize>,
+    scene: Scene,
+    canvas: raster::Canvas,
+}
+
+#[derive(Clone, Copy)]
+struct Material {
+    texture: usize,
+    repeat: [f32; 2],
+    uniform: bool,
+}
+
+impl SoftwareCanvas {
+    /// Prepares a model's meshes and textures.
+    pub(crate) fn new(model: &Model) -> Result<Self, SimError> {
+        let prepared = prepare(model)?;
+        let mut options = MaybeUninit::uninit();
+        let mut abstraction = Box::new(MaybeUninit::uninit());
+        // SAFETY: each object is written whole by its default function before it
+        // is assumed initialised; the box keeps its address, which MuJoCo may
+        // remember.
+        let (mut options, abstraction) = unsafe {
+            c::mjv_defaultOption(options.as_mut_ptr());
+            c::mjv_defaultScene(abstraction.as_mut_ptr());
+            let (options, mut abstraction): (c::mjvOption, Box<c::mjvScene>) =
+                (options.assume_init(), abstraction.assume_init());
+            c::mjv_makeScene(model.as_ptr(), &mut *abstraction, MAX_GEOMS);
+            (options, abstraction)
+        };
+        options.geomgroup[COLLISION_GROUP] = 0;
+        Ok(Self {
+            options,
+            abstraction,
+            materials: materials(model),
+            sky: sky(model),
+            prepared,
+            scene: Scene {
+                geoms: Vec::new(),
+                lights: Vec::new(),
+                camera: Camera {
+                    pos: [0.0; 3],
+                    forward: [0.0; 3],
+                    up: [0.0; 3],
+                    center: 0.0,
+                    half_width: 0.0,
+                    bottom: 0.0,
+                    top: 0.0,
+                    near: 0.0,
+                    far: 0.0,
+                    orthographic: false,
+                },
+                sky: None,
+                reflections: true,
+            },
+            canvas: raster::Canvas::new(),
+        })
+    }
+
+    /// Draws what a camera of the model sees; rows from bottom to top.
+    pub(crate) fn draw(
+        &mut self,
+        model: &Model,
+        data: &mut Data,
+        camera: usize,
+        width: u32,
+        height: u32,
+    ) -> Result<Vec<u8>, SimError> {
+        self.update(model, data, camera)?;
+        let frame = self
+            .canvas
+            .draw(&self.prepared, &self.scene, width as usize, height as usize)
+            .map_err(|error| graphics(error.to_string()))?;
+        Ok(frame.to_vec())
+    }
+
+    /// Makes the scene of a model's state.
+    fn update(&mut self, model: &Model, data: &mut Data, camera: usize) -> Result<(), SimError> {
+        let mut view = MaybeUninit::uninit();
+        // SAFETY: model and data belong together; the scene was made for this
+        // model and holds as many geoms and lights as it says.
+        let (eye, geoms) = unsafe {
+            c::mjv_defaultCamera(view.as_mut_ptr());
+            let mut view: c::mjvCamera = view.assume_init();
+            view.type_ = c::mjtCamera::mjCAMERA_FIXED as i32;
+            view.fixedcamid = camera as i32;
+            c::mjv_updateScene(
+                model.as_ptr(),
+                data.as_mut_ptr(),
+                &self.options,
+                std::ptr::null(),
+                &mut view,
+                c::mjtCatBit::mjCAT_ALL as i32,
+                &mut *self.abstraction,
+            );
+            let cameras = &self.abstraction.camera;
+            let eye = c::mjv_averageCamera(&cameras[0], &cameras[1]);
+            let count = self.abstraction.ngeom as usize;
+            (
+                eye,
+                std::slice::from_raw_parts(self.abstraction.geoms, count),
+            )
+        };
+        let flag = |flag: c::mjtRndFlag| self.abstraction.flags[flag as usize] != 0;
+        self.scene.camera = Camera {
+            pos: eye.pos,
+            forward: eye.forward,
+            up: eye.up,
+            center: eye.frustum_center,
+            half_width: eye.frustum_width,
+            bottom: eye.frustum_bottom,
+            top: eye.frustum_top,
+            near: eye.frustum_near,
+            far: eye.frustum_far,
+            orthographic: eye.orthographic != 0,
+        };
+        self.scene.reflections = flag(c::mjtRndFlag::mjRND_REFLECTION);
+        self.scene.sky = self.sky.filter(|_| flag(c::mjtRndFlag::mjRND_SKYBOX));
+        let shadows = flag(c::mjtRndFlag::mjRND_SHADOW);
+        self.scene.lights.clear();
+        for light in &self.abstraction.lights[..self.abstraction.nlight as usize] {
+            self.scene.lights.push(read_light(light, shadows)?);
+        }
+        self.scene.geoms.clear();
+        for geom in geoms {
+            self.scene.geoms.push(read_geom(geom, &self.materials)?);
+        }
+        Ok(())
+    }
+}
+
+impl Drop for SoftwareCanvas {
+    fn drop(&mut self) {
+        // SAFETY: made in `new`, freed once.
+        unsafe { c::mjv_freeScene(&mut *self.abstraction) }
+    }
+}
+
+fn graphics(problem: String) -> SimError {
+    SimError::Graphics {
+        problem,
+        remedy: REMEDY,
+    }
+}
+
+fn read_light(light: &c::mjvLight, shadows: bool) -> Result<Light, SimError> {
+    if shadows && light.castshadow != 0 {
+        return Err(graphics("a light casts shadows".to_owned()));
+    }
+    let kind = match light.type_ {
+        kind if kind == c::mjtLightType::mjLIGHT_DIRECTIONAL as i32 => LightKind::Directional,
+        kind if kind == c::mjtLightType::mjLIGHT_SPOT as i32 => LightKind::Spot {
+            cutoff: light.cutoff,
+            exponent: light.exponent,
+            attenuation: light.attenuation,
+        },
+        kind => {
+            return Err(graphics(format!(
+                "a light is of kind {kind} (mjtLightType)"
+            )));
+        }
+    };
+    Ok(Light {
+        kind,
+        pos: light.pos,
+        dir: light.dir,
+        ambient: light.ambient,
+        diffuse: light.diffuse,
+        specular: light.specular,
+    })
+}
+
+fn read_geom(geom: &c::mjvGeom, materials: &[Option<Material>]) -> Result<Geom, SimError> {
+    const PLANE: i32 = c::mjtGeom::mjGEOM_PLANE as i32;
+    const SPHERE: i32 = c::mjtGeom::mjGEOM_SPHERE as i32;
+    const CAPSULE: i32 = c::mjtGeom::mjGEOM_CAPSULE as i32;
+    const ELLIPSOID: i32 = c::mjtGeom::mjGEOM_ELLIPSOID as i32;
+    const CYLINDER: i32 = c::mjtGeom::mjGEOM_CYLINDER as i32;
+    const BOX: i32 = c::mjtGeom::mjGEOM_BOX as i32;
+    const MESH: i32 = c::mjtGeom::mjGEOM_MESH as i32;
+    // Even numbers are meshes, odd ones their convex hulls.
+    let shape = match (geom.type_, usize::try_from(geom.dataid).ok()) {
+        (PLANE, Some(index)) => Shape::Plane(index),
+        (PLANE, None) => Shape::Rectangle,
+        (SPHERE | ELLIPSOID, _) => Shape::Ellipsoid,
+        (CAPSULE, _) => Shape::Capsule,
+        (CYLINDER, _) => Shape::Cylinder,
+        (BOX, _) => Shape::Box,
+        (MESH, Some(index)) if index % 2 == 0 => Shape::Mesh(index / 2),
+        (kind, _) => return Err(graphics(format!("a geom is of kind {kind} (mjtGeom)"))),
+    };
+    let material = usize::try_from(geom.matid).ok();
+    let material = material.and_then(|index| materials.get(index).copied().flatten());
+    Ok(Geom {
+        shape,
+        size: geom.size,
+        pos: geom.pos,
+        mat: geom.mat,
+        rgba: geom.rgba,
+        emission: geom.emission,
+        specular: geom.specular,
+        shininess: geom.shininess,
+        reflectance: geom.reflectance,
+        texture: material.map(|material| TextureUse {
+            texture: material.texture,
+            repeat: material.repeat,
+            uniform: material.uniform,
+            by_corner: geom.texcoord != 0,
+        }),
+        reach: geom.modelrbound,
+        segment: u32::try_from(geom.segid).ok(),
+    })
+}
+
+/// Prepares what does not change: meshes, planes and textures.
+fn prepare(model: &Model) -> Result<raster::Model, SimError> {
+    let raw = model.raw();
+    let quality = &raw.vis.quality;
+    let quality = Quality {
+        slices: quality.numslices as usize,
+        stacks: quality.numstacks as usize,
+        quads: quality.numquads as usize,
+    };
+    let mut prepared = raster::Model::new(quality).map_err(|error| graphics(error.to_string()))?;
+    prepared.meshes = (0..model.meshes().count())
+        .map(|mesh| mesh_of(model, mesh))
+        .collect();
+    let far = f64::from(raw.vis.map.zfar) * raw.stat.extent;
+    let repeat = model.mat_texrepeat();
+    for (geom, kind) in model.geom_type().iter().enumerate() {
+        if *kind != c::mjtGeom::mjGEOM_PLANE as i32 {
+            continue;
+        }
+        let size = &model.geom_size()[geom * 3..][..3];
+        let material = usize::try_from(model.geom_matid()[geom]).ok();
+        let lines = |axis: usize| {
+            let repeat = material.map(|material| f64::from(repeat[material * 2 + axis]));
+            let period = repeat
+                .filter(|repeat| *repeat > 0.0)
+                .map(|repeat| 2.0 / repeat);
+            plane_grid(size[axis], size[2], period, far)
+        };
+        prepared.planes.push(plane(&lines(0), &lines(1)));
+    }
+    for texture in model.textures() {
+        let kind = match texture.kind {
+            kind if kind == c::mjtTexture::mjTEXTURE_2D as i32 => TextureKind::Flat {
+                srgb: texture.colorspace == c::mjtColorSpace::mjCOLORSPACE_SRGB as i32,
+            },
+            _ => TextureKind::Cube,
+        };
+        let made = Texture::new(
+            kind,
+            texture.width,
+            texture.height,
+            texture.channels,
+            texture.texels,
+        );
+        prepared
+            .textures
+            .push(made.map_err(|error| graphics(error.to_string()))?);
+    }
+    Ok(prepared)
+}
+
+fn mesh_of(model: &Model, index: usize) -> raster::Mesh {
+    let mesh = model.meshes().get(index);
+    let mut builder = MeshBuilder::default();
+    for face in 0..mesh.faces.len() / 3 {
+        let three = |ids: &[i32], values: &[f32]| {
+            [0, 1, 2].map(|corner| {
+                let at = ids[face * 3 + corner] as usize * 3;
+                [values[at], values[at + 1], values[at + 2]]
+            })
+        };
+        let st = mesh.texture_coordinates.map(|values| {
+            [0, 1, 2].map(|corner| {
+                let at = mesh.face_texture_coordinates[face * 3 + corner] as usize * 2;
+                [values[at], values[at + 1]]
+            })
+        });
+        let pos = three(mesh.faces, mesh.vertices);
+        let normals = three(mesh.face_normals, mesh.normals);
+        builder.triangle(mesh_triangle(pos, normals, st));
+    }
+    builder.build()
+}
+
+fn materials(model: &Model) -> Vec<Option<Material>> {
+    let textures = model.mat_texid().chunks_exact(TEXTURE_ROLES);
+    let repeats = model.mat_texrepeat().chunks_exact(2);
+    let all = textures.zip(repeats).zip(model.mat_texuniform());
+    all.map(|((textures, repeat), uniform)| {
+        let texture = usize::try_from(textures[COLOUR_ROLE]).ok()?;
+        Some(Material {
+            texture,
+            repeat: [repeat[0], repeat[1]],
+            uniform: *uniform != 0,
+        })
+    })
+    .collect()
+}
+
+/// The first texture that is meant for the sky.
+fn sky(model: &Model) -> Option<usize> {
+    let sky = c::mjtTexture::mjTEXTURE_SKYBOX as i32;
+    model.textures().position(|texture| texture.kind == sky)
+}
