@@ -102,9 +102,7 @@ impl Canvas {
     }
 
     /// Finds what is visible of the instances, the near ones first.
-    fn rasterise(
-        &mut self,
-        model: &Model, view: &View, window: Window) {
+    fn rasterise(&mut self, model: &Model, view: &View, window: Window) {
         let mut order: Vec<usize> = (0..self.instances.len()).collect();
         order.sort_by(|a, b| {
             let distance = |at: &usize| self.instances[*at].distance;
@@ -125,9 +123,7 @@ impl Canvas {
     }
 
     /// Colours what is visible.
-    fn paint(
-        &mut self,
-        model: &Model, lights: &[EyeLight], window: Window) {
+    fn paint(&mut self, model: &Model, lights: &[EyeLight], window: Window) {
         let (visible, lists) = (&self.visible, &mut self.lists);
         lists.clear(visible.records.len(), model.textures.len());
         shade::list_fragments(visible, &self.instances, window, lists);
@@ -262,12 +258,7 @@ impl Canvas {
     ) {
         let mut painted = Vec::with_capacity(glassy.len());
         for index in glassy {
-            painted.push(self.glass_layers(model,
-                &scene.geoms[*index],
-                view,
-                lights,
-                window,
-            ));
+            painted.push(self.glass_layers(model, &scene.geoms[*index], view, lights, window));
         }
         for fragments in painted.iter().chain(painted.iter().rev()) {
             for (fragment, colour) in fragments {

@@ -115,13 +115,19 @@ impl Floats for F {
     #[inline(always)]
     fn fused(self, by: Self, plus: Self) -> Self {
         if cfg!(any(
-            all(target_arch = "x86_64", target_feature = "avx", target_feature = "fma"),
+            all(
+                target_arch = "x86_64",
+                target_feature = "avx",
+                target_feature = "fma"
+            ),
             target_arch = "aarch64"
         )) {
             return self.mul_add(by, plus);
         }
         let (a, b, c) = (self.as_array(), by.as_array(), plus.as_array());
-        Self::new(std::array::from_fn(|lane| a[lane].mul_add(b[lane], c[lane])))
+        Self::new(std::array::from_fn(|lane| {
+            a[lane].mul_add(b[lane], c[lane])
+        }))
     }
 
     #[inline(always)]

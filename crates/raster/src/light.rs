@@ -144,11 +144,7 @@ fn minus8(a: Vec3x8, b: Vec3x8) -> Vec3x8 {
 /// The colours of corners at `pos` with `normal`, both as the eye has them, the
 /// latter of any length.
 #[inline(always)]
-pub(crate) fn shade(
-    shading: &Shading<'_>,
-    pos: Vec3x8,
-    normal: Vec3x8,
-) -> Vec3x8 {
+pub(crate) fn shade(shading: &Shading<'_>, pos: Vec3x8, normal: Vec3x8) -> Vec3x8 {
     let splat = |value: f32| F::splat(value);
     let (zero, one) = (splat(0.0), splat(1.0));
     let vec = |v: Vec3| v.map(splat);
@@ -198,11 +194,7 @@ pub(crate) fn shade(
 
 /// How much of a light arrives; none if all does.
 #[inline(always)]
-fn attenuated(
-    light: &EyeLight,
-    to_light: Vec3x8,
-    over_distance: F,
-) -> Option<F> {
+fn attenuated(light: &EyeLight, to_light: Vec3x8, over_distance: F) -> Option<F> {
     let splat = |value: f32| F::splat(value);
     let one = splat(1.0);
     let in_cone = light.cone.map(|cone| {

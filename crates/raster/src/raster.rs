@@ -214,25 +214,14 @@ struct Candidates {
 }
 
 #[inline(always)]
-fn draw_cluster(
-    index: usize,
-    mesh: &Mesh,
-    cluster: &Cluster,
-    drawing: &mut Drawing<'_>,
-) {
+fn draw_cluster(index: usize, mesh: &Mesh, cluster: &Cluster, drawing: &mut Drawing<'_>) {
     let instance = &drawing.instances[index];
     let beyond = place(instance, mesh, cluster, drawing);
     let mut candidates = Candidates {
         count: 0,
         at: [0; CLUSTER + LANES],
     };
-    choose(instance,
-        mesh,
-        cluster,
-        drawing,
-        beyond,
-        &mut candidates,
-    );
+    choose(instance, mesh, cluster, drawing, beyond, &mut candidates);
     if beyond {
         cut_off(index, mesh, cluster, drawing);
     }
@@ -255,12 +244,7 @@ fn draw_cluster(
 
 /// Carries a cluster's positions to the picture; whether any is beyond a side.
 #[inline(always)]
-fn place(
-    instance: &Instance,
-    mesh: &Mesh,
-    cluster: &Cluster,
-    drawing: &mut Drawing<'_>,
-) -> bool {
+fn place(instance: &Instance, mesh: &Mesh, cluster: &Cluster, drawing: &mut Drawing<'_>) -> bool {
     let m = instance.to_clip.0.map(|value| F::splat(value));
     let half_width = F::splat(drawing.visible.width as f32 * 0.5);
     let half_height = F::splat(drawing.visible.height as f32 * 0.5);
@@ -293,8 +277,7 @@ fn place(
         let wx = (cx * over_w).fused(half_width, half_width);
         let wy = (cy * over_w).fused(half_height, half_height);
         let subpixels = F::splat(SUBPIXELS as f32);
-        let snapped =
-            |value: F| -> I { (value * subpixels).nearest() };
+        let snapped = |value: F| -> I { (value * subpixels).nearest() };
         wx.store(&mut to.x[at..at + LANES]);
         wy.store(&mut to.y[at..at + LANES]);
         // Depth: the viewport's scale is 1 and its shift 0.
@@ -346,9 +329,8 @@ fn choose(
                 .try_into()
                 .expect("eight")
         });
-        let of = |values: &[i32; MOST], ids: &[u8; LANES]| {
-            I::new(ids.map(|id| values[usize::from(id)]))
-        };
+        let of =
+            |values: &[i32; MOST], ids: &[u8; LANES]| I::new(ids.map(|id| values[usize::from(id)]));
         let (xa, ya) = (
             of(&positions.snapped_x, &ids[0]),
             of(&positions.snapped_y, &ids[0]),
@@ -364,16 +346,20 @@ fn choose(
         let (x0, x1) = (xa.min(xb).min(xc), xa.max(xb).max(xc));
         let (y0, y1) = (ya.min(yb).min(yc), ya.max(yb).max(yc));
         // Samples lie in every fourth of a pixel, once in a row and column.
-        let (column0, column1) = (((x0 + splat(31)) >> 6i32).max(left), ((x1 - splat(32)) >> 6i32).min(right));
-        let (row0, row1) = (((y0 + splat(31)) >> 6i32).max(low), ((y1 - splat(32)) >> 6i32).min(high));
+        let (column0, column1) = (
+            ((x0 + splat(31)) >> 6i32).max(left),
+            ((x1 - splat(32)) >> 6i32).min(right),
+        );
+        let (row0, row1) = (
+            ((y0 + splat(31)) >> 6i32).max(low),
+            ((y1 - splat(32)) >> 6i32).min(high),
+        );
         let mut kept = column0.le(column1) & row0.le(row1);
         let three = splat(3);
         let column_of_row = (splat(0x8d) >> ((row0 & three) << 1i32)) & three;
         let row_of_column = (splat(0x72) >> ((column0 & three) << 1i32)) & three;
-        let one_row =
-            row0.equals(row1) & ((column_of_row - column0) & three).gt(column1 - column0);
-        let one_column =
-            column0.equals(column1) & ((row_of_column - row0) & three).gt(row1 - row0);
+        let one_row = row0.equals(row1) & ((column_of_row - column0) & three).gt(column1 - column0);
+        let one_column = column0.equals(column1) & ((row_of_column - row0) & three).gt(row1 - row0);
         kept = kept & !(one_row | one_column);
         let area = (xa - xb) * (yc - ya) - (xc - xa) * (ya - yb);
         let large = (x1 - x0).ge(splat(LARGE)) | (y1 - y0).ge(splat(LARGE));
@@ -399,12 +385,7 @@ fn choose(
 
 /// Cuts off what is beyond a side of those triangles that reach there.
 #[inline(never)]
-fn cut_off(
-    index: usize,
-    mesh: &Mesh,
-    cluster: &Cluster,
-    drawing: &mut Drawing<'_>,
-) {
+fn cut_off(index: usize, mesh: &Mesh, cluster: &Cluster, drawing: &mut Drawing<'_>) {
     let first = cluster.first_triangle as usize;
     for triangle in first..first + cluster.triangles as usize {
         let beyond = mesh
@@ -483,12 +464,8 @@ fn set_up(
         let corners = &mesh.corners[corner][first..];
         lanes.map(|lane| usize::from(corners[usize::from(lane)]))
     });
-    let whole = |values: &[i32; MOST], corner: usize| {
-        I::new(ids[corner].map(|id| values[id]))
-    };
-    let part = |values: &[f32; MOST], corner: usize| {
-        F::new(ids[corner].map(|id| values[id]))
-    };
+    let whole = |values: &[i32; MOST], corner: usize| I::new(ids[corner].map(|id| values[id]));
+    let part = |values: &[f32; MOST], corner: usize| F::new(ids[corner].map(|id| values[id]));
     let x = [0, 1, 2].map(|corner| whole(&positions.snapped_x, corner));
     let y = [0, 1, 2].map(|corner| whole(&positions.snapped_y, corner));
     let splat = |value: i32| I::splat(value);
@@ -513,8 +490,7 @@ fn set_up(
         x[edge].store(&mut to.corners[edge][0]);
         y[edge].store(&mut to.corners[edge][1]);
     }
-    let is_large =
-        (most_x - least_x).ge(splat(LARGE)) | (most_y - least_y).ge(splat(LARGE));
+    let is_large = (most_x - least_x).ge(splat(LARGE)) | (most_y - least_y).ge(splat(LARGE));
     to.large = is_large.bits();
     x0.store(&mut to.x0);
     x1.store(&mut to.x1);
@@ -695,16 +671,7 @@ fn fill_large(
             }
             let part_x = [block_x.max(x[0]), (block_x + BLOCK - 1).min(x[1])];
             let part_y = [block_y, (block_y + BLOCK - 1).min(y[1])];
-            touched |= {
-                    fill_block(lane,
-                        setup,
-                        edges,
-                        part_x,
-                        part_y,
-                        (record, id),
-                        drawing,
-                    )
-                };
+            touched |= { fill_block(lane, setup, edges, part_x, part_y, (record, id), drawing) };
         }
     }
     touched

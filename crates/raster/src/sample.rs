@@ -21,20 +21,14 @@ pub(crate) struct Place {
 /// What eight places show. `corner`, `right` and `above` are the places of three
 /// pixels of the square of four that each lies in.
 #[inline(always)]
-pub(crate) fn sample(
-    texture: &Texture,
-    own: Place,
-    [corner, right, above]: [Place; 3],
-) -> Colour {
+pub(crate) fn sample(texture: &Texture, own: Place, [corner, right, above]: [Place; 3]) -> Colour {
     let base = texture.levels[0];
     let size = [base.width as f32, base.height as f32].map(|side| F::splat(side));
     let difference = |to: &Place, axis: usize| to.at[axis] - corner.at[axis];
     let changes = [&right, &above].map(|to| [0, 1, 2].map(|axis| difference(to, axis)));
     match texture.kind {
         TextureKind::Flat { srgb } => {
-            let levels = Levels::choose(texture,
-                footprint(changes.map(|it| [it[0], it[1]]), size),
-            );
+            let levels = Levels::choose(texture, footprint(changes.map(|it| [it[0], it[1]]), size));
             let [s, t, _] = own.at;
             match srgb {
                 false => flat_in_bytes(texture, &levels, s, t),
@@ -170,12 +164,7 @@ fn around<W>(
 }
 
 #[inline(always)]
-fn flat_in_bytes(
-    texture: &Texture,
-    levels: &Levels,
-    s: F,
-    t: F,
-) -> Colour {
+fn flat_in_bytes(texture: &Texture, levels: &Levels, s: F, t: F) -> Colour {
     let on = |level: &[u8; LANES]| {
         let sizes = Sizes::of(texture, level);
         let base = &texture.levels[0];
@@ -214,11 +203,7 @@ fn blend(from: I, to: I, share: I) -> I {
 
 /// The texel before a place that repeats, and how far behind it that is.
 #[inline(always)]
-fn texel_in_256ths(
-    at: F,
-    size: I,
-    is_power_of_two: bool,
-) -> (I, I) {
+fn texel_in_256ths(at: F, size: I, is_power_of_two: bool) -> (I, I) {
     let whole = |value: i32| I::splat(value);
     if is_power_of_two {
         let scale: F = (size << 8i32).float();
@@ -237,12 +222,7 @@ fn texel_in_256ths(
 }
 
 #[inline(always)]
-fn flat_in_floats(
-    texture: &Texture,
-    levels: &Levels,
-    s: F,
-    t: F,
-) -> Colour {
+fn flat_in_floats(texture: &Texture, levels: &Levels, s: F, t: F) -> Colour {
     let on = |level: &[u8; LANES]| {
         let sizes = Sizes::of(texture, level);
         let base = &texture.levels[0];
@@ -269,11 +249,7 @@ fn mix(from: F, to: F, share: F) -> F {
 }
 
 #[inline(always)]
-fn mix_four(
-    texels: [I; 4],
-    [u, v]: [F; 2],
-    srgb: bool,
-) -> Colour {
+fn mix_four(texels: [I; 4], [u, v]: [F; 2], srgb: bool) -> Colour {
     [0, 1, 2, 3].map(|channel: u32| {
         let [a, b, c, d] = texels.map(|texel| {
             let part = (texel >> (8 * channel as i32)) & I::splat(255);
@@ -297,18 +273,12 @@ fn linear(value: F) -> F {
     let odd = square.fused(c3, c1);
     let curved = odd.fused(value, even);
     let straight = value * splat(SRGB_LINEAR_FACTOR);
-    value
-        .le(splat(SRGB_LINEAR_TO))
-        .select(straight, curved)
+    value.le(splat(SRGB_LINEAR_TO)).select(straight, curved)
 }
 
 /// As [`texel_in_256ths`], with a fraction.
 #[inline(always)]
-fn texel_and_share(
-    at: F,
-    size: I,
-    is_power_of_two: bool,
-) -> (I, F) {
+fn texel_and_share(at: F, size: I, is_power_of_two: bool) -> (I, F) {
     let whole = |value: i32| I::splat(value);
     let size_as_float: F = size.float();
     let half = F::splat(0.5);
@@ -341,15 +311,13 @@ impl Face {
         let half = F::splat(0.5);
         let widest_is_x = x.abs().gt(y.abs());
         let is_z = z.abs().ge(x.abs().max(y.abs()));
-        let choose =
-            |x: F, y: F, z: F| is_z.select(z, widest_is_x.select(x, y));
+        let choose = |x: F, y: F, z: F| is_z.select(z, widest_is_x.select(x, y));
         let major = choose(x, y, z);
         let sign = |value: F| {
             let signs: I = major.as_ints() & I::splat(i32::MIN);
             (value.as_ints() ^ signs).as_floats()
         };
-        let on_face =
-            |[x, y, z]: [F; 3]| [choose(sign(-z), x, sign(x)), choose(-y, sign(z), -y)];
+        let on_face = |[x, y, z]: [F; 3]| [choose(sign(-z), x, sign(x)), choose(-y, sign(z), -y)];
         let over_major = F::splat(1.0) / major;
         let half_over_major = half * over_major;
         let [s, t] = on_face(place.at);
@@ -379,11 +347,7 @@ fn cube(texture: &Texture, levels: &Levels, face: &Face) -> Colour {
     if levels.is_one {
         return first;
     }
-    between(
-        first,
-        cube_on(texture, &levels.second, face),
-        levels.share,
-    )
+    between(first, cube_on(texture, &levels.second, face), levels.share)
 }
 
 #[inline(always)]

@@ -125,7 +125,8 @@ pub(crate) fn work_out_surfaces(
         for lane in batch.count..LANES {
             batch.records[lane] = first;
         }
-        surface::work_out(instance,
+        surface::work_out(
+            instance,
             mesh,
             shading.as_ref(),
             size,
@@ -144,7 +145,8 @@ pub(crate) fn work_out_surfaces(
         if record.positions == CLIPPED {
             let instance = &instances[record.instance as usize];
             let shading = instance.is_lit.then(|| Shading::new(instance, lights));
-            lists.surfaces[*surface as usize] = surface::work_out_clipped(instance,
+            lists.surfaces[*surface as usize] = surface::work_out_clipped(
+                instance,
                 instance.mesh.of(model),
                 shading.as_ref(),
                 visible,
@@ -188,11 +190,7 @@ impl Default for Batch {
 /// Colours the fragments of every list; each goes to `paint` with its colour,
 /// red in the lowest byte.
 #[inline(always)]
-pub(crate) fn colour(
-    model: &Model,
-    lists: &Lists,
-    mut paint: impl FnMut(&Fragment, u32),
-) {
+pub(crate) fn colour(model: &Model, lists: &Lists, mut paint: impl FnMut(&Fragment, u32)) {
     for (texture, fragments) in lists.fragments.iter().enumerate() {
         let texture = model.textures.get(texture);
         for part in fragments.chunks(LANES) {

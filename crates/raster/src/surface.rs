@@ -51,9 +51,8 @@ pub(crate) fn work_out(
     }
     let slopes = Slopes::new(&x, &y);
     let planes = varying.each_ref().map(|values| slopes.of(values));
-    let rows = |part: fn(&(F, F, F)) -> F| {
-        F::transpose(planes.each_ref().map(part)).map(F::to_array)
-    };
+    let rows =
+        |part: fn(&(F, F, F)) -> F| F::transpose(planes.each_ref().map(part)).map(F::to_array);
     let (at_corner, per_x, per_y) = (rows(|it| it.0), rows(|it| it.1), rows(|it| it.2));
     for (lane, surface) in into.iter_mut().enumerate() {
         surface.at_corner = at_corner[lane];

@@ -84,7 +84,11 @@ fn simulator(arguments: &Arguments, renderer: Renderer) -> Result<Simulator> {
 }
 
 fn draw_task(task: TaskRef, condition: &str, arguments: &Arguments) -> Result<()> {
-    let id = format!("{}/t{}/{condition}", task.suite().short_name(), task.index());
+    let id = format!(
+        "{}/t{}/{condition}",
+        task.suite().short_name(),
+        task.index()
+    );
     let row = worker::single::row_of(id.parse()?)?;
     let mut ours = simulator(arguments, Renderer::Software)?;
     let mut theirs = simulator(arguments, Renderer::Gl(GlDevice::Auto))?;
@@ -165,9 +169,8 @@ fn save(folder: &Path, name: &str, ours: &Frame, theirs: &Frame) -> Result<()> {
         for x in 0..width {
             let at = (((height - 1 - y) * width + x) * 3) as usize;
             let (a, b) = (&ours.rgb[at..at + 3], &theirs.rgb[at..at + 3]);
-            let off: [u8; 3] = std::array::from_fn(|channel| {
-                a[channel].abs_diff(b[channel]).saturating_mul(50)
-            });
+            let off: [u8; 3] =
+                std::array::from_fn(|channel| a[channel].abs_diff(b[channel]).saturating_mul(50));
             picture.put_pixel(x, y, image::Rgb([a[0], a[1], a[2]]));
             picture.put_pixel(width + x, y, image::Rgb([b[0], b[1], b[2]]));
             picture.put_pixel(2 * width + x, y, image::Rgb(off));
