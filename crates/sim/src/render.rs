@@ -15,9 +15,14 @@ const MAX_GEOMS: i32 = 1000;
 /// Geom groups: collision geometry is not drawn, visual geometry is.
 const COLLISION_GROUP: usize = 0;
 
+/// What the software renderer is called.
+const SOFTWARE: &str = "rollout-raster 1";
+
 /// Which renderer draws.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Renderer {
+    /// Our own, on the processor.
+    Software,
     /// MuJoCo's, through OpenGL on a device.
     Gl(GlDevice),
 }
@@ -30,6 +35,8 @@ impl Default for Renderer {
 
 /// A renderer that is ready to draw, on the thread that opened it.
 pub enum Drawer {
+    /// Our own.
+    Software,
     /// MuJoCo's.
     Gl(GlContext),
 }
@@ -41,6 +48,7 @@ impl Drawer {
     /// Where OpenGL is asked for and no device gives a context.
     pub fn open(renderer: Renderer) -> Result<Self, SimError> {
         match renderer {
+            Renderer::Software => Ok(Self::Software),
             Renderer::Gl(device) => Ok(Self::Gl(GlContext::open(device)?)),
         }
     }
@@ -48,6 +56,7 @@ impl Drawer {
     /// What draws: of OpenGL the driver's words, for example `llvmpipe (…)`.
     pub fn name(&self) -> &str {
         match self {
+            Self::Software => SOFTWARE,
             Self::Gl(context) => context.renderer(),
         }
     }
@@ -68,6 +77,10 @@ impl Canvas {
         height: u32,
     ) -> Result<Self, SimError> {
         match drawer {
+            Drawer::Software => Err(SimError::Graphics {
+                problem: format!("{SOFTWARE} is not part of this build"),
+                remedy: "draw with --renderer gl",
+            }),
             Drawer::Gl(context) => GlCanvas::new(context, model, width, height).map(Self::Gl),
         }
     }
@@ -76,6 +89,7 @@ impl Canvas {
     pub(crate) fn suits(&self, drawer: &Drawer, width: u32, height: u32) -> bool {
         match (self, drawer) {
             (Self::Gl(canvas), Drawer::Gl(_)) => canvas.holds(width, height),
+            (Self::Gl(_), Drawer::Software) => false,
         }
     }
 
