@@ -45,7 +45,7 @@ pub(crate) struct Options {
 /// Runs it.
 pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let start = Instant::now();
-    setup::run(root)?;
+    setup::with_default_renderer(root)?;
     let programs = build_programs(root)?;
     let running = Instant::now();
     let dir = fresh_folder(&root.join("demo-data"))?;

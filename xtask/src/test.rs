@@ -19,7 +19,7 @@ const OPENPI_CLIENT: &str = "openpi-client==0.1.2";
 
 /// Sets up, builds and runs everything.
 pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
-    let cache = setup::run(root)?;
+    let cache = setup::with_default_renderer(root)?;
     // The end-to-end tests start the real programs.
     let programs = build_programs(root)?;
     let python = step("Python environment for policies/", || python(root, &cache))?;
@@ -70,7 +70,7 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
 
 /// Builds and runs one of the programs of package `tests`.
 pub(crate) fn program(root: &Path, name: &str, arguments: &[String]) -> Result<()> {
-    setup::run(root)?;
+    setup::with_default_renderer(root)?;
     println!("Running {name}");
     let mut program = cargo(root);
     program.args(["run", "--quiet", "--package", "tests", "--bin", name, "--"]);
