@@ -38,7 +38,7 @@ pub enum Drawer {
     /// Our own.
     Software,
     /// MuJoCo's.
-    Gl(GlContext),
+    Gl(Box<GlContext>),
 }
 
 impl Drawer {
@@ -49,7 +49,7 @@ impl Drawer {
     pub fn open(renderer: Renderer) -> Result<Self, SimError> {
         match renderer {
             Renderer::Software => Ok(Self::Software),
-            Renderer::Gl(device) => Ok(Self::Gl(GlContext::open(device)?)),
+            Renderer::Gl(device) => Ok(Self::Gl(Box::new(GlContext::open(device)?))),
         }
     }
 
