@@ -302,7 +302,7 @@ fn worker_info(number: u32, arguments: &Arguments) -> WorkerInfo {
         asset_pack: "simulated".to_owned(),
         asset_pack_digest: digest("pack"),
         mujoco_version: "simulated".to_owned(),
-        gl_renderer: "simulated".to_owned(),
+        renderer: "simulated".to_owned(),
         program_version: env!("CARGO_PKG_VERSION").to_owned(),
     }
 }
@@ -345,7 +345,8 @@ fn outcome(
         provenance: Provenance {
             // Every worker runs on a machine of its own.
             host: worker.0.clone(),
-            gl_renderer: "simulated".to_owned(),
+            renderer: "simulated".to_owned(),
+            fingerprint: digest("fingerprint"),
             mujoco_version: "simulated".to_owned(),
             asset_pack: "simulated".to_owned(),
             asset_pack_digest: digest("pack"),

@@ -43,8 +43,9 @@ pub enum Invariant {
     CancelledLeasesNothing,
     /// A policy's probe is a lease of that policy.
     ProbeIsOut,
-    /// A result is of its job's campaign, and of the assets, the simulator and
-    /// the mode that the campaign is pinned to.
+    /// A result is of its job's campaign, and of the assets, the simulator, the
+    /// renderer and the mode that the campaign is pinned to. Schema 1 pinned no
+    /// renderer: its results, which have no fingerprint, may be of any.
     ResultsAreOfThePin,
     /// The results of one initial state agree on scene and initial state.
     ConfigurationsAgree,
@@ -222,12 +223,13 @@ impl Invariant {
                           AND j.state = 'leased' AND c.policy_id = p.id)"
             }
             Invariant::ResultsAreOfThePin => {
-                "SELECT format('the result of job %d is not of the assets, simulator, mode or job '
-                     || 'of campaign %s', r.job_id, c.name)
+                "SELECT format('the result of job %d is not of the assets, simulator, renderer, mode '
+                     || 'or job of campaign %s', r.job_id, c.name)
                  FROM result r JOIN campaign c ON c.id = r.campaign_id
                  JOIN job j ON j.id = r.job_id JOIN provenance p ON p.id = r.provenance_id
                  WHERE j.campaign_id <> c.id OR p.asset_pack_digest IS NOT c.asset_pack_digest
-                     OR p.mujoco_version IS NOT c.mujoco_version OR p.realisation <> c.realisation"
+                     OR p.mujoco_version IS NOT c.mujoco_version OR p.realisation <> c.realisation
+                     OR (p.fingerprint <> '' AND p.renderer IS NOT c.renderer)"
             }
             Invariant::ConfigurationsAgree => {
                 "SELECT format('initial state %d of %s in campaign %s has %d scenes and %d initial '

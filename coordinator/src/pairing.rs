@@ -48,8 +48,10 @@ fn from_the_campaign(demand: &Demand<'_>, provenance: &Provenance) -> Option<Str
     let pinned = demand.pin.as_ref().and_then(|pin| {
         let pack = (&provenance.asset_pack_digest, &pin.asset_pack_digest);
         let mujoco = (&provenance.mujoco_version, &pin.mujoco_version);
+        let renderer = (&provenance.renderer, &pin.renderer);
         differs("asset-pack digest", pack.0, pack.1, campaign)
             .or_else(|| differs("MuJoCo version", mujoco.0, mujoco.1, campaign))
+            .or_else(|| differs("renderer", renderer.0, renderer.1, campaign))
     });
     pinned.or_else(|| {
         let (here, there) = (&provenance.realisation, demand.realisation.name());
@@ -130,7 +132,7 @@ fn from_the_first_frame(
         let there = &sibling.perturbation;
         let pictured = |axis: &Axis| there.of(*axis) == digests.perturbation.of(*axis);
         !sibling.first_frame.is_empty()
-            && sibling.gl_renderer == provenance.gl_renderer
+            && sibling.renderer == provenance.renderer
             && sibling.policy_name == provenance.policy_name
             && sibling.policy_checkpoint == provenance.policy_checkpoint
             && sibling.policy_checkpoint_digest == provenance.policy_checkpoint_digest
@@ -184,7 +186,8 @@ mod tests {
     fn provenance() -> Provenance {
         Provenance {
             host: "here".to_owned(),
-            gl_renderer: "llvmpipe".to_owned(),
+            renderer: "llvmpipe".to_owned(),
+            fingerprint: hex(b'f'),
             mujoco_version: "3.3.7".to_owned(),
             asset_pack: "primitives".to_owned(),
             asset_pack_digest: hex(b'a'),
@@ -208,7 +211,7 @@ mod tests {
             init_state: hex(b'2'),
             perturbation: axes(perturbation),
             first_frame: first_frame.to_owned(),
-            gl_renderer: there.gl_renderer,
+            renderer: there.renderer,
             policy_name: there.policy_name,
             policy_checkpoint: there.policy_checkpoint,
             policy_checkpoint_digest: there.policy_checkpoint_digest,
@@ -358,7 +361,7 @@ mod tests {
         let language = ("goal/t0/language/L3/c01", Realisation::Matched);
         for other in [
             Sibling {
-                gl_renderer: "NVIDIA".to_owned(),
+                renderer: "NVIDIA".to_owned(),
                 ..nominal()
             },
             Sibling {

@@ -55,6 +55,7 @@ pub async fn subject(queue: &Queue, name: &CampaignName) -> Result<Subject, Repo
     let aside = results::quarantined(&mut tx, row.id).await;
     let divergent = results::divergent(&mut tx, row.id).await;
     let provenances = results::provenances(&mut tx, row.id).await;
+    let fingerprints = results::fingerprints(&mut tx, row.id).await;
     let is_foreign = |record: &&RecordRow| record.is_of_other_mode(&row.realisation);
     let left_out = rows.iter().filter(is_foreign).count() as u64;
     let records = rows
@@ -91,6 +92,7 @@ pub async fn subject(queue: &Queue, name: &CampaignName) -> Result<Subject, Repo
             .collect(),
         left_out,
         provenances,
+        fingerprints: fingerprints.map_err(in_store)?,
         published_nominal: None,
         reported_nominal: None,
     })
@@ -129,7 +131,8 @@ impl From<Provenance> for report::Provenance {
     fn from(stored: Provenance) -> Self {
         Self {
             host: stored.host,
-            gl_renderer: stored.gl_renderer,
+            renderer: stored.renderer,
+            fingerprint: stored.fingerprint,
             mujoco_version: stored.mujoco_version,
             asset_pack: stored.asset_pack,
             asset_pack_digest: stored.asset_pack_digest,

@@ -96,7 +96,8 @@ fn report(lease: &LeaseRef) -> CommitReport {
         },
         provenance: Provenance {
             host: "here".to_owned(),
-            gl_renderer: "llvmpipe".to_owned(),
+            renderer: "llvmpipe".to_owned(),
+            fingerprint: digest('d'),
             mujoco_version: "3.3.7".to_owned(),
             asset_pack: "primitives".to_owned(),
             asset_pack_digest: digest('a'),
@@ -220,7 +221,7 @@ async fn no_statement_of_a_worker_or_a_sweep_walks_the_jobs() {
         asset_pack: "primitives".to_owned(),
         asset_pack_digest: digest('a'),
         mujoco_version: "3.3.7".to_owned(),
-        gl_renderer: "llvmpipe".to_owned(),
+        renderer: "llvmpipe".to_owned(),
         program_version: "0.1.0".to_owned(),
     };
     queue.register(&worker).await.expect("registered");

@@ -15,8 +15,11 @@ pub mod coordinator {
     tonic::include_proto!("rollout.coordinator.v1");
 }
 
-/// Version of both protocols, exchanged on `Describe` and `Register`.
+/// Version of [`policy`], exchanged on `Describe`.
 pub const PROTOCOL_VERSION: u32 = 1;
+/// Version of [`coordinator`], exchanged on `Register`. Since 2, a worker
+/// registers with its renderer, and a result carries a fingerprint.
+pub const COORDINATOR_PROTOCOL_VERSION: u32 = 2;
 /// Most control steps of which a motion is sent: ten times LIBERO's longest
 /// rollout. Of a longer one the outcome goes without.
 pub const MAX_MOTION_STEPS: usize = 5_200;

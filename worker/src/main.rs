@@ -12,7 +12,7 @@ use anyhow::Context;
 use clap::Parser;
 use protocol::TaskRef;
 use scene::{AssetPack, Sources};
-use sim::{Renderer, Simulator, SimulatorConfig};
+use sim::{GlDevice, Renderer, Simulator, SimulatorConfig};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::mpsc;
 use tracing_subscriber::EnvFilter;
@@ -71,7 +71,7 @@ fn open(arguments: &SimulatorArguments) -> anyhow::Result<SimulatorConfig> {
     Ok(SimulatorConfig {
         sources,
         pack,
-        renderer: Renderer::Gl(arguments.gl_device),
+        renderer: arguments.renderer,
         cached_scenes: CACHED_SCENES,
     })
 }
@@ -274,13 +274,20 @@ fn slot_command(
         Some(program) => program,
         None => std::env::current_exe().context("find this program's own file")?,
     };
-    let device = match arguments.gl_device {
-        sim::GlDevice::Auto => "auto".to_owned(),
-        sim::GlDevice::Index(index) => index.to_string(),
+    let renderer: Vec<String> = match arguments.renderer {
+        Renderer::Software => vec!["software".to_owned()],
+        Renderer::Gl(device) => {
+            let device = match device {
+                GlDevice::Auto => "auto".to_owned(),
+                GlDevice::Index(index) => index.to_string(),
+            };
+            vec!["gl".to_owned(), "--gl-device".to_owned(), device]
+        }
     };
     let mut slot: Vec<OsString> = vec!["slot".into(), "--assets".into()];
     slot.extend([arguments.assets.clone().into(), "--sources".into()]);
-    slot.extend([sources.into(), "--gl-device".into(), device.into()]);
+    slot.extend([sources.into(), "--renderer".into()]);
+    slot.extend(renderer.into_iter().map(OsString::from));
     // Files only: a token in an argument could be read in every process list.
     for (flag, file) in [("--token-file", &access.token_file), ("--ca", &access.ca)] {
         if let Some(file) = file {

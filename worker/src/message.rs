@@ -95,8 +95,13 @@ pub enum VideoOf {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Report {
-    /// The process is up and takes orders.
-    Ready,
+    /// The process is up, can simulate and draw, and takes orders.
+    Ready {
+        /// The renderer's own name.
+        renderer: String,
+        /// See [`sim::fingerprint`].
+        fingerprint: String,
+    },
     /// Control steps done in this rollout, settling included.
     Progress(u32),
     /// The rollout has an outcome.
@@ -162,8 +167,10 @@ pub struct IkResidual {
 /// SHA-256, hex.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Evidence {
-    /// The renderer's own name; empty where no frame was drawn.
-    pub gl_renderer: String,
+    /// The renderer's own name, also where no frame was drawn.
+    pub renderer: String,
+    /// See [`sim::fingerprint`].
+    pub fingerprint: String,
     /// Of the composed MJCF.
     pub scene_digest: String,
     /// Of the initial state's bytes.

@@ -49,6 +49,12 @@ impl<'a> Stage<'a> {
         }
     }
 
+    /// What draws, by its own name, and the fingerprint.
+    fn drawing(&mut self) -> Result<(String, String), SimError> {
+        let renderer = self.simulator.renderer_name()?;
+        Ok((renderer, self.simulator.fingerprint()?))
+    }
+
     /// Prepares a rollout up to its loaded, perturbed initial state.
     pub(crate) fn begin(
         &mut self,
@@ -182,15 +188,14 @@ pub fn run(
         queries: 0,
         first_frame_digest: String::new(),
     };
+    // First, so that a renderer that cannot draw costs no rollout.
+    let (renderer, fingerprint) = stage
+        .drawing()
+        .map_err(|source| run.simulator_failed(source))?;
     let (outcome, digests) = run.simulate(&mut stage)?;
-    let drew = !run.first_frame_digest.is_empty();
     let evidence = Evidence {
-        gl_renderer: if drew {
-            let renderer = stage.simulator.renderer_name();
-            renderer.map_err(|source| run.simulator_failed(source))?
-        } else {
-            String::new()
-        },
+        renderer,
+        fingerprint,
         scene_digest: digests.scene,
         init_state_digest: digests.init_state,
         perturbation_digest: digests.perturbation,

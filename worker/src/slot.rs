@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::{fs, process, thread};
 
-use sim::{Simulator, SimulatorConfig};
+use sim::{SimError, Simulator, SimulatorConfig};
 use tokio::signal::unix::{SignalKind, signal};
 use transport::Access;
 
@@ -34,6 +34,9 @@ pub enum SlotError {
     /// Signals cannot be caught.
     #[error("leave signals to the parent process")]
     Signals(#[source] io::Error),
+    /// Nothing can be simulated or drawn.
+    #[error("simulate and draw the fixed motion that a slot begins with")]
+    Simulator(#[from] SimError),
     /// The parent no longer listens.
     #[error("report to the parent process")]
     Report(#[source] io::Error),
@@ -42,7 +45,7 @@ pub enum SlotError {
 /// Serves the parent process, with `access` to policies, until it closes this process's standard input.
 ///
 /// # Errors
-/// If the parent stops listening.
+/// If nothing can be simulated or drawn, or the parent stops listening.
 pub fn run(config: SimulatorConfig, access: &Access) -> Result<(), SlotError> {
     leave_signals_to_the_parent().map_err(SlotError::Signals)?;
     die_first();
@@ -50,7 +53,10 @@ pub fn run(config: SimulatorConfig, access: &Access) -> Result<(), SlotError> {
     let assignments = listen(Arc::clone(&abandoned));
     let mut simulator = Simulator::new(config);
     let mut policy = None;
-    report(&Report::Ready)?;
+    report(&Report::Ready {
+        renderer: simulator.renderer_name()?,
+        fingerprint: simulator.fingerprint()?,
+    })?;
     while let Ok(assignment) = assignments.recv() {
         let mut watcher = Reporter {
             abandoned: &abandoned,

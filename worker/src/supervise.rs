@@ -14,13 +14,13 @@ mod supervisor;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use proto::PROTOCOL_VERSION;
+use proto::COORDINATOR_PROTOCOL_VERSION;
 use proto::coordinator::{RegisterRequest, RegisterResponse};
 use tokio::sync::{mpsc, watch};
 use tokio::time::Instant;
 use transport::Access;
 
-use crate::grpc::{EndpointError, in_words};
+use crate::grpc::EndpointError;
 use crate::ids::WorkerId;
 use link::Link;
 pub use process::SlotCommand;
@@ -86,6 +86,19 @@ pub enum SuperviseError {
     /// The coordinator told this worker to stop.
     #[error("go on working: the coordinator stopped this worker because {0}")]
     Stopped(String),
+    /// The slots would draw different pictures.
+    #[error(
+        "keep slot {slot}: it draws with `{renderer}` and this worker is registered with \
+         `{registered}`; start one worker for each renderer"
+    )]
+    Renderers {
+        /// Which slot, from 0.
+        slot: usize,
+        /// What draws there.
+        renderer: String,
+        /// What drew in the slot that was ready first.
+        registered: String,
+    },
     /// A slot's process does not survive its start.
     #[error(
         "keep slot {slot} running: its process ended {MAX_FAILED_STARTS} times in a row without \
@@ -105,28 +118,18 @@ pub enum SuperviseError {
 ///
 /// # Errors
 /// If the coordinator refuses the worker or stops it, or its slots cannot run.
-pub async fn run(config: Config, mut shutdown: mpsc::Receiver<()>) -> Result<(), SuperviseError> {
+pub async fn run(config: Config, shutdown: mpsc::Receiver<()>) -> Result<(), SuperviseError> {
     let (drain, draining) = watch::channel(false);
     let link = Link::new(&config.coordinator, &config.access, config.seed, draining)?;
-    let registering = link.register(registration(&config));
-    let registered = tokio::select! {
-        answer = registering => answer.map_err(|status| SuperviseError::Refused {
-            url: config.coordinator.clone(),
-            answer: in_words(&status),
-        })?,
-        Some(()) = shutdown.recv() => return Ok(()),
-    };
-    tracing::info!("registered with the coordinator at {}", config.coordinator);
     let (events, inbox) = mpsc::channel(EVENT_QUEUE);
-    let timing = Timing::from(&registered);
-    let supervisor = Supervisor::new(config, timing, link, drain, events, Instant::now());
+    let supervisor = Supervisor::new(config, link, drain, events, Instant::now());
     supervisor.serve(inbox, shutdown).await
 }
 
-fn registration(config: &Config) -> RegisterRequest {
+fn registration(config: &Config, renderer: String) -> RegisterRequest {
     let identity = config.identity.clone();
     RegisterRequest {
-        protocol_version: PROTOCOL_VERSION,
+        protocol_version: COORDINATOR_PROTOCOL_VERSION,
         program_version: env!("CARGO_PKG_VERSION").to_owned(),
         worker_id: identity.worker.to_string(),
         host: identity.host,
@@ -134,17 +137,22 @@ fn registration(config: &Config) -> RegisterRequest {
         asset_pack: identity.asset_pack,
         asset_pack_digest: identity.asset_pack_digest,
         mujoco_version: identity.mujoco_version,
-        // The parent opens no OpenGL context; every result names its slot's.
-        gl_renderer: String::new(),
+        renderer,
     }
 }
 
 /// The coordinator's time limits.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Timing {
     heartbeat: Duration,
     progress_timeout: Duration,
 }
+
+/// Until the coordinator has said what it wants. Nothing is simulated by then.
+const TIMING_UNTIL_REGISTERED: Timing = Timing {
+    heartbeat: Duration::from_secs(5),
+    progress_timeout: Duration::from_secs(180),
+};
 
 /// Bounds of what a coordinator may ask for, so that a nonsensical answer
 /// neither floods it nor stops the clock.

@@ -29,7 +29,12 @@ struct Arguments {
 #[derive(Subcommand)]
 enum Command {
     /// Fetch and check what building and simulating need; idempotent.
-    Setup,
+    Setup {
+        /// Install what drawing through OpenGL (`worker --renderer gl`) needs,
+        /// too.
+        #[arg(long)]
+        gl: bool,
+    },
     /// Run a small campaign end to end and print its paired table.
     Demo(demo::Options),
     /// Run all tests, with cargo-nextest where it is installed.
@@ -82,7 +87,7 @@ enum Bench {
 
 fn main() -> ExitCode {
     let outcome = match Arguments::parse().command {
-        Command::Setup => setup::run(&root()).map(|_| ()),
+        Command::Setup { gl } => set_up(gl),
         Command::Demo(options) => demo::run(&root(), &options),
         Command::Test { filters } => test::run(&root(), &filters),
         Command::Screenshots => test::screenshots(&root()),
@@ -99,6 +104,14 @@ fn main() -> ExitCode {
             ExitCode::FAILURE
         }
     }
+}
+
+fn set_up(gl: bool) -> anyhow::Result<()> {
+    setup::run(&root())?;
+    if gl {
+        step::step(setup::OPENGL, setup::opengl)?;
+    }
+    Ok(())
 }
 
 /// It needs no simulator, so nothing is set up for it. The queue's speed is that

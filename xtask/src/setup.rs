@@ -1,5 +1,5 @@
-//! Everything that must be on a machine before the workspace can be built and
-//! frames can be drawn.
+//! Everything that must be on a machine before the workspace can be built, and
+//! what drawing through OpenGL and pictures of the live page need beside it.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -10,8 +10,8 @@ use crate::packages::WHEELS;
 use crate::process::{capture, run as run_command};
 use crate::step::step;
 
-/// Debian packages that drawing off-screen needs at run time, and the library
-/// whose presence says that they are installed.
+/// Debian packages that drawing through OpenGL off-screen needs at run time, and
+/// the libraries whose presence says that they are installed.
 const GL_PACKAGES: [&str; 5] = [
     "libegl1",
     "libegl-mesa0",
@@ -20,6 +20,9 @@ const GL_PACKAGES: [&str; 5] = [
     "libopengl0",
 ];
 const GL_LIBRARIES: [&str; 3] = ["libEGL.so.1", "libGL.so.1", "libOpenGL.so.0"];
+
+/// What the step of [`opengl`] is called.
+pub(crate) const OPENGL: &str = "OpenGL without a screen";
 
 /// The browser, a Debian package and a program of one name.
 const BROWSER_PACKAGE: &str = "chromium";
@@ -34,8 +37,23 @@ pub(crate) fn run(root: &Path) -> Result<PathBuf> {
         step(wheel.requirement, || wheel.provide(&cache))?;
     }
     step("libmujoco for the linker", || link_mujoco(root, &cache))?;
-    step("OpenGL without a screen", gl_packages)?;
     Ok(cache)
+}
+
+/// Installs what drawing through OpenGL without a screen needs.
+///
+/// # Errors
+/// When it is missing and cannot be installed.
+pub(crate) fn opengl() -> Result<&'static str> {
+    if gl_libraries_present() {
+        return Ok("already there");
+    }
+    install(&GL_PACKAGES)?;
+    run_command(&mut Command::new("ldconfig"))?;
+    if !gl_libraries_present() {
+        bail!("find {} after installing them", GL_LIBRARIES.join(", "));
+    }
+    Ok("installed")
 }
 
 /// Installs the browser that the live page is tested and pictured with.
@@ -96,18 +114,6 @@ fn link_mujoco(root: &Path, cache: &Path) -> Result<&'static str> {
     std::os::unix::fs::symlink(&library, &link)
         .with_context(|| format!("make {}", link.display()))?;
     Ok("linked")
-}
-
-fn gl_packages() -> Result<&'static str> {
-    if gl_libraries_present() {
-        return Ok("already there");
-    }
-    install(&GL_PACKAGES)?;
-    run_command(&mut Command::new("ldconfig"))?;
-    if !gl_libraries_present() {
-        bail!("find {} after installing them", GL_LIBRARIES.join(", "));
-    }
-    Ok("installed")
 }
 
 /// Installs Debian packages, which takes root.

@@ -201,7 +201,7 @@ fn whole(details: &GetJobResponse) -> String {
             result.attempt,
             result.worker_id,
             result.host,
-            result.gl_renderer,
+            result.renderer,
             result.wall_secs,
             duration_text(result.ago_secs)
         ));

@@ -96,7 +96,7 @@ pub(super) fn line(status: &CampaignStatus) -> String {
     format!("{name} {bar} {counts}")
 }
 
-/// What keeps a campaign from going on, if something does.
+/// What keeps a campaign from going on, or wants to be looked at.
 pub(super) fn attention(status: &CampaignStatus) -> Option<String> {
     let mut notes = Vec::new();
     if status.policy_paused {
@@ -106,6 +106,9 @@ pub(super) fn attention(status: &CampaignStatus) -> Option<String> {
         ));
     } else if !status.waiting_reason.is_empty() {
         notes.push(status.waiting_reason.clone());
+    }
+    if !status.mixed_fingerprints.is_empty() {
+        notes.push(status.mixed_fingerprints.clone());
     }
     if status.quarantined > 0 {
         notes.push(format!(

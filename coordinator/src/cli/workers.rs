@@ -46,7 +46,7 @@ fn line(worker: &WorkerStatus) -> String {
         duration_text(worker.silent_secs),
         worker.asset_pack,
         worker.mujoco_version,
-        worker.gl_renderer,
+        worker.renderer,
         worker.program_version
     )
 }

@@ -43,7 +43,7 @@ pub(super) fn details(details: JobDetails, now: UnixMillis) -> wire::GetJobRespo
         ago_secs: now.since(line.committed_ms).as_secs_f64(),
         wall_secs: line.wall_secs,
         host: line.host,
-        gl_renderer: line.gl_renderer,
+        renderer: line.renderer,
         divergences: line.divergences,
         video: line.video.unwrap_or_default(),
     };
@@ -65,7 +65,7 @@ pub(super) fn worker(status: WorkerStatus) -> wire::WorkerStatus {
         leases: line.leases,
         asset_pack: line.asset_pack,
         mujoco_version: line.mujoco_version,
-        gl_renderer: line.gl_renderer,
+        renderer: line.renderer,
         program_version: line.program_version,
         silent_secs: status.silent_secs,
         alive: status.is_alive,

@@ -224,6 +224,9 @@ fn write_status(status: CampaignStatus) -> wire::CampaignStatus {
         eta_secs: status.eta_secs,
         live_workers: status.live_workers,
         waiting_reason: status.waiting_reason,
+        mixed_fingerprints: status
+            .fingerprints
+            .map_or_else(String::new, |mixed| mixed.in_words()),
         state: write_state(status.state).into(),
     }
 }

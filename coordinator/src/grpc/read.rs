@@ -50,17 +50,19 @@ pub(super) fn worker_info(request: wire::RegisterRequest) -> Result<WorkerInfo, 
         asset_pack: required("asset_pack", request.asset_pack)?,
         asset_pack_digest: required("asset_pack_digest", request.asset_pack_digest)?,
         mujoco_version: required("mujoco_version", request.mujoco_version)?,
-        gl_renderer: text("gl_renderer", request.gl_renderer)?,
+        renderer: required("renderer", request.renderer)?,
         program_version: text("program_version", request.program_version)?,
     })
 }
 
-/// What a film is drawn with. The pack's name says nothing here.
+/// What a film is made with. The pack's name says nothing here, nor does the
+/// renderer: a film is to look at, and in no comparison.
 pub(super) fn pin(request: wire::NextFilmRequest) -> Result<Pin, Status> {
     Ok(Pin {
         asset_pack: String::new(),
         asset_pack_digest: required("asset_pack_digest", request.asset_pack_digest)?,
         mujoco_version: required("mujoco_version", request.mujoco_version)?,
+        renderer: String::new(),
     })
 }
 
@@ -78,7 +80,8 @@ pub(super) fn commit(request: wire::CommitRequest) -> Result<CommitReport, Statu
         },
         provenance: Provenance {
             host: text("host", provenance.host)?,
-            gl_renderer: text("gl_renderer", provenance.gl_renderer)?,
+            renderer: required("renderer", provenance.renderer)?,
+            fingerprint: digest("fingerprint", &provenance.fingerprint)?,
             mujoco_version: required("mujoco_version", provenance.mujoco_version)?,
             asset_pack: required("asset_pack", provenance.asset_pack)?,
             asset_pack_digest: required("asset_pack_digest", provenance.asset_pack_digest)?,

@@ -44,13 +44,13 @@ impl WorkerService for WorkerApi {
     ) -> Result<Response<wire::RegisterResponse>, Status> {
         let request = request.into_inner();
         let program_version = env!("CARGO_PKG_VERSION");
-        if request.protocol_version != proto::PROTOCOL_VERSION {
+        if request.protocol_version != proto::COORDINATOR_PROTOCOL_VERSION {
             return Err(Status::failed_precondition(format!(
                 "the worker (program {}) speaks protocol version {} and this coordinator \
                  (program {program_version}) version {}; run the same release on both",
                 crate::ids::shortened(&request.program_version, 40),
                 request.protocol_version,
-                proto::PROTOCOL_VERSION,
+                proto::COORDINATOR_PROTOCOL_VERSION,
             )));
         }
         let worker = read::worker_info(request)?;
@@ -59,7 +59,7 @@ impl WorkerService for WorkerApi {
             assets = worker.asset_pack, "worker registered");
         let timing = self.queue.timing();
         Ok(Response::new(wire::RegisterResponse {
-            protocol_version: proto::PROTOCOL_VERSION,
+            protocol_version: proto::COORDINATOR_PROTOCOL_VERSION,
             program_version: program_version.to_owned(),
             lease_secs: timing.lease.as_secs_f64(),
             heartbeat_secs: timing.heartbeat.as_secs_f64(),

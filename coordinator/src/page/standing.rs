@@ -139,8 +139,8 @@ fn worker_row(worker: &WorkerStatus) -> Markup {
 fn runs_on(line: &WorkerLine) -> String {
     let simulator = format!("MuJoCo {}", line.mujoco_version);
     let program = format!("program {}", line.program_version);
-    let parts = [&line.asset_pack, &simulator, &line.gl_renderer, &program];
-    // A worker that draws nothing has no renderer.
+    let parts = [&line.asset_pack, &simulator, &line.renderer, &program];
+    // One that a coordinator of schema 1 registered named no renderer.
     let told = parts.into_iter().filter(|part| !part.is_empty());
     told.map(String::as_str).collect::<Vec<_>>().join(", ")
 }

@@ -2,9 +2,10 @@
 
 use std::time::Duration;
 
+use report::Fingerprints;
 use sqlx::SqliteConnection;
 
-use super::claim::{describe, suits};
+use super::claim::describe;
 use super::{Queue, QueueError};
 use crate::artifacts;
 use crate::campaign::CampaignState;
@@ -15,7 +16,7 @@ use crate::outage::PolicyState;
 use crate::store::campaigns::{CampaignRow, Counts};
 use crate::store::failpoint::Step;
 use crate::store::workers::Pin;
-use crate::store::{StoreError, campaigns, removals, workers};
+use crate::store::{StoreError, campaigns, removals, results, workers};
 
 /// A campaign's rate is taken over so long, or since its first lease or since it
 /// was resumed if that is less.
@@ -51,10 +52,12 @@ pub struct CampaignStatus {
     pub rate_per_sec: Option<f64>,
     /// Seconds that the rest takes at that rate.
     pub eta_secs: Option<f64>,
-    /// Workers alive that suit its assets and simulator.
+    /// Workers alive that suit its assets, simulator and renderer.
     pub live_workers: u32,
     /// Why nothing is running although jobs wait; empty otherwise.
     pub waiting_reason: String,
+    /// How its results mix fingerprints, if they have more than one.
+    pub fingerprints: Option<Fingerprints>,
 }
 
 impl Queue {
@@ -147,7 +150,7 @@ impl Queue {
         let pin = row.pin();
         let able = live
             .iter()
-            .filter(|live| pin.as_ref().is_none_or(|pin| suits(pin, live)));
+            .filter(|live| pin.as_ref().is_none_or(|pin| pin.takes(live)));
         let live_workers = u32::try_from(able.count()).unwrap_or(u32::MAX);
         let waiting_reason = if counts.queued == 0 || counts.leased > 0 || !state.may_lease() {
             String::new()
@@ -158,6 +161,7 @@ impl Queue {
         } else {
             no_worker_reason(pin.as_ref(), &live, live_workers)
         };
+        let fingerprints = results::fingerprints(tx, row.id).await?;
         Ok(CampaignStatus {
             name: row.name,
             spec: row.spec,
@@ -172,6 +176,7 @@ impl Queue {
                 .map(|rate| left as f64 / rate),
             live_workers,
             waiting_reason,
+            fingerprints,
         })
     }
 }

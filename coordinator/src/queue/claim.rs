@@ -389,18 +389,17 @@ fn share_out<'a>(
     shares
 }
 
-/// Whether two workers' results may be pooled.
-pub(super) fn suits(pin: &Pin, other: &Pin) -> bool {
-    pin.asset_pack_digest == other.asset_pack_digest && pin.mujoco_version == other.mujoco_version
-}
-
-/// An asset pack and a simulator, in words.
+/// An asset pack, a simulator and a renderer, in words.
 pub(super) fn describe(pin: &Pin) -> String {
     let digest = crate::ids::shortened(&pin.asset_pack_digest, 12);
-    format!(
+    let mut text = format!(
         "asset pack `{}` ({digest}) with MuJoCo {}",
         pin.asset_pack, pin.mujoco_version
-    )
+    );
+    if !pin.renderer.is_empty() {
+        text.push_str(&format!(" and renderer `{}`", pin.renderer));
+    }
+    text
 }
 
 fn hand_out(campaign: &WaitingCampaign, leased: Vec<LeasedJob>) -> Vec<ClaimedJob> {
@@ -427,7 +426,7 @@ async fn idle_reason(
 ) -> Result<String, StoreError> {
     let mut reasons = Vec::new();
     for campaign in campaigns::waiting(tx).await? {
-        if let Some(other) = campaign.pin().filter(|other| !suits(other, pin)) {
+        if let Some(other) = campaign.pin().filter(|other| !other.takes(pin)) {
             reasons.push(format!(
                 "campaign `{}` is pinned to {} and this worker runs on {}",
                 campaign.name,

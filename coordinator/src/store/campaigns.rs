@@ -32,6 +32,7 @@ pub(crate) struct CampaignRow {
     pub(crate) asset_pack: Option<String>,
     pub(crate) asset_pack_digest: Option<String>,
     pub(crate) mujoco_version: Option<String>,
+    pub(crate) renderer: Option<String>,
 }
 
 /// How a campaign's jobs are spread over the states.
@@ -53,7 +54,8 @@ pub struct Counts {
 macro_rules! campaign_columns {
     () => {
         "c.id, c.name, c.spec, c.spec_digest, p.name AS policy, p.endpoint,
-         c.realisation, c.state, c.state_since_ms, c.pinned_ms, c.asset_pack, c.asset_pack_digest, c.mujoco_version"
+         c.realisation, c.state, c.state_since_ms, c.pinned_ms, c.asset_pack, c.asset_pack_digest,
+         c.mujoco_version, c.renderer"
     };
 }
 
@@ -64,6 +66,7 @@ impl CampaignRow {
             asset_pack: self.asset_pack.clone()?,
             asset_pack_digest: self.asset_pack_digest.clone()?,
             mujoco_version: self.mujoco_version.clone()?,
+            renderer: self.renderer.clone().unwrap_or_default(),
         })
     }
 
@@ -241,8 +244,8 @@ pub(crate) async fn waiting(tx: &mut SqliteConnection) -> Result<Vec<CampaignRow
     .doing("list campaigns with waiting jobs")
 }
 
-/// Pins a campaign to what its first worker runs on; one that is pinned stays
-/// as it is.
+/// Pins a campaign to what its first worker runs on; what it is pinned to
+/// stays as it is.
 pub(crate) async fn pin(
     tx: &mut SqliteConnection,
     id: CampaignId,
@@ -250,14 +253,17 @@ pub(crate) async fn pin(
     now: UnixMillis,
 ) -> Result<(), StoreError> {
     sqlx::query(
-        "UPDATE campaign SET pinned_ms = ?, asset_pack = ?, asset_pack_digest = ?,
-             mujoco_version = ?
-         WHERE id = ? AND pinned_ms IS NULL",
+        "UPDATE campaign SET pinned_ms = coalesce(pinned_ms, ?),
+             asset_pack = coalesce(asset_pack, ?),
+             asset_pack_digest = coalesce(asset_pack_digest, ?),
+             mujoco_version = coalesce(mujoco_version, ?), renderer = ?
+         WHERE id = ? AND renderer IS NULL",
     )
     .bind(now)
     .bind(&pin.asset_pack)
     .bind(&pin.asset_pack_digest)
     .bind(&pin.mujoco_version)
+    .bind(&pin.renderer)
     .bind(id)
     .execute(tx)
     .await

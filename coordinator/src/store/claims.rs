@@ -93,8 +93,8 @@ pub(crate) struct Candidate {
     pub(crate) charged_attempts: u32,
 }
 
-/// Campaigns with waiting jobs that this worker's assets and simulator suit,
-/// oldest first.
+/// Campaigns with waiting jobs that this worker's assets, simulator and renderer
+/// suit, oldest first.
 pub(crate) async fn waiting_campaigns(
     tx: &mut SqliteConnection,
     pin: &Pin,
@@ -113,17 +113,19 @@ pub(crate) async fn waiting_campaigns(
         health: HealthRow,
     }
     let rows: Vec<Row> = sqlx::query_as(
-        "SELECT c.id, c.policy_id, c.pinned_ms IS NOT NULL AS is_pinned, c.name,
+        "SELECT c.id, c.policy_id, c.renderer IS NOT NULL AS is_pinned, c.name,
              p.name AS policy_name, p.endpoint, c.realisation, c.record, p.state, p.outages, p.available_ms, p.resume_ms,
              p.pause_reason, p.probe_job_id, p.probe_attempt
          FROM campaign c JOIN policy p ON p.id = c.policy_id
          WHERE c.state = 'running'
-             AND (c.pinned_ms IS NULL OR (c.asset_pack_digest = ? AND c.mujoco_version = ?))
+             AND (c.pinned_ms IS NULL OR (c.asset_pack_digest = ?1 AND c.mujoco_version = ?2
+                 AND coalesce(c.renderer, ?3) = ?3))
              AND EXISTS (SELECT 1 FROM job j WHERE j.campaign_id = c.id AND j.state = 'queued')
          ORDER BY c.id",
     )
     .bind(&pin.asset_pack_digest)
     .bind(&pin.mujoco_version)
+    .bind(&pin.renderer)
     .fetch_all(tx)
     .await
     .doing("look for campaigns with waiting jobs")?;

@@ -72,7 +72,7 @@ pub struct ResultLine {
     /// Machine.
     pub host: String,
     /// What rendered the frames.
-    pub gl_renderer: String,
+    pub renderer: String,
     /// Reports of another outcome.
     pub divergences: u32,
     /// Its video below the data folder.
@@ -110,7 +110,7 @@ pub struct WorkerLine {
     /// Version of its simulator.
     pub mujoco_version: String,
     /// What renders its frames.
-    pub gl_renderer: String,
+    pub renderer: String,
     /// Version of its program.
     pub program_version: String,
     /// When it was last heard of.
@@ -194,7 +194,7 @@ pub(crate) async fn details(
     .await
     .doing("read a job's failures")?;
     let result = sqlx::query_as(
-        "SELECT r.attempt, r.worker_id, r.committed_ms, r.wall_secs, p.host, p.gl_renderer,
+        "SELECT r.attempt, r.worker_id, r.committed_ms, r.wall_secs, p.host, p.renderer,
              (SELECT count(*) FROM divergence d WHERE d.job_id = r.job_id) AS divergences,
              (SELECT a.path FROM artifact a WHERE a.job_id = r.job_id) AS video
          FROM result r JOIN provenance p ON p.id = r.provenance_id WHERE r.job_id = ?",
@@ -219,7 +219,7 @@ pub(crate) async fn workers(
 ) -> Result<Vec<WorkerLine>, StoreError> {
     sqlx::query_as(
         "SELECT w.id, w.host, w.slots, coalesce(h.leases, 0) AS leases, w.asset_pack,
-             w.mujoco_version, w.gl_renderer, w.program_version, w.last_seen_ms,
+             w.mujoco_version, w.renderer, w.program_version, w.last_seen_ms,
              w.charged_in_a_row, w.stopped_reason
          FROM worker w LEFT JOIN
              (SELECT lease_owner, count(*) AS leases FROM job WHERE state = 'leased'

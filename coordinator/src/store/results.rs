@@ -2,6 +2,7 @@
 //! where it came from.
 
 use protocol::RolloutId;
+use report::Fingerprints;
 use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
 
 use super::motions::Motion;
@@ -36,8 +37,11 @@ pub struct Outcome {
 pub struct Provenance {
     /// Machine.
     pub host: String,
-    /// What rendered the frames.
-    pub gl_renderer: String,
+    /// What draws, by its own name; empty in results of schema 1 for which no
+    /// frame was drawn.
+    pub renderer: String,
+    /// Fingerprint of the slot; empty in results of schema 1.
+    pub fingerprint: String,
     /// Version of the simulator.
     pub mujoco_version: String,
     /// Name of the asset pack.
@@ -110,7 +114,7 @@ pub(crate) struct Sibling {
     pub(crate) init_state: String,
     pub(crate) perturbation: AxisDigests,
     pub(crate) first_frame: String,
-    pub(crate) gl_renderer: String,
+    pub(crate) renderer: String,
     pub(crate) policy_name: String,
     pub(crate) policy_checkpoint: String,
     pub(crate) policy_checkpoint_digest: String,
@@ -125,7 +129,7 @@ struct SiblingRow {
     init_state_digest: String,
     perturbation_digests: String,
     first_frame_digest: String,
-    gl_renderer: String,
+    renderer: String,
     policy_name: String,
     policy_checkpoint: String,
     policy_checkpoint_digest: String,
@@ -250,13 +254,13 @@ pub(crate) async fn siblings(
     // With a lone min(), SQLite takes the other columns from that very row.
     let rows: Result<Vec<SiblingRow>, sqlx::Error> = sqlx::query_as(
         "SELECT min(s.id), s.rollout_id, r.worker_id, r.scene_digest, r.init_state_digest,
-             r.perturbation_digests, r.first_frame_digest, v.gl_renderer, v.policy_name,
+             r.perturbation_digests, r.first_frame_digest, v.renderer, v.policy_name,
              v.policy_checkpoint, v.policy_checkpoint_digest
          FROM job s
          JOIN result r ON r.job_id = s.id
          JOIN provenance v ON v.id = r.provenance_id
          WHERE s.campaign_id = ? AND s.task = ? AND s.init_id = ? AND s.state = 'committed'
-         GROUP BY s.rollout_id, r.first_frame_digest = '', v.gl_renderer, v.policy_name, v.policy_checkpoint, v.policy_checkpoint_digest
+         GROUP BY s.rollout_id, r.first_frame_digest = '', v.renderer, v.policy_name, v.policy_checkpoint, v.policy_checkpoint_digest
          ORDER BY 1",
     )
     .bind(of.campaign)
@@ -283,7 +287,7 @@ impl Sibling {
             init_state: digests.init_state.clone(),
             perturbation: digests.perturbation.clone(),
             first_frame: digests.first_frame.clone(),
-            gl_renderer: provenance.gl_renderer.clone(),
+            renderer: provenance.renderer.clone(),
             policy_name: provenance.policy_name.clone(),
             policy_checkpoint: provenance.policy_checkpoint.clone(),
             policy_checkpoint_digest: provenance.policy_checkpoint_digest.clone(),
@@ -294,7 +298,7 @@ impl Sibling {
     pub(crate) fn speaks_for(&self, other: &Sibling) -> bool {
         self.rollout == other.rollout
             && self.first_frame.is_empty() == other.first_frame.is_empty()
-            && self.gl_renderer == other.gl_renderer
+            && self.renderer == other.renderer
             && self.policy_name == other.policy_name
             && self.policy_checkpoint == other.policy_checkpoint
             && self.policy_checkpoint_digest == other.policy_checkpoint_digest
@@ -313,7 +317,7 @@ impl TryFrom<SiblingRow> for Sibling {
             init_state: row.init_state_digest,
             perturbation: perturbation.map_err(|error: AxisDigestsError| undecodable(error))?,
             first_frame: row.first_frame_digest,
-            gl_renderer: row.gl_renderer,
+            renderer: row.renderer,
             policy_name: row.policy_name,
             policy_checkpoint: row.policy_checkpoint,
             policy_checkpoint_digest: row.policy_checkpoint_digest,
@@ -385,7 +389,7 @@ pub(crate) async fn provenances(
     campaign: CampaignId,
 ) -> Result<Vec<Provenance>, StoreError> {
     sqlx::query_as(
-        "SELECT host, gl_renderer, mujoco_version, asset_pack, asset_pack_digest, realisation,
+        "SELECT host, renderer, fingerprint, mujoco_version, asset_pack, asset_pack_digest, realisation,
              policy_name, policy_checkpoint, policy_checkpoint_digest, policy_privileged,
              policy_canonical_only, batch_mode, program_version
          FROM provenance
@@ -396,6 +400,49 @@ pub(crate) async fn provenances(
     .fetch_all(tx)
     .await
     .doing("read where results came from")
+}
+
+/// Results of each fingerprint in a campaign, and the tasks and initial states
+/// that have several; none while there is one. Walks the results' index, and the
+/// committed jobs only if there is something to tell.
+pub(crate) async fn fingerprints(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+) -> Result<Option<Fingerprints>, StoreError> {
+    let results: Vec<(String, i64)> = sqlx::query_as(
+        "SELECT v.fingerprint, sum(o.results) FROM
+             (SELECT provenance_id, count(*) AS results FROM result WHERE campaign_id = ?
+              GROUP BY provenance_id) o
+         JOIN provenance v ON v.id = o.provenance_id
+         WHERE v.fingerprint <> '' GROUP BY v.fingerprint",
+    )
+    .bind(campaign)
+    .fetch_all(&mut *tx)
+    .await
+    .doing("count the results of each fingerprint")?;
+    if results.len() < 2 {
+        return Ok(None);
+    }
+    let mixed: Vec<(String, i64)> = sqlx::query_as(
+        "SELECT j.task, j.init_id FROM job j
+         JOIN result r ON r.job_id = j.id
+         JOIN provenance v ON v.id = r.provenance_id
+         WHERE j.campaign_id = ? AND j.state = 'committed' AND v.fingerprint <> ''
+         GROUP BY j.task, j.init_id HAVING count(DISTINCT v.fingerprint) > 1
+         ORDER BY j.task, j.init_id",
+    )
+    .bind(campaign)
+    .fetch_all(tx)
+    .await
+    .doing("look for configurations of several fingerprints")?;
+    let results = results.into_iter();
+    let name = |(task, init_id)| format!("{task} from state {init_id}");
+    Ok(Some(Fingerprints {
+        results: results
+            .map(|(fingerprint, results)| (fingerprint, results.unsigned_abs()))
+            .collect(),
+        mixed: mixed.into_iter().map(name).collect(),
+    }))
 }
 
 /// Rollouts of a campaign that were reported again with another outcome.
@@ -421,7 +468,8 @@ pub(crate) async fn provenance_id(
     let p = provenance;
     let texts = [
         &p.host,
-        &p.gl_renderer,
+        &p.renderer,
+        &p.fingerprint,
         &p.mujoco_version,
         &p.asset_pack,
         &p.asset_pack_digest,
@@ -433,15 +481,15 @@ pub(crate) async fn provenance_id(
         &p.program_version,
     ];
     let mut insert = sqlx::query_scalar(
-        "INSERT INTO provenance (host, gl_renderer, mujoco_version, asset_pack,
+        "INSERT INTO provenance (host, renderer, fingerprint, mujoco_version, asset_pack,
              asset_pack_digest, realisation, policy_name, policy_checkpoint,
              policy_checkpoint_digest, batch_mode, program_version, policy_privileged,
              policy_canonical_only)
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) RETURNING id",
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) RETURNING id",
     );
     let mut select = sqlx::query_scalar(
-        "SELECT id FROM provenance WHERE host = ? AND gl_renderer = ? AND mujoco_version = ?
-             AND asset_pack = ? AND asset_pack_digest = ? AND realisation = ?
+        "SELECT id FROM provenance WHERE host = ? AND renderer = ? AND fingerprint = ?
+             AND mujoco_version = ? AND asset_pack = ? AND asset_pack_digest = ? AND realisation = ?
              AND policy_name = ? AND policy_checkpoint = ? AND policy_checkpoint_digest = ?
              AND batch_mode = ? AND program_version = ? AND policy_privileged = ?
              AND policy_canonical_only = ?",

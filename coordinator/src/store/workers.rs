@@ -24,8 +24,8 @@ pub struct WorkerInfo {
     pub asset_pack_digest: String,
     /// Version of its simulator.
     pub mujoco_version: String,
-    /// What renders its frames.
-    pub gl_renderer: String,
+    /// What draws its frames, by its own name.
+    pub renderer: String,
     /// Version of its program.
     pub program_version: String,
 }
@@ -39,6 +39,19 @@ pub struct Pin {
     pub asset_pack_digest: String,
     /// Version of the simulator.
     pub mujoco_version: String,
+    /// What draws, by its own name. Of a campaign that schema 1 pinned, empty
+    /// until a lease decides it.
+    pub renderer: String,
+}
+
+impl Pin {
+    /// Whether a campaign that is pinned to this takes results of a worker that
+    /// runs on the other.
+    pub(crate) fn takes(&self, worker: &Pin) -> bool {
+        self.asset_pack_digest == worker.asset_pack_digest
+            && self.mujoco_version == worker.mujoco_version
+            && (self.renderer.is_empty() || self.renderer == worker.renderer)
+    }
 }
 
 /// A worker's standing with the coordinator.
@@ -63,10 +76,10 @@ pub(crate) async fn upsert(
 ) -> Result<(), StoreError> {
     sqlx::query(
         "INSERT INTO worker (id, host, slots, asset_pack, asset_pack_digest, mujoco_version,
-             gl_renderer, program_version, registered_ms, last_seen_ms)
+             renderer, program_version, registered_ms, last_seen_ms)
          VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?9)
          ON CONFLICT (id) DO UPDATE SET host = ?2, slots = ?3, asset_pack = ?4,
-             asset_pack_digest = ?5, mujoco_version = ?6, gl_renderer = ?7,
+             asset_pack_digest = ?5, mujoco_version = ?6, renderer = ?7,
              program_version = ?8, registered_ms = ?9, last_seen_ms = ?9,
              charged_in_a_row = 0, stopped_reason = NULL",
     )
@@ -76,7 +89,7 @@ pub(crate) async fn upsert(
     .bind(&worker.asset_pack)
     .bind(&worker.asset_pack_digest)
     .bind(&worker.mujoco_version)
-    .bind(&worker.gl_renderer)
+    .bind(&worker.renderer)
     .bind(&worker.program_version)
     .bind(now)
     .execute(tx)
@@ -100,7 +113,7 @@ pub(crate) async fn standings(
         stopped_reason: Option<String>,
     }
     let rows: Vec<Row> = sqlx::query_as(
-        "SELECT id, asset_pack, asset_pack_digest, mujoco_version, last_seen_ms,
+        "SELECT id, asset_pack, asset_pack_digest, mujoco_version, renderer, last_seen_ms,
              charged_in_a_row, stopped_reason
          FROM worker WHERE id IN (SELECT value FROM json_each(?))",
     )
@@ -184,7 +197,7 @@ pub(crate) async fn live_pins(
     since: UnixMillis,
 ) -> Result<Vec<Pin>, StoreError> {
     sqlx::query_as(
-        "SELECT asset_pack, asset_pack_digest, mujoco_version FROM worker
+        "SELECT asset_pack, asset_pack_digest, mujoco_version, renderer FROM worker
          WHERE last_seen_ms >= ? AND stopped_reason IS NULL ORDER BY id",
     )
     .bind(since)
@@ -204,11 +217,13 @@ pub(crate) async fn able(
     sqlx::query_scalar(
         "SELECT count(*) FROM
              (SELECT 1 FROM worker WHERE last_seen_ms >= ?1 AND stopped_reason IS NULL
-                  AND (?2 IS NULL OR (asset_pack_digest = ?2 AND mujoco_version = ?3)) LIMIT ?4)",
+                  AND (?2 IS NULL OR (asset_pack_digest = ?2 AND mujoco_version = ?3
+                      AND ?4 IN ('', renderer))) LIMIT ?5)",
     )
     .bind(since)
     .bind(pin.map(|pin| &pin.asset_pack_digest))
     .bind(pin.map(|pin| &pin.mujoco_version))
+    .bind(pin.map(|pin| &pin.renderer))
     .bind(enough)
     .fetch_one(tx)
     .await

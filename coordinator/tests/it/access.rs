@@ -179,7 +179,7 @@ async fn a_million_characters_are_refused_wherever_they_stand() {
         "host",
         "asset_pack",
         "asset_pack_digest",
-        "gl_renderer",
+        "renderer",
     ] {
         let mut request = registration("w", "primitives");
         match field {
@@ -187,7 +187,7 @@ async fn a_million_characters_are_refused_wherever_they_stand() {
             "host" => request.host = long.clone(),
             "asset_pack" => request.asset_pack = long.clone(),
             "asset_pack_digest" => request.asset_pack_digest = long.clone(),
-            _ => request.gl_renderer = long.clone(),
+            _ => request.renderer = long.clone(),
         }
         let refused = worker.register(request).await.expect_err(field);
         assert_eq!(refused.code(), Code::InvalidArgument, "{field}: {refused}");

@@ -129,6 +129,50 @@ async fn a_campaign_is_pinned_to_the_pack_of_its_first_worker() {
 }
 
 #[tokio::test]
+async fn a_campaign_is_pinned_to_the_renderer_of_its_first_worker() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("pinned")).await.expect("created");
+    let mut first = bench.worker_drawing("a", "primitives", "one").await;
+    let mut other = bench.worker_drawing("b", "primitives", "another").await;
+    let lease = first.claim_one().await;
+    for warm in ["", "libero_object/0"] {
+        let nothing = other.claim_response(4, warm).await;
+        assert!(nothing.leases.is_empty());
+        for word in ["`pinned` is pinned", "renderer `one`", "renderer `another`"] {
+            assert!(
+                nothing.idle_reason.contains(word),
+                "{}",
+                nothing.idle_reason
+            );
+        }
+    }
+    assert_eq!(bench.status("pinned").await.live_workers, 1);
+    assert_eq!(first.commit(&lease, true).await, Verdict::Accepted);
+    assert_eq!(first.claim_warm(4, "libero_object/0").await.len(), 3);
+
+    // Once only the other is left, the campaign says what it waits for.
+    bench.pass(70).await;
+    other.heartbeat(&[], 0).await;
+    let waits = bench.status("pinned").await.waiting_reason;
+    for word in ["renderer `one`", "renderer `another`"] {
+        assert!(waits.contains(word), "{waits}");
+    }
+}
+
+#[tokio::test]
+async fn a_worker_that_names_no_renderer_is_not_registered() {
+    let bench = Bench::start().await;
+    let mut worker = bench.worker("a").await;
+    let mut nameless = registration("b", "primitives");
+    nameless.renderer.clear();
+    let refused = worker.service.register(nameless).await;
+    let refused = refused.expect_err("no renderer");
+    assert_eq!(refused.code(), Code::InvalidArgument);
+    assert!(refused.message().contains("`renderer`"), "{refused}");
+    assert_eq!(bench.count("SELECT count(*) FROM worker").await, 1);
+}
+
+#[tokio::test]
 async fn older_campaigns_go_first() {
     let bench = Bench::start().await;
     bench.create(&small_spec("older")).await.expect("created");
@@ -183,5 +227,6 @@ async fn a_stranger_is_told_to_register_and_another_protocol_version_is_refused(
     let refused = worker.service.register(request).await.expect_err("too new");
     assert_eq!(refused.code(), Code::FailedPrecondition);
     assert!(refused.message().contains("version 99"), "{refused}");
-    assert!(refused.message().contains("version 1"), "{refused}");
+    let ours = format!("version {};", proto::COORDINATOR_PROTOCOL_VERSION);
+    assert!(refused.message().contains(&ours), "{refused}");
 }

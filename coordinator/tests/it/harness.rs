@@ -43,6 +43,8 @@ pub(crate) struct Bench {
 pub(crate) struct Worker {
     pub(crate) id: String,
     pub(crate) pack: String,
+    pub(crate) renderer: String,
+    pub(crate) fingerprint: String,
     pub(crate) service: WorkerServiceClient<Channel>,
 }
 
@@ -53,7 +55,8 @@ impl Bench {
         Bench::start_in(folder, clock).await
     }
 
-    async fn start_in(folder: TempDir, clock: Arc<ManualClock>) -> Bench {
+    /// Starts on a folder that may have a database.
+    pub(crate) async fn start_in(folder: TempDir, clock: Arc<ManualClock>) -> Bench {
         let config = Config {
             data: folder.path().to_owned(),
             timing: Timing {
@@ -120,6 +123,11 @@ impl Bench {
 
     /// Registers a worker of some pack.
     pub(crate) async fn worker_on(&self, id: &str, pack: &str) -> Worker {
+        self.worker_drawing(id, pack, "llvmpipe").await
+    }
+
+    /// Registers a worker of some pack and renderer.
+    pub(crate) async fn worker_drawing(&self, id: &str, pack: &str, renderer: &str) -> Worker {
         let channel = Channel::from_shared(self.url.clone())
             .expect("a URL")
             .connect()
@@ -128,11 +136,16 @@ impl Bench {
         let mut worker = Worker {
             id: id.to_owned(),
             pack: pack.to_owned(),
+            renderer: renderer.to_owned(),
+            fingerprint: "bits".to_owned(),
             service: WorkerServiceClient::new(channel),
         };
         worker
             .service
-            .register(registration(id, pack))
+            .register(wire::RegisterRequest {
+                renderer: renderer.to_owned(),
+                ..registration(id, pack)
+            })
             .await
             .expect("registers");
         worker
@@ -273,7 +286,8 @@ impl Worker {
             }),
             provenance: Some(wire::Provenance {
                 host: "bench".to_owned(),
-                gl_renderer: "llvmpipe".to_owned(),
+                renderer: self.renderer.clone(),
+                fingerprint: sha(&self.fingerprint),
                 mujoco_version: "3.3.7".to_owned(),
                 asset_pack: self.pack.clone(),
                 asset_pack_digest: sha(&self.pack),
@@ -349,7 +363,7 @@ pub(crate) fn with(mut spec: Value, changes: Value) -> Value {
 
 pub(crate) fn registration(id: &str, pack: &str) -> wire::RegisterRequest {
     wire::RegisterRequest {
-        protocol_version: proto::PROTOCOL_VERSION,
+        protocol_version: proto::COORDINATOR_PROTOCOL_VERSION,
         program_version: "0.1.0".to_owned(),
         worker_id: id.to_owned(),
         host: "bench".to_owned(),
@@ -357,7 +371,7 @@ pub(crate) fn registration(id: &str, pack: &str) -> wire::RegisterRequest {
         asset_pack: pack.to_owned(),
         asset_pack_digest: sha(pack),
         mujoco_version: "3.3.7".to_owned(),
-        gl_renderer: "llvmpipe".to_owned(),
+        renderer: "llvmpipe".to_owned(),
     }
 }
 

@@ -66,7 +66,7 @@ const BROKEN: [(Invariant, &str, &str); 16] = [
     (
         Invariant::LeasesPinTheCampaign,
         "UPDATE campaign SET pinned_ms = NULL, asset_pack = NULL, asset_pack_digest = NULL,
-             mujoco_version = NULL",
+             mujoco_version = NULL, renderer = NULL",
         "pinned to nothing",
     ),
     (

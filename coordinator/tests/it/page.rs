@@ -16,14 +16,14 @@ use crate::harness::{Bench, small_spec};
 const SILENCE: Duration = Duration::from_secs(30);
 
 /// An answer over HTTP/1.1.
-struct Answer {
+pub(crate) struct Answer {
     code: u16,
     head: String,
     body: Vec<u8>,
 }
 
 impl Answer {
-    fn text(&self) -> String {
+    pub(crate) fn text(&self) -> String {
         String::from_utf8_lossy(&self.body).into_owned()
     }
 
@@ -87,7 +87,7 @@ fn joined(mut chunks: &[u8]) -> Vec<u8> {
 }
 
 /// As [`send`], from a thread that may wait.
-async fn ask(url: &str, request: &str) -> Answer {
+pub(crate) async fn ask(url: &str, request: &str) -> Answer {
     let (url, request) = (url.to_owned(), request.to_owned());
     let answer = tokio::task::spawn_blocking(move || send(&url, &request));
     answer.await.expect("an answer")

@@ -93,6 +93,8 @@ impl Serve {
         let mut worker = Worker {
             id: id.to_owned(),
             pack: "primitives".to_owned(),
+            renderer: "llvmpipe".to_owned(),
+            fingerprint: "bits".to_owned(),
             service: service.map_err(|error| Status::unavailable(error.to_string()))?,
         };
         let registration = registration(id, "primitives");

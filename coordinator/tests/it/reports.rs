@@ -228,7 +228,7 @@ async fn a_report_leaves_results_of_another_realisation_out_and_says_so_at_the_t
 
     let pool = bench.database().await;
     for alter in [
-        "INSERT INTO provenance SELECT 99, host, gl_renderer, '3.9.9', asset_pack,
+        "INSERT INTO provenance SELECT 99, host, renderer, fingerprint, '3.9.9', asset_pack,
              asset_pack_digest, 'reference', policy_name, policy_checkpoint,
              policy_checkpoint_digest, policy_privileged, policy_canonical_only, batch_mode,
              program_version

@@ -34,5 +34,6 @@ pub use scene::{Camera, Geom, Light, LightKind, Scene, Shape, TextureUse};
 pub use shapes::{Quality, mesh_triangle, plane, plane_grid};
 pub use texture::{Texture, TextureKind};
 
-/// Changes whenever any frame of any scene changes by a bit.
-pub const VERSION: u32 = 1;
+/// This renderer and its version, which changes whenever any frame of any scene
+/// changes by a bit.
+pub const NAME: &str = "rollout-raster 1";

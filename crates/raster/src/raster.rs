@@ -671,7 +671,7 @@ fn fill_large(
             }
             let part_x = [block_x.max(x[0]), (block_x + BLOCK - 1).min(x[1])];
             let part_y = [block_y, (block_y + BLOCK - 1).min(y[1])];
-            touched |= { fill_block(lane, setup, edges, part_x, part_y, (record, id), drawing) };
+            touched |= fill_block(lane, setup, edges, part_x, part_y, (record, id), drawing);
         }
     }
     touched

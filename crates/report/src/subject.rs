@@ -1,6 +1,8 @@
 //! What a report is of: one policy's outcomes, and everything known about how
 //! they were made.
 
+use std::collections::BTreeMap;
+
 use paired::{Count, Record};
 use protocol::Realisation;
 use serde::{Deserialize, Serialize};
@@ -25,6 +27,9 @@ pub struct Subject {
     pub left_out: u64,
     /// The distinct circumstances under which the outcomes were made.
     pub provenances: Vec<Provenance>,
+    /// How the outcomes mix fingerprints, if they have more than one.
+    #[serde(default)]
+    pub fingerprints: Option<Fingerprints>,
     /// The published nominal success rate, a fraction.
     pub published_nominal: Option<f64>,
     /// Nominal successes as somebody else counted them.
@@ -60,8 +65,12 @@ pub enum Origin {
 pub struct Provenance {
     /// Machine.
     pub host: String,
-    /// What rendered the frames.
-    pub gl_renderer: String,
+    /// What draws, by its own name; empty where that is not known.
+    #[serde(alias = "gl_renderer")]
+    pub renderer: String,
+    /// Fingerprint of the slot; empty where that is not known.
+    #[serde(default)]
+    pub fingerprint: String,
     /// Version of the simulator.
     pub mujoco_version: String,
     /// Name of the asset pack.
@@ -85,6 +94,15 @@ pub struct Provenance {
     pub batch_mode: String,
     /// Version of the worker's program.
     pub program_version: String,
+}
+
+/// How results of one campaign mix fingerprints.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Fingerprints {
+    /// Results of each fingerprint.
+    pub results: BTreeMap<String, u64>,
+    /// Tasks and initial states with results of more than one.
+    pub mixed: Vec<String>,
 }
 
 /// A rollout that was set aside, and what it last failed with.

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 
 use paired::Outcome;
 
-use crate::subject::{Provenance, Subject};
+use crate::subject::{Fingerprints, Provenance, Subject};
 
 /// The built-in pack, which is another benchmark than LIBERO.
 const PRIMITIVES: &str = "primitives";
@@ -22,6 +22,7 @@ pub(crate) fn of_subject(subject: &Subject) -> Vec<String> {
     for (what, so, of) in MIXTURES {
         warnings.extend(mixed(provenances, what, so, of));
     }
+    warnings.extend(subject.fingerprints.as_ref().map(Fingerprints::in_words));
     if provenances.iter().any(|p| p.asset_pack == PRIMITIVES) {
         warnings.push(format!(
             "simulated with the built-in `{PRIMITIVES}` asset pack: boxes and cylinders, not \
@@ -68,10 +69,11 @@ pub(crate) fn of_comparison(subjects: &[Subject]) -> Vec<String> {
     let comparable = [
         ("MuJoCo version", "each is another simulator", mujoco as Of),
         ("asset pack", "each is another benchmark", pack),
+        ("renderer", "each draws other pictures", renderer),
     ];
     for (what, so, of) in comparable {
         let values = subjects.iter().flat_map(|s| s.provenances.iter().map(of));
-        let values: BTreeSet<String> = values.collect();
+        let values: BTreeSet<String> = values.filter(|value| !value.is_empty()).collect();
         if values.len() > 1 {
             warnings.push(format!(
                 "the policies were measured with more than one {what} ({so}): {}",
@@ -103,9 +105,11 @@ const MIXTURES: [(&str, &str, Of); 6] = [
         "batched queries can change a policy's answers",
         |p| p.batch_mode.clone(),
     ),
-    ("renderer", "pictures differ between them", |p| {
-        p.gl_renderer.clone()
-    }),
+    (
+        "renderer",
+        "never pooled: each draws other pictures",
+        renderer,
+    ),
     ("program version", "compare with care", |p| {
         p.program_version.clone()
     }),
@@ -119,13 +123,19 @@ fn pack(p: &Provenance) -> String {
     format!("{} ({})", p.asset_pack, short(&p.asset_pack_digest))
 }
 
+/// Empty in results of older workers that drew no frame.
+fn renderer(p: &Provenance) -> String {
+    p.renderer.clone()
+}
+
 fn checkpoint(p: &Provenance) -> String {
     let digest = short(&p.policy_checkpoint_digest);
     format!("{} {} ({digest})", p.policy_name, p.policy_checkpoint)
 }
 
 fn mixed(provenances: &[Provenance], what: &str, so: &str, of: Of) -> Option<String> {
-    let values: BTreeSet<String> = provenances.iter().map(of).collect();
+    let values = provenances.iter().map(of);
+    let values: BTreeSet<String> = values.filter(|value| !value.is_empty()).collect();
     (values.len() > 1).then(|| {
         let values: Vec<String> = values.into_iter().collect();
         format!(
@@ -133,6 +143,27 @@ fn mixed(provenances: &[Provenance], what: &str, so: &str, of: Of) -> Option<Str
             values.join("; ")
         )
     })
+}
+
+impl Fingerprints {
+    /// How many results there are of each, and where they meet.
+    pub fn in_words(&self) -> String {
+        let results = self.results.iter();
+        let results: Vec<String> = results
+            .map(|(fingerprint, count)| format!("{count} of {}", short(fingerprint)))
+            .collect();
+        let met = match self.mixed.len() {
+            0 => "no configuration mixes them".to_owned(),
+            1 => format!("1 configuration mixes them: {}", some_of(&self.mixed)),
+            many => format!("{many} configurations mix them: {}", some_of(&self.mixed)),
+        };
+        format!(
+            "results have {} fingerprints, so that the machines' arithmetic or frames differ: {}; \
+             {met}",
+            self.results.len(),
+            results.join(", ")
+        )
+    }
 }
 
 fn left_out(subject: &Subject) -> Option<String> {

@@ -6,8 +6,8 @@ use std::path::Path;
 use paired::{Count, Outcome};
 use parquet::file::reader::{FileReader, SerializedFileReader};
 use report::{
-    Document, Origin, Provenance, SetAside, Subject, figures, import, page, write_csv,
-    write_parquet,
+    Document, Fingerprints, Origin, Provenance, SetAside, Subject, figures, import, page,
+    write_csv, write_parquet,
 };
 use serde_json::Value;
 
@@ -23,7 +23,8 @@ fn document(subjects: Vec<Subject>) -> Document {
 fn provenance(mujoco_version: &str, batch_mode: &str) -> Provenance {
     Provenance {
         host: "one".to_owned(),
-        gl_renderer: "llvmpipe".to_owned(),
+        renderer: "llvmpipe".to_owned(),
+        fingerprint: "f".repeat(64),
         mujoco_version: mujoco_version.to_owned(),
         asset_pack: "libero".to_owned(),
         asset_pack_digest: "a".repeat(64),
@@ -68,6 +69,12 @@ fn broken() -> Subject {
             })
             .collect(),
         left_out: 3,
+        fingerprints: Some(Fingerprints {
+            results: [("f".repeat(64), 8_000), ("e".repeat(64), 3)].into(),
+            mixed: (0..7)
+                .map(|state| format!("libero_goal/3 from state {state}"))
+                .collect(),
+        }),
         provenances: vec![
             provenance("3.3.7", "single"),
             provenance("3.2.3", "dynamic 8"),
@@ -183,6 +190,9 @@ fn a_broken_campaign_is_warned_of_before_any_figure() {
         "Realisation modes are mixed: 3 results",
         "Results of more than one MuJoCo version are mixed",
         "Results of more than one batch mode are mixed",
+        "Results have 2 fingerprints, so that the machines' arithmetic or frames differ: \
+         3 of eeeeeeeeeeee, 8000 of ffffffffffff; 7 configurations mix them: \
+         libero_goal/3 from state 0",
         "87 of 8400 rollouts have no result yet",
         "87 rollouts were set aside",
     ] {

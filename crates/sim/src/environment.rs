@@ -12,9 +12,9 @@ use crate::predicates::Goal;
 use crate::render::{Canvas, Drawer};
 
 /// `mjDSBL_AUTORESET`: an unstable state is reported, not silently replaced.
-const DISABLE_AUTORESET: i32 = 1 << 16;
+pub(crate) const DISABLE_AUTORESET: i32 = 1 << 16;
 /// `mjDSBL_NATIVECCD`: with it, 3.3.7 collides as the benchmark's 2.3.7 does.
-const DISABLE_NATIVE_CCD: i32 = 1 << 17;
+pub(crate) const DISABLE_NATIVE_CCD: i32 = 1 << 17;
 /// The body whose orientation is the observed one.
 const HAND_BODY: &str = "robot0_right_hand";
 /// First position coordinate of the fingers.

@@ -10,6 +10,7 @@ pub mod controller;
 pub mod environment;
 pub mod episode;
 pub mod error;
+mod fingerprint;
 pub mod mujoco;
 pub mod observation;
 pub mod perturb;
@@ -21,6 +22,7 @@ pub mod simulator;
 pub use environment::Environment;
 pub use episode::{Digests, Episode};
 pub use error::SimError;
+pub use fingerprint::fingerprint;
 pub use observation::{
     CameraRequest, Entity, EntityKind, Frame, Observation, ObservationRequest, Privileged,
     RobotState,

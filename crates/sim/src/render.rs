@@ -29,10 +29,10 @@ pub enum Renderer {
 
 /// A renderer that is ready to draw, on the thread that opened it.
 pub enum Drawer {
-    /// Our own, by its name.
-    Software(String),
+    /// Our own.
+    Software,
     /// MuJoCo's.
-    Gl(GlContext),
+    Gl(Box<GlContext>),
 }
 
 impl Drawer {
@@ -42,11 +42,8 @@ impl Drawer {
     /// Where OpenGL is asked for and no device gives a context.
     pub fn open(renderer: Renderer) -> Result<Self, SimError> {
         match renderer {
-            Renderer::Software => Ok(Self::Software(format!(
-                "rollout-raster {}",
-                raster::VERSION
-            ))),
-            Renderer::Gl(device) => Ok(Self::Gl(GlContext::open(device)?)),
+            Renderer::Software => Ok(Self::Software),
+            Renderer::Gl(device) => Ok(Self::Gl(Box::new(GlContext::open(device)?))),
         }
     }
 
@@ -54,7 +51,7 @@ impl Drawer {
     /// words, for example `llvmpipe (…)`.
     pub fn name(&self) -> &str {
         match self {
-            Self::Software(name) => name,
+            Self::Software => raster::NAME,
             Self::Gl(context) => context.renderer(),
         }
     }
@@ -76,7 +73,7 @@ impl Canvas {
         height: u32,
     ) -> Result<Self, SimError> {
         match drawer {
-            Drawer::Software(_) => Ok(Self::Software(Box::new(SoftwareCanvas::new(model)?))),
+            Drawer::Software => Ok(Self::Software(Box::new(SoftwareCanvas::new(model)?))),
             Drawer::Gl(context) => GlCanvas::new(context, model, width, height).map(Self::Gl),
         }
     }
@@ -84,7 +81,7 @@ impl Canvas {
     /// Whether this was made for the renderer, and a picture of this size fits.
     pub(crate) fn suits(&self, drawer: &Drawer, width: u32, height: u32) -> bool {
         match (self, drawer) {
-            (Self::Software(_), Drawer::Software(_)) => true,
+            (Self::Software(_), Drawer::Software) => true,
             (Self::Gl(canvas), Drawer::Gl(_)) => canvas.holds(width, height),
             _ => false,
         }

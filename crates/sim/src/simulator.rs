@@ -1,5 +1,5 @@
 //! Everything that a slot needs to simulate rollouts: the compiled scenes it
-//! has met lately and, once a frame is asked for, an OpenGL context.
+//! has met lately and, once it is asked for, an opened renderer.
 
 use protocol::{ManifestRow, Realisation};
 use scene::{AssetPack, InitialStates, Sources, TaskFiles, compose};
@@ -7,6 +7,7 @@ use scene::{AssetPack, InitialStates, Sources, TaskFiles, compose};
 use crate::environment::Environment;
 use crate::episode::Episode;
 use crate::error::SimError;
+use crate::fingerprint::fingerprint;
 use crate::mujoco::{self, ObjectKind};
 use crate::perturb::{CameraPose, look_at_point};
 use crate::render::{Drawer, Renderer};
@@ -37,6 +38,7 @@ pub struct Simulator {
     /// Latest first. Before the drawer, which their canvases need.
     scenes: Vec<ReadyScene>,
     drawer: Option<Drawer>,
+    fingerprint: Option<String>,
 }
 
 /// A compiled scene with what is computed once for it.
@@ -51,13 +53,14 @@ pub(crate) struct ReadyScene {
 }
 
 impl Simulator {
-    /// A simulator without any scene yet. The renderer is not opened before the
-    /// first frame is drawn.
+    /// A simulator without any scene yet. The renderer is not opened before
+    /// something is asked of it.
     pub fn new(config: SimulatorConfig) -> Self {
         Self {
             config,
             scenes: Vec::new(),
             drawer: None,
+            fingerprint: None,
         }
     }
 
@@ -69,6 +72,16 @@ impl Simulator {
     /// What draws, by its own name; opens it.
     pub fn renderer_name(&mut self) -> Result<String, SimError> {
         Ok(self.drawer()?.name().to_owned())
+    }
+
+    /// The fingerprint of this process and its renderer; opens it.
+    pub fn fingerprint(&mut self) -> Result<String, SimError> {
+        if let Some(known) = &self.fingerprint {
+            return Ok(known.clone());
+        }
+        let fingerprint = fingerprint(self.drawer()?)?;
+        self.fingerprint = Some(fingerprint.clone());
+        Ok(fingerprint)
     }
 
     /// Prepares a rollout up to its loaded, perturbed initial state.

@@ -29,6 +29,8 @@ use worker::policy::{Episode, PolicyClient, PolicyError};
 /// asked for.
 const STEPS: u32 = 12;
 const STEP_MILLIS: u64 = 12;
+/// What is said to draw, and has a fingerprint of its own.
+const RENDERER: &str = "simulated";
 /// The policy is asked before every so many of them.
 const STEPS_PER_QUERY: u32 = 4;
 
@@ -36,7 +38,10 @@ fn main() {
     let abandoned = Arc::new(AtomicBool::new(false));
     let assignments = listen(Arc::clone(&abandoned));
     let script = Script::from_environment();
-    report(&Report::Ready);
+    report(&Report::Ready {
+        renderer: RENDERER.to_owned(),
+        fingerprint: digest(RENDERER),
+    });
     while let Ok(assignment) = assignments.recv() {
         report(&rollout(&assignment, &script, &abandoned));
     }
@@ -139,7 +144,8 @@ fn play(
             policy_queries: STEPS / STEPS_PER_QUERY,
         },
         evidence: Evidence {
-            gl_renderer: String::new(),
+            renderer: RENDERER.to_owned(),
+            fingerprint: digest(RENDERER),
             scene_digest: digest(&row.id.task().to_string()),
             init_state_digest: digest(&format!("{} {}", row.id.task(), row.init_id)),
             perturbation_digest: perturbation_digest(assignment),

@@ -181,7 +181,8 @@ fn motion(motion: &SlotMotion) -> Motion {
 fn provenance(evidence: Evidence, identity: Identity, realisation: Realisation) -> Provenance {
     Provenance {
         host: identity.host,
-        gl_renderer: evidence.gl_renderer,
+        renderer: evidence.renderer,
+        fingerprint: evidence.fingerprint,
         mujoco_version: identity.mujoco_version,
         asset_pack: identity.asset_pack,
         asset_pack_digest: identity.asset_pack_digest,

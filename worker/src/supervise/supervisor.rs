@@ -5,10 +5,12 @@ mod claiming;
 
 use std::time::Duration;
 
-use proto::coordinator::{ClaimResponse, HeartbeatRequest, HeartbeatResponse, Progress};
+use proto::coordinator::{
+    ClaimResponse, HeartbeatRequest, HeartbeatResponse, Progress, RegisterRequest, RegisterResponse,
+};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinSet;
-use tokio::time::{Instant, MissedTickBehavior, interval};
+use tokio::time::{Instant, Interval, MissedTickBehavior, interval};
 use tonic::Status;
 
 use super::deliver::{Answer, Delivery, Ending, deliver};
@@ -17,7 +19,8 @@ use super::process::{ProcessKey, SlotProcess};
 use super::slot_state::{
     ABANDON_DEADLINE, Decision, Kill, Mode, ProcessState, START_DEADLINE, SlotState, Work,
 };
-use super::{Config, SuperviseError, Timing};
+use super::{Config, SuperviseError, TIMING_UNTIL_REGISTERED, Timing, registration};
+use crate::grpc::in_words;
 use crate::ids::LeaseKey;
 use crate::message::{Assignment, Failure, FailureKind, Order, Report};
 
@@ -35,6 +38,8 @@ const END_DEADLINE: Duration = Duration::from_secs(5);
 pub(crate) enum Event {
     /// Time has passed.
     Tick,
+    /// The coordinator answered the worker's registration.
+    Registered(Result<RegisterResponse, Status>),
     /// Leases are to be renewed.
     HeartbeatDue,
     /// The coordinator answered a heartbeat that named these leases.
@@ -72,6 +77,11 @@ pub(super) struct Supervisor {
     timing: Timing,
     link: Link,
     slots: Vec<Slot>,
+    /// As whom the worker registers: known once a slot has said what draws,
+    /// which this process cannot find out without native code.
+    registration: Option<RegisterRequest>,
+    /// Nothing is claimed before.
+    is_registered: bool,
     mode: Mode,
     /// Tells the link that no more work is wanted.
     drain: watch::Sender<bool>,
@@ -90,7 +100,6 @@ pub(super) struct Supervisor {
 impl Supervisor {
     pub(super) fn new(
         config: Config,
-        timing: Timing,
         link: Link,
         drain: watch::Sender<bool>,
         events: mpsc::Sender<Event>,
@@ -105,8 +114,10 @@ impl Supervisor {
         Self {
             slots: slots.collect(),
             config,
-            timing,
+            timing: TIMING_UNTIL_REGISTERED,
             link,
+            registration: None,
+            is_registered: false,
             mode: Mode::Serving,
             drain,
             told_to_end_at: None,
@@ -126,8 +137,7 @@ impl Supervisor {
     ) -> Result<(), SuperviseError> {
         let mut ticks = interval(TICK);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        let mut heartbeats = interval(self.timing.heartbeat);
-        heartbeats.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut heartbeats = self.heartbeats();
         while !self.is_done(Instant::now()) {
             let event = tokio::select! {
                 Some(event) = inbox.recv() => event,
@@ -140,10 +150,19 @@ impl Supervisor {
             };
             let now = Instant::now();
             self.handle(event, now);
+            if heartbeats.period() != self.timing.heartbeat {
+                heartbeats = self.heartbeats();
+            }
             self.carry_out_decisions(now);
         }
         self.end(inbox).await;
         self.fault.map_or(Ok(()), Err)
+    }
+
+    fn heartbeats(&self) -> Interval {
+        let mut heartbeats = interval(self.timing.heartbeat);
+        heartbeats.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        heartbeats
     }
 
     fn is_done(&self, now: Instant) -> bool {
@@ -182,6 +201,7 @@ impl Supervisor {
     fn handle(&mut self, event: Event, now: Instant) {
         match event {
             Event::Tick => {}
+            Event::Registered(answer) => self.registered(answer),
             Event::HeartbeatDue => self.send_heartbeat(),
             Event::Renewed { sent, answer } => self.renewed(&sent, answer, now),
             Event::Claimed { slot, answer } => self.claimed(slot, answer, now),
@@ -210,9 +230,9 @@ impl Supervisor {
             let state = &self.slots[slot].state;
             match state.decide(self.mode, self.timing.progress_timeout, now) {
                 Some(Decision::Start) => self.start_process(slot, now),
-                Some(Decision::Claim) => self.claim(slot),
+                Some(Decision::Claim) if self.is_registered => self.claim(slot),
                 Some(Decision::Kill(why)) => self.kill(slot, why),
-                None => {}
+                Some(Decision::Claim) | None => {}
             }
         }
     }
@@ -258,7 +278,10 @@ impl Supervisor {
         let state = &mut self.slots[slot].state;
         let lease = state.progress().map(|(lease, _)| lease);
         let ending = match report {
-            Report::Ready => return state.became_ready(),
+            Report::Ready {
+                renderer,
+                fingerprint,
+            } => return self.became_ready(slot, renderer, &fingerprint),
             Report::Progress(steps) => return state.advanced(steps, now),
             Report::Abandoned => {
                 state.rollout_ended();
@@ -270,6 +293,49 @@ impl Supervisor {
         if let (true, Some(lease)) = (state.rollout_ended(), lease) {
             let session = self.session(slot);
             self.send_delivery(slot, lease, session, ending);
+        }
+    }
+
+    /// A slot takes orders. The first one says as whom to register; the others
+    /// must draw alike, or some of their results would be refused.
+    fn became_ready(&mut self, slot: usize, renderer: String, fingerprint: &str) {
+        self.slots[slot].state.became_ready();
+        tracing::info!("slot {slot} is ready: renderer {renderer}, fingerprint {fingerprint}");
+        match &self.registration {
+            None => self.register(registration(&self.config, renderer)),
+            Some(known) if known.renderer == renderer => {}
+            Some(known) => {
+                let registered = known.renderer.clone();
+                self.stop(SuperviseError::Renderers {
+                    slot,
+                    renderer,
+                    registered,
+                });
+            }
+        }
+    }
+
+    fn register(&mut self, registration: RegisterRequest) {
+        self.registration = Some(registration.clone());
+        let (link, events) = (self.link.clone(), self.events.clone());
+        self.calls.spawn(async move {
+            let answer = link.register(registration).await;
+            let _ = events.send(Event::Registered(answer)).await;
+        });
+    }
+
+    fn registered(&mut self, answer: Result<RegisterResponse, Status>) {
+        let url = &self.config.coordinator;
+        match answer {
+            Ok(answer) => {
+                tracing::info!("registered with the coordinator at {url}");
+                self.timing = Timing::from(&answer);
+                self.is_registered = true;
+            }
+            Err(status) => {
+                let (url, answer) = (url.clone(), in_words(&status));
+                self.stop(SuperviseError::Refused { url, answer });
+            }
         }
     }
 
@@ -338,7 +404,7 @@ impl Supervisor {
     }
 
     fn send_heartbeat(&mut self) {
-        if self.heartbeat_under_way {
+        if self.heartbeat_under_way || !self.is_registered {
             return;
         }
         self.heartbeat_under_way = true;

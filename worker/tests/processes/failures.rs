@@ -1,5 +1,6 @@
 //! Rollouts that have no outcome, and whose fault that was.
 
+use std::path::Path;
 use std::time::Duration;
 
 use proto::coordinator::release_request::Reason;
@@ -188,6 +189,48 @@ async fn a_worker_that_is_told_to_stop_says_why_and_fails() {
     ));
 }
 
+/// A program that stands in for a slot; the path.
+fn slot_program(folder: &Path, script: &str) -> String {
+    let program = folder.join("slot-program");
+    std::fs::write(&program, format!("#!/bin/sh\n{script}")).expect("written");
+    let mode = std::os::unix::fs::PermissionsExt::from_mode(0o755);
+    std::fs::set_permissions(&program, mode).expect("its own file");
+    program.to_str().expect("UTF-8").to_owned()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn slots_that_draw_differently_stop_the_worker_before_a_result_is_refused() {
+    if !ready("slots_that_draw_differently_stop_the_worker_before_a_result_is_refused") {
+        return;
+    }
+    let coordinator = ScriptedCoordinator::start().await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let script = format!(
+        "mkdir {}/first 2> /dev/null && name=one || {{ name=another; sleep 1; }}
+         echo '{{\"ready\": {{\"renderer\": \"'$name'\", \"fingerprint\": \"{}\"}}}}'
+         cat > /dev/null\n",
+        folder.path().display(),
+        "f".repeat(64),
+    );
+    let program = slot_program(folder.path(), &script);
+    let arguments = ["--slots", "2", "--slot-program", &program];
+    let worker = WorkerProcess::start_with(&coordinator.url(), &arguments);
+    let Told::Registered(registered) = coordinator.told(0).await else {
+        panic!("a worker registers first");
+    };
+    assert_eq!(registered.renderer, "one");
+    let (status, said) = worker.wait();
+    assert_eq!(status.code(), Some(1));
+    for words in [
+        "it draws with `another`",
+        "is registered with `one`",
+        "one worker for each renderer",
+    ] {
+        assert!(said.contains(words), "{said}");
+    }
+    assert_eq!(coordinator.everything_told().len(), 1);
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_slot_that_crashes_again_and_again_stops_the_worker_with_the_reason() {
     if !ready("a_slot_that_crashes_again_and_again_stops_the_worker_with_the_reason") {
@@ -195,13 +238,8 @@ async fn a_slot_that_crashes_again_and_again_stops_the_worker_with_the_reason() 
     }
     let coordinator = ScriptedCoordinator::start().await;
     let folder = tempfile::tempdir().expect("a folder");
-    let broken = folder.path().join("broken-slot");
-    let script = "#!/bin/sh\necho libEGL is missing >&2\nexit 3\n";
-    std::fs::write(&broken, script).expect("written");
-    let mode = std::os::unix::fs::PermissionsExt::from_mode(0o755);
-    std::fs::set_permissions(&broken, mode).expect("its own file");
-    let program = broken.to_str().expect("UTF-8");
-    let worker = WorkerProcess::start_with(&coordinator.url(), &["--slot-program", program]);
+    let program = slot_program(folder.path(), "echo libEGL is missing >&2\nexit 3\n");
+    let worker = WorkerProcess::start_with(&coordinator.url(), &["--slot-program", &program]);
     let (status, said) = worker.wait();
     assert_eq!(status.code(), Some(1));
     for words in [
@@ -211,4 +249,6 @@ async fn a_slot_that_crashes_again_and_again_stops_the_worker_with_the_reason() 
     ] {
         assert!(said.contains(words), "{said}");
     }
+    let told = coordinator.everything_told();
+    assert!(told.is_empty(), "registered without a renderer: {told:?}");
 }

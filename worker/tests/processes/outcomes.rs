@@ -44,7 +44,9 @@ async fn an_outcome_goes_with_everything_that_it_came_out_of() {
     assert_eq!(provenance.mujoco_version, "3.3.7");
     assert_eq!(provenance.policy_name, "looking");
     assert_eq!(provenance.policy_checkpoint, "scripted");
-    assert!(!provenance.gl_renderer.is_empty());
+    assert!(!provenance.renderer.is_empty());
+    assert_eq!(provenance.renderer, registered.renderer);
+    assert_eq!(provenance.fingerprint.len(), 64, "{provenance:#?}");
     assert!(!provenance.policy_privileged);
     assert_eq!(provenance.batch_mode, "single");
     assert_eq!(provenance.realisation, "matched");
@@ -143,6 +145,27 @@ async fn actions_beyond_the_range_are_clipped_and_counted() {
         .outcome
         .expect("an outcome");
     assert_eq!(outcome.clipped_actions, MAX_STEPS);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_rollout_without_frames_names_its_slots_renderer_too() {
+    if !ready("a_rollout_without_frames_names_its_slots_renderer_too") {
+        return;
+    }
+    let coordinator = ScriptedCoordinator::start().await;
+    let policy = ScriptedPolicy::start().await;
+    for (job, name) in [(1, "still"), (2, "looking")] {
+        coordinator.lease(lease(job, name, &policy.url()));
+    }
+    let _worker = WorkerProcess::start(&coordinator.url());
+    let blind = coordinator.told(1).await.commit().provenance;
+    let looking = coordinator.told(2).await.commit().provenance;
+    let (blind, looking) = (blind.expect("one"), looking.expect("one"));
+    assert_eq!(blind.first_frame_digest, "");
+    assert_eq!(looking.first_frame_digest.len(), 64);
+    assert!(!blind.renderer.is_empty());
+    assert_eq!(blind.renderer, looking.renderer);
+    assert_eq!(blind.fingerprint, looking.fingerprint);
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -68,6 +68,19 @@ fn what_cannot_be_meant_exits_with_2() {
     );
     check(
         &[
+            "--connect",
+            "http://127.0.0.1:9",
+            "--assets",
+            "primitives",
+            "--renderer",
+            "software",
+            "--gl-device",
+            "0",
+        ],
+        "add `--renderer gl`",
+    );
+    check(
+        &[
             "rollout",
             "--id",
             "spatial/t0/camra/L2/c00",

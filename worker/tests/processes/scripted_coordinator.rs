@@ -245,7 +245,7 @@ impl WorkerService for Service {
     ) -> Result<Response<RegisterResponse>, Status> {
         self.tell(Told::Registered(Box::new(request.into_inner())));
         Ok(Response::new(RegisterResponse {
-            protocol_version: proto::PROTOCOL_VERSION,
+            protocol_version: proto::COORDINATOR_PROTOCOL_VERSION,
             program_version: "scripted".to_owned(),
             lease_secs: 30.0,
             heartbeat_secs: 0.1,

@@ -216,7 +216,7 @@ fn worker_info(number: usize) -> WorkerInfo {
         asset_pack: "primitives".to_owned(),
         asset_pack_digest: sha("primitives"),
         mujoco_version: "3.3.7".to_owned(),
-        gl_renderer: "llvmpipe".to_owned(),
+        renderer: "llvmpipe".to_owned(),
         program_version: "0.1.0".to_owned(),
     }
 }
@@ -237,7 +237,8 @@ fn report(lease: LeaseRef, success: bool) -> CommitReport {
         },
         provenance: Provenance {
             host: "bench".to_owned(),
-            gl_renderer: "llvmpipe".to_owned(),
+            renderer: "llvmpipe".to_owned(),
+            fingerprint: sha("bits"),
             mujoco_version: "3.3.7".to_owned(),
             asset_pack: "primitives".to_owned(),
             asset_pack_digest: sha("primitives"),

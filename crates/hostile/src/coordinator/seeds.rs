@@ -100,13 +100,14 @@ pub(super) fn a_lease() -> [Said; 3] {
 /// A worker makes itself known.
 pub(super) fn registration(worker_id: &str) -> Said {
     let request = wire::RegisterRequest {
-        protocol_version: proto::PROTOCOL_VERSION,
+        protocol_version: proto::COORDINATOR_PROTOCOL_VERSION,
         worker_id: worker_id.into(),
         host: "h".into(),
         slots: 1,
         asset_pack: "primitives".into(),
         asset_pack_digest: digest(),
         mujoco_version: "3.3.7".into(),
+        renderer: "r".into(),
         ..wire::RegisterRequest::default()
     };
     ("WorkerService/Register", request.encode_to_vec())
@@ -162,6 +163,8 @@ fn commit() -> Said {
             asset_pack: "primitives".into(),
             asset_pack_digest: digest(),
             mujoco_version: "3.3.7".into(),
+            renderer: "r".into(),
+            fingerprint: digest(),
             scene_digest: digest(),
             init_state_digest: digest(),
             realisation: "matched".into(),

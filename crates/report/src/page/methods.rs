@@ -53,7 +53,8 @@ fn of_policy(analysis: &Analysis) -> Markup {
     };
     let entries = [
         ("MuJoCo", distinct(|p| p.mujoco_version.clone())),
-        ("renderer", distinct(|p| p.gl_renderer.clone())),
+        ("renderer", distinct(|p| p.renderer.clone())),
+        ("fingerprint", distinct(|p| p.fingerprint.clone())),
         ("batch mode", distinct(|p| p.batch_mode.clone())),
         (
             "worker",

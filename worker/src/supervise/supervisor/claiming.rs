@@ -9,13 +9,16 @@ use crate::grpc::in_words;
 use crate::ids::{Attempt, JobId, LeaseKey};
 use crate::message::{Assignment, Failure, FailureKind, Order, Session, VideoOf, VideoOrder};
 use crate::policy::POLICY_CALL_DEADLINE;
+use crate::supervise::SuperviseError;
 use crate::supervise::deliver::Ending;
 use crate::supervise::slot_state::{Mode, ProcessState, Work};
-use crate::supervise::{SuperviseError, registration};
 
 impl Supervisor {
     /// Asks the coordinator for a job for an idle slot.
     pub(super) fn claim(&mut self, slot: usize) {
+        let Some(registration) = self.registration.clone() else {
+            return;
+        };
         self.slots[slot].state.work = Work::Claiming;
         let warm = self.slots[slot].assignment.as_ref();
         let request = ClaimRequest {
@@ -24,7 +27,6 @@ impl Supervisor {
             ..ClaimRequest::default()
         };
         let (link, events) = (self.link.clone(), self.events.clone());
-        let registration = registration(&self.config);
         self.calls.spawn(async move {
             let mut answer = link.claim(request.clone()).await;
             if matches!(&answer, Err(status) if status.code() == Code::NotFound) {

@@ -1,0 +1,116 @@
+//! A campaign whose results have several fingerprints says so, everywhere that
+//! people look.
+
+use std::time::{Duration, Instant};
+
+use proto::coordinator as wire;
+use proto::coordinator::commit_response::Verdict;
+use serde_json::json;
+
+use crate::harness::{Bench, Worker, sha, small_spec, with};
+use crate::page::ask;
+
+/// A page shows results as they were a moment ago: longest wait for the newest.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// What the campaign's status and report say about its fingerprints.
+async fn told(bench: &Bench) -> [String; 2] {
+    let request = wire::ReportRequest {
+        campaign: "mixed".to_owned(),
+    };
+    let parts = bench.operator().await.report(request).await;
+    let mut parts = parts.expect("a report").into_inner();
+    let mut json = Vec::new();
+    while let Some(part) = parts.message().await.expect("a part") {
+        json.extend(part.json);
+    }
+    let subject = serde_json::from_slice(&json).expect("a subject");
+    let document = report::Document::new(vec![subject]).expect("no duplicates");
+    let report = document.text();
+    let report: Vec<&str> = report.split_whitespace().collect();
+    [
+        bench.status("mixed").await.mixed_fingerprints,
+        report.join(" "),
+    ]
+}
+
+/// Waits until the status, the report and the page say all of these words.
+async fn check(bench: &Bench, words: &[&str]) {
+    for said in told(bench).await {
+        let said = said.to_lowercase();
+        for words in words {
+            assert!(said.contains(words), "{words} is not in {said}");
+        }
+    }
+    let began = Instant::now();
+    loop {
+        let page = ask(&bench.url, "GET /campaigns/mixed").await.text();
+        let page = page.to_lowercase();
+        let missing = words.iter().find(|words| !page.contains(**words));
+        match missing {
+            None => return,
+            Some(words) => assert!(began.elapsed() < PATIENCE, "{words} is not in {page}"),
+        }
+        tokio::time::sleep(Duration::from_millis(200)).await;
+    }
+}
+
+async fn commit(worker: &mut Worker, lease: &wire::Lease) {
+    assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_campaign_says_which_fingerprints_its_results_have_and_where_they_mix() {
+    let bench = Bench::start().await;
+    let tasks: Vec<String> = (0..7).map(|task| format!("libero_object/{task}")).collect();
+    let spec = with(small_spec("mixed"), json!({"tasks": tasks}));
+    bench.create(&spec).await.expect("created");
+    let mut one = bench.worker("a").await;
+    let mut another = bench.worker("b").await;
+    another.fingerprint = "other bits".to_owned();
+    let (ones, others) = (sha("bits"), sha("other bits"));
+    let warning = "fingerprints, so that the machines' arithmetic or frames differ";
+
+    // All four rollouts of each task are of one initial state.
+    let mut leases = Vec::new();
+    for task in &tasks {
+        leases.push(one.claim_warm(4, task).await);
+    }
+    commit(&mut one, &leases[0][0]).await;
+    commit(&mut one, &leases[0][1]).await;
+    let page = ask(&bench.url, "GET /campaigns/mixed").await.text();
+    let [status, report] = told(&bench).await;
+    assert_eq!(status, "");
+    assert!(!page.contains(warning) && !report.contains(warning));
+
+    // Slots of one worker may differ: all results are reported under its leases.
+    let report_as = |worker: &Worker, lease: &wire::Lease| wire::CommitRequest {
+        lease: Some(one.held(lease)),
+        ..worker.report(lease, true)
+    };
+    let request = report_as(&another, &leases[1][0]);
+    let (verdict, _) = another.clone().commit_request(request).await;
+    assert_eq!(verdict, Verdict::Accepted);
+    let counts = |of_one: u32, of_other: u32| {
+        let mut counts = [(&ones, of_one), (&others, of_other)];
+        counts.sort();
+        let counts = counts.map(|(digest, count)| format!("{count} of {}", &digest[..12]));
+        counts.join(", ")
+    };
+    let words = [
+        "2 fingerprints",
+        &counts(2, 1),
+        "no configuration mixes them",
+    ];
+    check(&bench, &words).await;
+
+    for leases in &leases[1..] {
+        let request = report_as(&another, &leases[1]);
+        assert_eq!(another.commit_request(request).await.0, Verdict::Accepted);
+        let request = report_as(&one, &leases[2]);
+        assert_eq!(another.commit_request(request).await.0, Verdict::Accepted);
+    }
+    let named = "6 configurations mix them: libero_object/1 from state";
+    check(&bench, &[&counts(8, 7), named, "and 1 more"]).await;
+    assert_eq!(bench.status("mixed").await.committed, 15);
+}

@@ -1,0 +1,200 @@
+//! A database that schema 1 made is brought to today's schema, keeps its rows,
+//! and its campaigns go on.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use coordinator::clock::{ManualClock, UnixMillis};
+use coordinator::expand::NewCampaign;
+use coordinator::invariants::check;
+use coordinator::store::DATABASE_FILE;
+use proto::coordinator::commit_response::Verdict;
+use serde_json::Value;
+use sqlx::migrate::Migrator;
+use sqlx::sqlite::{SqliteConnectOptions, SqlitePool};
+
+use crate::harness::{Bench, sha, small_spec};
+
+const FIRST_MIGRATION: &str = "0001_campaigns_jobs_results.sql";
+const NOW_MS: i64 = 1_700_000_000_000;
+
+/// An empty database of schema 1.
+async fn first_schema(folder: &Path) -> SqlitePool {
+    let migrations = tempfile::tempdir().expect("a temporary folder");
+    let released = Path::new(env!("CARGO_MANIFEST_DIR")).join("../migrations");
+    std::fs::copy(
+        released.join(FIRST_MIGRATION),
+        migrations.path().join(FIRST_MIGRATION),
+    )
+    .expect("copied");
+    let options = SqliteConnectOptions::new()
+        .filename(folder.join(DATABASE_FILE))
+        .create_if_missing(true);
+    let pool = SqlitePool::connect_with(options).await.expect("a database");
+    let migrator = Migrator::new(migrations.path()).await.expect("a migration");
+    migrator.run(&pool).await.expect("schema 1");
+    pool
+}
+
+/// A pinned campaign of four rollouts, two of them committed: the first under
+/// the first of these renderers, the second under the second. No renderer means
+/// that no frame was drawn.
+async fn begun(pool: &SqlitePool, id: i64, name: &str, renderers: [&str; 2]) {
+    let spec = small_spec(name).to_string();
+    let campaign = NewCampaign::from_json(&spec).expect("a campaign");
+    let run = async |statement: String| {
+        sqlx::raw_sql(sqlx::AssertSqlSafe(statement))
+            .execute(pool)
+            .await
+            .expect("stored")
+    };
+    run(format!(
+        "INSERT OR IGNORE INTO policy (id, endpoint, name, available_ms)
+             VALUES (1, 'http://127.0.0.1:50051', 'expert', 0);
+         INSERT OR IGNORE INTO worker (id, host, slots, asset_pack, asset_pack_digest,
+             mujoco_version, gl_renderer, program_version, registered_ms, last_seen_ms)
+             VALUES ('old', 'bench', 1, 'primitives', '{pack}', '3.3.7', '', '0.1.0', 0, 0);
+         INSERT INTO campaign (id, name, spec, spec_digest, policy_id, realisation, record,
+             jobs, created_ms, state_since_ms, pinned_ms, asset_pack, asset_pack_digest,
+             mujoco_version)
+             VALUES ({id}, '{name}', '{spec}', '{digest}', 1, 'matched', 'none', 4, 0, 0, 0,
+             'primitives', '{pack}', '3.3.7');
+         INSERT INTO campaign_task VALUES ({id}, 'libero_object/0');",
+        pack = sha("primitives"),
+        spec = campaign.spec,
+        digest = campaign.spec_digest,
+    ))
+    .await;
+    for (place, job) in campaign.jobs.iter().enumerate() {
+        sqlx::query(
+            "INSERT INTO job (campaign_id, rollout_id, replicate, task, init_id, unit_order,
+                 manifest_row, policy_seed) VALUES (?, ?, ?, ?, ?, ?, ?, 5)",
+        )
+        .bind(id)
+        .bind(&job.rollout_id)
+        .bind(job.replicate)
+        .bind(&job.task)
+        .bind(job.init_id)
+        .bind(job.unit_order)
+        .bind(&job.manifest_row)
+        .execute(pool)
+        .await
+        .expect("a job");
+        let Some(renderer) = renderers.get(place) else {
+            continue;
+        };
+        let row: Value = serde_json::from_str(&job.manifest_row).expect("a row");
+        let task = format!("{}/{}", row["suite"], row["task_id"]);
+        run(format!(
+            "UPDATE job SET state = 'leased', attempt = 1, not_before_ms = NULL,
+                 lease_owner = 'old', leased_ms = 0, lease_expires_ms = 0, control_steps = 0
+             WHERE campaign_id = {id} AND unit_order = {place};
+             INSERT OR IGNORE INTO provenance (host, gl_renderer, mujoco_version, asset_pack,
+                 asset_pack_digest, realisation, policy_name, policy_checkpoint,
+                 policy_checkpoint_digest, policy_privileged, policy_canonical_only, batch_mode,
+                 program_version)
+             VALUES ('bench', '{renderer}', '3.3.7', 'primitives', '{pack}', 'matched', 'expert',
+                 'none', '', 1, 0, 'single', '0.1.0');
+             INSERT INTO result SELECT j.id, {id}, 1, 'old', {place}, 1, 120, 1.5, NULL, NULL,
+                 NULL, 0, 30, p.id, '{scene}', '{state}', '{perturbation}', ''
+             FROM job j JOIN provenance p ON p.gl_renderer = '{renderer}'
+             WHERE j.campaign_id = {id} AND j.unit_order = {place};
+             INSERT INTO motion SELECT id, x'000000000000', x'' FROM job
+             WHERE campaign_id = {id} AND unit_order = {place};
+             UPDATE job SET state = 'committed', lease_owner = NULL, leased_ms = NULL,
+                 lease_expires_ms = NULL, control_steps = NULL
+             WHERE campaign_id = {id} AND unit_order = {place};",
+            pack = sha("primitives"),
+            scene = sha(&task),
+            state = sha(&format!("{task}/{}", row["init_id"])),
+            perturbation = match row["axis"].as_str() {
+                Some("clean") => String::new(),
+                axis => format!(
+                    "{}:{}",
+                    axis.expect("an axis"),
+                    sha(&row["perturb"].to_string())
+                ),
+            },
+        ))
+        .await;
+    }
+}
+
+#[tokio::test]
+async fn a_database_of_schema_1_is_upgraded_keeps_its_rows_and_goes_on() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let pool = first_schema(folder.path()).await;
+    begun(&pool, 1, "drawn", ["", "llvmpipe"]).await;
+    begun(&pool, 2, "blind", ["", ""]).await;
+    begun(&pool, 3, "mixed", ["NVIDIA", "llvmpipe"]).await;
+    pool.close().await;
+
+    let clock = Arc::new(ManualClock::at(UnixMillis(NOW_MS)));
+    let bench = Bench::start_in(folder, clock).await;
+    let pool = bench.database().await;
+    let pins: Vec<(String, Option<String>, i64)> = sqlx::query_as(
+        "SELECT c.name, c.renderer, (SELECT count(*) FROM result r JOIN provenance p
+             ON p.id = r.provenance_id WHERE r.campaign_id = c.id AND p.fingerprint = '')
+         FROM campaign c ORDER BY c.id",
+    )
+    .fetch_all(&pool)
+    .await
+    .expect("campaigns");
+    let renderers: Vec<(Option<String>, i64)> = sqlx::query_as(
+        "SELECT p.renderer, count(*) FROM result r JOIN provenance p ON p.id = r.provenance_id
+         GROUP BY p.renderer ORDER BY p.renderer",
+    )
+    .fetch_all(&pool)
+    .await
+    .expect("renderers");
+    pool.close().await;
+    let of = |name: &str, renderer: Option<&str>| (name.to_owned(), renderer.map(Into::into), 2);
+    assert_eq!(
+        pins,
+        [
+            of("drawn", Some("llvmpipe")),
+            of("blind", None),
+            of("mixed", Some("NVIDIA")),
+        ],
+        "pinned to what drew first"
+    );
+    let drew = |renderer: &str, results| (Some(renderer.to_owned()), results);
+    assert_eq!(
+        renderers,
+        [drew("", 3), drew("NVIDIA", 1), drew("llvmpipe", 2)]
+    );
+    assert_eq!(bench.count("SELECT count(*) FROM job").await, 12);
+    assert_eq!(bench.count("SELECT count(*) FROM motion").await, 6);
+    assert_eq!(bench.status("drawn").await.committed, 2);
+
+    // Only the campaign of which nothing was drawn is anybody's.
+    let mut worker = bench.worker_drawing("new", "primitives", "software").await;
+    let leases = worker.claim(64).await;
+    let campaigns: Vec<&str> = leases.iter().map(|lease| lease.campaign.as_str()).collect();
+    assert_eq!(campaigns, ["blind"; 2]);
+    for lease in &leases {
+        assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
+    }
+    let idle = worker.claim_response(1, "").await.idle_reason;
+    for word in [
+        "`drawn`",
+        "renderer `llvmpipe`",
+        "`mixed`",
+        "renderer `NVIDIA`",
+    ] {
+        assert!(idle.contains(word), "{idle}");
+    }
+    let mut older = bench.worker_drawing("gl", "primitives", "llvmpipe").await;
+    let lease = older.claim_one().await;
+    assert_eq!(lease.campaign, "drawn");
+    assert_eq!(older.commit(&lease, true).await, Verdict::Accepted);
+    assert_eq!(
+        bench
+            .count("SELECT count(*) FROM campaign WHERE renderer = 'software'")
+            .await,
+        1
+    );
+
+    let folder = bench.stop().await;
+    assert_eq!(check(folder.path()).await.expect("a database"), []);
+}

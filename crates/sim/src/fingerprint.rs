@@ -1,0 +1,201 @@
+//! One digest over all that a slot's numbers and pictures come from: a fixed
+//! motion of a small scene, the arithmetic around it, and two frames. Slots with
+//! equal fingerprints simulate and draw with equal bits; a processor, a C library,
+//! a driver or a build that rounds differently has another. It says nothing of
+//! the asset pack, and is no proof: what the scene does not exercise may differ.
+
+use std::hint::black_box;
+
+use nalgebra::SMatrix;
+use sha2::{Digest, Sha256};
+
+use crate::environment::{DISABLE_AUTORESET, DISABLE_NATIVE_CCD};
+use crate::error::SimError;
+use crate::mujoco::{Data, Model, ObjectKind};
+use crate::render::{Canvas, Drawer};
+
+/// The scene: an arm of seven joints over things that it pushes.
+const SCENE: &str = include_str!("fingerprint.mjcf");
+/// Simulated in steps of 2 ms.
+const STEPS: u32 = 150;
+const ARM_JOINTS: usize = 7;
+/// Torques of the motors, Nm, and how much faster each is driven than the one
+/// before, so that no two joints move alike.
+const AMPLITUDE: f64 = 6.0;
+const DETUNING: f64 = 0.37;
+/// The frames: cameras, widths and heights, pixels.
+const FRAMES: [(&str, u32, u32); 2] = [("front", 96, 64), ("hand", 64, 64)];
+
+/// The fingerprint of this process with a renderer: SHA-256, hex.
+///
+/// # Errors
+/// If the renderer cannot draw, or MuJoCo refuses the scene.
+pub fn fingerprint(drawer: &Drawer) -> Result<String, SimError> {
+    let mut model = Model::compile(SCENE)?;
+    model.disable(DISABLE_NATIVE_CCD | DISABLE_AUTORESET);
+    let mut data = Data::new(&model)?;
+    let numbers = motion(&model, &mut data)?;
+    let frames = frames(drawer, &mut model, &mut data)?;
+    Ok(digest(&numbers, &frames))
+}
+
+/// Everything that the motion and the arithmetic came to.
+fn motion(model: &Model, data: &mut Data) -> Result<Vec<f64>, SimError> {
+    let hand = model.id(ObjectKind::Site, "hand")?;
+    let mut numbers = Vec::new();
+    for step in 0..STEPS {
+        let secs = f64::from(step) * 0.002;
+        for (joint, torque) in data.ctrl_mut(model).iter_mut().enumerate() {
+            let detuned = 1.0 + DETUNING * joint as f64;
+            *torque = AMPLITUDE * (20.0 * detuned * secs + detuned).sin();
+        }
+        data.step(model);
+        numbers.extend(data.contacts().map(|contact| contact.distance));
+        for state in [data.qpos(model), data.qvel(model), data.qacc(model)] {
+            numbers.extend_from_slice(state);
+        }
+        numbers.extend(operational_space(model, data, hand));
+        numbers.extend(functions(secs));
+    }
+    data.forward(model);
+    numbers.extend_from_slice(data.geom_xmat(model));
+    Ok(numbers)
+}
+
+/// The algebra of the arm's controller.
+fn operational_space(model: &Model, data: &Data, hand: usize) -> Vec<f64> {
+    let nv = model.nv();
+    let mut inertia = vec![0.0; nv * nv];
+    let (mut linear, mut angular) = (vec![0.0; 3 * nv], vec![0.0; 3 * nv]);
+    data.full_inertia(model, &mut inertia);
+    data.site_jacobian(model, hand, &mut linear, &mut angular);
+    let inertia = SMatrix::<f64, ARM_JOINTS, ARM_JOINTS>::from_fn(|i, j| inertia[i * nv + j]);
+    let jacobian = SMatrix::<f64, 6, ARM_JOINTS>::from_fn(|i, j| match i {
+        0..3 => linear[i * nv + j],
+        _ => angular[(i - 3) * nv + j],
+    });
+    let mut numbers = Vec::new();
+    let Some(inverse) = inertia.try_inverse() else {
+        return numbers;
+    };
+    numbers.extend_from_slice(inverse.as_slice());
+    let full = jacobian * inverse * jacobian.transpose();
+    numbers.extend(full.try_inverse().iter().flatten());
+    let linear = full.fixed_view::<3, 3>(0, 0).into_owned();
+    numbers.extend(linear.try_inverse().iter().flatten());
+    numbers
+}
+
+/// Functions of the C library, which differ between machines in the last bit. A
+/// compiler that sees the argument would take the values of its own machine.
+fn functions(secs: f64) -> [f64; 11] {
+    let x = black_box(secs + 0.1);
+    [
+        x.sin(),
+        x.cos(),
+        x.tan(),
+        x.asin(),
+        x.acos(),
+        x.atan2(0.7),
+        x.exp(),
+        x.exp2(),
+        x.ln(),
+        x.powf(2.4),
+        x.hypot(0.3),
+    ]
+}
+
+fn frames(drawer: &Drawer, model: &mut Model, data: &mut Data) -> Result<Vec<Vec<u8>>, SimError> {
+    let (width, height) = FRAMES.iter().fold((0, 0), |(wide, high), frame| {
+        (frame.1.max(wide), frame.2.max(high))
+    });
+    let mut canvas = Canvas::new(drawer, model, width, height)?;
+    let frames = FRAMES.iter().map(|(camera, width, height)| {
+        let camera = model.id(ObjectKind::Camera, camera)?;
+        canvas.draw(model, data, camera, *width, *height)
+    });
+    frames.collect()
+}
+
+fn digest(numbers: &[f64], frames: &[Vec<u8>]) -> String {
+    let mut hash = Sha256::new();
+    for number in numbers {
+        hash.update(number.to_bits().to_le_bytes());
+    }
+    for frame in frames {
+        hash.update(frame);
+    }
+    let digest = hash.finalize();
+    digest.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+    use std::time::{Duration, Instant};
+
+    use super::*;
+    use crate::render::Renderer;
+
+    fn moved() -> (Model, Data, Vec<f64>) {
+        let mut model = Model::compile(SCENE).expect("a model");
+        model.disable(DISABLE_NATIVE_CCD | DISABLE_AUTORESET);
+        let mut data = Data::new(&model).expect("data");
+        let numbers = motion(&model, &mut data).expect("a motion");
+        (model, data, numbers)
+    }
+
+    #[test]
+    fn the_same_renderer_twice_has_one_fingerprint_in_well_under_a_second() {
+        let drawer = Drawer::open(Renderer::default()).expect("a renderer");
+        let started = Instant::now();
+        let one = fingerprint(&drawer).expect("a fingerprint");
+        let took = started.elapsed();
+        println!("{one} in {took:?}");
+        assert_eq!(one.len(), 64);
+        assert_eq!(one, fingerprint(&drawer).expect("a fingerprint"));
+        // Ten times what it takes on two old cores.
+        assert!(took < Duration::from_secs(3), "{took:?}");
+    }
+
+    #[test]
+    fn every_bit_of_motion_and_frames_counts() {
+        let (_, _, numbers) = moved();
+        let frames = vec![vec![1, 2, 3], vec![4]];
+        let whole = digest(&numbers, &frames);
+        for place in [0, numbers.len() / 2, numbers.len() - 1] {
+            let mut altered = numbers.clone();
+            altered[place] = f64::from_bits(altered[place].to_bits() ^ 1);
+            assert_ne!(digest(&altered, &frames), whole, "number {place}");
+        }
+        let altered = vec![vec![1, 2, 3], vec![5]];
+        assert_ne!(digest(&numbers, &altered), whole);
+    }
+
+    #[test]
+    fn the_motion_is_sound_and_things_touch() {
+        let (model, data, numbers) = moved();
+        assert!(numbers.iter().all(|number| number.is_finite()));
+        assert_eq!(data.instabilities(), 0);
+        let touching: BTreeSet<i32> = data.contacts().flat_map(|touch| touch.geoms).collect();
+        assert!(touching.len() >= 5, "{touching:?}");
+        let travel: Vec<f64> = data.qpos(&model)[..ARM_JOINTS].to_vec();
+        assert!(travel.iter().all(|angle| angle.abs() > 1e-3), "{travel:?}");
+        // All three inverses of every step, and not the empty answer.
+        let arm = operational_space(&model, &data, 0);
+        assert_eq!(arm.len(), 49 + 36 + 9);
+    }
+
+    #[test]
+    fn the_frames_show_the_scene() {
+        let (mut model, mut data, _) = moved();
+        let drawer = Drawer::open(Renderer::default()).expect("a renderer");
+        let frames = frames(&drawer, &mut model, &mut data).expect("frames");
+        for (frame, (camera, width, height)) in frames.iter().zip(FRAMES) {
+            assert_eq!(frame.len(), (width * height * 3) as usize);
+            let (pixels, _) = frame.as_chunks::<3>();
+            let colours: BTreeSet<_> = pixels.iter().collect();
+            assert!(colours.len() > 200, "{camera}: {} colours", colours.len());
+        }
+    }
+}
