@@ -4,6 +4,7 @@
 use crate::matrix::{Matrix, Vec3, minus};
 use crate::mesh::Mesh;
 use crate::model::Model;
+use crate::raster::Window;
 use crate::scene::{Camera, Geom, Shape, TextureUse};
 use crate::texture::TextureKind;
 
@@ -129,6 +130,8 @@ pub(crate) struct Instance {
     pub(crate) distance: f32,
     /// Its place in the order in which OpenGL would draw.
     pub(crate) rank: u32,
+    /// Where it became visible, at most.
+    pub(crate) window: Option<Window>,
 }
 
 /// Names a mesh of a model.
@@ -161,6 +164,9 @@ impl MeshOf {
     }
 }
 
+/// Meshes that a geom consists of at most.
+const MOST_PARTS: u32 = 4;
+
 /// Adds what a geom consists of.
 pub(crate) fn add(geom: usize, it: &Geom, view: &View, model: &Model, into: &mut Vec<Instance>) {
     let placed = view
@@ -169,13 +175,15 @@ pub(crate) fn add(geom: usize, it: &Geom, view: &View, model: &Model, into: &mut
         .times(&Matrix::rotation(&it.mat));
     let [x, y, z] = it.size;
     let behind = is_plane(it) && is_behind(view.head, it);
+    let mut parts = 0;
     let mut add = |mesh: MeshOf, to_eye: Matrix| {
         let Some(mut instance) = Instance::new(mesh, geom, to_eye, view, model) else {
             return;
         };
         instance.counter_clockwise = view.mirrored == behind;
         instance.inside_out = behind;
-        instance.rank = into.len() as u32;
+        instance.rank = geom as u32 * MOST_PARTS + parts;
+        parts += 1;
         instance.rgba = it.rgba;
         if behind {
             // In double precision, as C multiplies by such a constant.
@@ -269,6 +277,7 @@ impl Instance {
             texture: None,
             mapping: Mapping::None,
             rank: 0,
+            window: None,
             distance: middle[0] * middle[0] + middle[1] * middle[1] + middle[2] * middle[2],
         })
     }

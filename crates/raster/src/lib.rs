@@ -9,15 +9,19 @@
 
 #![forbid(unsafe_code)]
 
+mod backdrop;
 mod canvas;
 mod clip;
 mod error;
+mod glass;
 mod instance;
 mod lanes;
 mod light;
 mod matrix;
 mod mesh;
+mod mirror;
 mod model;
+mod picture;
 mod raster;
 mod sample;
 mod scene;

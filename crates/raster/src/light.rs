@@ -5,10 +5,10 @@
 use crate::instance::{Instance, View};
 use crate::lanes::{F, Floats as _, I, Ints as _};
 use crate::matrix::{Vec3, dot};
-use crate::scene::{Light, LightKind};
+use crate::scene::{Light, LightKind, Scene};
 
 /// Lights that OpenGL has.
-pub(crate) const MOST_LIGHTS: usize = 8;
+const MOST_LIGHTS: usize = 8;
 /// Light that reaches everything in a scene without lights.
 const AMBIENT_WITHOUT_LIGHTS: f32 = 0.3;
 /// Largest exponent of a highlight.
@@ -46,7 +46,13 @@ fn unit(v: Vec3) -> Vec3 {
 }
 
 impl EyeLight {
-    pub(crate) fn new(light: &Light, view: &View) -> Self {
+    /// Of as many lights as OpenGL has.
+    pub(crate) fn all(scene: &Scene, view: &View) -> Vec<Self> {
+        let lights = scene.lights.iter().take(MOST_LIGHTS);
+        lights.map(|light| Self::new(light, view)).collect()
+    }
+
+    fn new(light: &Light, view: &View) -> Self {
         let (place, cone, attenuation) = match light.kind {
             LightKind::Directional => {
                 let towards = light.dir.map(|part| -part);

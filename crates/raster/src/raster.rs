@@ -2,6 +2,8 @@
 //! depth, and where depths are equal the one drawn last. Triangles are taken
 //! eight at a time; those that face away or lie between samples go no further.
 
+use std::ops::Range;
+
 use crate::clip::{self, ClippedTriangle};
 use crate::instance::Instance;
 use crate::lanes::{F, Floats as _, I, Ints as _, LANES, Mask};
@@ -46,6 +48,42 @@ pub(crate) struct Window {
     pub(crate) y: [i32; 2],
 }
 
+impl Window {
+    /// All of a picture.
+    pub(crate) fn whole(width: usize, height: usize) -> Self {
+        Self {
+            x: [0, width as i32 - 1],
+            y: [0, height as i32 - 1],
+        }
+    }
+
+    /// The smallest that holds both.
+    pub(crate) fn with(self, other: Self) -> Self {
+        let around = |a: [i32; 2], b: [i32; 2]| [a[0].min(b[0]), a[1].max(b[1])];
+        Self {
+            x: around(self.x, other.x),
+            y: around(self.y, other.y),
+        }
+    }
+
+    /// The smallest that holds both, of which either may be empty.
+    pub(crate) fn around(one: Option<Self>, other: Option<Self>) -> Option<Self> {
+        match (one, other) {
+            (Some(one), Some(other)) => Some(one.with(other)),
+            (one, other) => one.or(other),
+        }
+    }
+
+    /// Where its rows are in a list of pixels.
+    pub(crate) fn rows(self, stride: usize) -> impl Iterator<Item = Range<usize>> {
+        let [left, right] = self.x.map(|x| x as usize);
+        (self.y[0]..=self.y[1]).map(move |y| {
+            let row = y as usize * stride;
+            row + left..row + right + 1
+        })
+    }
+}
+
 /// What is seen at every sample.
 #[derive(Debug, Default)]
 pub(crate) struct Visible {
@@ -59,23 +97,29 @@ pub(crate) struct Visible {
     pub(crate) ids: Vec<u32>,
     pub(crate) records: Vec<Record>,
     pub(crate) clipped: Vec<ClippedTriangle>,
+    /// Where anything became visible since this was last emptied, at most.
+    pub(crate) touched: Option<Window>,
 }
 
 impl Visible {
-    /// Nothing is seen.
-    pub(crate) fn clear(&mut self, width: usize, height: usize) {
+    /// Nothing is seen in a window of a picture of this size.
+    pub(crate) fn clear(&mut self, [width, height]: [usize; 2], window: Window) {
         let stride = width.next_multiple_of(2);
         let samples = stride * height * SAMPLES;
-        if self.depths.len() != samples {
+        (self.width, self.height, self.stride) = (width, height, stride);
+        if self.depths.len() == samples {
+            for row in window.rows(stride) {
+                let row = row.start * SAMPLES..row.end * SAMPLES;
+                self.depths[row.clone()].fill(0.0);
+                self.ids[row].fill(NOTHING);
+            }
+        } else {
             self.depths = vec![0.0; samples];
             self.ids = vec![NOTHING; samples];
-        } else {
-            self.depths.fill(0.0);
-            self.ids.fill(NOTHING);
         }
-        (self.width, self.height, self.stride) = (width, height, stride);
         self.records.clear();
         self.clipped.clear();
+        self.touched = None;
     }
 }
 
@@ -634,7 +678,9 @@ fn fill(lane: usize, setup: &Setup, record: Record, drawing: &mut Drawing<'_>) {
         fill_large(lane, setup, x, y, (record, id), drawing)
     };
     if touched {
-        drawing.visible.records.push(record);
+        let visible = &mut *drawing.visible;
+        visible.records.push(record);
+        visible.touched = Window::around(visible.touched, Some(Window { x, y }));
     }
 }
 

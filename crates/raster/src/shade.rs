@@ -62,11 +62,12 @@ impl Lists {
     }
 }
 
-/// Lists the fragments of a window. `wanted` says which samples count.
+/// Lists the fragments of a window whose records are `first` or later ones.
 pub(crate) fn list_fragments(
     visible: &Visible,
     instances: &[Instance],
     window: Window,
+    first: u32,
     lists: &mut Lists,
 ) {
     for y in window.y[0]..=window.y[1] {
@@ -82,7 +83,7 @@ pub(crate) fn list_fragments(
                 let same =
                     (0..SAMPLES).fold(0, |bits, other| bits | u32::from(ids[other] == id) << other);
                 left &= !same;
-                if id == NOTHING {
+                if id == NOTHING || id < first {
                     continue;
                 }
                 if id != last.0 {

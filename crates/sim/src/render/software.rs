@@ -1,6 +1,7 @@
 //! Our own renderer. What MuJoCo makes of a model and its state (`mjvScene`) is
 //! handed to it as it is; models are prepared from the compiled arrays.
 
+use std::collections::BTreeMap;
 use std::mem::MaybeUninit;
 
 use mujoco_rs::mujoco_c as c;
@@ -27,7 +28,8 @@ pub(crate) struct SoftwareCanvas {
     materials: Vec<Option<Material>>,
     sky: Option<usize>,
     scene: Scene,
-    canvas: raster::Canvas,
+    /// By camera.
+    canvases: BTreeMap<usize, raster::Canvas>,
 }
 
 #[derive(Clone, Copy)]
@@ -79,7 +81,7 @@ impl SoftwareCanvas {
                 sky: None,
                 reflections: true,
             },
-            canvas: raster::Canvas::new(),
+            canvases: BTreeMap::new(),
         })
     }
 
@@ -93,8 +95,8 @@ impl SoftwareCanvas {
         height: u32,
     ) -> Result<Vec<u8>, SimError> {
         self.update(model, data, camera)?;
-        let frame = self
-            .canvas
+        let canvas = self.canvases.entry(camera).or_default();
+        let frame = canvas
             .draw(&self.prepared, &self.scene, width as usize, height as usize)
             .map_err(|error| graphics(error.to_string()))?;
         Ok(frame.to_vec())

@@ -1,0 +1,158 @@
+//! What stays as it is from frame to frame. While a camera and its lights rest,
+//! the geoms that rest too are drawn once and kept, with depths, so that only
+//! what moves is drawn over them. Which triangle is seen at a sample does not
+//! depend on the order in which they are drawn, so no bit of a frame does.
+
+use crate::clip::ClippedTriangle;
+use crate::instance::Instance;
+use crate::picture::Picture;
+use crate::raster::{Record, SAMPLES, Window};
+use crate::scene::{Geom, Scene};
+
+/// Frames that a geom must rest before it is kept, at first and at most: one
+/// that was kept and moves must rest longer the next time.
+const FIRST_REST: u16 = 1;
+const LONGEST_REST: u16 = 256;
+/// Frames after which a geom that rests is worth drawing everything anew.
+const WORTH_ADDING: u16 = 8;
+
+/// What a frame can start from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Start {
+    /// Nothing is known to rest.
+    Anew,
+    /// Draw what rests, and keep that.
+    Keep,
+    /// What was kept still holds.
+    Kept,
+}
+
+/// Who rests, and the picture of those that do.
+#[derive(Default)]
+pub(crate) struct Backdrop {
+    last: Option<(Scene, [usize; 2])>,
+    /// Of each geom the frames that it has rested, and must.
+    rested: Vec<u16>,
+    needed: Vec<u16>,
+    /// Whether it is in the picture.
+    is_kept: Vec<bool>,
+    is_drawn: bool,
+    instances: Vec<Instance>,
+    records: Vec<Record>,
+    clipped: Vec<ClippedTriangle>,
+    depths: Vec<f32>,
+    ids: Vec<u32>,
+    samples: Vec<[u32; SAMPLES]>,
+}
+
+impl Backdrop {
+    /// Compares a scene with the last one.
+    pub(crate) fn compare(&mut self, scene: &Scene, size: [usize; 2]) -> Start {
+        let count = scene.geoms.len();
+        let same = self.last.as_ref().is_some_and(|(last, last_size)| {
+            *last_size == size
+                && last.camera == scene.camera
+                && last.lights == scene.lights
+                && (last.sky, last.reflections) == (scene.sky, scene.reflections)
+                && last.geoms.len() == count
+        });
+        if !same {
+            self.rested = vec![0; count];
+            self.needed = vec![FIRST_REST; count];
+            self.is_kept = vec![false; count];
+            self.is_drawn = false;
+            self.last = Some((scene.clone(), size));
+            return Start::Anew;
+        }
+        let mut holds = self.is_drawn;
+        if let Some((last, _)) = &mut self.last {
+            for (index, (before, now)) in last.geoms.iter_mut().zip(&scene.geoms).enumerate() {
+                if same_bits(before, now) {
+                    self.rested[index] = self.rested[index].saturating_add(1);
+                    continue;
+                }
+                self.rested[index] = 0;
+                if self.is_kept[index] {
+                    self.needed[index] = (self.needed[index] * 4).min(LONGEST_REST);
+                    holds = false;
+                }
+                *before = *now;
+            }
+        }
+        let is_late = |index: usize| {
+            !self.is_kept[index] && self.rested[index] >= self.needed[index].max(WORTH_ADDING)
+        };
+        if holds && !(0..count).any(is_late) {
+            return Start::Kept;
+        }
+        for index in 0..count {
+            self.is_kept[index] = self.rested[index] >= self.needed[index];
+        }
+        self.is_drawn = self.is_kept.iter().any(|kept| *kept);
+        match self.is_drawn {
+            true => Start::Keep,
+            false => Start::Anew,
+        }
+    }
+
+    /// Whether a geom is part of it.
+    pub(crate) fn holds(&self, geom: usize) -> bool {
+        self.is_drawn && self.is_kept[geom]
+    }
+
+    /// Keeps a picture of what rests.
+    pub(crate) fn keep(&mut self, picture: &Picture) {
+        let visible = &picture.visible;
+        self.instances.clone_from(&picture.instances);
+        self.records.clone_from(&visible.records);
+        self.clipped.clone_from(&visible.clipped);
+        self.depths.clone_from(&visible.depths);
+        self.ids.clone_from(&visible.ids);
+        self.samples.clone_from(&picture.samples);
+    }
+
+    /// Brings a window of the picture back.
+    pub(crate) fn restore(&self, picture: &mut Picture, window: Option<Window>) {
+        let visible = &mut picture.visible;
+        for row in window
+            .into_iter()
+            .flat_map(|window| window.rows(visible.stride))
+        {
+            let samples = row.start * SAMPLES..row.end * SAMPLES;
+            visible.depths[samples.clone()].copy_from_slice(&self.depths[samples.clone()]);
+            visible.ids[samples.clone()].copy_from_slice(&self.ids[samples]);
+            picture.samples[row.clone()].copy_from_slice(&self.samples[row]);
+        }
+        picture.instances.truncate(self.instances.len());
+        visible.records.truncate(self.records.len());
+        visible.clipped.truncate(self.clipped.len());
+        visible.touched = None;
+    }
+}
+
+/// Whether two geoms give the same picture: zeros of both signs differ.
+fn same_bits(a: &Geom, b: &Geom) -> bool {
+    let numbers = |geom: &Geom| {
+        let [px, py, pz] = geom.pos;
+        let [sx, sy, sz] = geom.size;
+        let mut all = [0; 24];
+        let parts = geom.mat.into_iter().chain(geom.rgba).chain([
+            px,
+            py,
+            pz,
+            sx,
+            sy,
+            sz,
+            geom.emission,
+            geom.specular,
+            geom.shininess,
+            geom.reflectance,
+            geom.reach,
+        ]);
+        for (bits, part) in all.iter_mut().zip(parts) {
+            *bits = part.to_bits();
+        }
+        all
+    };
+    a.shape == b.shape && a.texture == b.texture && numbers(a) == numbers(b)
+}

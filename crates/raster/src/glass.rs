@@ -1,0 +1,171 @@
+//! What one can see through: blended over what is behind it, the near things
+//! first, and then all of them again the far ones first, as MuJoCo does.
+
+use crate::instance::{self, View, is_behind, is_plane};
+use crate::matrix::{dot, minus};
+use crate::picture::{Pass, Picture, Workspace};
+use crate::raster::{self, Drawing, Layer, SAMPLES, Window};
+use crate::scene::{Geom, Scene, Shape};
+use crate::shade::{self, Fragment};
+
+/// Geoms of less opacity are seen through.
+const OPAQUE_FROM: f64 = 0.995;
+/// Planes are taken to be this far away.
+const PLANE_DISTANCE: f32 = 1e10;
+
+/// The geoms that one can see through, the near ones first.
+pub(crate) fn see_through(scene: &Scene, view: &View) -> Vec<usize> {
+    let mut found: Vec<(f32, usize)> = Vec::new();
+    for (index, geom) in scene.geoms.iter().enumerate() {
+        let shows_its_back = is_plane(geom) && is_behind(view.head, geom);
+        if f64::from(geom.rgba[3]) >= OPAQUE_FROM && !shows_its_back {
+            continue;
+        }
+        let distance = match is_plane(geom) {
+            true => PLANE_DISTANCE,
+            false => {
+                let off = minus(geom.pos, view.head);
+                dot(off, off).sqrt() - reach(geom)
+            }
+        };
+        found.push((distance, index));
+    }
+    found.sort_by(|a, b| a.0.total_cmp(&b.0));
+    found.into_iter().map(|(_, index)| index).collect()
+}
+
+/// How far a geom reaches from its middle, as MuJoCo sorts by.
+fn reach(geom: &Geom) -> f32 {
+    let [x, y, z] = geom.size;
+    match geom.shape {
+        _ if geom.reach > 0.0 => geom.reach,
+        Shape::Capsule => x + z,
+        Shape::Cylinder => (x * x + z * z).sqrt(),
+        Shape::Box => (x * x + y * y + z * z).sqrt(),
+        Shape::Ellipsoid | Shape::Mesh(_) | Shape::Plane(_) | Shape::Rectangle => x.max(y).max(z),
+    }
+}
+
+/// Blends geoms, the nearest first, over a picture; returns where.
+pub(crate) fn add(
+    picture: &mut Picture,
+    pass: Pass<'_>,
+    geoms: &[Geom],
+    work: &mut Workspace,
+) -> Option<Window> {
+    let painted: Vec<_> = geoms
+        .iter()
+        .map(|geom| paint(picture, pass, geom, work))
+        .collect();
+    let stride = picture.visible.stride;
+    let mut window = None;
+    for (fragment, colour) in painted.iter().chain(painted.iter().rev()).flatten() {
+        let pixel =
+            &mut picture.samples[usize::from(fragment.y) * stride + usize::from(fragment.x)];
+        for (sample, under) in pixel.iter_mut().enumerate() {
+            if fragment.samples & (1 << sample) != 0 {
+                *under = blended(*under, *colour);
+            }
+        }
+        let (x, y) = (i32::from(fragment.x), i32::from(fragment.y));
+        let here = Window {
+            x: [x, x],
+            y: [y, y],
+        };
+        window = Window::around(window, Some(here));
+    }
+    window
+}
+
+/// All of a geom that is in front of what is visible, in drawing order.
+fn paint(
+    picture: &mut Picture,
+    pass: Pass<'_>,
+    geom: &Geom,
+    work: &mut Workspace,
+) -> Vec<(Fragment, u32)> {
+    let Picture {
+        instances, visible, ..
+    } = picture;
+    let before = (
+        instances.len(),
+        visible.records.len(),
+        visible.clipped.len(),
+    );
+    let touched = visible.touched;
+    instance::add(0, geom, pass.view, pass.model, instances);
+    let mut layers: Vec<Layer> = Vec::new();
+    for index in before.0..instances.len() {
+        raster::draw(
+            index,
+            &mut Drawing {
+                model: pass.model,
+                instances,
+                window: pass.window,
+                plane: pass.view.clip,
+                positions: &mut work.positions,
+                visible,
+                layers: Some(&mut layers),
+            },
+        );
+    }
+    // Stable: the pixels of one triangle do not overlap.
+    layers.sort_by_key(|layer| layer.rank);
+    let lists = &mut work.lists;
+    lists.clear(visible.records.len(), pass.model.textures.len());
+    let mut count = 0u32;
+    for layer in &layers {
+        let (surface, instance) = lists.surface_of(layer.id, &visible.records);
+        let list = lists.list_of(&instances[instance as usize]);
+        for (pixel, samples) in [(0, layer.samples & 0xf), (1, layer.samples >> SAMPLES)] {
+            if samples != 0 {
+                lists.fragments[list].push(Fragment {
+                    x: layer.x + pixel,
+                    y: layer.y,
+                    surface,
+                    // Colours come back list by list; this puts them in order again.
+                    samples: samples | count << SAMPLES,
+                });
+                count += 1;
+            }
+        }
+    }
+    shade::work_out_surfaces(pass.model, visible, instances, pass.lights, lists);
+    let mut painted = Vec::with_capacity(count as usize);
+    shade::colour(pass.model, lists, |fragment, colour| {
+        painted.push((*fragment, colour));
+    });
+    painted.sort_unstable_by_key(|(fragment, _)| fragment.samples >> SAMPLES);
+    instances.truncate(before.0);
+    visible.records.truncate(before.1);
+    visible.clipped.truncate(before.2);
+    visible.touched = touched;
+    painted
+}
+
+/// A colour over another, by its opacity, in 8 bits.
+fn blended(under: u32, over: u32) -> u32 {
+    let (under, over) = (under.to_le_bytes(), over.to_le_bytes());
+    let opacity = over[3];
+    let times = |value: u8, share: u8| {
+        let product = u32::from(value) * u32::from(share);
+        (product + (product >> 8) + 128) >> 8
+    };
+    u32::from_le_bytes(std::array::from_fn(|at| {
+        let sum = times(over[at], opacity) + times(under[at], 255 - opacity);
+        sum.min(255) as u8
+    }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_and_all_of_a_colour_leave_one_of_both() {
+        let under = u32::from_le_bytes([10, 20, 30, 255]);
+        let over = |opacity| u32::from_le_bytes([200, 100, 50, opacity]);
+        assert_eq!(blended(under, over(0)).to_le_bytes()[..3], [10, 20, 30]);
+        assert_eq!(blended(under, over(255)).to_le_bytes()[..3], [200, 100, 50]);
+    }
+}

@@ -1,0 +1,143 @@
+//! The one face that mirrors: a plane, or a box's upper side. MuJoCo draws the
+//! mirrored scene where the face is and adds the face's own colour; here it is
+//! drawn only where the face is visible in the end.
+
+use crate::glass;
+use crate::instance::{self, View, is_behind, is_plane};
+use crate::light::EyeLight;
+use crate::model::Model;
+use crate::picture::{Pass, Picture, Workspace};
+use crate::raster::{CLIPPED, NOTHING, SAMPLES, Window};
+use crate::scene::{Geom, Scene, Shape};
+use crate::shapes::is_upper_face;
+
+/// The geom that mirrors, if the camera is before its face.
+pub(crate) fn find(scene: &Scene, view: &View, glassy: &[usize]) -> Option<usize> {
+    let can = |geom: &Geom| is_plane(geom) || geom.shape == Shape::Box;
+    let found = (0..scene.geoms.len()).find(|index| {
+        let geom = &scene.geoms[*index];
+        can(geom) && geom.reflectance > 0.0 && !glassy.contains(index)
+    })?;
+    let (pos, _) = plane(&scene.geoms[found]);
+    let face = Geom {
+        pos,
+        ..scene.geoms[found]
+    };
+    (scene.reflections && !is_behind(view.head, &face)).then_some(found)
+}
+
+/// A point of the face, and its normal.
+fn plane(geom: &Geom) -> ([f32; 3], [f32; 3]) {
+    let normal = [geom.mat[2], geom.mat[5], geom.mat[8]];
+    let raised = match geom.shape {
+        Shape::Box => geom.size[2],
+        _ => 0.0,
+    };
+    let pos = std::array::from_fn(|axis| geom.pos[axis] + raised * normal[axis]);
+    (pos, normal)
+}
+
+/// Adds what the face mirrors to the samples at which it is visible; returns
+/// where. `other` is a picture to draw it in.
+pub(crate) fn add(
+    picture: &mut Picture,
+    other: &mut Picture,
+    pass: Pass<'_>,
+    scene: &Scene,
+    (mirror, glassy): (usize, &[usize]),
+    work: &mut Workspace,
+) -> Option<Window> {
+    let face = Face::of(picture, pass.model, mirror, &scene.geoms[mirror])?;
+    let (pos, normal) = plane(&scene.geoms[mirror]);
+    let view = pass.view.in_mirror(pos, normal);
+    let lights: Vec<EyeLight> = EyeLight::all(scene, &view);
+    let dimmed = |index: usize| {
+        let mut geom = scene.geoms[index];
+        for channel in 0..3 {
+            geom.rgba[channel] *= scene.geoms[mirror].reflectance;
+        }
+        geom
+    };
+    let mirrored = Pass {
+        view: &view,
+        lights: &lights,
+        window: face.window,
+        ..pass
+    };
+    let size = [picture.visible.width, picture.visible.height];
+    other.clear(size, face.window);
+    for index in (0..scene.geoms.len()).filter(|it| *it != mirror && !glassy.contains(it)) {
+        instance::add(
+            index,
+            &dimmed(index),
+            &view,
+            pass.model,
+            &mut other.instances,
+        );
+    }
+    other.rasterise(mirrored, 0, work);
+    other.paint(mirrored, 0, work);
+    let glassy: Vec<Geom> = glassy.iter().map(|index| dimmed(*index)).collect();
+    glass::add(other, mirrored, &glassy, work);
+    for (pixel, samples) in face.pixels {
+        for sample in (0..SAMPLES).filter(|sample| samples & (1 << sample) != 0) {
+            let own = &mut picture.samples[pixel][sample];
+            *own = saturating_sum(*own, other.samples[pixel][sample]);
+        }
+    }
+    Some(face.window)
+}
+
+/// Where the face that mirrors is visible.
+struct Face {
+    window: Window,
+    /// Pixels and bits of their samples.
+    pixels: Vec<(usize, u8)>,
+}
+
+impl Face {
+    fn of(picture: &Picture, model: &Model, mirror: usize, geom: &Geom) -> Option<Self> {
+        let visible = &picture.visible;
+        let instances = picture.instances.iter();
+        let bounds = instances
+            .filter(|instance| instance.geom == mirror)
+            .fold(None, |bounds, it| Window::around(bounds, it.window))?;
+        let shows = |sample: usize| {
+            let id = visible.ids[sample];
+            let record = visible.records.get(id as usize).filter(|_| id != NOTHING);
+            record.is_some_and(|record| {
+                let instance = &picture.instances[record.instance as usize];
+                let triangle = match record.positions {
+                    CLIPPED => visible.clipped[record.triangle as usize].triangle,
+                    _ => record.triangle,
+                };
+                instance.geom == mirror
+                    && (geom.shape != Shape::Box
+                        || is_upper_face(instance.mesh.of(model).order[triangle as usize]))
+            })
+        };
+        let mut pixels = Vec::new();
+        let mut window = None;
+        for (row, y) in bounds.rows(visible.stride).zip(bounds.y[0]..) {
+            for (pixel, x) in row.zip(bounds.x[0]..) {
+                let samples = (0..SAMPLES)
+                    .filter(|sample| shows(pixel * SAMPLES + sample))
+                    .fold(0, |bits, sample| bits | 1 << sample);
+                if samples != 0 {
+                    pixels.push((pixel, samples));
+                    let here = Window {
+                        x: [x, x],
+                        y: [y, y],
+                    };
+                    window = Window::around(window, Some(here));
+                }
+            }
+        }
+        window.map(|window| Self { window, pixels })
+    }
+}
+
+fn saturating_sum(a: u32, b: u32) -> u32 {
+    let (a, b) = (a.to_le_bytes(), b.to_le_bytes());
+    u32::from_le_bytes(std::array::from_fn(|at| a[at].saturating_add(b[at])))
+}

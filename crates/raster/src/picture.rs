@@ -1,0 +1,102 @@
+//! A picture in the making: what is visible of some instances, and the colours of
+//! its samples.
+
+use crate::instance::{Instance, View};
+use crate::light::EyeLight;
+use crate::model::Model;
+use crate::raster::{self, Drawing, Positions, SAMPLES, Visible, Window};
+use crate::shade::{self, Lists};
+
+/// A picture in the making.
+#[derive(Default)]
+pub(crate) struct Picture {
+    pub(crate) instances: Vec<Instance>,
+    pub(crate) visible: Visible,
+    /// Colours of all samples, red in the lowest byte.
+    pub(crate) samples: Vec<[u32; SAMPLES]>,
+}
+
+/// How a picture is looked at.
+#[derive(Clone, Copy)]
+pub(crate) struct Pass<'a> {
+    pub(crate) model: &'a Model,
+    pub(crate) view: &'a View,
+    pub(crate) lights: &'a [EyeLight],
+    /// Nothing is drawn outside.
+    pub(crate) window: Window,
+}
+
+/// Room for what is worked out on the way, used again from frame to frame.
+#[derive(Default)]
+pub(crate) struct Workspace {
+    pub(crate) positions: Box<Positions>,
+    pub(crate) lists: Lists,
+    order: Vec<usize>,
+}
+
+impl Picture {
+    /// Starts over with nothing in a window.
+    pub(crate) fn clear(&mut self, size: [usize; 2], window: Window) {
+        self.instances.clear();
+        self.visible.clear(size, window);
+        let stride = self.visible.stride;
+        self.samples.resize(stride * size[1], [0; SAMPLES]);
+        for row in window.rows(stride) {
+            self.samples[row].fill([0; SAMPLES]);
+        }
+    }
+
+    /// Makes visible what is nearest of the instances from `first` on. The near
+    /// ones go first, which hide much of the others.
+    pub(crate) fn rasterise(&mut self, pass: Pass<'_>, first: usize, work: &mut Workspace) {
+        work.order.clear();
+        work.order.extend(first..self.instances.len());
+        let distance = |at: &usize| self.instances[*at].distance;
+        work.order
+            .sort_unstable_by(|a, b| distance(a).total_cmp(&distance(b)));
+        let before = self.visible.touched.take();
+        let mut all = before;
+        for index in &work.order {
+            raster::draw(
+                *index,
+                &mut Drawing {
+                    model: pass.model,
+                    instances: &self.instances,
+                    window: pass.window,
+                    plane: pass.view.clip,
+                    positions: &mut work.positions,
+                    visible: &mut self.visible,
+                    layers: None,
+                },
+            );
+            let touched = self.visible.touched.take();
+            self.instances[*index].window = touched;
+            all = Window::around(all, touched);
+        }
+        self.visible.touched = all;
+    }
+
+    /// Colours what is visible of the records from `first` on.
+    pub(crate) fn paint(&mut self, pass: Pass<'_>, first: usize, work: &mut Workspace) {
+        let Some(window) = self.visible.touched else {
+            return;
+        };
+        let (visible, lists) = (&self.visible, &mut work.lists);
+        lists.clear(visible.records.len(), pass.model.textures.len());
+        shade::list_fragments(visible, &self.instances, window, first as u32, lists);
+        shade::work_out_surfaces(pass.model, visible, &self.instances, pass.lights, lists);
+        let (stride, samples) = (visible.stride, &mut self.samples);
+        shade::colour(pass.model, lists, |fragment, colour| {
+            let pixel = &mut samples[usize::from(fragment.y) * stride + usize::from(fragment.x)];
+            if fragment.samples == 0xf {
+                *pixel = [colour; SAMPLES];
+                return;
+            }
+            for (sample, value) in pixel.iter_mut().enumerate() {
+                if fragment.samples & (1 << sample) != 0 {
+                    *value = colour;
+                }
+            }
+        });
+    }
+}
