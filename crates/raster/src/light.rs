@@ -171,7 +171,7 @@ pub(crate) fn shade(shading: &Shading<'_>, pos: Vec3x8, normal: Vec3x8) -> Vec3x
         let facing = dot8(normal, to_light);
         let (is_lit, lit) = (facing.gt(zero), facing.max(zero));
         // Without a shininess, Mesa's program reads the same number in its place.
-        let (near, exponent) = if has_highlights {
+        let (near, exponent) = if has_highlights && products[2] != [0.0; 3] {
             let half = unit8(minus8(to_light, towards_pos));
             (
                 dot8(normal, half),
@@ -180,7 +180,10 @@ pub(crate) fn shade(shading: &Shading<'_>, pos: Vec3x8, normal: Vec3x8) -> Vec3x
         } else {
             (facing, facing)
         };
-        let highlight = if has_highlights || attenuation.is_some() {
+        // None of it is seen: nothing is added.
+        let highlight = if products[2] == [0.0; 3] {
+            zero
+        } else if has_highlights || attenuation.is_some() {
             is_lit.select(power(near.max(zero), exponent), zero)
         } else {
             is_lit.select(one, zero)

@@ -23,7 +23,7 @@ const LATTICE: i32 = 32;
 /// so that no product leaves 32 bits.
 const LARGE: i32 = 32 * SUBPIXELS;
 /// Side of such a block, pixels.
-const BLOCK: i32 = 32;
+const BLOCK: i32 = 16;
 
 /// No triangle.
 pub(crate) const NOTHING: u32 = u32::MAX;
@@ -89,10 +89,12 @@ impl Window {
 pub(crate) struct Visible {
     pub(crate) width: usize,
     pub(crate) height: usize,
-    /// Pixels from one row to the next: even, since two are handled at once.
+    /// Pixels from one row to the next: even, since two are drawn at once.
     pub(crate) stride: usize,
     /// 1 at the near plane, 0 at the far one.
     pub(crate) depths: Vec<f32>,
+    /// Of each block a depth that no sample in it is beyond, row by row.
+    hidden_beyond: Vec<f32>,
     /// Places in `records`.
     pub(crate) ids: Vec<u32>,
     pub(crate) records: Vec<Record>,
@@ -104,7 +106,9 @@ pub(crate) struct Visible {
 impl Visible {
     /// Nothing is seen in a window of a picture of this size.
     pub(crate) fn clear(&mut self, [width, height]: [usize; 2], window: Window) {
-        let stride = width.next_multiple_of(2);
+        // A little more than a power of two, or the rows of a square would all
+        // be kept in the same few lines of the processor's cache.
+        let stride = width.next_multiple_of(2) + 4;
         let samples = stride * height * SAMPLES;
         (self.width, self.height, self.stride) = (width, height, stride);
         if self.depths.len() == samples {
@@ -120,6 +124,30 @@ impl Visible {
         self.records.clear();
         self.clipped.clear();
         self.touched = None;
+        self.forget_what_is_hidden();
+    }
+
+    /// To be called whenever depths are changed from outside.
+    pub(crate) fn forget_what_is_hidden(&mut self) {
+        let blocks = self.width.div_ceil(BLOCK as usize) * self.height.div_ceil(BLOCK as usize);
+        self.hidden_beyond.clear();
+        self.hidden_beyond.resize(blocks, 0.0);
+    }
+
+    /// The place of a pixel's block in `hidden_beyond`.
+    fn block_of(&self, x: i32, y: i32) -> usize {
+        (y / BLOCK) as usize * self.width.div_ceil(BLOCK as usize) + (x / BLOCK) as usize
+    }
+
+    /// Whether nothing in some pixels, the ends inside, shows at such a depth.
+    fn hides(&self, x: [i32; 2], y: [i32; 2], depth: f32) -> bool {
+        (y[0] / BLOCK..=y[1] / BLOCK).all(|row| {
+            let first = self.block_of(x[0], row * BLOCK);
+            let last = self.block_of(x[1], row * BLOCK);
+            self.hidden_beyond[first..=last]
+                .iter()
+                .all(|beyond| depth < *beyond)
+        })
     }
 }
 
@@ -195,7 +223,9 @@ pub(crate) fn draw(index: usize, drawing: &mut Drawing<'_>) {
         if faces_away || planes.hide(cluster.bounds.center, cluster.bounds.radius) {
             continue;
         }
-        draw_cluster(index, mesh, cluster, drawing);
+        let inside =
+            drawing.plane.is_none() && planes.contain(cluster.bounds.center, cluster.bounds.radius);
+        draw_cluster(index, mesh, cluster, inside, drawing);
     }
 }
 
@@ -203,6 +233,8 @@ pub(crate) fn draw(index: usize, drawing: &mut Drawing<'_>) {
 struct Planes {
     sides: [[f32; 4]; 6],
     lengths: [f32; 6],
+    /// Those of the whole picture, exactly.
+    frame: [[f32; 4]; 6],
     orthographic: bool,
 }
 
@@ -234,10 +266,28 @@ impl Planes {
             sum(w, z, -1.0),
         ];
         Self {
+            frame: [
+                sum(w, x, 1.0),
+                sum(w, x, -1.0),
+                sum(w, y, 1.0),
+                sum(w, y, -1.0),
+                z,
+                sum(w, z, -1.0),
+            ],
             lengths: sides.map(|it| (it[0] * it[0] + it[1] * it[1] + it[2] * it[2]).sqrt()),
             sides,
             orthographic: w[0] == 0.0 && w[1] == 0.0 && w[2] == 0.0,
         }
+    }
+
+    /// Whether a ball is wholly on the inner side of the whole picture's.
+    fn contain(&self, [x, y, z]: [f32; 3], radius: f32) -> bool {
+        self.frame.iter().all(|side| {
+            let length = (side[0] * side[0] + side[1] * side[1] + side[2] * side[2]).sqrt();
+            let parts = [side[0] * x, side[1] * y, side[2] * z, side[3]];
+            let slack = 1e-5 * parts.iter().map(|part| part.abs()).sum::<f32>();
+            parts.iter().sum::<f32>() > radius * length * 1.001 + slack
+        })
     }
 
     /// Whether a ball is wholly beyond one of them, rounding allowed for.
@@ -258,9 +308,18 @@ struct Candidates {
 }
 
 #[inline(always)]
-fn draw_cluster(index: usize, mesh: &Mesh, cluster: &Cluster, drawing: &mut Drawing<'_>) {
+fn draw_cluster(
+    index: usize,
+    mesh: &Mesh,
+    cluster: &Cluster,
+    inside: bool,
+    drawing: &mut Drawing<'_>,
+) {
     let instance = &drawing.instances[index];
-    let beyond = place(instance, mesh, cluster, drawing);
+    let Placed { beyond, hidden } = place(instance, mesh, cluster, inside, drawing);
+    if hidden {
+        return;
+    }
     let mut candidates = Candidates {
         count: 0,
         at: [0; CLUSTER + LANES],
@@ -286,16 +345,34 @@ fn draw_cluster(index: usize, mesh: &Mesh, cluster: &Cluster, drawing: &mut Draw
     }
 }
 
-/// Carries a cluster's positions to the picture; whether any is beyond a side.
+/// What is known of a cluster once its positions are in the picture.
+struct Placed {
+    /// Whether any is beyond a side of what the camera sees.
+    beyond: bool,
+    /// Whether all of it is behind what is visible.
+    hidden: bool,
+}
+
+/// Carries a cluster's positions to the picture. `inside` are those of which none
+/// can be beyond a side.
 #[inline(always)]
-fn place(instance: &Instance, mesh: &Mesh, cluster: &Cluster, drawing: &mut Drawing<'_>) -> bool {
-    let m = instance.to_clip.0.map(|value| F::splat(value));
+fn place(
+    instance: &Instance,
+    mesh: &Mesh,
+    cluster: &Cluster,
+    inside: bool,
+    drawing: &mut Drawing<'_>,
+) -> Placed {
+    let m = instance.to_clip.0.map(F::splat);
     let half_width = F::splat(drawing.visible.width as f32 * 0.5);
     let half_height = F::splat(drawing.visible.height as f32 * 0.5);
     let (zero, one) = (F::splat(0.0), F::splat(1.0));
     let first = cluster.first_position as usize;
     let count = (cluster.positions as usize).next_multiple_of(LANES);
     let mut any = I::splat(0);
+    let mut nearest = zero;
+    let mut low = [I::splat(i32::MAX); 2];
+    let mut high = [I::splat(i32::MIN); 2];
     let to = &mut *drawing.positions;
     for at in (0..count).step_by(LANES) {
         let from = first + at;
@@ -304,33 +381,61 @@ fn place(instance: &Instance, mesh: &Mesh, cluster: &Cluster, drawing: &mut Draw
         let z = F::load(&mesh.zs[from..from + LANES]);
         let row = |row: usize| x * m[row] + y * m[row + 4] + z * m[row + 8] + m[row + 12];
         let (cx, cy, cz, cw) = (row(0), row(1), row(2), row(3));
-        let bit = |mask: Mask, bit: i32| mask.ints() & I::splat(bit);
-        let mut beyond = bit(cx.gt(cw), 1)
-            | bit((cx + cw).lt(zero), 2)
-            | bit(cy.gt(cw), 4)
-            | bit((cy + cw).lt(zero), 8)
-            | bit(cz.lt(zero), 16)
-            | bit(cz.gt(cw), 32);
-        if let Some(plane) = drawing.plane {
-            let [a, b, c, d] = plane.map(|value| F::splat(value));
-            let off = d.fused(cw, c.fused(cz, b.fused(cy, a * cx)));
-            beyond = beyond | bit(off.lt(zero), 64);
+        if !inside {
+            let bit = |mask: Mask, bit: i32| mask.ints() & I::splat(bit);
+            let mut beyond = bit(cx.gt(cw), 1)
+                | bit((cx + cw).lt(zero), 2)
+                | bit(cy.gt(cw), 4)
+                | bit((cy + cw).lt(zero), 8)
+                | bit(cz.lt(zero), 16)
+                | bit(cz.gt(cw), 32);
+            if let Some(plane) = drawing.plane {
+                let [a, b, c, d] = plane.map(F::splat);
+                let off = d.fused(cw, c.fused(cz, b.fused(cy, a * cx)));
+                beyond |= bit(off.lt(zero), 64);
+            }
+            beyond.store(&mut to.beyond[at..at + LANES]);
+            any |= beyond;
         }
-        any = any | beyond;
         let over_w = one / cw;
         let wx = (cx * over_w).fused(half_width, half_width);
         let wy = (cy * over_w).fused(half_height, half_height);
+        // Depth: the viewport's scale is 1 and its shift 0.
+        let wz = cz * over_w;
         let subpixels = F::splat(SUBPIXELS as f32);
-        let snapped = |value: F| -> I { (value * subpixels).nearest() };
+        let snapped = [(wx * subpixels).nearest(), (wy * subpixels).nearest()];
         wx.store(&mut to.x[at..at + LANES]);
         wy.store(&mut to.y[at..at + LANES]);
-        // Depth: the viewport's scale is 1 and its shift 0.
-        (cz * over_w).store(&mut to.z[at..at + LANES]);
-        snapped(wx).store(&mut to.snapped_x[at..at + LANES]);
-        snapped(wy).store(&mut to.snapped_y[at..at + LANES]);
-        beyond.store(&mut to.beyond[at..at + LANES]);
+        wz.store(&mut to.z[at..at + LANES]);
+        snapped[0].store(&mut to.snapped_x[at..at + LANES]);
+        snapped[1].store(&mut to.snapped_y[at..at + LANES]);
+        nearest = nearest.max(wz);
+        for axis in 0..2 {
+            low[axis] = low[axis].min(snapped[axis]);
+            high[axis] = high[axis].max(snapped[axis]);
+        }
     }
-    (!any.equals(I::splat(0))).any()
+    let beyond = (!any.equals(I::splat(0))).any();
+    if beyond {
+        return Placed {
+            beyond,
+            hidden: false,
+        };
+    }
+    let [x, y] = [0, 1].map(|axis| {
+        let window = match axis {
+            0 => drawing.window.x,
+            _ => drawing.window.y,
+        };
+        let from = (low[axis].reduce_min() >> 8).max(window[0]);
+        [from, (high[axis].reduce_max() >> 8).min(window[1])]
+    });
+    let depth = nearest.as_array().iter().fold(0.0f32, |a, b| a.max(*b));
+    let outside = x[0] > x[1] || y[0] > y[1];
+    Placed {
+        beyond,
+        hidden: outside || drawing.visible.hides(x, y, depth * (1.0 + 1e-5)),
+    }
 }
 
 /// Its corners as they are gone round: Mesa swaps the first two of those that
@@ -631,34 +736,6 @@ fn set_up_clipped(
     true
 }
 
-/// An edge at the corner of a pixel.
-fn edge_at(
-    corners: &[[[i32; LANES]; 2]; 3],
-    lane: usize,
-    edge: usize,
-    pixel_x: i32,
-    pixel_y: i32,
-) -> i32 {
-    let next = (edge + 1) % 3;
-    let [x, y] = corners[edge].map(|axis| axis[lane]);
-    let [next_x, next_y] = corners[next].map(|axis| axis[lane]);
-    let (dx, dy) = (
-        i64::from(y) - i64::from(next_y),
-        i64::from(x) - i64::from(next_x),
-    );
-    let (off_x, off_y) = (
-        i64::from(x) - i64::from(pixel_x) * i64::from(SUBPIXELS),
-        i64::from(y) - i64::from(pixel_y) * i64::from(SUBPIXELS),
-    );
-    let value = dx * off_x - dy * off_y;
-    let inside = i64::from(dx < 0 || dx == 0 && dy < 0);
-    // Floors, so that the sign is that of the whole value. Where 32 bits are not
-    // enough, the block is far from the edge.
-    let value = (value + inside - 1).div_euclid(i64::from(LATTICE));
-    let far = 1 << 30;
-    value.clamp(-far, far) as i32
-}
-
 /// Where samples are: two pixels of four, in lattice points and pixels.
 const LANE_X: [i32; LANES] = [3, 7, 1, 5, 11, 15, 9, 13];
 const LANE_Y: [i32; LANES] = [1, 3, 5, 7, 1, 3, 5, 7];
@@ -673,7 +750,7 @@ fn fill(lane: usize, setup: &Setup, record: Record, drawing: &mut Drawing<'_>) {
     let id = drawing.visible.records.len() as u32;
     let touched = if setup.large & (1 << lane) == 0 {
         let edges = [0, 1, 2].map(|edge| setup.edge[edge][lane]);
-        fill_block(lane, setup, edges, x, y, (record, id), drawing)
+        fill_block::<false>(lane, setup, edges, (x, y, (record, id)), drawing)
     } else {
         fill_large(lane, setup, x, y, (record, id), drawing)
     };
@@ -701,39 +778,116 @@ fn fill_large(
     if (a[0] - b[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (a[1] - b[1]) <= 0 {
         return false;
     }
+    let first = [x[0] & !(BLOCK - 1), y[0] & !(BLOCK - 1)];
+    let edges = [0, 1, 2].map(|edge| LongEdge::new(corners[edge], corners[(edge + 1) % 3], first));
     let mut touched = false;
-    for block_y in (y[0]..=y[1]).step_by(BLOCK as usize) {
-        for block_x in ((x[0] & !1)..=x[1]).step_by(BLOCK as usize) {
-            let edges = [0, 1, 2].map(|edge| edge_at(&setup.corners, lane, edge, block_x, block_y));
-            // Beyond an edge at all four of the block's corners.
-            let reach = POINTS_PER_PIXEL * BLOCK;
-            let outside = (0..3).any(|edge| {
-                let (dx, dy) = (setup.along_x[edge][lane], setup.along_y[edge][lane]);
-                let most = i64::from(dx.max(0)) + i64::from(dy.max(0));
-                i64::from(edges[edge]) + most * i64::from(reach) < 0
-            });
-            if outside {
+    for (down, block_y) in (first[1]..=y[1]).step_by(BLOCK as usize).enumerate() {
+        for (right, block_x) in (first[0]..=x[1]).step_by(BLOCK as usize).enumerate() {
+            let blocks = [right as i64, down as i64];
+            if edges.iter().any(|edge| edge.is_beyond(blocks)) {
                 continue;
             }
+            let block = drawing.visible.block_of(block_x, block_y);
+            let depths = depth_range(lane, setup, [block_x, block_y]);
+            if depths[1] < drawing.visible.hidden_beyond[block] {
+                continue;
+            }
+            let is_inside = edges.iter().all(|edge| edge.is_before(blocks));
             let part_x = [block_x.max(x[0]), (block_x + BLOCK - 1).min(x[1])];
-            let part_y = [block_y, (block_y + BLOCK - 1).min(y[1])];
-            touched |= fill_block(lane, setup, edges, part_x, part_y, (record, id), drawing);
+            let part_y = [block_y.max(y[0]), (block_y + BLOCK - 1).min(y[1])];
+            // To the first of its pixels, in lattice points.
+            let off = [part_x[0] & !1, part_y[0]];
+            let off = [off[0] - block_x, off[1] - block_y].map(|off| off * POINTS_PER_PIXEL);
+            let at = [0, 1, 2].map(|edge| {
+                let (dx, dy) = (setup.along_x[edge][lane], setup.along_y[edge][lane]);
+                edges[edge]
+                    .at(blocks)
+                    .wrapping_add(dx.wrapping_mul(off[0]))
+                    .wrapping_add(dy.wrapping_mul(off[1]))
+            });
+            let part = (part_x, part_y, (record, id));
+            if !is_inside {
+                touched |= fill_block::<false>(lane, setup, at, part, drawing);
+                continue;
+            }
+            touched |= fill_block::<true>(lane, setup, at, part, drawing);
+            let is_whole = drawing.layers.is_none()
+                && part_x == [block_x, block_x + BLOCK - 1]
+                && part_y == [block_y, block_y + BLOCK - 1];
+            let beyond = &mut drawing.visible.hidden_beyond[block];
+            if is_whole && depths[0] > *beyond {
+                *beyond = depths[0];
+            }
         }
     }
     touched
 }
 
+/// The least and the largest depth of a triangle's plane in a block, rounding
+/// allowed for.
+fn depth_range(lane: usize, setup: &Setup, [x, y]: [i32; 2]) -> [f32; 2] {
+    let (depth, per_x, per_y) = (setup.depth[lane], setup.depth_x[lane], setup.depth_y[lane]);
+    let along = |from: i32, per: f32| [from as f32 * per, (from + BLOCK) as f32 * per];
+    let (along_x, along_y) = (along(x, per_x), along(y, per_y));
+    let least = depth + along_x[0].min(along_x[1]) + along_y[0].min(along_y[1]);
+    let most = depth + along_x[0].max(along_x[1]) + along_y[0].max(along_y[1]);
+    let parts = [depth, along_x[0], along_x[1], along_y[0], along_y[1]];
+    let slack = 1e-6 * parts.iter().map(|part| part.abs()).sum::<f32>();
+    [least - slack, most + slack]
+}
+
+/// An edge of a large triangle, block by block.
+struct LongEdge {
+    /// At the corner of the first block, and what it changes by per block.
+    value: i64,
+    along: [i64; 2],
+}
+
+impl LongEdge {
+    fn new([x, y]: [i64; 2], [next_x, next_y]: [i64; 2], pixel: [i32; 2]) -> Self {
+        let (dx, dy) = (y - next_y, x - next_x);
+        let [from_x, from_y] = pixel.map(|pixel| i64::from(pixel) * i64::from(SUBPIXELS));
+        let value = dx * (x - from_x) - dy * (y - from_y);
+        let is_in = i64::from(dx < 0 || dx == 0 && dy < 0);
+        let block = i64::from(BLOCK * POINTS_PER_PIXEL);
+        Self {
+            // Rounded down, so that the sign is that of the whole value.
+            value: (value + is_in - 1).div_euclid(i64::from(LATTICE)),
+            along: [-dx * block, dy * block],
+        }
+    }
+
+    fn value_at(&self, [right, down]: [i64; 2]) -> i64 {
+        self.value + right * self.along[0] + down * self.along[1]
+    }
+
+    /// Whether a block is wholly on its outer side.
+    fn is_beyond(&self, block: [i64; 2]) -> bool {
+        self.value_at(block) + self.along[0].max(0) + self.along[1].max(0) < 0
+    }
+
+    /// Whether a block is wholly on its inner side.
+    fn is_before(&self, block: [i64; 2]) -> bool {
+        self.value_at(block) + self.along[0].min(0) + self.along[1].min(0) >= 0
+    }
+
+    /// At a block's corner. Where 32 bits are not enough, the block is far from
+    /// the edge.
+    fn at(&self, block: [i64; 2]) -> i32 {
+        const FAR: i64 = 1 << 30;
+        self.value_at(block).clamp(-FAR, FAR) as i32
+    }
+}
+
 /// Fills the part of a triangle in some pixels; `edges` are at the corner of the
 /// first even pixel. Whether it is seen anywhere.
+/// An inside one has no edge there.
 #[inline(always)]
-#[expect(clippy::too_many_arguments, reason = "the innermost loop's variables")]
-fn fill_block(
+fn fill_block<const INSIDE: bool>(
     lane: usize,
     setup: &Setup,
     edges: [i32; 3],
-    x: [i32; 2],
-    y: [i32; 2],
-    (record, id): (Record, u32),
+    (x, y, (record, id)): ([i32; 2], [i32; 2], (Record, u32)),
     drawing: &mut Drawing<'_>,
 ) -> bool {
     let lane_x = I::new(LANE_X);
@@ -769,11 +923,14 @@ fn fill_block(
             .zip(ids.chunks_exact_mut(LANES))
         {
             let inside = (edge[0] | edge[1] | edge[2]).ge(splat(0));
-            if inside.any() {
+            if INSIDE || inside.any() {
                 let sample_x = real(pixel_x) + off_x;
                 let z = depth_y.fused(sample_y, depth_x.fused(sample_x, depth));
                 let nearest = F::load(depths);
-                let mut seen = inside & z.ge(nearest);
+                let mut seen = match INSIDE {
+                    true => z.ge(nearest),
+                    false => inside & z.ge(nearest),
+                };
                 if let Some(layers) = drawing.layers.as_deref_mut() {
                     let samples = seen.bits();
                     if samples != 0 {

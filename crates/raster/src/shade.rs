@@ -34,7 +34,6 @@ pub(crate) struct Lists {
 
 impl Lists {
     pub(crate) fn clear(&mut self, records: usize, textures: usize) {
-        self.surfaces.clear();
         self.instances.clear();
         self.of_record.clear();
         self.of_record.resize(records, NOTHING);
@@ -110,9 +109,10 @@ pub(crate) fn work_out_surfaces(
     lights: &[EyeLight],
     lists: &mut Lists,
 ) {
-    lists
-        .surfaces
-        .resize(lists.instances.len(), Surface::default());
+    // What is left of another frame is overwritten before it is read.
+    if lists.surfaces.len() < lists.instances.len() {
+        lists.surfaces.resize(lists.instances.len(), Surface::default());
+    }
     let size = [visible.width as f32, visible.height as f32];
     let mut batch = Batch::default();
     let mut worked_out = [Surface::default(); LANES];
