@@ -111,7 +111,9 @@ pub(crate) fn work_out_surfaces(
 ) {
     // What is left of another frame is overwritten before it is read.
     if lists.surfaces.len() < lists.instances.len() {
-        lists.surfaces.resize(lists.instances.len(), Surface::default());
+        lists
+            .surfaces
+            .resize(lists.instances.len(), Surface::default());
     }
     let size = [visible.width as f32, visible.height as f32];
     let mut batch = Batch::default();

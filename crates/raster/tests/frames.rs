@@ -1,0 +1,220 @@
+//! Frames: the same bits on every machine, whatever was drawn before, and
+//! something for everything that can be asked.
+
+mod scenes;
+
+use proptest::prelude::*;
+use raster::{Canvas, DrawError, MeshBuilder, Scene, Shape};
+use scenes::{corner, model, room};
+use sha2::{Digest, Sha256};
+
+fn digest(frame: &[u8]) -> String {
+    let digest = Sha256::digest(frame);
+    digest
+        .iter()
+        .take(8)
+        .map(|byte| format!("{byte:02x}"))
+        .collect()
+}
+
+/// Of the room, by size: SHA-256, its first eight bytes. They change with
+/// `raster::NAME`, and with nothing else: not with the processor, not with the
+/// instructions that it is compiled for.
+const GOLDEN: [(usize, usize, &str); 5] = [
+    (256, 256, "5ff0d5b3d2d35af6"),
+    (128, 96, "18281503b0d745f4"),
+    (333, 17, "08e4f2a860a8a957"),
+    (1, 1, "802e0f4cecd486c8"),
+    (640, 480, "d83f4cb3c116ff9f"),
+];
+
+#[test]
+fn golden_frames_have_the_same_bits_on_every_machine() {
+    let (model, scene) = (model(), room());
+    let found = GOLDEN.map(|(width, height, _)| {
+        let mut canvas = Canvas::new();
+        let frame = canvas.draw(&model, &scene, width, height).expect("a frame");
+        (width, height, digest(frame))
+    });
+    let wanted = GOLDEN.map(|(width, height, digest)| (width, height, digest.to_owned()));
+    assert_eq!(found, wanted);
+}
+
+#[test]
+fn every_part_of_the_room_is_seen() {
+    let model = model();
+    let scene = room();
+    let draw = |scene: &Scene| {
+        Canvas::new()
+            .draw(&model, scene, 128, 128)
+            .expect("a frame")
+            .to_vec()
+    };
+    let whole = draw(&scene);
+    for geom in 0..scene.geoms.len() {
+        let mut without = scene.clone();
+        without.geoms.remove(geom);
+        assert_ne!(draw(&without), whole, "geom {geom} changes nothing");
+    }
+    for change in [
+        |scene: &mut Scene| scene.reflections = false,
+        |scene: &mut Scene| scene.sky = None,
+        |scene: &mut Scene| scene.lights.truncate(1),
+        |scene: &mut Scene| scene.lights.clear(),
+        |scene: &mut Scene| scene.camera.orthographic = true,
+    ] {
+        let mut changed = scene.clone();
+        change(&mut changed);
+        assert_ne!(draw(&changed), whole);
+    }
+}
+
+/// What happens between two frames.
+#[derive(Debug, Clone)]
+enum Change {
+    Move(usize, [i8; 3]),
+    Recolour(usize, u8),
+    Look([i8; 3]),
+    Dim(u8),
+    Rest,
+}
+
+fn change() -> impl Strategy<Value = Change> {
+    prop_oneof![
+        4 => (0..10usize, any::<[i8; 3]>()).prop_map(|(geom, by)| Change::Move(geom, by)),
+        1 => (0..10usize, any::<u8>()).prop_map(|(geom, to)| Change::Recolour(geom, to)),
+        1 => any::<[i8; 3]>().prop_map(Change::Look),
+        1 => any::<u8>().prop_map(Change::Dim),
+        4 => Just(Change::Rest),
+    ]
+}
+
+impl Change {
+    fn apply(&self, scene: &mut Scene) {
+        let moved = |place: [f32; 3], by: [i8; 3]| -> [f32; 3] {
+            std::array::from_fn(|axis| place[axis] + f32::from(by[axis]) * 1e-3)
+        };
+        match *self {
+            Self::Move(geom, by) => scene.geoms[geom].pos = moved(scene.geoms[geom].pos, by),
+            Self::Recolour(geom, to) => scene.geoms[geom].rgba[3] = f32::from(to) / 255.0,
+            Self::Look(by) => scene.camera.forward = moved(scene.camera.forward, by),
+            Self::Dim(to) => scene.lights[1].diffuse = [f32::from(to) / 255.0; 3],
+            Self::Rest => {}
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    #[test]
+    fn what_was_drawn_before_changes_no_bit(changes in prop::collection::vec(change(), 1..24)) {
+        let model = model();
+        let mut scene = room();
+        let mut canvas = Canvas::new();
+        for (frame, change) in changes.iter().enumerate() {
+            change.apply(&mut scene);
+            let anew = Canvas::new().draw(&model, &scene, 64, 48).expect("a frame").to_vec();
+            let drawn = canvas.draw(&model, &scene, 64, 48).expect("a frame");
+            prop_assert!(drawn == anew, "frame {frame} after {changes:?}");
+        }
+    }
+
+    #[test]
+    fn every_scene_gives_a_frame_or_an_error(
+        numbers in prop::collection::vec(any::<f32>(), 64),
+        near_numbers in prop::collection::vec(-2.0f32..2.0, 64),
+        shapes in prop::collection::vec(0..7usize, 6),
+        is_wild in any::<bool>(),
+        size in (prop_oneof![1..40usize, Just(0), Just(4097)], 1..40usize),
+    ) {
+        let mut model = model();
+        let numbers = if is_wild { numbers } else { near_numbers };
+        let mut next = numbers.iter().copied().cycle();
+        let mut number = || next.next().expect("endless");
+        let mut builder = MeshBuilder::default();
+        for _ in 0..20 {
+            builder.triangle(std::array::from_fn(|_| corner(std::array::from_fn(|_| number()))));
+        }
+        model.meshes.push(builder.build());
+        let mut scene = room();
+        for shape in shapes {
+            let mut geom = scene.geoms[shape];
+            geom.shape = [
+                Shape::Mesh(1), Shape::Plane(0), Shape::Rectangle, Shape::Box,
+                Shape::Ellipsoid, Shape::Cylinder, Shape::Capsule,
+            ][shape];
+            geom.pos = std::array::from_fn(|_| number());
+            geom.size = std::array::from_fn(|_| number());
+            geom.mat = std::array::from_fn(|_| number());
+            geom.rgba = std::array::from_fn(|_| number());
+            geom.reflectance = number();
+            geom.shininess = number();
+            scene.geoms.push(geom);
+        }
+        for light in &mut scene.lights {
+            light.pos = std::array::from_fn(|_| number());
+            light.dir = std::array::from_fn(|_| number());
+            light.diffuse = std::array::from_fn(|_| number());
+        }
+        if is_wild {
+            scene.camera.pos = std::array::from_fn(|_| number());
+            scene.camera.forward = std::array::from_fn(|_| number());
+        }
+        let (width, height) = size;
+        match Canvas::new().draw(&model, &scene, width, height) {
+            Ok(frame) => prop_assert_eq!(frame.len(), width * height * 3),
+            Err(error) => prop_assert!(!error.to_string().is_empty()),
+        }
+    }
+}
+
+#[test]
+fn what_cannot_be_drawn_is_named() {
+    let model = model();
+    let draw = |change: &dyn Fn(&mut Scene), width: usize| {
+        let mut scene = room();
+        change(&mut scene);
+        let mut canvas = Canvas::new();
+        canvas.draw(&model, &scene, width, 8).map(<[u8]>::len)
+    };
+    assert_eq!(
+        draw(&|_| {}, 0),
+        Err(DrawError::Size {
+            width: 0,
+            height: 8
+        })
+    );
+    assert_eq!(
+        draw(&|_| {}, 4097),
+        Err(DrawError::Size {
+            width: 4097,
+            height: 8
+        })
+    );
+    assert_eq!(draw(&|_| {}, 4096), Ok(4096 * 8 * 3));
+    for (what, change) in [
+        (
+            "near plane",
+            (|scene: &mut Scene| scene.camera.near = 0.0) as fn(&mut Scene),
+        ),
+        ("far plane", |scene: &mut Scene| scene.camera.far = 0.001),
+        ("height", |scene: &mut Scene| {
+            scene.camera.top = scene.camera.bottom
+        }),
+        ("pose", |scene: &mut Scene| scene.camera.pos[1] = f32::NAN),
+        ("mesh 7", |scene: &mut Scene| {
+            scene.geoms[0].shape = Shape::Mesh(7)
+        }),
+        ("texture 9", |scene: &mut Scene| scene.sky = Some(9)),
+    ] {
+        let error = draw(&change, 8).expect_err(what).to_string();
+        assert!(error.contains(what), "{error}");
+    }
+    let empty = |scene: &mut Scene| {
+        scene.geoms.clear();
+        scene.lights.clear();
+        scene.sky = None;
+    };
+    assert_eq!(draw(&empty, 8), Ok(8 * 8 * 3));
+}
