@@ -3,6 +3,7 @@
 
 use crate::instance::Instance;
 use crate::matrix::Vec3;
+use crate::surface::VARYING;
 
 /// A corner that came out of cutting.
 #[derive(Debug, Clone, Copy, Default)]
@@ -10,8 +11,8 @@ pub(crate) struct ClippedCorner {
     /// Place in the picture, pixels, and depth.
     pub(crate) window: [f32; 3],
     pub(crate) over_w: f32,
-    /// How much it has of each of the whole triangle's corners.
-    pub(crate) shares: [f32; 3],
+    /// What was cut along, not divided by w.
+    pub(crate) values: Values,
 }
 
 /// A piece of a triangle.
@@ -21,15 +22,30 @@ pub(crate) struct ClippedTriangle {
     /// start.
     pub(crate) triangle: u32,
     pub(crate) positions: u32,
-    /// In the order in which the whole one's are drawn.
-    pub(crate) corners: [ClippedCorner; 3],
+    /// How it was cut, and which of the pieces it is.
+    pub(crate) cut: Cut,
+    pub(crate) piece: u32,
 }
+
+/// How a triangle is cut.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Cut {
+    /// Bits of the sides that it reaches beyond.
+    pub(crate) beyond: i32,
+    /// The plane of the last of them.
+    pub(crate) plane: Option<[f32; 4]>,
+    /// Half the picture's size, pixels.
+    pub(crate) half: [f32; 2],
+}
+
+/// What varies over a triangle, as its corners have it.
+pub(crate) type Values = [f32; VARYING];
 
 /// A corner in clip space.
 #[derive(Clone, Copy)]
 struct Corner {
     pos: [f32; 4],
-    shares: [f32; 3],
+    values: Values,
     /// Of whole triangles' corners, which were not divided by w yet.
     fused: bool,
 }
@@ -45,26 +61,25 @@ const SIDE_PLANES: [[f32; 4]; SIDES - 1] = [
     [0.0, 0.0, -1.0, 1.0],
 ];
 
-/// Cuts a triangle at the sides whose bits are set; `half` is half the
-/// picture's size, pixels.
+/// Cuts a triangle, with what varies over it; the pieces in the order in which
+/// they are drawn, each corner in the order in which the whole one's are.
 pub(crate) fn clip(
     instance: &Instance,
     corners: [Vec3; 3],
-    beyond: i32,
-    plane: Option<[f32; 4]>,
-    half: [f32; 2],
-) -> Vec<ClippedTriangle> {
+    values: [Values; 3],
+    cut_at: &Cut,
+) -> Vec<[ClippedCorner; 3]> {
     let mut polygon: Vec<Corner> = corners
-        .iter()
-        .enumerate()
-        .map(|(at, pos)| Corner {
-            pos: carried(instance, *pos),
-            shares: std::array::from_fn(|share| if share == at { 1.0 } else { 0.0 }),
+        .into_iter()
+        .zip(values)
+        .map(|(pos, values)| Corner {
+            pos: carried(instance, pos),
+            values,
             fused: true,
         })
         .collect();
-    for side in (0..SIDES).filter(|side| beyond & (1 << side) != 0) {
-        let Some(normal) = SIDE_PLANES.get(side).copied().or(plane) else {
+    for side in (0..SIDES).filter(|side| cut_at.beyond & (1 << side) != 0) {
+        let Some(normal) = SIDE_PLANES.get(side).copied().or(cut_at.plane) else {
             continue;
         };
         polygon = match cut(&polygon, normal) {
@@ -72,20 +87,14 @@ pub(crate) fn clip(
             None => return Vec::new(),
         };
     }
-    let finished: Vec<ClippedCorner> = polygon.iter().map(|it| finish(it, half)).collect();
-    let visible = |corners: &[ClippedCorner; 3]| {
-        corners
-            .iter()
-            .all(|it| it.window.iter().all(|part| part.is_finite()))
+    let finished: Vec<ClippedCorner> = polygon.iter().map(|it| finish(it, cut_at.half)).collect();
+    let is_placed = |corners: &[ClippedCorner; 3]| {
+        let mut places = corners.iter().flat_map(|it| it.window);
+        places.all(f32::is_finite)
     };
     (2..finished.len())
         .map(|last| [finished[last - 1], finished[last], finished[0]])
-        .filter(visible)
-        .map(|corners| ClippedTriangle {
-            triangle: 0,
-            positions: 0,
-            corners,
-        })
+        .filter(is_placed)
         .collect()
 }
 
@@ -133,7 +142,7 @@ fn toward(from: &Corner, to: &Corner, share: f32) -> Corner {
     let mix = |from: f32, to: f32| from + share * (to - from);
     Corner {
         pos: std::array::from_fn(|at| mix(from.pos[at], to.pos[at])),
-        shares: std::array::from_fn(|at| mix(from.shares[at], to.shares[at])),
+        values: std::array::from_fn(|at| mix(from.values[at], to.values[at])),
         fused: false,
     }
 }
@@ -152,7 +161,7 @@ fn finish(it: &Corner, half: [f32; 2]) -> ClippedCorner {
     ClippedCorner {
         window: [place(0), place(1), it.pos[2] * over_w],
         over_w,
-        shares: it.shares,
+        values: it.values,
     }
 }
 

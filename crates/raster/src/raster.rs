@@ -4,11 +4,12 @@
 
 use std::ops::Range;
 
-use crate::clip::{self, ClippedTriangle};
+use crate::clip::{self, ClippedCorner, ClippedTriangle, Cut};
 use crate::instance::Instance;
 use crate::lanes::{F, Floats as _, I, Ints as _, LANES, Mask};
 use crate::mesh::{CLUSTER, Cluster, Mesh};
 use crate::model::Model;
+use crate::surface::VARYING;
 
 /// Samples in a pixel.
 pub(crate) const SAMPLES: usize = 4;
@@ -554,20 +555,28 @@ fn cut_off(index: usize, mesh: &Mesh, cluster: &Cluster, drawing: &mut Drawing<'
             drawing.visible.width as f32 * 0.5,
             drawing.visible.height as f32 * 0.5,
         ];
-        let clipped = clip::clip(instance, corners, any, drawing.plane, size);
-        for mut piece in clipped {
-            piece.triangle = triangle as u32;
-            piece.positions = cluster.first_position;
+        let cut = Cut {
+            beyond: any,
+            plane: drawing.plane,
+            half: size,
+        };
+        let pieces = clip::clip(instance, corners, [[0.0; VARYING]; 3], &cut);
+        for (piece, corners) in pieces.iter().enumerate() {
             let record = Record {
                 instance: index as u32,
                 triangle: drawing.visible.clipped.len() as u32,
                 positions: CLIPPED,
             };
             let mut setup = Setup::default();
-            if !set_up_clipped(instance, &piece, drawing.window, &mut setup) {
+            if !set_up_clipped(instance, corners, drawing.window, &mut setup) {
                 continue;
             }
-            drawing.visible.clipped.push(piece);
+            drawing.visible.clipped.push(ClippedTriangle {
+                triangle: triangle as u32,
+                positions: cluster.first_position,
+                cut,
+                piece: piece as u32,
+            });
             fill(0, &setup, record, drawing);
         }
     }
@@ -696,12 +705,12 @@ impl Slopes {
 /// The same for one triangle, in lane 0; false if it covers no sample.
 fn set_up_clipped(
     instance: &Instance,
-    piece: &ClippedTriangle,
+    piece: &[ClippedCorner; 3],
     window: Window,
     to: &mut Setup,
 ) -> bool {
     let order = turned(instance.counter_clockwise);
-    let corners = order.map(|corner| piece.corners[corner]);
+    let corners = order.map(|corner| piece[corner]);
     let snap = |value: f32| (value * SUBPIXELS as f32).round_ties_even() as i32;
     let x = corners.map(|corner| snap(corner.window[0]));
     let y = corners.map(|corner| snap(corner.window[1]));

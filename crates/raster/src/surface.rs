@@ -157,7 +157,8 @@ impl Corners {
     }
 }
 
-/// A piece that was cut off a triangle: a mixture of the whole one's corners.
+/// A piece that was cut off a triangle, which is cut again with everything that
+/// varies.
 #[inline(never)]
 pub(crate) fn work_out_clipped(
     instance: &Instance,
@@ -174,19 +175,23 @@ pub(crate) fn work_out_clipped(
         positions: piece.positions,
     };
     let one = F::splat(1.0);
-    let of_whole: [[f32; VARYING]; 3] = std::array::from_fn(|corner| {
+    let values = std::array::from_fn(|corner| {
         let from = Corners::gather(mesh, corner, &[whole; LANES]);
-        from.values(instance, shading, one)
-            .map(|value| value.as_array()[0])
+        let values = from.values(instance, shading, one);
+        values.map(|value| value.as_array()[0])
     });
-    let corners = turned(instance.counter_clockwise).map(|corner| piece.corners[corner]);
+    let pos = std::array::from_fn(|corner| {
+        let at =
+            piece.positions as usize + usize::from(mesh.corners[corner][piece.triangle as usize]);
+        [mesh.xs[at], mesh.ys[at], mesh.zs[at]]
+    });
+    let pieces = clip::clip(instance, pos, values, &piece.cut);
+    let corners =
+        turned(instance.counter_clockwise).map(|corner| pieces[piece.piece as usize][corner]);
     let place = |axis: usize| -> Vec3 { corners.map(|corner| corner.window[axis]) };
     let mut surface = Surface::default();
     for at in 0..VARYING {
-        let values = corners.map(|corner| {
-            let parts = [0, 1, 2].map(|whole| corner.shares[whole] * of_whole[whole][at]);
-            (parts[0] + parts[1] + parts[2]) * corner.over_w
-        });
+        let values = corners.map(|corner| corner.values[at] * corner.over_w);
         let (at_corner, per_x, per_y) = clip::slopes(&place(0), &place(1), &values);
         surface.at_corner[at] = at_corner;
         surface.per_x[at] = per_x;
