@@ -71,7 +71,10 @@ fn crates_use_one_another_in_the_agreed_directions_only() {
             &["scene", "sim", "paired", "proto", "tokio"][..],
         ),
         ("scene", &["sim", "proto", "tokio", "mujoco-rs"]),
-        ("raster", &["protocol", "scene", "proto", "tokio", "mujoco-rs"]),
+        (
+            "raster",
+            &["protocol", "scene", "proto", "tokio", "mujoco-rs"],
+        ),
         ("sim", &["proto", "tokio", "sqlx", "paired"]),
         ("paired", &["scene", "sim", "proto", "tokio", "sqlx"]),
         ("report", &["scene", "sim", "proto", "tokio", "sqlx"]),

@@ -35,22 +35,34 @@ impl Canvas {
     }
 
     /// Draws a frame; red, green and blue of every pixel, row by row from the
-    /// lowest. The model is the same from frame to frame.
+    /// lowest. The model is the same from frame to frame; `largest` are the bytes
+    /// that its textures were made from.
     ///
     /// # Errors
     /// If the scene's numbers cannot be drawn, or name what the model lacks.
     pub fn draw(
         &mut self,
         model: &Model,
+        largest: &[&[u8]],
         scene: &Scene,
-        width: usize,
-        height: usize,
+        [width, height]: [usize; 2],
     ) -> Result<&[u8], DrawError> {
         check(model, scene, width, height)?;
+        for (texture, made) in model.textures.iter().enumerate() {
+            let (given, needed) = (largest.get(texture).map_or(0, |it| it.len()), made.bytes());
+            if given != needed {
+                return Err(DrawError::Texels {
+                    texture,
+                    given,
+                    needed,
+                });
+            }
+        }
         let view = View::new(&scene.camera, width, height);
         let lights = EyeLight::all(scene, &view);
         let pass = Pass {
             model,
+            largest,
             view: &view,
             lights: &lights,
             window: Window::whole(width, height),

@@ -65,4 +65,16 @@ pub enum DrawError {
         /// How many there are.
         count: usize,
     },
+    /// A texture without the bytes that it was made from.
+    #[error(
+        "texture {texture} was made from {needed} bytes, and {given} are given: give the same ones"
+    )]
+    Texels {
+        /// Its place in the model.
+        texture: usize,
+        /// Bytes that were given.
+        given: usize,
+        /// Bytes of its largest level.
+        needed: usize,
+    },
 }

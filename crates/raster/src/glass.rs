@@ -132,7 +132,7 @@ fn paint(
     }
     shade::work_out_surfaces(pass.model, visible, instances, pass.lights, lists);
     let mut painted = Vec::with_capacity(count as usize);
-    shade::colour(pass.model, lists, |fragment, colour| {
+    shade::colour(pass.model, pass.largest, lists, |fragment, colour| {
         painted.push((*fragment, colour));
     });
     painted.sort_unstable_by_key(|(fragment, _)| fragment.samples >> SAMPLES);

@@ -20,6 +20,8 @@ pub(crate) struct Picture {
 #[derive(Clone, Copy)]
 pub(crate) struct Pass<'a> {
     pub(crate) model: &'a Model,
+    /// Of each texture its largest level.
+    pub(crate) largest: &'a [&'a [u8]],
     pub(crate) view: &'a View,
     pub(crate) lights: &'a [EyeLight],
     /// Nothing is drawn outside.
@@ -86,7 +88,7 @@ impl Picture {
         shade::list_fragments(visible, &self.instances, window, first as u32, lists);
         shade::work_out_surfaces(pass.model, visible, &self.instances, pass.lights, lists);
         let (stride, samples) = (visible.stride, &mut self.samples);
-        shade::colour(pass.model, lists, |fragment, colour| {
+        shade::colour(pass.model, pass.largest, lists, |fragment, colour| {
             let pixel = &mut samples[usize::from(fragment.y) * stride + usize::from(fragment.x)];
             if fragment.samples == 0xf {
                 *pixel = [colour; SAMPLES];

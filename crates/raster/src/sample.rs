@@ -3,7 +3,7 @@
 
 use crate::lanes::{F, Floats as _, I, Ints as _, LANES, Mask};
 use crate::texture::{
-    Level, SRGB_LINEAR_FACTOR, SRGB_LINEAR_TO, SRGB_POLYNOMIAL, Texture, TextureKind,
+    Level, SRGB_LINEAR_FACTOR, SRGB_LINEAR_TO, SRGB_POLYNOMIAL, Texels, TextureKind,
 };
 
 /// Red, green, blue and opacity, 0 to 1.
@@ -21,25 +21,25 @@ pub(crate) struct Place {
 /// What eight places show. `corner`, `right` and `above` are the places of three
 /// pixels of the square of four that each lies in.
 #[inline(always)]
-pub(crate) fn sample(texture: &Texture, own: Place, [corner, right, above]: [Place; 3]) -> Colour {
-    let base = texture.levels[0];
+pub(crate) fn sample(texels: Texels<'_>, own: Place, [corner, right, above]: [Place; 3]) -> Colour {
+    let base = texels.texture.levels[0];
     let size = [base.width as f32, base.height as f32].map(|side| F::splat(side));
     let difference = |to: &Place, axis: usize| to.at[axis] - corner.at[axis];
     let changes = [&right, &above].map(|to| [0, 1, 2].map(|axis| difference(to, axis)));
-    match texture.kind {
+    match texels.texture.kind {
         TextureKind::Flat { srgb } => {
-            let levels = Levels::choose(texture, footprint(changes.map(|it| [it[0], it[1]]), size));
+            let levels = Levels::choose(texels, footprint(changes.map(|it| [it[0], it[1]]), size));
             let [s, t, _] = own.at;
             match srgb {
-                false => flat_in_bytes(texture, &levels, s, t),
-                true => flat_in_floats(texture, &levels, s, t),
+                false => flat_in_bytes(texels, &levels, s, t),
+                true => flat_in_floats(texels, &levels, s, t),
             }
         }
         TextureKind::Cube => {
             let (_, changes) = Face::of(&corner, &changes);
-            let levels = Levels::choose(texture, footprint(changes, size));
+            let levels = Levels::choose(texels, footprint(changes, size));
             let (face, _) = Face::of(&own, &changes.map(|_| own.at));
-            cube(texture, &levels, &face)
+            cube(texels, &levels, &face)
         }
     }
 }
@@ -66,7 +66,7 @@ struct Levels {
 impl Levels {
     /// By the square of a pixel's size in texels of the largest level.
     #[inline(always)]
-    fn choose(texture: &Texture, square: F) -> Self {
+    fn choose(texels: Texels<'_>, square: F) -> Self {
         let whole = |value: i32| I::splat(value);
         let bits = square.as_ints();
         let exponent = ((bits >> 23i32) & whole(255)) - whole(128);
@@ -75,7 +75,7 @@ impl Levels {
         let detail = (exponent + mantissa) * F::splat(0.5);
         let floor = detail.floor();
         let level: I = floor.whole();
-        let last = whole(texture.levels.len() as i32 - 1);
+        let last = whole(texels.texture.levels.len() as i32 - 1);
         let between = level.ge(whole(0)) & level.lt(last);
         let first = level.max(whole(0)).min(last);
         let share = between.select(detail - floor, F::splat(0.0));
@@ -103,10 +103,10 @@ struct Sizes {
 
 impl Sizes {
     #[inline(always)]
-    fn of(texture: &Texture, levels: &[u8; LANES]) -> Self {
+    fn of(texels: Texels<'_>, levels: &[u8; LANES]) -> Self {
         let one = levels[0];
         if levels.iter().all(|level| *level == one) {
-            let level = &texture.levels[usize::from(one)];
+            let level = &texels.texture.levels[usize::from(one)];
             let splat = |value: usize| I::splat(value as i32);
             return Self {
                 width: splat(level.width),
@@ -116,7 +116,7 @@ impl Sizes {
             };
         }
         let each = |part: fn(&Level) -> usize| {
-            let of = |level: u8| part(&texture.levels[usize::from(level)]) as i32;
+            let of = |level: u8| part(&texels.texture.levels[usize::from(level)]) as i32;
             I::new(levels.map(of))
         };
         Self {
@@ -130,9 +130,9 @@ impl Sizes {
 
 /// Eight texels. Places outside are none that sampling makes.
 #[inline(always)]
-fn fetch(texture: &Texture, at: I) -> I {
+fn fetch(texels: Texels<'_>, at: I) -> I {
     let at: [i32; LANES] = at.into();
-    I::new(at.map(|at| texture.texels[at as usize] as i32))
+    I::new(at.map(|at| texels.at(at as usize).cast_signed()))
 }
 
 /// The texels around eight places of a flat texture, and the shares of the
@@ -144,7 +144,7 @@ struct Around<W> {
 
 #[inline(always)]
 fn around<W>(
-    texture: &Texture,
+    texels: Texels<'_>,
     sizes: &Sizes,
     (x, share_x): (I, W),
     (y, share_y): (I, W),
@@ -158,22 +158,22 @@ fn around<W>(
     let row0 = sizes.start + y * sizes.width;
     let row1 = sizes.start + y1 * sizes.width;
     Around {
-        texels: [row0 + x, row0 + x1, row1 + x, row1 + x1].map(|at| fetch(texture, at)),
+        texels: [row0 + x, row0 + x1, row1 + x, row1 + x1].map(|at| fetch(texels, at)),
         shares: [share_x, share_y],
     }
 }
 
 #[inline(always)]
-fn flat_in_bytes(texture: &Texture, levels: &Levels, s: F, t: F) -> Colour {
+fn flat_in_bytes(texels: Texels<'_>, levels: &Levels, s: F, t: F) -> Colour {
     let on = |level: &[u8; LANES]| {
-        let sizes = Sizes::of(texture, level);
-        let base = &texture.levels[0];
+        let sizes = Sizes::of(texels, level);
+        let base = &texels.texture.levels[0];
         let x = texel_in_256ths(s, sizes.width, base.width.is_power_of_two());
         let y = texel_in_256ths(t, sizes.height, base.height.is_power_of_two());
         let Around {
             texels: [a, b, c, d],
             shares: [u, v],
-        } = around(texture, &sizes, x, y);
+        } = around(texels, &sizes, x, y);
         [0, 1, 2, 3].map(|channel: u32| {
             let part = |texel: I| (texel >> (8 * channel as i32)) & I::splat(255);
             let top = blend(part(a), part(b), u);
@@ -222,13 +222,13 @@ fn texel_in_256ths(at: F, size: I, is_power_of_two: bool) -> (I, I) {
 }
 
 #[inline(always)]
-fn flat_in_floats(texture: &Texture, levels: &Levels, s: F, t: F) -> Colour {
+fn flat_in_floats(texels: Texels<'_>, levels: &Levels, s: F, t: F) -> Colour {
     let on = |level: &[u8; LANES]| {
-        let sizes = Sizes::of(texture, level);
-        let base = &texture.levels[0];
+        let sizes = Sizes::of(texels, level);
+        let base = &texels.texture.levels[0];
         let x = texel_and_share(s, sizes.width, base.width.is_power_of_two());
         let y = texel_and_share(t, sizes.height, base.height.is_power_of_two());
-        let Around { texels, shares } = around(texture, &sizes, x, y);
+        let Around { texels, shares } = around(texels, &sizes, x, y);
         mix_four(texels, shares, true)
     };
     let first = on(&levels.first);
@@ -342,17 +342,17 @@ impl Face {
 }
 
 #[inline(always)]
-fn cube(texture: &Texture, levels: &Levels, face: &Face) -> Colour {
-    let first = cube_on(texture, &levels.first, face);
+fn cube(texels: Texels<'_>, levels: &Levels, face: &Face) -> Colour {
+    let first = cube_on(texels, &levels.first, face);
     if levels.is_one {
         return first;
     }
-    between(first, cube_on(texture, &levels.second, face), levels.share)
+    between(first, cube_on(texels, &levels.second, face), levels.share)
 }
 
 #[inline(always)]
-fn cube_on(texture: &Texture, level: &[u8; LANES], face: &Face) -> Colour {
-    let sizes = Sizes::of(texture, level);
+fn cube_on(cube: Texels<'_>, level: &[u8; LANES], face: &Face) -> Colour {
+    let sizes = Sizes::of(cube, level);
     let whole = |value: i32| I::splat(value);
     let side: F = sizes.width.float();
     let place = |at: F| {
@@ -371,19 +371,19 @@ fn cube_on(texture: &Texture, level: &[u8; LANES], face: &Face) -> Colour {
     let (y0, y1) = (clamped(y), clamped(y + whole(1)));
     let start = sizes.start + face.number * sizes.image;
     let (row0, row1) = (start + y0 * sizes.width, start + y1 * sizes.width);
-    let texels = [row0 + x0, row0 + x1, row1 + x0, row1 + x1].map(|at| fetch(texture, at));
+    let texels = [row0 + x0, row0 + x1, row1 + x0, row1 + x1].map(|at| fetch(cube, at));
     let mut colour = mix_four(texels, [u, v], false);
     if !is_inside.all() {
         let bits = is_inside.bits();
         for lane in (0..LANES).filter(|lane| bits & (1 << lane) == 0) {
             let at = EdgePlace {
-                level: &texture.levels[usize::from(level[lane])],
+                level: &cube.texture.levels[usize::from(level[lane])],
                 face: face.number.as_array()[lane],
                 x: x.as_array()[lane],
                 y: y.as_array()[lane],
                 shares: [u.as_array()[lane], v.as_array()[lane]],
             };
-            for (channel, value) in over_edge(texture, &at).into_iter().enumerate() {
+            for (channel, value) in over_edge(cube, &at).into_iter().enumerate() {
                 colour[channel].as_mut_array()[lane] = value;
             }
         }
@@ -403,16 +403,16 @@ struct EdgePlace<'a> {
 /// What is seen there: the neighbouring faces' texels over the edge, and in a
 /// corner only the three that meet.
 #[inline(never)]
-fn over_edge(texture: &Texture, at: &EdgePlace<'_>) -> [f32; CHANNELS] {
+fn over_edge(cube: Texels<'_>, at: &EdgePlace<'_>) -> [f32; CHANNELS] {
     let side = at.level.width as i32;
     let off = |index: i32| index < 0 || index >= side;
     let places = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(dx, dy)| (at.x + dx, at.y + dy));
     let texels = places.map(|(x, y)| match (off(x), off(y)) {
         (true, true) => None,
-        (false, false) => Some(texel(texture, at.level, at.face, x, y)),
+        (false, false) => Some(texel(cube, at.level, at.face, x, y)),
         _ => {
             let (face, x, y) = neighbour(side, at.face, x, y);
-            Some(texel(texture, at.level, face, x, y))
+            Some(texel(cube, at.level, face, x, y))
         }
     });
     let [u, v] = at.shares;
@@ -442,10 +442,10 @@ fn over_edge(texture: &Texture, at: &EdgePlace<'_>) -> [f32; CHANNELS] {
     })
 }
 
-fn texel(texture: &Texture, level: &Level, face: i32, x: i32, y: i32) -> [f32; CHANNELS] {
+fn texel(cube: Texels<'_>, level: &Level, face: i32, x: i32, y: i32) -> [f32; CHANNELS] {
     let inside = |index: i32| (index.max(0) as usize).min(level.width - 1);
     let at = level.start + face as usize * level.image + inside(y) * level.width + inside(x);
-    texture.texels[at]
+    cube.at(at)
         .to_le_bytes()
         .map(|part| f32::from(part) * OVER_255)
 }

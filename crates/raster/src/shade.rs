@@ -8,6 +8,7 @@ use crate::model::Model;
 use crate::raster::{CLIPPED, NOTHING, Record, SAMPLES, Visible, Window};
 use crate::sample::{Place, sample};
 use crate::surface::{self, COLOUR, COORDINATES, OPACITY, OVER_W, Surface, VARYING};
+use crate::texture::Texels;
 
 /// A triangle in a pixel.
 #[derive(Debug, Clone, Copy, Default)]
@@ -193,9 +194,16 @@ impl Default for Batch {
 /// Colours the fragments of every list; each goes to `paint` with its colour,
 /// red in the lowest byte.
 #[inline(always)]
-pub(crate) fn colour(model: &Model, lists: &Lists, mut paint: impl FnMut(&Fragment, u32)) {
+pub(crate) fn colour(
+    model: &Model,
+    largest: &[&[u8]],
+    lists: &Lists,
+    mut paint: impl FnMut(&Fragment, u32),
+) {
     for (texture, fragments) in lists.fragments.iter().enumerate() {
-        let texture = model.textures.get(texture);
+        let largest = largest.get(texture).copied();
+        let texture = model.textures.get(texture).zip(largest);
+        let texture = texture.map(|(texture, largest)| Texels::new(texture, largest));
         for part in fragments.chunks(LANES) {
             let mut eight = [part[0]; LANES];
             eight[..part.len()].copy_from_slice(part);
@@ -247,7 +255,7 @@ impl Planes {
 
 #[inline(always)]
 fn colour_eight(
-    texture: Option<&crate::texture::Texture>,
+    texture: Option<Texels<'_>>,
     surfaces: &[Surface],
     fragments: &[Fragment; LANES],
 ) -> [u32; LANES] {

@@ -19,14 +19,55 @@ pub enum TextureKind {
     Cube,
 }
 
-/// A texture, ready to be sampled.
+/// A texture, ready to be sampled. Its largest level stays with whoever has it.
 #[derive(Debug)]
 pub struct Texture {
     pub(crate) kind: TextureKind,
     pub(crate) levels: Vec<Level>,
-    /// Red, green, blue, opacity from the lowest byte up; level by level, and in
-    /// a level image by image.
-    pub(crate) texels: Vec<u32>,
+    channels: usize,
+    /// Texels of the largest level.
+    largest: usize,
+    /// Bytes of the smaller levels: level by level, in a level image by image, and
+    /// a byte more, so that four can be read of the last texel's three.
+    smaller: Vec<u8>,
+}
+
+/// A texture with its largest level.
+#[derive(Clone, Copy)]
+pub(crate) struct Texels<'a> {
+    pub(crate) texture: &'a Texture,
+    largest: &'a [u8],
+}
+
+impl<'a> Texels<'a> {
+    /// The bytes are those that the texture was made from.
+    pub(crate) fn new(texture: &'a Texture, largest: &'a [u8]) -> Self {
+        Self { texture, largest }
+    }
+
+    /// Red, green, blue and opacity from the lowest byte up. Texels are counted
+    /// through all levels.
+    #[inline(always)]
+    pub(crate) fn at(self, index: usize) -> u32 {
+        const OPAQUE: u32 = 0xff00_0000;
+        let texture = self.texture;
+        let (bytes, at) = match index < texture.largest {
+            true => (self.largest, index * texture.channels),
+            false => (
+                texture.smaller.as_slice(),
+                (index - texture.largest) * texture.channels,
+            ),
+        };
+        let four = match bytes.get(at..at + 4) {
+            Some(four) => u32::from_le_bytes([four[0], four[1], four[2], four[3]]),
+            // The last one of three.
+            None => u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], 0]),
+        };
+        match texture.channels {
+            3 => four | OPAQUE,
+            _ => four,
+        }
+    }
 }
 
 /// One size of a texture.
@@ -68,50 +109,58 @@ impl Texture {
                 bytes: bytes.len(),
             });
         }
-        let texels = bytes.chunks_exact(channels).map(|texel| {
-            let opacity = texel.get(3).copied().unwrap_or(255);
-            u32::from_le_bytes([texel[0], texel[1], texel[2], opacity])
-        });
-        let images = if kind == TextureKind::Cube {
-            height / width
-        } else {
-            1
+        let images = match kind {
+            TextureKind::Cube => height / width,
+            TextureKind::Flat { .. } => 1,
         };
         let mut texture = Self {
             kind,
             levels: vec![Level::new(width, height / images, 0, images)],
-            texels: texels.collect(),
+            channels,
+            largest: width * height,
+            smaller: Vec::new(),
         };
-        texture.add_smaller_levels(images);
+        texture.add_smaller_levels(images, bytes);
+        texture.smaller.push(0);
+        texture.smaller.shrink_to_fit();
         Ok(texture)
     }
 
-    fn add_smaller_levels(&mut self, images: usize) {
+    /// Bytes of the largest level.
+    pub(crate) fn bytes(&self) -> usize {
+        self.largest * self.channels
+    }
+
+    fn add_smaller_levels(&mut self, images: usize, bytes: &[u8]) {
         let mut last = self.levels[0];
+        let mut texels = self.largest;
         while last.width > 1 || last.height > 1 {
             let (width, height) = ((last.width / 2).max(1), (last.height / 2).max(1));
-            let level = Level::new(width, height, self.texels.len(), images);
+            let level = Level::new(width, height, texels, images);
             for image in 0..images {
                 for y in 0..height {
                     let t = (y as f32 + 0.5) / height as f32;
                     for x in 0..width {
                         let s = (x as f32 + 0.5) / width as f32;
-                        let texel = self.middle(&last, image, s, t);
-                        self.texels.push(texel);
+                        let texel = Texels::new(self, bytes).middle(&last, image, s, t);
+                        self.smaller.extend(&texel.to_le_bytes()[..self.channels]);
                     }
                 }
             }
+            texels += images * width * height;
             self.levels.push(level);
             last = level;
         }
     }
+}
 
+impl Texels<'_> {
     /// What a level shows at a point of 0 to 1 in both directions, as the texel
     /// of a smaller one.
     fn middle(&self, level: &Level, image: usize, s: f32, t: f32) -> u32 {
-        let rows = &self.texels[level.start + image * level.image..];
-        let texel = |x: usize, y: usize| rows[y * level.width + x].to_le_bytes();
-        let srgb = self.kind == (TextureKind::Flat { srgb: true });
+        let first = level.start + image * level.image;
+        let texel = |x: usize, y: usize| self.at(first + y * level.width + x).to_le_bytes();
+        let srgb = self.texture.kind == (TextureKind::Flat { srgb: true });
         if !srgb {
             let ((x0, x1, u), (y0, y1, v)) = (fixed(s, level.width), fixed(t, level.height));
             let (a, b, c, d) = (texel(x0, y0), texel(x1, y0), texel(x0, y1), texel(x1, y1));
@@ -252,7 +301,10 @@ mod tests {
             .iter()
             .map(|level| (level.width, level.height));
         assert_eq!(sizes.collect::<Vec<_>>(), [(12, 5), (6, 2), (3, 1), (1, 1)]);
-        assert_eq!(texture.texels.len(), 60 + 12 + 3 + 1);
+        assert_eq!(texture.smaller.len(), (12 + 3 + 1) * 3 + 1);
+        let texels = Texels::new(&texture, &bytes);
+        assert_eq!(texels.at(0), u32::from_le_bytes([0, 1, 2, 255]));
+        assert_eq!(texels.at(59), u32::from_le_bytes([177, 178, 179, 255]));
     }
 
     #[test]
@@ -266,8 +318,13 @@ mod tests {
                 let bytes = vec![value; 8 * 8 * 3];
                 let texture = Texture::new(kind, 8, 8, 3, &bytes).expect("it fits");
                 let wanted = u32::from_le_bytes([value, value, value, 255]);
+                let texels = Texels::new(&texture, &bytes);
+                let all = texture
+                    .levels
+                    .iter()
+                    .map(|level| level.width * level.height);
                 assert!(
-                    texture.texels.iter().all(|texel| *texel == wanted),
+                    (0..all.sum()).all(|at| texels.at(at) == wanted),
                     "{kind:?} {value}"
                 );
             }

@@ -5,7 +5,7 @@ mod scenes;
 
 use proptest::prelude::*;
 use raster::{Canvas, DrawError, MeshBuilder, Scene, Shape};
-use scenes::{corner, model, room};
+use scenes::{corner, largest, model, room};
 use sha2::{Digest, Sha256};
 
 fn digest(frame: &[u8]) -> String {
@@ -33,7 +33,9 @@ fn golden_frames_have_the_same_bits_on_every_machine() {
     let (model, scene) = (model(), room());
     let found = GOLDEN.map(|(width, height, _)| {
         let mut canvas = Canvas::new();
-        let frame = canvas.draw(&model, &scene, width, height).expect("a frame");
+        let frame = canvas
+            .draw(&model, &largest(), &scene, [width, height])
+            .expect("a frame");
         (width, height, digest(frame))
     });
     let wanted = GOLDEN.map(|(width, height, digest)| (width, height, digest.to_owned()));
@@ -46,7 +48,7 @@ fn every_part_of_the_room_is_seen() {
     let scene = room();
     let draw = |scene: &Scene| {
         Canvas::new()
-            .draw(&model, scene, 128, 128)
+            .draw(&model, &largest(), scene, [128, 128])
             .expect("a frame")
             .to_vec()
     };
@@ -114,8 +116,8 @@ proptest! {
         let mut canvas = Canvas::new();
         for (frame, change) in changes.iter().enumerate() {
             change.apply(&mut scene);
-            let anew = Canvas::new().draw(&model, &scene, 64, 48).expect("a frame").to_vec();
-            let drawn = canvas.draw(&model, &scene, 64, 48).expect("a frame");
+            let anew = Canvas::new().draw(&model, &largest(), &scene, [64, 48]).expect("a frame").to_vec();
+            let drawn = canvas.draw(&model, &largest(), &scene, [64, 48]).expect("a frame");
             prop_assert!(drawn == anew, "frame {frame} after {changes:?}");
         }
     }
@@ -162,7 +164,7 @@ proptest! {
             scene.camera.forward = std::array::from_fn(|_| number());
         }
         let (width, height) = size;
-        match Canvas::new().draw(&model, &scene, width, height) {
+        match Canvas::new().draw(&model, &largest(), &scene, [width, height]) {
             Ok(frame) => prop_assert_eq!(frame.len(), width * height * 3),
             Err(error) => prop_assert!(!error.to_string().is_empty()),
         }
@@ -176,7 +178,9 @@ fn what_cannot_be_drawn_is_named() {
         let mut scene = room();
         change(&mut scene);
         let mut canvas = Canvas::new();
-        canvas.draw(&model, &scene, width, 8).map(<[u8]>::len)
+        canvas
+            .draw(&model, &largest(), &scene, [width, 8])
+            .map(<[u8]>::len)
     };
     assert_eq!(
         draw(&|_| {}, 0),

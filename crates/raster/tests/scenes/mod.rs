@@ -1,5 +1,7 @@
 //! A room with one of everything, for tests.
 
+use std::sync::LazyLock;
+
 use raster::{
     Camera, Corner, Geom, Light, LightKind, MeshBuilder, Model, Quality, Scene, Shape, Texture,
     TextureKind, TextureUse, mesh_triangle, plane, plane_grid,
@@ -31,20 +33,29 @@ pub(crate) fn model() -> Model {
     model.meshes.push(bumpy.build());
     let lines = plane_grid(2.0, 0.5, None, 10.0);
     model.planes.push(plane(&lines, &lines));
-    for (kind, width, height) in [
-        (TextureKind::Flat { srgb: false }, 32, 32),
-        (TextureKind::Flat { srgb: false }, 21, 13),
-        (TextureKind::Flat { srgb: true }, 24, 24),
-        (TextureKind::Cube, 10, 10),
-        (TextureKind::Cube, 8, 48),
-    ] {
-        let bytes: Vec<u8> = (0..width * height * 3)
-            .map(|byte| (byte * 37 + byte / 7 * 11) as u8)
-            .collect();
-        let texture = Texture::new(kind, width, height, 3, &bytes).expect("a texture");
+    for ((kind, width, height), bytes) in TEXTURES.into_iter().zip(largest()) {
+        let texture = Texture::new(kind, width, height, 3, bytes).expect("a texture");
         model.textures.push(texture);
     }
     model
+}
+
+const TEXTURES: [(TextureKind, usize, usize); 5] = [
+    (TextureKind::Flat { srgb: false }, 32, 32),
+    (TextureKind::Flat { srgb: false }, 21, 13),
+    (TextureKind::Flat { srgb: true }, 24, 24),
+    (TextureKind::Cube, 10, 10),
+    (TextureKind::Cube, 8, 48),
+];
+
+/// The bytes of the model's textures.
+pub(crate) fn largest() -> Vec<&'static [u8]> {
+    static BYTES: LazyLock<Vec<u8>> = LazyLock::new(|| {
+        let byte = |byte: usize| (byte * 37 + byte / 7 * 11) as u8;
+        (0..32 * 32 * 3).map(byte).collect()
+    });
+    let sizes = TEXTURES.iter().map(|(_, width, height)| width * height * 3);
+    sizes.map(|size| &BYTES[..size]).collect()
 }
 
 /// A geom of a colour, lit and without texture.

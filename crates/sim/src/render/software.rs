@@ -95,9 +95,15 @@ impl SoftwareCanvas {
         height: u32,
     ) -> Result<Vec<u8>, SimError> {
         self.update(model, data, camera)?;
+        let largest: Vec<&[u8]> = model.textures().map(|texture| texture.texels).collect();
         let canvas = self.canvases.entry(camera).or_default();
         let frame = canvas
-            .draw(&self.prepared, &self.scene, width as usize, height as usize)
+            .draw(
+                &self.prepared,
+                &largest,
+                &self.scene,
+                [width as usize, height as usize],
+            )
             .map_err(|error| graphics(error.to_string()))?;
         Ok(frame.to_vec())
     }
