@@ -8,3 +8,4 @@ pub mod fidelity;
 pub mod files;
 pub mod motion;
 pub mod programs;
+pub mod renderer;
