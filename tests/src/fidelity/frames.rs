@@ -12,12 +12,19 @@ const SIZE: u32 = 256;
 /// Grey levels by which a pixel may be off and still count as close.
 pub const CLOSE_LEVELS: u8 = 2;
 
+/// What drew the reference's frames, in the driver's words: its version, and how
+/// wide the processor's instructions are that it used.
+const REFERENCE_DRIVER: &str = "llvmpipe (LLVM 15.0.6, 256 bits)";
+
 /// How the reference's frames came about, seen from ours. The original draws
 /// through OpenGL, whose drivers may and do draw other bits on other processors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kinship {
-    /// Ours are drawn by OpenGL too, on a machine that is not the reference's.
+    /// Ours are drawn by the reference's own driver, on another machine.
     AnotherMachine,
+    /// Ours are drawn by OpenGL too, and by another driver, or for a processor
+    /// with other instructions.
+    AnotherDriver,
     /// Ours are drawn by OpenGL on the machine that the reference was recorded on.
     ThisMachine,
     /// Ours are drawn by the software renderer.
@@ -41,7 +48,8 @@ impl Kinship {
         match drawer {
             Drawer::Software(_) => Self::AnotherRenderer,
             Drawer::Gl(_) if frames_of_this_machine => Self::ThisMachine,
-            Drawer::Gl(_) => Self::AnotherMachine,
+            Drawer::Gl(_) if drawer.name() == REFERENCE_DRIVER => Self::AnotherMachine,
+            Drawer::Gl(_) => Self::AnotherDriver,
         }
     }
 
@@ -50,6 +58,9 @@ impl Kinship {
         let (equal, close) = match self {
             Self::ThisMachine => (1.0, 1.0),
             Self::AnotherMachine => (0.94, 1.0),
+            // Of the 23 recorded tasks, drawn without AVX and fused
+            // multiply-adds, the worst frame has 0.9962.
+            Self::AnotherDriver => (0.94, 0.995),
             // Of the 23 recorded tasks the worst frame has 0.9999.
             Self::AnotherRenderer => (0.94, 0.9997),
         };
@@ -66,8 +77,13 @@ impl fmt::Display for Kinship {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::AnotherMachine => {
-                "frames that OpenGL drew on another machine, which are held to bounds: a driver \
-                 draws other bits on another processor"
+                "frames that the same OpenGL driver drew on another machine, which are held to \
+                 bounds: it draws other bits on another processor"
+            }
+            Self::AnotherDriver => {
+                "frames that another OpenGL driver drew, or the same for other instructions of a \
+                 processor, which are held to bounds: roundings differ, and where surfaces \
+                 coincide one rounding decides which is seen"
             }
             Self::ThisMachine => {
                 "frames that OpenGL drew on this machine, which are held to bits: the same driver \
@@ -262,6 +278,15 @@ mod tests {
                 && broken[0].contains("the largest difference is 3"),
             "{broken:?}"
         );
+    }
+
+    #[test]
+    fn another_driver_may_differ_by_more_where_surfaces_coincide() {
+        let kinship = Kinship::AnotherDriver;
+        assert_eq!(violations(&[(50, 19), (500, 2)], kinship), [""; 0]);
+        let broken = violations(&[(51, 19)], kinship);
+        assert_eq!(broken.len(), 1);
+        assert!(broken[0].contains("another OpenGL driver"), "{broken:?}");
     }
 
     #[test]
