@@ -21,12 +21,23 @@ const GL_PACKAGES: [&str; 5] = [
 ];
 const GL_LIBRARIES: [&str; 3] = ["libEGL.so.1", "libGL.so.1", "libOpenGL.so.0"];
 
+/// What drawing in Python needs beside these, and its library.
+const GLES_PACKAGE: &str = "libgles2";
+const GLES_LIBRARY: &str = "libGLESv2.so.2";
+
 /// The browser, a Debian package and a program of one name.
 const BROWSER_PACKAGE: &str = "chromium";
 
 /// Sets the machine up; every step is skipped that has been done before.
 /// Returns the folder for whatever outlasts a build.
 pub(crate) fn run(root: &Path) -> Result<PathBuf> {
+    let cache = without_opengl(root)?;
+    opengl()?;
+    Ok(cache)
+}
+
+/// The same for what draws by itself, or not at all.
+pub(crate) fn without_opengl(root: &Path) -> Result<PathBuf> {
     println!("Setting up");
     let cache = cache_dir()?;
     step("tools", tools)?;
@@ -34,8 +45,25 @@ pub(crate) fn run(root: &Path) -> Result<PathBuf> {
         step(wheel.requirement, || wheel.provide(&cache))?;
     }
     step("libmujoco for the linker", || link_mujoco(root, &cache))?;
-    step("OpenGL without a screen", gl_packages)?;
     Ok(cache)
+}
+
+/// What drawing through OpenGL needs.
+pub(crate) fn opengl() -> Result<()> {
+    step("OpenGL without a screen", gl_packages).map(|_| ())
+}
+
+/// What the original LIBERO draws with: PyOpenGL loads one library more.
+///
+/// # Errors
+/// When it is missing and cannot be installed.
+pub(crate) fn original_packages() -> Result<&'static str> {
+    gl_packages()?;
+    if known_libraries().contains(GLES_LIBRARY) {
+        return Ok("already there");
+    }
+    install(&[GLES_PACKAGE])?;
+    Ok("installed")
 }
 
 /// Installs the browser that the live page is tested and pictured with.
@@ -127,10 +155,15 @@ fn install(packages: &[&str]) -> Result<()> {
     Ok(())
 }
 
-fn gl_libraries_present() -> bool {
-    let known = ["ldconfig", "/sbin/ldconfig"]
+/// What the dynamic linker lists.
+fn known_libraries() -> String {
+    ["ldconfig", "/sbin/ldconfig"]
         .iter()
         .find_map(|program| capture(Command::new(program).arg("-p")).ok())
-        .unwrap_or_default();
+        .unwrap_or_default()
+}
+
+fn gl_libraries_present() -> bool {
+    let known = known_libraries();
     GL_LIBRARIES.iter().all(|library| known.contains(library))
 }
