@@ -14,6 +14,7 @@ use scene::{AssetPack, Problem, Sources, compose};
 use sim::mujoco::{Model, ObjectKind};
 use sim::{Drawer, Environment};
 
+pub use frames::{CLOSE_LEVELS, FrameFindings, FrameLimits, Kinship, Least};
 pub use reference::{Array, ReferenceTask, find_tasks, read_npz};
 
 /// Placement seed of the reference data.
@@ -28,22 +29,20 @@ pub struct Limits {
     pub smooth: f64,
     /// Observed readings, m or rad.
     pub observed: f64,
-    /// Share of pixels that must be equal.
-    pub equal_pixels: f64,
-    /// Largest difference of any channel, grey levels.
-    pub channel: u8,
+    /// Frames.
+    pub frames: FrameLimits,
     /// Contact-rich steps, in multiples of the original's own sensitivity.
     pub sensitivities: f64,
 }
 
-impl Default for Limits {
-    fn default() -> Self {
+impl Limits {
+    /// Everything but the frames is the same on every machine.
+    pub fn new(frames: Kinship) -> Self {
         Self {
             arrays: 1e-12,
             smooth: 1e-9,
             observed: 1e-9,
-            equal_pixels: 0.999,
-            channel: 2,
+            frames: frames.limits(),
             sensitivities: 100.0,
         }
     }
@@ -68,8 +67,8 @@ pub struct Findings {
     pub predicates: (usize, usize),
     /// Contact-rich steps; none where there is no recording.
     pub contact: Option<ContactFindings>,
-    /// Smallest share of equal pixels, and largest channel difference.
-    pub frames: Option<(f64, u8)>,
+    /// Frames; none where there are none to compare with.
+    pub frames: Option<FrameFindings>,
 }
 
 /// Contact-rich steps against the original.
@@ -77,7 +76,8 @@ pub struct Findings {
 pub struct ContactFindings {
     /// Largest difference of joint positions.
     pub worst: f64,
-    /// The same while the original itself is insensitive.
+    /// The same while the original itself is insensitive; 0 where that was not
+    /// measured.
     pub worst_while_calm: f64,
     /// Largest difference in multiples of the original's sensitivity once it is
     /// not calm any more; none where that was not measured.
@@ -160,13 +160,8 @@ impl Findings {
                 ));
             }
         }
-        if let Some((equal, channel)) = self.frames
-            && (equal < limits.equal_pixels || channel > limits.channel)
-        {
-            found.push(format!(
-                "frames: {:.3} % equal, off by {channel}",
-                equal * 100.0
-            ));
+        if let Some(frames) = &self.frames {
+            found.extend(frames.violations(&limits.frames));
         }
         found
     }

@@ -4,8 +4,8 @@
 use protocol::{ManifestRow, Perturbation, Realisation, RolloutId, TaskRef};
 use scene::{TaskFiles, compose};
 use serde::Deserialize;
-use sim::{Drawer, Renderer, Simulator, SimulatorConfig};
-use tests::fidelity::{Limits, compare, find_tasks};
+use sim::{Drawer, GlDevice, Renderer, Simulator, SimulatorConfig};
+use tests::fidelity::{Kinship, Limits, compare, find_tasks};
 use tests::files::{primitives, shared, sources};
 use tests::motion::smooth_action;
 
@@ -20,11 +20,12 @@ fn check_suite(suite: &str) {
     let sources = sources();
     let pack = scene::AssetPack::open(&assets.to_string_lossy(), &sources).unwrap();
     let drawer = Drawer::open(Renderer::default()).unwrap();
+    let limits = Limits::new(Kinship::of(&drawer, false));
     let tasks = find_tasks(&reference).unwrap();
     let mut compared = 0;
     for task in tasks.iter().filter(|task| task.suite == suite) {
         let findings = compare(task, &sources, &pack, &drawer).unwrap();
-        let violations = findings.violations(&Limits::default());
+        let violations = findings.violations(&limits);
         assert!(violations.is_empty(), "{}: {violations:#?}", task.id());
         compared += 1;
     }
@@ -49,6 +50,35 @@ fn every_reference_task_of_libero_goal_agrees_with_the_original() {
 #[test]
 fn every_reference_task_of_libero_10_agrees_with_the_original() {
     check_suite("libero_10");
+}
+
+/// Frames only: what moves, the tests above judge. One task of each suite.
+#[test]
+fn frames_drawn_through_opengl_are_the_originals_within_bounds() {
+    let test = "frames_drawn_through_opengl_are_the_originals_within_bounds";
+    let (Some(reference), Some(assets)) =
+        (shared("oracle/tasks", test), shared("libero-assets", test))
+    else {
+        return;
+    };
+    let drawer = match Drawer::open(Renderer::Gl(GlDevice::Auto)) {
+        Ok(drawer) => drawer,
+        Err(error) => {
+            println!("skipped {test}: {error}");
+            return;
+        }
+    };
+    let limits = Limits::new(Kinship::of(&drawer, false));
+    let sources = sources();
+    let pack = scene::AssetPack::open(&assets.to_string_lossy(), &sources).unwrap();
+    let mut tasks = find_tasks(&reference).unwrap();
+    tasks.dedup_by_key(|task| task.suite.clone());
+    assert_eq!(tasks.len(), 4, "the reference has tasks of all suites");
+    for task in tasks {
+        let findings = compare(&task, &sources, &pack, &drawer).unwrap();
+        let violations = findings.violations(&limits);
+        assert!(violations.is_empty(), "{}: {violations:#?}", task.id());
+    }
 }
 
 /// Figures of the original that do not depend on the asset pack's shapes.

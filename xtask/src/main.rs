@@ -3,8 +3,10 @@
 
 #![forbid(unsafe_code)]
 
+mod bench;
 mod cargo;
 mod demo;
+mod original;
 mod packages;
 mod process;
 mod setup;
@@ -50,7 +52,8 @@ enum Command {
     Bench(Bench),
     /// Compare the simulator with reference data of the original LIBERO.
     Parity {
-        /// Passed on: --reference DIR --assets DIR [--tasks SUITE/N,…].
+        /// Passed on: --reference DIR --assets DIR [--tasks SUITE/N,…]
+        /// [--renderer software|gl] [--frames-of-this-machine].
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
     },
@@ -70,6 +73,24 @@ enum Bench {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
     },
+    /// Our renderer and OpenGL's, in turn on the same scenes: time and agreement.
+    Draw {
+        /// Passed on: [--tasks SUITE/N,…|all] [--conditions [LIST]] [--assets
+        /// PACK_OR_PATH] [--frames N] [--alone] [--output DIR].
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        arguments: Vec<String>,
+    },
+    /// Where the time of a rollout goes, phase by phase.
+    Rollout {
+        /// Passed on: --task SUITE/N --execute K [--steps N] [--rollouts N]
+        /// [--assets PACK_OR_PATH] [--renderer software|gl] [--actions FILE].
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        arguments: Vec<String>,
+    },
+    /// The same rollout here and in the original LIBERO, in turn.
+    Compare(bench::Compare),
+    /// Rollouts in 1, 2, … processes at once: steps and frames per second.
+    Machine(bench::Machine),
     /// The coordinator's queue under simulated slots, as a release build.
     Queue {
         /// Passed on: [--jobs N] [--slots N] [--rollout-millis N] [--data DIR].
@@ -93,6 +114,14 @@ fn main() -> ExitCode {
         Command::Screenshots => test::screenshots(&root()),
         Command::Bench(Bench::Report { release }) => test::bench_report(&root(), release),
         Command::Bench(Bench::Sim { arguments }) => test::program(&root(), "bench_sim", &arguments),
+        Command::Bench(Bench::Draw { arguments }) => {
+            test::program(&root(), "bench_draw", &arguments)
+        }
+        Command::Bench(Bench::Rollout { arguments }) => {
+            test::program(&root(), "bench_rollout", &arguments)
+        }
+        Command::Bench(Bench::Compare(options)) => bench::compare(&root(), &options),
+        Command::Bench(Bench::Machine(options)) => bench::on_machine(&root(), &options),
         Command::Bench(Bench::Queue { arguments }) => bench_queue(&arguments),
         Command::Bench(Bench::Gateway { arguments }) => bench_gateway(&arguments),
         Command::Parity { arguments } => test::program(&root(), "parity", &arguments),
@@ -109,7 +138,7 @@ fn main() -> ExitCode {
 fn set_up(gl: bool) -> anyhow::Result<()> {
     setup::run(&root())?;
     if gl {
-        step::step(setup::OPENGL, setup::opengl)?;
+        setup::opengl()?;
     }
     Ok(())
 }

@@ -21,8 +21,9 @@ const GL_PACKAGES: [&str; 5] = [
 ];
 const GL_LIBRARIES: [&str; 3] = ["libEGL.so.1", "libGL.so.1", "libOpenGL.so.0"];
 
-/// What the step of [`opengl`] is called.
-pub(crate) const OPENGL: &str = "OpenGL without a screen";
+/// What drawing in Python needs beside these, and its library.
+const GLES_PACKAGE: &str = "libgles2";
+const GLES_LIBRARY: &str = "libGLESv2.so.2";
 
 /// The browser, a Debian package and a program of one name.
 const BROWSER_PACKAGE: &str = "chromium";
@@ -44,15 +45,20 @@ pub(crate) fn run(root: &Path) -> Result<PathBuf> {
 ///
 /// # Errors
 /// When it is missing and cannot be installed.
-pub(crate) fn opengl() -> Result<&'static str> {
-    if gl_libraries_present() {
+pub(crate) fn opengl() -> Result<()> {
+    step("OpenGL without a screen", gl_packages).map(|_| ())
+}
+
+/// What the original LIBERO draws with: PyOpenGL loads one library more.
+///
+/// # Errors
+/// When it is missing and cannot be installed.
+pub(crate) fn original_packages() -> Result<&'static str> {
+    gl_packages()?;
+    if known_libraries().contains(GLES_LIBRARY) {
         return Ok("already there");
     }
-    install(&GL_PACKAGES)?;
-    run_command(&mut Command::new("ldconfig"))?;
-    if !gl_libraries_present() {
-        bail!("find {} after installing them", GL_LIBRARIES.join(", "));
-    }
+    install(&[GLES_PACKAGE])?;
     Ok("installed")
 }
 
@@ -116,6 +122,18 @@ fn link_mujoco(root: &Path, cache: &Path) -> Result<&'static str> {
     Ok("linked")
 }
 
+fn gl_packages() -> Result<&'static str> {
+    if gl_libraries_present() {
+        return Ok("already there");
+    }
+    install(&GL_PACKAGES)?;
+    run_command(&mut Command::new("ldconfig"))?;
+    if !gl_libraries_present() {
+        bail!("find {} after installing them", GL_LIBRARIES.join(", "));
+    }
+    Ok("installed")
+}
+
 /// Installs Debian packages, which takes root.
 fn install(packages: &[&str]) -> Result<()> {
     let by_hand = format!("apt-get install --yes {}", packages.join(" "));
@@ -133,10 +151,15 @@ fn install(packages: &[&str]) -> Result<()> {
     Ok(())
 }
 
-fn gl_libraries_present() -> bool {
-    let known = ["ldconfig", "/sbin/ldconfig"]
+/// What the dynamic linker lists.
+fn known_libraries() -> String {
+    ["ldconfig", "/sbin/ldconfig"]
         .iter()
         .find_map(|program| capture(Command::new(program).arg("-p")).ok())
-        .unwrap_or_default();
+        .unwrap_or_default()
+}
+
+fn gl_libraries_present() -> bool {
+    let known = known_libraries();
     GL_LIBRARIES.iter().all(|library| known.contains(library))
 }

@@ -68,13 +68,33 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
     Ok(())
 }
 
-/// Builds and runs one of the programs of package `tests`.
+/// Builds and runs one of the programs of package `tests`. Its arguments say
+/// whether it draws through OpenGL; our own renderer needs nothing installed.
 pub(crate) fn program(root: &Path, name: &str, arguments: &[String]) -> Result<()> {
     setup::run(root)?;
+    if draws_through_opengl(name, arguments) {
+        setup::opengl()?;
+    }
     println!("Running {name}");
     let mut program = cargo(root);
     program.args(["run", "--quiet", "--package", "tests", "--bin", name, "--"]);
     run_command(program.args(arguments))
+}
+
+fn draws_through_opengl(name: &str, arguments: &[String]) -> bool {
+    let has = |wanted: &str| arguments.iter().any(|argument| argument == wanted);
+    match name {
+        "bench_draw" => !has("--alone"),
+        _ => {
+            let after = arguments.iter().skip_while(|it| *it != "--renderer").nth(1);
+            let joined = arguments
+                .iter()
+                .find_map(|it| it.strip_prefix("--renderer="));
+            joined
+                .or(after.map(String::as_str))
+                .is_some_and(|renderer| renderer.starts_with("gl"))
+        }
+    }
 }
 
 /// Takes the pictures of the live page that the documentation shows.
@@ -136,4 +156,24 @@ fn python(root: &Path, cache: &Path) -> Result<String> {
             .args(["--no-deps", OPENPI_CLIENT]),
     )?;
     Ok(python.display().to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::draws_through_opengl;
+
+    #[test]
+    fn opengl_is_installed_for_what_draws_through_it_only() {
+        let asks = |name: &str, arguments: &str| {
+            let arguments: Vec<String> = arguments.split_whitespace().map(str::to_owned).collect();
+            draws_through_opengl(name, &arguments)
+        };
+        assert!(!asks("parity", "--reference glass --assets gl"));
+        assert!(!asks("parity", "--renderer software"));
+        assert!(asks("parity", "--renderer gl"));
+        assert!(asks("parity", "--renderer=gl:1 --reference DIR"));
+        assert!(!asks("parity", "--renderer"));
+        assert!(asks("bench_draw", "--tasks all"));
+        assert!(!asks("bench_draw", "--alone"));
+    }
 }

@@ -1,42 +1,56 @@
 //! How fast our renderer draws, and how well it agrees with OpenGL's: both draw
-//! the same scenes in turn in one process. `cargo xtask bench draw` calls it.
+//! the same scenes in turn in one process, frame by frame. `cargo xtask bench
+//! draw` calls it; docs/PERFORMANCE.md says how to read it.
 
+#![forbid(unsafe_code)]
+
+use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::process::{Command, ExitCode};
 
 use anyhow::{Context, Result};
 use clap::Parser;
-use protocol::{Realisation, TaskRef};
+use protocol::{Realisation, RolloutId, TaskRef};
 use scene::{AssetPack, Sources};
-use sim::{Frame, GlDevice, Renderer, Simulator, SimulatorConfig};
+use sim::{Episode, Frame, GlDevice, Renderer, Simulator, SimulatorConfig};
+use tests::fidelity::CLOSE_LEVELS;
+use tests::measure::{Clock, Spread};
 use tests::motion::smooth_action;
 
 /// Draw scenes by our renderer and by OpenGL, in turn.
 #[derive(Parser)]
 struct Arguments {
-    /// Tasks: SUITE/N, separated by commas.
+    /// Tasks: SUITE/N, separated by commas, or `all` for the 40 of the protocol.
     #[arg(
         long,
         value_delimiter = ',',
         default_value = "libero_goal/8,libero_object/2,libero_spatial/0,libero_10/0"
     )]
-    tasks: Vec<TaskRef>,
+    tasks: Vec<String>,
     /// `primitives`, or a LIBERO assets folder.
     #[arg(long, default_value = "primitives")]
     assets: String,
-    /// Conditions: `clean`, or such as camera/L3/c07.
-    #[arg(long, value_delimiter = ',', default_value = "clean/i00")]
+    /// Conditions: `clean/i00`, or such as camera/L3/c07, separated by commas.
+    /// Without a value: four perturbed cameras and four perturbed lights.
+    #[arg(
+        long,
+        value_delimiter = ',',
+        default_value = "clean/i00",
+        num_args = 0..=1,
+        default_missing_value = PERTURBED
+    )]
     conditions: Vec<String>,
-    /// Frames of each camera, a control step apart.
-    #[arg(long, default_value_t = 10)]
-    frames: usize,
+    /// Frames of each camera that are timed, a control step apart.
+    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u16).range(1..))]
+    frames: u16,
     /// Side of a frame, pixels.
     #[arg(long, default_value_t = 256)]
     size: u32,
     /// Leaves OpenGL out, and only times.
     #[arg(long)]
     alone: bool,
-    /// A folder for the frames that differ most, with their differences.
+    /// A folder for the first frame of each camera: ours, OpenGL's, and where
+    /// they differ.
     #[arg(long)]
     output: Option<PathBuf>,
     /// Folder with the unpacked sources.
@@ -45,124 +59,298 @@ struct Arguments {
 }
 
 const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
+/// Mild and severe, of either axis that changes how a scene looks.
+const PERTURBED: &str = "camera/L1/c00,camera/L2/c03,camera/L3/c05,camera/L3/c07,\
+                         lighting/L1/c00,lighting/L2/c03,lighting/L3/c05,lighting/L3/c07";
+/// How many threads llvmpipe rasterises on beside the one that calls it. Mesa
+/// reads it when it is loaded.
+const LLVMPIPE_THREADS: &str = "LP_NUM_THREADS";
 
 /// What came of one camera of one scene.
 #[derive(Default)]
 struct Findings {
+    /// Milliseconds of each frame.
     ours: Vec<f64>,
     theirs: Vec<f64>,
-    equal: f64,
-    within_two: f64,
-    largest: u8,
-    pixels: f64,
+    agreement: Agreement,
 }
 
-fn main() -> Result<()> {
-    let arguments = Arguments::parse();
-    println!(
-        "{:<18} {:<20} {:<8} {:>9} {:>9} {:>8} {:>7} {:>7} {:>6}",
-        "task", "condition", "camera", "equal %", "within 2", "largest", "ours", "OpenGL", "ratio"
-    );
-    for task in &arguments.tasks {
-        for condition in &arguments.conditions {
-            draw_task(*task, condition, &arguments)
-                .with_context(|| format!("draw {task} {condition}"))?;
+/// How equal two renderers' pixels are.
+#[derive(Default)]
+struct Agreement {
+    pixels: u64,
+    equal: u64,
+    close: u64,
+    largest: u8,
+}
+
+/// All scenes and cameras together.
+#[derive(Default)]
+struct Totals {
+    /// Median ratio of each scene and camera, and which.
+    ratios: Vec<(f64, String)>,
+    least_equal: Option<(f64, String)>,
+    largest: (u8, String),
+}
+
+fn main() -> ExitCode {
+    match run(&Arguments::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: failed to {error:#}");
+            ExitCode::FAILURE
         }
     }
+}
+
+fn run(arguments: &Arguments) -> Result<()> {
+    if !arguments.alone && std::env::var_os(LLVMPIPE_THREADS).is_none_or(|threads| threads != "0") {
+        return again_on_one_thread();
+    }
+    let tasks = tasks(&arguments.tasks)?;
+    let rows = tasks
+        .iter()
+        .flat_map(|task| arguments.conditions.iter().map(move |at| (*task, at)))
+        .map(|(task, condition)| row_of(task, condition))
+        .collect::<Result<Vec<_>>>()?;
+    let mut bench = Bench::new(arguments)?;
+    println!("{}", bench.clock);
+    println!("{}", header(arguments.alone));
+    for row in &rows {
+        bench
+            .draw(row, arguments)
+            .with_context(|| format!("draw {}", row.id))?;
+    }
+    bench.totals.print();
     Ok(())
 }
 
-fn simulator(arguments: &Arguments, renderer: Renderer) -> Result<Simulator> {
-    let dir = arguments.sources.clone();
-    let sources = Sources::open(&dir.unwrap_or_else(Sources::default_dir))?;
-    Ok(Simulator::new(SimulatorConfig {
-        pack: AssetPack::open(&arguments.assets, &sources)?,
-        sources,
-        renderer,
-        cached_scenes: 1,
-    }))
+/// Replaces this process by itself, with llvmpipe told to draw on the thread
+/// that calls it: otherwise the processor time of that thread would leave out
+/// what its helpers do. The variable is set for a new process because a process
+/// with threads must not change its own environment.
+fn again_on_one_thread() -> Result<()> {
+    let program = std::env::current_exe().context("find this program's own file")?;
+    let error = Command::new(&program)
+        .args(std::env::args_os().skip(1))
+        .env(LLVMPIPE_THREADS, "0")
+        .exec();
+    Err(error).with_context(|| {
+        format!(
+            "start {} again with {LLVMPIPE_THREADS}=0",
+            program.display()
+        )
+    })
 }
 
-fn draw_task(task: TaskRef, condition: &str, arguments: &Arguments) -> Result<()> {
-    let id = format!(
-        "{}/t{}/{condition}",
-        task.suite().short_name(),
-        task.index()
-    );
-    let row = worker::single::row_of(id.parse()?)?;
-    let mut ours = simulator(arguments, Renderer::Software)?;
-    let mut theirs = simulator(arguments, Renderer::Gl(GlDevice::Auto))?;
-    let mut ours = ours.begin(&row, Realisation::Matched)?;
-    let mut theirs = match arguments.alone {
-        true => None,
-        false => Some(theirs.begin(&row, Realisation::Matched)?),
+fn tasks(names: &[String]) -> Result<Vec<TaskRef>> {
+    if names == ["all"] {
+        return Ok(TaskRef::all().collect());
+    }
+    let read = |name: &String| -> Result<TaskRef> {
+        let task = name.parse();
+        task.with_context(|| format!("read task `{name}` of --tasks: SUITE/N, or `all` alone"))
     };
-    ours.settle()?;
-    if let Some(theirs) = &mut theirs {
-        theirs.settle()?;
-    }
-    let mut findings: [Findings; 2] = Default::default();
-    let size = arguments.size;
-    for frame in 0..=arguments.frames {
-        for (camera, findings) in CAMERAS.iter().zip(&mut findings) {
-            let (millis, own) = timed(|| ours.photograph(camera, size, size));
-            let own = own?;
-            // The first one prepares meshes and textures.
-            if frame > 0 {
-                findings.ours.push(millis);
-            }
-            let Some(theirs) = &mut theirs else { continue };
-            let (millis, other) = timed(|| theirs.photograph(camera, size, size));
-            if frame > 0 {
-                findings.theirs.push(millis);
-            }
-            let other = other?;
-            findings.compare(&own, &other);
-            if let Some(folder) = arguments.output.as_deref().filter(|_| frame == 0) {
-                let name = format!("{}_{}_{camera}", id.replace('/', "_"), frame);
-                save(folder, &name, &own, &other)?;
-            }
-        }
-        let action = smooth_action(frame);
-        ours.step(&action)?;
+    names.iter().map(read).collect()
+}
+
+fn row_of(task: TaskRef, condition: &str) -> Result<protocol::ManifestRow> {
+    let suite = task.suite().short_name();
+    let id = format!("{suite}/t{}/{condition}", task.index());
+    let id: RolloutId = id.parse().with_context(|| {
+        format!("read condition `{condition}` of --conditions: clean/i00, camera/L3/c07, …")
+    })?;
+    Ok(worker::single::row_of(id)?)
+}
+
+/// Both renderers, each with a simulator of its own.
+struct Bench {
+    ours: Simulator,
+    /// None if OpenGL is left out.
+    theirs: Option<Simulator>,
+    clock: Clock,
+    totals: Totals,
+}
+
+impl Bench {
+    fn new(arguments: &Arguments) -> Result<Self> {
+        let simulator = |renderer| -> Result<Simulator> {
+            let dir = arguments.sources.clone();
+            let sources = Sources::open(&dir.unwrap_or_else(Sources::default_dir))?;
+            Ok(Simulator::new(SimulatorConfig {
+                pack: AssetPack::open(&arguments.assets, &sources)?,
+                sources,
+                renderer,
+                cached_scenes: 1,
+            }))
+        };
+        let mut ours = simulator(Renderer::Software)?;
+        let mut theirs = match arguments.alone {
+            true => None,
+            false => Some(simulator(Renderer::Gl(GlDevice::Auto))?),
+        };
+        print!("{}", ours.renderer_name()?);
+        let mut clock = Clock::ThreadCpu;
         if let Some(theirs) = &mut theirs {
-            theirs.step(&action)?;
+            let name = theirs.renderer_name()?;
+            print!(" against {name}");
+            if !name.contains("llvmpipe") {
+                // A card works while the thread that asked it sleeps.
+                clock = Clock::Wall;
+            }
         }
-    }
-    for (camera, findings) in CAMERAS.iter().zip(&mut findings) {
-        let (ours, theirs) = (median(&mut findings.ours), median(&mut findings.theirs));
-        println!(
-            "{:<18} {:<20} {:<8} {:>9.4} {:>9.4} {:>8} {:>7.2} {:>7.2} {:>6.2}",
-            task.to_string(),
-            condition,
-            camera.split('_').next_back().unwrap_or(camera),
-            findings.equal / findings.pixels * 100.0,
-            findings.within_two / findings.pixels * 100.0,
-            findings.largest,
+        println!();
+        Ok(Self {
             ours,
             theirs,
-            theirs / ours,
-        );
+            clock,
+            totals: Totals::default(),
+        })
     }
-    Ok(())
+
+    fn draw(&mut self, row: &protocol::ManifestRow, arguments: &Arguments) -> Result<()> {
+        let clock = self.clock;
+        let mut ours = self.ours.begin(row, Realisation::Matched)?;
+        let mut theirs = match &mut self.theirs {
+            None => None,
+            Some(theirs) => Some(theirs.begin(row, Realisation::Matched)?),
+        };
+        ours.settle()?;
+        if let Some(theirs) = &mut theirs {
+            theirs.settle()?;
+        }
+        let mut findings: [Findings; 2] = Default::default();
+        let size = arguments.size;
+        for frame in 0..=usize::from(arguments.frames) {
+            for (camera, findings) in CAMERAS.iter().zip(&mut findings) {
+                let draw = |episode: &mut Episode<'_>| {
+                    clock.time(|| episode.photograph(camera, size, size))
+                };
+                let (millis, own) = draw(&mut ours);
+                let own = own?;
+                // The first one prepares meshes and textures.
+                if frame > 0 {
+                    findings.ours.push(millis);
+                }
+                let Some(theirs) = &mut theirs else { continue };
+                let (millis, other) = draw(theirs);
+                let other = other?;
+                if frame > 0 {
+                    findings.theirs.push(millis);
+                }
+                findings.agreement.see(&own, &other);
+                if let Some(folder) = arguments.output.as_deref().filter(|_| frame == 0) {
+                    let name = format!("{}_{camera}", row.id.to_string().replace('/', "_"));
+                    save(folder, &name, &own, &other)?;
+                }
+            }
+            let action = smooth_action(frame);
+            ours.step(&action)?;
+            if let Some(theirs) = &mut theirs {
+                theirs.step(&action)?;
+            }
+        }
+        for (camera, findings) in CAMERAS.iter().zip(&findings) {
+            let place = format!(
+                "{} {}",
+                row.id,
+                camera.split('_').next_back().unwrap_or(camera)
+            );
+            println!("{}", self.totals.row(&place, findings)?);
+        }
+        Ok(())
+    }
 }
 
-impl Findings {
-    fn compare(&mut self, ours: &Frame, theirs: &Frame) {
+impl Agreement {
+    fn see(&mut self, ours: &Frame, theirs: &Frame) {
         for (a, b) in ours.rgb.chunks_exact(3).zip(theirs.rgb.chunks_exact(3)) {
-            let difference = a.iter().zip(b).map(|(a, b)| a.abs_diff(*b)).max();
-            let difference = difference.unwrap_or(0);
-            self.equal += f64::from(u8::from(difference == 0));
-            self.within_two += f64::from(u8::from(difference <= 2));
-            self.largest = self.largest.max(difference);
-            self.pixels += 1.0;
+            let off = a.iter().zip(b).map(|(a, b)| a.abs_diff(*b)).max();
+            let off = off.unwrap_or_default();
+            self.pixels += 1;
+            self.equal += u64::from(off == 0);
+            self.close += u64::from(off <= CLOSE_LEVELS);
+            self.largest = self.largest.max(off);
         }
+    }
+
+    /// A count in percent of all pixels, rounded down, so that 100 means all.
+    fn percent(&self, count: u64) -> f64 {
+        (count as f64 / self.pixels as f64 * 1e6).floor() / 1e4
+    }
+}
+
+fn header(alone: bool) -> String {
+    let ours = format!("{:<36} {:>8}", "scene and camera", "ours");
+    match alone {
+        true => ours,
+        false => format!(
+            "{ours} {:>8} {:>6} {:>15} {:>9} {:>9} {:>8}",
+            "OpenGL", "ratio", "spread", "equal %", "within 2", "largest"
+        ),
+    }
+}
+
+impl Totals {
+    /// Takes one scene and camera in, and says how it went.
+    fn row(&mut self, place: &str, findings: &Findings) -> Result<String> {
+        let ours = Spread::of(&findings.ours).context("a frame is timed")?;
+        let line = format!("{place:<36} {:>8.2}", ours.median);
+        if findings.theirs.is_empty() {
+            return Ok(line);
+        }
+        let theirs = Spread::of(&findings.theirs).context("a frame is timed")?;
+        let pairs = findings.theirs.iter().zip(&findings.ours);
+        let ratios: Vec<f64> = pairs.map(|(theirs, ours)| theirs / ours).collect();
+        let ratio = Spread::of(&ratios).context("a frame is timed")?;
+        let agreement = &findings.agreement;
+        let equal = agreement.percent(agreement.equal);
+        self.ratios.push((ratio.median, place.to_owned()));
+        if self
+            .least_equal
+            .as_ref()
+            .is_none_or(|(least, _)| equal < *least)
+        {
+            self.least_equal = Some((equal, place.to_owned()));
+        }
+        if agreement.largest > self.largest.0 {
+            self.largest = (agreement.largest, place.to_owned());
+        }
+        Ok(format!(
+            "{line} {:>8.2} {:>6.2} {:>15} {equal:>9.4} {:>9.4} {:>8}",
+            theirs.median,
+            ratio.median,
+            format!("{:.2}–{:.2}", ratio.least, ratio.most),
+            agreement.percent(agreement.close),
+            agreement.largest,
+        ))
+    }
+
+    fn print(&self) {
+        let ratios: Vec<f64> = self.ratios.iter().map(|(ratio, _)| *ratio).collect();
+        let Some(spread) = Spread::of(&ratios) else {
+            return;
+        };
+        let smallest = self.ratios.iter().min_by(|a, b| a.0.total_cmp(&b.0));
+        let smallest = smallest.map_or("", |(_, place)| place);
+        if let Some((equal, place)) = &self.least_equal {
+            println!(
+                "agreement: at least {equal:.4} % equal ({place}); largest difference {} ({})",
+                self.largest.0, self.largest.1
+            );
+        }
+        println!(
+            "OpenGL's time over ours: median {:.2} over {} scenes and cameras, smallest {:.2} ({smallest})",
+            spread.median,
+            ratios.len(),
+            spread.least,
+        );
     }
 }
 
 /// Both frames and where they differ, brightened, side by side.
 fn save(folder: &Path, name: &str, ours: &Frame, theirs: &Frame) -> Result<()> {
-    std::fs::create_dir_all(folder)?;
+    std::fs::create_dir_all(folder).with_context(|| format!("make {}", folder.display()))?;
     let (width, height) = (ours.width, ours.height);
     let mut picture = image::RgbImage::new(width * 3, height);
     for y in 0..height {
@@ -176,18 +364,8 @@ fn save(folder: &Path, name: &str, ours: &Frame, theirs: &Frame) -> Result<()> {
             picture.put_pixel(2 * width + x, y, image::Rgb(off));
         }
     }
-    picture.save(folder.join(format!("{name}.png")))?;
-    Ok(())
-}
-
-/// Milliseconds that the work took, and its result.
-fn timed<T>(work: impl FnOnce() -> T) -> (f64, T) {
-    let start = Instant::now();
-    let result = work();
-    (start.elapsed().as_secs_f64() * 1e3, result)
-}
-
-fn median(millis: &mut [f64]) -> f64 {
-    millis.sort_by(f64::total_cmp);
-    millis.get(millis.len() / 2).copied().unwrap_or_default()
+    let path = folder.join(format!("{name}.png"));
+    picture
+        .save(&path)
+        .with_context(|| format!("write {}", path.display()))
 }

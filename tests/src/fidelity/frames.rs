@@ -1,19 +1,190 @@
-//! Frames against the original's.
+//! Frames against the original's: what is measured, and how equal they must be.
+
+use std::fmt;
 
 use anyhow::{Context, Result, ensure};
-use sim::{Drawer, Environment};
+use sim::{Drawer, Environment, Frame};
 
 use super::reference::ReferenceTask;
 
 const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
 const SIZE: u32 = 256;
+/// Grey levels by which a pixel may be off and still count as close.
+pub const CLOSE_LEVELS: u8 = 2;
+
+/// What drew the reference's frames, in the driver's words: its version, and how
+/// wide the processor's instructions are that it used.
+const REFERENCE_DRIVER: &str = "llvmpipe (LLVM 15.0.6, 256 bits)";
+
+/// How the reference's frames came about, seen from ours. The original draws
+/// through OpenGL, whose drivers may and do draw other bits on other processors.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kinship {
+    /// Ours are drawn by the reference's own driver, on another machine.
+    AnotherMachine,
+    /// Ours are drawn by OpenGL too, and by another driver, or for a processor
+    /// with other instructions.
+    AnotherDriver,
+    /// Ours are drawn by OpenGL on the machine that the reference was recorded on.
+    ThisMachine,
+    /// Ours are drawn by the software renderer.
+    AnotherRenderer,
+}
+
+/// How equal frames must be to the reference's.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FrameLimits {
+    /// What is compared: decides the other limits, and messages say so.
+    pub kinship: Kinship,
+    /// Share of pixels that must be equal.
+    pub equal: f64,
+    /// Share of pixels whose channels must all be within [`CLOSE_LEVELS`].
+    pub close: f64,
+}
+
+impl Kinship {
+    /// What is compared when this renderer draws.
+    pub fn of(drawer: &Drawer, frames_of_this_machine: bool) -> Self {
+        match drawer {
+            Drawer::Software(_) => Self::AnotherRenderer,
+            Drawer::Gl(_) if frames_of_this_machine => Self::ThisMachine,
+            Drawer::Gl(_) if drawer.name() == REFERENCE_DRIVER => Self::AnotherMachine,
+            Drawer::Gl(_) => Self::AnotherDriver,
+        }
+    }
+
+    /// How equal such frames must be.
+    pub fn limits(self) -> FrameLimits {
+        let (equal, close) = match self {
+            Self::ThisMachine => (1.0, 1.0),
+            Self::AnotherMachine => (0.94, 1.0),
+            // Of the 23 recorded tasks, drawn without AVX and fused
+            // multiply-adds, the worst frame has 0.9962.
+            Self::AnotherDriver => (0.94, 0.995),
+            // Of the 23 recorded tasks the worst frame has 0.9999.
+            Self::AnotherRenderer => (0.94, 0.9997),
+        };
+        FrameLimits {
+            kinship: self,
+            equal,
+            close,
+        }
+    }
+}
+
+/// What frames are held against, and why to that bound.
+impl fmt::Display for Kinship {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::AnotherMachine => {
+                "frames that the same OpenGL driver drew on another machine, which are held to \
+                 bounds: it draws other bits on another processor"
+            }
+            Self::AnotherDriver => {
+                "frames that another OpenGL driver drew, or the same for other instructions of a \
+                 processor, which are held to bounds: roundings differ, and where surfaces \
+                 coincide one rounding decides which is seen"
+            }
+            Self::ThisMachine => {
+                "frames that OpenGL drew on this machine, which are held to bits: the same driver \
+                 draws the same bits again; without --frames-of-this-machine they are held to \
+                 bounds"
+            }
+            Self::AnotherRenderer => {
+                "frames that OpenGL drew, which the software renderer is held to by bounds: \
+                 drivers differ among themselves, and at an edge or where surfaces coincide one \
+                 rounding decides which surface is seen"
+            }
+        })
+    }
+}
+
+/// What was found in the frames of a task.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct FrameFindings {
+    /// The frame with the smallest share of equal pixels.
+    pub equal: Least,
+    /// The frame with the smallest share of pixels within [`CLOSE_LEVELS`].
+    pub close: Least,
+    /// Largest difference of any channel, grey levels.
+    pub largest: u8,
+}
+
+/// A smallest share and where it was.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Least {
+    /// The share, 0..1.
+    pub share: f64,
+    /// Which frame; empty while every frame has a share of 1.
+    pub place: String,
+}
+
+impl Default for Least {
+    fn default() -> Self {
+        Self {
+            share: 1.0,
+            place: String::new(),
+        }
+    }
+}
+
+impl Least {
+    fn see(&mut self, share: f64, place: &str) {
+        if share < self.share {
+            *self = Self {
+                share,
+                place: place.to_owned(),
+            };
+        }
+    }
+}
+
+impl FrameFindings {
+    /// Takes one more frame in.
+    fn see(&mut self, ours: &[u8], theirs: &[u8], place: &str) {
+        let (mut equal, mut close, mut pixels) = (0_u32, 0_u32, 0_u32);
+        for (ours, theirs) in ours.chunks_exact(3).zip(theirs.chunks_exact(3)) {
+            let off = ours.iter().zip(theirs).map(|(a, b)| a.abs_diff(*b));
+            let off = off.max().unwrap_or_default();
+            equal += u32::from(off == 0);
+            close += u32::from(off <= CLOSE_LEVELS);
+            pixels += 1;
+            self.largest = self.largest.max(off);
+        }
+        let share = |count: u32| f64::from(count) / f64::from(pixels);
+        self.equal.see(share(equal), place);
+        self.close.see(share(close), place);
+    }
+
+    /// Which bounds are broken, in words that also say why they are the bounds.
+    pub(super) fn violations(&self, limits: &FrameLimits) -> Vec<String> {
+        let mut found = Vec::new();
+        let mut check = |least: &Least, limit: f64, what: &str| {
+            if least.share < limit {
+                found.push(format!(
+                    "frames: {:.4} % of pixels {what} at {}, less than {:.4} %; compared with {}",
+                    least.share * 100.0,
+                    least.place,
+                    limit * 100.0,
+                    limits.kinship
+                ));
+            }
+        };
+        check(&self.equal, limits.equal, "are equal");
+        let close = format!(
+            "are within {CLOSE_LEVELS} levels (the largest difference is {})",
+            self.largest
+        );
+        check(&self.close, limits.close, &close);
+        found
+    }
+}
 
 /// Compares frames as the motion passes their instants.
 pub(super) struct Comparison<'a> {
     task: &'a ReferenceTask,
     drawer: &'a Drawer,
-    equal: f64,
-    channel: u8,
+    findings: FrameFindings,
     seen: usize,
 }
 
@@ -22,8 +193,7 @@ impl<'a> Comparison<'a> {
         Self {
             task,
             drawer,
-            equal: 1.0,
-            channel: 0,
+            findings: FrameFindings::default(),
             seen: 0,
         }
     }
@@ -50,23 +220,99 @@ impl<'a> Comparison<'a> {
                 "{} is not 256 × 256",
                 path.display()
             );
-            let frame = environment.draw(self.drawer, camera, SIZE, SIZE)?;
-            let mut equal = 0;
-            for (ours, theirs) in frame.rgb.chunks_exact(3).zip(expected.chunks_exact(3)) {
-                equal += usize::from(ours == theirs);
-                for (a, b) in ours.iter().zip(theirs) {
-                    self.channel = self.channel.max(a.abs_diff(*b));
-                }
-            }
-            self.equal = self.equal.min(equal as f64 / f64::from(SIZE * SIZE));
+            let Frame { rgb, .. } = environment.draw(self.drawer, camera, SIZE, SIZE)?;
+            let place = format!("state {init}, step {step}, {camera}");
+            self.findings.see(&rgb, expected.as_raw(), &place);
             self.seen += 1;
         }
         Ok(())
     }
 
-    /// Smallest share of equal pixels and largest channel difference; none if
-    /// the reference has no frames.
-    pub(super) fn result(&self) -> Option<(f64, u8)> {
-        (self.seen > 0).then_some((self.equal, self.channel))
+    /// What was found; none if the reference has no frames.
+    pub(super) fn result(self) -> Option<FrameFindings> {
+        (self.seen > 0).then_some(self.findings)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PIXELS: usize = 10_000;
+
+    /// A frame against a black one, off by `levels` in the first `count` pixels.
+    fn findings(off: &[(usize, u8)]) -> FrameFindings {
+        let mut ours = vec![0; PIXELS * 3];
+        let mut next = 0;
+        for &(count, levels) in off {
+            for pixel in ours.chunks_exact_mut(3).skip(next).take(count) {
+                pixel[1] = levels;
+            }
+            next += count;
+        }
+        let mut findings = FrameFindings::default();
+        findings.see(&ours, &vec![0; PIXELS * 3], "state 0, step 60, agentview");
+        findings
+    }
+
+    fn violations(off: &[(usize, u8)], kinship: Kinship) -> Vec<String> {
+        findings(off).violations(&kinship.limits())
+    }
+
+    #[test]
+    fn frames_of_another_machine_are_held_to_bounds() {
+        let kinship = Kinship::AnotherMachine;
+        assert_eq!(violations(&[(600, 2)], kinship), [""; 0]);
+        let broken = violations(&[(601, 2)], kinship);
+        assert_eq!(broken.len(), 1);
+        assert!(
+            broken[0].contains("93.9900 % of pixels are equal at state 0, step 60, agentview")
+                && broken[0].contains("less than 94.0000 %")
+                && broken[0].contains("on another machine"),
+            "{broken:?}"
+        );
+        let broken = violations(&[(1, 3)], kinship);
+        assert_eq!(broken.len(), 1);
+        assert!(
+            broken[0].contains("99.9900 % of pixels are within 2 levels")
+                && broken[0].contains("the largest difference is 3"),
+            "{broken:?}"
+        );
+    }
+
+    #[test]
+    fn another_driver_may_differ_by_more_where_surfaces_coincide() {
+        let kinship = Kinship::AnotherDriver;
+        assert_eq!(violations(&[(50, 19), (500, 2)], kinship), [""; 0]);
+        let broken = violations(&[(51, 19)], kinship);
+        assert_eq!(broken.len(), 1);
+        assert!(broken[0].contains("another OpenGL driver"), "{broken:?}");
+    }
+
+    #[test]
+    fn frames_of_this_machine_are_held_to_bits() {
+        assert_eq!(violations(&[], Kinship::ThisMachine), [""; 0]);
+        let broken = violations(&[(1, 1)], Kinship::ThisMachine);
+        assert_eq!(broken.len(), 1);
+        assert!(broken[0].contains("held to bits"), "{broken:?}");
+    }
+
+    #[test]
+    fn the_software_renderer_may_differ_by_more_in_single_pixels_only() {
+        let kinship = Kinship::AnotherRenderer;
+        assert_eq!(violations(&[(3, 255), (500, 2)], kinship), [""; 0]);
+        let broken = violations(&[(4, 3)], kinship);
+        assert_eq!(broken.len(), 1);
+        assert!(broken[0].contains("the software renderer"), "{broken:?}");
+        assert_eq!(violations(&[(601, 9)], kinship).len(), 2);
+    }
+
+    #[test]
+    fn the_worst_frame_counts_and_is_named() {
+        let mut findings = findings(&[(10, 1)]);
+        let black = vec![0; PIXELS * 3];
+        findings.see(&black, &black, "state 1, step 0, agentview");
+        assert_eq!(findings.equal.place, "state 0, step 60, agentview");
+        assert!(findings.equal.share < 1.0 && findings.largest == 1);
     }
 }

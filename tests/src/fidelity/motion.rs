@@ -141,45 +141,56 @@ pub(super) fn compare_contact(
     let recorded = read_npz(&path)?;
     let (actions, qpos) = (array(&recorded, "actions")?, array(&recorded, "qpos")?);
     let success = array(&recorded, "success")?;
-    let sensitivity = per_step_sensitivity(task, actions.len())?;
-    let measured = sensitivity.iter().all(|value| value.is_finite());
     environment.load(&array(&recorded, "state")?.values);
     for _ in 0..SETTLING_STEPS {
         environment.step(&NO_OP)?;
     }
-    let mut findings = ContactFindings::default();
-    let mut calm = true;
-    for (step, sensitivity) in sensitivity.into_iter().enumerate() {
+    let mut differences = Vec::new();
+    let mut success_flags = 0;
+    for step in 0..=actions.len() {
         let succeeded = match step {
             0 => environment.succeeded(),
             _ => environment.step(&action(actions.row(step - 1))?)?,
         };
         let ours = environment.data().qpos(environment.model());
-        let difference = largest_difference(ours, qpos.row(step));
-        findings.worst = findings.worst.max(difference);
-        calm &= sensitivity <= CALM;
-        if calm {
-            findings.worst_while_calm = findings.worst_while_calm.max(difference);
-        } else if measured {
-            let multiple = difference / sensitivity;
-            findings.sensitivities = Some(findings.sensitivities.unwrap_or(0.0).max(multiple));
-        }
-        findings.success_flags += usize::from(succeeded != (success.values[step] != 0.0));
+        differences.push(largest_difference(ours, qpos.row(step)));
+        success_flags += usize::from(succeeded != (success.values[step] != 0.0));
     }
-    Ok(Some(findings))
+    Ok(Some(ContactFindings {
+        success_flags,
+        ..judge_contact(&differences, task.contact_sensitivity()?.as_deref())
+    }))
 }
 
-/// The original's sensitivity at every step, from its running maximum at every
-/// 20th: between two of those the later one holds.
-fn per_step_sensitivity(task: &ReferenceTask, steps: usize) -> Result<Vec<f64>> {
+/// Judges how far joint positions are from the original's, step by step, by the
+/// original's own sensitivity. Where that was not measured nobody knows how far
+/// rounding alone carries: the differences are told and not judged.
+fn judge_contact(differences: &[f64], sampled: Option<&[f64]>) -> ContactFindings {
+    let mut findings = ContactFindings::default();
+    let mut calm = sampled.is_some();
+    for (step, &difference) in differences.iter().enumerate() {
+        findings.worst = larger(findings.worst, difference);
+        let Some(sensitivity) = sampled.and_then(|sampled| sensitivity_at(sampled, step)) else {
+            // The measurement ended before the recording did.
+            calm = false;
+            continue;
+        };
+        calm &= sensitivity <= CALM;
+        if calm {
+            findings.worst_while_calm = larger(findings.worst_while_calm, difference);
+        } else {
+            let multiple = difference / sensitivity;
+            findings.sensitivities = Some(larger(findings.sensitivities.unwrap_or(0.0), multiple));
+        }
+    }
+    findings
+}
+
+/// The original's sensitivity at a step, from its running maximum at every 20th:
+/// between two of those the later one holds.
+fn sensitivity_at(sampled: &[f64], step: usize) -> Option<f64> {
     const EVERY: usize = 20;
-    let Some(sampled) = task.contact_sensitivity()? else {
-        return Ok(vec![0.0; steps + 1]);
-    };
-    let at = |step: usize| sampled.get(step.div_ceil(EVERY).saturating_sub(1)).copied();
-    Ok((0..=steps)
-        .map(|step| at(step).unwrap_or(f64::INFINITY))
-        .collect())
+    sampled.get(step.div_ceil(EVERY).saturating_sub(1)).copied()
 }
 
 fn see_positions(
@@ -197,10 +208,16 @@ fn largest_difference(ours: &[f64], theirs: &[f64]) -> f64 {
         return f64::NAN;
     }
     let differences = ours.iter().zip(theirs).map(|(a, b)| (a - b).abs());
-    differences.fold(
-        0.0,
-        |worst, value| if value <= worst { worst } else { value },
-    )
+    differences.fold(0.0, larger)
+}
+
+/// The larger of two; what is no number is larger than anything, and stays.
+fn larger(worst: f64, value: f64) -> f64 {
+    if value <= worst || worst.is_nan() {
+        worst
+    } else {
+        value
+    }
 }
 
 fn action(values: &[f64]) -> Result<[f64; 7]> {
@@ -216,4 +233,43 @@ fn array<'a>(arrays: &'a Arrays, name: &str) -> Result<&'a Array> {
     arrays
         .get(name)
         .with_context(|| format!("the reference has no array `{name}`"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fidelity::{Kinship, Limits};
+
+    fn violations(differences: &[f64], sampled: Option<&[f64]>) -> Vec<String> {
+        let findings = Findings {
+            contact: Some(judge_contact(differences, sampled)),
+            ..Findings::default()
+        };
+        findings.violations(&Limits::new(Kinship::AnotherRenderer))
+    }
+
+    #[test]
+    fn without_a_measured_sensitivity_only_success_flags_are_judged() {
+        let apart = [0.0, 1e-6, 0.06];
+        assert_eq!(violations(&apart, None), [""; 0]);
+        assert_eq!(judge_contact(&apart, None).worst, 0.06);
+    }
+
+    #[test]
+    fn with_one_the_differences_are_judged_by_it() {
+        // Calm in the first 20 steps, then not.
+        let sampled = [1e-13, 1e-5];
+        let mut differences = vec![1e-12; 41];
+        differences[30] = 9e-4;
+        assert_eq!(violations(&differences, Some(&sampled)), [""; 0]);
+        differences[30] = 2e-3;
+        let broken = violations(&differences, Some(&sampled));
+        assert!(broken[0].contains("200 × the original's"), "{broken:?}");
+        differences[30] = 0.0;
+        differences[10] = 1e-8;
+        let broken = violations(&differences, Some(&sampled));
+        assert_eq!(broken, ["contact-rich steps: 1.000e-8"]);
+        differences[10] = f64::NAN;
+        assert_eq!(violations(&differences, Some(&sampled)).len(), 1);
+    }
 }

@@ -1,0 +1,558 @@
+//! Where the time of a rollout goes: a worker's own loop runs whole rollouts
+//! with actions that are known beforehand, and every phase is timed. Prints one
+//! JSON object. `cargo xtask bench rollout` calls it, and so do `bench compare`
+//! and `bench machine`; docs/PERFORMANCE.md says what the phases are.
+
+#![forbid(unsafe_code)]
+
+use std::cell::RefCell;
+use std::io::Write;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::rc::Rc;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, ensure};
+use clap::Parser;
+use prost::Message;
+use proto::PROTOCOL_VERSION;
+use proto::policy::{CameraRequest, DescribeResponse, InferRequest, Observation, StateField};
+use protocol::{ManifestRow, Realisation, TaskRef};
+use scene::{AssetPack, InitialStates, Sources, TaskFiles};
+use serde_json::{Value, json};
+use sim::controller::SUBSTEPS;
+use sim::mujoco::Data;
+use sim::{Episode, Renderer, Simulator, SimulatorConfig};
+use tests::fidelity::read_npz;
+use tests::measure::{Clock, Spread};
+use tests::motion::smooth_action;
+use tests::renderer;
+use worker::actor::Actor;
+use worker::message::Assignment;
+use worker::policy::{Action, Description, PolicyError};
+use worker::rollout::{RolloutError, Stage, Step, Watcher};
+
+/// Time the phases of whole rollouts of one task.
+#[derive(Parser)]
+struct Arguments {
+    /// The task: SUITE/N.
+    #[arg(long)]
+    task: TaskRef,
+    /// `primitives`, or a LIBERO assets folder.
+    #[arg(long, default_value = "primitives")]
+    assets: String,
+    /// Control steps between two looks of the policy: it is shown both cameras
+    /// once in so many.
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
+    execute: u32,
+    /// Control steps of each rollout.
+    #[arg(long, default_value_t = 120, value_parser = clap::value_parser!(u32).range(1..))]
+    steps: u32,
+    /// Rollouts that are timed, after one that is not.
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
+    rollouts: u32,
+    /// What draws: `software`, or `gl` for MuJoCo's renderer through OpenGL.
+    #[arg(long, default_value = "software", value_parser = renderer::parse)]
+    renderer: Renderer,
+    /// Times by the wall clock even where processor time of the one thread would
+    /// do, to compare with programs that use the wall clock.
+    #[arg(long)]
+    wall: bool,
+    /// An archive with `actions`, repeated if they are too few, and the `state`
+    /// that they start from. Without it: smooth motion from the first
+    /// evaluation state.
+    #[arg(long)]
+    actions: Option<PathBuf>,
+    /// Counts instead of timing phases: prints `ready` once the scene is
+    /// compiled, waits for a line on its input, and then runs rollouts for so
+    /// many seconds.
+    #[arg(long, value_name = "SECS")]
+    count_for: Option<f64>,
+    /// Folder with the unpacked sources.
+    #[arg(long)]
+    sources: Option<PathBuf>,
+}
+
+const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
+const FRAME: u32 = 256;
+const NO_OP: Action = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0];
+/// What the published policies read of the robot.
+const STATE: [StateField; 3] = [
+    StateField::EefPos,
+    StateField::EefAxisAngle,
+    StateField::GripperPos,
+];
+
+/// Milliseconds of one rollout.
+#[derive(Debug, Clone, Copy, Default)]
+struct Phases {
+    /// Loading the initial state into the compiled scene.
+    reset: f64,
+    /// The control steps before the policy starts.
+    settle: f64,
+    /// The policy's control steps, physics included.
+    steps: f64,
+    /// Of these: what bare `mj_step`s on copies of the states took.
+    physics: f64,
+    /// Drawing both cameras, and reading the robot.
+    frames: f64,
+    /// Turning an observation into the message that a policy is sent.
+    encode: f64,
+    /// Waiting for the policy.
+    policy: f64,
+    /// Whatever lies between.
+    other: f64,
+}
+
+impl Phases {
+    fn total(&self) -> f64 {
+        self.reset + self.settle + self.steps + self.frames + self.encode + self.policy + self.other
+    }
+}
+
+/// Where the time since the last event goes.
+struct Timer {
+    clock: Clock,
+    /// Reading of the clock at the last event, milliseconds.
+    last: f64,
+    phases: Phases,
+    /// What the coming control step's physics took on a copy.
+    bare: f64,
+    alone: Option<Data>,
+    /// Whether physics is timed on copies, which takes time itself.
+    copies: bool,
+    calls_of_progress: u32,
+    steps: u32,
+    frames: u32,
+    message_bytes: usize,
+    /// When to stop, where rollouts are counted.
+    until: Option<Instant>,
+}
+
+impl Timer {
+    fn new(clock: Clock, copies: bool) -> Self {
+        Self {
+            clock,
+            last: clock.now_millis(),
+            phases: Phases::default(),
+            bare: 0.0,
+            alone: None,
+            copies,
+            calls_of_progress: 0,
+            steps: 0,
+            frames: 0,
+            message_bytes: 0,
+            until: None,
+        }
+    }
+
+    /// Milliseconds since the last event.
+    fn lap(&mut self) -> f64 {
+        let now = self.clock.now_millis();
+        let millis = now - self.last;
+        self.last = now;
+        millis
+    }
+
+    /// Times the physics of the coming control step on a copy of the state. The
+    /// time that this takes is no part of the rollout.
+    fn time_physics(&mut self, episode: &mut Episode<'_>) -> Result<(), sim::SimError> {
+        if self.copies {
+            let environment = episode.environment();
+            if self.alone.is_none() {
+                self.alone = Some(Data::new(environment.model())?);
+            }
+            if let Some(alone) = &mut self.alone {
+                self.bare = bare_millis(self.clock, alone, episode);
+            }
+        }
+        self.last = self.clock.now_millis();
+        Ok(())
+    }
+}
+
+/// Milliseconds of a control step's `mj_step`s on a copy of the state.
+fn bare_millis(clock: Clock, alone: &mut Data, episode: &mut Episode<'_>) -> f64 {
+    let environment = episode.environment();
+    alone.copy_from(environment.model(), environment.data());
+    let model = environment.model();
+    let (millis, ()) = clock.time(|| (0..SUBSTEPS).for_each(|_| alone.step(model)));
+    millis
+}
+
+type Shared = Rc<RefCell<Timer>>;
+
+/// Acts without looking. What it is shown is encoded as if it were sent.
+struct OpenLoop<'a> {
+    timer: Shared,
+    description: Description,
+    actions: &'a [Action],
+}
+
+impl Actor for OpenLoop<'_> {
+    fn describe(&mut self, _: worker::policy::Episode<'_>) -> Result<Description, PolicyError> {
+        Ok(self.description.clone())
+    }
+
+    fn reset(
+        &mut self,
+        _: worker::policy::Episode<'_>,
+        _suite: &str,
+        _instruction: &str,
+        _seed: u64,
+    ) -> Result<(), PolicyError> {
+        Ok(())
+    }
+
+    fn infer(
+        &mut self,
+        episode: worker::policy::Episode<'_>,
+        query_index: u32,
+        observation: Observation,
+        horizon: usize,
+    ) -> Result<Vec<Action>, PolicyError> {
+        let request = InferRequest {
+            policy: episode.policy.to_owned(),
+            session: episode.session.to_owned(),
+            query_index,
+            observation: Some(observation),
+        };
+        let message = request.encode_to_vec();
+        let mut timer = self.timer.borrow_mut();
+        timer.phases.encode += timer.lap();
+        timer.message_bytes = message.len();
+        let first = query_index as usize * horizon;
+        let actions = (first..first + horizon).map(|step| self.actions[step % self.actions.len()]);
+        let actions = actions.collect();
+        timer.phases.policy += timer.lap();
+        Ok(actions)
+    }
+}
+
+/// Takes the times of the worker's loop.
+struct Lookout {
+    timer: Shared,
+    problem: Option<sim::SimError>,
+}
+
+impl Watcher for Lookout {
+    fn progress(&mut self, _control_steps: u32) -> ControlFlow<()> {
+        let mut timer = self.timer.borrow_mut();
+        let lap = timer.lap();
+        match timer.calls_of_progress {
+            0 => timer.phases.reset += lap,
+            1 => timer.phases.settle += lap,
+            _ => timer.phases.other += lap,
+        }
+        timer.calls_of_progress += 1;
+        match (timer.until, &self.problem) {
+            (Some(until), _) if Instant::now() >= until => ControlFlow::Break(()),
+            (_, Some(_)) => ControlFlow::Break(()),
+            _ => ControlFlow::Continue(()),
+        }
+    }
+
+    fn observed(&mut self, _query_index: u32, observation: &sim::Observation) {
+        let mut timer = self.timer.borrow_mut();
+        timer.phases.frames += timer.lap();
+        timer.frames += observation.frames.len() as u32;
+    }
+
+    fn moved(&mut self, step: Option<&Step>, episode: &mut Episode<'_>) {
+        let mut timer = self.timer.borrow_mut();
+        let lap = timer.lap();
+        match step {
+            None => timer.phases.other += lap,
+            Some(_) => {
+                timer.phases.steps += lap;
+                timer.phases.physics += timer.bare;
+                timer.steps += 1;
+            }
+        }
+        self.problem = timer.time_physics(episode).err();
+    }
+}
+
+/// A simulator and what runs in it.
+struct Bench {
+    simulator: Simulator,
+    assignment: Assignment,
+    description: Description,
+    actions: Vec<Action>,
+    clock: Clock,
+}
+
+fn main() -> ExitCode {
+    match run(&Arguments::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: failed to {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(arguments: &Arguments) -> Result<()> {
+    let dir = arguments.sources.clone();
+    let sources = Sources::open(&dir.unwrap_or_else(Sources::default_dir))?;
+    let pack = AssetPack::open(&arguments.assets, &sources)?;
+    let (row, actions) = motion(arguments, &sources)?;
+    let pack_name = pack.name().to_owned();
+    let mut bench = Bench {
+        simulator: Simulator::new(SimulatorConfig {
+            sources,
+            pack,
+            renderer: arguments.renderer,
+            cached_scenes: 1,
+        }),
+        assignment: Assignment {
+            policy: "open-loop".to_owned(),
+            policy_endpoint: String::new(),
+            policy_seed: 0,
+            policy_deadline: Duration::from_secs(60),
+            session: worker::single::session(&row.id, 0),
+            realisation: Realisation::Matched,
+            video: None,
+            keep_actions: false,
+            row,
+        },
+        description: description(arguments.execute),
+        actions,
+        clock: match arguments.renderer {
+            Renderer::Software if !arguments.wall => Clock::ThreadCpu,
+            // OpenGL draws on other threads, or on a card.
+            _ => Clock::Wall,
+        },
+    };
+    // Compiles the scene, and prepares meshes and textures.
+    let first = bench.rollout(false)?;
+    let mut report = json!({
+        "system": "rollout",
+        "task": arguments.task.to_string(),
+        "assets": pack_name,
+        "mujoco": sim::mujoco::version(),
+        "renderer": bench.simulator.renderer_name()?,
+        "clock": bench.clock.name(),
+        "execute": arguments.execute,
+        "policy": "none: open-loop actions",
+        "compile_and_first_reset_ms": round(first.phases.reset),
+    });
+    let measured = match arguments.count_for {
+        Some(secs) => bench.count(secs)?,
+        None => bench.measure(arguments.rollouts, arguments.steps)?,
+    };
+    merge(&mut report, measured);
+    println!("{report}");
+    Ok(())
+}
+
+/// The rollout's row and its actions.
+fn motion(arguments: &Arguments, sources: &Sources) -> Result<(ManifestRow, Vec<Action>)> {
+    let task = arguments.task;
+    let id = format!("{}/t{}/clean/i00", task.suite().short_name(), task.index());
+    let mut row = worker::single::row_of(id.parse()?)?;
+    row.max_steps = arguments.steps;
+    let Some(path) = &arguments.actions else {
+        let actions = (0..arguments.steps as usize).map(smooth_action);
+        return Ok((row, actions.collect()));
+    };
+    let states = InitialStates::read(&TaskFiles::of_task(sources, task).init)?;
+    let (init_id, actions) =
+        recorded(path, &states).with_context(|| format!("read the actions {}", path.display()))?;
+    row.init_id = init_id;
+    Ok((row, actions))
+}
+
+/// Recorded actions, and which initial state they start from.
+fn recorded(path: &Path, states: &InitialStates) -> Result<(u16, Vec<Action>)> {
+    let arrays = read_npz(path)?;
+    let array = |name: &str| {
+        let array = arrays.get(name);
+        array.with_context(|| format!("it has no array `{name}`"))
+    };
+    let state = &array("state")?.values;
+    let init_id = (0..states.count()).find(|id| states.get(*id) == Some(state.as_slice()));
+    let init_id = init_id.context("its `state` is none of the task's released initial states")?;
+    let actions = array("actions")?;
+    let count = actions.shape.first().copied().unwrap_or_default();
+    ensure!(
+        count > 0 && actions.shape == [count, worker::policy::ACTION_WIDTH],
+        "its `actions` are not rows of {} numbers",
+        worker::policy::ACTION_WIDTH
+    );
+    let rows = (0..count).map(|step| Ok(actions.row(step).try_into()?));
+    Ok((u16::try_from(init_id)?, rows.collect::<Result<_>>()?))
+}
+
+/// A policy that wants what the published ones want.
+fn description(execute: u32) -> Description {
+    let camera = |name: &&str| CameraRequest {
+        name: (*name).to_owned(),
+        width: FRAME,
+        height: FRAME,
+    };
+    Description {
+        about: DescribeResponse {
+            protocol_version: PROTOCOL_VERSION,
+            name: "open-loop".to_owned(),
+            cameras: CAMERAS.iter().map(camera).collect(),
+            horizon: execute,
+            execute,
+            ..DescribeResponse::default()
+        },
+        state: STATE.to_vec(),
+        horizon: execute as usize,
+        execute: execute as usize,
+    }
+}
+
+impl Bench {
+    /// One whole rollout.
+    fn rollout(&mut self, copies: bool) -> Result<Timer> {
+        let timer = Timer::new(self.clock, copies);
+        self.run(timer).map(|(timer, _)| timer)
+    }
+
+    /// Runs a rollout under a timer; whether it came to its end.
+    fn run(&mut self, timer: Timer) -> Result<(Timer, bool)> {
+        let timer = Rc::new(RefCell::new(timer));
+        let mut actor = OpenLoop {
+            timer: Rc::clone(&timer),
+            description: self.description.clone(),
+            actions: &self.actions,
+        };
+        let mut lookout = Lookout {
+            timer: Rc::clone(&timer),
+            problem: None,
+        };
+        let stage = Stage::of_the_protocol(&mut self.simulator);
+        timer.borrow_mut().lap();
+        let outcome = worker::rollout::run(stage, &mut actor, &self.assignment, &mut lookout);
+        let ended = match (outcome, lookout.problem.take()) {
+            (_, Some(problem)) => return Err(problem).context("time the physics on a copy"),
+            (Ok(_), None) => true,
+            (Err(RolloutError::Abandoned), None) => false,
+            (Err(error), None) => return Err(error.into()),
+        };
+        drop((actor, lookout));
+        let mut timer = Rc::into_inner(timer)
+            .context("end the rollout: its timer is still in use")?
+            .into_inner();
+        timer.phases.other += timer.lap();
+        Ok((timer, ended))
+    }
+
+    /// Times the phases of several rollouts; medians.
+    fn measure(&mut self, rollouts: u32, steps: u32) -> Result<Value> {
+        let (mut timers, mut settling) = (Vec::new(), Vec::new());
+        for _ in 0..rollouts {
+            let timer = self.rollout(true)?;
+            ensure!(
+                timer.steps == steps,
+                "time {steps} control steps: the goal was reached after {}; ask for fewer --steps",
+                timer.steps
+            );
+            timers.push(timer);
+            settling.push(self.settling_physics()?);
+        }
+        let median = |phase: &dyn Fn(&Phases) -> f64| {
+            let values: Vec<f64> = timers.iter().map(|timer| phase(&timer.phases)).collect();
+            Spread::of(&values).map_or(0.0, |spread| spread.median)
+        };
+        let settling_physics = Spread::of(&settling).map_or(0.0, |spread| spread.median);
+        // Of each rollout by itself, so that the share is one that occurred.
+        let shares: Vec<f64> = timers
+            .iter()
+            .zip(&settling)
+            .map(|(timer, settling)| {
+                let phases = &timer.phases;
+                let needed = phases.physics + settling + phases.frames + phases.policy;
+                1.0 - needed / phases.total()
+            })
+            .collect();
+        let shares = Spread::of(&shares).context("there is a rollout")?;
+        let last = timers.last().context("there is a rollout")?;
+        Ok(json!({
+            "rollouts": rollouts,
+            "steps": steps,
+            "frames": last.frames,
+            "message_bytes": last.message_bytes,
+            "rollout_ms": round(median(&Phases::total)),
+            "phases_ms": {
+                "reset": round(median(&|phases| phases.reset)),
+                "settle": round(median(&|phases| phases.settle)),
+                "physics": round(median(&|phases| phases.physics)),
+                "control": round(median(&|phases| phases.steps - phases.physics)),
+                "frames": round(median(&|phases| phases.frames)),
+                "encode": round(median(&|phases| phases.encode)),
+                "policy": round(median(&|phases| phases.policy)),
+                "other": round(median(&|phases| phases.other)),
+            },
+            "settle_physics_ms": round(settling_physics),
+            "control_step_over_bare": round(median(&|phases| phases.steps / phases.physics)),
+            "frame_ms": round(median(&|phases| phases.frames) / f64::from(last.frames.max(1))),
+            "neither_physics_nor_drawing_nor_policy": {
+                "median": round(shares.median),
+                "least": round(shares.least),
+                "most": round(shares.most),
+            },
+        }))
+    }
+
+    /// What bare physics takes of the settling steps, on copies of their states:
+    /// the worker's loop shows nobody the scene before it has settled.
+    fn settling_physics(&mut self) -> Result<f64> {
+        let row = &self.assignment.row;
+        let mut episode = self.simulator.begin(row, Realisation::Matched)?;
+        let mut alone = Data::new(episode.environment().model())?;
+        let mut millis = 0.0;
+        for _ in 0..row.settle_steps {
+            millis += bare_millis(self.clock, &mut alone, &mut episode);
+            episode.environment().step(&NO_OP)?;
+        }
+        Ok(millis)
+    }
+
+    /// Runs rollouts for some seconds, once it is told to begin, and counts what
+    /// is done in them.
+    fn count(&mut self, secs: f64) -> Result<Value> {
+        println!("ready");
+        std::io::stdout().flush()?;
+        let mut line = String::new();
+        let read = std::io::stdin().read_line(&mut line);
+        ensure!(
+            read.context("wait for a line on the input")? > 0,
+            "wait for a line on the input: it ended"
+        );
+        let start = Instant::now();
+        let until = start + Duration::from_secs_f64(secs);
+        let (mut steps, mut frames, mut rollouts) = (0, 0, 0);
+        while Instant::now() < until {
+            let mut timer = Timer::new(self.clock, false);
+            timer.until = Some(until);
+            let (timer, ended) = self.run(timer)?;
+            steps += timer.steps;
+            frames += timer.frames;
+            rollouts += u32::from(ended);
+        }
+        // The last step began before the end of the time and is counted, so the
+        // time that it took is, too.
+        Ok(json!({
+            "secs": start.elapsed().as_secs_f64(),
+            "steps": steps,
+            "frames": frames,
+            "rollouts": rollouts,
+        }))
+    }
+}
+
+fn merge(report: &mut Value, more: Value) {
+    if let (Some(report), Value::Object(more)) = (report.as_object_mut(), more) {
+        report.extend(more);
+    }
+}
+
+fn round(value: f64) -> f64 {
+    (value * 1e4).round() / 1e4
+}

@@ -1,0 +1,107 @@
+//! Timing for the benchmarks: clocks, and figures with their spread.
+
+use std::fmt;
+
+use rustix::time::{ClockId, clock_gettime};
+
+/// By which clock work is timed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Clock {
+    /// Processor time of the calling thread: what others do on the machine
+    /// hardly shows in it. Only for work that is all done on that thread.
+    ThreadCpu,
+    /// Time as it passes.
+    Wall,
+}
+
+/// What a report says of its clock.
+impl fmt::Display for Clock {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::ThreadCpu => "milliseconds of processor time of the drawing thread, medians",
+            Self::Wall => {
+                "milliseconds of wall clock, medians: a card draws, so that processor time says \
+                 nothing; keep the machine free of other work"
+            }
+        })
+    }
+}
+
+impl Clock {
+    /// In a word or two, for reports in JSON.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::ThreadCpu => "processor time of the thread",
+            Self::Wall => "wall clock",
+        }
+    }
+
+    /// Milliseconds since some instant of its own.
+    pub fn now_millis(self) -> f64 {
+        let clock = match self {
+            Self::ThreadCpu => ClockId::ThreadCPUTime,
+            Self::Wall => ClockId::Monotonic,
+        };
+        let time = clock_gettime(clock);
+        time.tv_sec as f64 * 1e3 + time.tv_nsec as f64 / 1e6
+    }
+
+    /// Milliseconds that the work took, and its result.
+    pub fn time<T>(self, work: impl FnOnce() -> T) -> (f64, T) {
+        let start = self.now_millis();
+        let result = work();
+        (self.now_millis() - start, result)
+    }
+}
+
+/// Several measurements of one thing.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Spread {
+    /// The middle one; of an even number the mean of the two in the middle.
+    pub median: f64,
+    /// The smallest.
+    pub least: f64,
+    /// The largest.
+    pub most: f64,
+}
+
+impl Spread {
+    /// Of measurements in any order; none of none.
+    pub fn of(values: &[f64]) -> Option<Self> {
+        let mut values = values.to_vec();
+        values.sort_by(f64::total_cmp);
+        let (least, most) = (*values.first()?, *values.last()?);
+        let (below, above) = (values[(values.len() - 1) / 2], values[values.len() / 2]);
+        Some(Self {
+            median: (below + above) / 2.0,
+            least,
+            most,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_spread_has_the_middle_and_both_ends() {
+        let spread = Spread::of(&[3.0, 1.0, 7.0]).unwrap();
+        assert_eq!((spread.median, spread.least, spread.most), (3.0, 1.0, 7.0));
+        assert_eq!(Spread::of(&[4.0, 1.0, 2.0, 9.0]).unwrap().median, 3.0);
+        assert_eq!(Spread::of(&[]), None);
+    }
+
+    #[test]
+    fn sleep_takes_time_and_no_processor() {
+        let pause = || std::thread::sleep(std::time::Duration::from_millis(60));
+        assert!(Clock::Wall.time(pause).0 >= 60.0);
+        assert!(Clock::ThreadCpu.time(pause).0 < 30.0);
+    }
+
+    #[test]
+    fn work_takes_processor_time() {
+        let work = || (0..20_000_000_u64).map(std::hint::black_box).sum::<u64>();
+        assert!(Clock::ThreadCpu.time(work).0 > 0.5);
+    }
+}

@@ -1,0 +1,484 @@
+//! Benchmarks that take more than one process: a rollout here and in the
+//! original, in turn, and rollouts side by side on a whole machine. What is
+//! timed, and how, is in `tests/src/bin/bench_rollout.rs` and in
+//! docs/PERFORMANCE.md.
+
+use std::collections::BTreeSet;
+use std::io::{BufRead, BufReader, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+
+use anyhow::{Context, Result, bail, ensure};
+use serde_json::Value;
+
+use crate::cargo::cargo;
+use crate::original::Original;
+use crate::process::{capture, run as run_command, shown};
+use crate::setup;
+use crate::step::step;
+
+/// The program that runs rollouts and times them.
+const PROGRAM: &str = "bench_rollout";
+
+/// How a rollout is compared with the original's.
+#[derive(clap::Args)]
+pub(crate) struct Compare {
+    /// The task: SUITE/N, one that the reference has contact-rich actions of.
+    #[arg(long)]
+    task: String,
+    /// Control steps between two looks of the policy.
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
+    execute: u32,
+    /// Control steps of each rollout.
+    #[arg(long, default_value_t = 120, value_parser = clap::value_parser!(u32).range(1..))]
+    steps: u32,
+    /// How often all are run, in turn.
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
+    rounds: u32,
+    /// Rollouts that each program times, after one that it does not; their
+    /// median is the round's figure.
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    rollouts: u32,
+    /// What draws here: `software` or `gl`. The original draws through OpenGL.
+    #[arg(long, default_value = "software")]
+    renderer: String,
+    /// Folder of the reference data, with its `tools` and `contact`. [default:
+    /// ../shared/oracle beside this checkout]
+    #[arg(long)]
+    oracle: Option<PathBuf>,
+    /// LIBERO's assets folder. [default: ../shared/libero-assets beside this
+    /// checkout]
+    #[arg(long)]
+    assets: Option<PathBuf>,
+}
+
+/// How a whole machine is measured.
+#[derive(clap::Args)]
+pub(crate) struct Machine {
+    /// The task: SUITE/N.
+    #[arg(long, default_value = "libero_object/0")]
+    task: String,
+    /// `primitives`, or a LIBERO assets folder.
+    #[arg(long, default_value = "primitives")]
+    assets: String,
+    /// Control steps between two looks of the policy.
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    execute: u32,
+    /// Numbers of slots, separated by commas. [default: 1, 2, 4, … and the
+    /// machine's cores, once and twice]
+    #[arg(long, value_delimiter = ',', value_parser = clap::value_parser!(u32).range(1..))]
+    slots: Vec<u32>,
+    /// How long each number of slots is measured.
+    #[arg(long, default_value_t = 20.0, value_name = "SECS")]
+    secs: f64,
+    /// What draws: `software` or `gl`.
+    #[arg(long, default_value = "software")]
+    renderer: String,
+}
+
+/// Milliseconds of a rollout's parts.
+#[derive(Clone, Copy)]
+struct Parts {
+    reset: f64,
+    settle: f64,
+    steps: f64,
+    whole: f64,
+}
+
+/// Runs the same rollout here and in the original, in turn, and prints both with
+/// their ratios.
+pub(crate) fn compare(root: &Path, options: &Compare) -> Result<()> {
+    let cache = setup::run(root)?;
+    let beside = |folder: &str| root.join("../shared").join(folder);
+    let oracle = options.oracle.clone().unwrap_or_else(|| beside("oracle"));
+    let assets = options
+        .assets
+        .clone()
+        .unwrap_or_else(|| beside("libero-assets"));
+    let actions = actions_of(&oracle, &options.task)?;
+    if !actions.is_file() {
+        println!(
+            "skipped: no recorded actions of {} at {}; choose a task of the reference, or say \
+             with --oracle where it is",
+            options.task,
+            actions.display()
+        );
+        return Ok(());
+    }
+    let original = match Original::provide(&cache, &oracle, &assets) {
+        Ok(original) => original,
+        Err(error) => {
+            println!("skipped: the original cannot be run here: failed to {error:#}");
+            return Ok(());
+        }
+    };
+    let program = step(PROGRAM, || build(root).map(Built))?.0;
+    let ours = || -> Result<Parts> {
+        let mut command = Command::new(&program);
+        command.args(["--task", &options.task, "--renderer", &options.renderer]);
+        command.arg("--assets").arg(&assets);
+        command.arg("--actions").arg(&actions);
+        command.args(["--execute", &options.execute.to_string()]);
+        command.args(["--steps", &options.steps.to_string()]);
+        command.args(["--rollouts", &options.rollouts.to_string()]);
+        // The original's script knows no other clock.
+        command.arg("--wall");
+        our_parts(&last_json(&mut command)?)
+    };
+    let theirs = |render_every: u32| -> Result<Parts> {
+        let mut command = original.command("baseline.py");
+        command.arg(&options.task);
+        command.args(["--steps", &options.steps.to_string()]);
+        command.args(["--rollouts", &options.rollouts.to_string()]);
+        command.args(["--render-every", &render_every.to_string()]);
+        their_parts(&last_json(&mut command)?)
+    };
+    println!(
+        "Comparing on {}, {} steps, {} rounds in turn",
+        machine()?,
+        options.steps,
+        options.rounds
+    );
+    let (mut own, mut released, mut thrifty) = (Vec::new(), Vec::new(), Vec::new());
+    for round in 1..=options.rounds {
+        let name = |what: &str| format!("round {round}: {what}");
+        own.push(step(&name("here"), || ours().map(Told))?.0);
+        released.push(step(&name("original as released"), || theirs(1).map(Told))?.0);
+        if options.execute > 1 {
+            let what = name("original drawing less");
+            thrifty.push(step(&what, || theirs(options.execute).map(Told))?.0);
+        }
+    }
+    print_ratios(
+        "as released, both cameras drawn at every step",
+        &own,
+        &released,
+    );
+    if options.execute > 1 {
+        let what = format!(
+            "drawing only every {}th step, which it cannot do as released",
+            options.execute
+        );
+        print_ratios(&what, &own, &thrifty);
+    }
+    Ok(())
+}
+
+/// Where the reference has recorded actions of a task.
+fn actions_of(oracle: &Path, task: &str) -> Result<PathBuf> {
+    let parts = task.split_once('/');
+    let parts = parts.and_then(|(suite, index)| Some((suite, index.parse::<u32>().ok()?)));
+    let (suite, index) = parts.with_context(|| format!("read task `{task}`: it is SUITE/N"))?;
+    Ok(oracle.join(format!("contact/{suite}_{index:02}.npz")))
+}
+
+fn our_parts(report: &Value) -> Result<Parts> {
+    let phase = |name: &str| number(&report["phases_ms"][name], name);
+    let (reset, settle) = (phase("reset")?, phase("settle")?);
+    let whole = number(&report["rollout_ms"], "rollout_ms")?;
+    Ok(Parts {
+        reset,
+        settle,
+        // Medians of parts do not add up to the median of the whole.
+        steps: ["physics", "control", "frames", "encode", "policy", "other"]
+            .into_iter()
+            .map(phase)
+            .sum::<Result<f64>>()?,
+        whole,
+    })
+}
+
+fn their_parts(report: &Value) -> Result<Parts> {
+    let millis = |name: &str| number(&report[name], name).map(|secs| secs * 1e3);
+    Ok(Parts {
+        reset: millis("reset_s")?,
+        settle: millis("settle_s")?,
+        steps: millis("steps_s")?,
+        whole: millis("rollout_s")?,
+    })
+}
+
+fn number(value: &Value, name: &str) -> Result<f64> {
+    let number = value.as_f64();
+    number.with_context(|| format!("read the report: `{name}` is {value}, not a number"))
+}
+
+/// Ratios are of the runs of one round.
+fn print_ratios(what: &str, ours: &[Parts], theirs: &[Parts]) {
+    println!("the original {what}:");
+    println!(
+        "  {:<8} {:>12} {:>14} {:>8}  spread",
+        "", "here, ms", "original, ms", "ratio"
+    );
+    let parts: [(&str, fn(&Parts) -> f64); 4] = [
+        ("reset", |parts| parts.reset),
+        ("settle", |parts| parts.settle),
+        ("steps", |parts| parts.steps),
+        ("rollout", |parts| parts.whole),
+    ];
+    for (name, part) in parts {
+        let all = |of: &[Parts]| of.iter().map(part).collect::<Vec<_>>();
+        let (ours, theirs) = (all(ours), all(theirs));
+        let ratios: Vec<f64> = theirs.iter().zip(&ours).map(|(a, b)| a / b).collect();
+        let (middle, least, most) = spread(&ratios);
+        println!(
+            "  {name:<8} {:>12.2} {:>14.1} {middle:>8.1}  {least:.1}–{most:.1}",
+            spread(&ours).0,
+            spread(&theirs).0,
+        );
+    }
+}
+
+/// Median, smallest, largest.
+fn spread(values: &[f64]) -> (f64, f64, f64) {
+    let mut values = values.to_vec();
+    values.sort_by(f64::total_cmp);
+    let at = |index: usize| values.get(index).copied().unwrap_or(f64::NAN);
+    let (middle, last) = (values.len() / 2, values.len().saturating_sub(1));
+    let median = (at(last / 2) + at(middle)) / 2.0;
+    (median, at(0), at(last))
+}
+
+/// Runs rollouts in several processes at once, for each number of slots.
+pub(crate) fn on_machine(root: &Path, options: &Machine) -> Result<()> {
+    setup::run(root)?;
+    if options.renderer != "software" {
+        setup::opengl()?;
+    }
+    let program = step(PROGRAM, || build(root).map(Built))?.0;
+    let cores = cores()?;
+    let counts = match options.slots.as_slice() {
+        [] => slot_counts(cores),
+        given => given.to_vec(),
+    };
+    println!(
+        "Measuring {} on {}: an instant policy that looks every {} steps, {} s each",
+        options.task,
+        machine()?,
+        options.execute,
+        options.secs
+    );
+    println!(
+        "{:>5} {:>16} {:>16} {:>12} {:>20}",
+        "slots", "control steps/s", "frames/s", "of 1 slot", "steps/s of a slot"
+    );
+    let mut single = None;
+    for slots in counts {
+        let counted = together(slots, || {
+            let mut command = Command::new(&program);
+            command.args(["--task", &options.task, "--assets", &options.assets]);
+            command.args(["--renderer", &options.renderer]);
+            command.args(["--execute", &options.execute.to_string()]);
+            command.args(["--count-for", &options.secs.to_string()]);
+            command.current_dir(root);
+            command
+        })?;
+        let rates: Vec<f64> = counted.iter().map(|count| count.steps).collect();
+        let (steps, frames): (f64, f64) = (
+            rates.iter().sum(),
+            counted.iter().map(|count| count.frames).sum(),
+        );
+        let (_, least, most) = spread(&rates);
+        // Without a run of one slot there is nothing to compare with.
+        if slots == 1 {
+            single = Some(steps);
+        }
+        let scale = single.map_or("-".to_owned(), |single| format!("{:.2} ×", steps / single));
+        println!(
+            "{slots:>5} {steps:>16.1} {frames:>16.1} {scale:>12} {:>20}",
+            format!("{least:.1}–{most:.1}")
+        );
+    }
+    Ok(())
+}
+
+/// 1, 2, 4, … up to twice the cores, and the cores themselves.
+fn slot_counts(cores: u32) -> Vec<u32> {
+    let powers = (0..).map(|power| 1 << power);
+    let mut counts: BTreeSet<u32> = powers.take_while(|count| *count <= 2 * cores).collect();
+    counts.extend([cores, 2 * cores]);
+    counts.into_iter().collect()
+}
+
+/// What one slot did in a second.
+struct Counted {
+    steps: f64,
+    frames: f64,
+}
+
+/// A process that waits for its input before it counts.
+struct Slot {
+    child: Child,
+    input: Option<ChildStdin>,
+    output: BufReader<ChildStdout>,
+}
+
+impl Drop for Slot {
+    fn drop(&mut self) {
+        // It has ended by itself unless something failed.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// Starts so many processes, lets all of them begin at once when the last is
+/// ready, and collects what they counted.
+fn together(slots: u32, command: impl Fn() -> Command) -> Result<Vec<Counted>> {
+    let mut running = Vec::new();
+    for _ in 0..slots {
+        let mut command = command();
+        let shown = shown(&command);
+        command.stdin(Stdio::piped()).stdout(Stdio::piped());
+        let mut child = command
+            .spawn()
+            .with_context(|| format!("start `{shown}`"))?;
+        let (input, output) = (child.stdin.take(), child.stdout.take());
+        running.push(Slot {
+            child,
+            input,
+            output: BufReader::new(output.context("read from a process: it has no output")?),
+        });
+    }
+    for slot in &mut running {
+        let line = slot.line()?;
+        ensure!(
+            line == "ready",
+            "start a slot: it said `{line}`, not `ready`"
+        );
+    }
+    for slot in &mut running {
+        let mut input = slot
+            .input
+            .take()
+            .context("write to a process: it has no input")?;
+        input.write_all(b"go\n").context("tell a slot to begin")?;
+    }
+    running
+        .iter_mut()
+        .map(|slot| {
+            let report: Value =
+                serde_json::from_str(&slot.line()?).context("read a slot's report")?;
+            let secs = number(&report["secs"], "secs")?;
+            Ok(Counted {
+                steps: number(&report["steps"], "steps")? / secs,
+                frames: number(&report["frames"], "frames")? / secs,
+            })
+        })
+        .collect()
+}
+
+impl Slot {
+    fn line(&mut self) -> Result<String> {
+        let mut line = String::new();
+        let read = self
+            .output
+            .read_line(&mut line)
+            .context("read from a slot")?;
+        if read == 0 {
+            let status = self.child.wait()?;
+            bail!("run a slot: it ended early, {status}; what it complained about is above");
+        }
+        Ok(line.trim_end().to_owned())
+    }
+}
+
+/// Builds the program that runs rollouts; returns its file.
+fn build(root: &Path) -> Result<PathBuf> {
+    run_command(cargo(root).args(["build", "--quiet", "--package", "tests", "--bin", PROGRAM]))?;
+    // This program was built by the same cargo into the same folder.
+    let own = std::env::current_exe()?;
+    let program = own.with_file_name(PROGRAM);
+    ensure!(
+        program.is_file(),
+        "find {}: cargo built it elsewhere",
+        program.display()
+    );
+    Ok(program)
+}
+
+/// A step that has nothing more to say than that it is done.
+struct Built(PathBuf);
+
+impl std::fmt::Display for Built {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("built")
+    }
+}
+
+/// A step that says how long the rollout took.
+struct Told(Parts);
+
+impl std::fmt::Display for Told {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{:.0} ms", self.0.whole)
+    }
+}
+
+/// Runs a program that prints one JSON object last, and reads it.
+fn last_json(command: &mut Command) -> Result<Value> {
+    let printed = capture(command)?;
+    let line = printed.lines().next_back().unwrap_or_default();
+    serde_json::from_str(line).with_context(|| format!("read what `{}` printed", shown(command)))
+}
+
+fn cores() -> Result<u32> {
+    let cores = std::thread::available_parallelism().context("count the cores")?;
+    Ok(u32::try_from(cores.get())?)
+}
+
+/// The processor and its cores, for whoever reads the figures later.
+fn machine() -> Result<String> {
+    let about = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let model = about
+        .lines()
+        .find_map(|line| line.strip_prefix("model name"))
+        .map_or("an unnamed processor", |rest| {
+            rest.trim_start_matches([' ', '\t', ':'])
+        });
+    Ok(format!("{} cores of {model}", cores()?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn slots_go_up_to_twice_the_cores() {
+        assert_eq!(slot_counts(1), [1, 2]);
+        assert_eq!(slot_counts(2), [1, 2, 4]);
+        assert_eq!(slot_counts(6), [1, 2, 4, 6, 8, 12]);
+    }
+
+    #[test]
+    fn both_programs_reports_are_read_in_milliseconds() {
+        let ours = serde_json::json!({
+            "rollout_ms": 21.0,
+            "phases_ms": {
+                "reset": 1.0, "settle": 2.0, "physics": 3.0, "control": 4.0,
+                "frames": 5.0, "encode": 6.0, "policy": 0.0, "other": 0.5,
+            },
+        });
+        let parts = our_parts(&ours).unwrap();
+        assert_eq!((parts.reset, parts.steps, parts.whole), (1.0, 18.5, 21.0));
+        let theirs = serde_json::json!({
+            "reset_s": 1.5, "settle_s": 0.25, "steps_s": 2.0, "rollout_s": 3.75,
+        });
+        let parts = their_parts(&theirs).unwrap();
+        assert_eq!((parts.settle, parts.whole), (250.0, 3750.0));
+        assert!(their_parts(&ours).is_err(), "the one is not the other");
+    }
+
+    #[test]
+    fn a_spread_has_the_middle_and_both_ends() {
+        assert_eq!(spread(&[3.0, 1.0, 7.0]), (3.0, 1.0, 7.0));
+        assert_eq!(spread(&[4.0, 1.0, 2.0, 9.0]), (3.0, 1.0, 9.0));
+        assert_eq!(spread(&[5.0]), (5.0, 5.0, 5.0));
+    }
+
+    #[test]
+    fn recorded_actions_are_found_by_task() {
+        let path = actions_of(Path::new("oracle"), "libero_goal/8").unwrap();
+        assert_eq!(path, Path::new("oracle/contact/libero_goal_08.npz"));
+        assert!(actions_of(Path::new("oracle"), "libero_goal").is_err());
+    }
+}

@@ -1,0 +1,137 @@
+//! The original LIBERO, in Python, for running it beside our simulator. It lives
+//! in a virtual environment below the cache, as the reference data's README
+//! describes it, and nothing else uses it.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, Result, bail, ensure};
+
+use crate::process::capture;
+use crate::setup;
+use crate::step::step;
+
+/// What the original imports.
+const PACKAGES: [&str; 15] = [
+    "mujoco==3.3.7",
+    "numpy",
+    "scipy",
+    "numba",
+    "opencv-python-headless",
+    "bddl==1.0.1",
+    "easydict",
+    "gym",
+    "gymnasium",
+    "huggingface_hub",
+    "pillow",
+    "pyyaml",
+    "termcolor",
+    "future",
+    "matplotlib",
+];
+/// The original itself. Without what these ask for: the list above is enough,
+/// and they pin versions that newer Pythons do not have.
+const ORIGINAL: [&str; 2] = ["robosuite==1.4.0", "hf-libero==0.1.4"];
+/// Written last into the environment; holds what is installed.
+const STAMP: &str = "installed.txt";
+
+/// The original, ready to run.
+pub(crate) struct Original {
+    python: PathBuf,
+    /// The reference's scripts.
+    tools: PathBuf,
+    /// Folder of the Python packages.
+    packages: PathBuf,
+    /// Folder of LIBERO's own settings, which name the folders of this
+    /// environment.
+    settings: PathBuf,
+}
+
+impl Original {
+    /// Installs whatever is missing.
+    pub(crate) fn provide(cache: &Path, oracle: &Path, assets: &Path) -> Result<Self> {
+        let tools = oracle.join("tools");
+        ensure!(
+            tools.join("baseline.py").is_file(),
+            "find the original's scripts in {}: say with --oracle where the reference data is",
+            tools.display()
+        );
+        let assets = assets.canonicalize().with_context(|| {
+            format!(
+                "find LIBERO's assets at {}: say with --assets where they are",
+                assets.display()
+            )
+        })?;
+        step("what the original draws with", setup::original_packages)?;
+        let dir = cache.join("original");
+        let python = dir.join("bin/python");
+        step("the original's Python packages", || install(&dir, &python))?;
+        let packages = capture(
+            Command::new(&python).args(["-c", "import site; print(site.getsitepackages()[0])"]),
+        )?;
+        let packages = PathBuf::from(packages);
+        link(&packages.join("libero/libero/assets"), &assets)?;
+        Ok(Self {
+            python,
+            // Scripts run in a folder of their own choice.
+            tools: tools.canonicalize()?,
+            packages,
+            settings: dir.join("settings"),
+        })
+    }
+
+    /// One of the reference's scripts, to be given its arguments.
+    pub(crate) fn command(&self, script: &str) -> Command {
+        let mut command = Command::new(&self.python);
+        command
+            .arg(self.tools.join(script))
+            .env("LIBERO_PACKAGE", &self.packages)
+            .env("LIBERO_CONFIG_PATH", &self.settings)
+            .env("MUJOCO_GL", "egl")
+            // The scripts lie in a folder that is not ours to write to.
+            .env("PYTHONDONTWRITEBYTECODE", "1");
+        command
+    }
+}
+
+fn install(dir: &Path, python: &Path) -> Result<&'static str> {
+    let wanted = [&PACKAGES[..], &ORIGINAL[..]].concat().join("\n");
+    let stamp = dir.join(STAMP);
+    if std::fs::read_to_string(&stamp).is_ok_and(|installed| installed == wanted) {
+        return Ok("already there");
+    }
+    capture(
+        Command::new("python3")
+            .args(["-m", "venv", "--clear"])
+            .arg(dir),
+    )
+    .context("make a virtual environment (Debian: `apt-get install python3-venv`)")?;
+    let pip = |arguments: &[&str]| {
+        let mut pip = Command::new(python);
+        pip.args(["-m", "pip", "install", "--quiet"]);
+        pip.arg("--disable-pip-version-check").args(arguments);
+        capture(&mut pip).context("install Python packages (is the package index reachable?)")
+    };
+    pip(&PACKAGES)?;
+    pip(&[&["--no-deps"], &ORIGINAL[..]].concat())?;
+    std::fs::write(&stamp, wanted).with_context(|| format!("write {}", stamp.display()))?;
+    Ok("installed")
+}
+
+/// Makes the package find the assets.
+fn link(link: &Path, assets: &Path) -> Result<()> {
+    if std::fs::read_link(link).is_ok_and(|target| target == assets) {
+        return Ok(());
+    }
+    if link.is_symlink() {
+        std::fs::remove_file(link).with_context(|| format!("replace {}", link.display()))?;
+    }
+    if link.exists() {
+        bail!(
+            "link {} to {}: there is a folder of that name; remove it",
+            link.display(),
+            assets.display()
+        );
+    }
+    std::os::unix::fs::symlink(assets, link).with_context(|| format!("make {}", link.display()))
+}
