@@ -98,7 +98,8 @@ pub(crate) trait Floats: Sized {
     fn nearest(self) -> I;
     /// To the next whole number towards zero.
     fn whole(self) -> I;
-    fn as_ints(self) -> I;
+    fn to_signed_bits(self) -> I;
+    fn from_signed_bits(bits: I) -> Self;
 }
 
 impl Floats for F {
@@ -166,8 +167,13 @@ impl Floats for F {
     }
 
     #[inline(always)]
-    fn as_ints(self) -> I {
+    fn to_signed_bits(self) -> I {
         cast(self)
+    }
+
+    #[inline(always)]
+    fn from_signed_bits(bits: I) -> Self {
+        cast(bits)
     }
 }
 
@@ -182,7 +188,6 @@ pub(crate) trait Ints: Sized {
     fn ge(self, other: Self) -> Mask;
     fn equals(self, other: Self) -> Mask;
     fn float(self) -> F;
-    fn as_floats(self) -> F;
 }
 
 impl Ints for I {
@@ -231,10 +236,5 @@ impl Ints for I {
     #[inline(always)]
     fn float(self) -> F {
         self.round_float()
-    }
-
-    #[inline(always)]
-    fn as_floats(self) -> F {
-        cast(self)
     }
 }

@@ -228,20 +228,20 @@ fn attenuated(light: &EyeLight, to_light: Vec3x8, over_distance: F) -> Option<F>
 /// Mesa's approximation of the binary logarithm: coefficients of a polynomial in
 /// the square of (m − 1) / (m + 1), from the constant up.
 const LOG2: [f32; 5] = [
-    2.885_390_093_433_091_8_f64 as f32,
-    0.961_791_550_404_184_2_f64 as f32,
-    0.577_440_339_438_736_4_f64 as f32,
-    0.403_343_858_251_329_9_f64 as f32,
-    0.406_718_052_498_846_25_f64 as f32,
+    2.885_39,
+    0.961_791_6,
+    0.577_440_3,
+    0.403_343_86,
+    0.406_718_05,
 ];
 /// The same of the power of two, in the fraction.
 const EXP2: [f32; 6] = [
     1.0,
-    0.693_153_073_200_168_9_f64 as f32,
-    0.240_153_617_044_375_4_f64 as f32,
-    0.055_826_318_053_295_67_f64 as f32,
-    0.008_989_340_090_494_664_f64 as f32,
-    0.001_877_576_675_194_791_3_f64 as f32,
+    0.693_153_1,
+    0.240_153_61,
+    0.055_826_318,
+    0.008_989_34,
+    0.001_877_576_7,
 ];
 
 /// `base` to the power of `exponent`, for a base that is not negative; zero for
@@ -251,9 +251,9 @@ fn power(base: F, exponent: F) -> F {
     let splat = |value: f32| F::splat(value);
     let whole = |value: i32| I::splat(value);
     let (zero, one) = (splat(0.0), splat(1.0));
-    let bits = base.as_ints();
+    let bits = base.to_signed_bits();
     let base_exponent = ((bits & whole(0x7f80_0000)) >> 23i32) - whole(127);
-    let mantissa = ((bits & whole(0x007f_ffff)) | whole(0x3f80_0000)).as_floats();
+    let mantissa = F::from_signed_bits((bits & whole(0x007f_ffff)) | whole(0x3f80_0000));
     let y = (mantissa - one) / (mantissa + one);
     let z = y * y;
     let zz = z * z;
@@ -269,7 +269,7 @@ fn power(base: F, exponent: F) -> F {
     let floor = x.floor();
     let fraction = x - floor;
     let floor: I = floor.whole();
-    let scale = ((floor + whole(127)) << 23i32).as_floats();
+    let scale = F::from_signed_bits((floor + whole(127)) << 23i32);
     let square = fraction * fraction;
     let even = square.fused(splat(EXP2[4]), splat(EXP2[2]));
     let even = square.fused(even, splat(EXP2[0]));

@@ -38,7 +38,7 @@ impl Matrix {
     pub(crate) fn translated(mut self, [x, y, z]: Vec3) -> Self {
         let m = &mut self.0;
         for row in 0..4 {
-            m[row + 12] = m[row] * x + m[row + 4] * y + m[row + 8] * z + m[row + 12];
+            m[row + 12] += m[row] * x + m[row + 4] * y + m[row + 8] * z;
         }
         self
     }
@@ -203,8 +203,7 @@ fn general_inverse(at: impl Fn(usize, usize) -> f32) -> Option<[f32; 9]> {
         }
     }
     let determinant = positive + negative;
-    // A comparison that is false for what is no number, too.
-    if !(determinant.abs() >= SINGULAR) {
+    if determinant.is_nan() || determinant.abs() < SINGULAR {
         return None;
     }
     let scale = 1.0 / determinant;

@@ -236,10 +236,10 @@ impl Mesh {
             first_triangle,
             triangles: pieces.len() as u32,
         });
-        while self.xs.len() % LANES != 0 {
+        while !self.xs.len().is_multiple_of(LANES) {
             self.push_position(pieces[0].pos[0]);
         }
-        while self.order.len() % LANES != 0 {
+        while !self.order.len().is_multiple_of(LANES) {
             self.corners.iter_mut().for_each(|corners| corners.push(0));
             self.order.push(0);
             self.attribute_ids.push([0; 3]);
@@ -314,13 +314,13 @@ fn cone(pieces: &[Piece]) -> (Vec3, f32) {
     const EVERYWHERE: (Vec3, f32) = ([0.0; 3], 1.0);
     let mut sum = [0.0; 3];
     for piece in pieces {
-        for axis in 0..3 {
-            sum[axis] += piece.facing[axis];
+        for (sum, part) in sum.iter_mut().zip(piece.facing) {
+            *sum += part;
         }
     }
     let length = dot(sum, sum).sqrt();
     // Half a right angle per axis more than this would hide nothing.
-    if !(length > 1e-3) || pieces.iter().any(|piece| piece.facing == [0.0; 3]) {
+    if length.is_nan() || length <= 1e-3 || pieces.iter().any(|piece| piece.facing == [0.0; 3]) {
         return EVERYWHERE;
     }
     let axis = sum.map(|part| part / length);

@@ -334,8 +334,8 @@ fn draw_cluster(
         let count = (candidates.count - first).min(LANES);
         let lanes: &[u8; LANES] = candidates.at[first..][..LANES].try_into().expect("eight");
         set_up(instance, mesh, cluster, drawing, lanes, &mut setup);
-        for lane in 0..count {
-            let triangle = cluster.first_triangle + u32::from(lanes[lane]);
+        for (lane, &triangle) in lanes[..count].iter().enumerate() {
+            let triangle = cluster.first_triangle + u32::from(triangle);
             let record = Record {
                 instance: index as u32,
                 triangle,
@@ -910,7 +910,7 @@ fn fill_block<const INSIDE: bool>(
     });
     let per_pair = [0, 1, 2].map(|edge| splat(setup.along_x[edge][lane] * 2 * POINTS_PER_PIXEL));
     let per_row = [0, 1, 2].map(|edge| splat(setup.along_y[edge][lane] * POINTS_PER_PIXEL));
-    let [off_x, off_y] = SAMPLE_OFFSETS.map(|offsets| F::new(offsets));
+    let [off_x, off_y] = SAMPLE_OFFSETS.map(F::new);
     let (depth, depth_x, depth_y) = (
         real(setup.depth[lane]),
         real(setup.depth_x[lane]),

@@ -23,7 +23,7 @@ pub(crate) struct Place {
 #[inline(always)]
 pub(crate) fn sample(texels: Texels<'_>, own: Place, [corner, right, above]: [Place; 3]) -> Colour {
     let base = texels.texture.levels[0];
-    let size = [base.width as f32, base.height as f32].map(|side| F::splat(side));
+    let size = [base.width as f32, base.height as f32].map(F::splat);
     let difference = |to: &Place, axis: usize| to.at[axis] - corner.at[axis];
     let changes = [&right, &above].map(|to| [0, 1, 2].map(|axis| difference(to, axis)));
     match texels.texture.kind {
@@ -68,9 +68,9 @@ impl Levels {
     #[inline(always)]
     fn choose(texels: Texels<'_>, square: F) -> Self {
         let whole = |value: i32| I::splat(value);
-        let bits = square.as_ints();
+        let bits = square.to_signed_bits();
         let exponent = ((bits >> 23i32) & whole(255)) - whole(128);
-        let mantissa = ((bits & whole(0x007f_ffff)) | whole(0x3f80_0000)).as_floats();
+        let mantissa = F::from_signed_bits((bits & whole(0x007f_ffff)) | whole(0x3f80_0000));
         let exponent: F = exponent.float();
         let detail = (exponent + mantissa) * F::splat(0.5);
         let floor = detail.floor();
@@ -314,8 +314,8 @@ impl Face {
         let choose = |x: F, y: F, z: F| is_z.select(z, widest_is_x.select(x, y));
         let major = choose(x, y, z);
         let sign = |value: F| {
-            let signs: I = major.as_ints() & I::splat(i32::MIN);
-            (value.as_ints() ^ signs).as_floats()
+            let signs: I = major.to_signed_bits() & I::splat(i32::MIN);
+            F::from_signed_bits(value.to_signed_bits() ^ signs)
         };
         let on_face = |[x, y, z]: [F; 3]| [choose(sign(-z), x, sign(x)), choose(-y, sign(z), -y)];
         let over_major = F::splat(1.0) / major;
@@ -331,7 +331,7 @@ impl Face {
         });
         let number = |value: i32| I::splat(value);
         let axis = is_z.select_ints(number(4), widest_is_x.select_ints(number(0), number(2)));
-        let is_negative = (major.as_ints() >> 31i32) & number(1);
+        let is_negative = (major.to_signed_bits() >> 31i32) & number(1);
         let face = Self {
             number: axis | is_negative,
             s: s * half_over_major.abs() + half,

@@ -295,7 +295,7 @@ fn colour_eight(
         let square = [at(qx, qy), at(qx + one, qy), at(qx, qy + one)];
         let texel = sample(texture, at(px, py), square);
         for (part, texel) in colour.iter_mut().zip(texel) {
-            *part = *part * texel;
+            *part *= texel;
         }
     }
     let [r, g, b, a] = colour.map(|part| {

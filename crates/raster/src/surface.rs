@@ -101,8 +101,8 @@ impl Corners {
     /// The same steps as in [`raster`](crate::raster), bit for bit.
     #[inline(always)]
     fn place(&self, instance: &Instance, size: [f32; 2]) -> Placed {
-        let [x, y, z] = self.pos.map(|values| F::new(values));
-        let m = instance.to_clip.0.map(|value| F::splat(value));
+        let [x, y, z] = self.pos.map(F::new);
+        let m = instance.to_clip.0.map(F::splat);
         let row = |row: usize| x * m[row] + y * m[row + 4] + z * m[row + 8] + m[row + 12];
         let half = size.map(|size| F::splat(size * 0.5));
         let over_w = F::splat(1.0) / row(3);
@@ -122,13 +122,13 @@ impl Corners {
         over_w: F,
     ) -> [F; VARYING] {
         let splat = |value: f32| F::splat(value);
-        let [x, y, z] = self.pos.map(|values| F::new(values));
+        let [x, y, z] = self.pos.map(F::new);
         let colour = match shading {
             None => [splat(1.0); 3],
             Some(shading) => {
                 let m = instance.to_eye.0.map(splat);
                 let row = |row: usize| x * m[row] + y * m[row + 4] + z * m[row + 8] + m[row + 12];
-                let normal = self.normal.map(|values| F::new(values));
+                let normal = self.normal.map(F::new);
                 let inverse = instance.normals.map(splat);
                 let turned = [0, 1, 2].map(|axis| {
                     normal[2] * inverse[6 + axis]
@@ -138,7 +138,7 @@ impl Corners {
                 shade(shading, [row(0), row(1), row(2)], turned)
             }
         };
-        let [s, t] = self.st.map(|values| F::new(values));
+        let [s, t] = self.st.map(F::new);
         let coordinates = match instance.mapping {
             Mapping::None => [splat(0.0); 3],
             Mapping::Corners => [s, t, splat(0.0)],

@@ -271,7 +271,7 @@ fn over_root(value: f32) -> f32 {
     let halved = (exponent + 2).div_euclid(2);
     let scaled =
         f32::from_bits((((exponent - 2 * halved + 127) as u32) << 23) | bits & 0x007f_ffff);
-    let middle = f32::from_bits(scaled.to_bits() & !(PART - 1) | PART / 2);
+    let middle = f32::from_bits((scaled.to_bits() & !(PART - 1)) | (PART / 2));
     let root = (4096.0 / f64::from(middle).sqrt()).round() / 4096.0;
     (root * 2f64.powi(-halved)) as f32
 }

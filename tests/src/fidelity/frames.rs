@@ -46,7 +46,7 @@ impl Kinship {
     /// What is compared when this renderer draws.
     pub fn of(drawer: &Drawer, frames_of_this_machine: bool) -> Self {
         match drawer {
-            Drawer::Software(_) => Self::AnotherRenderer,
+            Drawer::Software => Self::AnotherRenderer,
             Drawer::Gl(_) if frames_of_this_machine => Self::ThisMachine,
             Drawer::Gl(_) if drawer.name() == REFERENCE_DRIVER => Self::AnotherMachine,
             Drawer::Gl(_) => Self::AnotherDriver,
