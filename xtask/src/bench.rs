@@ -203,6 +203,9 @@ fn number(value: &Value, name: &str) -> Result<f64> {
     number.with_context(|| format!("read the report: `{name}` is {value}, not a number"))
 }
 
+/// Milliseconds of one part of a rollout.
+type Part = fn(&Parts) -> f64;
+
 /// Ratios are of the runs of one round.
 fn print_ratios(what: &str, ours: &[Parts], theirs: &[Parts]) {
     println!("the original {what}:");
@@ -210,7 +213,7 @@ fn print_ratios(what: &str, ours: &[Parts], theirs: &[Parts]) {
         "  {:<8} {:>12} {:>14} {:>8}  spread",
         "", "here, ms", "original, ms", "ratio"
     );
-    let parts: [(&str, fn(&Parts) -> f64); 4] = [
+    let parts: [(&str, Part); 4] = [
         ("reset", |parts| parts.reset),
         ("settle", |parts| parts.settle),
         ("steps", |parts| parts.steps),
