@@ -6,8 +6,9 @@
 use crate::clip::ClippedTriangle;
 use crate::instance::Instance;
 use crate::picture::Picture;
-use crate::raster::{Record, SAMPLES, Window};
 use crate::scene::{Geom, Scene};
+use crate::visible::{Record, SAMPLES};
+use crate::window::Window;
 
 /// Frames that a geom must rest before it is kept, at first and at most: one
 /// that was kept and moves must rest longer the next time.

@@ -7,8 +7,8 @@ use crate::instance::{self, View};
 use crate::light::EyeLight;
 use crate::model::Model;
 use crate::picture::{Pass, Picture, Workspace};
-use crate::raster::Window;
 use crate::scene::{Geom, Scene, Shape};
+use crate::window::Window;
 use crate::{glass, mirror};
 
 /// Longest side of a frame, pixels.

@@ -164,16 +164,3 @@ fn finish(it: &Corner, half: [f32; 2]) -> ClippedCorner {
         values: it.values,
     }
 }
-
-/// [`Slopes`](crate::raster::Slopes) of one triangle.
-pub(crate) fn slopes(x: &[f32; 3], y: &[f32; 3], values: &[f32; 3]) -> (f32, f32, f32) {
-    let (dx01, dy01) = (x[0] - x[1], y[0] - y[1]);
-    let (dx20, dy20) = (x[2] - x[0], y[2] - y[0]);
-    let over_area = 1.0 / (dx01 * dy20 - dy01 * dx20);
-    let (dx01, dy01) = (dx01 * over_area, dy01 * over_area);
-    let (dx20, dy20) = (dx20 * over_area, dy20 * over_area);
-    let (d01, d20) = (values[0] - values[1], values[2] - values[0]);
-    let per_x = d01 * dy20 - d20 * dy01;
-    let per_y = d20 * dx01 - d01 * dx20;
-    (values[0] - (per_x * x[0] + per_y * y[0]), per_x, per_y)
-}

@@ -4,9 +4,11 @@
 use crate::instance::{self, View, is_behind, is_plane};
 use crate::matrix::{dot, minus};
 use crate::picture::{Pass, Picture, Workspace};
-use crate::raster::{self, Drawing, Layer, SAMPLES, Window};
+use crate::raster::{self, Drawing};
 use crate::scene::{Geom, Scene, Shape};
 use crate::shade::{self, Fragment};
+use crate::visible::{Layer, SAMPLES};
+use crate::window::Window;
 
 /// Geoms of less opacity are seen through.
 const OPAQUE_FROM: f64 = 0.995;
@@ -67,11 +69,7 @@ pub(crate) fn add(
                 *under = blended(*under, *colour);
             }
         }
-        let (x, y) = (i32::from(fragment.x), i32::from(fragment.y));
-        let here = Window {
-            x: [x, x],
-            y: [y, y],
-        };
+        let here = Window::pixel(i32::from(fragment.x), i32::from(fragment.y));
         window = Window::around(window, Some(here));
     }
     window

@@ -4,9 +4,9 @@
 use crate::matrix::{Matrix, Vec3, minus};
 use crate::mesh::Mesh;
 use crate::model::Model;
-use crate::raster::Window;
 use crate::scene::{Camera, Geom, Shape, TextureUse};
 use crate::texture::TextureKind;
+use crate::window::Window;
 
 /// From the world to the picture.
 #[derive(Debug, Clone)]

@@ -10,9 +10,12 @@
 #![forbid(unsafe_code)]
 
 mod backdrop;
+mod candidates;
 mod canvas;
 mod clip;
 mod error;
+mod fill;
+mod frustum;
 mod glass;
 mod instance;
 mod lanes;
@@ -22,13 +25,17 @@ mod mesh;
 mod mirror;
 mod model;
 mod picture;
+mod positions;
 mod raster;
 mod sample;
 mod scene;
+mod setup;
 mod shade;
 mod shapes;
 mod surface;
 mod texture;
+mod visible;
+mod window;
 
 pub use canvas::Canvas;
 pub use error::{DrawError, ModelError};

@@ -2,6 +2,8 @@
 //! them. The order of every operation is Mesa's, because a difference in the
 //! last place of a vertex shows where surfaces coincide.
 
+use crate::lanes::F;
+
 /// A matrix; element (row, column) is at `row + 4 * column`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Matrix(pub(crate) [f32; 16]);
@@ -33,6 +35,13 @@ impl Matrix {
                 + a[row + 8] * b[column + 2]
                 + a[row + 12] * b[column + 3]
         }))
+    }
+
+    /// Rows of the product with eight points.
+    #[inline(always)]
+    pub(crate) fn rows(&self, [x, y, z]: [F; 3]) -> impl Fn(usize) -> F + use<> {
+        let m = self.0.map(F::splat);
+        move |row| x * m[row] + y * m[row + 4] + z * m[row + 8] + m[row + 12]
     }
 
     pub(crate) fn translated(mut self, [x, y, z]: Vec3) -> Self {

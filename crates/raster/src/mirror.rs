@@ -7,9 +7,10 @@ use crate::instance::{self, View, is_behind, is_plane};
 use crate::light::EyeLight;
 use crate::model::Model;
 use crate::picture::{Pass, Picture, Workspace};
-use crate::raster::{CLIPPED, NOTHING, SAMPLES, Window};
 use crate::scene::{Geom, Scene, Shape};
 use crate::shapes::is_upper_face;
+use crate::visible::{Ranks, SAMPLES};
+use crate::window::Window;
 
 /// The geom that mirrors, if the camera is before its face.
 pub(crate) fn find(scene: &Scene, view: &View, glassy: &[usize]) -> Option<usize> {
@@ -102,18 +103,17 @@ impl Face {
         let bounds = instances
             .filter(|instance| instance.geom == mirror)
             .fold(None, |bounds, it| Window::around(bounds, it.window))?;
+        let ranks = Ranks {
+            model,
+            instances: &picture.instances,
+            records: &visible.records,
+            clipped: &visible.clipped,
+        };
         let shows = |sample: usize| {
-            let id = visible.ids[sample];
-            let record = visible.records.get(id as usize).filter(|_| id != NOTHING);
+            let record = visible.records.get(visible.ids[sample] as usize);
             record.is_some_and(|record| {
-                let instance = &picture.instances[record.instance as usize];
-                let triangle = match record.positions {
-                    CLIPPED => visible.clipped[record.triangle as usize].triangle,
-                    _ => record.triangle,
-                };
-                instance.geom == mirror
-                    && (geom.shape != Shape::Box
-                        || is_upper_face(instance.mesh.of(model).order[triangle as usize]))
+                picture.instances[record.instance as usize].geom == mirror
+                    && (geom.shape != Shape::Box || is_upper_face(ranks.of(record).1))
             })
         };
         let mut pixels = Vec::new();
@@ -125,11 +125,7 @@ impl Face {
                     .fold(0, |bits, sample| bits | 1 << sample);
                 if samples != 0 {
                     pixels.push((pixel, samples));
-                    let here = Window {
-                        x: [x, x],
-                        y: [y, y],
-                    };
-                    window = Window::around(window, Some(here));
+                    window = Window::around(window, Some(Window::pixel(x, y)));
                 }
             }
         }

@@ -4,8 +4,11 @@
 use crate::instance::{Instance, View};
 use crate::light::EyeLight;
 use crate::model::Model;
-use crate::raster::{self, Drawing, Positions, SAMPLES, Visible, Window};
+use crate::positions::Positions;
+use crate::raster::{self, Drawing};
 use crate::shade::{self, Lists};
+use crate::visible::{SAMPLES, Visible};
+use crate::window::Window;
 
 /// A picture in the making.
 #[derive(Default)]

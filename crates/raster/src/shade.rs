@@ -5,10 +5,11 @@ use crate::instance::Instance;
 use crate::lanes::{F, Floats as _, I, Ints as _, LANES};
 use crate::light::{EyeLight, Shading};
 use crate::model::Model;
-use crate::raster::{CLIPPED, NOTHING, Record, SAMPLES, Visible, Window};
 use crate::sample::{Place, sample};
 use crate::surface::{self, COLOUR, COORDINATES, OPACITY, OVER_W, Surface, VARYING};
 use crate::texture::Texels;
+use crate::visible::{CLIPPED, NOTHING, Record, SAMPLES, Visible};
+use crate::window::Window;
 
 /// A triangle in a pixel.
 #[derive(Debug, Clone, Copy, Default)]

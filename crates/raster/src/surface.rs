@@ -5,9 +5,9 @@ use crate::clip;
 use crate::instance::{Instance, Mapping};
 use crate::lanes::{F, Floats as _, LANES};
 use crate::light::{Shading, shade};
-use crate::matrix::Vec3;
 use crate::mesh::Mesh;
-use crate::raster::{CLIPPED, Record, Slopes, Visible, turned};
+use crate::setup::{Slopes, turned};
+use crate::visible::{CLIPPED, Record, Visible};
 
 /// What varies over a triangle, divided by w, in this order.
 pub(crate) const OVER_W: usize = 0;
@@ -51,9 +51,8 @@ pub(crate) fn work_out(
     }
     let slopes = Slopes::new(&x, &y);
     let planes = varying.each_ref().map(|values| slopes.of(values));
-    let rows =
-        |part: fn(&(F, F, F)) -> F| F::transpose(planes.each_ref().map(part)).map(F::to_array);
-    let (at_corner, per_x, per_y) = (rows(|it| it.0), rows(|it| it.1), rows(|it| it.2));
+    let [at_corner, per_x, per_y] =
+        [0, 1, 2].map(|part| F::transpose(planes.map(|it| it[part])).map(F::to_array));
     for (lane, surface) in into.iter_mut().enumerate() {
         surface.at_corner = at_corner[lane];
         surface.per_x = per_x[lane];
@@ -98,12 +97,11 @@ impl Corners {
         it
     }
 
-    /// The same steps as in [`raster`](crate::raster), bit for bit.
+    /// The same steps as [`Positions`](crate::setup::Positions) took, bit for bit.
     #[inline(always)]
     fn place(&self, instance: &Instance, size: [f32; 2]) -> Placed {
         let [x, y, z] = self.pos.map(F::new);
-        let m = instance.to_clip.0.map(F::splat);
-        let row = |row: usize| x * m[row] + y * m[row + 4] + z * m[row + 8] + m[row + 12];
+        let row = instance.to_clip.rows([x, y, z]);
         let half = size.map(|size| F::splat(size * 0.5));
         let over_w = F::splat(1.0) / row(3);
         Placed {
@@ -126,8 +124,7 @@ impl Corners {
         let colour = match shading {
             None => [splat(1.0); 3],
             Some(shading) => {
-                let m = instance.to_eye.0.map(splat);
-                let row = |row: usize| x * m[row] + y * m[row + 4] + z * m[row + 8] + m[row + 12];
+                let row = instance.to_eye.rows([x, y, z]);
                 let normal = self.normal.map(F::new);
                 let inverse = instance.normals.map(splat);
                 let turned = [0, 1, 2].map(|axis| {
@@ -188,11 +185,12 @@ pub(crate) fn work_out_clipped(
     let pieces = clip::clip(instance, pos, values, &piece.cut);
     let corners =
         turned(instance.counter_clockwise).map(|corner| pieces[piece.piece as usize][corner]);
-    let place = |axis: usize| -> Vec3 { corners.map(|corner| corner.window[axis]) };
+    let place = |axis: usize| corners.map(|corner| F::splat(corner.window[axis]));
+    let slopes = Slopes::new(&place(0), &place(1));
     let mut surface = Surface::default();
     for at in 0..VARYING {
-        let values = corners.map(|corner| corner.values[at] * corner.over_w);
-        let (at_corner, per_x, per_y) = clip::slopes(&place(0), &place(1), &values);
+        let values = corners.map(|corner| F::splat(corner.values[at] * corner.over_w));
+        let [at_corner, per_x, per_y] = slopes.of(&values).map(|it| it.as_array()[0]);
         surface.at_corner[at] = at_corner;
         surface.per_x[at] = per_x;
         surface.per_y[at] = per_y;

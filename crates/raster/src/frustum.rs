@@ -1,0 +1,87 @@
+//! What a camera sees of space, and which balls lie in it.
+
+use crate::instance::Instance;
+use crate::matrix::Vec3;
+use crate::raster::Drawing;
+
+/// The sides of what the camera sees, in a mesh's frame.
+pub(crate) struct Frustum {
+    sides: [[f32; 4]; 6],
+    lengths: [f32; 6],
+    /// Those of the whole picture, exactly.
+    frame: [[f32; 4]; 6],
+    /// Whether the camera sees without perspective.
+    pub(crate) orthographic: bool,
+}
+
+impl Frustum {
+    pub(crate) fn of(instance: &Instance, drawing: &Drawing<'_>) -> Self {
+        let m = &instance.to_clip.0;
+        let row = |row: usize| [m[row], m[row + 4], m[row + 8], m[row + 12]];
+        let (x, y, z, w) = (row(0), row(1), row(2), row(3));
+        let sum = |a: [f32; 4], b: [f32; 4], sign: f32| -> [f32; 4] {
+            std::array::from_fn(|at| a[at] + sign * b[at])
+        };
+        // The window's own sides, half a pixel wider.
+        let (wide, high) = (
+            drawing.visible.width as f32 * 0.5,
+            drawing.visible.height as f32 * 0.5,
+        );
+        let scaled = |row: [f32; 4], by: f32| row.map(|value| value * by);
+        let side = |row: [f32; 4], at: i32, half: f32, sign: f32| {
+            let place = (at as f32 - half) / half;
+            sum(scaled(row, sign), scaled(w, -sign * place), 1.0)
+        };
+        let window = &drawing.window;
+        let sides = [
+            side(x, window.x[0] - 1, wide, 1.0),
+            side(x, window.x[1] + 2, wide, -1.0),
+            side(y, window.y[0] - 1, high, 1.0),
+            side(y, window.y[1] + 2, high, -1.0),
+            z,
+            sum(w, z, -1.0),
+        ];
+        Self {
+            frame: [
+                sum(w, x, 1.0),
+                sum(w, x, -1.0),
+                sum(w, y, 1.0),
+                sum(w, y, -1.0),
+                z,
+                sum(w, z, -1.0),
+            ],
+            lengths: sides.each_ref().map(length),
+            sides,
+            orthographic: w[0] == 0.0 && w[1] == 0.0 && w[2] == 0.0,
+        }
+    }
+
+    /// Whether a ball is wholly on the inner side of the whole picture's.
+    pub(crate) fn contain(&self, center: Vec3, radius: f32) -> bool {
+        self.frame.iter().all(|side| {
+            let (distance, slack) = distance(side, center);
+            distance > radius * length(side) * 1.001 + slack
+        })
+    }
+
+    /// Whether a ball is wholly beyond one of them, rounding allowed for.
+    pub(crate) fn hide(&self, center: Vec3, radius: f32) -> bool {
+        self.sides.iter().zip(&self.lengths).any(|(side, length)| {
+            let (distance, slack) = distance(side, center);
+            distance < -(radius * length * 1.001 + slack)
+        })
+    }
+}
+
+/// How far a point is on the inner side, in lengths of the normal; and by how
+/// much rounding may have changed that.
+fn distance(side: &[f32; 4], [x, y, z]: Vec3) -> (f32, f32) {
+    let parts = [side[0] * x, side[1] * y, side[2] * z, side[3]];
+    let slack = 1e-5 * parts.iter().map(|part| part.abs()).sum::<f32>();
+    (parts.iter().sum(), slack)
+}
+
+/// The length of a side's normal.
+fn length(side: &[f32; 4]) -> f32 {
+    (side[0] * side[0] + side[1] * side[1] + side[2] * side[2]).sqrt()
+}

@@ -1,0 +1,198 @@
+//! Triangles on their way to the picture's samples: their edges, their depths,
+//! and the pixels that they may cover.
+
+use crate::clip::ClippedCorner;
+use crate::instance::Instance;
+use crate::lanes::{F, Floats as _, I, Ints as _, LANES, Mask};
+use crate::mesh::{Cluster, Mesh};
+use crate::positions::SUBPIXELS;
+use crate::raster::Drawing;
+use crate::window::Window;
+
+/// Triangles of at least this extent, in parts of a pixel, are cut into blocks,
+/// so that no product leaves 32 bits.
+const LARGE: i32 = 32 * SUBPIXELS;
+
+/// A triangle's corners as they are gone round: Mesa swaps the first two of those
+/// that show their front counter-clockwise.
+#[inline(always)]
+pub(crate) fn turned(counter_clockwise: bool) -> [usize; 3] {
+    match counter_clockwise {
+        true => [1, 0, 2],
+        false => [0, 1, 2],
+    }
+}
+
+/// The least and the largest of three corners' places along an axis.
+#[inline(always)]
+pub(crate) fn extent([a, b, c]: &[I; 3]) -> [I; 2] {
+    [a.min(*b).min(*c), a.max(*b).max(*c)]
+}
+
+/// Which triangles of such extents are cut into blocks.
+#[inline(always)]
+pub(crate) fn is_large(x: [I; 2], y: [I; 2]) -> Mask {
+    let [wide, high] = [x, y].map(|[least, most]| (most - least).ge(I::splat(LARGE)));
+    wide | high
+}
+
+/// Eight triangles, ready to be filled.
+#[derive(Default)]
+pub(crate) struct Setup {
+    /// Of each edge, at the first sample's lattice point of its block: not
+    /// negative inside.
+    pub(crate) edge: [[i32; LANES]; 3],
+    /// What it changes by from one lattice point to the next.
+    pub(crate) along_x: [[i32; LANES]; 3],
+    pub(crate) along_y: [[i32; LANES]; 3],
+    /// Depth at the picture's corner, and what it changes by per pixel.
+    pub(crate) depth: [f32; LANES],
+    pub(crate) depth_x: [f32; LANES],
+    pub(crate) depth_y: [f32; LANES],
+    /// Pixels, ends inside.
+    pub(crate) x: [[i32; LANES]; 2],
+    pub(crate) y: [[i32; LANES]; 2],
+    /// Bits of those whose products may leave 32 bits, and of all the snapped
+    /// corners.
+    pub(crate) large: u32,
+    pub(crate) corners: [[[i32; LANES]; 2]; 3],
+}
+
+impl Setup {
+    /// Sets up eight triangles of a cluster, named by their places in it.
+    #[inline(always)]
+    pub(crate) fn eight(
+        &mut self,
+        instance: &Instance,
+        mesh: &Mesh,
+        cluster: &Cluster,
+        drawing: &Drawing<'_>,
+        triangles: &[u8; LANES],
+    ) {
+        let order = turned(instance.counter_clockwise);
+        let first = cluster.first_triangle as usize;
+        let ids = order.map(|corner| {
+            let corners = &mesh.corners[corner][first..];
+            triangles.map(|triangle| corners[usize::from(triangle)])
+        });
+        let (x, y) = drawing.positions.snapped(&ids);
+        let (extent_x, extent_y) = (extent(&x), extent(&y));
+        let splat = |value: i32| I::splat(value);
+        let pixels = |[least, most]: [I; 2], window: [i32; 2]| {
+            let from = ((least + splat(31)) >> 8i32).max(splat(window[0]));
+            [from, ((most - splat(32)) >> 8i32).min(splat(window[1]))]
+        };
+        let (pixels_x, pixels_y) = (
+            pixels(extent_x, drawing.window.x),
+            pixels(extent_y, drawing.window.y),
+        );
+        let (origin_x, origin_y) = ((pixels_x[0] & splat(!1)) << 8i32, pixels_y[0] << 8i32);
+        for edge in 0..3 {
+            let next = (edge + 1) % 3;
+            let (dx, dy) = (y[edge] - y[next], x[edge] - x[next]);
+            let value = dx * (x[edge] - origin_x) - dy * (y[edge] - origin_y);
+            // Samples on a left or lower edge are inside, those on the others not.
+            let inside = dx.lt(splat(0)) | dx.equals(splat(0)) & dy.lt(splat(0));
+            let value = (value - inside.ints() - splat(1)) >> 5i32;
+            value.store(&mut self.edge[edge]);
+            (-dx).store(&mut self.along_x[edge]);
+            dy.store(&mut self.along_y[edge]);
+            x[edge].store(&mut self.corners[edge][0]);
+            y[edge].store(&mut self.corners[edge][1]);
+        }
+        self.large = is_large(extent_x, extent_y).bits();
+        for end in 0..2 {
+            pixels_x[end].store(&mut self.x[end]);
+            pixels_y[end].store(&mut self.y[end]);
+        }
+        let [x, y, z] = drawing.positions.exact(&ids);
+        let [at_corner, per_x, per_y] = Slopes::new(&x, &y).of(&z);
+        at_corner.store(&mut self.depth);
+        per_x.store(&mut self.depth_x);
+        per_y.store(&mut self.depth_y);
+    }
+
+    /// Sets up one piece of a triangle, in lane 0; false if it covers no sample.
+    pub(crate) fn clipped(
+        &mut self,
+        instance: &Instance,
+        piece: &[ClippedCorner; 3],
+        window: Window,
+    ) -> bool {
+        let corners = turned(instance.counter_clockwise).map(|corner| piece[corner]);
+        // A piece lies in the picture, but for the rounding of its cutting.
+        const FAR: f32 = 1e8;
+        let snap = |value: f32| {
+            let parts = value * SUBPIXELS as f32;
+            parts.clamp(-FAR, FAR).round_ties_even() as i32
+        };
+        let [x, y] = [0, 1].map(|axis| corners.map(|corner| snap(corner.window[axis])));
+        let wide = |a: i32, b: i32| i64::from(a) * i64::from(b);
+        let area = wide(x[0] - x[1], y[2] - y[0]) - wide(x[2] - x[0], y[0] - y[1]);
+        if area <= 0 {
+            return false;
+        }
+        let least = |values: [i32; 3]| (values[0].min(values[1]).min(values[2]) + 31) >> 8i32;
+        let most = |values: [i32; 3]| (values[0].max(values[1]).max(values[2]) - 32) >> 8i32;
+        let pixels_x = [least(x).max(window.x[0]), most(x).min(window.x[1])];
+        let pixels_y = [least(y).max(window.y[0]), most(y).min(window.y[1])];
+        if pixels_x[0] > pixels_x[1] || pixels_y[0] > pixels_y[1] {
+            return false;
+        }
+        for end in 0..2 {
+            self.x[end][0] = pixels_x[end];
+            self.y[end][0] = pixels_y[end];
+        }
+        // In blocks, with products of 64 bits.
+        self.large = 1;
+        for edge in 0..3 {
+            let next = (edge + 1) % 3;
+            self.along_x[edge][0] = y[next] - y[edge];
+            self.along_y[edge][0] = x[edge] - x[next];
+            self.corners[edge][0][0] = x[edge];
+            self.corners[edge][1][0] = y[edge];
+        }
+        let [x, y, z] = [0, 1, 2].map(|axis| corners.map(|corner| F::splat(corner.window[axis])));
+        let slopes = Slopes::new(&x, &y).of(&z);
+        [self.depth[0], self.depth_x[0], self.depth_y[0]] = slopes.map(|it| it.as_array()[0]);
+        true
+    }
+}
+
+/// From three values at corners to one everywhere: eight triangles at once, with
+/// llvmpipe's order of operations.
+pub(crate) struct Slopes {
+    x: F,
+    y: F,
+    dx01: F,
+    dy01: F,
+    dx20: F,
+    dy20: F,
+}
+
+impl Slopes {
+    #[inline(always)]
+    pub(crate) fn new(x: &[F; 3], y: &[F; 3]) -> Self {
+        let (dx01, dy01) = (x[0] - x[1], y[0] - y[1]);
+        let (dx20, dy20) = (x[2] - x[0], y[2] - y[0]);
+        let over_area = F::splat(1.0) / (dx01 * dy20 - dy01 * dx20);
+        Self {
+            x: x[0],
+            y: y[0],
+            dx01: dx01 * over_area,
+            dy01: dy01 * over_area,
+            dx20: dx20 * over_area,
+            dy20: dy20 * over_area,
+        }
+    }
+
+    /// The value at the picture's corner, and its changes per pixel.
+    #[inline(always)]
+    pub(crate) fn of(&self, values: &[F; 3]) -> [F; 3] {
+        let (d01, d20) = (values[0] - values[1], values[2] - values[0]);
+        let per_x = d01 * self.dy20 - d20 * self.dy01;
+        let per_y = d20 * self.dx01 - d01 * self.dx20;
+        let at_corner = values[0] - (per_x * self.x + per_y * self.y);
+        [at_corner, per_x, per_y]
+    }
+}

@@ -1,0 +1,143 @@
+//! What is seen at every sample: which triangle, and at which depth.
+
+use crate::clip::ClippedTriangle;
+use crate::instance::Instance;
+use crate::model::Model;
+use crate::window::Window;
+
+/// Samples in a pixel.
+pub(crate) const SAMPLES: usize = 4;
+/// Side of the blocks of which it is known how much they hide, pixels.
+pub(crate) const BLOCK: i32 = 16;
+
+/// No triangle.
+pub(crate) const NOTHING: u32 = u32::MAX;
+
+/// A triangle that may be seen.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Record {
+    pub(crate) instance: u32,
+    /// In the mesh; or among the clipped ones, if `positions` says so.
+    pub(crate) triangle: u32,
+    /// Where its cluster's positions start in the mesh, or [`CLIPPED`].
+    pub(crate) positions: u32,
+}
+
+/// See [`Record::positions`].
+pub(crate) const CLIPPED: u32 = u32::MAX;
+
+/// What is seen at every sample.
+#[derive(Debug, Default)]
+pub(crate) struct Visible {
+    pub(crate) width: usize,
+    pub(crate) height: usize,
+    /// Pixels from one row to the next: even, since two are drawn at once.
+    pub(crate) stride: usize,
+    /// 1 at the near plane, 0 at the far one.
+    pub(crate) depths: Vec<f32>,
+    /// Of each block a depth that no sample in it is beyond, row by row.
+    pub(crate) hidden_beyond: Vec<f32>,
+    /// Places in `records`.
+    pub(crate) ids: Vec<u32>,
+    pub(crate) records: Vec<Record>,
+    pub(crate) clipped: Vec<ClippedTriangle>,
+    /// Where anything became visible since this was last emptied, at most.
+    pub(crate) touched: Option<Window>,
+}
+
+impl Visible {
+    /// Nothing is seen in a window of a picture of this size.
+    pub(crate) fn clear(&mut self, [width, height]: [usize; 2], window: Window) {
+        // A little more than a power of two, or the rows of a square would all
+        // be kept in the same few lines of the processor's cache.
+        let stride = width.next_multiple_of(2) + 4;
+        let samples = stride * height * SAMPLES;
+        (self.width, self.height, self.stride) = (width, height, stride);
+        if self.depths.len() == samples {
+            for row in window.rows(stride) {
+                let row = row.start * SAMPLES..row.end * SAMPLES;
+                self.depths[row.clone()].fill(0.0);
+                self.ids[row].fill(NOTHING);
+            }
+        } else {
+            self.depths = vec![0.0; samples];
+            self.ids = vec![NOTHING; samples];
+        }
+        self.records.clear();
+        self.clipped.clear();
+        self.touched = None;
+        self.forget_what_is_hidden();
+    }
+
+    /// To be called whenever depths are changed from outside.
+    pub(crate) fn forget_what_is_hidden(&mut self) {
+        let blocks = self.width.div_ceil(BLOCK as usize) * self.height.div_ceil(BLOCK as usize);
+        self.hidden_beyond.clear();
+        self.hidden_beyond.resize(blocks, 0.0);
+    }
+
+    /// The place of a pixel's block in `hidden_beyond`.
+    pub(crate) fn block_of(&self, x: i32, y: i32) -> usize {
+        (y / BLOCK) as usize * self.width.div_ceil(BLOCK as usize) + (x / BLOCK) as usize
+    }
+
+    /// Whether nothing in some pixels, the ends inside, shows at such a depth.
+    pub(crate) fn hides(&self, x: [i32; 2], y: [i32; 2], depth: f32) -> bool {
+        (y[0] / BLOCK..=y[1] / BLOCK).all(|row| {
+            let first = self.block_of(x[0], row * BLOCK);
+            let last = self.block_of(x[1], row * BLOCK);
+            self.hidden_beyond[first..=last]
+                .iter()
+                .all(|beyond| depth < *beyond)
+        })
+    }
+}
+
+/// A triangle in two pixels side by side.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Layer {
+    /// Instance and triangle in drawing order.
+    pub(crate) rank: (u32, u32),
+    /// Its record.
+    pub(crate) id: u32,
+    pub(crate) x: u16,
+    pub(crate) y: u16,
+    /// Bits of the first pixel's samples, then the second's.
+    pub(crate) samples: u32,
+}
+
+/// What tells which of two triangles is drawn later.
+pub(crate) struct Ranks<'a> {
+    pub(crate) model: &'a Model,
+    pub(crate) instances: &'a [Instance],
+    pub(crate) records: &'a [Record],
+    pub(crate) clipped: &'a [ClippedTriangle],
+}
+
+impl Ranks<'_> {
+    /// Places of its geom's part in the scene, and of it in the mesh.
+    pub(crate) fn of(&self, record: &Record) -> (u32, u32) {
+        let triangle = match record.positions {
+            CLIPPED => self.clipped[record.triangle as usize].triangle,
+            _ => record.triangle,
+        };
+        let instance = &self.instances[record.instance as usize];
+        let mesh = instance.mesh.of(self.model);
+        (instance.rank, mesh.order[triangle as usize])
+    }
+
+    /// Of samples where depths are equal, those whose triangle is drawn after this
+    /// one and therefore stays.
+    #[inline(never)]
+    pub(crate) fn lost_ties(&self, ties: u32, ids: &[u32], record: &Record) -> u32 {
+        let ours = self.of(record);
+        let mut lost = 0;
+        for (lane, id) in ids.iter().enumerate() {
+            let theirs = self.records.get(*id as usize);
+            if ties & (1 << lane) != 0 && theirs.is_some_and(|it| self.of(it) > ours) {
+                lost |= 1 << lane;
+            }
+        }
+        lost
+    }
+}

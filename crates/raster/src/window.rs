@@ -1,0 +1,54 @@
+//! Part of a picture.
+
+use std::ops::Range;
+
+/// Part of a picture, pixels; the ends are inside.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Window {
+    pub(crate) x: [i32; 2],
+    pub(crate) y: [i32; 2],
+}
+
+impl Window {
+    /// All of a picture.
+    pub(crate) fn whole(width: usize, height: usize) -> Self {
+        Self {
+            x: [0, width as i32 - 1],
+            y: [0, height as i32 - 1],
+        }
+    }
+
+    /// A pixel.
+    pub(crate) fn pixel(x: i32, y: i32) -> Self {
+        Self {
+            x: [x, x],
+            y: [y, y],
+        }
+    }
+
+    /// The smallest that holds both.
+    pub(crate) fn with(self, other: Self) -> Self {
+        let around = |a: [i32; 2], b: [i32; 2]| [a[0].min(b[0]), a[1].max(b[1])];
+        Self {
+            x: around(self.x, other.x),
+            y: around(self.y, other.y),
+        }
+    }
+
+    /// The smallest that holds both, of which either may be empty.
+    pub(crate) fn around(one: Option<Self>, other: Option<Self>) -> Option<Self> {
+        match (one, other) {
+            (Some(one), Some(other)) => Some(one.with(other)),
+            (one, other) => one.or(other),
+        }
+    }
+
+    /// Where its rows are in a list of pixels.
+    pub(crate) fn rows(self, stride: usize) -> impl Iterator<Item = Range<usize>> {
+        let [left, right] = self.x.map(|x| x as usize);
+        (self.y[0]..=self.y[1]).map(move |y| {
+            let row = y as usize * stride;
+            row + left..row + right + 1
+        })
+    }
+}
