@@ -10,15 +10,13 @@ use std::fmt;
 use std::path::Path;
 
 use anyhow::{Context, Result, ensure};
+use protocol::presets::ENV_SEED;
 use scene::{AssetPack, Problem, Sources, compose};
 use sim::mujoco::{Model, ObjectKind};
 use sim::{Drawer, Environment};
 
 pub use frames::{CLOSE_LEVELS, FrameFindings, FrameLimits, Kinship, Least};
 pub use reference::{Array, ReferenceTask, find_tasks, read_npz};
-
-/// Placement seed of the reference data.
-const ENV_SEED: u32 = 20260904;
 
 /// How far a task's simulation may be from the original's.
 #[derive(Debug, Clone, Copy)]

@@ -1,10 +1,13 @@
 //! The simulator against the original: all of the reference data where it is
 //! there, and a few carried figures everywhere.
 
+use std::collections::BTreeSet;
+
+use protocol::presets::ENV_SEED;
 use protocol::{ManifestRow, Perturbation, Realisation, RolloutId, TaskRef};
-use scene::{TaskFiles, compose};
+use scene::{InitialStates, TaskFiles, compose};
 use serde::Deserialize;
-use sim::{Drawer, GlDevice, Renderer, Simulator, SimulatorConfig};
+use sim::{Drawer, Environment, GlDevice, Renderer, Simulator, SimulatorConfig};
 use tests::fidelity::{Kinship, Limits, compare, find_tasks};
 use tests::files::{primitives, shared, sources};
 use tests::motion::smooth_action;
@@ -81,6 +84,58 @@ fn frames_drawn_through_opengl_are_the_originals_within_bounds() {
     }
 }
 
+/// Depths and segments, of one task of each suite and both cameras. The same
+/// pictures' colours are judged above.
+#[test]
+fn depths_and_segments_are_opengls() {
+    const SIZE: [u32; 2] = [256, 256];
+    // A thousandth of the pixels: those at silhouettes, and where surfaces meet.
+    const MOST: usize = 65;
+    let drawers = [
+        Drawer::open(Renderer::Software).unwrap(),
+        match Drawer::open(Renderer::Gl(GlDevice::Auto)) {
+            Ok(drawer) => drawer,
+            Err(error) => {
+                println!("skipped depths_and_segments_are_opengls: {error}");
+                return;
+            }
+        },
+    ];
+    let sources = sources();
+    let pack = primitives(&sources);
+    for task in [
+        "libero_spatial/0",
+        "libero_object/0",
+        "libero_goal/0",
+        "libero_10/0",
+    ] {
+        let task: TaskRef = task.parse().unwrap();
+        let files = TaskFiles::of_task(&sources, task);
+        let scene = compose(&files.problem().unwrap(), &pack, &sources, ENV_SEED).unwrap();
+        let mut environment = Environment::new(scene, &pack, &sources).unwrap();
+        let states = InitialStates::read(&files.init).unwrap();
+        environment.load(states.get(0).unwrap());
+        for camera in ["agentview", "robot0_eye_in_hand"] {
+            let [ours, theirs] = drawers
+                .each_ref()
+                .map(|drawer| environment.segmentation(drawer, camera, SIZE).unwrap());
+            let kinds: BTreeSet<_> = ours.iter().flatten().map(|it| (it.kind, it.id)).collect();
+            assert!(kinds.len() > 5, "{task} {camera} shows {kinds:?}");
+            let differ = ours.iter().zip(&theirs).filter(|(a, b)| a != b).count();
+            println!("{task} {camera}: {differ} segments differ");
+            assert!(differ <= MOST, "{task} {camera}: {differ} segments differ");
+            let [ours, theirs] = drawers
+                .each_ref()
+                .map(|drawer| environment.depth(drawer, camera, SIZE).unwrap());
+            assert!(ours.iter().all(|depth| (0.0..=1.0).contains(depth)));
+            let differ = ours.iter().zip(&theirs);
+            let differ = differ.filter(|(a, b)| (*a - *b).abs() > 1e-6).count();
+            println!("{task} {camera}: {differ} depths differ");
+            assert!(differ <= MOST, "{task} {camera}: {differ} depths differ");
+        }
+    }
+}
+
 /// Figures of the original that do not depend on the asset pack's shapes.
 #[derive(Deserialize)]
 struct Figures {
@@ -116,7 +171,7 @@ fn fixtures_are_placed_where_the_original_places_them() {
     for (task, poses) in figures().placement {
         let task: TaskRef = task.parse().unwrap();
         let problem = TaskFiles::of_task(&sources, task).problem().unwrap();
-        let scene = compose(&problem, &pack, &sources, 20260904).unwrap();
+        let scene = compose(&problem, &pack, &sources, ENV_SEED).unwrap();
         assert_eq!(scene.fixture_poses.len(), poses.len(), "{task}");
         for expected in poses {
             let ours = scene

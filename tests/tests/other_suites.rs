@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use protocol::TaskRef;
+use protocol::presets::ENV_SEED;
 use scene::{AssetPack, InitialStates, Problem, Scene, SceneError, Sources, TaskFiles, compose};
 use sim::Environment;
 use sim::episode::NO_OP;
@@ -12,7 +13,6 @@ use sim::predicates::Goal;
 use tests::files::{primitives, shared, sources};
 
 const SUITE: &str = "libero_90";
-const ENV_SEED: u32 = 20260904;
 /// Tasks of the suite.
 const TASKS: usize = 90;
 /// Initial states released for each.

@@ -4,12 +4,12 @@ use std::collections::HashSet;
 use std::path::PathBuf;
 
 use protocol::TaskRef;
+use protocol::presets::ENV_SEED;
 use scene::{AssetPack, InitialStates, Problem, SceneError, Sources, TaskFiles, compose};
 use sim::Environment;
 use sim::mujoco::ObjectKind;
 use tests::files::{primitives, shared, sources};
 
-const ENV_SEED: u32 = 20260904;
 /// BDDL files in the hf-libero wheel: 40 evaluation tasks and 90 others.
 const BDDL_FILES: usize = 130;
 

@@ -57,6 +57,15 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
         skipped::print(&root.join("target/nextest/default/junit.xml"))?;
     }
     if filters.is_empty() {
+        println!("Testing the software renderer with overflow checks");
+        run_command(cargo(root).args([
+            "test",
+            "--quiet",
+            "--profile",
+            "checked",
+            "--package",
+            "raster",
+        ]))?;
         let mut pytest = Command::new(&python);
         run_command(
             pytest

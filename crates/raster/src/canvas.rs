@@ -8,6 +8,7 @@ use crate::light::EyeLight;
 use crate::model::Model;
 use crate::picture::{Pass, Picture, Workspace};
 use crate::scene::{Geom, Scene, Shape};
+use crate::visible::{SAMPLES, Visible};
 use crate::window::Window;
 use crate::{glass, mirror};
 
@@ -79,6 +80,21 @@ impl Canvas {
             self.resolve(window);
         }
         Ok(&self.rgb)
+    }
+
+    /// How far it is to what the last frame shows in each pixel, at its first sample:
+    /// 0 at the near plane, 1 at the far one, as OpenGL keeps it; row by row from
+    /// the lowest. What one can see through is passed over.
+    pub fn depths(&self) -> impl Iterator<Item = f32> {
+        let Visible {
+            width,
+            height,
+            stride,
+            ref depths,
+            ..
+        } = self.picture.visible;
+        let rows = Window::whole(width, height).rows(stride);
+        rows.flatten().map(|pixel| 1.0 - depths[pixel * SAMPLES])
     }
 
     /// Draws what is opaque, and the sky.
@@ -181,7 +197,12 @@ impl Canvas {
     }
 }
 
-fn check(model: &Model, scene: &Scene, width: usize, height: usize) -> Result<(), DrawError> {
+pub(crate) fn check(
+    model: &Model,
+    scene: &Scene,
+    width: usize,
+    height: usize,
+) -> Result<(), DrawError> {
     if !(1..=MAX_SIDE).contains(&width) || !(1..=MAX_SIDE).contains(&height) {
         return Err(DrawError::Size { width, height });
     }

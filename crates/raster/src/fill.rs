@@ -12,6 +12,8 @@ use crate::window::Window;
 /// first one's corner.
 const LANE_X: [i32; LANES] = [3, 7, 1, 5, 11, 15, 9, 13];
 const LANE_Y: [i32; LANES] = [1, 3, 5, 7, 1, 3, 5, 7];
+/// The same of the first, in pixels along x and y.
+pub(crate) const FIRST_SAMPLE: [f32; 2] = [0.375, 0.125];
 /// Parts of a pixel from one lattice point to the next.
 const LATTICE: i32 = 32;
 const POINTS_PER_PIXEL: i32 = SUBPIXELS / LATTICE;

@@ -29,6 +29,7 @@ mod positions;
 mod raster;
 mod sample;
 mod scene;
+mod segments;
 mod setup;
 mod shade;
 mod shapes;
@@ -42,6 +43,7 @@ pub use error::{DrawError, ModelError};
 pub use mesh::{Corner, Mesh, MeshBuilder};
 pub use model::Model;
 pub use scene::{Camera, Geom, Light, LightKind, Scene, Shape, TextureUse};
+pub use segments::segments;
 pub use shapes::{Quality, mesh_triangle, plane, plane_grid};
 pub use texture::{Texture, TextureKind};
 

@@ -52,6 +52,16 @@ impl Matrix {
         self
     }
 
+    /// A projection that carries everything so much further along x and y of the
+    /// picture, which reaches from -1 to 1.
+    pub(crate) fn shifted(mut self, shift: [f32; 2]) -> Self {
+        for column in self.0.chunks_exact_mut(4) {
+            column[0] += shift[0] * column[3];
+            column[1] += shift[1] * column[3];
+        }
+        self
+    }
+
     pub(crate) fn scaled(mut self, [x, y, z]: Vec3) -> Self {
         let m = &mut self.0;
         for row in 0..4 {

@@ -9,7 +9,7 @@ use crate::error::SimError;
 use crate::mujoco::{self, Data, Model, ObjectKind};
 use crate::observation::{Frame, RobotState, axis_angle_of};
 use crate::predicates::Goal;
-use crate::render::{Canvas, Drawer};
+use crate::render::{Canvas, Drawer, Segment};
 
 /// `mjDSBL_AUTORESET`: an unstable state is reported, not silently replaced.
 pub(crate) const DISABLE_AUTORESET: i32 = 1 << 16;
@@ -231,6 +231,9 @@ impl Environment {
     }
 
     /// Draws what a camera saw at the last step's instant of observation.
+    ///
+    /// # Errors
+    /// If the scene has no such camera, or the renderer cannot draw it.
     pub fn draw(
         &mut self,
         drawer: &Drawer,
@@ -238,9 +241,55 @@ impl Environment {
         width: u32,
         height: u32,
     ) -> Result<Frame, SimError> {
+        let rgb = self.look(drawer, camera, [width, height], Canvas::draw)?;
+        Ok(Frame {
+            camera: camera.to_owned(),
+            width,
+            height,
+            rgb,
+        })
+    }
+
+    /// How far it was to what a camera saw at that instant, as OpenGL keeps it: 0 at
+    /// the near plane, 1 at the far one, hyperbolic in between; rows from bottom to
+    /// top. What one can see through is passed over.
+    ///
+    /// # Errors
+    /// As [`Environment::draw`].
+    pub fn depth(
+        &mut self,
+        drawer: &Drawer,
+        camera: &str,
+        size: [u32; 2],
+    ) -> Result<Vec<f32>, SimError> {
+        self.look(drawer, camera, size, Canvas::depth)
+    }
+
+    /// What a camera saw at that instant in the middle of each pixel; rows from
+    /// bottom to top. Nothing can be seen through.
+    ///
+    /// # Errors
+    /// As [`Environment::draw`].
+    pub fn segmentation(
+        &mut self,
+        drawer: &Drawer,
+        camera: &str,
+        size: [u32; 2],
+    ) -> Result<Vec<Option<Segment>>, SimError> {
+        self.look(drawer, camera, size, Canvas::segmentation)
+    }
+
+    /// Draws something of the last step's instant of observation.
+    fn look<T>(
+        &mut self,
+        drawer: &Drawer,
+        camera: &str,
+        size: [u32; 2],
+        draw: impl Fn(&mut Canvas, &Model, &mut Data, usize, [u32; 2]) -> Result<T, SimError>,
+    ) -> Result<T, SimError> {
         let id = self.model.id(ObjectKind::Camera, camera)?;
         self.pose_lens();
-        let (wide, high) = (width.max(CANVAS_SIZE), height.max(CANVAS_SIZE));
+        let [wide, high] = size.map(|side| side.max(CANVAS_SIZE));
         if self
             .canvas
             .as_ref()
@@ -251,14 +300,9 @@ impl Environment {
         }
         self.show_burners(|burner| burner.opacity_seen);
         let canvas = self.canvas.as_mut().expect("made above");
-        let rgb = canvas.draw(&self.model, &mut self.lens, id, width, height);
+        let drawn = draw(canvas, &self.model, &mut self.lens, id, size);
         self.show_burners(|burner| burner.opacity);
-        Ok(Frame {
-            camera: camera.to_owned(),
-            width,
-            height,
-            rgb: rgb?,
-        })
+        drawn
     }
 
     fn see_positions(&mut self) {

@@ -112,7 +112,7 @@ fn frames(drawer: &Drawer, model: &mut Model, data: &mut Data) -> Result<Vec<Vec
     let mut canvas = Canvas::new(drawer, model, width, height)?;
     let frames = FRAMES.iter().map(|(camera, width, height)| {
         let camera = model.id(ObjectKind::Camera, camera)?;
-        canvas.draw(model, data, camera, *width, *height)
+        canvas.draw(model, data, camera, [*width, *height])
     });
     frames.collect()
 }

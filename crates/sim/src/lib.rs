@@ -28,5 +28,5 @@ pub use observation::{
     RobotState,
 };
 pub use perturb::IkSolution;
-pub use render::{Drawer, GlDevice, Renderer};
+pub use render::{Drawer, GlDevice, Renderer, Segment};
 pub use simulator::{Simulator, SimulatorConfig};

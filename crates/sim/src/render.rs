@@ -1,6 +1,7 @@
-//! Drawing frames off-screen: by our own renderer, or by MuJoCo's through
-//! OpenGL.
+//! Drawing off-screen what a camera sees: colours, depths, and which geom; by our
+//! own renderer, or by MuJoCo's through OpenGL.
 
+mod abstraction;
 mod gl;
 mod gl_context;
 mod software;
@@ -11,11 +12,6 @@ use software::SoftwareCanvas;
 
 use crate::error::SimError;
 use crate::mujoco::{Data, Model};
-
-/// Geoms in one picture at most, as in robosuite; further ones are not drawn.
-const MAX_GEOMS: i32 = 1000;
-/// Geom groups: collision geometry is not drawn, visual geometry is.
-const COLLISION_GROUP: usize = 0;
 
 /// Which renderer draws.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -57,6 +53,15 @@ impl Drawer {
     }
 }
 
+/// What is seen in a pixel of a segmentation image.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Segment {
+    /// Kind of object (`mjtObj`); geoms are 5, sites 6.
+    pub kind: i32,
+    /// Its id among those of its kind.
+    pub id: i32,
+}
+
 /// What a renderer keeps to draw one scene.
 pub(crate) enum Canvas {
     Software(Box<SoftwareCanvas>),
@@ -93,12 +98,41 @@ impl Canvas {
         model: &Model,
         data: &mut Data,
         camera: usize,
-        width: u32,
-        height: u32,
+        size: [u32; 2],
     ) -> Result<Vec<u8>, SimError> {
         match self {
-            Self::Software(canvas) => canvas.draw(model, data, camera, width, height),
-            Self::Gl(canvas) => Ok(canvas.draw(model, data, camera, width, height)),
+            Self::Software(canvas) => canvas.draw(model, data, camera, size),
+            Self::Gl(canvas) => Ok(canvas.draw(model, data, camera, size)),
+        }
+    }
+
+    /// Draws how far it is to what a camera sees: 0 at the near plane, 1 at the far
+    /// one, as OpenGL keeps it; rows from bottom to top.
+    pub(crate) fn depth(
+        &mut self,
+        model: &Model,
+        data: &mut Data,
+        camera: usize,
+        size: [u32; 2],
+    ) -> Result<Vec<f32>, SimError> {
+        match self {
+            Self::Software(canvas) => canvas.depth(model, data, camera, size),
+            Self::Gl(canvas) => Ok(canvas.depth(model, data, camera, size)),
+        }
+    }
+
+    /// Draws what a camera sees in the middle of each pixel; rows from bottom to
+    /// top.
+    pub(crate) fn segmentation(
+        &mut self,
+        model: &Model,
+        data: &mut Data,
+        camera: usize,
+        size: [u32; 2],
+    ) -> Result<Vec<Option<Segment>>, SimError> {
+        match self {
+            Self::Software(canvas) => canvas.segmentation(model, data, camera, size),
+            Self::Gl(canvas) => Ok(canvas.segmentation(model, data, camera, size)),
         }
     }
 }

@@ -1,6 +1,7 @@
 //! Everything that a slot needs to simulate rollouts: the compiled scenes it
 //! has met lately and, once it is asked for, an opened renderer.
 
+use protocol::presets::ENV_SEED;
 use protocol::{ManifestRow, Realisation};
 use scene::{AssetPack, InitialStates, Sources, TaskFiles, compose};
 
@@ -12,8 +13,6 @@ use crate::mujoco::{self, ObjectKind};
 use crate::perturb::{CameraPose, look_at_point};
 use crate::render::{Drawer, Renderer};
 
-/// Placement seed of the protocol.
-const ENV_SEED: u32 = 20260904;
 /// The camera that the camera axis moves.
 pub(crate) const PERTURBED_CAMERA: &str = "agentview";
 /// `mjJNT_FREE`.

@@ -8,6 +8,7 @@ use std::time::Instant;
 use anyhow::{Context, Result};
 use clap::Parser;
 use protocol::TaskRef;
+use protocol::presets::ENV_SEED;
 use scene::{AssetPack, InitialStates, Sources, TaskFiles, compose};
 use serde_json::json;
 use sim::controller::SUBSTEPS;
@@ -35,7 +36,6 @@ struct Arguments {
     sources: Option<PathBuf>,
 }
 
-const ENV_SEED: u32 = 20260904;
 const NO_OP: [f64; 7] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0];
 const SETTLE_STEPS: usize = 10;
 const FRAME: u32 = 256;

@@ -8,14 +8,14 @@ use mujoco_rs::mujoco_c as c;
 use crate::error::SimError;
 use crate::mujoco::{Data, Model};
 
+use super::Segment;
+use super::abstraction::Abstraction;
 use super::gl_context::GlContext;
-use super::{COLLISION_GROUP, MAX_GEOMS};
 
 /// What MuJoCo keeps to draw one scene. Dropping it needs the context that it
 /// was made with to be current, which [`GlContext`] being alive ensures.
 pub(crate) struct GlCanvas {
-    options: c::mjvOption,
-    scene: Box<c::mjvScene>,
+    abstraction: Abstraction,
     context: Box<c::mjrContext>,
 }
 
@@ -29,31 +29,23 @@ impl GlCanvas {
         height: u32,
     ) -> Result<Self, SimError> {
         model.grow_offscreen_buffer(width, height);
-        let mut options = MaybeUninit::uninit();
-        let mut scene = Box::new(MaybeUninit::uninit());
+        let abstraction = Abstraction::new(model);
         let mut context = Box::new(MaybeUninit::uninit());
-        // SAFETY: each object is written whole by its default function before
-        // it is assumed initialised; the boxes keep their addresses, which
-        // MuJoCo may remember; a GL context is current on this thread.
-        let mut canvas = unsafe {
-            c::mjv_defaultOption(options.as_mut_ptr());
-            c::mjv_defaultScene(scene.as_mut_ptr());
+        // SAFETY: the object is written whole by its default function before it is
+        // assumed initialised; the box keeps its address, which MuJoCo may
+        // remember; a GL context is current on this thread.
+        let context: Box<c::mjrContext> = unsafe {
             c::mjr_defaultContext(context.as_mut_ptr());
-            let mut canvas = Self {
-                options: options.assume_init(),
-                scene: scene.assume_init(),
-                context: context.assume_init(),
-            };
-            c::mjv_makeScene(model.as_ptr(), &mut *canvas.scene, MAX_GEOMS);
+            let mut context = context.assume_init();
             let scale = c::mjtFontScale::mjFONTSCALE_150 as i32;
-            c::mjr_makeContext(model.as_ptr(), &mut *canvas.context, scale);
-            c::mjr_setBuffer(
-                c::mjtFramebuffer::mjFB_OFFSCREEN as i32,
-                &mut *canvas.context,
-            );
-            canvas
+            c::mjr_makeContext(model.as_ptr(), &mut *context, scale);
+            c::mjr_setBuffer(c::mjtFramebuffer::mjFB_OFFSCREEN as i32, &mut *context);
+            context
         };
-        canvas.options.geomgroup[COLLISION_GROUP] = 0;
+        let canvas = Self {
+            abstraction,
+            context,
+        };
         if canvas.context.currentBuffer != c::mjtFramebuffer::mjFB_OFFSCREEN as i32 {
             return Err(SimError::Graphics {
                 problem: format!("no off-screen buffer of {width} × {height}"),
@@ -74,52 +66,96 @@ impl GlCanvas {
         model: &Model,
         data: &mut Data,
         camera: usize,
-        width: u32,
-        height: u32,
+        size: [u32; 2],
     ) -> Vec<u8> {
-        let mut rgb = vec![0; width as usize * height as usize * 3];
-        let viewport = c::mjrRect {
-            left: 0,
-            bottom: 0,
-            width: width as i32,
-            height: height as i32,
-        };
-        let mut view = MaybeUninit::uninit();
-        // SAFETY: model and data belong together; the picture has room for
-        // width × height pixels; the viewport lies inside the buffer, as the
-        // caller has checked with `holds`.
-        unsafe {
-            c::mjv_defaultCamera(view.as_mut_ptr());
-            let mut view: c::mjvCamera = view.assume_init();
-            view.type_ = c::mjtCamera::mjCAMERA_FIXED as i32;
-            view.fixedcamid = camera as i32;
-            c::mjv_updateScene(
-                model.as_ptr(),
-                data.as_mut_ptr(),
-                &self.options,
-                std::ptr::null(),
-                &mut view,
-                c::mjtCatBit::mjCAT_ALL as i32,
-                &mut *self.scene,
-            );
-            c::mjr_render(viewport, &mut *self.scene, &*self.context);
-            c::mjr_readPixels(
-                rgb.as_mut_ptr(),
-                std::ptr::null_mut(),
-                viewport,
-                &*self.context,
-            );
-        }
+        let mut rgb = vec![0; pixels(size) * 3];
+        let scene = self.abstraction.update(model, data, camera);
+        render(scene, &self.context, size, Target::Colours(&mut rgb));
         rgb
+    }
+
+    /// Draws how far it is to what the camera sees: 0 at the near plane, 1 at the
+    /// far one, as OpenGL keeps it.
+    pub(crate) fn depth(
+        &mut self,
+        model: &Model,
+        data: &mut Data,
+        camera: usize,
+        size: [u32; 2],
+    ) -> Vec<f32> {
+        let mut depth = vec![0.0; pixels(size)];
+        let scene = self.abstraction.update(model, data, camera);
+        render(scene, &self.context, size, Target::Depths(&mut depth));
+        depth
+    }
+
+    /// Draws which geom the camera sees, by its place in segmentation images.
+    pub(crate) fn segmentation(
+        &mut self,
+        model: &Model,
+        data: &mut Data,
+        camera: usize,
+        size: [u32; 2],
+    ) -> Vec<Option<Segment>> {
+        let mut rgb = vec![0; pixels(size) * 3];
+        let scene = self.abstraction.update(model, data, camera);
+        const FLAGS: [c::mjtRndFlag; 2] =
+            [c::mjtRndFlag::mjRND_SEGMENT, c::mjtRndFlag::mjRND_IDCOLOR];
+        let before = FLAGS.map(|flag| std::mem::replace(&mut scene.flags[flag as usize], 1));
+        render(scene, &self.context, size, Target::Colours(&mut rgb));
+        for (flag, value) in FLAGS.into_iter().zip(before) {
+            scene.flags[flag as usize] = value;
+        }
+        let segments = self.abstraction.segments();
+        let numbers = rgb
+            .chunks_exact(3)
+            .map(|pixel| u32::from_le_bytes([pixel[0], pixel[1], pixel[2], 0]));
+        // 0 is the background, 1 the first.
+        numbers
+            .map(|number| segments.get(&number.checked_sub(1)?).copied())
+            .collect()
     }
 }
 
 impl Drop for GlCanvas {
     fn drop(&mut self) {
-        // SAFETY: both were made in `new` and are freed once.
-        unsafe {
-            c::mjr_freeContext(&mut *self.context);
-            c::mjv_freeScene(&mut *self.scene);
+        // SAFETY: made in `new`, freed once.
+        unsafe { c::mjr_freeContext(&mut *self.context) }
+    }
+}
+
+fn pixels([width, height]: [u32; 2]) -> usize {
+    width as usize * height as usize
+}
+
+/// Where a picture goes, which has room for all its pixels.
+enum Target<'a> {
+    Colours(&'a mut [u8]),
+    Depths(&'a mut [f32]),
+}
+
+fn render(scene: &mut c::mjvScene, context: &c::mjrContext, size: [u32; 2], target: Target<'_>) {
+    let viewport = c::mjrRect {
+        left: 0,
+        bottom: 0,
+        width: size[0] as i32,
+        height: size[1] as i32,
+    };
+    let (colours, depths) = match target {
+        Target::Colours(rgb) => {
+            assert_eq!(rgb.len(), pixels(size) * 3);
+            (rgb.as_mut_ptr(), std::ptr::null_mut())
         }
+        Target::Depths(depths) => {
+            assert_eq!(depths.len(), pixels(size));
+            (std::ptr::null_mut(), depths.as_mut_ptr())
+        }
+    };
+    // SAFETY: scene and context are of one model; what is written to has room for
+    // all pixels, or is null, which MuJoCo passes over; the viewport lies inside
+    // the buffer, as the caller has checked with `holds`.
+    unsafe {
+        c::mjr_render(viewport, scene, context);
+        c::mjr_readPixels(colours, depths, viewport, context);
     }
 }

@@ -2,7 +2,6 @@
 //! handed to it as it is; models are prepared from the compiled arrays.
 
 use std::collections::BTreeMap;
-use std::mem::MaybeUninit;
 
 use mujoco_rs::mujoco_c as c;
 use raster::{
@@ -10,7 +9,8 @@ use raster::{
     TextureUse, mesh_triangle, plane, plane_grid,
 };
 
-use super::{COLLISION_GROUP, MAX_GEOMS};
+use super::Segment;
+use super::abstraction::Abstraction;
 use crate::error::SimError;
 use crate::mujoco::{Data, Model};
 
@@ -21,8 +21,7 @@ const COLOUR_ROLE: usize = c::mjtTextureRole::mjTEXROLE_RGB as usize;
 
 /// What our renderer keeps to draw one scene.
 pub(crate) struct SoftwareCanvas {
-    options: c::mjvOption,
-    abstraction: Box<c::mjvScene>,
+    abstraction: Abstraction,
     prepared: raster::Model,
     /// Of each material the texture that colours it, and how it repeats.
     materials: Vec<Option<Material>>,
@@ -42,27 +41,11 @@ struct Material {
 impl SoftwareCanvas {
     /// Prepares a model's meshes and textures.
     pub(crate) fn new(model: &Model) -> Result<Self, SimError> {
-        let prepared = prepare(model)?;
-        let mut options = MaybeUninit::uninit();
-        let mut abstraction = Box::new(MaybeUninit::uninit());
-        // SAFETY: each object is written whole by its default function before it
-        // is assumed initialised; the box keeps its address, which MuJoCo may
-        // remember.
-        let (mut options, abstraction) = unsafe {
-            c::mjv_defaultOption(options.as_mut_ptr());
-            c::mjv_defaultScene(abstraction.as_mut_ptr());
-            let (options, mut abstraction): (c::mjvOption, Box<c::mjvScene>) =
-                (options.assume_init(), abstraction.assume_init());
-            c::mjv_makeScene(model.as_ptr(), &mut *abstraction, MAX_GEOMS);
-            (options, abstraction)
-        };
-        options.geomgroup[COLLISION_GROUP] = 0;
         Ok(Self {
-            options,
-            abstraction,
+            abstraction: Abstraction::new(model),
+            prepared: prepare(model)?,
             materials: materials(model),
             sky: sky(model),
-            prepared,
             scene: Scene {
                 geoms: Vec::new(),
                 lights: Vec::new(),
@@ -91,51 +74,69 @@ impl SoftwareCanvas {
         model: &Model,
         data: &mut Data,
         camera: usize,
-        width: u32,
-        height: u32,
+        size: [u32; 2],
     ) -> Result<Vec<u8>, SimError> {
+        Ok(self.draw_on_canvas(model, data, camera, size)?.to_vec())
+    }
+
+    /// Draws how far it is to what the camera sees: 0 at the near plane, 1 at the
+    /// far one, as OpenGL keeps it.
+    pub(crate) fn depth(
+        &mut self,
+        model: &Model,
+        data: &mut Data,
+        camera: usize,
+        size: [u32; 2],
+    ) -> Result<Vec<f32>, SimError> {
+        self.draw_on_canvas(model, data, camera, size)?;
+        Ok(self.canvases[&camera].depths().collect())
+    }
+
+    /// Draws which geom the camera sees.
+    pub(crate) fn segmentation(
+        &mut self,
+        model: &Model,
+        data: &mut Data,
+        camera: usize,
+        size: [u32; 2],
+    ) -> Result<Vec<Option<Segment>>, SimError> {
         self.update(model, data, camera)?;
-        let largest: Vec<&[u8]> = model.textures().map(|texture| texture.texels).collect();
+        let numbers = raster::segments(&self.prepared, &self.scene, size.map(|side| side as usize))
+            .map_err(|error| graphics(error.to_string()))?;
+        let segments = self.abstraction.segments();
+        Ok(numbers
+            .into_iter()
+            .map(|number| segments.get(&number?).copied())
+            .collect())
+    }
+
+    fn draw_on_canvas(
+        &mut self,
+        model: &Model,
+        data: &mut Data,
+        camera: usize,
+        size: [u32; 2],
+    ) -> Result<&[u8], SimError> {
+        self.update(model, data, camera)?;
         let canvas = self.canvases.entry(camera).or_default();
-        let frame = canvas
+        let largest: Vec<&[u8]> = model.textures().map(|texture| texture.texels).collect();
+        canvas
             .draw(
                 &self.prepared,
                 &largest,
                 &self.scene,
-                [width as usize, height as usize],
+                size.map(|side| side as usize),
             )
-            .map_err(|error| graphics(error.to_string()))?;
-        Ok(frame.to_vec())
+            .map_err(|error| graphics(error.to_string()))
     }
 
     /// Makes the scene of a model's state.
     fn update(&mut self, model: &Model, data: &mut Data, camera: usize) -> Result<(), SimError> {
-        let mut view = MaybeUninit::uninit();
-        // SAFETY: model and data belong together; the scene was made for this
-        // model and holds as many geoms and lights as it says.
-        let (eye, geoms) = unsafe {
-            c::mjv_defaultCamera(view.as_mut_ptr());
-            let mut view: c::mjvCamera = view.assume_init();
-            view.type_ = c::mjtCamera::mjCAMERA_FIXED as i32;
-            view.fixedcamid = camera as i32;
-            c::mjv_updateScene(
-                model.as_ptr(),
-                data.as_mut_ptr(),
-                &self.options,
-                std::ptr::null(),
-                &mut view,
-                c::mjtCatBit::mjCAT_ALL as i32,
-                &mut *self.abstraction,
-            );
-            let cameras = &self.abstraction.camera;
-            let eye = c::mjv_averageCamera(&cameras[0], &cameras[1]);
-            let count = self.abstraction.ngeom as usize;
-            (
-                eye,
-                std::slice::from_raw_parts(self.abstraction.geoms, count),
-            )
-        };
-        let flag = |flag: c::mjtRndFlag| self.abstraction.flags[flag as usize] != 0;
+        self.abstraction.update(model, data, camera);
+        let seen = self.abstraction.scene();
+        // SAFETY: it reads the two cameras, and nothing else.
+        let eye = unsafe { c::mjv_averageCamera(&seen.camera[0], &seen.camera[1]) };
+        let flag = |flag: c::mjtRndFlag| seen.flags[flag as usize] != 0;
         self.scene.camera = Camera {
             pos: eye.pos,
             forward: eye.forward,
@@ -152,21 +153,14 @@ impl SoftwareCanvas {
         self.scene.sky = self.sky.filter(|_| flag(c::mjtRndFlag::mjRND_SKYBOX));
         let shadows = flag(c::mjtRndFlag::mjRND_SHADOW);
         self.scene.lights.clear();
-        for light in &self.abstraction.lights[..self.abstraction.nlight as usize] {
+        for light in &seen.lights[..seen.nlight as usize] {
             self.scene.lights.push(read_light(light, shadows)?);
         }
         self.scene.geoms.clear();
-        for geom in geoms {
+        for geom in self.abstraction.geoms() {
             self.scene.geoms.push(read_geom(geom, &self.materials)?);
         }
         Ok(())
-    }
-}
-
-impl Drop for SoftwareCanvas {
-    fn drop(&mut self) {
-        // SAFETY: made in `new`, freed once.
-        unsafe { c::mjv_freeScene(&mut *self.abstraction) }
     }
 }
 
