@@ -1,5 +1,7 @@
 //! What is prepared once and shared by all who draw it.
 
+use std::sync::Arc;
+
 use crate::error::ModelError;
 use crate::mesh::Mesh;
 use crate::shapes::{Quality, Shapes};
@@ -8,12 +10,12 @@ use crate::texture::Texture;
 /// The meshes, planes and textures of a model, ready to be drawn.
 #[derive(Debug)]
 pub struct Model {
-    /// Meshes, named by their place.
-    pub meshes: Vec<Mesh>,
+    /// Meshes, named by their place; other models may have the same.
+    pub meshes: Vec<Arc<Mesh>>,
     /// Planes with a grid, named by their place.
     pub planes: Vec<Mesh>,
-    /// Textures, named by their place.
-    pub textures: Vec<Texture>,
+    /// Textures, named by their place; other models may have the same.
+    pub textures: Vec<Arc<Texture>>,
     pub(crate) shapes: Shapes,
 }
 

@@ -138,7 +138,7 @@ proptest! {
         for _ in 0..20 {
             builder.triangle(std::array::from_fn(|_| corner(std::array::from_fn(|_| number()))));
         }
-        model.meshes.push(builder.build());
+        model.meshes.push(builder.build().into());
         let mut scene = room();
         for shape in shapes {
             let mut geom = scene.geoms[shape];

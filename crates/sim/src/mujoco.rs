@@ -14,6 +14,7 @@ use mujoco_rs::mujoco_c as c;
 
 pub use arrays::NamedArray;
 pub use data::Data;
+pub(crate) use model::{MeshData, TextureData};
 pub use model::{Model, ObjectKind};
 
 /// Exit status of a process whose simulator reported a fatal error: MuJoCo's

@@ -4,6 +4,7 @@
 mod abstraction;
 mod gl;
 mod gl_context;
+mod prepare;
 mod software;
 
 use gl::GlCanvas;

@@ -30,12 +30,12 @@ pub(crate) fn model() -> Model {
             }
         }
     }
-    model.meshes.push(bumpy.build());
+    model.meshes.push(bumpy.build().into());
     let lines = plane_grid(2.0, 0.5, None, 10.0);
     model.planes.push(plane(&lines, &lines));
     for ((kind, width, height), bytes) in TEXTURES.into_iter().zip(largest()) {
         let texture = Texture::new(kind, width, height, 3, bytes).expect("a texture");
-        model.textures.push(texture);
+        model.textures.push(texture.into());
     }
     model
 }

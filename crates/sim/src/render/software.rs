@@ -1,41 +1,28 @@
 //! Our own renderer. What MuJoCo makes of a model and its state (`mjvScene`) is
-//! handed to it as it is; models are prepared from the compiled arrays.
+//! handed to it as it is.
 
 use std::collections::BTreeMap;
 
 use mujoco_rs::mujoco_c as c;
-use raster::{
-    Camera, Geom, Light, LightKind, MeshBuilder, Quality, Scene, Shape, Texture, TextureKind,
-    TextureUse, mesh_triangle, plane, plane_grid,
-};
+use raster::{Camera, Geom, Light, LightKind, Scene, Shape, TextureUse};
 
 use super::Segment;
 use super::abstraction::Abstraction;
+use super::prepare::{Material, materials, prepare, sky};
 use crate::error::SimError;
 use crate::mujoco::{Data, Model};
 
 const REMEDY: &str = "draw it with --renderer gl";
-/// Roles of textures in `mat_texid`, and the one that colours.
-const TEXTURE_ROLES: usize = c::mjtTextureRole::mjNTEXROLE as usize;
-const COLOUR_ROLE: usize = c::mjtTextureRole::mjTEXROLE_RGB as usize;
 
 /// What our renderer keeps to draw one scene.
 pub(crate) struct SoftwareCanvas {
     abstraction: Abstraction,
     prepared: raster::Model,
-    /// Of each material the texture that colours it, and how it repeats.
     materials: Vec<Option<Material>>,
     sky: Option<usize>,
     scene: Scene,
     /// By camera.
     canvases: BTreeMap<usize, raster::Canvas>,
-}
-
-#[derive(Clone, Copy)]
-struct Material {
-    texture: usize,
-    repeat: [f32; 2],
-    uniform: bool,
 }
 
 impl SoftwareCanvas {
@@ -164,7 +151,7 @@ impl SoftwareCanvas {
     }
 }
 
-fn graphics(problem: String) -> SimError {
+pub(super) fn graphics(problem: String) -> SimError {
     SimError::Graphics {
         problem,
         remedy: REMEDY,
@@ -238,99 +225,4 @@ fn read_geom(geom: &c::mjvGeom, materials: &[Option<Material>]) -> Result<Geom, 
         reach: geom.modelrbound,
         segment: u32::try_from(geom.segid).ok(),
     })
-}
-
-/// Prepares what does not change: meshes, planes and textures.
-fn prepare(model: &Model) -> Result<raster::Model, SimError> {
-    let raw = model.raw();
-    let quality = &raw.vis.quality;
-    let quality = Quality {
-        slices: quality.numslices as usize,
-        stacks: quality.numstacks as usize,
-        quads: quality.numquads as usize,
-    };
-    let mut prepared = raster::Model::new(quality).map_err(|error| graphics(error.to_string()))?;
-    prepared.meshes = (0..model.meshes().count())
-        .map(|mesh| mesh_of(model, mesh))
-        .collect();
-    let far = f64::from(raw.vis.map.zfar) * raw.stat.extent;
-    let repeat = model.mat_texrepeat();
-    for (geom, kind) in model.geom_type().iter().enumerate() {
-        if *kind != c::mjtGeom::mjGEOM_PLANE as i32 {
-            continue;
-        }
-        let size = &model.geom_size()[geom * 3..][..3];
-        let material = usize::try_from(model.geom_matid()[geom]).ok();
-        let lines = |axis: usize| {
-            let repeat = material.map(|material| f64::from(repeat[material * 2 + axis]));
-            let period = repeat
-                .filter(|repeat| *repeat > 0.0)
-                .map(|repeat| 2.0 / repeat);
-            plane_grid(size[axis], size[2], period, far)
-        };
-        prepared.planes.push(plane(&lines(0), &lines(1)));
-    }
-    for texture in model.textures() {
-        let kind = match texture.kind {
-            kind if kind == c::mjtTexture::mjTEXTURE_2D as i32 => TextureKind::Flat {
-                srgb: texture.colorspace == c::mjtColorSpace::mjCOLORSPACE_SRGB as i32,
-            },
-            _ => TextureKind::Cube,
-        };
-        let made = Texture::new(
-            kind,
-            texture.width,
-            texture.height,
-            texture.channels,
-            texture.texels,
-        );
-        prepared
-            .textures
-            .push(made.map_err(|error| graphics(error.to_string()))?);
-    }
-    Ok(prepared)
-}
-
-fn mesh_of(model: &Model, index: usize) -> raster::Mesh {
-    let mesh = model.meshes().get(index);
-    let mut builder = MeshBuilder::default();
-    for face in 0..mesh.faces.len() / 3 {
-        let three = |ids: &[i32], values: &[f32]| {
-            [0, 1, 2].map(|corner| {
-                let at = ids[face * 3 + corner] as usize * 3;
-                [values[at], values[at + 1], values[at + 2]]
-            })
-        };
-        let st = mesh.texture_coordinates.map(|values| {
-            [0, 1, 2].map(|corner| {
-                let at = mesh.face_texture_coordinates[face * 3 + corner] as usize * 2;
-                [values[at], values[at + 1]]
-            })
-        });
-        let pos = three(mesh.faces, mesh.vertices);
-        let normals = three(mesh.face_normals, mesh.normals);
-        builder.triangle(mesh_triangle(pos, normals, st));
-    }
-    builder.build()
-}
-
-fn materials(model: &Model) -> Vec<Option<Material>> {
-    let textures = model.mat_texid().chunks_exact(TEXTURE_ROLES);
-    let repeats = model.mat_texrepeat().chunks_exact(2);
-    let all = textures.zip(repeats).zip(model.mat_texuniform());
-    all.map(|((textures, repeat), uniform)| {
-        let texture = usize::try_from(textures[COLOUR_ROLE]).ok()?;
-        Some(Material {
-            texture,
-            repeat: [repeat[0], repeat[1]],
-            uniform: *uniform != 0,
-        })
-    })
-    .collect()
-}
-
-/// The first texture that is meant for the sky.
-fn sky(model: &Model) -> Option<usize> {
-    let sky = c::mjtTexture::mjTEXTURE_SKYBOX as i32;
-    model.textures().position(|texture| texture.kind == sky)
 }

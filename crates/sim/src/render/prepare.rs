@@ -1,0 +1,212 @@
+//! What our renderer makes of a compiled model, once. Scenes have the robot and
+//! much of the room in common, and simulators of one process their scenes: a mesh
+//! or a texture is prepared once for all of the process that use it.
+
+use std::collections::HashMap;
+use std::sync::{Arc, LazyLock, Mutex, PoisonError, Weak};
+
+use mujoco_rs::mujoco_c as c;
+use raster::{Mesh, MeshBuilder, Quality, Texture, TextureKind, mesh_triangle, plane, plane_grid};
+use sha2::{Digest, Sha256};
+
+use super::software::graphics;
+use crate::error::SimError;
+use crate::mujoco::{MeshData, Model, TextureData};
+
+/// Roles of textures in `mat_texid`, and the one that colours.
+const TEXTURE_ROLES: usize = c::mjtTextureRole::mjNTEXROLE as usize;
+const COLOUR_ROLE: usize = c::mjtTextureRole::mjTEXROLE_RGB as usize;
+
+/// What of a process is prepared, by the digest of what it was made from.
+type Prepared<T> = LazyLock<Mutex<HashMap<[u8; 32], Weak<T>>>>;
+
+static MESHES: Prepared<Mesh> = LazyLock::new(Mutex::default);
+static TEXTURES: Prepared<Texture> = LazyLock::new(Mutex::default);
+
+/// The texture that colours a material, and how it repeats.
+#[derive(Clone, Copy)]
+pub(super) struct Material {
+    pub(super) texture: usize,
+    pub(super) repeat: [f32; 2],
+    pub(super) uniform: bool,
+}
+
+/// Prepares what does not change: meshes, planes and textures.
+pub(super) fn prepare(model: &Model) -> Result<raster::Model, SimError> {
+    let raw = model.raw();
+    let quality = &raw.vis.quality;
+    let quality = Quality {
+        slices: quality.numslices as usize,
+        stacks: quality.numstacks as usize,
+        quads: quality.numquads as usize,
+    };
+    let mut prepared = raster::Model::new(quality).map_err(|error| graphics(error.to_string()))?;
+    let meshes = model.meshes();
+    for mesh in (0..meshes.count()).map(|index| meshes.get(index)) {
+        let made = shared(&MESHES, digest_of_mesh(&mesh), || Ok(mesh_of(&mesh)))?;
+        prepared.meshes.push(made);
+    }
+    let far = f64::from(raw.vis.map.zfar) * raw.stat.extent;
+    let repeat = model.mat_texrepeat();
+    for (geom, kind) in model.geom_type().iter().enumerate() {
+        if *kind != c::mjtGeom::mjGEOM_PLANE as i32 {
+            continue;
+        }
+        let size = &model.geom_size()[geom * 3..][..3];
+        let material = usize::try_from(model.geom_matid()[geom]).ok();
+        let lines = |axis: usize| {
+            let repeat = material.map(|material| f64::from(repeat[material * 2 + axis]));
+            let period = repeat
+                .filter(|repeat| *repeat > 0.0)
+                .map(|repeat| 2.0 / repeat);
+            plane_grid(size[axis], size[2], period, far)
+        };
+        prepared.planes.push(plane(&lines(0), &lines(1)));
+    }
+    for texture in model.textures() {
+        let made = shared(&TEXTURES, digest_of_texture(&texture), || {
+            texture_of(&texture)
+        })?;
+        prepared.textures.push(made);
+    }
+    Ok(prepared)
+}
+
+/// What was made of the same before and is still in use, or else is made now.
+fn shared<T>(
+    known: &Prepared<T>,
+    digest: [u8; 32],
+    make: impl FnOnce() -> Result<T, SimError>,
+) -> Result<Arc<T>, SimError> {
+    let lock = || known.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(found) = lock().get(&digest).and_then(Weak::upgrade) {
+        return Ok(found);
+    }
+    let made = Arc::new(make()?);
+    let mut known = lock();
+    known.retain(|_, it| it.strong_count() > 0);
+    known.insert(digest, Arc::downgrade(&made));
+    Ok(made)
+}
+
+fn digest_of_mesh(mesh: &MeshData<'_>) -> [u8; 32] {
+    let integers = [mesh.faces, mesh.face_normals, mesh.face_texture_coordinates];
+    let numbers = [
+        mesh.vertices,
+        mesh.normals,
+        mesh.texture_coordinates.unwrap_or_default(),
+    ];
+    digest(
+        integers
+            .map(bytemuck::cast_slice)
+            .into_iter()
+            .chain(numbers.map(bytemuck::cast_slice)),
+    )
+}
+
+fn digest_of_texture(texture: &TextureData<'_>) -> [u8; 32] {
+    let sizes = [texture.width, texture.height, texture.channels].map(usize::to_le_bytes);
+    let kinds = [texture.kind, texture.colorspace].map(i32::to_le_bytes);
+    let head = [kinds.as_flattened(), sizes.as_flattened()];
+    digest(head.into_iter().chain([texture.texels]))
+}
+
+/// SHA-256 of parts, each after its length.
+fn digest<'a>(parts: impl Iterator<Item = &'a [u8]>) -> [u8; 32] {
+    let mut hash = Sha256::new();
+    for part in parts {
+        hash.update(part.len().to_le_bytes());
+        hash.update(part);
+    }
+    hash.finalize().into()
+}
+
+fn texture_of(texture: &TextureData<'_>) -> Result<Texture, SimError> {
+    let kind = match texture.kind {
+        kind if kind == c::mjtTexture::mjTEXTURE_2D as i32 => TextureKind::Flat {
+            srgb: texture.colorspace == c::mjtColorSpace::mjCOLORSPACE_SRGB as i32,
+        },
+        _ => TextureKind::Cube,
+    };
+    Texture::new(
+        kind,
+        texture.width,
+        texture.height,
+        texture.channels,
+        texture.texels,
+    )
+    .map_err(|error| graphics(error.to_string()))
+}
+
+fn mesh_of(mesh: &MeshData<'_>) -> Mesh {
+    let mut builder = MeshBuilder::default();
+    for face in 0..mesh.faces.len() / 3 {
+        let three = |ids: &[i32], values: &[f32]| {
+            [0, 1, 2].map(|corner| {
+                let at = ids[face * 3 + corner] as usize * 3;
+                [values[at], values[at + 1], values[at + 2]]
+            })
+        };
+        let st = mesh.texture_coordinates.map(|values| {
+            [0, 1, 2].map(|corner| {
+                let at = mesh.face_texture_coordinates[face * 3 + corner] as usize * 2;
+                [values[at], values[at + 1]]
+            })
+        });
+        let pos = three(mesh.faces, mesh.vertices);
+        let normals = three(mesh.face_normals, mesh.normals);
+        builder.triangle(mesh_triangle(pos, normals, st));
+    }
+    builder.build()
+}
+
+pub(super) fn materials(model: &Model) -> Vec<Option<Material>> {
+    let textures = model.mat_texid().chunks_exact(TEXTURE_ROLES);
+    let repeats = model.mat_texrepeat().chunks_exact(2);
+    let all = textures.zip(repeats).zip(model.mat_texuniform());
+    all.map(|((textures, repeat), uniform)| {
+        let texture = usize::try_from(textures[COLOUR_ROLE]).ok()?;
+        Some(Material {
+            texture,
+            repeat: [repeat[0], repeat[1]],
+            uniform: *uniform != 0,
+        })
+    })
+    .collect()
+}
+
+/// The first texture that is meant for the sky.
+pub(super) fn sky(model: &Model) -> Option<usize> {
+    let sky = c::mjtTexture::mjTEXTURE_SKYBOX as i32;
+    model.textures().position(|texture| texture.kind == sky)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_models_have_in_common_is_prepared_once_and_freed_with_the_last() {
+        let scene = |height: f32| {
+            Model::compile(&format!(
+                r#"<mujoco><asset>
+                  <mesh name="wedge" vertex="0 0 0  1 0 0  0 1 0  0 0 1"/>
+                  <mesh name="own" vertex="0 0 0  1 0 0  0 1 0  0 0 {height}"/>
+                  <texture name="tiles" type="2d" builtin="checker" width="8" height="8"/>
+                </asset><worldbody>
+                  <geom type="mesh" mesh="wedge"/><geom type="mesh" mesh="own"/>
+                </worldbody></mujoco>"#
+            ))
+            .expect("a model")
+        };
+        let [one, other] = [2.5, 3.5].map(|height| prepare(&scene(height)).expect("prepared"));
+        assert!(Arc::ptr_eq(&one.meshes[0], &other.meshes[0]));
+        assert!(!Arc::ptr_eq(&one.meshes[1], &other.meshes[1]));
+        assert!(Arc::ptr_eq(&one.textures[0], &other.textures[0]));
+        let wedge = Arc::downgrade(&one.meshes[0]);
+        drop(one);
+        assert_eq!(wedge.strong_count(), 1);
+        drop(other);
+        assert_eq!(wedge.strong_count(), 0);
+    }
+}
