@@ -7,7 +7,7 @@ use crate::clip::ClippedTriangle;
 use crate::instance::Instance;
 use crate::picture::Picture;
 use crate::raster::{Record, SAMPLES, Window};
-use crate::scene::{Geom, Scene};
+use crate::scene::{Camera, Geom, Light, LightKind, Scene, TextureUse};
 
 /// Frames that a geom must rest before it is kept, at first and at most: one
 /// that was kept and moves must rest longer the next time.
@@ -51,8 +51,12 @@ impl Backdrop {
         let count = scene.geoms.len();
         let same = self.last.as_ref().is_some_and(|(last, last_size)| {
             *last_size == size
-                && last.camera == scene.camera
-                && last.lights == scene.lights
+                && camera_bits(&last.camera) == camera_bits(&scene.camera)
+                && last
+                    .lights
+                    .iter()
+                    .map(light_bits)
+                    .eq(scene.lights.iter().map(light_bits))
                 && (last.sky, last.reflections) == (scene.sky, scene.reflections)
                 && last.geoms.len() == count
         });
@@ -131,6 +135,53 @@ impl Backdrop {
     }
 }
 
+/// A camera, to be compared: zeros of both signs differ.
+fn camera_bits(camera: &Camera) -> ([[u32; 3]; 3], [u32; 6], bool) {
+    let vectors = [camera.pos, camera.forward, camera.up];
+    let numbers = [
+        camera.center,
+        camera.half_width,
+        camera.bottom,
+        camera.top,
+        camera.near,
+        camera.far,
+    ];
+    (
+        vectors.map(|vector| vector.map(f32::to_bits)),
+        numbers.map(f32::to_bits),
+        camera.orthographic,
+    )
+}
+
+/// The same of a light.
+fn light_bits(light: &Light) -> ([[u32; 3]; 5], Option<([u32; 2], [u32; 3])>) {
+    let kind = match light.kind {
+        LightKind::Directional => None,
+        LightKind::Spot {
+            cutoff,
+            exponent,
+            attenuation,
+        } => Some((
+            [cutoff, exponent].map(f32::to_bits),
+            attenuation.map(f32::to_bits),
+        )),
+    };
+    let vectors = [
+        light.pos,
+        light.dir,
+        light.ambient,
+        light.diffuse,
+        light.specular,
+    ];
+    (vectors.map(|vector| vector.map(f32::to_bits)), kind)
+}
+
+/// The same of a texture's use.
+fn texture_bits(used: &TextureUse) -> (usize, [u32; 2], bool, bool) {
+    let repeat = used.repeat.map(f32::to_bits);
+    (used.texture, repeat, used.uniform, used.by_corner)
+}
+
 /// Whether two geoms give the same picture: zeros of both signs differ.
 fn same_bits(a: &Geom, b: &Geom) -> bool {
     let numbers = |geom: &Geom| {
@@ -155,5 +206,6 @@ fn same_bits(a: &Geom, b: &Geom) -> bool {
         }
         all
     };
-    a.shape == b.shape && a.texture == b.texture && numbers(a) == numbers(b)
+    let texture = |geom: &Geom| geom.texture.as_ref().map(texture_bits);
+    a.shape == b.shape && texture(a) == texture(b) && numbers(a) == numbers(b)
 }

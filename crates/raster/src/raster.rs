@@ -23,6 +23,10 @@ const LATTICE: i32 = 32;
 /// Triangles of at least this extent, in parts of a pixel, are cut into blocks,
 /// so that no product leaves 32 bits.
 const LARGE: i32 = 32 * SUBPIXELS;
+/// Furthest that a corner is taken to be from the picture's, in parts of a pixel.
+/// Few are beyond the picture at all: those so near to the eye that their place
+/// cannot be told. Twice this, multiplied, stays within 64 bits.
+const FURTHEST: i32 = 1 << 24;
 /// Side of such a block, pixels.
 const BLOCK: i32 = 16;
 
@@ -190,7 +194,14 @@ pub(crate) struct Drawing<'a> {
     pub(crate) visible: &'a mut Visible,
     /// Where everything goes that is not behind what is visible; without it,
     /// what is nearest becomes visible.
-    pub(crate) layers: Option<&'a mut Vec<Layer>>,
+    pub(crate) layers: Option<Layers<'a>>,
+}
+
+/// Where layers go. Drawing ends when there are more than that, and the list is
+/// of no use then.
+pub(crate) struct Layers<'a> {
+    pub(crate) list: &'a mut Vec<Layer>,
+    pub(crate) most: usize,
 }
 
 /// A triangle in two pixels side by side.
@@ -227,6 +238,10 @@ pub(crate) fn draw(index: usize, drawing: &mut Drawing<'_>) {
         let inside =
             drawing.plane.is_none() && planes.contain(cluster.bounds.center, cluster.bounds.radius);
         draw_cluster(index, mesh, cluster, inside, drawing);
+        let layers = drawing.layers.as_ref();
+        if layers.is_some_and(|layers| layers.list.len() > layers.most) {
+            return;
+        }
     }
 }
 
@@ -404,7 +419,10 @@ fn place(
         // Depth: the viewport's scale is 1 and its shift 0.
         let wz = cz * over_w;
         let subpixels = F::splat(SUBPIXELS as f32);
-        let snapped = [(wx * subpixels).nearest(), (wy * subpixels).nearest()];
+        let snapped = [wx, wy].map(|at| {
+            let at: I = (at * subpixels).nearest();
+            at.max(I::splat(-FURTHEST)).min(I::splat(FURTHEST))
+        });
         wx.store(&mut to.x[at..at + LANES]);
         wy.store(&mut to.y[at..at + LANES]);
         wz.store(&mut to.z[at..at + LANES]);
@@ -711,7 +729,10 @@ fn set_up_clipped(
 ) -> bool {
     let order = turned(instance.counter_clockwise);
     let corners = order.map(|corner| piece[corner]);
-    let snap = |value: f32| (value * SUBPIXELS as f32).round_ties_even() as i32;
+    let snap = |value: f32| {
+        let at = (value * SUBPIXELS as f32).round_ties_even() as i32;
+        at.clamp(-FURTHEST, FURTHEST)
+    };
     let x = corners.map(|corner| snap(corner.window[0]));
     let y = corners.map(|corner| snap(corner.window[1]));
     let wide = |a: i32, b: i32| i64::from(a) * i64::from(b);
@@ -940,7 +961,7 @@ fn fill_block<const INSIDE: bool>(
                     true => z.ge(nearest),
                     false => inside & z.ge(nearest),
                 };
-                if let Some(layers) = drawing.layers.as_deref_mut() {
+                if let Some(layers) = &mut drawing.layers {
                     let samples = seen.bits();
                     if samples != 0 {
                         touched = true;
@@ -950,7 +971,7 @@ fn fill_block<const INSIDE: bool>(
                             records: &visible.records,
                             clipped: &visible.clipped,
                         };
-                        layers.push(Layer {
+                        layers.list.push(Layer {
                             rank: ranks.of(&record),
                             id,
                             x: pixel_x as u16,
