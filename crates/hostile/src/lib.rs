@@ -9,6 +9,7 @@
 
 mod call;
 mod coordinator;
+mod drawing;
 mod files;
 mod gateway;
 mod scenes;
@@ -26,7 +27,7 @@ pub struct Target {
 }
 
 /// All of them.
-pub const TARGETS: [Target; 14] = [
+pub const TARGETS: [Target; 15] = [
     target("bddl", scenes::bddl, scenes::bddl_seeds),
     target("mjcf", scenes::mjcf, scenes::mjcf_seeds),
     target(
@@ -57,6 +58,7 @@ pub const TARGETS: [Target; 14] = [
     target("rpc", coordinator::messages, coordinator::seeds),
     target("rpc_policy", gateway::messages, gateway::seeds),
     target("policy_answer", gateway::answers, gateway::answer_seeds),
+    target("drawing", drawing::draw, drawing::seeds),
 ];
 
 /// The target of this name.

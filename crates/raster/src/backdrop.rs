@@ -6,7 +6,7 @@
 use crate::clip::ClippedTriangle;
 use crate::instance::Instance;
 use crate::picture::Picture;
-use crate::scene::{Geom, Scene};
+use crate::scene::{Camera, Geom, Light, LightKind, Scene, TextureUse};
 use crate::visible::{Record, SAMPLES};
 use crate::window::Window;
 
@@ -52,8 +52,10 @@ impl Backdrop {
         let count = scene.geoms.len();
         let same = self.last.as_ref().is_some_and(|(last, last_size)| {
             *last_size == size
-                && last.camera == scene.camera
-                && last.lights == scene.lights
+                && camera_bits(&last.camera) == camera_bits(&scene.camera)
+                && last.lights.len() == scene.lights.len()
+                && (last.lights.iter().zip(&scene.lights))
+                    .all(|(a, b)| light_bits(a) == light_bits(b))
                 && (last.sky, last.reflections) == (scene.sky, scene.reflections)
                 && last.geoms.len() == count
         });
@@ -132,6 +134,50 @@ impl Backdrop {
     }
 }
 
+/// A camera, to be compared: zeros of both signs differ.
+fn camera_bits(camera: &Camera) -> ([[u32; 3]; 3], [u32; 6], bool) {
+    let vectors = [camera.pos, camera.forward, camera.up];
+    let numbers = [
+        camera.center,
+        camera.half_width,
+        camera.bottom,
+        camera.top,
+        camera.near,
+        camera.far,
+    ];
+    (
+        vectors.map(|vector| vector.map(f32::to_bits)),
+        numbers.map(f32::to_bits),
+        camera.orthographic,
+    )
+}
+
+/// The same of a light.
+fn light_bits(light: &Light) -> ([[u32; 3]; 5], Option<[u32; 5]>) {
+    let vectors = [
+        light.pos,
+        light.dir,
+        light.ambient,
+        light.diffuse,
+        light.specular,
+    ];
+    let spot = match light.kind {
+        LightKind::Directional => None,
+        LightKind::Spot {
+            cutoff,
+            exponent,
+            attenuation: [a, b, c],
+        } => Some([cutoff, exponent, a, b, c].map(f32::to_bits)),
+    };
+    (vectors.map(|vector| vector.map(f32::to_bits)), spot)
+}
+
+/// The same of a texture's use.
+fn texture_bits(used: &TextureUse) -> (usize, [u32; 2], bool, bool) {
+    let repeat = used.repeat.map(f32::to_bits);
+    (used.texture, repeat, used.uniform, used.by_corner)
+}
+
 /// Whether two geoms give the same picture: zeros of both signs differ.
 fn same_bits(a: &Geom, b: &Geom) -> bool {
     let numbers = |geom: &Geom| {
@@ -156,5 +202,6 @@ fn same_bits(a: &Geom, b: &Geom) -> bool {
         }
         all
     };
-    a.shape == b.shape && a.texture == b.texture && numbers(a) == numbers(b)
+    let texture = |geom: &Geom| geom.texture.as_ref().map(texture_bits);
+    a.shape == b.shape && texture(a) == texture(b) && numbers(a) == numbers(b)
 }

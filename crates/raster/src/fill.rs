@@ -221,11 +221,11 @@ fn fill_block<const INSIDE: bool>(
                     true => z.ge(nearest),
                     false => inside & z.ge(nearest),
                 };
-                if let Some(layers) = drawing.layers.as_deref_mut() {
+                if let Some(layers) = &mut drawing.layers {
                     let samples = seen.bits();
                     if samples != 0 {
                         touched = true;
-                        layers.push(Layer {
+                        layers.list.push(Layer {
                             rank: ranks.of(&record),
                             id,
                             x: pixel_x as u16,

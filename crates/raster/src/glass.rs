@@ -1,19 +1,24 @@
 //! What one can see through: blended over what is behind it, the near things
 //! first, and then all of them again the far ones first, as MuJoCo does.
 
-use crate::instance::{self, View, is_behind, is_plane};
+use crate::instance::{self, Instance, View, is_behind, is_plane};
 use crate::matrix::{dot, minus};
 use crate::picture::{Pass, Picture, Workspace};
 use crate::raster::{self, Drawing};
 use crate::scene::{Geom, Scene, Shape};
-use crate::shade::{self, Fragment};
-use crate::visible::{Layer, SAMPLES};
+use crate::shade::{self, Fragment, Lists};
+use crate::visible::{Layer, Layers, SAMPLES, Visible};
 use crate::window::Window;
 
 /// Geoms of less opacity are seen through.
 const OPAQUE_FROM: f64 = 0.995;
 /// Planes are taken to be this far away.
 const PLANE_DISTANCE: f32 = 1e10;
+/// Most pixels that are blended at once, and most triangles in pairs of them: a
+/// mesh may have any number of triangles one behind the other. It bounds the
+/// memory of a frame to some hundred megabytes.
+const MOST_PIXELS: i32 = 1 << 17;
+const MOST_LAYERS: usize = 1 << 21;
 
 /// The geoms that one can see through, the near ones first.
 pub(crate) fn see_through(scene: &Scene, view: &View) -> Vec<usize> {
@@ -55,10 +60,66 @@ pub(crate) fn add(
     geoms: &[Geom],
     work: &mut Workspace,
 ) -> Option<Window> {
-    let painted: Vec<_> = geoms
+    let mut changed = None;
+    let mut left = vec![pass.window];
+    while let Some(window) = left.pop() {
+        let halves = halves(window);
+        if let Some(halves) = halves.filter(|_| pixels(window) > MOST_PIXELS) {
+            left.extend(halves);
+            continue;
+        }
+        let part = Pass { window, ..pass };
+        let most = halves.map_or(usize::MAX, |_| MOST_LAYERS);
+        match (paint_all(picture, part, geoms, work, most), halves) {
+            (None, Some(halves)) => left.extend(halves),
+            (painted, _) => {
+                let painted = painted.unwrap_or_default();
+                changed = Window::around(changed, blend(picture, &painted));
+            }
+        }
+    }
+    changed
+}
+
+fn pixels(window: Window) -> i32 {
+    (window.x[1] - window.x[0] + 1) * (window.y[1] - window.y[0] + 1)
+}
+
+/// Both halves of a window; none of a single pair of pixels.
+fn halves(Window { x, y }: Window) -> Option<[Window; 2]> {
+    let row = y[0] + (y[1] - y[0]) / 2;
+    let column = (x[0] + (x[1] - x[0]) / 2) | 1;
+    match (y[0] < y[1], column < x[1]) {
+        (true, _) => Some([[y[0], row], [row + 1, y[1]]].map(|y| Window { x, y })),
+        (false, true) => Some([[x[0], column], [column + 1, x[1]]].map(|x| Window { x, y })),
+        (false, false) => None,
+    }
+}
+
+/// Colours of a geom in drawing order.
+type Painted = Vec<(Fragment, u32)>;
+
+/// All geoms in a window; none if they have more layers there than that.
+fn paint_all(
+    picture: &mut Picture,
+    pass: Pass<'_>,
+    geoms: &[Geom],
+    work: &mut Workspace,
+    most: usize,
+) -> Option<Vec<Painted>> {
+    let mut left = most;
+    geoms
         .iter()
-        .map(|geom| paint(picture, pass, geom, work))
-        .collect();
+        .map(|geom| {
+            let painted = paint(picture, pass, geom, work, left)?;
+            left = left.saturating_sub(painted.len());
+            Some(painted)
+        })
+        .collect()
+}
+
+/// Blends what was painted of each geom over a picture; returns where.
+fn blend(picture: &mut Picture, painted: &[Painted]) -> Option<Window> {
     let stride = picture.visible.stride;
     let mut window = None;
     for (fragment, colour) in painted.iter().chain(painted.iter().rev()).flatten() {
@@ -75,13 +136,15 @@ pub(crate) fn add(
     window
 }
 
-/// All of a geom that is in front of what is visible, in drawing order.
+/// All of a geom that is in front of what is visible, in drawing order; none if
+/// that are more layers than so many.
 fn paint(
     picture: &mut Picture,
     pass: Pass<'_>,
     geom: &Geom,
     work: &mut Workspace,
-) -> Vec<(Fragment, u32)> {
+    most: usize,
+) -> Option<Painted> {
     let Picture {
         instances, visible, ..
     } = picture;
@@ -103,20 +166,43 @@ fn paint(
                 plane: pass.view.clip,
                 positions: &mut work.positions,
                 visible,
-                layers: Some(&mut layers),
+                layers: Some(Layers {
+                    list: &mut layers,
+                    most,
+                }),
             },
         );
     }
+    let painted = (layers.len() <= most).then(|| {
+        let shown = (instances.as_slice(), &*visible);
+        colour(shown, pass, &mut layers, &mut work.lists)
+    });
+    instances.truncate(before.0);
+    visible.records.truncate(before.1);
+    visible.clipped.truncate(before.2);
+    visible.touched = touched;
+    painted
+}
+
+/// Colours what was drawn of a geom, in drawing order.
+fn colour(
+    (instances, visible): (&[Instance], &Visible),
+    pass: Pass<'_>,
+    layers: &mut [Layer],
+    lists: &mut Lists,
+) -> Painted {
     // Stable: the pixels of one triangle do not overlap.
     layers.sort_by_key(|layer| layer.rank);
-    let lists = &mut work.lists;
     lists.clear(visible.records.len(), pass.model.textures.len());
     let mut count = 0u32;
-    for layer in &layers {
+    for layer in &*layers {
         let (surface, instance) = lists.surface_of(layer.id, &visible.records);
         let list = lists.list_of(&instances[instance as usize]);
         for (pixel, samples) in [(0, layer.samples & 0xf), (1, layer.samples >> SAMPLES)] {
-            if samples != 0 {
+            // Pixels are drawn in pairs, of which one may lie beside the window.
+            let x = i32::from(layer.x + pixel);
+            let is_inside = (pass.window.x[0]..=pass.window.x[1]).contains(&x);
+            if is_inside && samples != 0 {
                 lists.fragments[list].push(Fragment {
                     x: layer.x + pixel,
                     y: layer.y,
@@ -134,10 +220,6 @@ fn paint(
         painted.push((*fragment, colour));
     });
     painted.sort_unstable_by_key(|(fragment, _)| fragment.samples >> SAMPLES);
-    instances.truncate(before.0);
-    visible.records.truncate(before.1);
-    visible.clipped.truncate(before.2);
-    visible.touched = touched;
     painted
 }
 

@@ -7,6 +7,10 @@ use crate::raster::Drawing;
 
 /// Positions are snapped to so many parts of a pixel.
 pub(crate) const SUBPIXELS: i32 = 256;
+/// Furthest that a corner is taken to be from the picture's, in parts of a pixel.
+/// Few are beyond the picture at all: those so near to the eye that their place
+/// cannot be told. Twice this, multiplied, stays within 64 bits.
+pub(crate) const FURTHEST: i32 = 1 << 24;
 
 /// The positions of a cluster in the picture.
 pub(crate) struct Positions {
@@ -114,7 +118,10 @@ pub(crate) fn place(
         // Depth: the viewport's scale is 1 and its shift 0.
         let wz = cz * over_w;
         let subpixels = F::splat(SUBPIXELS as f32);
-        let snapped = [(wx * subpixels).nearest(), (wy * subpixels).nearest()];
+        let snapped = [wx, wy].map(|at| {
+            let at: I = (at * subpixels).nearest();
+            at.max(I::splat(-FURTHEST)).min(I::splat(FURTHEST))
+        });
         wx.store(&mut to.x[at..at + LANES]);
         wy.store(&mut to.y[at..at + LANES]);
         wz.store(&mut to.z[at..at + LANES]);

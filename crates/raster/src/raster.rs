@@ -12,7 +12,7 @@ use crate::model::Model;
 use crate::positions::{Placed, Positions, place};
 use crate::setup::Setup;
 use crate::surface::VARYING;
-use crate::visible::{CLIPPED, Layer, Record, Visible};
+use crate::visible::{CLIPPED, Layers, Record, Visible};
 use crate::window::Window;
 
 /// What drawing an instance needs beside it.
@@ -26,7 +26,7 @@ pub(crate) struct Drawing<'a> {
     pub(crate) visible: &'a mut Visible,
     /// Where everything goes that is not behind what is visible; without it,
     /// what is nearest becomes visible.
-    pub(crate) layers: Option<&'a mut Vec<Layer>>,
+    pub(crate) layers: Option<Layers<'a>>,
 }
 
 /// Draws an instance into what is visible.
@@ -50,6 +50,10 @@ pub(crate) fn draw(index: usize, drawing: &mut Drawing<'_>) {
         let inside = drawing.plane.is_none()
             && frustum.contain(cluster.bounds.center, cluster.bounds.radius);
         draw_cluster(index, mesh, cluster, inside, drawing);
+        let layers = drawing.layers.as_ref();
+        if layers.is_some_and(|layers| layers.list.len() > layers.most) {
+            return;
+        }
     }
 }
 

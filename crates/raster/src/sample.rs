@@ -359,6 +359,8 @@ fn cube_on(cube: Texels<'_>, level: &[u8; LANES], face: &Face) -> Colour {
         let place = at.max(F::splat(0.0)) * side - F::splat(0.5);
         let floor = place.floor();
         let texel: I = floor.whole();
+        // Directions too short to be told meet a face far outside it.
+        let texel = texel.max(whole(-1)).min(sizes.width);
         (texel, place - floor)
     };
     let ((x, u), (y, v)) = (place(face.s), place(face.t));

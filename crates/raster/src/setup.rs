@@ -5,7 +5,7 @@ use crate::clip::ClippedCorner;
 use crate::instance::Instance;
 use crate::lanes::{F, Floats as _, I, Ints as _, LANES, Mask};
 use crate::mesh::{Cluster, Mesh};
-use crate::positions::SUBPIXELS;
+use crate::positions::{FURTHEST, SUBPIXELS};
 use crate::raster::Drawing;
 use crate::window::Window;
 
@@ -120,11 +120,9 @@ impl Setup {
         window: Window,
     ) -> bool {
         let corners = turned(instance.counter_clockwise).map(|corner| piece[corner]);
-        // A piece lies in the picture, but for the rounding of its cutting.
-        const FAR: f32 = 1e8;
         let snap = |value: f32| {
-            let parts = value * SUBPIXELS as f32;
-            parts.clamp(-FAR, FAR).round_ties_even() as i32
+            let at = (value * SUBPIXELS as f32).round_ties_even() as i32;
+            at.clamp(-FURTHEST, FURTHEST)
         };
         let [x, y] = [0, 1].map(|axis| corners.map(|corner| snap(corner.window[axis])));
         let wide = |a: i32, b: i32| i64::from(a) * i64::from(b);

@@ -95,13 +95,16 @@ impl Texture {
         channels: usize,
         bytes: &[u8],
     ) -> Result<Self, ModelError> {
-        let sized = (1..=MAX_SIDE).contains(&width) && (1..=6 * MAX_SIDE).contains(&height);
-        let shaped = match kind {
-            TextureKind::Flat { .. } => height <= MAX_SIDE,
-            TextureKind::Cube => height == width || height == 6 * width,
-        };
-        let whole = matches!(channels, 3 | 4) && bytes.len() == width * height * channels;
-        if !(sized && shaped && whole) {
+        // One after the other: what is not sized may be too large to multiply.
+        let sized = (1..=MAX_SIDE).contains(&width)
+            && (1..=6 * MAX_SIDE).contains(&height)
+            && matches!(channels, 3 | 4);
+        let shaped = sized
+            && match kind {
+                TextureKind::Flat { .. } => height <= MAX_SIDE,
+                TextureKind::Cube => height == width || height == 6 * width,
+            };
+        if !(shaped && bytes.len() == width * height * channels) {
             return Err(ModelError::Texture {
                 width,
                 height,
@@ -339,7 +342,10 @@ mod tests {
             (flat, 2, 2, 2, 8),
             (flat, 2, 2, 3, 11),
             (flat, 1 << 20, 1, 3, 3 << 20),
+            (flat, usize::MAX, 3, 3, 9),
+            (flat, 2, 2, usize::MAX, 12),
             (TextureKind::Cube, 2, 6, 3, 36),
+            (TextureKind::Cube, usize::MAX, 6, 3, 36),
         ] {
             let texture = Texture::new(kind, width, height, channels, &vec![0; bytes]);
             assert!(texture.is_err(), "{kind:?} {width} {height}");

@@ -106,6 +106,13 @@ pub(crate) struct Layer {
     pub(crate) samples: u32,
 }
 
+/// Where layers go. Drawing ends when there are more than that, and the list is
+/// of no use then.
+pub(crate) struct Layers<'a> {
+    pub(crate) list: &'a mut Vec<Layer>,
+    pub(crate) most: usize,
+}
+
 /// What tells which of two triangles is drawn later.
 pub(crate) struct Ranks<'a> {
     pub(crate) model: &'a Model,

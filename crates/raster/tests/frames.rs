@@ -222,3 +222,72 @@ fn what_cannot_be_drawn_is_named() {
     };
     assert_eq!(draw(&empty, 8), Ok(8 * 8 * 3));
 }
+
+/// Draws scenes one after the other on one canvas, each often enough to rest,
+/// and compares with canvases that are new.
+fn assert_the_same_anew(scenes: &[Scene], size: [usize; 2]) {
+    let model = model();
+    let mut canvas = Canvas::new();
+    for (number, scene) in scenes.iter().enumerate() {
+        let mut fresh = Canvas::new();
+        let anew = fresh
+            .draw(&model, &largest(), scene, size)
+            .expect("a frame");
+        for time in 0..4 {
+            let drawn = canvas
+                .draw(&model, &largest(), scene, size)
+                .expect("a frame");
+            assert!(drawn == anew, "scene {number}, time {time}");
+        }
+    }
+}
+
+/// They compare as equal, and one over them is not.
+#[test]
+fn zeros_of_both_signs_are_told_apart() {
+    let with_attenuation = |zero: f32| {
+        let mut scene = room();
+        scene.lights[1].kind = raster::LightKind::Spot {
+            cutoff: 180.0,
+            exponent: 0.0,
+            attenuation: [zero; 3],
+        };
+        scene.lights[1].ambient = [0.1; 3];
+        scene
+    };
+    assert_the_same_anew(&[with_attenuation(0.0), with_attenuation(-0.0)], [32, 32]);
+}
+
+/// More layers than are blended at once, so that a frame is done in parts. The
+/// digest is that of all at once.
+#[test]
+fn glass_that_is_blended_in_parts_is_the_same() {
+    let mut builder = MeshBuilder::default();
+    for layer in 0..1500 {
+        let z = layer as f32 * 1e-3;
+        builder.quad(
+            [
+                [-9.0, -9.0, z],
+                [9.0, -9.0, z],
+                [9.0, 9.0, z],
+                [-9.0, 9.0, z],
+            ]
+            .map(corner),
+        );
+    }
+    let mut model = model();
+    model.meshes.push(builder.build().into());
+    let mut scene = room();
+    let glass = scenes::geom(
+        Shape::Mesh(1),
+        [0.0, 0.0, -2.0],
+        [1.0; 3],
+        [0.2, 0.4, 0.6, 0.01],
+    );
+    scene.geoms = vec![glass];
+    let mut canvas = Canvas::new();
+    let frame = canvas
+        .draw(&model, &largest(), &scene, [96, 64])
+        .expect("a frame");
+    assert_eq!(digest(frame), "b3803dc6681de13b");
+}
