@@ -156,8 +156,18 @@ impl Drawing {
                 let differs = drawn.iter().zip(anew).position(|(a, b)| a != b);
                 let at = differs.map(|byte| (byte / 3 % width, byte / 3 / width));
                 assert_eq!(at, None, "a pixel depends on what was drawn before");
+                let depths = self.canvas.depths();
+                assert!(
+                    depths.eq(fresh.depths()),
+                    "a depth depends on what was drawn before"
+                );
+                assert!(fresh.depths().all(|depth| (0.0..=1.0).contains(&depth)));
+                assert_eq!(fresh.depths().count(), width * height);
+                let segments = raster::segments(&self.model, &self.scene, size);
+                assert_eq!(segments.expect("what can be drawn").len(), width * height);
             }
             (Err(drawn), Err(anew)) => {
+                raster::segments(&self.model, &self.scene, size).expect_err("what cannot be drawn");
                 assert_eq!(drawn.to_string(), anew.to_string());
                 self.is_refused = true;
             }

@@ -94,7 +94,8 @@ impl Canvas {
             ..
         } = self.picture.visible;
         let rows = Window::whole(width, height).rows(stride);
-        rows.flatten().map(|pixel| 1.0 - depths[pixel * SAMPLES])
+        let depth = |pixel: usize| (1.0 - depths[pixel * SAMPLES]).clamp(0.0, 1.0);
+        rows.flatten().map(depth)
     }
 
     /// Draws what is opaque, and the sky.

@@ -13,6 +13,7 @@ use crate::error::SimError;
 use crate::mujoco::{Data, Model};
 
 const REMEDY: &str = "draw it with --renderer gl";
+const PLANE: i32 = c::mjtGeom::mjGEOM_PLANE as i32;
 
 /// What our renderer keeps to draw one scene.
 pub(crate) struct SoftwareCanvas {
@@ -143,6 +144,12 @@ impl SoftwareCanvas {
         for light in &seen.lights[..seen.nlight as usize] {
             self.scene.lights.push(read_light(light, shadows)?);
         }
+        let is_endless =
+            |geom: &c::mjvGeom| geom.type_ == PLANE && geom.size[0] == 0.0 && geom.size[1] == 0.0;
+        let hazy = self.scene.sky.is_some() && flag(c::mjtRndFlag::mjRND_HAZE);
+        if hazy && self.abstraction.geoms().iter().any(is_endless) {
+            return Err(graphics("an endless plane below a sky is hazy".to_owned()));
+        }
         self.scene.geoms.clear();
         for geom in self.abstraction.geoms() {
             self.scene.geoms.push(read_geom(geom, &self.materials)?);
@@ -186,7 +193,6 @@ fn read_light(light: &c::mjvLight, shadows: bool) -> Result<Light, SimError> {
 }
 
 fn read_geom(geom: &c::mjvGeom, materials: &[Option<Material>]) -> Result<Geom, SimError> {
-    const PLANE: i32 = c::mjtGeom::mjGEOM_PLANE as i32;
     const SPHERE: i32 = c::mjtGeom::mjGEOM_SPHERE as i32;
     const CAPSULE: i32 = c::mjtGeom::mjGEOM_CAPSULE as i32;
     const ELLIPSOID: i32 = c::mjtGeom::mjGEOM_ELLIPSOID as i32;
