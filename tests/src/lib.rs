@@ -9,4 +9,3 @@ pub mod files;
 pub mod measure;
 pub mod motion;
 pub mod programs;
-pub mod renderer;

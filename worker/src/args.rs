@@ -3,10 +3,9 @@
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
-use clap::error::ErrorKind;
-use clap::{ArgGroup, ArgMatches, Args, FromArgMatches, Parser, Subcommand, ValueEnum};
+use clap::{ArgGroup, Args, Parser, Subcommand};
 use protocol::{Level, Realisation, RolloutId, Suite};
-use sim::{GlDevice, Renderer};
+use sim::Renderer;
 use transport::ClientArguments;
 
 use crate::grpc::{EndpointError, parse_endpoint};
@@ -105,100 +104,22 @@ pub struct SlotArguments {
 }
 
 /// What simulates and draws.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Args)]
 pub struct SimulatorArguments {
-    /// The asset pack: its name, or its path.
-    pub assets: String,
-    /// Where robot models, task files and initial states are, if not in the
-    /// usual place.
-    pub sources: Option<PathBuf>,
-    /// What draws.
-    pub renderer: Renderer,
-}
-
-/// What simulates and draws, as it is written.
-#[derive(Debug, Args)]
-struct WrittenSimulatorArguments {
     /// Models of objects and rooms: `primitives`, or the path of a LIBERO
     /// assets folder
     #[arg(long, value_name = "PACK_OR_PATH")]
-    assets: String,
+    pub assets: String,
     /// Robot models, task files and initial states, as `cargo xtask setup`
     /// unpacks them [default: $ROLLOUT_SOURCES, else rollout/sources in the
     /// user's cache folder]
     #[arg(long, value_name = "DIR")]
-    sources: Option<PathBuf>,
+    pub sources: Option<PathBuf>,
     /// What draws: `software` (the same pictures on every machine), or `gl`
-    /// (MuJoCo's own renderer, through OpenGL)
-    #[arg(long, value_enum, default_value_t = RendererKind::default())]
-    renderer: RendererKind,
-    /// With --renderer gl, which of the graphics devices draws: `auto`, or its
-    /// number [default: auto]
-    #[arg(long, value_name = "DEVICE", value_parser = gl_device)]
-    gl_device: Option<GlDevice>,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum RendererKind {
-    Software,
-    Gl,
-}
-
-impl Default for RendererKind {
-    fn default() -> Self {
-        match Renderer::default() {
-            Renderer::Software => Self::Software,
-            Renderer::Gl(_) => Self::Gl,
-        }
-    }
-}
-
-impl TryFrom<WrittenSimulatorArguments> for SimulatorArguments {
-    type Error = clap::Error;
-
-    fn try_from(written: WrittenSimulatorArguments) -> Result<Self, clap::Error> {
-        let renderer = match (written.renderer, written.gl_device) {
-            (RendererKind::Gl, device) => Renderer::Gl(device.unwrap_or(GlDevice::Auto)),
-            (RendererKind::Software, None) => Renderer::Software,
-            (RendererKind::Software, Some(_)) => {
-                return Err(clap::Error::raw(
-                    ErrorKind::ArgumentConflict,
-                    "--gl-device chooses a device for OpenGL, which does not draw here: add \
-                     `--renderer gl`, or leave --gl-device out\n",
-                ));
-            }
-        };
-        Ok(Self {
-            assets: written.assets,
-            sources: written.sources,
-            renderer,
-        })
-    }
-}
-
-impl FromArgMatches for SimulatorArguments {
-    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
-        WrittenSimulatorArguments::from_arg_matches(matches)?.try_into()
-    }
-
-    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
-        *self = Self::from_arg_matches(matches)?;
-        Ok(())
-    }
-}
-
-impl Args for SimulatorArguments {
-    fn group_id() -> Option<clap::Id> {
-        WrittenSimulatorArguments::group_id()
-    }
-
-    fn augment_args(command: clap::Command) -> clap::Command {
-        WrittenSimulatorArguments::augment_args(command)
-    }
-
-    fn augment_args_for_update(command: clap::Command) -> clap::Command {
-        WrittenSimulatorArguments::augment_args_for_update(command)
-    }
+    /// (MuJoCo's own renderer, through OpenGL, on the first graphics device
+    /// that works; `gl:N` on the N-th, from 0)
+    #[arg(long, value_name = "software|gl|gl:N", default_value_t)]
+    pub renderer: Renderer,
 }
 
 /// Which rollout, and what acts in it.
@@ -359,17 +280,10 @@ fn hub_url(text: &str) -> Result<String, String> {
     }
 }
 
-fn gl_device(text: &str) -> Result<GlDevice, String> {
-    match text.parse() {
-        _ if text == "auto" => Ok(GlDevice::Auto),
-        Ok(index) => Ok(GlDevice::Index(index)),
-        Err(_) => Err("write `auto`, or a number such as 0".to_owned()),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use clap::CommandFactory;
+    use sim::GlDevice;
 
     use super::*;
 
@@ -398,7 +312,7 @@ mod tests {
     #[test]
     fn one_rollout_needs_no_coordinator() {
         let line = "worker rollout --id spatial/t0/clean/i07 --endpoint grpc://h:1 \
-                    --assets primitives --output out --renderer gl --gl-device 1";
+                    --assets primitives --output out --renderer gl:1";
         let read = parse(line).expect("complete");
         let Some(Command::Rollout(rollout)) = read.command else {
             panic!("{read:?}")
@@ -406,34 +320,6 @@ mod tests {
         assert_eq!(rollout.simulator.renderer, Renderer::Gl(GlDevice::Index(1)));
         let error = parse(&line.replace("clean", "clear")).expect_err("no such condition");
         assert!(error.to_string().contains("camera"), "{error}");
-    }
-
-    #[test]
-    fn a_graphics_device_is_for_the_renderer_that_uses_one() {
-        let film = "worker film --connect http://h:1 --assets primitives";
-        for (line, renderer) in [
-            (format!("{film} --renderer software"), Renderer::Software),
-            (
-                format!("{film} --renderer gl"),
-                Renderer::Gl(GlDevice::Auto),
-            ),
-        ] {
-            let read = parse(&line).expect("complete");
-            let Some(Command::Film(film)) = read.command else {
-                panic!("{read:?}")
-            };
-            assert_eq!(film.simulator.renderer, renderer);
-        }
-        for line in [
-            format!("{film} --renderer software --gl-device 0"),
-            "worker --connect http://h:1 --assets primitives --gl-device 0 --renderer software"
-                .to_owned(),
-        ] {
-            let error = parse(&line).expect_err(&line);
-            assert_eq!(error.exit_code(), 2);
-            let error = error.to_string();
-            assert!(error.contains("add `--renderer gl`"), "{error}");
-        }
     }
 
     #[test]
@@ -474,7 +360,7 @@ mod tests {
     fn what_cannot_be_meant_is_a_usage_error() {
         for line in [
             "worker --connect http://h:1 --assets primitives --slots 0",
-            "worker --connect http://h:1 --assets primitives --renderer gl --gl-device gpu",
+            "worker --connect http://h:1 --assets primitives --renderer gl:gpu",
             "worker --connect http://h:1 --assets primitives --renderer vulkan",
             "worker --connect localhost:7411 --assets primitives",
         ] {

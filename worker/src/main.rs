@@ -12,7 +12,7 @@ use anyhow::Context;
 use clap::Parser;
 use protocol::TaskRef;
 use scene::{AssetPack, Sources};
-use sim::{GlDevice, Renderer, Simulator, SimulatorConfig};
+use sim::{Simulator, SimulatorConfig};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::mpsc;
 use tracing_subscriber::EnvFilter;
@@ -274,20 +274,10 @@ fn slot_command(
         Some(program) => program,
         None => std::env::current_exe().context("find this program's own file")?,
     };
-    let renderer: Vec<String> = match arguments.renderer {
-        Renderer::Software => vec!["software".to_owned()],
-        Renderer::Gl(device) => {
-            let device = match device {
-                GlDevice::Auto => "auto".to_owned(),
-                GlDevice::Index(index) => index.to_string(),
-            };
-            vec!["gl".to_owned(), "--gl-device".to_owned(), device]
-        }
-    };
     let mut slot: Vec<OsString> = vec!["slot".into(), "--assets".into()];
     slot.extend([arguments.assets.clone().into(), "--sources".into()]);
     slot.extend([sources.into(), "--renderer".into()]);
-    slot.extend(renderer.into_iter().map(OsString::from));
+    slot.push(arguments.renderer.to_string().into());
     // Files only: a token in an argument could be read in every process list.
     for (flag, file) in [("--token-file", &access.token_file), ("--ca", &access.ca)] {
         if let Some(file) = file {

@@ -27,7 +27,6 @@ use sim::{Episode, Renderer, Simulator, SimulatorConfig};
 use tests::fidelity::read_npz;
 use tests::measure::{Clock, Spread};
 use tests::motion::smooth_action;
-use tests::renderer;
 use worker::actor::Actor;
 use worker::message::Assignment;
 use worker::policy::{Action, Description, PolicyError};
@@ -52,8 +51,9 @@ struct Arguments {
     /// Rollouts that are timed, after one that is not.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     rollouts: u32,
-    /// What draws: `software`, or `gl` for MuJoCo's renderer through OpenGL.
-    #[arg(long, default_value = "software", value_parser = renderer::parse)]
+    /// What draws: `software`, or `gl` for MuJoCo's renderer through OpenGL,
+    /// `gl:N` on the N-th device.
+    #[arg(long, default_value_t)]
     renderer: Renderer,
     /// Times by the wall clock even where processor time of the one thread would
     /// do, to compare with programs that use the wall clock.
