@@ -7,6 +7,4 @@ pub mod chaos;
 pub mod fidelity;
 pub mod files;
 pub mod measure;
-pub mod motion;
 pub mod programs;
-pub mod renderer;

@@ -10,7 +10,7 @@ use serde::Deserialize;
 use sim::{Drawer, Environment, GlDevice, Renderer, Simulator, SimulatorConfig};
 use tests::fidelity::{Kinship, Limits, compare, find_tasks};
 use tests::files::{primitives, shared, sources};
-use tests::motion::smooth_action;
+use worker::measure::open_loop::smooth_action;
 
 fn check_suite(suite: &str) {
     let test = format!("every_reference_task_of_{suite}_agrees_with_the_original");

@@ -2,11 +2,11 @@
 
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
+use std::str::FromStr;
 
-use clap::error::ErrorKind;
-use clap::{ArgGroup, ArgMatches, Args, FromArgMatches, Parser, Subcommand, ValueEnum};
-use protocol::{Level, Realisation, RolloutId, Suite};
-use sim::{GlDevice, Renderer};
+use clap::{ArgGroup, Args, Parser, Subcommand};
+use protocol::{Level, Realisation, RolloutId, Suite, TaskRef};
+use sim::Renderer;
 use transport::ClientArguments;
 
 use crate::grpc::{EndpointError, parse_endpoint};
@@ -21,10 +21,14 @@ use crate::grpc::{EndpointError, parse_endpoint};
     args_conflicts_with_subcommands = true,
     subcommand_negates_reqs = true,
     override_usage = "worker --connect URL --assets PACK [OPTIONS]\n       \
-                      worker rollout --id ID --endpoint URL --assets PACK --output DIR [OPTIONS]\n       \
-                      worker rollout --bddl FILE --init FILE --actions FILE --assets PACK --output DIR [OPTIONS]\n       \
+                      worker rollout --id ID --endpoint URL --assets PACK\n              \
+                      --output DIR [OPTIONS]\n       \
+                      worker rollout --bddl FILE --init FILE --actions FILE --assets PACK\n              \
+                      --output DIR [OPTIONS]\n       \
                       worker film --connect URL --assets PACK [OPTIONS]\n       \
-                      worker preview --suite SUITE --task N --assets PACK --output DIR [OPTIONS]\n       \
+                      worker preview --suite SUITE --task N --assets PACK\n              \
+                      --output DIR [OPTIONS]\n       \
+                      worker bench --assets PACK [OPTIONS]\n       \
                       worker assets list|verify|fetch [OPTIONS]"
 )]
 pub struct Arguments {
@@ -56,9 +60,17 @@ pub enum Command {
     Film(FilmArguments),
     /// Looks after asset packs: lists, verifies and fetches them
     Assets(AssetsArguments),
+    /// Measures how many control steps and frames per second 1, 2, 4, … slots
+    /// make on this machine, and recommends a number of slots; needs no
+    /// coordinator and no policy
+    Bench(BenchArguments),
     /// The process of one slot, started by a worker
     #[command(hide = true)]
     Slot(SlotArguments),
+    /// The process of one slot that is measured, started by `worker bench` and
+    /// `--slots auto`
+    #[command(hide = true)]
+    BenchSlot(BenchSlotArguments),
 }
 
 /// How to serve a coordinator.
@@ -67,9 +79,11 @@ pub struct ServeArguments {
     /// URL of the coordinator
     #[arg(long, value_name = "URL", value_parser = server_url)]
     pub connect: String,
-    /// Rollouts at a time, each in a process of its own
-    #[arg(long, value_name = "N", default_value = "1")]
-    pub slots: NonZeroUsize,
+    /// Rollouts at a time, each in a process of its own: a number, or `auto`
+    /// for what a measurement of a few seconds recommends before the worker
+    /// registers, with no more slots than cores and than fit into memory
+    #[arg(long, value_name = "N|auto", default_value = "1")]
+    pub slots: SlotCount,
     /// Asks policies here instead of where the campaign says
     #[arg(long, value_name = "URL", value_parser = server_url)]
     pub policy_endpoint: Option<String>,
@@ -77,6 +91,27 @@ pub struct ServeArguments {
     /// arguments: a wrapper (numactl, a debugger), or a simulated slot
     #[arg(long, value_name = "FILE", hide = true)]
     pub slot_program: Option<PathBuf>,
+}
+
+/// How many slots a worker has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SlotCount {
+    /// So many.
+    Given(NonZeroUsize),
+    /// As many as a measurement recommends.
+    Auto,
+}
+
+impl FromStr for SlotCount {
+    type Err = &'static str;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        match (text, text.parse()) {
+            ("auto", _) => Ok(Self::Auto),
+            (_, Ok(number)) => Ok(Self::Given(number)),
+            _ => Err("write `auto`, or a number from 1"),
+        }
+    }
 }
 
 /// For whom to film, and with what.
@@ -104,101 +139,64 @@ pub struct SlotArguments {
     pub simulator: SimulatorArguments,
 }
 
-/// What simulates and draws.
-#[derive(Clone, Debug)]
-pub struct SimulatorArguments {
-    /// The asset pack: its name, or its path.
-    pub assets: String,
-    /// Where robot models, task files and initial states are, if not in the
-    /// usual place.
-    pub sources: Option<PathBuf>,
-    /// What draws.
-    pub renderer: Renderer,
+/// How to measure this machine.
+#[derive(Debug, Args)]
+pub struct BenchArguments {
+    /// What the slots simulate.
+    #[command(flatten)]
+    pub load: LoadArguments,
+    /// Numbers of slots, separated by commas [default: 1, 2, 4, … and the
+    /// machine's cores, once and twice]
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    pub slots: Vec<NonZeroUsize>,
+    /// How long each number of slots is measured, seconds
+    #[arg(long, value_name = "SECS", default_value = "20", value_parser = measuring_secs)]
+    pub secs: f64,
+    /// What simulates.
+    #[command(flatten)]
+    pub simulator: SimulatorArguments,
 }
 
-/// What simulates and draws, as it is written.
+/// What a measured slot is told.
 #[derive(Debug, Args)]
-struct WrittenSimulatorArguments {
+pub struct BenchSlotArguments {
+    /// What it simulates.
+    #[command(flatten)]
+    pub load: LoadArguments,
+    /// What simulates.
+    #[command(flatten)]
+    pub simulator: SimulatorArguments,
+}
+
+/// What measured slots simulate.
+#[derive(Clone, Copy, Debug, Args)]
+pub struct LoadArguments {
+    /// The task, SUITE/N
+    #[arg(long, value_name = "SUITE/N", default_value = "libero_object/0")]
+    pub task: TaskRef,
+    /// Control steps between two looks of the policy: it is shown both cameras
+    /// once in so many
+    #[arg(long, value_name = "K", default_value = "1", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    pub execute: u32,
+}
+
+/// What simulates and draws.
+#[derive(Clone, Debug, Args)]
+pub struct SimulatorArguments {
     /// Models of objects and rooms: `primitives`, or the path of a LIBERO
     /// assets folder
     #[arg(long, value_name = "PACK_OR_PATH")]
-    assets: String,
+    pub assets: String,
     /// Robot models, task files and initial states, as `cargo xtask setup`
     /// unpacks them [default: $ROLLOUT_SOURCES, else rollout/sources in the
     /// user's cache folder]
     #[arg(long, value_name = "DIR")]
-    sources: Option<PathBuf>,
+    pub sources: Option<PathBuf>,
     /// What draws: `software` (the same pictures on every machine), or `gl`
-    /// (MuJoCo's own renderer, through OpenGL)
-    #[arg(long, value_enum, default_value_t = RendererKind::default())]
-    renderer: RendererKind,
-    /// With --renderer gl, which of the graphics devices draws: `auto`, or its
-    /// number [default: auto]
-    #[arg(long, value_name = "DEVICE", value_parser = gl_device)]
-    gl_device: Option<GlDevice>,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum RendererKind {
-    Software,
-    Gl,
-}
-
-impl Default for RendererKind {
-    fn default() -> Self {
-        match Renderer::default() {
-            Renderer::Software => Self::Software,
-            Renderer::Gl(_) => Self::Gl,
-        }
-    }
-}
-
-impl TryFrom<WrittenSimulatorArguments> for SimulatorArguments {
-    type Error = clap::Error;
-
-    fn try_from(written: WrittenSimulatorArguments) -> Result<Self, clap::Error> {
-        let renderer = match (written.renderer, written.gl_device) {
-            (RendererKind::Gl, device) => Renderer::Gl(device.unwrap_or(GlDevice::Auto)),
-            (RendererKind::Software, None) => Renderer::Software,
-            (RendererKind::Software, Some(_)) => {
-                return Err(clap::Error::raw(
-                    ErrorKind::ArgumentConflict,
-                    "--gl-device chooses a device for OpenGL, which does not draw here: add \
-                     `--renderer gl`, or leave --gl-device out\n",
-                ));
-            }
-        };
-        Ok(Self {
-            assets: written.assets,
-            sources: written.sources,
-            renderer,
-        })
-    }
-}
-
-impl FromArgMatches for SimulatorArguments {
-    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
-        WrittenSimulatorArguments::from_arg_matches(matches)?.try_into()
-    }
-
-    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
-        *self = Self::from_arg_matches(matches)?;
-        Ok(())
-    }
-}
-
-impl Args for SimulatorArguments {
-    fn group_id() -> Option<clap::Id> {
-        WrittenSimulatorArguments::group_id()
-    }
-
-    fn augment_args(command: clap::Command) -> clap::Command {
-        WrittenSimulatorArguments::augment_args(command)
-    }
-
-    fn augment_args_for_update(command: clap::Command) -> clap::Command {
-        WrittenSimulatorArguments::augment_args_for_update(command)
-    }
+    /// (MuJoCo's own renderer, through OpenGL, on the first graphics device
+    /// that works; `gl:N` on the N-th, from 0)
+    #[arg(long, value_name = "software|gl|gl:N", default_value_t)]
+    pub renderer: Renderer,
 }
 
 /// Which rollout, and what acts in it.
@@ -237,7 +235,7 @@ pub struct RolloutArguments {
     #[arg(long, value_name = "MODE", default_value = "matched")]
     pub realisation: Realisation,
     /// Makes no video and no pictures of its own, which saves drawing two per
-    /// step
+    /// step; with --actions no renderer is opened at all
     #[arg(long)]
     pub no_video: bool,
     /// How to get in at the policy.
@@ -359,17 +357,17 @@ fn hub_url(text: &str) -> Result<String, String> {
     }
 }
 
-fn gl_device(text: &str) -> Result<GlDevice, String> {
+fn measuring_secs(text: &str) -> Result<f64, &'static str> {
     match text.parse() {
-        _ if text == "auto" => Ok(GlDevice::Auto),
-        Ok(index) => Ok(GlDevice::Index(index)),
-        Err(_) => Err("write `auto`, or a number such as 0".to_owned()),
+        Ok(secs) if (0.1..=3600.0).contains(&secs) => Ok(secs),
+        _ => Err("write a number of seconds, 0.1 to 3600"),
     }
 }
 
 #[cfg(test)]
 mod tests {
     use clap::CommandFactory;
+    use sim::GlDevice;
 
     use super::*;
 
@@ -386,8 +384,12 @@ mod tests {
     fn a_worker_needs_a_coordinator_and_assets() {
         let read = parse("worker --connect http://h:1 --assets primitives --slots 3");
         let read = read.expect("complete");
-        assert_eq!(read.serve.expect("to serve").slots.get(), 3);
-        let simulator = read.simulator.expect("a simulator");
+        let slots = |read: Arguments| read.serve.expect("to serve").slots;
+        let simulator = read.simulator.clone().expect("a simulator");
+        let three = NonZeroUsize::new(3).expect("not zero");
+        assert_eq!(slots(read), SlotCount::Given(three));
+        let auto = "worker --connect http://h:1 --assets primitives --slots auto";
+        assert_eq!(slots(parse(auto).expect("complete")), SlotCount::Auto);
         assert_eq!(simulator.renderer, Renderer::default());
         for line in ["worker --assets primitives", "worker --connect http://h:1"] {
             let error = parse(line).expect_err(line);
@@ -398,7 +400,7 @@ mod tests {
     #[test]
     fn one_rollout_needs_no_coordinator() {
         let line = "worker rollout --id spatial/t0/clean/i07 --endpoint grpc://h:1 \
-                    --assets primitives --output out --renderer gl --gl-device 1";
+                    --assets primitives --output out --renderer gl:1";
         let read = parse(line).expect("complete");
         let Some(Command::Rollout(rollout)) = read.command else {
             panic!("{read:?}")
@@ -406,34 +408,6 @@ mod tests {
         assert_eq!(rollout.simulator.renderer, Renderer::Gl(GlDevice::Index(1)));
         let error = parse(&line.replace("clean", "clear")).expect_err("no such condition");
         assert!(error.to_string().contains("camera"), "{error}");
-    }
-
-    #[test]
-    fn a_graphics_device_is_for_the_renderer_that_uses_one() {
-        let film = "worker film --connect http://h:1 --assets primitives";
-        for (line, renderer) in [
-            (format!("{film} --renderer software"), Renderer::Software),
-            (
-                format!("{film} --renderer gl"),
-                Renderer::Gl(GlDevice::Auto),
-            ),
-        ] {
-            let read = parse(&line).expect("complete");
-            let Some(Command::Film(film)) = read.command else {
-                panic!("{read:?}")
-            };
-            assert_eq!(film.simulator.renderer, renderer);
-        }
-        for line in [
-            format!("{film} --renderer software --gl-device 0"),
-            "worker --connect http://h:1 --assets primitives --gl-device 0 --renderer software"
-                .to_owned(),
-        ] {
-            let error = parse(&line).expect_err(&line);
-            assert_eq!(error.exit_code(), 2);
-            let error = error.to_string();
-            assert!(error.contains("add `--renderer gl`"), "{error}");
-        }
     }
 
     #[test]
@@ -457,6 +431,21 @@ mod tests {
     }
 
     #[test]
+    fn a_machine_is_measured_with_nothing_but_assets() {
+        let read = parse("worker bench --assets primitives").expect("complete");
+        let Some(Command::Bench(bench)) = read.command else {
+            panic!("{read:?}")
+        };
+        assert_eq!((bench.slots.len(), bench.load.execute), (0, 1));
+        let line = "worker bench --assets primitives --slots 4,1 --secs 0.5 --renderer gl:0";
+        let read = parse(line).expect("complete");
+        let Some(Command::Bench(bench)) = read.command else {
+            panic!("{read:?}")
+        };
+        assert_eq!((bench.slots.len(), bench.secs), (2, 0.5));
+    }
+
+    #[test]
     fn a_hub_is_a_url() {
         let read = parse("worker assets fetch --hub http://127.0.0.1:9/").expect("complete");
         let Some(Command::Assets(assets)) = read.command else {
@@ -474,7 +463,12 @@ mod tests {
     fn what_cannot_be_meant_is_a_usage_error() {
         for line in [
             "worker --connect http://h:1 --assets primitives --slots 0",
-            "worker --connect http://h:1 --assets primitives --renderer gl --gl-device gpu",
+            "worker --connect http://h:1 --assets primitives --slots many",
+            "worker bench --assets primitives --slots 1,0",
+            "worker bench --assets primitives --secs 0",
+            "worker bench --assets primitives --secs inf",
+            "worker bench --assets primitives --task libero_object/10",
+            "worker --connect http://h:1 --assets primitives --renderer gl:gpu",
             "worker --connect http://h:1 --assets primitives --renderer vulkan",
             "worker --connect localhost:7411 --assets primitives",
         ] {

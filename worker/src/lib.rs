@@ -4,6 +4,7 @@
 //! Two kinds of process: [`supervise`] is the parent, which talks to the
 //! coordinator and knows no simulator; [`slot`] is a child, which simulates and
 //! knows no coordinator. [`rollout`] is what a child does for one job.
+//! [`measure`] finds out how many children a machine is worth having.
 
 #![forbid(unsafe_code)]
 
@@ -15,6 +16,7 @@ mod digest;
 pub mod film;
 pub mod grpc;
 pub mod ids;
+pub mod measure;
 pub mod message;
 mod observation;
 pub mod policy;

@@ -3,7 +3,6 @@
 #![forbid(unsafe_code)]
 
 use std::convert::Infallible;
-use std::ffi::OsString;
 use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -12,22 +11,23 @@ use anyhow::Context;
 use clap::Parser;
 use protocol::TaskRef;
 use scene::{AssetPack, Sources};
-use sim::{GlDevice, Renderer, Simulator, SimulatorConfig};
+use sim::{Simulator, SimulatorConfig};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::mpsc;
 use tracing_subscriber::EnvFilter;
 use transport::{ClientArguments, Role};
 use worker::actor::Actor;
 use worker::args::{
-    Arguments, Command, FilmArguments, PreviewArguments, RolloutArguments, ServeArguments,
-    SimulatorArguments, SlotArguments,
+    Arguments, BenchArguments, BenchSlotArguments, Command, FilmArguments, LoadArguments,
+    PreviewArguments, RolloutArguments, ServeArguments, SimulatorArguments, SlotArguments,
+    SlotCount,
 };
 use worker::ids::{WorkerId, host_name, random_number};
 use worker::message::{Assignment, VideoOf, VideoOrder};
 use worker::policy::{POLICY_CALL_DEADLINE, PolicyClient};
 use worker::single::{OwnTask, RecordedActions};
 use worker::supervise::{self, Config, Identity, SlotCommand};
-use worker::{assets, film, preview, single, slot};
+use worker::{assets, film, measure, preview, single, slot};
 
 /// Compiled scenes that a slot keeps. Jobs of one task come together, so two
 /// are enough; each takes some hundred MB with the real assets.
@@ -46,6 +46,8 @@ fn main() -> ExitCode {
         .init();
     let result = match (arguments.command, arguments.serve, arguments.simulator) {
         (Some(Command::Slot(slot)), ..) => run_slot(&slot),
+        (Some(Command::BenchSlot(slot)), ..) => run_bench_slot(&slot),
+        (Some(Command::Bench(arguments)), ..) => run_bench(&arguments),
         (Some(Command::Rollout(rollout)), ..) => run_rollout(*rollout),
         (Some(Command::Preview(preview)), ..) => run_preview(&preview),
         (Some(Command::Film(arguments)), ..) => run_film(arguments),
@@ -79,6 +81,33 @@ fn open(arguments: &SimulatorArguments) -> anyhow::Result<SimulatorConfig> {
 fn run_slot(arguments: &SlotArguments) -> anyhow::Result<()> {
     let access = arguments.access.access(&[Role::Worker])?;
     Ok(slot::run(open(&arguments.simulator)?, &access)?)
+}
+
+fn run_bench_slot(arguments: &BenchSlotArguments) -> anyhow::Result<()> {
+    let LoadArguments { task, execute } = arguments.load;
+    Ok(measure::count(open(&arguments.simulator)?, task, execute)?)
+}
+
+fn run_bench(arguments: &BenchArguments) -> anyhow::Result<()> {
+    // Opened here too, so that what is missing is said once and at once.
+    let simulator = open(&arguments.simulator)?;
+    let LoadArguments { task, execute } = arguments.load;
+    let (pack, sources) = (simulator.pack.name(), simulator.sources.dir());
+    let mut command = command_of("bench-slot", own_program()?, &arguments.simulator, sources);
+    for (flag, value) in [
+        ("--task", task.to_string()),
+        ("--execute", execute.to_string()),
+    ] {
+        command.arguments.extend([flag.into(), value.into()]);
+    }
+    let plan = measure::Plan {
+        title: format!("{task}, assets {pack}, --execute {execute}"),
+        numbers: arguments.slots.iter().map(|number| number.get()).collect(),
+        secs: arguments.secs,
+        scenes: CACHED_SCENES,
+        command,
+    };
+    Ok(measure::bench(plan, &mut std::io::stdout())?)
 }
 
 fn run_preview(arguments: &PreviewArguments) -> anyhow::Result<()> {
@@ -197,6 +226,22 @@ fn run_worker(
     // Opened here too, so that what is missing is said once and at once.
     let access = client.access(&[Role::Worker])?;
     let simulator = open(simulator_arguments)?;
+    let program = match arguments.slot_program {
+        Some(program) => program,
+        None => own_program()?,
+    };
+    let slots = match arguments.slots {
+        SlotCount::Given(slots) => slots,
+        SlotCount::Auto => {
+            // Its load is that of `worker bench` without further options.
+            let (program, sources) = (program.clone(), simulator.sources.dir());
+            let command = command_of("bench-slot", program, simulator_arguments, sources);
+            let chosen = measure::choose_slots(command, CACHED_SCENES)
+                .context("choose --slots by measurement (`--slots N` needs none)")?;
+            tracing::info!("--slots auto: {}, {}", chosen.slots, chosen.why);
+            chosen.slots
+        }
+    };
     let host = host_name();
     let seed = random_number();
     let identity = Identity {
@@ -209,7 +254,7 @@ fn run_worker(
     println!(
         "worker {}: {} slots, assets {} ({}), MuJoCo {}, coordinator {}",
         identity.worker,
-        arguments.slots,
+        slots,
         identity.asset_pack,
         identity.asset_pack_digest.get(..12).unwrap_or_default(),
         identity.mujoco_version,
@@ -220,13 +265,13 @@ fn run_worker(
         coordinator: arguments.connect,
         access,
         identity,
-        slots: arguments.slots.get(),
+        slots: slots.get(),
         slot_command: slot_command(
-            arguments.slot_program,
+            program,
             simulator_arguments,
             client,
             simulator.sources.dir(),
-        )?,
+        ),
         policy_endpoint: arguments.policy_endpoint,
         scratch: scratch.path().to_owned(),
         seed,
@@ -263,39 +308,44 @@ async fn forward(
     }
 }
 
-/// This program again, as a slot, on the same files; or `instead`.
+fn own_program() -> anyhow::Result<PathBuf> {
+    std::env::current_exe().context("find this program's own file")
+}
+
+/// A program as a slot, on the same files.
 fn slot_command(
-    instead: Option<PathBuf>,
+    program: PathBuf,
     arguments: &SimulatorArguments,
     access: &ClientArguments,
     sources: &Path,
-) -> anyhow::Result<SlotCommand> {
-    let program = match instead {
-        Some(program) => program,
-        None => std::env::current_exe().context("find this program's own file")?,
-    };
-    let renderer: Vec<String> = match arguments.renderer {
-        Renderer::Software => vec!["software".to_owned()],
-        Renderer::Gl(device) => {
-            let device = match device {
-                GlDevice::Auto => "auto".to_owned(),
-                GlDevice::Index(index) => index.to_string(),
-            };
-            vec!["gl".to_owned(), "--gl-device".to_owned(), device]
-        }
-    };
-    let mut slot: Vec<OsString> = vec!["slot".into(), "--assets".into()];
-    slot.extend([arguments.assets.clone().into(), "--sources".into()]);
-    slot.extend([sources.into(), "--renderer".into()]);
-    slot.extend(renderer.into_iter().map(OsString::from));
+) -> SlotCommand {
+    let mut command = command_of("slot", program, arguments, sources);
     // Files only: a token in an argument could be read in every process list.
     for (flag, file) in [("--token-file", &access.token_file), ("--ca", &access.ca)] {
         if let Some(file) = file {
-            slot.extend([flag.into(), file.into()]);
+            command.arguments.extend([flag.into(), file.into()]);
         }
     }
-    Ok(SlotCommand {
+    command
+}
+
+/// A program in a mode that simulates, on the same files.
+fn command_of(
+    mode: &str,
+    program: PathBuf,
+    arguments: &SimulatorArguments,
+    sources: &Path,
+) -> SlotCommand {
+    SlotCommand {
         program,
-        arguments: slot,
-    })
+        arguments: vec![
+            mode.into(),
+            "--assets".into(),
+            arguments.assets.clone().into(),
+            "--sources".into(),
+            sources.into(),
+            "--renderer".into(),
+            arguments.renderer.to_string().into(),
+        ],
+    }
 }

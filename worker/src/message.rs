@@ -167,9 +167,10 @@ pub struct IkResidual {
 /// SHA-256, hex.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Evidence {
-    /// The renderer's own name, also where no frame was drawn.
+    /// The renderer's own name, in a campaign also where no frame was drawn;
+    /// empty where none was opened.
     pub renderer: String,
-    /// See [`sim::fingerprint`].
+    /// See [`sim::fingerprint`]; empty where no renderer was opened.
     pub fingerprint: String,
     /// Of the composed MJCF.
     pub scene_digest: String,

@@ -31,7 +31,7 @@ const WINDOW_BYTES: u32 = 4 << 20;
 /// The largest frame that a policy may ask for, pixels along a side.
 const MAX_FRAME_SIDE: u32 = 1024;
 /// The cameras of a LIBERO scene that policies may look through.
-const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
+pub(crate) const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
 /// Numbers per action: translation, rotation, gripper.
 pub const ACTION_WIDTH: usize = 7;
 
@@ -244,18 +244,27 @@ impl Actor for PolicyClient {
         observation: Observation,
         horizon: usize,
     ) -> Result<Vec<Action>, PolicyError> {
-        let request = InferRequest {
-            policy: episode.policy.to_owned(),
-            session: episode.session.to_owned(),
-            query_index,
-            observation: Some(observation),
-        };
+        let request = infer_request(episode, query_index, observation);
         let mut grpc = self.grpc.clone();
         let response = self
             .call(episode.deadline, grpc.infer(request))
             .map_err(|status| self.refused("ask", episode, query_index.to_string(), &status))?;
         check_actions(&response, horizon)
             .map_err(|violation| misbehaved(episode, query_index.to_string(), violation))
+    }
+}
+
+/// What a policy is asked with.
+pub fn infer_request(
+    episode: Episode<'_>,
+    query_index: u32,
+    observation: Observation,
+) -> InferRequest {
+    InferRequest {
+        policy: episode.policy.to_owned(),
+        session: episode.session.to_owned(),
+        query_index,
+        observation: Some(observation),
     }
 }
 

@@ -30,6 +30,8 @@ pub struct Stage<'a> {
     simulator: &'a mut Simulator,
     /// In place of those of the row's task.
     files: Option<TaskFiles>,
+    /// Whether a rollout that nothing is drawn of names the renderer too.
+    always_names_renderer: bool,
 }
 
 impl<'a> Stage<'a> {
@@ -38,6 +40,7 @@ impl<'a> Stage<'a> {
         Self {
             simulator,
             files: None,
+            always_names_renderer: true,
         }
     }
 
@@ -46,11 +49,25 @@ impl<'a> Stage<'a> {
         Self {
             simulator,
             files: Some(files),
+            always_names_renderer: true,
         }
     }
 
-    /// What draws, by its own name, and the fingerprint.
-    fn drawing(&mut self) -> Result<(String, String), SimError> {
+    /// Leaves the renderer unopened, and unnamed in the evidence, if nothing is
+    /// drawn of a rollout. Not for campaigns, which are pinned to a renderer.
+    pub fn with_a_renderer_only_if_needed(self) -> Self {
+        Self {
+            always_names_renderer: false,
+            ..self
+        }
+    }
+
+    /// What draws, by its own name, and the fingerprint, which is of its pictures
+    /// too; both empty where they are not needed.
+    fn drawing(&mut self, draws: bool) -> Result<(String, String), SimError> {
+        if !draws && !self.always_names_renderer {
+            return Ok(Default::default());
+        }
         let renderer = self.simulator.renderer_name()?;
         Ok((renderer, self.simulator.fingerprint()?))
     }
@@ -189,8 +206,9 @@ pub fn run(
         first_frame_digest: String::new(),
     };
     // First, so that a renderer that cannot draw costs no rollout.
+    let draws = !description.about.cameras.is_empty() || assignment.video.is_some();
     let (renderer, fingerprint) = stage
-        .drawing()
+        .drawing(draws)
         .map_err(|source| run.simulator_failed(source))?;
     let (outcome, digests) = run.simulate(&mut stage)?;
     let evidence = Evidence {

@@ -149,6 +149,10 @@ pub fn run(
         None => Stage::of_the_protocol(simulator),
         Some(files) => Stage::of_files(simulator, files.clone()),
     };
+    let stage = match order.draw {
+        true => stage,
+        false => stage.with_a_renderer_only_if_needed(),
+    };
     let finished = rollout::run(stage, actor, order.assignment, &mut looker);
     looker.write(output)?;
     let finished = finished?;

@@ -92,7 +92,7 @@ fn leave_signals_to_the_parent() -> io::Result<()> {
 /// Where memory runs out, the kernel is to take a slot, which is replaced, and
 /// not its parent or a coordinator on the same machine. Where it does not let
 /// itself be told, nothing is lost but that.
-fn die_first() {
+pub(crate) fn die_first() {
     let _ = fs::write("/proc/self/oom_score_adj", OOM_SCORE_ADJ);
 }
 

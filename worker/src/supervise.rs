@@ -6,8 +6,8 @@
 
 mod deliver;
 pub(crate) mod link;
-mod memory;
-mod process;
+pub(crate) mod memory;
+pub(crate) mod process;
 mod slot_state;
 mod supervisor;
 

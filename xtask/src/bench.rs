@@ -1,14 +1,10 @@
-//! Benchmarks that take more than one process: a rollout here and in the
-//! original, in turn, and rollouts side by side on a whole machine. What is
-//! timed, and how, is in `tests/src/bin/bench_rollout.rs` and in
-//! docs/PERFORMANCE.md.
+//! A rollout here and in the original, in turn. What is timed, and how, is in
+//! `tests/src/bin/bench_rollout.rs` and in docs/PERFORMANCE.md.
 
-use std::collections::BTreeSet;
-use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use std::process::Command;
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, ensure};
 use serde_json::Value;
 
 use crate::cargo::cargo;
@@ -50,30 +46,6 @@ pub(crate) struct Compare {
     /// checkout]
     #[arg(long)]
     assets: Option<PathBuf>,
-}
-
-/// How a whole machine is measured.
-#[derive(clap::Args)]
-pub(crate) struct Machine {
-    /// The task: SUITE/N.
-    #[arg(long, default_value = "libero_object/0")]
-    task: String,
-    /// `primitives`, or a LIBERO assets folder.
-    #[arg(long, default_value = "primitives")]
-    assets: String,
-    /// Control steps between two looks of the policy.
-    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
-    execute: u32,
-    /// Numbers of slots, separated by commas. [default: 1, 2, 4, … and the
-    /// machine's cores, once and twice]
-    #[arg(long, value_delimiter = ',', value_parser = clap::value_parser!(u32).range(1..))]
-    slots: Vec<u32>,
-    /// How long each number of slots is measured.
-    #[arg(long, default_value_t = 20.0, value_name = "SECS")]
-    secs: f64,
-    /// What draws: `software` or `gl`.
-    #[arg(long, default_value = "software")]
-    renderer: String,
 }
 
 /// Milliseconds of a rollout's parts.
@@ -242,149 +214,6 @@ fn spread(values: &[f64]) -> (f64, f64, f64) {
     (median, at(0), at(last))
 }
 
-/// Runs rollouts in several processes at once, for each number of slots.
-pub(crate) fn on_machine(root: &Path, options: &Machine) -> Result<()> {
-    setup::run(root)?;
-    if options.renderer != "software" {
-        setup::opengl()?;
-    }
-    let program = step(PROGRAM, || build(root).map(Built))?.0;
-    let cores = cores()?;
-    let counts = match options.slots.as_slice() {
-        [] => slot_counts(cores),
-        given => given.to_vec(),
-    };
-    println!(
-        "Measuring {} on {}: an instant policy that looks every {} steps, {} s each",
-        options.task,
-        machine()?,
-        options.execute,
-        options.secs
-    );
-    println!(
-        "{:>5} {:>16} {:>16} {:>12} {:>20}",
-        "slots", "control steps/s", "frames/s", "of 1 slot", "steps/s of a slot"
-    );
-    let mut single = None;
-    for slots in counts {
-        let counted = together(slots, || {
-            let mut command = Command::new(&program);
-            command.args(["--task", &options.task, "--assets", &options.assets]);
-            command.args(["--renderer", &options.renderer]);
-            command.args(["--execute", &options.execute.to_string()]);
-            command.args(["--count-for", &options.secs.to_string()]);
-            command.current_dir(root);
-            command
-        })?;
-        let rates: Vec<f64> = counted.iter().map(|count| count.steps).collect();
-        let (steps, frames): (f64, f64) = (
-            rates.iter().sum(),
-            counted.iter().map(|count| count.frames).sum(),
-        );
-        let (_, least, most) = spread(&rates);
-        // Without a run of one slot there is nothing to compare with.
-        if slots == 1 {
-            single = Some(steps);
-        }
-        let scale = single.map_or("-".to_owned(), |single| format!("{:.2} ×", steps / single));
-        println!(
-            "{slots:>5} {steps:>16.1} {frames:>16.1} {scale:>12} {:>20}",
-            format!("{least:.1}–{most:.1}")
-        );
-    }
-    Ok(())
-}
-
-/// 1, 2, 4, … up to twice the cores, and the cores themselves.
-fn slot_counts(cores: u32) -> Vec<u32> {
-    let powers = (0..).map(|power| 1 << power);
-    let mut counts: BTreeSet<u32> = powers.take_while(|count| *count <= 2 * cores).collect();
-    counts.extend([cores, 2 * cores]);
-    counts.into_iter().collect()
-}
-
-/// What one slot did in a second.
-struct Counted {
-    steps: f64,
-    frames: f64,
-}
-
-/// A process that waits for its input before it counts.
-struct Slot {
-    child: Child,
-    input: Option<ChildStdin>,
-    output: BufReader<ChildStdout>,
-}
-
-impl Drop for Slot {
-    fn drop(&mut self) {
-        // It has ended by itself unless something failed.
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
-
-/// Starts so many processes, lets all of them begin at once when the last is
-/// ready, and collects what they counted.
-fn together(slots: u32, command: impl Fn() -> Command) -> Result<Vec<Counted>> {
-    let mut running = Vec::new();
-    for _ in 0..slots {
-        let mut command = command();
-        let shown = shown(&command);
-        command.stdin(Stdio::piped()).stdout(Stdio::piped());
-        let mut child = command
-            .spawn()
-            .with_context(|| format!("start `{shown}`"))?;
-        let (input, output) = (child.stdin.take(), child.stdout.take());
-        running.push(Slot {
-            child,
-            input,
-            output: BufReader::new(output.context("read from a process: it has no output")?),
-        });
-    }
-    for slot in &mut running {
-        let line = slot.line()?;
-        ensure!(
-            line == "ready",
-            "start a slot: it said `{line}`, not `ready`"
-        );
-    }
-    for slot in &mut running {
-        let mut input = slot
-            .input
-            .take()
-            .context("write to a process: it has no input")?;
-        input.write_all(b"go\n").context("tell a slot to begin")?;
-    }
-    running
-        .iter_mut()
-        .map(|slot| {
-            let report: Value =
-                serde_json::from_str(&slot.line()?).context("read a slot's report")?;
-            let secs = number(&report["secs"], "secs")?;
-            Ok(Counted {
-                steps: number(&report["steps"], "steps")? / secs,
-                frames: number(&report["frames"], "frames")? / secs,
-            })
-        })
-        .collect()
-}
-
-impl Slot {
-    fn line(&mut self) -> Result<String> {
-        let mut line = String::new();
-        let read = self
-            .output
-            .read_line(&mut line)
-            .context("read from a slot")?;
-        if read == 0 {
-            let status = self.child.wait()?;
-            bail!("run a slot: it ended early, {status}; what it complained about is above");
-        }
-        Ok(line.trim_end().to_owned())
-    }
-}
-
 /// Builds the program that runs rollouts; returns its file.
 fn build(root: &Path) -> Result<PathBuf> {
     run_command(cargo(root).args(["build", "--quiet", "--package", "tests", "--bin", PROGRAM]))?;
@@ -444,13 +273,6 @@ fn machine() -> Result<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn slots_go_up_to_twice_the_cores() {
-        assert_eq!(slot_counts(1), [1, 2]);
-        assert_eq!(slot_counts(2), [1, 2, 4]);
-        assert_eq!(slot_counts(6), [1, 2, 4, 6, 8, 12]);
-    }
 
     #[test]
     fn both_programs_reports_are_read_in_milliseconds() {

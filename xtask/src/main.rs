@@ -89,8 +89,13 @@ enum Bench {
     },
     /// The same rollout here and in the original LIBERO, in turn.
     Compare(bench::Compare),
-    /// Rollouts in 1, 2, … processes at once: steps and frames per second.
-    Machine(bench::Machine),
+    /// A whole machine: runs `worker bench`.
+    Machine {
+        /// Passed on: --assets PACK_OR_PATH [--task SUITE/N] [--execute K]
+        /// [--slots LIST] [--secs S] [--renderer software|gl].
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        arguments: Vec<String>,
+    },
     /// The coordinator's queue under simulated slots, as a release build.
     Queue {
         /// Passed on: [--jobs N] [--slots N] [--rollout-millis N] [--data DIR].
@@ -121,7 +126,7 @@ fn main() -> ExitCode {
             test::program(&root(), "bench_rollout", &arguments)
         }
         Command::Bench(Bench::Compare(options)) => bench::compare(&root(), &options),
-        Command::Bench(Bench::Machine(options)) => bench::on_machine(&root(), &options),
+        Command::Bench(Bench::Machine { arguments }) => test::worker_bench(&root(), &arguments),
         Command::Bench(Bench::Queue { arguments }) => bench_queue(&arguments),
         Command::Bench(Bench::Gateway { arguments }) => bench_gateway(&arguments),
         Command::Parity { arguments } => test::program(&root(), "parity", &arguments),

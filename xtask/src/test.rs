@@ -80,13 +80,23 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
 /// Builds and runs one of the programs of package `tests`. Its arguments say
 /// whether it draws through OpenGL; our own renderer needs nothing installed.
 pub(crate) fn program(root: &Path, name: &str, arguments: &[String]) -> Result<()> {
+    program_of(root, "tests", name, arguments)
+}
+
+/// The same with `worker bench`.
+pub(crate) fn worker_bench(root: &Path, arguments: &[String]) -> Result<()> {
+    let arguments = [&["bench".to_owned()], arguments].concat();
+    program_of(root, "worker", "worker", &arguments)
+}
+
+fn program_of(root: &Path, package: &str, name: &str, arguments: &[String]) -> Result<()> {
     setup::run(root)?;
     if draws_through_opengl(name, arguments) {
         setup::opengl()?;
     }
     println!("Running {name}");
     let mut program = cargo(root);
-    program.args(["run", "--quiet", "--package", "tests", "--bin", name, "--"]);
+    program.args(["run", "--quiet", "--package", package, "--bin", name, "--"]);
     run_command(program.args(arguments))
 }
 
@@ -182,6 +192,8 @@ mod tests {
         assert!(asks("parity", "--renderer gl"));
         assert!(asks("parity", "--renderer=gl:1 --reference DIR"));
         assert!(!asks("parity", "--renderer"));
+        assert!(asks("worker", "bench --assets primitives --renderer gl"));
+        assert!(!asks("worker", "bench --assets primitives"));
         assert!(asks("bench_draw", "--tasks all"));
         assert!(!asks("bench_draw", "--alone"));
     }

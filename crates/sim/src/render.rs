@@ -7,6 +7,9 @@ mod gl_context;
 mod prepare;
 mod software;
 
+use std::fmt;
+use std::str::FromStr;
+
 use gl::GlCanvas;
 pub use gl_context::{GlContext, GlDevice};
 use software::SoftwareCanvas;
@@ -22,6 +25,34 @@ pub enum Renderer {
     Software,
     /// MuJoCo's, through OpenGL on a device.
     Gl(GlDevice),
+}
+
+/// As command lines write it: `software`, `gl` for OpenGL on the first device
+/// that works, or `gl:N` for OpenGL on the N-th of the driver's list, from 0.
+impl fmt::Display for Renderer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Software => f.write_str("software"),
+            Self::Gl(GlDevice::Auto) => f.write_str("gl"),
+            Self::Gl(GlDevice::Index(index)) => write!(f, "gl:{index}"),
+        }
+    }
+}
+
+/// Reads what [`Display`](fmt::Display) writes; the error says what may be
+/// written.
+impl FromStr for Renderer {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let index = text.strip_prefix("gl:").map(str::parse);
+        match (text, index) {
+            ("software", _) => Ok(Self::Software),
+            ("gl", _) => Ok(Self::Gl(GlDevice::Auto)),
+            (_, Some(Ok(index))) => Ok(Self::Gl(GlDevice::Index(index))),
+            _ => Err("write `software`, `gl`, or `gl:N` for the N-th device, from 0".to_owned()),
+        }
+    }
 }
 
 /// A renderer that is ready to draw, on the thread that opened it.
@@ -134,6 +165,27 @@ impl Canvas {
         match self {
             Self::Software(canvas) => canvas.segmentation(model, data, camera, size),
             Self::Gl(canvas) => Ok(canvas.segmentation(model, data, camera, size)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_renderer_is_named_in_three_ways() {
+        for (text, renderer) in [
+            ("software", Renderer::Software),
+            ("gl", Renderer::Gl(GlDevice::Auto)),
+            ("gl:1", Renderer::Gl(GlDevice::Index(1))),
+        ] {
+            assert_eq!(text.parse(), Ok(renderer));
+            assert_eq!(renderer.to_string(), text);
+        }
+        for wrong in ["", "opengl", "gl:", "gl:x", "Software"] {
+            let error = wrong.parse::<Renderer>().expect_err(wrong);
+            assert!(error.contains("`gl:N`"), "{error}");
         }
     }
 }

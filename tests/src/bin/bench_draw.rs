@@ -15,7 +15,7 @@ use scene::{AssetPack, Sources};
 use sim::{Episode, Frame, GlDevice, Renderer, Simulator, SimulatorConfig};
 use tests::fidelity::CLOSE_LEVELS;
 use tests::measure::{Clock, Spread};
-use tests::motion::smooth_action;
+use worker::measure::open_loop::smooth_action;
 
 /// Draw scenes by our renderer and by OpenGL, in turn.
 #[derive(Parser)]

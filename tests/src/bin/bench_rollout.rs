@@ -1,23 +1,20 @@
 //! Where the time of a rollout goes: a worker's own loop runs whole rollouts
 //! with actions that are known beforehand, and every phase is timed. Prints one
-//! JSON object. `cargo xtask bench rollout` calls it, and so do `bench compare`
-//! and `bench machine`; docs/PERFORMANCE.md says what the phases are.
+//! JSON object. `cargo xtask bench rollout` calls it, and so does `bench compare`;
+//! docs/PERFORMANCE.md says what the phases are.
 
 #![forbid(unsafe_code)]
 
 use std::cell::RefCell;
-use std::io::Write;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::rc::Rc;
-use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
 use clap::Parser;
 use prost::Message;
-use proto::PROTOCOL_VERSION;
-use proto::policy::{CameraRequest, DescribeResponse, InferRequest, Observation, StateField};
+use proto::policy::Observation;
 use protocol::{ManifestRow, Realisation, TaskRef};
 use scene::{AssetPack, InitialStates, Sources, TaskFiles};
 use serde_json::{Value, json};
@@ -26,12 +23,11 @@ use sim::mujoco::Data;
 use sim::{Episode, Renderer, Simulator, SimulatorConfig};
 use tests::fidelity::read_npz;
 use tests::measure::{Clock, Spread};
-use tests::motion::smooth_action;
-use tests::renderer;
 use worker::actor::Actor;
+use worker::measure::open_loop::{assignment, description, smooth_action};
 use worker::message::Assignment;
-use worker::policy::{Action, Description, PolicyError};
-use worker::rollout::{RolloutError, Stage, Step, Watcher};
+use worker::policy::{Action, Description, PolicyError, infer_request};
+use worker::rollout::{Stage, Step, Watcher};
 
 /// Time the phases of whole rollouts of one task.
 #[derive(Parser)]
@@ -52,8 +48,9 @@ struct Arguments {
     /// Rollouts that are timed, after one that is not.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     rollouts: u32,
-    /// What draws: `software`, or `gl` for MuJoCo's renderer through OpenGL.
-    #[arg(long, default_value = "software", value_parser = renderer::parse)]
+    /// What draws: `software`, or `gl` for MuJoCo's renderer through OpenGL,
+    /// `gl:N` on the N-th device.
+    #[arg(long, default_value_t)]
     renderer: Renderer,
     /// Times by the wall clock even where processor time of the one thread would
     /// do, to compare with programs that use the wall clock.
@@ -64,25 +61,12 @@ struct Arguments {
     /// evaluation state.
     #[arg(long)]
     actions: Option<PathBuf>,
-    /// Counts instead of timing phases: prints `ready` once the scene is
-    /// compiled, waits for a line on its input, and then runs rollouts for so
-    /// many seconds.
-    #[arg(long, value_name = "SECS")]
-    count_for: Option<f64>,
     /// Folder with the unpacked sources.
     #[arg(long)]
     sources: Option<PathBuf>,
 }
 
-const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
-const FRAME: u32 = 256;
 const NO_OP: Action = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0];
-/// What the published policies read of the robot.
-const STATE: [StateField; 3] = [
-    StateField::EefPos,
-    StateField::EefAxisAngle,
-    StateField::GripperPos,
-];
 
 /// Milliseconds of one rollout.
 #[derive(Debug, Clone, Copy, Default)]
@@ -126,8 +110,6 @@ struct Timer {
     steps: u32,
     frames: u32,
     message_bytes: usize,
-    /// When to stop, where rollouts are counted.
-    until: Option<Instant>,
 }
 
 impl Timer {
@@ -143,7 +125,6 @@ impl Timer {
             steps: 0,
             frames: 0,
             message_bytes: 0,
-            until: None,
         }
     }
 
@@ -212,13 +193,7 @@ impl Actor for OpenLoop<'_> {
         observation: Observation,
         horizon: usize,
     ) -> Result<Vec<Action>, PolicyError> {
-        let request = InferRequest {
-            policy: episode.policy.to_owned(),
-            session: episode.session.to_owned(),
-            query_index,
-            observation: Some(observation),
-        };
-        let message = request.encode_to_vec();
+        let message = infer_request(episode, query_index, observation).encode_to_vec();
         let mut timer = self.timer.borrow_mut();
         timer.phases.encode += timer.lap();
         timer.message_bytes = message.len();
@@ -246,10 +221,9 @@ impl Watcher for Lookout {
             _ => timer.phases.other += lap,
         }
         timer.calls_of_progress += 1;
-        match (timer.until, &self.problem) {
-            (Some(until), _) if Instant::now() >= until => ControlFlow::Break(()),
-            (_, Some(_)) => ControlFlow::Break(()),
-            _ => ControlFlow::Continue(()),
+        match self.problem {
+            Some(_) => ControlFlow::Break(()),
+            None => ControlFlow::Continue(()),
         }
     }
 
@@ -306,17 +280,7 @@ fn run(arguments: &Arguments) -> Result<()> {
             renderer: arguments.renderer,
             cached_scenes: 1,
         }),
-        assignment: Assignment {
-            policy: "open-loop".to_owned(),
-            policy_endpoint: String::new(),
-            policy_seed: 0,
-            policy_deadline: Duration::from_secs(60),
-            session: worker::single::session(&row.id, 0),
-            realisation: Realisation::Matched,
-            video: None,
-            keep_actions: false,
-            row,
-        },
+        assignment: assignment(row),
         description: description(arguments.execute),
         actions,
         clock: match arguments.renderer {
@@ -338,10 +302,7 @@ fn run(arguments: &Arguments) -> Result<()> {
         "policy": "none: open-loop actions",
         "compile_and_first_reset_ms": round(first.phases.reset),
     });
-    let measured = match arguments.count_for {
-        Some(secs) => bench.count(secs)?,
-        None => bench.measure(arguments.rollouts, arguments.steps)?,
-    };
+    let measured = bench.measure(arguments.rollouts, arguments.steps)?;
     merge(&mut report, measured);
     println!("{report}");
     Ok(())
@@ -385,38 +346,10 @@ fn recorded(path: &Path, states: &InitialStates) -> Result<(u16, Vec<Action>)> {
     Ok((u16::try_from(init_id)?, rows.collect::<Result<_>>()?))
 }
 
-/// A policy that wants what the published ones want.
-fn description(execute: u32) -> Description {
-    let camera = |name: &&str| CameraRequest {
-        name: (*name).to_owned(),
-        width: FRAME,
-        height: FRAME,
-    };
-    Description {
-        about: DescribeResponse {
-            protocol_version: PROTOCOL_VERSION,
-            name: "open-loop".to_owned(),
-            cameras: CAMERAS.iter().map(camera).collect(),
-            horizon: execute,
-            execute,
-            ..DescribeResponse::default()
-        },
-        state: STATE.to_vec(),
-        horizon: execute as usize,
-        execute: execute as usize,
-    }
-}
-
 impl Bench {
     /// One whole rollout.
     fn rollout(&mut self, copies: bool) -> Result<Timer> {
-        let timer = Timer::new(self.clock, copies);
-        self.run(timer).map(|(timer, _)| timer)
-    }
-
-    /// Runs a rollout under a timer; whether it came to its end.
-    fn run(&mut self, timer: Timer) -> Result<(Timer, bool)> {
-        let timer = Rc::new(RefCell::new(timer));
+        let timer = Rc::new(RefCell::new(Timer::new(self.clock, copies)));
         let mut actor = OpenLoop {
             timer: Rc::clone(&timer),
             description: self.description.clone(),
@@ -429,18 +362,16 @@ impl Bench {
         let stage = Stage::of_the_protocol(&mut self.simulator);
         timer.borrow_mut().lap();
         let outcome = worker::rollout::run(stage, &mut actor, &self.assignment, &mut lookout);
-        let ended = match (outcome, lookout.problem.take()) {
-            (_, Some(problem)) => return Err(problem).context("time the physics on a copy"),
-            (Ok(_), None) => true,
-            (Err(RolloutError::Abandoned), None) => false,
-            (Err(error), None) => return Err(error.into()),
-        };
+        if let Some(problem) = lookout.problem.take() {
+            return Err(problem).context("time the physics on a copy");
+        }
+        outcome?;
         drop((actor, lookout));
         let mut timer = Rc::into_inner(timer)
             .context("end the rollout: its timer is still in use")?
             .into_inner();
         timer.phases.other += timer.lap();
-        Ok((timer, ended))
+        Ok(timer)
     }
 
     /// Times the phases of several rollouts; medians.
@@ -512,38 +443,6 @@ impl Bench {
             episode.environment().step(&NO_OP)?;
         }
         Ok(millis)
-    }
-
-    /// Runs rollouts for some seconds, once it is told to begin, and counts what
-    /// is done in them.
-    fn count(&mut self, secs: f64) -> Result<Value> {
-        println!("ready");
-        std::io::stdout().flush()?;
-        let mut line = String::new();
-        let read = std::io::stdin().read_line(&mut line);
-        ensure!(
-            read.context("wait for a line on the input")? > 0,
-            "wait for a line on the input: it ended"
-        );
-        let start = Instant::now();
-        let until = start + Duration::from_secs_f64(secs);
-        let (mut steps, mut frames, mut rollouts) = (0, 0, 0);
-        while Instant::now() < until {
-            let mut timer = Timer::new(self.clock, false);
-            timer.until = Some(until);
-            let (timer, ended) = self.run(timer)?;
-            steps += timer.steps;
-            frames += timer.frames;
-            rollouts += u32::from(ended);
-        }
-        // The last step began before the end of the time and is counted, so the
-        // time that it took is, too.
-        Ok(json!({
-            "secs": start.elapsed().as_secs_f64(),
-            "steps": steps,
-            "frames": frames,
-            "rollouts": rollouts,
-        }))
     }
 }
 

@@ -14,7 +14,7 @@ use serde_json::json;
 use sim::controller::SUBSTEPS;
 use sim::mujoco::Data;
 use sim::{Drawer, Environment, Renderer};
-use tests::motion::smooth_action;
+use worker::measure::open_loop::smooth_action;
 
 /// Time the simulator on one task.
 #[derive(Parser)]

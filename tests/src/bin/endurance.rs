@@ -19,7 +19,7 @@ use protocol::{
 };
 use scene::{AssetPack, Sources};
 use sim::{CameraRequest, ObservationRequest, Renderer, Simulator, SimulatorConfig};
-use tests::motion::smooth_action;
+use worker::measure::open_loop::smooth_action;
 
 /// Run short rollouts and watch this process's memory.
 #[derive(Parser)]

@@ -11,7 +11,6 @@ use sim::{Drawer, Renderer};
 use tests::fidelity::{
     CLOSE_LEVELS, Findings, Kinship, Limits, ReferenceTask, compare, find_tasks,
 };
-use tests::renderer;
 
 /// Compare the simulator with reference data of the original LIBERO.
 #[derive(Parser)]
@@ -25,8 +24,9 @@ struct Arguments {
     /// Only these tasks: SUITE/N, separated by commas.
     #[arg(long, value_delimiter = ',')]
     tasks: Vec<String>,
-    /// What draws: `software`, or `gl` for MuJoCo's renderer through OpenGL.
-    #[arg(long, default_value = "software", value_parser = renderer::parse)]
+    /// What draws: `software`, or `gl` for MuJoCo's renderer through OpenGL,
+    /// `gl:N` on the N-th device.
+    #[arg(long, default_value_t)]
     renderer: Renderer,
     /// The reference was recorded on this very machine: frames must have its
     /// bits, not only be within bounds. Only with `--renderer gl`.

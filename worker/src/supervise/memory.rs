@@ -36,7 +36,8 @@ impl OomKills {
 
     fn read_below(root: &Path) -> Self {
         let groups = fs::read_to_string(root.join("proc/self/cgroup")).unwrap_or_default();
-        let counters = group_files(root, &groups).into_iter();
+        let folders = group_folders(root, &groups).into_iter();
+        let counters = folders.flat_map(|folder| GROUP_COUNTERS.map(|file| folder.join(file)));
         Self {
             group: counters.filter_map(|file| counter(&file)).next(),
             machine: counter(&root.join("proc/vmstat")),
@@ -79,23 +80,27 @@ impl Verdict {
     }
 }
 
-/// Where the counter of a process's control group is: `memory.events` in the
-/// unified hierarchy, `memory.oom_control` in the memory hierarchy before it.
-fn group_files(root: &Path, groups: &str) -> Vec<PathBuf> {
-    let file = |line: &str| {
+/// Where the counter of a control group is: in the unified hierarchy, and in the
+/// memory hierarchy before it.
+const GROUP_COUNTERS: [&str; 2] = ["memory.events", "memory.oom_control"];
+
+/// The folders of a process's control group, in the hierarchies that count
+/// memory; `groups` is its `/proc/self/cgroup`.
+pub(crate) fn group_folders(root: &Path, groups: &str) -> Vec<PathBuf> {
+    let folder = |line: &str| {
         let mut fields = line.splitn(3, ':');
         let (_, controllers, path) = (fields.next()?, fields.next()?, fields.next()?);
         let path = path.trim_start_matches('/');
         let base = root.join("sys/fs/cgroup");
         if controllers.is_empty() {
-            Some(base.join(path).join("memory.events"))
+            Some(base.join(path))
         } else if controllers.split(',').any(|it| it == "memory") {
-            Some(base.join("memory").join(path).join("memory.oom_control"))
+            Some(base.join("memory").join(path))
         } else {
             None
         }
     };
-    groups.lines().filter_map(file).collect()
+    groups.lines().filter_map(folder).collect()
 }
 
 /// The number behind `oom_kill` in a file of names and numbers.

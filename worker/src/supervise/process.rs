@@ -218,7 +218,8 @@ fn explain_end(
     text
 }
 
-fn explain_status(status: ExitStatus, kills: Verdict) -> String {
+/// Reads after "the process".
+pub(crate) fn explain_status(status: ExitStatus, kills: Verdict) -> String {
     match (status.code(), status.signal()) {
         (_, Some(9)) => format!("was killed by SIGKILL{}", kills.in_words()),
         (_, Some(signal)) => format!("died of signal {signal} ({})", signal_name(signal)),

@@ -8,6 +8,7 @@
 mod endings;
 mod failures;
 mod films;
+mod machine;
 mod outcomes;
 mod refusals;
 mod scripted_coordinator;

@@ -293,6 +293,43 @@ async fn one_rollout_from_the_command_line_leaves_its_result_and_pictures() {
     }
 }
 
+/// Recorded actions look at nothing, so without a video nothing is drawn; what
+/// cannot draw is asked for, and not missed.
+#[test]
+fn a_replay_without_pictures_opens_no_renderer() {
+    if !ready("a_replay_without_pictures_opens_no_renderer") {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    let actions = folder.path().join("actions.jsonl");
+    std::fs::write(&actions, "[0, 0, 0, 0, 0, 0, -1]\n".repeat(3)).expect("written");
+    let (actions, output) = (actions.to_str(), folder.path().to_str());
+    let (actions, output) = (actions.expect("UTF-8"), output.expect("UTF-8"));
+    let line = format!(
+        "rollout --id object/t0/clean/i03 --assets primitives --actions {actions} \
+         --output {output} --renderer gl:99"
+    );
+    let line: Vec<&str> = line.split_whitespace().collect();
+    let ran = run(&line);
+    let said = String::from_utf8_lossy(&ran.stderr);
+    assert_eq!(
+        ran.status.code(),
+        Some(1),
+        "a video takes a renderer: {said}"
+    );
+    let ran = run(&[&line[..], &["--no-video"]].concat());
+    let said = String::from_utf8_lossy(&ran.stderr);
+    assert!(ran.status.success(), "{said}");
+    let result = std::fs::read(folder.path().join("result.json")).expect("a result");
+    let result: serde_json::Value = serde_json::from_slice(&result).expect("JSON");
+    assert_eq!(result["finished"]["outcome"]["steps"], 3);
+    let evidence = &result["finished"]["evidence"];
+    assert_eq!(
+        (&evidence["renderer"], &evidence["fingerprint"]),
+        (&"".into(), &"".into())
+    );
+}
+
 /// Not an outcome, and told so: the row is from another version.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_row_that_cannot_be_read_is_given_back_with_its_problem() {

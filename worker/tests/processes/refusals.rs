@@ -73,11 +73,9 @@ fn what_cannot_be_meant_exits_with_2() {
             "--assets",
             "primitives",
             "--renderer",
-            "software",
-            "--gl-device",
-            "0",
+            "gl:card",
         ],
-        "add `--renderer gl`",
+        "`gl:N` for the N-th device",
     );
     check(
         &[

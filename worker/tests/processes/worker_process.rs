@@ -1,7 +1,7 @@
 //! The real program, started and watched.
 
 use std::fs;
-use std::io::Read;
+use std::io::{BufRead, BufReader, Read};
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
@@ -53,14 +53,26 @@ impl WorkerProcess {
     }
 
     pub(crate) fn start_with(coordinator: &str, arguments: &[&str]) -> Self {
+        let connect = ["--connect", coordinator, "--assets", "primitives"];
+        Self::start_as(&[&connect, arguments].concat())
+    }
+
+    /// The program with arguments of any kind.
+    pub(crate) fn start_as(arguments: &[&str]) -> Self {
         let child = Command::new(env!("CARGO_BIN_EXE_worker"))
-            .args(["--connect", coordinator, "--assets", "primitives"])
             .args(arguments)
             .stderr(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()
             .expect("starts");
         Self { child }
+    }
+
+    /// Waits until it prints a line that begins so; what it prints then is lost.
+    pub(crate) fn wait_for_line(&mut self, start: &str) {
+        let out = self.child.stdout.take().expect("piped");
+        let mut lines = BufReader::new(out).lines().map_while(Result::ok);
+        assert!(lines.any(|line| line.starts_with(start)), "no {start}");
     }
 
     /// The processes of its slots.

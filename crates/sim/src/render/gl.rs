@@ -49,7 +49,7 @@ impl GlCanvas {
         if canvas.context.currentBuffer != c::mjtFramebuffer::mjFB_OFFSCREEN as i32 {
             return Err(SimError::Graphics {
                 problem: format!("no off-screen buffer of {width} × {height}"),
-                remedy: "try a smaller picture or another --gl-device",
+                remedy: "try a smaller picture or another device with --renderer gl:N",
             });
         }
         Ok(canvas)

@@ -31,7 +31,7 @@ const GL_RENDERER: u32 = 0x1F01;
 const MAX_DEVICES: usize = 32;
 
 const REMEDY: &str = "install the EGL run-time packages (libegl1 libegl-mesa0 libgl1-mesa-dri libgl1) or the \
-     NVIDIA driver's, or choose another --gl-device";
+     NVIDIA driver's, or choose another device with --renderer gl:N";
 
 /// A current OpenGL context. It stays current on the thread that opened it.
 pub struct GlContext {

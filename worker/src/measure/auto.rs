@@ -1,0 +1,79 @@
+//! `--slots auto`: the same measurement in a few seconds, and what follows from
+//! it.
+
+use std::collections::BTreeMap;
+use std::num::NonZeroUsize;
+
+use super::choice::{ENOUGH, Throughput, choose, fit, numbers};
+use super::together::Slots;
+use super::{MeasureError, cores, room};
+use crate::supervise::SlotCommand;
+
+/// How long all numbers of slots are measured together at most, seconds.
+const ALL_SECS: f64 = 4.0;
+/// How long one of them is measured at a time at most, seconds.
+const ONE_SECS: f64 = 1.0;
+/// How often each is measured. The best time counts: whatever else runs on the
+/// machine only slows slots down.
+const ROUNDS: usize = 2;
+
+/// A number of slots, and why it is this one.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Chosen {
+    /// How many.
+    pub slots: NonZeroUsize,
+    /// What was measured and what limits it, in one line.
+    pub why: String,
+}
+
+/// Chooses by measurement how many slots this machine is worth having: no more
+/// than cores, no more than fit into memory if each keeps `scenes` compiled
+/// scenes. `command` starts a slot to measure with.
+///
+/// # Errors
+/// If the machine does not say what it has, or slots cannot be measured.
+pub fn choose_slots(command: SlotCommand, scenes: usize) -> Result<Chosen, MeasureError> {
+    let cores = cores()?;
+    let available = room::available()?;
+    let times = ROUNDS * numbers(cores).len();
+    let secs = (ALL_SECS / times as f64).min(ONE_SECS);
+    let mut slots = Slots::new(command);
+    // For its memory only: a third time would favour one slot over more.
+    let per_slot = slots.measure(1, secs)?.per_slot(scenes);
+    let fitting = fit(available, per_slot);
+    let most = cores.min(fitting);
+    // All at once, so that starting them takes about as long as starting one.
+    slots.start(most)?;
+    let mut best = BTreeMap::new();
+    for _ in 0..ROUNDS {
+        for number in numbers(most) {
+            let rate = slots.measure(number, secs)?.throughput.steps_per_sec;
+            let before: &mut f64 = best.entry(number).or_insert(rate);
+            *before = before.max(rate);
+        }
+    }
+    let throughput = |(&slots, &steps_per_sec)| Throughput {
+        slots,
+        steps_per_sec,
+    };
+    let measured: Vec<Throughput> = best.iter().map(throughput).collect();
+    // One slot was measured, and always fits.
+    let slots = choose(&measured, most).map_or(1, |it| it.slots);
+    let rates: Vec<String> = measured
+        .iter()
+        .map(|it| format!("{}: {:.1}", it.slots, it.steps_per_sec))
+        .collect();
+    const MIB: u64 = 1 << 20;
+    Ok(Chosen {
+        slots: NonZeroUsize::new(slots).unwrap_or(NonZeroUsize::MIN),
+        why: format!(
+            "the fewest that reach {:.0} % of the most control steps per second \
+             ({}); there are {cores} cores, and memory for {fitting} slots of {} MiB each in {} \
+             MiB available",
+            ENOUGH * 100.0,
+            rates.join(", "),
+            per_slot / MIB,
+            available / MIB,
+        ),
+    })
+}

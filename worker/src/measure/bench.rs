@@ -1,0 +1,115 @@
+//! `worker bench`: measures one number of slots after the other and prints what
+//! they did.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::io::Write;
+
+use super::choice::{ENOUGH, choose, fit, numbers};
+use super::together::{Measured, Slots};
+use super::{MeasureError, cores, room};
+use crate::supervise::SlotCommand;
+
+/// What is measured.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    /// What the slots simulate, in words.
+    pub title: String,
+    /// Numbers of slots; none for 1, 2, 4, … and the machine's cores, once and
+    /// twice.
+    pub numbers: BTreeSet<usize>,
+    /// How long each number is measured, seconds.
+    pub secs: f64,
+    /// Compiled scenes that a slot of a campaign keeps.
+    pub scenes: usize,
+    /// Starts a slot to measure with.
+    pub command: SlotCommand,
+}
+
+const MIB: f64 = (1 << 20) as f64;
+
+/// Measures and prints a table to `out`, and in its last line the number of
+/// slots that is worth having.
+///
+/// # Errors
+/// If slots cannot be measured, or the table cannot be printed.
+pub fn bench(plan: Plan, out: &mut dyn Write) -> Result<(), MeasureError> {
+    let (cores, available) = (cores()?, room::available()?);
+    let all = match plan.numbers.is_empty() {
+        true => numbers(cores).union(&numbers(2 * cores)).copied().collect(),
+        false => plan.numbers,
+    };
+    let mut slots = Slots::new(plan.command);
+    slots.start(all.first().copied().unwrap_or(1))?;
+    writeln!(
+        out,
+        "{cores} cores of {}\n\
+         {:.0} MiB of memory available; drawn by {}\n\
+         {}, {} s for each number\n\
+         The policy takes no time here. Slots that wait for a real one leave cores idle,\n\
+         and somewhat more of them are worth having.\n",
+        processor(),
+        available as f64 / MIB,
+        slots.renderer(),
+        plan.title,
+        plan.secs
+    )?;
+    writeln!(out, "{HEADER}")?;
+    let (mut measured, mut most) = (Vec::<Measured>::new(), usize::MAX);
+    for number in all {
+        if number > most {
+            writeln!(out, "{number:>5}  left out: memory has room for {most}")?;
+            continue;
+        }
+        let row = slots.measure(number, plan.secs)?;
+        writeln!(out, "{}", line(&row))?;
+        out.flush()?;
+        measured.push(row);
+        most = fit(available, row.per_slot(plan.scenes));
+    }
+    writeln!(
+        out,
+        "\nMiB a slot: resident in the largest one, with one scene compiled; in a campaign\n\
+         a slot keeps up to {}. One more slot adds what it does not share with others.",
+        plan.scenes
+    )?;
+    let throughputs: Vec<_> = measured.iter().map(|it| it.throughput).collect();
+    match choose(&throughputs, most) {
+        Some(chosen) => writeln!(
+            out,
+            "recommended: --slots {}, the fewest with {:.0} % of the best throughput",
+            chosen.slots,
+            ENOUGH * 100.0,
+        )?,
+        None => writeln!(
+            out,
+            "recommended: --slots {most}, which memory has room for; more were measured"
+        )?,
+    }
+    Ok(())
+}
+
+const HEADER: &str =
+    "slots    steps/s   frames/s   slowest–fastest slot   MiB a slot   one more adds";
+
+fn line(row: &Measured) -> String {
+    format!(
+        "{:>5} {:>10.1} {:>10.1} {:>22} {:>12.0} {:>15.0}",
+        row.throughput.slots,
+        row.throughput.steps_per_sec,
+        row.frames_per_sec,
+        format!("{:.1}–{:.1}", row.slowest, row.fastest),
+        row.resident as f64 / MIB,
+        row.own as f64 / MIB,
+    )
+}
+
+/// What the machine computes with, for whoever reads the figures later.
+fn processor() -> String {
+    let about = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let model = about
+        .lines()
+        .find_map(|line| line.strip_prefix("model name"));
+    let model = model.map(|rest| rest.trim_start_matches([' ', '\t', ':']));
+    model.unwrap_or("an unnamed processor").to_owned()
+}

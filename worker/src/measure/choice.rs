@@ -1,0 +1,135 @@
+//! Which number of slots: pure.
+
+use std::collections::BTreeSet;
+
+/// Of the best throughput, what a number of slots must reach to be enough. More
+/// slots for the rest would cost memory and cores that others can use.
+pub(super) const ENOUGH: f64 = 0.95;
+/// Of the memory that is available, what slots may take. The rest is for videos
+/// and for tasks whose scenes are larger than the measured one.
+const SHARE: f64 = 0.8;
+
+/// What so many slots did together.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Throughput {
+    /// How many.
+    pub(super) slots: usize,
+    /// Control steps per second of all of them.
+    pub(super) steps_per_sec: f64,
+}
+
+/// The fewest slots that reach [`ENOUGH`] of the best throughput. Numbers above
+/// `most` are left out, from the best too. None if no number is left.
+pub(super) fn choose(measured: &[Throughput], most: usize) -> Option<Throughput> {
+    let fitting = || measured.iter().filter(|it| it.slots <= most).copied();
+    let best = fitting().map(|it| it.steps_per_sec).fold(0.0, f64::max);
+    fitting()
+        .filter(|it| it.steps_per_sec >= ENOUGH * best)
+        .min_by_key(|it| it.slots)
+}
+
+/// The numbers of slots to measure: 1, 2, 4, … up to `most`, and `most`.
+pub(super) fn numbers(most: usize) -> BTreeSet<usize> {
+    let powers = (0..usize::BITS).map(|power| 1 << power);
+    powers
+        .take_while(|number| *number < most)
+        .chain([most])
+        .collect()
+}
+
+/// How many slots fit into the memory that is available, at least one; both in
+/// bytes.
+pub(super) fn fit(available: u64, per_slot: u64) -> usize {
+    // A cast stops at the ends of its range.
+    let slots = (available as f64 * SHARE / per_slot.max(1) as f64) as usize;
+    slots.max(1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GIB: u64 = 1 << 30;
+
+    fn chosen(measured: &[(usize, f64)], most: usize) -> Option<usize> {
+        let measured: Vec<Throughput> = measured
+            .iter()
+            .map(|&(slots, steps_per_sec)| Throughput {
+                slots,
+                steps_per_sec,
+            })
+            .collect();
+        choose(&measured, most).map(|it| it.slots)
+    }
+
+    #[test]
+    fn slots_are_added_as_long_as_they_bring_something() {
+        let measured = [(1, 30.0), (2, 59.0), (4, 110.0), (8, 112.0), (16, 113.0)];
+        assert_eq!(chosen(&measured, usize::MAX), Some(4));
+        let all = [(1, 30.0), (2, 59.0), (4, 117.0), (8, 230.0)];
+        assert_eq!(chosen(&all, usize::MAX), Some(8));
+        assert_eq!(chosen(&[], usize::MAX), None);
+    }
+
+    #[test]
+    fn exactly_the_share_is_enough() {
+        assert_eq!(chosen(&[(1, 95.0), (2, 100.0)], 2), Some(1));
+        assert_eq!(chosen(&[(1, 94.9), (2, 100.0)], 2), Some(2));
+    }
+
+    #[test]
+    fn one_core_has_one_number_to_choose_from() {
+        assert_eq!(numbers(1), BTreeSet::from([1]));
+        assert_eq!(chosen(&[(1, 28.0)], 1), Some(1));
+    }
+
+    #[test]
+    fn a_throughput_that_falls_takes_the_number_before_it() {
+        let measured = [(1, 30.0), (2, 58.0), (4, 51.0), (8, 40.0)];
+        assert_eq!(chosen(&measured, usize::MAX), Some(2));
+        assert_eq!(chosen(&[(1, 30.0), (2, 20.0)], usize::MAX), Some(1));
+    }
+
+    #[test]
+    fn noise_on_a_plateau_takes_no_more_slots_than_the_plateau_needs() {
+        // Four slots fill the machine; every figure is off by up to 2 %.
+        for noise in [
+            [0.98, 1.02, 0.98, 1.02],
+            [1.02, 0.98, 1.02, 0.98],
+            [1.0, 1.0, 0.98, 1.02],
+        ] {
+            let measured: Vec<(usize, f64)> = [(1, 30.0), (2, 60.0), (4, 118.0), (8, 118.0)]
+                .iter()
+                .zip(noise)
+                .map(|(&(slots, rate), noise)| (slots, rate * noise))
+                .collect();
+            assert_eq!(chosen(&measured, usize::MAX), Some(4), "{noise:?}");
+        }
+    }
+
+    #[test]
+    fn what_does_not_fit_into_memory_is_not_chosen_and_sets_no_standard() {
+        let measured = [(1, 30.0), (2, 58.0), (4, 80.0), (8, 160.0)];
+        assert_eq!(chosen(&measured, 4), Some(4));
+        assert_eq!(chosen(&measured, 3), Some(2));
+        let flat = [(1, 30.0), (2, 30.5), (4, 200.0)];
+        assert_eq!(chosen(&flat, 2), Some(1));
+        assert_eq!(chosen(&measured, 0), None);
+    }
+
+    #[test]
+    fn a_part_of_the_memory_is_left_and_one_slot_always_fits() {
+        assert_eq!(fit(10 * GIB, GIB), 8);
+        assert_eq!(fit(10 * GIB, 3 * GIB), 2);
+        assert_eq!(fit(GIB, 3 * GIB), 1);
+        assert_eq!(fit(0, GIB), 1);
+        assert!(fit(GIB, 0) > 1000);
+    }
+
+    #[test]
+    fn numbers_double_up_to_the_most() {
+        assert_eq!(numbers(2), BTreeSet::from([1, 2]));
+        assert_eq!(numbers(6), BTreeSet::from([1, 2, 4, 6]));
+        assert_eq!(numbers(64).len(), 7);
+    }
+}

@@ -1,0 +1,244 @@
+//! The process of one measured slot: compiles its scene, says that it is ready,
+//! and whenever it is told a number of seconds runs rollouts for so long and
+//! says what it did. Ends when its input does, which is what happens when the
+//! parent dies.
+
+use std::io::{self, Write};
+use std::ops::ControlFlow;
+use std::path::Path;
+use std::sync::mpsc::{Receiver, sync_channel};
+use std::time::{Duration, Instant};
+use std::{fs, process, thread};
+
+use proto::policy::Observation;
+use protocol::{ManifestRow, Perturbation, RolloutId, TaskRef};
+use serde::{Deserialize, Serialize};
+use sim::{Episode, Simulator, SimulatorConfig};
+
+use super::MeasureError;
+use super::open_loop::{assignment, description, smooth_action};
+use crate::actor::Actor;
+use crate::message::Assignment;
+use crate::policy::{self, Action, Description, PolicyError};
+use crate::rollout::{self, RolloutError, Stage, Step, Watcher};
+use crate::slot::die_first;
+
+/// Control steps of a rollout: about what a successful one takes. Then comes the
+/// next one, which loads its initial state and settles.
+const ROLLOUT_STEPS: u32 = 120;
+
+/// What a measured slot tells its parent, one JSON value per line.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum Said {
+    /// The scene is compiled and was drawn once.
+    Ready {
+        /// The renderer's own name.
+        renderer: String,
+    },
+    /// The time is over.
+    Counted(Count),
+}
+
+/// What a slot did.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct Count {
+    /// How long it took, seconds.
+    pub(super) secs: f64,
+    /// Control steps of the policy.
+    pub(super) steps: u32,
+    /// Frames drawn.
+    pub(super) frames: u32,
+    /// What the process then used.
+    pub(super) memory: SlotMemory,
+}
+
+/// Memory of a slot's process, bytes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct SlotMemory {
+    /// All that is resident.
+    pub(super) resident: u64,
+    /// Of it, what no other process shares: a further slot adds so much.
+    pub(super) own: u64,
+    /// Of it, what the one compiled scene takes.
+    pub(super) scene: u64,
+}
+
+/// Counts control steps of `task` for the parent process, until it closes this
+/// process's standard input. The policy looks every `execute` steps.
+///
+/// # Errors
+/// If the task cannot be simulated or drawn, or the parent stops listening.
+pub fn count(config: SimulatorConfig, task: TaskRef, execute: u32) -> Result<(), MeasureError> {
+    die_first();
+    let mut slot = Counting {
+        simulator: Simulator::new(config),
+        actor: OpenLoop(description(execute)),
+        assignment: assignment(ManifestRow::new(
+            RolloutId::clean(task, 0),
+            0,
+            0,
+            Perturbation::default(),
+        )),
+    };
+    let without_scene = SlotMemory::now(0)?;
+    let mut first = Counter::until(Instant::now());
+    slot.roll_out(1, &mut first)?;
+    let scene = SlotMemory::now(0)?.own.saturating_sub(without_scene.own);
+    let renderer = slot.simulator.renderer_name();
+    say(&Said::Ready {
+        renderer: renderer.map_err(|source| RolloutError::Simulator {
+            title: slot.assignment.row.id.to_string(),
+            source,
+        })?,
+    })?;
+    let orders = listen();
+    while let Ok(order) = orders.recv() {
+        let secs: f64 = serde_json::from_str(&order).map_err(io::Error::from)?;
+        let started = Instant::now();
+        let mut counter = Counter::until(started + Duration::from_secs_f64(secs));
+        while !counter.is_over() {
+            slot.roll_out(ROLLOUT_STEPS, &mut counter)?;
+        }
+        say(&Said::Counted(Count {
+            // The last step began in time and is counted, so all that it took is, too.
+            secs: started.elapsed().as_secs_f64(),
+            steps: counter.steps,
+            frames: counter.frames,
+            memory: SlotMemory::now(scene)?,
+        }))?;
+    }
+    Ok(())
+}
+
+/// Reads orders on a thread of their own: when the parent is gone, nobody would
+/// be told what is being counted, and the process ends at once.
+fn listen() -> Receiver<String> {
+    let (tell, orders) = sync_channel(1);
+    thread::spawn(move || {
+        for order in io::stdin().lines().map_while(Result::ok) {
+            if tell.send(order).is_err() {
+                return;
+            }
+        }
+        process::exit(0);
+    });
+    orders
+}
+
+struct Counting {
+    simulator: Simulator,
+    actor: OpenLoop,
+    assignment: Assignment,
+}
+
+impl Counting {
+    /// One rollout, or as much of it as there is time for.
+    fn roll_out(&mut self, max_steps: u32, counter: &mut Counter) -> Result<(), RolloutError> {
+        self.assignment.row.max_steps = max_steps;
+        let stage = Stage::of_the_protocol(&mut self.simulator);
+        match rollout::run(stage, &mut self.actor, &self.assignment, counter) {
+            Ok(_) | Err(RolloutError::Abandoned) => Ok(()),
+            Err(error) => Err(error),
+        }
+    }
+}
+
+/// Acts without looking.
+struct OpenLoop(Description);
+
+impl Actor for OpenLoop {
+    fn describe(&mut self, _: policy::Episode<'_>) -> Result<Description, PolicyError> {
+        Ok(self.0.clone())
+    }
+
+    fn reset(
+        &mut self,
+        _: policy::Episode<'_>,
+        _suite: &str,
+        _instruction: &str,
+        _seed: u64,
+    ) -> Result<(), PolicyError> {
+        Ok(())
+    }
+
+    fn infer(
+        &mut self,
+        _: policy::Episode<'_>,
+        query_index: u32,
+        _observation: Observation,
+        horizon: usize,
+    ) -> Result<Vec<Action>, PolicyError> {
+        let first = query_index as usize * horizon;
+        Ok((first..first + horizon).map(smooth_action).collect())
+    }
+}
+
+/// Counts until the time is over.
+struct Counter {
+    until: Instant,
+    steps: u32,
+    frames: u32,
+}
+
+impl Counter {
+    fn until(until: Instant) -> Self {
+        Self {
+            until,
+            steps: 0,
+            frames: 0,
+        }
+    }
+
+    /// Not before the first step: a rate of none could be compared with nothing.
+    fn is_over(&self) -> bool {
+        self.steps > 0 && Instant::now() >= self.until
+    }
+}
+
+impl Watcher for Counter {
+    fn progress(&mut self, _control_steps: u32) -> ControlFlow<()> {
+        match self.is_over() {
+            true => ControlFlow::Break(()),
+            false => ControlFlow::Continue(()),
+        }
+    }
+
+    fn observed(&mut self, _query_index: u32, observation: &sim::Observation) {
+        // A policy wants a few cameras.
+        self.frames += observation.frames.len() as u32;
+    }
+
+    fn moved(&mut self, step: Option<&Step>, _episode: &mut Episode<'_>) {
+        self.steps += u32::from(step.is_some());
+    }
+}
+
+impl SlotMemory {
+    /// What this process uses, given what its scene takes.
+    fn now(scene: u64) -> Result<Self, MeasureError> {
+        let file = Path::new("/proc/self/status");
+        let status = fs::read_to_string(file)?;
+        let bytes = |field: &'static str| {
+            super::room::bytes(&status, field).ok_or_else(|| MeasureError::Memory {
+                field,
+                file: file.to_owned(),
+            })
+        };
+        let resident = bytes("VmRSS:")?;
+        Ok(Self {
+            resident,
+            // Libraries and programs are mapped files, which all slots share.
+            own: resident.saturating_sub(bytes("RssFile:")?),
+            scene,
+        })
+    }
+}
+
+fn say(said: &Said) -> io::Result<()> {
+    let mut line = serde_json::to_vec(said)?;
+    line.push(b'\n');
+    let mut stdout = io::stdout().lock();
+    stdout.write_all(&line)?;
+    stdout.flush()
+}

@@ -1,0 +1,71 @@
+//! A policy that takes no time: its actions are known beforehand, and it looks
+//! at what the published policies look at. For measurements.
+
+use proto::PROTOCOL_VERSION;
+use proto::policy::{CameraRequest, DescribeResponse, StateField};
+use protocol::{ManifestRow, Realisation};
+
+use crate::message::Assignment;
+use crate::policy::{Action, CAMERAS, Description, POLICY_CALL_DEADLINE};
+use crate::single;
+
+/// Side of a frame, pixels.
+const FRAME: u32 = 256;
+/// What the published policies read of the robot.
+const STATE: [StateField; 3] = [
+    StateField::EefPos,
+    StateField::EefAxisAngle,
+    StateField::GripperPos,
+];
+
+/// The reference data's smooth actions: a sine per component; the gripper
+/// closes after 30 control steps.
+pub fn smooth_action(step: usize) -> Action {
+    const AMPLITUDE: [f64; 6] = [0.6, 0.6, 0.6, 0.35, 0.35, 0.35];
+    const PERIOD: [f64; 6] = [20.0, 30.0, 24.0, 40.0, 36.0, 28.0];
+    const PHASE: [f64; 6] = [0.0, 0.7, 1.4, 0.3, 1.1, 2.0];
+    let mut action = [0.0; 7];
+    for axis in 0..6 {
+        let angle = std::f64::consts::TAU * step as f64 / PERIOD[axis] + PHASE[axis];
+        action[axis] = AMPLITUDE[axis] * angle.sin();
+    }
+    action[6] = if step < 30 { -1.0 } else { 1.0 };
+    action
+}
+
+/// Looks at both cameras every `execute` control steps.
+pub fn description(execute: u32) -> Description {
+    let camera = |name: &str| CameraRequest {
+        name: name.to_owned(),
+        width: FRAME,
+        height: FRAME,
+    };
+    Description {
+        about: DescribeResponse {
+            protocol_version: PROTOCOL_VERSION,
+            name: "open-loop".to_owned(),
+            cameras: CAMERAS.map(camera).to_vec(),
+            horizon: execute,
+            execute,
+            ..DescribeResponse::default()
+        },
+        state: STATE.to_vec(),
+        horizon: execute as usize,
+        execute: execute as usize,
+    }
+}
+
+/// A rollout of which nothing is kept.
+pub fn assignment(row: ManifestRow) -> Assignment {
+    Assignment {
+        policy: "open-loop".to_owned(),
+        policy_endpoint: String::new(),
+        policy_seed: 0,
+        policy_deadline: POLICY_CALL_DEADLINE,
+        session: single::session(&row.id, 0),
+        realisation: Realisation::Matched,
+        video: None,
+        keep_actions: false,
+        row,
+    }
+}

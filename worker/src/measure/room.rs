@@ -1,0 +1,130 @@
+//! How much memory slots could take: what the machine has left, or less where a
+//! control group limits this process.
+
+use std::fs;
+use std::path::Path;
+
+use super::MeasureError;
+use crate::supervise::memory::group_folders;
+
+/// What a control group's files are called, in the unified hierarchy and in the
+/// memory hierarchy before it: the limit, what is used, and, of that, what the
+/// kernel takes back first (in `memory.stat`).
+const FILES: [(&str, &str, &str); 2] = [
+    ("memory.max", "memory.current", "inactive_file "),
+    (
+        "memory.limit_in_bytes",
+        "memory.usage_in_bytes",
+        "total_inactive_file ",
+    ),
+];
+
+/// Bytes that this process and its children could take now.
+///
+/// # Errors
+/// If the kernel does not say.
+pub(super) fn available() -> Result<u64, MeasureError> {
+    available_below(Path::new("/"))
+}
+
+fn available_below(root: &Path) -> Result<u64, MeasureError> {
+    let file = root.join("proc/meminfo");
+    let field = "MemAvailable:";
+    let machine = bytes(&fs::read_to_string(&file)?, field);
+    let machine = machine.ok_or(MeasureError::Memory { field, file })?;
+    let groups = fs::read_to_string(root.join("proc/self/cgroup")).unwrap_or_default();
+    let base = root.join("sys/fs/cgroup");
+    let left = group_folders(root, &groups)
+        .into_iter()
+        .filter_map(|folder| {
+            // A limit of any group above holds too. In a container the folders
+            // below the first may be missing, because the path is the host's.
+            let above = folder.ancestors().take_while(|it| it.starts_with(&base));
+            above.filter_map(left_in).min()
+        });
+    Ok(left.fold(machine, u64::min))
+}
+
+/// What a control group may still take; none without a limit.
+fn left_in(group: &Path) -> Option<u64> {
+    let number = |file: &str| -> Option<u64> {
+        let text = fs::read_to_string(group.join(file)).ok()?;
+        text.trim().parse().ok()
+    };
+    FILES.iter().find_map(|(limit, used, reclaimed)| {
+        let (limit, used) = (number(limit)?, number(used)?);
+        let stat = fs::read_to_string(group.join("memory.stat")).unwrap_or_default();
+        let cached = stat.lines().find_map(|line| line.strip_prefix(reclaimed));
+        let cached: u64 = cached.and_then(|it| it.trim().parse().ok()).unwrap_or(0);
+        Some(limit.saturating_sub(used.saturating_sub(cached)))
+    })
+}
+
+/// The kibibytes behind a name in `/proc/meminfo` or `/proc/PID/status`, in
+/// bytes.
+pub(super) fn bytes(text: &str, field: &str) -> Option<u64> {
+    let behind = text.lines().find_map(|line| line.strip_prefix(field))?;
+    let number: u64 = behind.split_whitespace().next()?.parse().ok()?;
+    Some(number << 10)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MEMINFO: &str = "MemTotal:       16000 kB\nMemAvailable:    8000 kB\n";
+
+    fn machine(files: &[(&str, &str)]) -> u64 {
+        let root = tempfile::tempdir().expect("a folder");
+        for (file, text) in [("proc/meminfo", MEMINFO)].iter().chain(files) {
+            let path = root.path().join(file);
+            fs::create_dir_all(path.parent().expect("a folder")).expect("made");
+            fs::write(path, text).expect("written");
+        }
+        available_below(root.path()).expect("it says")
+    }
+
+    #[test]
+    fn without_a_limit_it_is_what_the_machine_has_left() {
+        assert_eq!(machine(&[]), 8000 << 10);
+        let unlimited = [
+            ("proc/self/cgroup", "0::/job\n"),
+            ("sys/fs/cgroup/job/memory.max", "max\n"),
+            ("sys/fs/cgroup/job/memory.current", "5\n"),
+        ];
+        assert_eq!(machine(&unlimited), 8000 << 10);
+    }
+
+    #[test]
+    fn the_tightest_group_above_counts_less_what_it_uses_and_cannot_give_back() {
+        let group = "sys/fs/cgroup/batch/memory";
+        let unified = [
+            ("proc/self/cgroup", "0::/batch/job\n"),
+            ("sys/fs/cgroup/batch/job/memory.max", "max\n"),
+            ("sys/fs/cgroup/batch/job/memory.current", "900000\n"),
+            (&*format!("{group}.max"), "1000000\n"),
+            (&*format!("{group}.current"), "950000\n"),
+            (
+                &*format!("{group}.stat"),
+                "anon 1\ninactive_file 50000\nactive_file 7\n",
+            ),
+        ];
+        assert_eq!(machine(&unified), 100_000);
+        // The path is the host's, as in a container of the older hierarchy.
+        let before = [
+            ("proc/self/cgroup", "4:memory:/docker/1f\n0::/\n"),
+            ("sys/fs/cgroup/memory/memory.limit_in_bytes", "600000\n"),
+            ("sys/fs/cgroup/memory/memory.usage_in_bytes", "700000\n"),
+            (
+                "sys/fs/cgroup/memory/memory.stat",
+                "inactive_file 1\ntotal_inactive_file 300000\n",
+            ),
+        ];
+        assert_eq!(machine(&before), 200_000);
+    }
+
+    #[test]
+    fn this_machine_says_how_much_it_has() {
+        assert!(available().expect("it says") > 1 << 20);
+    }
+}

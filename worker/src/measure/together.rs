@@ -1,0 +1,259 @@
+//! The parent of measured slots: starts their processes, lets them begin
+//! together, and adds up what they counted.
+
+use std::io::{BufRead, BufReader, Write};
+use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use super::MeasureError;
+use super::choice::Throughput;
+use super::counting::{Count, Said};
+use crate::supervise::memory::OomKills;
+use crate::supervise::process::{SlotCommand, explain_status};
+
+/// Longest time, beyond what it counts for, that a slot may be silent: it hashes
+/// an asset pack, compiles a scene, draws it, or does one control step.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// Slots that wait to be measured. Dropping them ends their processes.
+pub(super) struct Slots {
+    command: SlotCommand,
+    running: Vec<Running>,
+    /// What draws in the first one, by its own name.
+    renderer: String,
+    kills_before: OomKills,
+    tell: Sender<(usize, Heard)>,
+    inbox: Receiver<(usize, Heard)>,
+}
+
+struct Running {
+    child: Child,
+    orders: ChildStdin,
+}
+
+enum Heard {
+    Said(Said),
+    /// It says nothing more.
+    End,
+}
+
+/// What so many slots did together.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Measured {
+    /// Control steps.
+    pub(super) throughput: Throughput,
+    /// Frames per second of all of them.
+    pub(super) frames_per_sec: f64,
+    /// Control steps per second of the slowest slot.
+    pub(super) slowest: f64,
+    /// And of the fastest.
+    pub(super) fastest: f64,
+    /// Bytes resident in the largest slot.
+    pub(super) resident: u64,
+    /// Of them, those that a further slot adds.
+    pub(super) own: u64,
+    /// What one scene takes in it, bytes.
+    pub(super) scene: u64,
+}
+
+impl Slots {
+    /// None yet; each will be started by `command`.
+    pub(super) fn new(command: SlotCommand) -> Self {
+        let (tell, inbox) = channel();
+        Self {
+            command,
+            running: Vec::new(),
+            renderer: String::new(),
+            kills_before: OomKills::read(),
+            tell,
+            inbox,
+        }
+    }
+
+    /// What draws, by its own name; empty before there is a slot.
+    pub(super) fn renderer(&self) -> &str {
+        &self.renderer
+    }
+
+    /// Measures `slots` slots at once for some seconds. Starts those that are
+    /// missing, and lets all begin when the last one is ready. Slots beyond them
+    /// wait, which takes memory and no time.
+    ///
+    /// # Errors
+    /// If a slot cannot be started, ends, or says nothing for too long.
+    pub(super) fn measure(&mut self, slots: usize, secs: f64) -> Result<Measured, MeasureError> {
+        self.start(slots)?;
+        let order = serde_json::to_string(&secs).map_err(std::io::Error::from)?;
+        for slot in 0..slots {
+            // One that no longer reads has ended, which is heard of below.
+            let _ = writeln!(self.running[slot].orders, "{order}");
+        }
+        let deadline = Instant::now() + Duration::from_secs_f64(secs) + PATIENCE;
+        let mut counts = Vec::new();
+        while counts.len() < slots {
+            if let Said::Counted(count) = self.hear(deadline)? {
+                counts.push(count);
+            }
+        }
+        Ok(Measured::of(&counts))
+    }
+
+    /// Starts what is missing of so many slots, and waits until all are ready.
+    pub(super) fn start(&mut self, slots: usize) -> Result<(), MeasureError> {
+        let deadline = Instant::now() + PATIENCE;
+        let mut missing = 0;
+        while self.running.len() < slots {
+            self.start_one()?;
+            missing += 1;
+        }
+        while missing > 0 {
+            if let Said::Ready { renderer } = self.hear(deadline)? {
+                self.renderer = renderer;
+                missing -= 1;
+            }
+        }
+        Ok(())
+    }
+
+    fn start_one(&mut self) -> Result<(), MeasureError> {
+        let mut child = Command::new(&self.command.program)
+            .args(&self.command.arguments)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .map_err(|source| MeasureError::Start {
+                program: self.command.program.clone(),
+                source,
+            })?;
+        let (orders, said) = (child.stdin.take(), child.stdout.take());
+        let (orders, said) = (orders.expect("piped"), said.expect("piped"));
+        let (slot, tell) = (self.running.len(), self.tell.clone());
+        thread::spawn(move || listen(slot, said, &tell));
+        self.running.push(Running { child, orders });
+        Ok(())
+    }
+
+    fn hear(&mut self, deadline: Instant) -> Result<Said, MeasureError> {
+        let left = deadline.saturating_duration_since(Instant::now());
+        match self.inbox.recv_timeout(left) {
+            Ok((_, Heard::Said(said))) => Ok(said),
+            Ok((slot, Heard::End)) => {
+                let status = self.running[slot].child.wait()?;
+                let kills = OomKills::read().since(self.kills_before);
+                let end = explain_status(status, kills);
+                Err(MeasureError::Ended { slot, end })
+            }
+            Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {
+                Err(MeasureError::Silent {
+                    slots: self.running.len(),
+                    secs: PATIENCE.as_secs_f64(),
+                })
+            }
+        }
+    }
+}
+
+/// Passes on what a slot says, until it says nothing more.
+fn listen(slot: usize, said: ChildStdout, tell: &Sender<(usize, Heard)>) {
+    for line in BufReader::new(said).lines().map_while(Result::ok) {
+        match serde_json::from_str(&line) {
+            Ok(said) => {
+                if tell.send((slot, Heard::Said(said))).is_err() {
+                    return;
+                }
+            }
+            // Native libraries print where they like.
+            Err(_) => eprintln!("[slot {slot}] {line}"),
+        }
+    }
+    // A parent that is gone needs no end.
+    let _ = tell.send((slot, Heard::End));
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // It waits for orders and holds nothing that could be lost.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+impl Measured {
+    /// Adds up; there is at least one count.
+    fn of(counts: &[Count]) -> Self {
+        let rates = || counts.iter().map(|it| f64::from(it.steps) / it.secs);
+        let frames = counts.iter().map(|it| f64::from(it.frames) / it.secs);
+        let largest = |bytes: fn(&Count) -> u64| counts.iter().map(bytes).max().unwrap_or(0);
+        Self {
+            throughput: Throughput {
+                slots: counts.len(),
+                steps_per_sec: rates().sum(),
+            },
+            frames_per_sec: frames.sum(),
+            slowest: rates().fold(f64::INFINITY, f64::min),
+            fastest: rates().fold(0.0, f64::max),
+            resident: largest(|it| it.memory.resident),
+            own: largest(|it| it.memory.own),
+            scene: largest(|it| it.memory.scene),
+        }
+    }
+
+    /// What a slot of a campaign takes for itself, bytes: it keeps `scenes`
+    /// compiled scenes, and one was measured.
+    pub(super) fn per_slot(&self, scenes: usize) -> u64 {
+        self.own + self.scene * (scenes as u64).saturating_sub(1)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::measure::counting::SlotMemory;
+
+    #[test]
+    fn rates_add_up_and_the_largest_slot_stands_for_all() {
+        let count = |secs, steps, own| Count {
+            secs,
+            steps,
+            frames: 2 * steps,
+            memory: SlotMemory {
+                resident: own + 10,
+                own,
+                scene: 40,
+            },
+        };
+        let all = Measured::of(&[count(2.0, 40, 100), count(2.5, 75, 90)]);
+        assert_eq!(all.throughput.slots, 2);
+        assert_eq!(
+            (all.throughput.steps_per_sec, all.frames_per_sec),
+            (50.0, 100.0)
+        );
+        assert_eq!((all.slowest, all.fastest), (20.0, 30.0));
+        assert_eq!(
+            (all.resident, all.per_slot(1), all.per_slot(2)),
+            (110, 100, 140)
+        );
+    }
+
+    #[test]
+    fn a_program_that_is_not_there_is_named() {
+        let mut slots = Slots::new(SlotCommand {
+            program: "/nonexistent/worker".into(),
+            arguments: Vec::new(),
+        });
+        let error = slots.start(1).expect_err("nothing to start").to_string();
+        assert!(error.contains("/nonexistent/worker"), "{error}");
+    }
+
+    #[test]
+    fn a_process_that_ends_early_is_told_with_its_end() {
+        let mut slots = Slots::new(SlotCommand {
+            program: "sh".into(),
+            arguments: vec!["-c".into(), "echo no JSON; exit 3".into()],
+        });
+        let error = slots.measure(2, 0.1).expect_err("no counts").to_string();
+        assert!(error.contains("exited with code 3"), "{error}");
+    }
+}

@@ -1,0 +1,125 @@
+//! What a machine is found to be worth, by `worker bench` and `--slots auto`.
+
+use std::thread::{available_parallelism, sleep};
+use std::time::Duration;
+
+use crate::scripted_coordinator::{ScriptedCoordinator, Told};
+use crate::worker_process::{WorkerProcess, ready, run, wait_for_the_end_of};
+
+/// A device that no driver lists.
+const NO_RENDERER: [&str; 2] = ["--renderer", "gl:99"];
+
+#[test]
+fn a_bench_counts_what_slots_do_together_and_recommends_a_number() {
+    if !ready("a_bench_counts_what_slots_do_together_and_recommends_a_number") {
+        return;
+    }
+    let measured = "bench --assets primitives --slots 2,1 --secs 0.3 --execute 4";
+    let ran = run(&measured.split(' ').collect::<Vec<_>>());
+    let complaint = String::from_utf8_lossy(&ran.stderr);
+    assert!(ran.status.success(), "{complaint}");
+    let said = String::from_utf8(ran.stdout).expect("UTF-8");
+    println!("{said}");
+    assert!(
+        said.lines().all(|line| line.chars().count() <= 80),
+        "{said}"
+    );
+    // Slots, steps/s, frames/s, slowest–fastest, MiB of a slot, MiB more.
+    let row = |slots: &str| -> Vec<f64> {
+        let row = said.lines().map(|line| line.split_whitespace().collect());
+        let mut row = row.filter(|row: &Vec<&str>| row.first() == Some(&slots) && row.len() == 6);
+        let row = row.next().expect("a row of six columns");
+        row.iter()
+            .flat_map(|column| column.split('–'))
+            .map(|number| number.parse().expect("a number"))
+            .collect()
+    };
+    for slots in ["1", "2"] {
+        let row = row(slots);
+        let [count, steps, frames, slowest, fastest, resident, own] = row[..] else {
+            panic!("{row:?}")
+        };
+        assert!(steps > 0.0 && frames > 0.0, "{row:?}");
+        assert!(slowest <= fastest && fastest <= steps, "{row:?}");
+        // Rounded to a tenth in each.
+        assert!(steps <= count * fastest + 0.2, "{row:?}");
+        assert!(0.0 < own && own < resident, "{row:?}");
+    }
+    let last = said.lines().last().expect("a line");
+    assert!(
+        ["--slots 1,", "--slots 2,"]
+            .iter()
+            .any(|number| last.starts_with("recommended: ") && last.contains(number)),
+        "{last}"
+    );
+}
+
+#[test]
+fn a_slot_that_cannot_be_measured_is_named_with_its_reason() {
+    if !ready("a_slot_that_cannot_be_measured_is_named_with_its_reason") {
+        return;
+    }
+    let bench = ["bench", "--assets", "primitives", "--slots", "1"];
+    let ran = run(&[&bench[..], &NO_RENDERER].concat());
+    let said = String::from_utf8_lossy(&ran.stderr);
+    assert_eq!(ran.status.code(), Some(1), "{said}");
+    for words in ["EGL", "slot 0: its process exited with code 1"] {
+        assert!(said.contains(words), "{said}");
+    }
+}
+
+#[test]
+fn slots_that_are_counting_end_with_their_parent() {
+    if !ready("slots_that_are_counting_end_with_their_parent") {
+        return;
+    }
+    let bench = "bench --assets primitives --slots 1 --secs 600";
+    let mut bench = WorkerProcess::start_as(&bench.split(' ').collect::<Vec<_>>());
+    bench.wait_for_line("slots");
+    // It is told to count at once after this line.
+    sleep(Duration::from_millis(300));
+    let slots = bench.slots();
+    assert_eq!(slots.len(), 1);
+    bench.signal("KILL");
+    wait_for_the_end_of(slots[0]);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_worker_that_chooses_its_slots_registers_them_and_says_why() {
+    if !ready("a_worker_that_chooses_its_slots_registers_them_and_says_why") {
+        return;
+    }
+    let coordinator = ScriptedCoordinator::start().await;
+    let worker = WorkerProcess::start_with(&coordinator.url(), &["--slots", "auto"]);
+    let Told::Registered(registered) = coordinator.told(0).await else {
+        panic!("a worker registers first");
+    };
+    let cores = available_parallelism().expect("some cores").get();
+    let slots = registered.slots;
+    assert!((1..=cores).contains(&(slots as usize)), "{slots} slots");
+    worker.signal("TERM");
+    let (status, said) = worker.wait();
+    assert!(status.success(), "{said}");
+    for words in [
+        format!("--slots auto: {slots}, the fewest that reach 95 %"),
+        format!("{cores} cores"),
+        format!("{slots} slots, assets primitives"),
+    ] {
+        assert!(said.contains(&words), "{words}: {said}");
+    }
+}
+
+#[test]
+fn slots_that_cannot_be_chosen_can_be_given() {
+    if !ready("slots_that_cannot_be_chosen_can_be_given") {
+        return;
+    }
+    let auto = "--connect http://127.0.0.1:9 --assets primitives --slots auto";
+    let auto: Vec<&str> = auto.split(' ').collect();
+    let ran = run(&[&auto[..], &NO_RENDERER].concat());
+    let said = String::from_utf8_lossy(&ran.stderr);
+    assert_eq!(ran.status.code(), Some(1), "{said}");
+    for words in ["`--slots N`", "slot 0", "exited with code 1"] {
+        assert!(said.contains(words), "{words}: {said}");
+    }
+}
