@@ -7,7 +7,7 @@ use std::sync::{Arc, LazyLock, Mutex, PoisonError, Weak};
 
 use mujoco_rs::mujoco_c as c;
 use raster::{Mesh, MeshBuilder, Quality, Texture, TextureKind, mesh_triangle, plane, plane_grid};
-use sha2::{Digest, Sha256};
+use twox_hash::XxHash3_128;
 
 use super::software::graphics;
 use crate::error::SimError;
@@ -17,8 +17,9 @@ use crate::mujoco::{MeshData, Model, TextureData};
 const TEXTURE_ROLES: usize = c::mjtTextureRole::mjNTEXROLE as usize;
 const COLOUR_ROLE: usize = c::mjtTextureRole::mjTEXROLE_RGB as usize;
 
-/// What of a process is prepared, by the digest of what it was made from.
-type Prepared<T> = LazyLock<Mutex<HashMap<[u8; 32], Weak<T>>>>;
+/// What of a process is prepared, by the digest of what it was made from. Nobody
+/// gains from two meshes with one digest, so speed is all that it must have.
+type Prepared<T> = LazyLock<Mutex<HashMap<u128, Weak<T>>>>;
 
 static MESHES: Prepared<Mesh> = LazyLock::new(Mutex::default);
 static TEXTURES: Prepared<Texture> = LazyLock::new(Mutex::default);
@@ -75,7 +76,7 @@ pub(super) fn prepare(model: &Model) -> Result<raster::Model, SimError> {
 /// What was made of the same before and is still in use, or else is made now.
 fn shared<T>(
     known: &Prepared<T>,
-    digest: [u8; 32],
+    digest: u128,
     make: impl FnOnce() -> Result<T, SimError>,
 ) -> Result<Arc<T>, SimError> {
     let lock = || known.lock().unwrap_or_else(PoisonError::into_inner);
@@ -89,7 +90,7 @@ fn shared<T>(
     Ok(made)
 }
 
-fn digest_of_mesh(mesh: &MeshData<'_>) -> [u8; 32] {
+fn digest_of_mesh(mesh: &MeshData<'_>) -> u128 {
     let integers = [mesh.faces, mesh.face_normals, mesh.face_texture_coordinates];
     let numbers = [
         mesh.vertices,
@@ -104,21 +105,21 @@ fn digest_of_mesh(mesh: &MeshData<'_>) -> [u8; 32] {
     )
 }
 
-fn digest_of_texture(texture: &TextureData<'_>) -> [u8; 32] {
+fn digest_of_texture(texture: &TextureData<'_>) -> u128 {
     let sizes = [texture.width, texture.height, texture.channels].map(usize::to_le_bytes);
     let kinds = [texture.kind, texture.colorspace].map(i32::to_le_bytes);
     let head = [kinds.as_flattened(), sizes.as_flattened()];
     digest(head.into_iter().chain([texture.texels]))
 }
 
-/// SHA-256 of parts, each after its length.
-fn digest<'a>(parts: impl Iterator<Item = &'a [u8]>) -> [u8; 32] {
-    let mut hash = Sha256::new();
+/// Of parts, each after its length.
+fn digest<'a>(parts: impl Iterator<Item = &'a [u8]>) -> u128 {
+    let mut hash = XxHash3_128::new();
     for part in parts {
-        hash.update(part.len().to_le_bytes());
-        hash.update(part);
+        hash.write(&part.len().to_le_bytes());
+        hash.write(part);
     }
-    hash.finalize().into()
+    hash.finish_128()
 }
 
 fn texture_of(texture: &TextureData<'_>) -> Result<Texture, SimError> {
