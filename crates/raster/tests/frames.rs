@@ -291,3 +291,41 @@ fn glass_that_is_blended_in_parts_is_the_same() {
         .expect("a frame");
     assert_eq!(digest(frame), "b3803dc6681de13b");
 }
+
+/// One over their distance is no number, and neither is their place.
+#[test]
+fn corners_a_hair_from_the_eye_give_a_frame() {
+    let mut builder = MeshBuilder::default();
+    let near = 1e-40;
+    for [x, y] in [[0.1, 0.05], [-0.1, 0.05], [0.05, -0.1], [0.1, 0.1]] {
+        let hair = [x * near, y * near, -near];
+        let far = [[-1.0, 0.8, -2.0], [-1.0, -0.9, -2.0], [1.0, 0.7, -2.0]];
+        builder.triangle([hair, far[0], far[1]].map(corner));
+        builder.triangle([hair, far[1], far[2]].map(corner));
+        builder.triangle([hair, far[2], far[0]].map(corner));
+    }
+    let mut model = model();
+    model.meshes.push(builder.build());
+    let mut scene = room();
+    scene.geoms = vec![scenes::geom(Shape::Mesh(1), [0.0; 3], [1.0; 3], [1.0; 4])];
+    let camera = &mut scene.camera;
+    (camera.pos, camera.forward, camera.up) = ([0.0; 3], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]);
+    (camera.near, camera.bottom, camera.top) = (near, -near, near);
+    let mut canvas = Canvas::new();
+    let frame = canvas.draw(&model, &largest(), &scene, [256, 256]);
+    assert_eq!(frame.map(<[u8]>::len), Ok(256 * 256 * 3));
+}
+
+/// So short that one over them is no number: they meet a cube's face nowhere.
+#[test]
+fn a_cube_in_directions_too_short_to_be_told_gives_a_frame() {
+    let mut scene = room();
+    let ball = &mut scene.geoms[6];
+    ball.size = [1e-39; 3];
+    ball.mat = scenes::UPRIGHT.map(|part| part * 3e38);
+    let texture = ball.texture.as_mut().expect("it has one");
+    (texture.texture, texture.uniform) = (3, true);
+    let mut canvas = Canvas::new();
+    let frame = canvas.draw(&model(), &largest(), &scene, [64, 48]);
+    assert_eq!(frame.map(<[u8]>::len), Ok(64 * 48 * 3));
+}
