@@ -43,22 +43,22 @@ impl Positions {
     /// Where the corners of eight triangles are, in parts of a pixel.
     #[inline(always)]
     pub(crate) fn snapped(&self, ids: &[[u8; LANES]; 3]) -> ([I; 3], [I; 3]) {
-        let of = |values: &[i32; MOST]| {
-            ids.each_ref()
-                .map(|ids| I::new(ids.map(|id| values[usize::from(id)])))
-        };
+        let of = |values| eight(values, ids).map(I::new);
         (of(&self.snapped_x), of(&self.snapped_y))
     }
 
     /// Where they are in pixels, before they were snapped, and their depths.
     #[inline(always)]
     pub(crate) fn exact(&self, ids: &[[u8; LANES]; 3]) -> [[F; 3]; 3] {
-        let of = |values: &[f32; MOST]| {
-            ids.each_ref()
-                .map(|ids| F::new(ids.map(|id| values[usize::from(id)])))
-        };
-        [of(&self.x), of(&self.y), of(&self.z)]
+        [&self.x, &self.y, &self.z].map(|values| eight(values, ids).map(F::new))
     }
+}
+
+/// One value of each corner of eight triangles.
+#[inline(always)]
+fn eight<T: Copy>(values: &[T; MOST], ids: &[[u8; LANES]; 3]) -> [[T; LANES]; 3] {
+    let of = |ids: &[u8; LANES]| ids.map(|id| values[usize::from(id)]);
+    [of(&ids[0]), of(&ids[1]), of(&ids[2])]
 }
 
 /// What is known of a cluster once its positions are in the picture.

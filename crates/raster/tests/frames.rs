@@ -305,7 +305,7 @@ fn corners_a_hair_from_the_eye_give_a_frame() {
         builder.triangle([hair, far[2], far[0]].map(corner));
     }
     let mut model = model();
-    model.meshes.push(builder.build());
+    model.meshes.push(builder.build().into());
     let mut scene = room();
     scene.geoms = vec![scenes::geom(Shape::Mesh(1), [0.0; 3], [1.0; 3], [1.0; 4])];
     let camera = &mut scene.camera;
