@@ -154,26 +154,25 @@ fn camera_bits(camera: &Camera) -> ([[u32; 3]; 3], [u32; 6], bool) {
 }
 
 /// The same of a light.
-fn light_bits(light: &Light) -> ([[u32; 3]; 5], Option<([u32; 2], [u32; 3])>) {
-    let kind = match light.kind {
-        LightKind::Directional => None,
+fn light_bits(light: &Light) -> ([[u32; 3]; 6], Option<[u32; 2]>) {
+    let (cone, attenuation) = match light.kind {
+        LightKind::Directional => (None, [0.0; 3]),
         LightKind::Spot {
             cutoff,
             exponent,
             attenuation,
-        } => Some((
-            [cutoff, exponent].map(f32::to_bits),
-            attenuation.map(f32::to_bits),
-        )),
+        } => (Some([cutoff, exponent]), attenuation),
     };
     let vectors = [
+        attenuation,
         light.pos,
         light.dir,
         light.ambient,
         light.diffuse,
         light.specular,
     ];
-    (vectors.map(|vector| vector.map(f32::to_bits)), kind)
+    let bits = vectors.map(|vector| vector.map(f32::to_bits));
+    (bits, cone.map(|cone| cone.map(f32::to_bits)))
 }
 
 /// The same of a texture's use.
