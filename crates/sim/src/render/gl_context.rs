@@ -30,8 +30,9 @@ const GL_RENDERER: u32 = 0x1F01;
 /// More devices than a machine has; bounds the list asked for.
 const MAX_DEVICES: usize = 32;
 
-const REMEDY: &str = "install the EGL run-time packages (libegl1 libegl-mesa0 libgl1-mesa-dri libgl1) or the \
-     NVIDIA driver's, or choose another device with --renderer gl:N";
+const REMEDY: &str = "install what drawing through OpenGL needs with `cargo xtask setup --gl` (Debian: `apt-get \
+     install libegl1 libegl-mesa0 libgl1-mesa-dri libgl1 libopengl0`) or with the NVIDIA driver, or \
+     choose another device with --renderer gl:N";
 
 /// A current OpenGL context. It stays current on the thread that opened it.
 pub struct GlContext {
