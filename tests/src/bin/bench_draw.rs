@@ -100,6 +100,8 @@ struct Totals {
     ratios: Vec<(f64, String)>,
     least_equal: Option<(f64, String)>,
     least_close: Option<(f64, String)>,
+    /// Of each scene what our first frames took, MiB.
+    memory: Vec<f64>,
 }
 
 fn main() -> ExitCode {
@@ -229,14 +231,19 @@ impl Bench {
             theirs.settle()?;
         }
         let mut findings: [Findings; 2] = Default::default();
+        let mut memory = 0.0;
         let size = arguments.size;
         for frame in 0..=usize::from(arguments.frames) {
             for (camera, findings) in CAMERAS.iter().zip(&mut findings) {
                 let draw = |episode: &mut Episode<'_>| {
                     clock.time(|| episode.photograph(camera, size, size))
                 };
+                let before = resident()?;
                 let (millis, own) = draw(&mut ours);
                 let own = own?;
+                if frame == 0 {
+                    memory += resident()? - before;
+                }
                 // The first one prepares meshes and textures.
                 if frame > 0 {
                     findings.ours.push(millis);
@@ -275,6 +282,7 @@ impl Bench {
             }
         }
         self.totals.add(&row.id.to_string(), &findings);
+        self.totals.memory.push(memory);
         Ok(())
     }
 }
@@ -360,6 +368,12 @@ impl Totals {
     }
 
     fn print(&self) {
+        if let Some(memory) = Spread::of(&self.memory) {
+            println!(
+                "resident memory that our first frames of a scene took: median {:.1} MiB, most {:.1}",
+                memory.median, memory.most
+            );
+        }
         let ratios: Vec<f64> = self.ratios.iter().map(|(ratio, _)| *ratio).collect();
         let Some(spread) = Spread::of(&ratios) else {
             return;
@@ -382,6 +396,18 @@ impl Totals {
             spread.most,
         );
     }
+}
+
+/// Memory of this process that is resident, MiB.
+fn resident() -> Result<f64> {
+    let path = "/proc/self/status";
+    let status = std::fs::read_to_string(path).with_context(|| format!("read {path}"))?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
+    let kib = line.and_then(|rest| rest.split_whitespace().next());
+    let kib: f64 = kib
+        .with_context(|| format!("find VmRSS in {path}"))?
+        .parse()?;
+    Ok(kib / 1024.0)
 }
 
 /// Both frames and where they differ, brightened, side by side.
