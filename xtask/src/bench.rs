@@ -4,12 +4,12 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result};
 use serde_json::Value;
 
-use crate::cargo::cargo;
+use crate::cargo::build_program;
 use crate::original::Original;
-use crate::process::{capture, run as run_command, shown};
+use crate::process::{capture, shown};
 use crate::setup;
 use crate::step::step;
 
@@ -84,7 +84,7 @@ pub(crate) fn compare(root: &Path, options: &Compare) -> Result<()> {
             return Ok(());
         }
     };
-    let program = step(PROGRAM, || build(root).map(Built))?.0;
+    let program = step(PROGRAM, || build_program(root, PROGRAM).map(Built))?.0;
     let ours = || -> Result<Parts> {
         let mut command = Command::new(&program);
         command.args(["--task", &options.task, "--renderer", &options.renderer]);
@@ -212,20 +212,6 @@ fn spread(values: &[f64]) -> (f64, f64, f64) {
     let (middle, last) = (values.len() / 2, values.len().saturating_sub(1));
     let median = (at(last / 2) + at(middle)) / 2.0;
     (median, at(0), at(last))
-}
-
-/// Builds the program that runs rollouts; returns its file.
-fn build(root: &Path) -> Result<PathBuf> {
-    run_command(cargo(root).args(["build", "--quiet", "--package", "tests", "--bin", PROGRAM]))?;
-    // This program was built by the same cargo into the same folder.
-    let own = std::env::current_exe()?;
-    let program = own.with_file_name(PROGRAM);
-    ensure!(
-        program.is_file(),
-        "find {}: cargo built it elsewhere",
-        program.display()
-    );
-    Ok(program)
 }
 
 /// A step that has nothing more to say than that it is done.

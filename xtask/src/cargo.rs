@@ -18,7 +18,20 @@ pub(crate) fn cargo(root: &Path) -> Command {
 /// Builds all programs and returns the folder that they are in.
 pub(crate) fn build_programs(root: &Path) -> Result<PathBuf> {
     println!("Building the programs");
-    run(cargo(root).args(["build", "--workspace", "--bins", "--exclude", "xtask"]))?;
+    build(root, &["--bins"])
+}
+
+/// Builds one program and returns its file. It is built as part of the workspace,
+/// so that what it depends on is compiled for all programs once.
+pub(crate) fn build_program(root: &Path, name: &str) -> Result<PathBuf> {
+    let programs = build(root, &["--quiet", "--bin", name])?;
+    Ok(programs.join(name))
+}
+
+fn build(root: &Path, what: &[&str]) -> Result<PathBuf> {
+    run(cargo(root)
+        .args(["build", "--workspace", "--exclude", "xtask"])
+        .args(what))?;
     // This program was built by the same cargo into the same folder.
     let own = std::env::current_exe()?;
     Ok(own

@@ -6,7 +6,7 @@ use std::process::Command;
 
 use anyhow::{Context, Result};
 
-use crate::cargo::{build_programs, cargo};
+use crate::cargo::{build_program, build_programs, cargo};
 use crate::process::{capture, run as run_command};
 use crate::setup;
 use crate::skipped;
@@ -77,27 +77,21 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
     Ok(())
 }
 
-/// Builds and runs one of the programs of package `tests`. Its arguments say
-/// whether it draws through OpenGL; our own renderer needs nothing installed.
-pub(crate) fn program(root: &Path, name: &str, arguments: &[String]) -> Result<()> {
-    program_of(root, "tests", name, arguments)
-}
-
-/// The same with `worker bench`.
+/// Builds and runs `worker bench`.
 pub(crate) fn worker_bench(root: &Path, arguments: &[String]) -> Result<()> {
-    let arguments = [&["bench".to_owned()], arguments].concat();
-    program_of(root, "worker", "worker", &arguments)
+    program(root, "worker", &[&["bench".to_owned()], arguments].concat())
 }
 
-fn program_of(root: &Path, package: &str, name: &str, arguments: &[String]) -> Result<()> {
+/// Builds and runs a program. Its arguments say whether it draws through OpenGL;
+/// our own renderer needs nothing installed.
+pub(crate) fn program(root: &Path, name: &str, arguments: &[String]) -> Result<()> {
     setup::run(root)?;
     if draws_through_opengl(name, arguments) {
         setup::opengl()?;
     }
     println!("Running {name}");
-    let mut program = cargo(root);
-    program.args(["run", "--quiet", "--package", package, "--bin", name, "--"]);
-    run_command(program.args(arguments))
+    let mut program = Command::new(build_program(root, name)?);
+    run_command(program.current_dir(root).args(arguments))
 }
 
 fn draws_through_opengl(name: &str, arguments: &[String]) -> bool {
