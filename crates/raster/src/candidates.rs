@@ -1,10 +1,10 @@
 //! Which triangles of a cluster may cover a sample: those that face the camera
 //! and do not lie between samples.
 
+use crate::drawing::Drawing;
 use crate::instance::Instance;
 use crate::lanes::{I, Ints as _, LANES};
 use crate::mesh::{CLUSTER, Cluster, Mesh};
-use crate::raster::Drawing;
 use crate::setup::{extent, is_large, turned};
 
 /// A cluster's triangles that may cover a sample.

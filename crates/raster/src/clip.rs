@@ -3,7 +3,6 @@
 
 use crate::instance::Instance;
 use crate::matrix::Vec3;
-use crate::surface::VARYING;
 
 /// A corner that came out of cutting.
 #[derive(Debug, Clone, Copy, Default)]
@@ -38,7 +37,9 @@ pub(crate) struct Cut {
     pub(crate) half: [f32; 2],
 }
 
-/// What varies over a triangle, as its corners have it.
+/// How much varies over a triangle.
+pub(crate) const VARYING: usize = 8;
+/// What varies over it, as its corners have it.
 pub(crate) type Values = [f32; VARYING];
 
 /// A corner in clip space.

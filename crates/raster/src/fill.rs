@@ -1,9 +1,9 @@
 //! From a triangle's edges and depths to the samples that it covers, two pixels
 //! at a time; a large one block by block.
 
+use crate::drawing::Drawing;
 use crate::lanes::{F, Floats as _, I, Ints as _, LANES, Mask};
 use crate::positions::SUBPIXELS;
-use crate::raster::Drawing;
 use crate::setup::Setup;
 use crate::visible::{BLOCK, Layer, Ranks, Record, SAMPLES, Visible};
 use crate::window::Window;

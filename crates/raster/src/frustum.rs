@@ -1,8 +1,8 @@
 //! What a camera sees of space, and which balls lie in it.
 
+use crate::drawing::Drawing;
 use crate::instance::Instance;
 use crate::matrix::Vec3;
-use crate::raster::Drawing;
 
 /// The sides of what the camera sees, in a mesh's frame.
 pub(crate) struct Frustum {

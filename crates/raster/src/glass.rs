@@ -1,10 +1,11 @@
 //! What one can see through: blended over what is behind it, the near things
 //! first, and then all of them again the far ones first, as MuJoCo does.
 
+use crate::drawing::Drawing;
 use crate::instance::{self, Instance, View, is_behind, is_plane};
 use crate::matrix::{dot, minus};
 use crate::picture::{Pass, Picture, Workspace};
-use crate::raster::{self, Drawing};
+use crate::raster;
 use crate::scene::{Geom, Scene, Shape};
 use crate::shade::{self, Fragment, Lists};
 use crate::visible::{Layer, Layers, SAMPLES, Visible};

@@ -1,11 +1,12 @@
 //! A picture in the making: what is visible of some instances, and the colours of
 //! its samples.
 
+use crate::drawing::Drawing;
 use crate::instance::{Instance, View};
 use crate::light::EyeLight;
 use crate::model::Model;
 use crate::positions::Positions;
-use crate::raster::{self, Drawing};
+use crate::raster;
 use crate::shade::{self, Lists};
 use crate::visible::{SAMPLES, Visible};
 use crate::window::Window;

@@ -1,9 +1,7 @@
-//! A cluster's positions, carried from the mesh to the picture.
+//! A cluster's positions in the picture.
 
-use crate::instance::Instance;
-use crate::lanes::{F, Floats as _, I, Ints as _, LANES, Mask};
-use crate::mesh::{CLUSTER, Cluster, Mesh};
-use crate::raster::Drawing;
+use crate::lanes::{F, I, LANES};
+use crate::mesh::CLUSTER;
 
 /// Positions are snapped to so many parts of a pixel.
 pub(crate) const SUBPIXELS: i32 = 256;
@@ -14,11 +12,11 @@ pub(crate) const FURTHEST: i32 = 1 << 24;
 
 /// The positions of a cluster in the picture.
 pub(crate) struct Positions {
-    x: [f32; MOST],
-    y: [f32; MOST],
-    z: [f32; MOST],
-    snapped_x: [i32; MOST],
-    snapped_y: [i32; MOST],
+    pub(crate) x: [f32; MOST],
+    pub(crate) y: [f32; MOST],
+    pub(crate) z: [f32; MOST],
+    pub(crate) snapped_x: [i32; MOST],
+    pub(crate) snapped_y: [i32; MOST],
     /// Bits of the planes of [`clip`](crate::clip) that a position is beyond.
     pub(crate) beyond: [i32; MOST],
 }
@@ -59,99 +57,4 @@ impl Positions {
 fn eight<T: Copy>(values: &[T; MOST], ids: &[[u8; LANES]; 3]) -> [[T; LANES]; 3] {
     let of = |ids: &[u8; LANES]| ids.map(|id| values[usize::from(id)]);
     [of(&ids[0]), of(&ids[1]), of(&ids[2])]
-}
-
-/// What is known of a cluster once its positions are in the picture.
-pub(crate) struct Placed {
-    /// Whether any is beyond a side of what the camera sees.
-    pub(crate) beyond: bool,
-    /// Whether all of it is behind what is visible.
-    pub(crate) hidden: bool,
-}
-
-/// Carries a cluster's positions to the picture. `inside` are those of which none
-/// can be beyond a side.
-#[inline(always)]
-pub(crate) fn place(
-    instance: &Instance,
-    mesh: &Mesh,
-    cluster: &Cluster,
-    inside: bool,
-    drawing: &mut Drawing<'_>,
-) -> Placed {
-    let half_width = F::splat(drawing.visible.width as f32 * 0.5);
-    let half_height = F::splat(drawing.visible.height as f32 * 0.5);
-    let (zero, one) = (F::splat(0.0), F::splat(1.0));
-    let first = cluster.first_position as usize;
-    let count = (cluster.positions as usize).next_multiple_of(LANES);
-    let mut any = I::splat(0);
-    let mut nearest = zero;
-    let mut low = [I::splat(i32::MAX); 2];
-    let mut high = [I::splat(i32::MIN); 2];
-    let to = &mut *drawing.positions;
-    for at in (0..count).step_by(LANES) {
-        let from = first + at;
-        let x = F::load(&mesh.xs[from..from + LANES]);
-        let y = F::load(&mesh.ys[from..from + LANES]);
-        let z = F::load(&mesh.zs[from..from + LANES]);
-        let row = instance.to_clip.rows([x, y, z]);
-        let (cx, cy, cz, cw) = (row(0), row(1), row(2), row(3));
-        if !inside {
-            let bit = |mask: Mask, bit: i32| mask.ints() & I::splat(bit);
-            let mut beyond = bit(cx.gt(cw), 1)
-                | bit((cx + cw).lt(zero), 2)
-                | bit(cy.gt(cw), 4)
-                | bit((cy + cw).lt(zero), 8)
-                | bit(cz.lt(zero), 16)
-                | bit(cz.gt(cw), 32);
-            if let Some(plane) = drawing.plane {
-                let [a, b, c, d] = plane.map(F::splat);
-                let off = d.fused(cw, c.fused(cz, b.fused(cy, a * cx)));
-                beyond |= bit(off.lt(zero), 64);
-            }
-            beyond.store(&mut to.beyond[at..at + LANES]);
-            any |= beyond;
-        }
-        let over_w = one / cw;
-        let wx = (cx * over_w).fused(half_width, half_width);
-        let wy = (cy * over_w).fused(half_height, half_height);
-        // Depth: the viewport's scale is 1 and its shift 0.
-        let wz = cz * over_w;
-        let subpixels = F::splat(SUBPIXELS as f32);
-        let snapped = [wx, wy].map(|at| {
-            let at: I = (at * subpixels).nearest();
-            at.max(I::splat(-FURTHEST)).min(I::splat(FURTHEST))
-        });
-        wx.store(&mut to.x[at..at + LANES]);
-        wy.store(&mut to.y[at..at + LANES]);
-        wz.store(&mut to.z[at..at + LANES]);
-        snapped[0].store(&mut to.snapped_x[at..at + LANES]);
-        snapped[1].store(&mut to.snapped_y[at..at + LANES]);
-        nearest = nearest.max(wz);
-        for axis in 0..2 {
-            low[axis] = low[axis].min(snapped[axis]);
-            high[axis] = high[axis].max(snapped[axis]);
-        }
-    }
-    let beyond = (!any.equals(I::splat(0))).any();
-    if beyond {
-        return Placed {
-            beyond,
-            hidden: false,
-        };
-    }
-    let [x, y] = [0, 1].map(|axis| {
-        let window = match axis {
-            0 => drawing.window.x,
-            _ => drawing.window.y,
-        };
-        let from = (low[axis].reduce_min() >> 8).max(window[0]);
-        [from, (high[axis].reduce_max() >> 8).min(window[1])]
-    });
-    let depth = nearest.as_array().iter().fold(0.0f32, |a, b| a.max(*b));
-    let outside = x[0] > x[1] || y[0] > y[1];
-    Placed {
-        beyond,
-        hidden: outside || drawing.visible.hides(x, y, depth * (1.0 + 1e-5)),
-    }
 }

@@ -2,32 +2,15 @@
 //! the triangles that may cover a sample, their edges, the samples.
 
 use crate::candidates::Candidates;
-use crate::clip::{self, ClippedTriangle, Cut};
+use crate::clip::{self, ClippedTriangle, Cut, VARYING};
+use crate::drawing::Drawing;
 use crate::fill::fill;
 use crate::frustum::Frustum;
-use crate::instance::Instance;
 use crate::lanes::LANES;
 use crate::mesh::{Cluster, Mesh};
-use crate::model::Model;
-use crate::positions::{Placed, Positions, place};
+use crate::place::{Placed, place};
 use crate::setup::Setup;
-use crate::surface::VARYING;
-use crate::visible::{CLIPPED, Layers, Record, Visible};
-use crate::window::Window;
-
-/// What drawing an instance needs beside it.
-pub(crate) struct Drawing<'a> {
-    pub(crate) model: &'a Model,
-    pub(crate) instances: &'a [Instance],
-    pub(crate) window: Window,
-    /// What lies beyond it is cut off.
-    pub(crate) plane: Option<[f32; 4]>,
-    pub(crate) positions: &'a mut Positions,
-    pub(crate) visible: &'a mut Visible,
-    /// Where everything goes that is not behind what is visible; without it,
-    /// what is nearest becomes visible.
-    pub(crate) layers: Option<Layers<'a>>,
-}
+use crate::visible::{CLIPPED, Record};
 
 /// Draws an instance into what is visible.
 #[inline(always)]

@@ -2,11 +2,11 @@
 //! and the pixels that they may cover.
 
 use crate::clip::ClippedCorner;
+use crate::drawing::Drawing;
 use crate::instance::Instance;
 use crate::lanes::{F, Floats as _, I, Ints as _, LANES, Mask};
 use crate::mesh::{Cluster, Mesh};
 use crate::positions::{FURTHEST, SUBPIXELS};
-use crate::raster::Drawing;
 use crate::window::Window;
 
 /// Triangles of at least this extent, in parts of a pixel, are cut into blocks,

@@ -1,12 +1,13 @@
 //! From what is visible to colours: every triangle that is seen in a pixel is
 //! coloured once, at the pixel's centre, for all samples that it has there.
 
+use crate::clip::VARYING;
 use crate::instance::Instance;
 use crate::lanes::{F, Floats as _, I, Ints as _, LANES};
 use crate::light::{EyeLight, Shading};
 use crate::model::Model;
 use crate::sample::{Place, sample};
-use crate::surface::{self, COLOUR, COORDINATES, OPACITY, OVER_W, Surface, VARYING};
+use crate::surface::{self, COLOUR, COORDINATES, OPACITY, OVER_W, Surface};
 use crate::texture::Texels;
 use crate::visible::{CLIPPED, NOTHING, Record, SAMPLES, Visible};
 use crate::window::Window;

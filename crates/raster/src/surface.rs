@@ -1,7 +1,7 @@
 //! Colour and texture coordinates over the triangles that are seen: worked out
 //! at their corners, and from there as planes over the picture.
 
-use crate::clip;
+use crate::clip::{self, VARYING};
 use crate::instance::{Instance, Mapping};
 use crate::lanes::{F, Floats as _, LANES};
 use crate::light::{Shading, shade};
@@ -14,8 +14,6 @@ pub(crate) const OVER_W: usize = 0;
 pub(crate) const COLOUR: usize = 1;
 pub(crate) const COORDINATES: usize = 4;
 pub(crate) const OPACITY: usize = 7;
-/// How much varies.
-pub(crate) const VARYING: usize = 8;
 
 /// A triangle's planes: values at the picture's corner and their changes per
 /// pixel along x and y.

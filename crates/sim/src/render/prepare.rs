@@ -9,10 +9,11 @@ use mujoco_rs::mujoco_c as c;
 use raster::{Mesh, MeshBuilder, Quality, Texture, TextureKind, mesh_triangle, plane, plane_grid};
 use twox_hash::XxHash3_128;
 
-use super::software::graphics;
 use crate::error::SimError;
 use crate::mujoco::{MeshData, Model, TextureData};
 
+/// What our renderer cannot draw, OpenGL can.
+const REMEDY: &str = "draw it with --renderer gl";
 /// Roles of textures in `mat_texid`, and the one that colours.
 const TEXTURE_ROLES: usize = c::mjtTextureRole::mjNTEXROLE as usize;
 const COLOUR_ROLE: usize = c::mjtTextureRole::mjTEXROLE_RGB as usize;
@@ -180,6 +181,14 @@ pub(super) fn materials(model: &Model) -> Vec<Option<Material>> {
 pub(super) fn sky(model: &Model) -> Option<usize> {
     let sky = c::mjtTexture::mjTEXTURE_SKYBOX as i32;
     model.textures().position(|texture| texture.kind == sky)
+}
+
+/// Something that cannot be drawn.
+pub(super) fn graphics(problem: String) -> SimError {
+    SimError::Graphics {
+        problem,
+        remedy: REMEDY,
+    }
 }
 
 #[cfg(test)]

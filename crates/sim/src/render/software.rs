@@ -8,11 +8,10 @@ use raster::{Camera, Geom, Light, LightKind, Scene, Shape, TextureUse};
 
 use super::Segment;
 use super::abstraction::Abstraction;
-use super::prepare::{Material, materials, prepare, sky};
+use super::prepare::{Material, graphics, materials, prepare, sky};
 use crate::error::SimError;
 use crate::mujoco::{Data, Model};
 
-const REMEDY: &str = "draw it with --renderer gl";
 const PLANE: i32 = c::mjtGeom::mjGEOM_PLANE as i32;
 
 /// What our renderer keeps to draw one scene.
@@ -155,13 +154,6 @@ impl SoftwareCanvas {
             self.scene.geoms.push(read_geom(geom, &self.materials)?);
         }
         Ok(())
-    }
-}
-
-pub(super) fn graphics(problem: String) -> SimError {
-    SimError::Graphics {
-        problem,
-        remedy: REMEDY,
     }
 }
 
