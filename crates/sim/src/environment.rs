@@ -9,7 +9,7 @@ use crate::error::SimError;
 use crate::mujoco::{self, Data, Model, ObjectKind};
 use crate::observation::{Frame, RobotState, axis_angle_of};
 use crate::predicates::Goal;
-use crate::render::{Canvas, Drawer, Segment};
+use crate::render::{Canvas, Drawer, Segment, View};
 
 /// `mjDSBL_AUTORESET`: an unstable state is reported, not silently replaced.
 pub(crate) const DISABLE_AUTORESET: i32 = 1 << 16;
@@ -285,7 +285,7 @@ impl Environment {
         drawer: &Drawer,
         camera: &str,
         size: [u32; 2],
-        draw: impl Fn(&mut Canvas, &Model, &mut Data, usize, [u32; 2]) -> Result<T, SimError>,
+        draw: impl Fn(&mut Canvas, View<'_>) -> Result<T, SimError>,
     ) -> Result<T, SimError> {
         let id = self.model.id(ObjectKind::Camera, camera)?;
         self.pose_lens();
@@ -300,7 +300,13 @@ impl Environment {
         }
         self.show_burners(|burner| burner.opacity_seen);
         let canvas = self.canvas.as_mut().expect("made above");
-        let drawn = draw(canvas, &self.model, &mut self.lens, id, size);
+        let view = View {
+            model: &self.model,
+            data: &mut self.lens,
+            camera: id,
+            size,
+        };
+        let drawn = draw(canvas, view);
         self.show_burners(|burner| burner.opacity);
         drawn
     }

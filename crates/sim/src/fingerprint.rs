@@ -12,7 +12,7 @@ use sha2::{Digest, Sha256};
 use crate::environment::{DISABLE_AUTORESET, DISABLE_NATIVE_CCD};
 use crate::error::SimError;
 use crate::mujoco::{Data, Model, ObjectKind};
-use crate::render::{Canvas, Drawer};
+use crate::render::{Canvas, Drawer, View};
 
 /// The scene: an arm of seven joints over things that it pushes.
 const SCENE: &str = include_str!("fingerprint.mjcf");
@@ -112,7 +112,13 @@ fn frames(drawer: &Drawer, model: &mut Model, data: &mut Data) -> Result<Vec<Vec
     let mut canvas = Canvas::new(drawer, model, width, height)?;
     let frames = FRAMES.iter().map(|(camera, width, height)| {
         let camera = model.id(ObjectKind::Camera, camera)?;
-        canvas.draw(model, data, camera, [*width, *height])
+        let size = [*width, *height];
+        canvas.draw(View {
+            model,
+            data,
+            camera,
+            size,
+        })
     });
     frames.collect()
 }

@@ -94,6 +94,17 @@ pub struct Segment {
     pub id: i32,
 }
 
+/// What a camera of a model is to show, and how large.
+pub(crate) struct View<'a> {
+    pub(crate) model: &'a Model,
+    /// A state of the model.
+    pub(crate) data: &'a mut Data,
+    /// The camera's id.
+    pub(crate) camera: usize,
+    /// Width and height, pixels.
+    pub(crate) size: [u32; 2],
+}
+
 /// What a renderer keeps to draw one scene.
 pub(crate) enum Canvas {
     Software(Box<SoftwareCanvas>),
@@ -125,31 +136,19 @@ impl Canvas {
     }
 
     /// Draws what a camera of the model sees; rows from bottom to top.
-    pub(crate) fn draw(
-        &mut self,
-        model: &Model,
-        data: &mut Data,
-        camera: usize,
-        size: [u32; 2],
-    ) -> Result<Vec<u8>, SimError> {
+    pub(crate) fn draw(&mut self, view: View<'_>) -> Result<Vec<u8>, SimError> {
         match self {
-            Self::Software(canvas) => canvas.draw(model, data, camera, size),
-            Self::Gl(canvas) => Ok(canvas.draw(model, data, camera, size)),
+            Self::Software(canvas) => canvas.draw(view),
+            Self::Gl(canvas) => Ok(canvas.draw(view)),
         }
     }
 
     /// Draws how far it is to what a camera sees: 0 at the near plane, 1 at the far
     /// one, as OpenGL keeps it; rows from bottom to top.
-    pub(crate) fn depth(
-        &mut self,
-        model: &Model,
-        data: &mut Data,
-        camera: usize,
-        size: [u32; 2],
-    ) -> Result<Vec<f32>, SimError> {
+    pub(crate) fn depth(&mut self, view: View<'_>) -> Result<Vec<f32>, SimError> {
         match self {
-            Self::Software(canvas) => canvas.depth(model, data, camera, size),
-            Self::Gl(canvas) => Ok(canvas.depth(model, data, camera, size)),
+            Self::Software(canvas) => canvas.depth(view),
+            Self::Gl(canvas) => Ok(canvas.depth(view)),
         }
     }
 
@@ -157,14 +156,11 @@ impl Canvas {
     /// top.
     pub(crate) fn segmentation(
         &mut self,
-        model: &Model,
-        data: &mut Data,
-        camera: usize,
-        size: [u32; 2],
+        view: View<'_>,
     ) -> Result<Vec<Option<Segment>>, SimError> {
         match self {
-            Self::Software(canvas) => canvas.segmentation(model, data, camera, size),
-            Self::Gl(canvas) => Ok(canvas.segmentation(model, data, camera, size)),
+            Self::Software(canvas) => canvas.segmentation(view),
+            Self::Gl(canvas) => Ok(canvas.segmentation(view)),
         }
     }
 }

@@ -6,8 +6,8 @@ use std::mem::MaybeUninit;
 
 use mujoco_rs::mujoco_c as c;
 
-use super::Segment;
-use crate::mujoco::{Data, Model};
+use super::{Segment, View};
+use crate::mujoco::Model;
 
 /// Geoms in one picture at most, as in robosuite; further ones are not drawn.
 const MAX_GEOMS: i32 = 1000;
@@ -59,27 +59,22 @@ impl Abstraction {
     }
 
     /// Makes it that of a state, as a camera of the model sees it.
-    pub(super) fn update(
-        &mut self,
-        model: &Model,
-        data: &mut Data,
-        camera: usize,
-    ) -> &mut c::mjvScene {
-        let mut view = MaybeUninit::uninit();
+    pub(super) fn update(&mut self, view: View<'_>) -> &mut c::mjvScene {
+        let mut camera = MaybeUninit::uninit();
         // SAFETY: the camera is written whole by its default function before it is
         // assumed initialised; model and data belong together, and the scene was
         // made for this model.
         unsafe {
-            c::mjv_defaultCamera(view.as_mut_ptr());
-            let mut view: c::mjvCamera = view.assume_init();
-            view.type_ = c::mjtCamera::mjCAMERA_FIXED as i32;
-            view.fixedcamid = camera as i32;
+            c::mjv_defaultCamera(camera.as_mut_ptr());
+            let mut camera: c::mjvCamera = camera.assume_init();
+            camera.type_ = c::mjtCamera::mjCAMERA_FIXED as i32;
+            camera.fixedcamid = view.camera as i32;
             c::mjv_updateScene(
-                model.as_ptr(),
-                data.as_mut_ptr(),
+                view.model.as_ptr(),
+                view.data.as_mut_ptr(),
                 &self.options,
                 std::ptr::null(),
-                &mut view,
+                &mut camera,
                 c::mjtCatBit::mjCAT_ALL as i32,
                 &mut *self.scene,
             );

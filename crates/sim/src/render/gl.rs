@@ -6,11 +6,11 @@ use std::mem::MaybeUninit;
 use mujoco_rs::mujoco_c as c;
 
 use crate::error::SimError;
-use crate::mujoco::{Data, Model};
+use crate::mujoco::Model;
 
-use super::Segment;
 use super::abstraction::Abstraction;
 use super::gl_context::GlContext;
+use super::{Segment, View};
 
 /// What MuJoCo keeps to draw one scene. Dropping it needs the context that it
 /// was made with to be current, which [`GlContext`] being alive ensures.
@@ -61,44 +61,29 @@ impl GlCanvas {
     }
 
     /// Draws what a camera of the model sees; rows from bottom to top.
-    pub(crate) fn draw(
-        &mut self,
-        model: &Model,
-        data: &mut Data,
-        camera: usize,
-        size: [u32; 2],
-    ) -> Vec<u8> {
+    pub(crate) fn draw(&mut self, view: View<'_>) -> Vec<u8> {
+        let size = view.size;
         let mut rgb = vec![0; pixels(size) * 3];
-        let scene = self.abstraction.update(model, data, camera);
+        let scene = self.abstraction.update(view);
         render(scene, &self.context, size, Target::Colours(&mut rgb));
         rgb
     }
 
     /// Draws how far it is to what the camera sees: 0 at the near plane, 1 at the
     /// far one, as OpenGL keeps it.
-    pub(crate) fn depth(
-        &mut self,
-        model: &Model,
-        data: &mut Data,
-        camera: usize,
-        size: [u32; 2],
-    ) -> Vec<f32> {
+    pub(crate) fn depth(&mut self, view: View<'_>) -> Vec<f32> {
+        let size = view.size;
         let mut depth = vec![0.0; pixels(size)];
-        let scene = self.abstraction.update(model, data, camera);
+        let scene = self.abstraction.update(view);
         render(scene, &self.context, size, Target::Depths(&mut depth));
         depth
     }
 
     /// Draws which geom the camera sees, by its place in segmentation images.
-    pub(crate) fn segmentation(
-        &mut self,
-        model: &Model,
-        data: &mut Data,
-        camera: usize,
-        size: [u32; 2],
-    ) -> Vec<Option<Segment>> {
+    pub(crate) fn segmentation(&mut self, view: View<'_>) -> Vec<Option<Segment>> {
+        let size = view.size;
         let mut rgb = vec![0; pixels(size) * 3];
-        let scene = self.abstraction.update(model, data, camera);
+        let scene = self.abstraction.update(view);
         const FLAGS: [c::mjtRndFlag; 2] =
             [c::mjtRndFlag::mjRND_SEGMENT, c::mjtRndFlag::mjRND_IDCOLOR];
         let before = FLAGS.map(|flag| std::mem::replace(&mut scene.flags[flag as usize], 1));

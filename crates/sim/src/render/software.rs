@@ -6,11 +6,11 @@ use std::collections::BTreeMap;
 use mujoco_rs::mujoco_c as c;
 use raster::{Camera, Geom, Light, LightKind, Scene, Shape, TextureUse};
 
-use super::Segment;
 use super::abstraction::Abstraction;
 use super::prepare::{Material, graphics, materials, prepare, sky};
+use super::{Segment, View};
 use crate::error::SimError;
-use crate::mujoco::{Data, Model};
+use crate::mujoco::Model;
 
 const PLANE: i32 = c::mjtGeom::mjGEOM_PLANE as i32;
 
@@ -56,39 +56,26 @@ impl SoftwareCanvas {
     }
 
     /// Draws what a camera of the model sees; rows from bottom to top.
-    pub(crate) fn draw(
-        &mut self,
-        model: &Model,
-        data: &mut Data,
-        camera: usize,
-        size: [u32; 2],
-    ) -> Result<Vec<u8>, SimError> {
-        Ok(self.draw_on_canvas(model, data, camera, size)?.to_vec())
+    pub(crate) fn draw(&mut self, view: View<'_>) -> Result<Vec<u8>, SimError> {
+        Ok(self.draw_on_canvas(view)?.to_vec())
     }
 
     /// Draws how far it is to what the camera sees: 0 at the near plane, 1 at the
     /// far one, as OpenGL keeps it.
-    pub(crate) fn depth(
-        &mut self,
-        model: &Model,
-        data: &mut Data,
-        camera: usize,
-        size: [u32; 2],
-    ) -> Result<Vec<f32>, SimError> {
-        self.draw_on_canvas(model, data, camera, size)?;
+    pub(crate) fn depth(&mut self, view: View<'_>) -> Result<Vec<f32>, SimError> {
+        let camera = view.camera;
+        self.draw_on_canvas(view)?;
         Ok(self.canvases[&camera].depths().collect())
     }
 
     /// Draws which geom the camera sees.
     pub(crate) fn segmentation(
         &mut self,
-        model: &Model,
-        data: &mut Data,
-        camera: usize,
-        size: [u32; 2],
+        view: View<'_>,
     ) -> Result<Vec<Option<Segment>>, SimError> {
-        self.update(model, data, camera)?;
-        let numbers = raster::segments(&self.prepared, &self.scene, size.map(|side| side as usize))
+        let size = view.size.map(|side| side as usize);
+        self.update(view)?;
+        let numbers = raster::segments(&self.prepared, &self.scene, size)
             .map_err(|error| graphics(error.to_string()))?;
         let segments = self.abstraction.segments();
         Ok(numbers
@@ -97,29 +84,20 @@ impl SoftwareCanvas {
             .collect())
     }
 
-    fn draw_on_canvas(
-        &mut self,
-        model: &Model,
-        data: &mut Data,
-        camera: usize,
-        size: [u32; 2],
-    ) -> Result<&[u8], SimError> {
-        self.update(model, data, camera)?;
+    fn draw_on_canvas(&mut self, view: View<'_>) -> Result<&[u8], SimError> {
+        let View { model, camera, .. } = view;
+        let size = view.size.map(|side| side as usize);
+        self.update(view)?;
         let canvas = self.canvases.entry(camera).or_default();
         let largest: Vec<&[u8]> = model.textures().map(|texture| texture.texels).collect();
         canvas
-            .draw(
-                &self.prepared,
-                &largest,
-                &self.scene,
-                size.map(|side| side as usize),
-            )
+            .draw(&self.prepared, &largest, &self.scene, size)
             .map_err(|error| graphics(error.to_string()))
     }
 
     /// Makes the scene of a model's state.
-    fn update(&mut self, model: &Model, data: &mut Data, camera: usize) -> Result<(), SimError> {
-        self.abstraction.update(model, data, camera);
+    fn update(&mut self, view: View<'_>) -> Result<(), SimError> {
+        self.abstraction.update(view);
         let seen = self.abstraction.scene();
         // SAFETY: it reads the two cameras, and nothing else.
         let eye = unsafe { c::mjv_averageCamera(&seen.camera[0], &seen.camera[1]) };
