@@ -1,11 +1,12 @@
 //! What the gateway asks of whatever answers for a route. Responsible for the
 //! trait and for what can go wrong behind it; one module per kind of back-end.
 
-use std::{error::Error, fmt, time::Duration};
+use std::{fmt, time::Duration};
 
 use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
 use thiserror::Error;
 use tonic::{Code, Status};
+use transport::is_outage_code;
 
 use crate::{
     check::{ActionFault, DescriptionFault},
@@ -241,23 +242,6 @@ impl BackendError {
 
     /// Whether the infrastructure failed, not this query.
     pub fn is_outage(&self) -> bool {
-        is_outage(self.code())
+        is_outage_code(self.code())
     }
-}
-
-/// Whether a gRPC code says that the infrastructure failed.
-pub fn is_outage(code: Code) -> bool {
-    matches!(
-        code,
-        Code::Unavailable | Code::DeadlineExceeded | Code::ResourceExhausted
-    )
-}
-
-/// The last error of a chain, which is the one that names the cause.
-fn innermost(error: &(dyn Error + 'static)) -> String {
-    let mut innermost = error;
-    while let Some(source) = innermost.source() {
-        innermost = source;
-    }
-    innermost.to_string()
 }

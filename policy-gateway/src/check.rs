@@ -6,7 +6,8 @@
 use proto::policy::{DescribeResponse, InferResponse, StateField};
 use thiserror::Error;
 
-use crate::service::MAX_BATCH_QUERIES;
+/// Queries in one `InferBatch`.
+pub const MAX_BATCH_QUERIES: usize = 64;
 
 /// Numbers in one action: translation (3), rotation (3), gripper.
 pub const ACTION_WIDTH: u32 = 7;

@@ -15,23 +15,11 @@ use crate::{
 
 mod error;
 pub mod file;
+mod name;
 
-pub use error::ConfigError;
+pub use error::{ConfigError, MAX_REPLICAS};
+pub use name::{MAX_ROUTE_NAME_BYTES, RouteName, RouteNameError};
 
-/// HTTP/2 window of one call, bytes: an observation of two 256×256 frames fits
-/// twenty times, so that no call waits for a window update.
-pub const STREAM_WINDOW_BYTES: u32 = 8 << 20;
-/// HTTP/2 window of one connection, bytes.
-pub const CONNECTION_WINDOW_BYTES: u32 = 32 << 20;
-/// Largest HTTP/2 frame taken, bytes: an observation comes in one, where the
-/// usual 16 KiB make two dozen, each with its own write and its own waking of
-/// the reader.
-pub const MAX_FRAME_BYTES: u32 = 1 << 20;
-/// Longest route name, bytes.
-pub const MAX_ROUTE_NAME_BYTES: usize = 64;
-
-/// Replicas of one checkpoint.
-pub const MAX_REPLICAS: usize = 64;
 /// Longest wait for an answer, unless a route says otherwise: shorter than a
 /// worker's, so that it is the gateway that notices a silent server.
 pub const DEFAULT_ANSWER_WITHIN: Duration = Duration::from_secs(50);
@@ -221,38 +209,6 @@ impl FromStr for RouteSpec {
             access: AccessFiles::default(),
             record: None,
         })
-    }
-}
-
-/// Name of a route: letters, digits, `.`, `_` and `-`.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct RouteName(String);
-
-impl RouteName {
-    /// As written.
-    pub fn as_str(&self) -> &str {
-        &self.0
-    }
-}
-
-impl FromStr for RouteName {
-    type Err = ConfigError;
-
-    fn from_str(text: &str) -> Result<Self, ConfigError> {
-        let allowed = |byte: u8| byte.is_ascii_alphanumeric() || b"._-".contains(&byte);
-        if (1..=MAX_ROUTE_NAME_BYTES).contains(&text.len()) && text.bytes().all(allowed) {
-            Ok(Self(text.to_owned()))
-        } else {
-            Err(ConfigError::Name {
-                name: text.to_owned(),
-            })
-        }
-    }
-}
-
-impl fmt::Display for RouteName {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.0)
     }
 }
 

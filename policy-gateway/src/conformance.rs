@@ -8,40 +8,25 @@
 
 use std::fmt;
 
-use thiserror::Error;
 use tonic::Status;
-use transport::Access;
 
 use crate::check;
 use probe::{Episode, Order, Probe};
+pub use target::{ConformanceError, QUERIES, Target};
 use verdict::Verdict;
 
 pub mod front;
 pub mod probe;
 pub mod scene;
+mod target;
 pub mod verdict;
 
-/// Queries of one probing episode.
-pub const QUERIES: u32 = 5;
 /// Seed of the episode that others are compared with.
 pub const SEED: u64 = 1;
 /// Seed of episodes that may differ from it.
 pub const OTHER_SEED: u64 = 2;
 /// Episodes at once while throughput is measured.
 pub const CONCURRENCY: u32 = 8;
-
-/// What to check.
-#[derive(Clone, Debug)]
-pub struct Target {
-    /// `http://HOST:PORT` or `grpc://HOST:PORT`.
-    pub url: String,
-    /// Which policy there; empty: the only one.
-    pub policy: String,
-    /// The suite whose task is made up, one of [`scene::TASKS`].
-    pub suite: String,
-    /// How to get in.
-    pub access: Access,
-}
 
 /// One point of the protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -206,46 +191,4 @@ async fn examine(point: Point, probe: &Probe, reference: &Episode) -> Result<Ver
             verdict::speed(&reference.latencies, CONCURRENCY, wall, &together)
         }
     })
-}
-
-/// Why a server cannot be checked. Reads after "failed to …".
-#[derive(Debug, Error)]
-pub enum ConformanceError {
-    /// Not `grpc://HOST:PORT`.
-    #[error(
-        "read {url:?} as a policy server's address: write grpc://HOST:PORT, or https:// for one \
-         over TLS, or ws://HOST:PORT for an openpi server"
-    )]
-    Url {
-        /// As given.
-        url: String,
-    },
-    /// Nothing listens there.
-    #[error("reach a policy server at {url}: start it, or correct the address")]
-    Connect {
-        /// As given.
-        url: String,
-        /// Why not.
-        #[source]
-        source: tonic::transport::Error,
-    },
-    /// No gateway can stand in front of it.
-    #[error(transparent)]
-    Front(#[from] front::FrontError),
-    /// It does not say what it is.
-    #[error("have {url} describe its policy: it answered {:?}: {}", status.code(), status.message())]
-    Describe {
-        /// As given.
-        url: String,
-        /// What it answered.
-        status: Box<Status>,
-    },
-    /// It answers no query.
-    #[error("play one episode with {url}: it answered {:?}: {}", status.code(), status.message())]
-    Episode {
-        /// As given.
-        url: String,
-        /// What it answered.
-        status: Box<Status>,
-    },
 }

@@ -11,15 +11,16 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// Wait after a server could not be reached for the first time.
-pub const FIRST_WAIT: Duration = Duration::from_millis(100);
-/// Longest wait for a server that could not be reached: one that comes back is
-/// in use again within this time.
-pub const LONGEST_WAIT: Duration = Duration::from_secs(5);
-/// Wait after a server was found sick or silent.
-pub const FIRST_SICK_WAIT: Duration = Duration::from_secs(1);
-/// Longest wait for a sick or silent server.
-pub const LONGEST_SICK_WAIT: Duration = Duration::from_secs(60);
+use attempt::Waits;
+
+/// Waits for a server that could not be reached: one that comes back is in use
+/// again within the longest.
+pub const WAITS: Waits = Waits {
+    first: Duration::from_millis(100),
+    longest: Duration::from_secs(5),
+};
+/// Waits for a server that was sick or silent.
+pub const SICK_WAITS: Waits = Waits::USUAL;
 /// How long a probing session may take to come to an answer before another
 /// session may try.
 pub const PROBE_PATIENCE: Duration = Duration::from_secs(60);
@@ -78,10 +79,10 @@ pub enum Cause {
 }
 
 impl Cause {
-    fn waits(&self) -> (Duration, Duration) {
+    fn waits(&self) -> Waits {
         match self {
-            Self::Unreachable => (FIRST_WAIT, LONGEST_WAIT),
-            _ => (FIRST_SICK_WAIT, LONGEST_SICK_WAIT),
+            Self::Unreachable => WAITS,
+            _ => SICK_WAITS,
         }
     }
 
@@ -129,8 +130,9 @@ pub struct Errors {
 pub struct Outage {
     /// Why.
     pub cause: Cause,
-    /// How long the next failed probe makes it wait.
-    wait: Duration,
+    /// Failures in a row that are waited for in the same way: the one that began
+    /// it, and those of probes.
+    failures: u32,
     /// When a probe may go.
     probe_at: Instant,
     /// The session that is through to try it.
@@ -199,16 +201,18 @@ impl Health {
     /// Queries that were on their way when it failed fail too, all at once;
     /// only a probe's failure lengthens the wait.
     pub fn failed(&mut self, cause: Cause, now: Instant) -> bool {
-        let (first, longest) = cause.waits();
-        let (wait, was_up) = match self {
-            Self::Up(_) => (first, true),
+        let (failures, was_up) = match self {
+            Self::Up(_) => (1, true),
             Self::Out(Outage { probe: None, .. }) => return false,
-            Self::Out(outage) => (outage.wait.clamp(first, longest), false),
+            // Another kind of trouble begins anew.
+            Self::Out(outage) if outage.cause.waits() != cause.waits() => (1, false),
+            Self::Out(outage) => (outage.failures.saturating_add(1), false),
         };
         *self = Self::Out(Outage {
+            // Sessions bring their own chance.
+            probe_at: now + cause.waits().after(failures, 0),
             cause,
-            wait: (wait * 2).min(longest),
-            probe_at: now + wait,
+            failures,
             probe: None,
         });
         was_up
@@ -332,7 +336,7 @@ mod tests {
             for event in &events {
                 apply(&mut health, event, &mut now);
             }
-            now += LONGEST_SICK_WAIT + PROBE_PATIENCE;
+            now += SICK_WAITS.longest + PROBE_PATIENCE;
             prop_assert!(health.admit(Call::Of("new"), now).is_ok());
             health.answered(Answered::Query);
             prop_assert_eq!(health, Health::default());
@@ -361,11 +365,11 @@ mod tests {
             for event in &events {
                 apply(&mut health, event, &mut now);
             }
-            now += LONGEST_SICK_WAIT + PROBE_PATIENCE;
+            now += SICK_WAITS.longest + PROBE_PATIENCE;
             prop_assert!(health.admit(Call::Of("probe"), now).is_ok());
             health.failed(cause.clone(), now);
             let (refused, wait) = health.admit(Call::Of("probe"), now).expect_err("it failed just now");
-            let (first, longest) = cause.waits();
+            let Waits { first, longest } = cause.waits();
             prop_assert_eq!(refused, cause);
             prop_assert!((first..=longest).contains(&wait), "{:?}", wait);
         }

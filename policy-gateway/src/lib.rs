@@ -14,7 +14,7 @@ use tonic::transport::server::TcpIncoming;
 use transport::{Demand, Role, Security, SecurityError};
 
 use crate::{
-    config::{CONNECTION_WINDOW_BYTES, MAX_FRAME_BYTES, STREAM_WINDOW_BYTES},
+    http2::{CONNECTION_WINDOW_BYTES, MAX_FRAME_BYTES, STREAM_WINDOW_BYTES},
     service::Gateway,
 };
 
@@ -26,6 +26,7 @@ pub mod config;
 pub mod conformance;
 pub mod health;
 pub mod held;
+pub mod http2;
 pub mod recording;
 pub mod route;
 pub mod service;

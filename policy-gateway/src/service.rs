@@ -12,15 +12,14 @@ use proto::policy::{
 };
 use tokio::task::JoinSet;
 use tonic::{Request, Response, Status};
+use transport::chain;
 
 use crate::{
+    check::MAX_BATCH_QUERIES,
     config::{Config, RouteSpec, UnusableBackend},
     held::Held,
     route::{Route, RouteError},
 };
-
-/// Queries in one `InferBatch`.
-pub const MAX_BATCH_QUERIES: usize = 64;
 
 /// Routes that the configuration no longer names and that are kept for their
 /// open sessions; the one retired first is dropped for one more.
@@ -191,6 +190,6 @@ fn result(answer: Result<InferResponse, RouteError>) -> Result<infer_result::Res
     match answer {
         Ok(response) => Ok(infer_result::Result::Response(response)),
         Err(error) if error.is_outage() => Err(error.into()),
-        Err(error) => Ok(infer_result::Result::Error(error.message())),
+        Err(error) => Ok(infer_result::Result::Error(chain(&error))),
     }
 }

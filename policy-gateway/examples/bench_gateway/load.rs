@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use policy_gateway::{
-    config::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES},
     conformance::scene,
+    http2::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES},
 };
 use proto::policy::{DescribeRequest, InferRequest, ResetRequest, policy_client::PolicyClient};
 use serde_json::{Value, json};

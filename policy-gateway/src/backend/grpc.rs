@@ -11,10 +11,10 @@ use proto::policy::{
 };
 use thiserror::Error;
 use tonic::{Code, Response, Status, codegen::http::Uri, transport::Endpoint};
-use transport::{Access, Connection};
+use transport::{Access, Connection, innermost};
 
-use super::{Backend, BackendError, innermost};
-use crate::config::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES};
+use super::{Backend, BackendError};
+use crate::http2::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES};
 
 /// Longest wait for a connection.
 pub const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);

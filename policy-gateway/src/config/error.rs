@@ -4,11 +4,14 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
-use super::{MAX_REPLICAS, MAX_ROUTE_NAME_BYTES, RouteName};
+use super::name::{RouteName, RouteNameError};
 use crate::{
     backend::{grpc::AddressError, openpi::OpenpiAddressError},
     builtin::UnknownBuiltin,
 };
+
+/// Replicas of one checkpoint.
+pub const MAX_REPLICAS: usize = 64;
 
 /// Why routes cannot be served. Reads after "failed to …".
 #[derive(Debug, Error)]
@@ -83,14 +86,8 @@ pub enum ConfigError {
         text: String,
     },
     /// A name that would be hard to quote.
-    #[error(
-        "use {name:?} as a route's name: take 1 to {MAX_ROUTE_NAME_BYTES} letters, digits, '.', \
-         '_' and '-'"
-    )]
-    Name {
-        /// As written.
-        name: String,
-    },
+    #[error(transparent)]
+    Name(#[from] RouteNameError),
     /// The same name for two routes.
     #[error("tell two routes named {name} apart: give each its own name")]
     Twice {

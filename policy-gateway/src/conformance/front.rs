@@ -28,7 +28,7 @@ impl Front {
         let backend: BackendSpec = url.parse()?;
         let route = RouteSpec {
             access,
-            ..RouteSpec::new("policy".parse()?, backend)
+            ..RouteSpec::new("policy".parse().map_err(ConfigError::from)?, backend)
         };
         let gateway = Gateway::new(&Config::new(vec![route])?)?;
         let listener = TcpListener::bind(SocketAddr::from(([127, 0, 0, 1], 0))).await?;

@@ -15,13 +15,15 @@ use tonic_health::pb::{
 use transport::Connection;
 
 use super::{
-    ConformanceError, QUERIES, Target, scene,
+    scene,
+    target::{ConformanceError, QUERIES, Target},
     verdict::{self, Verdict},
 };
 use crate::{
     backend::grpc::CONNECT_TIMEOUT,
-    config::{CONNECTION_WINDOW_BYTES, DEFAULT_ANSWER_WITHIN, STREAM_WINDOW_BYTES},
-    service::MAX_BATCH_QUERIES,
+    check::MAX_BATCH_QUERIES,
+    config::DEFAULT_ANSWER_WITHIN,
+    http2::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES},
 };
 
 /// In which order an episode's queries are asked.

@@ -1,15 +1,11 @@
 //! Why a route did not answer, as a worker is told.
 
-use std::error::Error as _;
-
 use thiserror::Error;
 use tonic::{Code, Status};
+use transport::{chain, is_outage_code};
 
 use crate::{
-    backend::{self, BackendError},
-    check::ActionFault,
-    config::RouteName,
-    held::MAX_HELD_BYTES,
+    backend::BackendError, check::ActionFault, config::RouteName, held::MAX_HELD_BYTES,
     sessions::MAX_SESSION_BYTES,
 };
 
@@ -106,22 +102,14 @@ impl RouteError {
         }
     }
 
-    /// The error and its cause in one line, for the wire.
-    pub fn message(&self) -> String {
-        match self.source() {
-            Some(cause) => format!("{self}: {cause}"),
-            None => self.to_string(),
-        }
-    }
-
     /// Whether the infrastructure failed, not this query.
     pub fn is_outage(&self) -> bool {
-        backend::is_outage(self.code())
+        is_outage_code(self.code())
     }
 }
 
 impl From<RouteError> for Status {
     fn from(error: RouteError) -> Self {
-        Self::new(error.code(), error.message())
+        Self::new(error.code(), chain(&error))
     }
 }

@@ -10,5 +10,6 @@ mod program;
 mod recordings;
 mod replicas;
 mod routing;
+mod sessions;
 mod support;
 mod wrong_servers;

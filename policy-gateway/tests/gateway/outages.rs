@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use policy_gateway::{builtin::noop::NOOP_ACTION, health::LONGEST_WAIT};
+use policy_gateway::{builtin::noop::NOOP_ACTION, health::WAITS};
 use proto::policy::{InferBatchRequest, policy_client::PolicyClient};
 use tonic::{Code, Status, transport::Channel};
 
@@ -10,7 +10,7 @@ use crate::support::{describe, gateway, gateway_at, infer, reset, unused_address
 
 /// Asks until an answer comes, for as long as the back-off may take.
 async fn until_it_answers(client: &mut PolicyClient<Channel>) -> Result<(), Status> {
-    let deadline = Instant::now() + 2 * LONGEST_WAIT;
+    let deadline = Instant::now() + 2 * WAITS.longest;
     loop {
         match client.describe(describe("")).await {
             Ok(_) => return Ok(()),

@@ -31,7 +31,7 @@ pub(crate) fn listening(child: &mut Child) -> String {
     address.expect("the announced line").to_owned()
 }
 
-fn address(child: &mut Child) -> SocketAddr {
+pub(crate) fn address(child: &mut Child) -> SocketAddr {
     listening(child).parse().expect("an address")
 }
 

@@ -1,6 +1,6 @@
 //! Which policy answers, and what a gateway says of itself.
 
-use policy_gateway::{builtin::noop::NOOP_ACTION, service::MAX_BATCH_QUERIES};
+use policy_gateway::{builtin::noop::NOOP_ACTION, check::MAX_BATCH_QUERIES};
 use proto::policy::{
     DescribeRequest, DescribeResponse, Image, InferBatchRequest, InferRequest, Observation,
     infer_result,

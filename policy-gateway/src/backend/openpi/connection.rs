@@ -15,10 +15,10 @@ use tokio_tungstenite::{
         protocol::WebSocketConfig,
     },
 };
-use transport::Access;
+use transport::{Access, innermost};
 
-use super::OpenpiAddress;
-use crate::backend::{BackendError, grpc::CONNECT_TIMEOUT, innermost};
+use super::address::OpenpiAddress;
+use crate::backend::{BackendError, grpc::CONNECT_TIMEOUT};
 
 /// How long a server may take for handshake and greeting: while it computes, it
 /// greets nobody.

@@ -1,0 +1,83 @@
+//! Where an openpi server listens, as written in a route.
+
+use std::{fmt, str::FromStr};
+
+use thiserror::Error;
+use tonic::codegen::http::Uri;
+
+/// Actions executed of every chunk, unless the address says otherwise: what
+/// openpi's LIBERO evaluation does (`replan_steps`).
+pub const DEFAULT_EXECUTE: u32 = 5;
+/// Most that an address may say.
+pub const MAX_EXECUTE: u32 = 100;
+
+/// Where such a server listens: `ws://HOST:PORT` or `wss://HOST:PORT`, with
+/// `?execute=N` for more or fewer actions per query than openpi's client.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct OpenpiAddress {
+    /// `host:port`.
+    pub authority: String,
+    /// Over TLS.
+    pub encrypted: bool,
+    /// Actions executed of every chunk.
+    pub execute: u32,
+}
+
+impl OpenpiAddress {
+    pub(super) fn uri(&self) -> String {
+        let scheme = if self.encrypted { "wss" } else { "ws" };
+        format!("{scheme}://{}/", self.authority)
+    }
+}
+
+impl FromStr for OpenpiAddress {
+    type Err = OpenpiAddressError;
+
+    fn from_str(text: &str) -> Result<Self, OpenpiAddressError> {
+        let read = || {
+            let uri: Uri = text.parse().ok()?;
+            let encrypted = match uri.scheme_str()? {
+                "ws" => false,
+                "wss" => true,
+                _ => return None,
+            };
+            let execute = match uri.query() {
+                None => DEFAULT_EXECUTE,
+                Some(query) => query.strip_prefix("execute=")?.parse().ok()?,
+            };
+            let complete = uri.host().is_some_and(|host| !host.is_empty())
+                && uri.port_u16().is_some()
+                && uri.path() == "/"
+                && (1..=MAX_EXECUTE).contains(&execute);
+            complete.then(|| Self {
+                authority: uri.authority().map(ToString::to_string).unwrap_or_default(),
+                encrypted,
+                execute,
+            })
+        };
+        read().ok_or_else(|| OpenpiAddressError {
+            text: text.to_owned(),
+        })
+    }
+}
+
+impl fmt::Display for OpenpiAddress {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.uri().trim_end_matches('/'))?;
+        match self.execute {
+            DEFAULT_EXECUTE => Ok(()),
+            execute => write!(f, "?execute={execute}"),
+        }
+    }
+}
+
+/// Not such an address.
+#[derive(Debug, Error)]
+#[error(
+    "read {text:?} as an openpi server's address: write ws://HOST:PORT, or \
+     ws://HOST:PORT?execute=N with N from 1 to {MAX_EXECUTE}"
+)]
+pub struct OpenpiAddressError {
+    /// As written.
+    pub text: String,
+}
