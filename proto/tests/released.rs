@@ -1,0 +1,165 @@
+//! `rollout.policy.v1` is public: whoever wrote a policy server or a client
+//! against the released file need not know that a newer one exists.
+
+use std::path::Path;
+
+use prost::Message;
+use prost_reflect::{
+    DescriptorPool, DynamicMessage, FieldDescriptor, Kind, MessageDescriptor, ReflectMessage, Value,
+};
+use proto::policy;
+
+const PACKAGE: &str = "rollout.policy.v1";
+
+fn compiled(folder: &Path, file: &str) -> DescriptorPool {
+    let files = protox::compile([file], [folder]).expect("a correct file");
+    DescriptorPool::from_file_descriptor_set(files).expect("a whole descriptor")
+}
+
+fn folder() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn released() -> DescriptorPool {
+    compiled(&folder().join("released"), "policy_v1.proto")
+}
+
+fn today() -> DescriptorPool {
+    compiled(folder(), "rollout/policy/v1/policy.proto")
+}
+
+/// All that must stay of a protocol, one line each: what numbers, names and
+/// types are on the wire, and which calls there are.
+fn promises(pool: &DescriptorPool) -> Vec<String> {
+    let mut promises = Vec::new();
+    for message in pool.all_messages() {
+        promises.push(format!("message {}", message.full_name()));
+        promises.extend(message.fields().map(|field| {
+            let (kind, name, number) = (field.kind(), field.full_name(), field.number());
+            let oneof = field.containing_oneof().map(|it| it.name().to_owned());
+            let (cardinality, presence) = (field.cardinality(), field.supports_presence());
+            let packed = field.is_packed();
+            format!("{name} = {number}: {cardinality:?} {kind:?} {oneof:?} {presence} {packed}")
+        }));
+    }
+    for values in pool.all_enums() {
+        promises.extend(values.values().map(|value| {
+            let (name, number) = (value.full_name(), value.number());
+            format!("{name} = {number} of {}", values.full_name())
+        }));
+    }
+    for service in pool.services() {
+        promises.extend(service.methods().map(|call| {
+            let (asked, answered) = (call.input(), call.output());
+            let streams = (call.is_client_streaming(), call.is_server_streaming());
+            let (asked, answered) = (asked.full_name(), answered.full_name());
+            format!("{}({asked}) -> {answered} {streams:?}", call.full_name())
+        }));
+    }
+    promises
+}
+
+/// What was promised and is not kept.
+fn broken(released: &DescriptorPool, now: &DescriptorPool) -> Vec<String> {
+    let kept = promises(now);
+    let promised = promises(released).into_iter();
+    promised.filter(|promise| !kept.contains(promise)).collect()
+}
+
+#[test]
+fn everything_that_was_released_is_still_there() {
+    assert_eq!(broken(&released(), &today()), Vec::<String>::new());
+}
+
+#[test]
+fn whatever_is_changed_in_a_released_file_is_noticed() {
+    let text = std::fs::read_to_string(folder().join("released/policy_v1.proto"));
+    let text = text.expect("the released file");
+    let check = |from: &str, to: &str, breaks: bool| {
+        let changed = text.replacen(from, to, 1);
+        assert_ne!(changed, text, "nothing to change: {from}");
+        let folder = std::env::temp_dir().join(format!("policy-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).expect("a folder");
+        std::fs::write(folder.join("changed.proto"), changed).expect("written");
+        let changed = compiled(&folder, "changed.proto");
+        std::fs::remove_dir_all(folder).expect("its own folder");
+        assert_eq!(!broken(&released(), &changed).is_empty(), breaks, "{to}");
+    };
+    check("uint32 horizon = 8;", "uint32 horizon = 80;", true);
+    check("uint32 horizon = 8;", "uint32 chunk = 8;", true);
+    check("uint32 horizon = 8;", "uint64 horizon = 8;", true);
+    check("uint32 horizon = 8;", "optional uint32 horizon = 8;", true);
+    check("uint32 horizon = 8;", "", true);
+    check("LANGUAGE_IGNORED = 3;", "LANGUAGE_IGNORED = 4;", true);
+    check("rpc Reset(ResetRequest)", "rpc Reset(InferRequest)", true);
+    check("rpc Infer(InferRequest)", "rpc Ask(InferRequest)", true);
+    let more = "uint32 horizon = 8; uint32 later = 99;";
+    check("uint32 horizon = 8;", more, false);
+}
+
+/// A message with something in every field that the descriptor knows.
+fn filled(message: &MessageDescriptor) -> DynamicMessage {
+    let mut full = DynamicMessage::new(message.clone());
+    for field in message.fields() {
+        let value = value_of(&field);
+        match field.is_list() {
+            true => full.set_field(&field, Value::List(vec![value.clone(), value])),
+            false => full.set_field(&field, value),
+        }
+    }
+    full
+}
+
+fn value_of(field: &FieldDescriptor) -> Value {
+    let number = field.number();
+    match field.kind() {
+        Kind::Bool => Value::Bool(true),
+        Kind::Uint32 => Value::U32(number),
+        Kind::Uint64 => Value::U64(u64::MAX - u64::from(number)),
+        Kind::Float => Value::F32(number as f32 + 0.5),
+        Kind::Double => Value::F64(f64::from(number) + 0.25),
+        Kind::String => Value::String(field.name().to_owned()),
+        Kind::Bytes => Value::Bytes(field.name().to_owned().into()),
+        Kind::Enum(values) => Value::EnumNumber(values.values().last().map_or(0, |it| it.number())),
+        Kind::Message(message) => Value::Message(filled(&message)),
+        other => panic!("{other:?} is new here: say what to fill in"),
+    }
+}
+
+fn message(pool: &DescriptorPool, name: &str) -> MessageDescriptor {
+    let name = format!("{PACKAGE}.{name}");
+    pool.get_message_by_name(&name).expect("a message")
+}
+
+/// An older peer's message is understood whole by today's types, and today's
+/// message, new fields and all, by an older peer.
+fn check<T: Message + Default>(name: &str) {
+    let (released, today) = (message(&released(), name), message(&today(), name));
+    let theirs = filled(&released);
+    let understood = T::decode(theirs.encode_to_vec().as_slice()).expect("an older message");
+    let back = DynamicMessage::decode(released.clone(), understood.encode_to_vec().as_slice());
+    assert_eq!(back.expect("the same message"), theirs, "{name}");
+
+    let ours = T::decode(filled(&today).encode_to_vec().as_slice()).expect("a message");
+    let read = DynamicMessage::decode(released, ours.encode_to_vec().as_slice());
+    let read = read.expect("a newer message");
+    for field in theirs.descriptor().fields().filter(|it| !is_message(it)) {
+        assert_eq!(read.get_field(&field), theirs.get_field(&field), "{name}");
+    }
+}
+
+fn is_message(field: &FieldDescriptor) -> bool {
+    matches!(field.kind(), Kind::Message(_))
+}
+
+#[test]
+fn older_and_newer_programs_understand_each_others_messages() {
+    check::<policy::DescribeRequest>("DescribeRequest");
+    check::<policy::DescribeResponse>("DescribeResponse");
+    check::<policy::ResetRequest>("ResetRequest");
+    check::<policy::ResetResponse>("ResetResponse");
+    check::<policy::InferRequest>("InferRequest");
+    check::<policy::InferResponse>("InferResponse");
+    check::<policy::InferBatchRequest>("InferBatchRequest");
+    check::<policy::InferBatchResponse>("InferBatchResponse");
+}
