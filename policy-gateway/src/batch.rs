@@ -60,7 +60,7 @@ impl<T> Queue<T> {
         Ok(())
     }
 
-    /// Drops the queries that nobody waits for any longer.
+    /// Drops the queries whose callers stopped waiting.
     pub fn forget(&mut self, is_left: impl Fn(&T) -> bool) {
         self.waiting.retain(|(_, query)| !is_left(query));
     }

@@ -1,7 +1,6 @@
 //! What a policy may say: the checks at the boundary, before an answer goes on
-//! towards a robot. Pure. Numbers a little outside -1..1 pass here: whoever drives
-//! the robot (the worker) clips them and counts what it clipped, because only it
-//! writes the count into a result.
+//! towards a robot. Pure. Numbers a little outside -1..1 pass here: the worker
+//! clips them and counts what it clipped, because only it writes results.
 
 use proto::policy::{DescribeResponse, InferResponse, StateField};
 use thiserror::Error;

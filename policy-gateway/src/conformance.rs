@@ -11,7 +11,7 @@ use std::fmt;
 use tonic::Status;
 
 use crate::check;
-use probe::{Episode, Order, Probe};
+use probe::{EpisodeAnswers, Probe, QueryOrder};
 pub use target::{ConformanceError, QUERIES, Target};
 use verdict::Verdict;
 
@@ -122,7 +122,7 @@ pub async fn check(
     report: &mut dyn FnMut(&Finding),
 ) -> Result<bool, ConformanceError> {
     let probe = Probe::connect(target).await?;
-    let reference = probe.episode("reference", SEED, Order::Forward).await;
+    let reference = probe.episode("reference", SEED, QueryOrder::Forward).await;
     let reference = reference.map_err(|status| ConformanceError::Episode {
         url: target.url.clone(),
         status: status.into(),
@@ -141,7 +141,11 @@ pub async fn check(
 ///
 /// # Errors
 /// What the server answered where the point asks for actions.
-async fn examine(point: Point, probe: &Probe, reference: &Episode) -> Result<Verdict, Status> {
+async fn examine(
+    point: Point,
+    probe: &Probe,
+    reference: &EpisodeAnswers,
+) -> Result<Verdict, Status> {
     let described = probe.described();
     let answers = &reference.answers;
     Ok(match point {
@@ -165,12 +169,12 @@ async fn examine(point: Point, probe: &Probe, reference: &Episode) -> Result<Ver
             verdict::same(&first, &second)
         }
         Point::SameSeed => {
-            let again = probe.episode("again", SEED, Order::Forward).await?;
+            let again = probe.episode("again", SEED, QueryOrder::Forward).await?;
             verdict::same(answers, &again.answers)
         }
         Point::OtherSeed => {
             let other = probe
-                .episode("other seed", OTHER_SEED, Order::Forward)
+                .episode("other seed", OTHER_SEED, QueryOrder::Forward)
                 .await?;
             verdict::seeds(described.stochastic, answers, &other.answers)
         }
@@ -178,7 +182,9 @@ async fn examine(point: Point, probe: &Probe, reference: &Episode) -> Result<Ver
             verdict::skip("the policy is stateful: its queries come in order")
         }
         Point::Order => {
-            let backward = probe.episode("backward", SEED, Order::Backward).await?;
+            let backward = probe
+                .episode("backward", SEED, QueryOrder::Backward)
+                .await?;
             verdict::same(answers, &backward.answers)
         }
         Point::Isolation => verdict::same(answers, &probe.interleaved(SEED, OTHER_SEED).await?),

@@ -46,7 +46,7 @@ const BROKEN_WORDS: [&str; 8] = [
 /// What wants to go to a server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Call<'a> {
-    /// A description, for nobody's episode.
+    /// A description, which belongs to no episode.
     Describe,
     /// Something of this session.
     Of(&'a str),
@@ -209,7 +209,7 @@ impl Health {
             Self::Out(outage) => (outage.failures.saturating_add(1), false),
         };
         *self = Self::Out(Outage {
-            // Sessions bring their own chance.
+            // Without jitter: sessions arrive at random anyway.
             probe_at: now + cause.waits().after(failures, 0),
             cause,
             failures,

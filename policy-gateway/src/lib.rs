@@ -86,8 +86,8 @@ pub async fn run(
 }
 
 /// Who may make the call at a path: robots ask policies, and operators check
-/// that they can. Whether a gateway is up is nobody's secret: those who ask are
-/// often no program of this system.
+/// that they can. Whether a gateway is up is no secret: health checks
+/// often come from outside this system.
 fn demands(path: &str) -> Demand {
     match path.starts_with("/grpc.health.v1.Health/") {
         true => Demand::Nothing,

@@ -265,8 +265,8 @@ async fn check(
     })
 }
 
-/// Prints a line. Whoever read the first ones may have gone (`| head`): the exit
-/// code still says how it ended.
+/// Prints a line. The reader may have gone (`| head`): the exit code still says
+/// how it ended.
 fn say(line: &dyn Display) {
     drop(writeln!(stdout(), "{line}"));
 }

@@ -110,7 +110,7 @@ impl Route {
     /// Asks what the policy is that answers for `suite`.
     ///
     /// # Errors
-    /// When nobody answers, or the answer cannot be used.
+    /// When no replica answers, or the answer cannot be used.
     pub async fn describe(&self, suite: &str) -> Result<Arc<DescribeResponse>, RouteError> {
         let pool = self.pool(suite)?;
         let mut tried = vec![];
@@ -125,13 +125,13 @@ impl Route {
                 }
             }
         }
-        Err(self.nobody(failure, ""))
+        Err(self.no_answer(failure, ""))
     }
 
     /// Starts an episode.
     ///
     /// # Errors
-    /// When the session has no usable name, its suite no checkpoint, or nobody
+    /// When the session has no usable name, its suite no checkpoint, or no replica
     /// answers.
     pub async fn reset(&self, request: ResetRequest) -> Result<(), RouteError> {
         check_session(&request.session)?;
@@ -171,14 +171,14 @@ impl Route {
                 }
             }
         }
-        Err(self.nobody(failure, session))
+        Err(self.no_answer(failure, session))
     }
 
     /// Answers one observation; a retry of a session's last query gets the
     /// answer that was given.
     ///
     /// # Errors
-    /// When nobody answers, or the answer is no chunk of actions (see
+    /// When no replica answers, or the answer is no chunk of actions (see
     /// [`crate::check::actions`]).
     pub async fn infer(&self, request: InferRequest) -> Result<InferResponse, RouteError> {
         check_session(&request.session)?;
@@ -223,14 +223,14 @@ impl Route {
                 state.open_on.first().filter(|_| tried.is_empty()).cloned()
             };
             let Some(replica) = replica else {
-                return Err(self.nobody(failure, name));
+                return Err(self.no_answer(failure, name));
             };
             let error = match ask_one(session, state, &replica, &request, &task).await {
                 Ok(response) => return Ok(response),
                 Err(error) => error,
             };
             let is_outage = error.is_outage();
-            // Whoever asked is gone after a silence.
+            // After a timeout the caller is gone.
             let is_late = matches!(error, BackendError::TimedOut { .. });
             let error = self.failed_query(&state.described, &request, &replica, error);
             if !is_outage || is_late {
@@ -251,7 +251,7 @@ impl Route {
             return Ok(Arc::clone(open));
         }
         let Some((pool, replica)) = self.checkpoints().only() else {
-            return Err(self.nobody(None, name));
+            return Err(self.no_answer(None, name));
         };
         let described = pool
             .describe(&replica, Call::Of(name))
@@ -333,7 +333,7 @@ impl Route {
         }
     }
 
-    fn nobody(&self, failure: Option<RouteError>, session: &str) -> RouteError {
+    fn no_answer(&self, failure: Option<RouteError>, session: &str) -> RouteError {
         failure.unwrap_or_else(|| RouteError::SessionLost {
             route: self.name.clone(),
             session: session.to_owned(),

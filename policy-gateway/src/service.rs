@@ -159,7 +159,7 @@ impl Policy for Gateway {
 
     /// Queries go to their back-ends side by side, each as if it had come
     /// alone. A back-end that is down fails the whole call, because the text
-    /// of a single result could not say that nobody is to blame for it.
+    /// of a single result could not say that it is not charged.
     async fn infer_batch(
         &self,
         request: Request<InferBatchRequest>,

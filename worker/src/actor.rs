@@ -101,7 +101,7 @@ pub struct PolicySession<'a> {
     pub deadline: Duration,
 }
 
-/// Whoever acts in rollouts: a policy behind a connection, or a recording.
+/// What acts in rollouts: a policy behind a connection, or a recording.
 pub trait Actor {
     /// What it is and wants to see.
     ///

@@ -1,6 +1,6 @@
 //! `worker film`: makes videos of rollouts that are over, from the actions that
-//! their campaign kept, until none is left to film. It asks no policy, and takes
-//! no rollout from anybody.
+//! their campaign kept, until none is left to film. It asks no policy and
+//! leases no job.
 
 use std::io;
 use std::ops::ControlFlow;
@@ -29,7 +29,7 @@ pub struct Config {
     pub access: Access,
     /// The asset pack's digest.
     pub asset_pack_digest: String,
-    /// Jitters how often a silent coordinator is asked again.
+    /// Seed of the jitter in waits.
     pub seed: u64,
 }
 
@@ -76,7 +76,7 @@ pub fn run(config: &Config, simulator: &mut Simulator) -> Result<Filmed, FilmErr
     let runtime = tokio::runtime::Runtime::new().map_err(FilmError::Room)?;
     let scratch = tempfile::tempdir().map_err(FilmError::Room)?;
     let file = scratch.path().join("video.mp4");
-    // It never drains: whoever ends it loses one video.
+    // It never drains: ending it costs one video.
     let (_running, draining) = watch::channel(false);
     let _inside = runtime.enter();
     let link = Link::new(&config.coordinator, &config.access, config.seed, draining)?;

@@ -1,4 +1,4 @@
-//! Filming a rollout, if anybody wants a video: simulates it a second time from
+//! Filming a rollout, if a video is wanted: simulates it a second time from
 //! the actions that were executed, and photographs both cameras after every
 //! control step. So the rollout itself draws only what the policy looks at, a
 //! video of failures costs nothing where the rollout succeeds, and what goes
@@ -41,7 +41,7 @@ pub(crate) enum FilmingError {
     /// The same actions led somewhere else.
     #[error("simulate the rollout again: its goal held at another step; this is a defect")]
     Differs,
-    /// Nobody wants it any more.
+    /// It is no longer wanted.
     #[error("finish the video: it was abandoned")]
     Abandoned,
 }

@@ -22,8 +22,8 @@ pub(crate) enum Verdict {
     GroupLimit,
     /// The kernel killed somewhere on this machine: its memory was used up.
     Machine,
-    /// The kernel killed nothing: somebody sent the signal.
-    Somebody,
+    /// The kernel killed nothing: a process sent the signal.
+    Signal,
     /// There is no counter here.
     Unknown,
 }
@@ -54,7 +54,7 @@ impl OomKills {
             (Some(true), _) => Verdict::GroupLimit,
             (_, Some(true)) => Verdict::Machine,
             (None, None) => Verdict::Unknown,
-            _ => Verdict::Somebody,
+            _ => Verdict::Signal,
         }
     }
 }
@@ -71,7 +71,7 @@ impl Verdict {
                 ": out of memory, the kernel was killing processes on this machine; give the \
                  worker fewer --slots or the machine more memory"
             }
-            Self::Somebody => ", and not for want of memory: somebody sent it",
+            Self::Signal => ", and not for want of memory: somebody sent it",
             Self::Unknown => {
                 "; if nobody sent it, the kernel ran out of memory: give the worker fewer --slots \
                  or more memory"
@@ -161,7 +161,7 @@ mod tests {
         let one = kills(Some(1), Some(7));
         check(one, kills(Some(2), Some(8)), Verdict::GroupLimit);
         check(one, kills(Some(1), Some(8)), Verdict::Machine);
-        check(one, one, Verdict::Somebody);
+        check(one, one, Verdict::Signal);
         check(kills(None, None), kills(None, None), Verdict::Unknown);
         check(kills(None, Some(1)), kills(None, Some(2)), Verdict::Machine);
     }

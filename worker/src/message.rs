@@ -50,8 +50,8 @@ impl fmt::Display for Session {
 pub enum SlotCommand {
     /// Do this rollout.
     Run(Box<Assignment>),
-    /// Stop working on this attempt: nobody wants its result, or its video, any
-    /// more.
+    /// Stop working on this attempt: its result, or its video, is no longer
+    /// wanted.
     Abandon(AttemptId),
 }
 
@@ -80,7 +80,7 @@ pub struct Assignment {
     pub keep_actions: bool,
 }
 
-/// A video that somebody wants.
+/// A video that is wanted.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct VideoRequest {
     /// Where to write it.

@@ -67,7 +67,7 @@ pub enum RolloutError {
 
 impl RolloutError {
     /// Whose fault it is, and the whole chain of causes in one line. None if
-    /// the rollout was abandoned, which is nobody's.
+    /// the rollout was abandoned, which is no fault.
     pub fn failure(&self) -> Option<Failure> {
         let kind = match self {
             Self::Simulator { .. } => FailureKind::Simulator,

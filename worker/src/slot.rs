@@ -100,8 +100,8 @@ fn leave_signals_to_the_parent() -> io::Result<()> {
 }
 
 /// Where memory runs out, the kernel is to take a slot, which is replaced, and
-/// not its parent or a coordinator on the same machine. Where it does not let
-/// itself be told, nothing is lost but that.
+/// not its parent or a coordinator on the same machine. Where that is not
+/// allowed, nothing else is lost.
 pub(crate) fn die_first() {
     let _ = fs::write("/proc/self/oom_score_adj", OOM_SCORE_ADJ);
 }
@@ -194,8 +194,8 @@ fn listen(parent: &Parent, abandoned: Arc<Abandoned>) -> io::Result<Receiver<Ass
     Ok(assignments)
 }
 
-/// Ends the process when the parent has gone: nobody would be told what it finds
-/// out any more. Native code that hangs cannot stop this.
+/// Ends the process when the parent has gone: there is no one left to report to.
+/// Native code that hangs cannot stop this.
 fn take_commands(
     commands: FromParent<SlotCommand>,
     abandoned: &Abandoned,

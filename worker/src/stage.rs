@@ -28,7 +28,7 @@ impl<'a> Stage<'a> {
         }
     }
 
-    /// For a task of somebody's own, which stands in for the row's.
+    /// For a user's own task, which stands in for the row's.
     pub fn of_files(simulator: &'a mut Simulator, files: TaskFiles) -> Self {
         Self {
             simulator,

@@ -22,7 +22,7 @@ pub use error::SuperviseError;
 use link::Link;
 use supervisor::Supervisor;
 
-/// Events that wait for the loop; whoever has another one waits too.
+/// Events that wait for the loop. While it is full, senders wait.
 const EVENT_QUEUE: usize = 256;
 
 /// Runs a worker until it is told to end, which takes as long as the rollouts

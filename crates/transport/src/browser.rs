@@ -87,7 +87,7 @@ fn is_private_name(host: &str) -> bool {
     name.parse::<IpAddr>().is_ok() || (!name.is_empty() && !name.contains('.'))
 }
 
-/// A refusal for somebody who does not speak gRPC: people who must log in are
+/// A refusal for a caller that does not speak gRPC: people who must log in are
 /// led to where they can, everybody else is told in a line of text.
 pub(crate) fn refusal<B>(status: &Status, request: &Request<B>, log_in: &str) -> Response<Body> {
     let headers = request.headers();

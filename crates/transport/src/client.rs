@@ -137,7 +137,7 @@ impl Access {
     /// otherwise.
     ///
     /// # Errors
-    /// When the certificate authority is no use, or nobody answers.
+    /// When the certificate authority is no use, or no server answers.
     pub async fn connect(&self, endpoint: Endpoint) -> Result<Connection, tonic::transport::Error> {
         let bearer = self.bearer(endpoint.uri());
         let channel = self.guarded(endpoint)?.connect().await?;

@@ -25,7 +25,7 @@ use crate::token::{Role, Tokens};
 pub enum Demand {
     /// Everybody: it tells nothing and changes nothing.
     Nothing,
-    /// Whoever has one of these roles.
+    /// Callers with one of these roles.
     OneOf(&'static [Role]),
 }
 

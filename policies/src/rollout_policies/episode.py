@@ -16,7 +16,7 @@ from .proto import policy_pb2 as pb
 class Episode:
     """One rollout, from its reset to its last query."""
 
-    #: Rollout id, replicate and attempt: names the episode in messages.
+    #: Rollout id, replicate and the attempt's random id: names the episode.
     session: str
     #: For example "libero_goal".
     suite: str

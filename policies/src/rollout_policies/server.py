@@ -103,7 +103,7 @@ class _Service(pb_grpc.PolicyServicer):
         self._policy = policy
         self._description = policy.description
         self._sessions: OrderedDict[str, _Session] = OrderedDict()
-        # Sessions and policy alike: whoever holds it has the turn.
+        # Guards sessions and policy alike.
         self._turn = threading.Lock()
 
     def Describe(self, request, context):

@@ -19,11 +19,11 @@ use crate::{
 pub struct BuiltinBackend {
     builtin: Builtin,
     described: DescribeResponse,
-    sessions: Mutex<SessionTable<Arc<Mutex<Episode>>>>,
+    sessions: Mutex<SessionTable<Arc<Mutex<Instance>>>>,
 }
 
 /// One session's instance.
-struct Episode {
+struct Instance {
     policy: Box<dyn BuiltinPolicy>,
     next_query: u32,
 }
@@ -38,7 +38,7 @@ impl BuiltinBackend {
         }
     }
 
-    fn episode(&self, session: &str) -> Option<Arc<Mutex<Episode>>> {
+    fn episode(&self, session: &str) -> Option<Arc<Mutex<Instance>>> {
         let mut sessions = self.sessions.lock().unwrap_or_else(PoisonError::into_inner);
         sessions.get(session).cloned()
     }
@@ -51,7 +51,7 @@ impl Backend for BuiltinBackend {
     }
 
     async fn reset(&self, request: ResetRequest) -> Result<(), BackendError> {
-        let episode = Episode {
+        let episode = Instance {
             policy: self.builtin.start(&request),
             next_query: 0,
         };

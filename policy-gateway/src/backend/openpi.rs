@@ -55,7 +55,7 @@ pub struct OpenpiBackend {
     /// The instruction of every session: it goes with every query.
     prompts: Mutex<SessionTable<String>>,
     turns: Semaphore,
-    /// Connections that nobody uses.
+    /// Idle connections.
     idle: Mutex<Vec<Connection>>,
 }
 
@@ -88,8 +88,8 @@ impl OpenpiBackend {
         self.prompts.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Asks one question. Whoever stops waiting takes the connection along, so
-    /// that nobody else is given the answer.
+    /// Asks one question. A caller that stops waiting takes the connection along,
+    /// so that no other gets its answer.
     async fn ask(&self, message: Vec<u8>) -> Result<Vec<u8>, BackendError> {
         let _turn = self.turn().await;
         let idle = self.idle().pop();

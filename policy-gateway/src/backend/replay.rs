@@ -32,11 +32,11 @@ pub struct Replay {
     folder: PathBuf,
     described: DescribeResponse,
     recorded: Vec<(PathBuf, ResetRequest)>,
-    sessions: Mutex<SessionTable<Arc<Vec<Episode>>>>,
+    sessions: Mutex<SessionTable<Arc<Vec<RecordedEpisode>>>>,
 }
 
 /// A recording of an episode, without its frames.
-struct Episode {
+struct RecordedEpisode {
     path: PathBuf,
     steps: Vec<Step>,
 }
@@ -80,7 +80,7 @@ impl Replay {
         })
     }
 
-    fn sessions(&self) -> std::sync::MutexGuard<'_, SessionTable<Arc<Vec<Episode>>>> {
+    fn sessions(&self) -> std::sync::MutexGuard<'_, SessionTable<Arc<Vec<RecordedEpisode>>>> {
         self.sessions.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -105,7 +105,7 @@ impl Backend for Replay {
             );
             return Err(BackendError::Policy { message });
         }
-        let read = move || paths.into_iter().map(Episode::read).collect();
+        let read = move || paths.into_iter().map(RecordedEpisode::read).collect();
         let read: Result<Vec<_>, RecordingError> = tokio::task::spawn_blocking(read)
             .await
             .map_err(|error| policy(&error))?;
@@ -138,7 +138,7 @@ impl Backend for Replay {
     }
 }
 
-impl Episode {
+impl RecordedEpisode {
     fn read(path: PathBuf) -> Result<Self, RecordingError> {
         let mut reader = Reader::open(&path)?;
         let mut steps = vec![];

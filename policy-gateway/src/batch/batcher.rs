@@ -91,7 +91,7 @@ impl Shared {
 
     fn next(&self) -> Next<Query> {
         let (queue, size) = &mut *self.queue();
-        // Whoever left while waiting needs no answer and holds no place.
+        // A caller that stopped waiting needs no answer and holds no place.
         queue.forget(|query| query.answer.is_closed());
         queue.next(*size, Instant::now())
     }
@@ -123,7 +123,7 @@ async fn drive(shared: Arc<Shared>) {
     }
 }
 
-/// Sends one batch and hands out its answers.
+/// Sends one batch and passes its answers on.
 async fn send(shared: Arc<Shared>, batch: Vec<Query>) {
     let (requests, askers): (Vec<_>, Vec<_>) =
         batch.into_iter().map(|it| (it.request, it.answer)).unzip();
@@ -138,7 +138,7 @@ async fn send(shared: Arc<Shared>, batch: Vec<Query>) {
     match answers {
         Ok(answers) => {
             for (asker, answer) in askers.into_iter().zip(answers) {
-                // Whoever left meanwhile needs no answer.
+                // A caller that stopped waiting needs no answer.
                 drop(asker.send(answer));
             }
         }

@@ -43,7 +43,7 @@ pub enum ConfigError {
         /// What.
         source: Box<ConfigError>,
     },
-    /// Nobody to answer.
+    /// No replica to answer.
     #[error(
         "find a server for policy {name}: give `replicas`, or a `suites` table, each with one at least"
     )]
@@ -112,7 +112,7 @@ pub enum ConfigError {
     /// `ws://` and no address.
     #[error(transparent)]
     Openpi(#[from] OpenpiAddressError),
-    /// TLS with a server that nobody vouches for.
+    /// TLS with a server whose certificate no authority vouches for.
     #[error(
         "trust {replica} of policy {name}: give the certificate authority that signed its \
          certificate, as `ca = \"FILE\"` in --config"

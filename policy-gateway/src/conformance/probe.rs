@@ -28,7 +28,7 @@ use crate::{
 
 /// In which order an episode's queries are asked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Order {
+pub enum QueryOrder {
     /// 0, 1, 2, …
     Forward,
     /// …, 2, 1, 0.
@@ -37,7 +37,7 @@ pub enum Order {
 
 /// What one episode brought.
 #[derive(Clone, Debug)]
-pub struct Episode {
+pub struct EpisodeAnswers {
     /// By query index.
     pub answers: Vec<InferResponse>,
     /// Of each query, in the order asked.
@@ -147,22 +147,27 @@ impl Probe {
     ///
     /// # Errors
     /// What the server answered instead.
-    pub async fn episode(&self, name: &str, seed: u64, order: Order) -> Result<Episode, Status> {
+    pub async fn episode(
+        &self,
+        name: &str,
+        seed: u64,
+        order: QueryOrder,
+    ) -> Result<EpisodeAnswers, Status> {
         self.reset(name, seed).await?;
-        let mut episode = Episode {
+        let mut episode = EpisodeAnswers {
             answers: vec![],
             latencies: vec![],
         };
         for at in 0..QUERIES {
             let query_index = match order {
-                Order::Forward => at,
-                Order::Backward => QUERIES - 1 - at,
+                QueryOrder::Forward => at,
+                QueryOrder::Backward => QUERIES - 1 - at,
             };
             let asked = Instant::now();
             episode.answers.push(self.infer(name, query_index).await?);
             episode.latencies.push(asked.elapsed());
         }
-        if order == Order::Backward {
+        if order == QueryOrder::Backward {
             episode.answers.reverse();
         }
         Ok(episode)
@@ -211,7 +216,7 @@ impl Probe {
             self.infer("restarted", query_index).await?;
         }
         Ok(self
-            .episode("restarted", seed, Order::Forward)
+            .episode("restarted", seed, QueryOrder::Forward)
             .await?
             .answers)
     }
@@ -275,7 +280,9 @@ impl Probe {
             let probe = self.clone();
             playing.spawn(async move {
                 let name = format!("side by side {at}");
-                probe.episode(&name, u64::from(at), Order::Forward).await
+                probe
+                    .episode(&name, u64::from(at), QueryOrder::Forward)
+                    .await
             });
         }
         let mut latencies = vec![];

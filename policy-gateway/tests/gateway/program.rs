@@ -200,7 +200,7 @@ async fn a_gateway_with_tokens_answers_workers_and_tells_everybody_that_it_is_up
         Code::PermissionDenied
     );
 
-    // Whoever has the token in the environment can check a policy.
+    // A token in the environment is enough to check a policy.
     let url = format!("grpc://{address}");
     let checked = program(&["check", &url, "--policy", "noop"])
         .env("ROLLOUT_TOKEN_FILE", path)

@@ -62,7 +62,7 @@ async fn sessions_of_a_stateful_policy_are_shared_out_and_stay_where_they_are() 
             assert_eq!(number(&mut client, session, query_index).await, *place);
         }
     }
-    // Whoever holds such a session may not be replaced by another.
+    // The replica of such a session may not be replaced by another.
     let (fallen, victim) = (one, places.iter().position(|it| *it == 0.1));
     fallen.stop().await;
     let victim = ["a", "b", "c", "d"][victim.expect("one of them")];

@@ -104,7 +104,7 @@ fn line(row: &Measured) -> String {
     )
 }
 
-/// What the machine computes with, for whoever reads the figures later.
+/// What the machine computes with, for readers of the figures.
 fn processor() -> String {
     let about = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let model = about

@@ -112,8 +112,7 @@ pub fn count(config: SimulatorConfig, task: TaskRef, execute: u32) -> Result<(),
 }
 
 /// Reads how long to count, in seconds, on a thread of its own: when the parent
-/// is gone, nobody would be told what is being counted, and the process ends at
-/// once.
+/// is gone, there is no one left to report to, and the process ends at once.
 fn listen(said: FromParent<f64>) -> Receiver<f64> {
     let (tell, times) = sync_channel(1);
     thread::spawn(move || {

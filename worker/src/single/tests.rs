@@ -1,4 +1,4 @@
-//! One rollout by id, of somebody's own task, and from a recording; on the
+//! One rollout by id, of a user's own task, and from a recording; on the
 //! built-in assets where `cargo xtask setup` has been run.
 
 use std::time::Duration;
@@ -33,8 +33,8 @@ fn an_id_alone_says_what_is_simulated() {
     assert!(error.to_string().contains("c1000"), "{error}");
 }
 
-/// Nothing of the protocol: the sources' libero_90 stands in for somebody's
-/// own files.
+/// Nothing of the protocol: the sources' libero_90 stands in for a
+/// user's own files.
 fn drawer_task(sources: &Sources) -> OwnTask {
     let stem = "KITCHEN_SCENE1_open_the_bottom_drawer_of_the_cabinet";
     OwnTask {

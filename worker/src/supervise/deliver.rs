@@ -65,7 +65,7 @@ impl Delivery {
 }
 
 impl Answer {
-    /// Says in the log what became of the ending, where somebody should know.
+    /// Logs what became of the ending, unless it went well.
     pub(crate) fn tell(&self) {
         match self {
             Self::Committed(answer) => match answer.verdict() {

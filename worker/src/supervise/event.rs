@@ -40,6 +40,6 @@ pub(crate) enum Event {
     Ended { key: ProcessKey, end: String },
     /// A task of this program panicked.
     Panicked { task: task::Id, error: String },
-    /// Somebody wants the worker to end: once, finish; twice, at once.
+    /// A request to end: the first one drains, the second gives rollouts back.
     Shutdown,
 }

@@ -149,7 +149,7 @@ async fn tell_events(said: OwnedReadHalf, key: ProcessKey, events: &mpsc::Sender
                     return;
                 }
             }
-            // Nobody else has this connection: another program, or a defect.
+            // Only the slot's own program writes here: this is a defect.
             Err(error) => {
                 let line = String::from_utf8_lossy(&line);
                 tracing::error!("slot {} said what is no event ({error}): {line}", key.slot);

@@ -124,7 +124,7 @@ pub(crate) enum ResultState {
     Delivering,
     /// The coordinator has it.
     Committed,
-    /// The coordinator will not have it, or nobody sends it any more.
+    /// The coordinator refused it, or its lease was lost.
     Unwanted,
 }
 
@@ -338,7 +338,7 @@ impl SlotState {
     }
 
     /// The process reported the end of an attempt, which it films next or not.
-    /// Returns whether somebody still wants to know; then it is to be delivered.
+    /// Returns whether it is still wanted; then it is to be delivered.
     /// That a process was killed as stuck meanwhile changes nothing.
     pub(crate) fn rollout_ended(&mut self, of: AttemptId, is_filmed: bool, now: Instant) -> bool {
         let (result, control_steps) = match self.work {

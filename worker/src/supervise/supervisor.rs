@@ -32,8 +32,8 @@ use crate::message::{Assignment, Failure, FailureKind, RolloutEvent, SlotCommand
 /// How often timeouts are looked at, and leases that were just taken are
 /// acknowledged.
 const TICK: Duration = Duration::from_millis(250);
-/// A second request to end within so short a time is an echo of the first.
-const ECHO: Duration = Duration::from_millis(500);
+/// A second request to end within so short a time is the first one, heard twice.
+const DUPLICATE_REQUEST: Duration = Duration::from_millis(500);
 /// How long an abandoning worker tries to give its jobs back.
 const GIVE_BACK_DEADLINE: Duration = Duration::from_secs(10);
 /// How long a worker that is otherwise done waits for videos on their way.
@@ -310,7 +310,9 @@ impl Supervisor {
             }
             RolloutEvent::NotFilmed(problem) => {
                 let decision = state.filming_ended(attempt, false);
-                tracing::warn!("no video of {}: failed to {problem}", self.label(slot));
+                if decision.is_some() {
+                    tracing::warn!("no video of {}: failed to {problem}", self.label(slot));
+                }
                 return self.carry_out_video(slot, decision);
             }
             RolloutEvent::Finished(finished) => {
@@ -536,7 +538,7 @@ impl Supervisor {
                 "draining: {} rollouts in hand are finished; ask again to give them back instead",
                 running.count()
             );
-        } else if self.mode == Mode::Draining && !self.is_echo(now) {
+        } else if self.mode == Mode::Draining && !self.is_duplicate(now) {
             tracing::info!("giving the rollouts in hand back");
             self.give_up(now);
         }
@@ -544,9 +546,9 @@ impl Supervisor {
 
     /// Whether a request to end is the one before, heard twice: some that end
     /// programs signal the process and its group.
-    fn is_echo(&self, now: Instant) -> bool {
+    fn is_duplicate(&self, now: Instant) -> bool {
         self.told_to_end_at
-            .is_some_and(|first| now.duration_since(first) < ECHO)
+            .is_some_and(|first| now.duration_since(first) < DUPLICATE_REQUEST)
     }
 
     /// Gives the rollouts in hand back, and ends soon.
@@ -635,8 +637,7 @@ mod tests {
     async fn a_call_that_panics_ends_the_worker_with_an_error_that_says_so() {
         let (events, inbox) = mpsc::channel(8);
         let mut supervisor = supervisor(events);
-        // Whatever it was to tell, nobody will: its lease would be renewed for
-        // ever.
+        // What it was to deliver never is: its lease would be renewed for ever.
         supervisor.calls.spawn(async { panic!("a defect") });
         let (_requests, shutdown) = mpsc::channel(1);
         let serving = supervisor.serve(inbox, shutdown);

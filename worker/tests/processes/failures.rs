@@ -68,7 +68,7 @@ async fn a_policy_that_cannot_be_asked_is_nobodys_fault() {
         return;
     }
     let policy = ScriptedPolicy::start().await;
-    // Half of the progress time-out is the most that an answer may take.
+    // Half of the progress timeout is the most that an answer may take.
     let coordinator = ScriptedCoordinator::with_progress_timeout(Duration::from_secs(8)).await;
     check(
         coordinator,

@@ -45,7 +45,7 @@ class FlowPolicy(Policy):
 
     def noise(self, observations: Sequence[Observation]) -> np.ndarray:
         """Where the flow starts, [batch, n, width]: each row from its own
-        query's generator, whoever its neighbours are."""
+        query's generator, whatever its neighbours are."""
         config = self.model.config
         shape = (config.chunk_size, config.max_action_dim)
         return np.stack([one.rng.standard_normal(shape, dtype=np.float32) for one in observations])

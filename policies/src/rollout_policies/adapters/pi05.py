@@ -1,8 +1,8 @@
 """π0.5, as lerobot runs it.
 
 Frames are resized with padding to 224 x 224 by the model, and the state is
-written into the prompt. Whoever runs openpi's own server instead needs no
-adapter: a gateway speaks its protocol.
+written into the prompt. openpi's own server needs no adapter: a gateway
+speaks its protocol.
 
 `lerobot/pi05_libero_base` is not fine-tuned and has no statistics of LIBERO: it
 loads, moves and scores nothing. `lerobot/pi05-libero` is the one to serve.

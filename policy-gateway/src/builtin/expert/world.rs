@@ -68,7 +68,7 @@ pub(super) struct World {
     /// Distance between the fingers, m.
     pub(super) opening: f64,
     /// The arm's shoulder, if the hand is at rest. The robot's base is not
-    /// observed: whoever follows an episode keeps the first one.
+    /// observed: the expert keeps the first one of an episode.
     pub(super) shoulder: Vec3,
 }
 

@@ -35,7 +35,7 @@ impl Supervisor {
         self.calls.spawn(async move {
             let mut answer = link.claim(request.clone()).await;
             if matches!(&answer, Err(status) if status.code() == Code::NotFound) {
-                // A coordinator with a new data folder knows nobody yet.
+                // A coordinator with a new data folder knows no worker yet.
                 answer = match link.register(registration).await {
                     Ok(_) => link.claim(request).await,
                     Err(status) => Err(status),
@@ -45,7 +45,7 @@ impl Supervisor {
         });
     }
 
-    /// Hands a slot the job that it got, or gives it back.
+    /// Starts the job that a slot got, or releases it.
     pub(super) fn claimed(
         &mut self,
         slot: usize,
