@@ -3,7 +3,7 @@
 use anyhow::anyhow;
 use clap::{Args, Subcommand, ValueEnum};
 use coordinator::client::{GetJobResponse, Job, JobName, ListJobsRequest};
-use coordinator::ids::shortened;
+use queue::ids::shortened;
 use coordinator::words::duration_text;
 
 use super::{CommandError, Connection, print_line};

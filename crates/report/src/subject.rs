@@ -1,8 +1,7 @@
 //! What a report is of: one policy's outcomes, and everything known about how
 //! they were made.
 
-use std::collections::BTreeMap;
-
+use attempt::Fingerprints;
 use paired::{Count, Record};
 use protocol::Realisation;
 use serde::{Deserialize, Serialize};
@@ -94,15 +93,6 @@ pub struct Provenance {
     pub batch_mode: String,
     /// Version of the worker's program.
     pub program_version: String,
-}
-
-/// How results of one campaign mix fingerprints.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Fingerprints {
-    /// Results of each fingerprint.
-    pub results: BTreeMap<String, u64>,
-    /// Tasks and initial states with results of more than one.
-    pub mixed: Vec<String>,
 }
 
 /// A rollout that was set aside, and what it last failed with.

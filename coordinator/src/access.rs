@@ -4,10 +4,10 @@
 
 use transport::{Demand, Role};
 
-use crate::page::LOG_IN;
-
 /// Who may look at everything.
 pub(crate) const READERS: [Role; 2] = [Role::Viewer, Role::Operator];
+/// Where browsers log in.
+pub(crate) const LOG_IN: &str = "/login";
 
 /// Everything that a worker calls.
 const WORKER_SERVICE: &str = "/rollout.coordinator.v1.WorkerService/";
