@@ -57,6 +57,11 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
         skipped::print(&root.join("target/nextest/default/junit.xml"))?;
     }
     if filters.is_empty() {
+        if nextest {
+            // It runs no examples of documentation; `cargo test` has.
+            println!("Testing that misuse of the simulator does not compile");
+            run_command(cargo(root).args(["test", "--quiet", "--doc", "--package", "sim"]))?;
+        }
         println!("Testing the software renderer with overflow checks");
         run_command(cargo(root).args([
             "test",

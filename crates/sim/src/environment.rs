@@ -6,10 +6,10 @@ use scene::{AssetPack, Scene, Sources};
 
 use crate::controller::{ARM_JOINTS, Controller, GRIP_SITE, RESET_JOINTS, SUBSTEPS};
 use crate::error::SimError;
-use crate::mujoco::{self, Data, Model, ObjectKind};
+use crate::mujoco::{self, Data, Model, ObjectKind, Segment};
 use crate::observation::{Frame, RobotState, axis_angle_of};
 use crate::predicates::Goal;
-use crate::render::{Canvas, Drawer, Segment, View};
+use crate::render::{Canvas, Drawer, View};
 
 /// `mjDSBL_AUTORESET`: an unstable state is reported, not silently replaced.
 pub(crate) const DISABLE_AUTORESET: i32 = 1 << 16;
@@ -27,7 +27,6 @@ const CANVAS_SIZE: u32 = 256;
 /// A compiled scene and its state.
 pub struct Environment {
     scene: Scene,
-    // Before the model, because it is freed with the model's buffers.
     canvas: Option<Canvas>,
     model: Model,
     data: Data,
