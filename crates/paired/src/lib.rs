@@ -11,6 +11,7 @@
 
 mod bootstrap;
 mod bounds;
+mod count;
 mod design;
 mod gate;
 mod mcnemar;
@@ -22,6 +23,7 @@ mod table;
 
 pub use bootstrap::{Bootstrap, Interval, quantile};
 pub use bounds::Bounds;
+pub use count::Count;
 pub use design::{PairedDesign, minimum_detectable_effect, task_correlation};
 pub use gate::{GATE_ROLLOUTS, GATE_TOLERANCE, Gate, GateVerdict};
 pub use mcnemar::mcnemar_exact;
@@ -29,7 +31,6 @@ pub use measures::{Configuration, Measures};
 pub use outcomes::{DuplicateRecord, Matched, Outcome, Record, Records, Transition};
 pub use replication::{Change, Flips, Replication};
 pub use report::{
-    Cell, Completeness, Count, Gap, Nominal, NominalSource, Options, Report, SingleAxis, report,
-    report_of,
+    Cell, Completeness, Gap, Nominal, NominalSource, Options, Report, SingleAxis, report, report_of,
 };
 pub use table::{push_wrapped, table};

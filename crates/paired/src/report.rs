@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::bootstrap::Bootstrap;
 use crate::bounds::Bounds;
+use crate::count::Count;
 use crate::design::{PairedDesign, minimum_detectable_effect, task_correlation};
 use crate::gate::Gate;
 use crate::measures::{Configuration, Measures};
@@ -48,15 +49,6 @@ pub struct Report {
     pub quarantined: Vec<String>,
     /// How the intervals were made.
     pub bootstrap: Bootstrap,
-}
-
-/// Successes among rollouts with a result.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Count {
-    /// Successes.
-    pub successes: u64,
-    /// Rollouts with a result.
-    pub n: u64,
 }
 
 /// Nominal rollouts of one replicate.
@@ -273,20 +265,6 @@ fn quarantined(records: &Records) -> Vec<String> {
             k => format!("{id}#r{k}"),
         })
         .collect()
-}
-
-impl Count {
-    /// The success rate; none of no rollout.
-    pub fn rate(&self) -> Option<f64> {
-        (self.n > 0).then(|| self.successes as f64 / self.n as f64)
-    }
-
-    fn add(&mut self, outcome: Outcome) {
-        if let Some(success) = outcome.success() {
-            self.n += 1;
-            self.successes += u64::from(success);
-        }
-    }
 }
 
 impl Gap {

@@ -7,9 +7,10 @@ use protocol::{Axis, Condition};
 
 use crate::bootstrap::Interval;
 use crate::bounds::Bounds;
+use crate::count::Count;
 use crate::gate::{GATE_TOLERANCE, Gate, GateVerdict};
 use crate::measures::Measures;
-use crate::report::{Cell, Count, Gap, Nominal, NominalSource, Report};
+use crate::report::{Cell, Gap, Nominal, NominalSource, Report};
 
 /// Columns of the terminal.
 const WIDTH: usize = 80;
