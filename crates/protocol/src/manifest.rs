@@ -11,11 +11,10 @@ use std::fmt::{self, Write};
 use serde_json::Value;
 
 use crate::condition::Axis;
-use crate::design::MAX_ROWS;
 use crate::level::Level;
 use crate::presets::unit;
 use crate::rollout_id::RolloutId;
-use crate::row::ManifestRow;
+use crate::row::{MAX_ROWS, ManifestRow};
 use crate::suite::TaskRef;
 
 /// Errors that are listed; more are counted.
