@@ -14,7 +14,8 @@ use crate::perturb::{
     PerturbationDigest, SensorStage, shift_camera, shift_lighting, solve_shifted_pose,
 };
 use crate::privileged;
-use crate::simulator::{PERTURBED_CAMERA, ReadyScene, Simulator};
+use crate::ready_scene::{PERTURBED_CAMERA, ReadyScene};
+use crate::render::LazyDrawer;
 use crate::{Environment, perturb};
 
 /// The action that does nothing and keeps the gripper open.
@@ -35,7 +36,8 @@ pub struct Digests {
 
 /// A rollout in hand.
 pub struct Episode<'a> {
-    simulator: &'a mut Simulator,
+    ready: &'a mut ReadyScene,
+    drawer: &'a mut LazyDrawer,
     digests: Digests,
     ik: Option<IkSolution>,
     sensor: Option<SensorStage>,
@@ -47,11 +49,11 @@ pub struct Episode<'a> {
 impl<'a> Episode<'a> {
     /// Loads the initial state into the scene at hand and perturbs it.
     pub(crate) fn begin(
-        simulator: &'a mut Simulator,
+        ready: &'a mut ReadyScene,
+        drawer: &'a mut LazyDrawer,
         row: &ManifestRow,
         realisation: Realisation,
     ) -> Result<Self, SimError> {
-        let ready = simulator.ready();
         let perturbation = &row.perturbation;
         let mut digest = PerturbationDigest::default();
         let mut state = ready.state(row.init_id)?.to_vec();
@@ -93,7 +95,8 @@ impl<'a> Episode<'a> {
             perturbation: digest.to_string(),
         };
         Ok(Self {
-            simulator,
+            ready,
+            drawer,
             digests,
             ik,
             sensor,
@@ -165,13 +168,13 @@ impl<'a> Episode<'a> {
     /// What a camera of the scene sees, without the sensor's perturbation: for
     /// videos.
     pub fn photograph(&mut self, camera: &str, width: u32, height: u32) -> Result<Frame, SimError> {
-        let (ready, drawer) = self.simulator.ready_to_draw()?;
-        ready.environment.draw(drawer, camera, width, height)
+        let drawer = self.drawer.open()?;
+        self.ready.environment.draw(drawer, camera, width, height)
     }
 
     /// The scene's environment, to be looked at.
     pub fn environment(&mut self) -> &mut Environment {
-        &mut self.simulator.ready().environment
+        &mut self.ready.environment
     }
 }
 

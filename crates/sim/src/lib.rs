@@ -16,6 +16,7 @@ pub mod observation;
 pub mod perturb;
 pub mod predicates;
 mod privileged;
+mod ready_scene;
 pub mod render;
 pub mod simulator;
 

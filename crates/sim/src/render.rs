@@ -96,6 +96,29 @@ impl Drawer {
     }
 }
 
+/// A renderer that is opened when it is first asked for.
+pub(crate) struct LazyDrawer {
+    renderer: Renderer,
+    drawer: Option<Drawer>,
+}
+
+impl LazyDrawer {
+    pub(crate) fn new(renderer: Renderer) -> Self {
+        Self {
+            renderer,
+            drawer: None,
+        }
+    }
+
+    pub(crate) fn open(&mut self) -> Result<&Drawer, SimError> {
+        let drawer = match self.drawer.take() {
+            Some(drawer) => drawer,
+            None => Drawer::open(self.renderer)?,
+        };
+        Ok(self.drawer.insert(drawer))
+    }
+}
+
 /// What a renderer keeps to draw one scene.
 pub(crate) enum Canvas {
     Software(Box<SoftwareCanvas>),
