@@ -6,6 +6,7 @@
 //! the next caller is answered. A clock that stands still makes an input do the
 //! same each time.
 
+mod methods;
 mod seeds;
 
 use std::path::Path;
@@ -29,34 +30,10 @@ use transport::Security;
 
 use crate::call::{blames_itself, block_on, call};
 use crate::script;
+use methods::{CLAIM, METHODS};
 
 pub(crate) use seeds::seeds;
 
-/// Every method; an input names one by its place.
-const METHODS: [&str; 19] = [
-    "WorkerService/Register",
-    CLAIM,
-    "WorkerService/Heartbeat",
-    "WorkerService/Commit",
-    "WorkerService/Release",
-    "WorkerService/PutArtifact",
-    "WorkerService/NextFilm",
-    "OperatorService/CreateCampaign",
-    "OperatorService/ListCampaigns",
-    "OperatorService/GetCampaign",
-    "OperatorService/ChangeCampaign",
-    "OperatorService/DeleteCampaign",
-    "OperatorService/ListJobs",
-    "OperatorService/GetJob",
-    "OperatorService/RetryJobs",
-    "OperatorService/ListWorkers",
-    "OperatorService/Backup",
-    "OperatorService/Report",
-    "OperatorService/Export",
-];
-
-/// The one method that may wait, for a job.
-const CLAIM: &str = "WorkerService/Claim";
 /// How long a claim's caller waits before it hangs up.
 const PATIENCE: Duration = Duration::from_millis(20);
 /// What a clock that stands still shows.

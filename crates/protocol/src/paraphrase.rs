@@ -84,6 +84,7 @@ fn sentence(task: TaskRef, level: Level, variant: usize) -> String {
 mod tests {
     use std::collections::BTreeSet;
 
+    use super::rules::Task;
     use super::*;
 
     fn variants() -> impl Iterator<Item = (TaskRef, usize)> {

@@ -29,9 +29,7 @@ pub use gate::gate;
 pub use heat_map::heat_map;
 pub use matrix::matrix;
 pub use replication::{flips, replicates};
-
-/// Width of every panel, in its own units: pixels, where it is not scaled.
-pub const WIDTH: f64 = 380.0;
+pub use svg::WIDTH;
 
 /// The style that the panels need; a page includes it once.
 pub const STYLE: &str = include_str!("figures/style.css");

@@ -6,9 +6,9 @@ use std::collections::BTreeMap;
 use anyhow::{Context, Result, ensure};
 use sim::Environment;
 
+use super::findings::{ContactFindings, Findings, Worst};
 use super::frames::Comparison;
 use super::reference::{Array, ReferenceTask, read_npz};
-use super::{ContactFindings, Findings, Worst};
 
 /// The action that does nothing and keeps the gripper open.
 const NO_OP: [f64; 7] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0];

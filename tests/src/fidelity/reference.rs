@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use npyz::{DType, TypeChar};
 use serde_json::Value;
 
@@ -42,7 +42,12 @@ impl Array {
 
 /// All tasks below a folder, in order of suite and index.
 pub fn find_tasks(reference: &Path) -> Result<Vec<ReferenceTask>> {
-    super::ensure_reference(reference)?;
+    ensure!(
+        reference.is_dir(),
+        "read the reference {}: no such folder; --reference takes the folder that holds \
+         SUITE/NN_TASK folders",
+        reference.display()
+    );
     let mut tasks = Vec::new();
     for suite in folders(reference)? {
         for dir in folders(&suite)? {

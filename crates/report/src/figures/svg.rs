@@ -3,8 +3,8 @@
 use maud::{Markup, html};
 use paired::Interval;
 
-use super::WIDTH;
-
+/// Width of every panel, in its own units: pixels, where it is not scaled.
+pub const WIDTH: f64 = 380.0;
 /// Space left and right of what is drawn to a scale.
 pub(super) const MARGIN: f64 = 14.0;
 /// Height of a panel's heading.
