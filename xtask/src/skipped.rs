@@ -5,13 +5,22 @@
 
 use std::path::Path;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 
 /// How the line begins.
 const MARK: &str = "skipped";
 
-/// Reads nextest's JUnit report and prints who was skipped, why, and how many.
-pub(crate) fn print(report: &Path) -> Result<()> {
+/// What a reason names that is about the reference data, wherever the tests looked
+/// for it.
+const REFERENCE: &str = "/shared/";
+
+/// Reads nextest's JUnit report and prints which tests were skipped, why, and how
+/// many.
+///
+/// # Errors
+/// If a test found no reference data although the folder with it is here: then a
+/// part of it is missing or cannot be read, or the test looked elsewhere.
+pub(crate) fn check(report: &Path, shared: &Path) -> Result<()> {
     let text = std::fs::read_to_string(report)
         .with_context(|| format!("read nextest's report {}", report.display()))?;
     let skipped =
@@ -24,6 +33,17 @@ pub(crate) fn print(report: &Path) -> Result<()> {
         1 => println!("1 test was skipped for what this machine lacks."),
         n => println!("{n} tests were skipped for what this machine lacks."),
     }
+    let wrongly: Vec<&str> = skipped
+        .iter()
+        .filter(|(_, why)| shared.exists() && why.contains(REFERENCE))
+        .map(|(test, _)| test.as_str())
+        .collect();
+    ensure!(
+        wrongly.is_empty(),
+        "run every test of the reference data: {} is here, and these did not find theirs: {}",
+        shared.display(),
+        wrongly.join(", ")
+    );
     Ok(())
 }
 
@@ -64,5 +84,31 @@ mod tests {
         let expected = ("b_is_held", "no reference data at ../shared");
         let expected = (expected.0.to_owned(), expected.1.to_owned());
         assert_eq!(list(report).expect("XML"), [expected]);
+    }
+
+    #[test]
+    fn a_test_without_its_reference_data_fails_the_run_where_the_folder_is() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let report = folder.path().join("junit.xml");
+        let write = |why: &str| {
+            let text = format!(
+                "<testsuites><testcase name='a'><system-out>skipped{why}</system-out></testcase>\
+                 <testcase name='b'><system-out>skipped b: no chromium</system-out></testcase>\
+                 </testsuites>"
+            );
+            std::fs::write(&report, text).expect("a report");
+        };
+        let (here, absent) = (folder.path(), folder.path().join("absent"));
+        for why in [
+            " a: no reference data at /elsewhere/tests/../../shared/oracle/tasks",
+            ": /here/crates/paired/../../../shared/libero-ctrl-v0.1 is not here",
+        ] {
+            write(why);
+            let error = check(&report, here).expect_err(why).to_string();
+            assert!(error.ends_with("did not find theirs: a"), "{error}");
+            check(&report, &absent).expect(why);
+        }
+        write(" a: no chromium");
+        check(&report, here).expect("what is no reference data may lack");
     }
 }

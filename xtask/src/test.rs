@@ -54,7 +54,8 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
     run_command(&mut tests)?;
     if nextest {
         // Where nextest keeps its own things, whatever the build folder is.
-        skipped::print(&root.join("target/nextest/default/junit.xml"))?;
+        let report = root.join("target/nextest/default/junit.xml");
+        skipped::check(&report, &root.join("../shared"))?;
     }
     if filters.is_empty() {
         if nextest {
