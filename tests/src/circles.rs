@@ -15,7 +15,7 @@ use proc_macro2::{Delimiter, TokenStream, TokenTree};
 
 /// A module by its path from the crate's root, which is empty.
 type Module = Vec<String>;
-/// What each module imports from which.
+/// The items that each module imports, by the module that has them.
 type Imports = BTreeMap<Module, BTreeMap<Module, BTreeSet<String>>>;
 
 /// Files that import in a circle.
@@ -114,7 +114,7 @@ struct PathUse {
     segments: Vec<String>,
     /// Whether it is published from where it is written.
     published: bool,
-    /// How many modules within the file it is written in.
+    /// The depth of inline modules around it.
     depth: usize,
 }
 

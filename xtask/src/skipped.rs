@@ -1,25 +1,25 @@
-//! Which tests did not run because something is not on this machine: the
-//! reference data, a tool. Such a test passes after saying so in a line that
-//! begins with `skipped`, and nobody sees what a passed test says; nextest's
-//! report keeps it.
+//! Which tests did not run because something is missing on this machine: the
+//! reference data, a tool. Such a test passes after printing a line that begins
+//! with `skipped`. The output of passed tests is not shown, but nextest's report
+//! keeps it.
 
 use std::path::Path;
 
 use anyhow::{Context, Result, ensure};
 
-/// How the line begins.
+/// The beginning of the line.
 const MARK: &str = "skipped";
 
-/// What a reason names that is about the reference data, wherever the tests looked
-/// for it.
+/// Part of every path to the reference data, in whatever checkout a test looked for
+/// it.
 const REFERENCE: &str = "/shared/";
 
 /// Reads nextest's JUnit report and prints which tests were skipped, why, and how
 /// many.
 ///
 /// # Errors
-/// If a test found no reference data although the folder with it is here: then a
-/// part of it is missing or cannot be read, or the test looked elsewhere.
+/// If a test found no reference data although its folder exists: then a part of it
+/// is missing or cannot be read, or the test looked elsewhere.
 pub(crate) fn check(report: &Path, shared: &Path) -> Result<()> {
     let text = std::fs::read_to_string(report)
         .with_context(|| format!("read nextest's report {}", report.display()))?;
@@ -40,7 +40,8 @@ pub(crate) fn check(report: &Path, shared: &Path) -> Result<()> {
         .collect();
     ensure!(
         wrongly.is_empty(),
-        "run every test of the reference data: {} is here, and these did not find theirs: {}",
+        "run every test on the reference data: {} exists, but these tests did not find their \
+         part of it: {}",
         shared.display(),
         wrongly.join(", ")
     );
@@ -105,7 +106,10 @@ mod tests {
         ] {
             write(why);
             let error = check(&report, here).expect_err(why).to_string();
-            assert!(error.ends_with("did not find theirs: a"), "{error}");
+            assert!(
+                error.ends_with("did not find their part of it: a"),
+                "{error}"
+            );
             check(&report, &absent).expect(why);
         }
         write(" a: no chromium");

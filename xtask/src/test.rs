@@ -13,8 +13,8 @@ use crate::skipped;
 use crate::step::step;
 use crate::typescript;
 
-/// What openpi's robots ask its servers with: the tests hold the gateway's
-/// messages against it.
+/// The client with which openpi's robots query its servers: the tests compare the
+/// gateway's messages with its own.
 const OPENPI_CLIENT: &str = "openpi-client==0.1.2";
 
 /// Sets up, builds and runs everything.

@@ -87,7 +87,7 @@ pub(crate) fn messages(input: &[u8]) -> bool {
     })
 }
 
-/// A coordinator that nobody can connect to.
+/// A coordinator without a listener; tests call its services directly.
 struct Open {
     coordinator: Coordinator,
     services: Routes,
@@ -119,8 +119,8 @@ impl Open {
         }
         let answer = timeout(PATIENCE, answering).await.ok();
         if answer.is_none() {
-            // What the caller hung up on may still be written down: not for the
-            // next call, which comes after this one.
+            // The call that was given up may still be committed. The next call waits
+            // for it, so that its effect is not attributed to that one.
             let (method, message) = seeds::registration("next");
             let path = format!("/rollout.coordinator.v1.{method}");
             let after = call(&mut self.services, &path, &[&message]).await;
@@ -134,7 +134,7 @@ impl Open {
     }
 }
 
-/// Who sees that a database or the files beside it changed.
+/// Detects changes of a database and of the files beside it.
 struct Witness(SqliteConnection, std::path::PathBuf);
 
 impl Witness {
@@ -145,8 +145,8 @@ impl Witness {
         Witness(connection, data.join(ARTIFACTS_FOLDER))
     }
 
-    /// A number that changes with every transaction of somebody else that wrote
-    /// something, and how many files there are.
+    /// A number that changes with every writing transaction of another connection,
+    /// and how many files there are.
     async fn look(&mut self) -> (i64, usize) {
         let version = sqlx::query_scalar("PRAGMA data_version");
         let version = version.fetch_one(&mut self.0).await.expect("a number");

@@ -3,8 +3,8 @@
 //! perturbation changed an outcome, in which direction, and how sure that is.
 //!
 //! Pure: records go in, a [`Report`] comes out, the same for the same records
-//! in any order. Where records come from, and warnings about how they were made,
-//! are the caller's business ([`Options::notes`]). Formulas: section 6 of the
+//! in any order. The caller knows where records come from, and passes warnings about
+//! how they were made ([`Options::notes`]). Formulas: section 6 of the
 //! protocol; source of the design: arXiv 2609.15940.
 
 #![forbid(unsafe_code)]

@@ -242,7 +242,7 @@ impl fmt::Display for ManifestErrors {
 
 impl std::error::Error for ManifestErrors {}
 
-/// What is to be said of rows beyond each row's own sense.
+/// Checks rows against one another.
 #[derive(Default)]
 struct Checker {
     lines_of_ids: BTreeMap<RolloutId, usize>,
@@ -250,7 +250,7 @@ struct Checker {
     errors: ManifestErrors,
 }
 
-/// What all rows of a configuration share, and in which line it was first said.
+/// What all rows of a configuration share, and the line that it was read from.
 struct Configuration {
     init_id: (usize, u16),
     values: BTreeMap<Axis, (usize, Vec<f64>)>,
@@ -270,7 +270,8 @@ impl Checker {
         }
     }
 
-    /// Where a row contradicts its configuration, and which line said so.
+    /// The column in which a row contradicts its configuration, and the line that it
+    /// contradicts.
     fn difference(&mut self, line: usize, row: &ManifestRow) -> Option<(String, usize)> {
         let key = (row.id.task(), row.id.level(), row.id.config()?);
         let known = self.configurations.entry(key);

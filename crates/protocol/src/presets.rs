@@ -141,8 +141,7 @@ struct Presets {
     axes: BTreeMap<String, AxisPresets>,
 }
 
-/// The figures, parsed once. That the embedded file parses is a test's
-/// business, not a caller's.
+/// The figures, parsed once. Tests ensure that the embedded file parses.
 fn presets() -> &'static Presets {
     static PRESETS: LazyLock<Presets> = LazyLock::new(|| {
         let file: PresetsFile = serde_json::from_str(include_str!("../data/presets.json"))

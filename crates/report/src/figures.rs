@@ -84,7 +84,7 @@ impl Figure {
 
     fn svg(&self, style: Markup) -> Markup {
         let (width, height) = (svg::number(WIDTH), svg::number(self.height));
-        // What is in an image cannot be reached by those who do not see it.
+        // Screen readers do not reach links inside an element of role `img`.
         let role = if self.has_links { "group" } else { "img" };
         html! {
             svg xmlns="http://www.w3.org/2000/svg" class="panel" role=(role)

@@ -125,8 +125,7 @@ impl Environment {
         &self.data
     }
 
-    /// The model beside its state, to be posed by hand; [`load`](Self::load)
-    /// starts over.
+    /// The model and its state, for setting poses; [`load`](Self::load) starts over.
     pub fn model_and_data(&mut self) -> (&Model, &mut Data) {
         (&self.model, &mut self.data)
     }
@@ -161,7 +160,7 @@ impl Environment {
         }
         self.see_positions();
         self.see_joints();
-        // Anything said about an earlier rollout is not about this one.
+        // Earlier warnings belong to another rollout.
         mujoco::take_warnings();
     }
 
@@ -326,8 +325,8 @@ impl Environment {
             .copy_from_slice(&qvel[..ARM_JOINTS + 2]);
     }
 
-    /// Computes poses for the lens, once per control step and only if somebody
-    /// looks.
+    /// Computes poses for the lens, once per control step and only if an observation
+    /// is asked for.
     fn pose_lens(&mut self) {
         if !self.lens_is_posed {
             self.lens.kinematics(&self.model);

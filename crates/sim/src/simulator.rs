@@ -75,8 +75,8 @@ impl Simulator {
         self.begin_with(files, row, realisation)
     }
 
-    /// The same with a BDDL file and initial states of one's own, in place of
-    /// those of the row's task.
+    /// The same with another BDDL file and other initial states than those of the
+    /// row's task.
     pub fn begin_with(
         &mut self,
         files: TaskFiles,

@@ -13,8 +13,8 @@ use crate::suite::TaskRef;
 /// Variants per task and level: one for each configuration.
 pub(super) const VARIANTS: usize = PRESETS as usize;
 
-/// The file, parsed once. That the embedded file parses and names only what it
-/// has is a test's business, not a caller's.
+/// The file, parsed once. Tests ensure that the embedded file parses and names only
+/// what it has.
 pub(super) fn rules() -> &'static Rules {
     static RULES: LazyLock<Rules> = LazyLock::new(|| {
         serde_json::from_str(include_str!("../../data/paraphrases.json"))

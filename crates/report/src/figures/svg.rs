@@ -120,7 +120,7 @@ pub(super) fn line(class: &str, [x1, y1]: [f64; 2], [x2, y2]: [f64; 2]) -> Marku
     }
 }
 
-/// A name that has room for so many characters.
+/// A name of at most `most` characters, the last of them an ellipsis if it was cut.
 pub(super) fn shortened(name: &str, most: usize) -> String {
     match name.chars().count() > most {
         true => name.chars().take(most - 1).chain(['…']).collect(),

@@ -67,11 +67,11 @@ impl Abstraction {
     }
 
     pub(crate) fn geoms(&self) -> &[c::mjvGeom] {
-        // SAFETY: MuJoCo keeps so many geoms there until the scene changes.
+        // SAFETY: MuJoCo keeps `ngeom` geoms there until the scene changes.
         unsafe { std::slice::from_raw_parts(self.scene.geoms, self.scene.ngeom as usize) }
     }
 
-    /// What geoms are of, by their numbers in segmentation images.
+    /// The model's objects by the numbers that geoms have in segmentation images.
     pub(crate) fn segments(&self) -> BTreeMap<u32, Segment> {
         let numbered = self.geoms().iter().filter_map(|geom| {
             let number = u32::try_from(geom.segid).ok()?;
@@ -81,7 +81,7 @@ impl Abstraction {
         numbered.collect()
     }
 
-    /// Makes it that of a state, as a camera of the model sees it.
+    /// Updates the scene to a state, as a camera of the model sees it.
     ///
     /// # Panics
     /// If the state or this scene was made for another model.

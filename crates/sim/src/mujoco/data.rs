@@ -88,7 +88,7 @@ impl Data {
         );
     }
 
-    /// Becomes a copy of another state of the same model.
+    /// Copies another state of the same model into this one.
     pub fn copy_from(&mut self, model: &Model, other: &Self) {
         self.assert_made_for(model);
         other.assert_made_for(model);
@@ -238,7 +238,7 @@ mod tests {
 
     use super::*;
 
-    /// A model with so many bodies, each with a hinge, a motor and a site.
+    /// A model with this many bodies, each with a hinge, a motor and a site.
     fn chain(bodies: usize) -> Model {
         let body = |at: usize| {
             format!(r#"<body><joint name="j{at}"/><geom size="0.1"/><site name="s{at}"/>"#)

@@ -12,8 +12,8 @@ use crate::error::SimError;
 /// A compiled model, owned.
 pub struct Model {
     raw: NonNull<c::mjModel>,
-    /// Unique in the process: what is made for a model keeps its sizes, and checks
-    /// by this number that it is not used with another model.
+    /// Unique in the process. States and scenes have the sizes of the model that
+    /// they were made for, and check by this number that they are used with it.
     serial: u64,
 }
 
@@ -388,10 +388,11 @@ impl<'a> Meshes<'a> {
     }
 }
 
-/// So many values; none of a null pointer, which arrays without elements may have.
+/// A slice of `count` values; empty for a null pointer, which arrays without
+/// elements may have.
 ///
 /// # Safety
-/// The pointer is null, or points at so many values that outlive `'a`.
+/// The pointer is null, or points at `count` values that outlive `'a`.
 pub(super) unsafe fn values<'a, T>(pointer: *const T, count: i32) -> &'a [T] {
     if pointer.is_null() || count <= 0 {
         return &[];

@@ -152,8 +152,8 @@ impl GlCanvas {
 
 impl Drop for GlCanvas {
     fn drop(&mut self) {
-        // Names of objects mean others, or nothing, in another OpenGL context; they
-        // go with their own if it is lost.
+        // In another context the same names would refer to other objects. If the
+        // context is lost, its objects are gone too.
         if self.opengl.make_current().is_ok() {
             // SAFETY: made in `new`, freed once, in its OpenGL context.
             unsafe { c::mjr_freeContext(&mut *self.context) }

@@ -1,5 +1,5 @@
-//! Our own renderer. What MuJoCo makes of a model and its state (`mjvScene`) is
-//! handed to it as it is.
+//! Our own renderer. It draws MuJoCo's abstract scene of a model's state
+//! (`mjvScene`).
 
 use std::collections::BTreeMap;
 
