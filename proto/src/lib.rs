@@ -18,8 +18,10 @@ pub mod coordinator {
 /// Version of [`policy`], exchanged on `Describe`.
 pub const PROTOCOL_VERSION: u32 = 1;
 /// Version of [`coordinator`], exchanged on `Register`. Since 2, a worker
-/// registers with its renderer, and a result carries a fingerprint.
-pub const COORDINATOR_PROTOCOL_VERSION: u32 = 2;
+/// registers with its renderer, and a result carries a fingerprint. Since 3,
+/// every attempt has an id, claims are idempotent, and realised values take the
+/// place of their digests.
+pub const COORDINATOR_PROTOCOL_VERSION: u32 = 3;
 /// Most control steps of which a motion is sent: ten times LIBERO's longest
 /// rollout. Of a longer one the outcome goes without.
 pub const MAX_MOTION_STEPS: usize = 5_200;

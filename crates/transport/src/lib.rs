@@ -1,5 +1,6 @@
 //! Who may talk: where the programs' servers listen, over what, who is let in
-//! with which role, how often one caller may ask, and what clients bring along.
+//! with which role, how often one caller may ask, what clients bring along, and
+//! whose fault a failed call is.
 //! One room for all programs, so that a rule holds everywhere. Not responsible
 //! for what is asked: which call demands which role is each server's table.
 //!
@@ -13,6 +14,7 @@
 
 mod browser;
 mod client;
+mod failure;
 mod gate;
 mod rate;
 mod refusals;
@@ -20,6 +22,7 @@ mod server;
 mod token;
 
 pub use client::{Access, AccessError, Bearer, ClientArguments, Connection};
+pub use failure::{chain, innermost, is_outage, is_outage_code, may_succeed_later};
 pub use gate::{Demand, Gate, Gated};
 pub use rate::{BURST_REQUESTS, MAX_REQUESTS_PER_SEC};
 pub use refusals::{LOG_AGAIN_AFTER, MAX_REMEMBERED_REFUSALS};

@@ -129,7 +129,7 @@ impl SensorStage {
         frame.rgb.copy_from_slice(&picture.to_bytes());
     }
 
-    /// The drawn elements, for a digest: the blur's angle, and the first noise
+    /// The drawn elements, which a result keeps: the blur's angle, and the first noise
     /// values of the first picture of each camera.
     pub fn realised(&self) -> Vec<f64> {
         let mut realised = vec![self.motion_angle];

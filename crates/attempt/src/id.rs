@@ -1,0 +1,91 @@
+//! The name of an attempt.
+
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+/// Names one attempt at one rollout, everywhere and for ever: 128 random bits,
+/// drawn when its lease is granted and never used again. As text, 32 digits of
+/// lower-case hex.
+///
+/// Job numbers, attempt numbers and worker names are facts about an attempt.
+/// None of them is its name: a deleted campaign's numbers come back, and two
+/// coordinators count alike.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct AttemptId(u128);
+
+/// A text that names no attempt.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("read an attempt id: it is 32 digits of lower-case hex")]
+pub struct AttemptIdError;
+
+impl AttemptId {
+    /// The attempt of these bits, which are to be random.
+    pub fn from_random(bits: [u8; 16]) -> AttemptId {
+        AttemptId(u128::from_be_bytes(bits))
+    }
+}
+
+impl fmt::Display for AttemptId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:032x}", self.0)
+    }
+}
+
+impl fmt::Debug for AttemptId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(self, f)
+    }
+}
+
+impl FromStr for AttemptId {
+    type Err = AttemptIdError;
+
+    fn from_str(text: &str) -> Result<AttemptId, AttemptIdError> {
+        let is_digit = |byte: u8| byte.is_ascii_digit() || (b'a'..=b'f').contains(&byte);
+        if text.len() != 32 || !text.bytes().all(is_digit) {
+            return Err(AttemptIdError);
+        }
+        u128::from_str_radix(text, 16)
+            .map(AttemptId)
+            .map_err(|_| AttemptIdError)
+    }
+}
+
+impl TryFrom<String> for AttemptId {
+    type Error = AttemptIdError;
+
+    fn try_from(text: String) -> Result<AttemptId, AttemptIdError> {
+        text.parse()
+    }
+}
+
+impl From<AttemptId> for String {
+    fn from(id: AttemptId) -> String {
+        id.to_string()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_id_reads_back_from_its_text_and_nothing_else_does() {
+        let id = AttemptId::from_random([0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 255]);
+        let text = id.to_string();
+        assert_eq!(text, "000102030405060708090a0b0c0d0eff");
+        assert_eq!(text.parse(), Ok(id));
+        for other in [
+            "",
+            "0",
+            &text[1..],
+            &text.to_uppercase(),
+            &format!("+{}", &text[1..]),
+        ] {
+            assert_eq!(other.parse::<AttemptId>(), Err(AttemptIdError), "{other}");
+        }
+    }
+}

@@ -1,0 +1,78 @@
+//! Where a result came from.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+/// What a worker runs on. A campaign is pinned to one of these: results of two
+/// asset packs, simulators or renderers are two benchmarks, never pooled.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
+pub struct Pin {
+    /// Name of the asset pack.
+    pub asset_pack: String,
+    /// SHA-256 of the asset pack, hex.
+    pub asset_pack_digest: String,
+    /// Version of the simulator.
+    pub mujoco_version: String,
+    /// The renderer's own name. Empty in a campaign that database schema 1
+    /// pinned, until the next lease decides it.
+    pub renderer: String,
+}
+
+/// Where a result came from, as far as many results share it.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
+pub struct Provenance {
+    /// The machine's name.
+    pub host: String,
+    /// What the worker ran on.
+    pub pin: Pin,
+    /// SHA-256 of a fixed motion and its frames, hex: equal fingerprints mean
+    /// equal bits. Empty in results of database schema 1.
+    pub fingerprint: String,
+    /// "matched" or "reference".
+    pub realisation: String,
+    /// The policy's own name.
+    pub policy_name: String,
+    /// Its checkpoint, as the publisher writes it.
+    pub policy_checkpoint: String,
+    /// Digest of its weights, as the policy gives it.
+    pub policy_checkpoint_digest: String,
+    /// Whether it saw the simulator's own state.
+    pub policy_privileged: bool,
+    /// Whether it was told the canonical instruction whatever the condition.
+    pub policy_canonical_only: bool,
+    /// How a gateway asked it.
+    pub batch_mode: String,
+    /// Version of the worker's program.
+    pub program_version: String,
+}
+
+/// What two rollouts of one initial state must share, SHA-256 in hex.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Digests {
+    /// Of the composed MJCF.
+    pub scene: String,
+    /// Of the initial state's bytes, before any perturbation.
+    pub init_state: String,
+    /// Of the first frames that the policy saw; empty if it looks at none.
+    pub first_frame: String,
+}
+
+/// How the results of a campaign mix fingerprints.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Fingerprints {
+    /// Results of each fingerprint.
+    pub results: BTreeMap<String, u64>,
+    /// Tasks and initial states whose results have several.
+    pub mixed: Vec<String>,
+}
+
+impl Pin {
+    /// Whether a campaign that is pinned to this takes results of a worker that
+    /// runs on the other.
+    pub fn takes(&self, worker: &Pin) -> bool {
+        self.asset_pack_digest == worker.asset_pack_digest
+            && self.mujoco_version == worker.mujoco_version
+            && (self.renderer.is_empty() || self.renderer == worker.renderer)
+    }
+}

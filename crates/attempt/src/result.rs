@@ -1,0 +1,98 @@
+//! What an attempt came to.
+
+use serde::{Deserialize, Serialize};
+
+/// What a rollout came to: its outcome, and how it got there.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RolloutResult {
+    /// Whether the goal was reached within the step budget.
+    pub success: bool,
+    /// The policy's control steps: up to the one that reached the goal, or all.
+    pub steps: u32,
+    /// From the start of composition to the last step, seconds.
+    pub wall_secs: f64,
+    /// What the inverse kinematics left over, if the robot axis is perturbed.
+    pub ik: Option<IkResidual>,
+    /// Executed actions that were clipped into [-1, 1].
+    pub clipped_actions: u32,
+    /// Observations that the policy answered.
+    pub policy_queries: u32,
+}
+
+/// What inverse kinematics left over.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct IkResidual {
+    /// Distance to the target position, mm.
+    pub residual_mm: f64,
+    /// Angle to the target orientation, degrees.
+    pub residual_deg: f64,
+    /// Arm joints at a limit.
+    pub clamped_joints: u32,
+}
+
+/// How the robot of a rollout moved, packed as it is sent and stored: little
+/// endian, without gaps.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Motion {
+    /// Position of the site between the fingertips, at rest and after every
+    /// control step of the policy: x, y, z in the world frame, tenths of a
+    /// millimetre, 16 bits each.
+    pub path: Vec<u8>,
+    /// The action of every control step, clipped into [-1, 1]: seven 32-bit
+    /// floats; empty unless the campaign keeps them.
+    pub actions: Vec<u8>,
+}
+
+impl Motion {
+    /// Packs positions and actions.
+    pub fn pack(path: &[[i16; 3]], actions: &[[f32; 7]]) -> Motion {
+        let (path, actions) = (path.as_flattened(), actions.as_flattened());
+        Motion {
+            path: path.iter().flat_map(|it| it.to_le_bytes()).collect(),
+            actions: actions.iter().flat_map(|it| it.to_le_bytes()).collect(),
+        }
+    }
+
+    /// The positions.
+    pub fn path(&self) -> Vec<[i16; 3]> {
+        let numbers = self.path.as_chunks().0.iter();
+        let numbers: Vec<i16> = numbers.map(|it| i16::from_le_bytes(*it)).collect();
+        numbers.as_chunks().0.to_vec()
+    }
+
+    /// The actions.
+    pub fn actions(&self) -> Vec<[f32; 7]> {
+        let numbers = self.actions.as_chunks().0.iter();
+        let numbers: Vec<f32> = numbers.map(|it| f32::from_le_bytes(*it)).collect();
+        numbers.as_chunks().0.to_vec()
+    }
+
+    /// Whether both hold whole positions and actions.
+    pub fn is_whole(&self) -> bool {
+        self.path.len().is_multiple_of(6) && self.actions.len().is_multiple_of(28)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_motion_unpacks_to_what_was_packed() {
+        let (path, actions) = (
+            [[1, -2, 3], [i16::MIN, 0, i16::MAX]],
+            [[0.1, -1.0, 0.0, 1.0, 0.5, 0.25, -0.3]],
+        );
+        let motion = Motion::pack(&path, &actions);
+        assert_eq!(
+            (motion.path(), motion.actions()),
+            (path.to_vec(), actions.to_vec())
+        );
+        assert!(motion.is_whole());
+        let cut = Motion {
+            path: motion.path[1..].to_vec(),
+            ..motion
+        };
+        assert!(!cut.is_whole());
+    }
+}
