@@ -6,22 +6,19 @@ use std::io;
 use std::ops::ControlFlow;
 use std::path::Path;
 
-use proto::coordinator::{Film, LeaseRef, NextFilmRequest};
+use attempt::{AttemptId, Motion};
+use proto::coordinator::{Film, NextFilmRequest};
 use protocol::{ManifestRow, Realisation};
 use sim::Simulator;
 use tokio::sync::watch;
 use tonic::Status;
-use transport::Access;
+use transport::{Access, chain};
 
-use crate::grpc::in_words;
-use crate::policy::{ACTION_WIDTH, Action};
-use crate::recording::{Take, record};
-use crate::rollout::{Stage, chain};
+use crate::actor::Action;
+use crate::filming::{Replay, film_again};
+use crate::stage::Stage;
 use crate::supervise::SuperviseError;
 use crate::supervise::link::Link;
-
-/// Bytes of a number on its way.
-const NUMBER_BYTES: usize = 4;
 
 /// Who films, and for whom.
 #[derive(Debug)]
@@ -55,13 +52,13 @@ pub enum FilmError {
     #[error(transparent)]
     Link(#[from] SuperviseError),
     /// It says no.
-    #[error("ask the coordinator what to film: {}", in_words(.0))]
+    #[error("ask the coordinator what to film: {}", chain(.0))]
     Refused(Status),
 }
 
-/// A rollout to film, as it was handed out.
-struct Order {
-    lease: LeaseRef,
+/// A rollout to film.
+struct Filmable {
+    attempt: AttemptId,
     /// What it is, for people.
     label: String,
     row: ManifestRow,
@@ -94,17 +91,16 @@ pub fn run(config: &Config, simulator: &mut Simulator) -> Result<Filmed, FilmErr
         let Some(film) = answer.film else {
             return Ok(filmed);
         };
-        let job = film.lease.as_ref().map_or(0, |lease| lease.job_id);
-        let title = format!("job {job} of campaign {}", film.campaign);
-        let done = order(film)
+        let title = format!("attempt {} of campaign {}", film.attempt_id, film.campaign);
+        let done = filmable(film)
             .map_err(|problem| format!("read {title}: {problem}"))
-            .and_then(|order| {
-                tracing::info!("filming {} ({} left)", order.label, answer.left);
-                shoot(simulator, &order, &file).map(|()| order)
+            .and_then(|rollout| {
+                tracing::info!("filming {} ({} left)", rollout.label, answer.left);
+                film_rollout(simulator, &rollout, &file).map(|()| rollout)
             })
-            .and_then(|order| {
-                let stored = runtime.block_on(link.put_video(order.lease, &file));
-                stored.map_err(|status| format!("store the video: {}", in_words(&status)))
+            .and_then(|rollout| {
+                let stored = runtime.block_on(link.put_video(rollout.attempt, &file));
+                stored.map_err(|status| format!("store the video: {}", chain(&status)))
             });
         match done {
             Ok(_) => filmed.stored += 1,
@@ -117,39 +113,34 @@ pub fn run(config: &Config, simulator: &mut Simulator) -> Result<Filmed, FilmErr
 }
 
 /// The error reads after "failed to …".
-fn shoot(simulator: &mut Simulator, order: &Order, file: &Path) -> Result<(), String> {
-    let take = Take {
-        row: &order.row,
-        realisation: order.realisation,
-        actions: &order.actions,
-        success: order.success,
+fn film_rollout(simulator: &mut Simulator, rollout: &Filmable, file: &Path) -> Result<(), String> {
+    let replay = Replay {
+        row: &rollout.row,
+        realisation: rollout.realisation,
+        actions: &rollout.actions,
+        success: rollout.success,
     };
     let mut stage = Stage::of_the_protocol(simulator);
-    let filmed = record(&mut stage, take, file, &mut |_| ControlFlow::Continue(()));
+    let filmed = film_again(&mut stage, replay, file, &mut |_| ControlFlow::Continue(()));
     filmed.map_err(|error| chain(&error))
 }
 
-fn order(film: Film) -> Result<Order, String> {
+fn filmable(film: Film) -> Result<Filmable, String> {
     let row: ManifestRow =
         serde_json::from_str(&film.manifest_row).map_err(|error| error.to_string())?;
+    let attempt = film.attempt_id.parse();
     let realisation = film.realisation.parse();
-    Ok(Order {
-        lease: film.lease.ok_or("it names no lease")?,
+    let motion = Motion {
+        actions: film.actions,
+        ..Motion::default()
+    };
+    let actions = motion.actions().into_iter();
+    Ok(Filmable {
+        attempt: attempt.map_err(|error: attempt::AttemptIdError| error.to_string())?,
         label: format!("{} {}#r{}", film.campaign, row.id, film.replicate),
         row,
         realisation: realisation.map_err(|error: protocol::UnknownName| error.to_string())?,
-        actions: actions(&film.actions),
+        actions: actions.map(|action| action.map(f64::from)).collect(),
         success: film.success,
     })
-}
-
-/// Actions as they were sent with an outcome.
-fn actions(bytes: &[u8]) -> Vec<Action> {
-    let (numbers, _) = bytes.as_chunks::<NUMBER_BYTES>();
-    let numbers: Vec<f64> = numbers
-        .iter()
-        .map(|number| f32::from_le_bytes(*number).into())
-        .collect();
-    let (actions, _) = numbers.as_chunks::<ACTION_WIDTH>();
-    actions.to_vec()
 }

@@ -1,9 +1,7 @@
 //! What both clients of this worker need to know of gRPC: reading the URLs of
 //! servers (`grpc://HOST:PORT` and `http://HOST:PORT` mean the same, and so do
-//! `grpcs://` and `https://`), bounding calls in time, and telling failures in
-//! words.
+//! `grpcs://` and `https://`), and bounding calls in time.
 
-use std::error::Error as _;
 use std::time::Duration;
 
 use tonic::transport::Endpoint;
@@ -54,20 +52,6 @@ pub(crate) async fn within<T>(
             deadline.as_secs_f64()
         ))),
     }
-}
-
-/// A failed call in one line, with what lies behind it.
-pub(crate) fn in_words(status: &Status) -> String {
-    let mut words = format!("{}: {}", status.code(), status.message());
-    let mut cause = status.source();
-    while let Some(error) = cause {
-        let text = error.to_string();
-        if !words.contains(&text) {
-            words = format!("{words}: {text}");
-        }
-        cause = error.source();
-    }
-    words
 }
 
 #[cfg(test)]

@@ -1,37 +1,9 @@
-//! The names that go into leases.
+//! Names that this worker gives itself and its claims.
 
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::{fmt, fs, process};
 
-use proto::coordinator::LeaseRef;
-
-/// A job: one rollout and replicate of a campaign.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct JobId(pub i64);
-
-/// The fencing token of a job: only the newest attempt counts.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct Attempt(pub u32);
-
-/// One attempt of this worker at one job.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct LeaseKey {
-    /// The job.
-    pub job: JobId,
-    /// The attempt.
-    pub attempt: Attempt,
-}
-
-impl LeaseKey {
-    /// As the coordinator names it.
-    pub fn to_wire(self, worker: &WorkerId) -> LeaseRef {
-        LeaseRef {
-            worker_id: worker.to_string(),
-            job_id: self.job.0,
-            attempt: self.attempt.0,
-        }
-    }
-}
+use attempt::AttemptId;
 
 /// A worker, new at every start.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -85,9 +57,24 @@ pub fn random_number() -> u64 {
     RandomState::new().build_hasher().finish()
 }
 
+/// A name that nothing else has: of a claim, or of an attempt that no
+/// coordinator granted.
+pub fn random_id() -> AttemptId {
+    let bits = [random_number(), random_number()].map(u64::to_be_bytes);
+    let mut bytes = [0; 16];
+    bytes.copy_from_slice(bits.as_flattened());
+    AttemptId::from_random(bytes)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn no_two_ids_are_alike() {
+        let ids: std::collections::HashSet<_> = (0..1000).map(|_| random_id()).collect();
+        assert_eq!(ids.len(), 1000);
+    }
 
     #[test]
     fn two_starts_of_a_worker_have_different_names() {

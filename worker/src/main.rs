@@ -22,11 +22,12 @@ use worker::args::{
     PreviewArguments, RolloutArguments, ServeArguments, SimulatorArguments, SlotArguments,
     SlotCount,
 };
-use worker::ids::{WorkerId, host_name, random_number};
-use worker::message::{Assignment, VideoOf, VideoOrder};
+use worker::child::SlotProgram;
+use worker::ids::{WorkerId, host_name, random_id, random_number};
+use worker::message::{Assignment, Session, VideoOf, VideoRequest};
 use worker::policy::{POLICY_CALL_DEADLINE, PolicyClient};
 use worker::single::{OwnTask, RecordedActions};
-use worker::supervise::{self, Config, Identity, SlotCommand};
+use worker::supervise::{self, Config, Identity};
 use worker::{assets, film, measure, preview, single, slot};
 
 /// Compiled scenes that a slot keeps. Jobs of one task come together, so two
@@ -93,19 +94,19 @@ fn run_bench(arguments: &BenchArguments) -> anyhow::Result<()> {
     let simulator = open(&arguments.simulator)?;
     let LoadArguments { task, execute } = arguments.load;
     let (pack, sources) = (simulator.pack.name(), simulator.sources.dir());
-    let mut command = command_of("bench-slot", own_program()?, &arguments.simulator, sources);
+    let mut slot = program_of("bench-slot", own_program()?, &arguments.simulator, sources);
     for (flag, value) in [
         ("--task", task.to_string()),
         ("--execute", execute.to_string()),
     ] {
-        command.arguments.extend([flag.into(), value.into()]);
+        slot.arguments.extend([flag.into(), value.into()]);
     }
     let plan = measure::Plan {
         title: format!("{task}, assets {pack}, --execute {execute}"),
         numbers: arguments.slots.iter().map(|number| number.get()).collect(),
         secs: arguments.secs,
         scenes: CACHED_SCENES,
-        command,
+        program: slot,
     };
     Ok(measure::bench(plan, &mut std::io::stdout())?)
 }
@@ -167,40 +168,38 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
         (None, None) => unreachable!("clap asks for --endpoint or --actions"),
     };
     let mut simulator = Simulator::new(open(&arguments.simulator)?);
+    let attempt = random_id();
     let assignment = Assignment {
-        session: single::session(&row.id, arguments.replicate),
+        attempt,
+        session: Session::new(&row.id, arguments.replicate, attempt),
         policy_seed: protocol::seeds::policy_seed(&row.id, arguments.replicate),
         row,
         realisation: arguments.realisation,
         policy: arguments.policy,
         policy_endpoint: arguments.endpoint.unwrap_or_default(),
         policy_deadline: POLICY_CALL_DEADLINE,
-        video: (!arguments.no_video).then(|| VideoOrder {
+        video: (!arguments.no_video).then(|| VideoRequest {
             file: arguments.output.join("video.mp4"),
             of: VideoOf::Everything,
         }),
         keep_actions: false,
     };
-    let order = single::Order {
+    let request = single::Request {
         assignment: &assignment,
         files: own_task.as_ref().map(OwnTask::files),
         draw: !arguments.no_video,
         output: &arguments.output,
     };
-    let outcome = single::run(&mut simulator, actor.as_mut(), &order)?.outcome;
+    let result = single::run(&mut simulator, actor.as_mut(), &request)?.result;
     println!(
         "{}: {} after {} steps in {:.1} s; see {}",
         own_task.map_or_else(
             || assignment.row.id.to_string(),
             |task| task.bddl.display().to_string()
         ),
-        if outcome.success {
-            "success"
-        } else {
-            "failure"
-        },
-        outcome.steps,
-        outcome.wall_secs,
+        if result.success { "success" } else { "failure" },
+        result.steps,
+        result.wall_secs,
         arguments.output.display()
     );
     Ok(())
@@ -235,8 +234,8 @@ fn run_worker(
         SlotCount::Auto => {
             // Its load is that of `worker bench` without further options.
             let (program, sources) = (program.clone(), simulator.sources.dir());
-            let command = command_of("bench-slot", program, simulator_arguments, sources);
-            let chosen = measure::choose_slots(command, CACHED_SCENES)
+            let slot = program_of("bench-slot", program, simulator_arguments, sources);
+            let chosen = measure::choose_slots(slot, CACHED_SCENES)
                 .context("choose --slots by measurement (`--slots N` needs none)")?;
             tracing::info!("--slots auto: {}, {}", chosen.slots, chosen.why);
             chosen.slots
@@ -266,7 +265,7 @@ fn run_worker(
         access,
         identity,
         slots: slots.get(),
-        slot_command: slot_command(
+        slot_program: slot_program(
             program,
             simulator_arguments,
             client,
@@ -313,30 +312,30 @@ fn own_program() -> anyhow::Result<PathBuf> {
 }
 
 /// A program as a slot, on the same files.
-fn slot_command(
+fn slot_program(
     program: PathBuf,
     arguments: &SimulatorArguments,
     access: &ClientArguments,
     sources: &Path,
-) -> SlotCommand {
-    let mut command = command_of("slot", program, arguments, sources);
+) -> SlotProgram {
+    let mut slot = program_of("slot", program, arguments, sources);
     // Files only: a token in an argument could be read in every process list.
     for (flag, file) in [("--token-file", &access.token_file), ("--ca", &access.ca)] {
         if let Some(file) = file {
-            command.arguments.extend([flag.into(), file.into()]);
+            slot.arguments.extend([flag.into(), file.into()]);
         }
     }
-    command
+    slot
 }
 
 /// A program in a mode that simulates, on the same files.
-fn command_of(
+fn program_of(
     mode: &str,
     program: PathBuf,
     arguments: &SimulatorArguments,
     sources: &Path,
-) -> SlotCommand {
-    SlotCommand {
+) -> SlotProgram {
+    SlotProgram {
         program,
         arguments: vec![
             mode.into(),

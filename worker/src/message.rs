@@ -1,30 +1,35 @@
 //! What the parent process and a slot's process say to each other: one JSON
-//! value per line, orders on the child's standard input, reports on its
-//! standard output. Videos go by file, so that lines stay short.
+//! value per line, commands one way and events the other, over the socket that
+//! is the slot's standard input. Videos go by file, so that lines stay short.
+//!
+//! Everything that is said about a rollout names its attempt: an event that
+//! crossed a command on its way is about an attempt that is no longer in hand.
 
 use std::fmt;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use attempt::{AttemptId, Motion, Realised, RolloutResult};
 use proto::coordinator::release_request::Reason;
 use protocol::{ManifestRow, Realisation, RolloutId};
 use serde::{Deserialize, Serialize};
 
-use crate::policy::Action;
+use crate::actor::PolicySession;
 
 /// Longest line that either side reads, bytes. A manifest row takes about one
-/// thousand.
+/// thousand, the longest motion some 700 thousand.
 pub const MAX_LINE_BYTES: u64 = 1 << 20;
 
-/// Names an episode to the policy: rollout, replicate and attempt.
+/// Names an episode to the policy. The attempt alone tells it from every other
+/// episode that the policy ever sees; rollout and replicate are for people.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Session(String);
 
 impl Session {
     /// The session of one attempt at one replicate.
-    pub fn new(id: &RolloutId, replicate: u32, attempt: u32) -> Self {
-        Self(format!("{id}#r{replicate}#a{attempt}"))
+    pub fn new(id: &RolloutId, replicate: u32, attempt: AttemptId) -> Self {
+        Self(format!("{id}#r{replicate}#{attempt}"))
     }
 
     /// As it goes over the wire.
@@ -42,16 +47,19 @@ impl fmt::Display for Session {
 /// From the parent to a slot.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Order {
+pub enum SlotCommand {
     /// Do this rollout.
     Run(Box<Assignment>),
-    /// Let go of the rollout in hand: nobody wants its outcome any more.
-    Abandon,
+    /// Stop working on this attempt: nobody wants its result, or its video, any
+    /// more.
+    Abandon(AttemptId),
 }
 
 /// One rollout to do.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Assignment {
+    /// Names this attempt at it.
+    pub attempt: AttemptId,
     /// What to simulate.
     pub row: ManifestRow,
     /// Where the perturbation's random elements come from.
@@ -67,21 +75,21 @@ pub struct Assignment {
     /// The episode's name to the policy.
     pub session: Session,
     /// The video, if one is wanted.
-    pub video: Option<VideoOrder>,
-    /// Whether the actions are wanted with the outcome.
+    pub video: Option<VideoRequest>,
+    /// Whether the actions are wanted with the result.
     pub keep_actions: bool,
 }
 
 /// A video that somebody wants.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct VideoOrder {
+pub struct VideoRequest {
     /// Where to write it.
     pub file: PathBuf,
-    /// Of which outcomes.
+    /// Of which rollouts.
     pub of: VideoOf,
 }
 
-/// The outcomes of which a video is wanted.
+/// The rollouts of which a video is wanted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum VideoOf {
@@ -91,80 +99,79 @@ pub enum VideoOf {
     Failures,
 }
 
+impl Assignment {
+    /// Whom to ask, in which session, for how long.
+    pub fn policy_session(&self) -> PolicySession<'_> {
+        PolicySession {
+            policy: &self.policy,
+            session: self.session.as_str(),
+            suite: self.row.id.task().suite().name(),
+            deadline: self.policy_deadline,
+        }
+    }
+
+    /// The video that is wanted of a rollout with this outcome.
+    pub fn video_of(&self, success: bool) -> Option<&VideoRequest> {
+        self.video.as_ref().filter(|video| match video.of {
+            VideoOf::Everything => true,
+            VideoOf::Failures => !success,
+        })
+    }
+}
+
 /// From a slot to the parent.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Report {
-    /// The process is up, can simulate and draw, and takes orders.
+pub enum SlotEvent {
+    /// The process is up, can simulate and draw, and takes commands.
     Ready {
         /// The renderer's own name.
         renderer: String,
         /// See [`sim::fingerprint`].
         fingerprint: String,
     },
-    /// Control steps done in this rollout, settling included.
-    Progress(u32),
-    /// The rollout has an outcome.
-    Finished(Box<Finished>),
-    /// The rollout ended without one.
-    Failed(Failure),
-    /// The rollout was let go, as ordered.
-    Abandoned,
+    /// Something about the rollout in hand.
+    Rollout {
+        /// Which attempt at it.
+        attempt: AttemptId,
+        /// What.
+        event: RolloutEvent,
+    },
 }
 
-/// A rollout's outcome and where it came from, as far as the slot knows.
+/// What a slot says about a rollout.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RolloutEvent {
+    /// Control steps done, settling and filming included.
+    Progress(u32),
+    /// It has a result. Said before anything is filmed.
+    Finished(Box<Finished>),
+    /// It ended without a result.
+    Failed(Failure),
+    /// It was abandoned, as commanded.
+    Abandoned,
+    /// The video that was announced with the result is in its file.
+    Filmed,
+    /// There is no video, for this reason; reads after "failed to".
+    NotFilmed(String),
+}
+
+/// A rollout's result and where it came from, as far as the slot knows.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Finished {
     /// What came out.
-    pub outcome: Outcome,
+    pub result: RolloutResult,
     /// Which simulator, scene and policy it came out of.
     pub evidence: Evidence,
     /// How the robot moved.
     pub motion: Motion,
-    /// The video, if one was wanted and could be made.
-    pub video: Option<PathBuf>,
+    /// Whether the slot films it next, and says afterwards what came of that.
+    pub is_filmed_next: bool,
 }
 
-/// How the robot of a rollout moved.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Motion {
-    /// Where the site between the fingertips was, at rest and after every
-    /// control step: world frame, tenths of a millimetre.
-    pub path: Vec<[i16; 3]>,
-    /// What the robot was told in every control step, if that is wanted.
-    pub actions: Vec<Action>,
-}
-
-/// What came out of a rollout.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Outcome {
-    /// Whether the goal was reached within the step budget.
-    pub success: bool,
-    /// The policy's control steps: up to the one that reached the goal, or all.
-    pub steps: u32,
-    /// From the start of composition to the last step, seconds.
-    pub wall_secs: f64,
-    /// What the robot axis' inverse kinematics left over, where it ran.
-    pub ik: Option<IkResidual>,
-    /// Executed actions that had to be clipped into [-1, 1].
-    pub clipped_actions: u32,
-    /// Observations that the policy answered.
-    pub policy_queries: u32,
-}
-
-/// What inverse kinematics left over.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct IkResidual {
-    /// Distance to the target position, mm.
-    pub residual_mm: f64,
-    /// Angle to the target orientation, degrees.
-    pub residual_deg: f64,
-    /// Arm joints that stand at a limit.
-    pub clamped_joints: u32,
-}
-
-/// Which simulator, scene and policy an outcome came out of. Digests are
-/// SHA-256, hex.
+/// Which simulator, scene and policy a result came out of. Digests are SHA-256,
+/// hex.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Evidence {
     /// The renderer's own name, in a campaign also where no frame was drawn;
@@ -176,9 +183,8 @@ pub struct Evidence {
     pub scene_digest: String,
     /// Of the initial state's bytes.
     pub init_state_digest: String,
-    /// Of the perturbation's values and drawn elements, axis by axis:
-    /// `camera:…,robot:…`; empty where nothing is perturbed.
-    pub perturbation_digest: String,
+    /// The perturbation as it was realised.
+    pub realised: Realised,
     /// Of the first frames that the policy saw; empty where it looks at none.
     pub first_frame_digest: String,
     /// The policy's own name.
@@ -195,7 +201,7 @@ pub struct Evidence {
     pub batch_mode: String,
 }
 
-/// Why a rollout has no outcome.
+/// Why a rollout has no result.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Failure {
     /// Whose fault it was.
@@ -204,7 +210,7 @@ pub struct Failure {
     pub error: String,
 }
 
-/// Whose fault it was that a rollout has no outcome.
+/// Whose fault it was that a rollout has no result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FailureKind {
@@ -240,46 +246,69 @@ impl FailureKind {
 mod tests {
     use super::*;
 
-    #[test]
-    fn a_session_names_rollout_replicate_and_attempt() {
-        let id = "spatial/t0/camera/L2/c00".parse().expect("an id");
-        let session = Session::new(&id, 2, 3);
-        assert_eq!(session.as_str(), "spatial/t0/camera/L2/c00#r2#a3");
+    fn attempt() -> AttemptId {
+        AttemptId::from_random([7; 16])
     }
 
     #[test]
-    fn orders_and_reports_are_single_lines_that_read_back() {
+    fn a_session_names_rollout_replicate_and_attempt() {
+        let id = "spatial/t0/camera/L2/c00".parse().expect("an id");
+        let session = Session::new(&id, 2, attempt());
+        let expected = format!("spatial/t0/camera/L2/c00#r2#{}", "07".repeat(16));
+        assert_eq!(session.as_str(), expected);
+    }
+
+    #[test]
+    fn commands_and_events_are_single_lines_that_read_back() {
         let row = ManifestRow::new(
             "goal/t0/clean/i06".parse().expect("an id"),
             6,
             6,
             protocol::Perturbation::default(),
         );
-        let order = Order::Run(Box::new(Assignment {
-            session: Session::new(&row.id, 0, 1),
+        let command = SlotCommand::Run(Box::new(Assignment {
+            attempt: attempt(),
+            session: Session::new(&row.id, 0, attempt()),
             row,
             realisation: Realisation::Matched,
             policy: "noop".to_owned(),
             policy_endpoint: "grpc://localhost:7000".to_owned(),
             policy_seed: 5,
             policy_deadline: Duration::from_secs(60),
-            video: Some(VideoOrder {
+            video: Some(VideoRequest {
                 file: "videos/1.mp4".into(),
                 of: VideoOf::Failures,
             }),
             keep_actions: true,
         }));
-        let line = serde_json::to_string(&order).expect("JSON");
+        let line = serde_json::to_string(&command).expect("JSON");
         assert!(!line.contains('\n'));
         assert!((line.len() as u64) < MAX_LINE_BYTES);
-        assert_eq!(serde_json::from_str::<Order>(&line).expect("JSON"), order);
+        let read: SlotCommand = serde_json::from_str(&line).expect("JSON");
+        assert_eq!(read, command);
 
-        let report = Report::Failed(Failure {
-            kind: FailureKind::PolicyUnavailable,
-            error: "two\nlines".to_owned(),
-        });
-        let line = serde_json::to_string(&report).expect("JSON");
+        let event = SlotEvent::Rollout {
+            attempt: attempt(),
+            event: RolloutEvent::Failed(Failure {
+                kind: FailureKind::PolicyUnavailable,
+                error: "two\nlines".to_owned(),
+            }),
+        };
+        let line = serde_json::to_string(&event).expect("JSON");
         assert!(!line.contains('\n'));
-        assert_eq!(serde_json::from_str::<Report>(&line).expect("JSON"), report);
+        let read: SlotEvent = serde_json::from_str(&line).expect("JSON");
+        assert_eq!(read, event);
+    }
+
+    #[test]
+    fn the_longest_motion_fits_into_a_line() {
+        let steps = proto::MAX_MOTION_STEPS;
+        let motion = Motion::pack(&vec![[-1; 3]; steps + 1], &vec![[-0.3; 7]; steps]);
+        let line = serde_json::to_string(&motion).expect("JSON");
+        assert!(
+            (line.len() as u64) < MAX_LINE_BYTES * 9 / 10,
+            "{}",
+            line.len()
+        );
     }
 }

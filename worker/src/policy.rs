@@ -3,7 +3,6 @@
 //! slot has nothing else to do while its policy thinks. Retrying is the
 //! coordinator's business, which pauses the jobs of a policy that is down.
 
-use std::error::Error as _;
 use std::time::Duration;
 
 use proto::policy::policy_client::PolicyClient as GrpcClient;
@@ -14,11 +13,11 @@ use proto::policy::{
 use proto::{MAX_MESSAGE_BYTES, PROTOCOL_VERSION};
 use tokio::runtime::Runtime;
 use tonic::transport::Endpoint;
-use tonic::{Code, Response, Status};
-use transport::{Access, Connection};
+use tonic::{Response, Status};
+use transport::{Access, Connection, chain, is_outage};
 
-use crate::actor::Actor;
-use crate::grpc::{EndpointError, in_words, parse_endpoint, within};
+use crate::actor::{ACTION_WIDTH, Action, Actor, CAMERAS, Description, PolicyError, PolicySession};
+use crate::grpc::{parse_endpoint, within};
 
 /// Longest wait for one answer of a policy. A policy that needs longer once, to
 /// compile itself, does so before it serves.
@@ -30,85 +29,6 @@ const CONNECT_DEADLINE: Duration = Duration::from_secs(10);
 const WINDOW_BYTES: u32 = 4 << 20;
 /// The largest frame that a policy may ask for, pixels along a side.
 const MAX_FRAME_SIDE: u32 = 1024;
-/// The cameras of a LIBERO scene that policies may look through.
-pub(crate) const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
-/// Numbers per action: translation, rotation, gripper.
-pub const ACTION_WIDTH: usize = 7;
-
-/// One control step's action, each number in [-1, 1].
-pub type Action = [f64; ACTION_WIDTH];
-
-/// Why a policy gave no usable answer.
-#[derive(Debug, thiserror::Error)]
-pub enum PolicyError {
-    /// The endpoint is not one.
-    #[error(transparent)]
-    Endpoint(#[from] EndpointError),
-    /// The certificate authority is no use.
-    #[error("use the certificate authority for the policy: {0}")]
-    Tls(#[source] tonic::transport::Error),
-    /// No runtime to call from.
-    #[error("start the policy client: {0}")]
-    Runtime(#[source] std::io::Error),
-    /// No answer, or an answer that says "not now".
-    #[error("{call} policy `{policy}` at {endpoint}: {problem}")]
-    Unavailable {
-        /// "describe", "reset", "ask".
-        call: &'static str,
-        /// Which policy.
-        policy: String,
-        /// Where.
-        endpoint: String,
-        /// What happened.
-        problem: String,
-    },
-    /// It describes itself as something that no rollout can work with.
-    #[error("use policy `{policy}` at {endpoint}: its description {problem}")]
-    Description {
-        /// Which policy.
-        policy: String,
-        /// Where.
-        endpoint: String,
-        /// What is wrong with it.
-        problem: String,
-    },
-    /// It answered, and the answer cannot be executed.
-    #[error(
-        "use the answer of policy `{policy}` to query {query} of session {session}: {violation}"
-    )]
-    Misbehaved {
-        /// Which policy.
-        policy: String,
-        /// In which session.
-        session: String,
-        /// To which query; "reset" before the first.
-        query: String,
-        /// What is wrong with it.
-        violation: String,
-    },
-}
-
-impl PolicyError {
-    /// Whether the policy answered at all: what it answered is charged to the
-    /// rollout, that it did not is not. Neither is a description that fits no
-    /// rollout, because all of the policy's rollouts would pay for it.
-    pub fn is_misbehaviour(&self) -> bool {
-        matches!(self, Self::Misbehaved { .. })
-    }
-}
-
-/// A checked description of a policy.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Description {
-    /// As the policy gave it.
-    pub about: DescribeResponse,
-    /// The robot readings it wants, in its order.
-    pub state: Vec<StateField>,
-    /// Actions per answer at most.
-    pub horizon: usize,
-    /// Actions executed per answer.
-    pub execute: usize,
-}
 
 /// A connection to one endpoint.
 #[derive(Debug)]
@@ -118,19 +38,6 @@ pub struct PolicyClient {
     // while the simulator has this one.
     runtime: Runtime,
     grpc: GrpcClient<Connection>,
-}
-
-/// Whom to ask, in which episode, for how long.
-#[derive(Clone, Copy, Debug)]
-pub struct Episode<'a> {
-    /// The policy's name at the endpoint.
-    pub policy: &'a str,
-    /// The episode's name.
-    pub session: &'a str,
-    /// Its suite, of which a policy may have a checkpoint of its own.
-    pub suite: &'a str,
-    /// Longest wait for one answer.
-    pub deadline: Duration,
 }
 
 impl PolicyClient {
@@ -174,44 +81,44 @@ impl PolicyClient {
     fn unavailable(
         &self,
         call: &'static str,
-        episode: Episode<'_>,
+        session: PolicySession<'_>,
         status: &Status,
     ) -> PolicyError {
         PolicyError::Unavailable {
             call,
-            policy: episode.policy.to_owned(),
+            policy: session.policy.to_owned(),
             endpoint: self.endpoint.clone(),
-            problem: in_words(status),
+            problem: chain(status),
         }
     }
 
     fn refused(
         &self,
         call: &'static str,
-        episode: Episode<'_>,
+        session: PolicySession<'_>,
         query: String,
         status: &Status,
     ) -> PolicyError {
         if is_outage(status) {
-            return self.unavailable(call, episode, status);
+            return self.unavailable(call, session, status);
         }
-        misbehaved(episode, query, in_words(status))
+        misbehaved(session, query, chain(status))
     }
 }
 
 impl Actor for PolicyClient {
-    fn describe(&mut self, episode: Episode<'_>) -> Result<Description, PolicyError> {
+    fn describe(&mut self, session: PolicySession<'_>) -> Result<Description, PolicyError> {
         let request = DescribeRequest {
             protocol_version: PROTOCOL_VERSION,
-            policy: episode.policy.to_owned(),
-            suite: episode.suite.to_owned(),
+            policy: session.policy.to_owned(),
+            suite: session.suite.to_owned(),
         };
         let mut grpc = self.grpc.clone();
         let about = self
-            .call(episode.deadline, grpc.describe(request))
-            .map_err(|status| self.unavailable("describe", episode, &status))?;
+            .call(session.deadline, grpc.describe(request))
+            .map_err(|status| self.unavailable("describe", session, &status))?;
         check_description(about).map_err(|problem| PolicyError::Description {
-            policy: episode.policy.to_owned(),
+            policy: session.policy.to_owned(),
             endpoint: self.endpoint.clone(),
             problem,
         })
@@ -219,59 +126,59 @@ impl Actor for PolicyClient {
 
     fn reset(
         &mut self,
-        episode: Episode<'_>,
+        session: PolicySession<'_>,
         suite: &str,
         instruction: &str,
         seed: u64,
     ) -> Result<(), PolicyError> {
         let request = ResetRequest {
-            policy: episode.policy.to_owned(),
-            session: episode.session.to_owned(),
+            policy: session.policy.to_owned(),
+            session: session.session.to_owned(),
             suite: suite.to_owned(),
             instruction: instruction.to_owned(),
             seed,
         };
         let mut grpc = self.grpc.clone();
-        self.call(episode.deadline, grpc.reset(request))
+        self.call(session.deadline, grpc.reset(request))
             .map(|_| ())
-            .map_err(|status| self.refused("reset", episode, "reset".to_owned(), &status))
+            .map_err(|status| self.refused("reset", session, "reset".to_owned(), &status))
     }
 
     fn infer(
         &mut self,
-        episode: Episode<'_>,
+        session: PolicySession<'_>,
         query_index: u32,
         observation: Observation,
         horizon: usize,
     ) -> Result<Vec<Action>, PolicyError> {
-        let request = infer_request(episode, query_index, observation);
+        let request = infer_request(session, query_index, observation);
         let mut grpc = self.grpc.clone();
         let response = self
-            .call(episode.deadline, grpc.infer(request))
-            .map_err(|status| self.refused("ask", episode, query_index.to_string(), &status))?;
+            .call(session.deadline, grpc.infer(request))
+            .map_err(|status| self.refused("ask", session, query_index.to_string(), &status))?;
         check_actions(&response, horizon)
-            .map_err(|violation| misbehaved(episode, query_index.to_string(), violation))
+            .map_err(|violation| misbehaved(session, query_index.to_string(), violation))
     }
 }
 
 /// What a policy is asked with.
 pub fn infer_request(
-    episode: Episode<'_>,
+    session: PolicySession<'_>,
     query_index: u32,
     observation: Observation,
 ) -> InferRequest {
     InferRequest {
-        policy: episode.policy.to_owned(),
-        session: episode.session.to_owned(),
+        policy: session.policy.to_owned(),
+        session: session.session.to_owned(),
         query_index,
         observation: Some(observation),
     }
 }
 
-fn misbehaved(episode: Episode<'_>, query: String, violation: String) -> PolicyError {
+fn misbehaved(session: PolicySession<'_>, query: String, violation: String) -> PolicyError {
     PolicyError::Misbehaved {
-        policy: episode.policy.to_owned(),
-        session: episode.session.to_owned(),
+        policy: session.policy.to_owned(),
+        session: session.session.to_owned(),
         query,
         violation,
     }
@@ -283,18 +190,6 @@ fn with_settings(endpoint: Endpoint) -> Endpoint {
         .tcp_nodelay(true)
         .initial_stream_window_size(WINDOW_BYTES)
         .initial_connection_window_size(WINDOW_BYTES)
-}
-
-/// Whether a call failed because of the policy's server or the way to it,
-/// rather than because of what was asked.
-fn is_outage(status: &Status) -> bool {
-    let code = matches!(
-        status.code(),
-        Code::Unavailable | Code::DeadlineExceeded | Code::ResourceExhausted | Code::Cancelled
-    );
-    // A status that this side made out of a broken connection has a cause; one
-    // that the server sent has none.
-    code || status.source().is_some()
 }
 
 /// Checks a description. The error reads after "its description …".
@@ -385,12 +280,6 @@ fn check_actions(response: &InferResponse, horizon: usize) -> Result<Vec<Action>
     Ok(actions.iter().map(|action| action.map(f64::from)).collect())
 }
 
-/// The action with every number in [-1, 1], and whether any had to be moved.
-pub fn clip(action: Action) -> (Action, bool) {
-    let clipped = action.map(|number| number.clamp(-1.0, 1.0));
-    (clipped, clipped != action)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -428,14 +317,6 @@ mod tests {
         let actions = check_actions(&answer(numbers, 7), 8).expect("sound");
         assert_eq!(actions.len(), 2);
         assert_eq!(actions[1][0], 7.0 / 16.0);
-    }
-
-    #[test]
-    fn only_numbers_outside_the_range_are_clipped() {
-        let inside = [1.0, -1.0, 0.5, 0.0, 0.0, 0.0, -1.0];
-        assert_eq!(clip(inside), (inside, false));
-        let outside = [1.5, -1.0, 0.5, 0.0, 0.0, 0.0, -3.0];
-        assert_eq!(clip(outside), (inside, true));
     }
 
     fn description() -> DescribeResponse {
@@ -480,15 +361,5 @@ mod tests {
             "`frontview`",
         );
         check(|about| about.cameras[0].width = 0, "0×256");
-    }
-
-    #[test]
-    fn what_the_server_says_is_told_apart_from_what_the_network_does() {
-        assert!(is_outage(&Status::unavailable("warming up")));
-        assert!(is_outage(&Status::resource_exhausted("queue full")));
-        assert!(!is_outage(&Status::internal("shape mismatch")));
-        assert!(!is_outage(&Status::unknown("Exception in infer")));
-        let broken = std::io::Error::from(std::io::ErrorKind::ConnectionReset);
-        assert!(is_outage(&Status::from_error(Box::new(broken))));
     }
 }

@@ -4,105 +4,20 @@
 //! policy will look at it. Knows no coordinator: what a rollout is for, who acts
 //! in it and who is told about it, is the caller's.
 
-use std::borrow::Cow;
 use std::ops::ControlFlow;
-use std::path::PathBuf;
 use std::time::Instant;
 
+use attempt::{IkResidual, Motion, Realised, RolloutResult};
 use proto::policy as wire;
-use protocol::{ManifestRow, Realisation};
-use scene::TaskFiles;
 use sha2::{Digest, Sha256};
-use sim::{CameraRequest, Digests, Episode, Observation, ObservationRequest, SimError, Simulator};
+use sim::{CameraRequest, Digests, Episode, Observation, ObservationRequest, SimError};
+use transport::chain;
 
-use crate::actor::Actor;
+use crate::actor::{Action, Actor, Description, PolicyError, clip};
 use crate::digest::hex;
-use crate::message::{
-    Assignment, Evidence, Failure, FailureKind, Finished, IkResidual, Motion, Outcome, VideoOf,
-    VideoOrder,
-};
+use crate::message::{Assignment, Evidence, Failure, FailureKind, Finished};
 use crate::observation;
-use crate::policy::{self, Action, Description, PolicyError};
-use crate::recording::{RecordError, Take, record};
-
-/// Where rollouts take place: a simulator, and the files of the task.
-pub struct Stage<'a> {
-    simulator: &'a mut Simulator,
-    /// In place of those of the row's task.
-    files: Option<TaskFiles>,
-    /// Whether a rollout that nothing is drawn of names the renderer too.
-    always_names_renderer: bool,
-}
-
-impl<'a> Stage<'a> {
-    /// For the protocol's own tasks: each row says which.
-    pub fn of_the_protocol(simulator: &'a mut Simulator) -> Self {
-        Self {
-            simulator,
-            files: None,
-            always_names_renderer: true,
-        }
-    }
-
-    /// For a task of somebody's own, which stands in for the row's.
-    pub fn of_files(simulator: &'a mut Simulator, files: TaskFiles) -> Self {
-        Self {
-            simulator,
-            files: Some(files),
-            always_names_renderer: true,
-        }
-    }
-
-    /// Leaves the renderer unopened, and unnamed in the evidence, if nothing is
-    /// drawn of a rollout. Not for campaigns, which are pinned to a renderer.
-    pub fn with_a_renderer_only_if_needed(self) -> Self {
-        Self {
-            always_names_renderer: false,
-            ..self
-        }
-    }
-
-    /// What draws, by its own name, and the fingerprint, which is of its pictures
-    /// too; both empty where they are not needed.
-    fn drawing(&mut self, draws: bool) -> Result<(String, String), SimError> {
-        if !draws && !self.always_names_renderer {
-            return Ok(Default::default());
-        }
-        let renderer = self.simulator.renderer_name()?;
-        Ok((renderer, self.simulator.fingerprint()?))
-    }
-
-    /// Prepares a rollout up to its loaded, perturbed initial state.
-    pub(crate) fn begin(
-        &mut self,
-        row: &ManifestRow,
-        realisation: Realisation,
-    ) -> Result<Episode<'_>, SimError> {
-        match &self.files {
-            None => self.simulator.begin(row, realisation),
-            Some(files) => self.simulator.begin_with(files.clone(), row, realisation),
-        }
-    }
-
-    /// What a policy is told to do: the row's words. One that knows the canonical
-    /// instructions by heart, and no other wording, is told those: the language
-    /// axis is the identity for it, and not an error in every rollout.
-    fn instruction<'r>(&self, row: &'r ManifestRow, description: &Description) -> Cow<'r, str> {
-        let by_heart = description.about.language() == wire::Language::CanonicalOnly;
-        match &self.files {
-            None if by_heart => Cow::Owned(row.id.task().instruction()),
-            _ => Cow::Borrowed(&row.instruction),
-        }
-    }
-
-    /// What messages call a rollout here.
-    fn title(&self, row: &ManifestRow) -> String {
-        match &self.files {
-            None => row.id.to_string(),
-            Some(files) => format!("{} from state {}", files.bddl.display(), row.init_id),
-        }
-    }
-}
+use crate::stage::Stage;
 
 /// One control step of the policy.
 pub struct Step {
@@ -130,7 +45,7 @@ pub trait Watcher {
     fn ended(&mut self, _episode: &mut Episode<'_>) {}
 }
 
-/// Why a rollout has no outcome.
+/// Why a rollout has no result.
 #[derive(Debug, thiserror::Error)]
 pub enum RolloutError {
     /// The simulator failed.
@@ -165,34 +80,32 @@ impl RolloutError {
     }
 }
 
-/// An error and what lies behind it, in one line.
-pub(crate) fn chain(error: &dyn std::error::Error) -> String {
-    let mut text = error.to_string();
-    let mut cause = error.source();
-    while let Some(source) = cause {
-        text = format!("{text}: {source}");
-        cause = source.source();
-    }
-    text
-}
-
 /// How a query reaches a policy that no gateway says more of: alone, not in a
 /// batch of several rollouts.
 const UNBATCHED: &str = "single";
 
-/// Runs one rollout to its outcome, and records it if that is wanted.
+/// A rollout that is over.
+#[derive(Clone, Debug)]
+pub struct Simulated {
+    /// Its result.
+    pub finished: Finished,
+    /// What the robot was told: from these actions it can be simulated again.
+    pub actions: Vec<Action>,
+}
+
+/// Runs one rollout to its result.
 ///
 /// # Errors
 /// If the simulator fails, the policy fails or the watcher ends it.
 pub fn run(
-    mut stage: Stage<'_>,
+    stage: &mut Stage<'_>,
     actor: &mut dyn Actor,
     assignment: &Assignment,
     watcher: &mut dyn Watcher,
-) -> Result<Finished, RolloutError> {
+) -> Result<Simulated, RolloutError> {
     // Asked every time: a policy that was replaced since the last rollout must
     // not go into the results under its predecessor's digest.
-    let description = actor.describe(assignment.episode())?;
+    let description = actor.describe(assignment.policy_session())?;
     let mut run = Run {
         assignment,
         title: stage.title(&assignment.row),
@@ -210,13 +123,13 @@ pub fn run(
     let (renderer, fingerprint) = stage
         .drawing(draws)
         .map_err(|source| run.simulator_failed(source))?;
-    let (outcome, digests) = run.simulate(&mut stage)?;
+    let (result, digests, realised) = run.simulate(stage)?;
     let evidence = Evidence {
         renderer,
         fingerprint,
         scene_digest: digests.scene,
         init_state_digest: digests.init_state,
-        perturbation_digest: digests.perturbation,
+        realised,
         first_frame_digest: std::mem::take(&mut run.first_frame_digest),
         policy_name: description.about.name.clone(),
         policy_checkpoint: description.about.checkpoint.clone(),
@@ -228,12 +141,15 @@ pub fn run(
             mode => mode.to_owned(),
         },
     };
-    let video = run.record(&mut stage, &outcome)?;
-    Ok(Finished {
-        outcome,
+    let finished = Finished {
+        is_filmed_next: assignment.video_of(result.success).is_some(),
+        result,
         evidence,
-        motion: run.into_motion(),
-        video,
+        motion: run.motion(),
+    };
+    Ok(Simulated {
+        finished,
+        actions: run.executed,
     })
 }
 
@@ -256,7 +172,10 @@ struct Run<'a> {
 
 impl Run<'_> {
     /// From the composed scene to the goal or the end of the budget.
-    fn simulate(&mut self, stage: &mut Stage<'_>) -> Result<(Outcome, Digests), RolloutError> {
+    fn simulate(
+        &mut self,
+        stage: &mut Stage<'_>,
+    ) -> Result<(RolloutResult, Digests, Realised), RolloutError> {
         let Assignment {
             row, realisation, ..
         } = self.assignment;
@@ -274,14 +193,14 @@ impl Run<'_> {
         self.watcher.moved(None, &mut episode);
         let suite = row.id.task().suite();
         self.actor.reset(
-            self.assignment.episode(),
+            self.assignment.policy_session(),
             suite.name(),
             &instruction,
             self.assignment.policy_seed,
         )?;
         let success = self.act(&mut episode)?;
         self.watcher.ended(&mut episode);
-        let outcome = Outcome {
+        let result = RolloutResult {
             success,
             steps: self.steps(),
             wall_secs: started.elapsed().as_secs_f64(),
@@ -293,7 +212,11 @@ impl Run<'_> {
             clipped_actions: self.clipped_actions,
             policy_queries: self.queries,
         };
-        Ok((outcome, episode.digests().clone()))
+        Ok((
+            result,
+            episode.digests().clone(),
+            episode.realised().clone(),
+        ))
     }
 
     /// From the first query to the goal or the end of the budget.
@@ -303,7 +226,7 @@ impl Run<'_> {
             let room = (row.max_steps - self.steps()) as usize;
             let actions = self.query(episode)?;
             for sent in actions.into_iter().take(self.description.execute.min(room)) {
-                let (executed, clipped) = policy::clip(sent);
+                let (executed, clipped) = clip(sent);
                 self.clipped_actions += u32::from(clipped);
                 let success = episode
                     .step(&executed)
@@ -330,7 +253,7 @@ impl Run<'_> {
             self.first_frame_digest = frames_digest(&observation);
         }
         let actions = self.actor.infer(
-            self.assignment.episode(),
+            self.assignment.policy_session(),
             self.queries,
             observation::to_wire(observation, &self.description.state),
             self.description.horizon,
@@ -339,50 +262,21 @@ impl Run<'_> {
         Ok(actions)
     }
 
-    /// Makes the video, if one of this outcome is wanted; returns its file.
-    fn record(
-        &mut self,
-        stage: &mut Stage<'_>,
-        outcome: &Outcome,
-    ) -> Result<Option<PathBuf>, RolloutError> {
-        let wanted = |video: &&VideoOrder| match video.of {
-            VideoOf::Everything => true,
-            VideoOf::Failures => !outcome.success,
-        };
-        let Some(video) = self.assignment.video.as_ref().filter(wanted) else {
-            return Ok(None);
-        };
-        let done = self.assignment.row.settle_steps + self.steps();
-        let mut step = |again| self.watcher.progress(done + again);
-        let take = Take {
-            row: &self.assignment.row,
-            realisation: self.assignment.realisation,
-            actions: &self.executed,
-            success: outcome.success,
-        };
-        match record(stage, take, &video.file, &mut step) {
-            Ok(()) => Ok(Some(video.file.clone())),
-            Err(RecordError::Abandoned) => Err(RolloutError::Abandoned),
-            Err(error) => {
-                let session = &self.assignment.session;
-                tracing::warn!("no video of {session}: failed to {}", chain(&error));
-                Ok(None)
-            }
-        }
-    }
-
     /// How the robot moved, as far as it is wanted.
-    fn into_motion(self) -> Motion {
+    fn motion(&self) -> Motion {
         if self.executed.len() > proto::MAX_MOTION_STEPS {
             return Motion::default();
         }
-        Motion {
-            path: self.path,
-            actions: match self.assignment.keep_actions {
-                true => self.executed,
-                false => Vec::new(),
-            },
-        }
+        let kept: &[Action] = match self.assignment.keep_actions {
+            true => &self.executed,
+            false => &[],
+        };
+        // Policies answer 32-bit numbers: nothing is lost.
+        let actions: Vec<_> = kept
+            .iter()
+            .map(|action| action.map(|it| it as f32))
+            .collect();
+        Motion::pack(&self.path, &actions)
     }
 
     /// Control steps of the policy so far.
@@ -395,17 +289,6 @@ impl Run<'_> {
         RolloutError::Simulator {
             title: self.title.clone(),
             source,
-        }
-    }
-}
-
-impl Assignment {
-    fn episode(&self) -> policy::Episode<'_> {
-        policy::Episode {
-            policy: &self.policy,
-            session: self.session.as_str(),
-            suite: self.row.id.task().suite().name(),
-            deadline: self.policy_deadline,
         }
     }
 }

@@ -1,30 +1,33 @@
 //! A slot: the process that simulates one rollout after the other. It owns
 //! MuJoCo and OpenGL on one thread, so that what native code breaks is this
-//! process and not the worker. Takes orders on standard input and reports on
-//! standard output; ends when its input does, which is what happens when the
-//! parent dies.
+//! process and not the worker. Takes commands from its parent and sends it
+//! events; ends when the parent closes the connection, which is what happens
+//! when the parent dies.
 
-use std::io::{self, BufRead, Read, Write};
 use std::ops::ControlFlow;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use std::{fs, process, thread};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::{fs, io, process, thread};
 
+use attempt::AttemptId;
 use sim::{SimError, Simulator, SimulatorConfig};
 use tokio::signal::unix::{SignalKind, signal};
-use transport::Access;
+use transport::{Access, chain};
 
-use crate::message::{Assignment, MAX_LINE_BYTES, Order, Report};
-use crate::policy::{PolicyClient, PolicyError};
-use crate::rollout::{self, RolloutError, Stage, Watcher};
+use crate::actor::PolicyError;
+use crate::filming::film;
+use crate::message::{Assignment, RolloutEvent, SlotCommand, SlotEvent};
+use crate::parent::{FromParent, Parent};
+use crate::policy::PolicyClient;
+use crate::rollout::{self, RolloutError, Watcher};
+use crate::stage::Stage;
 
 /// Rollouts that wait while another one is simulated: the parent never sends
 /// more than one.
 const ASSIGNMENT_QUEUE: usize = 1;
 /// Of -1000 to 1000, see proc(5); more than other processes have.
 const OOM_SCORE_ADJ: &str = "500";
-/// A report of progress every so many control steps: half a second of the
+/// Progress is told every so many control steps: half a second of the
 /// robot's time.
 const PROGRESS_EVERY: u32 = 10;
 
@@ -38,40 +41,47 @@ pub enum SlotError {
     #[error("simulate and draw the fixed motion that a slot begins with")]
     Simulator(#[from] SimError),
     /// The parent no longer listens.
-    #[error("report to the parent process")]
-    Report(#[source] io::Error),
+    #[error("talk to the parent process")]
+    Parent(#[source] io::Error),
 }
 
-/// Serves the parent process, with `access` to policies, until it closes this process's standard input.
+/// The attempt that the parent abandoned last.
+type Abandoned = Mutex<Option<AttemptId>>;
+
+/// Serves the parent process, with `access` to policies, until it closes the
+/// connection.
 ///
 /// # Errors
 /// If nothing can be simulated or drawn, or the parent stops listening.
 pub fn run(config: SimulatorConfig, access: &Access) -> Result<(), SlotError> {
     leave_signals_to_the_parent().map_err(SlotError::Signals)?;
     die_first();
-    let abandoned = Arc::new(AtomicBool::new(false));
-    let assignments = listen(Arc::clone(&abandoned));
+    let parent = Parent::connect().map_err(SlotError::Parent)?;
+    let abandoned = Arc::default();
+    let assignments = listen(&parent, Arc::clone(&abandoned)).map_err(SlotError::Parent)?;
     let mut simulator = Simulator::new(config);
     let mut policy = None;
-    report(&Report::Ready {
+    let ready = SlotEvent::Ready {
         renderer: simulator.renderer_name()?,
         fingerprint: simulator.fingerprint()?,
-    })?;
+    };
+    parent.send(&ready).map_err(SlotError::Parent)?;
     while let Ok(assignment) = assignments.recv() {
-        let mut watcher = Reporter {
+        let mut reporter = Reporter {
+            parent: &parent,
+            attempt: assignment.attempt,
             abandoned: &abandoned,
             broken: None,
         };
-        let ending = attempt(
+        work(
             &mut simulator,
             (&mut policy, access),
             &assignment,
-            &mut watcher,
+            &mut reporter,
         );
-        if let Some(error) = watcher.broken {
-            return Err(error);
+        if let Some(error) = reporter.broken {
+            return Err(SlotError::Parent(error));
         }
-        report(&ending)?;
     }
     Ok(())
 }
@@ -96,28 +106,31 @@ pub(crate) fn die_first() {
     let _ = fs::write("/proc/self/oom_score_adj", OOM_SCORE_ADJ);
 }
 
-fn attempt(
+/// Simulates a rollout, tells its result, and films it afterwards: what goes
+/// wrong there cannot cost the result.
+fn work(
     simulator: &mut Simulator,
     (policy, access): (&mut Option<PolicyClient>, &Access),
     assignment: &Assignment,
-    watcher: &mut Reporter<'_>,
-) -> Report {
-    let outcome = client(policy, &assignment.policy_endpoint, access)
+    reporter: &mut Reporter<'_>,
+) {
+    let mut stage = Stage::of_the_protocol(simulator);
+    let simulated = client(policy, &assignment.policy_endpoint, access)
         .map_err(RolloutError::from)
-        .and_then(|policy| {
-            rollout::run(
-                Stage::of_the_protocol(simulator),
-                policy,
-                assignment,
-                watcher,
-            )
-        });
-    match outcome {
-        Ok(finished) => Report::Finished(Box::new(finished)),
-        Err(error) => match error.failure() {
-            Some(failure) => Report::Failed(failure),
-            None => Report::Abandoned,
-        },
+        .and_then(|policy| rollout::run(&mut stage, policy, assignment, reporter));
+    let simulated = match simulated {
+        Ok(simulated) => simulated,
+        Err(error) => {
+            let event = error.failure().map(RolloutEvent::Failed);
+            return reporter.tell(event.unwrap_or(RolloutEvent::Abandoned));
+        }
+    };
+    reporter.tell(RolloutEvent::Finished(Box::new(simulated.finished.clone())));
+    let mut progress = |steps| reporter.progress(steps);
+    match film(&mut stage, assignment, &simulated, &mut progress) {
+        Ok(None) => {}
+        Ok(Some(_)) => reporter.tell(RolloutEvent::Filmed),
+        Err(error) => reporter.tell(RolloutEvent::NotFilmed(chain(&error))),
     }
 }
 
@@ -134,69 +147,73 @@ fn client<'a>(
     Ok(last.insert(client))
 }
 
-/// Reports progress, and sees whether the rollout is still wanted.
+/// Tells the parent about one attempt, and sees whether it is still wanted.
 struct Reporter<'a> {
-    abandoned: &'a AtomicBool,
+    parent: &'a Parent,
+    attempt: AttemptId,
+    abandoned: &'a Abandoned,
     /// Why the parent can no longer be told anything.
-    broken: Option<SlotError>,
+    broken: Option<io::Error>,
+}
+
+impl Reporter<'_> {
+    fn tell(&mut self, event: RolloutEvent) {
+        if self.broken.is_none() {
+            let attempt = self.attempt;
+            let told = self.parent.send(&SlotEvent::Rollout { attempt, event });
+            self.broken = told.err();
+        }
+    }
 }
 
 impl Watcher for Reporter<'_> {
     fn progress(&mut self, control_steps: u32) -> ControlFlow<()> {
-        if self.abandoned.load(Ordering::Relaxed) {
+        if *lock(self.abandoned) == Some(self.attempt) {
             return ControlFlow::Break(());
         }
-        if !control_steps.is_multiple_of(PROGRESS_EVERY) {
-            return ControlFlow::Continue(());
+        if control_steps.is_multiple_of(PROGRESS_EVERY) {
+            self.tell(RolloutEvent::Progress(control_steps));
         }
-        match report(&Report::Progress(control_steps)) {
-            Ok(()) => ControlFlow::Continue(()),
-            Err(error) => {
-                self.broken = Some(error);
-                ControlFlow::Break(())
-            }
+        match self.broken {
+            Some(_) => ControlFlow::Break(()),
+            None => ControlFlow::Continue(()),
         }
     }
 }
 
-fn report(report: &Report) -> Result<(), SlotError> {
-    let mut line = serde_json::to_vec(report).map_err(|error| SlotError::Report(error.into()))?;
-    line.push(b'\n');
-    let mut stdout = io::stdout().lock();
-    let written = stdout.write_all(&line).and_then(|()| stdout.flush());
-    written.map_err(SlotError::Report)
+/// Nothing panics while it holds the lock.
+fn lock(abandoned: &Abandoned) -> std::sync::MutexGuard<'_, Option<AttemptId>> {
+    abandoned.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Reads orders on a thread of their own, because the other one is simulating.
-fn listen(abandoned: Arc<AtomicBool>) -> Receiver<Assignment> {
+/// Reads commands on a thread of their own, because this one simulates.
+fn listen(parent: &Parent, abandoned: Arc<Abandoned>) -> io::Result<Receiver<Assignment>> {
+    let commands = parent.listen()?;
     let (sender, assignments) = sync_channel(ASSIGNMENT_QUEUE);
-    thread::spawn(move || take_orders(&abandoned, &sender));
-    assignments
+    thread::spawn(move || take_commands(commands, &abandoned, &sender));
+    Ok(assignments)
 }
 
-/// Ends the process at the end of its input: nobody would be told what it finds
+/// Ends the process when the parent has gone: nobody would be told what it finds
 /// out any more. Native code that hangs cannot stop this.
-fn take_orders(abandoned: &AtomicBool, assignments: &SyncSender<Assignment>) {
-    let mut stdin = io::stdin().lock();
-    loop {
-        let mut line = Vec::new();
-        let read = stdin
-            .by_ref()
-            .take(MAX_LINE_BYTES)
-            .read_until(b'\n', &mut line);
-        match (read, serde_json::from_slice(&line)) {
-            (Ok(0) | Err(_), _) => process::exit(0),
-            (Ok(_), Ok(Order::Abandon)) => abandoned.store(true, Ordering::Relaxed),
-            (Ok(_), Ok(Order::Run(assignment))) => {
-                abandoned.store(false, Ordering::Relaxed);
+fn take_commands(
+    commands: FromParent<SlotCommand>,
+    abandoned: &Abandoned,
+    assignments: &SyncSender<Assignment>,
+) {
+    for command in commands {
+        match command {
+            Ok(SlotCommand::Abandon(attempt)) => *lock(abandoned) = Some(attempt),
+            Ok(SlotCommand::Run(assignment)) => {
                 if assignments.send(*assignment).is_err() {
                     return;
                 }
             }
-            (Ok(_), Err(error)) => {
-                eprintln!("failed to read an order of the parent process: {error}");
+            Err(error) => {
+                eprintln!("failed to read a command of the parent process: {error}");
                 process::exit(1);
             }
         }
     }
+    process::exit(0);
 }

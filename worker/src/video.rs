@@ -43,13 +43,13 @@ pub enum VideoError {
 }
 
 /// Makes one video, picture by picture, in memory.
-pub struct Recorder {
+pub struct VideoEncoder {
     encoder: Encoder,
     muxer: Muxer<Vec<u8>>,
     frames: u32,
 }
 
-impl Recorder {
+impl VideoEncoder {
     /// Starts a video.
     ///
     /// # Errors
@@ -193,13 +193,13 @@ mod tests {
 
     #[test]
     fn a_video_holds_every_picture_and_decodes_to_what_went_in() {
-        let mut recorder = Recorder::new().expect("starts");
+        let mut encoder = VideoEncoder::new().expect("starts");
         let still = pane([200, 60, 30], [20, 120, 220]);
         for shade in 0..50 {
             let moving = pane([shade * 5; 3], [0, shade * 4, 90]);
-            recorder.add([&still, &moving]).expect("encodes");
+            encoder.add([&still, &moving]).expect("encodes");
         }
-        let mp4 = recorder.finish().expect("muxes");
+        let mp4 = encoder.finish().expect("muxes");
         assert_eq!(&mp4[4..8], b"ftyp");
         let samples = mp4_samples(&mp4);
         assert_eq!(samples.len(), 50);
@@ -224,8 +224,8 @@ mod tests {
 
     #[test]
     fn a_picture_of_another_size_is_refused() {
-        let mut recorder = Recorder::new().expect("starts");
-        let error = recorder.add([&[0; 12], &[0; 12]]).expect_err("too small");
+        let mut encoder = VideoEncoder::new().expect("starts");
+        let error = encoder.add([&[0; 12], &[0; 12]]).expect_err("too small");
         assert!(error.to_string().contains("12 bytes"), "{error}");
     }
 

@@ -112,8 +112,8 @@ proptest! {
         let options = Options { bootstrap: quick(), ..Options::default() };
         let aside = report(&records(&mut |code| known(code)), &options).expect("no duplicates");
         let mut next = 0;
-        // Any way in which what was set aside could have ended, all of them
-        // badly, and all of them well.
+        // Arbitrary outcomes of the quarantined rollouts, all failures, and all
+        // successes.
         let mut fates: Vec<Box<dyn FnMut() -> bool>> = vec![
             Box::new(move || { next += 1; choices >> (next % 32) & 1 == 1 }),
             Box::new(|| false),

@@ -17,7 +17,7 @@ pub struct Subject {
     pub realisation: Option<Realisation>,
     /// Every rollout that was meant to run, with or without an outcome.
     pub records: Vec<Record>,
-    /// What the rollouts that were set aside last failed with.
+    /// The last errors of the quarantined rollouts.
     pub errors: Vec<SetAside>,
     /// Rollouts that ran twice and came out differently.
     pub divergent: Vec<String>,
@@ -31,7 +31,7 @@ pub struct Subject {
     pub fingerprints: Option<Fingerprints>,
     /// The published nominal success rate, a fraction.
     pub published_nominal: Option<f64>,
-    /// Nominal successes as somebody else counted them.
+    /// Nominal successes as published elsewhere.
     pub reported_nominal: Option<Count>,
 }
 
@@ -95,7 +95,7 @@ pub struct Provenance {
     pub program_version: String,
 }
 
-/// A rollout that was set aside, and what it last failed with.
+/// A quarantined rollout and its last error.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SetAside {
     /// `ID` or `ID#rK`.

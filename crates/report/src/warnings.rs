@@ -88,8 +88,8 @@ pub(crate) fn of_comparison(subjects: &[Subject]) -> Vec<String> {
 
 type Of = fn(&Provenance) -> String;
 
-/// What should be one in all results of a campaign, and what it means that it
-/// is not.
+/// Properties that all results of a campaign should share, and what it means if
+/// they do not.
 const MIXTURES: [(&str, &str, Of); 6] = [
     (
         "MuJoCo version",
@@ -147,7 +147,7 @@ fn mixed(provenances: &[Provenance], what: &str, so: &str, of: Of) -> Option<Str
     })
 }
 
-/// How many results there are of each, and where they meet.
+/// How many results have each fingerprint, and which configurations mix them.
 pub fn fingerprints_in_words(mix: &Fingerprints) -> String {
     let results = mix.results.iter();
     let results: Vec<String> = results

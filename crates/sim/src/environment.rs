@@ -6,10 +6,10 @@ use scene::{AssetPack, Scene, Sources};
 
 use crate::controller::{ARM_JOINTS, Controller, GRIP_SITE, RESET_JOINTS, SUBSTEPS};
 use crate::error::SimError;
-use crate::mujoco::{self, Data, Model, ObjectKind};
+use crate::mujoco::{self, Data, Model, ObjectKind, Segment};
 use crate::observation::{Frame, RobotState, axis_angle_of};
 use crate::predicates::Goal;
-use crate::render::{Canvas, Drawer, Segment, View};
+use crate::render::{Canvas, Drawer, View};
 
 /// `mjDSBL_AUTORESET`: an unstable state is reported, not silently replaced.
 pub(crate) const DISABLE_AUTORESET: i32 = 1 << 16;
@@ -27,7 +27,6 @@ const CANVAS_SIZE: u32 = 256;
 /// A compiled scene and its state.
 pub struct Environment {
     scene: Scene,
-    // Before the model, because it is freed with the model's buffers.
     canvas: Option<Canvas>,
     model: Model,
     data: Data,
@@ -126,8 +125,7 @@ impl Environment {
         &self.data
     }
 
-    /// The model beside its state, to be posed by hand; [`load`](Self::load)
-    /// starts over.
+    /// The model and its state, for setting poses; [`load`](Self::load) starts over.
     pub fn model_and_data(&mut self) -> (&Model, &mut Data) {
         (&self.model, &mut self.data)
     }
@@ -162,7 +160,7 @@ impl Environment {
         }
         self.see_positions();
         self.see_joints();
-        // Anything said about an earlier rollout is not about this one.
+        // Earlier warnings belong to another rollout.
         mujoco::take_warnings();
     }
 
@@ -327,8 +325,8 @@ impl Environment {
             .copy_from_slice(&qvel[..ARM_JOINTS + 2]);
     }
 
-    /// Computes poses for the lens, once per control step and only if somebody
-    /// looks.
+    /// Computes poses for the lens, once per control step and only if an observation
+    /// is asked for.
     fn pose_lens(&mut self) {
         if !self.lens_is_posed {
             self.lens.kinematics(&self.model);

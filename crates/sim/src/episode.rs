@@ -1,6 +1,7 @@
 //! One rollout as the protocol orders it: the perturbed scene at its initial
 //! state, then observations and actions, each through its perturbation.
 
+use attempt::Realised;
 use nalgebra::Matrix3;
 use protocol::streams::Randomness;
 use protocol::{Axis, ManifestRow, Realisation, RobotShift};
@@ -11,10 +12,11 @@ use crate::mujoco::{Data, ObjectKind};
 use crate::observation::{Frame, Observation, ObservationRequest};
 use crate::perturb::{
     ActuationStage, ArmState, FrameSource, IkSolution, Jacobian, JointRange, Light, Lighting,
-    PerturbationDigest, SensorStage, shift_camera, shift_lighting, solve_shifted_pose,
+    SensorStage, shift_camera, shift_lighting, solve_shifted_pose,
 };
 use crate::privileged;
-use crate::simulator::{PERTURBED_CAMERA, ReadyScene, Simulator};
+use crate::ready_scene::{PERTURBED_CAMERA, ReadyScene};
+use crate::render::LazyDrawer;
 use crate::{Environment, perturb};
 
 /// The action that does nothing and keeps the gripper open.
@@ -29,14 +31,14 @@ pub struct Digests {
     pub scene: String,
     /// Of the released initial state, before any robot perturbation.
     pub init_state: String,
-    /// Of the perturbation as realised, axis by axis; empty for nominal ones.
-    pub perturbation: String,
 }
 
 /// A rollout in hand.
 pub struct Episode<'a> {
-    simulator: &'a mut Simulator,
+    ready: &'a mut ReadyScene,
+    drawer: &'a mut LazyDrawer,
     digests: Digests,
+    realised: Realised,
     ik: Option<IkSolution>,
     sensor: Option<SensorStage>,
     actuation: Option<ActuationStage>,
@@ -47,54 +49,54 @@ pub struct Episode<'a> {
 impl<'a> Episode<'a> {
     /// Loads the initial state into the scene at hand and perturbs it.
     pub(crate) fn begin(
-        simulator: &'a mut Simulator,
+        ready: &'a mut ReadyScene,
+        drawer: &'a mut LazyDrawer,
         row: &ManifestRow,
         realisation: Realisation,
     ) -> Result<Self, SimError> {
-        let ready = simulator.ready();
         let perturbation = &row.perturbation;
-        let mut digest = PerturbationDigest::default();
+        let mut realised = Realised::default();
+        let mut realise = |axis, elements| {
+            realised.add(axis, perturbation.values(axis), elements);
+        };
         let mut state = ready.state(row.init_id)?.to_vec();
         let ik = perturbation
             .robot
             .map(|shift| displaced_arm(&mut ready.environment, &state, &shift));
-        if let (Some(ik), Some(shift)) = (&ik, &perturbation.robot) {
+        if let Some(ik) = &ik {
             // After the time come the positions, and the arm's come first.
             state[1..=ARM_JOINTS].copy_from_slice(ik.joints.as_slice());
-            digest.add(Axis::Robot, &shift.values(), ik.joints.as_slice());
+            realise(Axis::Robot, ik.joints.as_slice().to_vec());
         }
         ready.environment.load(&state);
         if let Some(shift) = &perturbation.camera {
-            digest.add(Axis::Camera, &shift.values(), &apply_camera(ready, shift)?);
+            realise(Axis::Camera, apply_camera(ready, shift)?.to_vec());
         }
         if let Some(shift) = &perturbation.lighting {
-            digest.add(
-                Axis::Lighting,
-                &shift.values(),
-                &apply_lighting(ready, shift),
-            );
+            realise(Axis::Lighting, apply_lighting(ready, shift));
         }
         let randomness = |axis| Randomness::of(&row.id, axis, realisation);
         let sensor = perturbation.sensor.map(|corruption| {
             let stage = SensorStage::new(&corruption, &randomness(Axis::Sensor));
-            digest.add(Axis::Sensor, &corruption.values(), &stage.realised());
+            realise(Axis::Sensor, stage.realised());
             stage
         });
         let actuation = perturbation.actuation.map(|distortion| {
             let rms = row.id.task().suite().demo_action_rms();
             let stage = ActuationStage::new(&distortion, rms, &randomness(Axis::Actuation));
-            digest.add(Axis::Actuation, &distortion.values(), &stage.realised());
+            realise(Axis::Actuation, stage.realised());
             stage
         });
         let init_id = usize::from(row.init_id);
         let digests = Digests {
             scene: ready.digest.clone(),
             init_state: ready.states.digest(init_id).expect("it was loaded"),
-            perturbation: digest.to_string(),
         };
         Ok(Self {
-            simulator,
+            ready,
+            drawer,
             digests,
+            realised,
             ik,
             sensor,
             actuation,
@@ -106,6 +108,11 @@ impl<'a> Episode<'a> {
     /// What identifies the rollout's circumstances.
     pub fn digests(&self) -> &Digests {
         &self.digests
+    }
+
+    /// The perturbed axes, with what became of their values.
+    pub fn realised(&self) -> &Realised {
+        &self.realised
     }
 
     /// How the robot axis found its posture, where it is perturbed.
@@ -165,13 +172,13 @@ impl<'a> Episode<'a> {
     /// What a camera of the scene sees, without the sensor's perturbation: for
     /// videos.
     pub fn photograph(&mut self, camera: &str, width: u32, height: u32) -> Result<Frame, SimError> {
-        let (ready, drawer) = self.simulator.ready_to_draw()?;
-        ready.environment.draw(drawer, camera, width, height)
+        let drawer = self.drawer.open()?;
+        self.ready.environment.draw(drawer, camera, width, height)
     }
 
     /// The scene's environment, to be looked at.
     pub fn environment(&mut self) -> &mut Environment {
-        &mut self.simulator.ready().environment
+        &mut self.ready.environment
     }
 }
 

@@ -2,6 +2,7 @@
 //! called. Each C object has one owner, and every array is seen as a slice of
 //! its true length.
 
+mod abstraction;
 mod arrays;
 mod data;
 mod model;
@@ -12,6 +13,8 @@ use std::sync::Once;
 
 use mujoco_rs::mujoco_c as c;
 
+pub(crate) use abstraction::Abstraction;
+pub use abstraction::Segment;
 pub use arrays::NamedArray;
 pub use data::Data;
 pub(crate) use model::{MeshData, TextureData};

@@ -9,7 +9,6 @@
 mod actuation;
 mod camera;
 mod dct;
-mod digest;
 mod jpeg;
 mod lighting;
 mod robot;
@@ -17,7 +16,6 @@ mod sensor;
 
 pub use actuation::ActuationStage;
 pub use camera::{CameraPose, look_at_point, shift_camera};
-pub use digest::PerturbationDigest;
 pub use lighting::{Light, Lighting, shift_lighting};
 pub use robot::{
     ArmState, IkSolution, JOINTS, Jacobian, JointRange, JointVector, solve_shifted_pose,

@@ -13,26 +13,26 @@ use protocol::{
 };
 use sim::perturb::{
     ActuationStage, ArmState, CameraPose, Frame, FrameSource, JOINTS, Jacobian, JointRange,
-    JointVector, Light, Lighting, PerturbationDigest, SensorStage, look_at_point, shift_camera,
-    shift_lighting, solve_shifted_pose,
+    JointVector, Light, Lighting, SensorStage, look_at_point, shift_camera, shift_lighting,
+    solve_shifted_pose,
 };
 
 const PICTURE_PX: usize = 24;
 const PICTURED_STEPS: [u32; 3] = [0, 1, 40];
 const ACTIONS: usize = 30;
 
-/// What became of a row's perturbation: its digest, and per axis every number
-/// that the rollout would see of it, as bits.
+/// What became of a row's perturbation: what a result keeps of it, and per axis
+/// every number that the rollout would see of it, as bits.
 #[derive(Debug)]
 struct Realised {
-    digest: PerturbationDigest,
+    kept: attempt::Realised,
     bits: BTreeMap<Axis, Vec<u64>>,
 }
 
 fn realise(row: &ManifestRow, mode: Realisation) -> Realised {
     let perturbation = &row.perturbation;
     let mut realised = Realised {
-        digest: PerturbationDigest::default(),
+        kept: attempt::Realised::default(),
         bits: BTreeMap::new(),
     };
     let camera = nominal_camera();
@@ -71,9 +71,9 @@ fn realise(row: &ManifestRow, mode: Realisation) -> Realised {
 }
 
 impl Realised {
-    /// Adds an axis: what its digest is of, and what came out step by step.
+    /// Adds an axis: what a result keeps of it, and what came out step by step.
     fn add(&mut self, axis: Axis, parameters: &[f64], fixed: &[f64], steps: &[f64]) {
-        self.digest.add(axis, parameters, fixed);
+        self.kept.add(axis, parameters.to_vec(), fixed.to_vec());
         let values = fixed.iter().chain(steps);
         self.bits
             .insert(axis, values.map(|value| value.to_bits()).collect());
@@ -224,8 +224,8 @@ proptest! {
         let mut compared = 0;
         each_axis(&design, Realisation::Matched, |axis, alone, combined| {
             assert_eq!(alone.bits[&axis], combined.bits[&axis], "{axis}");
-            assert!(alone.digest.axis(axis).is_some());
-            assert_eq!(alone.digest.axis(axis), combined.digest.axis(axis), "{axis}");
+            assert!(alone.kept.of(axis).is_some());
+            assert_eq!(alone.kept.of(axis), combined.kept.of(axis), "{axis}");
             compared += 1;
         });
         prop_assert_eq!(compared, design.axes.len());

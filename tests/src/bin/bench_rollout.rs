@@ -23,11 +23,12 @@ use sim::mujoco::Data;
 use sim::{Episode, Renderer, Simulator, SimulatorConfig};
 use tests::fidelity::read_npz;
 use tests::measure::{Clock, Spread};
-use worker::actor::Actor;
+use worker::actor::{Action, Actor, Description, PolicyError, PolicySession};
 use worker::measure::open_loop::{assignment, description, smooth_action};
 use worker::message::Assignment;
-use worker::policy::{Action, Description, PolicyError, infer_request};
-use worker::rollout::{Stage, Step, Watcher};
+use worker::policy::infer_request;
+use worker::rollout::{Step, Watcher};
+use worker::stage::Stage;
 
 /// Time the phases of whole rollouts of one task.
 #[derive(Parser)]
@@ -172,13 +173,13 @@ struct OpenLoop<'a> {
 }
 
 impl Actor for OpenLoop<'_> {
-    fn describe(&mut self, _: worker::policy::Episode<'_>) -> Result<Description, PolicyError> {
+    fn describe(&mut self, _: PolicySession<'_>) -> Result<Description, PolicyError> {
         Ok(self.description.clone())
     }
 
     fn reset(
         &mut self,
-        _: worker::policy::Episode<'_>,
+        _: PolicySession<'_>,
         _suite: &str,
         _instruction: &str,
         _seed: u64,
@@ -188,12 +189,12 @@ impl Actor for OpenLoop<'_> {
 
     fn infer(
         &mut self,
-        episode: worker::policy::Episode<'_>,
+        session: PolicySession<'_>,
         query_index: u32,
         observation: Observation,
         horizon: usize,
     ) -> Result<Vec<Action>, PolicyError> {
-        let message = infer_request(episode, query_index, observation).encode_to_vec();
+        let message = infer_request(session, query_index, observation).encode_to_vec();
         let mut timer = self.timer.borrow_mut();
         timer.phases.encode += timer.lap();
         timer.message_bytes = message.len();
@@ -338,9 +339,9 @@ fn recorded(path: &Path, states: &InitialStates) -> Result<(u16, Vec<Action>)> {
     let actions = array("actions")?;
     let count = actions.shape.first().copied().unwrap_or_default();
     ensure!(
-        count > 0 && actions.shape == [count, worker::policy::ACTION_WIDTH],
+        count > 0 && actions.shape == [count, worker::actor::ACTION_WIDTH],
         "its `actions` are not rows of {} numbers",
-        worker::policy::ACTION_WIDTH
+        worker::actor::ACTION_WIDTH
     );
     let rows = (0..count).map(|step| Ok(actions.row(step).try_into()?));
     Ok((u16::try_from(init_id)?, rows.collect::<Result<_>>()?))
@@ -359,9 +360,9 @@ impl Bench {
             timer: Rc::clone(&timer),
             problem: None,
         };
-        let stage = Stage::of_the_protocol(&mut self.simulator);
+        let mut stage = Stage::of_the_protocol(&mut self.simulator);
         timer.borrow_mut().lap();
-        let outcome = worker::rollout::run(stage, &mut actor, &self.assignment, &mut lookout);
+        let outcome = worker::rollout::run(&mut stage, &mut actor, &self.assignment, &mut lookout);
         if let Some(problem) = lookout.problem.take() {
             return Err(problem).context("time the physics on a copy");
         }
@@ -432,7 +433,7 @@ impl Bench {
     }
 
     /// What bare physics takes of the settling steps, on copies of their states:
-    /// the worker's loop shows nobody the scene before it has settled.
+    /// the worker's loop does not expose the scene before it has settled.
     fn settling_physics(&mut self) -> Result<f64> {
         let row = &self.assignment.row;
         let mut episode = self.simulator.begin(row, Realisation::Matched)?;

@@ -1,4 +1,4 @@
-//! A simulated slot: takes a slot's orders and gives its reports, asks the real
+//! A simulated slot: takes a slot's commands and sends its events, asks the real
 //! policy over the real protocol, and simulates nothing. Its outcomes follow
 //! from the rollout's id and the policy's actions alone, so that a campaign run
 //! through whatever faults must come out the same. For tests of faults and of
@@ -10,20 +10,20 @@
 #![forbid(unsafe_code)]
 
 use std::collections::HashMap;
-use std::io::{self, BufRead, Write};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, sync_channel};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use std::{process, thread};
 
+use attempt::{AttemptId, Motion, Realised, RolloutResult};
 use sha2::{Digest, Sha256};
 use transport::Access;
-use worker::actor::Actor;
+use worker::actor::{Actor, PolicyError};
 use worker::message::{
-    Assignment, Evidence, Failure, FailureKind, Finished, Motion, Order, Outcome, Report,
+    Assignment, Evidence, Failure, FailureKind, Finished, RolloutEvent, SlotCommand, SlotEvent,
 };
-use worker::policy::{Episode, PolicyClient, PolicyError};
+use worker::parent::Parent;
+use worker::policy::PolicyClient;
 
 /// Control steps of a rollout, and how long one takes unless something else is
 /// asked for.
@@ -34,16 +34,26 @@ const RENDERER: &str = "simulated";
 /// The policy is asked before every so many of them.
 const STEPS_PER_QUERY: u32 = 4;
 
+/// The attempt that the parent abandoned last.
+type Abandoned = Mutex<Option<AttemptId>>;
+
 fn main() {
-    let abandoned = Arc::new(AtomicBool::new(false));
-    let assignments = listen(Arc::clone(&abandoned));
+    let parent = Parent::connect().expect("a parent process");
+    let abandoned = Arc::default();
+    let assignments = listen(&parent, Arc::clone(&abandoned));
     let script = Script::from_environment();
-    report(&Report::Ready {
-        renderer: RENDERER.to_owned(),
-        fingerprint: digest(RENDERER),
-    });
+    send(
+        &parent,
+        &SlotEvent::Ready {
+            renderer: RENDERER.to_owned(),
+            fingerprint: digest(RENDERER),
+        },
+    );
     while let Ok(assignment) = assignments.recv() {
-        report(&rollout(&assignment, &script, &abandoned));
+        let attempt = assignment.attempt;
+        let tell = |event| send(&parent, &SlotEvent::Rollout { attempt, event });
+        let is_abandoned = || *abandoned.lock().expect("unpoisoned") == Some(attempt);
+        tell(rollout(&assignment, &script, &tell, &is_abandoned));
     }
 }
 
@@ -77,11 +87,16 @@ impl Script {
 }
 
 /// Plays a rollout to its end.
-fn rollout(assignment: &Assignment, script: &Script, abandoned: &AtomicBool) -> Report {
-    match play(assignment, script, abandoned) {
-        Ok(Some(finished)) => Report::Finished(Box::new(finished)),
-        Ok(None) => Report::Abandoned,
-        Err(error) => Report::Failed(Failure {
+fn rollout(
+    assignment: &Assignment,
+    script: &Script,
+    tell: &dyn Fn(RolloutEvent),
+    is_abandoned: &dyn Fn() -> bool,
+) -> RolloutEvent {
+    match play(assignment, script, tell, is_abandoned) {
+        Ok(Some(finished)) => RolloutEvent::Finished(Box::new(finished)),
+        Ok(None) => RolloutEvent::Abandoned,
+        Err(error) => RolloutEvent::Failed(Failure {
             kind: match error.is_misbehaviour() {
                 true => FailureKind::PolicyMisbehaved,
                 false => FailureKind::PolicyUnavailable,
@@ -95,47 +110,42 @@ fn rollout(assignment: &Assignment, script: &Script, abandoned: &AtomicBool) -> 
 fn play(
     assignment: &Assignment,
     script: &Script,
-    abandoned: &AtomicBool,
+    tell: &dyn Fn(RolloutEvent),
+    is_abandoned: &dyn Fn() -> bool,
 ) -> Result<Option<Finished>, PolicyError> {
     let started = Instant::now();
     let row = &assignment.row;
-    let suite = row.id.task().suite();
-    let episode = Episode {
-        policy: &assignment.policy,
-        session: assignment.session.as_str(),
-        suite: suite.name(),
-        deadline: assignment.policy_deadline,
-    };
+    let session = assignment.policy_session();
     let mut policy = PolicyClient::new(&assignment.policy_endpoint, &Access::none())?;
-    let description = policy.describe(episode)?;
+    let description = policy.describe(session)?;
     policy.reset(
-        episode,
-        suite.name(),
+        session,
+        session.suite,
         &row.instruction,
         assignment.policy_seed,
     )?;
     let mut fate = Sha256::new();
     fate.update(row.id.to_string());
     for step in 0..STEPS {
-        if abandoned.load(Ordering::Relaxed) {
+        if is_abandoned() {
             return Ok(None);
         }
         if step % STEPS_PER_QUERY == 0 {
             let query = step / STEPS_PER_QUERY;
             let observation = proto::policy::Observation::default();
-            let actions = policy.infer(episode, query, observation, description.horizon)?;
+            let actions = policy.infer(session, query, observation, description.horizon)?;
             for number in actions.iter().flatten() {
                 fate.update(number.to_le_bytes());
             }
         }
         thread::sleep(script.step);
-        report(&Report::Progress(row.settle_steps + step + 1));
+        tell(RolloutEvent::Progress(row.settle_steps + step + 1));
     }
     let fate = fate.finalize();
     let repeated = script.outcomes.get(&row.id.to_string());
     let about = description.about;
     Ok(Some(Finished {
-        outcome: Outcome {
+        result: RolloutResult {
             success: repeated.map_or(fate[0].is_multiple_of(2), |success| *success),
             steps: 20 + u32::from(fate[1]),
             wall_secs: started.elapsed().as_secs_f64(),
@@ -148,7 +158,7 @@ fn play(
             fingerprint: digest(RENDERER),
             scene_digest: digest(&row.id.task().to_string()),
             init_state_digest: digest(&format!("{} {}", row.id.task(), row.init_id)),
-            perturbation_digest: perturbation_digest(assignment),
+            realised: realised(assignment),
             first_frame_digest: String::new(),
             policy_name: about.name,
             policy_checkpoint: about.checkpoint,
@@ -158,11 +168,8 @@ fn play(
                 == i32::from(proto::policy::Language::CanonicalOnly),
             batch_mode: "single".to_owned(),
         },
-        motion: Motion {
-            path: path(&fate),
-            actions: Vec::new(),
-        },
-        video: None,
+        motion: Motion::pack(&path(&fate), &[]),
+        is_filmed_next: false,
     }))
 }
 
@@ -180,14 +187,14 @@ fn path(fate: &[u8]) -> Vec<[i16; 3]> {
     (0..=STEPS).map(point).collect()
 }
 
-/// Of each perturbed axis its values, as a slot would have realised them.
-fn perturbation_digest(assignment: &Assignment) -> String {
+/// Of each perturbed axis its values: nothing became of them.
+fn realised(assignment: &Assignment) -> Realised {
     let perturbation = &assignment.row.perturbation;
-    let axes = perturbation.axes().into_iter().map(|axis| {
-        let values = digest(&format!("{axis} {:?}", perturbation.values(axis)));
-        format!("{axis}:{values}")
-    });
-    axes.collect::<Vec<_>>().join(",")
+    let mut realised = Realised::default();
+    for axis in perturbation.axes() {
+        realised.add(axis, perturbation.values(axis), Vec::new());
+    }
+    realised
 }
 
 fn digest(text: &str) -> String {
@@ -195,28 +202,24 @@ fn digest(text: &str) -> String {
     digest.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-fn report(report: &Report) {
-    let line = serde_json::to_string(report).expect("a report is JSON");
-    let mut stdout = io::stdout().lock();
-    if writeln!(stdout, "{line}")
-        .and_then(|()| stdout.flush())
-        .is_err()
-    {
+fn send(parent: &Parent, event: &SlotEvent) {
+    if parent.send(event).is_err() {
         // The parent is gone, and with it everybody who wants to know.
         process::exit(0);
     }
 }
 
-/// Reads orders on a thread of their own; their end is this program's.
-fn listen(abandoned: Arc<AtomicBool>) -> Receiver<Assignment> {
+/// Reads commands on a thread of their own; their end is this program's.
+fn listen(parent: &Parent, abandoned: Arc<Abandoned>) -> Receiver<Assignment> {
+    let commands = parent.listen().expect("a parent process");
     let (sender, assignments) = sync_channel(1);
     thread::spawn(move || {
-        for line in io::stdin().lock().lines() {
-            let Ok(line) = line else { break };
-            match serde_json::from_str(&line).expect("an order") {
-                Order::Abandon => abandoned.store(true, Ordering::Relaxed),
-                Order::Run(assignment) => {
-                    abandoned.store(false, Ordering::Relaxed);
+        for command in commands {
+            match command.expect("a command") {
+                SlotCommand::Abandon(attempt) => {
+                    *abandoned.lock().expect("unpoisoned") = Some(attempt);
+                }
+                SlotCommand::Run(assignment) => {
                     if sender.send(*assignment).is_err() {
                         break;
                     }

@@ -6,10 +6,11 @@ use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use attempt::{Backoff, Waits};
+
 use super::error::AssetsError;
 use super::hub::{Hub, RemoteFile, RequestError};
 use super::manifest::sha256_of;
-use crate::backoff::Backoff;
 
 /// How often something is tried in vain before it is given up.
 pub(super) const MAX_TRIES: u32 = 5;
@@ -24,7 +25,7 @@ pub(super) fn persistently<T>(
     pause: &mut dyn FnMut(Duration),
     mut request: impl FnMut() -> Result<T, RequestError>,
 ) -> Result<T, AssetsError> {
-    let mut backoff = Backoff::new(0);
+    let mut backoff = Backoff::new(Waits::USUAL, 0);
     loop {
         let (url, problem) = match request() {
             Ok(answer) => return Ok(answer),

@@ -7,7 +7,7 @@ use std::num::NonZeroUsize;
 use super::choice::{ENOUGH, Throughput, choose, fit, numbers};
 use super::together::Slots;
 use super::{MeasureError, cores, room};
-use crate::supervise::SlotCommand;
+use crate::child::SlotProgram;
 
 /// How long all numbers of slots are measured together at most, seconds.
 const ALL_SECS: f64 = 4.0;
@@ -28,16 +28,16 @@ pub struct Chosen {
 
 /// Chooses by measurement how many slots this machine is worth having: no more
 /// than cores, no more than fit into memory if each keeps `scenes` compiled
-/// scenes. `command` starts a slot to measure with.
+/// scenes. `program` starts a slot to measure with.
 ///
 /// # Errors
 /// If the machine does not say what it has, or slots cannot be measured.
-pub fn choose_slots(command: SlotCommand, scenes: usize) -> Result<Chosen, MeasureError> {
+pub fn choose_slots(program: SlotProgram, scenes: usize) -> Result<Chosen, MeasureError> {
     let cores = cores()?;
     let available = room::available()?;
     let times = ROUNDS * numbers(cores).len();
     let secs = (ALL_SECS / times as f64).min(ONE_SECS);
-    let mut slots = Slots::new(command);
+    let mut slots = Slots::new(program);
     // For its memory only: a third time would favour one slot over more.
     let per_slot = slots.measure(1, secs)?.per_slot(scenes);
     let fitting = fit(available, per_slot);

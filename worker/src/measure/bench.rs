@@ -8,7 +8,7 @@ use std::io::Write;
 use super::choice::{ENOUGH, choose, fit, numbers};
 use super::together::{Measured, Slots};
 use super::{MeasureError, cores, room};
-use crate::supervise::SlotCommand;
+use crate::child::SlotProgram;
 
 /// What is measured.
 #[derive(Clone, Debug)]
@@ -23,7 +23,7 @@ pub struct Plan {
     /// Compiled scenes that a slot of a campaign keeps.
     pub scenes: usize,
     /// Starts a slot to measure with.
-    pub command: SlotCommand,
+    pub program: SlotProgram,
 }
 
 const MIB: f64 = (1 << 20) as f64;
@@ -39,7 +39,7 @@ pub fn bench(plan: Plan, out: &mut dyn Write) -> Result<(), MeasureError> {
         true => numbers(cores).union(&numbers(2 * cores)).copied().collect(),
         false => plan.numbers,
     };
-    let mut slots = Slots::new(plan.command);
+    let mut slots = Slots::new(plan.program);
     slots.start(all.first().copied().unwrap_or(1))?;
     writeln!(
         out,

@@ -1,9 +1,8 @@
 //! The process of one measured slot: compiles its scene, says that it is ready,
 //! and whenever it is told a number of seconds runs rollouts for so long and
-//! says what it did. Ends when its input does, which is what happens when the
-//! parent dies.
+//! says what it did. Ends when the parent closes the connection, which is
+//! what happens when the parent dies.
 
-use std::io::{self, Write};
 use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::mpsc::{Receiver, sync_channel};
@@ -17,11 +16,12 @@ use sim::{Episode, Simulator, SimulatorConfig};
 
 use super::MeasureError;
 use super::open_loop::{assignment, description, smooth_action};
-use crate::actor::Actor;
+use crate::actor::{Action, Actor, Description, PolicyError, PolicySession};
 use crate::message::Assignment;
-use crate::policy::{self, Action, Description, PolicyError};
-use crate::rollout::{self, RolloutError, Stage, Step, Watcher};
+use crate::parent::{FromParent, Parent};
+use crate::rollout::{self, RolloutError, Step, Watcher};
 use crate::slot::die_first;
+use crate::stage::Stage;
 
 /// Control steps of a rollout: about what a successful one takes. Then comes the
 /// next one, which loads its initial state and settles.
@@ -64,13 +64,14 @@ pub(super) struct SlotMemory {
     pub(super) scene: u64,
 }
 
-/// Counts control steps of `task` for the parent process, until it closes this
-/// process's standard input. The policy looks every `execute` steps.
+/// Counts control steps of `task` for the parent process, until it closes the
+/// connection. The policy looks every `execute` steps.
 ///
 /// # Errors
 /// If the task cannot be simulated or drawn, or the parent stops listening.
 pub fn count(config: SimulatorConfig, task: TaskRef, execute: u32) -> Result<(), MeasureError> {
     die_first();
+    let parent = Parent::connect()?;
     let mut slot = Counting {
         simulator: Simulator::new(config),
         actor: OpenLoop(description(execute)),
@@ -86,21 +87,20 @@ pub fn count(config: SimulatorConfig, task: TaskRef, execute: u32) -> Result<(),
     slot.roll_out(1, &mut first)?;
     let scene = SlotMemory::now(0)?.own.saturating_sub(without_scene.own);
     let renderer = slot.simulator.renderer_name();
-    say(&Said::Ready {
+    parent.send(&Said::Ready {
         renderer: renderer.map_err(|source| RolloutError::Simulator {
             title: slot.assignment.row.id.to_string(),
             source,
         })?,
     })?;
-    let orders = listen();
-    while let Ok(order) = orders.recv() {
-        let secs: f64 = serde_json::from_str(&order).map_err(io::Error::from)?;
+    let times = listen(parent.listen()?);
+    while let Ok(secs) = times.recv() {
         let started = Instant::now();
         let mut counter = Counter::until(started + Duration::from_secs_f64(secs));
         while !counter.is_over() {
             slot.roll_out(ROLLOUT_STEPS, &mut counter)?;
         }
-        say(&Said::Counted(Count {
+        parent.send(&Said::Counted(Count {
             // The last step began in time and is counted, so all that it took is, too.
             secs: started.elapsed().as_secs_f64(),
             steps: counter.steps,
@@ -111,19 +111,20 @@ pub fn count(config: SimulatorConfig, task: TaskRef, execute: u32) -> Result<(),
     Ok(())
 }
 
-/// Reads orders on a thread of their own: when the parent is gone, nobody would
-/// be told what is being counted, and the process ends at once.
-fn listen() -> Receiver<String> {
-    let (tell, orders) = sync_channel(1);
+/// Reads how long to count, in seconds, on a thread of its own: when the parent
+/// is gone, nobody would be told what is being counted, and the process ends at
+/// once.
+fn listen(said: FromParent<f64>) -> Receiver<f64> {
+    let (tell, times) = sync_channel(1);
     thread::spawn(move || {
-        for order in io::stdin().lines().map_while(Result::ok) {
-            if tell.send(order).is_err() {
+        for secs in said.map_while(Result::ok) {
+            if tell.send(secs).is_err() {
                 return;
             }
         }
         process::exit(0);
     });
-    orders
+    times
 }
 
 struct Counting {
@@ -136,8 +137,8 @@ impl Counting {
     /// One rollout, or as much of it as there is time for.
     fn roll_out(&mut self, max_steps: u32, counter: &mut Counter) -> Result<(), RolloutError> {
         self.assignment.row.max_steps = max_steps;
-        let stage = Stage::of_the_protocol(&mut self.simulator);
-        match rollout::run(stage, &mut self.actor, &self.assignment, counter) {
+        let mut stage = Stage::of_the_protocol(&mut self.simulator);
+        match rollout::run(&mut stage, &mut self.actor, &self.assignment, counter) {
             Ok(_) | Err(RolloutError::Abandoned) => Ok(()),
             Err(error) => Err(error),
         }
@@ -148,13 +149,13 @@ impl Counting {
 struct OpenLoop(Description);
 
 impl Actor for OpenLoop {
-    fn describe(&mut self, _: policy::Episode<'_>) -> Result<Description, PolicyError> {
+    fn describe(&mut self, _: PolicySession<'_>) -> Result<Description, PolicyError> {
         Ok(self.0.clone())
     }
 
     fn reset(
         &mut self,
-        _: policy::Episode<'_>,
+        _: PolicySession<'_>,
         _suite: &str,
         _instruction: &str,
         _seed: u64,
@@ -164,7 +165,7 @@ impl Actor for OpenLoop {
 
     fn infer(
         &mut self,
-        _: policy::Episode<'_>,
+        _: PolicySession<'_>,
         query_index: u32,
         _observation: Observation,
         horizon: usize,
@@ -233,12 +234,4 @@ impl SlotMemory {
             scene,
         })
     }
-}
-
-fn say(said: &Said) -> io::Result<()> {
-    let mut line = serde_json::to_vec(said)?;
-    line.push(b'\n');
-    let mut stdout = io::stdout().lock();
-    stdout.write_all(&line)?;
-    stdout.flush()
 }

@@ -5,9 +5,10 @@ use proto::PROTOCOL_VERSION;
 use proto::policy::{CameraRequest, DescribeResponse, StateField};
 use protocol::{ManifestRow, Realisation};
 
-use crate::message::Assignment;
-use crate::policy::{Action, CAMERAS, Description, POLICY_CALL_DEADLINE};
-use crate::single;
+use crate::actor::{Action, CAMERAS, Description};
+use crate::ids::random_id;
+use crate::message::{Assignment, Session};
+use crate::policy::POLICY_CALL_DEADLINE;
 
 /// Side of a frame, pixels.
 const FRAME: u32 = 256;
@@ -57,12 +58,14 @@ pub fn description(execute: u32) -> Description {
 
 /// A rollout of which nothing is kept.
 pub fn assignment(row: ManifestRow) -> Assignment {
+    let attempt = random_id();
     Assignment {
+        attempt,
         policy: "open-loop".to_owned(),
         policy_endpoint: String::new(),
         policy_seed: 0,
         policy_deadline: POLICY_CALL_DEADLINE,
-        session: single::session(&row.id, 0),
+        session: Session::new(&row.id, 0, attempt),
         realisation: Realisation::Matched,
         video: None,
         keep_actions: false,

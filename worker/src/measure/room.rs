@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 
 use super::MeasureError;
-use crate::supervise::memory::group_folders;
+use crate::memory::group_folders;
 
 /// What a control group's files are called, in the unified hierarchy and in the
 /// memory hierarchy before it: the limit, what is used, and, of that, what the

@@ -1,8 +1,10 @@
 //! The parent of measured slots: starts their processes, lets them begin
 //! together, and adds up what they counted.
 
-use std::io::{BufRead, BufReader, Write};
-use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use std::io::{self, BufRead, BufReader, Write};
+use std::os::fd::AsFd;
+use std::os::unix::net::UnixStream;
+use std::process::{Child, Command};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -10,8 +12,8 @@ use std::time::{Duration, Instant};
 use super::MeasureError;
 use super::choice::Throughput;
 use super::counting::{Count, Said};
-use crate::supervise::memory::OomKills;
-use crate::supervise::process::{SlotCommand, explain_status};
+use crate::child::{SlotProgram, connection, explain_status};
+use crate::memory::OomKills;
 
 /// Longest time, beyond what it counts for, that a slot may be silent: it hashes
 /// an asset pack, compiles a scene, draws it, or does one control step.
@@ -19,7 +21,7 @@ const PATIENCE: Duration = Duration::from_secs(120);
 
 /// Slots that wait to be measured. Dropping them ends their processes.
 pub(super) struct Slots {
-    command: SlotCommand,
+    program: SlotProgram,
     running: Vec<Running>,
     /// What draws in the first one, by its own name.
     renderer: String,
@@ -30,7 +32,7 @@ pub(super) struct Slots {
 
 struct Running {
     child: Child,
-    orders: ChildStdin,
+    connection: UnixStream,
 }
 
 enum Heard {
@@ -59,11 +61,11 @@ pub(super) struct Measured {
 }
 
 impl Slots {
-    /// None yet; each will be started by `command`.
-    pub(super) fn new(command: SlotCommand) -> Self {
+    /// None yet; each will be started by `program`.
+    pub(super) fn new(program: SlotProgram) -> Self {
         let (tell, inbox) = channel();
         Self {
-            command,
+            program,
             running: Vec::new(),
             renderer: String::new(),
             kills_before: OomKills::read(),
@@ -85,10 +87,10 @@ impl Slots {
     /// If a slot cannot be started, ends, or says nothing for too long.
     pub(super) fn measure(&mut self, slots: usize, secs: f64) -> Result<Measured, MeasureError> {
         self.start(slots)?;
-        let order = serde_json::to_string(&secs).map_err(std::io::Error::from)?;
+        let request = serde_json::to_string(&secs).map_err(io::Error::from)?;
         for slot in 0..slots {
             // One that no longer reads has ended, which is heard of below.
-            let _ = writeln!(self.running[slot].orders, "{order}");
+            let _ = writeln!(self.running[slot].connection, "{request}");
         }
         let deadline = Instant::now() + Duration::from_secs_f64(secs) + PATIENCE;
         let mut counts = Vec::new();
@@ -118,20 +120,24 @@ impl Slots {
     }
 
     fn start_one(&mut self) -> Result<(), MeasureError> {
-        let mut child = Command::new(&self.command.program)
-            .args(&self.command.arguments)
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
+        let (ours, theirs) = connection()?;
+        let said = BufReader::new(ours.try_clone()?);
+        let child = Command::new(&self.program.program)
+            .args(&self.program.arguments)
+            .stdin(theirs)
+            // What native libraries print is no part of this program's output.
+            .stdout(io::stderr().as_fd().try_clone_to_owned()?)
             .spawn()
             .map_err(|source| MeasureError::Start {
-                program: self.command.program.clone(),
+                program: self.program.program.clone(),
                 source,
             })?;
-        let (orders, said) = (child.stdin.take(), child.stdout.take());
-        let (orders, said) = (orders.expect("piped"), said.expect("piped"));
         let (slot, tell) = (self.running.len(), self.tell.clone());
         thread::spawn(move || listen(slot, said, &tell));
-        self.running.push(Running { child, orders });
+        self.running.push(Running {
+            child,
+            connection: ours,
+        });
         Ok(())
     }
 
@@ -156,16 +162,15 @@ impl Slots {
 }
 
 /// Passes on what a slot says, until it says nothing more.
-fn listen(slot: usize, said: ChildStdout, tell: &Sender<(usize, Heard)>) {
-    for line in BufReader::new(said).lines().map_while(Result::ok) {
+fn listen(slot: usize, said: BufReader<UnixStream>, tell: &Sender<(usize, Heard)>) {
+    for line in said.lines().map_while(Result::ok) {
         match serde_json::from_str(&line) {
             Ok(said) => {
                 if tell.send((slot, Heard::Said(said))).is_err() {
                     return;
                 }
             }
-            // Native libraries print where they like.
-            Err(_) => eprintln!("[slot {slot}] {line}"),
+            Err(_) => eprintln!("slot {slot} said what is no count: {line}"),
         }
     }
     // A parent that is gone needs no end.
@@ -174,7 +179,7 @@ fn listen(slot: usize, said: ChildStdout, tell: &Sender<(usize, Heard)>) {
 
 impl Drop for Running {
     fn drop(&mut self) {
-        // It waits for orders and holds nothing that could be lost.
+        // It waits for requests and holds nothing that could be lost.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
@@ -239,7 +244,7 @@ mod tests {
 
     #[test]
     fn a_program_that_is_not_there_is_named() {
-        let mut slots = Slots::new(SlotCommand {
+        let mut slots = Slots::new(SlotProgram {
             program: "/nonexistent/worker".into(),
             arguments: Vec::new(),
         });
@@ -249,7 +254,7 @@ mod tests {
 
     #[test]
     fn a_process_that_ends_early_is_told_with_its_end() {
-        let mut slots = Slots::new(SlotCommand {
+        let mut slots = Slots::new(SlotProgram {
             program: "sh".into(),
             arguments: vec!["-c".into(), "echo no JSON; exit 3".into()],
         });

@@ -8,7 +8,8 @@ use std::path::PathBuf;
 use protocol::{ManifestRow, RolloutId, Suite, TaskRef};
 use scene::TaskFiles;
 
-use super::{SingleError, row_of};
+use super::error::SingleError;
+use super::row::row_of;
 
 /// A task of one's own.
 #[derive(Debug)]

@@ -12,10 +12,9 @@ use npyz::{DType, NpyFile, TypeChar};
 use proto::policy::{DescribeResponse, Observation};
 use sha2::{Digest, Sha256};
 
-use super::SingleError;
-use crate::actor::Actor;
+use super::error::SingleError;
+use crate::actor::{ACTION_WIDTH, Action, Actor, Description, PolicyError, PolicySession};
 use crate::digest::hex;
-use crate::policy::{ACTION_WIDTH, Action, Description, Episode, PolicyError};
 
 /// Most actions of a recording: far more than any budget of the protocol.
 const MAX_RECORDED_ACTIONS: usize = 10_000;
@@ -81,7 +80,7 @@ impl RecordedActions {
 }
 
 impl Actor for RecordedActions {
-    fn describe(&mut self, _episode: Episode<'_>) -> Result<Description, PolicyError> {
+    fn describe(&mut self, _session: PolicySession<'_>) -> Result<Description, PolicyError> {
         let about = DescribeResponse {
             name: "recorded actions".to_owned(),
             checkpoint: self.path.display().to_string(),
@@ -98,7 +97,7 @@ impl Actor for RecordedActions {
 
     fn reset(
         &mut self,
-        _episode: Episode<'_>,
+        _session: PolicySession<'_>,
         _suite: &str,
         _instruction: &str,
         _seed: u64,
@@ -109,7 +108,7 @@ impl Actor for RecordedActions {
 
     fn infer(
         &mut self,
-        episode: Episode<'_>,
+        session: PolicySession<'_>,
         query_index: u32,
         _observation: Observation,
         horizon: usize,
@@ -119,7 +118,7 @@ impl Actor for RecordedActions {
         if answer.is_empty() {
             return Err(PolicyError::Misbehaved {
                 policy: self.path.display().to_string(),
-                session: episode.session.to_owned(),
+                session: session.session.to_owned(),
                 query: query_index.to_string(),
                 violation: format!("the recording ends after {} actions", self.actions.len()),
             });

@@ -4,12 +4,13 @@
 use std::time::Duration;
 
 use npyz::npz::NpzArchive;
-use protocol::Realisation;
+use protocol::{Axis, ManifestRow, Realisation};
 use scene::{AssetPack, Sources};
 use sim::{Renderer, SimulatorConfig};
 
 use super::*;
-use crate::message::{VideoOf, VideoOrder};
+use crate::ids::random_id;
+use crate::message::{Session, VideoOf, VideoRequest};
 
 #[test]
 fn an_id_alone_says_what_is_simulated() {
@@ -64,15 +65,17 @@ fn simulator(sources: Sources) -> Simulator {
 }
 
 fn assignment(row: ManifestRow, video: Option<&Path>) -> Assignment {
+    let attempt = random_id();
     Assignment {
-        session: session(&row.id, 0),
+        attempt,
+        session: Session::new(&row.id, 0, attempt),
         row,
         realisation: Realisation::Matched,
         policy: String::new(),
         policy_endpoint: String::new(),
         policy_seed: 0,
         policy_deadline: Duration::from_secs(1),
-        video: video.map(|file| VideoOrder {
+        video: video.map(|file| VideoRequest {
             file: file.to_owned(),
             of: VideoOf::Everything,
         }),
@@ -106,18 +109,18 @@ fn a_task_of_ones_own_is_replayed_and_its_trace_replays_again() {
         let row = task.row().expect("a row");
         assert_eq!(row.instruction, "open the bottom drawer of the cabinet");
         let assignment = assignment(row, None);
-        let order = Order {
+        let request = Request {
             assignment: &assignment,
             files: Some(task.files()),
             draw: false,
             output,
         };
-        run(&mut simulator, &mut recorded, &order).expect("an outcome")
+        run(&mut simulator, &mut recorded, &request).expect("an outcome")
     };
     let (first, second) = (folder.path().join("first"), folder.path().join("second"));
     let finished = replay(&recording, &first);
-    assert_eq!(finished.outcome.steps, 6, "the budget, not the recording");
-    assert_eq!(finished.outcome.clipped_actions, 3);
+    assert_eq!(finished.result.steps, 6, "the budget, not the recording");
+    assert_eq!(finished.result.clipped_actions, 3);
     assert!(!first.join("frames").exists(), "nothing was drawn");
     let trace = first.join("trace.npz");
     let (shape, actions) = array::<f64>(&trace, "actions");
@@ -149,7 +152,7 @@ fn both_cameras_first_and_last_pictures_are_kept_though_nobody_looked() {
     row.max_steps = recorded.count();
     let video = folder.path().join("video.mp4");
     let assignment = assignment(row, Some(&video));
-    let order = Order {
+    let request = Request {
         assignment: &assignment,
         files: None,
         draw: true,
@@ -160,7 +163,7 @@ fn both_cameras_first_and_last_pictures_are_kept_though_nobody_looked() {
         println!("skipped {test}: failed to {error}");
         return;
     }
-    run(&mut simulator, &mut recorded, &order).expect("an outcome");
+    run(&mut simulator, &mut recorded, &request).expect("an outcome");
     let picture = |name: &str| {
         let file = folder.path().join("frames").join(name);
         image::open(file).expect("a picture").into_rgb8()

@@ -26,7 +26,7 @@ use npyz::npz::NpzWriter;
 use npyz::zip::write::FileOptions;
 use sim::Environment;
 
-use crate::policy::ACTION_WIDTH;
+use crate::actor::ACTION_WIDTH;
 use crate::rollout::Step;
 
 /// A trace as it grows: arrays row after row.

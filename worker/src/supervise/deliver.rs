@@ -1,27 +1,26 @@
-//! Telling the coordinator how a rollout ended: an outcome with everything that
-//! it came out of, after its video, or why there is none. Responsible for the
-//! messages and for what is said about the answers in the log.
+//! Telling the coordinator how a rollout ended: with a result and everything that
+//! it came out of, or without one and why. Responsible for the messages and for
+//! what is said about the answers in the log.
 
-use std::path::PathBuf;
-
+use attempt::{AttemptId, RealisedAxis, RolloutResult};
 use proto::coordinator::commit_response::Verdict as CommitVerdict;
 use proto::coordinator::release_response::Verdict as ReleaseVerdict;
 use proto::coordinator::{
-    CommitRequest, CommitResponse, LeaseRef, Motion, Outcome, Provenance, ReleaseRequest,
+    self as wire, CommitRequest, CommitResponse, Motion, Provenance, ReleaseRequest,
     ReleaseResponse,
 };
 use protocol::Realisation;
 use tonic::Status;
+use transport::chain;
 
-use super::Identity;
+use super::config::Identity;
 use super::link::Link;
-use crate::grpc::in_words;
-use crate::message::{Evidence, Failure, Finished, Motion as SlotMotion, Outcome as SlotOutcome};
+use crate::message::{Evidence, Failure, Finished};
 
 /// How a rollout ended.
 #[derive(Debug)]
 pub(crate) enum Ending {
-    /// With an outcome.
+    /// With a result.
     Finished(Box<Finished>),
     /// Without one.
     Failed(Failure),
@@ -30,7 +29,7 @@ pub(crate) enum Ending {
 /// An ending on its way to the coordinator.
 #[derive(Debug)]
 pub(crate) struct Delivery {
-    pub(crate) lease: LeaseRef,
+    pub(crate) attempt: AttemptId,
     /// What ended, for people.
     pub(crate) label: String,
     pub(crate) realisation: Realisation,
@@ -53,17 +52,13 @@ impl Delivery {
         let label = &self.label;
         match &self.ending {
             Ending::Finished(finished) => {
-                let outcome = &finished.outcome;
-                let word = if outcome.success {
-                    "success"
-                } else {
-                    "failure"
-                };
-                let (steps, secs) = (outcome.steps, outcome.wall_secs);
+                let result = &finished.result;
+                let word = if result.success { "success" } else { "failure" };
+                let (steps, secs) = (result.steps, result.wall_secs);
                 tracing::info!("{label}: {word} after {steps} steps in {secs:.1} s");
             }
             Ending::Failed(failure) => {
-                tracing::warn!("{label} has no outcome: failed to {}", failure.error);
+                tracing::warn!("{label} has no result: failed to {}", failure.error);
             }
         }
     }
@@ -76,15 +71,15 @@ impl Answer {
             Self::Committed(answer) => match answer.verdict() {
                 CommitVerdict::Accepted | CommitVerdict::Duplicate => {}
                 CommitVerdict::Stale => {
-                    tracing::warn!("an outcome came too late: {}", answer.detail);
+                    tracing::warn!("a result came too late: {}", answer.detail);
                 }
                 verdict => {
-                    tracing::error!("an outcome was refused, {verdict:?}: {}", answer.detail)
+                    tracing::error!("a result was refused, {verdict:?}: {}", answer.detail)
                 }
             },
             Self::Released(answer) => match answer.verdict() {
                 ReleaseVerdict::Quarantined => {
-                    tracing::error!("the job was set aside: it has failed too often");
+                    tracing::error!("the job was quarantined: it has failed too often");
                 }
                 _ if answer.backoff_secs > 0.0 => {
                     tracing::info!("the job waits {:.0} s", answer.backoff_secs);
@@ -94,10 +89,16 @@ impl Answer {
             Self::Refused(status) => {
                 tracing::error!(
                     "the coordinator takes no ending of a job: {}",
-                    in_words(status)
+                    chain(status)
                 );
             }
         }
+    }
+
+    /// Whether the coordinator has the result now.
+    pub(crate) fn is_committed(&self) -> bool {
+        use CommitVerdict::{Accepted, Duplicate};
+        matches!(self, Self::Committed(answer) if matches!(answer.verdict(), Accepted | Duplicate))
     }
 
     /// Why the worker must stop, if it must.
@@ -111,11 +112,11 @@ impl Answer {
 
 /// Delivers an ending; until it is answered.
 pub(crate) async fn deliver(link: &Link, delivery: Delivery) -> Answer {
-    let lease = delivery.lease;
+    let attempt_id = delivery.attempt.to_string();
     match delivery.ending {
         Ending::Failed(failure) => {
             let request = ReleaseRequest {
-                lease: Some(lease),
+                attempt_id,
                 reason: failure.kind.reason() as i32,
                 error: failure.error,
             };
@@ -123,18 +124,18 @@ pub(crate) async fn deliver(link: &Link, delivery: Delivery) -> Answer {
             answer.map_or_else(Answer::Refused, Answer::Released)
         }
         Ending::Finished(finished) => {
-            if let Some(video) = finished.video {
-                deliver_video(link, lease.clone(), video).await;
-            }
             let request = CommitRequest {
-                lease: Some(lease),
-                outcome: Some(outcome(&finished.outcome)),
+                attempt_id,
+                result: Some(result(&finished.result)),
                 provenance: Some(provenance(
                     finished.evidence,
                     delivery.identity,
                     delivery.realisation,
                 )),
-                motion: Some(motion(&finished.motion)),
+                motion: Some(Motion {
+                    path: finished.motion.path,
+                    actions: finished.motion.actions,
+                }),
             };
             let answer = link.commit(request).await;
             answer.map_or_else(Answer::Refused, Answer::Committed)
@@ -142,44 +143,38 @@ pub(crate) async fn deliver(link: &Link, delivery: Delivery) -> Answer {
     }
 }
 
-/// A video is worth less than its outcome: without one, the outcome goes alone.
-async fn deliver_video(link: &Link, lease: LeaseRef, video: PathBuf) {
-    if let Err(status) = link.put_video(lease, &video).await {
-        tracing::warn!("a video was not stored: {}", in_words(&status));
-    }
-    if let Err(error) = tokio::fs::remove_file(&video).await {
-        tracing::warn!("{} stays behind: {error}", video.display());
-    }
-}
-
-fn outcome(outcome: &SlotOutcome) -> Outcome {
-    let ik = outcome.ik;
-    Outcome {
-        success: outcome.success,
-        steps: outcome.steps,
-        wall_secs: outcome.wall_secs,
+fn result(result: &RolloutResult) -> wire::RolloutResult {
+    let ik = result.ik;
+    wire::RolloutResult {
+        success: result.success,
+        steps: result.steps,
+        wall_secs: result.wall_secs,
         ik_residual_mm: ik.map(|ik| ik.residual_mm),
         ik_residual_deg: ik.map(|ik| ik.residual_deg),
         ik_clamped_joints: ik.map(|ik| ik.clamped_joints),
-        clipped_actions: outcome.clipped_actions,
-        policy_queries: outcome.policy_queries,
-    }
-}
-
-fn motion(motion: &SlotMotion) -> Motion {
-    let path = motion.path.iter().flatten();
-    // Policies answer 32-bit numbers: nothing is lost.
-    let actions = motion.actions.iter().flatten();
-    Motion {
-        path: path.flat_map(|tenths| tenths.to_le_bytes()).collect(),
-        actions: actions
-            .flat_map(|number| (*number as f32).to_le_bytes())
-            .collect(),
+        clipped_actions: result.clipped_actions,
+        policy_queries: result.policy_queries,
     }
 }
 
 fn provenance(evidence: Evidence, identity: Identity, realisation: Realisation) -> Provenance {
+    let realised = evidence.realised.axes().map(|(axis, realised)| {
+        let (parameters, elements) = match realised {
+            RealisedAxis::Values {
+                parameters,
+                elements,
+            } => (parameters.clone(), elements.clone()),
+            // Of earlier releases' results; nothing is simulated into one.
+            RealisedAxis::Digest(_) => Default::default(),
+        };
+        wire::RealisedAxis {
+            axis: axis.to_string(),
+            parameters,
+            elements,
+        }
+    });
     Provenance {
+        realised: realised.collect(),
         host: identity.host,
         renderer: evidence.renderer,
         fingerprint: evidence.fingerprint,
@@ -188,7 +183,6 @@ fn provenance(evidence: Evidence, identity: Identity, realisation: Realisation) 
         asset_pack_digest: identity.asset_pack_digest,
         scene_digest: evidence.scene_digest,
         init_state_digest: evidence.init_state_digest,
-        perturbation_digest: evidence.perturbation_digest,
         first_frame_digest: evidence.first_frame_digest,
         realisation: realisation.to_string(),
         policy_name: evidence.policy_name,

@@ -6,20 +6,20 @@ use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use attempt::{AttemptId, Backoff, Waits};
 use proto::coordinator::worker_service_client::WorkerServiceClient;
 use proto::coordinator::{
     ArtifactChunk, ClaimRequest, ClaimResponse, CommitRequest, CommitResponse, HeartbeatRequest,
-    HeartbeatResponse, LeaseRef, NextFilmRequest, NextFilmResponse, PutArtifactResponse,
-    RegisterRequest, RegisterResponse, ReleaseRequest, ReleaseResponse,
+    HeartbeatResponse, NextFilmRequest, NextFilmResponse, PutArtifactResponse, RegisterRequest,
+    RegisterResponse, ReleaseRequest, ReleaseResponse,
 };
 use tokio::sync::{Notify, watch};
 use tokio::time::Instant;
-use tonic::{Code, Response, Status};
-use transport::{Access, Connection};
+use tonic::{Response, Status};
+use transport::{Access, Connection, chain, may_succeed_later};
 
-use super::SuperviseError;
-use crate::backoff::{Backoff, FIRST_WAIT, LONGEST_WAIT};
-use crate::grpc::{in_words, parse_endpoint, within};
+use super::error::SuperviseError;
+use crate::grpc::{parse_endpoint, within};
 
 /// How long the coordinator may wait for a job before it answers "none". A
 /// draining worker waits for that answer, because it could be a lease.
@@ -27,7 +27,10 @@ const CLAIM_WAIT: Duration = Duration::from_secs(5);
 /// Longest wait for any other answer.
 const CALL_DEADLINE: Duration = Duration::from_secs(30);
 /// Longest wait for a video to be stored.
-const UPLOAD_DEADLINE: Duration = Duration::from_secs(120);
+const UPLOAD_DEADLINE: Duration = Duration::from_secs(60);
+/// How often a video is sent before it is given up: for about a minute, if it is
+/// refused at once.
+const UPLOAD_TRIES: u32 = 7;
 /// Bytes of a video per message.
 const CHUNK_BYTES: usize = 256 << 10;
 /// The largest video that is sent, bytes: far above any rollout's.
@@ -88,9 +91,9 @@ impl Link {
         .await
     }
 
-    /// Asks for one job; without an answer until the worker drains.
+    /// Asks for one job; without an answer until the worker drains. The same
+    /// claim however often it is asked, so a lost answer loses no lease.
     pub(crate) async fn claim(&self, mut request: ClaimRequest) -> Result<ClaimResponse, Status> {
-        request.max_jobs = 1;
         request.wait_secs = CLAIM_WAIT.as_secs_f64();
         let mut draining = self.draining.clone();
         let claiming = self.insist(CLAIM_WAIT + CALL_DEADLINE, |mut grpc| {
@@ -101,7 +104,7 @@ impl Link {
             // The sender lives as long as the supervisor.
             let _ = draining.wait_for(|draining| *draining).await;
             while self.outage_began().is_none() {
-                tokio::time::sleep(FIRST_WAIT).await;
+                tokio::time::sleep(Waits::USUAL.first).await;
             }
         };
         tokio::select! {
@@ -152,20 +155,29 @@ impl Link {
         .await
     }
 
-    /// Sends a video; until it is answered.
+    /// Sends a video; a few times. That a coordinator cannot store it is no
+    /// outage: everything else may go on.
     pub(crate) async fn put_video(
         &self,
-        lease: LeaseRef,
+        attempt: AttemptId,
         file: &Path,
     ) -> Result<PutArtifactResponse, Status> {
-        let chunks = chunks_of(lease, file)
+        let chunks = chunks_of(attempt, file)
             .await
             .map_err(|error| Status::aborted(format!("read {}: {error}", file.display())))?;
-        self.insist(UPLOAD_DEADLINE, |mut grpc| {
+        let mut backoff = Backoff::new(Waits::USUAL, self.state.seed);
+        loop {
             let chunks = tokio_stream::iter(chunks.clone());
-            async move { grpc.put_artifact(chunks).await }
-        })
-        .await
+            let mut grpc = self.grpc.clone();
+            let answer = within(UPLOAD_DEADLINE, grpc.put_artifact(chunks)).await;
+            let wait = backoff.next_wait();
+            match answer {
+                Err(status) if may_succeed_later(&status) && backoff.failures() < UPLOAD_TRIES => {
+                    tokio::time::sleep(wait).await;
+                }
+                answered => return answered,
+            }
+        }
     }
 
     /// Calls until there is an answer, or a refusal that stays one.
@@ -177,12 +189,12 @@ impl Link {
     where
         F: Future<Output = Result<Response<T>, Status>>,
     {
-        let mut backoff = Backoff::new(self.state.seed);
+        let mut backoff = Backoff::new(Waits::USUAL, self.state.seed);
         loop {
             let answer = within(deadline, call(self.grpc.clone())).await;
             self.note(&answer);
             match answer {
-                Err(status) if is_outage(&status) => tokio::select! {
+                Err(status) if may_succeed_later(&status) => tokio::select! {
                     () = tokio::time::sleep(backoff.next_wait()) => {}
                     () = self.state.back.notified() => {}
                 },
@@ -196,17 +208,17 @@ impl Link {
         let url = &self.state.url;
         let mut outage = self.lock_outage();
         match (answer, *outage) {
-            (Err(status), None) if is_outage(status) => {
+            (Err(status), None) if may_succeed_later(status) => {
                 *outage = Some(Instant::now());
                 tracing::warn!(
                     "coordinator {url} cannot be reached ({}); trying again every {} to {} s, \
                      rollouts in hand go on",
-                    in_words(status),
-                    FIRST_WAIT.as_secs(),
-                    LONGEST_WAIT.as_secs()
+                    chain(status),
+                    Waits::USUAL.first.as_secs(),
+                    Waits::USUAL.longest.as_secs()
                 );
             }
-            (Err(status), Some(_)) if is_outage(status) => {}
+            (Err(status), Some(_)) if may_succeed_later(status) => {}
             (_, Some(since)) => {
                 *outage = None;
                 let secs = since.elapsed().as_secs_f64();
@@ -228,24 +240,7 @@ impl Link {
     }
 }
 
-/// Whether asking again may help: everything but a refusal that says why.
-fn is_outage(status: &Status) -> bool {
-    !matches!(
-        status.code(),
-        Code::InvalidArgument
-            | Code::NotFound
-            | Code::AlreadyExists
-            | Code::PermissionDenied
-            | Code::FailedPrecondition
-            | Code::Aborted
-            | Code::OutOfRange
-            | Code::Unimplemented
-            | Code::DataLoss
-            | Code::Unauthenticated
-    )
-}
-
-async fn chunks_of(lease: LeaseRef, file: &Path) -> std::io::Result<Vec<ArtifactChunk>> {
+async fn chunks_of(attempt: AttemptId, file: &Path) -> std::io::Result<Vec<ArtifactChunk>> {
     let size = tokio::fs::metadata(file).await?.len();
     if size > MAX_VIDEO_BYTES {
         let text = format!("{size} bytes are more than the {MAX_VIDEO_BYTES} that are sent");
@@ -260,7 +255,7 @@ async fn chunks_of(lease: LeaseRef, file: &Path) -> std::io::Result<Vec<Artifact
         })
         .collect();
     if let Some(first) = chunks.first_mut() {
-        first.lease = Some(lease);
+        first.attempt_id = attempt.to_string();
         first.name = "video.mp4".to_owned();
     }
     Ok(chunks)
@@ -270,25 +265,17 @@ async fn chunks_of(lease: LeaseRef, file: &Path) -> std::io::Result<Vec<Artifact
 mod tests {
     use super::*;
 
-    #[test]
-    fn a_refusal_is_not_asked_again() {
-        assert!(!is_outage(&Status::failed_precondition("another version")));
-        assert!(!is_outage(&Status::not_found("no such job")));
-        assert!(is_outage(&Status::unavailable("connection refused")));
-        assert!(is_outage(&Status::internal("disk full")));
-        assert!(is_outage(&Status::deadline_exceeded("no answer")));
-    }
-
     #[tokio::test]
     async fn only_the_first_piece_of_a_video_names_it() {
         let file = tempfile::NamedTempFile::new().expect("a file");
         std::fs::write(file.path(), vec![7; CHUNK_BYTES + 1]).expect("written");
-        let chunks = chunks_of(LeaseRef::default(), file.path())
+        let chunks = chunks_of(AttemptId::from_random([7; 16]), file.path())
             .await
             .expect("read");
         let sizes: Vec<usize> = chunks.iter().map(|chunk| chunk.data.len()).collect();
         assert_eq!(sizes, [CHUNK_BYTES, 1]);
         assert_eq!(chunks[0].name, "video.mp4");
-        assert!(chunks[1].lease.is_none() && chunks[1].name.is_empty());
+        assert_eq!(chunks[0].attempt_id, "07".repeat(16));
+        assert!(chunks[1].attempt_id.is_empty() && chunks[1].name.is_empty());
     }
 }

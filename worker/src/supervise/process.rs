@@ -1,58 +1,42 @@
-//! A slot's process as its parent sees it: started, given orders, listened to,
+//! A slot's process as its parent sees it: started, given commands, listened to,
 //! killed, and its end explained. Not responsible for when any of that happens.
 
 use std::collections::VecDeque;
-use std::ffi::OsString;
 use std::io;
-use std::os::unix::process::ExitStatusExt;
-use std::path::PathBuf;
 use std::process::{ExitStatus, Stdio};
 
-use tokio::io::{AsyncBufRead, AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
-use tokio::process::{Child, ChildStdin, ChildStdout, Command};
+use tokio::io::{AsyncBufRead, AsyncBufReadExt, AsyncRead, AsyncReadExt, AsyncWriteExt, BufReader};
+use tokio::net::UnixStream;
+use tokio::net::unix::{OwnedReadHalf, OwnedWriteHalf};
+use tokio::process::{Child, Command};
 use tokio::sync::mpsc;
-use tokio::task::JoinSet;
+use tokio::task::{self, JoinSet};
 
-use super::memory::{OomKills, Verdict};
-use super::supervisor::Event;
-use crate::message::{MAX_LINE_BYTES, Order, Report};
+use super::event::{Event, ProcessKey};
+use crate::child::{SlotProgram, connection, explain_status};
+use crate::memory::{OomKills, Verdict};
+use crate::message::{MAX_LINE_BYTES, SlotCommand, SlotEvent};
 
-/// Orders that wait for a process to read them: a rollout, and to let go of it.
-const ORDER_QUEUE: usize = 4;
+/// Commands that wait for a process to read them: a rollout, and to abandon it.
+const COMMAND_QUEUE: usize = 4;
 /// Lines of a process's standard error that its end is explained with.
 const LAST_WORDS: usize = 5;
-/// Longest line of standard error that is kept in one piece, bytes.
-const MAX_STDERR_LINE_BYTES: u64 = 4096;
+/// Longest line that is relayed in one piece, bytes.
+const MAX_RELAYED_LINE_BYTES: u64 = 4096;
 
-/// How a slot's process is started.
-#[derive(Clone, Debug)]
-pub struct SlotCommand {
-    /// The program: this one, as a rule.
-    pub program: PathBuf,
-    /// Its arguments.
-    pub arguments: Vec<OsString>,
-}
-
-/// One life of one slot's process.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct ProcessKey {
-    /// Which slot, from 0.
-    pub(crate) slot: usize,
-    /// Which of its processes, from 1.
-    pub(crate) life: u64,
-}
-
-/// A started process. Dropping it closes the process's standard input, and the
-/// process ends.
+/// A started process. Dropping it closes the connection with the process, which
+/// then ends.
 #[derive(Debug)]
 pub(crate) struct SlotProcess {
-    commands: mpsc::Sender<ProcessCommand>,
+    requests: mpsc::Sender<Request>,
     pub(crate) key: ProcessKey,
+    /// The task that owns the process.
+    pub(crate) task: task::Id,
 }
 
 #[derive(Debug)]
-enum ProcessCommand {
-    Order(Order),
+enum Request {
+    Send(SlotCommand),
     Kill,
 }
 
@@ -60,14 +44,17 @@ impl SlotProcess {
     /// Starts a process, and a task that tells `events` what it says and how it
     /// ends.
     pub(crate) fn start(
-        command: &SlotCommand,
+        program: &SlotProgram,
         key: ProcessKey,
         tasks: &mut JoinSet<()>,
         events: mpsc::Sender<Event>,
     ) -> io::Result<Self> {
-        let child = Command::new(&command.program)
-            .args(&command.arguments)
-            .stdin(Stdio::piped())
+        let (ours, theirs) = connection()?;
+        ours.set_nonblocking(true)?;
+        let connection = UnixStream::from_std(ours)?;
+        let child = Command::new(&program.program)
+            .args(&program.arguments)
+            .stdin(theirs)
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             // A Ctrl-C in the terminal is for the parent, which lets the slots
@@ -75,103 +62,108 @@ impl SlotProcess {
             .process_group(0)
             .kill_on_drop(true)
             .spawn()?;
-        let (commands, orders) = mpsc::channel(ORDER_QUEUE);
-        tasks.spawn(attend(child, key, orders, events));
-        Ok(Self { commands, key })
+        let (sender, requests) = mpsc::channel(COMMAND_QUEUE);
+        let task = tasks.spawn(attend(child, connection, key, requests, events));
+        Ok(Self {
+            requests: sender,
+            key,
+            task: task.id(),
+        })
     }
 
-    /// Gives an order. A process that reads no orders does not report either,
-    /// and is killed for that: losing the order changes nothing.
-    pub(crate) fn order(&self, order: Order) {
-        let _ = self.commands.try_send(ProcessCommand::Order(order));
+    /// Sends a command. A process that reads no commands sends no events either,
+    /// and is killed for that: losing the command changes nothing.
+    pub(crate) fn send(&self, command: SlotCommand) {
+        let _ = self.requests.try_send(Request::Send(command));
     }
 
     /// Kills the process.
     pub(crate) fn kill(&self) {
-        let _ = self.commands.try_send(ProcessCommand::Kill);
+        let _ = self.requests.try_send(Request::Kill);
     }
 }
 
 /// Owns a process until it has ended and everything that it said is told.
 async fn attend(
     mut child: Child,
+    connection: UnixStream,
     key: ProcessKey,
-    orders: mpsc::Receiver<ProcessCommand>,
+    requests: mpsc::Receiver<Request>,
     events: mpsc::Sender<Event>,
 ) {
     let kills_before = OomKills::read();
-    let (stdin, stdout, stderr) = (child.stdin.take(), child.stdout.take(), child.stderr.take());
-    let listening = async {
-        if let Some(stdout) = stdout {
-            tell_reports(stdout, key, &events).await;
-        }
-    };
-    let relaying = async {
-        match stderr {
-            Some(stderr) => relay(BufReader::new(stderr), key.slot).await,
-            None => VecDeque::new(),
-        }
-    };
-    let ((), last_words, status) = tokio::join!(listening, relaying, obey(child, stdin, orders));
+    let (said, commands) = connection.into_split();
+    let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
+    let ((), _, last_words, status) = tokio::join!(
+        tell_events(said, key, &events),
+        relay(stdout, key.slot),
+        relay(stderr, key.slot),
+        carry_out(child, commands, requests)
+    );
     let kills = OomKills::read().since(kills_before);
     let end = explain_end(status, kills, &last_words);
     // A supervisor that is gone needs no explanation.
     let _ = events.send(Event::Ended { key, end }).await;
 }
 
-async fn obey(
+async fn carry_out(
     mut child: Child,
-    mut stdin: Option<ChildStdin>,
-    mut commands: mpsc::Receiver<ProcessCommand>,
+    commands: OwnedWriteHalf,
+    mut requests: mpsc::Receiver<Request>,
 ) -> io::Result<ExitStatus> {
+    let mut commands = Some(commands);
     loop {
-        let command = tokio::select! {
+        let request = tokio::select! {
             status = child.wait() => return status,
-            command = commands.recv(), if stdin.is_some() => command,
+            request = requests.recv(), if commands.is_some() => request,
         };
-        let alive = match (command, &mut stdin) {
-            (Some(ProcessCommand::Order(order)), Some(stdin)) => send(stdin, &order).await,
-            (Some(ProcessCommand::Kill), _) => child.start_kill(),
-            // The end of its input tells the process to end.
+        let done = match (request, &mut commands) {
+            (Some(Request::Send(command)), Some(commands)) => send(commands, &command).await,
+            (Some(Request::Kill), _) => child.start_kill(),
+            // The end of the connection tells the process to end.
             (None, _) => {
-                stdin = None;
+                commands = None;
                 Ok(())
             }
-            (Some(ProcessCommand::Order(_)), None) => Ok(()),
+            (Some(Request::Send(_)), None) => Ok(()),
         };
-        if alive.is_err() {
+        if done.is_err() {
             // It no longer reads: it has ended, or is about to.
-            stdin = None;
+            commands = None;
         }
     }
 }
 
-async fn send(stdin: &mut ChildStdin, order: &Order) -> io::Result<()> {
-    let mut line = serde_json::to_vec(order)?;
+async fn send(commands: &mut OwnedWriteHalf, command: &SlotCommand) -> io::Result<()> {
+    let mut line = serde_json::to_vec(command)?;
     line.push(b'\n');
-    stdin.write_all(&line).await?;
-    stdin.flush().await
+    commands.write_all(&line).await
 }
 
-async fn tell_reports(stdout: ChildStdout, key: ProcessKey, events: &mpsc::Sender<Event>) {
-    let mut stdout = BufReader::new(stdout);
-    while let Some(line) = next_line(&mut stdout, MAX_LINE_BYTES).await {
-        match serde_json::from_slice::<Report>(&line) {
-            Ok(report) => {
-                if events.send(Event::Reported { key, report }).await.is_err() {
+async fn tell_events(said: OwnedReadHalf, key: ProcessKey, events: &mpsc::Sender<Event>) {
+    let mut said = BufReader::new(said);
+    while let Some(line) = next_line(&mut said, MAX_LINE_BYTES).await {
+        match serde_json::from_slice::<SlotEvent>(&line) {
+            Ok(event) => {
+                if events.send(Event::Slot { key, event }).await.is_err() {
                     return;
                 }
             }
-            // Native libraries print where they like.
-            Err(_) => eprintln!("[slot {}] {}", key.slot, String::from_utf8_lossy(&line)),
+            // Nobody else has this connection: another program, or a defect.
+            Err(error) => {
+                let line = String::from_utf8_lossy(&line);
+                tracing::error!("slot {} said what is no event ({error}): {line}", key.slot);
+            }
         }
     }
 }
 
-/// Passes a process's standard error on; returns its last lines.
-async fn relay(mut stderr: impl AsyncBufRead + Unpin, slot: usize) -> VecDeque<String> {
+/// Passes on what a process prints; returns its last lines.
+async fn relay(output: Option<impl AsyncRead + Unpin>, slot: usize) -> VecDeque<String> {
     let mut last = VecDeque::new();
-    while let Some(line) = next_line(&mut stderr, MAX_STDERR_LINE_BYTES).await {
+    let Some(output) = output else { return last };
+    let mut output = BufReader::new(output);
+    while let Some(line) = next_line(&mut output, MAX_RELAYED_LINE_BYTES).await {
         let line = String::from_utf8_lossy(&line).into_owned();
         eprintln!("[slot {slot}] {line}");
         if last.len() == LAST_WORDS {
@@ -218,31 +210,10 @@ fn explain_end(
     text
 }
 
-/// Reads after "the process".
-pub(crate) fn explain_status(status: ExitStatus, kills: Verdict) -> String {
-    match (status.code(), status.signal()) {
-        (_, Some(9)) => format!("was killed by SIGKILL{}", kills.in_words()),
-        (_, Some(signal)) => format!("died of signal {signal} ({})", signal_name(signal)),
-        (Some(code), None) => format!("exited with code {code}"),
-        (None, None) => format!("ended ({status})"),
-    }
-}
-
-/// The signals that native code dies of.
-fn signal_name(signal: i32) -> &'static str {
-    match signal {
-        4 => "SIGILL, an instruction that this processor lacks",
-        6 => "SIGABRT, a library gave up",
-        7 => "SIGBUS, a memory or disk failure",
-        8 => "SIGFPE, an arithmetic failure",
-        11 => "SIGSEGV, a crash in native code",
-        15 => "SIGTERM",
-        _ => "see signal(7)",
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use std::os::unix::process::ExitStatusExt;
+
     use super::*;
 
     #[tokio::test]

@@ -1,23 +1,22 @@
 //! What a slot is doing, and what is to be done about it: pure. Executing the
 //! decisions is the supervisor's business.
 //!
-//! A slot is a process and a piece of work, and both have their own lives: work
-//! whose process died is still delivered, and a process without work waits for
-//! some.
+//! A slot is a process, a piece of work, and the video of it, and each has a life
+//! of its own: work whose process died is still delivered, a process without
+//! work waits for some, and a video is made while the result is delivered.
 
 use std::time::Duration;
 
+use attempt::{AttemptId, Backoff, Waits};
 use tokio::time::Instant;
 
-use crate::backoff::Backoff;
-use crate::ids::LeaseKey;
 use crate::message::FailureKind;
 
 /// Longest time that a slot's process may take to be ready: it hashes an asset
 /// pack and loads libraries.
 pub(crate) const START_DEADLINE: Duration = Duration::from_secs(120);
-/// Longest time that a process may take to let go of a rollout before it is
-/// killed. It looks for the order at every control step.
+/// Longest time that a process may take to abandon a rollout before it is
+/// killed. It looks for the command at every control step.
 pub(crate) const ABANDON_DEADLINE: Duration = Duration::from_secs(5);
 /// Starts of a slot's process that may fail one after the other, without a
 /// rollout in between, before the worker gives up.
@@ -30,7 +29,7 @@ pub(crate) enum Mode {
     Serving,
     /// It finishes what it has.
     Draining,
-    /// It has let go of everything and only delivers, until then at the latest.
+    /// It has given up its rollouts and only delivers, until then at the latest.
     Abandoning {
         /// When it goes, delivered or not.
         until: Instant,
@@ -50,7 +49,7 @@ pub(crate) enum ProcessState {
         /// When it is killed if it still is not.
         deadline: Instant,
     },
-    /// It takes orders.
+    /// It takes commands.
     Up,
     /// It was killed and has not ended yet.
     Dying,
@@ -65,8 +64,8 @@ pub(crate) enum Work {
     Claiming,
     /// A rollout is being simulated.
     Running {
-        /// Under which lease.
-        lease: LeaseKey,
+        /// Which attempt at it.
+        attempt: AttemptId,
         /// Control steps done.
         control_steps: u32,
         /// When the last of them was reported.
@@ -74,23 +73,79 @@ pub(crate) enum Work {
     },
     /// The process was killed under a rollout that stood still.
     Stuck {
-        /// Under which lease.
-        lease: LeaseKey,
+        /// Which attempt at it.
+        attempt: AttemptId,
         /// Control steps done.
         control_steps: u32,
     },
-    /// The lease was lost; the process was told to let go.
+    /// The lease was lost; the process was told to abandon the rollout.
     Abandoning {
-        /// When it is killed if it has not.
+        /// Which attempt at it.
+        attempt: AttemptId,
+        /// When the process is killed if it has not.
         deadline: Instant,
     },
     /// The coordinator is being told how the rollout ended.
     Delivering {
-        /// Under which lease.
-        lease: LeaseKey,
+        /// Which attempt at it.
+        attempt: AttemptId,
         /// Control steps done.
         control_steps: u32,
     },
+}
+
+/// The video of the rollout that a slot simulated last.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Video {
+    /// None is made, and none waits.
+    None,
+    /// The slot's process makes it, and takes no other work.
+    Filming {
+        /// Of which attempt.
+        attempt: AttemptId,
+        /// Control steps done, those of the rollout included.
+        control_steps: u32,
+        /// When the last of them was reported.
+        moved_at: Instant,
+        /// Whether it will have a result to stand beside.
+        result: ResultState,
+    },
+    /// It is made, and its result is still being delivered.
+    Made {
+        /// Of which attempt.
+        attempt: AttemptId,
+    },
+}
+
+/// How far a result has come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum ResultState {
+    /// It is being delivered.
+    Delivering,
+    /// The coordinator has it.
+    Committed,
+    /// The coordinator will not have it, or nobody sends it any more.
+    Unwanted,
+}
+
+/// What is to be done about a video now.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum VideoDecision {
+    /// Send it.
+    Upload(AttemptId),
+    /// Remove its file, if there is one.
+    Drop(AttemptId),
+    /// Tell the process to stop making it.
+    Abandon(AttemptId),
+}
+
+/// What the end of a slot's process cost.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Loss {
+    /// The attempt that was under way, to be delivered, and whose fault it was.
+    pub(crate) rollout: Option<(AttemptId, FailureKind)>,
+    /// The attempt that was being filmed.
+    pub(crate) video: Option<AttemptId>,
 }
 
 /// One slot.
@@ -98,6 +153,7 @@ pub(crate) enum Work {
 pub(crate) struct SlotState {
     pub(crate) process: ProcessState,
     pub(crate) work: Work,
+    pub(crate) video: Video,
     restarts: Backoff,
 }
 
@@ -119,8 +175,10 @@ pub(crate) enum Kill {
     NotReady,
     /// Its rollout stands still.
     Stuck,
-    /// It did not let go of its rollout.
-    HoldsOn,
+    /// Its filming stands still.
+    StuckFilming,
+    /// It did not abandon its rollout.
+    NotAbandoned,
 }
 
 impl SlotState {
@@ -129,7 +187,8 @@ impl SlotState {
         Self {
             process: ProcessState::Down { until: now },
             work: Work::Nothing,
-            restarts: Backoff::new(seed),
+            video: Video::None,
+            restarts: Backoff::new(Waits::USUAL, seed),
         }
     }
 
@@ -141,67 +200,84 @@ impl SlotState {
         now: Instant,
     ) -> Option<Decision> {
         let serving = mode == Mode::Serving;
-        match (&self.process, &self.work) {
-            (ProcessState::Down { until }, Work::Nothing) if serving && now >= *until => {
+        let stands_still = |moved_at: Instant| now.duration_since(moved_at) >= progress_timeout;
+        match (&self.process, &self.work, &self.video) {
+            (ProcessState::Down { until }, Work::Nothing, _) if serving && now >= *until => {
                 Some(Decision::Start)
             }
-            (ProcessState::Starting { deadline }, _) if now >= *deadline => {
+            (ProcessState::Starting { deadline }, ..) if now >= *deadline => {
                 Some(Decision::Kill(Kill::NotReady))
             }
-            (ProcessState::Up, Work::Nothing) if serving => Some(Decision::Claim),
-            (ProcessState::Up, Work::Running { moved_at, .. })
-                if now.duration_since(*moved_at) >= progress_timeout =>
-            {
+            (ProcessState::Up, Work::Running { moved_at, .. }, _) if stands_still(*moved_at) => {
                 Some(Decision::Kill(Kill::Stuck))
             }
-            (ProcessState::Up, Work::Abandoning { deadline }) if now >= *deadline => {
-                Some(Decision::Kill(Kill::HoldsOn))
+            (ProcessState::Up, Work::Abandoning { deadline, .. }, _) if now >= *deadline => {
+                Some(Decision::Kill(Kill::NotAbandoned))
             }
+            (ProcessState::Up, _, Video::Filming { moved_at, .. }) => {
+                stands_still(*moved_at).then_some(Decision::Kill(Kill::StuckFilming))
+            }
+            (ProcessState::Up, Work::Nothing, _) if serving => Some(Decision::Claim),
             _ => None,
         }
     }
 
     /// Nothing is left to wait for, in a worker that takes on no more work.
     pub(crate) fn is_done(&self) -> bool {
-        self.work == Work::Nothing
+        self.work == Work::Nothing && self.video == Video::None
     }
 
-    /// The lease that a heartbeat renews, and the progress that it carries.
-    pub(crate) fn progress(&self) -> Option<(LeaseKey, u32)> {
+    /// The attempt whose lease a heartbeat renews, and the progress that it
+    /// carries.
+    pub(crate) fn progress(&self) -> Option<(AttemptId, u32)> {
         match self.work {
             Work::Running {
-                lease,
+                attempt,
                 control_steps,
                 ..
             }
             | Work::Stuck {
-                lease,
+                attempt,
                 control_steps,
             }
             | Work::Delivering {
-                lease,
+                attempt,
                 control_steps,
-            } => Some((lease, control_steps)),
+            } => Some((attempt, control_steps)),
             Work::Nothing | Work::Claiming | Work::Abandoning { .. } => None,
         }
     }
 
-    /// The process says that it takes orders.
+    /// The process says that it takes commands.
     pub(crate) fn became_ready(&mut self) {
         if matches!(self.process, ProcessState::Starting { .. }) {
             self.process = ProcessState::Up;
         }
     }
 
-    /// The process reported progress.
-    pub(crate) fn advanced(&mut self, steps: u32, now: Instant) {
-        if let Work::Running {
-            control_steps,
-            moved_at,
-            ..
-        } = &mut self.work
-            && steps > *control_steps
-        {
+    /// The process reported progress with an attempt: simulating or filming it.
+    pub(crate) fn advanced(&mut self, of: AttemptId, steps: u32, now: Instant) {
+        let (attempt, control_steps, moved_at) = match (&mut self.work, &mut self.video) {
+            (
+                Work::Running {
+                    attempt,
+                    control_steps,
+                    moved_at,
+                },
+                _,
+            )
+            | (
+                _,
+                Video::Filming {
+                    attempt,
+                    control_steps,
+                    moved_at,
+                    ..
+                },
+            ) => (*attempt, control_steps, moved_at),
+            _ => return,
+        };
+        if attempt == of && steps > *control_steps {
             *control_steps = steps;
             *moved_at = now;
         }
@@ -213,72 +289,153 @@ impl SlotState {
         if let (
             Kill::Stuck,
             &Work::Running {
-                lease,
+                attempt,
                 control_steps,
                 ..
             },
         ) = (why, &self.work)
         {
             self.work = Work::Stuck {
-                lease,
+                attempt,
                 control_steps,
             };
         }
     }
 
-    /// The process has ended. Returns the lease of the rollout that went with
-    /// it and whose fault that was; it is to be delivered.
-    pub(crate) fn ended(&mut self, now: Instant) -> Option<(LeaseKey, FailureKind)> {
+    /// The process has ended. Returns what went with it. A video costs its
+    /// rollout nothing: its result is on its way already.
+    pub(crate) fn ended(&mut self, now: Instant) -> Loss {
         self.process = ProcessState::Down {
             until: now + self.restarts.next_wait(),
         };
-        let (lease, control_steps, kind) = match self.work {
+        let mut loss = Loss::default();
+        if let Video::Filming { attempt, .. } = self.video {
+            self.video = Video::None;
+            loss.video = Some(attempt);
+        }
+        let (attempt, control_steps, kind) = match self.work {
             Work::Running {
-                lease,
+                attempt,
                 control_steps,
                 ..
-            } => (lease, control_steps, FailureKind::SlotCrashed),
+            } => (attempt, control_steps, FailureKind::SlotCrashed),
             Work::Stuck {
-                lease,
+                attempt,
                 control_steps,
-            } => (lease, control_steps, FailureKind::SlotStuck),
+            } => (attempt, control_steps, FailureKind::SlotStuck),
             Work::Abandoning { .. } => {
                 self.work = Work::Nothing;
-                return None;
+                return loss;
             }
-            Work::Nothing | Work::Claiming | Work::Delivering { .. } => return None,
+            Work::Nothing | Work::Claiming | Work::Delivering { .. } => return loss,
         };
         self.work = Work::Delivering {
-            lease,
+            attempt,
             control_steps,
         };
-        Some((lease, kind))
+        loss.rollout = Some((attempt, kind));
+        loss
     }
 
-    /// The process reported the end of its rollout. Returns whether somebody
-    /// still wants to know; then it is to be delivered.
-    pub(crate) fn rollout_ended(&mut self) -> bool {
-        self.restarts.reset();
-        match self.work {
+    /// The process reported the end of an attempt, which it films next or not.
+    /// Returns whether somebody still wants to know; then it is to be delivered.
+    /// That a process was killed as stuck meanwhile changes nothing.
+    pub(crate) fn rollout_ended(&mut self, of: AttemptId, is_filmed: bool, now: Instant) -> bool {
+        let (result, control_steps) = match self.work {
             Work::Running {
-                lease,
+                attempt,
                 control_steps,
                 ..
-            } => {
-                self.work = Work::Delivering {
-                    lease,
-                    control_steps,
-                };
-                true
             }
-            Work::Abandoning { .. } => {
-                self.work = Work::Nothing;
-                false
-            }
-            // A report that crossed the kill of its process: the slot is about
-            // to end, and its rollout is delivered as stuck.
-            Work::Stuck { .. } | Work::Nothing | Work::Claiming | Work::Delivering { .. } => false,
+            | Work::Stuck {
+                attempt,
+                control_steps,
+            } if attempt == of => (ResultState::Delivering, control_steps),
+            Work::Abandoning { attempt, .. } if attempt == of => (ResultState::Unwanted, 0),
+            _ => return false,
+        };
+        self.restarts.reset();
+        if is_filmed {
+            self.video = Video::Filming {
+                attempt: of,
+                control_steps,
+                moved_at: now,
+                result,
+            };
         }
+        let is_wanted = result == ResultState::Delivering;
+        self.work = match is_wanted {
+            true => Work::Delivering {
+                attempt: of,
+                control_steps,
+            },
+            false => Work::Nothing,
+        };
+        is_wanted
+    }
+
+    /// The process reported that an attempt's video is in its file, or will
+    /// never be.
+    pub(crate) fn filming_ended(&mut self, of: AttemptId, is_made: bool) -> Option<VideoDecision> {
+        let Video::Filming {
+            attempt, result, ..
+        } = self.video
+        else {
+            return None;
+        };
+        if attempt != of {
+            return None;
+        }
+        self.video = Video::None;
+        match (is_made, result) {
+            (true, ResultState::Committed) => Some(VideoDecision::Upload(attempt)),
+            (true, ResultState::Delivering) => {
+                self.video = Video::Made { attempt };
+                None
+            }
+            (true, ResultState::Unwanted) | (false, _) => Some(VideoDecision::Drop(attempt)),
+        }
+    }
+
+    /// The coordinator answered how the attempt in hand ended: with a result
+    /// that it has now, or otherwise.
+    pub(crate) fn delivered(&mut self, is_committed: bool) -> Option<VideoDecision> {
+        self.work = Work::Nothing;
+        match &mut self.video {
+            Video::None => None,
+            Video::Filming { result, .. } if is_committed => {
+                *result = ResultState::Committed;
+                None
+            }
+            Video::Filming {
+                result, attempt, ..
+            } => {
+                *result = ResultState::Unwanted;
+                Some(VideoDecision::Abandon(*attempt))
+            }
+            &mut Video::Made { attempt } => {
+                self.video = Video::None;
+                Some(match is_committed {
+                    true => VideoDecision::Upload(attempt),
+                    false => VideoDecision::Drop(attempt),
+                })
+            }
+        }
+    }
+
+    /// The worker ends at once: the process is killed, nothing is filmed to its
+    /// end, and the attempt under way, if there is one, is to be given back.
+    pub(crate) fn give_up(&mut self) -> Option<AttemptId> {
+        self.process = ProcessState::Dying;
+        self.video = Video::None;
+        let (Work::Running { attempt, .. } | Work::Stuck { attempt, .. }) = self.work else {
+            return None;
+        };
+        self.work = Work::Delivering {
+            attempt,
+            control_steps: 0,
+        };
+        Some(attempt)
     }
 
     /// Whether the slot's process never survives its start.
@@ -292,25 +449,28 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::ids::{Attempt, JobId};
 
     const TIMEOUT: Duration = Duration::from_secs(180);
 
-    fn lease() -> LeaseKey {
-        LeaseKey {
-            job: JobId(1),
-            attempt: Attempt(1),
-        }
+    fn attempt(number: u8) -> AttemptId {
+        AttemptId::from_random([number; 16])
     }
 
     fn running(now: Instant) -> SlotState {
         let mut slot = SlotState::new(now, 1);
         slot.process = ProcessState::Up;
         slot.work = Work::Running {
-            lease: lease(),
+            attempt: attempt(1),
             control_steps: 0,
             moved_at: now,
         };
+        slot
+    }
+
+    /// Its result is being delivered while its video is made.
+    fn filming(now: Instant) -> SlotState {
+        let mut slot = running(now);
+        assert!(slot.rollout_ended(attempt(1), true, now));
         slot
     }
 
@@ -318,51 +478,126 @@ mod tests {
         Duration::from_secs(secs)
     }
 
+    fn lost(kind: FailureKind) -> Loss {
+        Loss {
+            rollout: Some((attempt(1), kind)),
+            video: None,
+        }
+    }
+
     #[test]
     fn a_rollout_that_stands_still_is_killed_and_reported_as_stuck() {
         let now = Instant::now();
         let mut slot = running(now);
-        slot.advanced(10, now + secs(100));
+        slot.advanced(attempt(1), 10, now + secs(100));
         let decide = |slot: &SlotState, at| slot.decide(Mode::Serving, TIMEOUT, now + secs(at));
         assert_eq!(decide(&slot, 279), None);
         // Saying the same again is no progress.
-        slot.advanced(10, now + secs(200));
+        slot.advanced(attempt(1), 10, now + secs(200));
         assert_eq!(decide(&slot, 280), Some(Decision::Kill(Kill::Stuck)));
         slot.killed(Kill::Stuck);
         assert_eq!(decide(&slot, 281), None);
         let ended = slot.ended(now + secs(281));
-        assert_eq!(ended, Some((lease(), FailureKind::SlotStuck)));
-        assert_eq!(slot.progress(), Some((lease(), 10)));
+        assert_eq!(ended, lost(FailureKind::SlotStuck));
+        assert_eq!(slot.progress(), Some((attempt(1), 10)));
+    }
+
+    #[test]
+    fn what_is_said_of_another_attempt_changes_nothing() {
+        let now = Instant::now();
+        let mut slot = running(now);
+        let before = slot.work.clone();
+        slot.advanced(attempt(2), 10, now);
+        assert!(!slot.rollout_ended(attempt(2), true, now));
+        assert_eq!((slot.work, slot.video), (before, Video::None));
+        let mut slot = filming(now);
+        slot.advanced(attempt(2), 10, now);
+        assert_eq!(slot.filming_ended(attempt(2), true), None);
+        assert_eq!(slot.video, filming(now).video);
     }
 
     #[test]
     fn a_crash_costs_the_rollout_in_hand_and_nothing_else() {
         let now = Instant::now();
         let mut slot = running(now);
-        assert_eq!(slot.ended(now), Some((lease(), FailureKind::SlotCrashed)));
+        assert_eq!(slot.ended(now), lost(FailureKind::SlotCrashed));
         // Until that is delivered, nothing is started or claimed.
         assert_eq!(slot.decide(Mode::Serving, TIMEOUT, now + secs(60)), None);
-        slot.work = Work::Nothing;
+        assert_eq!(slot.delivered(false), None);
         assert_eq!(slot.decide(Mode::Serving, TIMEOUT, now), None);
         let later = now + secs(1);
         assert_eq!(
             slot.decide(Mode::Serving, TIMEOUT, later),
             Some(Decision::Start)
         );
-        assert_eq!(slot.ended(later), None);
+        assert_eq!(slot.ended(later), Loss::default());
     }
 
     #[test]
-    fn a_rollout_whose_lease_is_lost_is_let_go_without_a_report() {
+    fn a_crash_while_filming_costs_the_video_and_not_the_result() {
+        let now = Instant::now();
+        let mut slot = filming(now);
+        let ended = slot.ended(now);
+        assert_eq!((ended.rollout, ended.video), (None, Some(attempt(1))));
+        assert_eq!(slot.progress(), Some((attempt(1), 0)), "still delivered");
+        assert_eq!(slot.delivered(true), None);
+        assert!(slot.is_done());
+    }
+
+    #[test]
+    fn filming_that_stands_still_is_killed_with_or_without_its_result_delivered() {
+        let now = Instant::now();
+        let mut slot = filming(now);
+        let kill = Some(Decision::Kill(Kill::StuckFilming));
+        slot.advanced(attempt(1), 10, now + secs(1));
+        assert_eq!(slot.decide(Mode::Serving, TIMEOUT, now + TIMEOUT), None);
+        let late = now + TIMEOUT + secs(1);
+        assert_eq!(slot.decide(Mode::Draining, TIMEOUT, late), kill);
+        slot.delivered(true);
+        assert!(!slot.is_done());
+        assert_eq!(slot.decide(Mode::Serving, TIMEOUT, late), kill);
+    }
+
+    #[test]
+    fn a_video_is_sent_once_it_is_made_and_its_result_committed_in_either_order() {
+        let now = Instant::now();
+        let upload = Some(VideoDecision::Upload(attempt(1)));
+        let mut slot = filming(now);
+        assert_eq!(slot.filming_ended(attempt(1), true), None);
+        assert_eq!(slot.delivered(true), upload);
+        let mut slot = filming(now);
+        assert_eq!(slot.delivered(true), None);
+        assert_eq!(slot.decide(Mode::Serving, TIMEOUT, now), None);
+        assert_eq!(slot.filming_ended(attempt(1), true), upload);
+        let claim = Some(Decision::Claim);
+        assert_eq!(slot.decide(Mode::Serving, TIMEOUT, now), claim);
+    }
+
+    #[test]
+    fn a_video_of_a_refused_result_is_dropped() {
+        let now = Instant::now();
+        let dropped = Some(VideoDecision::Drop(attempt(1)));
+        let mut slot = filming(now);
+        assert_eq!(slot.filming_ended(attempt(1), true), None);
+        assert_eq!(slot.delivered(false), dropped);
+        let mut slot = filming(now);
+        let abandon = Some(VideoDecision::Abandon(attempt(1)));
+        assert_eq!(slot.delivered(false), abandon);
+        assert_eq!(slot.filming_ended(attempt(1), true), dropped);
+    }
+
+    #[test]
+    fn a_rollout_whose_lease_is_lost_is_abandoned_without_a_report() {
         let now = Instant::now();
         let mut slot = running(now);
         slot.work = Work::Abandoning {
+            attempt: attempt(1),
             deadline: now + ABANDON_DEADLINE,
         };
         assert_eq!(slot.progress(), None);
         let late = slot.decide(Mode::Serving, TIMEOUT, now + ABANDON_DEADLINE);
-        assert_eq!(late, Some(Decision::Kill(Kill::HoldsOn)));
-        assert!(!slot.rollout_ended());
+        assert_eq!(late, Some(Decision::Kill(Kill::NotAbandoned)));
+        assert!(!slot.rollout_ended(attempt(1), false, now));
         assert!(slot.is_done());
     }
 
@@ -377,37 +612,55 @@ mod tests {
             let late = slot.decide(Mode::Serving, TIMEOUT, deadline);
             assert_eq!(late, Some(Decision::Kill(Kill::NotReady)));
             slot.killed(Kill::NotReady);
-            assert_eq!(slot.ended(now), None);
+            assert_eq!(slot.ended(now), Loss::default());
         }
         assert!(slot.cannot_start());
     }
 
     proptest! {
         /// Whatever happens in whatever order: a draining worker neither starts
-        /// nor claims, and no lease is forgotten before it is delivered.
+        /// nor claims, no attempt is forgotten before it is delivered, it is
+        /// delivered once, and its video is sent at most once, after its result
+        /// was committed.
         #[test]
-        fn a_draining_worker_takes_on_nothing_and_forgets_no_lease(
-            events in proptest::collection::vec(0..6_u8, 0..40)
+        fn a_draining_worker_takes_on_nothing_and_forgets_no_attempt(
+            events in proptest::collection::vec(0..9_u8, 0..40),
+            is_filmed: bool,
+            is_committed: bool,
         ) {
             let start = Instant::now();
             let mut slot = running(start);
-            let mut delivered = false;
+            let (mut deliveries, mut has_result, mut uploads) = (0, false, 0);
+            let mut answered = false;
             for (at, event) in events.into_iter().enumerate() {
                 let now = start + secs(30 * at as u64);
+                let mut video = None;
                 match event {
                     0 => slot.became_ready(),
-                    1 => slot.advanced(at as u32, now),
-                    2 => delivered |= slot.ended(now).is_some(),
-                    3 => delivered |= slot.rollout_ended(),
+                    1 => slot.advanced(attempt(1), at as u32, now),
+                    2 => deliveries += u32::from(slot.ended(now).rollout.is_some()),
+                    3 if slot.rollout_ended(attempt(1), is_filmed, now) => {
+                        deliveries += 1;
+                        has_result = true;
+                    }
+                    4 => video = slot.filming_ended(attempt(1), at % 2 == 0),
+                    5 if matches!(slot.work, Work::Delivering { .. }) => {
+                        video = slot.delivered(has_result && is_committed);
+                        answered = true;
+                    }
+                    6 => prop_assert!(!slot.rollout_ended(attempt(2), is_filmed, now)),
                     _ => match slot.decide(Mode::Draining, TIMEOUT, now) {
                         Some(Decision::Kill(why)) => slot.killed(why),
                         Some(decision) => prop_assert!(false, "{decision:?}"),
                         None => {}
                     },
                 }
-                prop_assert_eq!(slot.progress().map(|(lease, _)| lease), Some(lease()));
+                uploads += u32::from(matches!(video, Some(VideoDecision::Upload(_))));
+                prop_assert!(uploads <= u32::from(answered && has_result && is_committed));
+                let held = slot.progress().map(|(attempt, _)| attempt);
+                prop_assert_eq!(held, (!answered).then_some(attempt(1)));
                 let delivering = matches!(slot.work, Work::Delivering { .. });
-                prop_assert_eq!(delivered, delivering);
+                prop_assert_eq!(deliveries, u32::from(delivering || answered));
             }
         }
     }

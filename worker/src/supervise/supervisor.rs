@@ -3,64 +3,43 @@
 
 mod claiming;
 
+use std::path::PathBuf;
 use std::time::Duration;
 
+use attempt::AttemptId;
 use proto::coordinator::{
-    ClaimResponse, HeartbeatRequest, HeartbeatResponse, Progress, RegisterRequest, RegisterResponse,
+    HeartbeatRequest, HeartbeatResponse, Progress, RegisterRequest, RegisterResponse,
 };
 use tokio::sync::{mpsc, watch};
-use tokio::task::JoinSet;
+use tokio::task::{self, JoinError, JoinSet};
 use tokio::time::{Instant, Interval, MissedTickBehavior, interval};
 use tonic::Status;
+use transport::chain;
 
+use super::config::{Config, TIMING_UNTIL_REGISTERED, Timing, registration};
 use super::deliver::{Answer, Delivery, Ending, deliver};
+use super::error::SuperviseError;
+use super::event::{Event, ProcessKey};
 use super::link::Link;
-use super::process::{ProcessKey, SlotProcess};
+use super::process::SlotProcess;
 use super::slot_state::{
-    ABANDON_DEADLINE, Decision, Kill, Mode, ProcessState, START_DEADLINE, SlotState, Work,
+    ABANDON_DEADLINE, Decision, Kill, Mode, ProcessState, START_DEADLINE, SlotState, VideoDecision,
+    Work,
 };
-use super::{Config, SuperviseError, TIMING_UNTIL_REGISTERED, Timing, registration};
-use crate::grpc::in_words;
-use crate::ids::LeaseKey;
-use crate::message::{Assignment, Failure, FailureKind, Order, Report};
+use super::upload::{Upload, Uploader, remove};
+use crate::message::{Assignment, Failure, FailureKind, RolloutEvent, SlotCommand, SlotEvent};
 
-/// How often time-outs are looked at.
+/// How often timeouts are looked at, and leases that were just taken are
+/// acknowledged.
 const TICK: Duration = Duration::from_millis(250);
 /// A second request to end within so short a time is an echo of the first.
 const ECHO: Duration = Duration::from_millis(500);
 /// How long an abandoning worker tries to give its jobs back.
 const GIVE_BACK_DEADLINE: Duration = Duration::from_secs(10);
+/// How long a worker that is otherwise done waits for videos on their way.
+const UPLOAD_GRACE: Duration = Duration::from_secs(15);
 /// How long slots may take to end once nothing is wanted of them.
 const END_DEADLINE: Duration = Duration::from_secs(5);
-
-/// What happens to a worker.
-#[derive(Debug)]
-pub(crate) enum Event {
-    /// Time has passed.
-    Tick,
-    /// The coordinator answered the worker's registration.
-    Registered(Result<RegisterResponse, Status>),
-    /// Leases are to be renewed.
-    HeartbeatDue,
-    /// The coordinator answered a heartbeat that named these leases.
-    Renewed {
-        sent: Vec<LeaseKey>,
-        answer: Result<HeartbeatResponse, Status>,
-    },
-    /// The coordinator answered a slot's claim.
-    Claimed {
-        slot: usize,
-        answer: Result<ClaimResponse, Status>,
-    },
-    /// The coordinator knows how a slot's rollout ended.
-    Delivered { slot: usize, answer: Answer },
-    /// A slot's process said something.
-    Reported { key: ProcessKey, report: Report },
-    /// A slot's process ended, as told in `end`.
-    Ended { key: ProcessKey, end: String },
-    /// Somebody wants the worker to end: once, finish; twice, at once.
-    Shutdown,
-}
 
 #[derive(Debug)]
 struct Slot {
@@ -76,6 +55,7 @@ pub(super) struct Supervisor {
     config: Config,
     timing: Timing,
     link: Link,
+    uploader: Uploader,
     slots: Vec<Slot>,
     /// As whom the worker registers: known once a slot has said what draws,
     /// which this process cannot find out without native code.
@@ -90,11 +70,17 @@ pub(super) struct Supervisor {
     /// Why the worker ends, if not because it was told to.
     fault: Option<SuperviseError>,
     heartbeat_under_way: bool,
+    /// Whether a lease was taken that no heartbeat has named: the first one
+    /// acknowledges it.
+    has_news: bool,
     /// What the coordinator last said about having no work.
     idle_reason: String,
     events: mpsc::Sender<Event>,
     calls: JoinSet<()>,
+    uploads: JoinSet<()>,
     processes: JoinSet<()>,
+    /// Until when a worker that is otherwise done waits for `uploads`.
+    uploads_until: Option<Instant>,
 }
 
 impl Supervisor {
@@ -115,6 +101,7 @@ impl Supervisor {
             slots: slots.collect(),
             config,
             timing: TIMING_UNTIL_REGISTERED,
+            uploader: Uploader::new(link.clone()),
             link,
             registration: None,
             is_registered: false,
@@ -123,10 +110,13 @@ impl Supervisor {
             told_to_end_at: None,
             fault: None,
             heartbeat_under_way: false,
+            has_news: false,
             idle_reason: String::new(),
             events,
             calls: JoinSet::new(),
+            uploads: JoinSet::new(),
             processes: JoinSet::new(),
+            uploads_until: None,
         }
     }
 
@@ -144,9 +134,19 @@ impl Supervisor {
                 Some(()) = shutdown.recv() => Event::Shutdown,
                 _ = ticks.tick() => Event::Tick,
                 _ = heartbeats.tick() => Event::HeartbeatDue,
-                // Finished tasks are let go of; what they had to say they said.
-                Some(_) = self.calls.join_next() => continue,
-                Some(_) = self.processes.join_next() => continue,
+                // What finished tasks had to say they have said.
+                Some(ended) = self.calls.join_next() => match panicked(ended) {
+                    Some(event) => event,
+                    None => continue,
+                },
+                Some(ended) = self.uploads.join_next() => match panicked(ended) {
+                    Some(event) => event,
+                    None => continue,
+                },
+                Some(ended) = self.processes.join_next() => match panicked(ended) {
+                    Some(event) => event,
+                    None => continue,
+                },
             };
             let now = Instant::now();
             self.handle(event, now);
@@ -165,13 +165,18 @@ impl Supervisor {
         heartbeats
     }
 
-    fn is_done(&self, now: Instant) -> bool {
-        let idle = self.slots.iter().all(|slot| slot.state.is_done());
-        match self.mode {
-            Mode::Serving => false,
-            Mode::Draining => idle,
-            Mode::Abandoning { until } => idle || now >= until,
+    fn is_done(&mut self, now: Instant) -> bool {
+        if self.mode == Mode::Serving {
+            return false;
         }
+        if matches!(self.mode, Mode::Abandoning { until } if now >= until) {
+            return true;
+        }
+        if !self.slots.iter().all(|slot| slot.state.is_done()) {
+            return false;
+        }
+        let until = *self.uploads_until.get_or_insert(now + UPLOAD_GRACE);
+        self.uploads.is_empty() || now >= until
     }
 
     /// Lets the slots' processes end, and sees that they do.
@@ -182,7 +187,11 @@ impl Supervisor {
             }
             slot.process = None;
         }
+        if !self.uploads.is_empty() {
+            tracing::warn!("{} videos were not stored in time", self.uploads.len());
+        }
         self.calls.abort_all();
+        self.uploads.abort_all();
         let processes = &mut self.processes;
         let ending = async {
             // Reports must be taken for the processes' tasks to end.
@@ -200,15 +209,19 @@ impl Supervisor {
 
     fn handle(&mut self, event: Event, now: Instant) {
         match event {
-            Event::Tick => {}
+            Event::Tick => {
+                if self.has_news {
+                    self.send_heartbeat();
+                }
+            }
             Event::Registered(answer) => self.registered(answer),
             Event::HeartbeatDue => self.send_heartbeat(),
-            Event::Renewed { sent, answer } => self.renewed(&sent, answer, now),
+            Event::Renewed(answer) => self.renewed(answer, now),
             Event::Claimed { slot, answer } => self.claimed(slot, answer, now),
             Event::Delivered { slot, answer } => self.delivered(slot, answer),
-            Event::Reported { key, report } => {
+            Event::Slot { key, event } => {
                 if self.is_current(key) {
-                    self.reported(key.slot, report, now);
+                    self.slot_said(key.slot, event, now);
                 }
             }
             Event::Ended { key, end } => {
@@ -216,6 +229,7 @@ impl Supervisor {
                     self.process_ended(key.slot, end, now);
                 }
             }
+            Event::Panicked { task, error } => self.panicked(task, error, now),
             Event::Shutdown => self.shut_down(now),
         }
     }
@@ -244,8 +258,8 @@ impl Supervisor {
             slot,
             life: slots.lives,
         };
-        let command = &self.config.slot_command;
-        let started = SlotProcess::start(command, key, &mut self.processes, self.events.clone());
+        let program = &self.config.slot_program;
+        let started = SlotProcess::start(program, key, &mut self.processes, self.events.clone());
         match started {
             Ok(process) => {
                 slots.process = Some(process);
@@ -254,7 +268,7 @@ impl Supervisor {
                 };
             }
             Err(error) => {
-                let program = command.program.display();
+                let program = program.program.display();
                 self.process_ended(slot, format!("could not start {program}: {error}"), now);
             }
         }
@@ -264,7 +278,8 @@ impl Supervisor {
         let kill = match why {
             Kill::NotReady => "its process does not become ready",
             Kill::Stuck => "its rollout stands still",
-            Kill::HoldsOn => "it does not let go of its rollout",
+            Kill::StuckFilming => "its filming stands still; the result is not affected",
+            Kill::NotAbandoned => "it does not abandon its rollout",
         };
         tracing::warn!("slot {slot} is killed: {kill}");
         let slot = &mut self.slots[slot];
@@ -274,29 +289,42 @@ impl Supervisor {
         }
     }
 
-    fn reported(&mut self, slot: usize, report: Report, now: Instant) {
-        let state = &mut self.slots[slot].state;
-        let lease = state.progress().map(|(lease, _)| lease);
-        let ending = match report {
-            Report::Ready {
+    fn slot_said(&mut self, slot: usize, event: SlotEvent, now: Instant) {
+        let (attempt, event) = match event {
+            SlotEvent::Ready {
                 renderer,
                 fingerprint,
             } => return self.became_ready(slot, renderer, &fingerprint),
-            Report::Progress(steps) => return state.advanced(steps, now),
-            Report::Abandoned => {
-                state.rollout_ended();
+            SlotEvent::Rollout { attempt, event } => (attempt, event),
+        };
+        let state = &mut self.slots[slot].state;
+        let (is_filmed, ending) = match event {
+            RolloutEvent::Progress(steps) => return state.advanced(attempt, steps, now),
+            RolloutEvent::Abandoned => {
+                state.rollout_ended(attempt, false, now);
                 return;
             }
-            Report::Finished(finished) => Ending::Finished(finished),
-            Report::Failed(failure) => Ending::Failed(failure),
+            RolloutEvent::Filmed => {
+                let decision = state.filming_ended(attempt, true);
+                return self.carry_out_video(slot, decision);
+            }
+            RolloutEvent::NotFilmed(problem) => {
+                let decision = state.filming_ended(attempt, false);
+                tracing::warn!("no video of {}: failed to {problem}", self.label(slot));
+                return self.carry_out_video(slot, decision);
+            }
+            RolloutEvent::Finished(finished) => {
+                (finished.is_filmed_next, Ending::Finished(finished))
+            }
+            RolloutEvent::Failed(failure) => (false, Ending::Failed(failure)),
         };
-        if let (true, Some(lease)) = (state.rollout_ended(), lease) {
-            let session = self.session(slot);
-            self.send_delivery(slot, lease, session, ending);
+        if state.rollout_ended(attempt, is_filmed, now) {
+            let label = self.label(slot);
+            self.send_delivery(slot, attempt, label, ending);
         }
     }
 
-    /// A slot takes orders. The first one says as whom to register; the others
+    /// A slot takes commands. The first one says as whom to register; the others
     /// must draw alike, or some of their results would be refused.
     fn became_ready(&mut self, slot: usize, renderer: String, fingerprint: &str) {
         self.slots[slot].state.became_ready();
@@ -333,14 +361,14 @@ impl Supervisor {
                 self.is_registered = true;
             }
             Err(status) => {
-                let (url, answer) = (url.clone(), in_words(&status));
+                let (url, answer) = (url.clone(), chain(&status));
                 self.stop(SuperviseError::Refused { url, answer });
             }
         }
     }
 
     /// The rollout in hand, for people.
-    fn session(&self, slot: usize) -> String {
+    fn label(&self, slot: usize) -> String {
         let assignment = self.slots[slot].assignment.as_ref();
         assignment.map_or_else(String::new, |it| it.session.to_string())
     }
@@ -348,22 +376,49 @@ impl Supervisor {
     fn process_ended(&mut self, slot: usize, end: String, now: Instant) {
         self.slots[slot].process = None;
         let state = &mut self.slots[slot].state;
-        let lost = state.ended(now);
+        let loss = state.ended(now);
         if state.cannot_start() {
             let end = end.clone();
             self.stop(SuperviseError::Slot { slot, end });
         } else {
             tracing::warn!("the process of slot {slot} {end}");
         }
-        if let Some((lease, kind)) = lost {
+        if let Some(attempt) = loss.video {
+            tracing::warn!("no video of {}: it was being made", self.label(slot));
+            self.carry_out_video(slot, Some(VideoDecision::Drop(attempt)));
+        }
+        if let Some((attempt, kind)) = loss.rollout {
             let error = self.explain_loss(kind, &end);
-            let session = self.session(slot);
-            self.send_delivery(
-                slot,
-                lease,
-                session,
-                Ending::Failed(Failure { kind, error }),
-            );
+            let label = self.label(slot);
+            let ending = Ending::Failed(Failure { kind, error });
+            self.send_delivery(slot, attempt, label, ending);
+        }
+    }
+
+    /// Where a slot puts a video.
+    fn video_file(&self, attempt: AttemptId) -> PathBuf {
+        self.config.scratch.join(format!("{attempt}.mp4"))
+    }
+
+    fn carry_out_video(&mut self, slot: usize, decision: Option<VideoDecision>) {
+        match decision {
+            None => {}
+            Some(VideoDecision::Abandon(attempt)) => {
+                if let Some(process) = &self.slots[slot].process {
+                    process.send(SlotCommand::Abandon(attempt));
+                }
+            }
+            Some(VideoDecision::Drop(attempt)) => {
+                self.uploads.spawn(remove(self.video_file(attempt)));
+            }
+            Some(VideoDecision::Upload(attempt)) => {
+                let upload = Upload {
+                    attempt,
+                    file: self.video_file(attempt),
+                    label: self.label(slot),
+                };
+                self.uploads.spawn(self.uploader.clone().upload(upload));
+            }
         }
     }
 
@@ -378,10 +433,10 @@ impl Supervisor {
         }
     }
 
-    fn send_delivery(&mut self, slot: usize, lease: LeaseKey, label: String, ending: Ending) {
+    fn send_delivery(&mut self, slot: usize, attempt: AttemptId, label: String, ending: Ending) {
         let assignment = self.slots[slot].assignment.as_ref();
         let delivery = Delivery {
-            lease: lease.to_wire(&self.config.identity.worker),
+            attempt,
             label,
             realisation: assignment.map(|it| it.realisation).unwrap_or_default(),
             identity: self.config.identity.clone(),
@@ -396,7 +451,8 @@ impl Supervisor {
     }
 
     fn delivered(&mut self, slot: usize, answer: Answer) {
-        self.slots[slot].state.work = Work::Nothing;
+        let decision = self.slots[slot].state.delivered(answer.is_committed());
+        self.carry_out_video(slot, decision);
         answer.tell();
         if let Some(reason) = answer.stop_leasing() {
             self.stop(SuperviseError::Stopped(reason));
@@ -408,63 +464,54 @@ impl Supervisor {
             return;
         }
         self.heartbeat_under_way = true;
-        let held: Vec<_> = self
-            .slots
-            .iter()
-            .filter_map(|it| it.state.progress())
-            .collect();
-        let progress = held.iter().map(|(lease, control_steps)| Progress {
-            job_id: lease.job.0,
-            attempt: lease.attempt.0,
-            control_steps: *control_steps,
+        self.has_news = false;
+        let held = self.slots.iter().filter_map(|it| it.state.progress());
+        let progress = held.map(|(attempt, control_steps)| Progress {
+            attempt_id: attempt.to_string(),
+            control_steps,
         });
         let request = HeartbeatRequest {
             worker_id: self.config.identity.worker.to_string(),
             progress: progress.collect(),
         };
-        let sent = held.into_iter().map(|(lease, _)| lease).collect();
         let (link, events) = (self.link.clone(), self.events.clone());
         let deadline = self.timing.heartbeat.max(Duration::from_secs(1));
         self.calls.spawn(async move {
             let answer = link.heartbeat(request, deadline).await;
-            let _ = events.send(Event::Renewed { sent, answer }).await;
+            let _ = events.send(Event::Renewed(answer)).await;
         });
     }
 
-    fn renewed(
-        &mut self,
-        sent: &[LeaseKey],
-        answer: Result<HeartbeatResponse, Status>,
-        now: Instant,
-    ) {
+    fn renewed(&mut self, answer: Result<HeartbeatResponse, Status>, now: Instant) {
         self.heartbeat_under_way = false;
         // A failure is told by the link, and the next heartbeat is soon.
         let Ok(answer) = answer else { return };
-        for lease in sent
-            .iter()
-            .filter(|it| answer.lost_jobs.contains(&it.job.0))
-        {
-            self.let_go(*lease, now);
+        for lost in &answer.lost_attempts {
+            match lost.parse() {
+                Ok(attempt) => self.abandon(attempt, now),
+                Err(error) => tracing::warn!("a lost lease is not known here: {error}"),
+            }
         }
     }
 
-    /// Abandons the rollout of a lost lease, if it is still being simulated.
-    fn let_go(&mut self, lost: LeaseKey, now: Instant) {
-        let held = |slot: &&mut Slot| matches!(slot.state.work, Work::Running { lease, .. } if lease == lost);
-        let Some(slot) = self.slots.iter_mut().find(held) else {
+    /// Abandons an attempt whose lease is lost, if it is still being simulated.
+    fn abandon(&mut self, lost: AttemptId, now: Instant) {
+        let held = |slot: &Slot| matches!(slot.state.work, Work::Running { attempt, .. } if attempt == lost);
+        let Some(slot) = self.slots.iter().position(held) else {
             return;
         };
-        if let Some(process) = &slot.process {
-            process.order(Order::Abandon);
-        }
-        slot.state.work = Work::Abandoning {
-            deadline: now + ABANDON_DEADLINE,
-        };
-        let session = slot.assignment.as_ref().map(|it| it.session.as_str());
         tracing::warn!(
             "the lease of {} was lost; it is abandoned",
-            session.unwrap_or_default()
+            self.label(slot)
         );
+        let slot = &mut self.slots[slot];
+        if let Some(process) = &slot.process {
+            process.send(SlotCommand::Abandon(lost));
+        }
+        slot.state.work = Work::Abandoning {
+            attempt: lost,
+            deadline: now + ABANDON_DEADLINE,
+        };
     }
 
     /// Takes on no more work because of a fault.
@@ -489,45 +536,138 @@ impl Supervisor {
                 "draining: {} rollouts in hand are finished; ask again to give them back instead",
                 running.count()
             );
-        } else if self.mode == Mode::Draining && self.means_it(now) {
-            self.mode = Mode::Abandoning {
-                until: now + GIVE_BACK_DEADLINE,
-            };
+        } else if self.mode == Mode::Draining && !self.is_echo(now) {
             tracing::info!("giving the rollouts in hand back");
-            for slot in 0..self.slots.len() {
-                self.give_back(slot);
+            self.give_up(now);
+        }
+    }
+
+    /// Whether a request to end is the one before, heard twice: some that end
+    /// programs signal the process and its group.
+    fn is_echo(&self, now: Instant) -> bool {
+        self.told_to_end_at
+            .is_some_and(|first| now.duration_since(first) < ECHO)
+    }
+
+    /// Gives the rollouts in hand back, and ends soon.
+    fn give_up(&mut self, now: Instant) {
+        self.mode = Mode::Abandoning {
+            until: now + GIVE_BACK_DEADLINE,
+        };
+        for slot in 0..self.slots.len() {
+            let given_back = self.slots[slot].state.give_up();
+            if let Some(process) = &self.slots[slot].process {
+                process.kill();
+            }
+            if let Some(attempt) = given_back {
+                let error = "finish the rollout: the worker was told to end at once".to_owned();
+                let kind = FailureKind::Draining;
+                let label = self.label(slot);
+                let ending = Ending::Failed(Failure { kind, error });
+                self.send_delivery(slot, attempt, label, ending);
             }
         }
     }
 
-    /// Whether a request to end is not an echo of the one before: some that
-    /// end programs signal the process and its group.
-    fn means_it(&self, now: Instant) -> bool {
-        self.told_to_end_at
-            .is_none_or(|first| now.duration_since(first) >= ECHO)
+    /// A slot's task that panicked is the end of the slot's process, which is
+    /// killed with it. Any other may be missed for ever, by a lease that is
+    /// renewed and never ended: the worker gives up.
+    fn panicked(&mut self, task: task::Id, error: String, now: Instant) {
+        let owns = |slot: &Slot| slot.process.as_ref().is_some_and(|it| it.task == task);
+        if let Some(slot) = self.slots.iter().position(owns) {
+            let end = format!("is not attended any more: {error}");
+            return self.process_ended(slot, end, now);
+        }
+        tracing::error!("a part of this worker broke off: {error}");
+        self.start_to_drain();
+        self.fault.get_or_insert(SuperviseError::Panicked(error));
+        self.give_up(now);
+    }
+}
+
+fn panicked(ended: Result<(), JoinError>) -> Option<Event> {
+    // Nothing is aborted while the worker serves.
+    let error = ended.err()?;
+    Some(Event::Panicked {
+        task: error.id(),
+        error: error.to_string(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use transport::Access;
+
+    use super::super::config::Identity;
+    use super::*;
+    use crate::child::SlotProgram;
+    use crate::ids::WorkerId;
+
+    /// A worker with one slot, whose process waits for its parent to go, and a
+    /// coordinator that is nowhere.
+    fn supervisor(events: mpsc::Sender<Event>) -> Supervisor {
+        let config = Config {
+            coordinator: "http://127.0.0.1:9".to_owned(),
+            access: Access::none(),
+            identity: Identity {
+                worker: WorkerId::new("test", 1),
+                host: "test".to_owned(),
+                asset_pack: String::new(),
+                asset_pack_digest: String::new(),
+                mujoco_version: String::new(),
+            },
+            slots: 1,
+            slot_program: SlotProgram {
+                program: "cat".into(),
+                arguments: Vec::new(),
+            },
+            policy_endpoint: None,
+            scratch: std::env::temp_dir(),
+            seed: 1,
+        };
+        let (drain, draining) = watch::channel(false);
+        let link = Link::new(&config.coordinator, &config.access, 1, draining);
+        let link = link.expect("a URL");
+        Supervisor::new(config, link, drain, events, Instant::now())
     }
 
-    fn give_back(&mut self, slot: usize) {
-        let state = &mut self.slots[slot].state;
-        let (Work::Running { lease, .. } | Work::Stuck { lease, .. }) = state.work else {
-            return;
-        };
-        state.work = Work::Delivering {
-            lease,
+    #[tokio::test]
+    async fn a_call_that_panics_ends_the_worker_with_an_error_that_says_so() {
+        let (events, inbox) = mpsc::channel(8);
+        let mut supervisor = supervisor(events);
+        // Whatever it was to tell, nobody will: its lease would be renewed for
+        // ever.
+        supervisor.calls.spawn(async { panic!("a defect") });
+        let (_requests, shutdown) = mpsc::channel(1);
+        let serving = supervisor.serve(inbox, shutdown);
+        let ended = tokio::time::timeout(Duration::from_secs(20), serving).await;
+        let error = ended.expect("it ends").expect_err("with a fault");
+        assert!(error.to_string().contains("a defect"), "{error}");
+    }
+
+    #[tokio::test]
+    async fn a_slots_task_that_panics_is_the_end_of_its_process() {
+        let (events, mut inbox) = mpsc::channel(8);
+        let mut supervisor = supervisor(events);
+        let now = Instant::now();
+        supervisor.start_process(0, now);
+        let attempt = AttemptId::from_random([1; 16]);
+        supervisor.slots[0].state.process = ProcessState::Up;
+        supervisor.slots[0].state.work = Work::Running {
+            attempt,
             control_steps: 0,
+            moved_at: now,
         };
-        state.process = ProcessState::Dying;
-        if let Some(process) = &self.slots[slot].process {
-            process.kill();
-        }
-        let error = "finish the rollout: the worker was told to end at once".to_owned();
-        let kind = FailureKind::Draining;
-        let session = self.session(slot);
-        self.send_delivery(
-            slot,
-            lease,
-            session,
-            Ending::Failed(Failure { kind, error }),
-        );
+        let task = supervisor.processes.spawn(async { panic!("a defect") });
+        let process = supervisor.slots[0].process.as_mut().expect("started");
+        process.task = task.id();
+        let ended = supervisor.processes.join_next().await.expect("a task");
+        let event = panicked(ended).expect("an event");
+        supervisor.handle(event, now);
+        let state = &supervisor.slots[0].state;
+        assert!(matches!(state.work, Work::Delivering { attempt: it, .. } if it == attempt));
+        assert!(matches!(state.process, ProcessState::Down { .. }));
+        assert_eq!(supervisor.mode, Mode::Serving, "another is started");
+        assert!(inbox.try_recv().is_err());
     }
 }

@@ -1,13 +1,12 @@
 //! Rollouts that have no outcome, and whose fault that was.
 
-use std::path::Path;
 use std::time::Duration;
 
 use proto::coordinator::release_request::Reason;
 
 use crate::scripted_coordinator::{ScriptedCoordinator, Told};
 use crate::scripted_policy::ScriptedPolicy;
-use crate::worker_process::{WorkerProcess, lease, ready, signal, wait_for_the_end_of};
+use crate::worker_process::{WorkerProcess, attempt_id, lease, ready, signal, wait_for_the_end_of};
 
 /// Runs one rollout per policy; each must be released for `reason`, in words
 /// that contain what is expected.
@@ -36,7 +35,10 @@ async fn answers_that_no_robot_can_execute_are_the_policys_fault() {
     }
     let policy = ScriptedPolicy::start().await;
     let coordinator = ScriptedCoordinator::start().await;
-    let session = |query: &str| format!("query {query} of session object/t0/clean/i03#r0#a1");
+    let session = |query: &str, job| {
+        let attempt = attempt_id(job);
+        format!("query {query} of session object/t0/clean/i03#r0#{attempt}")
+    };
     check(
         coordinator,
         &policy.url(),
@@ -44,11 +46,11 @@ async fn answers_that_no_robot_can_execute_are_the_policys_fault() {
         &[
             (
                 "nan",
-                &format!("{}: number 2 of action 1 is NaN", session("1")),
+                &format!("{}: number 2 of action 1 is NaN", session("1", 1)),
             ),
             (
                 "narrow",
-                &format!("{}: actions have 6 numbers each", session("0")),
+                &format!("{}: actions have 6 numbers each", session("0", 2)),
             ),
             ("ragged", "13 numbers are no whole actions of 7"),
             ("empty", "it holds no action"),
@@ -120,7 +122,7 @@ async fn a_slot_that_dies_costs_its_rollout_and_is_replaced() {
     );
     coordinator.lease(lease(2, "still", &policy.url()));
     let commit = coordinator.told(2).await.commit();
-    assert_eq!(commit.lease.map(|lease| lease.job_id), Some(2));
+    assert_eq!(commit.attempt_id, attempt_id(2));
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -163,7 +165,7 @@ async fn a_rollout_whose_lease_is_lost_is_abandoned_in_silence() {
     coordinator.lose(1);
     coordinator.lease(lease(2, "still", &policy.url()));
     let commit = coordinator.told(1).await.commit();
-    assert_eq!(commit.lease.map(|lease| lease.job_id), Some(2));
+    assert_eq!(commit.attempt_id, attempt_id(2));
     assert_eq!(
         worker.slots(),
         slots,
@@ -187,68 +189,4 @@ async fn a_worker_that_is_told_to_stop_says_why_and_fails() {
         coordinator.everything_told()[..],
         [_, Told::Released(_)]
     ));
-}
-
-/// A program that stands in for a slot; the path.
-fn slot_program(folder: &Path, script: &str) -> String {
-    let program = folder.join("slot-program");
-    std::fs::write(&program, format!("#!/bin/sh\n{script}")).expect("written");
-    let mode = std::os::unix::fs::PermissionsExt::from_mode(0o755);
-    std::fs::set_permissions(&program, mode).expect("its own file");
-    program.to_str().expect("UTF-8").to_owned()
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn slots_that_draw_differently_stop_the_worker_before_a_result_is_refused() {
-    if !ready("slots_that_draw_differently_stop_the_worker_before_a_result_is_refused") {
-        return;
-    }
-    let coordinator = ScriptedCoordinator::start().await;
-    let folder = tempfile::tempdir().expect("a folder");
-    let script = format!(
-        "mkdir {}/first 2> /dev/null && name=one || {{ name=another; sleep 1; }}
-         echo '{{\"ready\": {{\"renderer\": \"'$name'\", \"fingerprint\": \"{}\"}}}}'
-         cat > /dev/null\n",
-        folder.path().display(),
-        "f".repeat(64),
-    );
-    let program = slot_program(folder.path(), &script);
-    let arguments = ["--slots", "2", "--slot-program", &program];
-    let worker = WorkerProcess::start_with(&coordinator.url(), &arguments);
-    let Told::Registered(registered) = coordinator.told(0).await else {
-        panic!("a worker registers first");
-    };
-    assert_eq!(registered.renderer, "one");
-    let (status, said) = worker.wait();
-    assert_eq!(status.code(), Some(1));
-    for words in [
-        "it draws with `another`",
-        "is registered with `one`",
-        "one worker for each renderer",
-    ] {
-        assert!(said.contains(words), "{said}");
-    }
-    assert_eq!(coordinator.everything_told().len(), 1);
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn a_slot_that_crashes_again_and_again_stops_the_worker_with_the_reason() {
-    if !ready("a_slot_that_crashes_again_and_again_stops_the_worker_with_the_reason") {
-        return;
-    }
-    let coordinator = ScriptedCoordinator::start().await;
-    let folder = tempfile::tempdir().expect("a folder");
-    let program = slot_program(folder.path(), "echo libEGL is missing >&2\nexit 3\n");
-    let worker = WorkerProcess::start_with(&coordinator.url(), &["--slot-program", &program]);
-    let (status, said) = worker.wait();
-    assert_eq!(status.code(), Some(1));
-    for words in [
-        "ended 5 times in a row",
-        "exited with code 3",
-        "libEGL is missing",
-    ] {
-        assert!(said.contains(words), "{said}");
-    }
-    let told = coordinator.everything_told();
-    assert!(told.is_empty(), "registered without a renderer: {told:?}");
 }

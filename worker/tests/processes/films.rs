@@ -4,7 +4,7 @@ use proto::coordinator::Film;
 
 use crate::scripted_coordinator::{ScriptedCoordinator, Told};
 use crate::scripted_policy::ScriptedPolicy;
-use crate::worker_process::{MAX_STEPS, WorkerProcess, lease, ready, run};
+use crate::worker_process::{MAX_STEPS, WorkerProcess, attempt_id, lease, ready, run};
 
 /// Three numbers of 16 bits.
 const POINT_BYTES: usize = 6;
@@ -23,13 +23,13 @@ async fn a_film(coordinator: &ScriptedCoordinator) -> Film {
     assert_eq!(motion.path.len(), (MAX_STEPS as usize + 1) * POINT_BYTES);
     assert_eq!(motion.actions.len(), MAX_STEPS as usize * ACTION_BYTES);
     Film {
-        lease: commit.lease,
+        attempt_id: commit.attempt_id,
         campaign: kept.campaign,
         replicate: kept.replicate,
         manifest_row: kept.manifest_row,
         realisation: kept.realisation,
         actions: motion.actions,
-        success: commit.outcome.expect("an outcome").success,
+        success: commit.result.expect("a result").success,
     }
 }
 
@@ -50,10 +50,10 @@ async fn a_rollout_is_filmed_from_its_actions_when_its_policy_has_gone() {
         said,
         "1 videos stored; no more is left to film with asset pack primitives and MuJoCo 3.3.7\n"
     );
-    let Told::Video { job, bytes } = coordinator.told(2).await else {
+    let Told::Video { attempt, bytes } = coordinator.told(2).await else {
         panic!("{:?}", coordinator.everything_told());
     };
-    assert_eq!((job, &bytes[4..8]), (1, &b"ftyp"[..]));
+    assert_eq!((attempt, &bytes[4..8]), (attempt_id(1), &b"ftyp"[..]));
 }
 
 #[tokio::test(flavor = "multi_thread")]

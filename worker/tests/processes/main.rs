@@ -8,9 +8,12 @@
 mod endings;
 mod failures;
 mod films;
+mod leases;
 mod machine;
 mod outcomes;
 mod refusals;
 mod scripted_coordinator;
 mod scripted_policy;
+mod slot_programs;
+mod videos;
 mod worker_process;

@@ -5,7 +5,7 @@ use protocol::ManifestRow;
 
 use crate::scripted_coordinator::{ScriptedCoordinator, Told};
 use crate::scripted_policy::{FRAME_SIDE, HORIZON, ScriptedPolicy};
-use crate::worker_process::{MAX_STEPS, WorkerProcess, lease, ready, run};
+use crate::worker_process::{MAX_STEPS, WorkerProcess, attempt_id, lease, ready, run};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_outcome_goes_with_everything_that_it_came_out_of() {
@@ -21,14 +21,12 @@ async fn an_outcome_goes_with_everything_that_it_came_out_of() {
         panic!("a worker registers first");
     };
     let commit = coordinator.told(1).await.commit();
-    let lease = commit.lease.expect("a lease");
-    assert_eq!((lease.job_id, lease.attempt), (1, 1));
-    assert_eq!(lease.worker_id, registered.worker_id);
+    assert_eq!(commit.attempt_id, attempt_id(1));
 
-    let outcome = commit.outcome.expect("an outcome");
-    assert_eq!((outcome.success, outcome.steps), (false, MAX_STEPS));
-    assert_eq!(outcome.policy_queries, MAX_STEPS / HORIZON);
-    assert_eq!((outcome.clipped_actions, outcome.ik_residual_mm), (0, None));
+    let result = commit.result.expect("a result");
+    assert_eq!((result.success, result.steps), (false, MAX_STEPS));
+    assert_eq!(result.policy_queries, MAX_STEPS / HORIZON);
+    assert_eq!((result.clipped_actions, result.ik_residual_mm), (0, None));
 
     let provenance = commit.provenance.expect("a provenance");
     for digest in [
@@ -39,7 +37,7 @@ async fn an_outcome_goes_with_everything_that_it_came_out_of() {
     ] {
         assert_eq!(digest.len(), 64, "{provenance:#?}");
     }
-    assert_eq!(provenance.perturbation_digest, "");
+    assert_eq!(provenance.realised, []);
     assert_eq!(provenance.asset_pack, "primitives");
     assert_eq!(provenance.mujoco_version, "3.3.7");
     assert_eq!(provenance.policy_name, "looking");
@@ -67,7 +65,8 @@ async fn a_policy_is_shown_what_it_wants_once_per_query() {
     let [reset] = asked.resets.as_slice() else {
         panic!("{:?}", asked.resets)
     };
-    assert_eq!(reset.session, "object/t0/clean/i03#r0#a1");
+    let session = format!("object/t0/clean/i03#r0#{}", attempt_id(1));
+    assert_eq!(reset.session, session);
     assert_eq!((reset.suite.as_str(), reset.seed), ("libero_object", 7));
     assert_eq!(
         reset.instruction,
@@ -138,13 +137,8 @@ async fn actions_beyond_the_range_are_clipped_and_counted() {
     let policy = ScriptedPolicy::start().await;
     coordinator.lease(lease(1, "wild", &policy.url()));
     let _worker = WorkerProcess::start(&coordinator.url());
-    let outcome = coordinator
-        .told(1)
-        .await
-        .commit()
-        .outcome
-        .expect("an outcome");
-    assert_eq!(outcome.clipped_actions, MAX_STEPS);
+    let result = coordinator.told(1).await.commit().result;
+    assert_eq!(result.expect("a result").clipped_actions, MAX_STEPS);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -191,31 +185,6 @@ async fn the_same_rollout_has_the_same_outcome_and_frames_every_time() {
             first.query_index
         );
     }
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn a_video_of_a_failure_arrives_before_its_outcome() {
-    if !ready("a_video_of_a_failure_arrives_before_its_outcome") {
-        return;
-    }
-    let coordinator = ScriptedCoordinator::start().await;
-    let policy = ScriptedPolicy::start().await;
-    let mut filmed = lease(1, "still", &policy.url());
-    filmed.record_video = true;
-    filmed.record_failures_only = true;
-    coordinator.lease(filmed);
-    let _worker = WorkerProcess::start(&coordinator.url());
-    let Told::Video { job, bytes } = coordinator.told(1).await else {
-        panic!("{:?}", coordinator.everything_told());
-    };
-    assert_eq!((job, &bytes[4..8]), (1, &b"ftyp"[..]));
-    let outcome = coordinator
-        .told(2)
-        .await
-        .commit()
-        .outcome
-        .expect("an outcome");
-    assert!(!outcome.success);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -276,11 +245,8 @@ async fn one_rollout_from_the_command_line_leaves_its_result_and_pictures() {
     let result = std::fs::read(folder.path().join("result.json")).expect("a result");
     let result: serde_json::Value = serde_json::from_slice(&result).expect("JSON");
     assert_eq!(result["finished"]["outcome"]["steps"], 220);
-    assert!(
-        result["finished"]["evidence"]["perturbation_digest"]
-            .as_str()
-            .is_some_and(|digest| digest.starts_with("sensor:"))
-    );
+    let realised = &result["finished"]["evidence"]["realised"]["sensor"];
+    assert!(realised["parameters"].is_array(), "{result}");
     for picture in [
         "query-000-agentview.png",
         "query-027-robot0_eye_in_hand.png",

@@ -1,7 +1,7 @@
-//! A coordinator that hands out what a test puts into it, and remembers what it
-//! is told. Not the real one: that one cannot be told to lose a lease.
+//! A coordinator that leases what a test puts into it, and remembers what it is
+//! told. Not the real one: that one cannot be told to lose a lease.
 
-use std::collections::VecDeque;
+use std::collections::{HashMap, VecDeque};
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -21,6 +21,8 @@ use tokio_stream::wrappers::TcpListenerStream;
 use tonic::transport::Server;
 use tonic::{Request, Response, Status, Streaming};
 
+use crate::worker_process::attempt_id;
+
 /// Longest wait for something that a test expects.
 const PATIENCE: Duration = Duration::from_secs(60);
 
@@ -28,7 +30,7 @@ const PATIENCE: Duration = Duration::from_secs(60);
 #[derive(Clone, Debug)]
 pub(crate) enum Told {
     Registered(Box<RegisterRequest>),
-    Video { job: i64, bytes: Vec<u8> },
+    Video { attempt: String, bytes: Vec<u8> },
     Committed(Box<CommitRequest>),
     Released(Box<ReleaseRequest>),
 }
@@ -55,16 +57,24 @@ impl Told {
 struct State {
     leases: VecDeque<Lease>,
     films: VecDeque<Film>,
-    lost_jobs: Vec<i64>,
+    lost_attempts: Vec<String>,
     told: Vec<Told>,
     progress: Vec<Progress>,
-    claims: u32,
+    claims: Vec<ClaimRequest>,
+    /// Answers to claims that get lost on their way.
+    answers_to_lose: u32,
+    /// What claims got whose answers were lost.
+    leased: HashMap<String, Lease>,
     stop_leasing: String,
+    refuses_artifacts: bool,
+    refused_artifacts: u32,
+    commit_verdict: Option<commit_response::Verdict>,
 }
 
 /// The service, on every connection the same.
 #[derive(Clone, Debug)]
 struct Service {
+    heartbeat: Duration,
     progress_timeout: Duration,
     state: Arc<Mutex<State>>,
     changed: Arc<watch::Sender<()>>,
@@ -85,14 +95,20 @@ impl Drop for ScriptedCoordinator {
 }
 
 impl ScriptedCoordinator {
-    /// One with a progress time-out that no test waits for.
+    /// One with a progress timeout that no test waits for.
     pub(crate) async fn start() -> Self {
         Self::with_progress_timeout(Duration::from_secs(600)).await
     }
 
-    /// One with this progress time-out.
+    /// One with this progress timeout.
     pub(crate) async fn with_progress_timeout(progress_timeout: Duration) -> Self {
+        Self::with_times(Duration::from_millis(100), progress_timeout).await
+    }
+
+    /// One with heartbeats this far apart, and a progress timeout.
+    pub(crate) async fn with_times(heartbeat: Duration, progress_timeout: Duration) -> Self {
         let service = Service {
+            heartbeat,
             progress_timeout,
             state: Arc::default(),
             changed: Arc::new(watch::Sender::new(())),
@@ -111,7 +127,7 @@ impl ScriptedCoordinator {
         format!("http://{}", self.address)
     }
 
-    /// Hands this out next.
+    /// Leases this next.
     pub(crate) fn lease(&self, lease: Lease) {
         self.change(|state| state.leases.push_back(lease));
     }
@@ -121,14 +137,38 @@ impl ScriptedCoordinator {
         self.change(|state| state.films.push_back(film));
     }
 
-    /// Says from now on that this job's lease is lost.
+    /// Says from now on that the lease of this job's attempt is lost.
     pub(crate) fn lose(&self, job: i64) {
-        self.change(|state| state.lost_jobs.push(job));
+        self.change(|state| state.lost_attempts.push(attempt_id(job)));
     }
 
     /// Says with the next answer to a release that the worker must stop.
     pub(crate) fn stop_leasing(&self, reason: &str) {
         self.change(|state| reason.clone_into(&mut state.stop_leasing));
+    }
+
+    /// Breaks the connection in place of answering the next claim that gets a
+    /// lease.
+    pub(crate) fn lose_an_answer_to_a_claim(&self) {
+        self.change(|state| state.answers_to_lose += 1);
+    }
+
+    /// Cannot store videos from now on.
+    pub(crate) fn refuse_artifacts(&self) {
+        self.change(|state| state.refuses_artifacts = true);
+    }
+
+    /// Waits until so many videos were refused.
+    pub(crate) async fn refused_artifacts(&self, times: u32) {
+        self.wait_for("videos", |state| {
+            (state.refused_artifacts >= times).then_some(())
+        })
+        .await;
+    }
+
+    /// Answers commits so from now on.
+    pub(crate) fn answer_commits(&self, verdict: commit_response::Verdict) {
+        self.change(|state| state.commit_verdict = Some(verdict));
     }
 
     /// Goes away, with all connections, as if killed.
@@ -159,16 +199,20 @@ impl ScriptedCoordinator {
     /// Waits until a heartbeat reports so many control steps of a job.
     pub(crate) async fn progressed(&self, job: i64, control_steps: u32) {
         self.wait_for("progress", |state| {
-            let far = |it: &&Progress| it.job_id == job && it.control_steps >= control_steps;
+            let far = |it: &&Progress| {
+                it.attempt_id == attempt_id(job) && it.control_steps >= control_steps
+            };
             state.progress.iter().find(far).map(|_| ())
         })
         .await;
     }
 
     /// Waits until it was asked for work so many times.
-    pub(crate) async fn claimed(&self, times: u32) {
-        self.wait_for("claims", |state| (state.claims >= times).then_some(()))
-            .await;
+    pub(crate) async fn claimed(&self, times: usize) {
+        self.wait_for("claims", |state| {
+            (state.claims.len() >= times).then_some(())
+        })
+        .await;
     }
 
     /// What it was told so far.
@@ -176,9 +220,10 @@ impl ScriptedCoordinator {
         self.service.state.lock().expect("unpoisoned").told.clone()
     }
 
-    /// How often it was asked for work.
-    pub(crate) fn claims(&self) -> u32 {
-        self.service.state.lock().expect("unpoisoned").claims
+    /// How it was asked for work.
+    pub(crate) fn claims(&self) -> Vec<ClaimRequest> {
+        let state = self.service.state.lock();
+        state.expect("unpoisoned").claims.clone()
     }
 
     fn change(&self, change: impl FnOnce(&mut State)) {
@@ -232,6 +277,11 @@ impl Service {
         changed
     }
 
+    /// Of what nobody waits for.
+    fn change_quietly<T>(&self, change: impl FnOnce(&mut State) -> T) -> T {
+        change(&mut self.state.lock().expect("unpoisoned"))
+    }
+
     fn tell(&self, told: Told) {
         self.change(|state| state.told.push(told));
     }
@@ -248,7 +298,7 @@ impl WorkerService for Service {
             protocol_version: proto::COORDINATOR_PROTOCOL_VERSION,
             program_version: "scripted".to_owned(),
             lease_secs: 30.0,
-            heartbeat_secs: 0.1,
+            heartbeat_secs: self.heartbeat.as_secs_f64(),
             progress_timeout_secs: self.progress_timeout.as_secs_f64(),
         }))
     }
@@ -257,12 +307,16 @@ impl WorkerService for Service {
         &self,
         request: Request<ClaimRequest>,
     ) -> Result<Response<ClaimResponse>, Status> {
-        let wait = Duration::from_secs_f64(request.into_inner().wait_secs);
-        self.change(|state| state.claims += 1);
+        let claim = request.into_inner();
+        let wait = Duration::from_secs_f64(claim.wait_secs);
+        self.change(|state| state.claims.push(claim.clone()));
         let mut changes = self.changed.subscribe();
         let leasing = async {
             loop {
-                let lease = self.state.lock().expect("unpoisoned").leases.pop_front();
+                let lease = self.change_quietly(|state| {
+                    let known = state.leased.remove(&claim.claim_id);
+                    known.or_else(|| state.leases.pop_front())
+                });
                 if let Some(lease) = lease {
                     return lease;
                 }
@@ -270,10 +324,21 @@ impl WorkerService for Service {
             }
         };
         let lease = tokio::time::timeout(wait, leasing).await.ok();
-        Ok(Response::new(ClaimResponse {
-            leases: lease.into_iter().collect(),
-            idle_reason: String::new(),
-        }))
+        let is_lost = self.change_quietly(|state| {
+            let is_lost = lease.is_some() && state.answers_to_lose > 0;
+            state.answers_to_lose -= u32::from(is_lost);
+            if is_lost && let Some(lease) = &lease {
+                state.leased.insert(claim.claim_id.clone(), lease.clone());
+            }
+            is_lost
+        });
+        match is_lost {
+            true => Err(Status::unavailable("lost on its way")),
+            false => Ok(Response::new(ClaimResponse {
+                lease,
+                idle_reason: String::new(),
+            })),
+        }
     }
 
     async fn heartbeat(
@@ -281,11 +346,11 @@ impl WorkerService for Service {
         request: Request<HeartbeatRequest>,
     ) -> Result<Response<HeartbeatResponse>, Status> {
         let progress = request.into_inner().progress;
-        let lost_jobs = self.change(|state| {
+        let lost_attempts = self.change(|state| {
             state.progress = progress;
-            state.lost_jobs.clone()
+            state.lost_attempts.clone()
         });
-        Ok(Response::new(HeartbeatResponse { lost_jobs }))
+        Ok(Response::new(HeartbeatResponse { lost_attempts }))
     }
 
     async fn commit(
@@ -294,7 +359,9 @@ impl WorkerService for Service {
     ) -> Result<Response<CommitResponse>, Status> {
         self.tell(Told::Committed(Box::new(request.into_inner())));
         Ok(Response::new(CommitResponse {
-            verdict: commit_response::Verdict::Accepted as i32,
+            verdict: self
+                .change_quietly(|state| state.commit_verdict)
+                .unwrap_or(commit_response::Verdict::Accepted) as i32,
             detail: String::new(),
         }))
     }
@@ -327,13 +394,20 @@ impl WorkerService for Service {
         request: Request<Streaming<ArtifactChunk>>,
     ) -> Result<Response<PutArtifactResponse>, Status> {
         let mut chunks = request.into_inner();
-        let (mut job, mut bytes) = (0, Vec::new());
+        let (mut attempt, mut bytes) = (String::new(), Vec::new());
         while let Some(chunk) = chunks.next().await {
             let chunk = chunk?;
-            job = chunk.lease.map_or(job, |lease| lease.job_id);
+            attempt.push_str(&chunk.attempt_id);
             bytes.extend(chunk.data);
         }
-        self.tell(Told::Video { job, bytes });
+        let is_refused = self.change(|state| {
+            state.refused_artifacts += u32::from(state.refuses_artifacts);
+            state.refuses_artifacts
+        });
+        if is_refused {
+            return Err(Status::internal("no space left on the device"));
+        }
+        self.tell(Told::Video { attempt, bytes });
         Ok(Response::new(PutArtifactResponse {
             path: "video.mp4".to_owned(),
         }))

@@ -23,6 +23,11 @@ pub(crate) fn ready(test: &str) -> bool {
     ready.is_ok()
 }
 
+/// The attempt that a job of the scripted coordinator gets.
+pub(crate) fn attempt_id(job: i64) -> String {
+    format!("{job:032x}")
+}
+
 /// A job of the scripted coordinator: a short nominal rollout.
 pub(crate) fn lease(job: i64, policy: &str, endpoint: &str) -> Lease {
     let id = "object/t0/clean/i03".parse().expect("an id");
@@ -30,7 +35,7 @@ pub(crate) fn lease(job: i64, policy: &str, endpoint: &str) -> Lease {
     row.max_steps = MAX_STEPS;
     Lease {
         job_id: job,
-        attempt: 1,
+        attempt_id: attempt_id(job),
         campaign: "test".to_owned(),
         replicate: 0,
         manifest_row: serde_json::to_string(&row).expect("JSON"),

@@ -3,7 +3,7 @@
 use prost::Message;
 use proto::coordinator as wire;
 
-use super::{CLAIM, METHODS};
+use super::methods::{CLAIM, METHODS};
 use crate::script;
 
 /// A method and a message of it.

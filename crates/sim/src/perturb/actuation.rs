@@ -98,7 +98,7 @@ impl ActuationStage {
         output.map(|component| component.clamp(-1.0, 1.0))
     }
 
-    /// The drawn elements, for a digest: bias direction, misalignment axis, and
+    /// The drawn elements, which a result keeps: bias direction, misalignment axis, and
     /// the noise of the next step.
     pub fn realised(&self) -> Vec<f64> {
         let noise = self.clone().next_noise();

@@ -95,9 +95,9 @@ impl SensorStage {
     /// The result depends on the picture, its step and its camera, and not on
     /// which pictures came before: a policy that looks seldom, or through one
     /// camera, sees what any other sees. In the `reference` realisation, where
-    /// both cameras draw from one stream at every step, pictures that nobody
-    /// asked for are drawn for and thrown away; both cameras must then have one
-    /// size.
+    /// both cameras draw from one stream at every step, noise is also drawn
+    /// and discarded for pictures that were not asked for; both cameras must then
+    /// have one size.
     ///
     /// # Panics
     /// If `rgb` is not `width` × `height` × 3 bytes.
@@ -129,7 +129,7 @@ impl SensorStage {
         frame.rgb.copy_from_slice(&picture.to_bytes());
     }
 
-    /// The drawn elements, for a digest: the blur's angle, and the first noise
+    /// The drawn elements, which a result keeps: the blur's angle, and the first noise
     /// values of the first picture of each camera.
     pub fn realised(&self) -> Vec<f64> {
         let mut realised = vec![self.motion_angle];

@@ -1,16 +1,15 @@
-//! Our own renderer. What MuJoCo makes of a model and its state (`mjvScene`) is
-//! handed to it as it is.
+//! Our own renderer. It draws MuJoCo's abstract scene of a model's state
+//! (`mjvScene`).
 
 use std::collections::BTreeMap;
 
 use mujoco_rs::mujoco_c as c;
 use raster::{Camera, Geom, Light, LightKind, Scene, Shape, TextureUse};
 
-use super::abstraction::Abstraction;
 use super::prepare::{Material, graphics, materials, prepare, sky};
-use super::{Segment, View};
+use super::view::View;
 use crate::error::SimError;
-use crate::mujoco::Model;
+use crate::mujoco::{Abstraction, Model, Segment};
 
 const PLANE: i32 = c::mjtGeom::mjGEOM_PLANE as i32;
 
@@ -97,10 +96,9 @@ impl SoftwareCanvas {
 
     /// Makes the scene of a model's state.
     fn update(&mut self, view: View<'_>) -> Result<(), SimError> {
-        self.abstraction.update(view);
+        self.abstraction.update(view.model, view.data, view.camera);
         let seen = self.abstraction.scene();
-        // SAFETY: it reads the two cameras, and nothing else.
-        let eye = unsafe { c::mjv_averageCamera(&seen.camera[0], &seen.camera[1]) };
+        let eye = self.abstraction.eye();
         let flag = |flag: c::mjtRndFlag| seen.flags[flag as usize] != 0;
         self.scene.camera = Camera {
             pos: eye.pos,

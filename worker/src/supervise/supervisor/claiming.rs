@@ -1,16 +1,20 @@
 //! From an idle slot to a rollout under way.
 
+use attempt::AttemptId;
 use proto::coordinator::{ClaimRequest, ClaimResponse, Lease};
 use tokio::time::Instant;
 use tonic::{Code, Status};
+use transport::chain;
 
-use super::{Event, Supervisor};
-use crate::grpc::in_words;
-use crate::ids::{Attempt, JobId, LeaseKey};
-use crate::message::{Assignment, Failure, FailureKind, Order, Session, VideoOf, VideoOrder};
+use super::Supervisor;
+use crate::ids::random_id;
+use crate::message::{
+    Assignment, Failure, FailureKind, Session, SlotCommand, VideoOf, VideoRequest,
+};
 use crate::policy::POLICY_CALL_DEADLINE;
-use crate::supervise::SuperviseError;
 use crate::supervise::deliver::Ending;
+use crate::supervise::error::SuperviseError;
+use crate::supervise::event::Event;
 use crate::supervise::slot_state::{Mode, ProcessState, Work};
 
 impl Supervisor {
@@ -23,6 +27,7 @@ impl Supervisor {
         let warm = self.slots[slot].assignment.as_ref();
         let request = ClaimRequest {
             worker_id: self.config.identity.worker.to_string(),
+            claim_id: random_id().to_string(),
             warm_task: warm.map_or_else(String::new, |warm| warm.row.id.task().to_string()),
             ..ClaimRequest::default()
         };
@@ -50,19 +55,23 @@ impl Supervisor {
         self.slots[slot].state.work = Work::Nothing;
         let answer = match answer {
             Ok(answer) => answer,
-            Err(status) => return self.stop(SuperviseError::Stopped(in_words(&status))),
+            Err(status) => return self.stop(SuperviseError::Stopped(chain(&status))),
         };
-        let Some(lease) = answer.leases.into_iter().next() else {
+        let Some(lease) = answer.lease else {
             return self.tell_idle(answer.idle_reason);
         };
-        let key = LeaseKey {
-            job: JobId(lease.job_id),
-            attempt: Attempt(lease.attempt),
+        let attempt: AttemptId = match lease.attempt_id.parse() {
+            Ok(attempt) => attempt,
+            Err(source) => {
+                let url = self.config.coordinator.clone();
+                return self.stop(SuperviseError::Lease { url, source });
+            }
         };
+        let job = lease.job_id;
         let campaign = lease.campaign.clone();
         let failed = |kind, error: String| Ending::Failed(Failure { kind, error });
         let up = self.slots[slot].state.process == ProcessState::Up;
-        let ending = match self.assignment(lease) {
+        let ending = match self.assignment(attempt, lease) {
             _ if self.mode != Mode::Serving => {
                 let text = "begin the rollout: the worker is going down";
                 failed(FailureKind::Draining, text.to_owned())
@@ -72,14 +81,14 @@ impl Supervisor {
                 failed(FailureKind::Draining, text.to_owned())
             }
             Err(error) => failed(FailureKind::Simulator, error),
-            Ok(assignment) => return self.begin(slot, key, assignment, now),
+            Ok(assignment) => return self.begin(slot, assignment, now),
         };
         self.slots[slot].state.work = Work::Delivering {
-            lease: key,
+            attempt,
             control_steps: 0,
         };
-        let label = format!("job {} of campaign {campaign}", key.job.0);
-        self.send_delivery(slot, key, label, ending);
+        let label = format!("job {job} of campaign {campaign}");
+        self.send_delivery(slot, attempt, label, ending);
     }
 
     /// Says once why there is nothing to do although jobs wait.
@@ -93,22 +102,22 @@ impl Supervisor {
     }
 
     /// What a slot has to do for a lease. The error reads after "failed to …".
-    fn assignment(&self, lease: Lease) -> Result<Assignment, String> {
+    fn assignment(&self, attempt: AttemptId, lease: Lease) -> Result<Assignment, String> {
         let row: protocol::ManifestRow = serde_json::from_str(&lease.manifest_row)
             .map_err(|error| format!("read the manifest row of job {}: {error}", lease.job_id))?;
         let realisation = lease.realisation.parse();
         let endpoint = self.config.policy_endpoint.clone();
-        let file = format!("{}-{}.mp4", lease.job_id, lease.attempt);
         let of = match lease.record_failures_only {
             true => VideoOf::Failures,
             false => VideoOf::Everything,
         };
-        let video = VideoOrder {
-            file: self.config.scratch.join(file),
+        let video = VideoRequest {
+            file: self.video_file(attempt),
             of,
         };
         Ok(Assignment {
-            session: Session::new(&row.id, lease.replicate, lease.attempt),
+            attempt,
+            session: Session::new(&row.id, lease.replicate, attempt),
             realisation: realisation.map_err(|error: protocol::UnknownName| error.to_string())?,
             policy: lease.policy,
             policy_endpoint: endpoint.unwrap_or(lease.policy_endpoint),
@@ -121,16 +130,17 @@ impl Supervisor {
         })
     }
 
-    fn begin(&mut self, slot: usize, lease: LeaseKey, assignment: Assignment, now: Instant) {
+    fn begin(&mut self, slot: usize, assignment: Assignment, now: Instant) {
         let slot = &mut self.slots[slot];
         if let Some(process) = &slot.process {
-            process.order(Order::Run(Box::new(assignment.clone())));
+            process.send(SlotCommand::Run(Box::new(assignment.clone())));
         }
-        slot.assignment = Some(assignment);
         slot.state.work = Work::Running {
-            lease,
+            attempt: assignment.attempt,
             control_steps: 0,
             moved_at: now,
         };
+        slot.assignment = Some(assignment);
+        self.has_news = true;
     }
 }

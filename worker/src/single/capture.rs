@@ -1,6 +1,6 @@
-//! Keeps what is worth a look while a rollout runs, and writes it down
-//! afterwards: pictures as PNG, the trace as NPZ. What cannot be drawn costs the
-//! pictures, never the rollout.
+//! Captures pictures and the trace while a rollout runs, and writes them
+//! afterwards, as PNG and NPZ. What cannot be drawn costs the pictures, never
+//! the rollout.
 
 use std::fs;
 use std::io;
@@ -9,14 +9,15 @@ use std::path::Path;
 
 use image::{Rgb, RgbImage};
 use sim::{Episode, Frame, Observation};
+use transport::chain;
 
+use super::error::{SingleError, write_error};
 use super::trace::Trace;
-use super::{SingleError, write_error};
-use crate::recording::photograph;
-use crate::rollout::{Step, Watcher, chain};
+use crate::filming::photograph;
+use crate::rollout::{Step, Watcher};
 
-/// Watches one rollout.
-pub(super) struct Looker {
+/// What is captured of one rollout.
+pub(super) struct Capture {
     draw: bool,
     trace: Trace,
     /// Before the first control step and after the last one.
@@ -25,7 +26,7 @@ pub(super) struct Looker {
     last_query: Option<(u32, Vec<Frame>)>,
 }
 
-impl Looker {
+impl Capture {
     /// Draws the first and the last picture only if `draw`.
     pub(super) fn new(draw: bool) -> Self {
         Self {
@@ -75,7 +76,7 @@ impl Looker {
     }
 }
 
-impl Watcher for Looker {
+impl Watcher for Capture {
     fn progress(&mut self, _control_steps: u32) -> ControlFlow<()> {
         ControlFlow::Continue(())
     }

@@ -6,23 +6,34 @@ use std::mem::MaybeUninit;
 
 use mujoco_rs::mujoco_c as c;
 
-use super::{Segment, View};
-use crate::mujoco::Model;
+use super::{Data, Model};
 
 /// Geoms in one picture at most, as in robosuite; further ones are not drawn.
 const MAX_GEOMS: i32 = 1000;
 /// Geom groups: collision geometry is not drawn, visual geometry is.
 const COLLISION_GROUP: usize = 0;
 
+/// What is seen in a pixel of a segmentation image.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Segment {
+    /// Kind of object (`mjtObj`); geoms are 5, sites 6.
+    pub kind: i32,
+    /// Its id among those of its kind.
+    pub id: i32,
+}
+
 /// An abstract scene, made for one model.
-pub(super) struct Abstraction {
+pub(crate) struct Abstraction {
     options: c::mjvOption,
     scene: Box<c::mjvScene>,
+    /// The model's serial number. The scene has room for that model's skins and
+    /// flexible bodies.
+    model: u64,
 }
 
 impl Abstraction {
     /// An empty one.
-    pub(super) fn new(model: &Model) -> Self {
+    pub(crate) fn new(model: &Model) -> Self {
         let mut options = MaybeUninit::uninit();
         let mut scene = Box::new(MaybeUninit::uninit());
         // SAFETY: each object is written whole by its default function before it
@@ -36,20 +47,32 @@ impl Abstraction {
             (options.assume_init(), scene)
         };
         options.geomgroup[COLLISION_GROUP] = 0;
-        Self { options, scene }
+        Self {
+            options,
+            scene,
+            model: model.serial(),
+        }
     }
 
-    pub(super) fn scene(&self) -> &c::mjvScene {
+    pub(crate) fn scene(&self) -> &c::mjvScene {
         &self.scene
     }
 
-    pub(super) fn geoms(&self) -> &[c::mjvGeom] {
-        // SAFETY: MuJoCo keeps so many geoms there until the scene changes.
+    /// The camera halfway between the two eyes, which is where a picture is drawn
+    /// from.
+    pub(crate) fn eye(&self) -> c::mjvGLCamera {
+        let [left, right] = &self.scene.camera;
+        // SAFETY: it reads the two cameras, and nothing else.
+        unsafe { c::mjv_averageCamera(left, right) }
+    }
+
+    pub(crate) fn geoms(&self) -> &[c::mjvGeom] {
+        // SAFETY: MuJoCo keeps `ngeom` geoms there until the scene changes.
         unsafe { std::slice::from_raw_parts(self.scene.geoms, self.scene.ngeom as usize) }
     }
 
-    /// What geoms are of, by their numbers in segmentation images.
-    pub(super) fn segments(&self) -> BTreeMap<u32, Segment> {
+    /// The model's objects by the numbers that geoms have in segmentation images.
+    pub(crate) fn segments(&self) -> BTreeMap<u32, Segment> {
         let numbered = self.geoms().iter().filter_map(|geom| {
             let number = u32::try_from(geom.segid).ok()?;
             let (kind, id) = (geom.objtype, geom.objid);
@@ -58,20 +81,33 @@ impl Abstraction {
         numbered.collect()
     }
 
-    /// Makes it that of a state, as a camera of the model sees it.
-    pub(super) fn update(&mut self, view: View<'_>) -> &mut c::mjvScene {
+    /// Updates the scene to a state, as a camera of the model sees it.
+    ///
+    /// # Panics
+    /// If the state or this scene was made for another model.
+    pub(crate) fn update(
+        &mut self,
+        model: &Model,
+        data: &mut Data,
+        camera_id: usize,
+    ) -> &mut c::mjvScene {
+        assert!(
+            self.model == model.serial(),
+            "this scene was made for another model"
+        );
+        data.assert_made_for(model);
         let mut camera = MaybeUninit::uninit();
         // SAFETY: the camera is written whole by its default function before it is
-        // assumed initialised; model and data belong together, and the scene was
-        // made for this model.
+        // assumed initialised; data and scene were made for this model, as
+        // asserted.
         unsafe {
             c::mjv_defaultCamera(camera.as_mut_ptr());
             let mut camera: c::mjvCamera = camera.assume_init();
             camera.type_ = c::mjtCamera::mjCAMERA_FIXED as i32;
-            camera.fixedcamid = view.camera as i32;
+            camera.fixedcamid = camera_id as i32;
             c::mjv_updateScene(
-                view.model.as_ptr(),
-                view.data.as_mut_ptr(),
+                model.as_ptr(),
+                data.as_mut_ptr(),
                 &self.options,
                 std::ptr::null(),
                 &mut camera,

@@ -1,0 +1,65 @@
+//! What can go wrong with `worker rollout`.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use protocol::RolloutId;
+use scene::SceneError;
+
+use crate::actor::PolicyError;
+use crate::rollout::RolloutError;
+
+/// Why there is no result.
+#[derive(Debug, thiserror::Error)]
+pub enum SingleError {
+    /// The id names no rollout of the protocol.
+    #[error("make the manifest row of {id}: {problem}")]
+    Row {
+        /// The id.
+        id: RolloutId,
+        /// Why not.
+        problem: String,
+    },
+    /// A task of one's own cannot be read.
+    #[error(transparent)]
+    Task(#[from] SceneError),
+    /// Nothing to tell the policy.
+    #[error(
+        "find an instruction in {}: it has no `(:language …)`; give one with --instruction",
+        bddl.display()
+    )]
+    NoInstruction {
+        /// The BDDL file.
+        bddl: PathBuf,
+    },
+    /// Recorded actions cannot be read.
+    #[error("read recorded actions {}: {problem}", path.display())]
+    Recorded {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// The policy cannot be called.
+    #[error(transparent)]
+    Policy(#[from] PolicyError),
+    /// The rollout has no outcome.
+    #[error(transparent)]
+    Rollout(#[from] RolloutError),
+    /// A file cannot be written.
+    #[error("write {}", path.display())]
+    Write {
+        /// Which.
+        path: PathBuf,
+        /// What happened.
+        #[source]
+        source: io::Error,
+    },
+}
+
+pub(super) fn write_error(path: &Path, source: io::Error) -> SingleError {
+    SingleError::Write {
+        path: path.to_owned(),
+        source,
+    }
+}

@@ -1,0 +1,93 @@
+//! Where rollouts take place: a simulator, and whose task it simulates.
+
+use std::borrow::Cow;
+
+use proto::policy as wire;
+use protocol::{ManifestRow, Realisation};
+use scene::TaskFiles;
+use sim::{Episode, SimError, Simulator};
+
+use crate::actor::Description;
+
+/// Where rollouts take place: a simulator, and the files of the task.
+pub struct Stage<'a> {
+    simulator: &'a mut Simulator,
+    /// In place of those of the row's task.
+    files: Option<TaskFiles>,
+    /// Whether a rollout that nothing is drawn of names the renderer too.
+    always_names_renderer: bool,
+}
+
+impl<'a> Stage<'a> {
+    /// For the protocol's own tasks: each row says which.
+    pub fn of_the_protocol(simulator: &'a mut Simulator) -> Self {
+        Self {
+            simulator,
+            files: None,
+            always_names_renderer: true,
+        }
+    }
+
+    /// For a task of somebody's own, which stands in for the row's.
+    pub fn of_files(simulator: &'a mut Simulator, files: TaskFiles) -> Self {
+        Self {
+            simulator,
+            files: Some(files),
+            always_names_renderer: true,
+        }
+    }
+
+    /// Leaves the renderer unopened, and unnamed in the evidence, if nothing is
+    /// drawn of a rollout. Not for campaigns, which are pinned to a renderer.
+    pub fn with_a_renderer_only_if_needed(self) -> Self {
+        Self {
+            always_names_renderer: false,
+            ..self
+        }
+    }
+
+    /// What draws, by its own name, and the fingerprint, which is of its pictures
+    /// too; both empty where they are not needed.
+    pub(crate) fn drawing(&mut self, draws: bool) -> Result<(String, String), SimError> {
+        if !draws && !self.always_names_renderer {
+            return Ok(Default::default());
+        }
+        let renderer = self.simulator.renderer_name()?;
+        Ok((renderer, self.simulator.fingerprint()?))
+    }
+
+    /// Prepares a rollout up to its loaded, perturbed initial state.
+    pub(crate) fn begin(
+        &mut self,
+        row: &ManifestRow,
+        realisation: Realisation,
+    ) -> Result<Episode<'_>, SimError> {
+        match &self.files {
+            None => self.simulator.begin(row, realisation),
+            Some(files) => self.simulator.begin_with(files.clone(), row, realisation),
+        }
+    }
+
+    /// What a policy is told to do: the row's words. One that knows the canonical
+    /// instructions by heart, and no other wording, is told those: the language
+    /// axis is the identity for it, and not an error in every rollout.
+    pub(crate) fn instruction<'r>(
+        &self,
+        row: &'r ManifestRow,
+        description: &Description,
+    ) -> Cow<'r, str> {
+        let by_heart = description.about.language() == wire::Language::CanonicalOnly;
+        match &self.files {
+            None if by_heart => Cow::Owned(row.id.task().instruction()),
+            _ => Cow::Borrowed(&row.instruction),
+        }
+    }
+
+    /// What messages call a rollout here.
+    pub(crate) fn title(&self, row: &ManifestRow) -> String {
+        match &self.files {
+            None => row.id.to_string(),
+            Some(files) => format!("{} from state {}", files.bddl.display(), row.init_id),
+        }
+    }
+}

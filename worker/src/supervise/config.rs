@@ -1,0 +1,93 @@
+//! What a worker is, and what the coordinator wants of it.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use proto::COORDINATOR_PROTOCOL_VERSION;
+use proto::coordinator::{RegisterRequest, RegisterResponse};
+use transport::Access;
+
+use crate::child::SlotProgram;
+use crate::ids::WorkerId;
+
+/// What a worker is.
+#[derive(Clone, Debug)]
+pub struct Config {
+    /// URL of the coordinator.
+    pub coordinator: String,
+    /// How to get in there.
+    pub access: Access,
+    /// Who it is to the coordinator.
+    pub identity: Identity,
+    /// Rollouts at a time.
+    pub slots: usize,
+    /// How a slot's process is started.
+    pub slot_program: SlotProgram,
+    /// Where policies are, whatever the leases say.
+    pub policy_endpoint: Option<String>,
+    /// A folder for videos on their way to the coordinator.
+    pub scratch: PathBuf,
+    /// Seed of the jitter in waits.
+    pub seed: u64,
+}
+
+/// Who a worker is and what it runs on: goes with every result.
+#[derive(Clone, Debug)]
+pub struct Identity {
+    /// New at every start.
+    pub worker: WorkerId,
+    /// The machine's name.
+    pub host: String,
+    /// The asset pack's name.
+    pub asset_pack: String,
+    /// SHA-256 of the asset pack, hex.
+    pub asset_pack_digest: String,
+    /// The simulator's version.
+    pub mujoco_version: String,
+}
+
+pub(super) fn registration(config: &Config, renderer: String) -> RegisterRequest {
+    let identity = config.identity.clone();
+    RegisterRequest {
+        protocol_version: COORDINATOR_PROTOCOL_VERSION,
+        program_version: env!("CARGO_PKG_VERSION").to_owned(),
+        worker_id: identity.worker.to_string(),
+        host: identity.host,
+        slots: u32::try_from(config.slots).unwrap_or(u32::MAX),
+        asset_pack: identity.asset_pack,
+        asset_pack_digest: identity.asset_pack_digest,
+        mujoco_version: identity.mujoco_version,
+        renderer,
+    }
+}
+
+/// The coordinator's time limits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Timing {
+    pub(super) heartbeat: Duration,
+    pub(super) progress_timeout: Duration,
+}
+
+/// Until the coordinator has said what it wants. Nothing is simulated by then.
+pub(super) const TIMING_UNTIL_REGISTERED: Timing = Timing {
+    heartbeat: Duration::from_secs(5),
+    progress_timeout: Duration::from_secs(180),
+};
+
+/// Bounds of what a coordinator may ask for, so that a nonsensical answer
+/// neither floods it nor stops the clock.
+const HEARTBEAT_SECS: (f64, f64) = (0.05, 60.0);
+const PROGRESS_TIMEOUT_SECS: (f64, f64) = (0.1, 86_400.0);
+
+impl From<&RegisterResponse> for Timing {
+    fn from(answer: &RegisterResponse) -> Self {
+        // `max` before `min`: a NaN becomes the lower bound.
+        let secs = |secs: f64, (least, most): (f64, f64)| {
+            Duration::from_secs_f64(secs.max(least).min(most))
+        };
+        Self {
+            heartbeat: secs(answer.heartbeat_secs, HEARTBEAT_SECS),
+            progress_timeout: secs(answer.progress_timeout_secs, PROGRESS_TIMEOUT_SECS),
+        }
+    }
+}

@@ -1,0 +1,64 @@
+//! Why a worker ends.
+
+use attempt::AttemptIdError;
+
+use super::slot_state::MAX_FAILED_STARTS;
+use crate::grpc::EndpointError;
+
+/// Why a worker ended other than by being told to.
+#[derive(Debug, thiserror::Error)]
+pub enum SuperviseError {
+    /// The coordinator's URL is none.
+    #[error(transparent)]
+    Endpoint(#[from] EndpointError),
+    /// The certificate authority is no use.
+    #[error("use the certificate authority for the coordinator")]
+    Tls(#[source] tonic::transport::Error),
+    /// The coordinator will not have this worker.
+    #[error("register with the coordinator at {url}: {answer}")]
+    Refused {
+        /// Where it is.
+        url: String,
+        /// Why, in its words.
+        answer: String,
+    },
+    /// The coordinator told this worker to stop.
+    #[error("go on working: the coordinator stopped this worker because {0}")]
+    Stopped(String),
+    /// A lease has no name.
+    #[error("take a lease of the coordinator at {url}")]
+    Lease {
+        /// Where it is.
+        url: String,
+        /// What is wrong with the name.
+        #[source]
+        source: AttemptIdError,
+    },
+    /// A defect of this program.
+    #[error("go on working: a part of this worker broke off ({0}); this is a defect")]
+    Panicked(String),
+    /// The slots would draw different pictures.
+    #[error(
+        "keep slot {slot}: it draws with `{renderer}` and this worker is registered with \
+         `{registered}`; start one worker for each renderer"
+    )]
+    Renderers {
+        /// Which slot, from 0.
+        slot: usize,
+        /// What draws there.
+        renderer: String,
+        /// What drew in the slot that was ready first.
+        registered: String,
+    },
+    /// A slot's process does not survive its start.
+    #[error(
+        "keep slot {slot} running: its process ended {MAX_FAILED_STARTS} times in a row without \
+         finishing a rollout; the last one {end}"
+    )]
+    Slot {
+        /// Which slot, from 0.
+        slot: usize,
+        /// How it ended.
+        end: String,
+    },
+}

@@ -1,0 +1,45 @@
+//! What happens to a worker.
+
+use proto::coordinator::{ClaimResponse, HeartbeatResponse, RegisterResponse};
+use tokio::task;
+use tonic::Status;
+
+use super::deliver::Answer;
+use crate::message::SlotEvent;
+
+/// One life of one slot's process.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct ProcessKey {
+    /// Which slot, from 0.
+    pub(crate) slot: usize,
+    /// Which of its processes, from 1.
+    pub(crate) life: u64,
+}
+
+/// What happens to a worker.
+#[derive(Debug)]
+pub(crate) enum Event {
+    /// Time has passed.
+    Tick,
+    /// The coordinator answered the worker's registration.
+    Registered(Result<RegisterResponse, Status>),
+    /// Leases are to be renewed.
+    HeartbeatDue,
+    /// The coordinator answered a heartbeat.
+    Renewed(Result<HeartbeatResponse, Status>),
+    /// The coordinator answered a slot's claim.
+    Claimed {
+        slot: usize,
+        answer: Result<ClaimResponse, Status>,
+    },
+    /// The coordinator knows how a slot's rollout ended.
+    Delivered { slot: usize, answer: Answer },
+    /// A slot's process said something.
+    Slot { key: ProcessKey, event: SlotEvent },
+    /// A slot's process ended, as told in `end`.
+    Ended { key: ProcessKey, end: String },
+    /// A task of this program panicked.
+    Panicked { task: task::Id, error: String },
+    /// Somebody wants the worker to end: once, finish; twice, at once.
+    Shutdown,
+}

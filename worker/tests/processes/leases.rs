@@ -1,0 +1,49 @@
+//! How a worker comes by its work, and says that it has it.
+
+use std::time::{Duration, Instant};
+
+use crate::scripted_coordinator::ScriptedCoordinator;
+use crate::scripted_policy::ScriptedPolicy;
+use crate::worker_process::{WorkerProcess, attempt_id, lease, ready};
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_claim_whose_answer_is_lost_is_asked_again_under_its_own_name() {
+    if !ready("a_claim_whose_answer_is_lost_is_asked_again_under_its_own_name") {
+        return;
+    }
+    let coordinator = ScriptedCoordinator::start().await;
+    let policy = ScriptedPolicy::start().await;
+    coordinator.lose_an_answer_to_a_claim();
+    for job in 1..=2 {
+        coordinator.lease(lease(job, "still", &policy.url()));
+    }
+    let _worker = WorkerProcess::start(&coordinator.url());
+    for (number, job) in [(1, 1), (2, 2)] {
+        let commit = coordinator.told(number).await.commit();
+        assert_eq!(commit.attempt_id, attempt_id(job));
+    }
+    let claims = coordinator.claims().into_iter();
+    let names: Vec<String> = claims.map(|claim| claim.claim_id).collect();
+    assert_eq!(names[0], names[1], "asked again");
+    assert_ne!(names[1], names[2], "another claim");
+    assert!(names.iter().all(|name| name.len() == 32), "{names:?}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_lease_is_acknowledged_long_before_the_next_heartbeat_is_due() {
+    if !ready("a_lease_is_acknowledged_long_before_the_next_heartbeat_is_due") {
+        return;
+    }
+    let (rare, never) = (Duration::from_secs(50), Duration::from_secs(600));
+    let coordinator = ScriptedCoordinator::with_times(rare, never).await;
+    let policy = ScriptedPolicy::start().await;
+    let _worker = WorkerProcess::start(&coordinator.url());
+    coordinator.claimed(1).await;
+    // The heartbeat that follows the registration is over by then.
+    tokio::time::sleep(Duration::from_secs(1)).await;
+    let leased_at = Instant::now();
+    coordinator.lease(lease(1, "silent", &policy.url()));
+    coordinator.progressed(1, 0).await;
+    let waited = leased_at.elapsed();
+    assert!(waited < Duration::from_secs(5), "{waited:?}");
+}

@@ -1,0 +1,174 @@
+//! Slots that are other programs: what such a process says, prints, and how it
+//! ends is up to the test.
+
+use std::path::Path;
+
+use crate::scripted_coordinator::{ScriptedCoordinator, Told};
+use crate::worker_process::{WorkerProcess, attempt_id, lease, ready};
+
+/// A program that stands in for a slot; the path.
+fn slot_program(folder: &Path, script: &str) -> String {
+    let program = folder.join("slot-program");
+    std::fs::write(&program, format!("#!/bin/sh\n{script}")).expect("written");
+    let mode = std::os::unix::fs::PermissionsExt::from_mode(0o755);
+    std::fs::set_permissions(&program, mode).expect("its own file");
+    program.to_str().expect("UTF-8").to_owned()
+}
+
+/// Of a shell: says that it is ready, reads commands, and knows their attempts.
+/// What is printed to `&0` goes to the parent.
+const SHELL_SLOT: &str = r#"
+say() { printf '%s\n' "$1" >&0; }
+say '{"ready": {"renderer": "shell", "fingerprint": "ff"}}'
+next_attempt() {
+    read -r command || exit 0
+    attempt=$(printf '%s' "$command" | sed 's/.*"attempt":"\([0-9a-f]*\)".*/\1/')
+}
+tell() { say '{"rollout": {"attempt": "'"$attempt"'", "event": '"$1"'}}'; }
+result() {
+    printf '{"finished": {"result": {"success": true, "steps": %s, "wall_secs": 1.0,
+        "ik": null, "clipped_actions": 0, "policy_queries": 1},
+        "evidence": {"renderer": "shell", "fingerprint": "ff", "scene_digest": "aa",
+        "init_state_digest": "bb", "realised": {}, "first_frame_digest": "",
+        "policy_name": "", "policy_checkpoint": "", "policy_checkpoint_digest": "",
+        "policy_privileged": false, "policy_canonical_only": false,
+        "batch_mode": "single"}, "motion": {"path": [], "actions": []},
+        "is_filmed_next": %s}}' "$1" "$2" | tr -d '\n'
+}
+"#;
+
+async fn worker_with(script: &str, folder: &Path) -> (WorkerProcess, ScriptedCoordinator) {
+    let coordinator = ScriptedCoordinator::start().await;
+    for job in 1..=2 {
+        let mut lease = lease(job, "none", "http://127.0.0.1:9");
+        lease.record_video = true;
+        coordinator.lease(lease);
+    }
+    let program = slot_program(folder, &format!("{SHELL_SLOT}{script}"));
+    let arguments = ["--slot-program", program.as_str()];
+    let worker = WorkerProcess::start_with(&coordinator.url(), &arguments);
+    (worker, coordinator)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_a_library_prints_half_way_through_a_line_loses_nothing() {
+    if !ready("what_a_library_prints_half_way_through_a_line_loses_nothing") {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    let script = "while :; do
+        next_attempt
+        printf 'WARNING: half a line'
+        tell '{\"progress\": 10}'
+        printf '{\"rollout\": '
+        tell \"$(result 21 false)\"
+    done";
+    let (worker, coordinator) = worker_with(script, folder.path()).await;
+    for job in 1..=2 {
+        let commit = coordinator.told(job as usize).await.commit();
+        assert_eq!(commit.attempt_id, attempt_id(job));
+        assert_eq!(commit.result.expect("a result").steps, 21);
+    }
+    worker.signal("TERM");
+    let (status, said) = worker.wait();
+    assert!(status.success(), "{said}");
+    assert!(said.contains("[slot 0] WARNING: half a line"), "{said}");
+}
+
+/// As a crash of the video encoder: for good, in every rollout.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_crash_while_filming_leaves_the_result_committed_and_charges_nobody() {
+    if !ready("a_crash_while_filming_leaves_the_result_committed_and_charges_nobody") {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    let script = "next_attempt; tell \"$(result 21 true)\"; kill -SEGV $$";
+    let (worker, coordinator) = worker_with(script, folder.path()).await;
+    for job in 1..=2 {
+        let commit = coordinator.told(job as usize).await.commit();
+        assert_eq!(commit.attempt_id, attempt_id(job));
+    }
+    coordinator.claimed(3).await;
+    worker.signal("TERM");
+    let (status, said) = worker.wait();
+    assert!(status.success(), "{said}");
+    assert!(said.contains("SIGSEGV"), "{said}");
+    assert_eq!(coordinator.everything_told().len(), 3, "no release");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_a_slot_says_of_another_attempt_is_ignored() {
+    if !ready("what_a_slot_says_of_another_attempt_is_ignored") {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    let script = "while :; do
+        next_attempt
+        mine=$attempt
+        attempt=$(printf '%032d' 99)
+        tell \"$(result 99 false)\"
+        attempt=$mine
+        tell \"$(result 21 false)\"
+    done";
+    let (_worker, coordinator) = worker_with(script, folder.path()).await;
+    for job in 1..=2 {
+        let commit = coordinator.told(job as usize).await.commit();
+        let steps = commit.result.expect("a result").steps;
+        assert_eq!((commit.attempt_id, steps), (attempt_id(job), 21));
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn slots_that_draw_differently_stop_the_worker_before_a_result_is_refused() {
+    if !ready("slots_that_draw_differently_stop_the_worker_before_a_result_is_refused") {
+        return;
+    }
+    let coordinator = ScriptedCoordinator::start().await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let script = format!(
+        "mkdir {}/first 2> /dev/null && name=one || {{ name=another; sleep 1; }}
+         echo '{{\"ready\": {{\"renderer\": \"'$name'\", \"fingerprint\": \"{}\"}}}}' >&0
+         cat > /dev/null\n",
+        folder.path().display(),
+        "f".repeat(64),
+    );
+    let program = slot_program(folder.path(), &script);
+    let arguments = ["--slots", "2", "--slot-program", &program];
+    let worker = WorkerProcess::start_with(&coordinator.url(), &arguments);
+    let Told::Registered(registered) = coordinator.told(0).await else {
+        panic!("a worker registers first");
+    };
+    assert_eq!(registered.renderer, "one");
+    let (status, said) = worker.wait();
+    assert_eq!(status.code(), Some(1));
+    for words in [
+        "it draws with `another`",
+        "is registered with `one`",
+        "one worker for each renderer",
+    ] {
+        assert!(said.contains(words), "{said}");
+    }
+    assert_eq!(coordinator.everything_told().len(), 1);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_slot_that_crashes_again_and_again_stops_the_worker_with_the_reason() {
+    if !ready("a_slot_that_crashes_again_and_again_stops_the_worker_with_the_reason") {
+        return;
+    }
+    let coordinator = ScriptedCoordinator::start().await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let program = slot_program(folder.path(), "echo libEGL is missing >&2\nexit 3\n");
+    let worker = WorkerProcess::start_with(&coordinator.url(), &["--slot-program", &program]);
+    let (status, said) = worker.wait();
+    assert_eq!(status.code(), Some(1));
+    for words in [
+        "ended 5 times in a row",
+        "exited with code 3",
+        "libEGL is missing",
+    ] {
+        assert!(said.contains(words), "{said}");
+    }
+    let told = coordinator.everything_told();
+    assert!(told.is_empty(), "registered without a renderer: {told:?}");
+}

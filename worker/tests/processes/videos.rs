@@ -1,0 +1,143 @@
+//! Videos of rollouts, made and sent after their results.
+
+use std::time::Duration;
+
+use proto::coordinator::Lease;
+use proto::coordinator::commit_response::Verdict;
+use proto::coordinator::release_request::Reason;
+
+use crate::scripted_coordinator::{ScriptedCoordinator, Told};
+use crate::scripted_policy::ScriptedPolicy;
+use crate::worker_process::{WorkerProcess, attempt_id, lease, ready, signal};
+
+/// A rollout of a few seconds with its video.
+fn filmed(job: i64, policy: &str) -> Lease {
+    let mut lease = lease(job, "still", policy);
+    lease.manifest_row = lease
+        .manifest_row
+        .replace("\"max_steps\":24", "\"max_steps\":160");
+    lease.record_video = true;
+    lease
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_video_of_a_failure_arrives_after_its_result() {
+    if !ready("a_video_of_a_failure_arrives_after_its_result") {
+        return;
+    }
+    let coordinator = ScriptedCoordinator::start().await;
+    let policy = ScriptedPolicy::start().await;
+    let mut filmed = lease(1, "still", &policy.url());
+    filmed.record_video = true;
+    filmed.record_failures_only = true;
+    coordinator.lease(filmed);
+    let _worker = WorkerProcess::start(&coordinator.url());
+    let result = coordinator.told(1).await.commit().result;
+    assert!(!result.expect("a result").success);
+    let Told::Video { attempt, bytes } = coordinator.told(2).await else {
+        panic!("{:?}", coordinator.everything_told());
+    };
+    assert_eq!((attempt, &bytes[4..8]), (attempt_id(1), &b"ftyp"[..]));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_slot_killed_while_it_films_costs_the_video_and_not_the_result() {
+    if !ready("a_slot_killed_while_it_films_costs_the_video_and_not_the_result") {
+        return;
+    }
+    let coordinator = ScriptedCoordinator::start().await;
+    let policy = ScriptedPolicy::start().await;
+    coordinator.lease(filmed(1, &policy.url()));
+    let worker = WorkerProcess::start(&coordinator.url());
+    let commit = coordinator.told(1).await.commit();
+    assert_eq!(commit.attempt_id, attempt_id(1));
+    for slot in worker.slots() {
+        signal(slot, "KILL");
+    }
+    coordinator.lease(lease(2, "still", &policy.url()));
+    let commit = coordinator.told(2).await.commit();
+    assert_eq!(commit.attempt_id, attempt_id(2), "no video, no release");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_coordinator_that_cannot_store_videos_gets_every_result() {
+    if !ready("a_coordinator_that_cannot_store_videos_gets_every_result") {
+        return;
+    }
+    let coordinator = ScriptedCoordinator::start().await;
+    let policy = ScriptedPolicy::start().await;
+    coordinator.refuse_artifacts();
+    for job in 1..=2 {
+        let mut filmed = lease(job, "still", &policy.url());
+        filmed.record_video = true;
+        coordinator.lease(filmed);
+    }
+    let worker = WorkerProcess::start(&coordinator.url());
+    for (number, job) in [(1, 1), (2, 2)] {
+        let commit = coordinator.told(number).await.commit();
+        assert_eq!(commit.attempt_id, attempt_id(job));
+    }
+    // Each of the two is tried again.
+    coordinator.refused_artifacts(4).await;
+    coordinator.claimed(3).await;
+    worker.signal("TERM");
+    let (status, said) = worker.wait();
+    assert!(status.success(), "{said}");
+    assert!(!said.contains("cannot be reached"), "{said}");
+    assert_eq!(coordinator.everything_told().len(), 3);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_video_of_a_refused_result_is_not_sent() {
+    if !ready("a_video_of_a_refused_result_is_not_sent") {
+        return;
+    }
+    let coordinator = ScriptedCoordinator::start().await;
+    let policy = ScriptedPolicy::start().await;
+    coordinator.answer_commits(Verdict::Stale);
+    coordinator.lease(filmed(1, &policy.url()));
+    coordinator.lease(lease(2, "still", &policy.url()));
+    let worker = WorkerProcess::start(&coordinator.url());
+    coordinator.told(1).await.commit();
+    let commit = coordinator.told(2).await.commit();
+    assert_eq!(commit.attempt_id, attempt_id(2));
+    worker.signal("TERM");
+    let (status, said) = worker.wait();
+    assert!(status.success(), "{said}");
+    assert!(
+        said.contains("finish the video: it was abandoned"),
+        "{said}"
+    );
+    assert_eq!(coordinator.everything_told().len(), 3);
+}
+
+/// As a crash of the encoder looks to the parent, at the worst moment.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_slot_that_dies_before_its_result_is_committed_is_not_charged() {
+    if !ready("a_slot_that_dies_before_its_result_is_committed_is_not_charged") {
+        return;
+    }
+    let mut coordinator = ScriptedCoordinator::start().await;
+    let policy = ScriptedPolicy::start().await;
+    let mut slow = filmed(1, &policy.url());
+    slow.policy = "slow".to_owned();
+    slow.manifest_row = slow
+        .manifest_row
+        .replace("\"max_steps\":160", "\"max_steps\":24");
+    coordinator.lease(slow);
+    let worker = WorkerProcess::start(&coordinator.url());
+    coordinator.progressed(1, 10).await;
+    coordinator.go_down();
+    // Its rollout ends, and its video, during the outage.
+    tokio::time::sleep(Duration::from_secs(3)).await;
+    for slot in worker.slots() {
+        signal(slot, "KILL");
+    }
+    coordinator.come_back().await;
+    let commit = coordinator.told(1).await.commit();
+    assert_eq!(commit.attempt_id, attempt_id(1));
+    let told = coordinator.everything_told();
+    let is_crash =
+        |told: &Told| matches!(told, Told::Released(it) if it.reason() == Reason::SlotCrashed);
+    assert!(!told.iter().any(is_crash), "{told:?}");
+}
