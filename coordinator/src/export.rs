@@ -76,7 +76,9 @@ pub async fn lines(
         let next = next.map(|row| (row.rollout_id.clone(), row.replicate));
         Ok(Some((rows, (queue, next))))
     });
-    let rows = pages.map_ok(|rows| stream::iter(rows).map(Ok::<_, ExportError>)).try_flatten();
+    let rows = pages
+        .map_ok(|rows| stream::iter(rows).map(Ok::<_, ExportError>))
+        .try_flatten();
     let policy = campaign.policy;
     Ok(rows.map(move |row| line(&row?, &policy)))
 }

@@ -1,6 +1,6 @@
 //! `coordinator campaign create`.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::str::FromStr;
 
 use anyhow::Context;

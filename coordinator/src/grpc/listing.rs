@@ -15,6 +15,7 @@ pub(super) fn job(line: JobLine, now: UnixMillis) -> wire::Job {
         replicate: line.replicate,
         state: line.state,
         attempt: line.attempt.0,
+        attempt_id: line.attempt_id.unwrap_or_default(),
         charged_attempts: line.charged_attempts,
         lease_owner: line.lease_owner.map(|owner| owner.0).unwrap_or_default(),
         lease_left_secs: left(line.lease_expires_ms),

@@ -5,11 +5,11 @@ use std::sync::Arc;
 
 use proto::coordinator as wire;
 use proto::coordinator::operator_service_server::OperatorService;
+use queue::Queue;
 use queue::expand::NewCampaign;
 use queue::ids::{CampaignName, JobId};
 use queue::read::{CampaignStatus, JobFilter, View};
 use queue::rules::campaign::CampaignState;
-use queue::Queue;
 use tokio_stream::{Stream, StreamExt};
 use tonic::{Request, Response, Status};
 use transport::chain;
@@ -174,7 +174,9 @@ impl OperatorService for OperatorApi {
         let workers = view.workers().await;
         let workers = workers.map_err(|error| store_failed(&error))?.into_iter();
         Ok(Response::new(wire::ListWorkersResponse {
-            workers: workers.map(|line| listing::worker(line, view.now)).collect(),
+            workers: workers
+                .map(|line| listing::worker(line, view.now))
+                .collect(),
         }))
     }
 

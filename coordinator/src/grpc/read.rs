@@ -1,9 +1,7 @@
 //! Reading messages: every string is bounded, every number in range, every
 //! digest a digest, before it goes any further.
 
-use attempt::{
-    AttemptId, Digests, IkResidual, Motion, Pin, Provenance, Realised, RolloutResult,
-};
+use attempt::{AttemptId, Digests, IkResidual, Motion, Pin, Provenance, Realised, RolloutResult};
 use proto::{MAX_MOTION_STEPS, coordinator as wire};
 use protocol::Axis;
 use queue::ids::{JobName, WorkerId, shortened};
@@ -29,7 +27,8 @@ pub(super) fn worker_id(id: &str) -> Result<WorkerId, Status> {
 }
 
 pub(super) fn attempt(id: &str) -> Result<AttemptId, Status> {
-    id.parse().map_err(|error| Status::invalid_argument(format!("{error}")))
+    id.parse()
+        .map_err(|error| Status::invalid_argument(format!("{error}")))
 }
 
 /// A claim's name has the form of an attempt's.
@@ -230,7 +229,8 @@ fn realised(axes: Vec<wire::RealisedAxis>) -> Result<Realised, Status> {
     {
         let axis = name.parse().ok().filter(|axis| Axis::METRIC.contains(axis));
         let values = parameters.iter().chain(&elements);
-        let fits = values.clone().count() <= MAX_REALISED_VALUES && values.copied().all(f64::is_finite);
+        let fits =
+            values.clone().count() <= MAX_REALISED_VALUES && values.copied().all(f64::is_finite);
         match axis {
             Some(axis) if fits && realised.of(axis).is_none() => {
                 realised.add(axis, parameters, elements);

@@ -225,6 +225,7 @@ fn write_lease(job: Assigned) -> wire::Lease {
     wire::Lease {
         attempt_id: job.attempt.to_string(),
         job_id: job.job.0,
+        attempt: job.number.0,
         campaign: job.campaign.as_str().to_owned(),
         replicate: job.replicate,
         manifest_row: job.manifest_row,

@@ -235,7 +235,11 @@ fn of_result(result: &ResultLine) -> Vec<(&'static str, String)> {
         ("realisation", from.realisation.clone()),
         (
             "assets",
-            format!("{} {}", from.pin.asset_pack, short(&from.pin.asset_pack_digest)),
+            format!(
+                "{} {}",
+                from.pin.asset_pack,
+                short(&from.pin.asset_pack_digest)
+            ),
         ),
         ("simulator", format!("MuJoCo {}", from.pin.mujoco_version)),
         ("renderer", from.pin.renderer.clone()),

@@ -130,7 +130,10 @@ fn of_campaigns(text: &mut Exposition, campaigns: &[CampaignStatus]) {
             ("committed", counts.committed),
             ("quarantined", counts.quarantined),
         ] {
-            let labels = [("campaign", status.campaign.name.as_str()), ("state", state)];
+            let labels = [
+                ("campaign", status.campaign.name.as_str()),
+                ("state", state),
+            ];
             text.sample(jobs, &labels, count as f64);
         }
     }
@@ -140,7 +143,10 @@ fn of_campaigns(text: &mut Exposition, campaigns: &[CampaignStatus]) {
         let succeeded = status.counts.succeeded;
         let failed = status.counts.committed.saturating_sub(succeeded);
         for (outcome, count) in [("success", succeeded), ("failure", failed)] {
-            let labels = [("campaign", status.campaign.name.as_str()), ("outcome", outcome)];
+            let labels = [
+                ("campaign", status.campaign.name.as_str()),
+                ("outcome", outcome),
+            ];
             text.sample(commits, &labels, count as f64);
         }
     }

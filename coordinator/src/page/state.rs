@@ -118,7 +118,10 @@ impl Page {
             let document = document.map_err(|error| Problem::failed(&error))?;
             Ok::<_, Problem>((wanted, Arc::new(document)))
         };
-        let (_, document) = self.documents.get(campaign.name.as_str(), is_fresh, make).await?;
+        let (_, document) = self
+            .documents
+            .get(campaign.name.as_str(), is_fresh, make)
+            .await?;
         Ok(document)
     }
 

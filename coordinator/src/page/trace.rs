@@ -177,11 +177,14 @@ mod tests {
     #[test]
     fn every_path_stays_in_its_picture() {
         let paths = [
-            read(&Motion::pack(&[
-                [-3_000, 3_000, 8_000],
-                [2_500, -1_000, 13_000],
-                [0, 0, 9_000],
-            ], &[])),
+            read(&Motion::pack(
+                &[
+                    [-3_000, 3_000, 8_000],
+                    [2_500, -1_000, 13_000],
+                    [0, 0, 9_000],
+                ],
+                &[],
+            )),
             read(&Motion::pack(&[[0, 0, 10_000]], &[])),
         ];
         let extent = Extent::of(paths.iter()).expect("positions");

@@ -35,12 +35,16 @@ pub(super) async fn answer(
         return Err(Problem::Video);
     }
     let served = ServeFile::new(path).try_call(request).await;
-    let mut response = served.map_err(|error| Problem::failed(&error))?.into_response();
+    let mut response = served
+        .map_err(|error| Problem::failed(&error))?
+        .into_response();
     for (name, value) in [
         (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
         (header::CACHE_CONTROL, "private, max-age=60"),
     ] {
-        response.headers_mut().insert(name, HeaderValue::from_static(value));
+        response
+            .headers_mut()
+            .insert(name, HeaderValue::from_static(value));
     }
     Ok(response)
 }

@@ -13,12 +13,12 @@ use std::path::Path;
 use std::sync::{Arc, LazyLock};
 use std::time::Duration;
 
-use coordinator::artifacts::ARTIFACTS_FOLDER;
-use coordinator::clock::{ManualClock, UnixMillis};
-use coordinator::invariants::check;
-use coordinator::queue::Timing;
-use coordinator::store::DATABASE_FILE;
 use coordinator::{Config, Coordinator};
+use queue::ARTIFACTS_FOLDER;
+use queue::DATABASE_FILE;
+use queue::Timing;
+use queue::clock::{ManualClock, UnixMillis};
+use queue::invariants::check;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use sqlx::sqlite::SqliteConnectOptions;
@@ -36,6 +36,8 @@ pub(crate) use seeds::seeds;
 
 /// How long a claim's caller waits before it hangs up.
 const PATIENCE: Duration = Duration::from_millis(20);
+/// What the coordinator's attempts follow from.
+const SEED: u64 = 1;
 /// What a clock that stands still shows.
 const NOW: UnixMillis = UnixMillis(1_700_000_000_000);
 
@@ -99,7 +101,7 @@ impl Open {
             data: data.to_owned(),
             timing: Timing::default(),
             clock: Arc::new(ManualClock::at(NOW)),
-            rng: ChaCha8Rng::seed_from_u64(1),
+            rng: ChaCha8Rng::seed_from_u64(SEED),
             security: Security::loopback(),
             min_free_bytes: 0,
         });

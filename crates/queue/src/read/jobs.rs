@@ -41,6 +41,8 @@ pub struct JobLine {
     pub charged_attempts: u32,
     /// When it may be leased, while it waits.
     pub not_before_ms: Option<UnixMillis>,
+    /// The attempt that holds its lease, while it is leased.
+    pub attempt_id: Option<String>,
     /// Who has it, while it is leased.
     pub lease_owner: Option<WorkerId>,
     /// When its lease ends without a heartbeat.
@@ -93,8 +95,8 @@ pub struct JobDetails {
 macro_rules! job_lines {
     () => {
         "SELECT j.id, j.rollout_id, j.replicate, j.state, j.attempt, j.charged_attempts,
-             j.not_before_ms, j.lease_owner, j.lease_expires_ms, j.control_steps, j.last_error,
-             r.success, r.steps
+             j.not_before_ms, j.attempt_id, j.lease_owner, j.lease_expires_ms, j.control_steps,
+             j.last_error, r.success, r.steps
          FROM job j LEFT JOIN result r ON r.job_id = j.id
          WHERE j.campaign_id = ?1"
     };

@@ -111,11 +111,12 @@ impl PolicyHealth {
             return self.clone();
         }
         let outages = self.outages + 1;
+        let wait = Waits::USUAL.after(outages, rng.next_u32());
         PolicyHealth {
             outages,
             available_since: self.available_since,
             state: PolicyState::Paused {
-                resume: now.plus(Waits::USUAL.after(outages, rng.next_u32())),
+                resume: now.plus(wait.max(Waits::USUAL.first)),
                 reason: error.to_owned(),
             },
         }
