@@ -348,7 +348,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_published_of_a_child_and_what_only_tests_use_is_left_out() {
+    fn reexports_of_children_and_test_code_are_left_out() {
         let circles = found(&[
             (
                 "lib.rs",

@@ -75,7 +75,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn who_says_so_is_listed_with_the_reason() {
+    fn skipped_tests_are_listed_with_the_reason() {
         let report = "<testsuites><testsuite name='scene'>
             <testcase name='b_is_held'><system-out>running 1 test
                 skipped b_is_held: no reference data at ../shared

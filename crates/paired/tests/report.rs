@@ -261,7 +261,7 @@ fn an_incomplete_cell_counts_what_is_complete_and_says_what_is_not() {
 }
 
 #[test]
-fn what_was_set_aside_is_bounded_by_the_worst_and_the_best_case() {
+fn quarantined_rollouts_are_bounded_by_the_worst_and_the_best_case() {
     // Either of them could have been an emergent failure, or none.
     let records = campaign([[S, S, S, F], [S, S, Q, F], [S, S, S, Q]]);
     let report = report(&records, &Options::default()).expect("no duplicates");

@@ -377,7 +377,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_never_seen_is_left_out() {
+    fn triangles_that_are_never_seen_are_left_out() {
         let mut builder = MeshBuilder::default();
         builder.triangle([
             corner(0.0, 0.0, 0.0),

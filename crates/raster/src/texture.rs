@@ -335,7 +335,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_is_refused() {
+    fn sizes_and_bytes_that_do_not_fit_are_refused() {
         let flat = TextureKind::Flat { srgb: false };
         for (kind, width, height, channels, bytes) in [
             (flat, 0, 0, 3, 0),

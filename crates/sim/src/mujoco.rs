@@ -2,10 +2,10 @@
 //! called. Each C object has one owner, and every array is seen as a slice of
 //! its true length.
 
-mod abstraction;
 mod arrays;
 mod data;
 mod model;
+mod visual_scene;
 
 use std::cell::RefCell;
 use std::ffi::{CStr, c_char};
@@ -13,12 +13,12 @@ use std::sync::Once;
 
 use mujoco_rs::mujoco_c as c;
 
-pub(crate) use abstraction::Abstraction;
-pub use abstraction::Segment;
 pub use arrays::NamedArray;
 pub use data::Data;
 pub(crate) use model::{MeshData, TextureData};
 pub use model::{Model, ObjectKind};
+pub use visual_scene::Segment;
+pub(crate) use visual_scene::VisualScene;
 
 /// Exit status of a process whose simulator reported a fatal error: MuJoCo's
 /// error handler must not return, and C frames cannot be unwound.

@@ -66,7 +66,8 @@ impl FromStr for Renderer {
 /// std::thread::spawn(move || drop(drawer));
 /// ```
 ///
-/// What was drawn with keeps its context, so that it may be dropped in any order.
+/// What a scene keeps for drawing shares ownership of the OpenGL context, so a
+/// drawer may be dropped at any time.
 pub enum Drawer {
     /// Our own.
     Software,

@@ -234,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_beside_the_reference_is_found_however_the_folder_is_named() {
+    fn recordings_beside_the_reference_are_found_however_the_folder_is_named() {
         let root = tempfile::tempdir().unwrap();
         let tasks = root.path().join("tasks");
         fs::create_dir_all(tasks.join("libero_goal/03_task")).unwrap();

@@ -7,7 +7,7 @@ use std::rc::Rc;
 use mujoco_rs::mujoco_c as c;
 
 use crate::error::SimError;
-use crate::mujoco::{Abstraction, Model, Segment};
+use crate::mujoco::{Model, Segment, VisualScene};
 
 use super::gl_context::GlContext;
 use super::view::View;
@@ -15,7 +15,7 @@ use super::view::View;
 /// What MuJoCo keeps to draw one scene. It lives in an OpenGL context, which is
 /// therefore freed after it.
 pub(crate) struct GlCanvas {
-    abstraction: Abstraction,
+    visual_scene: VisualScene,
     context: Box<c::mjrContext>,
     opengl: Rc<GlContext>,
 }
@@ -31,7 +31,7 @@ impl GlCanvas {
     ) -> Result<Self, SimError> {
         opengl.make_current()?;
         model.grow_offscreen_buffer(width, height);
-        let abstraction = Abstraction::new(model);
+        let visual_scene = VisualScene::new(model);
         let mut context = Box::new(MaybeUninit::uninit());
         // SAFETY: the object is written whole by its default function before it is
         // assumed initialised; the box keeps its address, which MuJoCo may
@@ -45,7 +45,7 @@ impl GlCanvas {
             context
         };
         let canvas = Self {
-            abstraction,
+            visual_scene,
             context,
             opengl: Rc::clone(opengl),
         };
@@ -96,7 +96,7 @@ impl GlCanvas {
             [c::mjtRndFlag::mjRND_SEGMENT, c::mjtRndFlag::mjRND_IDCOLOR];
         let mut rgb = vec![0; pixels(view.size) * 3];
         self.render(view, &FLAGS, Target::Colours(&mut rgb))?;
-        let segments = self.abstraction.segments();
+        let segments = self.visual_scene.segments();
         let numbers = rgb
             .chunks_exact(3)
             .map(|pixel| u32::from_le_bytes([pixel[0], pixel[1], pixel[2], 0]));
@@ -132,7 +132,7 @@ impl GlCanvas {
             }
         };
         self.opengl.make_current()?;
-        let scene = self.abstraction.update(view.model, view.data, view.camera);
+        let scene = self.visual_scene.update(view.model, view.data, view.camera);
         let before = scene.flags;
         for flag in flags {
             scene.flags[*flag as usize] = 1;

@@ -35,7 +35,8 @@ const REMEDY: &str = "install what drawing through OpenGL needs with `cargo xtas
      install libegl1 libegl-mesa0 libgl1-mesa-dri libgl1 libopengl0`) or with the NVIDIA driver, or \
      choose another device with --renderer gl:N";
 
-/// An OpenGL context of the thread that opened it, shared by what is drawn in it.
+/// An OpenGL context, bound to the thread that opened it. Canvases share its
+/// ownership.
 pub struct GlContext {
     egl: Egl,
     display: egl::Display,
@@ -71,7 +72,7 @@ impl GlContext {
         )))
     }
 
-    /// Makes it current: another context of this thread may be.
+    /// Makes it the current context of this thread.
     pub(super) fn make_current(&self) -> Result<(), SimError> {
         let made = self
             .egl

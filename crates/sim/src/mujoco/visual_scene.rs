@@ -23,7 +23,7 @@ pub struct Segment {
 }
 
 /// An abstract scene, made for one model.
-pub(crate) struct Abstraction {
+pub(crate) struct VisualScene {
     options: c::mjvOption,
     scene: Box<c::mjvScene>,
     /// The model's serial number. The scene has room for that model's skins and
@@ -31,7 +31,7 @@ pub(crate) struct Abstraction {
     model: u64,
 }
 
-impl Abstraction {
+impl VisualScene {
     /// An empty one.
     pub(crate) fn new(model: &Model) -> Self {
         let mut options = MaybeUninit::uninit();
@@ -119,7 +119,7 @@ impl Abstraction {
     }
 }
 
-impl Drop for Abstraction {
+impl Drop for VisualScene {
     fn drop(&mut self) {
         // SAFETY: made in `new`, freed once.
         unsafe { c::mjv_freeScene(&mut *self.scene) }
