@@ -9,16 +9,16 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
+use attempt::{Digests, Motion, Pin, Provenance, Realised, RolloutResult};
 use clap::Parser;
-use coordinator::clock::SystemClock;
-use coordinator::expand::NewCampaign;
-use coordinator::ids::{LeaseRef, WorkerId};
-use coordinator::queue::{ClaimRequest, ClaimedJob, CommitReport, CommitVerdict, Queue, Timing};
-use coordinator::store::motions::Motion;
-use coordinator::store::results::{Digests, Outcome, Provenance};
-use coordinator::store::workers::WorkerInfo;
-use coordinator::store::{DATABASE_FILE, Store};
 use protocol::ManifestRow;
+use queue::clock::SystemClock;
+use queue::expand::NewCampaign;
+use queue::ids::WorkerId;
+use queue::{
+    Assigned, ClaimRequest, CommitReport, CommitVerdict, DATABASE_FILE, Queue, Store, Timing,
+    WorkerInfo,
+};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde_json::{Value, json};
@@ -68,7 +68,13 @@ async fn main() -> Result<()> {
     let folder = arguments.data.clone().unwrap_or(temporary.path().into());
     let store = Store::open(&folder).await?;
     let rng = ChaCha8Rng::seed_from_u64(1);
-    let queue = Queue::start(store, Arc::new(SystemClock), rng, Timing::default()).await?;
+    let queue = Queue::start(
+        store,
+        Arc::new(SystemClock::start()),
+        rng,
+        Timing::default(),
+    )
+    .await?;
     let (jobs, expand_secs) = create(&queue, &arguments).await?;
 
     let mut beats = JoinSet::new();
@@ -149,12 +155,12 @@ async fn run_slot(
     while measured.committed.load(Ordering::Relaxed) < jobs {
         let request = ClaimRequest {
             worker: worker.clone(),
-            max_jobs: 1,
+            claim: format!("{:016x}{:016x}", rng.next_u64(), slot),
             warm_task: warm_task.clone(),
         };
         let began = Instant::now();
         let claimed = queue.claim(&request, CLAIM_WAIT).await?;
-        let Some(job) = claimed.jobs.into_iter().next() else {
+        let Some(job) = claimed.job else {
             continue;
         };
         note(
@@ -167,7 +173,7 @@ async fn run_slot(
         let row: ManifestRow = serde_json::from_str(&job.manifest_row)?;
         warm_task = Some(row.id.task().to_string());
         tokio::time::sleep(span.mul_f64(0.8 + 0.4 * share(&mut rng))).await;
-        let report = outcome(&worker, &job, &row, &mut rng)?;
+        let report = outcome(&worker, &job, &row, &mut rng);
         let began = Instant::now();
         let reply = queue.commit(&report).await?;
         note(&measured.commit_micros, began);
@@ -299,73 +305,67 @@ fn worker_info(number: u32, arguments: &Arguments) -> WorkerInfo {
         id: worker_id(number),
         host: format!("simulated-{number}"),
         slots: arguments.slots_per_worker,
-        asset_pack: "simulated".to_owned(),
-        asset_pack_digest: digest("pack"),
-        mujoco_version: "simulated".to_owned(),
-        renderer: "simulated".to_owned(),
+        pin: pin(),
         program_version: env!("CARGO_PKG_VERSION").to_owned(),
     }
 }
 
-/// An outcome as the slot's rollout would have: by chance, with the digests
-/// that its siblings have.
+fn pin() -> Pin {
+    Pin {
+        asset_pack: "simulated".to_owned(),
+        asset_pack_digest: digest("pack"),
+        mujoco_version: "simulated".to_owned(),
+        renderer: "simulated".to_owned(),
+    }
+}
+
+/// A result as the slot's rollout would have: by chance, with the digests and
+/// realised values that its siblings have.
 fn outcome(
     worker: &WorkerId,
-    job: &ClaimedJob,
+    job: &Assigned,
     row: &ManifestRow,
     rng: &mut impl Rng,
-) -> Result<CommitReport> {
+) -> CommitReport {
     let task = row.id.task();
-    let unit = format!("{task}/{}/{:?}", row.id.level(), row.id.config());
-    let axes = row.perturbation.axes().into_iter();
-    let axes: Vec<String> = axes
-        .map(|axis| format!("{axis}:{}", digest(&format!("{unit}/{axis}"))))
-        .collect();
-    Ok(CommitReport {
+    let mut realised = Realised::default();
+    for axis in row.perturbation.axes() {
+        let parameters = row.perturbation.values(axis);
+        // As many as four lights have.
+        realised.add(axis, parameters, vec![0.1; 48]);
+    }
+    CommitReport {
+        attempt: job.attempt,
         // A rollout of eleven seconds.
         motion: Motion {
             path: vec![1; 6 * 221],
             actions: Vec::new(),
         },
-        lease: LeaseRef {
-            worker: worker.clone(),
-            job: job.job,
-            attempt: job.attempt,
-        },
-        outcome: Outcome {
+        realised,
+        result: RolloutResult {
             success: rng.next_u32().is_multiple_of(2),
             steps: rng.next_u32() % 500,
             wall_secs: 1.0,
-            ik_residual_mm: None,
-            ik_residual_deg: None,
-            ik_clamped_joints: None,
+            ik: None,
             clipped_actions: 0,
             policy_queries: 100,
         },
         provenance: Provenance {
             // Every worker runs on a machine of its own.
             host: worker.0.clone(),
-            renderer: "simulated".to_owned(),
+            pin: pin(),
             fingerprint: digest("fingerprint"),
-            mujoco_version: "simulated".to_owned(),
-            asset_pack: "simulated".to_owned(),
-            asset_pack_digest: digest("pack"),
             realisation: job.realisation.clone(),
             policy_name: job.policy.clone(),
-            policy_checkpoint: String::new(),
-            policy_checkpoint_digest: String::new(),
-            policy_privileged: false,
-            policy_canonical_only: false,
-            batch_mode: String::new(),
             program_version: env!("CARGO_PKG_VERSION").to_owned(),
+            ..Provenance::default()
         },
         digests: Digests {
             scene: digest(&task.to_string()),
             init_state: digest(&format!("{task}/{}", row.init_id)),
-            perturbation: axes.join(",").parse()?,
             first_frame: String::new(),
         },
-    })
+    }
 }
 
 fn digest(of: &str) -> String {

@@ -7,6 +7,7 @@ mod create;
 mod export;
 mod files;
 mod jobs;
+mod line;
 mod manifest;
 mod operate;
 mod report;

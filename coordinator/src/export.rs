@@ -1,20 +1,14 @@
 //! Committed results as the reference's result rows, one JSON object a line, in
 //! a stable order: by rollout id, then replicate.
 
-use std::collections::VecDeque;
-use std::future::Future;
-use std::pin::Pin;
 use std::sync::Arc;
-use std::task::{Context, Poll};
 
+use futures_util::{Stream, StreamExt, TryStreamExt, stream};
 use protocol::{Condition, Level, ManifestRow, RolloutId, Suite};
+use queue::ids::CampaignName;
+use queue::read::ExportedRow;
+use queue::{Queue, QueueError};
 use serde::Serialize;
-use tokio_stream::Stream;
-
-use crate::ids::{CampaignId, CampaignName};
-use crate::queue::{Queue, QueueError};
-use crate::store::results::{self, ResultRow};
-use crate::store::{StoreError, campaigns};
 
 /// Results read at a time.
 const PAGE_ROWS: u32 = 1_000;
@@ -34,19 +28,6 @@ pub enum ExportError {
         source: serde_json::Error,
     },
 }
-
-/// The lines of one campaign, read page by page while they are taken.
-pub struct Export {
-    queue: Arc<Queue>,
-    campaign: CampaignId,
-    policy: String,
-    lines: VecDeque<String>,
-    last: Option<(String, u32)>,
-    loading: Option<Pin<Box<dyn Future<Output = Page> + Send>>>,
-    finished: bool,
-}
-
-type Page = Result<Vec<ResultRow>, StoreError>;
 
 /// The reference's columns, in its order, and the replicate where it is not the
 /// first.
@@ -69,81 +50,40 @@ struct ExportRow<'a> {
     replicate: Option<u32>,
 }
 
-impl Export {
-    /// Begins to export a campaign.
-    ///
-    /// # Errors
-    /// When there is no such campaign or the database fails.
-    pub async fn begin(queue: Arc<Queue>, name: &CampaignName) -> Result<Export, QueueError> {
-        let mut tx = queue.store().read().await?;
-        let row = campaigns::by_name(&mut tx, name).await?;
-        let row = row.ok_or_else(|| QueueError::UnknownCampaign {
-            campaign: name.clone(),
-        })?;
-        Ok(Export {
-            queue,
-            campaign: row.id,
-            policy: row.policy,
-            lines: VecDeque::new(),
-            last: None,
-            loading: None,
-            finished: false,
-        })
-    }
-
-    fn load(&self) -> Pin<Box<dyn Future<Output = Page> + Send>> {
-        let queue = self.queue.clone();
-        let campaign = self.campaign;
-        let last = self.last.clone();
-        Box::pin(async move {
-            // A view per page: one that lived as long as a slow reader would
-            // keep the write-ahead log from being moved.
-            let mut tx = queue.store().read().await?;
-            let after = last
-                .as_ref()
-                .map(|(id, replicate)| (id.as_str(), *replicate));
-            results::page(&mut tx, campaign, after, PAGE_ROWS).await
-        })
-    }
-
-    fn take_page(&mut self, rows: Vec<ResultRow>) -> Result<(), ExportError> {
-        self.finished = rows.len() < PAGE_ROWS as usize;
-        for row in rows {
-            self.lines.push_back(line(&row, &self.policy)?);
-            self.last = Some((row.rollout_id, row.replicate));
-        }
-        Ok(())
-    }
+/// The lines of one campaign, read page by page while they are taken.
+///
+/// # Errors
+/// When there is no such campaign or the database fails.
+pub async fn lines(
+    queue: Arc<Queue>,
+    name: &CampaignName,
+) -> Result<impl Stream<Item = Result<String, ExportError>> + Send + use<>, QueueError> {
+    let campaign = queue.view().await?.campaign(name).await?;
+    // The last row of the page before; none when the last page was read.
+    let first: Option<(String, u32)> = Some((String::new(), 0));
+    let pages = stream::try_unfold((queue, first), move |(queue, last)| async move {
+        let Some((rollout_id, replicate)) = last else {
+            return Ok::<_, ExportError>(None);
+        };
+        // A view per page: one that lived as long as a slow reader would keep
+        // the write-ahead log from being moved.
+        let after = (!rollout_id.is_empty()).then_some((rollout_id.as_str(), replicate));
+        let mut view = queue.view().await.map_err(QueueError::from)?;
+        let rows = view.exported(campaign.id, after, PAGE_ROWS).await;
+        let rows = rows.map_err(QueueError::from)?;
+        let is_last = rows.len() < PAGE_ROWS as usize;
+        let next = rows.last().filter(|_| !is_last);
+        let next = next.map(|row| (row.rollout_id.clone(), row.replicate));
+        Ok(Some((rows, (queue, next))))
+    });
+    let rows = pages
+        .map_ok(|rows| stream::iter(rows).map(Ok::<_, ExportError>))
+        .try_flatten();
+    let policy = campaign.policy;
+    Ok(rows.map(move |row| line(&row?, &policy)))
 }
 
-impl Stream for Export {
-    type Item = Result<String, ExportError>;
-
-    fn poll_next(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Self::Item>> {
-        let this = self.get_mut();
-        loop {
-            if let Some(line) = this.lines.pop_front() {
-                return Poll::Ready(Some(Ok(line)));
-            }
-            if this.finished {
-                return Poll::Ready(None);
-            }
-            let mut loading = this.loading.take().unwrap_or_else(|| this.load());
-            let Poll::Ready(page) = loading.as_mut().poll(cx) else {
-                this.loading = Some(loading);
-                return Poll::Pending;
-            };
-            let page = page.map_err(|error| ExportError::Queue(error.into()));
-            if let Err(error) = page.and_then(|rows| this.take_page(rows)) {
-                this.finished = true;
-                this.lines.clear();
-                return Poll::Ready(Some(Err(error)));
-            }
-        }
-    }
-}
-
-fn line(result: &ResultRow, policy: &str) -> Result<String, ExportError> {
+fn line(result: &ExportedRow, policy: &str) -> Result<String, ExportError> {
     let in_row = |source| ExportError::Row {
         rollout_id: result.rollout_id.clone(),
         source,

@@ -7,6 +7,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
+use queue::clock::Clock;
+use queue::{OpenError, Queue, Store, StoreError, Timing, remove_partial_files};
 use rand_chacha::ChaCha8Rng;
 use tokio::net::TcpListener;
 use tokio::sync::oneshot;
@@ -17,13 +19,11 @@ use tokio_stream::wrappers::TcpListenerStream;
 use tonic::service::Routes;
 use transport::{Security, SecurityError};
 
-use crate::artifacts;
-use crate::clock::Clock;
+use crate::access;
 use crate::disk::Room;
-use crate::grpc::{self, access};
-use crate::page::{self, Gauges, Page};
-use crate::queue::{Queue, Timing};
-use crate::store::{OpenError, Store, StoreError};
+use crate::gauges::Gauges;
+use crate::grpc;
+use crate::page::{self, Page};
 
 /// How long requests may take to finish once the coordinator was told to stop.
 const SHUTDOWN_GRACE: Duration = Duration::from_secs(10);
@@ -39,7 +39,7 @@ pub struct Config {
     pub timing: Timing,
     /// Where instants come from.
     pub clock: Arc<dyn Clock>,
-    /// What back-offs are jittered with.
+    /// What attempts are named and back-offs are jittered with.
     pub rng: ChaCha8Rng,
     /// Who may connect.
     pub security: Security,
@@ -62,6 +62,12 @@ pub enum ServeError {
     /// Its certificate is no use.
     #[error(transparent)]
     Security(#[from] SecurityError),
+    /// Something that must not end ended.
+    #[error("go on serving: {what} panicked (the log says where); start the coordinator again")]
+    Panicked {
+        /// What.
+        what: &'static str,
+    },
     /// Its data folder holds an earlier run's leftovers that cannot be removed.
     #[error("tidy the artifacts in {}", folder.display())]
     Tidy {
@@ -104,7 +110,7 @@ impl Coordinator {
     /// wrote it, the disk refuses.
     pub async fn open(config: Config) -> Result<Coordinator, ServeError> {
         let store = Store::open(&config.data).await?;
-        artifacts::remove_partial_files(&config.data).map_err(|source| ServeError::Tidy {
+        remove_partial_files(&config.data).map_err(|source| ServeError::Tidy {
             folder: config.data.clone(),
             source,
         })?;
@@ -148,7 +154,7 @@ impl Coordinator {
             let page = page.clone();
             async move { page.tell_changes().await }
         });
-        let routes = Routes::from(page.clone().beside(grpc::services(&queue, &gauges)));
+        let routes = Routes::from(page::beside(page.clone(), grpc::services(&queue, &gauges)));
         let server = server(routes, &self.security, listener, async {
             // A sender that was dropped stops the server just as well.
             let _ = stopped.await;
@@ -162,6 +168,12 @@ impl Coordinator {
                 served = &mut server => {
                     served?;
                     break;
+                }
+                () = queue.broken() => {
+                    return Err(ServeError::Panicked { what: "the database's writer" });
+                }
+                Some(_) = telling.join_next() => {
+                    return Err(ServeError::Panicked { what: "the task that watches for changes" });
                 }
                 () = &mut shutdown => {
                     tracing::info!("stopping: leasing nothing more, finishing what is under way");
@@ -177,8 +189,8 @@ impl Coordinator {
                     let shortage = match queue.sweep().await {
                         Ok(()) => Room::look(&self.data, self.min_free_bytes).shortage(&self.data),
                         Err(error) => Some(format!(
-                            "the database cannot be written (failed to {error}: {})",
-                            source_of(&error)
+                            "the database cannot be written (failed to {})",
+                            transport::chain(&error)
                         )),
                     };
                     queue.hold_leasing(shortage);
@@ -206,15 +218,11 @@ async fn server(
         })
     });
     security
-        .server_with_pages(access::demands, page::LOG_IN)?
+        .server_with_pages(access::demands, access::LOG_IN)?
         .initial_stream_window_size(STREAM_WINDOW_BYTES)
         .initial_connection_window_size(CONNECTION_WINDOW_BYTES)
         .add_routes(routes)
         .serve_with_incoming_shutdown(connections, stopped)
         .await?;
     Ok(())
-}
-
-fn source_of(error: &dyn std::error::Error) -> String {
-    error.source().map(ToString::to_string).unwrap_or_default()
 }

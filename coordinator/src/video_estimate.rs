@@ -1,6 +1,6 @@
 //! What recording a campaign takes on the disk, estimated before it runs.
 
-use crate::expand::NewCampaign;
+use queue::expand::NewCampaign;
 
 /// A control step of a video, bytes: 1.2 to 2.3 thousand in four rollouts of 78
 /// to 111 steps (two tasks, the real assets and the built-in ones).

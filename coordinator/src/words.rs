@@ -1,7 +1,7 @@
 //! How spans, instants, rates and sizes are written for people, the same on a
 //! terminal and on the page.
 
-use crate::clock::UnixMillis;
+use queue::clock::UnixMillis;
 
 /// Rollouts per second, minute or hour, whichever gives a number above one:
 /// `2.1/s`, `25.2/min`.

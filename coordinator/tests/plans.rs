@@ -8,16 +8,14 @@ use std::fmt::Debug;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use coordinator::clock::{ManualClock, UnixMillis};
-use coordinator::digests::AxisDigests;
-use coordinator::expand::NewCampaign;
-use coordinator::ids::{LeaseRef, WorkerId};
-use coordinator::lease::FailureReason;
-use coordinator::queue::{ClaimRequest, CommitReport, CommitVerdict, Queue, Timing};
-use coordinator::store::motions::Motion;
-use coordinator::store::results::{Digests, Outcome, Provenance};
-use coordinator::store::workers::WorkerInfo;
-use coordinator::store::{DATABASE_FILE, Store};
+use attempt::{AttemptId, Digests, Motion, Pin, Provenance, Realised, RolloutResult};
+use queue::clock::{ManualClock, UnixMillis};
+use queue::expand::NewCampaign;
+use queue::ids::WorkerId;
+use queue::rules::lease::FailureReason;
+use queue::{
+    ClaimRequest, CommitReport, CommitVerdict, DATABASE_FILE, Queue, Store, Timing, WorkerInfo,
+};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use serde_json::json;
@@ -72,48 +70,49 @@ fn digest(of: char) -> String {
     of.to_string().repeat(64)
 }
 
-fn claim(worker: &str, warm_task: Option<&str>) -> ClaimRequest {
+fn pin() -> Pin {
+    Pin {
+        asset_pack: "primitives".to_owned(),
+        asset_pack_digest: digest('a'),
+        mujoco_version: "3.3.7".to_owned(),
+        renderer: "llvmpipe".to_owned(),
+    }
+}
+
+fn claim(number: u32, warm_task: Option<&str>) -> ClaimRequest {
     ClaimRequest {
-        worker: WorkerId(worker.to_owned()),
-        max_jobs: 2,
+        worker: WorkerId("a".to_owned()),
+        claim: format!("{number:032x}"),
         warm_task: warm_task.map(str::to_owned),
     }
 }
 
-fn report(lease: &LeaseRef) -> CommitReport {
+fn report(attempt: AttemptId) -> CommitReport {
     CommitReport {
+        attempt,
         motion: Motion::default(),
-        lease: lease.clone(),
-        outcome: Outcome {
+        realised: Realised::default(),
+        result: RolloutResult {
             success: true,
             steps: 9,
             wall_secs: 1.0,
-            ik_residual_mm: None,
-            ik_residual_deg: None,
-            ik_clamped_joints: None,
+            ik: None,
             clipped_actions: 0,
             policy_queries: 1,
         },
         provenance: Provenance {
             host: "here".to_owned(),
-            renderer: "llvmpipe".to_owned(),
+            pin: pin(),
             fingerprint: digest('d'),
-            mujoco_version: "3.3.7".to_owned(),
-            asset_pack: "primitives".to_owned(),
-            asset_pack_digest: digest('a'),
             realisation: "matched".to_owned(),
             policy_name: "expert".to_owned(),
-            policy_checkpoint: String::new(),
-            policy_checkpoint_digest: String::new(),
             policy_privileged: true,
-            policy_canonical_only: false,
-            batch_mode: String::new(),
             program_version: "0.1.0".to_owned(),
+            ..Provenance::default()
         },
         digests: Digests {
             scene: digest('b'),
             init_state: digest('c'),
-            perturbation: AxisDigests::default(),
             first_frame: String::new(),
         },
     }
@@ -121,45 +120,50 @@ fn report(lease: &LeaseRef) -> CommitReport {
 
 /// Everything that workers ask for, and the sweeps, good and bad.
 async fn everything(queue: &Queue, clock: &ManualClock) {
-    let lease = async |warm: Option<&str>| -> Vec<LeaseRef> {
-        let claimed = queue.claim(&claim("a", warm), Duration::ZERO).await;
-        let lease = |job: &coordinator::queue::ClaimedJob| LeaseRef {
-            worker: WorkerId("a".to_owned()),
-            job: job.job,
-            attempt: job.attempt,
-        };
-        claimed.expect("an answer").jobs.iter().map(lease).collect()
+    let mut claims = 0;
+    let mut lease = async |warm: Option<&str>| -> Option<AttemptId> {
+        claims += 1;
+        let request = claim(claims, warm);
+        let claimed = queue.claim(&request, Duration::ZERO).await;
+        let attempt = claimed.expect("an answer").job.map(|job| job.attempt);
+        // The answer was lost: it is asked for again.
+        let again = queue.claim(&request, Duration::ZERO).await;
+        assert_eq!(
+            again.expect("an answer").job.map(|job| job.attempt),
+            attempt
+        );
+        attempt
     };
-    let first = lease(None).await;
-    let second = lease(Some("libero_object/0")).await;
-    let worker = WorkerId("a".to_owned());
-    let beat = queue.heartbeat(&worker, &[(first[0].clone(), 20)]).await;
-    assert!(beat.expect("an answer").is_empty());
-    for lease in [&first[0], &first[0], &second[0]] {
-        queue.commit(&report(lease)).await.expect("a verdict");
+    let mut leases = Vec::new();
+    for warm in [None, Some("libero_object/0"), None, Some("libero_object/1")] {
+        leases.push(lease(warm).await.expect("a job waits"));
     }
-    let mut divergent = report(&first[0]);
-    divergent.outcome.success = false;
+    let worker = WorkerId("a".to_owned());
+    let beat: Vec<_> = leases.iter().map(|attempt| (*attempt, 20)).collect();
+    let lost = queue.heartbeat(&worker, &beat).await;
+    assert!(lost.expect("an answer").is_empty());
+    for attempt in [leases[0], leases[0], leases[1]] {
+        queue.commit(&report(attempt)).await.expect("a verdict");
+    }
+    let mut divergent = report(leases[0]);
+    divergent.result.success = false;
     let reply = queue.commit(&divergent).await.expect("a verdict");
     assert_eq!(reply.verdict, CommitVerdict::Divergent);
-    for (lease, reason) in [
-        (&first[1], FailureReason::SlotCrashed),
-        (&second[1], FailureReason::PolicyUnavailable),
+    for (attempt, reason) in [
+        (leases[2], FailureReason::SlotCrashed),
+        (leases[3], FailureReason::PolicyUnavailable),
     ] {
-        let released = queue.release(lease, reason, "on purpose").await;
+        let released = queue.release(attempt, reason, "on purpose").await;
         released.expect("a verdict");
     }
-    assert!(lease(None).await.is_empty(), "the policy is down");
+    assert_eq!(lease(None).await, None, "the policy is down");
     for _ in 0..8 {
         clock.advance(Duration::from_secs(10));
         queue.sweep().await.expect("a sweep");
     }
-    let probe = lease(None).await;
-    assert_eq!(probe.len(), 1);
-    queue
-        .heartbeat(&worker, &[(probe[0].clone(), 20)])
-        .await
-        .expect("an answer");
+    let probe = lease(None).await.expect("the probe");
+    let beat = queue.heartbeat(&worker, &[(probe, 20)]).await;
+    assert!(beat.expect("an answer").is_empty());
     for _ in 0..5 {
         clock.advance(Duration::from_secs(10));
         queue.sweep().await.expect("a sweep");
@@ -218,10 +222,7 @@ async fn no_statement_of_a_worker_or_a_sweep_walks_the_jobs() {
         id: WorkerId("a".to_owned()),
         host: "here".to_owned(),
         slots: 2,
-        asset_pack: "primitives".to_owned(),
-        asset_pack_digest: digest('a'),
-        mujoco_version: "3.3.7".to_owned(),
-        renderer: "llvmpipe".to_owned(),
+        pin: pin(),
         program_version: "0.1.0".to_owned(),
     };
     queue.register(&worker).await.expect("registered");

@@ -31,7 +31,7 @@ pub struct Browser {
     requests: Vec<String>,
 }
 
-/// How a page is looked at.
+/// The screen that a page is shown on.
 #[derive(Clone, Copy, Debug)]
 pub struct Screen {
     /// Width of the window, CSS pixels.

@@ -1,13 +1,10 @@
 //! The simulator against the original: everything that the reference data of a
-//! task shows, compared in numbers. Only measures; what is good enough is
-//! [`Limits`].
+//! task shows, compared in numbers.
 
+mod findings;
 mod frames;
 mod motion;
 mod reference;
-
-use std::fmt;
-use std::path::Path;
 
 use anyhow::{Context, Result, ensure};
 use protocol::presets::ENV_SEED;
@@ -15,160 +12,9 @@ use scene::{AssetPack, Problem, Sources, compose};
 use sim::mujoco::{Model, ObjectKind};
 use sim::{Drawer, Environment};
 
+pub use findings::{ContactFindings, Findings, Limits, Worst};
 pub use frames::{CLOSE_LEVELS, FrameFindings, FrameLimits, Kinship, Least};
 pub use reference::{Array, ReferenceTask, find_tasks, read_npz};
-
-/// How far a task's simulation may be from the original's.
-#[derive(Debug, Clone, Copy)]
-pub struct Limits {
-    /// Model arrays, relative.
-    pub arrays: f64,
-    /// Joint positions after every smooth step, m or rad.
-    pub smooth: f64,
-    /// Observed readings, m or rad.
-    pub observed: f64,
-    /// Frames.
-    pub frames: FrameLimits,
-    /// Contact-rich steps, in multiples of the original's own sensitivity.
-    pub sensitivities: f64,
-}
-
-impl Limits {
-    /// Everything but the frames is the same on every machine.
-    pub fn new(frames: Kinship) -> Self {
-        Self {
-            arrays: 1e-12,
-            smooth: 1e-9,
-            observed: 1e-9,
-            frames: frames.limits(),
-            sensitivities: 100.0,
-        }
-    }
-}
-
-/// What was found for one task.
-#[derive(Debug, Clone, Default)]
-pub struct Findings {
-    /// The first name that differs, if any: ours and the original's.
-    pub name: Option<String>,
-    /// Largest relative difference of a model array, and which.
-    pub arrays: Worst,
-    /// Largest difference of joint positions after loading and settling.
-    pub settled: Worst,
-    /// Largest difference of joint positions after the smooth steps.
-    pub smooth: Worst,
-    /// Largest difference of observed readings.
-    pub observed: Worst,
-    /// Success flags that differ, over all steps.
-    pub success_flags: usize,
-    /// Predicate truths: those that differ, and all.
-    pub predicates: (usize, usize),
-    /// Contact-rich steps; none where there is no recording.
-    pub contact: Option<ContactFindings>,
-    /// Frames; none where there are none to compare with.
-    pub frames: Option<FrameFindings>,
-}
-
-/// Contact-rich steps against the original.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct ContactFindings {
-    /// Largest difference of joint positions.
-    pub worst: f64,
-    /// The same while the original itself is insensitive; 0 where that was not
-    /// measured.
-    pub worst_while_calm: f64,
-    /// Largest difference in multiples of the original's sensitivity once it is
-    /// not calm any more; none where that was not measured.
-    pub sensitivities: Option<f64>,
-    /// Success flags that differ.
-    pub success_flags: usize,
-}
-
-/// A largest difference and where it was.
-#[derive(Debug, Clone, Default)]
-pub struct Worst {
-    /// The difference.
-    pub value: f64,
-    /// Where.
-    pub place: String,
-}
-
-impl Worst {
-    pub(crate) fn see(&mut self, value: f64, place: impl FnOnce() -> String) {
-        if exceeds(value, self.value) {
-            *self = Self {
-                value,
-                place: place(),
-            };
-        }
-    }
-}
-
-impl fmt::Display for Worst {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if self.value == 0.0 {
-            f.write_str("0")
-        } else {
-            write!(f, "{:.0e}", self.value)
-        }
-    }
-}
-
-impl Findings {
-    /// What exceeds the limits, in words; empty if nothing does.
-    pub fn violations(&self, limits: &Limits) -> Vec<String> {
-        let mut found = Vec::new();
-        let mut check = |what: &str, worst: &Worst, limit: f64| {
-            if exceeds(worst.value, limit) {
-                found.push(format!("{what}: {:.3e} at {}", worst.value, worst.place));
-            }
-        };
-        check("model arrays", &self.arrays, limits.arrays);
-        check("settling", &self.settled, limits.smooth);
-        check("smooth steps", &self.smooth, limits.smooth);
-        check("observations", &self.observed, limits.observed);
-        found.extend(self.name.iter().map(|name| format!("names: {name}")));
-        if self.success_flags > 0 {
-            found.push(format!("{} success flags differ", self.success_flags));
-        }
-        if self.predicates.0 > 0 {
-            found.push(format!(
-                "{} of {} predicates differ",
-                self.predicates.0, self.predicates.1
-            ));
-        }
-        if let Some(contact) = &self.contact {
-            if let Some(multiple) = contact.sensitivities
-                && exceeds(multiple, limits.sensitivities)
-            {
-                found.push(format!(
-                    "contact-rich steps: {multiple:.0} × the original's sensitivity"
-                ));
-            }
-            if exceeds(contact.worst_while_calm, limits.smooth) {
-                found.push(format!(
-                    "contact-rich steps: {:.3e}",
-                    contact.worst_while_calm
-                ));
-            }
-            if contact.success_flags > 0 {
-                found.push(format!(
-                    "{} contact success flags differ",
-                    contact.success_flags
-                ));
-            }
-        }
-        if let Some(frames) = &self.frames {
-            found.extend(frames.violations(&limits.frames));
-        }
-        found
-    }
-}
-
-/// A difference that is no number exceeds every limit.
-fn exceeds(value: f64, limit: f64) -> bool {
-    value.is_nan() || value > limit
-}
 
 /// Compares one task.
 pub fn compare(
@@ -268,15 +114,4 @@ fn differing_array(model: &Model, task: &ReferenceTask) -> Result<Worst> {
         }
     }
     Ok(worst)
-}
-
-/// Whether a folder holds reference tasks at all.
-pub fn ensure_reference(dir: &Path) -> Result<()> {
-    ensure!(
-        dir.is_dir(),
-        "read the reference {}: no such folder; --reference takes the folder that holds \
-         SUITE/NN_TASK folders",
-        dir.display()
-    );
-    Ok(())
 }

@@ -4,6 +4,7 @@
 
 pub mod browser;
 pub mod chaos;
+pub mod circles;
 pub mod fidelity;
 pub mod files;
 pub mod measure;

@@ -1,22 +1,20 @@
-//! Which crate may use which. The reasons are in docs/ARCHITECTURE.md.
+//! Which crate may use which, and how the files of each do. The reasons are in
+//! docs/ARCHITECTURE.md.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
 use std::process::Command;
 
 use serde_json::Value;
 
-/// Normal dependencies of every package, by name.
-fn dependencies() -> BTreeMap<String, BTreeSet<String>> {
+/// Until their files are divided: crates whose files import in circles.
+const WITH_CIRCLES: [&str; 3] = ["coordinator", "worker", "policy-gateway"];
+
+/// What Cargo says of the workspace.
+fn metadata(arguments: &[&str]) -> Value {
     let output = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
-        .args([
-            "metadata",
-            "--format-version",
-            "1",
-            "--offline",
-            "--filter-platform",
-        ])
-        // Crates for other systems have never been fetched here.
-        .arg(format!("{}-unknown-linux-gnu", std::env::consts::ARCH))
+        .args(["metadata", "--format-version", "1", "--offline"])
+        .args(arguments)
         .current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/.."))
         .output()
         .unwrap();
@@ -25,7 +23,14 @@ fn dependencies() -> BTreeMap<String, BTreeSet<String>> {
         "{}",
         String::from_utf8_lossy(&output.stderr)
     );
-    let metadata: Value = serde_json::from_slice(&output.stdout).unwrap();
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+/// Normal dependencies of every package, by name.
+fn dependencies() -> BTreeMap<String, BTreeSet<String>> {
+    // Crates for other systems have never been fetched here.
+    let platform = format!("{}-unknown-linux-gnu", std::env::consts::ARCH);
+    let metadata = metadata(&["--filter-platform", &platform]);
     let list = |value: &Value| value.as_array().unwrap().clone();
     let text = |value: &Value| value.as_str().unwrap().to_owned();
     let names: BTreeMap<String, String> = list(&metadata["packages"])
@@ -100,4 +105,29 @@ fn crates_use_one_another_in_the_agreed_directions_only() {
             assert!(!used.contains(*other), "{package} must not use {other}");
         }
     }
+}
+
+#[test]
+fn no_files_of_a_crate_import_in_a_circle() {
+    let metadata = metadata(&["--no-deps"]);
+    let packages = metadata["packages"].as_array().unwrap();
+    let mut seen = 0;
+    let mut found = String::new();
+    for package in packages {
+        let name = package["name"].as_str().unwrap();
+        if WITH_CIRCLES.contains(&name) {
+            continue;
+        }
+        let manifest = PathBuf::from(package["manifest_path"].as_str().unwrap());
+        for circle in tests::circles::circles(&manifest.with_file_name("src")).unwrap() {
+            found.push_str(&format!("in {name}:\n{circle}"));
+        }
+        seen += 1;
+    }
+    assert_eq!(
+        seen + WITH_CIRCLES.len(),
+        packages.len(),
+        "every crate is seen"
+    );
+    assert!(found.is_empty(), "files that import in a circle:\n{found}");
 }

@@ -244,7 +244,7 @@ fn cores() -> Result<u32> {
     Ok(u32::try_from(cores.get())?)
 }
 
-/// The processor and its cores, for whoever reads the figures later.
+/// The processor and its cores, to be recorded beside the figures.
 fn machine() -> Result<String> {
     let about = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let model = about

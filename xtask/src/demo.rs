@@ -235,7 +235,7 @@ impl std::fmt::Display for Running {
     }
 }
 
-/// What a program's log says of where it listens. A worker listens nowhere and
+/// The address that a program's log gives. A worker listens nowhere and
 /// is up as soon as it says anything.
 fn announced(log: &Path, name: &str) -> Result<Option<String>> {
     for line in BufReader::new(File::open(log)?).lines() {

@@ -1,17 +1,26 @@
-//! Which tests did not run because something is not on this machine: the
-//! reference data, a tool. Such a test passes after saying so in a line that
-//! begins with `skipped`, and nobody sees what a passed test says; nextest's
-//! report keeps it.
+//! Which tests did not run because something is missing on this machine: the
+//! reference data, a tool. Such a test passes after printing a line that begins
+//! with `skipped`. The output of passed tests is not shown, but nextest's report
+//! keeps it.
 
 use std::path::Path;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 
-/// How the line begins.
+/// The beginning of the line.
 const MARK: &str = "skipped";
 
-/// Reads nextest's JUnit report and prints who was skipped, why, and how many.
-pub(crate) fn print(report: &Path) -> Result<()> {
+/// Part of every path to the reference data, in whatever checkout a test looked for
+/// it.
+const REFERENCE: &str = "/shared/";
+
+/// Reads nextest's JUnit report and prints which tests were skipped, why, and how
+/// many.
+///
+/// # Errors
+/// If a test found no reference data although its folder exists: then a part of it
+/// is missing or cannot be read, or the test looked elsewhere.
+pub(crate) fn check(report: &Path, shared: &Path) -> Result<()> {
     let text = std::fs::read_to_string(report)
         .with_context(|| format!("read nextest's report {}", report.display()))?;
     let skipped =
@@ -24,6 +33,18 @@ pub(crate) fn print(report: &Path) -> Result<()> {
         1 => println!("1 test was skipped for what this machine lacks."),
         n => println!("{n} tests were skipped for what this machine lacks."),
     }
+    let wrongly: Vec<&str> = skipped
+        .iter()
+        .filter(|(_, why)| shared.exists() && why.contains(REFERENCE))
+        .map(|(test, _)| test.as_str())
+        .collect();
+    ensure!(
+        wrongly.is_empty(),
+        "run every test on the reference data: {} exists, but these tests did not find their \
+         part of it: {}",
+        shared.display(),
+        wrongly.join(", ")
+    );
     Ok(())
 }
 
@@ -54,7 +75,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn who_says_so_is_listed_with_the_reason() {
+    fn skipped_tests_are_listed_with_the_reason() {
         let report = "<testsuites><testsuite name='scene'>
             <testcase name='b_is_held'><system-out>running 1 test
                 skipped b_is_held: no reference data at ../shared
@@ -64,5 +85,34 @@ mod tests {
         let expected = ("b_is_held", "no reference data at ../shared");
         let expected = (expected.0.to_owned(), expected.1.to_owned());
         assert_eq!(list(report).expect("XML"), [expected]);
+    }
+
+    #[test]
+    fn a_test_without_its_reference_data_fails_the_run_where_the_folder_is() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let report = folder.path().join("junit.xml");
+        let write = |why: &str| {
+            let text = format!(
+                "<testsuites><testcase name='a'><system-out>skipped{why}</system-out></testcase>\
+                 <testcase name='b'><system-out>skipped b: no chromium</system-out></testcase>\
+                 </testsuites>"
+            );
+            std::fs::write(&report, text).expect("a report");
+        };
+        let (here, absent) = (folder.path(), folder.path().join("absent"));
+        for why in [
+            " a: no reference data at /elsewhere/tests/../../shared/oracle/tasks",
+            ": /here/crates/paired/../../../shared/libero-ctrl-v0.1 is not here",
+        ] {
+            write(why);
+            let error = check(&report, here).expect_err(why).to_string();
+            assert!(
+                error.ends_with("did not find their part of it: a"),
+                "{error}"
+            );
+            check(&report, &absent).expect(why);
+        }
+        write(" a: no chromium");
+        check(&report, here).expect("what is no reference data may lack");
     }
 }

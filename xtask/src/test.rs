@@ -13,8 +13,8 @@ use crate::skipped;
 use crate::step::step;
 use crate::typescript;
 
-/// What openpi's robots ask its servers with: the tests hold the gateway's
-/// messages against it.
+/// The client with which openpi's robots query its servers: the tests compare the
+/// gateway's messages with its own.
 const OPENPI_CLIENT: &str = "openpi-client==0.1.2";
 
 /// Sets up, builds and runs everything.
@@ -54,9 +54,15 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
     run_command(&mut tests)?;
     if nextest {
         // Where nextest keeps its own things, whatever the build folder is.
-        skipped::print(&root.join("target/nextest/default/junit.xml"))?;
+        let report = root.join("target/nextest/default/junit.xml");
+        skipped::check(&report, &root.join("../shared"))?;
     }
     if filters.is_empty() {
+        if nextest {
+            // It runs no examples of documentation; `cargo test` has.
+            println!("Testing that misuse of the simulator does not compile");
+            run_command(cargo(root).args(["test", "--quiet", "--doc", "--package", "sim"]))?;
+        }
         println!("Testing the software renderer with overflow checks");
         run_command(cargo(root).args([
             "test",

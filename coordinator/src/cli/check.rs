@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::anyhow;
 use clap::Args;
-use coordinator::invariants::{CheckError, Invariant, check as check_database};
+use queue::invariants::{CheckError, Invariant, check as check_database};
 
 use super::{CommandError, print_line};
 

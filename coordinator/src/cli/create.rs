@@ -1,19 +1,19 @@
 //! `coordinator campaign create`.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::str::FromStr;
 
 use anyhow::Context;
 use clap::{ArgGroup, Args, ValueEnum};
-use coordinator::expand::NewCampaign;
 use coordinator::video_estimate;
 use protocol::{
     Axis, CampaignSpec, Design, Level, MAX_CONFIGS, Nominal, PolicyRoute, Realisation, Record,
     Rollouts, TaskRef, UnknownName, select_tasks,
 };
+use queue::expand::NewCampaign;
 
-use super::files::{name_of, read_text};
-use super::{CommandError, Connection, manifest, print_line};
+use super::files::{read_manifest, read_spec};
+use super::{CommandError, Connection, print_line};
 
 /// The flags that say what a specification says.
 const SPEC_FLAGS: [&str; 12] = [
@@ -109,7 +109,7 @@ enum RecordChoice {
 
 pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandError> {
     let spec = match &arguments.spec {
-        Some(path) => spec_of_file(path)?,
+        Some(path) => read_spec(path)?,
         None => spec_of_flags(&arguments)?,
     };
     // Expanding here finds every mistake before anybody is asked.
@@ -145,16 +145,9 @@ fn tell_size(campaign: &NewCampaign) -> Result<(), CommandError> {
     Ok(())
 }
 
-/// Reads a specification. One that is refused is a wrong command.
-pub(super) fn spec_of_file(path: &Path) -> Result<CampaignSpec, CommandError> {
-    let spec = CampaignSpec::from_json(&read_text(path)?);
-    spec.with_context(|| format!("use {}", name_of(path)))
-        .map_err(CommandError::Usage)
-}
-
 fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandError> {
     let rollouts = match &arguments.manifest {
-        Some(path) => Rollouts::Manifest(manifest::read(path)?),
+        Some(path) => Rollouts::Manifest(read_manifest(path)?),
         None => Rollouts::Design(design_of_flags(arguments).map_err(CommandError::Usage)?),
     };
     let realisation = arguments.realisation.parse::<Realisation>();

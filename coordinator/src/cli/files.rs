@@ -6,6 +6,7 @@ use std::io::{BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
+use protocol::{CampaignSpec, ManifestRow, manifest};
 
 use super::CommandError;
 
@@ -15,7 +16,7 @@ const MAX_INPUT_BYTES: u64 = 24 << 20;
 
 /// Reads a text; `-` is standard input. A file that cannot be read is a wrong
 /// command.
-pub(super) fn read_text(path: &Path) -> Result<String, CommandError> {
+fn read_text(path: &Path) -> Result<String, CommandError> {
     let name = name_of(path);
     let mut text = String::new();
     let read = if is_standard_input(path) {
@@ -32,6 +33,20 @@ pub(super) fn read_text(path: &Path) -> Result<String, CommandError> {
         return Err(CommandError::Usage(error));
     }
     Ok(text)
+}
+
+/// Reads a specification. One that is refused is a wrong command.
+pub(super) fn read_spec(path: &Path) -> Result<CampaignSpec, CommandError> {
+    let spec = CampaignSpec::from_json(&read_text(path)?);
+    spec.with_context(|| format!("use {}", name_of(path)))
+        .map_err(CommandError::Usage)
+}
+
+/// Reads a manifest. One that is refused is a failure: the command was right.
+pub(super) fn read_manifest(path: &Path) -> Result<Vec<ManifestRow>, CommandError> {
+    let text = read_text(path)?;
+    let rows = manifest::parse(&text).with_context(|| format!("use {}", name_of(path)));
+    Ok(rows?)
 }
 
 /// How a path is called in messages.

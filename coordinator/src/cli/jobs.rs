@@ -3,8 +3,8 @@
 use anyhow::anyhow;
 use clap::{Args, Subcommand, ValueEnum};
 use coordinator::client::{GetJobResponse, Job, JobName, ListJobsRequest};
-use coordinator::ids::shortened;
 use coordinator::words::duration_text;
+use queue::ids::shortened;
 
 use super::{CommandError, Connection, print_line};
 

@@ -8,8 +8,8 @@ use anyhow::{Context, anyhow};
 use clap::{ArgGroup, Args, Subcommand, ValueEnum};
 use protocol::{Design, DesignVersion, ManifestRow, manifest};
 
-use super::files::{WholeFile, name_of, read_text};
-use super::{CommandError, create, print_line};
+use super::files::{WholeFile, name_of, read_manifest, read_spec};
+use super::{CommandError, print_line};
 
 #[derive(Debug, Subcommand)]
 pub(super) enum ManifestCommand {
@@ -76,17 +76,10 @@ pub(super) fn manifest(command: ManifestCommand) -> Result<(), CommandError> {
     }
 }
 
-/// Reads a manifest. One that is refused is a failure: the command was right.
-pub(super) fn read(path: &Path) -> Result<Vec<ManifestRow>, CommandError> {
-    let text = read_text(path)?;
-    let rows = manifest::parse(&text).with_context(|| format!("use {}", name_of(path)));
-    Ok(rows?)
-}
-
 fn expand(arguments: &ExpandArguments) -> Result<(), CommandError> {
     let rows = match &arguments.spec {
         Some(path) => {
-            let rows = create::spec_of_file(path)?.expand();
+            let rows = read_spec(path)?.expand();
             rows.map_err(|error| CommandError::Usage(error.into()))?
         }
         None => Design::v0_1().expand().context("expand v0.1")?,
@@ -113,7 +106,7 @@ fn expand(arguments: &ExpandArguments) -> Result<(), CommandError> {
 }
 
 fn check(path: &Path) -> Result<(), CommandError> {
-    let rows = read(path)?;
+    let rows = read_manifest(path)?;
     let nominal = rows.iter().filter(|row| is_nominal(row)).count();
     Ok(print_line(&format!(
         "{}: {} rows, {nominal} nominal and {} perturbed; design {}",
@@ -125,7 +118,7 @@ fn check(path: &Path) -> Result<(), CommandError> {
 }
 
 fn diff(first: &Path, second: &Path) -> Result<(), CommandError> {
-    let (left, right) = (read(first)?, read(second)?);
+    let (left, right) = (read_manifest(first)?, read_manifest(second)?);
     let differences = manifest::diff(&left, &right);
     for difference in &differences {
         print_line(&difference.to_string())?;

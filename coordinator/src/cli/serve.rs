@@ -7,10 +7,10 @@ use std::time::Duration;
 
 use anyhow::Context;
 use clap::Args;
-use coordinator::clock::{Clock, SystemClock};
 use coordinator::disk::DEFAULT_MIN_FREE_MIB;
-use coordinator::queue::Timing;
 use coordinator::{Config, Coordinator};
+use queue::Timing;
+use queue::clock::SystemClock;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use tokio::net::TcpListener;
@@ -38,6 +38,11 @@ pub(super) struct ServeArguments {
     #[arg(long, value_name = "SECS", default_value_t = 180,
         value_parser = clap::value_parser!(u32).range(1..=86_400))]
     progress_timeout_secs: u32,
+    /// Seconds that an attempt may take for each control step of its budget,
+    /// settling included; then its lease ends, heartbeats or not.
+    #[arg(long, value_name = "SECS", default_value_t = 10,
+        value_parser = clap::value_parser!(u32).range(1..=86_400))]
+    step_ceiling_secs: u32,
     /// MiB that must be free on the data folder's disk; with less, nothing is
     /// leased.
     #[arg(long, value_name = "MIB", default_value_t = DEFAULT_MIN_FREE_MIB,
@@ -76,7 +81,7 @@ async fn run(arguments: ServeArguments, security: Security) -> anyhow::Result<()
         true => (" over TLS", "https"),
         false => ("", "http"),
     };
-    let coordinator = Coordinator::open(config(&arguments, security)).await?;
+    let coordinator = Coordinator::open(config(&arguments, security)?).await?;
     if arguments.security.insecure && !address.ip().is_loopback() {
         tracing::warn!(
             "--insecure: whoever reaches {address} can listen to what is said there, or lease jobs \
@@ -99,21 +104,29 @@ async fn run(arguments: ServeArguments, security: Security) -> anyhow::Result<()
     Ok(())
 }
 
-fn config(arguments: &ServeArguments, security: Security) -> Config {
-    let clock = SystemClock;
+fn config(arguments: &ServeArguments, security: Security) -> anyhow::Result<Config> {
     let lease = Duration::from_secs(arguments.lease_secs.into());
-    let seed = clock.now().0.unsigned_abs() ^ u64::from(std::process::id()).rotate_left(32);
-    Config {
+    Ok(Config {
         data: arguments.data.clone(),
         timing: Timing {
             lease,
             heartbeat: lease / HEARTBEATS_PER_LEASE,
             progress_timeout: Duration::from_secs(arguments.progress_timeout_secs.into()),
+            ceiling_per_step: Duration::from_secs(arguments.step_ceiling_secs.into()),
             ..Timing::default()
         },
-        clock: Arc::new(clock),
-        rng: ChaCha8Rng::seed_from_u64(seed),
+        clock: Arc::new(SystemClock::start()),
+        rng: ChaCha8Rng::from_seed(random_seed()?),
         security,
         min_free_bytes: arguments.min_free_mib << 20,
-    }
+    })
+}
+
+/// The system's randomness: attempts are named by what follows from it, and no
+/// two coordinators may name one alike.
+fn random_seed() -> anyhow::Result<[u8; 32]> {
+    let mut seed = [0; 32];
+    let read = rustix::rand::getrandom(&mut seed, rustix::rand::GetRandomFlags::empty());
+    read.context("ask the system for randomness")?;
+    Ok(seed)
 }

@@ -7,10 +7,10 @@ use std::time::Duration;
 
 use anyhow::Context;
 use coordinator::client::{CampaignStatus, Client, State};
-use coordinator::queue::RATE_WINDOW;
+use queue::read::RATE_WINDOW;
 
 use super::CommandError;
-use super::status::{attention, is_finished, line};
+use super::line::{attention, is_finished, line};
 
 /// Between two looks on a terminal, where the table rewrites itself, and
 /// elsewhere, where every look adds lines to a log.

@@ -2,10 +2,8 @@
 //! may go wrong.
 
 use proto::coordinator as wire;
-
-use crate::clock::UnixMillis;
-use crate::queue::WorkerStatus;
-use crate::store::listing::{FailureLine, JobDetails, JobLine, ResultLine};
+use queue::clock::UnixMillis;
+use queue::read::{FailureLine, JobDetails, JobLine, ResultLine, WorkerLine};
 
 pub(super) fn job(line: JobLine, now: UnixMillis) -> wire::Job {
     let left = |instant: Option<UnixMillis>| {
@@ -17,6 +15,7 @@ pub(super) fn job(line: JobLine, now: UnixMillis) -> wire::Job {
         replicate: line.replicate,
         state: line.state,
         attempt: line.attempt.0,
+        attempt_id: line.attempt_id.unwrap_or_default(),
         charged_attempts: line.charged_attempts,
         lease_owner: line.lease_owner.map(|owner| owner.0).unwrap_or_default(),
         lease_left_secs: left(line.lease_expires_ms),
@@ -38,12 +37,12 @@ pub(super) fn details(details: JobDetails, now: UnixMillis) -> wire::GetJobRespo
         error: line.error,
     };
     let result = |line: ResultLine| wire::ResultOrigin {
-        attempt: line.attempt.0,
+        attempt: line.number.0,
         worker_id: line.worker_id.0,
         ago_secs: now.since(line.committed_ms).as_secs_f64(),
         wall_secs: line.wall_secs,
-        host: line.host,
-        renderer: line.renderer,
+        host: line.provenance.host,
+        renderer: line.provenance.pin.renderer,
         divergences: line.divergences,
         video: line.video.unwrap_or_default(),
     };
@@ -56,8 +55,7 @@ pub(super) fn details(details: JobDetails, now: UnixMillis) -> wire::GetJobRespo
     }
 }
 
-pub(super) fn worker(status: WorkerStatus) -> wire::WorkerStatus {
-    let line = status.line;
+pub(super) fn worker(line: WorkerLine, now: UnixMillis) -> wire::WorkerStatus {
     wire::WorkerStatus {
         worker_id: line.id.0,
         host: line.host,
@@ -67,8 +65,8 @@ pub(super) fn worker(status: WorkerStatus) -> wire::WorkerStatus {
         mujoco_version: line.mujoco_version,
         renderer: line.renderer,
         program_version: line.program_version,
-        silent_secs: status.silent_secs,
-        alive: status.is_alive,
+        silent_secs: now.since(line.last_seen_ms).as_secs_f64(),
+        alive: line.is_alive,
         charged_in_a_row: line.charged_in_a_row,
         stopped_reason: line.stopped_reason.unwrap_or_default(),
     }

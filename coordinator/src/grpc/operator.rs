@@ -5,16 +5,19 @@ use std::sync::Arc;
 
 use proto::coordinator as wire;
 use proto::coordinator::operator_service_server::OperatorService;
+use queue::Queue;
+use queue::expand::NewCampaign;
+use queue::ids::{CampaignName, JobId};
+use queue::read::{CampaignStatus, JobFilter, View};
+use queue::rules::campaign::CampaignState;
 use tokio_stream::{Stream, StreamExt};
 use tonic::{Request, Response, Status};
+use transport::chain;
 
 use super::backup::{self, Chunks};
-use super::{chain, export_failed, listing, queue_failed, read, report_failed};
-use crate::campaign::CampaignState;
-use crate::expand::NewCampaign;
-use crate::export::Export;
-use crate::ids::{CampaignName, JobId};
-use crate::queue::{CampaignStatus, JobFilter, Queue};
+use super::failure::{export_failed, queue_failed, report_failed, store_failed};
+use super::{listing, read};
+use crate::export;
 use crate::report;
 
 /// Bytes of a report that go into one message.
@@ -29,6 +32,11 @@ pub(super) struct OperatorApi {
 impl OperatorApi {
     pub(super) fn new(queue: Arc<Queue>) -> OperatorApi {
         OperatorApi { queue }
+    }
+
+    async fn view(&self) -> Result<View, Status> {
+        let view = self.queue.view().await;
+        view.map_err(|error| store_failed(&error))
     }
 }
 
@@ -56,7 +64,8 @@ impl OperatorService for OperatorApi {
         &self,
         _: Request<wire::ListCampaignsRequest>,
     ) -> Result<Response<wire::ListCampaignsResponse>, Status> {
-        let campaigns = self.queue.list_campaigns().await.map_err(queue_failed)?;
+        let campaigns = self.view().await?.statuses().await;
+        let campaigns = campaigns.map_err(|error| store_failed(&error))?;
         Ok(Response::new(wire::ListCampaignsResponse {
             campaigns: campaigns.into_iter().map(write_status).collect(),
         }))
@@ -67,11 +76,13 @@ impl OperatorService for OperatorApi {
         request: Request<wire::GetCampaignRequest>,
     ) -> Result<Response<wire::GetCampaignResponse>, Status> {
         let name = campaign_name(&request.into_inner().campaign)?;
-        let status = self.queue.campaign_status(&name).await;
-        let status = status.map_err(queue_failed)?;
+        let mut view = self.view().await?;
+        let campaign = view.campaign(&name).await.map_err(queue_failed)?;
+        let spec = view.spec(&campaign).await;
+        let status = view.status(campaign).await;
         Ok(Response::new(wire::GetCampaignResponse {
-            spec: status.spec.clone(),
-            status: Some(write_status(status)),
+            spec: spec.map_err(|error| store_failed(&error))?,
+            status: Some(write_status(status.map_err(|error| store_failed(&error))?)),
         }))
     }
 
@@ -119,11 +130,12 @@ impl OperatorService for OperatorApi {
             after: JobId(request.after_job_id),
             limit: request.limit,
         };
-        let jobs = self.queue.list_jobs(&name, filter).await;
-        let now = self.queue.now();
-        let jobs = jobs.map_err(queue_failed)?.into_iter();
+        let mut view = self.view().await?;
+        let campaign = view.campaign(&name).await.map_err(queue_failed)?;
+        let jobs = view.jobs(&campaign, filter).await;
+        let jobs = jobs.map_err(|error| store_failed(&error))?.into_iter();
         Ok(Response::new(wire::ListJobsResponse {
-            jobs: jobs.map(|line| listing::job(line, now)).collect(),
+            jobs: jobs.map(|line| listing::job(line, view.now)).collect(),
         }))
     }
 
@@ -134,9 +146,11 @@ impl OperatorService for OperatorApi {
         let request = request.into_inner();
         let name = campaign_name(&request.campaign)?;
         let job = read::job_name(request.job.unwrap_or_default())?;
-        let details = self.queue.job_details(&name, &job).await;
+        let mut view = self.view().await?;
+        let campaign = view.campaign(&name).await.map_err(queue_failed)?;
+        let details = view.job_details(&campaign, &job).await;
         let details = details.map_err(queue_failed)?;
-        Ok(Response::new(listing::details(details, self.queue.now())))
+        Ok(Response::new(listing::details(details, view.now)))
     }
 
     async fn retry_jobs(
@@ -156,9 +170,13 @@ impl OperatorService for OperatorApi {
         &self,
         _: Request<wire::ListWorkersRequest>,
     ) -> Result<Response<wire::ListWorkersResponse>, Status> {
-        let workers = self.queue.list_workers().await.map_err(queue_failed)?;
+        let mut view = self.view().await?;
+        let workers = view.workers().await;
+        let workers = workers.map_err(|error| store_failed(&error))?.into_iter();
         Ok(Response::new(wire::ListWorkersResponse {
-            workers: workers.into_iter().map(listing::worker).collect(),
+            workers: workers
+                .map(|line| listing::worker(line, view.now))
+                .collect(),
         }))
     }
 
@@ -175,8 +193,11 @@ impl OperatorService for OperatorApi {
         request: Request<wire::ReportRequest>,
     ) -> Result<Response<Self::ReportStream>, Status> {
         let name = campaign_name(&request.into_inner().campaign)?;
-        let json = report::subject_json(&self.queue, &name).await;
-        let json = json.map_err(report_failed)?;
+        let mut view = self.view().await?;
+        let campaign = view.campaign(&name).await.map_err(queue_failed)?;
+        let subject = report::subject(&mut view, &campaign).await;
+        let json = serde_json::to_vec(&subject.map_err(report_failed)?);
+        let json = json.map_err(|error| Status::internal(error.to_string()))?;
         let parts: Vec<_> = json
             .chunks(REPORT_PART_BYTES)
             .map(|part| {
@@ -193,7 +214,7 @@ impl OperatorService for OperatorApi {
         request: Request<wire::ExportRequest>,
     ) -> Result<Response<Self::ExportStream>, Status> {
         let name = campaign_name(&request.into_inner().campaign)?;
-        let export = Export::begin(self.queue.clone(), &name).await;
+        let export = export::lines(self.queue.clone(), &name).await;
         let lines = export.map_err(queue_failed)?.map(|line| {
             line.map(|json| wire::ExportLine { json })
                 .map_err(export_failed)
@@ -207,11 +228,11 @@ fn campaign_name(name: &str) -> Result<CampaignName, Status> {
 }
 
 fn write_status(status: CampaignStatus) -> wire::CampaignStatus {
-    let counts = status.counts;
+    let (campaign, counts) = (status.campaign, status.counts);
     wire::CampaignStatus {
-        campaign: status.name.as_str().to_owned(),
-        policy: status.policy,
-        policy_endpoint: status.policy_endpoint,
+        campaign: campaign.name.as_str().to_owned(),
+        policy: campaign.policy,
+        policy_endpoint: campaign.endpoint,
         total: counts.total(),
         queued: counts.queued,
         leased: counts.leased,
@@ -226,8 +247,8 @@ fn write_status(status: CampaignStatus) -> wire::CampaignStatus {
         waiting_reason: status.waiting_reason,
         mixed_fingerprints: status
             .fingerprints
-            .map_or_else(String::new, |mixed| mixed.in_words()),
-        state: write_state(status.state).into(),
+            .map_or_else(String::new, |mixed| ::report::fingerprints_in_words(&mixed)),
+        state: write_state(campaign.state).into(),
     }
 }
 

@@ -1,17 +1,14 @@
 //! Reading messages: every string is bounded, every number in range, every
 //! digest a digest, before it goes any further.
 
+use attempt::{AttemptId, Digests, IkResidual, Motion, Pin, Provenance, Realised, RolloutResult};
 use proto::{MAX_MOTION_STEPS, coordinator as wire};
+use protocol::Axis;
+use queue::ids::{JobName, WorkerId, shortened};
+use queue::rules::campaign::Change;
+use queue::rules::lease::FailureReason;
+use queue::{CommitReport, MAX_JOBS_RETRIED, Retry, WorkerInfo};
 use tonic::Status;
-
-use crate::campaign::Change;
-use crate::digests::{AxisDigests, AxisDigestsError, is_sha256};
-use crate::ids::{Attempt, JobId, LeaseRef, WorkerId, shortened};
-use crate::lease::FailureReason;
-use crate::queue::{CommitReport, JobName, MAX_JOBS_RETRIED, Retry};
-use crate::store::motions::Motion;
-use crate::store::results::{Digests, Outcome, Provenance};
-use crate::store::workers::{Pin, WorkerInfo};
 
 /// Longest name or version that is kept, bytes.
 const MAX_TEXT_BYTES: usize = 512;
@@ -19,24 +16,29 @@ const MAX_TEXT_BYTES: usize = 512;
 const MAX_ROLLOUT_ID_BYTES: usize = 128;
 /// Longest error message that is kept, bytes; the rest is cut off.
 const MAX_ERROR_BYTES: usize = 4_096;
-/// A point of a path: three numbers of 16 bits.
-const POINT_BYTES: usize = 6;
-const MAX_PATH_BYTES: usize = (MAX_MOTION_STEPS + 1) * POINT_BYTES;
-/// An action: seven numbers of 32 bits.
-const ACTION_BYTES: usize = 28;
-const MAX_ACTIONS_BYTES: usize = MAX_MOTION_STEPS * ACTION_BYTES;
+/// Longest path and actions of a motion, bytes.
+const MAX_PATH_BYTES: usize = (MAX_MOTION_STEPS + 1) * 6;
+const MAX_ACTIONS_BYTES: usize = MAX_MOTION_STEPS * 28;
+/// Most values of one realised axis: an axis has some dozen.
+const MAX_REALISED_VALUES: usize = 1_024;
 
 pub(super) fn worker_id(id: &str) -> Result<WorkerId, Status> {
     WorkerId::parse(id).map_err(|error| Status::invalid_argument(error.to_string()))
 }
 
-pub(super) fn lease(lease: Option<wire::LeaseRef>) -> Result<LeaseRef, Status> {
-    let lease = lease.ok_or_else(|| missing("lease"))?;
-    Ok(LeaseRef {
-        worker: worker_id(&lease.worker_id)?,
-        job: JobId(lease.job_id),
-        attempt: Attempt(lease.attempt),
-    })
+pub(super) fn attempt(id: &str) -> Result<AttemptId, Status> {
+    id.parse()
+        .map_err(|error| Status::invalid_argument(format!("{error}")))
+}
+
+/// A claim's name has the form of an attempt's.
+pub(super) fn claim_id(id: String) -> Result<String, Status> {
+    match id.parse::<AttemptId>() {
+        Ok(_) => Ok(id),
+        Err(_) => Err(Status::invalid_argument(
+            "`claim_id` is not 32 digits of lower-case hex",
+        )),
+    }
 }
 
 pub(super) fn worker_info(request: wire::RegisterRequest) -> Result<WorkerInfo, Status> {
@@ -47,10 +49,12 @@ pub(super) fn worker_info(request: wire::RegisterRequest) -> Result<WorkerInfo, 
         id: worker_id(&request.worker_id)?,
         host: text("host", request.host)?,
         slots: request.slots,
-        asset_pack: required("asset_pack", request.asset_pack)?,
-        asset_pack_digest: required("asset_pack_digest", request.asset_pack_digest)?,
-        mujoco_version: required("mujoco_version", request.mujoco_version)?,
-        renderer: required("renderer", request.renderer)?,
+        pin: Pin {
+            asset_pack: required("asset_pack", request.asset_pack)?,
+            asset_pack_digest: required("asset_pack_digest", request.asset_pack_digest)?,
+            mujoco_version: required("mujoco_version", request.mujoco_version)?,
+            renderer: required("renderer", request.renderer)?,
+        },
         program_version: text("program_version", request.program_version)?,
     })
 }
@@ -59,10 +63,9 @@ pub(super) fn worker_info(request: wire::RegisterRequest) -> Result<WorkerInfo, 
 /// renderer: a film is to look at, and in no comparison.
 pub(super) fn pin(request: wire::NextFilmRequest) -> Result<Pin, Status> {
     Ok(Pin {
-        asset_pack: String::new(),
         asset_pack_digest: required("asset_pack_digest", request.asset_pack_digest)?,
         mujoco_version: required("mujoco_version", request.mujoco_version)?,
-        renderer: String::new(),
+        ..Pin::default()
     })
 }
 
@@ -70,21 +73,23 @@ pub(super) fn commit(request: wire::CommitRequest) -> Result<CommitReport, Statu
     let provenance = request.provenance.ok_or_else(|| missing("provenance"))?;
     Ok(CommitReport {
         motion: motion(request.motion.unwrap_or_default())?,
-        lease: lease(request.lease)?,
-        outcome: outcome(request.outcome.ok_or_else(|| missing("outcome"))?)?,
+        attempt: attempt(&request.attempt_id)?,
+        result: result(request.result.ok_or_else(|| missing("result"))?)?,
+        realised: realised(provenance.realised)?,
         digests: Digests {
             scene: digest("scene_digest", &provenance.scene_digest)?,
             init_state: digest("init_state_digest", &provenance.init_state_digest)?,
-            perturbation: axis_digests(&provenance.perturbation_digest)?,
             first_frame: digest_or_empty("first_frame_digest", &provenance.first_frame_digest)?,
         },
         provenance: Provenance {
             host: text("host", provenance.host)?,
-            renderer: required("renderer", provenance.renderer)?,
+            pin: Pin {
+                asset_pack: required("asset_pack", provenance.asset_pack)?,
+                asset_pack_digest: required("asset_pack_digest", provenance.asset_pack_digest)?,
+                mujoco_version: required("mujoco_version", provenance.mujoco_version)?,
+                renderer: required("renderer", provenance.renderer)?,
+            },
             fingerprint: digest("fingerprint", &provenance.fingerprint)?,
-            mujoco_version: required("mujoco_version", provenance.mujoco_version)?,
-            asset_pack: required("asset_pack", provenance.asset_pack)?,
-            asset_pack_digest: required("asset_pack_digest", provenance.asset_pack_digest)?,
             realisation: realisation(&provenance.realisation)?,
             policy_name: required("policy_name", provenance.policy_name)?,
             policy_checkpoint: text("policy_checkpoint", provenance.policy_checkpoint)?,
@@ -179,43 +184,67 @@ pub(super) fn wait(secs: f64) -> std::time::Duration {
 }
 
 fn motion(motion: wire::Motion) -> Result<Motion, Status> {
+    let wire::Motion { path, actions } = motion;
+    let motion = Motion { path, actions };
     let (path, actions) = (motion.path.len(), motion.actions.len());
-    if path > MAX_PATH_BYTES || !path.is_multiple_of(POINT_BYTES) {
+    if !motion.is_whole() || path > MAX_PATH_BYTES || actions > MAX_ACTIONS_BYTES {
         return Err(Status::invalid_argument(format!(
-            "`motion.path` has {path} bytes: {POINT_BYTES} for each control step, and at most \
-             {MAX_PATH_BYTES}"
+            "`motion` has {path} bytes of path, 6 a position and at most {MAX_PATH_BYTES}, and \
+             {actions} of actions, 28 each and at most {MAX_ACTIONS_BYTES}"
         )));
     }
-    if actions > MAX_ACTIONS_BYTES || !actions.is_multiple_of(ACTION_BYTES) {
-        return Err(Status::invalid_argument(format!(
-            "`motion.actions` has {actions} bytes: {ACTION_BYTES} for each control step, and at \
-             most {MAX_ACTIONS_BYTES}"
-        )));
+    Ok(motion)
+}
+
+fn result(result: wire::RolloutResult) -> Result<RolloutResult, Status> {
+    let residuals = [result.ik_residual_mm, result.ik_residual_deg];
+    let finite = |value: &f64| value.is_finite() && *value >= 0.0;
+    if !finite(&result.wall_secs) || !residuals.iter().flatten().all(finite) {
+        return Err(Status::invalid_argument(
+            "`result` holds a number that is negative or not finite",
+        ));
     }
-    Ok(Motion {
-        path: motion.path,
-        actions: motion.actions,
+    let ik = |residual_mm| IkResidual {
+        residual_mm,
+        residual_deg: result.ik_residual_deg.unwrap_or_default(),
+        clamped_joints: result.ik_clamped_joints.unwrap_or_default(),
+    };
+    Ok(RolloutResult {
+        success: result.success,
+        steps: result.steps,
+        wall_secs: result.wall_secs,
+        ik: result.ik_residual_mm.map(ik),
+        clipped_actions: result.clipped_actions,
+        policy_queries: result.policy_queries,
     })
 }
 
-fn outcome(outcome: wire::Outcome) -> Result<Outcome, Status> {
-    let residuals = [outcome.ik_residual_mm, outcome.ik_residual_deg];
-    let finite = |value: &f64| value.is_finite() && *value >= 0.0;
-    if !finite(&outcome.wall_secs) || !residuals.iter().flatten().all(finite) {
-        return Err(Status::invalid_argument(
-            "`outcome` holds a number that is negative or not finite",
-        ));
+fn realised(axes: Vec<wire::RealisedAxis>) -> Result<Realised, Status> {
+    let mut realised = Realised::default();
+    for wire::RealisedAxis {
+        axis: name,
+        parameters,
+        elements,
+    } in axes
+    {
+        let axis = name.parse().ok().filter(|axis| Axis::METRIC.contains(axis));
+        let values = parameters.iter().chain(&elements);
+        let fits =
+            values.clone().count() <= MAX_REALISED_VALUES && values.copied().all(f64::is_finite);
+        match axis {
+            Some(axis) if fits && realised.of(axis).is_none() => {
+                realised.add(axis, parameters, elements);
+            }
+            _ => {
+                return Err(Status::invalid_argument(format!(
+                    "`realised` of axis `{}`: an axis with numbers comes once, with at most \
+                     {MAX_REALISED_VALUES} values, all finite",
+                    shortened(&name, MAX_ROLLOUT_ID_BYTES)
+                )));
+            }
+        }
     }
-    Ok(Outcome {
-        success: outcome.success,
-        steps: outcome.steps,
-        wall_secs: outcome.wall_secs,
-        ik_residual_mm: outcome.ik_residual_mm,
-        ik_residual_deg: outcome.ik_residual_deg,
-        ik_clamped_joints: outcome.ik_clamped_joints,
-        clipped_actions: outcome.clipped_actions,
-        policy_queries: outcome.policy_queries,
-    })
+    Ok(realised)
 }
 
 fn realisation(name: &str) -> Result<String, Status> {
@@ -241,7 +270,8 @@ fn required(field: &str, value: String) -> Result<String, Status> {
 }
 
 fn digest(field: &str, value: &str) -> Result<String, Status> {
-    if is_sha256(value) {
+    let is_hex = |byte: u8| byte.is_ascii_digit() || (b'a'..=b'f').contains(&byte);
+    if value.len() == 64 && value.bytes().all(is_hex) {
         Ok(value.to_owned())
     } else {
         Err(Status::invalid_argument(format!(
@@ -255,12 +285,6 @@ fn digest_or_empty(field: &str, value: &str) -> Result<String, Status> {
         return Ok(String::new());
     }
     digest(field, value)
-}
-
-fn axis_digests(value: &str) -> Result<AxisDigests, Status> {
-    value.parse().map_err(|error: AxisDigestsError| {
-        Status::invalid_argument(format!("`perturbation_digest`: {error}"))
-    })
 }
 
 fn missing(field: &str) -> Status {

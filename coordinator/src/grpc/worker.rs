@@ -5,16 +5,13 @@ use std::time::Duration;
 
 use proto::coordinator as wire;
 use proto::coordinator::worker_service_server::WorkerService;
+use queue::{Assigned, ClaimRequest, CommitVerdict, Film, Queue, ReleaseVerdict, Upload};
 use tokio_stream::StreamExt;
 use tonic::{Request, Response, Status, Streaming};
 
-use super::{artifact_failed, queue_failed, read};
-use crate::artifacts::{ArtifactKind, Upload};
-use crate::ids::LeaseRef;
-use crate::page::Gauges;
-use crate::queue::{
-    ClaimRequest, ClaimedJob, CommitVerdict, Film, MAX_CLAIM_JOBS, Queue, ReleaseVerdict,
-};
+use super::failure::{artifact_failed, queue_failed};
+use super::read;
+use crate::gauges::Gauges;
 
 /// Most leases that one heartbeat renews.
 const MAX_PROGRESS: usize = 1_024;
@@ -22,6 +19,8 @@ const MAX_PROGRESS: usize = 1_024;
 const MAX_CHUNK_WAIT: Duration = Duration::from_secs(30);
 /// Longest warm task's name that is looked at, bytes.
 const MAX_TASK_BYTES: usize = 80;
+/// The only kind of file that is kept.
+const VIDEO: &str = "video.mp4";
 
 /// The worker service on a queue.
 #[derive(Debug)]
@@ -48,7 +47,7 @@ impl WorkerService for WorkerApi {
             return Err(Status::failed_precondition(format!(
                 "the worker (program {}) speaks protocol version {} and this coordinator \
                  (program {program_version}) version {}; run the same release on both",
-                crate::ids::shortened(&request.program_version, 40),
+                queue::ids::shortened(&request.program_version, 40),
                 request.protocol_version,
                 proto::COORDINATOR_PROTOCOL_VERSION,
             )));
@@ -56,7 +55,7 @@ impl WorkerService for WorkerApi {
         let worker = read::worker_info(request)?;
         self.queue.register(&worker).await.map_err(queue_failed)?;
         tracing::info!(worker = %worker.id, host = worker.host, slots = worker.slots,
-            assets = worker.asset_pack, "worker registered");
+            assets = worker.pin.asset_pack, "worker registered");
         let timing = self.queue.timing();
         Ok(Response::new(wire::RegisterResponse {
             protocol_version: proto::COORDINATOR_PROTOCOL_VERSION,
@@ -76,13 +75,13 @@ impl WorkerService for WorkerApi {
         let warm = Some(request.warm_task);
         let claim = ClaimRequest {
             worker: read::worker_id(&request.worker_id)?,
-            max_jobs: request.max_jobs.clamp(1, MAX_CLAIM_JOBS),
+            claim: read::claim_id(request.claim_id)?,
             warm_task: warm.filter(|task| (1..=MAX_TASK_BYTES).contains(&task.len())),
         };
         let wait = read::wait(request.wait_secs);
         let claimed = self.queue.claim(&claim, wait).await.map_err(queue_failed)?;
         Ok(Response::new(wire::ClaimResponse {
-            leases: claimed.jobs.into_iter().map(write_lease).collect(),
+            lease: claimed.job.map(write_lease),
             idle_reason: claimed.idle_reason,
         }))
     }
@@ -98,22 +97,15 @@ impl WorkerService for WorkerApi {
                 "more than {MAX_PROGRESS} leases in one heartbeat"
             )));
         }
-        let progress: Vec<(LeaseRef, u32)> = request
-            .progress
-            .iter()
-            .map(|progress| {
-                let lease = LeaseRef {
-                    worker: worker.clone(),
-                    job: crate::ids::JobId(progress.job_id),
-                    attempt: crate::ids::Attempt(progress.attempt),
-                };
-                (lease, progress.control_steps)
-            })
-            .collect();
+        let progress = request.progress.iter().map(|progress| {
+            let attempt = read::attempt(&progress.attempt_id)?;
+            Ok((attempt, progress.control_steps))
+        });
+        let progress: Vec<_> = progress.collect::<Result<_, Status>>()?;
         let lost = self.queue.heartbeat(&worker, &progress).await;
         let lost = lost.map_err(queue_failed)?;
         Ok(Response::new(wire::HeartbeatResponse {
-            lost_jobs: lost.into_iter().map(|job| job.0).collect(),
+            lost_attempts: lost.iter().map(ToString::to_string).collect(),
         }))
     }
 
@@ -143,10 +135,10 @@ impl WorkerService for WorkerApi {
     ) -> Result<Response<wire::ReleaseResponse>, Status> {
         use wire::release_response::Verdict;
         let request = request.into_inner();
-        let lease = read::lease(request.lease)?;
+        let attempt = read::attempt(&request.attempt_id)?;
         let reason = read::failure_reason(request.reason)?;
         let error = read::error_text(&request.error);
-        let reply = self.queue.release(&lease, reason, error).await;
+        let reply = self.queue.release(attempt, reason, error).await;
         let reply = reply.map_err(queue_failed)?;
         let verdict = match reply.verdict {
             ReleaseVerdict::Requeued => Verdict::Requeued,
@@ -180,15 +172,15 @@ impl WorkerService for WorkerApi {
         let mut chunks = request.into_inner();
         let first = next_chunk(&mut chunks).await?;
         let first = first.ok_or_else(|| Status::invalid_argument("an empty upload"))?;
-        let lease = read::lease(first.lease)?;
-        let kind: ArtifactKind = first.name.parse().map_err(artifact_failed)?;
-        let mut upload = Upload::begin(&self.queue, lease, kind)
-            .await
-            .map_err(artifact_failed)?;
-        if let Err(status) = receive(&mut upload, &first.data, &mut chunks).await {
-            upload.abandon().await;
-            return Err(status);
+        let attempt = read::attempt(&first.attempt_id)?;
+        if first.name != VIDEO {
+            return Err(Status::invalid_argument(format!(
+                "store artifact `{}`: only `{VIDEO}` is kept",
+                queue::ids::shortened(&first.name, MAX_TASK_BYTES)
+            )));
         }
+        let mut upload = self.queue.upload(attempt).await.map_err(artifact_failed)?;
+        receive(&mut upload, &first.data, &mut chunks).await?;
         let path = upload.finish().await.map_err(artifact_failed)?;
         Ok(Response::new(wire::PutArtifactResponse { path }))
     }
@@ -219,11 +211,7 @@ async fn next_chunk(
 
 fn write_film(film: Film) -> wire::Film {
     wire::Film {
-        lease: Some(wire::LeaseRef {
-            worker_id: film.lease.worker.0,
-            job_id: film.lease.job.0,
-            attempt: film.lease.attempt.0,
-        }),
+        attempt_id: film.attempt.to_string(),
         campaign: film.campaign.as_str().to_owned(),
         replicate: film.replicate,
         manifest_row: film.manifest_row,
@@ -233,10 +221,11 @@ fn write_film(film: Film) -> wire::Film {
     }
 }
 
-fn write_lease(job: ClaimedJob) -> wire::Lease {
+fn write_lease(job: Assigned) -> wire::Lease {
     wire::Lease {
+        attempt_id: job.attempt.to_string(),
         job_id: job.job.0,
-        attempt: job.attempt.0,
+        attempt: job.number.0,
         campaign: job.campaign.as_str().to_owned(),
         replicate: job.replicate,
         manifest_row: job.manifest_row,

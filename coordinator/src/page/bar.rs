@@ -1,8 +1,7 @@
 //! A campaign's jobs as a bar, one piece for each state, and in words.
 
 use maud::{Markup, html};
-
-use crate::store::campaigns::Counts;
+use queue::read::Counts;
 
 /// Width of a bar in its own units.
 const WIDTH: f64 = 1_000.0;

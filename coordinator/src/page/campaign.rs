@@ -7,17 +7,18 @@ use maud::{Markup, html};
 use paired::{Matched, Outcome, Record};
 use protocol::{Axis, Condition, Level, RolloutId};
 
-use super::Page;
 use super::bar::pieces;
 use super::campaigns::progress;
 use super::layout::{Place, Sheet};
 use super::problem::Problem;
+use super::state::Page;
 
 /// The page.
 pub(super) async fn sheet(page: &Page, name: &str) -> Result<Sheet, Problem> {
-    let (name, row, mut view) = page.campaign(name).await?;
-    let status = page.queue.campaign_status(&name).await?;
-    let document = page.document(&name, &row, &mut view).await?;
+    let (campaign, mut view) = page.campaign(name).await?;
+    let document = page.document(&campaign, &mut view).await?;
+    let status = view.status(campaign).await?;
+    let name = &status.campaign.name;
     let records = document.analyses.iter().flat_map(|a| &a.subject.records);
     let link = |matched: &Matched| address(name.as_str(), shown_first(matched), matched.replicate);
     let main = html! {

@@ -1,18 +1,18 @@
 //! The first page: every campaign, how far it is, and what keeps it.
 
 use maud::{Markup, html};
+use queue::read::CampaignStatus;
+use queue::rules::campaign::CampaignState;
 
-use super::Page;
 use super::bar::{bar, legend};
 use super::layout::{Place, Sheet};
 use super::problem::Problem;
-use crate::campaign::CampaignState;
-use crate::queue::CampaignStatus;
+use super::state::Page;
 use crate::words::{duration_text, rate_text};
 
 /// The page.
 pub(super) async fn sheet(page: &Page) -> Result<Sheet, Problem> {
-    let mut campaigns = page.queue.list_campaigns().await?;
+    let mut campaigns = page.queue.view().await?.statuses().await?;
     // What was begun last is what people come for.
     campaigns.reverse();
     let main = html! {
@@ -24,8 +24,8 @@ pub(super) async fn sheet(page: &Page) -> Result<Sheet, Problem> {
             }
         }
         @for status in &campaigns {
-            section.campaign aria-label=(status.name) {
-                h2 { a href={ "/campaigns/" (status.name) } { (status.name) } }
+            section.campaign aria-label=(status.campaign.name) {
+                h2 { a href={ "/campaigns/" (status.campaign.name) } { (status.campaign.name) } }
                 (progress(status))
             }
         }
@@ -51,11 +51,11 @@ pub(super) fn progress(status: &CampaignStatus) -> Markup {
         (bar(counts))
         (legend(counts))
         p.muted {
-            "Policy " strong { (status.policy) } " at " code { (status.policy_endpoint) }
+            "Policy " strong { (status.campaign.policy) } " at " code { (status.campaign.endpoint) }
             @if left(status) > 0 { " · " (workers(status.live_workers)) }
         }
         // Told to those who listen, at every tenth only.
-        p.unseen role="status" { (status.name) ": " (percent / 10 * 10) " % done" }
+        p.unseen role="status" { (status.campaign.name) ": " (percent / 10 * 10) " % done" }
         (notes(status))
     }
 }
@@ -63,7 +63,7 @@ pub(super) fn progress(status: &CampaignStatus) -> Markup {
 /// What keeps a campaign from going on, or wants to be looked at.
 fn notes(status: &CampaignStatus) -> Markup {
     let aside = status.counts.quarantined;
-    let is_over = matches!(status.state, CampaignState::Cancelled { .. });
+    let is_over = matches!(status.campaign.state, CampaignState::Cancelled { .. });
     html! {
         @if !is_over && (status.policy_pause_reason.is_some() || !status.waiting_reason.is_empty()
             || aside > 0)
@@ -71,7 +71,7 @@ fn notes(status: &CampaignStatus) -> Markup {
             ul.notes {
                 @if let Some(reason) = &status.policy_pause_reason {
                     li {
-                        "Policy " (status.policy) " is down, its rollouts wait, and nobody is \
+                        "Policy " (status.campaign.policy) " is down, its rollouts wait, and nobody is \
                         charged for it: " (reason) ". " a href="/policies" { "Policies" } "."
                     }
                 } @else if !status.waiting_reason.is_empty() {
@@ -81,7 +81,7 @@ fn notes(status: &CampaignStatus) -> Markup {
                     li {
                         (aside) @if aside == 1 { " rollout was" } @else { " rollouts were" }
                         " set aside after failing too often: "
-                        a href={ "/campaigns/" (status.name) "/rollouts?state=quarantined" } {
+                        a href={ "/campaigns/" (status.campaign.name) "/rollouts?state=quarantined" } {
                             "which, and why"
                         }
                         "."
@@ -93,7 +93,7 @@ fn notes(status: &CampaignStatus) -> Markup {
 }
 
 fn pace(status: &CampaignStatus) -> String {
-    match status.state {
+    match status.campaign.state {
         CampaignState::Cancelled { .. } => "cancelled".to_owned(),
         _ if left(status) == 0 => "finished".to_owned(),
         CampaignState::Paused { .. } => "paused by its operator".to_owned(),

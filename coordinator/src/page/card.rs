@@ -2,16 +2,36 @@
 //! video, and where it all came from.
 
 use maud::{Markup, html};
-use protocol::{Axis, Condition, seeds};
+use protocol::{Axis, Condition, ManifestRow, RolloutId, seeds};
+use queue::read::{FailureLine, ResultLine, RolloutLine};
 
-use super::configuration::{Shown, card_title};
+use super::campaign::condition_name;
 use super::perturbation;
-use crate::store::page::OutcomeLine;
+use super::trace::Path;
 use crate::words::{duration_text, size_text, utc_text};
+
+/// One of the rollouts side by side.
+pub(super) struct Shown {
+    pub(super) id: RolloutId,
+    pub(super) row: ManifestRow,
+    pub(super) line: RolloutLine,
+    pub(super) result: Option<ResultLine>,
+    pub(super) failures: Vec<FailureLine>,
+    /// How the hand moved; empty if that is not known.
+    pub(super) path: Path,
+}
+
+impl Shown {
+    /// Size of its video, if it has one.
+    pub(super) fn video_bytes(&self) -> Option<u64> {
+        let bytes = self.result.as_ref()?.video_bytes?;
+        Some(bytes.unsigned_abs())
+    }
+}
 
 /// The card, with a picture of how the hand moved if there is one.
 pub(super) fn card(campaign: &str, shown: &Shown, replicate: u32, trace: Option<Markup>) -> Markup {
-    let title = card_title(shown.id);
+    let title = condition_name(shown.id.condition());
     let (class, word, detail) = standing(shown);
     html! {
         article.rollout aria-label=(title) {
@@ -20,8 +40,8 @@ pub(super) fn card(campaign: &str, shown: &Shown, replicate: u32, trace: Option<
                 span class={ "badge " (class) } { (word) }
                 " " (detail)
             }
-            @if let Some(bytes) = shown.line.video_bytes {
-                (video(campaign, shown, replicate, bytes.unsigned_abs()))
+            @if let Some(bytes) = shown.video_bytes() {
+                (video(campaign, shown, replicate, bytes))
             }
             @if let Some(trace) = trace { (trace) }
             (perturbed(shown))
@@ -56,22 +76,21 @@ pub(super) fn video_controls() -> Markup {
 /// Class, word and what else is to be said of how a rollout stands.
 fn standing(shown: &Shown) -> (&'static str, &'static str, String) {
     let budget = shown.row.max_steps;
-    match (&shown.outcome, shown.line.state.as_str()) {
-        (Some(outcome), _) if outcome.success => {
-            let steps = outcome.steps;
-            (
-                "succeeded",
-                "✓ success",
-                format!("after {steps} of {budget} control steps"),
-            )
-        }
-        (Some(outcome), _) => {
-            let steps = outcome.steps;
-            (
-                "failed",
-                "✗ failure",
-                format!("in {steps} of {budget} control steps"),
-            )
+    match (&shown.result, shown.line.state.as_str()) {
+        (Some(result), _) => {
+            let steps = result.steps;
+            match result.success {
+                true => (
+                    "succeeded",
+                    "✓ success",
+                    format!("after {steps} of {budget} control steps"),
+                ),
+                false => (
+                    "failed",
+                    "✗ failure",
+                    format!("in {steps} of {budget} control steps"),
+                ),
+            }
         }
         (None, "leased") => {
             let steps = shown.line.control_steps.unwrap_or_default();
@@ -96,7 +115,7 @@ fn video(campaign: &str, shown: &Shown, replicate: u32, bytes: u64) -> Markup {
     );
     html! {
         video data-keep controls muted playsinline preload="auto" src=(address)
-            aria-label={ "Video of the rollout, " (card_title(shown.id)) } {}
+            aria-label={ "Video of the rollout, " (condition_name(shown.id.condition())) } {}
         p.muted.small { a href=(address) download { "MP4" } ", " (size_text(bytes)) }
     }
 }
@@ -135,12 +154,11 @@ fn failures(shown: &Shown) -> Markup {
             }
             ol.failures {
                 @for failure in &shown.failures {
-                    @let line = &failure.line;
-                    li value=(line.attempt) {
-                        code { (line.reason) } ", " (utc_text(line.failed_ms)) ", "
-                        code { (line.worker_id) }
-                        @if !line.charged { ", charged to nobody" }
-                        pre { (line.error) }
+                    li value=(failure.attempt) {
+                        code { (failure.reason) } ", " (utc_text(failure.failed_ms)) ", "
+                        code { (failure.worker_id) }
+                        @if !failure.charged { ", charged to nobody" }
+                        pre { (failure.error) }
                     }
                 }
             }
@@ -166,11 +184,11 @@ fn origin(shown: &Shown, replicate: u32) -> Markup {
     if line.stale_reports > 0 {
         facts.push(("late reports", format!("{}, refused", line.stale_reports)));
     }
-    if let (None, Some(worker)) = (&shown.outcome, &line.lease_owner) {
+    if let (None, Some(worker)) = (&shown.result, &line.lease_owner) {
         facts.push(("worker", worker.to_string()));
     }
-    if let Some(outcome) = &shown.outcome {
-        facts.extend(of_outcome(outcome));
+    if let Some(result) = &shown.result {
+        facts.extend(of_result(result));
     }
     html! {
         dl.facts {
@@ -182,15 +200,15 @@ fn origin(shown: &Shown, replicate: u32) -> Markup {
     }
 }
 
-fn of_outcome(outcome: &OutcomeLine) -> Vec<(&'static str, String)> {
-    let from = &outcome.provenance;
+fn of_result(result: &ResultLine) -> Vec<(&'static str, String)> {
+    let from = &result.provenance;
     let privileged = if from.policy_privileged {
         ", sees the simulator's state"
     } else {
         ""
     };
-    let residual = outcome.ik_residual_mm.map(|mm| format!("{mm:.2} mm"));
-    let divergent = match outcome.divergences {
+    let residual = result.ik_residual_mm.map(|mm| format!("{mm:.2} mm"));
+    let divergent = match result.divergences {
         0 => String::new(),
         times => format!("{times} reports of another outcome"),
     };
@@ -199,15 +217,16 @@ fn of_outcome(outcome: &OutcomeLine) -> Vec<(&'static str, String)> {
             "committed",
             format!(
                 "attempt {}, {}",
-                outcome.attempt,
-                utc_text(outcome.committed_ms)
+                result.number,
+                utc_text(result.committed_ms)
             ),
         ),
         ("divergent", divergent),
-        ("worker", outcome.worker_id.to_string()),
-        ("took", duration_text(outcome.wall_secs)),
-        ("policy asked", format!("{} times", outcome.policy_queries)),
-        ("actions clipped", outcome.clipped_actions.to_string()),
+        ("attempt id", result.attempt.to_string()),
+        ("worker", result.worker_id.to_string()),
+        ("took", duration_text(result.wall_secs)),
+        ("policy asked", format!("{} times", result.policy_queries)),
+        ("actions clipped", result.clipped_actions.to_string()),
         ("inverse kinematics off by", residual.unwrap_or_default()),
         ("policy", format!("{}{privileged}", from.policy_name)),
         ("checkpoint", from.policy_checkpoint.clone()),
@@ -216,17 +235,20 @@ fn of_outcome(outcome: &OutcomeLine) -> Vec<(&'static str, String)> {
         ("realisation", from.realisation.clone()),
         (
             "assets",
-            format!("{} {}", from.asset_pack, short(&from.asset_pack_digest)),
+            format!(
+                "{} {}",
+                from.pin.asset_pack,
+                short(&from.pin.asset_pack_digest)
+            ),
         ),
-        ("simulator", format!("MuJoCo {}", from.mujoco_version)),
-        ("renderer", from.renderer.clone()),
+        ("simulator", format!("MuJoCo {}", from.pin.mujoco_version)),
+        ("renderer", from.pin.renderer.clone()),
         ("fingerprint", short(&from.fingerprint)),
         ("machine", from.host.clone()),
         ("worker's program", from.program_version.clone()),
-        ("scene", short(&outcome.scene_digest)),
-        ("initial state's bytes", short(&outcome.init_state_digest)),
-        ("perturbation", digests(&outcome.perturbation_digests)),
-        ("first frames", short(&outcome.first_frame_digest)),
+        ("scene", short(&result.digests.scene)),
+        ("initial state's bytes", short(&result.digests.init_state)),
+        ("first frames", short(&result.digests.first_frame)),
     ]
 }
 
@@ -236,11 +258,4 @@ fn short(digest: &str) -> String {
         true => format!("{}…", &digest[..16]),
         false => digest.to_owned(),
     }
-}
-
-/// `camera:HEX,sensor:HEX`, each shortened.
-fn digests(list: &str) -> String {
-    let each = list.split(',').filter_map(|entry| entry.split_once(':'));
-    let each = each.map(|(axis, digest)| format!("{axis} {}", short(digest)));
-    each.collect::<Vec<_>>().join(", ")
 }

@@ -7,13 +7,13 @@ use std::time::Duration;
 use axum::body::{Body, Bytes};
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
+use queue::{Queue, StoreError};
 use tokio::sync::{Notify, Semaphore, watch};
 use tokio::time::{Instant, sleep};
 use tokio_stream::StreamExt;
 use tokio_stream::wrappers::WatchStream;
 
 use super::problem::Problem;
-use crate::store::{Store, StoreError};
 
 /// Streams at a time; who comes later looks again by itself now and then.
 pub(super) const MAX_STREAMS: usize = 128;
@@ -91,12 +91,12 @@ impl Changes {
     }
 
     /// Looks for changes while anybody is there, for ever.
-    pub(super) async fn tell(&self, store: &Store) {
+    pub(super) async fn tell(&self, queue: &Queue) {
         loop {
             if self.streams() == 0 {
                 self.arrived.notified().await;
             }
-            if let Err(error) = self.tell_while_watched(store).await {
+            if let Err(error) = self.tell_while_watched(queue).await {
                 // The pages say what is wrong with the database.
                 tracing::debug!("failed to {error}");
                 self.rise();
@@ -110,8 +110,8 @@ impl Changes {
         self.news.send_replace(News::Closed);
     }
 
-    async fn tell_while_watched(&self, store: &Store) -> Result<(), StoreError> {
-        let mut changes = store.changes().await?;
+    async fn tell_while_watched(&self, queue: &Queue) -> Result<(), StoreError> {
+        let mut changes = queue.changes().await?;
         let mut known = changes.version().await?;
         let mut told = Instant::now();
         while self.streams() > 0 {

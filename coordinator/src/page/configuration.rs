@@ -6,30 +6,15 @@ use std::collections::BTreeMap;
 use maud::{Markup, html};
 use paired::{Matched, Outcome, Record, Records, Transition};
 use protocol::{Axis, Condition, ManifestRow, RolloutId};
+use queue::ids::{JobId, shortened};
+use queue::read::{Campaign, FailureLine, ResultLine, RolloutLine, View};
 
-use super::campaign::{address, condition_name};
+use super::campaign::address;
+use super::card::{self, Shown};
 use super::layout::{Place, Sheet};
 use super::problem::Problem;
+use super::state::Page;
 use super::trace::{self, Extent, Path};
-use super::{Page, card};
-use crate::ids::{JobId, shortened};
-use crate::store::View;
-use crate::store::campaigns::CampaignRow;
-use crate::store::page::{self as stored, JobFailure, OutcomeLine, RolloutLine};
-
-/// Failed attempts of a configuration that are shown, newest first.
-const MAX_FAILURES: u32 = 100;
-
-/// One of the rollouts side by side.
-pub(super) struct Shown {
-    pub(super) id: RolloutId,
-    pub(super) row: ManifestRow,
-    pub(super) line: RolloutLine,
-    pub(super) outcome: Option<OutcomeLine>,
-    pub(super) failures: Vec<JobFailure>,
-    /// How the hand moved; empty where that is not known.
-    pub(super) path: Path,
-}
 
 /// The page.
 pub(super) async fn sheet(
@@ -38,22 +23,23 @@ pub(super) async fn sheet(
     rollout: &str,
     query: &str,
 ) -> Result<Sheet, Problem> {
-    let (name, row, mut view) = page.campaign(name).await?;
+    let (campaign, mut view) = page.campaign(name).await?;
+    let name = &campaign.name;
     let unknown = || Problem::Rollout {
         campaign: name.to_string(),
         rollout: shortened(rollout, 80).to_owned(),
     };
     let asked: RolloutId = rollout.parse().map_err(|_| unknown())?;
     let replicate = replicate(query)?;
-    let replicates = stored::replicates(&mut view, row.id, &asked.to_string()).await?;
+    let replicates = view.replicates(campaign.id, &asked.to_string()).await?;
     if !replicates.contains(&replicate) {
         return Err(unknown());
     }
-    let shown = rollouts(&mut view, &row, asked, replicate).await?;
+    let shown = rollouts(&mut view, &campaign, asked, replicate).await?;
     let Some(first) = shown.iter().find(|shown| shown.id == asked) else {
         return Err(unknown());
     };
-    let neighbours = neighbours(&mut view, &row, asked).await?;
+    let neighbours = neighbours(&mut view, &campaign, asked).await?;
     let campaign = name.as_str();
     let extent = Extent::of(shown.iter().map(|shown| &shown.path));
     let nominal = shown
@@ -80,7 +66,7 @@ pub(super) async fn sheet(
             @if let Some(said) = transition(&shown, replicate) { ". " strong { (said) } }
         }
         (ways(campaign, asked, replicate, &replicates, &neighbours))
-        @if shown.iter().filter(|shown| shown.line.video_bytes.is_some()).count() > 1 {
+        @if shown.iter().filter(|shown| shown.video_bytes().is_some()).count() > 1 {
             (card::video_controls())
         }
         div.rollouts {
@@ -110,37 +96,37 @@ pub(super) fn replicate(query: &str) -> Result<u32, Problem> {
 /// The rollouts of a configuration that the campaign has, nominal first.
 async fn rollouts(
     view: &mut View,
-    row: &CampaignRow,
+    campaign: &Campaign,
     asked: RolloutId,
     replicate: u32,
 ) -> Result<Vec<Shown>, Problem> {
     let mut ids = siblings(asked);
-    let mut lines = stored::rollouts(view, row.id, &ids, replicate).await?;
+    let mut lines = view.rollouts(campaign.id, &ids, replicate).await?;
     let init_id = lines.iter().find_map(|line| Some(read(line).ok()?.init_id));
     if let (Some(init_id), Some(_)) = (init_id, asked.config()) {
         let nominal = RolloutId::clean(asked.task(), init_id).to_string();
-        lines.extend(
-            stored::rollouts(view, row.id, std::slice::from_ref(&nominal), replicate).await?,
-        );
+        let of = std::slice::from_ref(&nominal);
+        lines.extend(view.rollouts(campaign.id, of, replicate).await?);
         ids.insert(0, nominal);
     }
     let jobs: Vec<JobId> = lines.iter().map(|line| line.id).collect();
-    let outcomes = stored::outcomes(view, &jobs).await?.into_iter();
-    let mut outcomes: BTreeMap<JobId, OutcomeLine> = outcomes.map(|o| (o.job_id, o)).collect();
-    let mut failures: BTreeMap<JobId, Vec<JobFailure>> = BTreeMap::new();
-    for failure in stored::failures(view, &jobs, MAX_FAILURES).await? {
+    let results = view.results(&jobs).await?.into_iter();
+    let mut results: BTreeMap<JobId, ResultLine> = results.map(|it| (it.job_id, it)).collect();
+    let mut failures: BTreeMap<JobId, Vec<FailureLine>> = BTreeMap::new();
+    for failure in view.failures(&jobs).await? {
         failures.entry(failure.job_id).or_default().push(failure);
     }
-    let paths = stored::paths(view, &jobs).await?.into_iter();
-    let mut paths: BTreeMap<JobId, Path> =
-        paths.map(|(job, path)| (job, trace::read(&path))).collect();
+    let paths = view.paths(&jobs).await?.into_iter();
+    let mut paths: BTreeMap<JobId, Path> = paths
+        .map(|(job, motion)| (job, trace::read(&motion)))
+        .collect();
     lines.sort_by_key(|line| ids.iter().position(|id| *id == line.rollout_id));
     let shown = lines.into_iter().map(|line| {
         let row = read(&line)?;
         Ok(Shown {
             id: row.id,
             row,
-            outcome: outcomes.remove(&line.id),
+            result: results.remove(&line.id),
             failures: failures.remove(&line.id).unwrap_or_default(),
             path: paths.remove(&line.id).unwrap_or_default(),
             line,
@@ -171,12 +157,12 @@ fn siblings(asked: RolloutId) -> Vec<String> {
 /// The rollouts of the same task and condition, by level and configuration.
 async fn neighbours(
     view: &mut View,
-    row: &CampaignRow,
+    campaign: &Campaign,
     asked: RolloutId,
 ) -> Result<Vec<RolloutId>, Problem> {
     let (suite, task) = (asked.task().suite().short_name(), asked.task().index());
     let prefix = format!("{suite}/t{task}/{}/", asked.condition());
-    let ids = stored::beginning(view, row.id, &prefix).await?;
+    let ids = view.beginning(campaign.id, &prefix).await?;
     let mut ids: Vec<RolloutId> = ids.iter().filter_map(|id| id.parse().ok()).collect();
     ids.sort();
     Ok(ids)
@@ -254,8 +240,8 @@ fn transition(shown: &[Shown], replicate: u32) -> Option<&'static str> {
             id: shown.id,
             init_id: shown.row.init_id,
             replicate,
-            outcome: match &shown.outcome {
-                Some(outcome) => Outcome::from(outcome.success),
+            outcome: match &shown.result {
+                Some(result) => Outcome::from(result.success),
                 None => Outcome::Missing,
             },
         })
@@ -271,9 +257,4 @@ fn transition(shown: &[Shown], replicate: u32) -> Option<&'static str> {
         Transition::StillSucceeds => "Every axis alone succeeds, and so do all at once.",
         Transition::StillFails => "An axis alone fails, and so do all at once.",
     })
-}
-
-/// How a condition is called on its card.
-pub(super) fn card_title(id: RolloutId) -> &'static str {
-    condition_name(id.condition())
 }

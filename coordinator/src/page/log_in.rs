@@ -9,8 +9,9 @@ use axum::http::{StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use maud::html;
 
-use super::{LOG_IN, Page, answer, layout};
-use crate::grpc::access::READERS;
+use super::state::Page;
+use super::{answer, layout};
+use crate::access::{LOG_IN, READERS};
 
 /// Longest form that is read, bytes.
 const MAX_FORM_BYTES: usize = 4_096;

@@ -8,13 +8,12 @@ use std::sync::Arc;
 use axum::extract::State;
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
+use queue::read::{CampaignStatus, PolicyLine};
+use queue::rules::outage::PolicyState;
 
 use super::problem::Problem;
-use super::{PAGE_AGE, Page};
+use super::state::{PAGE_AGE, Page};
 use crate::disk::Room;
-use crate::outage::PolicyState;
-use crate::queue::CampaignStatus;
-use crate::store::page::{self as stored, PolicyLine};
 
 /// Campaigns with series of their own: those that were created last.
 pub(super) const MAX_CAMPAIGNS: usize = 200;
@@ -41,108 +40,88 @@ pub(super) async fn get(State(page): State<Arc<Page>>) -> Response {
 
 async fn collect(page: &Page) -> Result<Arc<str>, Problem> {
     let queue = &page.queue;
-    let campaigns = queue.list_campaigns().await?;
-    let workers = queue.list_workers().await?;
-    let mut view = queue.store().read().await?;
-    let policies = stored::policies(&mut view).await?;
-    let endings = stored::endings(&mut view).await?;
+    let mut view = queue.view().await?;
+    let campaigns = view.statuses().await?;
+    let workers = view.workers().await?;
+    let policies = view.policies().await?;
+    let endings = view.endings().await?;
     drop(view);
     let mut text = Exposition::default();
     of_campaigns(&mut text, &campaigns);
     of_policies(&mut text, &policies);
-    let committed: u64 = campaigns.iter().map(|status| status.counts.committed).sum();
-    text.family(
-        "rollout_attempts_ended_total",
-        Kind::Counter,
-        "Attempts that ended, by how.",
-    );
-    text.sample(
-        "rollout_attempts_ended_total",
-        &[("ending", "committed")],
-        committed as f64,
-    );
+    let of_all = |count: fn(&CampaignStatus) -> u64| campaigns.iter().map(count).sum::<u64>();
+    let ended = "rollout_attempts_ended_total";
+    text.family(ended, Kind::Counter, "Attempts that ended, by how.");
+    let committed = of_all(|status| status.counts.committed);
+    text.sample(ended, &[("ending", "committed")], committed as f64);
     for (ending, count) in &endings {
-        text.sample(
-            "rollout_attempts_ended_total",
-            &[("ending", ending)],
-            *count as f64,
-        );
+        text.sample(ended, &[("ending", ending)], *count as f64);
     }
-    let leased: u64 = campaigns.iter().map(|status| status.counts.leased).sum();
-    text.alone(
-        "rollout_leases_held",
-        "Rollouts that workers hold.",
-        leased as f64,
-    );
-    let claims = page.gauges.claims() as f64;
-    text.alone(
-        "rollout_claims_waiting",
-        "Claims of workers that are not answered yet.",
-        claims,
-    );
     let alive = workers.iter().filter(|worker| worker.is_alive);
-    let slots: u32 = alive.clone().map(|worker| worker.line.slots).sum();
-    text.alone(
-        "rollout_workers_alive",
-        "Workers heard of lately.",
-        alive.count() as f64,
-    );
-    text.alone(
-        "rollout_worker_slots_alive",
-        "Slots of these workers.",
-        f64::from(slots),
-    );
+    let slots: u32 = alive.clone().map(|worker| worker.slots).sum();
     let sizes = queue.store().sizes();
     let free = Room::look(queue.store().folder(), 0).free_bytes;
-    text.alone(
-        "rollout_database_bytes",
-        "Size of the database.",
-        sizes.database as f64,
-    );
-    let log = "Size of the database's write-ahead log.";
-    text.alone("rollout_database_wal_bytes", log, sizes.log as f64);
-    text.alone(
-        "rollout_disk_free_bytes",
-        "Free on the data folder's disk.",
-        free as f64,
-    );
-    let held = f64::from(queue.held().is_some());
-    text.alone(
-        "rollout_leasing_held",
-        "1 while nothing is leased for want of disk.",
-        held,
-    );
-    let streams = page.changes.streams() as f64;
-    text.alone(
-        "rollout_page_streams",
-        "Browsers that follow the live page.",
-        streams,
-    );
-    text.family(
-        "rollout_build_info",
-        Kind::Gauge,
-        "The program; its value is 1.",
-    );
-    text.sample(
-        "rollout_build_info",
-        &[("version", env!("CARGO_PKG_VERSION"))],
-        1.0,
-    );
+    for (name, help, value) in [
+        (
+            "rollout_leases_held",
+            "Rollouts that workers hold.",
+            of_all(|status| status.counts.leased) as f64,
+        ),
+        (
+            "rollout_claims_waiting",
+            "Claims of workers that are not answered yet.",
+            page.gauges.claims() as f64,
+        ),
+        (
+            "rollout_workers_alive",
+            "Workers heard of lately.",
+            alive.count() as f64,
+        ),
+        (
+            "rollout_worker_slots_alive",
+            "Slots of these workers.",
+            f64::from(slots),
+        ),
+        (
+            "rollout_database_bytes",
+            "Size of the database.",
+            sizes.database as f64,
+        ),
+        (
+            "rollout_database_wal_bytes",
+            "Size of the database's write-ahead log.",
+            sizes.log as f64,
+        ),
+        (
+            "rollout_disk_free_bytes",
+            "Free on the data folder's disk.",
+            free as f64,
+        ),
+        (
+            "rollout_leasing_held",
+            "1 while nothing is leased for want of disk.",
+            f64::from(queue.held().is_some()),
+        ),
+        (
+            "rollout_page_streams",
+            "Browsers that follow the live page.",
+            page.changes.streams() as f64,
+        ),
+    ] {
+        text.alone(name, help, value);
+    }
+    let build = "rollout_build_info";
+    text.family(build, Kind::Gauge, "The program; its value is 1.");
+    text.sample(build, &[("version", env!("CARGO_PKG_VERSION"))], 1.0);
     Ok(text.0.into())
 }
 
 fn of_campaigns(text: &mut Exposition, campaigns: &[CampaignStatus]) {
-    text.alone(
-        "rollout_campaigns",
-        "Campaigns that there are.",
-        campaigns.len() as f64,
-    );
-    let shown = &campaigns[campaigns.len().saturating_sub(MAX_CAMPAIGNS)..];
-    text.family(
-        "rollout_jobs",
-        Kind::Gauge,
-        "Rollouts of a campaign, by state.",
-    );
+    let all = campaigns.len();
+    text.alone("rollout_campaigns", "Campaigns that there are.", all as f64);
+    let shown = &campaigns[all.saturating_sub(MAX_CAMPAIGNS)..];
+    let jobs = "rollout_jobs";
+    text.family(jobs, Kind::Gauge, "Rollouts of a campaign, by state.");
     for status in shown {
         let counts = &status.counts;
         for (state, count) in [
@@ -151,23 +130,24 @@ fn of_campaigns(text: &mut Exposition, campaigns: &[CampaignStatus]) {
             ("committed", counts.committed),
             ("quarantined", counts.quarantined),
         ] {
-            let labels = [("campaign", status.name.as_str()), ("state", state)];
-            text.sample("rollout_jobs", &labels, count as f64);
+            let labels = [
+                ("campaign", status.campaign.name.as_str()),
+                ("state", state),
+            ];
+            text.sample(jobs, &labels, count as f64);
         }
     }
-    text.family(
-        "rollout_commits_total",
-        Kind::Counter,
-        "Committed outcomes of a campaign.",
-    );
+    let commits = "rollout_commits_total";
+    text.family(commits, Kind::Counter, "Committed outcomes of a campaign.");
     for status in shown {
-        let failed = status
-            .counts
-            .committed
-            .saturating_sub(status.counts.succeeded);
-        for (outcome, count) in [("success", status.counts.succeeded), ("failure", failed)] {
-            let labels = [("campaign", status.name.as_str()), ("outcome", outcome)];
-            text.sample("rollout_commits_total", &labels, count as f64);
+        let succeeded = status.counts.succeeded;
+        let failed = status.counts.committed.saturating_sub(succeeded);
+        for (outcome, count) in [("success", succeeded), ("failure", failed)] {
+            let labels = [
+                ("campaign", status.campaign.name.as_str()),
+                ("outcome", outcome),
+            ];
+            text.sample(commits, &labels, count as f64);
         }
     }
 }

@@ -5,11 +5,11 @@ use std::error::Error;
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
 use maud::{Markup, html};
+use queue::{QueueError, StoreError};
+use transport::chain;
 
 use super::{answer, layout};
-use crate::queue::QueueError;
 use crate::report::ReportError;
-use crate::store::StoreError;
 
 /// A request that is not met.
 #[derive(Debug)]
@@ -39,13 +39,8 @@ pub(super) enum Problem {
 
 impl Problem {
     /// Something failed that the operator must know of.
-    pub(super) fn failed(error: &dyn Error) -> Problem {
-        let mut text = error.to_string();
-        let mut cause = error.source();
-        while let Some(inner) = cause {
-            text.push_str(&format!(": {inner}"));
-            cause = inner.source();
-        }
+    pub(super) fn failed(error: &(dyn Error + 'static)) -> Problem {
+        let text = chain(error);
         tracing::error!("failed to {text}");
         Problem::Failed(text)
     }

@@ -2,13 +2,14 @@
 
 use maud::{Markup, html};
 use protocol::RolloutId;
+use queue::QueueError;
+use queue::ids::{JobId, JobName};
+use queue::read::{JobFilter, JobLine};
 
-use super::Page;
 use super::campaign::address;
 use super::layout::{Place, Sheet};
 use super::problem::Problem;
-use crate::ids::JobId;
-use crate::store::listing::{self, JobLine};
+use super::state::Page;
 
 /// Rollouts on a page.
 const PAGE_JOBS: u32 = 200;
@@ -33,23 +34,34 @@ struct Wanted {
 /// The page.
 pub(super) async fn sheet(page: &Page, name: &str, query: &str) -> Result<Sheet, Problem> {
     let wanted = Wanted::read(query)?;
-    let (name, row, mut view) = page.campaign(name).await?;
+    let (of, mut view) = page.campaign(name).await?;
     let state = wanted.state.as_deref();
     let (lines, next) = match &wanted.id {
         Some(id) => {
-            let found = listing::job(&mut view, row.id, id, 0).await?;
-            (Vec::from_iter(found), None)
+            let job = JobName {
+                rollout_id: id.clone(),
+                replicate: 0,
+            };
+            match view.job(&of, &job).await {
+                Ok(line) => (vec![line], None),
+                Err(QueueError::UnknownRollout { .. }) => (Vec::new(), None),
+                Err(error) => return Err(error.into()),
+            }
         }
         None => {
-            let (after, limit) = (JobId(wanted.after), PAGE_JOBS + 1);
-            let mut lines = listing::jobs(&mut view, row.id, state, after, limit).await?;
+            let filter = JobFilter {
+                state,
+                after: JobId(wanted.after),
+                limit: PAGE_JOBS + 1,
+            };
+            let mut lines = view.jobs(&of, filter).await?;
             let is_more = lines.len() > PAGE_JOBS as usize;
             lines.truncate(PAGE_JOBS as usize);
             let next = lines.last().filter(|_| is_more).map(|line| line.id.0);
             (lines, next)
         }
     };
-    let campaign = name.as_str();
+    let campaign = of.name.as_str();
     let main = html! {
         p.crumbs {
             a href="/" { "Campaigns" } " › "
@@ -64,7 +76,7 @@ pub(super) async fn sheet(page: &Page, name: &str, query: &str) -> Result<Sheet,
         }
     };
     Ok(Sheet {
-        title: format!("Rollouts of {name}"),
+        title: format!("Rollouts of {campaign}"),
         place: Place::Campaigns,
         main,
     })

@@ -1,42 +1,41 @@
-//! What campaigns depend on: workers, policies and their health, and what was
-//! set aside.
+//! What campaigns depend on: workers, policies and their health, and what is in
+//! quarantine.
 
 use maud::{Markup, html};
 use protocol::RolloutId;
+use queue::clock::UnixMillis;
+use queue::read::{PolicyLine, QuarantinedLine, WorkerLine};
+use queue::rules::outage::PolicyState;
 
-use super::Page;
 use super::campaign::address;
 use super::layout::{Place, Sheet};
 use super::problem::Problem;
-use crate::clock::UnixMillis;
-use crate::outage::PolicyState;
-use crate::queue::WorkerStatus;
-use crate::store::listing::WorkerLine;
-use crate::store::page::{self as stored, AsideLine, PolicyLine};
+use super::state::Page;
 use crate::words::duration_text;
 
-/// Rollouts that were set aside and are shown; more are counted.
-const MAX_ASIDE: u32 = 500;
+/// Quarantined rollouts that are shown.
+const MAX_QUARANTINED: u32 = 500;
 /// Workers that have gone and are still shown.
 const MAX_GONE: usize = 20;
 
 /// The workers.
 pub(super) async fn workers(page: &Page) -> Result<Sheet, Problem> {
-    let workers = page.queue.list_workers().await?;
+    let mut view = page.queue.view().await?;
+    let (workers, now) = (view.workers().await?, view.now);
     let (alive, gone): (Vec<_>, Vec<_>) = workers.into_iter().partition(|w| w.is_alive);
     let main = html! {
         h1 { "Workers" }
         @if alive.is_empty() {
             p { "No worker is here. " code { "worker --connect" } " with this address starts one." }
         } @else {
-            (workers_table("Workers that are here", &alive))
+            (workers_table("Workers that are here", &alive, now))
         }
         @if !gone.is_empty() {
             h2 { "Gone" }
             p.muted {
                 "What they held was leased to others. Of " (gone.len()) ", those heard of last:"
             }
-            (workers_table("Workers that have gone", &gone[..gone.len().min(MAX_GONE)]))
+            (workers_table("Workers that have gone", &gone[..gone.len().min(MAX_GONE)], now))
         }
     };
     Ok(sheet("Workers", Place::Workers, main))
@@ -44,9 +43,8 @@ pub(super) async fn workers(page: &Page) -> Result<Sheet, Problem> {
 
 /// The policies.
 pub(super) async fn policies(page: &Page) -> Result<Sheet, Problem> {
-    let mut view = page.queue.store().read().await?;
-    let policies = stored::policies(&mut view).await?;
-    let now = page.queue.now();
+    let mut view = page.queue.view().await?;
+    let (policies, now) = (view.policies().await?, view.now);
     let main = html! {
         h1 { "Policies" }
         @if policies.is_empty() { p { "No campaign has named a policy yet." } }
@@ -55,24 +53,23 @@ pub(super) async fn policies(page: &Page) -> Result<Sheet, Problem> {
     Ok(sheet("Policies", Place::Policies, main))
 }
 
-/// What was set aside, of all campaigns.
+/// What is in quarantine, of all campaigns.
 pub(super) async fn quarantine(page: &Page) -> Result<Sheet, Problem> {
-    let mut view = page.queue.store().read().await?;
-    let aside = stored::set_aside(&mut view, None, MAX_ASIDE).await?;
+    let quarantined = page.queue.view().await?.quarantine(MAX_QUARANTINED).await?;
     let main = html! {
         h1 { "Quarantine" }
-        @if aside.is_empty() {
-            p { "Nothing is set aside: every rollout that failed was tried again." }
+        @if quarantined.is_empty() {
+            p { "Nothing is in quarantine: every rollout that failed was tried again." }
         } @else {
             p {
                 "These failed too often, not by the policy's doing. They are in no rate; the \
                 report says between which ends the measures lie. "
                 code { "coordinator jobs retry CAMPAIGN ROLLOUT" } " gives one another chance."
             }
-            @if aside.len() >= MAX_ASIDE as usize {
-                p { "The first " (MAX_ASIDE) " are shown." }
+            @if quarantined.len() >= MAX_QUARANTINED as usize {
+                p { "The first " (MAX_QUARANTINED) " are shown." }
             }
-            (aside_table(&aside))
+            (quarantine_table(&quarantined))
         }
     };
     Ok(sheet("Quarantine", Place::Quarantine, main))
@@ -86,7 +83,7 @@ fn sheet(title: &str, place: Place, main: Markup) -> Sheet {
     }
 }
 
-fn workers_table(name: &str, workers: &[WorkerStatus]) -> Markup {
+fn workers_table(name: &str, workers: &[WorkerLine], now: UnixMillis) -> Markup {
     let heads = [
         "worker",
         "machine",
@@ -107,27 +104,27 @@ fn workers_table(name: &str, workers: &[WorkerStatus]) -> Markup {
                         }
                     }
                 }
-                tbody { @for worker in workers { (worker_row(worker)) } }
+                tbody { @for worker in workers { (worker_row(worker, now)) } }
             }
         }
     }
 }
 
-fn worker_row(worker: &WorkerStatus) -> Markup {
-    let line = &worker.line;
+fn worker_row(line: &WorkerLine, now: UnixMillis) -> Markup {
+    let silent = now.since(line.last_seen_ms).as_secs_f64();
     html! {
         tr {
             th scope="row" { code { (line.id) } }
             td { (line.host) }
             td { (line.leases) " of " (line.slots) }
-            td { (duration_text(worker.silent_secs)) " ago" }
+            td { (duration_text(silent)) " ago" }
             td.words {
                 @match &line.stopped_reason {
                     Some(reason) => { "leases no more: " (reason) }
                     None if line.charged_in_a_row > 0 => {
                         (line.charged_in_a_row) " failures in a row"
                     }
-                    None if worker.is_alive => "well",
+                    None if line.is_alive => "well",
                     None => "gone",
                 }
             }
@@ -184,9 +181,9 @@ fn policy_section(policy: &PolicyLine, now: UnixMillis) -> Markup {
     }
 }
 
-fn aside_table(aside: &[AsideLine]) -> Markup {
+fn quarantine_table(lines: &[QuarantinedLine]) -> Markup {
     html! {
-        div.scroll tabindex="0" role="region" aria-label="Rollouts that were set aside" {
+        div.scroll tabindex="0" role="region" aria-label="Quarantined rollouts" {
             table {
                 thead {
                     tr {
@@ -197,9 +194,9 @@ fn aside_table(aside: &[AsideLine]) -> Markup {
                     }
                 }
                 tbody {
-                    @for line in aside {
+                    @for line in lines {
                         tr {
-                            th scope="row" { (aside_rollout(line)) }
+                            th scope="row" { (rollout(line)) }
                             td.words { a href={ "/campaigns/" (line.campaign) } { (line.campaign) } }
                             td { (line.charged_attempts) }
                             td.words { pre { (line.last_error) } }
@@ -211,7 +208,7 @@ fn aside_table(aside: &[AsideLine]) -> Markup {
     }
 }
 
-fn aside_rollout(line: &AsideLine) -> Markup {
+fn rollout(line: &QuarantinedLine) -> Markup {
     let name = ::report::rollout_name(&line.rollout_id, line.replicate);
     html! {
         @match line.rollout_id.parse::<RolloutId>() {

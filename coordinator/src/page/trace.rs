@@ -2,6 +2,7 @@
 //! its height over the control steps. All rollouts of a configuration have one
 //! scale, and the nominal path lies under each.
 
+use attempt::Motion;
 use maud::{Markup, html};
 
 /// Positions of the hand, at rest and after every control step: x, y, z in the
@@ -10,8 +11,6 @@ pub(super) type Path = Vec<[f64; 3]>;
 
 /// What a stored position is counted in, m.
 const UNIT_M: f64 = 1e-4;
-/// Bytes of a stored position.
-const POSITION_BYTES: usize = 6;
 /// Size of the picture, CSS pixels where it is not scaled.
 const WIDTH: f64 = 248.0;
 const HEIGHT: f64 = 136.0;
@@ -36,13 +35,10 @@ pub(super) struct Extent {
     steps: usize,
 }
 
-/// Reads a stored path: three 16-bit numbers a position, little endian. Half a
-/// position at the end is left out.
-pub(super) fn read(bytes: &[u8]) -> Path {
-    let number = |pair: &[u8]| f64::from(i16::from_le_bytes([pair[0], pair[1]])) * UNIT_M;
-    let positions = bytes.chunks_exact(POSITION_BYTES);
-    let position = |p: &[u8]| [number(&p[0..2]), number(&p[2..4]), number(&p[4..6])];
-    positions.map(position).collect()
+/// The positions of a motion, m.
+pub(super) fn read(motion: &Motion) -> Path {
+    let metres = |position: [i16; 3]| position.map(|units| f64::from(units) * UNIT_M);
+    motion.path().into_iter().map(metres).collect()
 }
 
 impl Extent {
@@ -168,16 +164,9 @@ fn px(value: f64) -> String {
 mod tests {
     use super::*;
 
-    fn stored(positions: &[[i16; 3]]) -> Vec<u8> {
-        let numbers = positions.iter().flatten();
-        numbers.flat_map(|number| number.to_le_bytes()).collect()
-    }
-
     #[test]
-    fn a_stored_path_reads_back_in_metres() {
-        let mut bytes = stored(&[[-1_000, 20, 10_000], [0, 0, 12_345]]);
-        bytes.push(7);
-        let path = read(&bytes);
+    fn a_path_is_in_metres() {
+        let path = read(&Motion::pack(&[[-1_000, 20, 10_000], [0, 0, 12_345]], &[]));
         let expected = [[-0.1, 0.002, 1.0], [0.0, 0.0, 1.2345]];
         assert_eq!(path.len(), 2);
         for (found, expected) in path.iter().flatten().zip(expected.iter().flatten()) {
@@ -188,12 +177,15 @@ mod tests {
     #[test]
     fn every_path_stays_in_its_picture() {
         let paths = [
-            read(&stored(&[
-                [-3_000, 3_000, 8_000],
-                [2_500, -1_000, 13_000],
-                [0, 0, 9_000],
-            ])),
-            read(&stored(&[[0, 0, 10_000]])),
+            read(&Motion::pack(
+                &[
+                    [-3_000, 3_000, 8_000],
+                    [2_500, -1_000, 13_000],
+                    [0, 0, 9_000],
+                ],
+                &[],
+            )),
+            read(&Motion::pack(&[[0, 0, 10_000]], &[])),
         ];
         let extent = Extent::of(paths.iter()).expect("positions");
         assert_eq!(extent.steps, 2);

@@ -1,7 +1,11 @@
-//! Videos beside rollouts.
+//! Videos beside outcomes.
+
+use std::time::Duration;
 
 use proto::coordinator as wire;
 use proto::coordinator::commit_response::Verdict;
+use proto::coordinator::release_request::Reason;
+use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Code, Status};
 
 use crate::harness::{Bench, Worker, small_spec};
@@ -19,7 +23,7 @@ pub(crate) async fn put(
             ..wire::ArtifactChunk::default()
         })
         .collect();
-    chunks[0].lease = Some(worker.held(lease));
+    chunks[0].attempt_id = lease.attempt_id.clone();
     chunks[0].name = name.to_owned();
     let request = tokio_stream::iter(chunks);
     Ok(worker
@@ -31,20 +35,25 @@ pub(crate) async fn put(
 }
 
 #[tokio::test]
-async fn a_video_is_kept_for_who_holds_or_committed_the_rollout() {
+async fn a_video_is_kept_beside_the_outcome_of_its_attempt() {
     let bench = Bench::start().await;
     bench.create(&small_spec("filmed")).await.expect("created");
     let mut worker = bench.worker("a").await;
     let lease = worker.claim_one().await;
     let pieces = [vec![1; 1_000_000], vec![2; 500_000]];
+    let early = put(&mut worker, &lease, "video.mp4", &pieces).await;
+    let early = early.expect_err("there is no outcome yet");
+    assert_eq!(early.code(), Code::PermissionDenied);
+
+    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let path = put(&mut worker, &lease, "video.mp4", &pieces)
         .await
         .expect("kept");
-    assert_eq!(path, "artifacts/filmed/object_t0_clean_i16.r0.mp4");
+    let attempt = &lease.attempt_id;
+    let expected = format!("artifacts/filmed/object_t0_clean_i16.r0.{attempt}.mp4");
+    assert_eq!(path, expected);
     let stored = std::fs::read(bench.folder.path().join(&path)).expect("a file");
     assert_eq!(stored, pieces.concat());
-
-    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let again = put(&mut worker, &lease, "video.mp4", &[vec![3; 10]])
         .await
         .expect("replaced");
@@ -57,17 +66,73 @@ async fn a_video_is_kept_for_who_holds_or_committed_the_rollout() {
     assert_eq!(bench.count(recorded).await, 1);
 }
 
+/// Defect 9: a failed attempt's film was shown beside the outcome of the next.
 #[tokio::test]
-async fn a_stranger_an_odd_name_and_too_much_are_refused_and_leave_nothing() {
+async fn the_film_of_a_failed_attempt_is_never_beside_another_ones_outcome() {
     let bench = Bench::start().await;
     bench.create(&small_spec("filmed")).await.expect("created");
-    let (mut worker, mut stranger) = (bench.worker("a").await, bench.worker("b").await);
+    let mut worker = bench.worker("a").await;
+    let failed = worker.claim_one().await;
+    worker.release(&failed, Reason::Draining).await;
+    let second = worker.claim_one().await;
+    assert_eq!(second.job_id, failed.job_id);
+    assert_eq!(worker.commit(&second, true).await, Verdict::Accepted);
+    let late = put(&mut worker, &failed, "video.mp4", &[vec![1; 10]]).await;
+    let late = late.expect_err("its attempt brought no outcome");
+    assert_eq!(late.code(), Code::PermissionDenied);
+    assert_eq!(bench.count("SELECT count(*) FROM artifact").await, 0);
+}
+
+/// Defect 10: two uploads under one lease shared a partial file, so that a
+/// published video was rewritten.
+#[tokio::test]
+async fn two_uploads_of_one_attempt_at_once_leave_one_whole_video() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("filmed")).await.expect("created");
+    let mut worker = bench.worker("a").await;
     let lease = worker.claim_one().await;
+    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+    let attempt_id = lease.attempt_id.clone();
+    let chunk = move |of: u8| wire::ArtifactChunk {
+        attempt_id: attempt_id.clone(),
+        name: "video.mp4".to_owned(),
+        data: vec![of; 1_000],
+    };
+    let (pieces, rest) = tokio::sync::mpsc::channel(1);
+    let mut slow = worker.clone();
+    let slow = slow.service.put_artifact(ReceiverStream::new(rest));
+    let others = async move {
+        pieces.send(chunk(1)).await.expect("taken");
+        let path = put(&mut worker, &lease, "video.mp4", &[vec![2; 500]]).await;
+        let file = bench.folder.path().join(path.expect("kept"));
+        assert_eq!(std::fs::read(&file).expect("a file"), [2; 500]);
+        // The rest of the slow upload goes nowhere near the published file.
+        pieces.send(chunk(1)).await.expect("taken");
+        tokio::time::sleep(Duration::from_millis(200)).await;
+        assert_eq!(std::fs::read(&file).expect("a file"), [2; 500]);
+        (bench, file)
+    };
+    let (slow, (_bench, file)) = tokio::join!(slow, others);
+    slow.expect("kept");
+    assert_eq!(std::fs::read(&file).expect("a file"), [1; 2_000]);
+}
+
+#[tokio::test]
+async fn an_unknown_attempt_an_odd_name_and_too_much_are_refused_and_leave_nothing() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("filmed")).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    let lease = worker.claim_one().await;
+    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let small = [vec![1; 10]];
 
-    let refused = put(&mut stranger, &lease, "video.mp4", &small).await;
+    let unknown = wire::Lease {
+        attempt_id: "0".repeat(32),
+        ..lease.clone()
+    };
+    let refused = put(&mut worker, &unknown, "video.mp4", &small).await;
     assert_eq!(
-        refused.expect_err("not its own").code(),
+        refused.expect_err("nobody's").code(),
         Code::PermissionDenied
     );
     for name in ["../../etc/passwd", "video.mp4/..", "", "notes.txt"] {

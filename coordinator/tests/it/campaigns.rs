@@ -1,8 +1,8 @@
 //! Creating, following and exporting campaigns.
 
-use coordinator::store::{DATABASE_FILE, OpenError, Store, newest_known_schema};
 use proto::coordinator as wire;
 use proto::coordinator::commit_response::Verdict;
+use queue::{DATABASE_FILE, OpenError, Store, newest_known_schema};
 use serde_json::{Value, json};
 use tonic::Code;
 
@@ -113,7 +113,7 @@ async fn results_are_exported_as_reference_rows_in_a_stable_order() {
     for lease in &leases {
         let mut report = worker.report(lease, true);
         if lease.manifest_row.contains("robot") {
-            report.outcome.as_mut().expect("one").ik_residual_mm = Some(0.125);
+            report.result.as_mut().expect("one").ik_residual_mm = Some(0.125);
         }
         assert_eq!(worker.commit_request(report).await.0, Verdict::Accepted);
     }

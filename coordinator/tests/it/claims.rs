@@ -48,12 +48,12 @@ async fn a_waiting_claim_is_woken_by_new_work() {
     let bench = Bench::start().await;
     let mut worker = bench.worker("a").await;
     let mut waiting = JoinSet::new();
-    waiting.spawn(async move { worker.try_claim(1, 25.0, "").await });
+    waiting.spawn(async move { worker.try_claim(25.0, "").await });
     tokio::time::sleep(Duration::from_millis(200)).await;
     let created = Instant::now();
     bench.create(&small_spec("late")).await.expect("created");
     let claimed = waiting.join_all().await.remove(0).expect("an answer");
-    assert_eq!(claimed.leases.len(), 1);
+    assert!(claimed.lease.is_some());
     assert!(
         created.elapsed() < Duration::from_secs(5),
         "woken, not timed out"
@@ -65,8 +65,8 @@ async fn a_claim_without_work_is_an_answer_and_waits_as_long_as_asked() {
     let bench = Bench::start().await;
     let mut worker = bench.worker("a").await;
     let began = Instant::now();
-    let claimed = worker.try_claim(1, 0.3, "").await.expect("an answer");
-    assert!(claimed.leases.is_empty() && claimed.idle_reason.is_empty());
+    let claimed = worker.try_claim(0.3, "").await.expect("an answer");
+    assert!(claimed.lease.is_none() && claimed.idle_reason.is_empty());
     assert!(began.elapsed() >= Duration::from_millis(290));
 }
 
@@ -114,8 +114,8 @@ async fn a_campaign_is_pinned_to_the_pack_of_its_first_worker() {
     let mut first = bench.worker_on("a", "primitives").await;
     let mut other = bench.worker_on("b", "libero").await;
     let lease = first.claim_one().await;
-    let nothing = other.claim_response(4, "").await;
-    assert!(nothing.leases.is_empty());
+    let nothing = other.claim_response("").await;
+    assert!(nothing.lease.is_none());
     for word in ["pinned", "primitives", "libero", "MuJoCo 3.3.7"] {
         assert!(
             nothing.idle_reason.contains(word),
@@ -136,8 +136,8 @@ async fn a_campaign_is_pinned_to_the_renderer_of_its_first_worker() {
     let mut other = bench.worker_drawing("b", "primitives", "another").await;
     let lease = first.claim_one().await;
     for warm in ["", "libero_object/0"] {
-        let nothing = other.claim_response(4, warm).await;
-        assert!(nothing.leases.is_empty());
+        let nothing = other.claim_response(warm).await;
+        assert!(nothing.lease.is_none());
         for word in ["`pinned` is pinned", "renderer `one`", "renderer `another`"] {
             assert!(
                 nothing.idle_reason.contains(word),
@@ -218,7 +218,7 @@ async fn a_stranger_is_told_to_register_and_another_protocol_version_is_refused(
     let bench = Bench::start().await;
     let mut worker = bench.worker("a").await;
     worker.id = "stranger".to_owned();
-    let refused = worker.try_claim(1, 0.0, "").await.expect_err("a stranger");
+    let refused = worker.try_claim(0.0, "").await.expect_err("a stranger");
     assert_eq!(refused.code(), Code::NotFound);
     assert!(refused.message().contains("register first"), "{refused}");
 

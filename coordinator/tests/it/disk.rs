@@ -20,12 +20,12 @@ async fn nothing_is_leased_while_the_disk_is_nearly_full_and_the_status_says_so(
     // The first look at the disk comes with the first sweep.
     let started = Instant::now();
     loop {
-        let claim = worker.try_claim(1, 1.0, "").await.expect("an answer");
+        let claim = worker.try_claim(1.0, "").await.expect("an answer");
         if claim.idle_reason.contains("MiB left") {
-            assert!(claim.leases.is_empty());
+            assert!(claim.lease.is_none());
             break;
         }
-        for lease in &claim.leases {
+        if let Some(lease) = &claim.lease {
             worker.release(lease, Reason::Draining).await;
         }
         assert!(started.elapsed() < Duration::from_secs(20), "{claim:?}");
@@ -43,7 +43,7 @@ async fn a_coordinator_that_cannot_write_leases_nothing_and_goes_on_when_it_can(
     let mut worker = serve.worker("a").await;
     let lease = worker.claim_one().await;
     serve.limit_files("0:unlimited");
-    let refused = worker.try_claim(1, 0.0, "").await.expect_err("no room");
+    let refused = worker.try_claim(0.0, "").await.expect_err("no room");
     assert_eq!(refused.code(), tonic::Code::Unavailable);
     let refused = worker.try_commit(&lease, true).await.expect_err("no room");
     assert_eq!(refused.code(), tonic::Code::Unavailable);

@@ -6,13 +6,13 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use coordinator::invariants::check;
-use coordinator::store::DATABASE_FILE;
-use coordinator::store::failpoint::{FAILPOINT_VARIABLE, Side, Step};
 use proto::coordinator as wire;
 use proto::coordinator::change_campaign_request::Change;
 use proto::coordinator::operator_service_client::OperatorServiceClient;
 use proto::coordinator::release_request::Reason;
+use queue::DATABASE_FILE;
+use queue::invariants::check;
+use queue::{FAILPOINT_VARIABLE, Side, Step};
 use tempfile::TempDir;
 use tokio::task::JoinSet;
 use tonic::Status;
@@ -53,31 +53,30 @@ async fn everything(serve: &Serve) -> Result<(), Status> {
         .create_campaign(wire::CreateCampaignRequest { spec })
         .await?;
     let mut worker = serve.try_worker("b").await?;
-    let lease = worker.try_claim(1, 0.0, "").await?.leases.remove(0);
+    let lease = worker.try_claim(0.0, "").await?.lease.expect("a lease");
     let beat = wire::HeartbeatRequest {
         worker_id: worker.id.clone(),
         progress: vec![wire::Progress {
-            job_id: lease.job_id,
-            attempt: lease.attempt,
+            attempt_id: lease.attempt_id.clone(),
             control_steps: 5,
         }],
     };
     worker.service.heartbeat(beat).await?;
     let release = wire::ReleaseRequest {
-        lease: Some(worker.held(&lease)),
+        attempt_id: lease.attempt_id.clone(),
         reason: Reason::SimulatorError.into(),
         error: "on purpose".to_owned(),
     };
     worker.service.release(release).await?;
-    let lease = worker.try_claim(1, 0.0, "").await?.leases.remove(0);
+    let lease = worker.try_claim(0.0, "").await?.lease.expect("a lease");
+    let report = worker.report(&lease, true);
+    worker.service.commit(report).await?;
     let video = tokio_stream::iter([wire::ArtifactChunk {
-        lease: Some(worker.held(&lease)),
+        attempt_id: lease.attempt_id.clone(),
         name: "video.mp4".to_owned(),
         data: vec![1; 1_000],
     }]);
     worker.service.put_artifact(video).await?;
-    let report = worker.report(&lease, true);
-    worker.service.commit(report).await?;
     for (campaign, change) in [
         ("sound", Change::Pause),
         ("sound", Change::Resume),
@@ -125,7 +124,7 @@ async fn finish(folder: &Path) -> Vec<u8> {
     let mut worker = serve.worker("a").await;
     let began = Instant::now();
     loop {
-        take_over(&mut worker, &serve, &mut operator).await;
+        take_over(&mut worker, &mut operator).await;
         let request = wire::GetCampaignRequest {
             campaign: "sound".to_owned(),
         };
@@ -152,7 +151,6 @@ async fn finish(folder: &Path) -> Vec<u8> {
 /// Commits whatever can be leased, and what an earlier life left leased.
 async fn take_over(
     worker: &mut Worker,
-    serve: &Serve,
     operator: &mut OperatorServiceClient<tonic::transport::Channel>,
 ) {
     for lease in worker.claim(64).await {
@@ -170,18 +168,12 @@ async fn take_over(
         .expect("a list")
         .into_inner();
     for job in left.jobs {
-        let owner = serve.worker(&job.lease_owner).await;
         let request = wire::ReleaseRequest {
-            lease: Some(wire::LeaseRef {
-                worker_id: owner.id.clone(),
-                job_id: job.job_id,
-                attempt: job.attempt,
-            }),
+            attempt_id: job.attempt_id,
             reason: Reason::Draining.into(),
             error: "another life".to_owned(),
         };
-        let mut owner = owner;
-        owner.service.release(request).await.expect("released");
+        worker.service.release(request).await.expect("released");
     }
 }
 

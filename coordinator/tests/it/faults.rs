@@ -3,6 +3,7 @@
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
 use proto::coordinator::release_response::Verdict as Released;
+use proto::coordinator::{Lease, ReleaseRequest};
 use serde_json::json;
 use tonic::Code;
 
@@ -88,19 +89,29 @@ async fn another_outcome_of_a_committed_rollout_is_kept_as_a_divergence() {
 }
 
 #[tokio::test]
-async fn who_never_held_the_lease_cannot_report() {
+async fn who_was_granted_nothing_can_report_nothing() {
     let bench = Bench::start().await;
     one_job(&bench).await;
     let (mut holder, mut liar) = (bench.worker("holder").await, bench.worker("liar").await);
     let lease = holder.claim_one().await;
-    assert_eq!(liar.commit(&lease, true).await, Verdict::Stale);
+    let made_up = Lease {
+        attempt_id: "1".repeat(32),
+        ..lease.clone()
+    };
+    let refused = liar.try_commit(&made_up, true).await.expect_err("made up");
+    assert_eq!(refused.code(), Code::NotFound);
+    let release = ReleaseRequest {
+        attempt_id: made_up.attempt_id.clone(),
+        ..ReleaseRequest::default()
+    };
+    let refused = liar.service.release(release).await.expect_err("no reason");
+    assert_eq!(refused.code(), Code::InvalidArgument);
+    // Nobody renews another one's lease.
     assert_eq!(
-        liar.release(&lease, Reason::Draining).await.verdict(),
-        Released::Stale
+        liar.heartbeat(&[&lease], 5).await,
+        [lease.attempt_id.clone()]
     );
-    assert_eq!(liar.heartbeat(&[&lease], 5).await, [lease.job_id]);
     assert_eq!(holder.commit(&lease, true).await, Verdict::Accepted);
-    assert_eq!(liar.commit(&lease, false).await, Verdict::Stale);
     assert_eq!(bench.count("SELECT count(*) FROM divergence").await, 0);
 }
 
@@ -120,7 +131,10 @@ async fn a_lease_without_heartbeats_expires_and_is_charged() {
     let told = "SELECT count(*) FROM failure WHERE reason = 'lease_lost' AND charged = 1
                 AND error LIKE '%fell silent after control step 12%'";
     assert_eq!(bench.count(told).await, 1);
-    assert_eq!(worker.heartbeat(&[&lease], 30).await, [lease.job_id]);
+    assert_eq!(
+        worker.heartbeat(&[&lease], 30).await,
+        [lease.attempt_id.clone()]
+    );
 }
 
 #[tokio::test]
@@ -151,7 +165,7 @@ async fn a_failed_job_is_not_leased_before_its_back_off_is_over() {
 }
 
 #[tokio::test]
-async fn a_job_is_set_aside_after_three_charged_attempts_on_two_workers() {
+async fn a_job_is_quarantined_after_three_charged_attempts_on_two_workers() {
     let bench = Bench::start().await;
     one_job(&bench).await;
     let (mut a, mut b) = (bench.worker("a").await, bench.worker("b").await);
@@ -187,7 +201,7 @@ async fn one_broken_machine_does_not_condemn_a_rollout_while_another_is_there() 
 }
 
 #[tokio::test]
-async fn a_worker_alone_sets_a_job_aside_by_itself() {
+async fn a_worker_alone_brings_a_job_into_quarantine() {
     let bench = Bench::start().await;
     one_job(&bench).await;
     let mut alone = bench.worker("alone").await;
@@ -236,7 +250,7 @@ async fn a_worker_that_fails_five_times_in_a_row_is_told_to_stop() {
             released.stop_leasing
         );
     }
-    let refused = worker.try_claim(1, 0.0, "").await.expect_err("stopped");
+    let refused = worker.try_claim(0.0, "").await.expect_err("stopped");
     assert_eq!(refused.code(), Code::FailedPrecondition);
     assert!(refused.message().contains("in a row"), "{refused}");
     assert_eq!(bench.status("many").await.live_workers, 0);

@@ -6,7 +6,7 @@ use tonic::Code;
 
 use crate::harness::{Bench, Worker, sha, small_spec, with};
 
-/// Longer than anybody may film what was handed out.
+/// Longer than a rollout may take to be filmed.
 const LONG_SECS: u64 = 16 * 60;
 
 /// A campaign of one configuration that keeps actions, its nominal rollout and
@@ -47,9 +47,9 @@ async fn films(worker: &mut Worker) -> Vec<wire::Film> {
     films
 }
 
-async fn upload(worker: &mut Worker, lease: Option<wire::LeaseRef>) {
+async fn upload(worker: &mut Worker, attempt_id: &str) {
     let chunk = wire::ArtifactChunk {
-        lease,
+        attempt_id: attempt_id.to_owned(),
         name: "video.mp4".to_owned(),
         data: b"a film".to_vec(),
     };
@@ -71,7 +71,7 @@ async fn a_configuration_that_its_combination_changes_is_filmed_whole() {
         assert_eq!((named("/clean/"), named("/combination/")), (1, 1));
         assert!(all.iter().all(|film| film.actions == [2; 28]));
         // One is stored; the others were never brought back.
-        upload(&mut worker, all[1].lease.clone()).await;
+        upload(&mut worker, &all[1].attempt_id).await;
         bench.pass(LONG_SECS).await;
         let answer = next_film(&mut worker, "primitives").await;
         assert_eq!(answer.left, 3);
@@ -95,7 +95,7 @@ async fn a_motion_of_half_a_step_or_of_too_many_is_refused_and_stores_nothing() 
         (motion.path, motion.actions) = (vec![0; path], vec![0; actions]);
         let refused = worker.service.commit(report).await.expect_err("no motion");
         assert_eq!(refused.code(), Code::InvalidArgument);
-        assert!(refused.message().contains("`motion."), "{refused}");
+        assert!(refused.message().contains("`motion`"), "{refused}");
     }
     assert_eq!(bench.status("filmed").await.committed, 3);
     worker.commit(&combination, false).await;

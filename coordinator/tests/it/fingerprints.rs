@@ -85,7 +85,7 @@ async fn a_campaign_says_which_fingerprints_its_results_have_and_where_they_mix(
 
     // Slots of one worker may differ: all results are reported under its leases.
     let report_as = |worker: &Worker, lease: &wire::Lease| wire::CommitRequest {
-        lease: Some(one.held(lease)),
+        attempt_id: lease.attempt_id.clone(),
         ..worker.report(lease, true)
     };
     let request = report_as(&another, &leases[1][0]);

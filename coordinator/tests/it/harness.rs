@@ -3,16 +3,17 @@
 
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use coordinator::clock::{ManualClock, UnixMillis};
-use coordinator::queue::{Queue, Timing};
 use coordinator::{Config, Coordinator};
 use proto::coordinator as wire;
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::operator_service_client::OperatorServiceClient;
 use proto::coordinator::release_request::Reason;
 use proto::coordinator::worker_service_client::WorkerServiceClient;
+use queue::clock::{ManualClock, UnixMillis};
+use queue::{Queue, Timing};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use serde_json::{Value, json};
@@ -196,37 +197,51 @@ impl Bench {
 }
 
 impl Worker {
-    /// Claims at most `max_jobs`, without waiting.
-    pub(crate) async fn claim(&mut self, max_jobs: u32) -> Vec<wire::Lease> {
-        self.claim_response(max_jobs, "").await.leases
+    /// Claims up to `jobs` jobs one after the other, without waiting, and
+    /// acknowledges their leases.
+    pub(crate) async fn claim(&mut self, jobs: u32) -> Vec<wire::Lease> {
+        self.claim_warm(jobs, "").await
     }
 
-    pub(crate) async fn claim_warm(&mut self, max_jobs: u32, warm: &str) -> Vec<wire::Lease> {
-        self.claim_response(max_jobs, warm).await.leases
+    pub(crate) async fn claim_warm(&mut self, jobs: u32, warm: &str) -> Vec<wire::Lease> {
+        let mut leases = Vec::new();
+        while leases.len() < jobs as usize {
+            let Some(lease) = self.claim_response(warm).await.lease else {
+                break;
+            };
+            leases.push(lease);
+        }
+        let taken: Vec<&wire::Lease> = leases.iter().collect();
+        if !taken.is_empty() {
+            assert_eq!(self.heartbeat(&taken, 0).await, [""; 0]);
+        }
+        leases
     }
 
-    pub(crate) async fn claim_response(
-        &mut self,
-        max_jobs: u32,
-        warm: &str,
-    ) -> wire::ClaimResponse {
-        let claim = self.try_claim(max_jobs, 0.0, warm).await;
+    /// Claims once, without waiting, and acknowledges nothing.
+    pub(crate) async fn claim_response(&mut self, warm: &str) -> wire::ClaimResponse {
+        let claim = self.try_claim(0.0, warm).await;
         claim.expect("an answer")
     }
 
     pub(crate) async fn try_claim(
         &mut self,
-        max_jobs: u32,
         wait_secs: f64,
         warm: &str,
     ) -> Result<wire::ClaimResponse, Status> {
-        let request = wire::ClaimRequest {
+        let request = self.claim_request(wait_secs, warm);
+        Ok(self.service.claim(request).await?.into_inner())
+    }
+
+    /// A claim of its own name.
+    pub(crate) fn claim_request(&self, wait_secs: f64, warm: &str) -> wire::ClaimRequest {
+        static CLAIMS: AtomicU64 = AtomicU64::new(1);
+        wire::ClaimRequest {
             worker_id: self.id.clone(),
-            max_jobs,
+            claim_id: format!("{:032x}", CLAIMS.fetch_add(1, Ordering::Relaxed)),
             wait_secs,
             warm_task: warm.to_owned(),
-        };
-        Ok(self.service.claim(request).await?.into_inner())
+        }
     }
 
     /// Claims the one job that must be there.
@@ -234,14 +249,6 @@ impl Worker {
         let mut leases = self.claim(1).await;
         assert_eq!(leases.len(), 1, "a job waits");
         leases.remove(0)
-    }
-
-    pub(crate) fn held(&self, lease: &wire::Lease) -> wire::LeaseRef {
-        wire::LeaseRef {
-            worker_id: self.id.clone(),
-            job_id: lease.job_id,
-            attempt: lease.attempt,
-        }
     }
 
     /// Reports an outcome of `lease` that came about in good order.
@@ -276,13 +283,13 @@ impl Worker {
                 path: vec![1; 6],
                 actions: vec![2; if lease.keep_actions { 28 } else { 0 }],
             }),
-            lease: Some(self.held(lease)),
-            outcome: Some(wire::Outcome {
+            attempt_id: lease.attempt_id.clone(),
+            result: Some(wire::RolloutResult {
                 success,
                 steps: if success { 120 } else { 280 },
                 wall_secs: 1.5,
                 policy_queries: 30,
-                ..wire::Outcome::default()
+                ..wire::RolloutResult::default()
             }),
             provenance: Some(wire::Provenance {
                 host: "bench".to_owned(),
@@ -296,7 +303,7 @@ impl Worker {
                     "{}/{}/{}",
                     row["suite"], row["task_id"], row["init_id"]
                 )),
-                perturbation_digest: realised(&row),
+                realised: realised(&row),
                 first_frame_digest: String::new(),
                 realisation: lease.realisation.clone(),
                 policy_name: lease.policy.clone(),
@@ -314,7 +321,7 @@ impl Worker {
         reason: Reason,
     ) -> wire::ReleaseResponse {
         let request = wire::ReleaseRequest {
-            lease: Some(self.held(lease)),
+            attempt_id: lease.attempt_id.clone(),
             reason: reason.into(),
             error: "the bench said so".to_owned(),
         };
@@ -322,11 +329,10 @@ impl Worker {
         response.expect("a verdict").into_inner()
     }
 
-    /// Sends a heartbeat; returns the jobs that are lost.
-    pub(crate) async fn heartbeat(&mut self, leases: &[&wire::Lease], steps: u32) -> Vec<i64> {
+    /// Sends a heartbeat; returns the attempts whose leases are lost.
+    pub(crate) async fn heartbeat(&mut self, leases: &[&wire::Lease], steps: u32) -> Vec<String> {
         let progress = leases.iter().map(|lease| wire::Progress {
-            job_id: lease.job_id,
-            attempt: lease.attempt,
+            attempt_id: lease.attempt_id.clone(),
             control_steps: steps,
         });
         let request = wire::HeartbeatRequest {
@@ -334,7 +340,7 @@ impl Worker {
             progress: progress.collect(),
         };
         let response = self.service.heartbeat(request).await;
-        response.expect("an answer").into_inner().lost_jobs
+        response.expect("an answer").into_inner().lost_attempts
     }
 }
 
@@ -380,21 +386,29 @@ pub(crate) fn rollout_id(lease: &wire::Lease) -> String {
     row["rollout_id"].as_str().expect("an id").to_owned()
 }
 
-/// The digests of what the bench would realise: of the parameters alone, as if
-/// no axis drew anything, so that the modes realise the same.
-fn realised(row: &Value) -> String {
+/// What the bench would realise: of the parameters alone, as if no axis drew
+/// anything, so that the modes realise the same.
+fn realised(row: &Value) -> Vec<wire::RealisedAxis> {
     let parameters = &row["perturb"];
-    let digest = |axis: &str, values: &Value| format!("{axis}:{}", sha(&values.to_string()));
+    let axis = |name: &str, values: &Value| {
+        let values = values.as_object().expect("parameters").values();
+        wire::RealisedAxis {
+            axis: name.to_owned(),
+            parameters: values
+                .map(|value| value.as_f64().expect("a number"))
+                .collect(),
+            elements: vec![0.5],
+        }
+    };
     let names = ["camera", "lighting", "robot", "sensor", "actuation"];
-    let digests: Vec<String> = match row["axis"].as_str().expect("a condition") {
+    match row["axis"].as_str().expect("a condition") {
         "clean" | "language" => Vec::new(),
         "combination" => names
             .iter()
-            .filter_map(|axis| Some(digest(axis, parameters.get(axis)?)))
+            .filter_map(|name| Some(axis(name, parameters.get(name)?)))
             .collect(),
-        axis => vec![digest(axis, parameters)],
-    };
-    digests.join(",")
+        name => vec![axis(name, parameters)],
+    }
 }
 
 pub(crate) async fn open_database(folder: &Path) -> SqlitePool {

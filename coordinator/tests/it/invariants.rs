@@ -4,10 +4,10 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use coordinator::invariants::{Invariant, check};
-use coordinator::store::DATABASE_FILE;
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
+use queue::DATABASE_FILE;
+use queue::invariants::{Invariant, check};
 use serde_json::json;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection};

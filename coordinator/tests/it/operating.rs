@@ -1,13 +1,13 @@
 //! Pausing, cancelling, deleting and backing up campaigns; jobs and workers as
 //! operators see them.
 
-use coordinator::invariants::check;
 use proto::coordinator as wire;
 use proto::coordinator::campaign_status::State;
 use proto::coordinator::change_campaign_request::Change;
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
 use proto::coordinator::release_response::Verdict as Released;
+use queue::invariants::check;
 use serde_json::json;
 use tonic::{Code, Status};
 
@@ -91,7 +91,7 @@ async fn a_paused_campaign_leases_nothing_and_takes_what_was_leased() {
     assert_eq!((status.committed, status.queued), (1, 3));
     assert_eq!((status.state(), status.eta_secs), (State::Paused, None));
     worker.claim(64).await;
-    let idle = worker.claim_response(1, "").await.idle_reason;
+    let idle = worker.claim_response("").await.idle_reason;
     assert!(idle.contains("`held` is paused"), "{idle}");
 
     let resumed = change(&bench, "held", Change::Resume).await;
@@ -107,14 +107,14 @@ async fn resuming_wakes_claims_that_wait() {
     change(&bench, "held", Change::Pause).await.expect("paused");
     let mut worker = bench.worker("a").await;
     let mut waiting = tokio::task::JoinSet::new();
-    waiting.spawn(async move { worker.try_claim(1, 25.0, "").await });
+    waiting.spawn(async move { worker.try_claim(25.0, "").await });
     tokio::time::sleep(std::time::Duration::from_millis(200)).await;
     let resumed = std::time::Instant::now();
     change(&bench, "held", Change::Resume)
         .await
         .expect("resumed");
     let claimed = waiting.join_all().await.remove(0).expect("an answer");
-    assert_eq!(claimed.leases.len(), 1);
+    assert!(claimed.lease.is_some());
     assert!(resumed.elapsed().as_secs() < 10, "woken, not timed out");
 }
 
@@ -128,7 +128,10 @@ async fn a_cancelled_campaign_takes_its_leases_back_and_keeps_its_results() {
     let cancelled = change(&bench, "ended", Change::Cancel).await;
     assert_eq!(cancelled.expect("cancelled"), State::Cancelled);
 
-    assert_eq!(worker.heartbeat(&[&second], 9).await, [second.job_id]);
+    assert_eq!(
+        worker.heartbeat(&[&second], 9).await,
+        [second.attempt_id.clone()]
+    );
     assert_eq!(worker.commit(&second, true).await, Verdict::Stale);
     assert_eq!(worker.commit(&first, true).await, Verdict::Duplicate);
     assert!(worker.claim(4).await.is_empty());
@@ -177,7 +180,7 @@ async fn a_campaign_is_deleted_with_its_files_by_who_names_it_twice() {
     let mut worker = bench.worker("a").await;
     let lease = worker.claim_one().await;
     let video = tokio_stream::iter([wire::ArtifactChunk {
-        lease: Some(worker.held(&lease)),
+        attempt_id: lease.attempt_id.clone(),
         name: "video.mp4".to_owned(),
         data: vec![1; 100],
     }]);

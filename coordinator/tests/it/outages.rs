@@ -59,7 +59,7 @@ async fn an_outage_pauses_the_jobs_of_its_policy_only() {
     let others = worker.claim(64).await;
     assert_eq!(others.len(), 8);
     assert!(others.iter().all(|lease| lease.policy == "sound"));
-    let idle = worker.claim_response(1, "").await.idle_reason;
+    let idle = worker.claim_response("").await.idle_reason;
     assert!(
         idle.contains("`fragile`") && idle.contains("the bench said so"),
         "{idle}"

@@ -115,16 +115,12 @@ async fn commit_altered(
     worker.commit_request(report).await
 }
 
-/// Makes one axis' digest another.
-fn realise_otherwise(provenance: &mut wire::Provenance, axis: &str) {
-    let digests = provenance.perturbation_digest.split(',');
-    let digests: Vec<String> = digests
-        .map(|part| match part.split_once(':') {
-            Some((name, _)) if name == axis => format!("{axis}:{}", sha("otherwise")),
-            _ => part.to_owned(),
-        })
-        .collect();
-    provenance.perturbation_digest = digests.join(",");
+/// Realises one axis so much further off.
+fn realise_otherwise(provenance: &mut wire::Provenance, axis: &str, by: f64) {
+    let of_axis = |realised: &&mut wire::RealisedAxis| realised.axis == axis;
+    for realised in provenance.realised.iter_mut().filter(of_axis) {
+        realised.elements.iter_mut().for_each(|value| *value += by);
+    }
 }
 
 #[tokio::test]
@@ -136,11 +132,11 @@ async fn an_axis_realised_otherwise_in_the_combination_than_alone_is_refused_by_
     for lease in [clean, camera, sensor] {
         assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
     }
-    let otherwise = |p: &mut wire::Provenance| realise_otherwise(p, "sensor");
+    let otherwise = |p: &mut wire::Provenance| realise_otherwise(p, "sensor", 0.5);
     let (verdict, detail) = commit_altered(&mut worker, combination, otherwise).await;
     assert_eq!(verdict, Verdict::Unpaired);
     for word in [
-        "perturbation digest of axis sensor",
+        "realisation of axis sensor",
         "object/t0/sensor/L1/c00",
         "worker `a`",
     ] {
@@ -155,7 +151,7 @@ async fn in_reference_mode_the_sensor_may_be_drawn_anew_and_the_camera_may_not()
         for lease in &leases[..3] {
             assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
         }
-        let otherwise = |p: &mut wire::Provenance| realise_otherwise(p, axis);
+        let otherwise = |p: &mut wire::Provenance| realise_otherwise(p, axis, 0.5);
         commit_altered(&mut worker, &leases[3], otherwise).await.0
     };
     assert_eq!(verdict_of("sensor").await, Verdict::Accepted);
@@ -167,7 +163,7 @@ async fn a_replicate_that_was_perturbed_otherwise_is_refused() {
     let once = json!({"axes": ["camera"], "nominal": "none", "replicates": 2});
     let (_bench, mut worker, leases) = leases_of(once).await;
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
-    let otherwise = |p: &mut wire::Provenance| realise_otherwise(p, "camera");
+    let otherwise = |p: &mut wire::Provenance| realise_otherwise(p, "camera", 0.5);
     let (verdict, detail) = commit_altered(&mut worker, &leases[1], otherwise).await;
     assert_eq!(verdict, Verdict::Unpaired);
     assert!(detail.contains("axis camera"), "{detail}");
@@ -180,7 +176,7 @@ async fn a_rollout_that_left_its_perturbation_out_is_refused() {
         "`none` here",
         "`sensor` in its manifest row",
     ];
-    check_unpaired(|p| p.perturbation_digest.clear(), &words).await;
+    check_unpaired(|p| p.realised.clear(), &words).await;
 }
 
 #[tokio::test]
@@ -227,8 +223,39 @@ async fn conditions_that_leave_the_pictures_alone_must_see_the_nominal_first_fra
     assert!(detail.contains("object/t0/camera/L1/c00"), "{detail}");
 }
 
+/// Defect 6: workers on two kinds of processor, whose last bits differ, refused
+/// each other's configurations.
 #[tokio::test]
-async fn all_four_digests_are_stored_with_the_result() {
+async fn last_bits_of_another_processor_are_accepted_and_kept_as_they_are() {
+    for (by, expected) in [
+        (1e-9, Verdict::Accepted),
+        (-1e-9, Verdict::Accepted),
+        (1e-6, Verdict::Unpaired),
+    ] {
+        let (bench, mut worker, leases) = leases_of(json!({})).await;
+        for lease in &leases[..3] {
+            assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
+        }
+        let otherwise = |p: &mut wire::Provenance| realise_otherwise(p, "camera", by);
+        let (verdict, detail) = commit_altered(&mut worker, &leases[3], otherwise).await;
+        assert_eq!(verdict, expected, "{by}: {detail}");
+        if verdict == Verdict::Accepted {
+            let pool = bench.database().await;
+            let stored: f64 = sqlx::query_scalar(
+                "SELECT realised ->> '$.camera.elements[0]' FROM result WHERE job_id = ?",
+            )
+            .bind(leases[3].job_id)
+            .fetch_one(&pool)
+            .await
+            .expect("a value");
+            pool.close().await;
+            assert_eq!(stored, 0.5 + by);
+        }
+    }
+}
+
+#[tokio::test]
+async fn digests_and_realised_values_are_stored_with_the_result() {
     let (bench, mut worker, lease) = with_siblings().await;
     let mut report = worker.report(&lease, true);
     let sent = report.provenance.as_mut().expect("provenance");
@@ -237,20 +264,19 @@ async fn all_four_digests_are_stored_with_the_result() {
     assert_eq!(worker.commit_request(report).await.0, Verdict::Accepted);
     let pool = bench.database().await;
     let stored: (String, String, String, String) = sqlx::query_as(
-        "SELECT scene_digest, init_state_digest, perturbation_digests, first_frame_digest
-         FROM result WHERE job_id = ?",
+        "SELECT scene_digest, init_state_digest, first_frame_digest,
+             json_group_array(axis.key) FROM result, json_each(realised) AS axis WHERE job_id = ?",
     )
     .bind(lease.job_id)
     .fetch_one(&pool)
     .await
     .expect("a result");
     pool.close().await;
-    assert!(sent.perturbation_digest.starts_with("sensor:"));
     let sent = (
         sent.scene_digest,
         sent.init_state_digest,
-        sent.perturbation_digest,
         sent.first_frame_digest,
+        r#"["sensor"]"#.to_owned(),
     );
     assert_eq!(stored, sent);
 }
@@ -267,8 +293,8 @@ async fn an_outcome_without_its_origin_or_with_nonsense_is_refused_unread() {
         assert!(refused.message().contains(word), "{refused}");
     };
     check(&|r| r.provenance = None, "provenance").await;
-    check(&|r| r.outcome = None, "outcome").await;
-    check(&|r| r.lease = None, "lease").await;
+    check(&|r| r.result = None, "result").await;
+    check(&|r| r.attempt_id.clear(), "attempt id").await;
     check(
         &|r| r.provenance.as_mut().unwrap().scene_digest.clear(),
         "scene_digest",
@@ -280,8 +306,12 @@ async fn an_outcome_without_its_origin_or_with_nonsense_is_refused_unread() {
     )
     .await;
     check(
-        &|r| r.provenance.as_mut().unwrap().perturbation_digest = sha("all at once"),
-        "`perturbation_digest`",
+        &|r| {
+            r.provenance.as_mut().unwrap().realised[0]
+                .elements
+                .push(f64::NAN)
+        },
+        "`realised` of axis `sensor`",
     )
     .await;
     check(
@@ -300,12 +330,12 @@ async fn an_outcome_without_its_origin_or_with_nonsense_is_refused_unread() {
     )
     .await;
     check(
-        &|r| r.outcome.as_mut().unwrap().wall_secs = f64::NAN,
+        &|r| r.result.as_mut().unwrap().wall_secs = f64::NAN,
         "not finite",
     )
     .await;
     check(
-        &|r| r.outcome.as_mut().unwrap().ik_residual_mm = Some(-1.0),
+        &|r| r.result.as_mut().unwrap().ik_residual_mm = Some(-1.0),
         "negative",
     )
     .await;

@@ -186,7 +186,7 @@ async fn a_coordinator_told_to_stop_answers_waiting_claims_and_leaves_one_file()
     let mut serve = Serve::start(folder.path());
     let mut worker = serve.worker("a").await;
     let mut waiting = JoinSet::new();
-    waiting.spawn(async move { worker.try_claim(1, 30.0, "").await });
+    waiting.spawn(async move { worker.try_claim(30.0, "").await });
     tokio::time::sleep(Duration::from_millis(300)).await;
     let told = Instant::now();
     serve.signal("-TERM");

@@ -11,27 +11,55 @@
 mod pure_core;
 mod real_queue;
 
-use coordinator::campaign::Change;
-use coordinator::lease::FailureReason;
 use proptest::prelude::*;
+use queue::rules::campaign::Change;
+use queue::rules::lease::FailureReason;
 
 /// Workers that events speak of.
 const WORKERS: usize = 3;
 /// Jobs that events speak of.
 const JOBS: usize = 4;
+/// Tasks that slots may hold the scene of.
+const TASKS: usize = 2;
 
 /// Something that happens. Jobs, workers and past leases are named by numbers
 /// that are taken modulo what there is.
 #[derive(Clone, Debug)]
 enum Event {
-    Claim { worker: usize, job: usize },
-    Heartbeat { lease: usize, steps: u32 },
-    Commit { lease: usize, success: bool },
-    Release { lease: usize, reason: FailureReason },
-    Pass { secs: u64 },
-    Operate { change: Change },
-    Retry { job: usize },
+    /// A claim of its own name, by a slot that holds no scene or one of the tasks'.
+    Claim {
+        worker: usize,
+        job: usize,
+        warm: Option<usize>,
+    },
+    /// A claim that was made before, as if its answer had been lost.
+    ClaimAgain {
+        claim: usize,
+    },
+    Heartbeat {
+        lease: usize,
+        steps: u32,
+    },
+    Commit {
+        lease: usize,
+        success: bool,
+    },
+    Release {
+        lease: usize,
+        reason: FailureReason,
+    },
+    Pass {
+        secs: u64,
+    },
+    Operate {
+        change: Change,
+    },
+    Retry {
+        job: usize,
+    },
     Restart,
+    /// Asked at the same time, by callers that do not wait for one another.
+    Together(Vec<Event>),
 }
 
 fn event() -> impl Strategy<Value = Event> {
@@ -45,11 +73,29 @@ fn event() -> impl Strategy<Value = Event> {
         FailureReason::Draining,
     ]);
     let lease = 0..32_usize;
+    let warm = prop::option::of(0..TASKS);
+    let claim = (0..WORKERS, 0..JOBS, warm).prop_map(|(worker, job, warm)| Event::Claim {
+        worker,
+        job,
+        warm,
+    });
+    let again = lease.clone().prop_map(|claim| Event::ClaimAgain { claim });
+    let heartbeat =
+        (lease.clone(), 0..40_u32).prop_map(|(lease, steps)| Event::Heartbeat { lease, steps });
+    let commit = (lease.clone(), any::<bool>())
+        .prop_map(|(lease, success)| Event::Commit { lease, success });
+    let release = (lease, reason).prop_map(|(lease, reason)| Event::Release { lease, reason });
+    let of_a_worker = prop_oneof![
+        40 => claim,
+        8 => again,
+        20 => heartbeat,
+        20 => commit,
+        30 => release,
+    ];
+    let together = prop::collection::vec(of_a_worker.clone(), 2..8).prop_map(Event::Together);
     prop_oneof![
-        40 => (0..WORKERS, 0..JOBS).prop_map(|(worker, job)| Event::Claim { worker, job }),
-        20 => (lease.clone(), 0..40_u32).prop_map(|(lease, steps)| Event::Heartbeat { lease, steps }),
-        20 => (lease.clone(), any::<bool>()).prop_map(|(lease, success)| Event::Commit { lease, success }),
-        30 => (lease, reason).prop_map(|(lease, reason)| Event::Release { lease, reason }),
+        118 => of_a_worker,
+        25 => together,
         30 => (1..14_u64).prop_map(|secs| Event::Pass { secs }),
         5 => Just(Event::Operate { change: Change::Pause }),
         8 => Just(Event::Operate { change: Change::Resume }),

@@ -4,11 +4,11 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use coordinator::clock::{ManualClock, UnixMillis};
-use coordinator::expand::NewCampaign;
-use coordinator::invariants::check;
-use coordinator::store::DATABASE_FILE;
 use proto::coordinator::commit_response::Verdict;
+use queue::DATABASE_FILE;
+use queue::clock::{ManualClock, UnixMillis};
+use queue::expand::NewCampaign;
+use queue::invariants::check;
 use serde_json::Value;
 use sqlx::migrate::Migrator;
 use sqlx::sqlite::{SqliteConnectOptions, SqlitePool};
@@ -175,7 +175,7 @@ async fn a_database_of_schema_1_is_upgraded_keeps_its_rows_and_goes_on() {
     for lease in &leases {
         assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
     }
-    let idle = worker.claim_response(1, "").await.idle_reason;
+    let idle = worker.claim_response("").await.idle_reason;
     for word in [
         "`drawn`",
         "renderer `llvmpipe`",

@@ -1,6 +1,7 @@
 //! Where a result came from.
 
 use std::collections::BTreeMap;
+use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
@@ -74,5 +75,18 @@ impl Pin {
         self.asset_pack_digest == worker.asset_pack_digest
             && self.mujoco_version == worker.mujoco_version
             && (self.renderer.is_empty() || self.renderer == worker.renderer)
+    }
+}
+
+impl fmt::Display for Pin {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let digest = self.asset_pack_digest.get(..12);
+        let digest = digest.unwrap_or(&self.asset_pack_digest);
+        let (pack, version) = (&self.asset_pack, &self.mujoco_version);
+        write!(f, "asset pack `{pack}` ({digest}) with MuJoCo {version}")?;
+        if !self.renderer.is_empty() {
+            write!(f, " and renderer `{}`", self.renderer)?;
+        }
+        Ok(())
     }
 }

@@ -34,7 +34,7 @@ pub(crate) async fn call(
 /// Whether a service says that it is at fault itself.
 pub(crate) fn blames_itself(refusal: &Status) -> bool {
     match refusal.code() {
-        // So tonic calls bytes that are no message.
+        // tonic's code for bytes that do not decode as a message.
         Code::Internal => !refusal
             .message()
             .starts_with("failed to decode Protobuf message"),

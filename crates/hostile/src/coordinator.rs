@@ -6,18 +6,19 @@
 //! the next caller is answered. A clock that stands still makes an input do the
 //! same each time.
 
+mod methods;
 mod seeds;
 
 use std::path::Path;
 use std::sync::{Arc, LazyLock};
 use std::time::Duration;
 
-use coordinator::artifacts::ARTIFACTS_FOLDER;
-use coordinator::clock::{ManualClock, UnixMillis};
-use coordinator::invariants::check;
-use coordinator::queue::Timing;
-use coordinator::store::DATABASE_FILE;
 use coordinator::{Config, Coordinator};
+use queue::ARTIFACTS_FOLDER;
+use queue::DATABASE_FILE;
+use queue::Timing;
+use queue::clock::{ManualClock, UnixMillis};
+use queue::invariants::check;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use sqlx::sqlite::SqliteConnectOptions;
@@ -29,36 +30,14 @@ use transport::Security;
 
 use crate::call::{blames_itself, block_on, call};
 use crate::script;
+use methods::{CLAIM, METHODS};
 
 pub(crate) use seeds::seeds;
 
-/// Every method; an input names one by its place.
-const METHODS: [&str; 19] = [
-    "WorkerService/Register",
-    CLAIM,
-    "WorkerService/Heartbeat",
-    "WorkerService/Commit",
-    "WorkerService/Release",
-    "WorkerService/PutArtifact",
-    "WorkerService/NextFilm",
-    "OperatorService/CreateCampaign",
-    "OperatorService/ListCampaigns",
-    "OperatorService/GetCampaign",
-    "OperatorService/ChangeCampaign",
-    "OperatorService/DeleteCampaign",
-    "OperatorService/ListJobs",
-    "OperatorService/GetJob",
-    "OperatorService/RetryJobs",
-    "OperatorService/ListWorkers",
-    "OperatorService/Backup",
-    "OperatorService/Report",
-    "OperatorService/Export",
-];
-
-/// The one method that may wait, for a job.
-const CLAIM: &str = "WorkerService/Claim";
 /// How long a claim's caller waits before it hangs up.
 const PATIENCE: Duration = Duration::from_millis(20);
+/// What the coordinator's attempts follow from.
+const SEED: u64 = 1;
 /// What a clock that stands still shows.
 const NOW: UnixMillis = UnixMillis(1_700_000_000_000);
 
@@ -110,7 +89,7 @@ pub(crate) fn messages(input: &[u8]) -> bool {
     })
 }
 
-/// A coordinator that nobody can connect to.
+/// A coordinator without a listener; tests call its services directly.
 struct Open {
     coordinator: Coordinator,
     services: Routes,
@@ -122,7 +101,7 @@ impl Open {
             data: data.to_owned(),
             timing: Timing::default(),
             clock: Arc::new(ManualClock::at(NOW)),
-            rng: ChaCha8Rng::seed_from_u64(1),
+            rng: ChaCha8Rng::seed_from_u64(SEED),
             security: Security::loopback(),
             min_free_bytes: 0,
         });
@@ -142,8 +121,8 @@ impl Open {
         }
         let answer = timeout(PATIENCE, answering).await.ok();
         if answer.is_none() {
-            // What the caller hung up on may still be written down: not for the
-            // next call, which comes after this one.
+            // The call that was given up may still be committed. The next call waits
+            // for it, so that its effect is not attributed to that one.
             let (method, message) = seeds::registration("next");
             let path = format!("/rollout.coordinator.v1.{method}");
             let after = call(&mut self.services, &path, &[&message]).await;
@@ -157,7 +136,7 @@ impl Open {
     }
 }
 
-/// Who sees that a database or the files beside it changed.
+/// Detects changes of a database and of the files beside it.
 struct Witness(SqliteConnection, std::path::PathBuf);
 
 impl Witness {
@@ -168,8 +147,8 @@ impl Witness {
         Witness(connection, data.join(ARTIFACTS_FOLDER))
     }
 
-    /// A number that changes with every transaction of somebody else that wrote
-    /// something, and how many files there are.
+    /// A number that changes with every writing transaction of another connection,
+    /// and how many files there are.
     async fn look(&mut self) -> (i64, usize) {
         let version = sqlx::query_scalar("PRAGMA data_version");
         let version = version.fetch_one(&mut self.0).await.expect("a number");

@@ -10,7 +10,7 @@ use raster::{
 
 use crate::script;
 
-/// What a message says, by its number.
+/// Kinds of messages, by the method number of a call.
 const QUALITY: u8 = 0;
 const MESH: u8 = 1;
 const PLANE: u8 = 2;
@@ -221,7 +221,7 @@ impl Bytes<'_> {
         }
     }
 
-    /// A size as somebody may claim it.
+    /// A size as a hostile file may claim it.
     fn claim(&mut self) -> usize {
         const CLAIMS: [usize; 8] = [
             256,

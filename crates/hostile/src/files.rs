@@ -200,7 +200,7 @@ pub(crate) fn zipped(name: &str, bytes: &[u8]) -> Vec<u8> {
     zip.finish().expect("a zip").into_inner()
 }
 
-/// What is read of a folder with results can be told.
+/// Imports a folder of results; one that is accepted has records and can be written.
 fn imports(rows: &[u8], about: &[u8]) -> bool {
     let folder = tempfile::tempdir().expect("a temporary folder");
     std::fs::write(folder.path().join("rollouts.jsonl"), rows).expect("written");

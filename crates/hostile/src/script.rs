@@ -53,7 +53,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_written_is_read_and_anything_else_is_read_somehow() {
+    fn a_written_script_reads_back_and_any_bytes_read_as_a_script() {
         let input = [write(1, b"one"), write(2, b""), write(2 | MORE, b"more")].concat();
         let call = |method, messages: &[&'static [u8]]| Call {
             method,

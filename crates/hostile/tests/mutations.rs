@@ -20,7 +20,7 @@ const INPUTS: usize = 2_000;
 const MAX_CHANGES: usize = 8;
 /// Longest piece that is taken out, doubled or replaced, bytes.
 const MAX_RANGE_BYTES: usize = 64;
-/// What is put in: bounds of numbers, and what means something somewhere.
+/// Pieces that are inserted: limits of number types, and tokens of the formats.
 const PIECES: [&[u8]; 16] = [
     b"\x00",
     b"\xff",

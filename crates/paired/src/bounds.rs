@@ -1,5 +1,5 @@
-//! Worst and best case of a cell whose rollouts were partly set aside: what the
-//! measures could have been, had those rollouts come out one way or the other.
+//! Worst and best case of a cell with quarantined rollouts: the range of each
+//! measure over every outcome that those rollouts could have had.
 
 use std::collections::BTreeMap;
 
@@ -8,17 +8,17 @@ use serde::{Deserialize, Serialize};
 
 use crate::outcomes::{Matched, Outcome};
 
-/// Lowest and highest value of each measure over every way in which the
-/// rollouts that were set aside could have ended.
+/// Lowest and highest value of each measure over every outcome that the
+/// quarantined rollouts could have had.
 ///
-/// Each range but `d`'s is sharp: some outcomes reach its ends. A rollout that
-/// was set aside says nothing about the policy, so it stays out of the measures
-/// themselves; this is how much it could have mattered.
+/// Each range but `d`'s is sharp: some outcomes reach its ends. A
+/// quarantined rollout says nothing about the policy, so it stays out of the
+/// measures themselves; the range shows how much it could have mattered.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Bounds {
     /// Configurations: those without a rollout that is still missing.
     pub n: u64,
-    /// Those among them with a rollout that was set aside.
+    /// Those among them with a quarantined rollout.
     pub affected: u64,
     /// Success rate under each axis alone.
     pub s_axis: BTreeMap<Axis, [f64; 2]>,
@@ -49,7 +49,7 @@ struct Possible {
 }
 
 impl Possible {
-    /// None of a rollout that is still missing.
+    /// None for a rollout that is still missing.
     fn of(outcome: Outcome) -> Option<Self> {
         match outcome {
             Outcome::Missing => None,
@@ -101,7 +101,7 @@ struct Ranges {
 
 impl Bounds {
     /// Over configurations of one level and replicate. None where no rollout of
-    /// a configuration was set aside.
+    /// a configuration is quarantined.
     pub fn of(configurations: &[Matched]) -> Option<Self> {
         let (mut n, mut affected) = (0, 0);
         let mut ranges = Ranges::default();

@@ -3,7 +3,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::report::Count;
+use crate::count::Count;
 
 /// Largest difference that passes, as a fraction: 5 points. Source: section 6
 /// of the protocol.

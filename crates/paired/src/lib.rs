@@ -3,14 +3,15 @@
 //! perturbation changed an outcome, in which direction, and how sure that is.
 //!
 //! Pure: records go in, a [`Report`] comes out, the same for the same records
-//! in any order. Where records come from, and warnings about how they were made,
-//! are the caller's business ([`Options::notes`]). Formulas: section 6 of the
+//! in any order. The caller knows where records come from, and passes warnings about
+//! how they were made ([`Options::notes`]). Formulas: section 6 of the
 //! protocol; source of the design: arXiv 2609.15940.
 
 #![forbid(unsafe_code)]
 
 mod bootstrap;
 mod bounds;
+mod count;
 mod design;
 mod gate;
 mod mcnemar;
@@ -22,6 +23,7 @@ mod table;
 
 pub use bootstrap::{Bootstrap, Interval, quantile};
 pub use bounds::Bounds;
+pub use count::Count;
 pub use design::{PairedDesign, minimum_detectable_effect, task_correlation};
 pub use gate::{GATE_ROLLOUTS, GATE_TOLERANCE, Gate, GateVerdict};
 pub use mcnemar::mcnemar_exact;
@@ -29,7 +31,6 @@ pub use measures::{Configuration, Measures};
 pub use outcomes::{DuplicateRecord, Matched, Outcome, Record, Records, Transition};
 pub use replication::{Change, Flips, Replication};
 pub use report::{
-    Cell, Completeness, Count, Gap, Nominal, NominalSource, Options, Report, SingleAxis, report,
-    report_of,
+    Cell, Completeness, Gap, Nominal, NominalSource, Options, Report, SingleAxis, report, report_of,
 };
 pub use table::{push_wrapped, table};

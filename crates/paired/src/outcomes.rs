@@ -18,7 +18,7 @@ pub enum Outcome {
     /// Expanded, and without a result yet.
     #[default]
     Missing,
-    /// Set aside after too many failed attempts: in no rate, and named.
+    /// Quarantined after too many failed attempts: named, and in no rate.
     Quarantined,
 }
 

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::bootstrap::Bootstrap;
 use crate::bounds::Bounds;
+use crate::count::Count;
 use crate::design::{PairedDesign, minimum_detectable_effect, task_correlation};
 use crate::gate::Gate;
 use crate::measures::{Configuration, Measures};
@@ -24,12 +25,12 @@ pub struct Options {
     pub bootstrap: Bootstrap,
     /// The policy's published nominal success rate, a fraction, for the gate.
     pub published_nominal: Option<f64>,
-    /// Nominal successes as somebody else counted them; used where there is no
-    /// clean rollout among the records.
+    /// Nominal successes as published elsewhere; used where there is no clean
+    /// rollout among the records.
     pub reported_nominal: Option<Count>,
 }
 
-/// Everything that is said of one policy's records.
+/// The statistics of one policy's records.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Report {
     /// The caller's notes.
@@ -44,19 +45,10 @@ pub struct Report {
     pub cells: Vec<Cell>,
     /// Each further replicate against the first.
     pub replication: Vec<Replication>,
-    /// Rollouts set aside, in no rate: `ID` or `ID#rK`.
+    /// Quarantined rollouts, in no rate: `ID` or `ID#rK`.
     pub quarantined: Vec<String>,
     /// How the intervals were made.
     pub bootstrap: Bootstrap,
-}
-
-/// Successes among rollouts with a result.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Count {
-    /// Successes.
-    pub successes: u64,
-    /// Rollouts with a result.
-    pub n: u64,
 }
 
 /// Nominal rollouts of one replicate.
@@ -64,7 +56,7 @@ pub struct Count {
 pub struct Nominal {
     /// The replicate.
     pub replicate: u32,
-    /// Who counted.
+    /// Where the count comes from.
     pub source: NominalSource,
     /// What succeeded.
     pub count: Count,
@@ -78,7 +70,7 @@ pub struct Nominal {
 pub enum NominalSource {
     /// From clean rollouts among the records.
     Records,
-    /// From somebody else's count.
+    /// From a count that was published elsewhere.
     Reported,
 }
 
@@ -103,12 +95,12 @@ pub struct Cell {
     /// The same on configurations whose nominal rollout succeeded: what was
     /// solvable to begin with.
     pub solvable: Option<Measures>,
-    /// Worst and best case; absent where no rollout was set aside.
+    /// Worst and best case; absent where no rollout is quarantined.
     pub bounds: Option<Bounds>,
     /// How much configurations of a task resemble one another, see
     /// [`task_correlation`].
     pub task_correlation: Option<f64>,
-    /// The smallest |`i`| that so many configurations show, see
+    /// The smallest |`i`| that this many configurations can show, see
     /// [`minimum_detectable_effect`].
     pub minimum_detectable_i: Option<f64>,
 }
@@ -139,7 +131,7 @@ pub struct Completeness {
 pub struct Gap {
     /// No result yet.
     pub missing: u64,
-    /// Set aside.
+    /// Quarantined.
     pub quarantined: u64,
 }
 
@@ -273,20 +265,6 @@ fn quarantined(records: &Records) -> Vec<String> {
             k => format!("{id}#r{k}"),
         })
         .collect()
-}
-
-impl Count {
-    /// The success rate; none of no rollout.
-    pub fn rate(&self) -> Option<f64> {
-        (self.n > 0).then(|| self.successes as f64 / self.n as f64)
-    }
-
-    fn add(&mut self, outcome: Outcome) {
-        if let Some(success) = outcome.success() {
-            self.n += 1;
-            self.successes += u64::from(success);
-        }
-    }
 }
 
 impl Gap {

@@ -7,9 +7,10 @@ use protocol::{Axis, Condition};
 
 use crate::bootstrap::Interval;
 use crate::bounds::Bounds;
+use crate::count::Count;
 use crate::gate::{GATE_TOLERANCE, Gate, GateVerdict};
 use crate::measures::Measures;
-use crate::report::{Cell, Count, Gap, Nominal, NominalSource, Report};
+use crate::report::{Cell, Gap, Nominal, NominalSource, Report};
 
 /// Columns of the terminal.
 const WIDTH: usize = 80;
@@ -19,7 +20,7 @@ const PAIRED_LABEL: usize = 20;
 const PAIRED_COLUMN: usize = 19;
 /// Paired cells beside each other.
 const PAIRED_CELLS: usize = 3;
-/// Set-aside rollouts that are named; the others are counted.
+/// Quarantined rollouts that are named; the others are counted.
 const MAX_NAMED: usize = 6;
 
 /// The report as a table. Rates and differences are in percent and percentage
@@ -181,8 +182,7 @@ const SOLVABLE_LINES: [Line; 4] = [
 /// One line of the worst and best case.
 type BoundsLine = (&'static str, fn(&Bounds) -> String);
 
-/// What the measures could be, whatever the rollouts that were set aside had
-/// come to.
+/// The range of the measures over every outcome of the quarantined rollouts.
 const BOUNDS_LINES: [BoundsLine; 4] = [
     ("worst and best: n", |b| b.n.to_string()),
     ("  I", |b| points_interval(Some(b.i))),

@@ -112,8 +112,8 @@ proptest! {
         let options = Options { bootstrap: quick(), ..Options::default() };
         let aside = report(&records(&mut |code| known(code)), &options).expect("no duplicates");
         let mut next = 0;
-        // Any way in which what was set aside could have ended, all of them
-        // badly, and all of them well.
+        // Arbitrary outcomes of the quarantined rollouts, all failures, and all
+        // successes.
         let mut fates: Vec<Box<dyn FnMut() -> bool>> = vec![
             Box::new(move || { next += 1; choices >> (next % 32) & 1 == 1 }),
             Box::new(|| false),
@@ -261,7 +261,7 @@ fn an_incomplete_cell_counts_what_is_complete_and_says_what_is_not() {
 }
 
 #[test]
-fn what_was_set_aside_is_bounded_by_the_worst_and_the_best_case() {
+fn quarantined_rollouts_are_bounded_by_the_worst_and_the_best_case() {
     // Either of them could have been an emergent failure, or none.
     let records = campaign([[S, S, S, F], [S, S, Q, F], [S, S, S, Q]]);
     let report = report(&records, &Options::default()).expect("no duplicates");

@@ -27,13 +27,13 @@ pub const MAX_REPLICATES: u32 = 100;
 pub struct CampaignSpec {
     /// Name, unique at a coordinator.
     pub name: String,
-    /// Who acts.
+    /// The policy that acts.
     pub policy: PolicyRoute,
-    /// What is run.
+    /// The rollouts to run.
     pub rollouts: Rollouts,
     /// Where random elements come from.
     pub realisation: Realisation,
-    /// How often every rollout runs, with other policy seeds.
+    /// How often every rollout runs, each time with another policy seed.
     pub replicates: u32,
     /// Which rollouts are filmed.
     pub record: Record,

@@ -9,11 +9,8 @@ use crate::level::Level;
 use crate::manifest;
 use crate::names::{UnknownName, serde_as_text};
 use crate::presets::PRESETS;
-use crate::row::ManifestRow;
+use crate::row::{MAX_ROWS, ManifestRow};
 use crate::suite::{INIT_STATES_PER_TASK, Suite, TaskRef};
-
-/// Most rows of a campaign, whether designed or imported.
-pub const MAX_ROWS: usize = 250_000;
 
 /// Tasks × configurations × levels × conditions, and nominal rollouts.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_radius_is_refused() {
+    fn an_invalid_radius_is_refused() {
         for text in [
             "",
             "r",

@@ -28,7 +28,7 @@ mod tasks;
 
 pub use campaign::{CampaignSpec, MAX_REPLICATES, PolicyRoute, Record, Rollouts, SpecError};
 pub use condition::{Axis, Condition, Realisation};
-pub use design::{Design, DesignError, DesignVersion, MAX_ROWS, Nominal, select_tasks};
+pub use design::{Design, DesignError, DesignVersion, Nominal, select_tasks};
 pub use directions::MAX_CONFIGS;
 pub use level::Level;
 pub use names::UnknownName;
@@ -38,5 +38,5 @@ pub use perturbation::{
     SensorCorruption,
 };
 pub use rollout_id::RolloutId;
-pub use row::{ManifestRow, RowError};
+pub use row::{MAX_ROWS, ManifestRow, RowError};
 pub use suite::{INIT_STATES_PER_TASK, Suite, TASKS_PER_SUITE, TaskRef};

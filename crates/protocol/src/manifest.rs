@@ -11,11 +11,10 @@ use std::fmt::{self, Write};
 use serde_json::Value;
 
 use crate::condition::Axis;
-use crate::design::MAX_ROWS;
 use crate::level::Level;
 use crate::presets::unit;
 use crate::rollout_id::RolloutId;
-use crate::row::ManifestRow;
+use crate::row::{MAX_ROWS, ManifestRow};
 use crate::suite::TaskRef;
 
 /// Errors that are listed; more are counted.
@@ -243,7 +242,7 @@ impl fmt::Display for ManifestErrors {
 
 impl std::error::Error for ManifestErrors {}
 
-/// What is to be said of rows beyond each row's own sense.
+/// Checks rows against one another.
 #[derive(Default)]
 struct Checker {
     lines_of_ids: BTreeMap<RolloutId, usize>,
@@ -251,7 +250,7 @@ struct Checker {
     errors: ManifestErrors,
 }
 
-/// What all rows of a configuration share, and in which line it was first said.
+/// What all rows of a configuration share, and the line that it was read from.
 struct Configuration {
     init_id: (usize, u16),
     values: BTreeMap<Axis, (usize, Vec<f64>)>,
@@ -271,7 +270,8 @@ impl Checker {
         }
     }
 
-    /// Where a row contradicts its configuration, and which line said so.
+    /// The column in which a row contradicts its configuration, and the line that it
+    /// contradicts.
     fn difference(&mut self, line: usize, row: &ManifestRow) -> Option<(String, usize)> {
         let key = (row.id.task(), row.id.level(), row.id.config()?);
         let known = self.configurations.entry(key);

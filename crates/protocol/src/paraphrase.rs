@@ -23,21 +23,13 @@
 //! The orthography is that of LIBERO's instructions: lower case, no final
 //! punctuation, questions included. Commas may stand inside.
 
+mod rules;
 mod speech;
 
-use std::collections::BTreeMap;
-use std::sync::LazyLock;
-
-use serde::Deserialize;
-use serde::de::IgnoredAny;
-
 use crate::level::Level;
-use crate::presets::PRESETS;
 use crate::suite::TaskRef;
-use speech::{Form, Speaker};
-
-/// Variants per task and level: one for each configuration.
-const VARIANTS: usize = PRESETS as usize;
+use rules::{Form, VARIANTS, rules};
+use speech::Speaker;
 
 /// An instruction in other words.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -88,95 +80,11 @@ fn sentence(task: TaskRef, level: Level, variant: usize) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// The file, parsed once. That the embedded file parses and names only what it
-/// has is a test's business, not a caller's.
-fn rules() -> &'static Rules {
-    static RULES: LazyLock<Rules> = LazyLock::new(|| {
-        serde_json::from_str(include_str!("../data/paraphrases.json"))
-            .expect("the embedded paraphrases are valid")
-    });
-    &RULES
-}
-
-/// The file as it is written.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Rules {
-    /// For people who edit the file.
-    #[serde(rename = "about")]
-    _about: IgnoredAny,
-    frames: [Frame; VARIANTS],
-    numbers: BTreeMap<Number, BTreeMap<String, String>>,
-    constructions: BTreeMap<String, Construction>,
-    verbs: BTreeMap<String, Entries>,
-    words: BTreeMap<String, Entries>,
-    tasks: BTreeMap<TaskRef, Task>,
-}
-
-/// What a sentence of L3 puts around a structure: its own words come before
-/// the structure's body, and after its lead where it has one.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Frame {
-    before: String,
-    form: Form,
-}
-
-/// Grammatical number of the thing that a task is about.
-#[derive(Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
-#[serde(rename_all = "lowercase")]
-enum Number {
-    #[default]
-    Singular,
-    Plural,
-}
-
-/// A way in which an instruction is built.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Construction {
-    /// Slots of tasks that do not fill them.
-    #[serde(default)]
-    defaults: BTreeMap<String, String>,
-    /// The canonical word order.
-    plain: String,
-    /// The orders of L2, by variant: a body, or a lead, `|` and a body.
-    structures: [String; VARIANTS],
-}
-
-/// Entries of a list, by variant.
-#[derive(Deserialize)]
-#[serde(untagged)]
-enum Entries {
-    Same(String),
-    ByVariant(Box<[String; VARIANTS]>),
-}
-
-impl Entries {
-    fn of(&self, variant: usize) -> &str {
-        match self {
-            Self::Same(entry) => entry,
-            Self::ByVariant(entries) => &entries[variant],
-        }
-    }
-}
-
-/// What an instruction says, in the slots of its construction.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Task {
-    construction: String,
-    #[serde(default)]
-    number: Number,
-    /// Which list of verbs `<put>` takes: it depends on the destination.
-    put: Option<String>,
-    slots: BTreeMap<String, String>,
-}
-
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeSet;
 
+    use super::rules::Task;
     use super::*;
 
     fn variants() -> impl Iterator<Item = (TaskRef, usize)> {

@@ -15,7 +15,7 @@ use crate::level::Level;
 use crate::perturbation::{
     ActuationDistortion, CameraShift, LightingShift, Perturbation, RobotShift, SensorCorruption,
 };
-use crate::suite::Suite;
+use crate::suite::{Suite, TaskRef};
 
 /// Presets per axis, and configurations per task and level.
 pub const PRESETS: u16 = 10;
@@ -105,27 +105,44 @@ pub fn round6(value: f64) -> f64 {
         .expect("a formatted float parses")
 }
 
-/// What the figures say about one suite.
-pub(crate) struct SuitePresets {
-    pub(crate) max_steps: u32,
-    pub(crate) demo_action_rms: [f64; 2],
-    pub(crate) eval_init_ids: [[u16; 10]; 10],
+impl Suite {
+    /// Step budget of the policy, control steps.
+    pub fn max_steps(self) -> u32 {
+        self.presets().max_steps
+    }
+
+    /// Root mean square of the demonstrations' actions: translation and
+    /// rotation, in action units. Scales the actuation axis.
+    pub fn demo_action_rms(self) -> [f64; 2] {
+        self.presets().demo_action_rms
+    }
+
+    fn presets(self) -> &'static SuitePresets {
+        &presets().suites[self.ordinal()]
+    }
 }
 
-pub(crate) struct Presets {
+impl TaskRef {
+    /// The initial states of configurations 0 to 9.
+    pub fn eval_init_ids(self) -> [u16; 10] {
+        self.suite().presets().eval_init_ids[usize::from(self.index())]
+    }
+}
+
+/// What the figures say about one suite.
+struct SuitePresets {
+    max_steps: u32,
+    demo_action_rms: [f64; 2],
+    eval_init_ids: [[u16; 10]; 10],
+}
+
+struct Presets {
     suites: [SuitePresets; 4],
     axes: BTreeMap<String, AxisPresets>,
 }
 
-impl Presets {
-    pub(crate) fn suite(&self, suite: Suite) -> &SuitePresets {
-        &self.suites[suite.ordinal()]
-    }
-}
-
-/// The figures, parsed once. That the embedded file parses is a test's
-/// business, not a caller's.
-pub(crate) fn presets() -> &'static Presets {
+/// The figures, parsed once. Tests ensure that the embedded file parses.
+fn presets() -> &'static Presets {
     static PRESETS: LazyLock<Presets> = LazyLock::new(|| {
         let file: PresetsFile = serde_json::from_str(include_str!("../data/presets.json"))
             .expect("the embedded presets are valid");

@@ -12,6 +12,9 @@ use crate::presets::SETTLE_STEPS;
 use crate::rollout_id::RolloutId;
 use crate::suite::{INIT_STATES_PER_TASK, Suite};
 
+/// Most rows of a campaign, whether designed or imported.
+pub const MAX_ROWS: usize = 250_000;
+
 /// Everything that a worker needs to know about a rollout, and nothing that a
 /// replicate changes.
 ///

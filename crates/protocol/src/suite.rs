@@ -6,7 +6,6 @@ use std::fmt;
 use std::str::FromStr;
 
 use crate::names::{UnknownName, serde_as_text};
-use crate::presets::presets;
 use crate::tasks::TASK_NAMES;
 
 /// Tasks per suite.
@@ -54,17 +53,6 @@ impl Suite {
     /// The suite's tasks, in the benchmark's order.
     pub fn tasks(self) -> impl Iterator<Item = TaskRef> {
         (0..TASKS_PER_SUITE).map(move |index| TaskRef { suite: self, index })
-    }
-
-    /// Step budget of the policy, control steps.
-    pub fn max_steps(self) -> u32 {
-        presets().suite(self).max_steps
-    }
-
-    /// Root mean square of the demonstrations' actions: translation and
-    /// rotation, in action units. Scales the actuation axis.
-    pub fn demo_action_rms(self) -> [f64; 2] {
-        presets().suite(self).demo_action_rms
     }
 
     pub(crate) const fn ordinal(self) -> usize {
@@ -140,11 +128,6 @@ impl TaskRef {
             None => name,
         };
         words.replace('_', " ")
-    }
-
-    /// The initial states of configurations 0 to 9.
-    pub fn eval_init_ids(self) -> [u16; 10] {
-        presets().suite(self.suite).eval_init_ids[usize::from(self.index)]
     }
 }
 

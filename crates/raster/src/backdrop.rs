@@ -1,6 +1,6 @@
-//! What stays as it is from frame to frame. While a camera and its lights rest,
-//! the geoms that rest too are drawn once and kept, with depths, so that only
-//! what moves is drawn over them. Which triangle is seen at a sample does not
+//! The part of a picture that does not change from frame to frame. While a camera
+//! and its lights rest, the geoms that rest too are drawn once and kept, with
+//! depths, so that only what moves is drawn over them. Which triangle is seen at a sample does not
 //! depend on the order in which they are drawn, so no bit of a frame does.
 
 use crate::clip::ClippedTriangle;
@@ -28,7 +28,7 @@ pub(crate) enum Start {
     Kept,
 }
 
-/// Who rests, and the picture of those that do.
+/// Which geoms rest, and a picture of them.
 #[derive(Default)]
 pub(crate) struct Backdrop {
     last: Option<(Scene, [usize; 2])>,

@@ -137,8 +137,8 @@ fn blend(picture: &mut Picture, painted: &[Painted]) -> Option<Window> {
     window
 }
 
-/// All of a geom that is in front of what is visible, in drawing order; none if
-/// that are more layers than so many.
+/// The fragments of a geom that are in front of what is visible, in drawing order;
+/// none if they have more layers than the limit.
 fn paint(
     picture: &mut Picture,
     pass: Pass<'_>,

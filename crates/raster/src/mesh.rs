@@ -61,8 +61,8 @@ pub(crate) struct Sphere {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Cluster {
     pub(crate) bounds: Sphere,
-    /// All its triangles face away from who is further than `1 / away` in this
-    /// sense: see [`Cluster::faces_away_from`].
+    /// All its triangles face away from an eye that is further than `1 / away` in
+    /// this sense: see [`Cluster::faces_away_from`].
     axis: Vec3,
     sine: f32,
     pub(crate) first_position: u32,
@@ -377,7 +377,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_never_seen_is_left_out() {
+    fn triangles_that_are_never_seen_are_left_out() {
         let mut builder = MeshBuilder::default();
         builder.triangle([
             corner(0.0, 0.0, 0.0),

@@ -1,4 +1,4 @@
-//! What is prepared once and shared by all who draw it.
+//! What is prepared once and shared by all canvases that draw it.
 
 use std::sync::Arc;
 
@@ -23,7 +23,7 @@ impl Model {
     /// A model of built-in shapes only, to be filled.
     ///
     /// # Errors
-    /// If shapes of so many pieces cannot be made.
+    /// If shapes cannot be made of this many pieces.
     pub fn new(quality: Quality) -> Result<Self, ModelError> {
         let Quality {
             slices,

@@ -3,7 +3,7 @@
 use crate::lanes::{F, I, LANES};
 use crate::mesh::CLUSTER;
 
-/// Positions are snapped to so many parts of a pixel.
+/// Positions are snapped to this fraction of a pixel.
 pub(crate) const SUBPIXELS: i32 = 256;
 /// Furthest that a corner is taken to be from the picture's, in parts of a pixel.
 /// Few are beyond the picture at all: those so near to the eye that their place

@@ -194,7 +194,7 @@ fn flat_in_bytes(texels: Texels<'_>, levels: &Levels, s: F, t: F) -> Colour {
     })
 }
 
-/// From one value of 0 to 255 to another by so many 256ths.
+/// Interpolates between two values of 0 to 255, by a share in 256ths.
 #[inline(always)]
 fn blend(from: I, to: I, share: I) -> I {
     let change = (share * (to - from) + I::splat(128)) >> 8i32;

@@ -98,7 +98,7 @@ pub struct Light {
     pub specular: [f32; 3],
 }
 
-/// Who looks.
+/// A camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Camera {
     /// Where it is, world frame.
@@ -131,7 +131,7 @@ pub struct Scene {
     pub geoms: Vec<Geom>,
     /// At most eight count.
     pub lights: Vec<Light>,
-    /// Who looks.
+    /// The camera.
     pub camera: Camera,
     /// The texture around everything, if there is one.
     pub sky: Option<usize>,

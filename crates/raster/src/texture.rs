@@ -19,7 +19,7 @@ pub enum TextureKind {
     Cube,
 }
 
-/// A texture, ready to be sampled. Its largest level stays with whoever has it.
+/// A texture, ready to be sampled. The caller keeps the bytes of its largest level.
 #[derive(Debug)]
 pub struct Texture {
     pub(crate) kind: TextureKind,
@@ -219,7 +219,7 @@ fn floating(at: f32, size: usize) -> (usize, usize, f32) {
     (inside(floor), inside(floor + 1.0), place - floor)
 }
 
-/// From one value to another, 0 to 255, by so many 256ths.
+/// Interpolates between two values of 0 to 255, by a share in 256ths.
 fn blend(from: u8, to: u8, weight: i32) -> u8 {
     let (from, to) = (i32::from(from), i32::from(to));
     (from + ((weight * (to - from) + 128) >> 8)) as u8
@@ -335,7 +335,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_is_refused() {
+    fn sizes_and_bytes_that_do_not_fit_are_refused() {
         let flat = TextureKind::Flat { srgb: false };
         for (kind, width, height, channels, bytes) in [
             (flat, 0, 0, 3, 0),

@@ -172,7 +172,7 @@ proptest! {
 }
 
 #[test]
-fn what_cannot_be_drawn_is_named() {
+fn a_scene_that_cannot_be_drawn_is_refused_with_the_reason() {
     let model = model();
     let draw = |change: &dyn Fn(&mut Scene), width: usize| {
         let mut scene = room();

@@ -234,7 +234,7 @@ fn head(subject: &Subject) -> String {
     }
 }
 
-/// What the rollouts that were set aside last failed with, each on a line.
+/// The last error of each quarantined rollout, one per line.
 fn tail(subject: &Subject) -> String {
     let mut text = String::new();
     if !subject.errors.is_empty() {

@@ -29,9 +29,7 @@ pub use gate::gate;
 pub use heat_map::heat_map;
 pub use matrix::matrix;
 pub use replication::{flips, replicates};
-
-/// Width of every panel, in its own units: pixels, where it is not scaled.
-pub const WIDTH: f64 = 380.0;
+pub use svg::WIDTH;
 
 /// The style that the panels need; a page includes it once.
 pub const STYLE: &str = include_str!("figures/style.css");
@@ -86,7 +84,7 @@ impl Figure {
 
     fn svg(&self, style: Markup) -> Markup {
         let (width, height) = (svg::number(WIDTH), svg::number(self.height));
-        // What is in an image cannot be reached by those who do not see it.
+        // Screen readers do not reach links inside an element of role `img`.
         let role = if self.has_links { "group" } else { "img" };
         html! {
             svg xmlns="http://www.w3.org/2000/svg" class="panel" role=(role)

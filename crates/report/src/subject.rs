@@ -1,8 +1,7 @@
 //! What a report is of: one policy's outcomes, and everything known about how
 //! they were made.
 
-use std::collections::BTreeMap;
-
+use attempt::Fingerprints;
 use paired::{Count, Record};
 use protocol::Realisation;
 use serde::{Deserialize, Serialize};
@@ -18,7 +17,7 @@ pub struct Subject {
     pub realisation: Option<Realisation>,
     /// Every rollout that was meant to run, with or without an outcome.
     pub records: Vec<Record>,
-    /// What the rollouts that were set aside last failed with.
+    /// The last errors of the quarantined rollouts.
     pub errors: Vec<SetAside>,
     /// Rollouts that ran twice and came out differently.
     pub divergent: Vec<String>,
@@ -32,7 +31,7 @@ pub struct Subject {
     pub fingerprints: Option<Fingerprints>,
     /// The published nominal success rate, a fraction.
     pub published_nominal: Option<f64>,
-    /// Nominal successes as somebody else counted them.
+    /// Nominal successes as published elsewhere.
     pub reported_nominal: Option<Count>,
 }
 
@@ -96,16 +95,7 @@ pub struct Provenance {
     pub program_version: String,
 }
 
-/// How results of one campaign mix fingerprints.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Fingerprints {
-    /// Results of each fingerprint.
-    pub results: BTreeMap<String, u64>,
-    /// Tasks and initial states with results of more than one.
-    pub mixed: Vec<String>,
-}
-
-/// A rollout that was set aside, and what it last failed with.
+/// A quarantined rollout and its last error.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SetAside {
     /// `ID` or `ID#rK`.

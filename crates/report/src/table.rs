@@ -3,7 +3,7 @@
 //! as Parquet, with the same columns.
 //!
 //! An outcome is true, false, or empty where there is none: `unresolved` says
-//! whether it is missing or was set aside.
+//! whether it is missing or quarantined.
 
 use std::io::Write;
 use std::sync::Arc;

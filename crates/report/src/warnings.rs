@@ -5,7 +5,9 @@ use std::collections::BTreeSet;
 
 use paired::Outcome;
 
-use crate::subject::{Fingerprints, Provenance, Subject};
+use attempt::Fingerprints;
+
+use crate::subject::{Provenance, Subject};
 
 /// The built-in pack, which is another benchmark than LIBERO.
 const PRIMITIVES: &str = "primitives";
@@ -22,7 +24,7 @@ pub(crate) fn of_subject(subject: &Subject) -> Vec<String> {
     for (what, so, of) in MIXTURES {
         warnings.extend(mixed(provenances, what, so, of));
     }
-    warnings.extend(subject.fingerprints.as_ref().map(Fingerprints::in_words));
+    warnings.extend(subject.fingerprints.as_ref().map(fingerprints_in_words));
     if provenances.iter().any(|p| p.asset_pack == PRIMITIVES) {
         warnings.push(format!(
             "simulated with the built-in `{PRIMITIVES}` asset pack: boxes and cylinders, not \
@@ -86,8 +88,8 @@ pub(crate) fn of_comparison(subjects: &[Subject]) -> Vec<String> {
 
 type Of = fn(&Provenance) -> String;
 
-/// What should be one in all results of a campaign, and what it means that it
-/// is not.
+/// Properties that all results of a campaign should share, and what it means if
+/// they do not.
 const MIXTURES: [(&str, &str, Of); 6] = [
     (
         "MuJoCo version",
@@ -145,25 +147,23 @@ fn mixed(provenances: &[Provenance], what: &str, so: &str, of: Of) -> Option<Str
     })
 }
 
-impl Fingerprints {
-    /// How many results there are of each, and where they meet.
-    pub fn in_words(&self) -> String {
-        let results = self.results.iter();
-        let results: Vec<String> = results
-            .map(|(fingerprint, count)| format!("{count} of {}", short(fingerprint)))
-            .collect();
-        let met = match self.mixed.len() {
-            0 => "no configuration mixes them".to_owned(),
-            1 => format!("1 configuration mixes them: {}", some_of(&self.mixed)),
-            many => format!("{many} configurations mix them: {}", some_of(&self.mixed)),
-        };
-        format!(
-            "results have {} fingerprints, so that the machines' arithmetic or frames differ: {}; \
-             {met}",
-            self.results.len(),
-            results.join(", ")
-        )
-    }
+/// How many results have each fingerprint, and which configurations mix them.
+pub fn fingerprints_in_words(mix: &Fingerprints) -> String {
+    let results = mix.results.iter();
+    let results: Vec<String> = results
+        .map(|(fingerprint, count)| format!("{count} of {}", short(fingerprint)))
+        .collect();
+    let met = match mix.mixed.len() {
+        0 => "no configuration mixes them".to_owned(),
+        1 => format!("1 configuration mixes them: {}", some_of(&mix.mixed)),
+        many => format!("{many} configurations mix them: {}", some_of(&mix.mixed)),
+    };
+    format!(
+        "results have {} fingerprints, so that the machines' arithmetic or frames differ: {}; \
+         {met}",
+        mix.results.len(),
+        results.join(", ")
+    )
 }
 
 fn left_out(subject: &Subject) -> Option<String> {

@@ -20,6 +20,7 @@ mod expression;
 #[doc(hidden)]
 pub mod fuzzing;
 pub mod initial_states;
+mod instance;
 mod object;
 pub mod pack;
 mod part;
@@ -30,9 +31,10 @@ pub mod sources;
 pub mod task;
 
 pub use bddl::{Predicate, Problem};
-pub use compose::{Instance, InstanceKind, RegionSite, Scene, compose};
+pub use compose::{Scene, compose};
 pub use error::SceneError;
 pub use initial_states::InitialStates;
+pub use instance::{Instance, InstanceKind, RegionSite};
 pub use pack::AssetPack;
 pub use sources::Sources;
 pub use task::TaskFiles;

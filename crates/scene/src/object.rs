@@ -2,9 +2,9 @@
 //! instance, as robosuite 1.4.0's `MujocoXMLObject` does it.
 
 use crate::catalog::Category;
-use crate::compose::{Instance, InstanceKind, RegionSite};
 use crate::element::{Element, parse_numbers};
 use crate::error::SceneError;
+use crate::instance::{Instance, InstanceKind, RegionSite};
 use crate::pack::AssetPack;
 use crate::part::{Part, add_prefix, is_collision_geom};
 

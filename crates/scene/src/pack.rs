@@ -103,7 +103,7 @@ impl AssetPack {
             {
                 return Err(write_error(&dir, source));
             }
-            // Somebody else may have been faster; theirs is the same.
+            // Another process may have been faster; its copy is the same.
             let _ = std::fs::remove_dir_all(&aside);
         }
         Ok(Self {

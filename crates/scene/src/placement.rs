@@ -10,8 +10,8 @@ use protocol::numpy::LegacyRng;
 use crate::arena::Arena;
 use crate::bddl::{Problem, Rectangle};
 use crate::catalog::Articulation;
-use crate::compose::InstanceKind;
 use crate::error::SceneError;
+use crate::instance::InstanceKind;
 use crate::object::{Footprint, ObjectPart};
 
 /// A fixture's pose in the world.

@@ -6,10 +6,10 @@ use scene::{AssetPack, Scene, Sources};
 
 use crate::controller::{ARM_JOINTS, Controller, GRIP_SITE, RESET_JOINTS, SUBSTEPS};
 use crate::error::SimError;
-use crate::mujoco::{self, Data, Model, ObjectKind};
+use crate::mujoco::{self, Data, Model, ObjectKind, Segment};
 use crate::observation::{Frame, RobotState, axis_angle_of};
 use crate::predicates::Goal;
-use crate::render::{Canvas, Drawer, Segment, View};
+use crate::render::{Canvas, Drawer, View};
 
 /// `mjDSBL_AUTORESET`: an unstable state is reported, not silently replaced.
 pub(crate) const DISABLE_AUTORESET: i32 = 1 << 16;
@@ -27,14 +27,13 @@ const CANVAS_SIZE: u32 = 256;
 /// A compiled scene and its state.
 pub struct Environment {
     scene: Scene,
-    // Before the model, because it is freed with the model's buffers.
     canvas: Option<Canvas>,
     model: Model,
     data: Data,
     /// Positions only, at the instant that observations show.
-    lens: Data,
-    lens_is_posed: bool,
-    joints_seen: JointReadings,
+    observed: Data,
+    observed_is_posed: bool,
+    observed_joints: JointReadings,
     pristine: Pristine,
     controller: Controller,
     goal: Goal,
@@ -71,7 +70,7 @@ struct Burner {
     on_at: f64,
     /// Opacity as drawn, and as the last observation still shows it.
     opacity: f32,
-    opacity_seen: f32,
+    observed_opacity: f32,
 }
 
 impl Environment {
@@ -95,9 +94,9 @@ impl Environment {
             pristine: Pristine::of(&model),
             hand_body: model.id(ObjectKind::Body, HAND_BODY)?,
             grip_site: model.id(ObjectKind::Site, GRIP_SITE)?,
-            lens: Data::new(&model)?,
-            lens_is_posed: false,
-            joints_seen: JointReadings::default(),
+            observed: Data::new(&model)?,
+            observed_is_posed: false,
+            observed_joints: JointReadings::default(),
             canvas: None,
             control_steps: 0,
             scene,
@@ -126,8 +125,7 @@ impl Environment {
         &self.data
     }
 
-    /// The model beside its state, to be posed by hand; [`load`](Self::load)
-    /// starts over.
+    /// The model and its state, for setting poses; [`load`](Self::load) starts over.
     pub fn model_and_data(&mut self) -> (&Model, &mut Data) {
         (&self.model, &mut self.data)
     }
@@ -158,11 +156,11 @@ impl Environment {
         }
         self.update_burners();
         for burner in &mut self.burners {
-            burner.opacity_seen = burner.opacity;
+            burner.observed_opacity = burner.opacity;
         }
-        self.see_positions();
-        self.see_joints();
-        // Anything said about an earlier rollout is not about this one.
+        self.record_positions();
+        self.record_joints();
+        // Earlier warnings belong to another rollout.
         mujoco::take_warnings();
     }
 
@@ -170,11 +168,11 @@ impl Environment {
     /// after it.
     pub fn step(&mut self, action: &[f64; 7]) -> Result<bool, SimError> {
         for burner in &mut self.burners {
-            burner.opacity_seen = burner.opacity;
+            burner.observed_opacity = burner.opacity;
         }
         for substep in 0..SUBSTEPS {
             if substep == OBSERVED_SUBSTEP {
-                self.see_positions();
+                self.record_positions();
             }
             self.data.step1(&self.model);
             if substep == 0 {
@@ -187,7 +185,7 @@ impl Environment {
             }
             self.data.step2(&self.model);
             if substep == OBSERVED_SUBSTEP {
-                self.see_joints();
+                self.record_joints();
             }
         }
         self.check_stability()?;
@@ -213,13 +211,15 @@ impl Environment {
 
     /// The robot's readings as the last step returned them.
     pub fn robot_state(&mut self) -> RobotState {
-        self.pose_lens();
-        let (model, lens) = (&self.model, &self.lens);
-        let quat = &lens.xquat(model)[self.hand_body * 4..][..4];
+        self.pose_observed();
+        let (model, observed) = (&self.model, &self.observed);
+        let quat = &observed.xquat(model)[self.hand_body * 4..][..4];
         let eef_quat_xyzw = [quat[1], quat[2], quat[3], quat[0]];
-        let JointReadings { pos, vel } = self.joints_seen;
+        let JointReadings { pos, vel } = self.observed_joints;
         RobotState {
-            eef_pos: std::array::from_fn(|axis| lens.site_xpos(model)[self.grip_site * 3 + axis]),
+            eef_pos: std::array::from_fn(|axis| {
+                observed.site_xpos(model)[self.grip_site * 3 + axis]
+            }),
             eef_quat_xyzw,
             eef_axis_angle: axis_angle_of(eef_quat_xyzw),
             eef_rotation: rotation_of(quat),
@@ -241,7 +241,7 @@ impl Environment {
         width: u32,
         height: u32,
     ) -> Result<Frame, SimError> {
-        let rgb = self.look(drawer, camera, [width, height], Canvas::draw)?;
+        let rgb = self.render(drawer, camera, [width, height], Canvas::draw)?;
         Ok(Frame {
             camera: camera.to_owned(),
             width,
@@ -262,7 +262,7 @@ impl Environment {
         camera: &str,
         size: [u32; 2],
     ) -> Result<Vec<f32>, SimError> {
-        self.look(drawer, camera, size, Canvas::depth)
+        self.render(drawer, camera, size, Canvas::depth)
     }
 
     /// What a camera saw at that instant in the middle of each pixel; rows from
@@ -276,11 +276,11 @@ impl Environment {
         camera: &str,
         size: [u32; 2],
     ) -> Result<Vec<Option<Segment>>, SimError> {
-        self.look(drawer, camera, size, Canvas::segmentation)
+        self.render(drawer, camera, size, Canvas::segmentation)
     }
 
     /// Draws something of the last step's instant of observation.
-    fn look<T>(
+    fn render<T>(
         &mut self,
         drawer: &Drawer,
         camera: &str,
@@ -288,7 +288,7 @@ impl Environment {
         draw: impl Fn(&mut Canvas, View<'_>) -> Result<T, SimError>,
     ) -> Result<T, SimError> {
         let id = self.model.id(ObjectKind::Camera, camera)?;
-        self.pose_lens();
+        self.pose_observed();
         let [wide, high] = size.map(|side| side.max(CANVAS_SIZE));
         if self
             .canvas
@@ -298,11 +298,11 @@ impl Environment {
             self.canvas = None;
             self.canvas = Some(Canvas::new(drawer, &mut self.model, wide, high)?);
         }
-        self.show_burners(|burner| burner.opacity_seen);
+        self.show_burners(|burner| burner.observed_opacity);
         let canvas = self.canvas.as_mut().expect("made above");
         let view = View {
             model: &self.model,
-            data: &mut self.lens,
+            data: &mut self.observed,
             camera: id,
             size,
         };
@@ -311,30 +311,30 @@ impl Environment {
         drawn
     }
 
-    fn see_positions(&mut self) {
-        let qpos = self.lens.qpos_mut(&self.model);
+    fn record_positions(&mut self) {
+        let qpos = self.observed.qpos_mut(&self.model);
         qpos.copy_from_slice(self.data.qpos(&self.model));
-        self.lens_is_posed = false;
+        self.observed_is_posed = false;
     }
 
-    fn see_joints(&mut self) {
+    fn record_joints(&mut self) {
         let (qpos, qvel) = (self.data.qpos(&self.model), self.data.qvel(&self.model));
-        self.joints_seen
+        self.observed_joints
             .pos
             .copy_from_slice(&qpos[..ARM_JOINTS + 2]);
-        self.joints_seen
+        self.observed_joints
             .vel
             .copy_from_slice(&qvel[..ARM_JOINTS + 2]);
     }
 
-    /// Computes poses for the lens, once per control step and only if somebody
-    /// looks.
-    fn pose_lens(&mut self) {
-        if !self.lens_is_posed {
-            self.lens.kinematics(&self.model);
-            self.lens.com_pos(&self.model);
-            self.lens.camlight(&self.model);
-            self.lens_is_posed = true;
+    /// Computes the observed poses, once per control step and only if an observation
+    /// is asked for.
+    fn pose_observed(&mut self) {
+        if !self.observed_is_posed {
+            self.observed.kinematics(&self.model);
+            self.observed.com_pos(&self.model);
+            self.observed.camlight(&self.model);
+            self.observed_is_posed = true;
         }
     }
 
@@ -449,7 +449,7 @@ fn find_burners(scene: &Scene, model: &Model) -> Result<Vec<Burner>, SimError> {
             knobs,
             on_at: on,
             opacity: 0.0,
-            opacity_seen: 0.0,
+            observed_opacity: 0.0,
         });
     }
     Ok(burners)

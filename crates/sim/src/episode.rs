@@ -15,7 +15,8 @@ use crate::perturb::{
     SensorStage, shift_camera, shift_lighting, solve_shifted_pose,
 };
 use crate::privileged;
-use crate::simulator::{PERTURBED_CAMERA, ReadyScene, Simulator};
+use crate::ready_scene::{PERTURBED_CAMERA, ReadyScene};
+use crate::render::LazyDrawer;
 use crate::{Environment, perturb};
 
 /// The action that does nothing and keeps the gripper open.
@@ -34,7 +35,8 @@ pub struct Digests {
 
 /// A rollout in hand.
 pub struct Episode<'a> {
-    simulator: &'a mut Simulator,
+    ready: &'a mut ReadyScene,
+    drawer: &'a mut LazyDrawer,
     digests: Digests,
     realised: Realised,
     ik: Option<IkSolution>,
@@ -47,11 +49,11 @@ pub struct Episode<'a> {
 impl<'a> Episode<'a> {
     /// Loads the initial state into the scene at hand and perturbs it.
     pub(crate) fn begin(
-        simulator: &'a mut Simulator,
+        ready: &'a mut ReadyScene,
+        drawer: &'a mut LazyDrawer,
         row: &ManifestRow,
         realisation: Realisation,
     ) -> Result<Self, SimError> {
-        let ready = simulator.ready();
         let perturbation = &row.perturbation;
         let mut realised = Realised::default();
         let mut realise = |axis, elements| {
@@ -91,7 +93,8 @@ impl<'a> Episode<'a> {
             init_state: ready.states.digest(init_id).expect("it was loaded"),
         };
         Ok(Self {
-            simulator,
+            ready,
+            drawer,
             digests,
             realised,
             ik,
@@ -169,13 +172,13 @@ impl<'a> Episode<'a> {
     /// What a camera of the scene sees, without the sensor's perturbation: for
     /// videos.
     pub fn photograph(&mut self, camera: &str, width: u32, height: u32) -> Result<Frame, SimError> {
-        let (ready, drawer) = self.simulator.ready_to_draw()?;
-        ready.environment.draw(drawer, camera, width, height)
+        let drawer = self.drawer.open()?;
+        self.ready.environment.draw(drawer, camera, width, height)
     }
 
     /// The scene's environment, to be looked at.
     pub fn environment(&mut self) -> &mut Environment {
-        &mut self.simulator.ready().environment
+        &mut self.ready.environment
     }
 }
 

@@ -39,7 +39,7 @@ pub fn fingerprint(drawer: &Drawer) -> Result<String, SimError> {
     Ok(digest(&numbers, &frames))
 }
 
-/// Everything that the motion and the arithmetic came to.
+/// All numbers that the motion and the arithmetic give.
 fn motion(model: &Model, data: &mut Data) -> Result<Vec<f64>, SimError> {
     let hand = model.id(ObjectKind::Site, "hand")?;
     let mut numbers = Vec::new();

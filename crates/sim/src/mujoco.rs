@@ -5,6 +5,7 @@
 mod arrays;
 mod data;
 mod model;
+mod visual_scene;
 
 use std::cell::RefCell;
 use std::ffi::{CStr, c_char};
@@ -16,6 +17,8 @@ pub use arrays::NamedArray;
 pub use data::Data;
 pub(crate) use model::{MeshData, TextureData};
 pub use model::{Model, ObjectKind};
+pub use visual_scene::Segment;
+pub(crate) use visual_scene::VisualScene;
 
 /// Exit status of a process whose simulator reported a fatal error: MuJoCo's
 /// error handler must not return, and C frames cannot be unwound.

@@ -1,21 +1,25 @@
 //! Drawing off-screen what a camera sees: colours, depths, and which geom; by our
 //! own renderer, or by MuJoCo's through OpenGL.
 
-mod abstraction;
+#[allow(unsafe_code, reason = "MuJoCo's renderer, called through its C API")]
 mod gl;
+#[allow(unsafe_code, reason = "EGL's extensions are C functions found by name")]
 mod gl_context;
 mod prepare;
 mod software;
+mod view;
 
 use std::fmt;
+use std::rc::Rc;
 use std::str::FromStr;
 
 use gl::GlCanvas;
 pub use gl_context::{GlContext, GlDevice};
 use software::SoftwareCanvas;
+pub(crate) use view::View;
 
 use crate::error::SimError;
-use crate::mujoco::{Data, Model};
+use crate::mujoco::{Model, Segment};
 
 /// Which renderer draws.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -55,12 +59,20 @@ impl FromStr for Renderer {
     }
 }
 
-/// A renderer that is ready to draw, on the thread that opened it.
+/// A renderer that is ready to draw, on the thread that opened it:
+///
+/// ```compile_fail,E0277
+/// let drawer = sim::Drawer::Software;
+/// std::thread::spawn(move || drop(drawer));
+/// ```
+///
+/// What a scene keeps for drawing shares ownership of the OpenGL context, so a
+/// drawer may be dropped at any time.
 pub enum Drawer {
     /// Our own.
     Software,
     /// MuJoCo's.
-    Gl(Box<GlContext>),
+    Gl(Rc<GlContext>),
 }
 
 impl Drawer {
@@ -71,7 +83,7 @@ impl Drawer {
     pub fn open(renderer: Renderer) -> Result<Self, SimError> {
         match renderer {
             Renderer::Software => Ok(Self::Software),
-            Renderer::Gl(device) => Ok(Self::Gl(Box::new(GlContext::open(device)?))),
+            Renderer::Gl(device) => GlContext::open(device).map(Self::Gl),
         }
     }
 
@@ -85,24 +97,27 @@ impl Drawer {
     }
 }
 
-/// What is seen in a pixel of a segmentation image.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Segment {
-    /// Kind of object (`mjtObj`); geoms are 5, sites 6.
-    pub kind: i32,
-    /// Its id among those of its kind.
-    pub id: i32,
+/// A renderer that is opened when it is first asked for.
+pub(crate) struct LazyDrawer {
+    renderer: Renderer,
+    drawer: Option<Drawer>,
 }
 
-/// What a camera of a model is to show, and how large.
-pub(crate) struct View<'a> {
-    pub(crate) model: &'a Model,
-    /// A state of the model.
-    pub(crate) data: &'a mut Data,
-    /// The camera's id.
-    pub(crate) camera: usize,
-    /// Width and height, pixels.
-    pub(crate) size: [u32; 2],
+impl LazyDrawer {
+    pub(crate) fn new(renderer: Renderer) -> Self {
+        Self {
+            renderer,
+            drawer: None,
+        }
+    }
+
+    pub(crate) fn open(&mut self) -> Result<&Drawer, SimError> {
+        let drawer = match self.drawer.take() {
+            Some(drawer) => drawer,
+            None => Drawer::open(self.renderer)?,
+        };
+        Ok(self.drawer.insert(drawer))
+    }
 }
 
 /// What a renderer keeps to draw one scene.
@@ -130,7 +145,7 @@ impl Canvas {
     pub(crate) fn suits(&self, drawer: &Drawer, width: u32, height: u32) -> bool {
         match (self, drawer) {
             (Self::Software(_), Drawer::Software) => true,
-            (Self::Gl(canvas), Drawer::Gl(_)) => canvas.holds(width, height),
+            (Self::Gl(canvas), Drawer::Gl(context)) => canvas.suits(context, [width, height]),
             _ => false,
         }
     }
@@ -139,7 +154,7 @@ impl Canvas {
     pub(crate) fn draw(&mut self, view: View<'_>) -> Result<Vec<u8>, SimError> {
         match self {
             Self::Software(canvas) => canvas.draw(view),
-            Self::Gl(canvas) => Ok(canvas.draw(view)),
+            Self::Gl(canvas) => canvas.draw(view),
         }
     }
 
@@ -148,7 +163,7 @@ impl Canvas {
     pub(crate) fn depth(&mut self, view: View<'_>) -> Result<Vec<f32>, SimError> {
         match self {
             Self::Software(canvas) => canvas.depth(view),
-            Self::Gl(canvas) => Ok(canvas.depth(view)),
+            Self::Gl(canvas) => canvas.depth(view),
         }
     }
 
@@ -160,14 +175,129 @@ impl Canvas {
     ) -> Result<Vec<Option<Segment>>, SimError> {
         match self {
             Self::Software(canvas) => canvas.segmentation(view),
-            Self::Gl(canvas) => Ok(canvas.segmentation(view)),
+            Self::Gl(canvas) => canvas.segmentation(view),
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::panic::{AssertUnwindSafe, catch_unwind};
+
     use super::*;
+    use crate::mujoco::{Data, ObjectKind};
+
+    const SCENE: &str = include_str!("fingerprint.mjcf");
+
+    /// A scene and its state, to be drawn.
+    fn scene() -> (Model, Data) {
+        let model = Model::compile(SCENE).expect("a model");
+        let mut data = Data::new(&model).expect("a state");
+        data.forward(&model);
+        (model, data)
+    }
+
+    fn view<'a>(model: &'a Model, data: &'a mut Data) -> View<'a> {
+        View {
+            camera: model.id(ObjectKind::Camera, "front").expect("a camera"),
+            model,
+            data,
+            size: [64, 48],
+        }
+    }
+
+    /// Two renderers through OpenGL, each with a context of its own; none where
+    /// there is no OpenGL.
+    fn opengl(test: &str) -> Option<[Drawer; 2]> {
+        let open = || Drawer::open(Renderer::Gl(GlDevice::Auto));
+        match (open(), open()) {
+            (Ok(one), Ok(other)) => Some([one, other]),
+            (Err(error), _) | (_, Err(error)) => {
+                println!("skipped {test}: {error}");
+                None
+            }
+        }
+    }
+
+    #[test]
+    fn a_canvas_outlives_the_renderer_that_it_was_made_with() {
+        let Some([drawer, _]) = opengl("a_canvas_outlives_the_renderer_that_it_was_made_with")
+        else {
+            return;
+        };
+        let (mut model, mut data) = scene();
+        let mut canvas = Canvas::new(&drawer, &mut model, 64, 48).expect("a canvas");
+        let before = canvas.draw(view(&model, &mut data)).expect("a picture");
+        assert!(before.iter().any(|channel| *channel != before[0]));
+        drop(drawer);
+        let after = canvas.draw(view(&model, &mut data)).expect("a picture");
+        assert!(before == after, "the picture changed");
+        drop(model);
+        drop(canvas);
+    }
+
+    #[test]
+    fn each_canvas_is_drawn_and_freed_in_its_own_context() {
+        let Some([one, other]) = opengl("each_canvas_is_drawn_and_freed_in_its_own_context") else {
+            return;
+        };
+        let (mut model, mut data) = scene();
+        let mut first = Canvas::new(&one, &mut model, 64, 48).expect("a canvas");
+        let picture = first.draw(view(&model, &mut data)).expect("a picture");
+        let mut second = Canvas::new(&other, &mut model, 64, 48).expect("a canvas");
+        assert!(first.suits(&one, 64, 48) && !first.suits(&other, 64, 48));
+        for _ in 0..2 {
+            for canvas in [&mut first, &mut second] {
+                let again = canvas.draw(view(&model, &mut data)).expect("a picture");
+                assert!(again == picture, "the picture changed");
+            }
+        }
+        drop(second);
+        drop(other);
+        let again = first.draw(view(&model, &mut data)).expect("a picture");
+        assert!(again == picture, "the picture changed");
+    }
+
+    #[test]
+    fn a_picture_too_large_for_any_buffer_does_not_fit() {
+        let Some([drawer, _]) = opengl("a_picture_too_large_for_any_buffer_does_not_fit") else {
+            return;
+        };
+        let (mut model, _) = scene();
+        let canvas = Canvas::new(&drawer, &mut model, 64, 48).expect("a canvas");
+        for size in [4096, i32::MAX as u32 + 1, u32::MAX] {
+            assert!(!canvas.suits(&drawer, size, 48), "{size} pixels wide");
+        }
+    }
+
+    #[test]
+    fn no_canvas_draws_a_scene_of_another_model() {
+        let mut drawers = vec![Drawer::Software];
+        drawers.extend(
+            opengl("no_canvas_draws_a_scene_of_another_model")
+                .into_iter()
+                .flatten(),
+        );
+        for drawer in &drawers {
+            let (mut own, mut data) = scene();
+            let (other, mut foreign) = scene();
+            let mut canvas = Canvas::new(drawer, &mut own, 64, 48).expect("a canvas");
+            canvas.draw(view(&own, &mut data)).expect("a picture");
+            let mut refused = |model: &Model, data: &mut Data| {
+                let drawn = AssertUnwindSafe(|| canvas.draw(view(model, data)));
+                let said = catch_unwind(drawn).expect_err("another model");
+                said.downcast_ref::<&str>()
+                    .copied()
+                    .unwrap_or_default()
+                    .to_owned()
+            };
+            let scene = "this scene was made for another model";
+            assert_eq!(refused(&other, &mut foreign), scene);
+            assert_eq!(refused(&other, &mut data), scene);
+            let state = "this is a state of another model";
+            assert_eq!(refused(&own, &mut foreign), state);
+        }
+    }
 
     #[test]
     fn a_renderer_is_named_in_three_ways() {

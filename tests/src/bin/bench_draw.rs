@@ -66,7 +66,7 @@ const PERTURBED: &str = "camera/L1/c00,camera/L2/c03,camera/L3/c05,camera/L3/c07
 /// reads it when it is loaded.
 const LLVMPIPE_THREADS: &str = "LP_NUM_THREADS";
 
-/// What came of one camera of one scene.
+/// Measurements of one camera of one scene.
 #[derive(Default)]
 struct Findings {
     /// Milliseconds of each frame.
@@ -96,11 +96,11 @@ struct Agreement {
 /// All scenes together.
 #[derive(Default)]
 struct Totals {
-    /// Of each scene the ratio of both cameras' times.
+    /// Ratio of both cameras' times, by scene.
     ratios: Vec<(f64, String)>,
     least_equal: Option<(f64, String)>,
     least_close: Option<(f64, String)>,
-    /// Of each scene what our first frames took, MiB.
+    /// Memory that our first frames took, by scene, MiB.
     memory: Vec<f64>,
 }
 
@@ -288,7 +288,7 @@ impl Bench {
 }
 
 impl Agreement {
-    /// Takes a frame in; returns the pixels of it that are further off than
+    /// Adds a frame; returns the pixels of it that are further off than
     /// [`CLOSE_LEVELS`], and those that differ at all.
     fn see(&mut self, ours: &Frame, theirs: &Frame) -> (usize, usize) {
         let (mut far, mut differ) = (0, 0);
@@ -323,7 +323,7 @@ fn header(alone: bool) -> String {
 }
 
 impl Totals {
-    /// Takes one scene and camera in, and says how it went.
+    /// Adds one scene and camera; returns its line of the table.
     fn row(&mut self, place: &str, findings: &Findings) -> Result<String> {
         let ours = Spread::of(&findings.ours).context("a frame is timed")?;
         let line = format!("{place:<36} {:>8.2}", ours.median);
@@ -354,7 +354,7 @@ impl Totals {
         ))
     }
 
-    /// Takes both cameras of a scene in.
+    /// Adds both cameras of a scene.
     fn add(&mut self, scene: &str, findings: &[Findings; 2]) {
         let sum = |times: fn(&Findings) -> &[f64]| -> Option<f64> {
             let medians = findings

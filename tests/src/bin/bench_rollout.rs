@@ -433,7 +433,7 @@ impl Bench {
     }
 
     /// What bare physics takes of the settling steps, on copies of their states:
-    /// the worker's loop shows nobody the scene before it has settled.
+    /// the worker's loop does not expose the scene before it has settled.
     fn settling_physics(&mut self) -> Result<f64> {
         let row = &self.assignment.row;
         let mut episode = self.simulator.begin(row, Realisation::Matched)?;

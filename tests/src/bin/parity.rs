@@ -15,7 +15,8 @@ use tests::fidelity::{
 /// Compare the simulator with reference data of the original LIBERO.
 #[derive(Parser)]
 struct Arguments {
-    /// Folder of reference tasks: SUITE/NN_TASK.
+    /// Folder of reference tasks: SUITE/NN_TASK. Beside it lie `contact/` and
+    /// `sensitivity.json`, if there are any.
     #[arg(long)]
     reference: PathBuf,
     /// LIBERO assets folder that the reference was made with.

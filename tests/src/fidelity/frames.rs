@@ -140,7 +140,7 @@ impl Least {
 }
 
 impl FrameFindings {
-    /// Takes one more frame in.
+    /// Adds a frame.
     fn see(&mut self, ours: &[u8], theirs: &[u8], place: &str) {
         let (mut equal, mut close, mut pixels) = (0_u32, 0_u32, 0_u32);
         for (ours, theirs) in ours.chunks_exact(3).zip(theirs.chunks_exact(3)) {

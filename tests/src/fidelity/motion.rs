@@ -6,9 +6,9 @@ use std::collections::BTreeMap;
 use anyhow::{Context, Result, ensure};
 use sim::Environment;
 
+use super::findings::{ContactFindings, Findings, Worst};
 use super::frames::Comparison;
 use super::reference::{Array, ReferenceTask, read_npz};
-use super::{ContactFindings, Findings, Worst};
 
 /// The action that does nothing and keeps the gripper open.
 const NO_OP: [f64; 7] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0];
@@ -163,8 +163,8 @@ pub(super) fn compare_contact(
 }
 
 /// Judges how far joint positions are from the original's, step by step, by the
-/// original's own sensitivity. Where that was not measured nobody knows how far
-/// rounding alone carries: the differences are told and not judged.
+/// original's own sensitivity. Where that was not measured, the effect of rounding alone is
+/// unknown: the differences are reported and not judged.
 fn judge_contact(differences: &[f64], sampled: Option<&[f64]>) -> ContactFindings {
     let mut findings = ContactFindings::default();
     let mut calm = sampled.is_some();

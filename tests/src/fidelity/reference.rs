@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use npyz::{DType, TypeChar};
 use serde_json::Value;
 
@@ -16,6 +16,9 @@ pub struct ReferenceTask {
     /// Index in the suite.
     pub index: usize,
     dir: PathBuf,
+    /// The folder that holds those of all tasks, and beside it what is recorded of
+    /// several tasks.
+    root: PathBuf,
     meta: Value,
 }
 
@@ -42,7 +45,15 @@ impl Array {
 
 /// All tasks below a folder, in order of suite and index.
 pub fn find_tasks(reference: &Path) -> Result<Vec<ReferenceTask>> {
-    super::ensure_reference(reference)?;
+    ensure!(
+        reference.is_dir(),
+        "read the reference {}: no such folder; --reference takes the folder that holds \
+         SUITE/NN_TASK folders",
+        reference.display()
+    );
+    // What lies beside `.` or `..` cannot be told from its name.
+    let whole = reference.canonicalize()?;
+    let root = whole.parent().unwrap_or(&whole);
     let mut tasks = Vec::new();
     for suite in folders(reference)? {
         for dir in folders(&suite)? {
@@ -71,6 +82,7 @@ pub fn find_tasks(reference: &Path) -> Result<Vec<ReferenceTask>> {
                 suite,
                 index,
                 dir,
+                root: root.to_owned(),
                 meta,
             });
         }
@@ -127,8 +139,8 @@ impl ReferenceTask {
 
     /// The recording of contact-rich steps, if there is one.
     pub(crate) fn contact_path(&self) -> Option<PathBuf> {
-        let root = self.dir.parent()?.parent()?.parent()?;
-        let path = root
+        let path = self
+            .root
             .join("contact")
             .join(format!("{}_{:02}.npz", self.suite, self.index));
         path.is_file().then_some(path)
@@ -137,10 +149,7 @@ impl ReferenceTask {
     /// How far the original itself moves under torque noise of 1e-14 in the
     /// contact-rich steps: the running maximum at every 20th step, if measured.
     pub(crate) fn contact_sensitivity(&self) -> Result<Option<Vec<f64>>> {
-        let Some(root) = self.dir.ancestors().nth(3) else {
-            return Ok(None);
-        };
-        let path = root.join("sensitivity.json");
+        let path = self.root.join("sensitivity.json");
         if !path.is_file() {
             return Ok(None);
         }
@@ -197,4 +206,45 @@ pub fn read_npz(path: &Path) -> Result<BTreeMap<String, Array>> {
 
 fn widen<T: Into<f64>>(values: Vec<T>) -> Vec<f64> {
     values.into_iter().map(Into::into).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    #[test]
+    fn a_sensitivity_is_measured_or_there_is_none() {
+        let root = tempfile::tempdir().unwrap();
+        let tasks = root.path().join("tasks");
+        fs::create_dir_all(tasks.join("libero_goal/03_task")).unwrap();
+        fs::write(tasks.join("libero_goal/03_task/meta.json"), "{}").unwrap();
+        let sensitivity = || {
+            find_tasks(&tasks).unwrap()[0]
+                .contact_sensitivity()
+                .unwrap()
+        };
+        assert_eq!(sensitivity(), None, "no file");
+        let file = root.path().join("sensitivity.json");
+        fs::write(&file, r#"{"tasks":{"libero_goal/4":{"contact":[1e-15]}}}"#).unwrap();
+        assert_eq!(sensitivity(), None, "not of this task");
+        fs::write(&file, r#"{"tasks":{"libero_goal/3":{"contact":[1e-15]}}}"#).unwrap();
+        assert_eq!(sensitivity(), Some(vec![1e-15]));
+    }
+
+    #[test]
+    fn recordings_beside_the_reference_are_found_however_the_folder_is_named() {
+        let root = tempfile::tempdir().unwrap();
+        let tasks = root.path().join("tasks");
+        fs::create_dir_all(tasks.join("libero_goal/03_task")).unwrap();
+        fs::write(tasks.join("libero_goal/03_task/meta.json"), "{}").unwrap();
+        let contact = root.path().join("contact");
+        fs::create_dir(&contact).unwrap();
+        fs::write(contact.join("libero_goal_03.npz"), "").unwrap();
+        for name in ["", "libero_goal/..", "libero_goal/../."] {
+            let found = find_tasks(&tasks.join(name)).unwrap();
+            assert!(found[0].contact_path().is_some(), "`{name}`");
+        }
+    }
 }

@@ -3,22 +3,31 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-use coordinator::campaign::{CampaignState, Change};
-use coordinator::clock::UnixMillis;
-use coordinator::ids::{Attempt, JobId, LeaseRef, WorkerId};
-use coordinator::lease::{
-    AfterFailure, CommitJudgement, FailureReason, Job, JobState, MAX_CHARGED_ATTEMPTS, OutcomeKey,
-    Suspicion, may_retry, strike,
-};
-use coordinator::outage::{Allowance, PolicyHealth, PolicyState};
-use coordinator::plan::{Decision, ExpiredLease, SweepState, plan};
+use attempt::AttemptId;
 use proptest::prelude::*;
+use queue::clock::UnixMillis;
+use queue::ids::{AttemptNumber, JobId, WorkerId};
+use queue::rules::campaign::{CampaignState, Change};
+use queue::rules::lease::{
+    AfterFailure, CommitJudgement, FailureReason, Job, JobState, Lease, MAX_CHARGED_ATTEMPTS,
+    OutcomeKey, Suspicion, strike, was_asleep,
+};
+use queue::rules::outage::{Allowance, PolicyHealth, PolicyState};
 use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::SeedableRng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
 
 use super::{Event, JOBS, WORKERS, event};
 
 const LEASE: Duration = Duration::from_secs(30);
+const CEILING: Duration = Duration::from_secs(90);
+
+/// An attempt that was granted, whether or not it still holds its lease.
+#[derive(Clone, Debug)]
+struct Granted {
+    job: JobId,
+    attempt: AttemptId,
+    worker: WorkerId,
+}
 
 struct World {
     now: UnixMillis,
@@ -27,7 +36,7 @@ struct World {
     campaign: CampaignState,
     jobs: Vec<Job>,
     policy: PolicyHealth,
-    granted: Vec<LeaseRef>,
+    granted: Vec<Granted>,
     failed_on: BTreeMap<JobId, Vec<WorkerId>>,
     in_a_row: BTreeMap<WorkerId, u32>,
     results: BTreeMap<JobId, OutcomeKey>,
@@ -38,7 +47,7 @@ impl World {
         let now = UnixMillis(0);
         let job = |number: usize| Job {
             id: JobId(number as i64),
-            attempt: Attempt(0),
+            attempt: AttemptNumber(0),
             charged_attempts: 0,
             state: JobState::Queued { not_before: now },
         };
@@ -58,30 +67,33 @@ impl World {
 
     fn happen(&mut self, event: &Event) {
         match event {
-            Event::Claim { worker, job } => self.claim(&format!("w{worker}"), *job),
+            Event::Claim { worker, job, .. } => self.claim(&format!("w{worker}"), *job),
             Event::Pass { secs } => self.pass(*secs),
             Event::Operate { change } => self.operate(*change),
             Event::Retry { job } => self.retry(*job),
             Event::Restart => self.restart(),
+            Event::Together(events) => events.iter().for_each(|event| self.happen(event)),
+            // A claim that is repeated grants nothing.
+            Event::ClaimAgain { .. } => {}
             Event::Heartbeat { lease, steps } => {
-                if let Some(lease) = self.lease(*lease) {
-                    self.heartbeat(&lease, *steps);
+                if let Some(granted) = self.granted(*lease) {
+                    self.heartbeat(&granted, *steps);
                 }
             }
             Event::Commit { lease, success } => {
-                if let Some(lease) = self.lease(*lease) {
-                    self.commit(&lease, *success);
+                if let Some(granted) = self.granted(*lease) {
+                    self.commit(&granted, *success);
                 }
             }
             Event::Release { lease, reason } => {
-                if let Some(lease) = self.lease(*lease) {
-                    self.release(&lease, *reason);
+                if let Some(granted) = self.granted(*lease) {
+                    self.end(&granted, *reason);
                 }
             }
         }
     }
 
-    fn lease(&self, number: usize) -> Option<LeaseRef> {
+    fn granted(&self, number: usize) -> Option<Granted> {
         let newest_first = self.granted.iter().rev();
         newest_first
             .cycle()
@@ -103,63 +115,61 @@ impl World {
             return;
         }
         let owner = WorkerId(worker.to_owned());
-        job.attempt = job.attempt.next();
-        job.state = JobState::Leased {
+        let mut bits = [0; 16];
+        self.rng.fill_bytes(&mut bits);
+        let attempt = AttemptId::from_random(bits);
+        job.attempt = AttemptNumber(job.attempt.0 + 1);
+        job.state = JobState::Leased(Lease {
+            attempt,
             owner: owner.clone(),
             granted: now,
             expires: now.plus(LEASE),
-        };
-        let lease = LeaseRef {
-            worker: owner,
+            ceiling: now.plus(CEILING),
+            is_acknowledged: false,
+        });
+        let granted = Granted {
             job: job.id,
-            attempt: job.attempt,
+            attempt,
+            worker: owner,
         };
         if allowance == Allowance::Probe {
-            self.policy = self.policy.with_probe(lease.job, lease.attempt);
+            self.policy = self.policy.with_probe(attempt);
             assert_eq!(
                 self.policy.allowance(now),
                 Allowance::Nothing,
                 "one probe at a time"
             );
         }
-        self.granted.push(lease);
+        self.granted.push(granted);
     }
 
-    fn heartbeat(&mut self, lease: &LeaseRef, steps: u32) {
+    fn heartbeat(&mut self, granted: &Granted, steps: u32) {
         let until = self.now.plus(LEASE);
-        let job = self.job(lease.job);
-        if !job.is_held_by(lease) {
-            return;
-        }
-        if let JobState::Leased { expires, .. } = &mut job.state {
-            *expires = until;
+        match &mut self.job(granted.job).state {
+            JobState::Leased(lease) if lease.attempt == granted.attempt => {
+                lease.expires = until.min(lease.ceiling);
+                lease.is_acknowledged = true;
+            }
+            _ => return,
         }
         if steps > 10 {
-            self.policy = self
-                .policy
-                .after_answer((lease.job, lease.attempt), self.now);
+            self.policy = self.policy.after_answer(granted.attempt, self.now);
         }
     }
 
-    fn commit(&mut self, lease: &LeaseRef, success: bool) {
+    fn commit(&mut self, granted: &Granted, success: bool) {
         let reported = OutcomeKey { success, steps: 9 };
-        let stored = self.results.get(&lease.job).copied();
-        let job = self.job(lease.job);
-        let newest = job.attempt;
-        let was_held = job.is_held_by(lease);
-        match job.judge_commit(lease, true, reported, stored) {
+        let stored = self.results.get(&granted.job).copied();
+        let job = self.job(granted.job);
+        let was_held = job.lease_of(granted.attempt).is_some();
+        match job.judge_commit(granted.attempt, reported, stored) {
             CommitJudgement::Accept => {
-                assert!(
-                    was_held && lease.attempt == newest,
-                    "a stale attempt never commits"
-                );
+                assert!(was_held, "a stale attempt never commits");
                 job.state = JobState::Committed;
-                let before = self.results.insert(lease.job, reported);
+                let before = self.results.insert(granted.job, reported);
                 assert_eq!(before, None, "one result per job");
-                self.in_a_row.remove(&lease.worker);
-                self.policy = self
-                    .policy
-                    .after_commit((lease.job, lease.attempt), self.now);
+                self.in_a_row.remove(&granted.worker);
+                self.policy = self.policy.after_commit(granted.attempt, self.now);
             }
             CommitJudgement::Duplicate => assert_eq!(stored, Some(reported)),
             CommitJudgement::Divergent => assert!(stored.is_some() && stored != Some(reported)),
@@ -167,69 +177,44 @@ impl World {
         }
     }
 
-    fn release(&mut self, lease: &LeaseRef, reason: FailureReason) {
-        let job = self.job(lease.job).clone();
-        if !job.is_held_by(lease) {
+    /// Ends an attempt without a result, if it holds its lease.
+    fn end(&mut self, granted: &Granted, reason: FailureReason) {
+        let job = self.job(granted.job).clone();
+        let Some(lease) = job.lease_of(granted.attempt) else {
             return;
-        }
-        let suspicion = self.suspicion(lease);
+        };
+        let suspicion = self.suspicion(granted);
         let then = job.after_failure(reason, suspicion, self.now, &mut self.rng);
         if reason.is_charged() {
-            let in_a_row = self.in_a_row.entry(lease.worker.clone()).or_default();
+            let in_a_row = self.in_a_row.entry(granted.worker.clone()).or_default();
             *in_a_row = strike(*in_a_row).in_a_row;
         }
-        let attempt = (lease.job, lease.attempt);
-        self.policy = match (&job.state, reason) {
-            (JobState::Leased { granted, .. }, FailureReason::PolicyUnavailable) => self
-                .policy
-                .after_outage(attempt, *granted, "down", self.now, &mut self.rng),
-            _ => self.policy.after_other_failure(attempt, self.now),
+        self.policy = match reason {
+            FailureReason::PolicyUnavailable => self.policy.after_outage(
+                granted.attempt,
+                lease.granted,
+                "down",
+                self.now,
+                &mut self.rng,
+            ),
+            _ => self.policy.after_other_failure(granted.attempt, self.now),
         };
-        self.fail(lease, reason, then);
+        self.fail(granted, reason, then);
     }
 
     fn pass(&mut self, secs: u64) {
         self.now = self.now.plus(Duration::from_secs(secs));
-        let overdue = self.jobs.iter().filter_map(|job| match &job.state {
-            JobState::Leased { owner, expires, .. } if *expires <= self.now => {
-                let lease = LeaseRef {
-                    worker: owner.clone(),
-                    job: job.id,
-                    attempt: job.attempt,
-                };
-                Some(ExpiredLease {
-                    job: job.clone(),
-                    control_steps: 0,
-                    owner_failures_in_a_row: self.in_a_row.get(owner).copied().unwrap_or(0),
-                    suspicion: self.suspicion(&lease),
-                    lease,
-                })
-            }
-            _ => None,
-        });
-        let state = SweepState {
-            last_sweep: self.last_sweep,
-            lease: LEASE,
-            expired: overdue.collect(),
-        };
-        let decisions = plan(&state, self.now, &mut self.rng);
+        assert!(
+            !was_asleep(self.now.since(self.last_sweep), LEASE),
+            "sweeps came often enough"
+        );
         self.last_sweep = self.now;
-        for decision in decisions {
-            match decision {
-                Decision::Fail {
-                    lease,
-                    reason,
-                    then,
-                    ..
-                } => {
-                    let attempt = (lease.job, lease.attempt);
-                    self.policy = self.policy.after_other_failure(attempt, self.now);
-                    self.fail(&lease, reason, then);
-                }
-                Decision::Strike { worker, strike } => {
-                    self.in_a_row.insert(worker, strike.in_a_row);
-                }
-                Decision::ExtendLeases { .. } => panic!("sweeps came often enough"),
+        for granted in self.granted.clone() {
+            let job = self.job(granted.job).clone();
+            if let Some(lease) = job.lease_of(granted.attempt)
+                && lease.expires <= self.now
+            {
+                self.end(&granted, lease.why_expired(self.now));
             }
         }
     }
@@ -244,14 +229,8 @@ impl World {
         if change != Change::Cancel || after == before {
             return;
         }
-        for lease in self.granted.clone() {
-            if self.job(lease.job).is_held_by(&lease) {
-                let attempt = (lease.job, lease.attempt);
-                self.policy = self.policy.after_other_failure(attempt, self.now);
-                let not_before = self.now;
-                let then = AfterFailure::Requeue { not_before };
-                self.fail(&lease, FailureReason::Cancelled, then);
-            }
+        for granted in self.granted.clone() {
+            self.end(&granted, FailureReason::Cancelled);
         }
     }
 
@@ -259,7 +238,7 @@ impl World {
     fn retry(&mut self, number: usize) {
         let now = self.now;
         let job = &mut self.jobs[number];
-        if may_retry(&job.state) {
+        if job.state == JobState::Quarantined {
             job.state = JobState::Queued { not_before: now };
             job.charged_attempts = 0;
             self.failed_on.remove(&job.id);
@@ -270,24 +249,24 @@ impl World {
     fn restart(&mut self) {
         let until = self.now.plus(LEASE);
         for job in &mut self.jobs {
-            if let JobState::Leased { expires, .. } = &mut job.state {
-                *expires = until;
+            if let JobState::Leased(lease) = &mut job.state {
+                lease.expires = until.min(lease.ceiling);
             }
         }
         self.last_sweep = self.now;
     }
 
-    fn fail(&mut self, lease: &LeaseRef, reason: FailureReason, then: AfterFailure) {
+    fn fail(&mut self, granted: &Granted, reason: FailureReason, then: AfterFailure) {
         let now = self.now;
         let charged = reason.is_charged();
         if charged {
             self.failed_on
-                .entry(lease.job)
+                .entry(granted.job)
                 .or_default()
-                .push(lease.worker.clone());
+                .push(granted.worker.clone());
         }
-        let workers = self.suspicion(lease).failed_on_workers;
-        let job = self.job(lease.job);
+        let workers = self.suspicion(granted).failed_on_workers;
+        let job = self.job(granted.job);
         job.charged_attempts += u32::from(charged);
         job.state = match then {
             AfterFailure::Requeue { not_before } => {
@@ -304,9 +283,9 @@ impl World {
         };
     }
 
-    fn suspicion(&self, lease: &LeaseRef) -> Suspicion {
-        let others = self.failed_on.get(&lease.job).into_iter().flatten();
-        let distinct: BTreeSet<&WorkerId> = others.chain([&lease.worker]).collect();
+    fn suspicion(&self, granted: &Granted) -> Suspicion {
+        let others = self.failed_on.get(&granted.job).into_iter().flatten();
+        let distinct: BTreeSet<&WorkerId> = others.chain([&granted.worker]).collect();
         Suspicion {
             failed_on_workers: distinct.len() as u32,
             able_workers: WORKERS as u32,
@@ -319,7 +298,7 @@ impl World {
             assert!(new.charged_attempts <= new.attempt.0);
             let was_committed = old.state == JobState::Committed;
             assert!(!was_committed || old == new, "committed is final");
-            let is_leased = matches!(new.state, JobState::Leased { .. });
+            let is_leased = matches!(new.state, JobState::Leased(_));
             let is_cancelled = matches!(self.campaign, CampaignState::Cancelled { .. });
             assert!(
                 !(is_leased && is_cancelled),
@@ -333,13 +312,9 @@ impl World {
             let is_committed = new.state == JobState::Committed;
             assert_eq!(is_committed, self.results.contains_key(&new.id));
         }
-        if let PolicyState::Probing { job, attempt, .. } = &self.policy.state {
-            let probe = &self.jobs[job.0 as usize];
-            assert!(
-                matches!(probe.state, JobState::Leased { .. }),
-                "a probe is out"
-            );
-            assert_eq!(probe.attempt, *attempt);
+        if let PolicyState::Probing { attempt, .. } = &self.policy.state {
+            let is_out = |job: &Job| job.lease_of(*attempt).is_some();
+            assert!(self.jobs.iter().any(is_out), "a probe is out");
         }
     }
 
@@ -350,8 +325,8 @@ impl World {
             for number in 0..JOBS {
                 self.claim(&format!("w{}", round % WORKERS), number);
             }
-            for lease in self.granted.clone() {
-                self.commit(&lease, true);
+            for granted in self.granted.clone() {
+                self.commit(&granted, true);
             }
             self.pass(10);
         }

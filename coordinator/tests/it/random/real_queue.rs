@@ -4,26 +4,37 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use coordinator::campaign::Change;
-use coordinator::clock::{ManualClock, UnixMillis};
-use coordinator::digests::AxisDigests;
-use coordinator::expand::NewCampaign;
-use coordinator::ids::{CampaignName, LeaseRef, WorkerId};
-use coordinator::invariants::check;
-use coordinator::queue::{
-    ClaimRequest, CommitReport, CommitVerdict, Queue, QueueError, Retry, Timing,
-};
-use coordinator::store::Store;
-use coordinator::store::motions::Motion;
-use coordinator::store::results::{Digests, Outcome, Provenance};
-use coordinator::store::workers::WorkerInfo;
+use attempt::{AttemptId, Digests, Motion, Pin, Provenance, Realised, RolloutResult};
+use futures_util::future::join_all;
 use proptest::prelude::*;
+use queue::clock::{ManualClock, UnixMillis};
+use queue::expand::NewCampaign;
+use queue::ids::{CampaignName, WorkerId};
+use queue::invariants::check;
+use queue::rules::campaign::Change;
+use queue::{
+    ClaimRequest, CommitReport, CommitVerdict, Queue, QueueError, Retry, Store, Timing, WorkerInfo,
+};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use serde_json::json;
 
 use super::{Event, WORKERS, event};
 use crate::harness::{open_database, sha, small_spec, with};
+
+/// What workers know of what they were granted, newest last.
+#[derive(Clone, Default)]
+struct Told {
+    claims: Vec<(ClaimRequest, Option<AttemptId>)>,
+    granted: Vec<(WorkerId, AttemptId)>,
+}
+
+/// What an event told a worker.
+enum News {
+    Claimed(ClaimRequest, Option<AttemptId>),
+    Accepted,
+    Nothing,
+}
 
 proptest! {
     // Each case writes a database, with every commit synced to the disk.
@@ -42,8 +53,12 @@ async fn on_the_real_queue(events: &[Event]) {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let clock = Arc::new(ManualClock::at(UnixMillis(1_700_000_000_000)));
     let mut queue = start(folder.path(), &clock).await;
-    // Four rollouts that realise no perturbation, so that reports need no row.
-    let words = json!({"axes": ["language"], "levels": ["L1", "L2", "L3"]});
+    // Rollouts that realise no perturbation, so that reports need no row.
+    let words = json!({
+        "tasks": ["libero_object/0", "libero_object/1"],
+        "axes": ["language"],
+        "levels": ["L1", "L2"],
+    });
     let spec = with(small_spec("random"), words);
     let campaign = NewCampaign::from_json(&spec.to_string());
     let created = queue.create_campaign(&campaign.expect("a campaign")).await;
@@ -54,7 +69,7 @@ async fn on_the_real_queue(events: &[Event]) {
             .await
             .expect("registered");
     }
-    let mut granted: Vec<LeaseRef> = Vec::new();
+    let mut told = Told::default();
     let mut accepted = 0;
     for event in events {
         if let Event::Restart = event {
@@ -63,7 +78,25 @@ async fn on_the_real_queue(events: &[Event]) {
             queue = start(folder.path(), &clock).await;
             continue;
         }
-        accepted += happen(&queue, &clock, &mut granted, event).await;
+        let events = match event {
+            Event::Together(events) => events.as_slice(),
+            event => std::slice::from_ref(event),
+        };
+        let numbered = events.iter().zip(told.claims.len()..);
+        let happening =
+            numbered.map(|(event, number)| happen(&queue, &clock, &told, event, number));
+        for news in join_all(happening).await {
+            match news {
+                News::Claimed(claim, attempt) => {
+                    let worker = claim.worker.clone();
+                    told.granted
+                        .extend(attempt.map(|attempt| (worker, attempt)));
+                    told.claims.push((claim, attempt));
+                }
+                News::Accepted => accepted += 1,
+                News::Nothing => {}
+            }
+        }
         assert_eq!(check(folder.path()).await.expect("a database"), []);
     }
     accepted += finish(&queue, &clock).await;
@@ -82,54 +115,56 @@ fn campaign() -> CampaignName {
     CampaignName::parse("random").expect("a name")
 }
 
-/// Lets one event happen; returns how many results were accepted in it.
+/// Lets one event happen.
 async fn happen(
     queue: &Queue,
     clock: &ManualClock,
-    granted: &mut Vec<LeaseRef>,
+    told: &Told,
     event: &Event,
-) -> usize {
-    let newest_first = granted.iter().rev().cycle();
-    let lease = |number: usize| {
+    number: usize,
+) -> News {
+    let granted = |number: usize| {
+        let newest_first = told.granted.iter().rev().cycle();
         newest_first
-            .clone()
-            .nth(number % granted.len().max(1))
+            .skip(number % told.granted.len().max(1))
+            .next()
             .cloned()
     };
     match event {
-        Event::Claim { worker, .. } => granted.extend(claim(queue, *worker).await),
-        Event::Heartbeat {
-            lease: number,
-            steps,
-        } => {
-            if let Some(lease) = lease(*number) {
-                let beat = queue
-                    .heartbeat(&lease.worker, &[(lease.clone(), *steps)])
-                    .await;
+        Event::Claim { worker, warm, .. } => {
+            let request = claim_of(*worker, number, *warm);
+            let attempt = claim(queue, &request).await;
+            return News::Claimed(request, attempt);
+        }
+        Event::ClaimAgain { claim: number } => {
+            let newest_first = told.claims.iter().rev().cycle();
+            let before = newest_first.skip(number % told.claims.len().max(1)).next();
+            if let Some((request, before)) = before.cloned() {
+                let attempt = claim(queue, &request).await;
+                if attempt.is_none() || attempt == before {
+                    return News::Nothing;
+                }
+                return News::Claimed(request, attempt);
+            }
+        }
+        Event::Heartbeat { lease, steps } => {
+            if let Some((worker, attempt)) = granted(*lease) {
+                let beat = queue.heartbeat(&worker, &[(attempt, *steps)]).await;
                 beat.expect("an answer");
             }
         }
-        Event::Commit {
-            lease: number,
-            success,
-        } => {
-            if let Some(lease) = lease(*number) {
-                let reply = queue
-                    .commit(&report(lease, *success))
-                    .await
-                    .expect("a verdict");
-                return usize::from(reply.verdict == CommitVerdict::Accepted);
+        Event::Commit { lease, success } => {
+            if let Some((_, attempt)) = granted(*lease) {
+                let reply = queue.commit(&report(attempt, *success)).await;
+                if reply.expect("a verdict").verdict == CommitVerdict::Accepted {
+                    return News::Accepted;
+                }
             }
         }
-        Event::Release {
-            lease: number,
-            reason,
-        } => {
-            if let Some(lease) = lease(*number) {
-                queue
-                    .release(&lease, *reason, "it happened")
-                    .await
-                    .expect("a verdict");
+        Event::Release { lease, reason } => {
+            if let Some((_, attempt)) = granted(*lease) {
+                let released = queue.release(attempt, *reason, "it happened").await;
+                released.expect("a verdict");
             }
         }
         Event::Pass { secs } => {
@@ -144,9 +179,9 @@ async fn happen(
             let retried = queue.retry_jobs(&campaign(), &Retry::All).await;
             assert!(matches!(retried, Ok(_) | Err(QueueError::Cancelled { .. })));
         }
-        Event::Restart => {}
+        Event::Restart | Event::Together(_) => {}
     }
-    0
+    News::Nothing
 }
 
 async fn finish(queue: &Queue, clock: &ManualClock) -> usize {
@@ -160,8 +195,15 @@ async fn finish(queue: &Queue, clock: &ManualClock) -> usize {
             .register(&worker_info(worker))
             .await
             .expect("registered");
-        while let Some(lease) = claim(queue, worker).await {
-            let reply = queue.commit(&report(lease, true)).await.expect("a verdict");
+        for number in 0.. {
+            let request = claim_of(worker, number, None);
+            let Some(attempt) = claim(queue, &request).await else {
+                break;
+            };
+            let reply = queue
+                .commit(&report(attempt, true))
+                .await
+                .expect("a verdict");
             assert_eq!(reply.verdict, CommitVerdict::Accepted);
             accepted += 1;
         }
@@ -189,23 +231,28 @@ async fn check_books(folder: &Path, accepted: usize) {
     pool.close().await;
 }
 
-async fn claim(queue: &Queue, worker: usize) -> Option<LeaseRef> {
-    let request = ClaimRequest {
+/// The `number`th claim of a worker.
+fn claim_of(worker: usize, number: usize, warm: Option<usize>) -> ClaimRequest {
+    ClaimRequest {
         worker: worker_info(worker).id,
-        max_jobs: 1,
-        warm_task: None,
-    };
+        claim: format!("{worker:016x}{number:016x}"),
+        warm_task: warm.map(|task| format!("libero_object/{task}")),
+    }
+}
+
+async fn claim(queue: &Queue, request: &ClaimRequest) -> Option<AttemptId> {
     // A worker that was told to stop is refused; it then claims nothing.
-    let claimed = queue
-        .claim(&request, Duration::ZERO)
-        .await
-        .unwrap_or_default();
-    let job = claimed.jobs.into_iter().next()?;
-    Some(LeaseRef {
-        worker: request.worker,
-        job: job.job,
-        attempt: job.attempt,
-    })
+    let claimed = queue.claim(request, Duration::ZERO).await;
+    claimed.ok()?.job.map(|job| job.attempt)
+}
+
+fn pin() -> Pin {
+    Pin {
+        asset_pack: "primitives".to_owned(),
+        asset_pack_digest: sha("primitives"),
+        mujoco_version: "3.3.7".to_owned(),
+        renderer: "llvmpipe".to_owned(),
+    }
 }
 
 fn worker_info(number: usize) -> WorkerInfo {
@@ -213,48 +260,37 @@ fn worker_info(number: usize) -> WorkerInfo {
         id: WorkerId(format!("w{number}")),
         host: "bench".to_owned(),
         slots: 1,
-        asset_pack: "primitives".to_owned(),
-        asset_pack_digest: sha("primitives"),
-        mujoco_version: "3.3.7".to_owned(),
-        renderer: "llvmpipe".to_owned(),
+        pin: pin(),
         program_version: "0.1.0".to_owned(),
     }
 }
 
-fn report(lease: LeaseRef, success: bool) -> CommitReport {
+fn report(attempt: AttemptId, success: bool) -> CommitReport {
     CommitReport {
+        attempt,
         motion: Motion::default(),
-        lease,
-        outcome: Outcome {
+        realised: Realised::default(),
+        result: RolloutResult {
             success,
             steps: 9,
             wall_secs: 1.0,
-            ik_residual_mm: None,
-            ik_residual_deg: None,
-            ik_clamped_joints: None,
+            ik: None,
             clipped_actions: 0,
             policy_queries: 1,
         },
         provenance: Provenance {
             host: "bench".to_owned(),
-            renderer: "llvmpipe".to_owned(),
+            pin: pin(),
             fingerprint: sha("bits"),
-            mujoco_version: "3.3.7".to_owned(),
-            asset_pack: "primitives".to_owned(),
-            asset_pack_digest: sha("primitives"),
             realisation: "matched".to_owned(),
             policy_name: "expert".to_owned(),
-            policy_checkpoint: String::new(),
-            policy_checkpoint_digest: String::new(),
             policy_privileged: true,
-            policy_canonical_only: false,
-            batch_mode: String::new(),
             program_version: "0.1.0".to_owned(),
+            ..Provenance::default()
         },
         digests: Digests {
             scene: sha("scene"),
             init_state: sha("state"),
-            perturbation: AxisDigests::default(),
             first_frame: String::new(),
         },
     }

@@ -1,9 +1,12 @@
 //! Messages that mean something, to begin with.
 
+use attempt::AttemptId;
 use prost::Message;
 use proto::coordinator as wire;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
 
-use super::{CLAIM, METHODS};
+use super::methods::{CLAIM, METHODS};
 use crate::script;
 
 /// A method and a message of it.
@@ -132,7 +135,7 @@ fn create() -> Said {
 fn claim() -> Said {
     let request = wire::ClaimRequest {
         worker_id: "w".into(),
-        max_jobs: 1,
+        claim_id: "0".repeat(32),
         ..wire::ClaimRequest::default()
     };
     (CLAIM, request.encode_to_vec())
@@ -142,8 +145,7 @@ fn heartbeat() -> Said {
     let request = wire::HeartbeatRequest {
         worker_id: "w".into(),
         progress: vec![wire::Progress {
-            job_id: 1,
-            attempt: 1,
+            attempt_id: attempt(),
             control_steps: 9,
         }],
     };
@@ -152,12 +154,12 @@ fn heartbeat() -> Said {
 
 fn commit() -> Said {
     let request = wire::CommitRequest {
-        lease: Some(lease()),
-        outcome: Some(wire::Outcome {
+        attempt_id: attempt(),
+        result: Some(wire::RolloutResult {
             success: true,
             steps: STEPS,
             wall_secs: 1.5,
-            ..wire::Outcome::default()
+            ..wire::RolloutResult::default()
         }),
         provenance: Some(wire::Provenance {
             asset_pack: "primitives".into(),
@@ -181,7 +183,7 @@ fn commit() -> Said {
 
 fn release() -> Said {
     let request = wire::ReleaseRequest {
-        lease: Some(lease()),
+        attempt_id: attempt(),
         reason: wire::release_request::Reason::SlotCrashed.into(),
         error: "e".into(),
     };
@@ -191,7 +193,7 @@ fn release() -> Said {
 /// A video in two pieces.
 fn upload() -> [Vec<u8>; 2] {
     let first = wire::ArtifactChunk {
-        lease: Some(lease()),
+        attempt_id: attempt(),
         name: VIDEO.into(),
         data: vec![1, 2, 3],
     };
@@ -219,12 +221,11 @@ fn job() -> wire::JobName {
     }
 }
 
-fn lease() -> wire::LeaseRef {
-    wire::LeaseRef {
-        worker_id: "w".into(),
-        job_id: 1,
-        attempt: 1,
-    }
+/// The id of the first attempt that a coordinator of this seed grants.
+fn attempt() -> String {
+    let mut bits = [0; 16];
+    ChaCha8Rng::seed_from_u64(super::SEED).fill_bytes(&mut bits);
+    AttemptId::from_random(bits).to_string()
 }
 
 fn digest() -> String {

@@ -1,23 +1,7 @@
 //! Turns a template into words for one task and variant. Knows how templates
 //! are written, and nothing about levels.
 
-use serde::Deserialize;
-
-use super::{Rules, Task};
-
-/// Form of a verb.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
-pub(super) enum Form {
-    /// "grab"
-    #[serde(rename = "base")]
-    Base,
-    /// "grabbing"
-    #[serde(rename = "ing")]
-    Gerund,
-    /// "grabbed"
-    #[serde(rename = "ed")]
-    Participle,
-}
+use super::rules::{Form, Rules, Task};
 
 /// Speaks about one task in the words of one variant.
 pub(super) struct Speaker<'r> {

@@ -11,7 +11,7 @@ use crate::document::Document;
 use crate::words;
 
 const LABELS: f64 = 108.0;
-/// Of a policy's name, so many fit beside the squares.
+/// Characters of a policy's name that fit beside the squares.
 const LABEL_CHARACTERS: usize = 15;
 const ROW: f64 = 28.0;
 /// Height of the slanted names below the columns.

@@ -3,8 +3,8 @@
 use maud::{Markup, html};
 use paired::Interval;
 
-use super::WIDTH;
-
+/// Width of every panel, in its own units: pixels, where it is not scaled.
+pub const WIDTH: f64 = 380.0;
 /// Space left and right of what is drawn to a scale.
 pub(super) const MARGIN: f64 = 14.0;
 /// Height of a panel's heading.
@@ -120,7 +120,7 @@ pub(super) fn line(class: &str, [x1, y1]: [f64; 2], [x2, y2]: [f64; 2]) -> Marku
     }
 }
 
-/// A name that has room for so many characters.
+/// A name of at most `most` characters, the last of them an ellipsis if it was cut.
 pub(super) fn shortened(name: &str, most: usize) -> String {
     match name.chars().count() > most {
         true => name.chars().take(most - 1).chain(['…']).collect(),

@@ -306,7 +306,7 @@ pub(super) fn solvable(document: &Document) -> Markup {
     }
 }
 
-/// Between which ends the measures lie, whatever was set aside.
+/// The range of each measure over every outcome of the quarantined rollouts.
 pub(super) fn bounds(document: &Document) -> Markup {
     let range = |[low, high]: [f64; 2]| plain(format!("{} to {}", percent(low), percent(high)));
     let of_bounds = |policy: &str, cell: &Cell, bounds: &Bounds| {
@@ -342,7 +342,7 @@ pub(super) fn bounds(document: &Document) -> Markup {
     }
 }
 
-/// Every rollout that was set aside, with its error.
+/// Every quarantined rollout, with its error.
 pub(super) fn set_aside(document: &Document) -> Markup {
     let of_policy = |analysis: &Analysis| -> Vec<Vec<Markup>> {
         let errors = analysis.subject.errors.iter();

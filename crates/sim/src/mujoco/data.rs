@@ -4,12 +4,20 @@ use std::ptr::NonNull;
 
 use mujoco_rs::mujoco_c as c;
 
-use super::model::Model;
+use super::model::{Model, values};
 use crate::error::SimError;
 
-/// Simulation state, owned. Every call takes the model that it was made for.
+/// Simulation state of a model, owned.
+///
+/// A model and its states are separate, because a rollout perturbs the model while
+/// several states of it exist. Methods take the model that the state was made for.
+///
+/// # Panics
+/// Every method that is given another model.
 pub struct Data {
     raw: NonNull<c::mjData>,
+    /// The model's serial number. The arrays have that model's sizes.
+    model: u64,
 }
 
 /// Two geoms in contact.
@@ -25,13 +33,10 @@ macro_rules! slices {
     ($($(#[$doc:meta])* $name:ident = $rows:ident * $columns:literal;)*) => {$(
         $(#[$doc])*
         pub fn $name<'a>(&'a self, model: &Model) -> &'a [f64] {
-            // SAFETY: the field points at this many doubles while the data lives.
-            unsafe {
-                std::slice::from_raw_parts(
-                    self.raw.as_ref().$name,
-                    model.raw().$rows as usize * $columns,
-                )
-            }
+            self.assert_made_for(model);
+            // SAFETY: of this model, so the field points at this many doubles while
+            // the data lives.
+            unsafe { values(self.raw().$name.cast_const(), model.raw().$rows * $columns) }
         }
     )*};
 }
@@ -40,6 +45,7 @@ macro_rules! slices_mut {
     ($($(#[$doc:meta])* $method:ident: $name:ident = $rows:ident;)*) => {$(
         $(#[$doc])*
         pub fn $method<'a>(&'a mut self, model: &Model) -> &'a mut [f64] {
+            self.assert_made_for(model);
             // SAFETY: as for the shared slices; `&mut self` makes it exclusive.
             unsafe {
                 std::slice::from_raw_parts_mut(
@@ -55,7 +61,8 @@ macro_rules! stages {
     ($($(#[$doc:meta])* $method:ident = $function:ident;)*) => {$(
         $(#[$doc])*
         pub fn $method(&mut self, model: &Model) {
-            // SAFETY: a live model and the data that was made for it.
+            self.assert_made_for(model);
+            // SAFETY: a live model and the data that was made for it, as asserted.
             unsafe { c::$function(model.as_ptr(), self.raw.as_ptr()) }
         }
     )*};
@@ -66,17 +73,30 @@ impl Data {
     pub fn new(model: &Model) -> Result<Self, SimError> {
         // SAFETY: a live model; null on failure, checked.
         let raw = unsafe { c::mj_makeData(model.as_ptr()) };
-        let raw = NonNull::new(raw).ok_or(SimError::OutOfMemory("simulation state"))?;
-        Ok(Self { raw })
+        Ok(Self {
+            raw: NonNull::new(raw).ok_or(SimError::OutOfMemory("simulation state"))?,
+            model: model.serial(),
+        })
     }
 
-    /// Becomes a copy of another state of the same model.
+    /// # Panics
+    /// If this is a state of another model.
+    pub(super) fn assert_made_for(&self, model: &Model) {
+        assert!(
+            self.model == model.serial(),
+            "this is a state of another model"
+        );
+    }
+
+    /// Copies another state of the same model into this one.
     pub fn copy_from(&mut self, model: &Model, other: &Self) {
-        // SAFETY: both were made for this model, which is alive.
+        self.assert_made_for(model);
+        other.assert_made_for(model);
+        // SAFETY: both were made for this model, as asserted, and it is alive.
         unsafe { c::mj_copyData(self.raw.as_ptr(), model.as_ptr(), other.raw.as_ptr()) };
     }
 
-    pub(crate) fn as_mut_ptr(&mut self) -> *mut c::mjData {
+    pub(super) fn as_mut_ptr(&mut self) -> *mut c::mjData {
         self.raw.as_ptr()
     }
 
@@ -99,14 +119,8 @@ impl Data {
     /// The contacts found by the last collision pass.
     pub fn contacts(&self) -> impl Iterator<Item = Contact> {
         let data = self.raw();
-        // SAFETY: `contact` holds `ncon` contacts until the next step; an
-        // empty list may have a null pointer.
-        let contacts = unsafe {
-            match data.ncon {
-                0 => &[][..],
-                count => std::slice::from_raw_parts(data.contact, count as usize),
-            }
-        };
+        // SAFETY: `contact` holds `ncon` contacts until the next step.
+        let contacts = unsafe { values(data.contact.cast_const(), data.ncon) };
         contacts.iter().map(|contact| Contact {
             geoms: contact.geom,
             distance: contact.dist,
@@ -129,6 +143,7 @@ impl Data {
 
     /// Dense joint-space inertia, nv × nv, row by row.
     pub fn full_inertia(&self, model: &Model, inertia: &mut [f64]) {
+        self.assert_made_for(model);
         assert_eq!(inertia.len(), model.nv() * model.nv(), "nv × nv values");
         // SAFETY: the target has nv × nv values, as asserted; `qM` is this
         // data's sparse inertia.
@@ -137,6 +152,7 @@ impl Data {
 
     /// Jacobian of a site's position and rotation, each 3 × nv, row by row.
     pub fn site_jacobian(&self, model: &Model, site: usize, pos: &mut [f64], rot: &mut [f64]) {
+        self.assert_made_for(model);
         assert_eq!(pos.len(), 3 * model.nv(), "3 × nv values");
         assert_eq!(rot.len(), 3 * model.nv(), "3 × nv values");
         assert!(site < model.raw().nsite as usize, "a site of this model");
@@ -213,5 +229,86 @@ impl Drop for Data {
     fn drop(&mut self) {
         // SAFETY: owned, freed once.
         unsafe { c::mj_deleteData(self.raw.as_ptr()) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::panic::{AssertUnwindSafe, catch_unwind};
+
+    use super::*;
+
+    /// A model with this many bodies, each with a hinge, a motor and a site.
+    fn chain(bodies: usize) -> Model {
+        let body = |at: usize| {
+            format!(r#"<body><joint name="j{at}"/><geom size="0.1"/><site name="s{at}"/>"#)
+        };
+        let bodies_open: String = (0..bodies).map(body).collect();
+        let motors: String = (0..bodies)
+            .map(|at| format!(r#"<motor joint="j{at}"/>"#))
+            .collect();
+        Model::compile(&format!(
+            "<mujoco><worldbody>{bodies_open}{}</worldbody><actuator>{motors}</actuator></mujoco>",
+            "</body>".repeat(bodies)
+        ))
+        .expect("a model")
+    }
+
+    #[test]
+    fn no_method_takes_a_state_of_another_model() {
+        // The larger one's sizes would reach beyond the state's arrays.
+        let (own, other) = (chain(2), chain(40));
+        let foreign = Data::new(&other).expect("a state");
+        type Call = fn(&mut Data, &Model, &Data);
+        let calls: [(&str, Call); 14] = [
+            ("qpos", |data, model, _| drop(data.qpos(model).to_vec())),
+            ("ctrl", |data, model, _| drop(data.ctrl(model).to_vec())),
+            ("site_xmat", |data, model, _| {
+                drop(data.site_xmat(model).to_vec());
+            }),
+            ("qpos_mut", |data, model, _| data.qpos_mut(model).fill(0.0)),
+            ("ctrl_mut", |data, model, _| data.ctrl_mut(model).fill(0.0)),
+            ("reset", |data, model, _| data.reset(model)),
+            ("forward", |data, model, _| data.forward(model)),
+            ("step", |data, model, _| data.step(model)),
+            ("step1", |data, model, _| data.step1(model)),
+            ("step2", |data, model, _| data.step2(model)),
+            ("kinematics", |data, model, _| data.kinematics(model)),
+            ("full_inertia", |data, model, _| {
+                data.full_inertia(model, &mut vec![0.0; model.nv() * model.nv()]);
+            }),
+            ("site_jacobian", |data, model, _| {
+                let (mut pos, mut rot) = (vec![0.0; 3 * model.nv()], vec![0.0; 3 * model.nv()]);
+                data.site_jacobian(model, 0, &mut pos, &mut rot);
+            }),
+            ("copy_from", |data, model, other| {
+                data.copy_from(model, other);
+            }),
+        ];
+        for (name, call) in calls {
+            let mut data = Data::new(&own).expect("a state");
+            let same = Data::new(&own).expect("a state");
+            call(&mut data, &own, &same);
+            let refused = catch_unwind(AssertUnwindSafe(|| call(&mut data, &other, &foreign)));
+            let said = refused.expect_err(name);
+            let said = said.downcast_ref::<&str>().copied().unwrap_or_default();
+            assert_eq!(said, "this is a state of another model", "{name}");
+        }
+        let mut data = Data::new(&own).expect("a state");
+        let copied = catch_unwind(AssertUnwindSafe(|| data.copy_from(&own, &foreign)));
+        assert!(copied.is_err(), "a copy of another model's state");
+    }
+
+    #[test]
+    fn a_state_knows_its_model_wherever_that_is_moved() {
+        let (mut own, mut other) = (chain(2), chain(40));
+        let data = Data::new(&own).expect("a state");
+        std::mem::swap(&mut own, &mut other);
+        assert_eq!(data.qpos(&other).len(), 2);
+        assert!(catch_unwind(AssertUnwindSafe(|| data.qpos(&own).len())).is_err());
+        // A model of the same source is another one: it may be perturbed.
+        let twin = chain(2);
+        assert!(catch_unwind(AssertUnwindSafe(|| data.qpos(&twin).len())).is_err());
+        drop((own, other));
     }
 }

@@ -2,6 +2,7 @@
 
 use std::ffi::{CStr, CString, c_char};
 use std::ptr::NonNull;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use mujoco_rs::mujoco_c as c;
 
@@ -11,6 +12,9 @@ use crate::error::SimError;
 /// A compiled model, owned.
 pub struct Model {
     raw: NonNull<c::mjModel>,
+    /// Unique in the process. States and scenes have the sizes of the model that
+    /// they were made for, and check by this number that they are used with it.
+    serial: u64,
 }
 
 /// Kinds of named things in a model.
@@ -59,9 +63,7 @@ macro_rules! slices {
         pub fn $name(&self) -> &[$kind] {
             let model = self.raw();
             // SAFETY: the field points at this many values while the model lives.
-            unsafe {
-                std::slice::from_raw_parts(model.$name, model.$rows as usize * $columns)
-            }
+            unsafe { values(model.$name.cast_const(), model.$rows * $columns) }
         }
     )*};
 }
@@ -108,8 +110,11 @@ impl Model {
             c::mj_deleteSpec(spec);
             (model, text)
         };
-        let raw = NonNull::new(model).ok_or(SimError::Compile(message))?;
-        Ok(Self { raw })
+        static COMPILED: AtomicU64 = AtomicU64::new(0);
+        Ok(Self {
+            raw: NonNull::new(model).ok_or(SimError::Compile(message))?,
+            serial: COMPILED.fetch_add(1, Ordering::Relaxed),
+        })
     }
 
     pub(crate) fn raw(&self) -> &c::mjModel {
@@ -119,6 +124,10 @@ impl Model {
 
     pub(crate) fn as_ptr(&self) -> *const c::mjModel {
         self.raw.as_ptr()
+    }
+
+    pub(super) fn serial(&self) -> u64 {
+        self.serial
     }
 
     /// Sets flags of `option.disableflags`.
@@ -379,11 +388,12 @@ impl<'a> Meshes<'a> {
     }
 }
 
-/// So many values; none of a null pointer.
+/// A slice of `count` values; empty for a null pointer, which arrays without
+/// elements may have.
 ///
 /// # Safety
-/// The pointer is null, or points at so many values that outlive `'a`.
-unsafe fn values<'a, T>(pointer: *const T, count: i32) -> &'a [T] {
+/// The pointer is null, or points at `count` values that outlive `'a`.
+pub(super) unsafe fn values<'a, T>(pointer: *const T, count: i32) -> &'a [T] {
     if pointer.is_null() || count <= 0 {
         return &[];
     }

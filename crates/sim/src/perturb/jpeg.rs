@@ -53,13 +53,13 @@ pub(super) fn round_trip(rgb: &mut [u8], width: usize, height: usize, quality: u
 struct Plane {
     width: usize,
     height: usize,
-    /// Samples per row: the width, or more where the encoder made up some.
+    /// Samples per row: the width, or more where the encoder pads.
     stride: usize,
     samples: Vec<u8>,
 }
 
 impl Plane {
-    /// A row with its made-up samples, or the nearest where it lies outside.
+    /// A row with its padding samples, or the nearest where it lies outside.
     fn row(&self, y: usize) -> &[u8] {
         let y = y.min(self.height - 1);
         &self.samples[y * self.stride..(y + 1) * self.stride]
@@ -101,7 +101,7 @@ impl Plane {
 
     /// Means of 2 × 2 samples, up to whole blocks to the right. The rounding
     /// alternates along a row, so that it has no bias; it does so in the
-    /// made-up samples too.
+    /// padding samples too.
     fn halved(&self) -> Self {
         let (width, height) = (self.width.div_ceil(2), self.height.div_ceil(2));
         let stride = width.next_multiple_of(SIDE);

@@ -1,6 +1,6 @@
 //! The lighting axis: brightness, colour, ambient term and elevation of a
-//! scene's lights. Shadows are never cast, perturbed or not; turning them off
-//! is the scene's business.
+//! scene's lights. Shadows are never cast, perturbed or not; the scene turns
+//! them off.
 
 use nalgebra::{Rotation3, Unit, Vector3};
 use protocol::LightingShift;

@@ -95,9 +95,9 @@ impl SensorStage {
     /// The result depends on the picture, its step and its camera, and not on
     /// which pictures came before: a policy that looks seldom, or through one
     /// camera, sees what any other sees. In the `reference` realisation, where
-    /// both cameras draw from one stream at every step, pictures that nobody
-    /// asked for are drawn for and thrown away; both cameras must then have one
-    /// size.
+    /// both cameras draw from one stream at every step, noise is also drawn
+    /// and discarded for pictures that were not asked for; both cameras must then
+    /// have one size.
     ///
     /// # Panics
     /// If `rgb` is not `width` × `height` × 3 bytes.

@@ -1,35 +1,37 @@
-//! MuJoCo's own renderer, through OpenGL. One context per process, owned by the
-//! thread that opened it; the pictures of each scene have their own buffers.
+//! MuJoCo's own renderer, through OpenGL. The scenes of a simulator share its
+//! context; the pictures of each have their own buffers.
 
 use std::mem::MaybeUninit;
+use std::rc::Rc;
 
 use mujoco_rs::mujoco_c as c;
 
 use crate::error::SimError;
-use crate::mujoco::Model;
+use crate::mujoco::{Model, Segment, VisualScene};
 
-use super::abstraction::Abstraction;
 use super::gl_context::GlContext;
-use super::{Segment, View};
+use super::view::View;
 
-/// What MuJoCo keeps to draw one scene. Dropping it needs the context that it
-/// was made with to be current, which [`GlContext`] being alive ensures.
+/// What MuJoCo keeps to draw one scene. It lives in an OpenGL context, which is
+/// therefore freed after it.
 pub(crate) struct GlCanvas {
-    abstraction: Abstraction,
+    visual_scene: VisualScene,
     context: Box<c::mjrContext>,
+    opengl: Rc<GlContext>,
 }
 
 impl GlCanvas {
     /// Uploads a model's meshes and textures; buffers for pictures up to this
     /// size, pixels.
     pub(crate) fn new(
-        _current: &GlContext,
+        opengl: &Rc<GlContext>,
         model: &mut Model,
         width: u32,
         height: u32,
     ) -> Result<Self, SimError> {
+        opengl.make_current()?;
         model.grow_offscreen_buffer(width, height);
-        let abstraction = Abstraction::new(model);
+        let visual_scene = VisualScene::new(model);
         let mut context = Box::new(MaybeUninit::uninit());
         // SAFETY: the object is written whole by its default function before it is
         // assumed initialised; the box keeps its address, which MuJoCo may
@@ -43,10 +45,12 @@ impl GlCanvas {
             context
         };
         let canvas = Self {
-            abstraction,
+            visual_scene,
             context,
+            opengl: Rc::clone(opengl),
         };
-        if canvas.context.currentBuffer != c::mjtFramebuffer::mjFB_OFFSCREEN as i32 {
+        let offscreen = c::mjtFramebuffer::mjFB_OFFSCREEN as i32;
+        if canvas.context.currentBuffer != offscreen || !canvas.holds([width, height]) {
             return Err(SimError::Graphics {
                 problem: format!("no off-screen buffer of {width} × {height}"),
                 remedy: "try a smaller picture or another device with --renderer gl:N",
@@ -55,57 +59,105 @@ impl GlCanvas {
         Ok(canvas)
     }
 
-    /// Whether a picture of this size fits the buffers.
-    pub(crate) fn holds(&self, width: u32, height: u32) -> bool {
-        self.context.offWidth >= width as i32 && self.context.offHeight >= height as i32
+    /// Whether it was made in this context, and a picture of this size fits the
+    /// buffers.
+    pub(crate) fn suits(&self, opengl: &Rc<GlContext>, size: [u32; 2]) -> bool {
+        Rc::ptr_eq(&self.opengl, opengl) && self.holds(size)
+    }
+
+    fn holds(&self, size: [u32; 2]) -> bool {
+        let room = [self.context.offWidth, self.context.offHeight];
+        size.into_iter()
+            .zip(room)
+            .all(|(side, room)| i64::from(side) <= i64::from(room))
     }
 
     /// Draws what a camera of the model sees; rows from bottom to top.
-    pub(crate) fn draw(&mut self, view: View<'_>) -> Vec<u8> {
-        let size = view.size;
-        let mut rgb = vec![0; pixels(size) * 3];
-        let scene = self.abstraction.update(view);
-        render(scene, &self.context, size, Target::Colours(&mut rgb));
-        rgb
+    pub(crate) fn draw(&mut self, view: View<'_>) -> Result<Vec<u8>, SimError> {
+        let mut rgb = vec![0; pixels(view.size) * 3];
+        self.render(view, &[], Target::Colours(&mut rgb))?;
+        Ok(rgb)
     }
 
     /// Draws how far it is to what the camera sees: 0 at the near plane, 1 at the
     /// far one, as OpenGL keeps it.
-    pub(crate) fn depth(&mut self, view: View<'_>) -> Vec<f32> {
-        let size = view.size;
-        let mut depth = vec![0.0; pixels(size)];
-        let scene = self.abstraction.update(view);
-        render(scene, &self.context, size, Target::Depths(&mut depth));
-        depth
+    pub(crate) fn depth(&mut self, view: View<'_>) -> Result<Vec<f32>, SimError> {
+        let mut depth = vec![0.0; pixels(view.size)];
+        self.render(view, &[], Target::Depths(&mut depth))?;
+        Ok(depth)
     }
 
     /// Draws which geom the camera sees, by its place in segmentation images.
-    pub(crate) fn segmentation(&mut self, view: View<'_>) -> Vec<Option<Segment>> {
-        let size = view.size;
-        let mut rgb = vec![0; pixels(size) * 3];
-        let scene = self.abstraction.update(view);
+    pub(crate) fn segmentation(
+        &mut self,
+        view: View<'_>,
+    ) -> Result<Vec<Option<Segment>>, SimError> {
         const FLAGS: [c::mjtRndFlag; 2] =
             [c::mjtRndFlag::mjRND_SEGMENT, c::mjtRndFlag::mjRND_IDCOLOR];
-        let before = FLAGS.map(|flag| std::mem::replace(&mut scene.flags[flag as usize], 1));
-        render(scene, &self.context, size, Target::Colours(&mut rgb));
-        for (flag, value) in FLAGS.into_iter().zip(before) {
-            scene.flags[flag as usize] = value;
-        }
-        let segments = self.abstraction.segments();
+        let mut rgb = vec![0; pixels(view.size) * 3];
+        self.render(view, &FLAGS, Target::Colours(&mut rgb))?;
+        let segments = self.visual_scene.segments();
         let numbers = rgb
             .chunks_exact(3)
             .map(|pixel| u32::from_le_bytes([pixel[0], pixel[1], pixel[2], 0]));
         // 0 is the background, 1 the first.
-        numbers
+        Ok(numbers
             .map(|number| segments.get(&number.checked_sub(1)?).copied())
-            .collect()
+            .collect())
+    }
+
+    /// Draws with these flags set.
+    fn render(
+        &mut self,
+        view: View<'_>,
+        flags: &[c::mjtRndFlag],
+        target: Target<'_>,
+    ) -> Result<(), SimError> {
+        assert!(self.holds(view.size), "a picture that fits the buffers");
+        let pixels = pixels(view.size);
+        let viewport = c::mjrRect {
+            left: 0,
+            bottom: 0,
+            width: view.size[0] as i32,
+            height: view.size[1] as i32,
+        };
+        let (colours, depths) = match target {
+            Target::Colours(rgb) => {
+                assert_eq!(rgb.len(), pixels * 3);
+                (rgb.as_mut_ptr(), std::ptr::null_mut())
+            }
+            Target::Depths(depths) => {
+                assert_eq!(depths.len(), pixels);
+                (std::ptr::null_mut(), depths.as_mut_ptr())
+            }
+        };
+        self.opengl.make_current()?;
+        let scene = self.visual_scene.update(view.model, view.data, view.camera);
+        let before = scene.flags;
+        for flag in flags {
+            scene.flags[*flag as usize] = 1;
+        }
+        // SAFETY: scene and context are of one model, and their OpenGL context is
+        // current; what is written to has room for all pixels, or is null, which
+        // MuJoCo passes over; the viewport lies inside the buffer. Sizes were
+        // asserted above.
+        unsafe {
+            c::mjr_render(viewport, scene, &*self.context);
+            c::mjr_readPixels(colours, depths, viewport, &*self.context);
+        }
+        scene.flags = before;
+        Ok(())
     }
 }
 
 impl Drop for GlCanvas {
     fn drop(&mut self) {
-        // SAFETY: made in `new`, freed once.
-        unsafe { c::mjr_freeContext(&mut *self.context) }
+        // In another context the same names would refer to other objects. If the
+        // context is lost, its objects are gone too.
+        if self.opengl.make_current().is_ok() {
+            // SAFETY: made in `new`, freed once, in its OpenGL context.
+            unsafe { c::mjr_freeContext(&mut *self.context) }
+        }
     }
 }
 
@@ -117,30 +169,4 @@ fn pixels([width, height]: [u32; 2]) -> usize {
 enum Target<'a> {
     Colours(&'a mut [u8]),
     Depths(&'a mut [f32]),
-}
-
-fn render(scene: &mut c::mjvScene, context: &c::mjrContext, size: [u32; 2], target: Target<'_>) {
-    let viewport = c::mjrRect {
-        left: 0,
-        bottom: 0,
-        width: size[0] as i32,
-        height: size[1] as i32,
-    };
-    let (colours, depths) = match target {
-        Target::Colours(rgb) => {
-            assert_eq!(rgb.len(), pixels(size) * 3);
-            (rgb.as_mut_ptr(), std::ptr::null_mut())
-        }
-        Target::Depths(depths) => {
-            assert_eq!(depths.len(), pixels(size));
-            (std::ptr::null_mut(), depths.as_mut_ptr())
-        }
-    };
-    // SAFETY: scene and context are of one model; what is written to has room for
-    // all pixels, or is null, which MuJoCo passes over; the viewport lies inside
-    // the buffer, as the caller has checked with `holds`.
-    unsafe {
-        c::mjr_render(viewport, scene, context);
-        c::mjr_readPixels(colours, depths, viewport, context);
-    }
 }

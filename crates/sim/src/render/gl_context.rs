@@ -1,6 +1,7 @@
 //! An OpenGL context without a window, on a chosen device.
 
 use std::ffi::{CStr, c_char, c_void};
+use std::rc::Rc;
 
 use khronos_egl as egl;
 
@@ -34,7 +35,8 @@ const REMEDY: &str = "install what drawing through OpenGL needs with `cargo xtas
      install libegl1 libegl-mesa0 libgl1-mesa-dri libgl1 libopengl0`) or with the NVIDIA driver, or \
      choose another device with --renderer gl:N";
 
-/// A current OpenGL context. It stays current on the thread that opened it.
+/// An OpenGL context, bound to the thread that opened it. Canvases share its
+/// ownership.
 pub struct GlContext {
     egl: Egl,
     display: egl::Display,
@@ -44,7 +46,7 @@ pub struct GlContext {
 
 impl GlContext {
     /// Opens a context and makes it current on this thread.
-    pub fn open(device: GlDevice) -> Result<Self, SimError> {
+    pub(super) fn open(device: GlDevice) -> Result<Rc<Self>, SimError> {
         // SAFETY: loads the system's EGL library, whose initialisers are as
         // trustworthy as those of any system library.
         let egl = unsafe { Egl::load_required() }
@@ -55,12 +57,12 @@ impl GlContext {
             match open_on(&egl, display) {
                 Ok(context) => {
                     let renderer = renderer(&egl);
-                    return Ok(Self {
+                    return Ok(Rc::new(Self {
                         egl,
                         display,
                         context,
                         renderer,
-                    });
+                    }));
                 }
                 Err(error) => problem = error.to_string(),
             }
@@ -68,6 +70,14 @@ impl GlContext {
         Err(graphics(format!(
             "no EGL device gives an OpenGL context ({problem})"
         )))
+    }
+
+    /// Makes it the current context of this thread.
+    pub(super) fn make_current(&self) -> Result<(), SimError> {
+        let made = self
+            .egl
+            .make_current(self.display, None, None, Some(self.context));
+        made.map_err(|error| graphics(format!("the OpenGL context is lost ({error})")))
     }
 
     /// What draws, in the driver's words, for example `llvmpipe (…)`.
@@ -79,7 +89,9 @@ impl GlContext {
 impl Drop for GlContext {
     fn drop(&mut self) {
         // Nothing can be done about a driver that fails here.
-        let _ = self.egl.make_current(self.display, None, None, None);
+        if self.egl.get_current_context() == Some(self.context) {
+            let _ = self.egl.make_current(self.display, None, None, None);
+        }
         let _ = self.egl.destroy_context(self.display, self.context);
     }
 }

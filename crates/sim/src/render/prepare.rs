@@ -1,6 +1,6 @@
-//! What our renderer makes of a compiled model, once. Scenes have the robot and
-//! much of the room in common, and simulators of one process their scenes: a mesh
-//! or a texture is prepared once for all of the process that use it.
+//! Prepares a compiled model's meshes and textures for our renderer. Scenes have
+//! the robot and much of the room in common, and simulators of one process their
+//! scenes, so a mesh or a texture is prepared once per process.
 
 use std::collections::HashMap;
 use std::sync::{Arc, LazyLock, Mutex, PoisonError, Weak};
@@ -12,14 +12,14 @@ use twox_hash::XxHash3_128;
 use crate::error::SimError;
 use crate::mujoco::{MeshData, Model, TextureData};
 
-/// What our renderer cannot draw, OpenGL can.
+/// OpenGL draws what our renderer cannot.
 const REMEDY: &str = "draw it with --renderer gl";
 /// Roles of textures in `mat_texid`, and the one that colours.
 const TEXTURE_ROLES: usize = c::mjtTextureRole::mjNTEXROLE as usize;
 const COLOUR_ROLE: usize = c::mjtTextureRole::mjTEXROLE_RGB as usize;
 
-/// What of a process is prepared, by the digest of what it was made from. Nobody
-/// gains from two meshes with one digest, so speed is all that it must have.
+/// What this process has prepared, by the digest of its source. The digest need
+/// only be fast: there is nothing to gain from a forged collision.
 type Prepared<T> = LazyLock<Mutex<HashMap<u128, Weak<T>>>>;
 
 static MESHES: Prepared<Mesh> = LazyLock::new(Mutex::default);
@@ -74,7 +74,7 @@ pub(super) fn prepare(model: &Model) -> Result<raster::Model, SimError> {
     Ok(prepared)
 }
 
-/// What was made of the same before and is still in use, or else is made now.
+/// Returns what was made from the same source if it is still in use, or makes it.
 fn shared<T>(
     known: &Prepared<T>,
     digest: u128,
@@ -113,7 +113,7 @@ fn digest_of_texture(texture: &TextureData<'_>) -> u128 {
     digest(head.into_iter().chain([texture.texels]))
 }
 
-/// Of parts, each after its length.
+/// Hashes parts, each after its length.
 fn digest<'a>(parts: impl Iterator<Item = &'a [u8]>) -> u128 {
     let mut hash = XxHash3_128::new();
     for part in parts {
@@ -183,7 +183,7 @@ pub(super) fn sky(model: &Model) -> Option<usize> {
     model.textures().position(|texture| texture.kind == sky)
 }
 
-/// Something that cannot be drawn.
+/// The error for what our renderer cannot draw.
 pub(super) fn graphics(problem: String) -> SimError {
     SimError::Graphics {
         problem,

@@ -1,22 +1,21 @@
-//! Our own renderer. What MuJoCo makes of a model and its state (`mjvScene`) is
-//! handed to it as it is.
+//! Our own renderer. It draws MuJoCo's abstract scene of a model's state
+//! (`mjvScene`).
 
 use std::collections::BTreeMap;
 
 use mujoco_rs::mujoco_c as c;
 use raster::{Camera, Geom, Light, LightKind, Scene, Shape, TextureUse};
 
-use super::abstraction::Abstraction;
 use super::prepare::{Material, graphics, materials, prepare, sky};
-use super::{Segment, View};
+use super::view::View;
 use crate::error::SimError;
-use crate::mujoco::Model;
+use crate::mujoco::{Model, Segment, VisualScene};
 
 const PLANE: i32 = c::mjtGeom::mjGEOM_PLANE as i32;
 
 /// What our renderer keeps to draw one scene.
 pub(crate) struct SoftwareCanvas {
-    abstraction: Abstraction,
+    visual_scene: VisualScene,
     prepared: raster::Model,
     materials: Vec<Option<Material>>,
     sky: Option<usize>,
@@ -29,7 +28,7 @@ impl SoftwareCanvas {
     /// Prepares a model's meshes and textures.
     pub(crate) fn new(model: &Model) -> Result<Self, SimError> {
         Ok(Self {
-            abstraction: Abstraction::new(model),
+            visual_scene: VisualScene::new(model),
             prepared: prepare(model)?,
             materials: materials(model),
             sky: sky(model),
@@ -77,7 +76,7 @@ impl SoftwareCanvas {
         self.update(view)?;
         let numbers = raster::segments(&self.prepared, &self.scene, size)
             .map_err(|error| graphics(error.to_string()))?;
-        let segments = self.abstraction.segments();
+        let segments = self.visual_scene.segments();
         Ok(numbers
             .into_iter()
             .map(|number| segments.get(&number?).copied())
@@ -97,10 +96,9 @@ impl SoftwareCanvas {
 
     /// Makes the scene of a model's state.
     fn update(&mut self, view: View<'_>) -> Result<(), SimError> {
-        self.abstraction.update(view);
-        let seen = self.abstraction.scene();
-        // SAFETY: it reads the two cameras, and nothing else.
-        let eye = unsafe { c::mjv_averageCamera(&seen.camera[0], &seen.camera[1]) };
+        self.visual_scene.update(view.model, view.data, view.camera);
+        let seen = self.visual_scene.scene();
+        let eye = self.visual_scene.eye();
         let flag = |flag: c::mjtRndFlag| seen.flags[flag as usize] != 0;
         self.scene.camera = Camera {
             pos: eye.pos,
@@ -124,11 +122,11 @@ impl SoftwareCanvas {
         let is_endless =
             |geom: &c::mjvGeom| geom.type_ == PLANE && geom.size[0] == 0.0 && geom.size[1] == 0.0;
         let hazy = self.scene.sky.is_some() && flag(c::mjtRndFlag::mjRND_HAZE);
-        if hazy && self.abstraction.geoms().iter().any(is_endless) {
+        if hazy && self.visual_scene.geoms().iter().any(is_endless) {
             return Err(graphics("an endless plane below a sky is hazy".to_owned()));
         }
         self.scene.geoms.clear();
-        for geom in self.abstraction.geoms() {
+        for geom in self.visual_scene.geoms() {
             self.scene.geoms.push(read_geom(geom, &self.materials)?);
         }
         Ok(())

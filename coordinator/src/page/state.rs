@@ -1,0 +1,137 @@
+//! What all pages are made from, and how a page is made: once for everybody who
+//! asks within a second.
+
+use std::future::Future;
+use std::sync::Arc;
+use std::time::Duration;
+
+use ::report::Document;
+use axum::http::{HeaderMap, Uri};
+use axum::response::{IntoResponse, Response};
+use queue::Queue;
+use queue::ids::{CampaignName, shortened};
+use queue::read::{Campaign, Edition, View};
+use transport::Security;
+
+use super::answer::Rendered;
+use super::changes::Changes;
+use super::kept::{Kept, Made};
+use super::layout::{self, Sheet};
+use super::problem::Problem;
+use crate::gauges::Gauges;
+use crate::report;
+
+/// Longest address that is looked at, path and query, bytes.
+const MAX_ADDRESS_BYTES: usize = 1_024;
+/// A page is shown again for so long before it is made anew.
+pub(super) const PAGE_AGE: Duration = Duration::from_secs(1);
+/// Pages that are kept at a time, one for each address.
+const MAX_PAGES: usize = 256;
+/// Campaigns whose statistics are kept at a time.
+const MAX_DOCUMENTS: usize = 16;
+/// Statistics that took long are shown again for so many times as long, so that
+/// a large campaign with many eyes on it takes no more than a twentieth of a
+/// core.
+const DOCUMENT_AGE_PER_COST: u32 = 20;
+
+/// Everything that the pages are made from.
+#[derive(Debug)]
+pub(crate) struct Page {
+    pub(super) queue: Arc<Queue>,
+    pub(super) security: Security,
+    pub(super) gauges: Arc<Gauges>,
+    pub(super) changes: Changes,
+    pages: Kept<Arc<Rendered>>,
+    documents: Kept<(Edition, Arc<Document>)>,
+    pub(super) metrics: Kept<Arc<str>>,
+}
+
+impl Page {
+    /// The pages on a queue.
+    pub(crate) fn new(queue: &Arc<Queue>, security: &Security, gauges: &Arc<Gauges>) -> Arc<Page> {
+        Arc::new(Page {
+            queue: queue.clone(),
+            security: security.clone(),
+            gauges: gauges.clone(),
+            changes: Changes::new(),
+            pages: Kept::new(MAX_PAGES),
+            documents: Kept::new(MAX_DOCUMENTS),
+            metrics: Kept::new(1),
+        })
+    }
+
+    /// Tells those who look what changed, until it is dropped.
+    pub(crate) async fn tell_changes(&self) {
+        self.changes.tell(&self.queue).await;
+    }
+
+    /// Ends the streams of those who look, so that the server can end.
+    pub(crate) fn close(&self) {
+        self.changes.close();
+    }
+
+    /// Makes a page, or shows again what was made for this address a moment
+    /// ago. A browser that has the same already is told so.
+    pub(super) async fn show(
+        &self,
+        (uri, headers): (Uri, HeaderMap),
+        sheet: impl Future<Output = Result<Sheet, Problem>>,
+    ) -> Response {
+        let address = uri.path_and_query().map_or("/", |address| address.as_str());
+        if address.len() > MAX_ADDRESS_BYTES {
+            return Problem::Address.into_response();
+        }
+        let version = self.changes.version();
+        let is_fresh = |made: &Made<Arc<Rendered>>| {
+            made.at.elapsed() < PAGE_AGE && made.value.version == version
+        };
+        let make = async {
+            let sheet = sheet.await?;
+            let html = layout::whole(&sheet, self.security.asks_for_tokens());
+            Ok::<_, Problem>(Arc::new(Rendered::new(html.into_string(), version)))
+        };
+        match self.pages.get(address, is_fresh, make).await {
+            Ok(rendered) => rendered.answer(&headers),
+            Err(problem) => problem.into_response(),
+        }
+    }
+
+    /// A campaign's statistics, from results as they are or as they were a
+    /// moment ago.
+    pub(super) async fn document(
+        &self,
+        campaign: &Campaign,
+        view: &mut View,
+    ) -> Result<Arc<Document>, Problem> {
+        let edition = view.edition(campaign.id).await?;
+        let is_fresh = |made: &Made<(Edition, Arc<Document>)>| {
+            let patience = (made.cost * DOCUMENT_AGE_PER_COST).max(PAGE_AGE);
+            made.value.0 == edition
+                || (made.value.0.is_of_same_campaign(&edition) && made.at.elapsed() < patience)
+        };
+        let wanted = edition.clone();
+        let make = async {
+            let subject = report::subject(view, campaign).await?;
+            // Thousands of resamplings: not on a thread that answers others.
+            let document = tokio::task::spawn_blocking(|| Document::new(vec![subject]));
+            let document = document.await.map_err(|error| Problem::failed(&error))?;
+            let document = document.map_err(|error| Problem::failed(&error))?;
+            Ok::<_, Problem>((wanted, Arc::new(document)))
+        };
+        let (_, document) = self
+            .documents
+            .get(campaign.name.as_str(), is_fresh, make)
+            .await?;
+        Ok(document)
+    }
+
+    /// A campaign by the name in an address, in the view that all of the page
+    /// is read from: a page takes one connection, however much it shows.
+    pub(super) async fn campaign(&self, name: &str) -> Result<(Campaign, View), Problem> {
+        let unknown = || Problem::Campaign(shortened(name, 80).to_owned());
+        let name = CampaignName::parse(name).map_err(|_| unknown())?;
+        let mut view = self.queue.view().await?;
+        let campaign = view.campaign(&name).await?;
+        Ok((campaign, view))
+    }
+}

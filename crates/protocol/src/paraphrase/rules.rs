@@ -1,0 +1,113 @@
+//! The words, structures, frames and tasks of `data/paraphrases.json`, as the file
+//! is written.
+
+use std::collections::BTreeMap;
+use std::sync::LazyLock;
+
+use serde::Deserialize;
+use serde::de::IgnoredAny;
+
+use crate::presets::PRESETS;
+use crate::suite::TaskRef;
+
+/// Variants per task and level: one for each configuration.
+pub(super) const VARIANTS: usize = PRESETS as usize;
+
+/// The file, parsed once. Tests ensure that the embedded file parses and names only
+/// what it has.
+pub(super) fn rules() -> &'static Rules {
+    static RULES: LazyLock<Rules> = LazyLock::new(|| {
+        serde_json::from_str(include_str!("../../data/paraphrases.json"))
+            .expect("the embedded paraphrases are valid")
+    });
+    &RULES
+}
+
+/// The file as it is written.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Rules {
+    /// For people who edit the file.
+    #[serde(rename = "about")]
+    _about: IgnoredAny,
+    pub(super) frames: [Frame; VARIANTS],
+    pub(super) numbers: BTreeMap<Number, BTreeMap<String, String>>,
+    pub(super) constructions: BTreeMap<String, Construction>,
+    pub(super) verbs: BTreeMap<String, Entries>,
+    pub(super) words: BTreeMap<String, Entries>,
+    pub(super) tasks: BTreeMap<TaskRef, Task>,
+}
+
+/// What a sentence of L3 puts around a structure: its own words come before
+/// the structure's body, and after its lead where it has one.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Frame {
+    pub(super) before: String,
+    pub(super) form: Form,
+}
+
+/// Grammatical number of the thing that a task is about.
+#[derive(Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Number {
+    #[default]
+    Singular,
+    Plural,
+}
+
+/// A way in which an instruction is built.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Construction {
+    /// Slots of tasks that do not fill them.
+    #[serde(default)]
+    pub(super) defaults: BTreeMap<String, String>,
+    /// The canonical word order.
+    pub(super) plain: String,
+    /// The orders of L2, by variant: a body, or a lead, `|` and a body.
+    pub(super) structures: [String; VARIANTS],
+}
+
+/// Entries of a list, by variant.
+#[derive(Deserialize)]
+#[serde(untagged)]
+pub(super) enum Entries {
+    Same(String),
+    ByVariant(Box<[String; VARIANTS]>),
+}
+
+impl Entries {
+    pub(super) fn of(&self, variant: usize) -> &str {
+        match self {
+            Self::Same(entry) => entry,
+            Self::ByVariant(entries) => &entries[variant],
+        }
+    }
+}
+
+/// What an instruction says, in the slots of its construction.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Task {
+    pub(super) construction: String,
+    #[serde(default)]
+    pub(super) number: Number,
+    /// Which list of verbs `<put>` takes: it depends on the destination.
+    pub(super) put: Option<String>,
+    pub(super) slots: BTreeMap<String, String>,
+}
+
+/// Form of a verb.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+pub(super) enum Form {
+    /// "grab"
+    #[serde(rename = "base")]
+    Base,
+    /// "grabbing"
+    #[serde(rename = "ing")]
+    Gerund,
+    /// "grabbed"
+    #[serde(rename = "ed")]
+    Participle,
+}

@@ -1,0 +1,94 @@
+//! Instants and the clock that is passed in: nothing else of this crate asks
+//! what time it is.
+
+use std::sync::atomic::{AtomicI64, Ordering};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+/// An instant: milliseconds since the Unix epoch, UTC.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, sqlx::Type)]
+#[sqlx(transparent)]
+pub struct UnixMillis(pub i64);
+
+/// Where the present instant comes from. It never goes back.
+pub trait Clock: Send + Sync {
+    /// The present instant.
+    fn now(&self) -> UnixMillis;
+}
+
+/// The machine's wall clock at the start, and monotonic time since. Leases last
+/// as long as they should when somebody sets the wall clock; instants that are
+/// shown follow it at the next start.
+#[derive(Clone, Copy, Debug)]
+pub struct SystemClock {
+    started: UnixMillis,
+    running: Instant,
+}
+
+/// A clock that stands still until it is moved: for tests, and for replaying a
+/// recorded sequence of events.
+#[derive(Debug, Default)]
+pub struct ManualClock(AtomicI64);
+
+impl UnixMillis {
+    /// This instant and `span` more.
+    #[must_use]
+    pub fn plus(self, span: Duration) -> UnixMillis {
+        UnixMillis(self.0.saturating_add(millis(span)))
+    }
+
+    /// This instant, `span` earlier.
+    #[must_use]
+    pub fn minus(self, span: Duration) -> UnixMillis {
+        UnixMillis(self.0.saturating_sub(millis(span)))
+    }
+
+    /// The span since `earlier`; zero if that lies ahead.
+    pub fn since(self, earlier: UnixMillis) -> Duration {
+        Duration::from_millis(u64::try_from(self.0.saturating_sub(earlier.0)).unwrap_or(0))
+    }
+}
+
+impl SystemClock {
+    /// A clock that starts now.
+    #[allow(
+        clippy::disallowed_methods,
+        reason = "the one place where the machine's clocks are read"
+    )]
+    pub fn start() -> SystemClock {
+        let since_epoch = SystemTime::now()
+            .duration_since(UNIX_EPOCH)
+            .unwrap_or_default();
+        SystemClock {
+            started: UnixMillis(millis(since_epoch)),
+            running: Instant::now(),
+        }
+    }
+}
+
+impl Clock for SystemClock {
+    fn now(&self) -> UnixMillis {
+        self.started.plus(self.running.elapsed())
+    }
+}
+
+impl ManualClock {
+    /// A clock that shows `now`.
+    pub fn at(now: UnixMillis) -> ManualClock {
+        ManualClock(AtomicI64::new(now.0))
+    }
+
+    /// Moves the clock forward.
+    pub fn advance(&self, span: Duration) {
+        self.0.fetch_add(millis(span), Ordering::SeqCst);
+    }
+}
+
+impl Clock for ManualClock {
+    fn now(&self) -> UnixMillis {
+        UnixMillis(self.0.load(Ordering::SeqCst))
+    }
+}
+
+fn millis(span: Duration) -> i64 {
+    i64::try_from(span.as_millis()).unwrap_or(i64::MAX)
+}

@@ -1,0 +1,178 @@
+//! Names of things: each its own type, so that a job number is never taken for
+//! an attempt, nor a worker's name for a campaign's. Not responsible for
+//! rollout ids, which belong to the protocol.
+
+use std::fmt;
+
+use serde::Serialize;
+
+/// Longest name of a campaign, bytes; it is also a folder's name.
+pub const MAX_CAMPAIGN_NAME_BYTES: usize = 80;
+/// Longest worker id, bytes.
+pub const MAX_WORKER_ID_BYTES: usize = 128;
+
+/// Row number of a campaign.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, sqlx::Type)]
+#[sqlx(transparent)]
+pub struct CampaignId(pub i64);
+
+/// Row number of a job: one rollout × replicate of one campaign.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, sqlx::Type)]
+#[sqlx(transparent)]
+pub struct JobId(pub i64);
+
+/// Row number of a policy at one endpoint.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, sqlx::Type)]
+#[sqlx(transparent)]
+pub struct PolicyId(pub i64);
+
+/// How many times a job has been leased; 0 before the first lease, only ever
+/// rises. A fact about an attempt, whose name is its `AttemptId`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, sqlx::Type)]
+#[sqlx(transparent)]
+pub struct AttemptNumber(pub u32);
+
+/// A worker process, by the name that it chose when it started.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, sqlx::Type)]
+#[sqlx(transparent)]
+pub struct WorkerId(pub String);
+
+/// Name of a campaign: letters, digits, `-`, `_` and `.`, not starting with a
+/// dot, so that it can name a folder anywhere.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, sqlx::Type)]
+#[sqlx(transparent)]
+pub struct CampaignName(String);
+
+/// A job by the names that people use.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct JobName {
+    /// Which rollout.
+    pub rollout_id: String,
+    /// Which replicate of it.
+    pub replicate: u32,
+}
+
+/// A name that cannot be used.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum NameError {
+    /// Not a campaign's name.
+    #[error(
+        "read campaign name `{name}`: use 1 to {MAX_CAMPAIGN_NAME_BYTES} letters, digits, `-`, `_` and `.`, not starting with a dot"
+    )]
+    Campaign {
+        /// What was given, shortened.
+        name: String,
+    },
+    /// Not a worker's id.
+    #[error(
+        "read worker id `{id}`: use 1 to {MAX_WORKER_ID_BYTES} visible ASCII characters without spaces"
+    )]
+    Worker {
+        /// What was given, shortened.
+        id: String,
+    },
+}
+
+impl CampaignName {
+    /// Checks a name.
+    ///
+    /// # Errors
+    /// When it is empty, too long, starts with a dot or holds another character
+    /// than letters, digits, `-`, `_` and `.`.
+    pub fn parse(name: &str) -> Result<CampaignName, NameError> {
+        let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
+        let fits = (1..=MAX_CAMPAIGN_NAME_BYTES).contains(&name.len());
+        if fits && !name.starts_with('.') && name.chars().all(allowed) {
+            Ok(CampaignName(name.to_owned()))
+        } else {
+            Err(NameError::Campaign {
+                name: shortened(name, MAX_CAMPAIGN_NAME_BYTES).to_owned(),
+            })
+        }
+    }
+
+    /// The name as text.
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
+impl WorkerId {
+    /// Checks an id.
+    ///
+    /// # Errors
+    /// When it is empty, too long, or holds a space or an invisible character.
+    pub fn parse(id: &str) -> Result<WorkerId, NameError> {
+        let fits = (1..=MAX_WORKER_ID_BYTES).contains(&id.len());
+        if fits && id.chars().all(|c| c.is_ascii_graphic()) {
+            Ok(WorkerId(id.to_owned()))
+        } else {
+            Err(NameError::Worker {
+                id: shortened(id, MAX_WORKER_ID_BYTES).to_owned(),
+            })
+        }
+    }
+}
+
+impl fmt::Display for CampaignName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl fmt::Display for WorkerId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl fmt::Display for JobName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.replicate {
+            0 => f.write_str(&self.rollout_id),
+            replicate => write!(f, "{}#r{replicate}", self.rollout_id),
+        }
+    }
+}
+
+impl fmt::Display for JobId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.0)
+    }
+}
+
+impl fmt::Display for AttemptNumber {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.0)
+    }
+}
+
+/// The longest prefix of `text` that fits `max_bytes` and ends between
+/// characters: what strangers send is bounded before it is kept or shown.
+pub fn shortened(text: &str, max_bytes: usize) -> &str {
+    let end = (0..=max_bytes.min(text.len()))
+        .rev()
+        .find(|&end| text.is_char_boundary(end));
+    &text[..end.unwrap_or(0)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_campaign_name_cannot_leave_its_folder() {
+        for bad in ["", ".", "..", "../up", "a/b", "a\\b", "a b", "é", ".hidden"] {
+            assert!(CampaignName::parse(bad).is_err(), "{bad:?}");
+        }
+        assert!(CampaignName::parse(&"x".repeat(MAX_CAMPAIGN_NAME_BYTES + 1)).is_err());
+        assert!(CampaignName::parse("pi05_L1.v2-final").is_ok());
+    }
+
+    #[test]
+    fn a_shortened_text_ends_between_characters() {
+        assert_eq!(shortened("aé", 2), "a");
+        assert_eq!(shortened("aé", 3), "aé");
+        assert_eq!(shortened("", 5), "");
+    }
+}

@@ -1,0 +1,20 @@
+//! What workers and operators do: each reads what a decision needs, lets the
+//! rules decide, and carries it out in the writing transaction.
+
+pub(crate) mod artifacts;
+pub(crate) mod backup;
+mod cache;
+pub(crate) mod campaigns;
+pub(crate) mod claim;
+pub(crate) mod commit;
+pub(crate) mod context;
+pub(crate) mod error;
+pub(crate) mod films;
+pub(crate) mod heartbeat;
+pub(crate) mod register;
+pub(crate) mod release;
+pub(crate) mod removals;
+pub(crate) mod retry;
+pub(crate) mod shared;
+pub(crate) mod sweep;
+pub(crate) mod writer;

@@ -1,0 +1,394 @@
+//! Granting leases. All claims that arrive together are served by the same
+//! statements: those that are repeated get the lease that they got before, the
+//! others what they can have now.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+use attempt::{AttemptId, Pin};
+
+use super::context::Context;
+use super::error::QueueError;
+use crate::ids::{AttemptNumber, CampaignId, CampaignName, JobId, WorkerId};
+use crate::rules::choice::{WaitingTask, choose_task};
+use crate::rules::lease::MIN_WORKERS_TO_QUARANTINE;
+use crate::rules::outage::{Allowance, PolicyState};
+use crate::store::campaigns::Campaign;
+use crate::store::claims::{self, Grant, LeasedJob, Term};
+use crate::store::workers::Standing;
+use crate::store::{StoreError, campaigns, policies, workers};
+
+/// Longest wait of a claim.
+pub const MAX_CLAIM_WAIT: Duration = Duration::from_secs(30);
+/// Jobs that are looked at beyond those that are asked for: some of those that
+/// wait have failed on the very worker that asks.
+const SPARE_CANDIDATES: usize = 8;
+
+/// What a worker asks for: one job.
+#[derive(Clone, Debug)]
+pub struct ClaimRequest {
+    /// Who.
+    pub worker: WorkerId,
+    /// The worker's own name for this claim: asked again, it gets the same
+    /// lease.
+    pub claim: String,
+    /// The task whose scene the slot holds compiled.
+    pub warm_task: Option<String>,
+}
+
+/// What a worker gets.
+#[derive(Clone, Debug, Default)]
+pub struct Claimed {
+    /// A job, and the lease on it.
+    pub job: Option<Assigned>,
+    /// Without a lease: why, if jobs wait that this worker cannot have.
+    pub idle_reason: String,
+}
+
+/// A job with the lease on it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Assigned {
+    /// The attempt that was granted.
+    pub attempt: AttemptId,
+    /// Its job.
+    pub job: JobId,
+    /// Which attempt of the job it is, from 1.
+    pub number: AttemptNumber,
+    /// Its campaign.
+    pub campaign: CampaignName,
+    /// Which replicate.
+    pub replicate: u32,
+    /// One manifest row, JSON.
+    pub manifest_row: String,
+    /// Seed for the policy.
+    pub policy_seed: u64,
+    /// The policy's name at its endpoint.
+    pub policy: String,
+    /// The policy's endpoint.
+    pub policy_endpoint: String,
+    /// "matched" or "reference".
+    pub realisation: String,
+    /// Which rollouts are filmed: "none", "failures", "transitions" or "all".
+    pub record: String,
+}
+
+/// A claim that has not been met yet.
+struct Wanting<'a> {
+    /// Which of those that ask.
+    place: usize,
+    request: &'a ClaimRequest,
+    /// Tasks of the campaign at hand that have nothing for it.
+    exhausted: BTreeSet<String>,
+}
+
+impl Context<'_> {
+    /// What workers that ask at the same time can have now. `is_new` says of each
+    /// whether it has just come, and not only been woken: then its worker is
+    /// there.
+    pub(super) async fn claim(
+        &mut self,
+        requests: &[(&ClaimRequest, bool)],
+    ) -> Result<Vec<Result<Claimed, QueueError>>, StoreError> {
+        if requests.is_empty() {
+            return Ok(Vec::new());
+        }
+        let standings = self.standings(requests).await?;
+        let repeated = self.repeated(requests).await?;
+        let mut answers = Vec::with_capacity(requests.len());
+        let mut wanting: Vec<(Pin, Vec<Wanting<'_>>)> = Vec::new();
+        for (place, (request, _)) in requests.iter().enumerate() {
+            let standing = match may_claim(&standings, &request.worker) {
+                Ok(standing) => standing,
+                Err(refusal) => {
+                    answers.push(Err(refusal));
+                    continue;
+                }
+            };
+            let mut claimed = Claimed::default();
+            let before = repeated.get(request.claim.as_str());
+            if let Some(job) = before.filter(|job| job.lease_owner == request.worker) {
+                let campaign = self.campaign(job.campaign_id).await?;
+                claimed.job = Some(assigned(&campaign, job.clone()));
+            } else if let Some(reason) = self.shared.held() {
+                claimed.idle_reason = reason;
+            } else {
+                let asks = Wanting {
+                    place,
+                    request,
+                    exhausted: BTreeSet::new(),
+                };
+                match wanting.iter_mut().find(|(pin, _)| *pin == standing.pin) {
+                    Some((_, others)) => others.push(asks),
+                    None => wanting.push((standing.pin.clone(), vec![asks])),
+                }
+            }
+            answers.push(Ok(claimed));
+        }
+        for (pin, mut wanting) in wanting {
+            for (place, assigned) in self.lease_to(&pin, &mut wanting).await? {
+                answers[place] = Ok(Claimed {
+                    job: Some(assigned),
+                    idle_reason: String::new(),
+                });
+            }
+            if wanting.is_empty() {
+                continue;
+            }
+            let idle_reason = self.idle_reason(&pin).await?;
+            for left in wanting {
+                answers[left.place] = Ok(Claimed {
+                    job: None,
+                    idle_reason: idle_reason.clone(),
+                });
+            }
+        }
+        Ok(answers)
+    }
+
+    /// Who asks, and notes that they are there.
+    async fn standings(
+        &mut self,
+        requests: &[(&ClaimRequest, bool)],
+    ) -> Result<BTreeMap<WorkerId, Standing>, StoreError> {
+        let asking: Vec<_> = requests.iter().map(|(it, _)| &it.worker).collect();
+        let standings = workers::standings(&mut self.tx, &asking).await?;
+        let new = requests.iter().filter(|(_, is_new)| *is_new);
+        let new: Vec<_> = new.map(|(it, _)| &it.worker).collect();
+        if !new.is_empty() {
+            workers::seen(&mut self.tx, &new, self.now).await?;
+        }
+        Ok(standings)
+    }
+
+    /// The leases that some of these claims got before.
+    async fn repeated(
+        &mut self,
+        requests: &[(&ClaimRequest, bool)],
+    ) -> Result<BTreeMap<String, LeasedJob>, StoreError> {
+        let claims: Vec<&str> = requests.iter().map(|(it, _)| it.claim.as_str()).collect();
+        let leases = claims::repeated(&mut self.tx, &claims).await?;
+        let by_claim = leases.into_iter().map(|job| (job.claim_id.clone(), job));
+        Ok(by_claim.collect())
+    }
+
+    /// Leases to workers that run on `pin`, oldest campaigns first. Who gets
+    /// something is taken out of `wanting`.
+    async fn lease_to(
+        &mut self,
+        pin: &Pin,
+        wanting: &mut Vec<Wanting<'_>>,
+    ) -> Result<Vec<(usize, Assigned)>, StoreError> {
+        let mut assigned = Vec::new();
+        let mut done: BTreeSet<CampaignId> = BTreeSet::new();
+        while !wanting.is_empty() {
+            // Looked at again after every campaign: a lease may pin it, or be
+            // the probe that the policy's other campaigns wait for.
+            let waiting = self.cache.waiting(&mut self.tx).await?;
+            let suits =
+                |it: &&Campaign| it.state.may_lease() && it.takes(pin) && !done.contains(&it.id);
+            let Some(campaign) = waiting.iter().find(suits) else {
+                break;
+            };
+            done.insert(campaign.id);
+            let room = match campaign.health.allowance(self.now) {
+                Allowance::Unlimited => wanting.len(),
+                Allowance::Probe => 1,
+                Allowance::Nothing => continue,
+            };
+            assigned.extend(self.lease_from(campaign, pin, wanting, room).await?);
+        }
+        Ok(assigned)
+    }
+
+    /// Leases up to `room` jobs of one campaign.
+    async fn lease_from(
+        &mut self,
+        campaign: &Campaign,
+        pin: &Pin,
+        wanting: &mut Vec<Wanting<'_>>,
+        room: usize,
+    ) -> Result<Vec<(usize, Assigned)>, StoreError> {
+        let grants = self.choose(campaign, wanting, room).await?;
+        let Some((_, first)) = grants.first() else {
+            return Ok(Vec::new());
+        };
+        if campaign.health.state != PolicyState::Available {
+            let probing = campaign.health.with_probe(first.attempt);
+            policies::set_health(&mut self.tx, campaign.policy_id, &probing).await?;
+            self.cache.forget_campaigns();
+        }
+        if !campaign.is_pinned() {
+            campaigns::pin(&mut self.tx, campaign.id, pin, self.now).await?;
+            self.cache.forget_campaigns();
+        }
+        let timing = self.shared.timing;
+        let per_step = timing.ceiling_per_step.as_millis();
+        let term = Term {
+            granted: self.now,
+            expires: self.now.plus(timing.lease),
+            ceiling_per_step_ms: i64::try_from(per_step).unwrap_or(i64::MAX),
+        };
+        let (places, grants): (Vec<usize>, Vec<Grant>) = grants.into_iter().unzip();
+        let leased = claims::grant(&mut self.tx, &grants, term).await?;
+        let mut leased: BTreeMap<JobId, LeasedJob> =
+            leased.into_iter().map(|job| (job.id, job)).collect();
+        let handed_out = places
+            .into_iter()
+            .zip(&grants)
+            .filter_map(|(place, grant)| {
+                let job = leased.remove(&JobId(grant.job))?;
+                Some((place, assigned(campaign, job)))
+            });
+        Ok(handed_out.collect())
+    }
+
+    /// Which jobs of a campaign go to whom. First what is warm; then, for those
+    /// that the warm tasks have nothing for, the tasks that the fewest are on.
+    /// Who gets something is taken out of `wanting`.
+    async fn choose(
+        &mut self,
+        campaign: &Campaign,
+        wanting: &mut Vec<Wanting<'_>>,
+        room: usize,
+    ) -> Result<Vec<(usize, Grant)>, StoreError> {
+        let must_differ = self.able_workers(campaign).await? >= MIN_WORKERS_TO_QUARANTINE;
+        let mut grants: Vec<(usize, Grant)> = Vec::new();
+        let mut taken: BTreeSet<JobId> = BTreeSet::new();
+        let mut tasks: Option<Vec<WaitingTask>> = None;
+        for asks in wanting.iter_mut() {
+            asks.exhausted.clear();
+        }
+        while grants.len() < room && !wanting.is_empty() {
+            let is_warm = |it: &Wanting<'_>| it.warm().is_some();
+            if tasks.is_none() && !wanting.iter().all(is_warm) {
+                tasks = Some(claims::waiting_tasks(&mut self.tx, campaign.id, self.now).await?);
+            }
+            let mut chosen: Vec<Option<String>> = Vec::with_capacity(wanting.len());
+            for asks in wanting.iter().take(room - grants.len()) {
+                chosen.push(asks.choose(tasks.as_deref_mut().unwrap_or_default()));
+            }
+            let demand: BTreeSet<&str> = chosen.iter().flatten().map(String::as_str).collect();
+            if demand.is_empty() {
+                break;
+            }
+            let limit = chosen.len() + taken.len() + SPARE_CANDIDATES;
+            let demand = demand.into_iter();
+            let mut candidates =
+                claims::candidates(&mut self.tx, campaign.id, demand, limit, self.now).await?;
+            let mut left = Vec::new();
+            for (place, mut asks) in wanting.drain(..).enumerate() {
+                let Some(Some(task)) = chosen.get(place) else {
+                    left.push(asks);
+                    continue;
+                };
+                let suits = |job: &claims::Candidate| {
+                    !(taken.contains(&job.id)
+                        || must_differ && job.has_failed_on(&asks.request.worker))
+                };
+                let waiting = candidates.get_mut(task);
+                let job = waiting.and_then(|jobs| {
+                    let at = jobs.iter().position(suits)?;
+                    jobs.remove(at)
+                });
+                let Some(job) = job else {
+                    asks.exhausted.insert(task.clone());
+                    left.push(asks);
+                    continue;
+                };
+                taken.insert(job.id);
+                let grant = Grant {
+                    job: job.id.0,
+                    worker: asks.request.worker.0.clone(),
+                    attempt: self.shared.new_attempt(),
+                    claim: asks.request.claim.clone(),
+                };
+                grants.push((asks.place, grant));
+            }
+            *wanting = left;
+        }
+        Ok(grants)
+    }
+
+    /// Why jobs wait that a worker on `pin` does not get; empty if none do.
+    async fn idle_reason(&mut self, pin: &Pin) -> Result<String, StoreError> {
+        let mut reasons = Vec::new();
+        for campaign in self.cache.waiting(&mut self.tx).await?.iter() {
+            let name = &campaign.name;
+            if let Some(other) = campaign.pin.as_ref().filter(|other| !other.takes(pin)) {
+                reasons.push(format!(
+                    "campaign `{name}` is pinned to {other} and this worker runs on {pin}"
+                ));
+            } else if !campaign.state.may_lease() {
+                reasons.push(format!("campaign `{name}` is paused"));
+            } else if let (
+                PolicyState::Paused { reason, .. } | PolicyState::Probing { reason, .. },
+                true,
+            ) = (
+                &campaign.health.state,
+                campaign.health.allowance(self.now) == Allowance::Nothing,
+            ) {
+                let policy = &campaign.policy;
+                reasons.push(format!(
+                    "policy `{policy}` of campaign `{name}` is down: {reason}"
+                ));
+            }
+        }
+        Ok(reasons.join("; "))
+    }
+}
+
+impl Wanting<'_> {
+    /// The task whose scene the slot holds, unless it has nothing.
+    fn warm(&self) -> Option<&str> {
+        let warm = self.request.warm_task.as_deref();
+        warm.filter(|task| !self.exhausted.contains(*task))
+    }
+
+    /// The task that it is to be served from, and counts it as one more there.
+    fn choose(&self, tasks: &mut [WaitingTask]) -> Option<String> {
+        if let Some(warm) = self.warm() {
+            return Some(warm.to_owned());
+        }
+        let open = |it: &&WaitingTask| !self.exhausted.contains(&it.task);
+        let open: Vec<WaitingTask> = tasks.iter().filter(open).cloned().collect();
+        let chosen = choose_task(&open)?.task.clone();
+        let counted = tasks.iter_mut().find(|it| it.task == chosen);
+        counted.into_iter().for_each(|it| it.leased += 1);
+        Some(chosen)
+    }
+}
+
+/// The standing of a worker that may lease.
+fn may_claim<'a>(
+    standings: &'a BTreeMap<WorkerId, Standing>,
+    worker: &WorkerId,
+) -> Result<&'a Standing, QueueError> {
+    let standing = standings
+        .get(worker)
+        .ok_or_else(|| QueueError::UnknownWorker {
+            worker: worker.clone(),
+        })?;
+    match &standing.stopped_reason {
+        Some(reason) => Err(QueueError::WorkerStopped {
+            worker: worker.clone(),
+            reason: reason.clone(),
+        }),
+        None => Ok(standing),
+    }
+}
+
+fn assigned(campaign: &Campaign, job: LeasedJob) -> Assigned {
+    Assigned {
+        attempt: job.attempt_id,
+        job: job.id,
+        number: job.attempt,
+        campaign: campaign.name.clone(),
+        replicate: job.replicate,
+        manifest_row: job.manifest_row,
+        policy_seed: job.policy_seed.cast_unsigned(),
+        policy: campaign.policy.clone(),
+        policy_endpoint: campaign.endpoint.clone(),
+        realisation: campaign.realisation.clone(),
+        record: campaign.record.clone(),
+    }
+}

@@ -1,0 +1,165 @@
+//! The writing transaction, with what an operation needs in it: what has been
+//! read before, the present instant, and the few steps that several operations
+//! share.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::sync::MutexGuard;
+
+use super::cache::Cache;
+use super::shared::Shared;
+use crate::clock::UnixMillis;
+use crate::ids::{CampaignId, WorkerId};
+use crate::rules::lease::{
+    AfterFailure, FailureReason, Job, Lease, MAX_WORKER_FAILURES_IN_A_ROW, Suspicion, strike,
+};
+use crate::rules::outage::{Allowance, PolicyHealth, PolicyState};
+use crate::store::campaigns::Campaign;
+use crate::store::failpoint::Step;
+use crate::store::{StoreError, Tx, jobs, policies, workers};
+
+/// The writing transaction. Dropping it undoes it.
+pub(crate) struct Context<'a> {
+    pub(super) shared: &'a Shared,
+    pub(super) tx: Tx<'a>,
+    pub(super) cache: MutexGuard<'a, Cache>,
+    pub(super) now: UnixMillis,
+}
+
+/// How an attempt without a result ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Ended {
+    /// What its job does next.
+    pub(super) then: AfterFailure,
+    /// Until its policy may be tried again.
+    pub(super) policy_wait: Duration,
+}
+
+impl<'a> Context<'a> {
+    /// Begins the transaction, for these steps; waits for the one before it.
+    pub(super) async fn begin(
+        shared: &'a Shared,
+        steps: Vec<Step>,
+    ) -> Result<Context<'a>, StoreError> {
+        let tx = shared.store.write(steps).await?;
+        let mut cache = shared.cache.lock().await;
+        cache.begin();
+        Ok(Context {
+            tx,
+            cache,
+            now: shared.now(),
+            shared,
+        })
+    }
+
+    /// Ends the transaction: what it wrote is on the disk.
+    pub(super) async fn commit(mut self) -> Result<(), StoreError> {
+        self.tx.commit().await?;
+        self.cache.committed();
+        Ok(())
+    }
+
+    pub(super) async fn campaign(&mut self, id: CampaignId) -> Result<Arc<Campaign>, StoreError> {
+        self.cache.campaign(&mut self.tx, id).await
+    }
+
+    /// Workers alive that could run the campaign's jobs.
+    pub(super) async fn able_workers(&mut self, campaign: &Campaign) -> Result<u32, StoreError> {
+        let since = self.now.minus(self.shared.timing.worker_alive);
+        let live = self.cache.live(&mut self.tx, since).await?;
+        let able = live.iter().filter(|pin| campaign.takes(pin));
+        Ok(u32::try_from(able.count()).unwrap_or(u32::MAX))
+    }
+
+    /// Ends a held attempt without a result: requeues its job or quarantines it,
+    /// and tells its policy's health.
+    pub(super) async fn end_attempt(
+        &mut self,
+        (job, lease): (&Job, &Lease),
+        campaign: CampaignId,
+        (reason, error): (FailureReason, &str),
+    ) -> Result<Ended, StoreError> {
+        let campaign = self.campaign(campaign).await?;
+        let suspicion = Suspicion {
+            failed_on_workers: jobs::failed_on_workers(&mut self.tx, job.id, &lease.owner).await?,
+            able_workers: self.able_workers(&campaign).await?,
+        };
+        let now = self.now;
+        let then = self
+            .shared
+            .decide(|rng| job.after_failure(reason, suspicion, now, rng));
+        jobs::fail(&mut self.tx, job, lease, reason, error, then, now).await?;
+        if then == AfterFailure::Quarantine {
+            tracing::error!(job = %job.id, "quarantined after its last attempt: {error}");
+        } else if !reason.is_charged() {
+            // It may be leased again at once.
+            self.shared.work.notify_waiters();
+        }
+        let before = &campaign.health;
+        let after = match reason {
+            FailureReason::PolicyUnavailable => self
+                .shared
+                .decide(|rng| before.after_outage(lease.attempt, lease.granted, error, now, rng)),
+            _ => before.after_other_failure(lease.attempt, now),
+        };
+        self.set_health(&campaign, &after).await?;
+        let policy_wait = match (reason, after.state) {
+            (FailureReason::PolicyUnavailable, PolicyState::Paused { resume, .. }) => {
+                resume.since(now)
+            }
+            _ => Duration::ZERO,
+        };
+        Ok(Ended { then, policy_wait })
+    }
+
+    /// Counts one more charged failure of a worker. Returns why it must stop, if
+    /// it must.
+    pub(super) async fn strike(
+        &mut self,
+        worker: &WorkerId,
+        last_error: &str,
+    ) -> Result<Option<String>, StoreError> {
+        let standings = workers::standings(&mut self.tx, &[worker]).await?;
+        let strike = strike(standings.get(worker).map_or(0, |it| it.charged_in_a_row));
+        let stop = strike.stop.then(|| {
+            format!(
+                "it has failed {} times in a row (the limit is {MAX_WORKER_FAILURES_IN_A_ROW}), \
+                 the last time with: {last_error}; look at its machine, then start it again",
+                strike.in_a_row
+            )
+        });
+        workers::set_strike(&mut self.tx, worker, strike, stop.as_deref()).await?;
+        if let Some(reason) = &stop {
+            tracing::error!(%worker, "this worker leases no more: {reason}");
+        }
+        Ok(stop)
+    }
+
+    /// Stores the health of a campaign's policy if it changed, and wakes waiting
+    /// claims if its jobs may be leased now. Who is woken waits for this
+    /// transaction's end: there is one writer.
+    pub(super) async fn set_health(
+        &mut self,
+        campaign: &Campaign,
+        after: &PolicyHealth,
+    ) -> Result<(), StoreError> {
+        let before = &campaign.health;
+        if after == before {
+            return Ok(());
+        }
+        if let (PolicyState::Available, PolicyState::Paused { reason, .. }) =
+            (&before.state, &after.state)
+        {
+            tracing::warn!(
+                "policy `{}` is down, its jobs wait: {reason}",
+                campaign.policy
+            );
+        }
+        if after.allowance(self.now) != Allowance::Nothing {
+            self.shared.work.notify_waiters();
+        }
+        self.cache.forget_campaigns();
+        policies::set_health(&mut self.tx, campaign.policy_id, after).await
+    }
+}

@@ -1,0 +1,94 @@
+//! Why a request is not met.
+
+use attempt::AttemptId;
+
+use crate::ids::{CampaignName, JobName, WorkerId};
+use crate::store::StoreError;
+
+/// A request that cannot be met.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum QueueError {
+    /// The worker never announced itself here.
+    #[error("serve worker `{worker}`: it is not registered with this coordinator; register first")]
+    UnknownWorker {
+        /// Who.
+        worker: WorkerId,
+    },
+    /// The worker may lease no more.
+    #[error("lease to worker `{worker}`: {reason}")]
+    WorkerStopped {
+        /// Who.
+        worker: WorkerId,
+        /// Why.
+        reason: String,
+    },
+    /// There is no such attempt.
+    #[error(
+        "find attempt {attempt}: this coordinator granted no such lease, or deleted its campaign"
+    )]
+    UnknownAttempt {
+        /// Which.
+        attempt: AttemptId,
+    },
+    /// There is no such campaign.
+    #[error(
+        "find campaign `{campaign}`: this coordinator has no such campaign; `coordinator campaign list` shows what it has"
+    )]
+    UnknownCampaign {
+        /// Which.
+        campaign: CampaignName,
+    },
+    /// Another specification has the name.
+    #[error(
+        "create campaign `{campaign}`: it exists with another specification (they differ in {differs}); choose another name"
+    )]
+    CampaignDiffers {
+        /// Which.
+        campaign: CampaignName,
+        /// The fields that differ.
+        differs: String,
+    },
+    /// A cancelled campaign was to go on.
+    #[error("change campaign `{campaign}`: it is cancelled, which is final; create another")]
+    Cancelled {
+        /// Which.
+        campaign: CampaignName,
+    },
+    /// A campaign with leased rollouts was to be deleted.
+    #[error(
+        "delete campaign `{campaign}`: {leased} of its rollouts are being run; cancel it first, or pause it and wait"
+    )]
+    CampaignInUse {
+        /// Which.
+        campaign: CampaignName,
+        /// How many.
+        leased: u64,
+    },
+    /// There is no such rollout in the campaign.
+    #[error(
+        "find `{job}`: campaign `{campaign}` has no such rollout; `coordinator jobs list {campaign}` shows what it has"
+    )]
+    UnknownRollout {
+        /// Where.
+        campaign: CampaignName,
+        /// Which.
+        job: JobName,
+    },
+    /// A job that is not in quarantine was to be retried.
+    #[error("retry `{job}`: it is {state}; only a quarantined rollout can be retried")]
+    NotQuarantined {
+        /// Which.
+        job: JobName,
+        /// Its state.
+        state: String,
+    },
+    /// A backup is being made.
+    #[error("make a backup: another one is being made; try again when it is done")]
+    BackupInHand,
+    /// The coordinator is shutting down.
+    #[error("lease jobs: the coordinator is shutting down")]
+    ShuttingDown,
+    /// The database failed.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+}

@@ -1,0 +1,80 @@
+//! Renewing leases. All heartbeats that arrive together are served by the same
+//! statements.
+
+use std::collections::BTreeSet;
+
+use attempt::AttemptId;
+
+use super::context::Context;
+use super::error::QueueError;
+use crate::ids::WorkerId;
+use crate::store::jobs::{self, Progress};
+use crate::store::policies::{self, Probe};
+use crate::store::{StoreError, workers};
+
+/// A worker's heartbeat.
+#[derive(Clone, Debug)]
+pub(crate) struct Heartbeat {
+    /// Whose.
+    pub(crate) worker: WorkerId,
+    /// Its attempts, and how many control steps each has done.
+    pub(crate) progress: Vec<(AttemptId, u32)>,
+}
+
+impl Context<'_> {
+    /// Renews and acknowledges leases, and stores progress. Answers to each the
+    /// attempts whose leases it no longer holds.
+    pub(super) async fn heartbeat(
+        &mut self,
+        heartbeats: &[&Heartbeat],
+    ) -> Result<Vec<Result<Vec<AttemptId>, QueueError>>, StoreError> {
+        if heartbeats.is_empty() {
+            return Ok(Vec::new());
+        }
+        let workers: Vec<_> = heartbeats.iter().map(|it| &it.worker).collect();
+        let standings = workers::standings(&mut self.tx, &workers).await?;
+        workers::seen(&mut self.tx, &workers, self.now).await?;
+        let progress = heartbeats.iter().flat_map(|it| {
+            it.progress.iter().map(|(attempt, control_steps)| Progress {
+                worker: &it.worker.0,
+                attempt: *attempt,
+                control_steps: *control_steps,
+            })
+        });
+        let progress: Vec<Progress<'_>> = progress.collect();
+        let expires = self.now.plus(self.shared.timing.lease);
+        let held = jobs::renew(&mut self.tx, &progress, expires).await?;
+        self.hear_probes(&progress, &held).await?;
+        let answer = |it: &&Heartbeat| {
+            if !standings.contains_key(&it.worker) {
+                return Err(QueueError::UnknownWorker {
+                    worker: it.worker.clone(),
+                });
+            }
+            let attempts = it.progress.iter().map(|(attempt, _)| *attempt);
+            Ok(attempts.filter(|attempt| !held.contains(attempt)).collect())
+        };
+        Ok(heartbeats.iter().map(answer).collect())
+    }
+
+    /// A probe that is past the settling steps has been answered by its policy.
+    async fn hear_probes(
+        &mut self,
+        progress: &[Progress<'_>],
+        held: &BTreeSet<AttemptId>,
+    ) -> Result<(), StoreError> {
+        for probe in policies::probes(&mut self.tx).await? {
+            let is_answered = |it: &Progress<'_>| is_answer(it, &probe);
+            if held.contains(&probe.attempt) && progress.iter().any(is_answered) {
+                let campaign = self.campaign(probe.campaign).await?;
+                let after = campaign.health.after_answer(probe.attempt, self.now);
+                self.set_health(&campaign, &after).await?;
+            }
+        }
+        Ok(())
+    }
+}
+
+fn is_answer(progress: &Progress<'_>, probe: &Probe) -> bool {
+    progress.attempt == probe.attempt && progress.control_steps > probe.settle_steps
+}

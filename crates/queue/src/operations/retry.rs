@@ -1,0 +1,82 @@
+//! Taking jobs out of quarantine.
+
+use super::context::Context;
+use super::error::QueueError;
+use super::shared::Shared;
+use crate::ids::{CampaignName, JobId, JobName};
+use crate::rules::campaign::CampaignState;
+use crate::store::campaigns::Campaign;
+use crate::store::failpoint::Step;
+use crate::store::jobs;
+
+/// Most jobs that are named to be taken out of quarantine at once; all of a
+/// campaign's may be, too.
+pub const MAX_JOBS_RETRIED: usize = 1_000;
+
+/// Which jobs to take out of quarantine.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Retry {
+    /// All of the campaign's.
+    All,
+    /// These; each must be there.
+    Named(Vec<JobName>),
+}
+
+/// Takes jobs out of quarantine; all of those that are named, or none. Returns
+/// how many.
+pub(crate) async fn retry(
+    shared: &Shared,
+    name: &CampaignName,
+    retry: &Retry,
+) -> Result<u64, QueueError> {
+    let mut context = Context::begin(shared, vec![Step::RetryJobs]).await?;
+    let campaign = context.campaign_named(name).await?;
+    if let CampaignState::Cancelled { .. } = campaign.state {
+        return Err(QueueError::Cancelled {
+            campaign: name.clone(),
+        });
+    }
+    let chosen = match retry {
+        Retry::All => jobs::quarantined(&mut context.tx, campaign.id).await?,
+        Retry::Named(names) => {
+            let mut chosen = Vec::with_capacity(names.len());
+            for job in names {
+                chosen.push(context.quarantined(&campaign, job).await?);
+            }
+            chosen
+        }
+    };
+    for job in &chosen {
+        jobs::retry(&mut context.tx, *job, context.now).await?;
+    }
+    context.commit().await?;
+    tracing::info!(campaign = %name, jobs = chosen.len(), "taken out of quarantine");
+    shared.work.notify_waiters();
+    Ok(chosen.len() as u64)
+}
+
+impl Context<'_> {
+    /// A job that is named to be retried, if it may be.
+    async fn quarantined(
+        &mut self,
+        campaign: &Campaign,
+        job: &JobName,
+    ) -> Result<JobId, QueueError> {
+        let JobName {
+            rollout_id,
+            replicate,
+        } = job;
+        let found = jobs::by_rollout(&mut self.tx, campaign.id, rollout_id, *replicate).await?;
+        match found {
+            Some((id, state)) if state == "quarantined" => Ok(id),
+            Some((_, state)) => Err(QueueError::NotQuarantined {
+                job: job.clone(),
+                state,
+            }),
+            None => Err(QueueError::UnknownRollout {
+                campaign: campaign.name.clone(),
+                job: job.clone(),
+            }),
+        }
+    }
+}

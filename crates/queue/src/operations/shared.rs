@@ -1,0 +1,71 @@
+//! What every operation of a queue shares.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use attempt::AttemptId;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::Rng;
+use tokio::sync::{Notify, watch};
+
+use super::cache::Cache;
+use crate::clock::{Clock, UnixMillis};
+use crate::store::Store;
+use crate::timing::Timing;
+
+/// What every operation of a queue shares.
+pub(crate) struct Shared {
+    pub(crate) store: Store,
+    pub(crate) clock: Arc<dyn Clock>,
+    rng: Mutex<ChaCha8Rng>,
+    pub(crate) timing: Timing,
+    /// What has been read and need not be read again. Locked within the writing
+    /// transaction only.
+    pub(super) cache: tokio::sync::Mutex<Cache>,
+    /// Rung when jobs may have become leasable.
+    pub(crate) work: Notify,
+    pub(crate) draining: watch::Sender<bool>,
+    /// Why nothing is leased for now, if that is so.
+    pub(crate) hold: watch::Sender<Option<String>>,
+}
+
+impl Shared {
+    pub(crate) fn new(
+        store: Store,
+        clock: Arc<dyn Clock>,
+        rng: ChaCha8Rng,
+        timing: Timing,
+    ) -> Shared {
+        Shared {
+            store,
+            clock,
+            rng: Mutex::new(rng),
+            timing,
+            cache: tokio::sync::Mutex::default(),
+            work: Notify::new(),
+            draining: watch::Sender::new(false),
+            hold: watch::Sender::new(None),
+        }
+    }
+
+    /// The present instant.
+    pub(crate) fn now(&self) -> UnixMillis {
+        self.clock.now()
+    }
+
+    /// Why nothing is leased for now, if that is so.
+    pub(crate) fn held(&self) -> Option<String> {
+        self.hold.borrow().clone()
+    }
+
+    /// Runs a decision with this queue's generator.
+    pub(crate) fn decide<T>(&self, decision: impl FnOnce(&mut ChaCha8Rng) -> T) -> T {
+        decision(&mut self.rng.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// The id of an attempt that is about to be granted.
+    pub(crate) fn new_attempt(&self) -> AttemptId {
+        let mut bits = [0; 16];
+        self.decide(|rng| rng.fill_bytes(&mut bits));
+        AttemptId::from_random(bits)
+    }
+}

@@ -1,0 +1,356 @@
+//! The way in: everything that workers and operators ask for. Their answers are
+//! on the disk when they are given.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, Ordering};
+use std::time::Duration;
+
+use attempt::{AttemptId, Pin};
+use rand_chacha::ChaCha8Rng;
+use tokio::sync::{mpsc, oneshot};
+use tokio::task::JoinSet;
+use tokio::time::Instant;
+
+use crate::clock::{Clock, UnixMillis};
+use crate::expand::NewCampaign;
+use crate::ids::{CampaignName, WorkerId};
+use crate::operations::artifacts::{ArtifactError, Upload};
+use crate::operations::backup::Backup;
+use crate::operations::campaigns::{self, Created};
+use crate::operations::claim::{ClaimRequest, Claimed, MAX_CLAIM_WAIT};
+use crate::operations::commit::{CommitReply, CommitReport, CommitVerdict};
+use crate::operations::error::QueueError;
+use crate::operations::films::{Film, InFlight};
+use crate::operations::heartbeat::Heartbeat;
+use crate::operations::register;
+use crate::operations::release::{Release, ReleaseReply, ReleaseVerdict};
+use crate::operations::retry::{Retry, retry};
+use crate::operations::shared::Shared;
+use crate::operations::writer::{self, MAX_WAITING, Operation, Pending};
+use crate::operations::{removals, sweep};
+use crate::read::{Changes, Counts, View};
+use crate::rules::campaign::{CampaignState, Change};
+use crate::rules::lease::FailureReason;
+use crate::store::workers::WorkerInfo;
+use crate::store::{Store, StoreError};
+use crate::timing::Timing;
+
+/// The job table in operation.
+pub struct Queue {
+    shared: Arc<Shared>,
+    /// What workers ask for, on its way into the next transaction.
+    operations: mpsc::Sender<Operation>,
+    /// The task that executes it; ends with the queue.
+    _writer: JoinSet<()>,
+    last_sweep: AtomicI64,
+    films: InFlight,
+    /// Held while a campaign comes or goes: its files must not be removed
+    /// under a new one of the same name.
+    campaigns: tokio::sync::Mutex<()>,
+    backups: Arc<tokio::sync::Mutex<()>>,
+}
+
+impl Queue {
+    /// Starts on an open store. Every lease gets its full time again: while
+    /// nobody listened, no heartbeat could arrive.
+    ///
+    /// # Errors
+    /// When the database cannot be written.
+    pub async fn start(
+        store: Store,
+        clock: Arc<dyn Clock>,
+        rng: ChaCha8Rng,
+        timing: Timing,
+    ) -> Result<Arc<Queue>, StoreError> {
+        let shared = Arc::new(Shared::new(store, clock, rng, timing));
+        sweep::start(&shared).await?;
+        removals::finish_all(&shared).await?;
+        let (operations, asked) = mpsc::channel(MAX_WAITING);
+        let mut writer = JoinSet::new();
+        writer.spawn(writer::run(shared.clone(), asked));
+        Ok(Arc::new(Queue {
+            last_sweep: AtomicI64::new(shared.now().0),
+            shared,
+            operations,
+            _writer: writer,
+            films: InFlight::default(),
+            campaigns: tokio::sync::Mutex::default(),
+            backups: Arc::default(),
+        }))
+    }
+
+    /// How long things last here.
+    pub fn timing(&self) -> Timing {
+        self.shared.timing
+    }
+
+    /// The present instant.
+    pub fn now(&self) -> UnixMillis {
+        self.shared.now()
+    }
+
+    /// The store.
+    pub fn store(&self) -> &Store {
+        &self.shared.store
+    }
+
+    /// What is committed now, to be read.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub async fn view(&self) -> Result<View, StoreError> {
+        View::begin(&self.shared.store, self.now(), self.timing(), self.held()).await
+    }
+
+    /// What tells when something was committed.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub async fn changes(&self) -> Result<Changes, StoreError> {
+        Changes::begin(&self.shared.store).await
+    }
+
+    /// Registers a worker.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn register(&self, worker: &WorkerInfo) -> Result<(), QueueError> {
+        Ok(register::register(&self.shared, worker).await?)
+    }
+
+    /// Leases a job; waits up to `wait` for one.
+    ///
+    /// # Errors
+    /// When the worker is unknown or must stop, while shutting down, or when
+    /// the database fails.
+    pub async fn claim(
+        &self,
+        request: &ClaimRequest,
+        wait: Duration,
+    ) -> Result<Claimed, QueueError> {
+        let deadline = Instant::now() + wait.min(MAX_CLAIM_WAIT);
+        let mut draining = self.shared.draining.subscribe();
+        let mut is_new = true;
+        loop {
+            if *draining.borrow_and_update() {
+                return Err(QueueError::ShuttingDown);
+            }
+            // Listening begins before looking: what is queued in between rings.
+            let mut work = std::pin::pin!(self.shared.work.notified());
+            work.as_mut().enable();
+            let (pending, answer) = Pending::new((request.clone(), is_new));
+            let claimed = self.ask(Operation::Claim(pending), answer).await?;
+            is_new = false;
+            if claimed.job.is_some() {
+                return Ok(claimed);
+            }
+            tokio::select! {
+                () = &mut work => {}
+                _ = draining.changed() => {}
+                () = tokio::time::sleep_until(deadline) => return Ok(claimed),
+            }
+        }
+    }
+
+    /// Renews and acknowledges leases, and stores progress in control steps.
+    /// Returns the attempts whose leases this worker no longer holds.
+    ///
+    /// # Errors
+    /// When the worker is unknown or the database fails.
+    pub async fn heartbeat(
+        &self,
+        worker: &WorkerId,
+        progress: &[(AttemptId, u32)],
+    ) -> Result<Vec<AttemptId>, QueueError> {
+        let (pending, answer) = Pending::new(Heartbeat {
+            worker: worker.clone(),
+            progress: progress.to_vec(),
+        });
+        self.ask(Operation::Heartbeat(pending), answer).await
+    }
+
+    /// Stores a result and ends its lease, or says why not.
+    ///
+    /// # Errors
+    /// When the attempt is unknown or the database fails.
+    pub async fn commit(&self, report: &CommitReport) -> Result<CommitReply, QueueError> {
+        let (pending, answer) = Pending::new(Box::new(report.clone()));
+        let reply = self.ask(Operation::Commit(pending), answer).await?;
+        if reply.verdict != CommitVerdict::Accepted {
+            tracing::warn!(attempt = %report.attempt, verdict = ?reply.verdict, "{}", reply.detail);
+        }
+        Ok(reply)
+    }
+
+    /// Ends a lease without a result.
+    ///
+    /// # Errors
+    /// When the attempt is unknown or the database fails.
+    pub async fn release(
+        &self,
+        attempt: AttemptId,
+        reason: FailureReason,
+        error: &str,
+    ) -> Result<ReleaseReply, QueueError> {
+        let (pending, answer) = Pending::new(Release {
+            attempt,
+            reason,
+            error: error.to_owned(),
+        });
+        let reply = self.ask(Operation::Release(pending), answer).await?;
+        if reply.verdict != ReleaseVerdict::Stale {
+            let reason = reason.as_str();
+            tracing::info!(%attempt, verdict = ?reply.verdict, "released ({reason}): {error}");
+        }
+        Ok(reply)
+    }
+
+    /// Begins to receive the video of an attempt whose outcome is committed.
+    ///
+    /// # Errors
+    /// When there is no such outcome, or the file cannot be made.
+    pub async fn upload(&self, attempt: AttemptId) -> Result<Upload<'_>, ArtifactError> {
+        Upload::begin(&self.shared, attempt).await
+    }
+
+    /// A rollout that is to be filmed with this asset pack and simulator, and
+    /// how many there are; none if nothing is left.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn next_film(&self, pin: &Pin) -> Result<Option<(Film, u64)>, QueueError> {
+        self.films.next(&self.shared, pin).await
+    }
+
+    /// Stores a campaign and its jobs. The same specification twice adds
+    /// nothing.
+    ///
+    /// # Errors
+    /// When another specification has the name, or the database fails.
+    pub async fn create_campaign(&self, campaign: &NewCampaign) -> Result<Created, QueueError> {
+        let _alone = self.campaigns.lock().await;
+        campaigns::create(&self.shared, campaign).await
+    }
+
+    /// Pauses, resumes or cancels a campaign. Cancelling takes its leases back,
+    /// charged to nobody; their workers hear of it with their next heartbeat.
+    ///
+    /// # Errors
+    /// When there is no such campaign, it is cancelled already, or the database
+    /// fails.
+    pub async fn change_campaign(
+        &self,
+        name: &CampaignName,
+        change: Change,
+    ) -> Result<CampaignState, QueueError> {
+        campaigns::change(&self.shared, name, change).await
+    }
+
+    /// Deletes a campaign with its jobs, results and files.
+    ///
+    /// # Errors
+    /// When there is no such campaign, some of its rollouts are leased, or the
+    /// database fails. Files that cannot be removed now are removed at the next
+    /// start.
+    pub async fn delete_campaign(&self, name: &CampaignName) -> Result<Counts, QueueError> {
+        let _alone = self.campaigns.lock().await;
+        campaigns::delete(&self.shared, name).await
+    }
+
+    /// Takes jobs out of quarantine; all of those that are named, or none.
+    /// Returns how many.
+    ///
+    /// # Errors
+    /// When the campaign or a job is unknown, the campaign is cancelled, a job
+    /// is not in quarantine, or the database fails.
+    pub async fn retry_jobs(
+        &self,
+        campaign: &CampaignName,
+        jobs: &Retry,
+    ) -> Result<u64, QueueError> {
+        retry(&self.shared, campaign, jobs).await
+    }
+
+    /// Copies the database as it is now, while it is used.
+    ///
+    /// # Errors
+    /// When another copy is being made, the disk is full, or the database
+    /// fails.
+    pub async fn backup(&self) -> Result<Backup, QueueError> {
+        Backup::make(&self.shared.store, &self.backups).await
+    }
+
+    /// Takes away leases that expired and wakes claims that wait for a back-off
+    /// or a pause to end. Called every [`Timing::sweep`].
+    ///
+    /// # Errors
+    /// When the database fails; the next sweep tries again.
+    pub async fn sweep(&self) -> Result<(), QueueError> {
+        let last = UnixMillis(self.last_sweep.load(Ordering::Relaxed));
+        let now = sweep::sweep(&self.shared, last).await?;
+        self.last_sweep.store(now.0, Ordering::Relaxed);
+        Ok(())
+    }
+
+    /// Leases nothing from now on; claims that wait are answered at once.
+    pub fn drain(&self) {
+        self.shared.draining.send_replace(true);
+    }
+
+    /// Leases nothing while there is a reason not to, and goes on when there is
+    /// none any more; logs both, once. What is under way goes on.
+    pub fn hold_leasing(&self, reason: Option<String>) {
+        let changed = self.shared.hold.send_if_modified(|held| {
+            // The words may change with every look at a disk that fills.
+            let changed = held.is_some() != reason.is_some();
+            held.clone_from(&reason);
+            changed
+        });
+        match reason {
+            Some(reason) if changed => tracing::error!("leasing nothing: {reason}"),
+            None if changed => {
+                tracing::info!("leasing again");
+                self.shared.work.notify_waiters();
+            }
+            _ => {}
+        }
+    }
+
+    /// Why nothing is leased for now, if that is so.
+    pub fn held(&self) -> Option<String> {
+        self.shared.held()
+    }
+
+    /// Returns when nothing can be asked any more: the writer panicked.
+    pub async fn broken(&self) {
+        self.operations.closed().await;
+    }
+
+    /// Closes the database.
+    ///
+    /// # Errors
+    /// When the write-ahead log cannot be moved into the database.
+    pub async fn close(&self) -> Result<(), StoreError> {
+        self.shared.store.close().await
+    }
+
+    /// Hands an operation in and waits until it is on the disk.
+    async fn ask<T>(
+        &self,
+        operation: Operation,
+        answer: oneshot::Receiver<Result<T, QueueError>>,
+    ) -> Result<T, QueueError> {
+        let sent = self.operations.send(operation).await;
+        sent.map_err(|_| QueueError::ShuttingDown)?;
+        answer.await.map_err(|_| QueueError::ShuttingDown)?
+    }
+}
+
+impl std::fmt::Debug for Queue {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Queue")
+            .field("folder", &self.store().folder())
+            .field("timing", &self.timing())
+            .finish_non_exhaustive()
+    }
+}

@@ -1,0 +1,199 @@
+//! How campaigns stand.
+
+use std::time::Duration;
+
+use attempt::{Fingerprints, Pin};
+use sqlx::SqliteConnection;
+
+use super::View;
+use crate::clock::UnixMillis;
+use crate::ids::{CampaignId, CampaignName};
+use crate::operations::error::QueueError;
+use crate::rules::campaign::CampaignState;
+use crate::rules::outage::PolicyState;
+use crate::store::campaigns::{self, Campaign};
+use crate::store::{Doing, StoreError, workers};
+
+/// A campaign's rate is taken over so long, or since its first lease or since it
+/// was resumed if that is less.
+pub const RATE_WINDOW: Duration = Duration::from_secs(300);
+
+/// How a campaign's jobs are spread over the states.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Wait.
+    pub queued: u64,
+    /// Are being run.
+    pub leased: u64,
+    /// Have a result.
+    pub committed: u64,
+    /// Are in quarantine.
+    pub quarantined: u64,
+    /// Of the committed, those that reached their goal.
+    pub succeeded: u64,
+}
+
+/// How a campaign stands.
+#[derive(Clone, Debug)]
+pub struct CampaignStatus {
+    /// The campaign.
+    pub campaign: Campaign,
+    /// Its jobs by state.
+    pub counts: Counts,
+    /// Why its policy's jobs wait, if they do.
+    pub policy_pause_reason: Option<String>,
+    /// Committed rollouts per second over [`RATE_WINDOW`].
+    pub rate_per_sec: Option<f64>,
+    /// Seconds that the rest takes at that rate.
+    pub eta_secs: Option<f64>,
+    /// Workers alive that suit its assets, simulator and renderer.
+    pub live_workers: u32,
+    /// Why nothing is running although jobs wait; empty otherwise.
+    pub waiting_reason: String,
+    /// How its results mix fingerprints, if they have more than one.
+    pub fingerprints: Option<Fingerprints>,
+}
+
+impl Counts {
+    /// All jobs.
+    pub fn total(&self) -> u64 {
+        self.queued + self.leased + self.committed + self.quarantined
+    }
+
+    /// A campaign's. Each count walks one partial index, none the table.
+    pub(crate) async fn of(
+        tx: &mut SqliteConnection,
+        campaign: CampaignId,
+    ) -> Result<Counts, StoreError> {
+        let counts: (i64, i64, i64, i64, i64) = sqlx::query_as(
+            "SELECT
+                 (SELECT count(*) FROM job WHERE campaign_id = ?1 AND state = 'queued'),
+                 (SELECT count(*) FROM job WHERE campaign_id = ?1 AND state = 'leased'),
+                 (SELECT count(*) FROM job WHERE campaign_id = ?1 AND state = 'committed'),
+                 (SELECT count(*) FROM job WHERE campaign_id = ?1 AND state = 'quarantined'),
+                 (SELECT count(*) FROM result WHERE campaign_id = ?1 AND success = 1)",
+        )
+        .bind(campaign)
+        .fetch_one(tx)
+        .await
+        .doing("count a campaign's jobs")?;
+        Ok(Counts {
+            queued: counts.0.unsigned_abs(),
+            leased: counts.1.unsigned_abs(),
+            committed: counts.2.unsigned_abs(),
+            quarantined: counts.3.unsigned_abs(),
+            succeeded: counts.4.unsigned_abs(),
+        })
+    }
+}
+
+impl View {
+    /// A campaign by its name.
+    ///
+    /// # Errors
+    /// When there is no such campaign or the database fails.
+    pub async fn campaign(&mut self, name: &CampaignName) -> Result<Campaign, QueueError> {
+        let found = campaigns::by_name(self.tx(), name).await?;
+        found.ok_or_else(|| QueueError::UnknownCampaign {
+            campaign: name.clone(),
+        })
+    }
+
+    /// A campaign's specification, JSON.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn spec(&mut self, campaign: &Campaign) -> Result<String, StoreError> {
+        campaigns::spec(self.tx(), campaign.id).await
+    }
+
+    /// How all campaigns stand, oldest first.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn statuses(&mut self) -> Result<Vec<CampaignStatus>, StoreError> {
+        let mut list = Vec::new();
+        for campaign in campaigns::all(self.tx()).await? {
+            list.push(self.status(campaign).await?);
+        }
+        Ok(list)
+    }
+
+    /// How one campaign stands.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn status(&mut self, campaign: Campaign) -> Result<CampaignStatus, StoreError> {
+        let now = self.now;
+        let counts = Counts::of(self.tx(), campaign.id).await?;
+        let since = now.minus(self.timing.worker_alive);
+        let live = workers::live_pins(self.tx(), since).await?;
+        let rate_per_sec = match (campaign.pinned_ms, campaign.state) {
+            (Some(started), CampaignState::Running { since: resumed }) => {
+                let since = started.max(resumed).max(now.minus(RATE_WINDOW));
+                let committed = committed_since(self.tx(), campaign.id, since).await?;
+                rate(committed, since, now)
+            }
+            _ => None,
+        };
+        let left = (counts.queued + counts.leased) as f64;
+        let policy_pause_reason = match &campaign.health.state {
+            PolicyState::Available => None,
+            PolicyState::Paused { reason, .. } | PolicyState::Probing { reason, .. } => {
+                Some(reason.clone())
+            }
+        };
+        let able = live.iter().filter(|live| campaign.takes(live));
+        let live_workers = u32::try_from(able.count()).unwrap_or(u32::MAX);
+        let is_waiting = counts.queued > 0 && counts.leased == 0 && campaign.state.may_lease();
+        let waiting_reason = match (is_waiting, &self.held, &policy_pause_reason) {
+            (false, ..) => String::new(),
+            (true, Some(reason), _) => reason.clone(),
+            (true, None, Some(reason)) => format!("policy `{}` is down: {reason}", campaign.policy),
+            (true, None, None) if live_workers > 0 => String::new(),
+            (true, None, None) => no_worker_reason(campaign.pin.as_ref(), live.first()),
+        };
+        let fingerprints = self.fingerprints(campaign.id).await?;
+        Ok(CampaignStatus {
+            campaign,
+            counts,
+            policy_pause_reason,
+            rate_per_sec,
+            eta_secs: rate_per_sec.map(|rate| left / rate),
+            live_workers,
+            waiting_reason,
+            fingerprints,
+        })
+    }
+}
+
+/// Results of a campaign committed since `since`.
+async fn committed_since(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+    since: UnixMillis,
+) -> Result<i64, StoreError> {
+    sqlx::query_scalar("SELECT count(*) FROM result WHERE campaign_id = ? AND committed_ms >= ?")
+        .bind(campaign)
+        .bind(since)
+        .fetch_one(tx)
+        .await
+        .doing("count recent results")
+}
+
+/// Rollouts per second; none before the first was committed.
+fn rate(committed: i64, since: UnixMillis, now: UnixMillis) -> Option<f64> {
+    let span = now.since(since).as_secs_f64();
+    (committed > 0 && span > 0.0).then(|| committed as f64 / span)
+}
+
+fn no_worker_reason(pin: Option<&Pin>, live: Option<&Pin>) -> String {
+    match (pin, live) {
+        (Some(pin), Some(other)) => format!(
+            "no worker runs on {pin}, to which the campaign is pinned; one that is here runs on \
+             {other}"
+        ),
+        (Some(pin), None) => format!("no worker is here; start one on {pin}"),
+        (None, _) => "no worker is here; start one with `worker --connect`".to_owned(),
+    }
+}

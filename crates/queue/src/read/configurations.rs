@@ -1,0 +1,232 @@
+//! The rollouts of a configuration, side by side.
+
+use attempt::{AttemptId, Digests, Motion, Provenance, Realised};
+
+use super::View;
+use crate::clock::UnixMillis;
+use crate::ids::{AttemptNumber, CampaignId, JobId, WorkerId};
+use crate::store::provenance::{ProvenanceRow, provenance_columns};
+use crate::store::{Doing, StoreError, json};
+
+/// One rollout of a configuration, as far as its job goes.
+#[derive(Clone, Debug, sqlx::FromRow)]
+pub struct RolloutLine {
+    /// The job.
+    pub id: JobId,
+    /// Which rollout.
+    pub rollout_id: String,
+    /// "queued", "leased", "committed" or "quarantined".
+    pub state: String,
+    /// Leases granted so far.
+    pub attempt: AttemptNumber,
+    /// Failures that count against it.
+    pub charged_attempts: u32,
+    /// One manifest row, JSON.
+    pub manifest_row: String,
+    /// Seed for the policy.
+    pub policy_seed: i64,
+    /// Who has it, while it is leased.
+    pub lease_owner: Option<WorkerId>,
+    /// Control steps that its worker last reported.
+    pub control_steps: Option<u32>,
+    /// Reports that were refused because their lease was gone.
+    pub stale_reports: u32,
+}
+
+/// What a rollout came to, how, and where that came from.
+#[derive(Clone, Debug, sqlx::FromRow)]
+pub struct ResultLine {
+    /// Of which job.
+    pub job_id: JobId,
+    /// Of which attempt.
+    #[sqlx(rename = "attempt_id", try_from = "String")]
+    pub attempt: AttemptId,
+    /// Which attempt of its job that was.
+    #[sqlx(rename = "attempt")]
+    pub number: AttemptNumber,
+    /// Whose.
+    pub worker_id: WorkerId,
+    /// When it was stored.
+    pub committed_ms: UnixMillis,
+    /// Whether the goal was reached.
+    pub success: bool,
+    /// The policy's control steps.
+    pub steps: u32,
+    /// Duration of the rollout.
+    pub wall_secs: f64,
+    /// What the inverse kinematics left over, mm.
+    pub ik_residual_mm: Option<f64>,
+    /// Actions clipped into [-1, 1].
+    pub clipped_actions: u32,
+    /// Times that the policy was asked.
+    pub policy_queries: u32,
+    /// Reports of another outcome.
+    pub divergences: u32,
+    /// What makes it comparable.
+    #[sqlx(flatten, try_from = "DigestsRow")]
+    pub digests: Digests,
+    /// The perturbation as it was realised.
+    #[sqlx(json)]
+    pub realised: Realised,
+    /// Its video below the data folder, and how large that is, bytes.
+    pub video: Option<String>,
+    /// How large its video is, bytes.
+    pub video_bytes: Option<i64>,
+    /// Where it came from.
+    #[sqlx(flatten, try_from = "ProvenanceRow")]
+    pub provenance: Provenance,
+}
+
+#[derive(sqlx::FromRow)]
+pub(crate) struct DigestsRow {
+    scene_digest: String,
+    init_state_digest: String,
+    first_frame_digest: String,
+}
+
+impl From<DigestsRow> for Digests {
+    fn from(row: DigestsRow) -> Digests {
+        Digests {
+            scene: row.scene_digest,
+            init_state: row.init_state_digest,
+            first_frame: row.first_frame_digest,
+        }
+    }
+}
+
+/// A video kept beside an outcome.
+#[derive(Clone, Debug, sqlx::FromRow)]
+pub struct KeptFile {
+    /// Where it is, below the data folder.
+    pub path: String,
+}
+
+impl View {
+    /// Those of the named rollouts that the campaign has, in one replicate.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn rollouts(
+        &mut self,
+        campaign: CampaignId,
+        ids: &[String],
+        replicate: u32,
+    ) -> Result<Vec<RolloutLine>, StoreError> {
+        sqlx::query_as(
+            "SELECT id, rollout_id, state, attempt, charged_attempts, manifest_row, policy_seed,
+                 lease_owner, control_steps, stale_reports
+             FROM job WHERE campaign_id = ? AND replicate = ?
+                 AND rollout_id IN (SELECT value FROM json_each(?))",
+        )
+        .bind(campaign)
+        .bind(replicate)
+        .bind(json(ids))
+        .fetch_all(self.tx())
+        .await
+        .doing("read a configuration's rollouts")
+    }
+
+    /// The replicates in which a campaign has a rollout.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn replicates(
+        &mut self,
+        campaign: CampaignId,
+        rollout_id: &str,
+    ) -> Result<Vec<u32>, StoreError> {
+        sqlx::query_scalar(
+            "SELECT replicate FROM job WHERE campaign_id = ? AND rollout_id = ? ORDER BY replicate",
+        )
+        .bind(campaign)
+        .bind(rollout_id)
+        .fetch_all(self.tx())
+        .await
+        .doing("read a rollout's replicates")
+    }
+
+    /// A campaign's rollout ids that begin like this and go on with something,
+    /// in replicate 0.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn beginning(
+        &mut self,
+        campaign: CampaignId,
+        prefix: &str,
+    ) -> Result<Vec<String>, StoreError> {
+        sqlx::query_scalar(
+            "SELECT rollout_id FROM job WHERE campaign_id = ?1 AND rollout_id > ?2
+                 AND rollout_id < ?2 || '~' AND replicate = 0",
+        )
+        .bind(campaign)
+        .bind(prefix)
+        .fetch_all(self.tx())
+        .await
+        .doing("read a configuration's neighbours")
+    }
+
+    /// The committed results of some jobs.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn results(&mut self, jobs: &[JobId]) -> Result<Vec<ResultLine>, StoreError> {
+        sqlx::query_as(concat!(
+            "SELECT r.job_id, r.attempt_id, r.attempt, r.worker_id, r.committed_ms, r.success,
+                 r.steps, r.wall_secs, r.ik_residual_mm, r.clipped_actions, r.policy_queries,
+                 (SELECT count(*) FROM divergence d WHERE d.job_id = r.job_id) AS divergences,
+                 r.scene_digest, r.init_state_digest, r.first_frame_digest, r.realised,
+                 a.path AS video, a.size_bytes AS video_bytes, ",
+            provenance_columns!(),
+            " FROM result r JOIN provenance v ON v.id = r.provenance_id
+             LEFT JOIN artifact a ON a.attempt_id = r.attempt_id AND a.kind = 'video'
+             WHERE r.job_id IN (SELECT value FROM json_each(?))"
+        ))
+        .bind(json(jobs))
+        .fetch_all(self.tx())
+        .await
+        .doing("read a configuration's results")
+    }
+
+    /// How the robots of some committed jobs moved.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn paths(&mut self, jobs: &[JobId]) -> Result<Vec<(JobId, Motion)>, StoreError> {
+        let rows: Vec<(JobId, Vec<u8>)> = sqlx::query_as(
+            "SELECT job_id, path FROM motion WHERE job_id IN (SELECT value FROM json_each(?))",
+        )
+        .bind(json(jobs))
+        .fetch_all(self.tx())
+        .await
+        .doing("read how a configuration's robots moved")?;
+        let motion = |(job, path)| {
+            let actions = Vec::new();
+            (job, Motion { path, actions })
+        };
+        Ok(rows.into_iter().map(motion).collect())
+    }
+
+    /// The video of a rollout.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn video(
+        &mut self,
+        campaign: CampaignId,
+        rollout_id: &str,
+        replicate: u32,
+    ) -> Result<Option<KeptFile>, StoreError> {
+        sqlx::query_as(
+            "SELECT a.path FROM job j JOIN result r ON r.job_id = j.id
+             JOIN artifact a ON a.attempt_id = r.attempt_id AND a.kind = 'video'
+             WHERE j.campaign_id = ? AND j.rollout_id = ? AND j.replicate = ?",
+        )
+        .bind(campaign)
+        .bind(rollout_id)
+        .bind(replicate)
+        .fetch_optional(self.tx())
+        .await
+        .doing("look up a video")
+    }
+}

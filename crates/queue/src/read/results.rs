@@ -1,0 +1,248 @@
+//! A campaign's results, as reports and exports read them.
+
+use attempt::{Fingerprints, Provenance};
+
+use super::View;
+use crate::clock::UnixMillis;
+use crate::ids::CampaignId;
+use crate::store::provenance::{ProvenanceRow, provenance_columns};
+use crate::store::{Doing, StoreError};
+
+/// What a report of a campaign depends on: while it is the same, so is the
+/// report.
+#[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
+pub struct Edition {
+    id: CampaignId,
+    // Row numbers may be given again after a deletion.
+    created_ms: UnixMillis,
+    committed: i64,
+    quarantined: i64,
+    divergent: i64,
+}
+
+/// A committed rollout as exports read it.
+#[derive(Clone, Debug, sqlx::FromRow)]
+pub struct ExportedRow {
+    /// Which rollout.
+    pub rollout_id: String,
+    /// Which replicate of it.
+    pub replicate: u32,
+    /// One manifest row, JSON.
+    pub manifest_row: String,
+    /// Whether the goal was reached.
+    pub success: bool,
+    /// The policy's control steps.
+    pub steps: u32,
+    /// Duration of the rollout.
+    pub wall_secs: f64,
+    /// What the inverse kinematics left over, mm.
+    pub ik_residual_mm: Option<f64>,
+}
+
+/// A job as reports count it.
+#[derive(Clone, Debug, sqlx::FromRow)]
+pub struct RecordRow {
+    /// Which rollout.
+    pub rollout_id: String,
+    /// Which replicate of it.
+    pub replicate: u32,
+    /// Its initial state.
+    pub init_id: u16,
+    /// Whether it is in quarantine.
+    pub is_quarantined: bool,
+    /// Whether the goal was reached, once it is committed.
+    pub success: Option<bool>,
+    /// The mode that it was realised in, once it is committed.
+    pub realisation: Option<String>,
+}
+
+/// A quarantined job.
+#[derive(Clone, Debug, sqlx::FromRow)]
+pub struct QuarantinedRow {
+    /// Which rollout.
+    pub rollout_id: String,
+    /// Which replicate of it.
+    pub replicate: u32,
+    /// What it last failed with.
+    pub last_error: String,
+}
+
+impl Edition {
+    /// Whether the other is an earlier or a later one of the same campaign.
+    pub fn is_of_same_campaign(&self, other: &Edition) -> bool {
+        (self.id, self.created_ms) == (other.id, other.created_ms)
+    }
+}
+
+impl View {
+    /// What a campaign's report depends on. Each count walks one partial index.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn edition(&mut self, campaign: CampaignId) -> Result<Edition, StoreError> {
+        sqlx::query_as(
+            "SELECT id, created_ms,
+                 (SELECT count(*) FROM job WHERE campaign_id = ?1 AND state = 'committed')
+                     AS committed,
+                 (SELECT count(*) FROM job WHERE campaign_id = ?1 AND state = 'quarantined')
+                     AS quarantined,
+                 (SELECT count(DISTINCT d.job_id) FROM divergence d JOIN job j ON j.id = d.job_id
+                  WHERE j.campaign_id = ?1) AS divergent
+             FROM campaign WHERE id = ?1",
+        )
+        .bind(campaign)
+        .fetch_one(self.tx())
+        .await
+        .doing("look whether a campaign's results changed")
+    }
+
+    /// Up to `limit` committed rollouts after one, by rollout id, then
+    /// replicate.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn exported(
+        &mut self,
+        campaign: CampaignId,
+        after: Option<(&str, u32)>,
+        limit: u32,
+    ) -> Result<Vec<ExportedRow>, StoreError> {
+        let (rollout_id, replicate) = after.map_or(("", -1), |(id, k)| (id, i64::from(k)));
+        sqlx::query_as(
+            "SELECT j.rollout_id, j.replicate, j.manifest_row, r.success, r.steps, r.wall_secs,
+                 r.ik_residual_mm
+             FROM job j JOIN result r ON r.job_id = j.id
+             WHERE j.campaign_id = ? AND (j.rollout_id, j.replicate) > (?, ?)
+             ORDER BY j.rollout_id, j.replicate LIMIT ?",
+        )
+        .bind(campaign)
+        .bind(rollout_id)
+        .bind(replicate)
+        .bind(limit)
+        .fetch_all(self.tx())
+        .await
+        .doing("read results")
+    }
+
+    /// All jobs of a campaign with what is known of them, by rollout id, then
+    /// replicate.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn records(&mut self, campaign: CampaignId) -> Result<Vec<RecordRow>, StoreError> {
+        sqlx::query_as(
+            "SELECT j.rollout_id, j.replicate, j.init_id, j.state = 'quarantined' AS is_quarantined,
+                 r.success, v.realisation
+             FROM job j LEFT JOIN result r ON r.job_id = j.id
+             LEFT JOIN provenance v ON v.id = r.provenance_id
+             WHERE j.campaign_id = ? ORDER BY j.rollout_id, j.replicate",
+        )
+        .bind(campaign)
+        .fetch_all(self.tx())
+        .await
+        .doing("read what is known of a campaign")
+    }
+
+    /// The quarantined jobs, by rollout id, then replicate.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn quarantined(
+        &mut self,
+        campaign: CampaignId,
+    ) -> Result<Vec<QuarantinedRow>, StoreError> {
+        sqlx::query_as(
+            "SELECT rollout_id, replicate, last_error FROM job
+             WHERE campaign_id = ? AND state = 'quarantined' ORDER BY rollout_id, replicate",
+        )
+        .bind(campaign)
+        .fetch_all(self.tx())
+        .await
+        .doing("read the quarantine")
+    }
+
+    /// The distinct provenances of a campaign's results.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn provenances(
+        &mut self,
+        campaign: CampaignId,
+    ) -> Result<Vec<Provenance>, StoreError> {
+        let rows: Vec<ProvenanceRow> = sqlx::query_as(concat!(
+            "SELECT ",
+            provenance_columns!(),
+            " FROM provenance v
+             WHERE v.id IN (SELECT provenance_id FROM result WHERE campaign_id = ?) ORDER BY v.id"
+        ))
+        .bind(campaign)
+        .fetch_all(self.tx())
+        .await
+        .doing("read where results came from")?;
+        Ok(rows.into_iter().map(Provenance::from).collect())
+    }
+
+    /// Results of each fingerprint in a campaign, and the tasks and initial
+    /// states that have several; none while there is one. Walks the results'
+    /// index, and the committed jobs only if there is something to tell.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn fingerprints(
+        &mut self,
+        campaign: CampaignId,
+    ) -> Result<Option<Fingerprints>, StoreError> {
+        let results: Vec<(String, i64)> = sqlx::query_as(
+            "SELECT v.fingerprint, sum(o.results) FROM
+                 (SELECT provenance_id, count(*) AS results FROM result WHERE campaign_id = ?
+                  GROUP BY provenance_id) o
+             JOIN provenance v ON v.id = o.provenance_id
+             WHERE v.fingerprint <> '' GROUP BY v.fingerprint",
+        )
+        .bind(campaign)
+        .fetch_all(self.tx())
+        .await
+        .doing("count the results of each fingerprint")?;
+        if results.len() < 2 {
+            return Ok(None);
+        }
+        let mixed: Vec<String> = sqlx::query_scalar(
+            "SELECT format('%s from state %d', j.task, j.init_id) FROM job j
+             JOIN result r ON r.job_id = j.id
+             JOIN provenance v ON v.id = r.provenance_id
+             WHERE j.campaign_id = ? AND j.state = 'committed' AND v.fingerprint <> ''
+             GROUP BY j.task, j.init_id HAVING count(DISTINCT v.fingerprint) > 1
+             ORDER BY j.task, j.init_id",
+        )
+        .bind(campaign)
+        .fetch_all(self.tx())
+        .await
+        .doing("look for configurations of several fingerprints")?;
+        let results = results.into_iter();
+        Ok(Some(Fingerprints {
+            results: results
+                .map(|(of, count)| (of, count.unsigned_abs()))
+                .collect(),
+            mixed,
+        }))
+    }
+
+    /// Rollouts of a campaign that were reported again with another outcome.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn divergent(
+        &mut self,
+        campaign: CampaignId,
+    ) -> Result<Vec<(String, u32)>, StoreError> {
+        sqlx::query_as(
+            "SELECT DISTINCT j.rollout_id, j.replicate
+             FROM divergence d JOIN job j ON j.id = d.job_id
+             WHERE j.campaign_id = ? ORDER BY j.rollout_id, j.replicate",
+        )
+        .bind(campaign)
+        .fetch_all(self.tx())
+        .await
+        .doing("read divergent outcomes")
+    }
+}

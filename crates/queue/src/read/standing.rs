@@ -1,0 +1,148 @@
+//! What campaigns depend on: workers, policies, and what is in quarantine.
+
+use super::View;
+use crate::clock::UnixMillis;
+use crate::ids::{CampaignName, PolicyId, WorkerId};
+use crate::rules::outage::PolicyHealth;
+use crate::store::policies::{HealthRow, health_columns};
+use crate::store::{Doing, StoreError};
+
+/// Most workers that one look shows: those heard of last.
+pub const MAX_WORKERS_LISTED: u32 = 1_000;
+
+/// A worker as people see it.
+#[derive(Clone, Debug, sqlx::FromRow)]
+pub struct WorkerLine {
+    /// Its id.
+    pub id: WorkerId,
+    /// The machine it runs on.
+    pub host: String,
+    /// Rollouts that it runs side by side.
+    pub slots: u32,
+    /// Leases that it holds.
+    pub leases: u32,
+    /// Name of its asset pack.
+    pub asset_pack: String,
+    /// Version of its simulator.
+    pub mujoco_version: String,
+    /// What renders its frames.
+    pub renderer: String,
+    /// Version of its program.
+    pub program_version: String,
+    /// When it was last heard of.
+    pub last_seen_ms: UnixMillis,
+    /// Charged failures in a row.
+    pub charged_in_a_row: u32,
+    /// Why it may lease no more, if so.
+    pub stopped_reason: Option<String>,
+    /// Heard of lately.
+    pub is_alive: bool,
+}
+
+/// A policy at one endpoint.
+#[derive(Clone, Debug, sqlx::FromRow)]
+pub struct PolicyLine {
+    id: PolicyId,
+    /// Where it is.
+    pub endpoint: String,
+    /// Its name there.
+    pub name: String,
+    /// How it does.
+    #[sqlx(flatten, try_from = "HealthRow")]
+    pub health: PolicyHealth,
+    /// The campaigns that measure it, oldest first.
+    #[sqlx(skip)]
+    pub campaigns: Vec<CampaignName>,
+}
+
+/// A quarantined rollout.
+#[derive(Clone, Debug, sqlx::FromRow)]
+pub struct QuarantinedLine {
+    /// Its campaign.
+    pub campaign: CampaignName,
+    /// Which rollout.
+    pub rollout_id: String,
+    /// Which replicate of it.
+    pub replicate: u32,
+    /// Failures that count against it.
+    pub charged_attempts: u32,
+    /// What it last failed with.
+    pub last_error: String,
+}
+
+impl View {
+    /// Up to [`MAX_WORKERS_LISTED`] workers, those heard of last first.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn workers(&mut self) -> Result<Vec<WorkerLine>, StoreError> {
+        let alive_since = self.now.minus(self.timing.worker_alive);
+        sqlx::query_as(
+            "SELECT w.id, w.host, w.slots, coalesce(h.leases, 0) AS leases, w.asset_pack,
+                 w.mujoco_version, w.renderer, w.program_version, w.last_seen_ms,
+                 w.charged_in_a_row, w.stopped_reason, w.last_seen_ms >= ? AS is_alive
+             FROM worker w LEFT JOIN
+                 (SELECT lease_owner, count(*) AS leases FROM job WHERE state = 'leased'
+                  GROUP BY lease_owner) h ON h.lease_owner = w.id
+             ORDER BY w.last_seen_ms DESC, w.id LIMIT ?",
+        )
+        .bind(alive_since)
+        .bind(MAX_WORKERS_LISTED)
+        .fetch_all(self.tx())
+        .await
+        .doing("list workers")
+    }
+
+    /// All policies with their health, by name.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn policies(&mut self) -> Result<Vec<PolicyLine>, StoreError> {
+        let mut policies: Vec<PolicyLine> = sqlx::query_as(concat!(
+            "SELECT p.id, p.endpoint, p.name, ",
+            health_columns!(),
+            " FROM policy p ORDER BY p.name, p.endpoint"
+        ))
+        .fetch_all(self.tx())
+        .await
+        .doing("list policies")?;
+        let users: Vec<(PolicyId, CampaignName)> =
+            sqlx::query_as("SELECT policy_id, name FROM campaign ORDER BY id")
+                .fetch_all(self.tx())
+                .await
+                .doing("list the campaigns of policies")?;
+        for policy in &mut policies {
+            let users = users.iter().filter(|(id, _)| *id == policy.id);
+            policy.campaigns = users.map(|(_, campaign)| campaign.clone()).collect();
+        }
+        Ok(policies)
+    }
+
+    /// Up to `limit` quarantined rollouts of all campaigns.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn quarantine(&mut self, limit: u32) -> Result<Vec<QuarantinedLine>, StoreError> {
+        sqlx::query_as(
+            "SELECT c.name AS campaign, j.rollout_id, j.replicate, j.charged_attempts, j.last_error
+             FROM job j JOIN campaign c ON c.id = j.campaign_id
+             WHERE j.state = 'quarantined'
+             ORDER BY j.campaign_id, j.rollout_id, j.replicate LIMIT ?",
+        )
+        .bind(limit)
+        .fetch_all(self.tx())
+        .await
+        .doing("read the quarantine")
+    }
+
+    /// How many attempts ended without a result, by how they ended.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn endings(&mut self) -> Result<Vec<(String, i64)>, StoreError> {
+        sqlx::query_as("SELECT reason, count(*) FROM failure GROUP BY reason ORDER BY reason")
+            .fetch_all(self.tx())
+            .await
+            .doing("count how attempts ended")
+    }
+}

@@ -1,0 +1,7 @@
+//! What is decided, purely: no store, no clock, no generator of their own.
+
+pub mod campaign;
+pub mod choice;
+pub mod lease;
+pub mod outage;
+pub(crate) mod pairing;

@@ -1,0 +1,131 @@
+//! What an operator may do with a campaign: its states and who may move them.
+//! Not responsible for what becomes of single jobs (`lease`).
+
+use crate::clock::UnixMillis;
+
+/// Where a campaign stands with its operator. The store's CHECK constraints say
+/// the same.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CampaignState {
+    /// Its jobs are leased.
+    Running {
+        /// Since it was created or last resumed.
+        since: UnixMillis,
+    },
+    /// Nothing is leased; what was leased before may still be committed.
+    Paused {
+        /// Since when.
+        since: UnixMillis,
+    },
+    /// Nothing is leased ever again, and leases were taken back. Its results
+    /// stay. Final.
+    Cancelled {
+        /// Since when.
+        since: UnixMillis,
+    },
+}
+
+/// What an operator asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Change {
+    /// Lease nothing more until it is resumed.
+    Pause,
+    /// Go on.
+    Resume,
+    /// End it.
+    Cancel,
+}
+
+/// A cancelled campaign was to be paused or resumed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CancelledIsFinal;
+
+impl CampaignState {
+    /// The state after a change; the same state if it is there already.
+    ///
+    /// # Errors
+    /// When the campaign is cancelled: that is final.
+    pub fn after(self, change: Change, now: UnixMillis) -> Result<Self, CancelledIsFinal> {
+        match (self, change) {
+            (CampaignState::Running { .. }, Change::Resume)
+            | (CampaignState::Paused { .. }, Change::Pause)
+            | (CampaignState::Cancelled { .. }, Change::Cancel) => Ok(self),
+            (CampaignState::Cancelled { .. }, _) => Err(CancelledIsFinal),
+            (_, Change::Resume) => Ok(CampaignState::Running { since: now }),
+            (_, Change::Pause) => Ok(CampaignState::Paused { since: now }),
+            (_, Change::Cancel) => Ok(CampaignState::Cancelled { since: now }),
+        }
+    }
+
+    /// Whether its jobs may be leased.
+    pub fn may_lease(self) -> bool {
+        matches!(self, CampaignState::Running { .. })
+    }
+
+    /// Since when it is in this state.
+    pub fn since(self) -> UnixMillis {
+        match self {
+            CampaignState::Running { since }
+            | CampaignState::Paused { since }
+            | CampaignState::Cancelled { since } => since,
+        }
+    }
+
+    /// Its name in the store and to people.
+    pub fn name(self) -> &'static str {
+        match self {
+            CampaignState::Running { .. } => "running",
+            CampaignState::Paused { .. } => "paused",
+            CampaignState::Cancelled { .. } => "cancelled",
+        }
+    }
+
+    /// The state of that name.
+    pub fn from_name(name: &str, since: UnixMillis) -> Option<CampaignState> {
+        match name {
+            "running" => Some(CampaignState::Running { since }),
+            "paused" => Some(CampaignState::Paused { since }),
+            "cancelled" => Some(CampaignState::Cancelled { since }),
+            _ => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const THEN: UnixMillis = UnixMillis(1);
+    const NOW: UnixMillis = UnixMillis(2);
+
+    #[test]
+    fn a_cancelled_campaign_is_neither_paused_nor_resumed() {
+        let cancelled = CampaignState::Cancelled { since: THEN };
+        for change in [Change::Pause, Change::Resume] {
+            assert_eq!(cancelled.after(change, NOW), Err(CancelledIsFinal));
+        }
+        assert_eq!(cancelled.after(Change::Cancel, NOW), Ok(cancelled));
+        assert!(!cancelled.may_lease());
+    }
+
+    #[test]
+    fn what_is_so_already_keeps_its_instant() {
+        let running = CampaignState::Running { since: THEN };
+        assert_eq!(running.after(Change::Resume, NOW), Ok(running));
+        let paused = CampaignState::Paused { since: NOW };
+        assert_eq!(running.after(Change::Pause, NOW), Ok(paused));
+        assert_eq!(paused.after(Change::Pause, UnixMillis(9)), Ok(paused));
+    }
+
+    #[test]
+    fn names_read_back() {
+        for state in [
+            CampaignState::Running { since: THEN },
+            CampaignState::Paused { since: THEN },
+            CampaignState::Cancelled { since: THEN },
+        ] {
+            assert_eq!(CampaignState::from_name(state.name(), THEN), Some(state));
+        }
+        assert_eq!(CampaignState::from_name("lost", THEN), None);
+    }
+}

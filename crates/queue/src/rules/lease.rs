@@ -1,0 +1,296 @@
+//! What may happen to one job: the states, who may move it, and how an attempt
+//! that brought no result is charged. Not responsible for which job is leased
+//! next (`choice`) nor for a policy's outages (`outage`).
+
+use std::time::Duration;
+
+use attempt::{AttemptId, Waits};
+use rand_chacha::rand_core::Rng;
+
+use crate::clock::UnixMillis;
+use crate::ids::{AttemptNumber, JobId, WorkerId};
+
+/// Charged attempts after which a job is quarantined.
+pub const MAX_CHARGED_ATTEMPTS: u32 = 3;
+/// Workers on which a job must have failed before it is quarantined, if that
+/// many are alive: one broken machine must not condemn a rollout.
+pub const MIN_WORKERS_TO_QUARANTINE: u32 = 2;
+/// Charged failures in a row after which a worker leases no more.
+pub const MAX_WORKER_FAILURES_IN_A_ROW: u32 = 5;
+
+/// One rollout × replicate, as far as leasing goes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Job {
+    /// Which one.
+    pub id: JobId,
+    /// Leases granted so far.
+    pub attempt: AttemptNumber,
+    /// Attempts that ended in a failure of the rollout or its worker.
+    pub charged_attempts: u32,
+    /// Where it stands.
+    pub state: JobState,
+}
+
+/// Where a job stands. The store's CHECK constraints say the same.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum JobState {
+    /// Waits to be leased, not before an instant.
+    Queued {
+        /// End of its back-off.
+        not_before: UnixMillis,
+    },
+    /// A worker has it.
+    Leased(Lease),
+    /// Its result is stored. Final.
+    Committed,
+    /// Taken out after too many charged attempts, until an operator retries it.
+    Quarantined,
+}
+
+/// A lease: one attempt at one job, by one worker.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Lease {
+    /// The attempt's name.
+    pub attempt: AttemptId,
+    /// Its worker.
+    pub owner: WorkerId,
+    /// Since when.
+    pub granted: UnixMillis,
+    /// Until when, unless a heartbeat renews it.
+    pub expires: UnixMillis,
+    /// Past this instant no heartbeat renews it.
+    pub ceiling: UnixMillis,
+    /// Whether its worker has said that it has it.
+    pub is_acknowledged: bool,
+}
+
+/// The part of a result that two reports of one rollout must share. Wall time is
+/// no part of it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct OutcomeKey {
+    /// Whether the goal was reached.
+    pub success: bool,
+    /// The policy's control steps.
+    pub steps: u32,
+}
+
+/// What becomes of a reported result, before its siblings are looked at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CommitJudgement {
+    /// The attempt holds the lease: store it.
+    Accept,
+    /// Stored already, with this outcome: fine.
+    Duplicate,
+    /// Stored already, with another outcome: keep it apart.
+    Divergent,
+    /// The lease is gone: refuse and count.
+    Stale,
+}
+
+/// Why an attempt brought no result.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum FailureReason {
+    /// The simulator failed (divergence, missing asset, native error).
+    SimulatorError,
+    /// The slot's process died.
+    SlotCrashed,
+    /// The slot's progress stopped.
+    SlotStuck,
+    /// The policy answered nonsense.
+    PolicyMisbehaved,
+    /// The lease expired: its worker fell silent.
+    LeaseLost,
+    /// The attempt reached its ceiling.
+    Overdue,
+    /// The result disagreed with its configuration's siblings.
+    Unpaired,
+    /// The policy cannot be reached or is overloaded.
+    PolicyUnavailable,
+    /// The worker drains.
+    Draining,
+    /// The campaign was cancelled.
+    Cancelled,
+    /// The lease expired before its worker said that it has it: the answer to
+    /// its claim was lost.
+    NeverAcknowledged,
+}
+
+/// What a failed attempt's job does next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AfterFailure {
+    /// Back in the queue, not before an instant.
+    Requeue {
+        /// End of its back-off.
+        not_before: UnixMillis,
+    },
+    /// Into quarantine.
+    Quarantine,
+}
+
+/// What speaks for and against quarantining a failed job.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Suspicion {
+    /// Distinct workers with a charged failure of this job, this one included.
+    pub failed_on_workers: u32,
+    /// Workers alive now that could run it.
+    pub able_workers: u32,
+}
+
+/// A worker's charged failures in a row, after one more.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Strike {
+    /// How many.
+    pub in_a_row: u32,
+    /// Whether it may lease no more.
+    pub stop: bool,
+}
+
+impl Job {
+    /// Its lease, if this very attempt holds it. An expired lease is held until
+    /// it is taken away: the attempt is what fences, not the clock.
+    pub fn lease_of(&self, attempt: AttemptId) -> Option<&Lease> {
+        match &self.state {
+            JobState::Leased(lease) if lease.attempt == attempt => Some(lease),
+            _ => None,
+        }
+    }
+
+    /// What becomes of an outcome that `attempt`, one of this job's, reports.
+    /// `stored` is the committed outcome, if there is one.
+    pub fn judge_commit(
+        &self,
+        attempt: AttemptId,
+        reported: OutcomeKey,
+        stored: Option<OutcomeKey>,
+    ) -> CommitJudgement {
+        match stored {
+            None if self.lease_of(attempt).is_some() => CommitJudgement::Accept,
+            None => CommitJudgement::Stale,
+            Some(stored) if stored == reported => CommitJudgement::Duplicate,
+            Some(_) => CommitJudgement::Divergent,
+        }
+    }
+
+    /// What this leased job does after its attempt failed.
+    pub fn after_failure(
+        &self,
+        reason: FailureReason,
+        suspicion: Suspicion,
+        now: UnixMillis,
+        rng: &mut impl Rng,
+    ) -> AfterFailure {
+        if !reason.is_charged() {
+            return AfterFailure::Requeue { not_before: now };
+        }
+        let charged = self.charged_attempts + 1;
+        let workers_needed = MIN_WORKERS_TO_QUARANTINE.min(suspicion.able_workers);
+        if charged >= MAX_CHARGED_ATTEMPTS && suspicion.failed_on_workers >= workers_needed {
+            return AfterFailure::Quarantine;
+        }
+        let wait = Waits::USUAL.after(charged, rng.next_u32());
+        AfterFailure::Requeue {
+            not_before: now.plus(wait.max(Waits::USUAL.first)),
+        }
+    }
+}
+
+impl Lease {
+    /// Why this lease has expired at `now`.
+    pub fn why_expired(&self, now: UnixMillis) -> FailureReason {
+        if !self.is_acknowledged {
+            FailureReason::NeverAcknowledged
+        } else if now >= self.ceiling {
+            FailureReason::Overdue
+        } else {
+            FailureReason::LeaseLost
+        }
+    }
+}
+
+impl FailureReason {
+    /// Whether the attempt counts against the job and its worker. What the
+    /// policy's server, the network or an operator caused does not.
+    pub fn is_charged(self) -> bool {
+        !matches!(
+            self,
+            FailureReason::PolicyUnavailable
+                | FailureReason::Draining
+                | FailureReason::Cancelled
+                | FailureReason::NeverAcknowledged
+        )
+    }
+
+    /// Its name in the store and in reports.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            FailureReason::SimulatorError => "simulator_error",
+            FailureReason::SlotCrashed => "slot_crashed",
+            FailureReason::SlotStuck => "slot_stuck",
+            FailureReason::PolicyMisbehaved => "policy_misbehaved",
+            FailureReason::LeaseLost => "lease_lost",
+            FailureReason::Overdue => "overdue",
+            FailureReason::Unpaired => "unpaired",
+            FailureReason::PolicyUnavailable => "policy_unavailable",
+            FailureReason::Draining => "draining",
+            FailureReason::Cancelled => "cancelled",
+            FailureReason::NeverAcknowledged => "never_acknowledged",
+        }
+    }
+}
+
+/// Counts one more charged failure of a worker that had `in_a_row` before it.
+pub fn strike(in_a_row: u32) -> Strike {
+    let in_a_row = in_a_row.saturating_add(1);
+    Strike {
+        in_a_row,
+        stop: in_a_row >= MAX_WORKER_FAILURES_IN_A_ROW,
+    }
+}
+
+/// Whether a coordinator that last looked for expired leases so long ago was
+/// asleep: then every lease gets its full time again, rather than all workers
+/// the blame.
+pub fn was_asleep(since_last_sweep: Duration, lease: Duration) -> bool {
+    since_last_sweep >= lease / 2
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn lease(is_acknowledged: bool) -> Lease {
+        Lease {
+            attempt: AttemptId::from_random([1; 16]),
+            owner: WorkerId("w".to_owned()),
+            granted: UnixMillis(0),
+            expires: UnixMillis(10),
+            ceiling: UnixMillis(100),
+            is_acknowledged,
+        }
+    }
+
+    #[test]
+    fn a_lease_expires_for_a_reason_and_only_silence_and_the_ceiling_are_charged() {
+        let check = |lease: Lease, now, expected: FailureReason, is_charged| {
+            let reason = lease.why_expired(UnixMillis(now));
+            assert_eq!((reason, reason.is_charged()), (expected, is_charged));
+        };
+        check(lease(false), 10, FailureReason::NeverAcknowledged, false);
+        check(lease(false), 100, FailureReason::NeverAcknowledged, false);
+        check(lease(true), 10, FailureReason::LeaseLost, true);
+        check(lease(true), 100, FailureReason::Overdue, true);
+    }
+
+    #[test]
+    fn the_fifth_charged_failure_in_a_row_stops_a_worker() {
+        let stops: Vec<bool> = (0..5).map(|in_a_row| strike(in_a_row).stop).collect();
+        assert_eq!(stops, [false, false, false, false, true]);
+    }
+
+    #[test]
+    fn a_coordinator_that_missed_half_a_lease_was_asleep() {
+        let lease = Duration::from_secs(30);
+        assert!(!was_asleep(Duration::from_secs(14), lease));
+        assert!(was_asleep(Duration::from_secs(15), lease));
+    }
+}

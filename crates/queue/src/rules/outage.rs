@@ -1,0 +1,168 @@
+//! A policy's outages: when its jobs pause, and how they resume by themselves.
+//! One policy is one name at one endpoint; others are not touched.
+//!
+//! After an outage the policy's jobs wait for a back-off; then one job, the
+//! probe, is let through. Its first answered query resumes the rest; another
+//! outage doubles the back-off.
+
+use attempt::{AttemptId, Waits};
+use rand_chacha::rand_core::Rng;
+
+use crate::clock::UnixMillis;
+
+/// One policy at one endpoint, as far as its health goes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PolicyHealth {
+    /// Outages since the last committed rollout.
+    pub outages: u32,
+    /// Since when it is taken to answer; leases granted earlier are no evidence
+    /// of a new outage.
+    pub available_since: UnixMillis,
+    /// Where it stands.
+    pub state: PolicyState,
+}
+
+/// Where a policy stands. The store's CHECK constraints say the same.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum PolicyState {
+    /// Its jobs are leased.
+    Available,
+    /// Its jobs wait.
+    Paused {
+        /// When a probe may go.
+        resume: UnixMillis,
+        /// What its last user was told.
+        reason: String,
+    },
+    /// One job is out to try it; the others wait.
+    Probing {
+        /// The probe.
+        attempt: AttemptId,
+        /// What the last outage said.
+        reason: String,
+    },
+}
+
+/// How many of a policy's jobs may be leased now.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Allowance {
+    /// As many as are asked for.
+    Unlimited,
+    /// One, which becomes the probe.
+    Probe,
+    /// None.
+    Nothing,
+}
+
+impl PolicyHealth {
+    /// A policy of which nothing bad is known.
+    pub fn new(now: UnixMillis) -> PolicyHealth {
+        PolicyHealth {
+            outages: 0,
+            available_since: now,
+            state: PolicyState::Available,
+        }
+    }
+
+    /// How many of its jobs may be leased.
+    pub fn allowance(&self, now: UnixMillis) -> Allowance {
+        match &self.state {
+            PolicyState::Available => Allowance::Unlimited,
+            PolicyState::Paused { resume, .. } if *resume <= now => Allowance::Probe,
+            PolicyState::Paused { .. } | PolicyState::Probing { .. } => Allowance::Nothing,
+        }
+    }
+
+    /// The probe was leased.
+    #[must_use]
+    pub fn with_probe(&self, attempt: AttemptId) -> PolicyHealth {
+        match &self.state {
+            PolicyState::Paused { reason, .. } => PolicyHealth {
+                state: PolicyState::Probing {
+                    attempt,
+                    reason: reason.clone(),
+                },
+                ..self.clone()
+            },
+            PolicyState::Available | PolicyState::Probing { .. } => self.clone(),
+        }
+    }
+
+    /// A job leased at `granted` could not reach the policy.
+    ///
+    /// Rollouts that were under way when it fell fail one after the other: only
+    /// the first of them is an outage, and none is, that was leased before the
+    /// policy last came back.
+    #[must_use]
+    pub fn after_outage(
+        &self,
+        attempt: AttemptId,
+        granted: UnixMillis,
+        error: &str,
+        now: UnixMillis,
+        rng: &mut impl Rng,
+    ) -> PolicyHealth {
+        let is_news = match &self.state {
+            PolicyState::Available => granted >= self.available_since,
+            PolicyState::Paused { .. } => false,
+            PolicyState::Probing { .. } => self.is_probe(attempt),
+        };
+        if !is_news {
+            return self.clone();
+        }
+        let outages = self.outages + 1;
+        let wait = Waits::USUAL.after(outages, rng.next_u32());
+        PolicyHealth {
+            outages,
+            available_since: self.available_since,
+            state: PolicyState::Paused {
+                resume: now.plus(wait.max(Waits::USUAL.first)),
+                reason: error.to_owned(),
+            },
+        }
+    }
+
+    /// The policy answered a query of this attempt.
+    #[must_use]
+    pub fn after_answer(&self, attempt: AttemptId, now: UnixMillis) -> PolicyHealth {
+        if !self.is_probe(attempt) {
+            return self.clone();
+        }
+        PolicyHealth {
+            outages: self.outages,
+            available_since: now,
+            state: PolicyState::Available,
+        }
+    }
+
+    /// A rollout of this policy was committed: if it is available, its past is
+    /// forgotten.
+    #[must_use]
+    pub fn after_commit(&self, attempt: AttemptId, now: UnixMillis) -> PolicyHealth {
+        let mut health = self.after_answer(attempt, now);
+        if health.state == PolicyState::Available {
+            health.outages = 0;
+        }
+        health
+    }
+
+    /// The attempt ended for a reason that says nothing about the policy: if it
+    /// was the probe, another may go at once.
+    #[must_use]
+    pub fn after_other_failure(&self, attempt: AttemptId, now: UnixMillis) -> PolicyHealth {
+        match &self.state {
+            PolicyState::Probing { reason, .. } if self.is_probe(attempt) => PolicyHealth {
+                state: PolicyState::Paused {
+                    resume: now,
+                    reason: reason.clone(),
+                },
+                ..self.clone()
+            },
+            _ => self.clone(),
+        }
+    }
+
+    fn is_probe(&self, of: AttemptId) -> bool {
+        matches!(&self.state, PolicyState::Probing { attempt, .. } if *attempt == of)
+    }
+}

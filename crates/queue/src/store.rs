@@ -1,0 +1,406 @@
+//! The SQLite database: opening, locking, migrating and closing it, and the
+//! transactions that its submodules' statements run in. The submodules hold the
+//! statements of `operations` and conversions only; what is to be done is
+//! decided elsewhere.
+//!
+//! One coordinator owns a data folder: one connection writes, several read, in
+//! WAL mode with `synchronous=FULL`, so that a committed transaction survives a
+//! power cut.
+
+pub(crate) mod artifacts;
+pub(crate) mod backup;
+pub(crate) mod campaigns;
+pub(crate) mod claims;
+pub(crate) mod failpoint;
+pub(crate) mod films;
+pub(crate) mod jobs;
+pub(crate) mod policies;
+pub(crate) mod provenance;
+pub(crate) mod removals;
+pub(crate) mod results;
+pub(crate) mod workers;
+
+use std::fs::{File, TryLockError};
+use std::io;
+use std::ops::{Deref, DerefMut};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+use sqlx::migrate::{MigrateError, Migrator};
+use sqlx::pool::PoolConnection;
+use sqlx::sqlite::{
+    SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous,
+};
+use sqlx::{Connection, Sqlite, SqliteConnection, Transaction};
+
+use failpoint::{Failpoints, Side, Step};
+
+/// The database's file in the data folder.
+pub const DATABASE_FILE: &str = "coordinator.sqlite";
+/// The file whose lock says that a coordinator owns the data folder.
+const LOCK_FILE: &str = "coordinator.lock";
+/// Connections that read beside the writer.
+const READERS: u32 = 4;
+/// How long a statement waits for a lock that another process holds (a backup
+/// or a curious shell).
+const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
+
+/// How long closing waits for readers.
+const READERS_GRACE: Duration = Duration::from_secs(2);
+
+static MIGRATIONS: Migrator = sqlx::migrate!("../../migrations");
+
+/// The open database of one data folder.
+#[derive(Debug)]
+pub struct Store {
+    folder: PathBuf,
+    writer: SqlitePool,
+    readers: SqlitePool,
+    failpoints: Failpoints,
+    /// Held for as long as the store lives; the kernel lets go of it whichever
+    /// way the process ends.
+    _lock: File,
+}
+
+/// A data folder that cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum OpenError {
+    /// The folder or a file in it cannot be made.
+    #[error("open data folder {}: check that it exists and that this user may write to it", folder.display())]
+    Folder {
+        /// The folder.
+        folder: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// Another coordinator has it.
+    #[error("open data folder {}: another coordinator is using it; stop that one, or choose another folder with --data", folder.display())]
+    InUse {
+        /// The folder.
+        folder: PathBuf,
+    },
+    /// A newer program wrote it.
+    #[error(
+        "open database {}: its schema is version {found} and this program ({program}) knows versions up to {known}; run the newer program that wrote it, or choose another folder with --data",
+        path.display()
+    )]
+    NewerSchema {
+        /// The database.
+        path: PathBuf,
+        /// Its version.
+        found: i64,
+        /// The newest version that this program knows.
+        known: i64,
+        /// This program's version.
+        program: &'static str,
+    },
+    /// It is no database of this program, or its schema was altered.
+    #[error("bring database {} to schema version {known}: restore it from a backup, or choose another folder with --data", path.display())]
+    Migrate {
+        /// The database.
+        path: PathBuf,
+        /// The version aimed at.
+        known: i64,
+        /// What went wrong.
+        source: MigrateError,
+    },
+    /// SQLite refuses to open it.
+    #[error("open database {}: is it a SQLite file on a local disk?", path.display())]
+    Database {
+        /// The database.
+        path: PathBuf,
+        /// What SQLite said.
+        source: sqlx::Error,
+    },
+}
+
+/// A statement that failed.
+#[derive(Clone, Debug, thiserror::Error)]
+#[error("{doing} in the database")]
+pub struct StoreError {
+    /// What was being done.
+    pub doing: &'static str,
+    /// What SQLite said.
+    #[source]
+    pub source: Arc<sqlx::Error>,
+}
+
+/// The writing transaction. There is one at a time; dropping it undoes it.
+#[derive(Debug)]
+pub(crate) struct Tx<'a> {
+    transaction: Transaction<'static, Sqlite>,
+    /// What it is for.
+    steps: Vec<Step>,
+    failpoints: &'a Failpoints,
+}
+
+/// Says what a failed statement was for.
+pub(crate) trait Doing<T> {
+    fn doing(self, doing: &'static str) -> Result<T, StoreError>;
+}
+
+impl<T> Doing<T> for Result<T, sqlx::Error> {
+    fn doing(self, doing: &'static str) -> Result<T, StoreError> {
+        self.map_err(|source| StoreError {
+            doing,
+            source: Arc::new(source),
+        })
+    }
+}
+
+/// A stored value that does not read back.
+pub(crate) fn undecodable(
+    error: impl Into<Box<dyn std::error::Error + Send + Sync>>,
+) -> sqlx::Error {
+    sqlx::Error::Decode(error.into())
+}
+
+/// Rows that one statement stores: a few numbers, so that a few statements stay
+/// prepared.
+const INSERTED_ROWS: [usize; 4] = [64, 16, 4, 1];
+
+/// Rows in pieces of such numbers.
+pub(crate) fn in_few_statements<T>(mut rows: &[T]) -> impl Iterator<Item = &[T]> {
+    std::iter::from_fn(move || {
+        let size = INSERTED_ROWS.into_iter().find(|size| *size <= rows.len())?;
+        let (piece, others) = rows.split_at(size);
+        rows = others;
+        Some(piece)
+    })
+}
+
+/// Many values for one statement: it reads them with `json_each`.
+pub(crate) fn json(values: impl serde::Serialize) -> String {
+    serde_json::to_string(&values).expect("numbers and text are JSON")
+}
+
+impl Store {
+    /// Opens the database of a data folder, creating and migrating it as
+    /// needed.
+    ///
+    /// # Errors
+    /// See [`OpenError`]. A database of a newer schema is left untouched.
+    pub async fn open(folder: &Path) -> Result<Store, OpenError> {
+        let in_folder = |source| OpenError::Folder {
+            folder: folder.to_owned(),
+            source,
+        };
+        let path = folder.join(DATABASE_FILE);
+        if path.exists() {
+            refuse_newer_schema(&path).await?;
+        }
+        std::fs::create_dir_all(folder).map_err(in_folder)?;
+        let lock = lock_folder(folder)?;
+        backup::remove_leftover(folder);
+        let options = SqliteConnectOptions::new()
+            .filename(&path)
+            .create_if_missing(true)
+            .journal_mode(SqliteJournalMode::Wal)
+            .synchronous(SqliteSynchronous::Full)
+            .foreign_keys(true)
+            .busy_timeout(BUSY_TIMEOUT);
+        let database = |source| OpenError::Database {
+            path: path.clone(),
+            source,
+        };
+        let writer = SqlitePoolOptions::new()
+            .max_connections(1)
+            // SQLite ends a transaction by itself when the disk is full; the
+            // connection would count it as open for ever.
+            .before_acquire(|connection, _| {
+                let usable = !connection.is_in_transaction();
+                Box::pin(async move { Ok(usable) })
+            })
+            .connect_with(options.clone())
+            .await
+            .map_err(database)?;
+        MIGRATIONS
+            .run(&writer)
+            .await
+            .map_err(|source| OpenError::Migrate {
+                path: path.clone(),
+                known: newest_known_schema(),
+                source,
+            })?;
+        let readers = SqlitePoolOptions::new()
+            .max_connections(READERS)
+            .connect_with(options.create_if_missing(false))
+            .await
+            .map_err(database)?;
+        Ok(Store {
+            folder: folder.to_owned(),
+            writer,
+            readers,
+            failpoints: Failpoints::from_environment(),
+            _lock: lock,
+        })
+    }
+
+    /// The data folder.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// Begins the writing transaction, for these steps; waits for the one before
+    /// it.
+    pub(crate) async fn write(&self, steps: Vec<Step>) -> Result<Tx<'_>, StoreError> {
+        let transaction = self.writer.begin_with("BEGIN IMMEDIATE").await;
+        Ok(Tx {
+            transaction: transaction.doing("begin a transaction")?,
+            steps,
+            failpoints: &self.failpoints,
+        })
+    }
+
+    /// Begins to read: what is committed now, however long it is looked at.
+    pub(crate) async fn read(&self) -> Result<Transaction<'static, Sqlite>, StoreError> {
+        self.readers.begin().await.doing("begin reading")
+    }
+
+    /// A connection that sees what others commit.
+    pub(crate) async fn reader(&self) -> Result<PoolConnection<Sqlite>, StoreError> {
+        self.readers.acquire().await.doing("begin reading")
+    }
+
+    /// Moves everything from the write-ahead log into the database and closes
+    /// it.
+    ///
+    /// # Errors
+    /// When the log cannot be moved; nothing is lost then, the next start reads
+    /// it.
+    pub async fn close(&self) -> Result<(), StoreError> {
+        // Somebody who still reads must not keep the coordinator from ending.
+        let _ = tokio::time::timeout(READERS_GRACE, self.readers.close()).await;
+        sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)")
+            .execute(&self.writer)
+            .await
+            .doing("checkpoint the write-ahead log")?;
+        self.writer.close().await;
+        Ok(())
+    }
+}
+
+/// The newest schema version that this program knows.
+pub fn newest_known_schema() -> i64 {
+    MIGRATIONS
+        .iter()
+        .map(|migration| migration.version)
+        .max()
+        .unwrap_or(0)
+}
+
+impl Tx<'_> {
+    /// Ends the transaction: what it wrote is on the disk.
+    pub(crate) async fn commit(self) -> Result<(), StoreError> {
+        for step in &self.steps {
+            self.failpoints.reach(Side::Before, *step);
+        }
+        let committed = self.transaction.commit().await;
+        committed.doing("commit a transaction")?;
+        for step in &self.steps {
+            self.failpoints.reach(Side::After, *step);
+        }
+        Ok(())
+    }
+}
+
+impl Deref for Tx<'_> {
+    type Target = SqliteConnection;
+
+    fn deref(&self) -> &SqliteConnection {
+        &self.transaction
+    }
+}
+
+impl DerefMut for Tx<'_> {
+    fn deref_mut(&mut self) -> &mut SqliteConnection {
+        &mut self.transaction
+    }
+}
+
+fn lock_folder(folder: &Path) -> Result<File, OpenError> {
+    let in_folder = |source| OpenError::Folder {
+        folder: folder.to_owned(),
+        source,
+    };
+    let lock = File::options()
+        .create(true)
+        .truncate(false)
+        .write(true)
+        .open(folder.join(LOCK_FILE))
+        .map_err(in_folder)?;
+    match lock.try_lock() {
+        Ok(()) => Ok(lock),
+        Err(TryLockError::WouldBlock) => Err(OpenError::InUse {
+            folder: folder.to_owned(),
+        }),
+        Err(TryLockError::Error(source)) => Err(in_folder(source)),
+    }
+}
+
+/// Looks at an existing database without writing to it.
+async fn refuse_newer_schema(path: &Path) -> Result<(), OpenError> {
+    let database = |source| OpenError::Database {
+        path: path.to_owned(),
+        source,
+    };
+    let options = SqliteConnectOptions::new().filename(path).read_only(true);
+    let mut connection = SqliteConnection::connect_with(&options)
+        .await
+        .map_err(database)?;
+    let found = schema_version(&mut connection).await.map_err(database)?;
+    connection.close().await.map_err(database)?;
+    let known = newest_known_schema();
+    match found {
+        Some(found) if found > known => Err(OpenError::NewerSchema {
+            path: path.to_owned(),
+            found,
+            known,
+            program: concat!("coordinator ", env!("CARGO_PKG_VERSION")),
+        }),
+        _ => Ok(()),
+    }
+}
+
+pub(crate) async fn schema_version(
+    connection: &mut SqliteConnection,
+) -> Result<Option<i64>, sqlx::Error> {
+    let has_versions: bool = sqlx::query_scalar(
+        "SELECT EXISTS (SELECT 1 FROM sqlite_master WHERE name = '_sqlx_migrations')",
+    )
+    .fetch_one(&mut *connection)
+    .await?;
+    if !has_versions {
+        return Ok(None);
+    }
+    sqlx::query_scalar("SELECT max(version) FROM _sqlx_migrations")
+        .fetch_one(connection)
+        .await
+}
+
+/// Lays this program's schema beside that of the open database, as the
+/// temporary table `known_schema`.
+pub(crate) async fn know_schema(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
+    let mut fresh = SqliteConnection::connect("sqlite::memory:").await?;
+    MIGRATIONS
+        .run_direct(None, &mut fresh, false)
+        .await
+        .map_err(|error| sqlx::Error::Migrate(Box::new(error)))?;
+    let known: Vec<(String, String, Option<String>)> =
+        sqlx::query_as("SELECT type, name, sql FROM sqlite_schema")
+            .fetch_all(&mut fresh)
+            .await?;
+    sqlx::query("CREATE TEMP TABLE known_schema (type TEXT, name TEXT, sql TEXT)")
+        .execute(&mut *connection)
+        .await?;
+    for (kind, name, sql) in known {
+        sqlx::query("INSERT INTO temp.known_schema VALUES (?, ?, ?)")
+            .bind(kind)
+            .bind(name)
+            .bind(sql)
+            .execute(&mut *connection)
+            .await?;
+    }
+    Ok(())
+}

@@ -1,0 +1,54 @@
+//! Statements on `artifact`: which files are kept beside which outcome.
+
+use attempt::AttemptId;
+use sqlx::SqliteConnection;
+
+use super::{Doing, StoreError};
+use crate::clock::UnixMillis;
+use crate::ids::CampaignName;
+
+/// The rollout that an artifact belongs to.
+#[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
+pub(crate) struct ArtifactOwner {
+    pub(crate) campaign: CampaignName,
+    pub(crate) rollout_id: String,
+    pub(crate) replicate: u32,
+}
+
+/// The rollout whose committed outcome is of this attempt.
+pub(crate) async fn owner(
+    tx: &mut SqliteConnection,
+    attempt: AttemptId,
+) -> Result<Option<ArtifactOwner>, StoreError> {
+    sqlx::query_as(
+        "SELECT c.name AS campaign, j.rollout_id, j.replicate
+         FROM result r JOIN job j ON j.id = r.job_id JOIN campaign c ON c.id = j.campaign_id
+         WHERE r.attempt_id = ?",
+    )
+    .bind(attempt.to_string())
+    .fetch_optional(tx)
+    .await
+    .doing("look up whose file this is")
+}
+
+/// Records a stored video; one sent again replaces it.
+pub(crate) async fn record(
+    tx: &mut SqliteConnection,
+    attempt: AttemptId,
+    path: &str,
+    size_bytes: u64,
+    now: UnixMillis,
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "INSERT OR REPLACE INTO artifact (attempt_id, kind, path, size_bytes, stored_ms)
+         VALUES (?, 'video', ?, ?, ?)",
+    )
+    .bind(attempt.to_string())
+    .bind(path)
+    .bind(i64::try_from(size_bytes).unwrap_or(i64::MAX))
+    .bind(now)
+    .execute(tx)
+    .await
+    .doing("record a stored file")?;
+    Ok(())
+}

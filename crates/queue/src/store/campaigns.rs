@@ -1,0 +1,292 @@
+//! Statements on `campaign` and `campaign_task`: creating, pinning, moving,
+//! deleting, and a campaign with its policy as everybody reads it.
+
+use attempt::Pin;
+use protocol::Realisation;
+use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
+
+use super::policies::{self, HealthRow, health_columns};
+use super::{Doing, StoreError, undecodable};
+use crate::clock::UnixMillis;
+use crate::expand::{NewCampaign, NewJob};
+use crate::ids::{CampaignId, CampaignName, PolicyId};
+use crate::rules::campaign::CampaignState;
+use crate::rules::outage::PolicyHealth;
+
+/// Jobs inserted by one statement: SQLite binds at most 32,766 values.
+const JOBS_PER_INSERT: usize = 1_000;
+
+/// A campaign and the policy that it measures.
+#[derive(Clone, Debug, sqlx::FromRow)]
+pub struct Campaign {
+    /// Its number.
+    pub id: CampaignId,
+    /// Its name.
+    pub name: CampaignName,
+    /// SHA-256 of its specification, hex.
+    pub spec_digest: String,
+    /// Its policy's number.
+    pub policy_id: PolicyId,
+    /// Its policy's name at the endpoint.
+    pub policy: String,
+    /// Its policy's endpoint.
+    pub endpoint: String,
+    /// Its policy's health.
+    #[sqlx(flatten, try_from = "HealthRow")]
+    pub health: PolicyHealth,
+    /// Where its perturbations' random elements come from: "matched" or
+    /// "reference".
+    pub realisation: String,
+    /// Which rollouts are filmed: "none", "failures", "transitions" or "all".
+    pub record: String,
+    /// Where it stands with its operator.
+    #[sqlx(flatten, try_from = "StateRow")]
+    pub state: CampaignState,
+    /// When its first job was leased.
+    pub pinned_ms: Option<UnixMillis>,
+    /// What it is pinned to since then.
+    #[sqlx(flatten, try_from = "PinRow")]
+    pub pin: Option<Pin>,
+}
+
+#[derive(sqlx::FromRow)]
+pub(crate) struct StateRow {
+    state: String,
+    state_since_ms: UnixMillis,
+}
+
+#[derive(sqlx::FromRow)]
+pub(crate) struct PinRow {
+    asset_pack: Option<String>,
+    asset_pack_digest: Option<String>,
+    mujoco_version: Option<String>,
+    renderer: Option<String>,
+}
+
+impl TryFrom<StateRow> for CampaignState {
+    type Error = sqlx::Error;
+
+    /// Reads the row; the CHECK constraints promise that this works.
+    fn try_from(row: StateRow) -> Result<CampaignState, sqlx::Error> {
+        CampaignState::from_name(&row.state, row.state_since_ms)
+            .ok_or_else(|| undecodable(format!("campaign state `{}`", row.state)))
+    }
+}
+
+impl From<PinRow> for Option<Pin> {
+    fn from(row: PinRow) -> Option<Pin> {
+        Some(Pin {
+            asset_pack: row.asset_pack?,
+            asset_pack_digest: row.asset_pack_digest?,
+            mujoco_version: row.mujoco_version?,
+            renderer: row.renderer.unwrap_or_default(),
+        })
+    }
+}
+
+impl Campaign {
+    /// Where its perturbations' random elements come from.
+    pub(crate) fn mode(&self) -> Result<Realisation, StoreError> {
+        let mode = self.realisation.parse().map_err(undecodable);
+        mode.doing("read a campaign's realisation mode")
+    }
+
+    /// Whether a lease has decided everything that it is pinned to.
+    pub(crate) fn is_pinned(&self) -> bool {
+        self.pin
+            .as_ref()
+            .is_some_and(|pin| !pin.renderer.is_empty())
+    }
+
+    /// Whether it takes results of a worker that runs on `worker`.
+    pub(crate) fn takes(&self, worker: &Pin) -> bool {
+        self.pin.as_ref().is_none_or(|pin| pin.takes(worker))
+    }
+}
+
+/// [`Campaign`]s, under a condition.
+macro_rules! campaigns_where {
+    ($condition:literal) => {
+        concat!(
+            "SELECT c.id, c.name, c.spec_digest, c.policy_id, p.name AS policy, p.endpoint,
+                 c.realisation, c.record, c.state, c.state_since_ms, c.pinned_ms, c.asset_pack,
+                 c.asset_pack_digest, c.mujoco_version, c.renderer, ",
+            health_columns!(),
+            " FROM campaign c JOIN policy p ON p.id = c.policy_id WHERE ",
+            $condition,
+            " ORDER BY c.id"
+        )
+    };
+}
+
+/// A campaign by its name.
+pub(crate) async fn by_name(
+    tx: &mut SqliteConnection,
+    name: &CampaignName,
+) -> Result<Option<Campaign>, StoreError> {
+    sqlx::query_as(campaigns_where!("c.name = ?"))
+        .bind(name)
+        .fetch_optional(tx)
+        .await
+        .doing("look up a campaign")
+}
+
+/// A campaign by its number.
+pub(crate) async fn by_id(
+    tx: &mut SqliteConnection,
+    id: CampaignId,
+) -> Result<Campaign, StoreError> {
+    sqlx::query_as(campaigns_where!("c.id = ?"))
+        .bind(id)
+        .fetch_one(tx)
+        .await
+        .doing("look up a campaign")
+}
+
+/// All campaigns, oldest first.
+pub(crate) async fn all(tx: &mut SqliteConnection) -> Result<Vec<Campaign>, StoreError> {
+    sqlx::query_as(campaigns_where!("TRUE"))
+        .fetch_all(tx)
+        .await
+        .doing("list campaigns")
+}
+
+/// The campaigns of which jobs wait, oldest first; cancelled ones are left out.
+pub(crate) async fn waiting(tx: &mut SqliteConnection) -> Result<Vec<Campaign>, StoreError> {
+    sqlx::query_as(campaigns_where!(
+        "c.state <> 'cancelled'
+         AND EXISTS (SELECT 1 FROM job j WHERE j.campaign_id = c.id AND j.state = 'queued')"
+    ))
+    .fetch_all(tx)
+    .await
+    .doing("list campaigns with waiting jobs")
+}
+
+/// A campaign's specification, JSON.
+pub(crate) async fn spec(tx: &mut SqliteConnection, id: CampaignId) -> Result<String, StoreError> {
+    sqlx::query_scalar("SELECT spec FROM campaign WHERE id = ?")
+        .bind(id)
+        .fetch_one(tx)
+        .await
+        .doing("read a campaign's specification")
+}
+
+/// Stores a campaign and all its jobs.
+pub(crate) async fn insert(
+    tx: &mut SqliteConnection,
+    campaign: &NewCampaign,
+    now: UnixMillis,
+) -> Result<(), StoreError> {
+    let policy =
+        policies::find_or_insert(tx, &campaign.policy_endpoint, &campaign.policy, now).await?;
+    let id: CampaignId = sqlx::query_scalar(
+        "INSERT INTO campaign (name, spec, spec_digest, policy_id, realisation, record,
+             jobs, created_ms, state_since_ms)
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?8) RETURNING id",
+    )
+    .bind(&campaign.name)
+    .bind(&campaign.spec)
+    .bind(&campaign.spec_digest)
+    .bind(policy)
+    .bind(&campaign.realisation)
+    .bind(campaign.record)
+    .bind(campaign.jobs.len() as i64)
+    .bind(now)
+    .fetch_one(&mut *tx)
+    .await
+    .doing("store a campaign")?;
+    for task in campaign.tasks() {
+        sqlx::query("INSERT INTO campaign_task (campaign_id, task) VALUES (?, ?)")
+            .bind(id)
+            .bind(task)
+            .execute(&mut *tx)
+            .await
+            .doing("store a campaign's tasks")?;
+    }
+    for jobs in campaign.jobs.chunks(JOBS_PER_INSERT) {
+        insert_jobs(tx, id, jobs).await?;
+    }
+    Ok(())
+}
+
+async fn insert_jobs(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+    jobs: &[NewJob],
+) -> Result<(), StoreError> {
+    let mut insert: QueryBuilder<Sqlite> = QueryBuilder::new(
+        "INSERT INTO job (campaign_id, rollout_id, replicate, task, init_id, unit_order,
+             manifest_row, policy_seed) ",
+    );
+    insert.push_values(jobs, |mut row, job| {
+        row.push_bind(campaign)
+            .push_bind(&job.rollout_id)
+            .push_bind(job.replicate)
+            .push_bind(&job.task)
+            .push_bind(job.init_id)
+            .push_bind(job.unit_order)
+            .push_bind(&job.manifest_row)
+            .push_bind(job.policy_seed.cast_signed());
+    });
+    insert.build().execute(tx).await.doing("store jobs")?;
+    Ok(())
+}
+
+/// Pins a campaign to what its first worker runs on; what it is pinned to
+/// stays as it is.
+pub(crate) async fn pin(
+    tx: &mut SqliteConnection,
+    id: CampaignId,
+    pin: &Pin,
+    now: UnixMillis,
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "UPDATE campaign SET pinned_ms = coalesce(pinned_ms, ?),
+             asset_pack = coalesce(asset_pack, ?),
+             asset_pack_digest = coalesce(asset_pack_digest, ?),
+             mujoco_version = coalesce(mujoco_version, ?), renderer = ?
+         WHERE id = ? AND renderer IS NULL",
+    )
+    .bind(now)
+    .bind(&pin.asset_pack)
+    .bind(&pin.asset_pack_digest)
+    .bind(&pin.mujoco_version)
+    .bind(&pin.renderer)
+    .bind(id)
+    .execute(tx)
+    .await
+    .doing("pin a campaign")?;
+    Ok(())
+}
+
+/// Stores where a campaign stands with its operator.
+pub(crate) async fn set_state(
+    tx: &mut SqliteConnection,
+    id: CampaignId,
+    state: CampaignState,
+) -> Result<(), StoreError> {
+    sqlx::query("UPDATE campaign SET state = ?, state_since_ms = ? WHERE id = ?")
+        .bind(state.name())
+        .bind(state.since())
+        .bind(id)
+        .execute(tx)
+        .await
+        .doing("store a campaign's state")?;
+    Ok(())
+}
+
+/// Removes a campaign with its jobs and their results.
+pub(crate) async fn delete(tx: &mut SqliteConnection, id: CampaignId) -> Result<(), StoreError> {
+    // Jobs first: each row of `campaign_task` would look for its own.
+    for statement in [
+        "DELETE FROM job WHERE campaign_id = ?",
+        "DELETE FROM campaign WHERE id = ?",
+    ] {
+        sqlx::query(statement)
+            .bind(id)
+            .execute(&mut *tx)
+            .await
+            .doing("delete a campaign")?;
+    }
+    Ok(())
+}

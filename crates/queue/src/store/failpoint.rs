@@ -1,0 +1,145 @@
+//! Places where the process can be made to die: before and after the end of
+//! every writing transaction. Tests crash it at each of them once. Compiled into
+//! programs with debug assertions only; elsewhere [`Failpoints`] is empty.
+
+#[cfg(debug_assertions)]
+use std::sync::atomic::{AtomicU32, Ordering};
+
+/// What a writing transaction is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Step {
+    /// Leases get their full time again when the coordinator starts.
+    Start,
+    /// A worker announces itself.
+    Register,
+    /// Jobs are leased.
+    Claim,
+    /// Leases are renewed.
+    Heartbeat,
+    /// An outcome is stored, or refused.
+    Commit,
+    /// An attempt ends without an outcome.
+    Release,
+    /// Expired leases are taken away.
+    Sweep,
+    /// A file is recorded beside a rollout.
+    Artifact,
+    /// A campaign is expanded.
+    CreateCampaign,
+    /// A campaign is paused, resumed or cancelled.
+    ChangeCampaign,
+    /// A campaign is deleted.
+    DeleteCampaign,
+    /// A deleted campaign's files are gone.
+    FinishRemoval,
+    /// Jobs are taken out of quarantine.
+    RetryJobs,
+}
+
+/// The variable that names the failpoint to die at: `before:commit` or
+/// `after:commit`, and for the n-th time that it is reached `after:commit:n`.
+pub const FAILPOINT_VARIABLE: &str = "COORDINATOR_DIE_AT";
+
+/// The failpoint of this process, if it has one.
+#[derive(Debug, Default)]
+pub(crate) struct Failpoints {
+    #[cfg(debug_assertions)]
+    armed: Option<(String, AtomicU32)>,
+}
+
+/// On which side of a transaction's end a failpoint lies.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Side {
+    /// Everything is written and nothing is committed.
+    Before,
+    /// It is committed, and nobody was told.
+    After,
+}
+
+impl Step {
+    /// All of them.
+    pub const ALL: [Step; 13] = [
+        Step::Start,
+        Step::Register,
+        Step::Claim,
+        Step::Heartbeat,
+        Step::Commit,
+        Step::Release,
+        Step::Sweep,
+        Step::Artifact,
+        Step::CreateCampaign,
+        Step::ChangeCampaign,
+        Step::DeleteCampaign,
+        Step::FinishRemoval,
+        Step::RetryJobs,
+    ];
+
+    /// Its name in a failpoint.
+    pub fn name(self) -> &'static str {
+        match self {
+            Step::Start => "start",
+            Step::Register => "register",
+            Step::Claim => "claim",
+            Step::Heartbeat => "heartbeat",
+            Step::Commit => "commit",
+            Step::Release => "release",
+            Step::Sweep => "sweep",
+            Step::Artifact => "artifact",
+            Step::CreateCampaign => "create_campaign",
+            Step::ChangeCampaign => "change_campaign",
+            Step::DeleteCampaign => "delete_campaign",
+            Step::FinishRemoval => "finish_removal",
+            Step::RetryJobs => "retry_jobs",
+        }
+    }
+}
+
+impl Side {
+    /// Its name in a failpoint.
+    pub fn name(self) -> &'static str {
+        match self {
+            Side::Before => "before",
+            Side::After => "after",
+        }
+    }
+}
+
+#[cfg(not(debug_assertions))]
+impl Failpoints {
+    pub(crate) fn from_environment() -> Failpoints {
+        Failpoints::default()
+    }
+
+    pub(crate) fn reach(&self, _: Side, _: Step) {}
+}
+
+#[cfg(debug_assertions)]
+impl Failpoints {
+    /// Reads [`FAILPOINT_VARIABLE`].
+    pub(crate) fn from_environment() -> Failpoints {
+        let armed = std::env::var(FAILPOINT_VARIABLE).ok().map(|text| {
+            let (point, countdown) = match text.rsplit_once(':') {
+                Some((point, times)) if times.parse::<u32>().is_ok() => {
+                    (point.to_owned(), times.parse().unwrap_or(1))
+                }
+                _ => (text, 1),
+            };
+            (point, AtomicU32::new(countdown))
+        });
+        Failpoints { armed }
+    }
+
+    /// Ends the process as `kill -9` would if this is its failpoint.
+    pub(crate) fn reach(&self, side: Side, step: Step) {
+        let Some((point, countdown)) = &self.armed else {
+            return;
+        };
+        let is_here = point
+            .split_once(':')
+            .is_some_and(|(at, what)| at == side.name() && what == step.name());
+        if is_here && countdown.fetch_sub(1, Ordering::SeqCst) == 1 {
+            eprintln!("failpoint {point}: this process ends here");
+            std::process::abort();
+        }
+    }
+}

@@ -1,0 +1,91 @@
+//! Statements on `motion`: which rollouts are left to be filmed, and from what.
+
+use attempt::{AttemptId, Pin};
+use sqlx::SqliteConnection;
+
+use super::{Doing, StoreError};
+use crate::ids::{CampaignId, CampaignName, JobId};
+
+/// A committed rollout that is to be filmed.
+#[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
+pub struct Film {
+    /// The attempt beside whose outcome the video is stored.
+    #[sqlx(rename = "attempt_id", try_from = "String")]
+    pub attempt: AttemptId,
+    /// Its campaign.
+    pub campaign: CampaignName,
+    /// Which replicate.
+    pub replicate: u32,
+    /// One manifest row, JSON.
+    pub manifest_row: String,
+    /// "matched" or "reference".
+    pub realisation: String,
+    /// The actions of every control step, as [`attempt::Motion`] packs them.
+    pub actions: Vec<u8>,
+    /// What must come out again.
+    pub success: bool,
+}
+
+/// A rollout of a campaign that records transitions.
+#[derive(Clone, Debug, sqlx::FromRow)]
+pub(crate) struct FilmableRow {
+    pub(crate) job_id: JobId,
+    pub(crate) rollout_id: String,
+    pub(crate) replicate: u32,
+    pub(crate) init_id: u16,
+    /// None while it is not committed.
+    pub(crate) success: Option<bool>,
+    /// Whether it has actions to be filmed from, and no video yet.
+    pub(crate) is_wanting: bool,
+}
+
+/// Campaigns that record transitions with this asset pack and simulator.
+pub(crate) async fn filmed_campaigns(
+    tx: &mut SqliteConnection,
+    pin: &Pin,
+) -> Result<Vec<CampaignId>, StoreError> {
+    sqlx::query_scalar(
+        "SELECT id FROM campaign
+         WHERE record = 'transitions' AND asset_pack_digest = ? AND mujoco_version = ?
+         ORDER BY id",
+    )
+    .bind(&pin.asset_pack_digest)
+    .bind(&pin.mujoco_version)
+    .fetch_all(tx)
+    .await
+    .doing("look for campaigns that are filmed")
+}
+
+/// All rollouts of a campaign, as far as filming goes.
+pub(crate) async fn filmable(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+) -> Result<Vec<FilmableRow>, StoreError> {
+    sqlx::query_as(
+        "SELECT j.id AS job_id, j.rollout_id, j.replicate, j.init_id, r.success,
+             coalesce(length(m.actions), 0) > 0
+                 AND NOT EXISTS (SELECT 1 FROM artifact a
+                     WHERE a.attempt_id = r.attempt_id AND a.kind = 'video') AS is_wanting
+         FROM job j LEFT JOIN result r ON r.job_id = j.id LEFT JOIN motion m ON m.job_id = j.id
+         WHERE j.campaign_id = ? ORDER BY j.unit_order",
+    )
+    .bind(campaign)
+    .fetch_all(tx)
+    .await
+    .doing("look for rollouts to film")
+}
+
+/// A committed rollout with everything that filming it takes.
+pub(crate) async fn film(tx: &mut SqliteConnection, job: JobId) -> Result<Film, StoreError> {
+    sqlx::query_as(
+        "SELECT r.attempt_id, c.name AS campaign, j.replicate, j.manifest_row, c.realisation,
+             m.actions, r.success
+         FROM job j JOIN campaign c ON c.id = j.campaign_id
+         JOIN result r ON r.job_id = j.id JOIN motion m ON m.job_id = j.id
+         WHERE j.id = ?",
+    )
+    .bind(job)
+    .fetch_one(tx)
+    .await
+    .doing("read a rollout to film")
+}

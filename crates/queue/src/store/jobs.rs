@@ -1,0 +1,426 @@
+//! Statements on `job` and `failure`: renewing and ending an attempt, and what is
+//! known of a job. Granting leases is the business of `claims`.
+//!
+//! Every statement that moves a leased job is conditional on its attempt.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use attempt::AttemptId;
+use protocol::ManifestRow;
+use serde::Serialize;
+use sqlx::SqliteConnection;
+
+use super::{Doing, StoreError, json, undecodable};
+use crate::clock::UnixMillis;
+use crate::ids::{AttemptNumber, CampaignId, JobId, WorkerId};
+use crate::rules::lease::{AfterFailure, FailureReason, Job, JobState, Lease, OutcomeKey};
+
+/// What matched rollouts share: one campaign, one scene, one initial state.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, sqlx::FromRow)]
+pub(crate) struct InitialState {
+    #[sqlx(rename = "campaign_id")]
+    pub(crate) campaign: CampaignId,
+    /// "libero_goal/3".
+    pub(crate) task: String,
+    pub(crate) init_id: i64,
+}
+
+/// An attempt that somebody names, with its job.
+#[derive(Clone, Debug, sqlx::FromRow)]
+pub(crate) struct NamedAttempt {
+    #[sqlx(rename = "named", try_from = "String")]
+    pub(crate) id: AttemptId,
+    /// Whose attempt it is or was.
+    pub(crate) worker: WorkerId,
+    pub(crate) number: AttemptNumber,
+    #[sqlx(flatten, try_from = "JobRow")]
+    pub(crate) job: Job,
+    /// What the job's siblings share with it.
+    #[sqlx(flatten)]
+    pub(crate) of: InitialState,
+    /// The rollout that it is to run.
+    #[sqlx(json, rename = "manifest_row")]
+    pub(crate) row: ManifestRow,
+    /// The job's committed outcome, if it has one.
+    #[sqlx(flatten, try_from = "OutcomeRow")]
+    pub(crate) stored: Option<OutcomeKey>,
+}
+
+/// A leased job.
+#[derive(Clone, Debug, sqlx::FromRow)]
+pub(crate) struct LeasedRow {
+    #[sqlx(flatten, try_from = "JobRow")]
+    pub(crate) job: Job,
+    pub(crate) campaign_id: CampaignId,
+    /// Progress last reported.
+    pub(crate) control_steps: u32,
+}
+
+/// Progress of an attempt, as its worker reports it.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct Progress<'a> {
+    pub(crate) worker: &'a str,
+    pub(crate) attempt: AttemptId,
+    pub(crate) control_steps: u32,
+}
+
+#[derive(sqlx::FromRow)]
+pub(crate) struct OutcomeRow {
+    success: Option<bool>,
+    steps: Option<u32>,
+}
+
+#[derive(sqlx::FromRow)]
+pub(crate) struct JobRow {
+    id: JobId,
+    attempt: AttemptNumber,
+    charged_attempts: u32,
+    state: String,
+    not_before_ms: Option<UnixMillis>,
+    attempt_id: Option<String>,
+    lease_owner: Option<WorkerId>,
+    leased_ms: Option<UnixMillis>,
+    lease_expires_ms: Option<UnixMillis>,
+    ceiling_ms: Option<UnixMillis>,
+    acknowledged: Option<bool>,
+}
+
+/// The columns of [`JobRow`], of table `j`.
+macro_rules! job_columns {
+    () => {
+        "j.id, j.attempt, j.charged_attempts, j.state, j.not_before_ms, j.attempt_id,
+         j.lease_owner, j.leased_ms, j.lease_expires_ms, j.ceiling_ms, j.acknowledged"
+    };
+}
+
+impl TryFrom<JobRow> for Job {
+    type Error = sqlx::Error;
+
+    /// Reads the row; the CHECK constraints promise that this works.
+    fn try_from(row: JobRow) -> Result<Job, sqlx::Error> {
+        let lease = || {
+            Some(Lease {
+                attempt: row.attempt_id.as_deref()?.parse().ok()?,
+                owner: row.lease_owner.clone()?,
+                granted: row.leased_ms?,
+                expires: row.lease_expires_ms?,
+                ceiling: row.ceiling_ms?,
+                is_acknowledged: row.acknowledged?,
+            })
+        };
+        let state = match (row.state.as_str(), row.not_before_ms, lease()) {
+            ("queued", Some(not_before), None) => JobState::Queued { not_before },
+            ("leased", None, Some(lease)) => JobState::Leased(lease),
+            ("committed", None, None) => JobState::Committed,
+            ("quarantined", None, None) => JobState::Quarantined,
+            (state, ..) => {
+                let what = format!("job state `{state}` with columns of another");
+                return Err(undecodable(what));
+            }
+        };
+        Ok(Job {
+            id: row.id,
+            attempt: row.attempt,
+            charged_attempts: row.charged_attempts,
+            state,
+        })
+    }
+}
+
+impl From<OutcomeRow> for Option<OutcomeKey> {
+    fn from(row: OutcomeRow) -> Option<OutcomeKey> {
+        Some(OutcomeKey {
+            success: row.success?,
+            steps: row.steps?,
+        })
+    }
+}
+
+/// Attempts by their ids, whether or not they still hold their leases; those
+/// that there are.
+pub(crate) async fn named(
+    tx: &mut SqliteConnection,
+    attempts: &[AttemptId],
+) -> Result<BTreeMap<AttemptId, NamedAttempt>, StoreError> {
+    let found: Vec<NamedAttempt> = sqlx::query_as(concat!(
+        "SELECT n.named, n.worker, n.number, ",
+        job_columns!(),
+        ", j.campaign_id, j.task, j.init_id, j.manifest_row, r.success, r.steps
+         FROM (SELECT a.value AS named, h.id AS job_id, h.lease_owner AS worker, h.attempt AS number
+                   FROM json_each(?1) a
+                   JOIN job h ON h.attempt_id = a.value AND h.state = 'leased'
+               UNION ALL SELECT a.value, h.job_id, h.worker_id, h.attempt
+                   FROM json_each(?1) a JOIN result h ON h.attempt_id = a.value
+               UNION ALL SELECT a.value, h.job_id, h.worker_id, h.attempt
+                   FROM json_each(?1) a JOIN failure h ON h.attempt_id = a.value) n
+         JOIN job j ON j.id = n.job_id LEFT JOIN result r ON r.job_id = j.id"
+    ))
+    .bind(json(attempts))
+    .fetch_all(tx)
+    .await
+    .doing("look up attempts")?;
+    let by_id = |attempt: NamedAttempt| (attempt.id, attempt);
+    Ok(found.into_iter().map(by_id).collect())
+}
+
+/// Renews leases up to their ceilings, acknowledges them, and stores their
+/// progress. Answers which of them are still held.
+pub(crate) async fn renew(
+    tx: &mut SqliteConnection,
+    progress: &[Progress<'_>],
+    expires: UnixMillis,
+) -> Result<BTreeSet<AttemptId>, StoreError> {
+    let held: Vec<String> = sqlx::query_scalar(
+        "UPDATE job
+         SET lease_expires_ms = min(?1, ceiling_ms), acknowledged = 1,
+             control_steps = max(control_steps, renewed.value ->> 'control_steps')
+         FROM json_each(?2) AS renewed
+         WHERE job.attempt_id = renewed.value ->> 'attempt' AND state = 'leased'
+             AND lease_owner = renewed.value ->> 'worker'
+         RETURNING attempt_id",
+    )
+    .bind(expires)
+    .bind(json(progress))
+    .fetch_all(tx)
+    .await
+    .doing("renew leases")?;
+    let read = held.into_iter().map(|id| id.parse().map_err(undecodable));
+    read.collect::<Result<_, _>>().doing("renew leases")
+}
+
+/// Gives every lease its full time again, and no more; nothing waits longer
+/// than `until`, whatever the clock said before.
+pub(crate) async fn restart_clocks(
+    tx: &mut SqliteConnection,
+    expires: UnixMillis,
+    until: UnixMillis,
+) -> Result<(), StoreError> {
+    for (statement, instant) in [
+        (
+            "UPDATE job SET lease_expires_ms = min(?, ceiling_ms) WHERE state = 'leased'",
+            expires,
+        ),
+        (
+            "UPDATE job SET not_before_ms = ?1
+             WHERE state = 'queued' AND not_before_ms > 0 AND not_before_ms > ?1",
+            until,
+        ),
+        (
+            "UPDATE policy SET resume_ms = min(resume_ms, ?) WHERE state = 'paused'",
+            until,
+        ),
+    ] {
+        sqlx::query(statement)
+            .bind(instant)
+            .execute(&mut *tx)
+            .await
+            .doing("give leases their full time")?;
+    }
+    Ok(())
+}
+
+/// Ends a lease without a result and records how.
+pub(crate) async fn fail(
+    tx: &mut SqliteConnection,
+    job: &Job,
+    lease: &Lease,
+    reason: FailureReason,
+    error: &str,
+    then: AfterFailure,
+    now: UnixMillis,
+) -> Result<(), StoreError> {
+    let (state, not_before) = match then {
+        AfterFailure::Requeue { not_before } => ("queued", Some(not_before)),
+        AfterFailure::Quarantine => ("quarantined", None),
+    };
+    sqlx::query(
+        "UPDATE job SET state = ?2, not_before_ms = ?3, attempt_id = NULL, claim_id = NULL,
+             acknowledged = NULL, ceiling_ms = NULL, lease_owner = NULL, leased_ms = NULL,
+             lease_expires_ms = NULL, control_steps = NULL,
+             charged_attempts = charged_attempts + ?4,
+             last_error = CASE WHEN ?4 THEN ?5 ELSE last_error END
+         WHERE attempt_id = ?1 AND state = 'leased'",
+    )
+    .bind(lease.attempt.to_string())
+    .bind(state)
+    .bind(not_before)
+    .bind(reason.is_charged())
+    .bind(error)
+    .execute(&mut *tx)
+    .await
+    .doing("end an attempt")?;
+    sqlx::query(
+        "INSERT INTO failure (attempt_id, job_id, attempt, worker_id, failed_ms, reason, charged,
+             error)
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+    )
+    .bind(lease.attempt.to_string())
+    .bind(job.id)
+    .bind(job.attempt)
+    .bind(&lease.owner)
+    .bind(now)
+    .bind(reason.as_str())
+    .bind(reason.is_charged())
+    .bind(error)
+    .execute(tx)
+    .await
+    .doing("record how an attempt ended")?;
+    Ok(())
+}
+
+/// Marks held jobs as committed; their results were stored just before.
+pub(crate) async fn mark_committed(
+    tx: &mut SqliteConnection,
+    attempts: &[AttemptId],
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "UPDATE job SET state = 'committed', attempt_id = NULL, claim_id = NULL,
+             acknowledged = NULL, ceiling_ms = NULL, lease_owner = NULL, leased_ms = NULL,
+             lease_expires_ms = NULL, control_steps = NULL
+         FROM json_each(?) AS ended
+         WHERE job.attempt_id = ended.value AND state = 'leased'",
+    )
+    .bind(json(attempts))
+    .execute(tx)
+    .await
+    .doing("mark jobs as committed")?;
+    Ok(())
+}
+
+/// Counts a report that was refused because its lease was gone.
+pub(crate) async fn count_stale_report(
+    tx: &mut SqliteConnection,
+    job: JobId,
+) -> Result<(), StoreError> {
+    sqlx::query("UPDATE job SET stale_reports = stale_reports + 1 WHERE id = ?")
+        .bind(job)
+        .execute(tx)
+        .await
+        .doing("count a late report")?;
+    Ok(())
+}
+
+/// The leases of a campaign.
+pub(crate) async fn leased(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+) -> Result<Vec<LeasedRow>, StoreError> {
+    sqlx::query_as(concat!(
+        "SELECT ",
+        job_columns!(),
+        ", j.campaign_id, j.control_steps FROM job j
+         WHERE j.campaign_id = ? AND j.state = 'leased' ORDER BY j.id"
+    ))
+    .bind(campaign)
+    .fetch_all(tx)
+    .await
+    .doing("look for a campaign's leases")
+}
+
+/// Up to `limit` leases that have expired at `now`, longest first.
+pub(crate) async fn expired(
+    tx: &mut SqliteConnection,
+    now: UnixMillis,
+    limit: u32,
+) -> Result<Vec<LeasedRow>, StoreError> {
+    sqlx::query_as(concat!(
+        "SELECT ",
+        job_columns!(),
+        ", j.campaign_id, j.control_steps FROM job j
+         WHERE j.state = 'leased' AND j.lease_expires_ms <= ?
+         ORDER BY j.lease_expires_ms LIMIT ?"
+    ))
+    .bind(now)
+    .bind(limit)
+    .fetch_all(tx)
+    .await
+    .doing("look for expired leases")
+}
+
+/// The quarantined jobs of a campaign.
+pub(crate) async fn quarantined(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+) -> Result<Vec<JobId>, StoreError> {
+    sqlx::query_scalar("SELECT id FROM job WHERE campaign_id = ? AND state = 'quarantined'")
+        .bind(campaign)
+        .fetch_all(tx)
+        .await
+        .doing("look for quarantined jobs")
+}
+
+/// One job of a campaign, by its rollout.
+pub(crate) async fn by_rollout(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+    rollout_id: &str,
+    replicate: u32,
+) -> Result<Option<(JobId, String)>, StoreError> {
+    sqlx::query_as(
+        "SELECT id, state FROM job WHERE campaign_id = ? AND rollout_id = ? AND replicate = ?",
+    )
+    .bind(campaign)
+    .bind(rollout_id)
+    .bind(replicate)
+    .fetch_optional(tx)
+    .await
+    .doing("look up a job")
+}
+
+/// Takes a job out of quarantine: it may be leased at once, and its failures so
+/// far are forgiven.
+pub(crate) async fn retry(
+    tx: &mut SqliteConnection,
+    job: JobId,
+    now: UnixMillis,
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "UPDATE job SET state = 'queued', not_before_ms = ?, charged_attempts = 0,
+             forgiven_attempt = attempt
+         WHERE id = ? AND state = 'quarantined'",
+    )
+    .bind(now)
+    .bind(job)
+    .execute(tx)
+    .await
+    .doing("take a job out of quarantine")?;
+    Ok(())
+}
+
+/// Distinct workers on which a job's attempts were charged, counting `worker`
+/// as one of them.
+pub(crate) async fn failed_on_workers(
+    tx: &mut SqliteConnection,
+    job: JobId,
+    worker: &WorkerId,
+) -> Result<u32, StoreError> {
+    sqlx::query_scalar(
+        "SELECT 1 + count(DISTINCT f.worker_id) FROM failure f JOIN job j ON j.id = f.job_id
+         WHERE f.job_id = ? AND f.charged = 1 AND f.attempt > j.forgiven_attempt
+             AND f.worker_id <> ?",
+    )
+    .bind(job)
+    .bind(worker)
+    .fetch_one(tx)
+    .await
+    .doing("count the workers that a job failed on")
+}
+
+/// Whether a back-off or a policy's pause ended in `(after, until]`: waiting
+/// claims are woken then.
+pub(crate) async fn fell_due(
+    tx: &mut SqliteConnection,
+    after: UnixMillis,
+    until: UnixMillis,
+) -> Result<bool, StoreError> {
+    sqlx::query_scalar(
+        "SELECT EXISTS (SELECT 1 FROM job WHERE state = 'queued' AND not_before_ms > 0
+                 AND not_before_ms > ?1 AND not_before_ms <= ?2)
+             OR EXISTS (SELECT 1 FROM policy WHERE resume_ms > ?1 AND resume_ms <= ?2)",
+    )
+    .bind(after)
+    .bind(until)
+    .fetch_one(tx)
+    .await
+    .doing("look for jobs that fell due")
+}

@@ -1,0 +1,184 @@
+//! Statements on `worker`: who is there, with which assets and simulator.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use attempt::Pin;
+use sqlx::SqliteConnection;
+
+use super::{Doing, StoreError, json};
+use crate::clock::UnixMillis;
+use crate::ids::WorkerId;
+use crate::rules::lease::Strike;
+
+/// A worker as it announced itself.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct WorkerInfo {
+    /// Its id.
+    pub id: WorkerId,
+    /// The machine it runs on.
+    pub host: String,
+    /// Rollouts that it runs side by side.
+    pub slots: u32,
+    /// What it runs on.
+    pub pin: Pin,
+    /// Version of its program.
+    pub program_version: String,
+}
+
+/// A worker's standing with the coordinator.
+#[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
+pub(crate) struct Standing {
+    pub(crate) id: WorkerId,
+    /// What it runs on.
+    #[sqlx(flatten, try_from = "WorkerPinRow")]
+    pub(crate) pin: Pin,
+    /// When it was last heard of.
+    pub(crate) last_seen_ms: UnixMillis,
+    /// Charged failures in a row.
+    pub(crate) charged_in_a_row: u32,
+    /// Why it may lease no more, if so.
+    pub(crate) stopped_reason: Option<String>,
+}
+
+/// What a worker runs on, as it is stored.
+#[derive(sqlx::FromRow)]
+pub(crate) struct WorkerPinRow {
+    asset_pack: String,
+    asset_pack_digest: String,
+    mujoco_version: String,
+    renderer: String,
+}
+
+impl From<WorkerPinRow> for Pin {
+    fn from(row: WorkerPinRow) -> Pin {
+        Pin {
+            asset_pack: row.asset_pack,
+            asset_pack_digest: row.asset_pack_digest,
+            mujoco_version: row.mujoco_version,
+            renderer: row.renderer,
+        }
+    }
+}
+
+/// Stores a worker that announces itself; one that does so again starts with a
+/// clean record.
+pub(crate) async fn upsert(
+    tx: &mut SqliteConnection,
+    worker: &WorkerInfo,
+    now: UnixMillis,
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "INSERT INTO worker (id, host, slots, asset_pack, asset_pack_digest, mujoco_version,
+             renderer, program_version, registered_ms, last_seen_ms)
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?9)
+         ON CONFLICT (id) DO UPDATE SET host = ?2, slots = ?3, asset_pack = ?4,
+             asset_pack_digest = ?5, mujoco_version = ?6, renderer = ?7,
+             program_version = ?8, registered_ms = ?9, last_seen_ms = ?9,
+             charged_in_a_row = 0, stopped_reason = NULL",
+    )
+    .bind(&worker.id)
+    .bind(&worker.host)
+    .bind(worker.slots)
+    .bind(&worker.pin.asset_pack)
+    .bind(&worker.pin.asset_pack_digest)
+    .bind(&worker.pin.mujoco_version)
+    .bind(&worker.pin.renderer)
+    .bind(&worker.program_version)
+    .bind(now)
+    .execute(tx)
+    .await
+    .doing("register a worker")?;
+    Ok(())
+}
+
+/// The standing of those workers that ever announced themselves.
+pub(crate) async fn standings(
+    tx: &mut SqliteConnection,
+    ids: &[&WorkerId],
+) -> Result<BTreeMap<WorkerId, Standing>, StoreError> {
+    let standings: Vec<Standing> = sqlx::query_as(
+        "SELECT id, asset_pack, asset_pack_digest, mujoco_version, renderer, last_seen_ms,
+             charged_in_a_row, stopped_reason
+         FROM worker WHERE id IN (SELECT value FROM json_each(?))",
+    )
+    .bind(json(ids.iter().map(|id| &id.0).collect::<BTreeSet<_>>()))
+    .fetch_all(tx)
+    .await
+    .doing("look up workers")?;
+    let by_id = |standing: Standing| (standing.id.clone(), standing);
+    Ok(standings.into_iter().map(by_id).collect())
+}
+
+/// Notes that workers were heard of.
+pub(crate) async fn seen(
+    tx: &mut SqliteConnection,
+    ids: &[&WorkerId],
+    now: UnixMillis,
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "UPDATE worker SET last_seen_ms = ?1
+         WHERE id IN (SELECT value FROM json_each(?2)) AND last_seen_ms < ?1",
+    )
+    .bind(now)
+    .bind(json(ids.iter().map(|id| &id.0).collect::<BTreeSet<_>>()))
+    .execute(tx)
+    .await
+    .doing("note that workers were heard of")?;
+    Ok(())
+}
+
+/// Stores a worker's run of failures, and why it must stop if it must.
+pub(crate) async fn set_strike(
+    tx: &mut SqliteConnection,
+    id: &WorkerId,
+    strike: Strike,
+    stopped_reason: Option<&str>,
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "UPDATE worker SET charged_in_a_row = ?, stopped_reason = coalesce(stopped_reason, ?)
+         WHERE id = ?",
+    )
+    .bind(strike.in_a_row)
+    .bind(stopped_reason)
+    .bind(id)
+    .execute(tx)
+    .await
+    .doing("count a worker's failure")?;
+    Ok(())
+}
+
+/// Workers reported rollouts that were committed: they are there, and their
+/// runs of failures are over.
+pub(crate) async fn succeeded(
+    tx: &mut SqliteConnection,
+    ids: &[&WorkerId],
+    now: UnixMillis,
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "UPDATE worker SET charged_in_a_row = 0, last_seen_ms = max(last_seen_ms, ?1)
+         WHERE id IN (SELECT value FROM json_each(?2))
+             AND (charged_in_a_row > 0 OR last_seen_ms < ?1)",
+    )
+    .bind(now)
+    .bind(json(ids.iter().map(|id| &id.0).collect::<BTreeSet<_>>()))
+    .execute(tx)
+    .await
+    .doing("clear workers' failures")?;
+    Ok(())
+}
+
+/// What workers run on that were heard of since `since` and may lease.
+pub(crate) async fn live_pins(
+    tx: &mut SqliteConnection,
+    since: UnixMillis,
+) -> Result<Vec<Pin>, StoreError> {
+    let rows: Vec<WorkerPinRow> = sqlx::query_as(
+        "SELECT asset_pack, asset_pack_digest, mujoco_version, renderer FROM worker
+         WHERE last_seen_ms >= ? AND stopped_reason IS NULL ORDER BY id",
+    )
+    .bind(since)
+    .fetch_all(tx)
+    .await
+    .doing("count live workers")?;
+    Ok(rows.into_iter().map(Pin::from).collect())
+}

@@ -1,0 +1,44 @@
+//! What a composed scene consists of, with its names in the model.
+
+use crate::catalog::Category;
+
+/// What an instance is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum InstanceKind {
+    /// Moves freely.
+    Object,
+    /// Stands still (its drawers and doors move).
+    Fixture,
+}
+
+/// An object or a fixture, with the names that it has in the model.
+#[derive(Debug, Clone)]
+pub struct Instance {
+    /// Instance name, for example `akita_black_bowl_1`.
+    pub name: String,
+    /// What it is.
+    pub kind: InstanceKind,
+    /// Its category.
+    pub category: &'static Category,
+    /// Its outermost body.
+    pub root_body: String,
+    /// Its joints, in document order; an object's free joint is the last.
+    pub joints: Vec<String>,
+    /// Its collision geoms.
+    pub contact_geoms: Vec<String>,
+    /// Its sites that show a state, such as a stove's burner.
+    pub burner_site: Option<String>,
+}
+
+/// A region with a site in the model.
+#[derive(Debug, Clone)]
+pub struct RegionSite {
+    /// Name of the region and of the site.
+    pub name: String,
+    /// Half extents in the site's frame, m.
+    pub half_size: [f64; 3],
+    /// The instance that carries it; none for a zone on the workspace.
+    pub parent: Option<String>,
+    /// Joints of the part that carries it (a drawer's slide).
+    pub joints: Vec<String>,
+}

@@ -1,0 +1,127 @@
+//! MuJoCo's abstract scene of a model's state (`mjvScene`): geoms, lights and
+//! cameras, from which both renderers draw.
+
+use std::collections::BTreeMap;
+use std::mem::MaybeUninit;
+
+use mujoco_rs::mujoco_c as c;
+
+use super::{Data, Model};
+
+/// Geoms in one picture at most, as in robosuite; further ones are not drawn.
+const MAX_GEOMS: i32 = 1000;
+/// Geom groups: collision geometry is not drawn, visual geometry is.
+const COLLISION_GROUP: usize = 0;
+
+/// What is seen in a pixel of a segmentation image.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Segment {
+    /// Kind of object (`mjtObj`); geoms are 5, sites 6.
+    pub kind: i32,
+    /// Its id among those of its kind.
+    pub id: i32,
+}
+
+/// An abstract scene, made for one model.
+pub(crate) struct VisualScene {
+    options: c::mjvOption,
+    scene: Box<c::mjvScene>,
+    /// The model's serial number. The scene has room for that model's skins and
+    /// flexible bodies.
+    model: u64,
+}
+
+impl VisualScene {
+    /// An empty one.
+    pub(crate) fn new(model: &Model) -> Self {
+        let mut options = MaybeUninit::uninit();
+        let mut scene = Box::new(MaybeUninit::uninit());
+        // SAFETY: each object is written whole by its default function before it
+        // is assumed initialised; the box keeps its address, which MuJoCo may
+        // remember.
+        let (mut options, scene): (c::mjvOption, Box<c::mjvScene>) = unsafe {
+            c::mjv_defaultOption(options.as_mut_ptr());
+            c::mjv_defaultScene(scene.as_mut_ptr());
+            let mut scene = scene.assume_init();
+            c::mjv_makeScene(model.as_ptr(), &mut *scene, MAX_GEOMS);
+            (options.assume_init(), scene)
+        };
+        options.geomgroup[COLLISION_GROUP] = 0;
+        Self {
+            options,
+            scene,
+            model: model.serial(),
+        }
+    }
+
+    pub(crate) fn scene(&self) -> &c::mjvScene {
+        &self.scene
+    }
+
+    /// The camera halfway between the two eyes, which is where a picture is drawn
+    /// from.
+    pub(crate) fn eye(&self) -> c::mjvGLCamera {
+        let [left, right] = &self.scene.camera;
+        // SAFETY: it reads the two cameras, and nothing else.
+        unsafe { c::mjv_averageCamera(left, right) }
+    }
+
+    pub(crate) fn geoms(&self) -> &[c::mjvGeom] {
+        // SAFETY: MuJoCo keeps `ngeom` geoms there until the scene changes.
+        unsafe { std::slice::from_raw_parts(self.scene.geoms, self.scene.ngeom as usize) }
+    }
+
+    /// The model's objects by the numbers that geoms have in segmentation images.
+    pub(crate) fn segments(&self) -> BTreeMap<u32, Segment> {
+        let numbered = self.geoms().iter().filter_map(|geom| {
+            let number = u32::try_from(geom.segid).ok()?;
+            let (kind, id) = (geom.objtype, geom.objid);
+            Some((number, Segment { kind, id }))
+        });
+        numbered.collect()
+    }
+
+    /// Updates the scene to a state, as a camera of the model sees it.
+    ///
+    /// # Panics
+    /// If the state or this scene was made for another model.
+    pub(crate) fn update(
+        &mut self,
+        model: &Model,
+        data: &mut Data,
+        camera_id: usize,
+    ) -> &mut c::mjvScene {
+        assert!(
+            self.model == model.serial(),
+            "this scene was made for another model"
+        );
+        data.assert_made_for(model);
+        let mut camera = MaybeUninit::uninit();
+        // SAFETY: the camera is written whole by its default function before it is
+        // assumed initialised; data and scene were made for this model, as
+        // asserted.
+        unsafe {
+            c::mjv_defaultCamera(camera.as_mut_ptr());
+            let mut camera: c::mjvCamera = camera.assume_init();
+            camera.type_ = c::mjtCamera::mjCAMERA_FIXED as i32;
+            camera.fixedcamid = camera_id as i32;
+            c::mjv_updateScene(
+                model.as_ptr(),
+                data.as_mut_ptr(),
+                &self.options,
+                std::ptr::null(),
+                &mut camera,
+                c::mjtCatBit::mjCAT_ALL as i32,
+                &mut *self.scene,
+            );
+        }
+        &mut self.scene
+    }
+}
+
+impl Drop for VisualScene {
+    fn drop(&mut self) {
+        // SAFETY: made in `new`, freed once.
+        unsafe { c::mjv_freeScene(&mut *self.scene) }
+    }
+}
