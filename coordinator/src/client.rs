@@ -3,7 +3,6 @@
 
 mod operate;
 
-use std::future::Future;
 use std::time::Duration;
 
 use proto::coordinator as wire;
@@ -11,8 +10,8 @@ use proto::coordinator::operator_service_client::OperatorServiceClient;
 use report::Subject;
 use tokio::time::Instant;
 use tonic::transport::Endpoint;
-use tonic::{Code, Status, Streaming};
-use transport::{Access, Connection};
+use tonic::{Code, Response, Status, Streaming};
+use transport::{Access, Connection, innermost};
 
 pub use operate::Change;
 /// How campaigns, jobs and workers stand, as it comes over the wire.
@@ -105,9 +104,8 @@ impl Client {
         let request = wire::CreateCampaignRequest {
             spec: spec.to_owned(),
         };
-        self.call(|mut service| {
-            let request = request.clone();
-            async move { service.create_campaign(request).await }
+        self.call(request, async |mut it, request| {
+            it.create_campaign(request).await
         })
         .await
     }
@@ -117,8 +115,8 @@ impl Client {
     /// # Errors
     /// See [`ClientError`].
     pub async fn list_campaigns(&self) -> Result<Vec<wire::CampaignStatus>, ClientError> {
-        let list = self.call(|mut service| async move {
-            service.list_campaigns(wire::ListCampaignsRequest {}).await
+        let list = self.call(wire::ListCampaignsRequest {}, async |mut it, request| {
+            it.list_campaigns(request).await
         });
         Ok(list.await?.campaigns)
     }
@@ -131,9 +129,8 @@ impl Client {
         let request = wire::GetCampaignRequest {
             campaign: name.to_owned(),
         };
-        let response = self.call(|mut service| {
-            let request = request.clone();
-            async move { service.get_campaign(request).await }
+        let response = self.call(request, async |mut it, request| {
+            it.get_campaign(request).await
         });
         Ok(response.await?.status.unwrap_or_default())
     }
@@ -146,10 +143,7 @@ impl Client {
         let request = wire::ReportRequest {
             campaign: name.to_owned(),
         };
-        let parts = self.call(|mut service| {
-            let request = request.clone();
-            async move { service.report(request).await }
-        });
+        let parts = self.call(request, async |mut it, request| it.report(request).await);
         let mut parts = parts.await?;
         let mut json = Vec::new();
         while let Some(part) = parts.message().await.map_err(|s| self.failed(&s))? {
@@ -172,11 +166,8 @@ impl Client {
         let request = wire::ExportRequest {
             campaign: name.to_owned(),
         };
-        self.call(|mut service| {
-            let request = request.clone();
-            async move { service.export(request).await }
-        })
-        .await
+        self.call(request, async |mut it, request| it.export(request).await)
+            .await
     }
 
     /// What an error in the middle of a stream means.
@@ -186,18 +177,16 @@ impl Client {
 
     /// Calls until the coordinator answers or the time for trying is over. All
     /// of its operator's calls may be repeated safely.
-    async fn call<T, F>(
+    async fn call<Q: Clone, T>(
         &self,
-        send: impl Fn(OperatorServiceClient<Connection>) -> F,
-    ) -> Result<T, ClientError>
-    where
-        F: Future<Output = Result<tonic::Response<T>, Status>>,
-    {
+        request: Q,
+        send: impl AsyncFn(OperatorServiceClient<Connection>, Q) -> Result<Response<T>, Status>,
+    ) -> Result<T, ClientError> {
         let deadline = Instant::now() + self.retry_for;
         let mut pause = FIRST_PAUSE;
         let mut was_told = false;
         loop {
-            let status = match send(self.service.clone()).await {
+            let status = match send(self.service.clone(), request.clone()).await {
                 Ok(response) => return Ok(response.into_inner()),
                 Err(status) => status,
             };
@@ -229,15 +218,4 @@ impl Client {
             _ => ClientError::Refused { message },
         }
     }
-}
-
-/// What lies at the bottom: "Connection refused", not "transport error".
-fn innermost(status: &Status) -> String {
-    let mut cause: Option<&dyn std::error::Error> = std::error::Error::source(status);
-    let mut text = status.message().to_owned();
-    while let Some(inner) = cause {
-        text = inner.to_string();
-        cause = inner.source();
-    }
-    text
 }

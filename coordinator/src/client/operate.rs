@@ -21,9 +21,8 @@ impl Client {
             campaign: name.to_owned(),
             change: change.into(),
         };
-        let response = self.call(|mut service| {
-            let request = request.clone();
-            async move { service.change_campaign(request).await }
+        let response = self.call(request, async |mut it, request| {
+            it.change_campaign(request).await
         });
         Ok(response.await?.state())
     }
@@ -40,9 +39,8 @@ impl Client {
             campaign: name.to_owned(),
             confirm: name.to_owned(),
         };
-        self.call(|mut service| {
-            let request = request.clone();
-            async move { service.delete_campaign(request).await }
+        self.call(request, async |mut it, request| {
+            it.delete_campaign(request).await
         })
         .await
     }
@@ -55,9 +53,8 @@ impl Client {
         &self,
         request: &wire::ListJobsRequest,
     ) -> Result<Vec<wire::Job>, ClientError> {
-        let response = self.call(|mut service| {
-            let request = request.clone();
-            async move { service.list_jobs(request).await }
+        let response = self.call(request.clone(), async |mut it, request| {
+            it.list_jobs(request).await
         });
         Ok(response.await?.jobs)
     }
@@ -75,11 +72,8 @@ impl Client {
             campaign: campaign.to_owned(),
             job: Some(job),
         };
-        self.call(|mut service| {
-            let request = request.clone();
-            async move { service.get_job(request).await }
-        })
-        .await
+        self.call(request, async |mut it, request| it.get_job(request).await)
+            .await
     }
 
     /// Takes jobs out of quarantine: those that are named, or all of the
@@ -97,9 +91,8 @@ impl Client {
             all: jobs.is_empty(),
             jobs,
         };
-        let response = self.call(|mut service| {
-            let request = request.clone();
-            async move { service.retry_jobs(request).await }
+        let response = self.call(request, async |mut it, request| {
+            it.retry_jobs(request).await
         });
         Ok(response.await?.jobs)
     }
@@ -109,8 +102,8 @@ impl Client {
     /// # Errors
     /// See [`ClientError`].
     pub async fn list_workers(&self) -> Result<Vec<wire::WorkerStatus>, ClientError> {
-        let response = self.call(|mut service| async move {
-            service.list_workers(wire::ListWorkersRequest {}).await
+        let response = self.call(wire::ListWorkersRequest {}, async |mut it, request| {
+            it.list_workers(request).await
         });
         Ok(response.await?.workers)
     }
@@ -120,7 +113,9 @@ impl Client {
     /// # Errors
     /// See [`ClientError`].
     pub async fn backup(&self) -> Result<Streaming<wire::BackupChunk>, ClientError> {
-        self.call(|mut service| async move { service.backup(wire::BackupRequest {}).await })
-            .await
+        self.call(wire::BackupRequest {}, async |mut it, request| {
+            it.backup(request).await
+        })
+        .await
     }
 }

@@ -29,6 +29,9 @@ use tonic::transport::Channel;
 /// coordinator takes itself to have slept.
 const SWEEP_SECS: u64 = 10;
 
+/// Coordinators that were started.
+static STARTS: AtomicU64 = AtomicU64::new(0);
+
 /// A running coordinator.
 pub(crate) struct Bench {
     pub(crate) folder: TempDir,
@@ -66,7 +69,8 @@ impl Bench {
                 ..Timing::default()
             },
             clock: clock.clone(),
-            rng: ChaCha8Rng::seed_from_u64(7),
+            // No two starts may name attempts alike.
+            rng: ChaCha8Rng::seed_from_u64(STARTS.fetch_add(1, Ordering::Relaxed)),
             security: transport::Security::loopback(),
             min_free_bytes: 0,
         };

@@ -178,7 +178,8 @@ async fn a_campaign_is_deleted_with_its_files_by_who_names_it_twice() {
     bench.create(&small_spec("old")).await.expect("created");
     bench.create(&small_spec("kept")).await.expect("created");
     let mut worker = bench.worker("a").await;
-    let lease = worker.claim_one().await;
+    let (lease, held) = (worker.claim_one().await, worker.claim_one().await);
+    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let video = tokio_stream::iter([wire::ArtifactChunk {
         attempt_id: lease.attempt_id.clone(),
         name: "video.mp4".to_owned(),
@@ -193,7 +194,7 @@ async fn a_campaign_is_deleted_with_its_files_by_who_names_it_twice() {
     let refused = delete(&bench, "old", "old").await.expect_err("leased");
     assert_eq!(refused.code(), Code::FailedPrecondition);
     assert!(refused.message().contains("1 of its rollouts"), "{refused}");
-    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+    worker.release(&held, Reason::Draining).await;
 
     assert_eq!(delete(&bench, "old", "old").await.expect("deleted"), 1);
     assert!(!video.exists());

@@ -154,7 +154,7 @@ async fn every_page_says_what_there_is_and_may_load_nothing_from_elsewhere() {
             "/policies",
             &["expert", "available", "http://127.0.0.1:50051", "begun"],
         ),
-        ("/quarantine", &["Nothing is set aside"]),
+        ("/quarantine", &["Nothing is in quarantine"]),
     ] {
         let answer = ask(&bench.url, &format!("GET {address}")).await;
         assert_eq!(answer.code, 200, "{address}: {}", answer.text());
@@ -257,6 +257,7 @@ async fn a_video_is_sent_whole_and_in_ranges() {
     bench.create(&small_spec("filmed")).await.expect("created");
     let mut worker = bench.worker("w").await;
     let lease = worker.claim_one().await;
+    worker.commit(&lease, true).await;
     let film: Vec<u8> = (0..200_000_u32).map(|n| n.to_le_bytes()[0]).collect();
     put(
         &mut worker,

@@ -25,6 +25,22 @@ const FOUL: &[(&str, &str)] = &[
         "CHECK",
     ),
     (
+        "UPDATE job SET attempt_id = NULL WHERE state = 'leased'",
+        "CHECK",
+    ),
+    (
+        "UPDATE job SET attempt_id = 'short' WHERE state = 'leased'",
+        "CHECK",
+    ),
+    (
+        "UPDATE job SET claim_id = 'a' WHERE state = 'queued'",
+        "CHECK",
+    ),
+    (
+        "INSERT INTO artifact VALUES (hex(zeroblob(16)), 'video', 'of no outcome', 1, 1)",
+        "FOREIGN KEY",
+    ),
+    (
         "UPDATE job SET not_before_ms = NULL WHERE state = 'queued'",
         "CHECK",
     ),
@@ -38,7 +54,8 @@ const FOUL: &[(&str, &str)] = &[
         "job_committed_is_final",
     ),
     (
-        "UPDATE job SET state = 'committed', lease_owner = NULL, leased_ms = NULL,
+        "UPDATE job SET state = 'committed', attempt_id = NULL, claim_id = NULL,
+             acknowledged = NULL, ceiling_ms = NULL, lease_owner = NULL, leased_ms = NULL,
              lease_expires_ms = NULL, control_steps = NULL WHERE state = 'leased'",
         "job_committed_has_a_result",
     ),
@@ -55,16 +72,16 @@ const FOUL: &[(&str, &str)] = &[
     ),
     ("UPDATE policy SET state = 'paused'", "CHECK"),
     ("UPDATE policy SET resume_ms = 5", "CHECK"),
-    ("UPDATE policy SET probe_job_id = 1", "CHECK"),
+    ("UPDATE policy SET probe_attempt_id = '1'", "CHECK"),
     ("UPDATE campaign SET mujoco_version = NULL", "CHECK"),
     (
-        "INSERT INTO failure VALUES (1, 1, 'a', 0, 'draining', 1, 'charged all the same')",
+        "INSERT INTO failure VALUES (hex(zeroblob(16)), 1, 1, 'a', 0, 'draining', 1, 'charged')",
         "CHECK",
     ),
     (
-        "INSERT INTO result SELECT j.id, r.campaign_id, 1, r.worker_id, r.committed_ms,
-             r.success, r.steps, r.wall_secs, NULL, NULL, NULL, 0, 0, r.provenance_id,
-             r.scene_digest, r.init_state_digest, '', ''
+        "INSERT INTO result SELECT j.id, r.campaign_id, hex(zeroblob(16)), 1, r.worker_id,
+             r.committed_ms, r.success, r.steps, r.wall_secs, NULL, NULL, NULL, 0, 0,
+             r.provenance_id, r.scene_digest, r.init_state_digest, '', '{}'
          FROM result r JOIN job j ON j.state = 'queued' LIMIT 1",
         "result_is_of_the_held_lease",
     ),

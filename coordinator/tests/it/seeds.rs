@@ -75,6 +75,7 @@ async fn a_replicate_changes_the_policys_seed_and_nothing_else() {
             .filter(|lease| rollout_id(lease) == rollout_id(nominal));
         for lease in replicates {
             let same = wire::Lease {
+                attempt_id: lease.attempt_id.clone(),
                 job_id: lease.job_id,
                 attempt: lease.attempt,
                 replicate: lease.replicate,

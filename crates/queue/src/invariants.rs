@@ -14,52 +14,19 @@ use crate::store::{self, DATABASE_FILE};
 pub const MAX_TOLD: usize = 5;
 
 /// What always holds of a database.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Invariant {
-    /// SQLite finds the file intact.
-    FileIsWhole,
-    /// Tables, indices and triggers are those of this program.
-    SchemaIsThePrograms,
-    /// What a row refers to is there.
-    ReferencesHold,
-    /// A campaign has all the jobs that it was expanded into, each place in
-    /// paired-unit order once.
-    ExpansionIsWhole,
-    /// A job is committed exactly if it has a result, of its newest attempt.
-    CommittedHasOneResult,
-    /// A job is in quarantine exactly if it ran out of attempts without a
-    /// result, and says with what.
-    QuarantineHasItsFailure,
-    /// Every attempt ended once, in one way, or is the lease that is held.
-    AttemptsAreAccountedFor,
-    /// What counts against a job are its charged failures since it was last
-    /// taken out of quarantine.
-    ChargesAreAccountedFor,
-    /// Nothing that was reported is of an attempt that was never granted.
-    AttemptsOnlyRise,
-    /// What was leased is of a campaign that is pinned.
-    LeasesPinTheCampaign,
-    /// A cancelled campaign holds no lease.
-    CancelledLeasesNothing,
-    /// A policy's probe holds a lease of that policy.
-    ProbeIsOut,
-    /// A result is of its job's campaign, and of the assets, the simulator, the
-    /// renderer and the mode that the campaign is pinned to. Schema 1 pinned no
-    /// renderer: its results, which have no fingerprint, may be of any.
-    ResultsAreOfThePin,
-    /// The results of one initial state agree on scene and initial state.
-    ConfigurationsAgree,
-    /// What is kept as divergent differs from the committed outcome.
-    DivergencesDiffer,
-    /// A folder that is to be removed is of no campaign.
-    RemovalsAreOfNoCampaign,
+#[derive(Clone, Copy, Debug)]
+pub struct Invariant {
+    /// Its name.
+    pub name: &'static str,
+    /// A query for its violations: one text column, no row if it holds.
+    query: &'static str,
 }
 
 /// An invariant that does not hold.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Violation {
-    /// Which.
-    pub invariant: Invariant,
+    /// The name of the invariant.
+    pub invariant: &'static str,
     /// How often.
     pub count: usize,
     /// The first [`MAX_TOLD`], in words.
@@ -98,166 +65,152 @@ pub enum CheckError {
     },
 }
 
-impl Invariant {
-    /// All of them.
-    pub const ALL: [Invariant; 16] = [
-        Invariant::FileIsWhole,
-        Invariant::SchemaIsThePrograms,
-        Invariant::ReferencesHold,
-        Invariant::ExpansionIsWhole,
-        Invariant::CommittedHasOneResult,
-        Invariant::QuarantineHasItsFailure,
-        Invariant::AttemptsAreAccountedFor,
-        Invariant::ChargesAreAccountedFor,
-        Invariant::AttemptsOnlyRise,
-        Invariant::LeasesPinTheCampaign,
-        Invariant::CancelledLeasesNothing,
-        Invariant::ProbeIsOut,
-        Invariant::ResultsAreOfThePin,
-        Invariant::ConfigurationsAgree,
-        Invariant::DivergencesDiffer,
-        Invariant::RemovalsAreOfNoCampaign,
-    ];
-
-    /// Its name.
-    pub fn name(self) -> &'static str {
-        match self {
-            Invariant::FileIsWhole => "file_is_whole",
-            Invariant::SchemaIsThePrograms => "schema_is_the_programs",
-            Invariant::ReferencesHold => "references_hold",
-            Invariant::ExpansionIsWhole => "expansion_is_whole",
-            Invariant::CommittedHasOneResult => "committed_has_one_result",
-            Invariant::QuarantineHasItsFailure => "quarantine_has_its_failure",
-            Invariant::AttemptsAreAccountedFor => "attempts_are_accounted_for",
-            Invariant::ChargesAreAccountedFor => "charges_are_accounted_for",
-            Invariant::AttemptsOnlyRise => "attempts_only_rise",
-            Invariant::LeasesPinTheCampaign => "leases_pin_the_campaign",
-            Invariant::CancelledLeasesNothing => "cancelled_leases_nothing",
-            Invariant::ProbeIsOut => "probe_is_out",
-            Invariant::ResultsAreOfThePin => "results_are_of_the_pin",
-            Invariant::ConfigurationsAgree => "configurations_agree",
-            Invariant::DivergencesDiffer => "divergences_differ",
-            Invariant::RemovalsAreOfNoCampaign => "removals_are_of_no_campaign",
-        }
-    }
-
-    /// A query for its violations: one text column, no row if it holds.
-    /// `known_schema` is a temporary table of this program's schema.
-    fn query(self) -> &'static str {
-        match self {
-            Invariant::FileIsWhole => {
-                "SELECT integrity_check FROM pragma_integrity_check WHERE integrity_check <> 'ok'"
-            }
-            Invariant::SchemaIsThePrograms => {
-                "SELECT coalesce(k.type, m.type) || ' ' || coalesce(k.name, m.name) || CASE
-                     WHEN m.name IS NULL THEN ' is missing'
-                     WHEN k.name IS NULL THEN ' is foreign' ELSE ' was altered' END
-                 FROM main.sqlite_schema m FULL JOIN known_schema k
-                     ON k.type = m.type AND k.name = m.name
-                 WHERE m.sql IS NOT k.sql AND coalesce(k.name, m.name) NOT LIKE 'sqlite_%'"
-            }
-            Invariant::ReferencesHold => {
-                "SELECT format('row %s of %s refers to no row of %s', rowid, \"table\", parent)
-                 FROM pragma_foreign_key_check"
-            }
-            Invariant::ExpansionIsWhole => {
-                "SELECT format('campaign %s was expanded into %d jobs and has %d, in %d places',
-                     c.name, c.jobs, count(j.id), count(DISTINCT j.unit_order))
-                 FROM campaign c LEFT JOIN job j ON j.campaign_id = c.id
-                 GROUP BY c.id HAVING count(j.id) <> c.jobs
-                     OR count(DISTINCT j.unit_order) <> c.jobs
-                     OR coalesce(max(j.unit_order), -1) <> c.jobs - 1"
-            }
-            Invariant::CommittedHasOneResult => {
-                "SELECT format('job %d is %s at attempt %d and its result is of attempt %s',
-                     j.id, j.state, j.attempt, coalesce(r.attempt, 'none'))
-                 FROM job j LEFT JOIN result r ON r.job_id = j.id
-                 WHERE (j.state = 'committed' AND r.attempt IS NOT j.attempt)
-                     OR (j.state <> 'committed' AND r.job_id IS NOT NULL)"
-            }
-            Invariant::QuarantineHasItsFailure => {
-                "SELECT format('job %d is quarantined and its attempt %d ended with %s', j.id,
-                     j.attempt, coalesce(f.reason, 'no failure'))
-                 FROM job j LEFT JOIN failure f ON f.job_id = j.id AND f.attempt = j.attempt
-                 WHERE j.state = 'quarantined'
-                     AND (coalesce(f.charged, 0) = 0 OR j.last_error IS NOT f.error)"
-            }
-            Invariant::AttemptsAreAccountedFor => {
-                "SELECT format('job %d is %s: %d attempts, of which %d failed', j.id, j.state,
-                     j.attempt, (SELECT count(*) FROM failure f WHERE f.job_id = j.id))
-                 FROM job j WHERE j.attempt <> (j.state IN ('leased', 'committed'))
-                     + (SELECT count(*) FROM failure f WHERE f.job_id = j.id)"
-            }
-            Invariant::ChargesAreAccountedFor => {
-                "SELECT format('job %d has %d charged attempts, forgiven up to attempt %d, and %s',
-                     j.id, j.charged_attempts, j.forgiven_attempt, 'other failures')
-                 FROM job j WHERE j.charged_attempts <> (SELECT count(*) FROM failure f
-                     WHERE f.job_id = j.id AND f.charged = 1 AND f.attempt > j.forgiven_attempt)"
-            }
-            Invariant::AttemptsOnlyRise => {
-                "SELECT format('job %d is at attempt %d and has a %s of attempt %d', j.id,
-                     j.attempt, a.what, a.attempt)
-                 FROM (SELECT job_id, attempt, 'failure' AS what FROM failure
-                     UNION ALL SELECT job_id, attempt, 'result' FROM result
-                     UNION ALL SELECT job_id, attempt, 'divergence' FROM divergence) a
-                 JOIN job j ON j.id = a.job_id WHERE a.attempt > j.attempt"
-            }
-            Invariant::LeasesPinTheCampaign => {
-                "SELECT format('job %d was leased and campaign %s is pinned to nothing', j.id,
-                     c.name)
-                 FROM job j JOIN campaign c ON c.id = j.campaign_id
-                 WHERE j.attempt > 0 AND c.pinned_ms IS NULL"
-            }
-            Invariant::CancelledLeasesNothing => {
-                "SELECT format('job %d is leased and campaign %s is cancelled', j.id, c.name)
-                 FROM job j JOIN campaign c ON c.id = j.campaign_id
-                 WHERE j.state = 'leased' AND c.state = 'cancelled'"
-            }
-            Invariant::ProbeIsOut => {
-                "SELECT format('policy %s is tried by attempt %s, which holds no lease', p.name,
-                     p.probe_attempt_id)
-                 FROM policy p WHERE p.state = 'probing' AND NOT EXISTS
-                     (SELECT 1 FROM job j JOIN campaign c ON c.id = j.campaign_id
-                      WHERE j.attempt_id = p.probe_attempt_id AND j.state = 'leased'
-                          AND c.policy_id = p.id)"
-            }
-            Invariant::ResultsAreOfThePin => {
-                "SELECT format('the result of job %d is not of the assets, simulator, renderer, mode '
-                     || 'or job of campaign %s', r.job_id, c.name)
-                 FROM result r JOIN campaign c ON c.id = r.campaign_id
-                 JOIN job j ON j.id = r.job_id JOIN provenance p ON p.id = r.provenance_id
-                 WHERE j.campaign_id <> c.id OR p.asset_pack_digest IS NOT c.asset_pack_digest
-                     OR p.mujoco_version IS NOT c.mujoco_version OR p.realisation <> c.realisation
-                     OR (p.fingerprint <> '' AND p.renderer IS NOT c.renderer)"
-            }
-            Invariant::ConfigurationsAgree => {
-                "SELECT format('initial state %d of %s in campaign %s has %d scenes and %d initial '
-                     || 'states', j.init_id, j.task, c.name, count(DISTINCT r.scene_digest),
-                     count(DISTINCT r.init_state_digest))
-                 FROM result r JOIN job j ON j.id = r.job_id JOIN campaign c ON c.id = j.campaign_id
-                 GROUP BY c.id, j.task, j.init_id
-                 HAVING count(DISTINCT r.scene_digest) > 1
-                     OR count(DISTINCT r.init_state_digest) > 1"
-            }
-            Invariant::DivergencesDiffer => {
-                "SELECT format('divergence %d of job %d has no other outcome to differ from', d.id,
-                     d.job_id)
-                 FROM divergence d LEFT JOIN result r ON r.job_id = d.job_id
-                 WHERE r.job_id IS NULL OR (r.success = d.success AND r.steps = d.steps)"
-            }
-            Invariant::RemovalsAreOfNoCampaign => {
-                "SELECT format('folder %s of campaign %s is to be removed', m.folder, c.name)
-                 FROM removal m JOIN campaign c ON m.folder = 'artifacts/' || c.name"
-            }
-        }
-    }
-}
-
-impl std::fmt::Display for Invariant {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(self.name())
-    }
-}
+/// All of them, in the order in which they are checked. A query uses
+/// `known_schema`, a temporary table of this program's schema.
+pub const INVARIANTS: [Invariant; 16] = [
+    // SQLite finds the file intact.
+    Invariant {
+        name: "file_is_whole",
+        query: "SELECT integrity_check FROM pragma_integrity_check WHERE integrity_check <> 'ok'",
+    },
+    // Tables, indices and triggers are those of this program.
+    Invariant {
+        name: "schema_is_the_programs",
+        query: "SELECT coalesce(k.type, m.type) || ' ' || coalesce(k.name, m.name) || CASE
+             WHEN m.name IS NULL THEN ' is missing'
+             WHEN k.name IS NULL THEN ' is foreign' ELSE ' was altered' END
+         FROM main.sqlite_schema m FULL JOIN known_schema k
+             ON k.type = m.type AND k.name = m.name
+         WHERE m.sql IS NOT k.sql AND coalesce(k.name, m.name) NOT LIKE 'sqlite_%'",
+    },
+    // What a row refers to is there.
+    Invariant {
+        name: "references_hold",
+        query: "SELECT format('row %s of %s refers to no row of %s', rowid, \"table\", parent)
+         FROM pragma_foreign_key_check",
+    },
+    // A campaign has all the jobs that it was expanded into, each place in
+    // paired-unit order once.
+    Invariant {
+        name: "expansion_is_whole",
+        query: "SELECT format('campaign %s was expanded into %d jobs and has %d, in %d places',
+             c.name, c.jobs, count(j.id), count(DISTINCT j.unit_order))
+         FROM campaign c LEFT JOIN job j ON j.campaign_id = c.id
+         GROUP BY c.id HAVING count(j.id) <> c.jobs
+             OR count(DISTINCT j.unit_order) <> c.jobs
+             OR coalesce(max(j.unit_order), -1) <> c.jobs - 1",
+    },
+    // A job is committed exactly if it has a result, of its newest attempt.
+    Invariant {
+        name: "committed_has_one_result",
+        query: "SELECT format('job %d is %s at attempt %d and its result is of attempt %s',
+             j.id, j.state, j.attempt, coalesce(r.attempt, 'none'))
+         FROM job j LEFT JOIN result r ON r.job_id = j.id
+         WHERE (j.state = 'committed' AND r.attempt IS NOT j.attempt)
+             OR (j.state <> 'committed' AND r.job_id IS NOT NULL)",
+    },
+    // A job is in quarantine exactly if it ran out of attempts without a
+    // result, and says with what.
+    Invariant {
+        name: "quarantine_has_its_failure",
+        query: "SELECT format('job %d is quarantined and its attempt %d ended with %s', j.id,
+             j.attempt, coalesce(f.reason, 'no failure'))
+         FROM job j LEFT JOIN failure f ON f.job_id = j.id AND f.attempt = j.attempt
+         WHERE j.state = 'quarantined'
+             AND (coalesce(f.charged, 0) = 0 OR j.last_error IS NOT f.error)",
+    },
+    // Every attempt ended once, in one way, or is the lease that is held.
+    Invariant {
+        name: "attempts_are_accounted_for",
+        query: "SELECT format('job %d is %s: %d attempts, of which %d failed', j.id, j.state,
+             j.attempt, (SELECT count(*) FROM failure f WHERE f.job_id = j.id))
+         FROM job j WHERE j.attempt <> (j.state IN ('leased', 'committed'))
+             + (SELECT count(*) FROM failure f WHERE f.job_id = j.id)",
+    },
+    // What counts against a job are its charged failures since it was last
+    // taken out of quarantine.
+    Invariant {
+        name: "charges_are_accounted_for",
+        query: "SELECT format('job %d has %d charged attempts, forgiven up to attempt %d, and %s',
+             j.id, j.charged_attempts, j.forgiven_attempt, 'other failures')
+         FROM job j WHERE j.charged_attempts <> (SELECT count(*) FROM failure f
+             WHERE f.job_id = j.id AND f.charged = 1 AND f.attempt > j.forgiven_attempt)",
+    },
+    // Nothing that was reported is of an attempt that was never granted.
+    Invariant {
+        name: "attempts_only_rise",
+        query: "SELECT format('job %d is at attempt %d and has a %s of attempt %d', j.id,
+             j.attempt, a.what, a.attempt)
+         FROM (SELECT job_id, attempt, 'failure' AS what FROM failure
+             UNION ALL SELECT job_id, attempt, 'result' FROM result
+             UNION ALL SELECT job_id, attempt, 'divergence' FROM divergence) a
+         JOIN job j ON j.id = a.job_id WHERE a.attempt > j.attempt",
+    },
+    // What was leased is of a campaign that is pinned.
+    Invariant {
+        name: "leases_pin_the_campaign",
+        query: "SELECT format('job %d was leased and campaign %s is pinned to nothing', j.id,
+             c.name)
+         FROM job j JOIN campaign c ON c.id = j.campaign_id
+         WHERE j.attempt > 0 AND c.pinned_ms IS NULL",
+    },
+    // A cancelled campaign holds no lease.
+    Invariant {
+        name: "cancelled_leases_nothing",
+        query: "SELECT format('job %d is leased and campaign %s is cancelled', j.id, c.name)
+         FROM job j JOIN campaign c ON c.id = j.campaign_id
+         WHERE j.state = 'leased' AND c.state = 'cancelled'",
+    },
+    // A policy's probe holds a lease of that policy.
+    Invariant {
+        name: "probe_is_out",
+        query: "SELECT format('policy %s is tried by attempt %s, which holds no lease', p.name,
+             p.probe_attempt_id)
+         FROM policy p WHERE p.state = 'probing' AND NOT EXISTS
+             (SELECT 1 FROM job j JOIN campaign c ON c.id = j.campaign_id
+              WHERE j.attempt_id = p.probe_attempt_id AND j.state = 'leased'
+                  AND c.policy_id = p.id)",
+    },
+    // A result is of its job's campaign, and of the assets, the simulator, the
+    // renderer and the mode that the campaign is pinned to. Schema 1 pinned no
+    // renderer: its results, which have no fingerprint, may be of any.
+    Invariant {
+        name: "results_are_of_the_pin",
+        query:
+            "SELECT format('the result of job %d is not of the assets, simulator, renderer, mode '
+             || 'or job of campaign %s', r.job_id, c.name)
+         FROM result r JOIN campaign c ON c.id = r.campaign_id
+         JOIN job j ON j.id = r.job_id JOIN provenance p ON p.id = r.provenance_id
+         WHERE j.campaign_id <> c.id OR p.asset_pack_digest IS NOT c.asset_pack_digest
+             OR p.mujoco_version IS NOT c.mujoco_version OR p.realisation <> c.realisation
+             OR (p.fingerprint <> '' AND p.renderer IS NOT c.renderer)",
+    },
+    // The results of one initial state agree on scene and initial state.
+    Invariant {
+        name: "configurations_agree",
+        query: "SELECT format('initial state %d of %s in campaign %s has %d scenes and %d initial '
+             || 'states', j.init_id, j.task, c.name, count(DISTINCT r.scene_digest),
+             count(DISTINCT r.init_state_digest))
+         FROM result r JOIN job j ON j.id = r.job_id JOIN campaign c ON c.id = j.campaign_id
+         GROUP BY c.id, j.task, j.init_id
+         HAVING count(DISTINCT r.scene_digest) > 1
+             OR count(DISTINCT r.init_state_digest) > 1",
+    },
+    // What is kept as divergent differs from the committed outcome.
+    Invariant {
+        name: "divergences_differ",
+        query: "SELECT format('divergence %d of job %d has no other outcome to differ from', d.id,
+             d.job_id)
+         FROM divergence d LEFT JOIN result r ON r.job_id = d.job_id
+         WHERE r.job_id IS NULL OR (r.success = d.success AND r.steps = d.steps)",
+    },
+    // A folder that is to be removed is of no campaign.
+    Invariant {
+        name: "removals_are_of_no_campaign",
+        query: "SELECT format('folder %s of campaign %s is to be removed', m.folder, c.name)
+         FROM removal m JOIN campaign c ON m.folder = 'artifacts/' || c.name",
+    },
+];
 
 /// Verifies every invariant of the database in a data folder, or of a database
 /// file. Reads only: one consistent view, whether or not a coordinator runs.
@@ -309,13 +262,11 @@ async fn violations(connection: &mut SqliteConnection) -> Result<Vec<Violation>,
     store::know_schema(connection).await?;
     let mut view = connection.begin().await?;
     let mut violations = Vec::new();
-    for invariant in Invariant::ALL {
-        let rows: Vec<String> = sqlx::query_scalar(invariant.query())
-            .fetch_all(&mut *view)
-            .await?;
+    for Invariant { name, query } in INVARIANTS {
+        let rows: Vec<String> = sqlx::query_scalar(query).fetch_all(&mut *view).await?;
         if !rows.is_empty() {
             violations.push(Violation {
-                invariant,
+                invariant: name,
                 count: rows.len(),
                 told: rows.into_iter().take(MAX_TOLD).collect(),
             });

@@ -2,52 +2,44 @@
 //! on the disk when they are given.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicI64, Ordering};
+use std::sync::atomic::AtomicI64;
 use std::time::Duration;
 
-use attempt::{AttemptId, Pin};
+use attempt::AttemptId;
 use rand_chacha::ChaCha8Rng;
 use tokio::sync::{mpsc, oneshot};
 use tokio::task::JoinSet;
 use tokio::time::Instant;
 
 use crate::clock::{Clock, UnixMillis};
-use crate::expand::NewCampaign;
-use crate::ids::{CampaignName, WorkerId};
-use crate::operations::artifacts::{ArtifactError, Upload};
-use crate::operations::backup::Backup;
-use crate::operations::campaigns::{self, Created};
+use crate::ids::WorkerId;
 use crate::operations::claim::{ClaimRequest, Claimed, MAX_CLAIM_WAIT};
 use crate::operations::commit::{CommitReply, CommitReport, CommitVerdict};
 use crate::operations::error::QueueError;
-use crate::operations::films::{Film, InFlight};
 use crate::operations::heartbeat::Heartbeat;
-use crate::operations::register;
+use crate::operations::in_flight::InFlight;
 use crate::operations::release::{Release, ReleaseReply, ReleaseVerdict};
-use crate::operations::retry::{Retry, retry};
 use crate::operations::shared::Shared;
 use crate::operations::writer::{self, MAX_WAITING, Operation, Pending};
-use crate::operations::{removals, sweep};
-use crate::read::{Changes, Counts, View};
-use crate::rules::campaign::{CampaignState, Change};
+use crate::operations::{removals, start};
+use crate::read::{Changes, View};
 use crate::rules::lease::FailureReason;
-use crate::store::workers::WorkerInfo;
 use crate::store::{Store, StoreError};
 use crate::timing::Timing;
 
 /// The job table in operation.
 pub struct Queue {
-    shared: Arc<Shared>,
+    pub(crate) shared: Arc<Shared>,
     /// What workers ask for, on its way into the next transaction.
     operations: mpsc::Sender<Operation>,
     /// The task that executes it; ends with the queue.
     _writer: JoinSet<()>,
-    last_sweep: AtomicI64,
-    films: InFlight,
+    pub(crate) last_sweep: AtomicI64,
+    pub(crate) films: InFlight,
     /// Held while a campaign comes or goes: its files must not be removed
     /// under a new one of the same name.
-    campaigns: tokio::sync::Mutex<()>,
-    backups: Arc<tokio::sync::Mutex<()>>,
+    pub(crate) campaigns: tokio::sync::Mutex<()>,
+    pub(crate) backups: Arc<tokio::sync::Mutex<()>>,
 }
 
 impl Queue {
@@ -63,7 +55,7 @@ impl Queue {
         timing: Timing,
     ) -> Result<Arc<Queue>, StoreError> {
         let shared = Arc::new(Shared::new(store, clock, rng, timing));
-        sweep::start(&shared).await?;
+        start::start(&shared).await?;
         removals::finish_all(&shared).await?;
         let (operations, asked) = mpsc::channel(MAX_WAITING);
         let mut writer = JoinSet::new();
@@ -108,14 +100,6 @@ impl Queue {
     /// When the database cannot be read.
     pub async fn changes(&self) -> Result<Changes, StoreError> {
         Changes::begin(&self.shared.store).await
-    }
-
-    /// Registers a worker.
-    ///
-    /// # Errors
-    /// When the database fails.
-    pub async fn register(&self, worker: &WorkerInfo) -> Result<(), QueueError> {
-        Ok(register::register(&self.shared, worker).await?)
     }
 
     /// Leases a job; waits up to `wait` for one.
@@ -203,93 +187,6 @@ impl Queue {
             tracing::info!(%attempt, verdict = ?reply.verdict, "released ({reason}): {error}");
         }
         Ok(reply)
-    }
-
-    /// Begins to receive the video of an attempt whose outcome is committed.
-    ///
-    /// # Errors
-    /// When there is no such outcome, or the file cannot be made.
-    pub async fn upload(&self, attempt: AttemptId) -> Result<Upload<'_>, ArtifactError> {
-        Upload::begin(&self.shared, attempt).await
-    }
-
-    /// A rollout that is to be filmed with this asset pack and simulator, and
-    /// how many there are; none if nothing is left.
-    ///
-    /// # Errors
-    /// When the database fails.
-    pub async fn next_film(&self, pin: &Pin) -> Result<Option<(Film, u64)>, QueueError> {
-        self.films.next(&self.shared, pin).await
-    }
-
-    /// Stores a campaign and its jobs. The same specification twice adds
-    /// nothing.
-    ///
-    /// # Errors
-    /// When another specification has the name, or the database fails.
-    pub async fn create_campaign(&self, campaign: &NewCampaign) -> Result<Created, QueueError> {
-        let _alone = self.campaigns.lock().await;
-        campaigns::create(&self.shared, campaign).await
-    }
-
-    /// Pauses, resumes or cancels a campaign. Cancelling takes its leases back,
-    /// charged to nobody; their workers hear of it with their next heartbeat.
-    ///
-    /// # Errors
-    /// When there is no such campaign, it is cancelled already, or the database
-    /// fails.
-    pub async fn change_campaign(
-        &self,
-        name: &CampaignName,
-        change: Change,
-    ) -> Result<CampaignState, QueueError> {
-        campaigns::change(&self.shared, name, change).await
-    }
-
-    /// Deletes a campaign with its jobs, results and files.
-    ///
-    /// # Errors
-    /// When there is no such campaign, some of its rollouts are leased, or the
-    /// database fails. Files that cannot be removed now are removed at the next
-    /// start.
-    pub async fn delete_campaign(&self, name: &CampaignName) -> Result<Counts, QueueError> {
-        let _alone = self.campaigns.lock().await;
-        campaigns::delete(&self.shared, name).await
-    }
-
-    /// Takes jobs out of quarantine; all of those that are named, or none.
-    /// Returns how many.
-    ///
-    /// # Errors
-    /// When the campaign or a job is unknown, the campaign is cancelled, a job
-    /// is not in quarantine, or the database fails.
-    pub async fn retry_jobs(
-        &self,
-        campaign: &CampaignName,
-        jobs: &Retry,
-    ) -> Result<u64, QueueError> {
-        retry(&self.shared, campaign, jobs).await
-    }
-
-    /// Copies the database as it is now, while it is used.
-    ///
-    /// # Errors
-    /// When another copy is being made, the disk is full, or the database
-    /// fails.
-    pub async fn backup(&self) -> Result<Backup, QueueError> {
-        Backup::make(&self.shared.store, &self.backups).await
-    }
-
-    /// Takes away leases that expired and wakes claims that wait for a back-off
-    /// or a pause to end. Called every [`Timing::sweep`].
-    ///
-    /// # Errors
-    /// When the database fails; the next sweep tries again.
-    pub async fn sweep(&self) -> Result<(), QueueError> {
-        let last = UnixMillis(self.last_sweep.load(Ordering::Relaxed));
-        let now = sweep::sweep(&self.shared, last).await?;
-        self.last_sweep.store(now.0, Ordering::Relaxed);
-        Ok(())
     }
 
     /// Leases nothing from now on; claims that wait are answered at once.

@@ -192,7 +192,6 @@ impl Store {
         }
         std::fs::create_dir_all(folder).map_err(in_folder)?;
         let lock = lock_folder(folder)?;
-        backup::remove_leftover(folder);
         let options = SqliteConnectOptions::new()
             .filename(&path)
             .create_if_missing(true)

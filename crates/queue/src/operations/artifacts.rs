@@ -12,6 +12,7 @@ use tokio::io::AsyncWriteExt;
 use super::context::Context;
 use super::shared::Shared;
 use crate::ids::CampaignName;
+use crate::queue::Queue;
 use crate::store::StoreError;
 use crate::store::artifacts::{self, ArtifactOwner};
 use crate::store::failpoint::Step;
@@ -63,11 +64,13 @@ pub struct Upload<'a> {
     size_bytes: u64,
 }
 
-impl<'a> Upload<'a> {
-    pub(crate) async fn begin(
-        shared: &'a Shared,
-        attempt: AttemptId,
-    ) -> Result<Upload<'a>, ArtifactError> {
+impl Queue {
+    /// Begins to receive the video of an attempt whose outcome is committed.
+    ///
+    /// # Errors
+    /// When there is no such outcome, or the file cannot be made.
+    pub async fn upload(&self, attempt: AttemptId) -> Result<Upload<'_>, ArtifactError> {
+        let shared = &*self.shared;
         let mut view = shared.store.read().await?;
         let owner = artifacts::owner(&mut view, attempt).await?;
         drop(view);
@@ -91,7 +94,9 @@ impl<'a> Upload<'a> {
             size_bytes: 0,
         })
     }
+}
 
+impl Upload<'_> {
     /// Receives a piece.
     ///
     /// # Errors

@@ -1,12 +1,12 @@
 //! A copy of the database while it is used.
 
 use std::path::Path;
-use std::sync::Arc;
 
-use tokio::sync::{Mutex, OwnedMutexGuard};
+use tokio::sync::OwnedMutexGuard;
 
 use super::error::QueueError;
-use crate::store::{Store, backup};
+use crate::queue::Queue;
+use crate::store::backup;
 
 /// A finished copy. It is removed when this is dropped; the next one may be made
 /// then.
@@ -21,13 +21,19 @@ impl Backup {
     pub fn path(&self) -> &Path {
         self.copy.path()
     }
+}
 
-    /// Copies what is committed now, if nobody else is at it.
-    pub(crate) async fn make(store: &Store, turns: &Arc<Mutex<()>>) -> Result<Backup, QueueError> {
-        let turn = turns.clone().try_lock_owned();
+impl Queue {
+    /// Copies the database as it is now, while it is used.
+    ///
+    /// # Errors
+    /// When another copy is being made, the disk is full, or the database
+    /// fails.
+    pub async fn backup(&self) -> Result<Backup, QueueError> {
+        let turn = self.backups.clone().try_lock_owned();
         let turn = turn.map_err(|_| QueueError::BackupInHand)?;
         Ok(Backup {
-            copy: store.backup().await?,
+            copy: backup::copy(&self.shared.store).await?,
             _turn: turn,
         })
     }

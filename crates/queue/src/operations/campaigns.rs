@@ -2,10 +2,10 @@
 
 use super::context::Context;
 use super::error::QueueError;
-use super::shared::Shared;
 use super::{artifacts, removals};
 use crate::expand::{NewCampaign, differing_fields};
 use crate::ids::CampaignName;
+use crate::queue::Queue;
 use crate::read::Counts;
 use crate::rules::campaign::{CampaignState, CancelledIsFinal, Change};
 use crate::rules::lease::{FailureReason, JobState};
@@ -23,91 +23,111 @@ pub struct Created {
     pub jobs_total: u64,
 }
 
-/// Stores a campaign and its jobs. The same specification twice adds nothing.
-pub(crate) async fn create(shared: &Shared, new: &NewCampaign) -> Result<Created, QueueError> {
-    let mut context = Context::begin(shared, vec![Step::CreateCampaign]).await?;
-    let jobs = new.jobs.len() as u64;
-    if let Some(existing) = campaigns::by_name(&mut context.tx, &new.name).await? {
-        if existing.spec_digest != new.spec_digest {
-            let spec = campaigns::spec(&mut context.tx, existing.id).await?;
-            return Err(QueueError::CampaignDiffers {
-                campaign: new.name.clone(),
-                differs: differing_fields(&spec, &new.spec),
+impl Queue {
+    /// Stores a campaign and its jobs. The same specification twice adds
+    /// nothing.
+    ///
+    /// # Errors
+    /// When another specification has the name, or the database fails.
+    pub async fn create_campaign(&self, new: &NewCampaign) -> Result<Created, QueueError> {
+        let _alone = self.campaigns.lock().await;
+        let shared = &*self.shared;
+        let mut context = Context::begin(shared, vec![Step::CreateCampaign]).await?;
+        let jobs = new.jobs.len() as u64;
+        if let Some(existing) = campaigns::by_name(&mut context.tx, &new.name).await? {
+            if existing.spec_digest != new.spec_digest {
+                let spec = campaigns::spec(&mut context.tx, existing.id).await?;
+                return Err(QueueError::CampaignDiffers {
+                    campaign: new.name.clone(),
+                    differs: differing_fields(&spec, &new.spec),
+                });
+            }
+            return Ok(Created {
+                jobs_added: 0,
+                jobs_total: jobs,
             });
         }
-        return Ok(Created {
-            jobs_added: 0,
+        campaigns::insert(&mut context.tx, new, context.now).await?;
+        // Files that could not be removed with a deleted campaign of this name
+        // stay now, rather than to take the new one's with them.
+        pending::done(&mut context.tx, &artifacts::campaign_folder(&new.name)).await?;
+        context.commit().await?;
+        tracing::info!(campaign = %new.name, jobs, "campaign created");
+        shared.work.notify_waiters();
+        Ok(Created {
+            jobs_added: jobs,
             jobs_total: jobs,
-        });
+        })
     }
-    campaigns::insert(&mut context.tx, new, context.now).await?;
-    // Files that could not be removed with a deleted campaign of this name
-    // stay now, rather than to take the new one's with them.
-    pending::done(&mut context.tx, &artifacts::campaign_folder(&new.name)).await?;
-    context.commit().await?;
-    tracing::info!(campaign = %new.name, jobs, "campaign created");
-    shared.work.notify_waiters();
-    Ok(Created {
-        jobs_added: jobs,
-        jobs_total: jobs,
-    })
-}
 
-/// Pauses, resumes or cancels a campaign. Cancelling takes its leases back,
-/// charged to nobody; their workers hear of it with their next heartbeat.
-pub(crate) async fn change(
-    shared: &Shared,
-    name: &CampaignName,
-    change: Change,
-) -> Result<CampaignState, QueueError> {
-    let mut context = Context::begin(shared, vec![Step::ChangeCampaign]).await?;
-    let campaign = context.campaign_named(name).await?;
-    let after = campaign.state.after(change, context.now);
-    let after = after.map_err(|CancelledIsFinal| QueueError::Cancelled {
-        campaign: name.clone(),
-    })?;
-    if after == campaign.state {
-        return Ok(after);
-    }
-    campaigns::set_state(&mut context.tx, campaign.id, after).await?;
-    if let CampaignState::Cancelled { .. } = after {
-        for row in jobs::leased(&mut context.tx, campaign.id).await? {
-            let JobState::Leased(lease) = &row.job.state else {
-                continue;
-            };
-            let failure = (FailureReason::Cancelled, "the campaign was cancelled");
-            context
-                .end_attempt((&row.job, lease), campaign.id, failure)
-                .await?;
-        }
-    }
-    context.commit().await?;
-    tracing::info!(campaign = %name, "the campaign is {}", after.name());
-    shared.work.notify_waiters();
-    Ok(after)
-}
-
-/// Deletes a campaign with its jobs, results and files. Returns how many there
-/// were.
-pub(crate) async fn delete(shared: &Shared, name: &CampaignName) -> Result<Counts, QueueError> {
-    let folder = artifacts::campaign_folder(name);
-    let mut context = Context::begin(shared, vec![Step::DeleteCampaign]).await?;
-    let campaign = context.campaign_named(name).await?;
-    let counts = Counts::of(&mut context.tx, campaign.id).await?;
-    if counts.leased > 0 {
-        return Err(QueueError::CampaignInUse {
+    /// Pauses, resumes or cancels a campaign. Cancelling takes its leases back,
+    /// charged to nobody; their workers hear of it with their next heartbeat.
+    ///
+    /// # Errors
+    /// When there is no such campaign, it is cancelled already, or the database
+    /// fails.
+    pub async fn change_campaign(
+        &self,
+        name: &CampaignName,
+        change: Change,
+    ) -> Result<CampaignState, QueueError> {
+        let shared = &*self.shared;
+        let mut context = Context::begin(shared, vec![Step::ChangeCampaign]).await?;
+        let campaign = context.campaign_named(name).await?;
+        let after = campaign.state.after(change, context.now);
+        let after = after.map_err(|CancelledIsFinal| QueueError::Cancelled {
             campaign: name.clone(),
-            leased: counts.leased,
-        });
+        })?;
+        if after == campaign.state {
+            return Ok(after);
+        }
+        campaigns::set_state(&mut context.tx, campaign.id, after).await?;
+        if let CampaignState::Cancelled { .. } = after {
+            for row in jobs::leased(&mut context.tx, campaign.id).await? {
+                let JobState::Leased(lease) = &row.job.state else {
+                    continue;
+                };
+                let failure = (FailureReason::Cancelled, "the campaign was cancelled");
+                context
+                    .end_attempt((&row.job, lease), campaign.id, failure)
+                    .await?;
+            }
+        }
+        context.commit().await?;
+        tracing::info!(campaign = %name, "the campaign is {}", after.name());
+        shared.work.notify_waiters();
+        Ok(after)
     }
-    campaigns::delete(&mut context.tx, campaign.id).await?;
-    context.cache.forget();
-    pending::note(&mut context.tx, &folder).await?;
-    context.commit().await?;
-    tracing::warn!(campaign = %name, jobs = counts.total(), results = counts.committed,
+
+    /// Deletes a campaign with its jobs, results and files. Returns how many
+    /// there were.
+    ///
+    /// # Errors
+    /// When there is no such campaign, some of its rollouts are leased, or the
+    /// database fails. Files that cannot be removed now are removed at the next
+    /// start.
+    pub async fn delete_campaign(&self, name: &CampaignName) -> Result<Counts, QueueError> {
+        let _alone = self.campaigns.lock().await;
+        let shared = &*self.shared;
+        let folder = artifacts::campaign_folder(name);
+        let mut context = Context::begin(shared, vec![Step::DeleteCampaign]).await?;
+        let campaign = context.campaign_named(name).await?;
+        let counts = Counts::of(&mut context.tx, campaign.id).await?;
+        if counts.leased > 0 {
+            return Err(QueueError::CampaignInUse {
+                campaign: name.clone(),
+                leased: counts.leased,
+            });
+        }
+        campaigns::delete(&mut context.tx, campaign.id).await?;
+        context.cache.forget();
+        pending::note(&mut context.tx, &folder).await?;
+        context.commit().await?;
+        tracing::warn!(campaign = %name, jobs = counts.total(), results = counts.committed,
         "the campaign was deleted");
-    removals::finish(shared, &folder).await?;
-    Ok(counts)
+        removals::finish(shared, &folder).await?;
+        Ok(counts)
+    }
 }
 
 impl Context<'_> {

@@ -1,63 +1,38 @@
 //! Which rollouts are filmed after the fact: those of configurations whose outcome
 //! the combination of axes changed, in campaigns that record transitions. Their
 //! actions were kept, so that filming them needs no policy.
-//!
-//! What is being filmed is remembered in memory only. Should that be lost, a
-//! rollout is filmed twice, with the same frames.
 
-use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Mutex, PoisonError};
-use std::time::Duration;
+use std::collections::BTreeSet;
 
 use attempt::Pin;
 use paired::{Outcome, Record, Records, Transition};
 
 use super::error::QueueError;
-use super::shared::Shared;
-use crate::clock::UnixMillis;
 use crate::ids::JobId;
+use crate::queue::Queue;
 use crate::store::films::{self, FilmableRow};
 use crate::store::{Doing, StoreError, undecodable};
 
 pub use crate::store::films::Film;
 
-/// Longest time to film a rollout before it is handed out again: drawing the
-/// longest one in software takes a few minutes.
-const FILMING_TIMEOUT: Duration = Duration::from_secs(15 * 60);
-
-/// The rollouts that are being filmed, and until when.
-#[derive(Debug, Default)]
-pub(crate) struct InFlight(Mutex<BTreeMap<JobId, UnixMillis>>);
-
-impl InFlight {
+impl Queue {
     /// A rollout that is to be filmed with this asset pack and simulator, and
     /// how many there are; none if nothing is left.
-    pub(crate) async fn next(
-        &self,
-        shared: &Shared,
-        pin: &Pin,
-    ) -> Result<Option<(Film, u64)>, QueueError> {
-        let mut view = shared.store.read().await?;
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn next_film(&self, pin: &Pin) -> Result<Option<(Film, u64)>, QueueError> {
+        let mut view = self.shared.store.read().await?;
         let mut wanting = Vec::new();
         for campaign in films::filmed_campaigns(&mut view, pin).await? {
-            wanting.extend(wanting_films(&films::filmable(&mut view, campaign).await?)?);
+            let rows = films::filmable(&mut view, campaign).await?;
+            wanting.extend(wanting_films(&rows)?);
         }
-        match self.take(&wanting, shared.now()) {
-            Some(job) => {
-                let film = films::film(&mut view, job).await?;
-                Ok(Some((film, wanting.len() as u64)))
-            }
-            None => Ok(None),
-        }
-    }
-
-    /// The first that nobody is filming.
-    fn take(&self, wanting: &[JobId], now: UnixMillis) -> Option<JobId> {
-        let mut in_flight = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        in_flight.retain(|_, until| *until > now);
-        let job = *wanting.iter().find(|job| !in_flight.contains_key(job))?;
-        in_flight.insert(job, now.plus(FILMING_TIMEOUT));
-        Some(job)
+        let Some(job) = self.films.take(&wanting, self.now()) else {
+            return Ok(None);
+        };
+        let film = films::film(&mut view, job).await?;
+        Ok(Some((film, wanting.len() as u64)))
     }
 }
 

@@ -2,8 +2,8 @@
 
 use super::context::Context;
 use super::error::QueueError;
-use super::shared::Shared;
 use crate::ids::{CampaignName, JobId, JobName};
+use crate::queue::Queue;
 use crate::rules::campaign::CampaignState;
 use crate::store::campaigns::Campaign;
 use crate::store::failpoint::Step;
@@ -22,37 +22,39 @@ pub enum Retry {
     Named(Vec<JobName>),
 }
 
-/// Takes jobs out of quarantine; all of those that are named, or none. Returns
-/// how many.
-pub(crate) async fn retry(
-    shared: &Shared,
-    name: &CampaignName,
-    retry: &Retry,
-) -> Result<u64, QueueError> {
-    let mut context = Context::begin(shared, vec![Step::RetryJobs]).await?;
-    let campaign = context.campaign_named(name).await?;
-    if let CampaignState::Cancelled { .. } = campaign.state {
-        return Err(QueueError::Cancelled {
-            campaign: name.clone(),
-        });
-    }
-    let chosen = match retry {
-        Retry::All => jobs::quarantined(&mut context.tx, campaign.id).await?,
-        Retry::Named(names) => {
-            let mut chosen = Vec::with_capacity(names.len());
-            for job in names {
-                chosen.push(context.quarantined(&campaign, job).await?);
-            }
-            chosen
+impl Queue {
+    /// Takes jobs out of quarantine; all of those that are named, or none.
+    /// Returns how many.
+    ///
+    /// # Errors
+    /// When the campaign or a job is unknown, the campaign is cancelled, a job
+    /// is not in quarantine, or the database fails.
+    pub async fn retry_jobs(&self, name: &CampaignName, retry: &Retry) -> Result<u64, QueueError> {
+        let mut context = Context::begin(&self.shared, vec![Step::RetryJobs]).await?;
+        let campaign = context.campaign_named(name).await?;
+        if let CampaignState::Cancelled { .. } = campaign.state {
+            return Err(QueueError::Cancelled {
+                campaign: name.clone(),
+            });
         }
-    };
-    for job in &chosen {
-        jobs::retry(&mut context.tx, *job, context.now).await?;
+        let chosen = match retry {
+            Retry::All => jobs::quarantined(&mut context.tx, campaign.id).await?,
+            Retry::Named(names) => {
+                let mut chosen = Vec::with_capacity(names.len());
+                for job in names {
+                    chosen.push(context.quarantined(&campaign, job).await?);
+                }
+                chosen
+            }
+        };
+        for job in &chosen {
+            jobs::retry(&mut context.tx, *job, context.now).await?;
+        }
+        context.commit().await?;
+        tracing::info!(campaign = %name, jobs = chosen.len(), "taken out of quarantine");
+        self.shared.work.notify_waiters();
+        Ok(chosen.len() as u64)
     }
-    context.commit().await?;
-    tracing::info!(campaign = %name, jobs = chosen.len(), "taken out of quarantine");
-    shared.work.notify_waiters();
-    Ok(chosen.len() as u64)
 }
 
 impl Context<'_> {

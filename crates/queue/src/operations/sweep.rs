@@ -2,12 +2,14 @@
 //! wait for a back-off or a pause are woken when it ends.
 
 use std::collections::BTreeSet;
+use std::sync::atomic::Ordering;
 
 use super::context::Context;
 use super::error::QueueError;
-use super::shared::Shared;
+use super::start::restart_clocks;
 use crate::clock::UnixMillis;
 use crate::ids::WorkerId;
+use crate::queue::Queue;
 use crate::rules::lease::{FailureReason, JobState, Lease, was_asleep};
 use crate::store::failpoint::Step;
 use crate::store::{StoreError, jobs};
@@ -15,37 +17,32 @@ use crate::store::{StoreError, jobs};
 /// Leases that one sweep takes away.
 const MAX_EXPIRED_PER_SWEEP: u32 = 1_024;
 
-/// Sweeps, `last` being when it was last done. Returns when it was done now.
-pub(crate) async fn sweep(shared: &Shared, last: UnixMillis) -> Result<UnixMillis, QueueError> {
-    let mut context = Context::begin(shared, vec![Step::Sweep]).await?;
-    let now = context.now;
-    let mut is_news = false;
-    if was_asleep(now.since(last), shared.timing.lease) {
-        tracing::warn!("the coordinator was asleep: every lease gets its full time again");
-        restart_clocks(&mut context).await?;
-    } else {
-        is_news = context.take_expired().await?;
+impl Queue {
+    /// Takes away leases that expired and wakes claims that wait for a back-off
+    /// or a pause to end. Called every [`Timing::sweep`](crate::Timing::sweep).
+    ///
+    /// # Errors
+    /// When the database fails; the next sweep tries again.
+    pub async fn sweep(&self) -> Result<(), QueueError> {
+        let shared = &*self.shared;
+        let last = UnixMillis(self.last_sweep.load(Ordering::Relaxed));
+        let mut context = Context::begin(shared, vec![Step::Sweep]).await?;
+        let now = context.now;
+        let mut is_news = false;
+        if was_asleep(now.since(last), shared.timing.lease) {
+            tracing::warn!("the coordinator was asleep: every lease gets its full time again");
+            restart_clocks(&mut context).await?;
+        } else {
+            is_news = context.take_expired().await?;
+        }
+        is_news |= jobs::fell_due(&mut context.tx, last, now).await?;
+        context.commit().await?;
+        self.last_sweep.store(now.0, Ordering::Relaxed);
+        if is_news {
+            shared.work.notify_waiters();
+        }
+        Ok(())
     }
-    is_news |= jobs::fell_due(&mut context.tx, last, now).await?;
-    context.commit().await?;
-    if is_news {
-        shared.work.notify_waiters();
-    }
-    Ok(now)
-}
-
-/// Gives every lease its full time again: while nobody listened, no heartbeat
-/// could arrive.
-pub(crate) async fn start(shared: &Shared) -> Result<(), StoreError> {
-    let mut context = Context::begin(shared, vec![Step::Start]).await?;
-    restart_clocks(&mut context).await?;
-    context.commit().await
-}
-
-async fn restart_clocks(context: &mut Context<'_>) -> Result<(), StoreError> {
-    let expires = context.now.plus(context.shared.timing.lease);
-    let latest = context.now.plus(attempt::Waits::USUAL.longest);
-    jobs::restart_clocks(&mut context.tx, expires, latest).await
 }
 
 impl Context<'_> {

@@ -34,25 +34,23 @@ impl Drop for Copy {
     }
 }
 
-impl Store {
-    /// Copies what is committed now. One copy at a time: the caller sees to it.
-    pub(crate) async fn backup(&self) -> Result<Copy, StoreError> {
-        let path = self.folder.join(BACKUP_FILE);
-        remove_leftover(&self.folder);
-        let mut reader = self.reader().await?;
-        // It is removed even if it is half done.
-        let copy = Copy { path };
-        sqlx::query("VACUUM INTO ?")
-            .bind(copy.path.display().to_string())
-            .execute(&mut *reader)
-            .await
-            .doing("copy the database")?;
-        Ok(copy)
-    }
+/// Copies what is committed now. One copy at a time: the caller sees to it.
+pub(crate) async fn copy(store: &Store) -> Result<Copy, StoreError> {
+    let path = store.folder().join(BACKUP_FILE);
+    remove_leftover(store.folder());
+    let mut reader = store.reader().await?;
+    // It is removed even if it is half done.
+    let copy = Copy { path };
+    sqlx::query("VACUUM INTO ?")
+        .bind(copy.path.display().to_string())
+        .execute(&mut *reader)
+        .await
+        .doing("copy the database")?;
+    Ok(copy)
 }
 
 /// Removes the half-done copy of a process that was killed.
-pub(super) fn remove_leftover(folder: &Path) {
+pub(crate) fn remove_leftover(folder: &Path) {
     // It is not there, as a rule; one that stays is overwritten or told of by
     // the next backup.
     let _ = std::fs::remove_file(folder.join(BACKUP_FILE));

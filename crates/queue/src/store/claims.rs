@@ -82,7 +82,7 @@ pub(crate) async fn repeated(
     sqlx::query_as(concat!(
         "SELECT ",
         leased_columns!(),
-        " FROM json_each(?) AS asked JOIN job ON claim_id = asked.value AND state = 'leased'"
+        " FROM job WHERE claim_id IN (SELECT value FROM json_each(?)) AND state = 'leased'"
     ))
     .bind(json(claims))
     .fetch_all(tx)

@@ -188,7 +188,8 @@ pub(crate) async fn renew(
     read.collect::<Result<_, _>>().doing("renew leases")
 }
 
-/// Gives every lease its full time again, and no more; nothing waits longer
+/// Gives every lease its full time again, and no more, also past its ceiling:
+/// what a worker could not report meanwhile it reports now. Nothing waits longer
 /// than `until`, whatever the clock said before.
 pub(crate) async fn restart_clocks(
     tx: &mut SqliteConnection,
@@ -197,7 +198,8 @@ pub(crate) async fn restart_clocks(
 ) -> Result<(), StoreError> {
     for (statement, instant) in [
         (
-            "UPDATE job SET lease_expires_ms = min(?, ceiling_ms) WHERE state = 'leased'",
+            "UPDATE job SET lease_expires_ms = ?1, ceiling_ms = max(ceiling_ms, ?1)
+             WHERE state = 'leased'",
             expires,
         ),
         (
