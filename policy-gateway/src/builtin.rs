@@ -4,31 +4,14 @@
 
 use std::{fmt, str::FromStr};
 
-use proto::policy::{DescribeResponse, Observation, ResetRequest};
+use proto::policy::{DescribeResponse, ResetRequest};
 use thiserror::Error;
 
 pub mod expert;
+pub(crate) mod instance;
 pub mod noop;
 
-/// One control step's action: end-effector translation (3) and rotation (3),
-/// gripper (-1 open, 1 closed), each in -1..1.
-pub type Action = [f32; 7];
-
-/// A policy that runs inside the gateway. One instance per session.
-///
-/// It runs on the gateway's own threads, so an answer should take well under a
-/// millisecond.
-pub trait BuiltinPolicy: Send {
-    /// Answers one observation. Called once per query index: the gateway
-    /// answers retries itself. With a policy that declares itself stateful,
-    /// queries come in the order 0, 1, 2, ….
-    ///
-    /// # Errors
-    /// In words, when the observation lacks what the policy asked for or shows
-    /// a scene that it cannot read.
-    fn infer(&mut self, query_index: u32, observation: &Observation)
-    -> Result<Vec<Action>, String>;
-}
+pub use instance::{Action, BuiltinPolicy};
 
 /// Which built-in policy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -11,6 +11,9 @@ use transport::ClientArguments;
 
 use crate::grpc::{EndpointError, parse_endpoint};
 
+/// Where LIBERO's assets are published: the hub that hf-libero 0.1.4 asks.
+pub const HUB: &str = "https://huggingface.co";
+
 /// Simulates the rollouts of a coordinator's campaigns.
 ///
 /// Ends when told to: one SIGTERM or Ctrl-C finishes the rollouts in hand, a
@@ -311,7 +314,7 @@ pub enum AssetsCommand {
         #[arg(long, value_name = "DIR")]
         into: Option<PathBuf>,
         /// The hub, or a mirror of it
-        #[arg(long, value_name = "URL", env = "HF_ENDPOINT", default_value = crate::assets::HUB, value_parser = hub_url)]
+        #[arg(long, value_name = "URL", env = "HF_ENDPOINT", default_value = HUB, value_parser = hub_url)]
         hub: String,
     },
 }

@@ -26,8 +26,6 @@ use hub::Hub;
 use manifest::Manifest;
 use progress::Bar;
 
-/// Where LIBERO's assets are published: the hub that hf-libero 0.1.4 asks.
-pub const HUB: &str = "https://huggingface.co";
 /// Names of files that a message spells out; the rest are counted.
 const MAX_NAMED: usize = 20;
 

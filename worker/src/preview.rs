@@ -3,41 +3,25 @@
 //! and the end-effector's paths under actuation. No policy takes part.
 
 mod paths;
+mod request;
 mod sheet;
 
 use std::path::{Path, PathBuf};
 
 use image::RgbImage;
-use protocol::{
-    Axis, Condition, Level, ManifestRow, Perturbation, Realisation, RolloutId, TaskRef, paraphrase,
-    presets,
-};
+use protocol::{Axis, Condition, ManifestRow, paraphrase};
 use sim::{CameraRequest, Episode, ObservationRequest, SimError, Simulator};
 
+pub use request::Request;
+use request::{LEVELS, MOTION_STEPS, motion, row};
 use sheet::Sheet;
 
-/// The severities that the protocol has presets for.
-const LEVELS: [Level; 3] = [Level::L1, Level::L2, Level::L3];
 /// Presets of an axis.
 const PRESETS: u16 = 10;
 /// Cells per row of a sheet of presets.
 const PRESETS_PER_ROW: usize = 5;
 /// Pixels of a picture, as policies get them.
 const FRAME: u32 = 256;
-/// Control steps of the fixed motion that shows the actuation axis.
-const MOTION_STEPS: usize = 40;
-
-/// What to preview.
-pub struct Request {
-    /// The task.
-    pub task: TaskRef,
-    /// The configuration: preset and initial state.
-    pub config: u16,
-    /// Severity of the sheets.
-    pub level: Level,
-    /// Where random elements come from.
-    pub realisation: Realisation,
-}
 
 /// Why there is no preview.
 #[derive(Debug, thiserror::Error)]
@@ -144,25 +128,6 @@ fn presets_sheet(
     Ok(sheet.finish())
 }
 
-/// The row of a condition; without a level, unperturbed from the same initial
-/// state and under the same id, so that only the perturbation differs.
-fn row(task: TaskRef, condition: Condition, level: Option<Level>, config: u16) -> ManifestRow {
-    let mut perturbation = Perturbation::default();
-    if let Some(level) = level {
-        let axes = match condition {
-            Condition::Single(axis) => vec![axis],
-            _ => Axis::METRIC.to_vec(),
-        };
-        for axis in axes {
-            presets::apply_preset(&mut perturbation, axis, level, config);
-        }
-    }
-    let id = RolloutId::perturbed(task, condition, level.unwrap_or(Level::L1), config)
-        .expect("a perturbed condition with a severity");
-    let init_id = task.eval_init_ids()[usize::from(config)];
-    ManifestRow::new(id, config, init_id, perturbation)
-}
-
 /// What the policy would first see; for the actuation axis, what it would see
 /// after a fixed motion.
 fn picture(
@@ -182,20 +147,6 @@ fn picture(
         }
     }
     Ok(upright(&mut episode)?)
-}
-
-/// A sweep outwards and down that brings out gain, bias and misalignment.
-fn motion(step: usize) -> [f64; 7] {
-    let phase = std::f64::consts::TAU * step as f64 / MOTION_STEPS as f64;
-    [
-        0.5 * phase.cos(),
-        0.5 * phase.sin(),
-        -0.25,
-        0.0,
-        0.0,
-        0.1,
-        -1.0,
-    ]
 }
 
 fn upright(episode: &mut Episode<'_>) -> Result<RgbImage, SimError> {

@@ -20,7 +20,7 @@ use std::collections::VecDeque;
 
 use proto::policy::{DescribeResponse, Language, Observation, ResetRequest};
 
-use super::{Action, BuiltinPolicy};
+use super::instance::{Action, BuiltinPolicy};
 use geometry::Vec3;
 use goal::Skill;
 use motion::{Command, Fingers, HandPose, Motion};

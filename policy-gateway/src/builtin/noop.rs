@@ -3,7 +3,7 @@
 
 use proto::policy::{DescribeResponse, Language, Observation};
 
-use super::{Action, BuiltinPolicy};
+use super::instance::{Action, BuiltinPolicy};
 
 /// No motion, gripper open: the action of LIBERO's settling steps.
 pub const NOOP_ACTION: Action = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0];

@@ -6,7 +6,7 @@ use std::fmt::Write as _;
 use protocol::{Axis, Condition};
 use sim::{SimError, Simulator};
 
-use super::{LEVELS, MOTION_STEPS, Request, motion, row};
+use super::request::{LEVELS, MOTION_STEPS, Request, motion, row};
 
 /// Colours that the colour-blind can tell apart (Okabe and Ito), and dashes
 /// that print can.

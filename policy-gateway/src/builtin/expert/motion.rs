@@ -11,7 +11,7 @@ use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2};
 
 use super::geometry::{Quat, Vec3, half_turn};
 use super::world::{Entity, Solid, World};
-use crate::builtin::Action;
+use crate::builtin::instance::Action;
 
 /// What one unit of action asks for: m and rad (LIBERO's OSC_POSE settings).
 const UNIT_M: f64 = 0.05;
