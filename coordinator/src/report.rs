@@ -55,7 +55,10 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
     let mut provenances: Vec<report::Provenance> = provenances.map(provenance).collect();
     // By their content: which came first depends on the workers.
     provenances.sort();
-    let quarantined = view.quarantined(campaign.id).await?.into_iter();
+    let quarantined = view
+        .quarantine(Some(campaign.id), u32::MAX)
+        .await?
+        .into_iter();
     let divergent = view.divergent(campaign.id).await?;
     Ok(Subject {
         policy: campaign.policy.clone(),

@@ -95,7 +95,7 @@ fn check_table(table: &str) {
 /// of its perturbation.
 struct Stored {
     row: ManifestRow,
-    realised: BTreeMap<String, String>,
+    realised: BTreeMap<String, serde_json::Value>,
 }
 
 /// Language spoke in paraphrases, the combination in the same, all else
@@ -141,19 +141,14 @@ fn stored(data: &Path) -> BTreeMap<RolloutId, Stored> {
             .read_only(true);
         let mut database = SqliteConnection::connect_with(&options).await.unwrap();
         let rows = sqlx::query_as(
-            "SELECT j.manifest_row, r.perturbation_digests
+            "SELECT j.manifest_row, r.realised
              FROM result r JOIN job j ON j.id = r.job_id",
         );
         rows.fetch_all(&mut database).await.unwrap()
     });
     let stored = rows.iter().map(|(row, realised)| {
         let row: ManifestRow = serde_json::from_str(row).unwrap();
-        let parts = realised.split(',').filter(|part| !part.is_empty());
-        let realised = parts.map(|part| {
-            let (axis, digest) = part.split_once(':').unwrap();
-            (axis.to_owned(), digest.to_owned())
-        });
-        let realised = realised.collect();
+        let realised = serde_json::from_str(realised).unwrap();
         (row.id, Stored { row, realised })
     });
     stored.collect()

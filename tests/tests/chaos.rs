@@ -1,7 +1,8 @@
 //! Whole campaigns while everything fails: seeded schedules of faults on real
 //! processes. After each, the campaign finishes, its database holds every
-//! invariant, and its report and results are those of the undisturbed one, byte
-//! for byte.
+//! invariant, its report and results are those of the undisturbed one, byte for
+//! byte, and no more attempts were charged than machines broke: a network that
+//! fails costs no rollout an attempt.
 //!
 //! `ROLLOUT_CHAOS_SEEDS=17` plays one schedule again, `=1000-1999` plays others
 //! (docs/RELIABILITY.md).
@@ -11,13 +12,17 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
-use tests::chaos::{Fleet, LEASE, Schedule, SlotKind};
+use sqlx::sqlite::{SqliteConnectOptions, SqlitePool};
+use tests::chaos::{Fault, Fleet, LEASE, Schedule, SlotKind};
 
 /// Schedules with simulated slots, and with MuJoCo.
 const SIMULATED: u64 = 48;
 const REAL: u64 = 4;
 /// Systems that suffer at a time: they wait more than they work.
 const AT_A_TIME: usize = 6;
+
+/// Attempts that were charged.
+const CHARGED: &str = "SELECT coalesce(sum(charged), 0) FROM failure";
 
 #[test]
 fn whatever_fails_a_campaign_ends_as_the_undisturbed_one() {
@@ -70,12 +75,30 @@ fn play(slots: SlotKind, seeds: VecDeque<u64>) {
     );
 }
 
+/// One number that a query of the coordinator's database answers.
+fn count(fleet: &Fleet, sql: &'static str) -> i64 {
+    let options = SqliteConnectOptions::new().filename(fleet.data().join("coordinator.sqlite"));
+    tokio::runtime::Runtime::new().unwrap().block_on(async {
+        let pool = SqlitePool::connect_with(options).await.unwrap();
+        let count = sqlx::query_scalar(sql).fetch_one(&pool).await.unwrap();
+        pool.close().await;
+        count
+    })
+}
+
 /// Plays one schedule. If it fails, says what it was and what was said.
 fn survives(schedule: &Schedule, slots: SlotKind, expected: &str) -> bool {
     let mut fleet = Fleet::start(slots);
     let played = catch_unwind(AssertUnwindSafe(|| {
         fleet.suffer(schedule);
-        fleet.outcome()
+        let outcome = fleet.outcome();
+        let charged = usize::try_from(count(&fleet, CHARGED)).expect("few");
+        let most = schedule.machine_faults();
+        assert!(
+            charged <= most,
+            "{charged} attempts are charged, {most} at most"
+        );
+        outcome
     }));
     let same = played.as_deref().is_ok_and(|outcome| outcome == expected);
     if !same {
@@ -106,14 +129,22 @@ fn a_worker_that_slept_through_its_lease_is_refused_when_it_wakes() {
     // report a duplicate, which is fine and not what is tested.
     fleet.stop_all_workers(LEASE + Duration::from_secs(2));
     fleet.outcome();
-    let database = fleet.data().join("coordinator.sqlite");
-    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(database);
-    let stale: i64 = tokio::runtime::Runtime::new().unwrap().block_on(async {
-        let pool = sqlx::SqlitePool::connect_with(options).await.unwrap();
-        sqlx::query_scalar("SELECT coalesce(sum(stale_reports), 0) FROM job")
-            .fetch_one(&pool)
-            .await
-            .unwrap()
-    });
+    let stale = count(&fleet, "SELECT coalesce(sum(stale_reports), 0) FROM job");
     assert!(stale > 0, "it reported nothing that was too late");
+}
+
+/// Defect 5: a claim whose answer was lost left a lease that expired as a charged
+/// failure, and a strike against the worker.
+#[test]
+fn a_wire_that_loses_every_answer_of_the_coordinator_charges_nothing() {
+    let mut fleet = Fleet::start(SlotKind::Simulated);
+    for _ in 0..3 {
+        // Longer than a lease lasts that is never acknowledged.
+        fleet.suffer_one(Fault::LoseAnswers(LEASE + Duration::from_secs(1)));
+        std::thread::sleep(Duration::from_millis(300));
+    }
+    fleet.outcome();
+    assert_eq!(count(&fleet, CHARGED), 0);
+    let struck = "SELECT count(*) FROM worker WHERE stopped_reason IS NOT NULL";
+    assert_eq!(count(&fleet, struck), 0);
 }

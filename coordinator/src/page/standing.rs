@@ -55,7 +55,12 @@ pub(super) async fn policies(page: &Page) -> Result<Sheet, Problem> {
 
 /// What is in quarantine, of all campaigns.
 pub(super) async fn quarantine(page: &Page) -> Result<Sheet, Problem> {
-    let quarantined = page.queue.view().await?.quarantine(MAX_QUARANTINED).await?;
+    let quarantined = page
+        .queue
+        .view()
+        .await?
+        .quarantine(None, MAX_QUARANTINED)
+        .await?;
     let main = html! {
         h1 { "Quarantine" }
         @if quarantined.is_empty() {

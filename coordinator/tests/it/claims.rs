@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
+use proto::coordinator as wire;
 use proto::coordinator::commit_response::Verdict;
 use serde_json::json;
 use tokio::task::JoinSet;
@@ -229,4 +230,52 @@ async fn a_stranger_is_told_to_register_and_another_protocol_version_is_refused(
     assert!(refused.message().contains("version 99"), "{refused}");
     let ours = format!("version {};", proto::COORDINATOR_PROTOCOL_VERSION);
     assert!(refused.message().contains(&ours), "{refused}");
+}
+
+/// Defect 5: a claim whose answer was lost on the way left a lease that its
+/// worker did not know of.
+#[tokio::test]
+async fn a_claim_that_is_asked_again_gets_the_lease_that_it_has_already() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("again")).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    let request = worker.claim_request(0.0, "");
+    let mut leases = Vec::new();
+    for _ in 0..3 {
+        let claimed = worker.service.claim(request.clone()).await;
+        leases.push(claimed.expect("an answer").into_inner().lease);
+    }
+    let first = leases[0].as_ref().expect("a lease");
+    assert_eq!(leases[1].as_ref(), Some(first));
+    assert_eq!(leases[2].as_ref(), Some(first));
+    assert_eq!(bench.status("again").await.leased, 1);
+    // The name is the worker's own: another worker's is another claim.
+    let mut other = bench.worker("b").await;
+    let request = wire::ClaimRequest {
+        worker_id: other.id.clone(),
+        ..request
+    };
+    let claimed = other.service.claim(request).await.expect("an answer");
+    let lease = claimed.into_inner().lease.expect("a lease");
+    assert_ne!(lease.attempt_id, first.attempt_id);
+    assert_ne!(lease.job_id, first.job_id);
+}
+
+#[tokio::test]
+async fn leases_that_were_never_acknowledged_expire_uncharged_and_strike_nobody() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("lost")).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    // More than would be too many in a row.
+    for _ in 0..8 {
+        let claimed = worker.claim_response("").await;
+        assert!(claimed.lease.is_some(), "{}", claimed.idle_reason);
+        bench.pass(40).await;
+        assert_eq!(bench.status("lost").await.leased, 0);
+    }
+    let failures = "SELECT count(*) FROM failure
+                    WHERE reason = 'never_acknowledged' AND charged = 0";
+    assert_eq!(bench.count(failures).await, 8);
+    assert_eq!(bench.count("SELECT count(*) FROM failure").await, 8);
+    assert_eq!(worker.claim(4).await.len(), 4);
 }

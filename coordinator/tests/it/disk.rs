@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
 
+use crate::artifacts::put;
 use crate::process::{CREATE, Serve, text};
 
 #[tokio::test(flavor = "multi_thread")]
@@ -54,4 +55,40 @@ async fn a_coordinator_that_cannot_write_leases_nothing_and_goes_on_when_it_can(
     while worker.claim(1).await.is_empty() {
         assert!(started.elapsed() < Duration::from_secs(20), "still held");
     }
+}
+
+/// Defects 4 and 7: videos were sent before outcomes, which an artifacts folder
+/// on a full disk kept back for ever; and the error of a video's last write was
+/// swallowed, so that a truncated video counted as whole.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_artifacts_folder_on_a_full_disk_costs_the_video_and_not_the_outcome() {
+    const ROOM: usize = 2_000_000;
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    assert!(serve.command(&CREATE).status.success());
+    let mut worker = serve.worker("a").await;
+    let lease = worker.claim_one().await;
+    // The database is smaller than that, the videos are not.
+    serve.limit_files(&format!("{ROOM}:unlimited"));
+    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+    let artifacts = folder.path().join("artifacts/demo");
+    let only_the_last_write_fails = [vec![1; ROOM / 2], vec![2; ROOM / 2], vec![3; 1]];
+    let already_the_second_fails = [vec![1; ROOM / 2], vec![2; ROOM], vec![3; ROOM]];
+    for pieces in [only_the_last_write_fails, already_the_second_fails] {
+        let refused = put(&mut worker, &lease, "video.mp4", &pieces).await;
+        let refused = refused.expect_err("no room");
+        assert_eq!(refused.code(), tonic::Code::Unavailable, "{refused}");
+        assert!(refused.message().contains("room on the disk"), "{refused}");
+        let left = std::fs::read_dir(&artifacts).expect("a folder").count();
+        assert_eq!(left, 0, "something was left of the video");
+    }
+    // Work goes on, and the video may come when there is room again.
+    let next = worker.claim_one().await;
+    assert_eq!(worker.commit(&next, true).await, Verdict::Accepted);
+    serve.limit_files("unlimited:unlimited");
+    let pieces = [vec![1; ROOM / 2], vec![2; ROOM / 2], vec![3; 1]];
+    let path = put(&mut worker, &lease, "video.mp4", &pieces).await;
+    let stored = folder.path().join(path.expect("kept"));
+    let size = std::fs::metadata(stored).expect("a file").len();
+    assert_eq!(size, ROOM as u64 + 1);
 }

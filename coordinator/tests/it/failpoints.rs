@@ -191,7 +191,7 @@ async fn die_at(folder: TempDir, side: Side, step: Step) -> Vec<u8> {
     } else {
         1
     };
-    let point = format!("{}:{}:{times}", side.name(), step.name());
+    let point = format!("{side:?}:{step:?}:{times}");
     let child = serve(folder.path(), &point);
     let mut serve = Serve::of(child);
     if serve.is_ready() {

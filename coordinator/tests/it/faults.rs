@@ -4,7 +4,8 @@ use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
 use proto::coordinator::release_response::Verdict as Released;
 use proto::coordinator::{Lease, ReleaseRequest};
-use serde_json::json;
+use queue::Timing;
+use serde_json::{Value, json};
 use tonic::Code;
 
 use crate::harness::{Bench, Worker, small_spec, with};
@@ -107,10 +108,8 @@ async fn who_was_granted_nothing_can_report_nothing() {
     let refused = liar.service.release(release).await.expect_err("no reason");
     assert_eq!(refused.code(), Code::InvalidArgument);
     // Nobody renews another one's lease.
-    assert_eq!(
-        liar.heartbeat(&[&lease], 5).await,
-        [lease.attempt_id.clone()]
-    );
+    let over = liar.heartbeat(&[&lease], 5).await;
+    assert_eq!(over, std::slice::from_ref(&lease.attempt_id));
     assert_eq!(holder.commit(&lease, true).await, Verdict::Accepted);
     assert_eq!(bench.count("SELECT count(*) FROM divergence").await, 0);
 }
@@ -131,10 +130,8 @@ async fn a_lease_without_heartbeats_expires_and_is_charged() {
     let told = "SELECT count(*) FROM failure WHERE reason = 'lease_lost' AND charged = 1
                 AND error LIKE '%fell silent after control step 12%'";
     assert_eq!(bench.count(told).await, 1);
-    assert_eq!(
-        worker.heartbeat(&[&lease], 30).await,
-        [lease.attempt_id.clone()]
-    );
+    let over = worker.heartbeat(&[&lease], 30).await;
+    assert_eq!(over, std::slice::from_ref(&lease.attempt_id));
 }
 
 #[tokio::test]
@@ -148,6 +145,31 @@ async fn heartbeats_keep_a_lease_for_as_long_as_they_come() {
         assert!(worker.heartbeat(&[&lease], beat * 10).await.is_empty());
     }
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+}
+
+/// Defect 14: a worker that is wedged and still sends heartbeats kept its job for
+/// ever.
+#[tokio::test]
+async fn no_heartbeat_extends_a_lease_past_the_ceiling_of_its_attempt() {
+    let bench = Bench::start().await;
+    one_job(&bench).await;
+    let mut worker = bench.worker("a").await;
+    let lease = worker.claim_one().await;
+    let row: Value = serde_json::from_str(&lease.manifest_row).expect("a row");
+    let steps = row["max_steps"].as_u64().expect("a number")
+        + row["num_steps_wait"].as_u64().expect("a number");
+    let per_step = Timing::default().ceiling_per_step.as_secs();
+    let (mut held_secs, mut over) = (0, Vec::new());
+    while over.is_empty() && held_secs <= steps * per_step {
+        bench.pass(20).await;
+        held_secs += 20;
+        over = worker.heartbeat(&[&lease], 7).await;
+    }
+    assert_eq!(over, std::slice::from_ref(&lease.attempt_id));
+    assert!(held_secs + 20 > steps * per_step, "after {held_secs} s");
+    let failure = "SELECT count(*) FROM failure WHERE reason = 'overdue' AND charged = 1";
+    assert_eq!(bench.count(failure).await, 1);
+    assert_eq!(worker.commit(&lease, true).await, Verdict::Stale);
 }
 
 #[tokio::test]

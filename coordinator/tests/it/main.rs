@@ -17,6 +17,7 @@ mod operating;
 mod outages;
 mod page;
 mod pairing;
+mod panics;
 mod process;
 mod random;
 mod reports;

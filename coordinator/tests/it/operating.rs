@@ -128,10 +128,8 @@ async fn a_cancelled_campaign_takes_its_leases_back_and_keeps_its_results() {
     let cancelled = change(&bench, "ended", Change::Cancel).await;
     assert_eq!(cancelled.expect("cancelled"), State::Cancelled);
 
-    assert_eq!(
-        worker.heartbeat(&[&second], 9).await,
-        [second.attempt_id.clone()]
-    );
+    let over = worker.heartbeat(&[&second], 9).await;
+    assert_eq!(over, std::slice::from_ref(&second.attempt_id));
     assert_eq!(worker.commit(&second, true).await, Verdict::Stale);
     assert_eq!(worker.commit(&first, true).await, Verdict::Duplicate);
     assert!(worker.claim(4).await.is_empty());
@@ -459,4 +457,37 @@ async fn an_operator_follows_and_ends_a_campaign_from_the_command_line() {
         &["14 rollouts, 1 results"],
     );
     run(&["campaign", "list"], 0, &["no campaigns yet"]);
+}
+
+/// Defect 3: the ids of deleted jobs are given to new ones, and a lease named a
+/// job and an attempt number, so that a slot that still ran the old rollout
+/// committed into the new campaign.
+#[tokio::test]
+async fn an_attempt_of_a_deleted_campaign_fits_no_job_of_the_next_one() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("before")).await.expect("created");
+    let mut slot = bench.worker("a").await;
+    let old = slot.claim_one().await;
+    let cancelled = change(&bench, "before", Change::Cancel).await;
+    assert_eq!(cancelled.expect("cancelled"), State::Cancelled);
+    delete(&bench, "before", "before").await.expect("deleted");
+    bench.create(&small_spec("after")).await.expect("created");
+    let new = slot.claim_one().await;
+    let name = |lease: &wire::Lease| (lease.job_id, lease.attempt);
+    assert_eq!(name(&new), name(&old), "the numbers are used again");
+
+    let over = slot.heartbeat(&[&old, &new], 9).await;
+    assert_eq!(over, std::slice::from_ref(&old.attempt_id));
+    let refused = slot.try_commit(&old, true).await.expect_err("it is gone");
+    assert_eq!(refused.code(), Code::NotFound);
+    let release = wire::ReleaseRequest {
+        attempt_id: old.attempt_id.clone(),
+        reason: Reason::SlotCrashed.into(),
+        error: "too late".to_owned(),
+    };
+    let refused = slot.service.release(release).await.expect_err("it is gone");
+    assert_eq!(refused.code(), Code::NotFound);
+    assert_eq!(bench.count("SELECT count(*) FROM failure").await, 0);
+    assert_eq!(slot.commit(&new, false).await, Verdict::Accepted);
+    assert_eq!(bench.status("after").await.succeeded, 0);
 }

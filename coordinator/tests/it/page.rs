@@ -490,3 +490,30 @@ async fn a_strangers_page_in_the_same_browser_reaches_nothing() {
     let call = ask(&bench.url, call).await;
     assert_eq!(call.header("grpc-status"), Some("3"), "{}", call.head);
 }
+
+/// Defect 2: a page held one of four connections to the database while it asked
+/// for two more, so that a few tabs that refreshed together waited for each other.
+#[tokio::test(flavor = "multi_thread")]
+async fn many_pages_that_are_asked_for_at_once_do_not_wait_for_each_other() {
+    const TABS: usize = 24;
+    let bench = begun().await;
+    let addresses = [
+        "/",
+        "/campaigns/begun",
+        "/campaigns/begun/configurations/object/t0/combination/L1/c00",
+        "/campaigns/begun/rollouts?state=committed",
+        "/workers",
+        "/policies",
+    ];
+    for _ in 0..4 {
+        let tabs = addresses.iter().cycle().take(TABS);
+        let asked = tabs.map(|address| {
+            let url = bench.url.clone();
+            async move { ask(&url, &format!("GET {address}")).await.code }
+        });
+        // A connection that is waited for in vain fails after 30 s.
+        let answers = tokio::time::timeout(SILENCE / 2, futures_util::future::join_all(asked));
+        let codes = answers.await.expect("they stall each other");
+        assert_eq!(codes, [200; TABS]);
+    }
+}

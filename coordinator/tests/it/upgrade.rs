@@ -1,4 +1,4 @@
-//! A database that schema 1 made is brought to today's schema, keeps its rows,
+//! A database of every released schema is brought to today's, keeps its rows,
 //! and its campaigns go on.
 
 use std::path::Path;
@@ -13,7 +13,16 @@ use serde_json::Value;
 use sqlx::migrate::Migrator;
 use sqlx::sqlite::{SqliteConnectOptions, SqlitePool};
 
-use crate::harness::{Bench, sha, small_spec};
+use crate::harness::{Bench, open_database, sha, small_spec};
+use crate::process::{coordinator, text};
+
+/// A database that the released program of each schema wrote, as SQL: jobs of
+/// every state, charged and uncharged failures, a policy that is down, films. A
+/// new migration adds the one of the schema before it.
+const RELEASED: [&str; 2] = [
+    include_str!("../databases/schema_1.sql"),
+    include_str!("../databases/schema_2.sql"),
+];
 
 const FIRST_MIGRATION: &str = "0001_campaigns_jobs_results.sql";
 const NOW_MS: i64 = 1_700_000_000_000;
@@ -197,4 +206,88 @@ async fn a_database_of_schema_1_is_upgraded_keeps_its_rows_and_goes_on() {
 
     let folder = bench.stop().await;
     assert_eq!(check(folder.path()).await.expect("a database"), []);
+}
+
+/// Every table, index and trigger, as SQLite keeps its text.
+async fn schema(folder: &Path) -> Vec<(String, String)> {
+    let pool = open_database(folder).await;
+    let schema = sqlx::query_as("SELECT name, coalesce(sql, '') FROM sqlite_schema ORDER BY name");
+    let schema = schema.fetch_all(&pool).await.expect("a schema");
+    pool.close().await;
+    schema
+}
+
+/// Rows that an upgrade must not lose: jobs of each final state, results with
+/// their outcomes, failures, motions.
+async fn kept(folder: &Path) -> Vec<(String, i64)> {
+    let pool = open_database(folder).await;
+    let kept = sqlx::query_as(
+        "SELECT 'jobs', count(*) FROM job
+         UNION ALL SELECT 'committed', count(*) FROM job WHERE state = 'committed'
+         UNION ALL SELECT 'quarantined', count(*) FROM job WHERE state = 'quarantined'
+         UNION ALL SELECT 'attempts', sum(attempt) FROM job
+         UNION ALL SELECT 'results', count(*) FROM result
+         UNION ALL SELECT 'steps', sum(steps + 1000 * success) FROM result
+         UNION ALL SELECT 'charged', sum(charged) FROM failure
+         UNION ALL SELECT 'failures or leases',
+             (SELECT count(*) FROM failure) + (SELECT count(*) FROM job WHERE state = 'leased')
+         UNION ALL SELECT 'motions', count(*) FROM motion
+         UNION ALL SELECT 'campaigns', count(*) FROM campaign",
+    );
+    let kept = kept.fetch_all(&pool).await.expect("counts");
+    pool.close().await;
+    kept
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_database_of_every_released_schema_is_upgraded_with_its_rows() {
+    let fresh = Bench::start().await.stop().await;
+    let fresh = schema(fresh.path()).await;
+    let migrations = fresh.iter().filter(|(name, _)| name == "_sqlx_migrations");
+    assert_eq!(migrations.count(), 1);
+    let newest = queue::newest_known_schema();
+    assert_eq!(RELEASED.len(), usize::try_from(newest - 1).expect("few"));
+    for (version, released) in (1..).zip(RELEASED) {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let options = SqliteConnectOptions::new()
+            .filename(folder.path().join(DATABASE_FILE))
+            .create_if_missing(true)
+            // Rows may come before those that they refer to.
+            .foreign_keys(false);
+        let pool = SqlitePool::connect_with(options).await.expect("a database");
+        sqlx::raw_sql(released).execute(&pool).await.expect("rows");
+        let now: i64 = sqlx::query_scalar("SELECT max(last_seen_ms) FROM worker")
+            .fetch_one(&pool)
+            .await
+            .expect("an instant");
+        pool.close().await;
+        let before = kept(folder.path()).await;
+        assert!(before.iter().all(|(_, count)| *count > 0), "{before:?}");
+
+        let clock = Arc::new(ManualClock::at(UnixMillis(now)));
+        let bench = Bench::start_in(folder, clock.clone()).await;
+        assert_eq!(kept(bench.folder.path()).await, before, "schema {version}");
+        let leased = "SELECT count(*) FROM job WHERE state = 'leased'";
+        assert_eq!(bench.count(leased).await, 0, "schema {version}");
+        let folder = bench.stop().await;
+        let data = folder.path().to_str().expect("UTF-8");
+        let output = coordinator(&["check", data]);
+        assert!(output.status.success(), "{}", text(&output.stdout));
+        assert_eq!(schema(folder.path()).await, fresh, "schema {version}");
+
+        // What was not in quarantine, nor cancelled, is run to its end.
+        let bench = Bench::start_in(folder, clock).await;
+        let mut worker = bench.worker("new").await;
+        for _ in 0..40 {
+            for lease in worker.claim(64).await {
+                assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+            }
+            bench.pass(120).await;
+        }
+        let open = "SELECT count(*) FROM job j JOIN campaign c ON c.id = j.campaign_id
+             WHERE j.state IN ('queued', 'leased') AND c.state = 'running'";
+        assert_eq!(bench.count(open).await, 0, "schema {version}");
+        let folder = bench.stop().await;
+        assert_eq!(check(folder.path()).await.expect("a database"), []);
+    }
 }

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 /// What a worker runs on. A campaign is pinned to one of these: results of two
 /// asset packs, simulators or renderers are two benchmarks, never pooled.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Pin {
     /// Name of the asset pack.
     pub asset_pack: String,
@@ -21,11 +21,12 @@ pub struct Pin {
 }
 
 /// Where a result came from, as far as many results share it.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Provenance {
     /// The machine's name.
     pub host: String,
     /// What the worker ran on.
+    #[serde(flatten)]
     pub pin: Pin,
     /// SHA-256 of a fixed motion and its frames, hex: equal fingerprints mean
     /// equal bits. Empty in results of database schema 1.

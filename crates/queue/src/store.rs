@@ -236,6 +236,16 @@ impl Store {
         })
     }
 
+    /// Lets the writer wait so long for a lock, instead of [`BUSY_TIMEOUT`].
+    #[cfg(test)]
+    pub(crate) async fn wait_for_locks(&self, time: Duration) {
+        let pragma = format!("PRAGMA busy_timeout = {}", time.as_millis());
+        sqlx::raw_sql(sqlx::AssertSqlSafe(pragma))
+            .execute(&self.writer)
+            .await
+            .expect("a pragma");
+    }
+
     /// The data folder.
     pub fn folder(&self) -> &Path {
         &self.folder

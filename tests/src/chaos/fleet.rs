@@ -230,6 +230,11 @@ impl Fleet {
                 sleep(time);
                 self.to_coordinator.duplicate(false);
             }
+            Fault::LoseAnswers(time) => {
+                self.to_coordinator.lose_answers(true);
+                sleep(time);
+                self.to_coordinator.lose_answers(false);
+            }
             Fault::FullDisk(time) => {
                 let coordinator = self.coordinator.as_ref().expect("a coordinator");
                 limit_files(coordinator, "0:unlimited");

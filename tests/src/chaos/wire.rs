@@ -1,5 +1,5 @@
-//! A wire between two programs: forwards connections, and cuts, delays or
-//! duplicates them when told to. What listens behind it may end and come back at
+//! A wire between two programs: forwards connections, and cuts, delays,
+//! duplicates or half loses them when told to. What listens behind it may end and come back at
 //! another port; what dials it never notices but by the connection.
 
 use std::io::{Read, Write};
@@ -29,6 +29,8 @@ struct State {
     delay_ms: AtomicU64,
     /// Whether what is said on new connections is said twice.
     duplicates: AtomicBool,
+    /// Whether what the server answers is lost.
+    loses_answers: AtomicBool,
 }
 
 impl Wire {
@@ -87,6 +89,15 @@ impl Wire {
         self.state.duplicates.store(duplicates, Ordering::Relaxed);
         self.cut();
     }
+
+    /// Loses everything that the server answers, while what the client sends
+    /// still arrives. Connections that lost something are cut in the end.
+    pub fn lose_answers(&self, loses: bool) {
+        self.state.loses_answers.store(loses, Ordering::Relaxed);
+        if !loses {
+            self.cut();
+        }
+    }
 }
 
 impl Default for Wire {
@@ -114,25 +125,30 @@ impl State {
             }
         }
         thread::scope(|threads| {
-            threads.spawn(|| self.copy(&server, &[caller]));
+            let lost = &self.loses_answers;
+            threads.spawn(|| self.copy(&server, &[caller], lost));
             if let Some(second) = &second {
-                threads.spawn(|| self.copy(second, &[]));
+                threads.spawn(|| self.copy(second, &[], lost));
             }
             let servers: Vec<&TcpStream> = [Some(&server), second.as_ref()]
                 .into_iter()
                 .flatten()
                 .collect();
-            self.copy(caller, &servers);
+            self.copy(caller, &servers, &AtomicBool::new(false));
         });
     }
 
-    /// Until either end closes; then both are closed.
-    fn copy(&self, mut from: &TcpStream, to: &[&TcpStream]) {
+    /// Until either end closes; then both are closed. What is read while it is
+    /// `lost` goes nowhere.
+    fn copy(&self, mut from: &TcpStream, to: &[&TcpStream], lost: &AtomicBool) {
         let mut piece = vec![0; PIECE_BYTES];
         while let Ok(count @ 1..) = from.read(&mut piece) {
             let delay = self.delay_ms.load(Ordering::Relaxed);
             if delay > 0 {
                 thread::sleep(Duration::from_millis(delay));
+            }
+            if lost.load(Ordering::Relaxed) {
+                continue;
             }
             let sent = |(place, mut stream): (usize, &TcpStream)| {
                 // The second conversation may end when it likes.

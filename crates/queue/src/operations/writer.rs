@@ -170,3 +170,53 @@ impl<Q, A> Pending<Q, A> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::time::{Duration, Instant};
+
+    use rand_chacha::ChaCha8Rng;
+    use rand_chacha::rand_core::SeedableRng;
+    use sqlx::{ConnectOptions, Connection, sqlite::SqliteConnectOptions};
+
+    use super::*;
+    use crate::clock::SystemClock;
+    use crate::ids::WorkerId;
+    use crate::queue::Queue;
+    use crate::store::{DATABASE_FILE, Store};
+    use crate::timing::Timing;
+
+    /// Defect 12: a transaction that could not begin was tried again for each of
+    /// its operations: up to 256 waits for the lock in a row.
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_transaction_that_cannot_begin_fails_all_of_its_operations_at_once() {
+        const OPERATIONS: u32 = 40;
+        const BUSY: Duration = Duration::from_millis(400);
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let store = Store::open(folder.path()).await.expect("a store");
+        store.wait_for_locks(BUSY).await;
+        let (clock, rng) = (Arc::new(SystemClock::start()), ChaCha8Rng::seed_from_u64(1));
+        let queue = Queue::start(store, clock, rng, Timing::default()).await;
+        let queue = queue.expect("a queue");
+        let options = SqliteConnectOptions::new().filename(folder.path().join(DATABASE_FILE));
+        let mut other = options.connect().await.expect("a connection");
+        let lock = other.begin_with("BEGIN IMMEDIATE").await.expect("the lock");
+
+        let began = Instant::now();
+        let worker = WorkerId("a".to_owned());
+        let beats = (0..OPERATIONS).map(|_| queue.heartbeat(&worker, &[]));
+        for refused in futures_util::future::join_all(beats).await {
+            let error = refused.expect_err("another has the lock");
+            assert!(matches!(error, QueueError::Store(_)), "{error:?}");
+        }
+        // One wait for the first, and one for those that came meanwhile.
+        assert!(began.elapsed() < BUSY * OPERATIONS / 4);
+        lock.rollback().await.expect("lets go");
+        // It is answered again: that nobody of this name ever registered.
+        let answer = queue.heartbeat(&worker, &[]).await;
+        assert!(
+            matches!(answer, Err(QueueError::UnknownWorker { .. })),
+            "{answer:?}"
+        );
+    }
+}

@@ -5,7 +5,8 @@ use attempt::{AttemptId, Digests, Motion, Provenance, Realised};
 use super::View;
 use crate::clock::UnixMillis;
 use crate::ids::{AttemptNumber, CampaignId, JobId, WorkerId};
-use crate::store::provenance::{ProvenanceRow, provenance_columns};
+use crate::store::provenance::provenance;
+use crate::store::results::digests;
 use crate::store::{Doing, StoreError, json};
 
 /// One rollout of a configuration, as far as its job goes.
@@ -63,7 +64,7 @@ pub struct ResultLine {
     /// Reports of another outcome.
     pub divergences: u32,
     /// What makes it comparable.
-    #[sqlx(flatten, try_from = "DigestsRow")]
+    #[sqlx(json)]
     pub digests: Digests,
     /// The perturbation as it was realised.
     #[sqlx(json)]
@@ -73,25 +74,8 @@ pub struct ResultLine {
     /// How large its video is, bytes.
     pub video_bytes: Option<i64>,
     /// Where it came from.
-    #[sqlx(flatten, try_from = "ProvenanceRow")]
+    #[sqlx(json)]
     pub provenance: Provenance,
-}
-
-#[derive(sqlx::FromRow)]
-pub(crate) struct DigestsRow {
-    scene_digest: String,
-    init_state_digest: String,
-    first_frame_digest: String,
-}
-
-impl From<DigestsRow> for Digests {
-    fn from(row: DigestsRow) -> Digests {
-        Digests {
-            scene: row.scene_digest,
-            init_state: row.init_state_digest,
-            first_frame: row.first_frame_digest,
-        }
-    }
 }
 
 /// A video kept beside an outcome.
@@ -175,9 +159,10 @@ impl View {
             "SELECT r.job_id, r.attempt_id, r.attempt, r.worker_id, r.committed_ms, r.success,
                  r.steps, r.wall_secs, r.ik_residual_mm, r.clipped_actions, r.policy_queries,
                  (SELECT count(*) FROM divergence d WHERE d.job_id = r.job_id) AS divergences,
-                 r.scene_digest, r.init_state_digest, r.first_frame_digest, r.realised,
-                 a.path AS video, a.size_bytes AS video_bytes, ",
-            provenance_columns!(),
+                 r.realised, a.path AS video, a.size_bytes AS video_bytes, ",
+            digests!(),
+            ", ",
+            provenance!(),
             " FROM result r JOIN provenance v ON v.id = r.provenance_id
              LEFT JOIN artifact a ON a.attempt_id = r.attempt_id AND a.kind = 'video'
              WHERE r.job_id IN (SELECT value FROM json_each(?))"

@@ -2,10 +2,12 @@
 
 use attempt::{Fingerprints, Provenance};
 
+use sqlx::types::Json;
+
 use super::View;
 use crate::clock::UnixMillis;
 use crate::ids::CampaignId;
-use crate::store::provenance::{ProvenanceRow, provenance_columns};
+use crate::store::provenance::provenance;
 use crate::store::{Doing, StoreError};
 
 /// What a report of a campaign depends on: while it is the same, so is the
@@ -54,17 +56,6 @@ pub struct RecordRow {
     pub success: Option<bool>,
     /// The mode that it was realised in, once it is committed.
     pub realisation: Option<String>,
-}
-
-/// A quarantined job.
-#[derive(Clone, Debug, sqlx::FromRow)]
-pub struct QuarantinedRow {
-    /// Which rollout.
-    pub rollout_id: String,
-    /// Which replicate of it.
-    pub replicate: u32,
-    /// What it last failed with.
-    pub last_error: String,
 }
 
 impl Edition {
@@ -143,24 +134,6 @@ impl View {
         .doing("read what is known of a campaign")
     }
 
-    /// The quarantined jobs, by rollout id, then replicate.
-    ///
-    /// # Errors
-    /// When the database fails.
-    pub async fn quarantined(
-        &mut self,
-        campaign: CampaignId,
-    ) -> Result<Vec<QuarantinedRow>, StoreError> {
-        sqlx::query_as(
-            "SELECT rollout_id, replicate, last_error FROM job
-             WHERE campaign_id = ? AND state = 'quarantined' ORDER BY rollout_id, replicate",
-        )
-        .bind(campaign)
-        .fetch_all(self.tx())
-        .await
-        .doing("read the quarantine")
-    }
-
     /// The distinct provenances of a campaign's results.
     ///
     /// # Errors
@@ -169,9 +142,9 @@ impl View {
         &mut self,
         campaign: CampaignId,
     ) -> Result<Vec<Provenance>, StoreError> {
-        let rows: Vec<ProvenanceRow> = sqlx::query_as(concat!(
+        let rows: Vec<Json<Provenance>> = sqlx::query_scalar(concat!(
             "SELECT ",
-            provenance_columns!(),
+            provenance!(),
             " FROM provenance v
              WHERE v.id IN (SELECT provenance_id FROM result WHERE campaign_id = ?) ORDER BY v.id"
         ))
@@ -179,7 +152,7 @@ impl View {
         .fetch_all(self.tx())
         .await
         .doing("read where results came from")?;
-        Ok(rows.into_iter().map(Provenance::from).collect())
+        Ok(rows.into_iter().map(|Json(row)| row).collect())
     }
 
     /// Results of each fingerprint in a campaign, and the tasks and initial

@@ -2,7 +2,7 @@
 
 use super::View;
 use crate::clock::UnixMillis;
-use crate::ids::{CampaignName, PolicyId, WorkerId};
+use crate::ids::{CampaignId, CampaignName, PolicyId, WorkerId};
 use crate::rules::outage::PolicyHealth;
 use crate::store::policies::{HealthRow, health_columns};
 use crate::store::{Doing, StoreError};
@@ -118,17 +118,22 @@ impl View {
         Ok(policies)
     }
 
-    /// Up to `limit` quarantined rollouts of all campaigns.
+    /// Up to `limit` quarantined rollouts of a campaign, or of all.
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn quarantine(&mut self, limit: u32) -> Result<Vec<QuarantinedLine>, StoreError> {
+    pub async fn quarantine(
+        &mut self,
+        campaign: Option<CampaignId>,
+        limit: u32,
+    ) -> Result<Vec<QuarantinedLine>, StoreError> {
         sqlx::query_as(
             "SELECT c.name AS campaign, j.rollout_id, j.replicate, j.charged_attempts, j.last_error
              FROM job j JOIN campaign c ON c.id = j.campaign_id
-             WHERE j.state = 'quarantined'
-             ORDER BY j.campaign_id, j.rollout_id, j.replicate LIMIT ?",
+             WHERE j.state = 'quarantined' AND (?1 IS NULL OR j.campaign_id = ?1)
+             ORDER BY j.campaign_id, j.rollout_id, j.replicate LIMIT ?2",
         )
+        .bind(campaign)
         .bind(limit)
         .fetch_all(self.tx())
         .await

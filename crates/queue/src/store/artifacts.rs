@@ -49,6 +49,6 @@ pub(crate) async fn record(
     .bind(now)
     .execute(tx)
     .await
-    .doing("record a stored file")?;
-    Ok(())
+    .doing("record a stored file")
+    .map(drop)
 }

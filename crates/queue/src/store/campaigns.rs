@@ -6,6 +6,7 @@ use protocol::Realisation;
 use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
 
 use super::policies::{self, HealthRow, health_columns};
+use super::workers::pin;
 use super::{Doing, StoreError, undecodable};
 use crate::clock::UnixMillis;
 use crate::expand::{NewCampaign, NewJob};
@@ -45,7 +46,7 @@ pub struct Campaign {
     /// When its first job was leased.
     pub pinned_ms: Option<UnixMillis>,
     /// What it is pinned to since then.
-    #[sqlx(flatten, try_from = "PinRow")]
+    #[sqlx(json(nullable))]
     pub pin: Option<Pin>,
 }
 
@@ -55,14 +56,6 @@ pub(crate) struct StateRow {
     state_since_ms: UnixMillis,
 }
 
-#[derive(sqlx::FromRow)]
-pub(crate) struct PinRow {
-    asset_pack: Option<String>,
-    asset_pack_digest: Option<String>,
-    mujoco_version: Option<String>,
-    renderer: Option<String>,
-}
-
 impl TryFrom<StateRow> for CampaignState {
     type Error = sqlx::Error;
 
@@ -70,17 +63,6 @@ impl TryFrom<StateRow> for CampaignState {
     fn try_from(row: StateRow) -> Result<CampaignState, sqlx::Error> {
         CampaignState::from_name(&row.state, row.state_since_ms)
             .ok_or_else(|| undecodable(format!("campaign state `{}`", row.state)))
-    }
-}
-
-impl From<PinRow> for Option<Pin> {
-    fn from(row: PinRow) -> Option<Pin> {
-        Some(Pin {
-            asset_pack: row.asset_pack?,
-            asset_pack_digest: row.asset_pack_digest?,
-            mujoco_version: row.mujoco_version?,
-            renderer: row.renderer.unwrap_or_default(),
-        })
     }
 }
 
@@ -109,8 +91,10 @@ macro_rules! campaigns_where {
     ($condition:literal) => {
         concat!(
             "SELECT c.id, c.name, c.spec_digest, c.policy_id, p.name AS policy, p.endpoint,
-                 c.realisation, c.record, c.state, c.state_since_ms, c.pinned_ms, c.asset_pack,
-                 c.asset_pack_digest, c.mujoco_version, c.renderer, ",
+                 c.realisation, c.record, c.state, c.state_since_ms, c.pinned_ms,
+                 iif(c.asset_pack IS NULL, NULL, ",
+            pin!(),
+            ") AS pin, ",
             health_columns!(),
             " FROM campaign c JOIN policy p ON p.id = c.policy_id WHERE ",
             $condition,
@@ -255,8 +239,8 @@ pub(crate) async fn pin(
     .bind(id)
     .execute(tx)
     .await
-    .doing("pin a campaign")?;
-    Ok(())
+    .doing("pin a campaign")
+    .map(drop)
 }
 
 /// Stores where a campaign stands with its operator.
@@ -271,8 +255,8 @@ pub(crate) async fn set_state(
         .bind(id)
         .execute(tx)
         .await
-        .doing("store a campaign's state")?;
-    Ok(())
+        .doing("store a campaign's state")
+        .map(drop)
 }
 
 /// Removes a campaign with its jobs and their results.

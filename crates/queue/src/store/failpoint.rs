@@ -36,8 +36,9 @@ pub enum Step {
     RetryJobs,
 }
 
-/// The variable that names the failpoint to die at: `before:commit` or
-/// `after:commit`, and for the n-th time that it is reached `after:commit:n`.
+/// The variable that names the failpoint to die at, a [`Side`] and a [`Step`]:
+/// `Before:Commit` or `After:Commit`, and for the n-th time that it is reached
+/// `After:Commit:n`.
 pub const FAILPOINT_VARIABLE: &str = "COORDINATOR_DIE_AT";
 
 /// The failpoint of this process, if it has one.
@@ -73,35 +74,6 @@ impl Step {
         Step::FinishRemoval,
         Step::RetryJobs,
     ];
-
-    /// Its name in a failpoint.
-    pub fn name(self) -> &'static str {
-        match self {
-            Step::Start => "start",
-            Step::Register => "register",
-            Step::Claim => "claim",
-            Step::Heartbeat => "heartbeat",
-            Step::Commit => "commit",
-            Step::Release => "release",
-            Step::Sweep => "sweep",
-            Step::Artifact => "artifact",
-            Step::CreateCampaign => "create_campaign",
-            Step::ChangeCampaign => "change_campaign",
-            Step::DeleteCampaign => "delete_campaign",
-            Step::FinishRemoval => "finish_removal",
-            Step::RetryJobs => "retry_jobs",
-        }
-    }
-}
-
-impl Side {
-    /// Its name in a failpoint.
-    pub fn name(self) -> &'static str {
-        match self {
-            Side::Before => "before",
-            Side::After => "after",
-        }
-    }
 }
 
 #[cfg(not(debug_assertions))]
@@ -134,9 +106,7 @@ impl Failpoints {
         let Some((point, countdown)) = &self.armed else {
             return;
         };
-        let is_here = point
-            .split_once(':')
-            .is_some_and(|(at, what)| at == side.name() && what == step.name());
+        let is_here = *point == format!("{side:?}:{step:?}");
         if is_here && countdown.fetch_sub(1, Ordering::SeqCst) == 1 {
             eprintln!("failpoint {point}: this process ends here");
             std::process::abort();

@@ -266,8 +266,8 @@ pub(crate) async fn fail(
     .bind(error)
     .execute(tx)
     .await
-    .doing("record how an attempt ended")?;
-    Ok(())
+    .doing("record how an attempt ended")
+    .map(drop)
 }
 
 /// Marks held jobs as committed; their results were stored just before.
@@ -285,8 +285,8 @@ pub(crate) async fn mark_committed(
     .bind(json(attempts))
     .execute(tx)
     .await
-    .doing("mark jobs as committed")?;
-    Ok(())
+    .doing("mark jobs as committed")
+    .map(drop)
 }
 
 /// Counts a report that was refused because its lease was gone.
@@ -298,8 +298,8 @@ pub(crate) async fn count_stale_report(
         .bind(job)
         .execute(tx)
         .await
-        .doing("count a late report")?;
-    Ok(())
+        .doing("count a late report")
+        .map(drop)
 }
 
 /// The leases of a campaign.
@@ -385,8 +385,8 @@ pub(crate) async fn retry(
     .bind(job)
     .execute(tx)
     .await
-    .doing("take a job out of quarantine")?;
-    Ok(())
+    .doing("take a job out of quarantine")
+    .map(drop)
 }
 
 /// Distinct workers on which a job's attempts were charged, counting `worker`

@@ -127,6 +127,6 @@ pub(crate) async fn set_health(
     .bind(id)
     .execute(tx)
     .await
-    .doing("store a policy's health")?;
-    Ok(())
+    .doing("store a policy's health")
+    .map(drop)
 }

@@ -1,7 +1,7 @@
 //! Statements on `provenance`: where results came from, as far as many of them
 //! share it.
 
-use attempt::{Pin, Provenance};
+use attempt::Provenance;
 use sqlx::SqliteConnection;
 
 use super::{Doing, StoreError};
@@ -11,57 +11,20 @@ use super::{Doing, StoreError};
 #[sqlx(transparent)]
 pub(crate) struct ProvenanceId(i64);
 
-/// The columns of [`ProvenanceRow`], of table `v`.
-macro_rules! provenance_columns {
+/// A [`Provenance`] of table `v`, as JSON.
+macro_rules! provenance {
     () => {
-        "v.host, v.renderer, v.fingerprint, v.mujoco_version, v.asset_pack, v.asset_pack_digest,
-         v.realisation, v.policy_name, v.policy_checkpoint, v.policy_checkpoint_digest,
-         v.policy_privileged, v.policy_canonical_only, v.batch_mode, v.program_version"
+        "json_object('host', v.host, 'renderer', v.renderer, 'fingerprint', v.fingerprint,
+             'mujoco_version', v.mujoco_version, 'asset_pack', v.asset_pack,
+             'asset_pack_digest', v.asset_pack_digest, 'realisation', v.realisation,
+             'policy_name', v.policy_name, 'policy_checkpoint', v.policy_checkpoint,
+             'policy_checkpoint_digest', v.policy_checkpoint_digest,
+             'policy_privileged', json(iif(v.policy_privileged, 'true', 'false')),
+             'policy_canonical_only', json(iif(v.policy_canonical_only, 'true', 'false')),
+             'batch_mode', v.batch_mode, 'program_version', v.program_version) AS provenance"
     };
 }
-pub(crate) use provenance_columns;
-
-/// A [`Provenance`] as it is stored.
-#[derive(Clone, Debug, sqlx::FromRow)]
-pub(crate) struct ProvenanceRow {
-    host: String,
-    renderer: String,
-    fingerprint: String,
-    mujoco_version: String,
-    asset_pack: String,
-    asset_pack_digest: String,
-    realisation: String,
-    policy_name: String,
-    policy_checkpoint: String,
-    policy_checkpoint_digest: String,
-    policy_privileged: bool,
-    policy_canonical_only: bool,
-    batch_mode: String,
-    program_version: String,
-}
-
-impl From<ProvenanceRow> for Provenance {
-    fn from(row: ProvenanceRow) -> Provenance {
-        Provenance {
-            host: row.host,
-            pin: Pin {
-                asset_pack: row.asset_pack,
-                asset_pack_digest: row.asset_pack_digest,
-                mujoco_version: row.mujoco_version,
-                renderer: row.renderer,
-            },
-            fingerprint: row.fingerprint,
-            realisation: row.realisation,
-            policy_name: row.policy_name,
-            policy_checkpoint: row.policy_checkpoint,
-            policy_checkpoint_digest: row.policy_checkpoint_digest,
-            policy_privileged: row.policy_privileged,
-            policy_canonical_only: row.policy_canonical_only,
-            batch_mode: row.batch_mode,
-            program_version: row.program_version,
-        }
-    }
-}
+pub(crate) use provenance;
 
 /// The row number of an origin, which is stored if it is new.
 pub(crate) async fn find_or_insert(

@@ -11,8 +11,8 @@ pub(crate) async fn note(tx: &mut SqliteConnection, folder: &str) -> Result<(), 
         .bind(folder)
         .execute(tx)
         .await
-        .doing("note a folder that is to be removed")?;
-    Ok(())
+        .doing("note a folder that is to be removed")
+        .map(drop)
 }
 
 /// Notes that a folder is gone.
@@ -21,8 +21,8 @@ pub(crate) async fn done(tx: &mut SqliteConnection, folder: &str) -> Result<(), 
         .bind(folder)
         .execute(tx)
         .await
-        .doing("note that a folder was removed")?;
-    Ok(())
+        .doing("note that a folder was removed")
+        .map(drop)
 }
 
 /// Folders that are to be removed.

@@ -4,10 +4,11 @@
 use std::sync::Arc;
 
 use attempt::{AttemptId, Digests, Motion, Provenance, Realised, RolloutResult};
+use sqlx::types::Json;
 use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
 
 use super::jobs::InitialState;
-use super::provenance::{ProvenanceId, ProvenanceRow, provenance_columns};
+use super::provenance::{ProvenanceId, provenance};
 use super::{Doing, StoreError, in_few_statements, json, undecodable};
 use crate::clock::UnixMillis;
 use crate::ids::{AttemptNumber, CampaignId, JobId, WorkerId};
@@ -28,19 +29,14 @@ pub(crate) struct NewResult<'a> {
     pub(crate) motion: &'a Motion,
 }
 
-/// A [`Sibling`] as it is stored.
-#[derive(sqlx::FromRow)]
-struct SiblingRow {
-    rollout_id: String,
-    worker_id: WorkerId,
-    scene_digest: String,
-    init_state_digest: String,
-    first_frame_digest: String,
-    #[sqlx(json)]
-    realised: Realised,
-    #[sqlx(flatten, try_from = "ProvenanceRow")]
-    provenance: Provenance,
+/// The [`Digests`] of a result `r`, as JSON.
+macro_rules! digests {
+    () => {
+        "json_object('scene', r.scene_digest, 'init_state', r.init_state_digest,
+             'first_frame', r.first_frame_digest) AS digests"
+    };
 }
+pub(crate) use digests;
 
 /// Stores results; their jobs are marked as committed right after, in the same
 /// transaction.
@@ -118,8 +114,8 @@ pub(crate) async fn insert_divergence(
     .bind(origin)
     .execute(tx)
     .await
-    .doing("keep a divergent outcome")?;
-    Ok(())
+    .doing("keep a divergent outcome")
+    .map(drop)
 }
 
 /// The committed rollouts of an initial state. Of replicates that see alike, the
@@ -129,10 +125,19 @@ pub(crate) async fn siblings(
     of: &InitialState,
 ) -> Result<Vec<Sibling>, StoreError> {
     // With a lone min(), SQLite takes the other columns from that very row.
-    let rows: Vec<SiblingRow> = sqlx::query_as(concat!(
-        "SELECT min(s.id), s.rollout_id, r.worker_id, r.scene_digest, r.init_state_digest,
-             r.first_frame_digest, r.realised, ",
-        provenance_columns!(),
+    type Row = (
+        i64,
+        String,
+        WorkerId,
+        Json<Digests>,
+        Json<Realised>,
+        Json<Provenance>,
+    );
+    let rows: Vec<Row> = sqlx::query_as(concat!(
+        "SELECT min(s.id), s.rollout_id, r.worker_id, ",
+        digests!(),
+        ", r.realised, ",
+        provenance!(),
         " FROM job s
          JOIN result r ON r.job_id = s.id
          JOIN provenance v ON v.id = r.provenance_id
@@ -147,25 +152,15 @@ pub(crate) async fn siblings(
     .fetch_all(tx)
     .await
     .doing("look for a configuration's siblings")?;
-    let siblings = rows.into_iter().map(Sibling::try_from);
-    let siblings: Result<_, sqlx::Error> = siblings.collect();
-    siblings.doing("read a configuration's siblings")
-}
-
-impl TryFrom<SiblingRow> for Sibling {
-    type Error = sqlx::Error;
-
-    fn try_from(row: SiblingRow) -> Result<Sibling, sqlx::Error> {
+    let sibling = |(_, rollout, worker, digests, realised, origin): Row| {
         Ok(Sibling {
-            rollout: row.rollout_id.parse().map_err(undecodable)?,
-            worker: row.worker_id,
-            digests: Digests {
-                scene: row.scene_digest,
-                init_state: row.init_state_digest,
-                first_frame: row.first_frame_digest,
-            },
-            realised: row.realised,
-            origin: Arc::new(row.provenance),
+            rollout: rollout.parse().map_err(undecodable)?,
+            worker,
+            digests: digests.0,
+            realised: realised.0,
+            origin: Arc::new(origin.0),
         })
-    }
+    };
+    let siblings: Result<_, sqlx::Error> = rows.into_iter().map(sibling).collect();
+    siblings.doing("read a configuration's siblings")
 }

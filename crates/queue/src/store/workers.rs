@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use attempt::Pin;
 use sqlx::SqliteConnection;
+use sqlx::types::Json;
 
 use super::{Doing, StoreError, json};
 use crate::clock::UnixMillis;
@@ -30,7 +31,7 @@ pub struct WorkerInfo {
 pub(crate) struct Standing {
     pub(crate) id: WorkerId,
     /// What it runs on.
-    #[sqlx(flatten, try_from = "WorkerPinRow")]
+    #[sqlx(json)]
     pub(crate) pin: Pin,
     /// When it was last heard of.
     pub(crate) last_seen_ms: UnixMillis,
@@ -40,25 +41,14 @@ pub(crate) struct Standing {
     pub(crate) stopped_reason: Option<String>,
 }
 
-/// What a worker runs on, as it is stored.
-#[derive(sqlx::FromRow)]
-pub(crate) struct WorkerPinRow {
-    asset_pack: String,
-    asset_pack_digest: String,
-    mujoco_version: String,
-    renderer: String,
+/// The [`Pin`] of a worker or a campaign, as JSON.
+macro_rules! pin {
+    () => {
+        "json_object('asset_pack', asset_pack, 'asset_pack_digest', asset_pack_digest,
+             'mujoco_version', mujoco_version, 'renderer', coalesce(renderer, ''))"
+    };
 }
-
-impl From<WorkerPinRow> for Pin {
-    fn from(row: WorkerPinRow) -> Pin {
-        Pin {
-            asset_pack: row.asset_pack,
-            asset_pack_digest: row.asset_pack_digest,
-            mujoco_version: row.mujoco_version,
-            renderer: row.renderer,
-        }
-    }
-}
+pub(crate) use pin;
 
 /// Stores a worker that announces itself; one that does so again starts with a
 /// clean record.
@@ -87,8 +77,8 @@ pub(crate) async fn upsert(
     .bind(now)
     .execute(tx)
     .await
-    .doing("register a worker")?;
-    Ok(())
+    .doing("register a worker")
+    .map(drop)
 }
 
 /// The standing of those workers that ever announced themselves.
@@ -96,11 +86,11 @@ pub(crate) async fn standings(
     tx: &mut SqliteConnection,
     ids: &[&WorkerId],
 ) -> Result<BTreeMap<WorkerId, Standing>, StoreError> {
-    let standings: Vec<Standing> = sqlx::query_as(
-        "SELECT id, asset_pack, asset_pack_digest, mujoco_version, renderer, last_seen_ms,
-             charged_in_a_row, stopped_reason
-         FROM worker WHERE id IN (SELECT value FROM json_each(?))",
-    )
+    let standings: Vec<Standing> = sqlx::query_as(concat!(
+        "SELECT id, last_seen_ms, charged_in_a_row, stopped_reason, ",
+        pin!(),
+        " AS pin FROM worker WHERE id IN (SELECT value FROM json_each(?))",
+    ))
     .bind(json(ids.iter().map(|id| &id.0).collect::<BTreeSet<_>>()))
     .fetch_all(tx)
     .await
@@ -123,8 +113,8 @@ pub(crate) async fn seen(
     .bind(json(ids.iter().map(|id| &id.0).collect::<BTreeSet<_>>()))
     .execute(tx)
     .await
-    .doing("note that workers were heard of")?;
-    Ok(())
+    .doing("note that workers were heard of")
+    .map(drop)
 }
 
 /// Stores a worker's run of failures, and why it must stop if it must.
@@ -143,8 +133,8 @@ pub(crate) async fn set_strike(
     .bind(id)
     .execute(tx)
     .await
-    .doing("count a worker's failure")?;
-    Ok(())
+    .doing("count a worker's failure")
+    .map(drop)
 }
 
 /// Workers reported rollouts that were committed: they are there, and their
@@ -163,8 +153,8 @@ pub(crate) async fn succeeded(
     .bind(json(ids.iter().map(|id| &id.0).collect::<BTreeSet<_>>()))
     .execute(tx)
     .await
-    .doing("clear workers' failures")?;
-    Ok(())
+    .doing("clear workers' failures")
+    .map(drop)
 }
 
 /// What workers run on that were heard of since `since` and may lease.
@@ -172,13 +162,14 @@ pub(crate) async fn live_pins(
     tx: &mut SqliteConnection,
     since: UnixMillis,
 ) -> Result<Vec<Pin>, StoreError> {
-    let rows: Vec<WorkerPinRow> = sqlx::query_as(
-        "SELECT asset_pack, asset_pack_digest, mujoco_version, renderer FROM worker
-         WHERE last_seen_ms >= ? AND stopped_reason IS NULL ORDER BY id",
-    )
+    let pins: Vec<Json<Pin>> = sqlx::query_scalar(concat!(
+        "SELECT ",
+        pin!(),
+        " FROM worker WHERE last_seen_ms >= ? AND stopped_reason IS NULL",
+    ))
     .bind(since)
     .fetch_all(tx)
     .await
     .doing("count live workers")?;
-    Ok(rows.into_iter().map(Pin::from).collect())
+    Ok(pins.into_iter().map(|Json(pin)| pin).collect())
 }

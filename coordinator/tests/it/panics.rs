@@ -1,0 +1,72 @@
+//! A defect in the task that writes ends the coordinator with an error, so that
+//! whatever started it can start it again.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use coordinator::{Config, Coordinator, ServeError};
+use proto::coordinator as wire;
+use proto::coordinator::worker_service_client::WorkerServiceClient;
+use queue::Timing;
+use queue::clock::{Clock, ManualClock, UnixMillis};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use tokio::net::TcpListener;
+use tokio::task::JoinSet;
+
+use crate::harness::registration;
+
+/// A clock that breaks: the writer asks it in every transaction.
+#[derive(Default)]
+struct BreakableClock {
+    clock: ManualClock,
+    broken: AtomicBool,
+}
+
+impl Clock for BreakableClock {
+    fn now(&self) -> UnixMillis {
+        assert!(!self.broken.load(Ordering::SeqCst), "the clock is broken");
+        self.clock.now()
+    }
+}
+
+/// Defect 11: panics of spawned tasks were not joined, and a coordinator whose
+/// writer was gone answered "shutting down" for ever.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_panic_of_the_writer_ends_the_coordinator_with_an_error_that_says_so() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let clock = Arc::new(BreakableClock::default());
+    let config = Config {
+        data: folder.path().to_owned(),
+        timing: Timing {
+            sweep: Duration::from_secs(3_600),
+            ..Timing::default()
+        },
+        clock: clock.clone(),
+        rng: ChaCha8Rng::seed_from_u64(1),
+        security: transport::Security::loopback(),
+        min_free_bytes: 0,
+    };
+    let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
+    let address = listener.local_addr().expect("an address");
+    let coordinator = Coordinator::open(config).await.expect("a coordinator");
+    let mut served = JoinSet::new();
+    served.spawn(coordinator.serve(listener, std::future::pending()));
+    let mut worker = WorkerServiceClient::connect(format!("http://{address}"))
+        .await
+        .expect("a connection");
+    let registered = worker.register(registration("a", "primitives")).await;
+    registered.expect("registers");
+
+    clock.broken.store(true, Ordering::SeqCst);
+    let heartbeat = wire::HeartbeatRequest {
+        worker_id: "a".to_owned(),
+        progress: Vec::new(),
+    };
+    worker.heartbeat(heartbeat).await.expect_err("no writer");
+    let ended = tokio::time::timeout(Duration::from_secs(20), served.join_next());
+    let ended = ended.await.expect("it goes on").expect("a task");
+    let error = ended.expect("no panic of its own").expect_err("an error");
+    assert!(matches!(error, ServeError::Panicked { .. }), "{error:?}");
+}
