@@ -3,11 +3,12 @@
 
 use std::path::Path;
 
+use attempt::Fingerprints;
 use paired::{Count, Outcome};
 use parquet::file::reader::{FileReader, SerializedFileReader};
 use report::{
-    Document, Fingerprints, Origin, Provenance, SetAside, Subject, figures, import, page,
-    write_csv, write_parquet,
+    Document, Origin, Provenance, SetAside, Subject, figures, import, page, write_csv,
+    write_parquet,
 };
 use serde_json::Value;
 
