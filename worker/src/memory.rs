@@ -71,10 +71,10 @@ impl Verdict {
                 ": out of memory, the kernel was killing processes on this machine; give the \
                  worker fewer --slots or the machine more memory"
             }
-            Self::Signal => ", and not for want of memory: somebody sent it",
+            Self::Signal => ", not for lack of memory: another process sent the signal",
             Self::Unknown => {
-                "; if nobody sent it, the kernel ran out of memory: give the worker fewer --slots \
-                 or more memory"
+                "; if no process sent it, the kernel ran out of memory: give the worker fewer \
+                 --slots or more memory"
             }
         }
     }

@@ -156,7 +156,7 @@ fn policy_section(policy: &PolicyLine, now: UnixMillis) -> Markup {
                 PolicyState::Available => {},
                 PolicyState::Paused { resume, reason } => {
                     p {
-                        "Its rollouts wait, and nobody is charged. It is tried again "
+                        "Its rollouts wait, and no attempt is charged. It is tried again "
                         @if *resume > now { "in " (duration_text(resume.since(now).as_secs_f64())) }
                         @else { "with the next rollout that a worker asks for" }
                         ", after " (policy.health.outages) " outages. It said: "

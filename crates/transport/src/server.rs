@@ -102,9 +102,9 @@ impl ServerArguments {
         };
         let tokens = tokens(self.token_file.as_deref())?;
         let missing = match (&identity, &tokens) {
-            (None, None) => Some("nobody would be asked who they are"),
+            (None, None) => Some("every client would be let in, in the clear"),
             (None, Some(_)) => Some("tokens would be sent in the clear"),
-            (Some(_), None) => Some("nobody would be asked for a token"),
+            (Some(_), None) => Some("every client would be let in without a token"),
             (Some(_), Some(_)) => None,
         };
         match missing {
@@ -117,7 +117,7 @@ impl ServerArguments {
 }
 
 impl Security {
-    /// A server on a loopback address, which asks nobody for anything.
+    /// A server on a loopback address, which requires no token.
     pub fn loopback() -> Security {
         Security {
             identity: None,

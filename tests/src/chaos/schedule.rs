@@ -10,7 +10,7 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 /// Faults of one schedule.
 const FAULTS: u64 = 3;
 /// Faults of one schedule that are charged to a rollout. Three charged attempts
-/// would set it aside, which is what should happen, but not what is tested.
+/// would quarantine it, which is what should happen, but not what is tested.
 const MAX_CHARGED: usize = 2;
 /// When the last fault begins, at the latest: while the campaign still runs.
 const LAST_BEGINNING_MS: u64 = 2_500;
