@@ -1,6 +1,5 @@
-//! Whether the kernel killed something for want of memory: all that can be
-//! known without reading its log, which takes rights that a worker need not
-//! have. The kernel counts such kills, of a control group and of the machine; a
+//! Whether the kernel killed a process for lack of memory, as far as can be known
+//! without reading its log, which takes rights that a worker need not have. The kernel counts such kills, of a control group and of the machine; a
 //! counter that rose while a process ended by SIGKILL says who sent it.
 
 use std::fs;

@@ -1,5 +1,5 @@
-//! What a server is told at its start about who may connect, checked before it
-//! listens, and the bounds that hold for every connection.
+//! A server's settings of who may connect, checked before it listens, and the
+//! bounds that hold for every connection.
 
 use std::io;
 use std::net::SocketAddr;
@@ -13,7 +13,7 @@ use crate::browser;
 use crate::gate::{Demand, Gate};
 use crate::token::{Role, TokenError, Tokens};
 
-/// Longest time for a TLS handshake: who connects and says nothing goes.
+/// Longest time for a TLS handshake: a silent connection is closed.
 pub const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(10);
 /// Calls under way at a time over one connection: every slot of a large worker
 /// may wait for a job, commit and send a video.
@@ -130,7 +130,7 @@ impl Security {
         self.identity.is_some()
     }
 
-    /// Whether callers are asked for a token.
+    /// Whether callers need a token.
     pub fn asks_for_tokens(&self) -> bool {
         self.tokens.is_some()
     }
