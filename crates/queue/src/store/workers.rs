@@ -1,4 +1,4 @@
-//! Statements on `worker`: who is there, with which assets and simulator.
+//! Statements on `worker`: which are alive, with which assets and simulator.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -32,7 +32,7 @@ pub(crate) struct Standing {
     /// What it runs on.
     #[sqlx(flatten, try_from = "WorkerPinRow")]
     pub(crate) pin: Pin,
-    /// When it was last heard of.
+    /// When it last called.
     pub(crate) last_seen_ms: UnixMillis,
     /// Charged failures in a row.
     pub(crate) charged_in_a_row: u32,
@@ -109,7 +109,7 @@ pub(crate) async fn standings(
     Ok(standings.into_iter().map(by_id).collect())
 }
 
-/// Notes that workers were heard of.
+/// Notes that workers called.
 pub(crate) async fn seen(
     tx: &mut SqliteConnection,
     ids: &[&WorkerId],
@@ -167,7 +167,7 @@ pub(crate) async fn succeeded(
     Ok(())
 }
 
-/// What workers run on that were heard of since `since` and may lease.
+/// What workers run on that have called since `since` and may lease.
 pub(crate) async fn live_pins(
     tx: &mut SqliteConnection,
     since: UnixMillis,
