@@ -40,7 +40,7 @@ fn line(worker: &WorkerStatus) -> String {
         failures => format!(", {failures} failures in a row"),
     };
     format!(
-        "{} on {}: {standing}{failures}, heard of {} ago\n  {}, MuJoCo {}, {}, program {}",
+        "{} on {}: {standing}{failures}, last call {} ago\n  {}, MuJoCo {}, {}, program {}",
         worker.worker_id,
         worker.host,
         duration_text(worker.silent_secs),

@@ -33,7 +33,8 @@ pub(super) async fn workers(page: &Page) -> Result<Sheet, Problem> {
         @if !gone.is_empty() {
             h2 { "Gone" }
             p.muted {
-                "What they held was leased to others. Of " (gone.len()) ", those heard of last:"
+                "Their rollouts were leased to other workers. Of " (gone.len()) ", those with the \
+                latest calls:"
             }
             (workers_table("Workers that have gone", &gone[..gone.len().min(MAX_GONE)], now))
         }
@@ -62,9 +63,9 @@ pub(super) async fn quarantine(page: &Page) -> Result<Sheet, Problem> {
             p { "Nothing is in quarantine: every rollout that failed was tried again." }
         } @else {
             p {
-                "These failed too often, not by the policy's doing. They are in no rate; the \
-                report says between which ends the measures lie. "
-                code { "coordinator jobs retry CAMPAIGN ROLLOUT" } " gives one another chance."
+                "These rollouts failed too often, and not because of the policy. They are in no \
+                rate; the report gives bounds on the measures. "
+                code { "coordinator jobs retry CAMPAIGN ROLLOUT" } " retries one."
             }
             @if quarantined.len() >= MAX_QUARANTINED as usize {
                 p { "The first " (MAX_QUARANTINED) " are shown." }
@@ -88,7 +89,7 @@ fn workers_table(name: &str, workers: &[WorkerLine], now: UnixMillis) -> Markup 
         "worker",
         "machine",
         "busy",
-        "heard of",
+        "last call",
         "standing.",
         "runs on.",
     ];
