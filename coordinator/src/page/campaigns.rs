@@ -105,7 +105,7 @@ fn pace(status: &CampaignStatus) -> String {
                     duration_text(eta)
                 )
             }
-            _ => "no result of late to take a pace from".to_owned(),
+            _ => "no recent result to measure the pace by".to_owned(),
         },
     }
 }
@@ -117,8 +117,8 @@ fn left(status: &CampaignStatus) -> u64 {
 
 fn workers(live: u32) -> String {
     match live {
-        0 => "no worker that suits it".to_owned(),
-        1 => "1 worker that suits it".to_owned(),
-        live => format!("{live} workers that suit it"),
+        0 => "no suitable worker".to_owned(),
+        1 => "1 suitable worker".to_owned(),
+        live => format!("{live} suitable workers"),
     }
 }

@@ -26,9 +26,9 @@ pub(super) async fn workers(page: &Page) -> Result<Sheet, Problem> {
     let main = html! {
         h1 { "Workers" }
         @if alive.is_empty() {
-            p { "No worker is here. " code { "worker --connect" } " with this address starts one." }
+            p { "No worker is alive. " code { "worker --connect" } " with this address starts one." }
         } @else {
-            (workers_table("Workers that are here", &alive, now))
+            (workers_table("Workers that are alive", &alive, now))
         }
         @if !gone.is_empty() {
             h2 { "Gone" }

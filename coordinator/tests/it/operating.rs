@@ -395,7 +395,7 @@ async fn an_operator_follows_and_ends_a_campaign_from_the_command_line() {
     };
     run(&["campaign", "status"], 0, &["no campaigns yet"]);
     run(&CREATE, 0, &["14 rollouts"]);
-    run(&["workers"], 0, &["no worker is here"]);
+    run(&["workers"], 0, &["no worker is alive"]);
     let mut worker = serve.worker("slow-1").await;
     let lease = worker.claim_one().await;
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
