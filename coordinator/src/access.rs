@@ -1,10 +1,9 @@
 //! Which call and which page takes which role. What is not named here takes an
-//! operator's token, so that a call that is added is closed until somebody
-//! opens it.
+//! operator's token, so that a new call is closed until it is named.
 
 use transport::{Demand, Role};
 
-/// Who may look at everything.
+/// The roles that may read everything.
 pub(crate) const READERS: [Role; 2] = [Role::Viewer, Role::Operator];
 /// Where browsers log in.
 pub(crate) const LOG_IN: &str = "/login";
@@ -23,10 +22,10 @@ const READING: [&str; 7] = [
 ];
 
 /// What a browser loads before its person has logged in, or to log out: it
-/// tells nothing of any campaign.
+/// reveals nothing of any campaign.
 const OPEN: [&str; 5] = [LOG_IN, "/logout", "/style.css", "/page.js", "/icon.svg"];
 
-/// Who may make the call, or see the page, at a path.
+/// What the call or page at a path requires of its caller.
 pub(crate) fn demands(path: &str) -> Demand {
     if path.starts_with(WORKER_SERVICE) {
         Demand::OneOf(&[Role::Worker])

@@ -1,5 +1,5 @@
-//! The wire: checks what strangers send, calls the queue, and turns its answers
-//! and errors into messages. Nothing is decided here.
+//! The wire: checks messages, calls the queue, and turns its answers and errors
+//! into messages. Nothing is decided here.
 
 mod backup;
 mod failure;

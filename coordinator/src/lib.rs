@@ -1,7 +1,7 @@
-//! The campaign's memory, served: workers and operators call it (`grpc`),
-//! browsers look at it (`page`), reports and exports read it. What is leased,
-//! stored and decided is the business of [`queue`]. It knows no simulator and no
-//! policy. What people type is the program's business.
+//! Serves the queue: workers and operators call it (`grpc`), browsers show it
+//! (`page`), reports and exports read it. What is leased, stored and decided is
+//! the business of [`queue`]. It knows no simulator and no policy. The command
+//! line is the program's business.
 
 #![forbid(unsafe_code)]
 

@@ -9,7 +9,7 @@ use protocol::{CampaignSpec, SpecError, UnknownName};
 use queue::QueueError;
 use queue::ids::CampaignName;
 use queue::read::{Campaign, RecordRow, View};
-use report::{Origin, SetAside, Subject, rollout_name};
+use report::{Origin, Quarantined, Subject, rollout_name};
 
 /// A campaign that cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -70,7 +70,7 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
         realisation: Some(own.parse()?),
         records: records?,
         errors: quarantined
-            .map(|job| SetAside {
+            .map(|job| Quarantined {
                 rollout: rollout_name(&job.rollout_id, job.replicate),
                 last_error: job.last_error,
             })

@@ -25,7 +25,7 @@ use crate::gauges::Gauges;
 use crate::grpc;
 use crate::page::{self, Page};
 
-/// How long requests may take to finish once the coordinator was told to stop.
+/// How long requests may take to finish once the coordinator was asked to stop.
 const SHUTDOWN_GRACE: Duration = Duration::from_secs(10);
 /// HTTP/2 flow-control windows: a video arrives in pieces of a megabyte, and
 /// 64 KiB, the default, would stop it at every sixteenth of one.
@@ -41,7 +41,7 @@ pub struct Config {
     pub clock: Arc<dyn Clock>,
     /// What attempts are named and back-offs are jittered with.
     pub rng: ChaCha8Rng,
-    /// Who may connect.
+    /// Access: TLS and tokens.
     pub security: Security,
     /// Free on the data folder's disk, or nothing is leased, bytes.
     pub min_free_bytes: u64,
@@ -123,12 +123,12 @@ impl Coordinator {
         })
     }
 
-    /// The queue, for whoever serves or drives it beside the socket.
+    /// The queue, to be served or driven beside the socket.
     pub fn queue(&self) -> &Arc<Queue> {
         &self.queue
     }
 
-    /// What workers and operators call, for whoever calls it without a socket.
+    /// The services that workers and operators call, to be called without a socket.
     pub fn services(&self) -> Routes {
         Routes::from(grpc::services(&self.queue, &Arc::default()))
     }

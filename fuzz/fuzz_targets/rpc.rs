@@ -1,4 +1,4 @@
-//! What strangers send the coordinator. What must hold is said in `hostile`.
+//! Any calls of the coordinator. What must hold is in `hostile`.
 
 #![no_main]
 

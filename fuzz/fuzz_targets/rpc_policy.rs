@@ -1,4 +1,4 @@
-//! What strangers send the gateway. What must hold is said in `hostile`.
+//! Any calls of the gateway. What must hold is in `hostile`.
 
 #![no_main]
 

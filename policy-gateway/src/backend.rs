@@ -62,7 +62,7 @@ pub trait Backend: fmt::Display + Send + Sync {
     }
 }
 
-/// Why a back-end did not answer. Each has one gRPC code, which tells a worker
+/// Why a back-end did not answer. Each has one gRPC code, which says to a worker
 /// whether the infrastructure failed (`UNAVAILABLE`, `DEADLINE_EXCEEDED`,
 /// `RESOURCE_EXHAUSTED`: not charged to the rollout) or the policy did.
 #[derive(Clone, Debug, Error)]

@@ -1,4 +1,4 @@
-//! What a gateway is told: its routes. Responsible for refusing what cannot be
+//! A gateway's configuration: its routes. Responsible for refusing what cannot be
 //! meant, before anything is opened; [`file`] reads them from TOML.
 
 use std::{collections::BTreeMap, fmt, path::PathBuf, str::FromStr, time::Duration};

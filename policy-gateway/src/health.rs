@@ -195,8 +195,8 @@ impl Health {
         }
     }
 
-    /// Notes at `now` that the server gave no answer, or none that can be used
-    /// with anybody. True if it had been up.
+    /// Notes at `now` that the server gave no answer, or none that any episode can
+    /// use. True if it had been up.
     ///
     /// Queries that were on their way when it failed fail too, all at once;
     /// only a probe's failure lengthens the wait.

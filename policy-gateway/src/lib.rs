@@ -85,8 +85,8 @@ pub async fn run(
     }
 }
 
-/// Who may make the call at a path: robots ask policies, and operators check
-/// that they can. Whether a gateway is up is no secret: health checks
+/// What the call at a path requires of its caller: workers ask policies, and
+/// operators check that they can. Whether a gateway is up is no secret: health checks
 /// often come from outside this system.
 fn demands(path: &str) -> Demand {
     match path.starts_with("/grpc.health.v1.Health/") {

@@ -202,7 +202,7 @@ fn main() -> ExitCode {
 }
 
 impl Listen {
-    /// Serves until told to stop.
+    /// Serves until asked to stop.
     fn serve(&self, config: &Config, file: Option<PathBuf>) -> anyhow::Result<ExitCode> {
         let security = match self.security.security(self.listen) {
             Err(error @ SecurityError::Unguarded { .. }) => usage_error(&error),

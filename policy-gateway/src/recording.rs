@@ -246,7 +246,7 @@ pub enum RecordingError {
         /// The folder.
         folder: PathBuf,
     },
-    /// A folder with more than anybody records.
+    /// A folder with more recordings than the limit.
     #[error("take more than {MAX_FILES} recordings from {folder:?}: put some elsewhere")]
     TooMany {
         /// The folder.

@@ -1,5 +1,5 @@
-//! `rollout.policy.v1` is public: whoever wrote a policy server or a client
-//! against the released file need not know that a newer one exists.
+//! `rollout.policy.v1` is public: a policy server or client that was written
+//! against the released file keeps working with every newer one.
 
 use std::path::Path;
 

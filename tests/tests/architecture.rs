@@ -2,7 +2,7 @@
 //! docs/ARCHITECTURE.md.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use serde_json::Value;
@@ -75,12 +75,28 @@ fn crates_use_one_another_in_the_agreed_directions_only() {
             "protocol",
             &["scene", "sim", "paired", "proto", "tokio"][..],
         ),
+        (
+            "attempt",
+            &["scene", "sim", "paired", "proto", "tokio", "sqlx", "maud"],
+        ),
         ("scene", &["sim", "proto", "tokio", "mujoco-rs"]),
         (
             "raster",
             &["protocol", "scene", "proto", "tokio", "mujoco-rs"],
         ),
         ("sim", &["proto", "tokio", "sqlx", "paired"]),
+        (
+            "queue",
+            &[
+                "scene",
+                "sim",
+                "report",
+                "proto",
+                "transport",
+                "tonic",
+                "maud",
+            ],
+        ),
         ("paired", &["scene", "sim", "proto", "tokio", "sqlx"]),
         ("report", &["scene", "sim", "proto", "tokio", "sqlx"]),
         ("proto", &["protocol", "scene", "sim", "paired"]),
@@ -105,6 +121,47 @@ fn crates_use_one_another_in_the_agreed_directions_only() {
             assert!(!used.contains(*other), "{package} must not use {other}");
         }
     }
+}
+
+/// All Rust sources below a folder, one after the other.
+fn sources(folder: &Path) -> String {
+    let mut text = String::new();
+    for entry in std::fs::read_dir(folder).into_iter().flatten() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            text.push_str(&sources(&path));
+        } else if path.extension().is_some_and(|it| it == "rs") {
+            text.push_str(&std::fs::read_to_string(&path).unwrap());
+        }
+    }
+    text
+}
+
+#[test]
+fn the_map_names_only_files_tests_and_invariants_that_exist() {
+    let root = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/.."));
+    let map = std::fs::read_to_string(root.join("docs/ARCHITECTURE.md")).unwrap();
+    let mut code = String::new();
+    for package in metadata(&["--no-deps"])["packages"].as_array().unwrap() {
+        let manifest = PathBuf::from(package["manifest_path"].as_str().unwrap());
+        for folder in ["src", "tests"] {
+            code.push_str(&sources(&manifest.with_file_name(folder)));
+        }
+    }
+    // Names in prose stand between single backticks and hold no blanks.
+    let names = map.split('`').skip(1).step_by(2);
+    let names = names.filter(|it| !it.is_empty() && !it.contains(char::is_whitespace));
+    let is_there = |name: &str| {
+        if name.contains('/') {
+            root.join(name).exists()
+        } else if name.matches('_').count() >= 2 {
+            code.contains(&format!("fn {name}(")) || code.contains(&format!("\"{name}\""))
+        } else {
+            true
+        }
+    };
+    let missing: Vec<&str> = names.filter(|it| !is_there(it)).collect();
+    assert!(missing.is_empty(), "not in the repository: {missing:?}");
 }
 
 #[test]

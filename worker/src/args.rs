@@ -16,7 +16,7 @@ pub const HUB: &str = "https://huggingface.co";
 
 /// Simulates the rollouts of a coordinator's campaigns.
 ///
-/// Ends when told to: one SIGTERM or Ctrl-C finishes the rollouts in hand, a
+/// The first SIGTERM or Ctrl-C drains: rollouts in flight are finished. A
 /// second one gives them back.
 #[derive(Debug, Parser)]
 #[command(
@@ -131,7 +131,7 @@ pub struct FilmArguments {
     pub simulator: SimulatorArguments,
 }
 
-/// What a slot is told.
+/// Arguments of a slot's process.
 #[derive(Clone, Debug, Args)]
 pub struct SlotArguments {
     /// How to get in at policies.
@@ -160,7 +160,7 @@ pub struct BenchArguments {
     pub simulator: SimulatorArguments,
 }
 
-/// What a measured slot is told.
+/// Arguments of a measured slot's process.
 #[derive(Debug, Args)]
 pub struct BenchSlotArguments {
     /// What it simulates.
@@ -261,7 +261,7 @@ pub struct OwnTaskArguments {
     /// Which of them, from 0 [default: 0]
     #[arg(long, value_name = "N", requires = "bddl")]
     pub init_id: Option<u16>,
-    /// What the policy is told [default: the BDDL file's own instruction]
+    /// The policy's instruction [default: the BDDL file's own instruction]
     #[arg(long, value_name = "TEXT", requires = "bddl")]
     pub instruction: Option<String>,
     /// Control steps that the policy has [default: those of the suite; 520

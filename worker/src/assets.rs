@@ -69,7 +69,7 @@ fn known_packs(sources: &Path) -> Vec<String> {
     [PRIMITIVES.to_owned()].into_iter().chain(fetched).collect()
 }
 
-/// Where `fetch` puts LIBERO's assets unless it is told otherwise.
+/// Where `fetch` puts LIBERO's assets by default.
 fn fetched_pack(sources: &Path) -> PathBuf {
     sources.join("packs/libero")
 }

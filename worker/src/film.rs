@@ -20,7 +20,7 @@ use crate::stage::Stage;
 use crate::supervise::SuperviseError;
 use crate::supervise::link::Link;
 
-/// Who films, and for whom.
+/// The coordinator whose rollouts are filmed, and what draws them.
 #[derive(Debug)]
 pub struct Config {
     /// URL of the coordinator.
@@ -70,8 +70,8 @@ struct Filmable {
 /// Films until nothing is left.
 ///
 /// # Errors
-/// If the coordinator cannot be asked. A rollout that cannot be filmed is told
-/// of in the log and counted.
+/// If the coordinator cannot be reached. A rollout that cannot be filmed is
+/// logged and counted.
 pub fn run(config: &Config, simulator: &mut Simulator) -> Result<Filmed, FilmError> {
     let runtime = tokio::runtime::Runtime::new().map_err(FilmError::Room)?;
     let scratch = tempfile::tempdir().map_err(FilmError::Room)?;

@@ -53,14 +53,14 @@ pub(crate) struct Replay<'a> {
     pub(crate) row: &'a ManifestRow,
     /// Where the perturbation's random elements came from.
     pub(crate) realisation: Realisation,
-    /// What the robot was told.
+    /// The actions that the robot executed.
     pub(crate) actions: &'a [Action],
     /// Whether the goal was reached.
     pub(crate) success: bool,
 }
 
 /// Films a rollout that has just been simulated, if a video of it is wanted;
-/// returns the file. `progress` is told the control steps since the rollout
+/// returns the file. `progress` gets the control steps since the rollout
 /// began, and may end the filming.
 pub(crate) fn film(
     stage: &mut Stage<'_>,

@@ -1,6 +1,5 @@
-//! Whether the kernel killed something for want of memory: all that can be
-//! known without reading its log, which takes rights that a worker need not
-//! have. The kernel counts such kills, of a control group and of the machine; a
+//! Whether the kernel killed a process for lack of memory, as far as can be known
+//! without reading its log, which takes rights that a worker need not have. The kernel counts such kills, of a control group and of the machine; a
 //! counter that rose while a process ended by SIGKILL says who sent it.
 
 use std::fs;
@@ -71,10 +70,10 @@ impl Verdict {
                 ": out of memory, the kernel was killing processes on this machine; give the \
                  worker fewer --slots or the machine more memory"
             }
-            Self::Signal => ", and not for want of memory: somebody sent it",
+            Self::Signal => ", not for lack of memory: another process sent the signal",
             Self::Unknown => {
-                "; if nobody sent it, the kernel ran out of memory: give the worker fewer --slots \
-                 or more memory"
+                "; if no process sent it, the kernel ran out of memory: give the worker fewer \
+                 --slots or more memory"
             }
         }
     }

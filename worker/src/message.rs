@@ -195,7 +195,7 @@ pub struct Evidence {
     pub policy_checkpoint_digest: String,
     /// Whether it sees the simulator's own state.
     pub policy_privileged: bool,
-    /// Whether it is told the canonical instruction whatever the condition.
+    /// Whether it gets the canonical instruction under every condition.
     pub policy_canonical_only: bool,
     /// How a gateway asks it: "single" unless one says otherwise.
     pub batch_mode: String,
@@ -229,7 +229,7 @@ pub enum FailureKind {
 }
 
 impl FailureKind {
-    /// As the coordinator is told.
+    /// Its reason on the wire.
     pub fn reason(self) -> Reason {
         match self {
             Self::Simulator => Reason::SimulatorError,

@@ -1,8 +1,8 @@
 //! One rollout: the scene settles, the policy is reset, looks and acts until
 //! the goal holds or the budget is spent. Responsible for the order of these
 //! steps (section 3 of the protocol) and for asking for a frame only when the
-//! policy will look at it. Knows no coordinator: what a rollout is for, who acts
-//! in it and who is told about it, is the caller's.
+//! policy will look at it. Knows no coordinator: the caller says what a rollout
+//! is for, what acts in it and what becomes of its result.
 
 use std::ops::ControlFlow;
 use std::time::Instant;
@@ -23,21 +23,21 @@ use crate::stage::Stage;
 pub struct Step {
     /// As the policy answered.
     pub sent: Action,
-    /// The same, every number in [-1, 1]: what the robot is told, before the
+    /// The same, every number in [-1, 1]: the robot's command, before the
     /// actuation axis distorts it.
     pub executed: Action,
 }
 
 /// Watches a rollout, and may end it.
 pub trait Watcher {
-    /// Told after the scene is made and after every control step, settling
+    /// Called after the scene is made and after every control step, settling
     /// included. `Break` abandons the rollout.
     fn progress(&mut self, control_steps: u32) -> ControlFlow<()>;
 
-    /// Told what the policy is about to look at.
+    /// Called with what the policy is about to look at.
     fn observed(&mut self, _query_index: u32, _observation: &Observation) {}
 
-    /// Shown the scene after it has come to rest, without a step, and after
+    /// Called with the scene after it has come to rest, without a step, and after
     /// every control step of the policy.
     fn moved(&mut self, _step: Option<&Step>, _episode: &mut Episode<'_>) {}
 
@@ -89,7 +89,7 @@ const UNBATCHED: &str = "single";
 pub struct Simulated {
     /// Its result.
     pub finished: Finished,
-    /// What the robot was told: from these actions it can be simulated again.
+    /// The actions that the robot executed: with them it can be simulated again.
     pub actions: Vec<Action>,
 }
 

@@ -27,7 +27,7 @@ use crate::stage::Stage;
 const ASSIGNMENT_QUEUE: usize = 1;
 /// Of -1000 to 1000, see proc(5); more than other processes have.
 const OOM_SCORE_ADJ: &str = "500";
-/// Progress is told every so many control steps: half a second of the
+/// Progress is reported every so many control steps: half a second of the
 /// robot's time.
 const PROGRESS_EVERY: u32 = 10;
 
@@ -152,7 +152,7 @@ struct Reporter<'a> {
     parent: &'a Parent,
     attempt: AttemptId,
     abandoned: &'a Abandoned,
-    /// Why the parent can no longer be told anything.
+    /// Why the parent can no longer be reached.
     broken: Option<io::Error>,
 }
 

@@ -68,9 +68,9 @@ impl<'a> Stage<'a> {
         }
     }
 
-    /// What a policy is told to do: the row's words. One that knows the canonical
-    /// instructions by heart, and no other wording, is told those: the language
-    /// axis is the identity for it, and not an error in every rollout.
+    /// A policy's instruction: the row's. A policy that knows the canonical
+    /// instructions verbatim, and no other wording, gets those: the language axis
+    /// is the identity for it, and not an error in every rollout.
     pub(crate) fn instruction<'r>(
         &self,
         row: &'r ManifestRow,

@@ -25,9 +25,9 @@ use supervisor::Supervisor;
 /// Events that wait for the loop. While it is full, senders wait.
 const EVENT_QUEUE: usize = 256;
 
-/// Runs a worker until it is told to end, which takes as long as the rollouts
-/// in hand. `shutdown` carries one message per request to end; the second one
-/// gives the rollouts back instead.
+/// Runs a worker until it is asked to end and its rollouts in flight are over.
+/// `shutdown` carries one message per request to end; the second one gives the
+/// rollouts back instead.
 ///
 /// # Errors
 /// If the coordinator refuses the worker or stops it, or its slots cannot run.

@@ -19,7 +19,7 @@ pub(super) enum JobsCommand {
     List(ListArguments),
     /// Show one rollout with all its attempts.
     Show(ShowArguments),
-    /// Requeue rollouts that were set aside after failing too often.
+    /// Requeue rollouts that are in quarantine after failing too often.
     Retry(RetryArguments),
 }
 
@@ -54,7 +54,7 @@ pub(super) struct RetryArguments {
     /// Rollout ids; `ID#r1` is a second replicate.
     #[arg(required_unless_present = "all")]
     rollouts: Vec<String>,
-    /// Everything that is set aside.
+    /// Everything in quarantine.
     #[arg(long, conflicts_with = "rollouts")]
     all: bool,
     #[command(flatten)]
@@ -117,7 +117,7 @@ async fn retry(arguments: RetryArguments) -> Result<(), CommandError> {
     let client = arguments.connection.client()?;
     let jobs = client.retry_jobs(&arguments.campaign, names?).await?;
     Ok(print_line(&match jobs {
-        0 => "nothing is set aside".to_owned(),
+        0 => "nothing is in quarantine".to_owned(),
         jobs => format!("{jobs} requeued"),
     })?)
 }
@@ -158,7 +158,7 @@ fn standing(job: &Job) -> String {
             format!("waits {}", duration_text(job.backoff_left_secs))
         }
         ("queued", _) => "waits".to_owned(),
-        ("quarantined", _) => "set aside".to_owned(),
+        ("quarantined", _) => "quarantined".to_owned(),
         (_, Some(success)) => format!(
             "{} after {} steps",
             if success { "success" } else { "failure" },

@@ -58,7 +58,7 @@ pub(super) fn attention(status: &CampaignStatus) -> Option<String> {
     }
     if status.quarantined > 0 {
         notes.push(format!(
-            "{} set aside after failing too often: `coordinator jobs list {} --state quarantined`",
+            "{} in quarantine after failing too often: `coordinator jobs list {} --state quarantined`",
             status.quarantined, status.campaign
         ));
     }

@@ -61,7 +61,7 @@ pub(super) async fn delete(arguments: DeleteArguments) -> Result<(), CommandErro
 /// Asks for the name of what is to be deleted.
 fn ask(name: &str) -> Result<String, CommandError> {
     if !std::io::stdin().is_terminal() {
-        let error = anyhow!("say --confirm {name} if its results and files are to go for ever");
+        let error = anyhow!("pass --confirm {name} to delete its results and files for good");
         return Err(CommandError::Usage(
             error.context(format!("delete campaign `{name}`")),
         ));
@@ -69,7 +69,7 @@ fn ask(name: &str) -> Result<String, CommandError> {
     let mut stderr = std::io::stderr().lock();
     write!(
         stderr,
-        "The results and files of campaign {name} go for ever. Its name again: "
+        "This deletes the results and files of campaign {name} for good. Type its name: "
     )
     .and_then(|()| stderr.flush())
     .context("ask for the campaign's name")?;

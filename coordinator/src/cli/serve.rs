@@ -84,8 +84,8 @@ async fn run(arguments: ServeArguments, security: Security) -> anyhow::Result<()
     let coordinator = Coordinator::open(config(&arguments, security)?).await?;
     if arguments.security.insecure && !address.ip().is_loopback() {
         tracing::warn!(
-            "--insecure: whoever reaches {address} can listen to what is said there, or lease jobs \
-             and report outcomes"
+            "--insecure: every machine that reaches {address} can read its traffic, lease jobs and \
+             report outcomes"
         );
     }
     let data = arguments.data.display();

@@ -71,7 +71,7 @@ fn details(status: &CampaignStatus) -> String {
         format!("  succeeded    {:>7}", status.succeeded),
         format!("  running      {:>7}", status.leased),
         format!("  waiting      {:>7}", status.queued),
-        format!("  set aside    {:>7}", status.quarantined),
+        format!("  quarantined  {:>7}", status.quarantined),
         format!("  live workers {:>7}", status.live_workers),
     ];
     lines.extend(attention(status).map(|note| format!("  note         {note}")));

@@ -21,7 +21,7 @@ pub(super) async fn workers(arguments: WorkersArguments) -> Result<(), CommandEr
     let shown = alive.iter().chain(gone.iter().filter(|_| arguments.all));
     let mut lines: Vec<String> = shown.map(line).collect();
     if lines.is_empty() {
-        lines.push("no worker is here; start one with `worker --connect`".to_owned());
+        lines.push("no worker is alive; start one with `worker --connect`".to_owned());
     }
     if !arguments.all && !gone.is_empty() {
         lines.push(format!("{} that have gone: --all shows them", gone.len()));
@@ -40,7 +40,7 @@ fn line(worker: &WorkerStatus) -> String {
         failures => format!(", {failures} failures in a row"),
     };
     format!(
-        "{} on {}: {standing}{failures}, heard of {} ago\n  {}, MuJoCo {}, {}, program {}",
+        "{} on {}: {standing}{failures}, last call {} ago\n  {}, MuJoCo {}, {}, program {}",
         worker.worker_id,
         worker.host,
         duration_text(worker.silent_secs),

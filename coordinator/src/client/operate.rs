@@ -97,7 +97,7 @@ impl Client {
         Ok(response.await?.jobs)
     }
 
-    /// The workers, those heard of last first.
+    /// The workers, those with the latest calls first.
     ///
     /// # Errors
     /// See [`ClientError`].

@@ -55,7 +55,7 @@ pub(super) fn legend(counts: &Counts) -> Markup {
             counts.committed.saturating_sub(counts.succeeded),
             "failed",
         ),
-        ("aside", counts.quarantined, "set aside"),
+        ("aside", counts.quarantined, "quarantined"),
         ("running", counts.leased, "running"),
         ("empty", counts.queued, "waiting"),
     ];
@@ -70,8 +70,8 @@ pub(super) fn legend(counts: &Counts) -> Markup {
 
 fn words(counts: &Counts) -> String {
     format!(
-        "{} of {} rollouts have a result, {} of them succeeded; {} are running, {} wait, {} were \
-         set aside",
+        "{} of {} rollouts have a result, {} of them succeeded; {} are running, {} wait, {} are \
+         quarantined",
         counts.committed,
         counts.total(),
         counts.succeeded,

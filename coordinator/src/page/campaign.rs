@@ -146,7 +146,7 @@ fn tally(tally: &Tally) -> Markup {
     let done = tally.succeeded + tally.failed;
     let total = done + tally.aside + tally.missing;
     let words = format!(
-        "{done} of {total} have a result, {} succeeded, {} set aside",
+        "{done} of {total} have a result, {} succeeded, {} quarantined",
         tally.succeeded, tally.aside
     );
     let bar = [
@@ -159,7 +159,7 @@ fn tally(tally: &Tally) -> Markup {
         small {
             (done) "/" (total)
             @if done > 0 { ", " (tally.succeeded) " succeeded" }
-            @if tally.aside > 0 { ", " (tally.aside) " set aside" }
+            @if tally.aside > 0 { ", " (tally.aside) " quarantined" }
         }
     }
 }

@@ -71,16 +71,16 @@ fn notes(status: &CampaignStatus) -> Markup {
             ul.notes {
                 @if let Some(reason) = &status.policy_pause_reason {
                     li {
-                        "Policy " (status.campaign.policy) " is down, its rollouts wait, and nobody is \
-                        charged for it: " (reason) ". " a href="/policies" { "Policies" } "."
+                        "Policy " (status.campaign.policy) " is down. Its rollouts wait, and no attempt \
+                        is charged: " (reason) ". " a href="/policies" { "Policies" } "."
                     }
                 } @else if !status.waiting_reason.is_empty() {
                     li { "Nothing is running: " (status.waiting_reason) "." }
                 }
                 @if aside > 0 {
                     li {
-                        (aside) @if aside == 1 { " rollout was" } @else { " rollouts were" }
-                        " set aside after failing too often: "
+                        (aside) @if aside == 1 { " rollout is" } @else { " rollouts are" }
+                        " in quarantine after failing too often: "
                         a href={ "/campaigns/" (status.campaign.name) "/rollouts?state=quarantined" } {
                             "which, and why"
                         }
@@ -105,7 +105,7 @@ fn pace(status: &CampaignStatus) -> String {
                     duration_text(eta)
                 )
             }
-            _ => "no result of late to take a pace from".to_owned(),
+            _ => "no recent result to measure the pace by".to_owned(),
         },
     }
 }
@@ -117,8 +117,8 @@ fn left(status: &CampaignStatus) -> u64 {
 
 fn workers(live: u32) -> String {
     match live {
-        0 => "no worker that suits it".to_owned(),
-        1 => "1 worker that suits it".to_owned(),
-        live => format!("{live} workers that suit it"),
+        0 => "no suitable worker".to_owned(),
+        1 => "1 suitable worker".to_owned(),
+        live => format!("{live} suitable workers"),
     }
 }

@@ -100,7 +100,7 @@ fn standing(shown: &Shown) -> (&'static str, &'static str, String) {
             let times = shown.line.charged_attempts;
             (
                 "aside",
-                "set aside",
+                "quarantined",
                 format!("after {times} failed attempts"),
             )
         }
@@ -134,7 +134,7 @@ fn perturbed(shown: &Shown) -> Markup {
     let is_many = axes.len() > 1;
     let is_told = shown.row.instruction != shown.id.task().instruction();
     html! {
-        @if is_told { p.instruction { "Told: “" (shown.row.instruction) "”" } }
+        @if is_told { p.instruction { "Instruction: “" (shown.row.instruction) "”" } }
         @if axes.is_empty() { p.muted { "Nothing is perturbed." } }
         @for axis in axes {
             @let lines = perturbation::lines(&shown.row, axis);
@@ -157,7 +157,7 @@ fn failures(shown: &Shown) -> Markup {
                     li value=(failure.attempt) {
                         code { (failure.reason) } ", " (utc_text(failure.failed_ms)) ", "
                         code { (failure.worker_id) }
-                        @if !failure.charged { ", charged to nobody" }
+                        @if !failure.charged { ", not charged" }
                         pre { (failure.error) }
                     }
                 }

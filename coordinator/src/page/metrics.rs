@@ -74,7 +74,7 @@ async fn collect(page: &Page) -> Result<Arc<str>, Problem> {
         ),
         (
             "rollout_workers_alive",
-            "Workers heard of lately.",
+            "Workers with a recent call.",
             alive.count() as f64,
         ),
         (

@@ -19,7 +19,7 @@ const STATES: [(&str, &str); 4] = [
     ("leased", "running"),
     ("queued", "waiting"),
     ("committed", "with a result"),
-    ("quarantined", "set aside"),
+    ("quarantined", "quarantined"),
 ];
 
 /// What a query asks for.
@@ -170,7 +170,7 @@ fn standing(line: &JobLine) -> String {
         (_, Some(true), Some(steps)) => format!("success after {steps} steps"),
         (_, Some(false), Some(steps)) => format!("failure in {steps} steps"),
         ("leased", ..) => format!("running, control step {}", line.control_steps.unwrap_or(0)),
-        ("quarantined", ..) => "set aside".to_owned(),
+        ("quarantined", ..) => "quarantined".to_owned(),
         _ => "waiting".to_owned(),
     }
 }

@@ -26,14 +26,15 @@ pub(super) async fn workers(page: &Page) -> Result<Sheet, Problem> {
     let main = html! {
         h1 { "Workers" }
         @if alive.is_empty() {
-            p { "No worker is here. " code { "worker --connect" } " with this address starts one." }
+            p { "No worker is alive. " code { "worker --connect" } " with this address starts one." }
         } @else {
-            (workers_table("Workers that are here", &alive, now))
+            (workers_table("Workers that are alive", &alive, now))
         }
         @if !gone.is_empty() {
             h2 { "Gone" }
             p.muted {
-                "What they held was leased to others. Of " (gone.len()) ", those heard of last:"
+                "Their rollouts were leased to other workers. Of " (gone.len()) ", those with the \
+                latest calls:"
             }
             (workers_table("Workers that have gone", &gone[..gone.len().min(MAX_GONE)], now))
         }
@@ -67,9 +68,9 @@ pub(super) async fn quarantine(page: &Page) -> Result<Sheet, Problem> {
             p { "Nothing is in quarantine: every rollout that failed was tried again." }
         } @else {
             p {
-                "These failed too often, not by the policy's doing. They are in no rate; the \
-                report says between which ends the measures lie. "
-                code { "coordinator jobs retry CAMPAIGN ROLLOUT" } " gives one another chance."
+                "These rollouts failed too often, and not because of the policy. They are in no \
+                rate; the report gives bounds on the measures. "
+                code { "coordinator jobs retry CAMPAIGN ROLLOUT" } " retries one."
             }
             @if quarantined.len() >= MAX_QUARANTINED as usize {
                 p { "The first " (MAX_QUARANTINED) " are shown." }
@@ -93,7 +94,7 @@ fn workers_table(name: &str, workers: &[WorkerLine], now: UnixMillis) -> Markup 
         "worker",
         "machine",
         "busy",
-        "heard of",
+        "last call",
         "standing.",
         "runs on.",
     ];
@@ -161,7 +162,7 @@ fn policy_section(policy: &PolicyLine, now: UnixMillis) -> Markup {
                 PolicyState::Available => {},
                 PolicyState::Paused { resume, reason } => {
                     p {
-                        "Its rollouts wait, and nobody is charged. It is tried again "
+                        "Its rollouts wait, and no attempt is charged. It is tried again "
                         @if *resume > now { "in " (duration_text(resume.since(now).as_secs_f64())) }
                         @else { "with the next rollout that a worker asks for" }
                         ", after " (policy.health.outages) " outages. It said: "

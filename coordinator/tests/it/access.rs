@@ -1,4 +1,4 @@
-//! Strangers: without a token, with a wrong one, with one of another role, with
+//! Callers without access: without a token, with a wrong one, with one of another role, with
 //! messages and names that are too long, and a coordinator whose certificate
 //! cannot be trusted. The real program on real sockets; after each, the
 //! database's bytes are what they were.

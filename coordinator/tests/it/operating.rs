@@ -51,9 +51,9 @@ async fn is_in_order(bench: &Bench) {
     assert_eq!(violations, []);
 }
 
-/// A campaign of one rollout that a lone worker failed on until it was set
-/// aside.
-async fn set_aside(bench: &Bench) -> Worker {
+/// A campaign of one rollout that a lone worker failed on until it was
+/// quarantined.
+async fn quarantined(bench: &Bench) -> Worker {
     let changes = json!({"axes": ["camera"], "nominal": "none"});
     let spec = with(small_spec("one"), changes);
     bench.create(&spec).await.expect("created");
@@ -211,9 +211,9 @@ async fn a_campaign_is_deleted_with_its_files_by_who_names_it_twice() {
 }
 
 #[tokio::test]
-async fn what_was_set_aside_is_requeued_by_hand_with_its_failures_forgiven() {
+async fn what_is_in_quarantine_is_requeued_by_hand_with_its_failures_forgiven() {
     let bench = Bench::start().await;
-    let mut worker = set_aside(&bench).await;
+    let mut worker = quarantined(&bench).await;
     let unknown = retry(&bench, "one", &[CAMERA, "object/t0/camera/L1/c09"], false).await;
     assert_eq!(unknown.expect_err("unknown").code(), Code::NotFound);
     assert_eq!(bench.status("one").await.quarantined, 1, "all or none");
@@ -230,7 +230,7 @@ async fn what_was_set_aside_is_requeued_by_hand_with_its_failures_forgiven() {
     assert!(again.message().contains("queued"), "{again}");
     assert_eq!(retry(&bench, "one", &[], true).await.expect("none left"), 0);
 
-    // Three more failures, not one, set it aside again.
+    // Three more failures, not one, put it into quarantine again.
     for expected in [Released::Requeued, Released::Requeued] {
         let lease = worker.claim_one().await;
         let released = worker.release(&lease, Reason::Draining).await;
@@ -251,7 +251,7 @@ async fn what_was_set_aside_is_requeued_by_hand_with_its_failures_forgiven() {
 #[tokio::test]
 async fn a_job_is_shown_with_all_its_attempts() {
     let bench = Bench::start().await;
-    let mut worker = set_aside(&bench).await;
+    let mut worker = quarantined(&bench).await;
     retry(&bench, "one", &[], true).await.expect("requeued");
     let lease = worker.claim_one().await;
     worker.heartbeat(&[&lease], 42).await;
@@ -393,7 +393,7 @@ async fn an_operator_follows_and_ends_a_campaign_from_the_command_line() {
     };
     run(&["campaign", "status"], 0, &["no campaigns yet"]);
     run(&CREATE, 0, &["14 rollouts"]);
-    run(&["workers"], 0, &["no worker is here"]);
+    run(&["workers"], 0, &["no worker is alive"]);
     let mut worker = serve.worker("slow-1").await;
     let lease = worker.claim_one().await;
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
@@ -428,7 +428,7 @@ async fn an_operator_follows_and_ends_a_campaign_from_the_command_line() {
     run(
         &["jobs", "retry", "demo", "--all"],
         0,
-        &["nothing is set aside"],
+        &["nothing is in quarantine"],
     );
     run(&["campaign", "pause", "demo"], 0, &["demo is paused"]);
     run(&["campaign", "status", "demo"], 0, &["paused, 1 running"]);

@@ -93,7 +93,7 @@ pub(crate) async fn ask(url: &str, request: &str) -> Answer {
     answer.await.expect("an answer")
 }
 
-/// A campaign with two results, one job set aside and one that waits.
+/// A campaign with two results, one job in quarantine and one that waits.
 async fn begun() -> Bench {
     let bench = Bench::start().await;
     bench.create(&small_spec("begun")).await.expect("created");
@@ -186,7 +186,7 @@ async fn an_outage_and_a_quarantine_are_told_in_words() {
         assert!(page.contains(word), "no `{word}`:\n{page}");
     }
     let page = ask(&bench.url, "GET /campaigns/begun").await.text();
-    assert!(page.contains("nobody is charged"), "{page}");
+    assert!(page.contains("no attempt is charged"), "{page}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -142,7 +142,7 @@ async fn a_half_finished_campaign_says_what_is_missing() {
 }
 
 #[tokio::test]
-async fn what_was_set_aside_is_named_with_its_error_and_in_no_rate() {
+async fn what_is_in_quarantine_is_named_with_its_error_and_in_no_rate() {
     let bench = Bench::start().await;
     bench.create(&spec()).await.expect("created");
     let mut alone = bench.worker("alone").await;
@@ -206,7 +206,7 @@ async fn a_privileged_policy_and_mixed_origins_are_said_at_the_top() {
     let words = table.split_whitespace().collect::<Vec<_>>().join(" ");
     for warning in [
         "policy `expert` is privileged",
-        "policy `expert` is always told the canonical instruction: its language axis is an identity",
+        "policy `expert` always gets the canonical instruction: its language axis is an identity",
         "more than one program version are mixed",
         "0.1.0; 0.2.0",
         "more than one policy checkpoint are mixed",

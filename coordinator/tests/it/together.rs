@@ -1,5 +1,5 @@
 //! What arrives while a transaction runs goes into the next one together, and
-//! everybody is answered as if they had come alone.
+//! each call is answered as if it had come alone.
 
 use std::collections::BTreeSet;
 use std::time::Duration;

@@ -41,7 +41,7 @@ pub struct Provenance {
     pub policy_checkpoint_digest: String,
     /// Whether it saw the simulator's own state.
     pub policy_privileged: bool,
-    /// Whether it was told the canonical instruction whatever the condition.
+    /// Whether it got the canonical instruction under every condition.
     pub policy_canonical_only: bool,
     /// How a gateway asked it.
     pub batch_mode: String,

@@ -1,6 +1,6 @@
 //! Files that users bring, except those of scenes. Held here: what was read reads
 //! the same when it is written again, what is let through can be used, and no
-//! error tells a secret.
+//! error shows a secret.
 
 use std::io::{Cursor, Write};
 use std::path::Path;
@@ -101,7 +101,7 @@ pub(crate) fn token_file(input: &[u8]) -> bool {
             true
         }
         Err(error) => {
-            // No word of the file may be told that is long enough to be a token.
+            // An error may quote no word of the file that is long enough to be a token.
             let told = error.to_string().replace(&path.display().to_string(), "");
             let words = String::from_utf8_lossy(input);
             let secrets = words.split_whitespace();

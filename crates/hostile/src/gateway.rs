@@ -1,4 +1,4 @@
-//! What strangers send the gateway: every method of `rollout.policy.v1` before
+//! Any message to the gateway: every method of `rollout.policy.v1` before
 //! the built-in policies, and what policy servers answer it. Held here: an answer
 //! to every call, and of every answer of a server either actions that a robot may
 //! execute or a refusal.

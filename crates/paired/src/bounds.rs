@@ -107,12 +107,12 @@ impl Bounds {
         let mut ranges = Ranges::default();
         for matched in configurations {
             let outcomes = matched.alone.values().chain([&matched.together]);
-            let aside = outcomes
+            let quarantined = outcomes
                 .copied()
                 .any(|outcome| outcome == Outcome::Quarantined);
             if ranges.add(matched).is_some() {
                 n += 1;
-                affected += u64::from(aside);
+                affected += u64::from(quarantined);
             }
         }
         (affected > 0).then(|| ranges.bounds(n, affected))

@@ -257,9 +257,9 @@ fn cell(records: &Records, matched: &[Matched], clean: Option<f64>, bootstrap: &
 }
 
 fn quarantined(records: &Records) -> Vec<String> {
-    let aside = records.outcomes.iter();
-    let aside = aside.filter(|(_, outcome)| **outcome == Outcome::Quarantined);
-    aside
+    let outcomes = records.outcomes.iter();
+    outcomes
+        .filter(|(_, outcome)| **outcome == Outcome::Quarantined)
         .map(|((replicate, id), _)| match replicate {
             0 => id.to_string(),
             k => format!("{id}#r{k}"),

@@ -74,7 +74,10 @@ fn quarantined(names: &[String]) -> String {
         0 => String::new(),
         more => format!(" and {more} more"),
     };
-    format!("set aside and in no rate ({}): {named}{more}", names.len())
+    format!(
+        "in quarantine and in no rate ({}): {named}{more}",
+        names.len()
+    )
 }
 
 fn nominal_line(nominal: &Nominal, report: &Report) -> String {
@@ -291,8 +294,8 @@ fn gap_text(gap: &Gap) -> Option<String> {
     match (gap.missing, gap.quarantined) {
         (0, 0) => None,
         (missing, 0) => Some(format!("{missing} missing")),
-        (0, aside) => Some(format!("{aside} set aside")),
-        (missing, aside) => Some(format!("{missing} missing, {aside} set aside")),
+        (0, quarantined) => Some(format!("{quarantined} quarantined")),
+        (missing, quarantined) => Some(format!("{missing} missing, {quarantined} quarantined")),
     }
 }
 

@@ -110,7 +110,7 @@ proptest! {
             .collect()
         };
         let options = Options { bootstrap: quick(), ..Options::default() };
-        let aside = report(&records(&mut |code| known(code)), &options).expect("no duplicates");
+        let quarantined = report(&records(&mut |code| known(code)), &options).expect("no duplicates");
         let mut next = 0;
         // Arbitrary outcomes of the quarantined rollouts, all failures, and all
         // successes.
@@ -126,8 +126,8 @@ proptest! {
             };
             let settled = report(&records(&mut settle), &options).expect("no duplicates");
             let m = settled.cells[0].paired.as_ref().expect("complete");
-            let Some(bounds) = &aside.cells[0].bounds else {
-                prop_assert!(aside.quarantined.is_empty());
+            let Some(bounds) = &quarantined.cells[0].bounds else {
+                prop_assert!(quarantined.quarantined.is_empty());
                 break;
             };
             prop_assert_eq!(bounds.n, m.n);
@@ -245,15 +245,15 @@ fn an_incomplete_cell_counts_what_is_complete_and_says_what_is_not() {
     assert_eq!(
         (sensor.successes, sensor.n),
         (2, 2),
-        "set aside is in no rate"
+        "a quarantined rollout is in no rate"
     );
     assert_eq!(report.quarantined, ["spatial/t2/sensor/L2/c00"]);
 
     let text = table(&report);
     for expected in [
-        "set aside and in no rate (1): spatial/t2/sensor/L2/c00",
+        "in quarantine and in no rate (1): spatial/t2/sensor/L2/c00",
         "nominal success: 100.0 % (2/2); 1 missing",
-        "incomplete L2: camera 1 missing; sensor 1 set aside",
+        "incomplete L2: camera 1 missing; sensor 1 quarantined",
         "1 of 3",
     ] {
         assert!(text.contains(expected), "{expected} is not in:\n{text}");
@@ -267,7 +267,7 @@ fn quarantined_rollouts_are_bounded_by_the_worst_and_the_best_case() {
     let report = report(&records, &Options::default()).expect("no duplicates");
     let cell = &report.cells[0];
     assert_eq!(cell.paired.as_ref().expect("one is complete").n, 1);
-    let bounds = cell.bounds.as_ref().expect("two were set aside");
+    let bounds = cell.bounds.as_ref().expect("two are quarantined");
     assert_eq!((bounds.n, bounds.affected), (3, 2));
     assert_eq!(bounds.r_e, [1.0 / 3.0, 1.0]);
     assert_eq!(bounds.r_c, [0.0, 0.0]);

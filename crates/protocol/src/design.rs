@@ -72,7 +72,7 @@ pub enum DesignError {
         /// The level.
         level: Level,
     },
-    /// More rows than anybody could run.
+    /// More rows than can be run.
     #[error("it has {rows} rollouts, at most {MAX_ROWS} are expanded: divide it")]
     TooLarge {
         /// How many it has.

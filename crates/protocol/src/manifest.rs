@@ -181,7 +181,7 @@ pub enum LineProblem {
         /// The row that it should agree with.
         first: usize,
     },
-    /// More rows than anybody could run.
+    /// More rows than can be run.
     #[error("more than {MAX_ROWS} rows: divide it")]
     TooMany,
     /// Nothing at all.

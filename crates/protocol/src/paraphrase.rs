@@ -34,7 +34,7 @@ use speech::Speaker;
 /// An instruction in other words.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Paraphrase {
-    /// What the policy is told, verbatim: lower-case English without final
+    /// The policy's instruction, verbatim: lower-case English without final
     /// punctuation, at most 160 characters.
     pub text: String,
     /// Its name in manifests: `t0/L1/v01` is variant 1 of task 0 of the row's

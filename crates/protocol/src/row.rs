@@ -30,7 +30,7 @@ pub struct ManifestRow {
     pub init_slot: u16,
     /// Which of the task's released initial states.
     pub init_id: u16,
-    /// What the policy is told, verbatim.
+    /// The policy's instruction, verbatim.
     pub instruction: String,
     /// Which paraphrase the instruction is; none where it is canonical.
     pub variant_id: Option<String>,

@@ -16,8 +16,8 @@ pub trait Clock: Send + Sync {
 }
 
 /// The machine's wall clock at the start, and monotonic time since. Leases last
-/// as long as they should when somebody sets the wall clock; instants that are
-/// shown follow it at the next start.
+/// as long as they should when the wall clock is set; instants that are shown
+/// follow it at the next start.
 #[derive(Clone, Copy, Debug)]
 pub struct SystemClock {
     started: UnixMillis,

@@ -148,7 +148,7 @@ impl fmt::Display for AttemptNumber {
 }
 
 /// The longest prefix of `text` that fits `max_bytes` and ends between
-/// characters: what strangers send is bounded before it is kept or shown.
+/// characters: a client's text is bounded before it is kept or shown.
 pub fn shortened(text: &str, max_bytes: usize) -> &str {
     let end = (0..=max_bytes.min(text.len()))
         .rev()

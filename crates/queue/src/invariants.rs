@@ -10,7 +10,7 @@ use sqlx::{ConnectOptions, Connection, SqliteConnection};
 
 use crate::store::{self, DATABASE_FILE};
 
-/// Violations of one invariant that are told in words; the rest are counted.
+/// Violations of one invariant that are described; the rest are counted.
 pub const MAX_TOLD: usize = 5;
 
 /// What always holds of a database.
@@ -248,8 +248,8 @@ pub async fn check(path: &Path) -> Result<Vec<Violation>, CheckError> {
     Ok(violations)
 }
 
-/// Without a write-ahead log beside it nobody uses the file and all of it is in
-/// there: it is read without even a lock. With one, SQLite has to read both.
+/// Without a write-ahead log beside it the file is in use by no process and
+/// holds everything: it is read without even a lock. With one, SQLite has to read both.
 async fn open(file: &Path) -> Result<SqliteConnection, sqlx::Error> {
     let mut log = file.as_os_str().to_owned();
     log.push("-wal");

@@ -1,10 +1,10 @@
-//! The job table: what is to be run, who holds it, what came out. It knows no
-//! wire, no page, no simulator and no policy.
+//! The job table: what is to be run, which worker holds it, what came out. It
+//! knows no wire, no page, no simulator and no policy.
 //!
 //! [`rules`] decide purely; `operations` read what a decision needs, let the
 //! rules decide and carry it out, one transaction for all that arrives
-//! together; `store` holds their statements. [`View`] is what everybody else
-//! reads: the page, the command line and reports. [`Queue`] is the way in.
+//! together; `store` holds their statements. [`View`] is for
+//! reading: the page, the command line and reports. [`Queue`] is the way in.
 
 #![forbid(unsafe_code)]
 

@@ -43,8 +43,8 @@ pub struct Queue {
 }
 
 impl Queue {
-    /// Starts on an open store. Every lease gets its full time again: while
-    /// nobody listened, no heartbeat could arrive.
+    /// Starts on an open store. Every lease gets its full time again: while the
+    /// coordinator was down, no heartbeat could arrive.
     ///
     /// # Errors
     /// When the database cannot be written.
@@ -94,7 +94,7 @@ impl Queue {
         View::begin(&self.shared.store, self.now(), self.timing(), self.held()).await
     }
 
-    /// What tells when something was committed.
+    /// Reports when something was committed.
     ///
     /// # Errors
     /// When the database cannot be read.

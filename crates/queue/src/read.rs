@@ -1,6 +1,5 @@
-//! What everybody else reads: one consistent view, however many questions it
-//! answers. The page, the command line and reports ask here; nothing that
-//! workers wait for does.
+//! Reading: one consistent view, however many questions it answers. The page, the
+//! command line and reports use it; nothing that workers wait for does.
 
 mod campaigns;
 mod changes;

@@ -279,7 +279,7 @@ impl Store {
     /// When the log cannot be moved; nothing is lost then, the next start reads
     /// it.
     pub async fn close(&self) -> Result<(), StoreError> {
-        // Somebody who still reads must not keep the coordinator from ending.
+        // An open reader must not keep the coordinator from ending.
         let _ = tokio::time::timeout(READERS_GRACE, self.readers.close()).await;
         sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)")
             .execute(&self.writer)

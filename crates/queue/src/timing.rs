@@ -14,7 +14,7 @@ pub struct Timing {
     /// An attempt may take so long for each control step of its budget, settling
     /// included; after that its lease is renewed no more.
     pub ceiling_per_step: Duration,
-    /// A worker counts as alive for so long after it was last heard of; longer
+    /// A worker counts as alive for so long after its last call; longer
     /// than the longest wait of a claim.
     pub worker_alive: Duration,
     /// Between two looks for expired leases.

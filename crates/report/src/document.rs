@@ -7,7 +7,7 @@ use paired::{Cell, DuplicateRecord, Measures, Options, Records, Report, push_wra
 use protocol::Level;
 use serde::Serialize;
 
-use crate::subject::{Origin, SetAside, Subject};
+use crate::subject::{Origin, Quarantined, Subject};
 use crate::warnings;
 
 /// Columns of a terminal. Errors are cut there; the JSON form has them whole.
@@ -67,7 +67,7 @@ struct JsonReport<'a> {
     policy: &'a str,
     origin: &'a Origin,
     realisation: Option<&'a str>,
-    errors: &'a [SetAside],
+    errors: &'a [Quarantined],
     #[serde(flatten)]
     report: &'a Report,
 }
@@ -238,9 +238,9 @@ fn head(subject: &Subject) -> String {
 fn tail(subject: &Subject) -> String {
     let mut text = String::new();
     if !subject.errors.is_empty() {
-        text.push_str("\nset aside, with the last error:\n");
+        text.push_str("\nin quarantine, with the last error:\n");
     }
-    for SetAside {
+    for Quarantined {
         rollout,
         last_error,
     } in &subject.errors

@@ -1,6 +1,6 @@
 //! Result files of the reference implementation, and of `coordinator export`:
-//! `rollouts.jsonl`, one policy per folder, and beside it, where somebody wrote
-//! one, `about.json` with what the rows do not say.
+//! `rollouts.jsonl`, one policy per folder, and beside it, optionally,
+//! `about.json` with what the rows do not say.
 //!
 //! Lines are read one at a time. A file with a bad line is refused whole, with
 //! the numbers of its bad lines: half a file would make other figures.

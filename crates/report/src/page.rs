@@ -87,7 +87,7 @@ pub fn sections(document: &Document, link: Option<Link>) -> Markup {
         (replication(document))
         (tables::solvable(document))
         (tables::bounds(document))
-        (tables::set_aside(document))
+        (tables::quarantine(document))
         (methods::methods(document))
     }
 }

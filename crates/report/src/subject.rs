@@ -18,7 +18,7 @@ pub struct Subject {
     /// Every rollout that was meant to run, with or without an outcome.
     pub records: Vec<Record>,
     /// The last errors of the quarantined rollouts.
-    pub errors: Vec<SetAside>,
+    pub errors: Vec<Quarantined>,
     /// Rollouts that ran twice and came out differently.
     pub divergent: Vec<String>,
     /// Results of another realisation than `realisation`: in no figure, and
@@ -86,7 +86,7 @@ pub struct Provenance {
     pub policy_checkpoint_digest: String,
     /// Whether it saw privileged simulator state.
     pub policy_privileged: bool,
-    /// Whether it was told the canonical instruction whatever the condition.
+    /// Whether it got the canonical instruction under every condition.
     #[serde(default)]
     pub policy_canonical_only: bool,
     /// How its queries were batched.
@@ -97,7 +97,7 @@ pub struct Provenance {
 
 /// A quarantined rollout and its last error.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct SetAside {
+pub struct Quarantined {
     /// `ID` or `ID#rK`.
     pub rollout: String,
     /// The last error, whole.

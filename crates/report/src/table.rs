@@ -172,7 +172,7 @@ fn unresolved(matched: &Matched) -> Value {
         .chain([Condition::Combination])
         .filter_map(|condition| match matched.outcome(condition) {
             Outcome::Missing => Some(format!("{condition} missing")),
-            Outcome::Quarantined => Some(format!("{condition} set aside")),
+            Outcome::Quarantined => Some(format!("{condition} quarantined")),
             Outcome::Success | Outcome::Failure => None,
         });
     let named: Vec<String> = named.collect();

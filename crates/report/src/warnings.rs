@@ -41,7 +41,7 @@ pub(crate) fn of_subject(subject: &Subject) -> Vec<String> {
     }
     if provenances.iter().any(|p| p.policy_canonical_only) {
         warnings.push(format!(
-            "policy `{}` is always told the canonical instruction: its language axis is an \
+            "policy `{}` always gets the canonical instruction: its language axis is an \
              identity, and its rates there say nothing about language",
             subject.policy
         ));

@@ -3,11 +3,12 @@
 
 use std::path::Path;
 
+use attempt::Fingerprints;
 use paired::{Count, Outcome};
 use parquet::file::reader::{FileReader, SerializedFileReader};
 use report::{
-    Document, Fingerprints, Origin, Provenance, SetAside, Subject, figures, import, page,
-    write_csv, write_parquet,
+    Document, Origin, Provenance, Quarantined, Subject, figures, import, page, write_csv,
+    write_parquet,
 };
 use serde_json::Value;
 
@@ -63,7 +64,7 @@ fn broken() -> Subject {
         },
         realisation: Some("matched".parse().expect("a mode")),
         errors: aside
-            .map(|record| SetAside {
+            .map(|record| Quarantined {
                 rollout: record.id.to_string(),
                 last_error: "the simulator said <nothing>".to_owned(),
             })
@@ -194,7 +195,7 @@ fn a_broken_campaign_is_warned_of_before_any_figure() {
          3 of eeeeeeeeeeee, 8000 of ffffffffffff; 7 configurations mix them: \
          libero_goal/3 from state 0",
         "87 of 8400 rollouts have no result yet",
-        "87 rollouts were set aside",
+        "87 rollouts are in quarantine",
     ] {
         let at = page.find(warning);
         assert!(at.is_some_and(|at| at < figures), "{warning}");
@@ -293,7 +294,7 @@ fn the_csv_table_has_a_row_per_configuration() {
     let incomplete = rows.iter().filter(|r| r[transition].is_empty());
     assert!(incomplete.clone().count() > 100);
     for row in incomplete {
-        assert!(row[unresolved].contains("missing") || row[unresolved].contains("set aside"));
+        assert!(row[unresolved].contains("missing") || row[unresolved].contains("quarantined"));
     }
 }
 

@@ -1,8 +1,8 @@
 //! What browsers need of a gate: a token in a cookie, because a browser sends no
 //! `Authorization` by itself; refusals as pages and texts instead of gRPC
-//! statuses; and the rules that keep a stranger's page, open in the same
-//! browser, away from a server that asks nobody for a token. What a page shows
-//! is its server's business.
+//! statuses; and the rules that keep another site's page, open in the same
+//! browser, away from a server that requires no token. What a page shows is its
+//! server's business.
 
 use std::net::IpAddr;
 
@@ -52,12 +52,12 @@ pub(crate) fn is_grpc(headers: &HeaderMap) -> bool {
     kind.is_some_and(|kind| kind.as_bytes().starts_with(b"application/grpc"))
 }
 
-/// Refuses what a stranger's page could make a browser send. Browsers speak
+/// Refuses what another site's page could make a browser send. Browsers speak
 /// HTTP/1 without TLS, and a page on the Internet can let its own name lead to
 /// an address of this machine or network: then the browser takes this server
 /// for that page's own. So calls take HTTP/2, which is what gRPC is, and where
-/// nobody is asked for a token, the name that the browser used must be one that
-/// nobody on the Internet can own.
+/// no token is required, the name that the browser used must be one that cannot
+/// be owned on the Internet.
 pub(crate) fn check<B>(request: &Request<B>, asks_for_tokens: bool) -> Result<(), Status> {
     if request.version() >= Version::HTTP_2 {
         return Ok(());
@@ -87,8 +87,8 @@ fn is_private_name(host: &str) -> bool {
     name.parse::<IpAddr>().is_ok() || (!name.is_empty() && !name.contains('.'))
 }
 
-/// A refusal for a caller that does not speak gRPC: people who must log in are
-/// led to where they can, everybody else is told in a line of text.
+/// A refusal for a caller that does not speak gRPC: a browser that must log in is
+/// redirected to the form, any other caller gets a line of text.
 pub(crate) fn refusal<B>(status: &Status, request: &Request<B>, log_in: &str) -> Response<Body> {
     let headers = request.headers();
     let accepts = headers.get(header::ACCEPT);

@@ -22,7 +22,7 @@ use tonic::{Request, Status};
 use crate::server::{HANDSHAKE_TIMEOUT, SecurityError, read_pem, tokens};
 use crate::token::{Role, Token, TokenError, Tokens};
 
-/// How to get in where a server asks who is there.
+/// The credentials for a server that requires them.
 #[derive(Args, Clone, Debug, Default)]
 pub struct ClientArguments {
     /// File with this client's token, as `ROLE TOKEN` [or that line in

@@ -20,10 +20,10 @@ use crate::rate::{MAX_REQUESTS_PER_SEC, Rates};
 use crate::refusals::Refusals;
 use crate::token::{Role, Tokens};
 
-/// Who may make a call.
+/// What a call requires of its caller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Demand {
-    /// Everybody: it tells nothing and changes nothing.
+    /// Nothing: it reveals nothing and changes nothing.
     Nothing,
     /// Callers with one of these roles.
     OneOf(&'static [Role]),
@@ -192,10 +192,10 @@ impl Shared {
     }
 }
 
-/// Longest piece of a stranger's words in the log.
+/// Longest piece of a caller's text in the log.
 const MAX_LOGGED_CHARS: usize = 300;
-/// Longest refusal. It travels in a header, and one that quotes a
-/// megabyte of what was asked would break the connection instead of telling.
+/// Longest refusal. It travels in a header, and one that quotes a megabyte of
+/// the request would break the connection.
 const MAX_STATUS_CHARS: usize = 2_000;
 
 fn caller<B>(request: &Request<B>) -> SocketAddr {

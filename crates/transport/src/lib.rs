@@ -1,11 +1,11 @@
-//! Who may talk: where the programs' servers listen, over what, who is let in
-//! with which role, how often one caller may ask, what clients bring along, and
-//! whose fault a failed call is.
-//! One room for all programs, so that a rule holds everywhere. Not responsible
-//! for what is asked: which call demands which role is each server's table.
+//! Access: where the programs' servers listen, over what, which callers get in
+//! with which role, how often one caller may call, clients' credentials, and
+//! whether a failed call is the client's fault or the server's.
+//! One crate for all programs, so that a rule holds everywhere. Not responsible
+//! for what is called: which call requires which role is each server's table.
 //!
 //! A server on a loopback address asks for nothing. On any other it must have a
-//! certificate and tokens, or be told `--insecure`. Tokens come from a file or
+//! certificate and tokens, or the flag `--insecure`. Tokens come from a file or
 //! the environment, never from an argument, which every process list shows; they
 //! are kept as digests, compared in constant time, and never logged. A browser
 //! keeps its token in a cookie, which opens pages and no call.

@@ -1,6 +1,6 @@
-//! What has been said about refused callers: each kind of refusal of a machine
-//! is logged once while it goes on, so that a stranger who knocks for a night
-//! does not fill the disk.
+//! The log of refused callers: each kind of refusal of a machine is logged once
+//! while it goes on, so that a caller that tries for a night does not fill the
+//! disk.
 
 use std::collections::HashMap;
 use std::net::IpAddr;

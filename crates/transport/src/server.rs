@@ -1,5 +1,5 @@
-//! What a server is told at its start about who may connect, checked before it
-//! listens, and the bounds that hold for every connection.
+//! A server's settings of who may connect, checked before it listens, and the
+//! bounds that hold for every connection.
 
 use std::io;
 use std::net::SocketAddr;
@@ -13,7 +13,7 @@ use crate::browser;
 use crate::gate::{Demand, Gate};
 use crate::token::{Role, TokenError, Tokens};
 
-/// Longest time for a TLS handshake: who connects and says nothing goes.
+/// Longest time for a TLS handshake: a silent connection is closed.
 pub const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(10);
 /// Calls under way at a time over one connection: every slot of a large worker
 /// may wait for a job, commit and send a video.
@@ -102,9 +102,9 @@ impl ServerArguments {
         };
         let tokens = tokens(self.token_file.as_deref())?;
         let missing = match (&identity, &tokens) {
-            (None, None) => Some("nobody would be asked who they are"),
+            (None, None) => Some("every client would be let in, in the clear"),
             (None, Some(_)) => Some("tokens would be sent in the clear"),
-            (Some(_), None) => Some("nobody would be asked for a token"),
+            (Some(_), None) => Some("every client would be let in without a token"),
             (Some(_), Some(_)) => None,
         };
         match missing {
@@ -117,7 +117,7 @@ impl ServerArguments {
 }
 
 impl Security {
-    /// A server on a loopback address, which asks nobody for anything.
+    /// A server on a loopback address, which requires no token.
     pub fn loopback() -> Security {
         Security {
             identity: None,
@@ -130,7 +130,7 @@ impl Security {
         self.identity.is_some()
     }
 
-    /// Whether callers are asked for a token.
+    /// Whether callers need a token.
     pub fn asks_for_tokens(&self) -> bool {
         self.tokens.is_some()
     }

@@ -1,5 +1,5 @@
-//! Tokens and the roles that they give: reading them, and comparing what a
-//! stranger shows with what is known. A token file has one `ROLE TOKEN` per
+//! Tokens and the roles that they give: reading them, and comparing a
+//! caller's token with the known ones. A token file has one `ROLE TOKEN` per
 //! line; empty lines and lines that begin with `#` are skipped.
 
 use std::fmt;

@@ -1,4 +1,4 @@
-"""What a policy says of itself: plain data, checked when it is made."""
+"""A policy's description: plain data, checked when it is made."""
 
 from __future__ import annotations
 

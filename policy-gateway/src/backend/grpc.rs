@@ -200,7 +200,7 @@ impl fmt::Display for GrpcBackend {
     }
 }
 
-/// Whether a status was made on this side, for want of an answer: what a
+/// Whether a status was made on this side, without an answer: what a
 /// server answers carries no source.
 fn is_transport_failure(status: &Status) -> bool {
     std::error::Error::source(status).is_some()

@@ -18,7 +18,7 @@ use crate::recording::{Pair, Writer};
 /// After so long without a query a session has ended: sessions have no end on
 /// the wire.
 pub const ENDED_AFTER: Duration = Duration::from_secs(120);
-/// Bytes written, unless told otherwise: four hundred sessions of a hundred
+/// Bytes written by default: four hundred sessions of a hundred
 /// observations.
 pub const DEFAULT_MAX_BYTES: u64 = 16 << 30;
 

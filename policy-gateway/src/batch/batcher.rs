@@ -1,6 +1,6 @@
 //! Sends batches to one server: a task takes queries from the queue, and every
 //! query gets its own answer back. Responsible for ending a batch that is not
-//! answered in time; who may ask at all is the replica's business.
+//! answered in time; which queries may be asked at all is the replica's business.
 
 use std::{
     sync::{Arc, Mutex, PoisonError},
@@ -26,7 +26,7 @@ pub struct Batcher {
 struct Shared {
     backend: Arc<dyn Backend>,
     answer_within: Duration,
-    /// Queries, and the largest batch as last told.
+    /// Queries, and the largest batch as last reported.
     queue: Mutex<(Queue<Query>, usize)>,
     changed: Notify,
 }
@@ -115,7 +115,7 @@ async fn drive(shared: Arc<Shared>) {
             }
         };
         tokio::select! {
-            // A batch that panicked is done, too; its queries are told.
+            // A batch that panicked is done, too; its queries are answered.
             Some(_) = under_way.join_next() => shared.queue().0.done(),
             () = shared.changed.notified() => {}
             () = ripe => {}

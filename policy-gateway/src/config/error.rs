@@ -57,7 +57,7 @@ pub enum ConfigError {
         /// Name of the route.
         name: RouteName,
     },
-    /// More than anybody has.
+    /// More than the limit.
     #[error("take more than {MAX_REPLICAS} replicas of one checkpoint of policy {name}")]
     TooManyReplicas {
         /// Name of the route.

@@ -1,4 +1,4 @@
-//! Why a route did not answer, as a worker is told.
+//! Why a route did not answer, as the worker's call returns it.
 
 use thiserror::Error;
 use tonic::{Code, Status};

@@ -1,6 +1,6 @@
 //! Servers that are wrong on purpose: each is told apart for the right reason,
 //! and what is the server's trouble reaches a worker as an outage, which is
-//! charged to nobody.
+//! never charged.
 
 use std::{
     sync::{

@@ -1,6 +1,6 @@
 //! The process of one measured slot: compiles its scene, says that it is ready,
-//! and whenever it is told a number of seconds runs rollouts for so long and
-//! says what it did. Ends when the parent closes the connection, which is
+//! and for every number of seconds that it receives runs rollouts for so long
+//! and reports what it did. Ends when the parent closes the connection, which is
 //! what happens when the parent dies.
 
 use std::ops::ControlFlow;

@@ -1,6 +1,6 @@
 //! A task that is none of the protocol's: a BDDL file and its initial states.
-//! It stands in for the task of a row, from which come what it has not: the
-//! suite that the policy is told, seeds, step budget, and a perturbation.
+//! It stands in for the task of a row, which supplies the rest: the suite
+//! that the policy is given, seeds, step budget, and a perturbation.
 
 use std::fs;
 use std::path::PathBuf;
@@ -20,7 +20,7 @@ pub struct OwnTask {
     pub init: PathBuf,
     /// Which of its states.
     pub init_id: u16,
-    /// What the policy is told; none: what the BDDL file says.
+    /// The policy's instruction; none: the BDDL file's.
     pub instruction: Option<String>,
     /// Control steps that the policy has; none: as many as the row's suite.
     pub max_steps: Option<u32>,

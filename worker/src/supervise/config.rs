@@ -17,7 +17,7 @@ pub struct Config {
     pub coordinator: String,
     /// How to get in there.
     pub access: Access,
-    /// Who it is to the coordinator.
+    /// How it registers with the coordinator.
     pub identity: Identity,
     /// Rollouts at a time.
     pub slots: usize,
@@ -31,7 +31,7 @@ pub struct Config {
     pub seed: u64,
 }
 
-/// Who a worker is and what it runs on: goes with every result.
+/// A worker's id and what it runs on: goes with every result.
 #[derive(Clone, Debug)]
 pub struct Identity {
     /// New at every start.

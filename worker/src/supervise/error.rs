@@ -5,7 +5,7 @@ use attempt::AttemptIdError;
 use super::slot_state::MAX_FAILED_STARTS;
 use crate::grpc::EndpointError;
 
-/// Why a worker ended other than by being told to.
+/// Why a worker ended without a request to end.
 #[derive(Debug, thiserror::Error)]
 pub enum SuperviseError {
     /// The coordinator's URL is none.
@@ -14,7 +14,7 @@ pub enum SuperviseError {
     /// The certificate authority is no use.
     #[error("use the certificate authority for the coordinator")]
     Tls(#[source] tonic::transport::Error),
-    /// The coordinator will not have this worker.
+    /// The coordinator refused this worker.
     #[error("register with the coordinator at {url}: {answer}")]
     Refused {
         /// Where it is.
@@ -22,7 +22,7 @@ pub enum SuperviseError {
         /// Why, in its words.
         answer: String,
     },
-    /// The coordinator told this worker to stop.
+    /// The coordinator stopped this worker.
     #[error("go on working: the coordinator stopped this worker because {0}")]
     Stopped(String),
     /// A lease has no name.

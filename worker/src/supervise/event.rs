@@ -36,7 +36,7 @@ pub(crate) enum Event {
     Delivered { slot: usize, answer: Answer },
     /// A slot's process said something.
     Slot { key: ProcessKey, event: SlotEvent },
-    /// A slot's process ended, as told in `end`.
+    /// A slot's process ended, as described in `end`.
     Ended { key: ProcessKey, end: String },
     /// A task of this program panicked.
     Panicked { task: task::Id, error: String },

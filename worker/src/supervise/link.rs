@@ -1,5 +1,5 @@
 //! The way to the coordinator: every call of its worker service, repeated with
-//! back-off while the coordinator cannot be reached, and the outage told once.
+//! back-off while the coordinator cannot be reached, and the outage logged once.
 //! Not responsible for what the answers mean.
 
 use std::path::Path;
@@ -212,7 +212,7 @@ impl Link {
                 *outage = Some(Instant::now());
                 tracing::warn!(
                     "coordinator {url} cannot be reached ({}); trying again every {} to {} s, \
-                     rollouts in hand go on",
+                     rollouts in flight go on",
                     chain(status),
                     Waits::USUAL.first.as_secs(),
                     Waits::USUAL.longest.as_secs()

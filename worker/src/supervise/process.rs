@@ -83,7 +83,7 @@ impl SlotProcess {
     }
 }
 
-/// Owns a process until it has ended and everything that it said is told.
+/// Owns a process until it has ended and all its messages are passed on.
 async fn attend(
     mut child: Child,
     connection: UnixStream,

@@ -78,14 +78,14 @@ pub(crate) enum Work {
         /// Control steps done.
         control_steps: u32,
     },
-    /// The lease was lost; the process was told to abandon the rollout.
+    /// The lease was lost; the process has been asked to abandon the rollout.
     Abandoning {
         /// Which attempt at it.
         attempt: AttemptId,
         /// When the process is killed if it has not.
         deadline: Instant,
     },
-    /// The coordinator is being told how the rollout ended.
+    /// The end of the rollout is being reported to the coordinator.
     Delivering {
         /// Which attempt at it.
         attempt: AttemptId,

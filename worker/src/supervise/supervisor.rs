@@ -65,9 +65,9 @@ pub(super) struct Supervisor {
     mode: Mode,
     /// Tells the link that no more work is wanted.
     drain: watch::Sender<bool>,
-    /// When it was first told to end.
+    /// When the first request to end came.
     told_to_end_at: Option<Instant>,
-    /// Why the worker ends, if not because it was told to.
+    /// Why the worker ends, if not on request.
     fault: Option<SuperviseError>,
     heartbeat_under_way: bool,
     /// Whether a lease was taken that no heartbeat has named: the first one
@@ -486,7 +486,7 @@ impl Supervisor {
 
     fn renewed(&mut self, answer: Result<HeartbeatResponse, Status>, now: Instant) {
         self.heartbeat_under_way = false;
-        // A failure is told by the link, and the next heartbeat is soon.
+        // The link logs a failure, and the next heartbeat is soon.
         let Ok(answer) = answer else { return };
         for lost in &answer.lost_attempts {
             match lost.parse() {
@@ -535,11 +535,11 @@ impl Supervisor {
             self.told_to_end_at = Some(now);
             let running = self.slots.iter().filter_map(|it| it.state.progress());
             tracing::info!(
-                "draining: {} rollouts in hand are finished; ask again to give them back instead",
+                "draining: {} rollouts in flight are finished; a second signal gives them back instead",
                 running.count()
             );
         } else if self.mode == Mode::Draining && !self.is_duplicate(now) {
-            tracing::info!("giving the rollouts in hand back");
+            tracing::info!("giving the rollouts in flight back");
             self.give_up(now);
         }
     }
@@ -551,7 +551,7 @@ impl Supervisor {
             .is_some_and(|first| now.duration_since(first) < DUPLICATE_REQUEST)
     }
 
-    /// Gives the rollouts in hand back, and ends soon.
+    /// Gives the rollouts in flight back, and ends soon.
     fn give_up(&mut self, now: Instant) {
         self.mode = Mode::Abandoning {
             until: now + GIVE_BACK_DEADLINE,
@@ -562,7 +562,7 @@ impl Supervisor {
                 process.kill();
             }
             if let Some(attempt) = given_back {
-                let error = "finish the rollout: the worker was told to end at once".to_owned();
+                let error = "finish the rollout: the worker was asked to end at once".to_owned();
                 let kind = FailureKind::Draining;
                 let label = self.label(slot);
                 let ending = Ending::Failed(Failure { kind, error });

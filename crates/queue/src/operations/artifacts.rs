@@ -117,7 +117,8 @@ impl Upload<'_> {
     /// # Errors
     /// When the outcome is gone meanwhile, or the disk fails.
     pub async fn finish(mut self) -> Result<String, ArtifactError> {
-        // Writes go on in the background: only a flush tells of the last one.
+        // Writes go on in the background: only a flush reports a failure of the
+        // last one.
         self.file.flush().await.map_err(at(&self.partial))?;
         self.file.sync_all().await.map_err(at(&self.partial))?;
         let attempt = self.attempt;

@@ -3,8 +3,8 @@
 //! For one transaction: the campaigns with waiting jobs, a campaign with its
 //! policy, and what live workers run on; forgotten whenever an operation changes
 //! any of them. Beyond it: results and origins, which never change once they are
-//! stored, and which nobody else stores. A transaction that was undone, or that
-//! deleted a campaign, forgets everything.
+//! stored, and which only this process stores. A transaction that was undone, or
+//! that deleted a campaign, forgets everything.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
@@ -73,7 +73,7 @@ impl Cache {
         Ok(self.waiting.clone().unwrap_or_default())
     }
 
-    /// What workers run on that were heard of since `since` and may lease.
+    /// What workers run on that have called since `since` and may lease.
     pub(super) async fn live(
         &mut self,
         tx: &mut SqliteConnection,

@@ -60,8 +60,8 @@ impl Queue {
         })
     }
 
-    /// Pauses, resumes or cancels a campaign. Cancelling takes its leases back,
-    /// charged to nobody; their workers hear of it with their next heartbeat.
+    /// Pauses, resumes or cancels a campaign. Cancelling takes its leases back
+    /// without a charge; their workers learn of it with their next heartbeat.
     ///
     /// # Errors
     /// When there is no such campaign, it is cancelled already, or the database

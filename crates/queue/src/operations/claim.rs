@@ -27,10 +27,9 @@ const SPARE_CANDIDATES: usize = 8;
 /// What a worker asks for: one job.
 #[derive(Clone, Debug)]
 pub struct ClaimRequest {
-    /// Who.
+    /// The worker that asks.
     pub worker: WorkerId,
-    /// The worker's own name for this claim: asked again, it gets the same
-    /// lease.
+    /// The worker's own id for this claim: repeated, it gets the same lease.
     pub claim: String,
     /// The task whose scene the slot holds compiled.
     pub warm_task: Option<String>,
@@ -145,7 +144,7 @@ impl Context<'_> {
         Ok(answers)
     }
 
-    /// Who asks, and notes that they are there.
+    /// The standings of the workers that ask; notes that they are alive.
     async fn standings(
         &mut self,
         requests: &[(&ClaimRequest, bool)],
@@ -171,8 +170,8 @@ impl Context<'_> {
         Ok(by_claim.collect())
     }
 
-    /// Leases to workers that run on `pin`, oldest campaigns first. Who gets
-    /// something is taken out of `wanting`.
+    /// Leases to workers that run on `pin`, oldest campaigns first. Claims
+    /// that are met are taken out of `wanting`.
     async fn lease_to(
         &mut self,
         pin: &Pin,
@@ -242,9 +241,9 @@ impl Context<'_> {
         Ok(handed_out.collect())
     }
 
-    /// Which jobs of a campaign go to whom. First what is warm; then, for those
-    /// that the warm tasks have nothing for, the tasks that the fewest are on.
-    /// Who gets something is taken out of `wanting`.
+    /// Which jobs of a campaign go to which claim. First jobs of warm tasks; then,
+    /// for claims whose warm tasks have no job left, the tasks with the fewest
+    /// leases. Claims that are met are taken out of `wanting`.
     async fn choose(
         &mut self,
         campaign: &Campaign,

@@ -73,7 +73,7 @@ impl<'a> Context<'a> {
     }
 
     /// Ends a held attempt without a result: requeues its job or quarantines it,
-    /// and tells its policy's health.
+    /// and updates its policy's health.
     pub(super) async fn end_attempt(
         &mut self,
         (job, lease): (&Job, &Lease),
@@ -137,8 +137,8 @@ impl<'a> Context<'a> {
     }
 
     /// Stores the health of a campaign's policy if it changed, and wakes waiting
-    /// claims if its jobs may be leased now. Who is woken waits for this
-    /// transaction's end: there is one writer.
+    /// claims if its jobs may be leased now. A woken claim waits for
+    /// this transaction's end: there is one writer.
     pub(super) async fn set_health(
         &mut self,
         campaign: &Campaign,

@@ -11,13 +11,13 @@ pub enum QueueError {
     /// The worker never announced itself here.
     #[error("serve worker `{worker}`: it is not registered with this coordinator; register first")]
     UnknownWorker {
-        /// Who.
+        /// Which.
         worker: WorkerId,
     },
     /// The worker may lease no more.
     #[error("lease to worker `{worker}`: {reason}")]
     WorkerStopped {
-        /// Who.
+        /// Which.
         worker: WorkerId,
         /// Why.
         reason: String,

@@ -17,7 +17,7 @@ const FILMING_TIMEOUT: Duration = Duration::from_secs(15 * 60);
 pub(crate) struct InFlight(Mutex<BTreeMap<JobId, UnixMillis>>);
 
 impl InFlight {
-    /// The first that nobody is filming.
+    /// The first that is not being filmed.
     pub(super) fn take(&self, wanting: &[JobId], now: UnixMillis) -> Option<JobId> {
         let mut in_flight = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         in_flight.retain(|_, until| *until > now);

@@ -1,5 +1,5 @@
-//! Removing the files of what was deleted. What stays on the disk is told of,
-//! and tried again at the next start.
+//! Removing the files of what was deleted. What stays on the disk is
+//! logged, and tried again at the next start.
 
 use std::io::ErrorKind;
 

@@ -1,12 +1,13 @@
-//! What happens to leases when the coordinator starts, and when it was asleep.
+//! What happens to leases when the coordinator starts, and when it was
+//! suspended.
 
 use super::context::Context;
 use super::shared::Shared;
 use crate::store::failpoint::Step;
 use crate::store::{StoreError, backup, jobs};
 
-/// Gives every lease its full time again: while nobody listened, no heartbeat
-/// could arrive.
+/// Gives every lease its full time again: while the coordinator was down, no
+/// heartbeat could arrive.
 pub(crate) async fn start(shared: &Shared) -> Result<(), StoreError> {
     backup::remove_leftover(shared.store.folder());
     let mut context = Context::begin(shared, vec![Step::Start]).await?;

@@ -1,8 +1,8 @@
 //! Group commit: what workers ask for is gathered while one transaction runs and
 //! goes into the next together, so that many answers wait for one `fsync`.
 //!
-//! An operation that fails spoils nobody else's: the transaction is undone and
-//! each of its operations is tried in one of its own. A transaction that cannot
+//! An operation that fails does not fail the others: the transaction is undone
+//! and each of its operations is tried in one of its own. A transaction that cannot
 //! even begin fails all of them at once.
 
 use std::sync::Arc;
@@ -22,7 +22,8 @@ use crate::store::failpoint::Step;
 
 /// Most operations of one transaction.
 const MAX_BATCH: usize = 256;
-/// Operations that wait for the next transactions; who comes then, waits.
+/// Operations that wait for the next transactions; while there are so many,
+/// callers wait to hand in theirs.
 pub(crate) const MAX_WAITING: usize = 4_096;
 
 /// What a worker asks for.
@@ -45,7 +46,7 @@ pub(crate) struct Pending<Q, A> {
     reply: oneshot::Sender<Result<A, QueueError>>,
 }
 
-/// Executes operations until nobody can ask any more.
+/// Executes operations until all senders are gone.
 pub(crate) async fn run(shared: Arc<Shared>, mut asked: mpsc::Receiver<Operation>) {
     let mut batch = Vec::with_capacity(MAX_BATCH);
     while asked.recv_many(&mut batch, MAX_BATCH).await > 0 {
@@ -165,7 +166,7 @@ impl<Q, A> Pending<Q, A> {
 
     fn reply(self) {
         if let Some(answer) = self.answer {
-            // Who asked may have gone.
+            // The caller may have gone.
             let _ = self.reply.send(answer);
         }
     }

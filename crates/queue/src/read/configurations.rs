@@ -26,7 +26,7 @@ pub struct RolloutLine {
     pub manifest_row: String,
     /// Seed for the policy.
     pub policy_seed: i64,
-    /// Who has it, while it is leased.
+    /// The worker that holds its lease, while it is leased.
     pub lease_owner: Option<WorkerId>,
     /// Control steps that its worker last reported.
     pub control_steps: Option<u32>,

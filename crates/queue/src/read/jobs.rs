@@ -43,7 +43,7 @@ pub struct JobLine {
     pub not_before_ms: Option<UnixMillis>,
     /// The attempt that holds its lease, while it is leased.
     pub attempt_id: Option<String>,
-    /// Who has it, while it is leased.
+    /// The worker that holds its lease, while it is leased.
     pub lease_owner: Option<WorkerId>,
     /// When its lease ends without a heartbeat.
     pub lease_expires_ms: Option<UnixMillis>,

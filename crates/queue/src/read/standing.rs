@@ -7,7 +7,7 @@ use crate::rules::outage::PolicyHealth;
 use crate::store::policies::{HealthRow, health_columns};
 use crate::store::{Doing, StoreError};
 
-/// Most workers that one look shows: those heard of last.
+/// Most workers of one answer: those with the latest calls.
 pub const MAX_WORKERS_LISTED: u32 = 1_000;
 
 /// A worker as people see it.
@@ -29,7 +29,7 @@ pub struct WorkerLine {
     pub renderer: String,
     /// Version of its program.
     pub program_version: String,
-    /// When it was last heard of.
+    /// When it last called.
     pub last_seen_ms: UnixMillis,
     /// Charged failures in a row.
     pub charged_in_a_row: u32,
@@ -71,7 +71,7 @@ pub struct QuarantinedLine {
 }
 
 impl View {
-    /// Up to [`MAX_WORKERS_LISTED`] workers, those heard of last first.
+    /// Up to [`MAX_WORKERS_LISTED`] workers, those with the latest calls first.
     ///
     /// # Errors
     /// When the database fails.

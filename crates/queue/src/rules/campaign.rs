@@ -1,4 +1,4 @@
-//! What an operator may do with a campaign: its states and who may move them.
+//! What an operator may do with a campaign: its states and their changes.
 //! Not responsible for what becomes of single jobs (`lease`).
 
 use crate::clock::UnixMillis;

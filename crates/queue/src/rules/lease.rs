@@ -1,5 +1,5 @@
-//! What may happen to one job: the states, who may move it, and how an attempt
-//! that brought no result is charged. Not responsible for which job is leased
+//! What may happen to one job: its states, what moves it between them, and how an
+//! attempt without a result is charged. Not responsible for which job is leased
 //! next (`choice`) nor for a policy's outages (`outage`).
 
 use std::time::Duration;
@@ -13,7 +13,7 @@ use crate::ids::{AttemptNumber, JobId, WorkerId};
 /// Charged attempts after which a job is quarantined.
 pub const MAX_CHARGED_ATTEMPTS: u32 = 3;
 /// Workers on which a job must have failed before it is quarantined, if that
-/// many are alive: one broken machine must not condemn a rollout.
+/// many are alive: one broken machine must not put a rollout into quarantine.
 pub const MIN_WORKERS_TO_QUARANTINE: u32 = 2;
 /// Charged failures in a row after which a worker leases no more.
 pub const MAX_WORKER_FAILURES_IN_A_ROW: u32 = 5;
@@ -39,7 +39,7 @@ pub enum JobState {
         /// End of its back-off.
         not_before: UnixMillis,
     },
-    /// A worker has it.
+    /// A worker holds its lease.
     Leased(Lease),
     /// Its result is stored. Final.
     Committed,
@@ -60,7 +60,7 @@ pub struct Lease {
     pub expires: UnixMillis,
     /// Past this instant no heartbeat renews it.
     pub ceiling: UnixMillis,
-    /// Whether its worker has said that it has it.
+    /// Whether a heartbeat of its worker has named it.
     pub is_acknowledged: bool,
 }
 
@@ -96,9 +96,9 @@ pub enum FailureReason {
     SlotCrashed,
     /// The slot's progress stopped.
     SlotStuck,
-    /// The policy answered nonsense.
+    /// The policy's answer broke its protocol.
     PolicyMisbehaved,
-    /// The lease expired: its worker fell silent.
+    /// The lease expired: its worker's heartbeats stopped.
     LeaseLost,
     /// The attempt reached its ceiling.
     Overdue,
@@ -110,8 +110,8 @@ pub enum FailureReason {
     Draining,
     /// The campaign was cancelled.
     Cancelled,
-    /// The lease expired before its worker said that it has it: the answer to
-    /// its claim was lost.
+    /// The lease expired before a heartbeat named it: the answer to its claim was
+    /// lost.
     NeverAcknowledged,
 }
 
@@ -127,7 +127,7 @@ pub enum AfterFailure {
     Quarantine,
 }
 
-/// What speaks for and against quarantining a failed job.
+/// What decides whether a failed job is quarantined.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Suspicion {
     /// Distinct workers with a charged failure of this job, this one included.
@@ -248,8 +248,8 @@ pub fn strike(in_a_row: u32) -> Strike {
 }
 
 /// Whether a coordinator that last looked for expired leases so long ago was
-/// asleep: then every lease gets its full time again, rather than all workers
-/// the blame.
+/// suspended: then every lease gets its full time again, and no worker is
+/// charged.
 pub fn was_asleep(since_last_sweep: Duration, lease: Duration) -> bool {
     since_last_sweep >= lease / 2
 }

@@ -31,14 +31,14 @@ pub enum PolicyState {
     Paused {
         /// When a probe may go.
         resume: UnixMillis,
-        /// What its last user was told.
+        /// The error that its last attempt reported.
         reason: String,
     },
     /// One job is out to try it; the others wait.
     Probing {
         /// The probe.
         attempt: AttemptId,
-        /// What the last outage said.
+        /// The error of the last outage.
         reason: String,
     },
 }

@@ -51,7 +51,7 @@ pub(crate) async fn copy(store: &Store) -> Result<Copy, StoreError> {
 
 /// Removes the half-done copy of a process that was killed.
 pub(crate) fn remove_leftover(folder: &Path) {
-    // It is not there, as a rule; one that stays is overwritten or told of by
-    // the next backup.
+    // It is not there, as a rule; one that stays is overwritten or reported
+    // by the next backup.
     let _ = std::fs::remove_file(folder.join(BACKUP_FILE));
 }

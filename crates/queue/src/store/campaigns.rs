@@ -1,5 +1,5 @@
 //! Statements on `campaign` and `campaign_task`: creating, pinning, moving,
-//! deleting, and a campaign with its policy as everybody reads it.
+//! deleting, and reading a campaign with its policy.
 
 use attempt::Pin;
 use protocol::Realisation;

@@ -53,7 +53,7 @@ pub(crate) struct Failpoints {
 pub enum Side {
     /// Everything is written and nothing is committed.
     Before,
-    /// It is committed, and nobody was told.
+    /// It is committed, and no answer was sent.
     After,
 }
 

@@ -25,7 +25,7 @@ pub(crate) struct InitialState {
     pub(crate) init_id: i64,
 }
 
-/// An attempt that somebody names, with its job.
+/// An attempt that a call names, with its job.
 #[derive(Clone, Debug, sqlx::FromRow)]
 pub(crate) struct NamedAttempt {
     #[sqlx(rename = "named", try_from = "String")]

@@ -1,4 +1,4 @@
-//! Statements on `worker`: who is there, with which assets and simulator.
+//! Statements on `worker`: which are alive, with which assets and simulator.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -33,7 +33,7 @@ pub(crate) struct Standing {
     /// What it runs on.
     #[sqlx(json)]
     pub(crate) pin: Pin,
-    /// When it was last heard of.
+    /// When it last called.
     pub(crate) last_seen_ms: UnixMillis,
     /// Charged failures in a row.
     pub(crate) charged_in_a_row: u32,
@@ -99,7 +99,7 @@ pub(crate) async fn standings(
     Ok(standings.into_iter().map(by_id).collect())
 }
 
-/// Notes that workers were heard of.
+/// Notes that workers called.
 pub(crate) async fn seen(
     tx: &mut SqliteConnection,
     ids: &[&WorkerId],
@@ -157,7 +157,7 @@ pub(crate) async fn succeeded(
     .map(drop)
 }
 
-/// What workers run on that were heard of since `since` and may lease.
+/// What workers run on that have called since `since` and may lease.
 pub(crate) async fn live_pins(
     tx: &mut SqliteConnection,
     since: UnixMillis,

@@ -207,7 +207,7 @@ fn said(matched: &Matched) -> String {
     for (outcome, what) in [
         (Outcome::Failure, "fails under"),
         (Outcome::Missing, "no result under"),
-        (Outcome::Quarantined, "set aside under"),
+        (Outcome::Quarantined, "quarantined under"),
     ] {
         let names = named(outcome);
         if !names.is_empty() {

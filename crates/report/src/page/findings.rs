@@ -53,12 +53,12 @@ pub(super) fn warnings(document: &Document) -> Markup {
                         @for warning in &analysis.report.notes {
                             li { (of(analysis)) (sentence(warning)) }
                         }
-                        @let aside = analysis.report.quarantined.len();
-                        @if aside > 0 {
+                        @let quarantined = analysis.report.quarantined.len();
+                        @if quarantined > 0 {
                             li {
-                                (of(analysis)) (aside)
-                                @if aside == 1 { " rollout was" } @else { " rollouts were" }
-                                " set aside after repeated errors: in no rate, bounded and listed \
+                                (of(analysis)) (quarantined)
+                                @if quarantined == 1 { " rollout is" } @else { " rollouts are" }
+                                " in quarantine after repeated errors: in no rate, bounded and listed \
                                 below."
                             }
                         }

@@ -1,5 +1,5 @@
 //! How the figures were made: versions, digests, modes, and the statistics, so
-//! that somebody else can make them again.
+//! that others can reproduce them.
 
 use std::collections::BTreeSet;
 

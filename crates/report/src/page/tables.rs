@@ -166,8 +166,8 @@ fn gap_words(gap: &Gap) -> Option<String> {
     match (gap.missing, gap.quarantined) {
         (0, 0) => None,
         (missing, 0) => Some(format!("{missing} missing")),
-        (0, aside) => Some(format!("{aside} set aside")),
-        (missing, aside) => Some(format!("{missing} missing, {aside} set aside")),
+        (0, quarantined) => Some(format!("{quarantined} quarantined")),
+        (missing, quarantined) => Some(format!("{missing} missing, {quarantined} quarantined")),
     }
 }
 
@@ -215,7 +215,7 @@ fn success(cell: &Cell, condition: Condition, count: Option<Count>, loss: Option
         @if let Some(Count { successes, n }) = count { small { (successes) "/" (n) } }
         @if let Some(loss) = loss { small { "loss " (percent(loss)) } }
         @if missing > 0 { small { (missing) " missing" } }
-        @if quarantined > 0 { small { (quarantined) " set aside" } }
+        @if quarantined > 0 { small { (quarantined) " quarantined" } }
     }
 }
 
@@ -331,10 +331,10 @@ pub(super) fn bounds(document: &Document) -> Markup {
     html! {
         @if !rows.is_empty() {
             section {
-                h2 { "Worst and best case of what was set aside" }
+                h2 { "Worst and best case of quarantined rollouts" }
                 p {
-                    "Rollouts that were set aside are in no rate. These are the ends between which \
-                    the measures lie, however those rollouts would have come out."
+                    "Quarantined rollouts are in no rate. Whatever their outcomes had been, the \
+                    measures would lie within these bounds."
                 }
                 (table("Worst and best case", &heads, rows))
             }
@@ -343,12 +343,12 @@ pub(super) fn bounds(document: &Document) -> Markup {
 }
 
 /// Every quarantined rollout, with its error.
-pub(super) fn set_aside(document: &Document) -> Markup {
+pub(super) fn quarantine(document: &Document) -> Markup {
     let of_policy = |analysis: &Analysis| -> Vec<Vec<Markup>> {
         let errors = analysis.subject.errors.iter();
-        let row = errors.map(|aside| {
-            let rollout = html! { code { (aside.rollout) } };
-            vec![rollout, plain(&analysis.label), plain(&aside.last_error)]
+        let row = errors.map(|it| {
+            let rollout = html! { code { (it.rollout) } };
+            vec![rollout, plain(&analysis.label), plain(&it.last_error)]
         });
         row.collect()
     };
@@ -356,8 +356,8 @@ pub(super) fn set_aside(document: &Document) -> Markup {
     html! {
         @if !rows.is_empty() {
             section {
-                h2 { "Set aside" }
-                (table("Set aside", &["rollout", "policy.", "last error."], rows))
+                h2 { "Quarantine" }
+                (table("Quarantine", &["rollout", "policy.", "last error."], rows))
             }
         }
     }

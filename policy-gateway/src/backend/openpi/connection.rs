@@ -20,10 +20,10 @@ use transport::{Access, innermost};
 use super::address::OpenpiAddress;
 use crate::backend::{BackendError, grpc::CONNECT_TIMEOUT};
 
-/// How long a server may take for handshake and greeting: while it computes, it
-/// greets nobody.
+/// How long a server may take for handshake and greeting: it sends no greeting
+/// while it computes.
 const GREETING_WITHIN: Duration = Duration::from_secs(30);
-/// Characters of a server's traceback that are told: its end names the error.
+/// Characters of a server's traceback that are quoted: its end names the error.
 const TOLD_CHARS: usize = 600;
 
 trait Stream: AsyncRead + AsyncWrite + Send + Unpin {}
