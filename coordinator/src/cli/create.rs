@@ -4,16 +4,17 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use anyhow::Context;
-use clap::{ArgGroup, Args, ValueEnum};
+use clap::{ArgGroup, Args};
 use coordinator::video_estimate;
 use protocol::{
     Axis, CampaignSpec, Design, Level, MAX_CONFIGS, Nominal, PolicyRoute, Realisation, Record,
     Rollouts, TaskRef, UnknownName, select_tasks,
 };
 use queue::expand::NewCampaign;
+use serde::de::DeserializeOwned;
 
+use super::command::{CommandError, Connection, print_line, usage};
 use super::files::{read_manifest, read_spec};
-use super::{CommandError, Connection, print_line};
 
 /// The flags that say what a specification says.
 const SPEC_FLAGS: [&str; 12] = [
@@ -63,9 +64,10 @@ pub(super) struct CreateArguments {
     /// Configurations: `0-9`, `0,3,5-7`. From 10 on they are drawn.
     #[arg(long, value_delimiter = ',', default_value = "0-9")]
     configs: Vec<String>,
-    /// Nominal rollouts: of the configurations' initial states, of all, none.
-    #[arg(long, value_enum, default_value_t = NominalChoice::Eval)]
-    nominal: NominalChoice,
+    /// Nominal rollouts: `eval`, those of the configurations' initial states;
+    /// `all`; or `none`.
+    #[arg(long, value_parser = named::<Nominal>, default_value = "eval")]
+    nominal: Nominal,
     /// From what the configurations beyond the protocol's ten are drawn.
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     design_seed: u64,
@@ -75,13 +77,15 @@ pub(super) struct CreateArguments {
     manifest: Option<PathBuf>,
     /// Where the perturbations' random elements come from: matched, reference.
     #[arg(long, default_value = "matched")]
-    realisation: String,
+    realisation: Realisation,
     /// Times that every rollout runs, each with another policy seed.
     #[arg(long, default_value_t = 1)]
     replicates: u32,
-    /// Rollouts that are filmed.
-    #[arg(long, value_enum, default_value_t = RecordChoice::None)]
-    record: RecordChoice,
+    /// Rollouts that are filmed: `none`; `failures`; `transitions`, of
+    /// configurations that the combination of axes changes, afterwards, by
+    /// `worker film`; or `all`.
+    #[arg(long, value_parser = named::<Record>, default_value = "none")]
+    record: Record,
     /// Says what would be created, and what its videos would take, and creates
     /// nothing
     #[arg(long)]
@@ -90,31 +94,13 @@ pub(super) struct CreateArguments {
     connection: Connection,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum NominalChoice {
-    Eval,
-    All,
-    None,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum RecordChoice {
-    None,
-    Failures,
-    /// Of configurations that the combination of axes changes: afterwards, by
-    /// `worker film`
-    Transitions,
-    All,
-}
-
 pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandError> {
     let spec = match &arguments.spec {
         Some(path) => read_spec(path)?,
         None => spec_of_flags(&arguments)?,
     };
     // Expanding here finds every mistake before anybody is asked.
-    let campaign =
-        NewCampaign::from_spec(&spec).map_err(|error| CommandError::Usage(error.into()))?;
+    let campaign = NewCampaign::from_spec(&spec).map_err(usage)?;
     let name = &campaign.name;
     if arguments.dry_run {
         let total = campaign.jobs.len();
@@ -126,15 +112,12 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
         .client()?
         .create_campaign(&campaign.spec)
         .await?;
-    if created.jobs_added == 0 {
-        print_line(&format!(
-            "campaign {name} was there already, with this specification: {} rollouts",
-            created.jobs_total
-        ))?;
-    } else {
-        let total = created.jobs_total;
-        print_line(&format!("campaign {name} created: {total} rollouts"))?;
-    }
+    let happened = match created.jobs_added {
+        0 => "was there already, with this specification",
+        _ => "created",
+    };
+    let total = created.jobs_total;
+    print_line(&format!("campaign {name} {happened}: {total} rollouts"))?;
     tell_size(&campaign)
 }
 
@@ -148,9 +131,8 @@ fn tell_size(campaign: &NewCampaign) -> Result<(), CommandError> {
 fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandError> {
     let rollouts = match &arguments.manifest {
         Some(path) => Rollouts::Manifest(read_manifest(path)?),
-        None => Rollouts::Design(design_of_flags(arguments).map_err(CommandError::Usage)?),
+        None => Rollouts::Design(design_of_flags(arguments).map_err(usage)?),
     };
-    let realisation = arguments.realisation.parse::<Realisation>();
     let spec = CampaignSpec {
         name: arguments.name.clone().unwrap_or_default(),
         policy: PolicyRoute {
@@ -158,17 +140,11 @@ fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandErr
             endpoint: arguments.endpoint.clone().unwrap_or_default(),
         },
         rollouts,
-        realisation: realisation.map_err(|error| CommandError::Usage(error.into()))?,
+        realisation: arguments.realisation,
         replicates: arguments.replicates,
-        record: match arguments.record {
-            RecordChoice::None => Record::None,
-            RecordChoice::Failures => Record::Failures,
-            RecordChoice::Transitions => Record::Transitions,
-            RecordChoice::All => Record::All,
-        },
+        record: arguments.record,
     };
-    spec.check()
-        .map_err(|error| CommandError::Usage(error.into()))?;
+    spec.check().map_err(usage)?;
     Ok(spec)
 }
 
@@ -189,11 +165,7 @@ fn design_of_flags(arguments: &CreateArguments) -> anyhow::Result<Design> {
         axes,
         levels,
         configs: configs(&arguments.configs)?,
-        nominal: match arguments.nominal {
-            NominalChoice::Eval => Nominal::Eval,
-            NominalChoice::All => Nominal::All,
-            NominalChoice::None => Nominal::None,
-        },
+        nominal: arguments.nominal,
         seed: arguments.design_seed,
     };
     Ok(design.in_order())
@@ -234,6 +206,11 @@ fn range(text: &str) -> Option<(u16, u16)> {
     let (first, last) = text.split_once('-').unwrap_or((text, text));
     let (first, last) = (first.parse().ok()?, last.parse().ok()?);
     (first <= last && last <= MAX_CONFIGS).then_some((first, last))
+}
+
+/// A value by its name in a specification.
+fn named<T: DeserializeOwned>(name: &str) -> serde_json::Result<T> {
+    serde_json::from_value(name.into())
 }
 
 fn parsed<T: FromStr<Err = UnknownName>>(names: &[&str]) -> Result<Vec<T>, UnknownName> {

@@ -7,8 +7,8 @@ use anyhow::Context;
 use clap::{Args, ValueEnum};
 use coordinator::client::Client;
 
+use super::command::{CommandError, Connection};
 use super::files::WholeFile;
-use super::{CommandError, Connection};
 
 #[derive(Args, Debug)]
 pub(super) struct ExportArguments {

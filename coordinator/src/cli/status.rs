@@ -5,9 +5,9 @@
 use clap::Args;
 use coordinator::client::CampaignStatus;
 
+use super::command::{CommandError, Connection, print_line};
 use super::line::{attention, line};
 use super::watch::watch;
-use super::{CommandError, Connection, print_line};
 
 /// What is said where there are none.
 const NO_CAMPAIGNS: &str = "no campaigns yet; `coordinator campaign create` makes one";
