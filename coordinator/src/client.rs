@@ -104,10 +104,8 @@ impl Client {
         let request = wire::CreateCampaignRequest {
             spec: spec.to_owned(),
         };
-        self.call(request, async |mut it, request| {
-            it.create_campaign(request).await
-        })
-        .await
+        self.call(request, OperatorServiceClient::create_campaign)
+            .await
     }
 
     /// All campaigns, oldest first.
@@ -115,9 +113,10 @@ impl Client {
     /// # Errors
     /// See [`ClientError`].
     pub async fn list_campaigns(&self) -> Result<Vec<wire::CampaignStatus>, ClientError> {
-        let list = self.call(wire::ListCampaignsRequest {}, async |mut it, request| {
-            it.list_campaigns(request).await
-        });
+        let list = self.call(
+            wire::ListCampaignsRequest {},
+            OperatorServiceClient::list_campaigns,
+        );
         Ok(list.await?.campaigns)
     }
 
@@ -129,9 +128,7 @@ impl Client {
         let request = wire::GetCampaignRequest {
             campaign: name.to_owned(),
         };
-        let response = self.call(request, async |mut it, request| {
-            it.get_campaign(request).await
-        });
+        let response = self.call(request, OperatorServiceClient::get_campaign);
         Ok(response.await?.status.unwrap_or_default())
     }
 
@@ -143,7 +140,7 @@ impl Client {
         let request = wire::ReportRequest {
             campaign: name.to_owned(),
         };
-        let parts = self.call(request, async |mut it, request| it.report(request).await);
+        let parts = self.call(request, OperatorServiceClient::report);
         let mut parts = parts.await?;
         let mut json = Vec::new();
         while let Some(part) = parts.message().await.map_err(|s| self.failed(&s))? {
@@ -166,8 +163,7 @@ impl Client {
         let request = wire::ExportRequest {
             campaign: name.to_owned(),
         };
-        self.call(request, async |mut it, request| it.export(request).await)
-            .await
+        self.call(request, OperatorServiceClient::export).await
     }
 
     /// What an error in the middle of a stream means.
@@ -180,13 +176,13 @@ impl Client {
     async fn call<Q: Clone, T>(
         &self,
         request: Q,
-        send: impl AsyncFn(OperatorServiceClient<Connection>, Q) -> Result<Response<T>, Status>,
+        send: impl AsyncFn(&mut OperatorServiceClient<Connection>, Q) -> Result<Response<T>, Status>,
     ) -> Result<T, ClientError> {
         let deadline = Instant::now() + self.retry_for;
         let mut pause = FIRST_PAUSE;
         let mut was_told = false;
         loop {
-            let status = match send(self.service.clone(), request.clone()).await {
+            let status = match send(&mut self.service.clone(), request.clone()).await {
                 Ok(response) => return Ok(response.into_inner()),
                 Err(status) => status,
             };

@@ -1,6 +1,7 @@
 //! Calls that look at jobs and workers, or change a campaign that is there.
 
 use proto::coordinator as wire;
+use proto::coordinator::operator_service_client::OperatorServiceClient;
 use tonic::Streaming;
 
 use super::{Client, ClientError};
@@ -21,9 +22,7 @@ impl Client {
             campaign: name.to_owned(),
             change: change.into(),
         };
-        let response = self.call(request, async |mut it, request| {
-            it.change_campaign(request).await
-        });
+        let response = self.call(request, OperatorServiceClient::change_campaign);
         Ok(response.await?.state())
     }
 
@@ -39,10 +38,8 @@ impl Client {
             campaign: name.to_owned(),
             confirm: name.to_owned(),
         };
-        self.call(request, async |mut it, request| {
-            it.delete_campaign(request).await
-        })
-        .await
+        self.call(request, OperatorServiceClient::delete_campaign)
+            .await
     }
 
     /// A page of a campaign's jobs.
@@ -53,9 +50,7 @@ impl Client {
         &self,
         request: &wire::ListJobsRequest,
     ) -> Result<Vec<wire::Job>, ClientError> {
-        let response = self.call(request.clone(), async |mut it, request| {
-            it.list_jobs(request).await
-        });
+        let response = self.call(request.clone(), OperatorServiceClient::list_jobs);
         Ok(response.await?.jobs)
     }
 
@@ -72,8 +67,7 @@ impl Client {
             campaign: campaign.to_owned(),
             job: Some(job),
         };
-        self.call(request, async |mut it, request| it.get_job(request).await)
-            .await
+        self.call(request, OperatorServiceClient::get_job).await
     }
 
     /// Takes jobs out of quarantine: those that are named, or all of the
@@ -91,9 +85,7 @@ impl Client {
             all: jobs.is_empty(),
             jobs,
         };
-        let response = self.call(request, async |mut it, request| {
-            it.retry_jobs(request).await
-        });
+        let response = self.call(request, OperatorServiceClient::retry_jobs);
         Ok(response.await?.jobs)
     }
 
@@ -102,9 +94,10 @@ impl Client {
     /// # Errors
     /// See [`ClientError`].
     pub async fn list_workers(&self) -> Result<Vec<wire::WorkerStatus>, ClientError> {
-        let response = self.call(wire::ListWorkersRequest {}, async |mut it, request| {
-            it.list_workers(request).await
-        });
+        let response = self.call(
+            wire::ListWorkersRequest {},
+            OperatorServiceClient::list_workers,
+        );
         Ok(response.await?.workers)
     }
 
@@ -113,9 +106,7 @@ impl Client {
     /// # Errors
     /// See [`ClientError`].
     pub async fn backup(&self) -> Result<Streaming<wire::BackupChunk>, ClientError> {
-        self.call(wire::BackupRequest {}, async |mut it, request| {
-            it.backup(request).await
-        })
-        .await
+        self.call(wire::BackupRequest {}, OperatorServiceClient::backup)
+            .await
     }
 }

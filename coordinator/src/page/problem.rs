@@ -5,11 +5,11 @@ use std::error::Error;
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
 use maud::{Markup, html};
-use queue::{QueueError, StoreError};
+use queue::QueueError;
 use transport::chain;
 
 use super::{answer, layout};
-use crate::report::ReportError;
+use crate::reading::ReadError;
 
 /// A request that is not met.
 #[derive(Debug)]
@@ -45,87 +45,83 @@ impl Problem {
         Problem::Failed(text)
     }
 
-    fn code(&self) -> StatusCode {
+    /// Its code, its title, and what to do.
+    fn told(&self) -> (StatusCode, &'static str, Markup) {
         match self {
-            Problem::Page | Problem::Campaign(_) | Problem::Rollout { .. } | Problem::Video => {
-                StatusCode::NOT_FOUND
-            }
-            Problem::Address | Problem::Query(_) => StatusCode::BAD_REQUEST,
-            Problem::TooManyStreams | Problem::Failed(_) => StatusCode::SERVICE_UNAVAILABLE,
-        }
-    }
-
-    fn title(&self) -> &'static str {
-        match self {
-            Problem::Page => "There is no such page",
-            Problem::Address | Problem::Query(_) => "This address is wrong",
-            Problem::Campaign(_) => "There is no such campaign",
-            Problem::Rollout { .. } => "There is no such rollout",
-            Problem::Video => "There is no such video",
-            Problem::TooManyStreams => "Too many pages are open",
-            Problem::Failed(_) => "This cannot be shown now",
-        }
-    }
-
-    fn words(&self) -> Markup {
-        match self {
-            Problem::Page => html! { "Nothing is at this address." },
-            Problem::Address => html! { "It is longer than any address of this program." },
-            Problem::Query(what) => html! { (what) },
-            Problem::Campaign(name) => html! {
-                "No campaign is called " code { (name) } " here. If there was one, it has been \
-                deleted, with its results and files."
-            },
-            Problem::Rollout { campaign, rollout } => html! {
-                "Campaign " code { (campaign) } " has no rollout " code { (rollout) } ". "
-                a href={ "/campaigns/" (campaign) "/rollouts" } { "Its rollouts" } "."
-            },
-            Problem::Video => html! {
-                "No video is kept of this rollout: what a campaign records is said when it is \
-                created (" code { "--record" } ")."
-            },
-            Problem::TooManyStreams => html! {
-                "This page looks again by itself now and then, instead of at once."
-            },
-            Problem::Failed(text) => html! {
-                "The coordinator failed to " (text) ". Nothing is lost by that; its log says more. \
-                Reload to try again."
-            },
+            Problem::Page => (
+                StatusCode::NOT_FOUND,
+                "There is no such page",
+                html! { "Nothing is at this address." },
+            ),
+            Problem::Address => (
+                StatusCode::BAD_REQUEST,
+                "This address is wrong",
+                html! { "It is longer than any address of this program." },
+            ),
+            Problem::Query(what) => (
+                StatusCode::BAD_REQUEST,
+                "This address is wrong",
+                html! { (what) },
+            ),
+            Problem::Campaign(name) => (
+                StatusCode::NOT_FOUND,
+                "There is no such campaign",
+                html! {
+                    "No campaign is called " code { (name) } " here. If there was one, it has been \
+                    deleted, with its results and files."
+                },
+            ),
+            Problem::Rollout { campaign, rollout } => (
+                StatusCode::NOT_FOUND,
+                "There is no such rollout",
+                html! {
+                    "Campaign " code { (campaign) } " has no rollout " code { (rollout) } ". "
+                    a href={ "/campaigns/" (campaign) "/rollouts" } { "Its rollouts" } "."
+                },
+            ),
+            Problem::Video => (
+                StatusCode::NOT_FOUND,
+                "There is no such video",
+                html! {
+                    "No video is kept of this rollout: what a campaign records is said when it is \
+                    created (" code { "--record" } ")."
+                },
+            ),
+            Problem::TooManyStreams => (
+                StatusCode::SERVICE_UNAVAILABLE,
+                "Too many pages are open",
+                html! { "This page looks again by itself now and then, instead of at once." },
+            ),
+            Problem::Failed(text) => (
+                StatusCode::SERVICE_UNAVAILABLE,
+                "This cannot be shown now",
+                html! {
+                    "The coordinator failed to " (text) ". Nothing is lost by that; its log says \
+                    more. Reload to try again."
+                },
+            ),
         }
     }
 }
 
 impl IntoResponse for Problem {
     fn into_response(self) -> Response {
-        let title = self.title();
+        let (code, title, words) = self.told();
         let main = html! {
             h1 { (title) }
-            p { (self.words()) }
+            p { (words) }
             p { a href="/" { "All campaigns" } }
         };
-        answer::page(self.code(), layout::still(title, &main).into_string())
+        answer::page(code, layout::still(title, &main).into_string())
     }
 }
 
-impl From<StoreError> for Problem {
-    fn from(error: StoreError) -> Problem {
-        Problem::failed(&error)
-    }
-}
-
-impl From<QueueError> for Problem {
-    fn from(error: QueueError) -> Problem {
-        match error {
-            QueueError::UnknownCampaign { campaign } => Problem::Campaign(campaign.to_string()),
-            error => Problem::failed(&error),
-        }
-    }
-}
-
-impl From<ReportError> for Problem {
-    fn from(error: ReportError) -> Problem {
-        match error {
-            ReportError::Queue(error) => error.into(),
+impl<E: Into<ReadError>> From<E> for Problem {
+    fn from(error: E) -> Problem {
+        match error.into() {
+            ReadError::Queue(QueueError::UnknownCampaign { campaign }) => {
+                Problem::Campaign(campaign.to_string())
+            }
             error => Problem::failed(&error),
         }
     }
