@@ -1,10 +1,9 @@
 //! Calls that look at jobs and workers, or change a campaign that is there.
 
 use proto::coordinator as wire;
-use proto::coordinator::operator_service_client::OperatorServiceClient;
 use tonic::Streaming;
 
-use super::{Client, ClientError};
+use super::{Client, ClientError, Service};
 
 pub use wire::change_campaign_request::Change;
 
@@ -22,7 +21,7 @@ impl Client {
             campaign: name.to_owned(),
             change: change.into(),
         };
-        let response = self.call(request, OperatorServiceClient::change_campaign);
+        let response = self.call(request, Service::change_campaign);
         Ok(response.await?.state())
     }
 
@@ -38,8 +37,7 @@ impl Client {
             campaign: name.to_owned(),
             confirm: name.to_owned(),
         };
-        self.call(request, OperatorServiceClient::delete_campaign)
-            .await
+        self.call(request, Service::delete_campaign).await
     }
 
     /// A page of a campaign's jobs.
@@ -50,7 +48,7 @@ impl Client {
         &self,
         request: &wire::ListJobsRequest,
     ) -> Result<Vec<wire::Job>, ClientError> {
-        let response = self.call(request.clone(), OperatorServiceClient::list_jobs);
+        let response = self.call(request.clone(), Service::list_jobs);
         Ok(response.await?.jobs)
     }
 
@@ -67,7 +65,7 @@ impl Client {
             campaign: campaign.to_owned(),
             job: Some(job),
         };
-        self.call(request, OperatorServiceClient::get_job).await
+        self.call(request, Service::get_job).await
     }
 
     /// Takes jobs out of quarantine: those that are named, or all of the
@@ -85,7 +83,7 @@ impl Client {
             all: jobs.is_empty(),
             jobs,
         };
-        let response = self.call(request, OperatorServiceClient::retry_jobs);
+        let response = self.call(request, Service::retry_jobs);
         Ok(response.await?.jobs)
     }
 
@@ -94,10 +92,7 @@ impl Client {
     /// # Errors
     /// See [`ClientError`].
     pub async fn list_workers(&self) -> Result<Vec<wire::WorkerStatus>, ClientError> {
-        let response = self.call(
-            wire::ListWorkersRequest {},
-            OperatorServiceClient::list_workers,
-        );
+        let response = self.call(wire::ListWorkersRequest {}, Service::list_workers);
         Ok(response.await?.workers)
     }
 
@@ -106,7 +101,6 @@ impl Client {
     /// # Errors
     /// See [`ClientError`].
     pub async fn backup(&self) -> Result<Streaming<wire::BackupChunk>, ClientError> {
-        self.call(wire::BackupRequest {}, OperatorServiceClient::backup)
-            .await
+        self.call(wire::BackupRequest {}, Service::backup).await
     }
 }
