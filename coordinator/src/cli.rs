@@ -23,7 +23,7 @@ use clap::{Parser, Subcommand};
 use coordinator::client::Change;
 use tracing_subscriber::EnvFilter;
 
-use command::CommandError;
+use command::{CommandError, Connection};
 
 /// The campaign's memory: creates campaigns, leases their rollouts to workers,
 /// keeps the results and reports them.
@@ -64,7 +64,7 @@ enum CampaignCommand {
     /// Create a campaign from a specification, or from flags.
     Create(Box<create::CreateArguments>),
     /// List all campaigns.
-    List(status::ListArguments),
+    List(Connection),
     /// Show how one campaign stands, or all.
     Status(status::StatusArguments),
     /// Lease nothing more; what is being run may still be committed.
@@ -122,7 +122,7 @@ async fn execute(command: Command) -> Result<(), CommandError> {
 async fn campaign(command: CampaignCommand) -> Result<(), CommandError> {
     match command {
         CampaignCommand::Create(arguments) => create::create(*arguments).await,
-        CampaignCommand::List(arguments) => status::list(arguments).await,
+        CampaignCommand::List(connection) => status::list(connection).await,
         CampaignCommand::Status(arguments) => status::status(arguments).await,
         CampaignCommand::Pause(arguments) => operate::change(arguments, Change::Pause).await,
         CampaignCommand::Resume(arguments) => operate::change(arguments, Change::Resume).await,

@@ -16,35 +16,31 @@ use serde::de::DeserializeOwned;
 use super::command::{CommandError, Connection, print_line, usage};
 use super::files::{read_manifest, read_spec};
 
-/// The flags that say what a specification says.
-const SPEC_FLAGS: [&str; 12] = [
-    "policy",
-    "endpoint",
-    "tasks",
-    "axes",
-    "levels",
-    "configs",
-    "nominal",
-    "design_seed",
-    "manifest",
-    "realisation",
-    "replicates",
-    "record",
-];
-
-/// The flags that say what a manifest says.
-const DESIGN_FLAGS: [&str; 5] = ["axes", "levels", "configs", "nominal", "design_seed"];
-
 #[derive(Args, Debug)]
 #[command(group = ArgGroup::new("source").required(true).args(["spec", "name"]))]
 #[command(group = ArgGroup::new("rollouts").args(["tasks", "manifest"]))]
 pub(super) struct CreateArguments {
     /// File of a specification in JSON; `-` reads standard input.
-    #[arg(long, value_name = "FILE", conflicts_with_all = SPEC_FLAGS)]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["SpecFlags", "DesignFlags"])]
     spec: Option<PathBuf>,
     /// Name of the campaign; the flags below then say the rest.
     #[arg(long, requires_all = ["policy", "endpoint", "rollouts"])]
     name: Option<String>,
+    #[command(flatten)]
+    flags: SpecFlags,
+    #[command(flatten)]
+    design: DesignFlags,
+    /// Says what would be created, and what its videos would take, and creates
+    /// nothing
+    #[arg(long)]
+    dry_run: bool,
+    #[command(flatten)]
+    connection: Connection,
+}
+
+/// The flags that say what a specification says, beside its design.
+#[derive(Args, Debug)]
+struct SpecFlags {
     /// Name of the policy at its endpoint.
     #[arg(long)]
     policy: Option<String>,
@@ -54,6 +50,26 @@ pub(super) struct CreateArguments {
     /// Tasks: `libero_object/0,libero_spatial/0-3`, a suite, or `all`.
     #[arg(long, value_delimiter = ',')]
     tasks: Vec<String>,
+    /// Manifest to run as it stands, instructions included, instead of a
+    /// design; `-` reads standard input.
+    #[arg(long, value_name = "FILE", conflicts_with = "DesignFlags")]
+    manifest: Option<PathBuf>,
+    /// Where the perturbations' random elements come from: matched, reference.
+    #[arg(long, default_value = "matched")]
+    realisation: Realisation,
+    /// Times that every rollout runs, each with another policy seed.
+    #[arg(long, default_value_t = 1)]
+    replicates: u32,
+    /// Rollouts that are filmed: `none`; `failures`; `transitions`, of
+    /// configurations that the combination of axes changes, afterwards, by
+    /// `worker film`; or `all`.
+    #[arg(long, value_parser = named::<Record>, default_value = "none")]
+    record: Record,
+}
+
+/// The flags that say what a manifest says.
+#[derive(Args, Debug)]
+struct DesignFlags {
     /// Axes, each alone and all together: names, `metric` (all with numbers),
     /// `all`, or `none`.
     #[arg(long, value_delimiter = ',', default_value = "metric")]
@@ -71,27 +87,6 @@ pub(super) struct CreateArguments {
     /// From what the configurations beyond the protocol's ten are drawn.
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     design_seed: u64,
-    /// Manifest to run as it stands, instructions included, instead of a
-    /// design; `-` reads standard input.
-    #[arg(long, value_name = "FILE", conflicts_with_all = DESIGN_FLAGS)]
-    manifest: Option<PathBuf>,
-    /// Where the perturbations' random elements come from: matched, reference.
-    #[arg(long, default_value = "matched")]
-    realisation: Realisation,
-    /// Times that every rollout runs, each with another policy seed.
-    #[arg(long, default_value_t = 1)]
-    replicates: u32,
-    /// Rollouts that are filmed: `none`; `failures`; `transitions`, of
-    /// configurations that the combination of axes changes, afterwards, by
-    /// `worker film`; or `all`.
-    #[arg(long, value_parser = named::<Record>, default_value = "none")]
-    record: Record,
-    /// Says what would be created, and what its videos would take, and creates
-    /// nothing
-    #[arg(long)]
-    dry_run: bool,
-    #[command(flatten)]
-    connection: Connection,
 }
 
 pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandError> {
@@ -107,11 +102,8 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
         print_line(&format!("campaign {name} would have {total} rollouts"))?;
         return tell_size(&campaign);
     }
-    let created = arguments
-        .connection
-        .client()?
-        .create_campaign(&campaign.spec)
-        .await?;
+    let client = arguments.connection.client()?;
+    let created = client.create_campaign(&campaign.spec).await?;
     let happened = match created.jobs_added {
         0 => "was there already, with this specification",
         _ => "created",
@@ -129,44 +121,44 @@ fn tell_size(campaign: &NewCampaign) -> Result<(), CommandError> {
 }
 
 fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandError> {
-    let rollouts = match &arguments.manifest {
+    let rollouts = match &arguments.flags.manifest {
         Some(path) => Rollouts::Manifest(read_manifest(path)?),
         None => Rollouts::Design(design_of_flags(arguments).map_err(usage)?),
     };
     let spec = CampaignSpec {
         name: arguments.name.clone().unwrap_or_default(),
         policy: PolicyRoute {
-            name: arguments.policy.clone().unwrap_or_default(),
-            endpoint: arguments.endpoint.clone().unwrap_or_default(),
+            name: arguments.flags.policy.clone().unwrap_or_default(),
+            endpoint: arguments.flags.endpoint.clone().unwrap_or_default(),
         },
         rollouts,
-        realisation: arguments.realisation,
-        replicates: arguments.replicates,
-        record: arguments.record,
+        realisation: arguments.flags.realisation,
+        replicates: arguments.flags.replicates,
+        record: arguments.flags.record,
     };
     spec.check().map_err(usage)?;
     Ok(spec)
 }
 
 fn design_of_flags(arguments: &CreateArguments) -> anyhow::Result<Design> {
-    let axes = match texts(&arguments.axes).as_slice() {
-        ["metric"] => Axis::METRIC.to_vec(),
-        ["all"] => Axis::ALL.to_vec(),
-        ["none"] => Vec::new(),
-        names => parsed(names)?,
+    let axes = match arguments.design.axes.join(",").as_str() {
+        "metric" => Axis::METRIC.to_vec(),
+        "all" => Axis::ALL.to_vec(),
+        "none" => Vec::new(),
+        _ => parsed(&arguments.design.axes)?,
     };
     // Without axes there is nothing to have a level.
     let levels: Vec<Level> = match axes.is_empty() {
         true => Vec::new(),
-        false => parsed(&texts(&arguments.levels))?,
+        false => parsed(&arguments.design.levels)?,
     };
     let design = Design {
-        tasks: tasks(&arguments.tasks)?,
+        tasks: tasks(&arguments.flags.tasks)?,
         axes,
         levels,
-        configs: configs(&arguments.configs)?,
-        nominal: arguments.nominal,
-        seed: arguments.design_seed,
+        configs: configs(&arguments.design.configs)?,
+        nominal: arguments.design.nominal,
+        seed: arguments.design.design_seed,
     };
     Ok(design.in_order())
 }
@@ -175,16 +167,15 @@ fn design_of_flags(arguments: &CreateArguments) -> anyhow::Result<Design> {
 fn tasks(given: &[String]) -> anyhow::Result<Vec<TaskRef>> {
     let mut tasks = Vec::new();
     for text in given {
-        match text
-            .split_once('/')
-            .map(|(suite, index)| (suite, range(index)))
+        if let Some((suite, indices)) = text.split_once('/')
+            && let Some((first, last)) = range(indices)
+            && first != last
         {
-            Some((suite, Some((first, last)))) if first != last => {
-                for index in first..=last {
-                    tasks.extend(select_tasks(&format!("{suite}/{index}"))?);
-                }
+            for index in first..=last {
+                tasks.extend(select_tasks(&format!("{suite}/{index}"))?);
             }
-            _ => tasks.extend(select_tasks(text)?),
+        } else {
+            tasks.extend(select_tasks(text)?);
         }
     }
     Ok(tasks)
@@ -213,10 +204,6 @@ fn named<T: DeserializeOwned>(name: &str) -> serde_json::Result<T> {
     serde_json::from_value(name.into())
 }
 
-fn parsed<T: FromStr<Err = UnknownName>>(names: &[&str]) -> Result<Vec<T>, UnknownName> {
+fn parsed<T: FromStr<Err = UnknownName>>(names: &[String]) -> Result<Vec<T>, UnknownName> {
     names.iter().map(|name| name.parse()).collect()
-}
-
-fn texts(given: &[String]) -> Vec<&str> {
-    given.iter().map(String::as_str).collect()
 }

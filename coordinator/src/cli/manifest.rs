@@ -16,17 +16,25 @@ pub(super) enum ManifestCommand {
     /// would run.
     Expand(ExpandArguments),
     /// Check a manifest line by line.
-    Check(CheckArguments),
+    Check {
+        /// The manifest; `-` reads standard input.
+        file: PathBuf,
+    },
     /// Say in which rows and columns two manifests differ.
-    Diff(DiffArguments),
+    Diff {
+        /// The first manifest.
+        first: PathBuf,
+        /// The second manifest.
+        second: PathBuf,
+    },
 }
 
 #[derive(Args, Debug)]
 #[command(group = ArgGroup::new("source").required(true).args(["version", "spec"]))]
 pub(super) struct ExpandArguments {
-    /// A published design.
-    #[arg(long, value_enum, value_name = "VERSION")]
-    version: Option<Published>,
+    /// A published design of LIBERO-CTRL.
+    #[arg(long, value_name = "VERSION", value_parser = ["v0.1"])]
+    version: Option<String>,
     /// File of a campaign's specification in JSON, for its own design; `-`
     /// reads standard input.
     #[arg(long, value_name = "FILE")]
@@ -39,27 +47,6 @@ pub(super) struct ExpandArguments {
     output: Option<PathBuf>,
 }
 
-#[derive(Args, Debug)]
-pub(super) struct CheckArguments {
-    /// The manifest; `-` reads standard input.
-    file: PathBuf,
-}
-
-#[derive(Args, Debug)]
-pub(super) struct DiffArguments {
-    /// The first manifest.
-    first: PathBuf,
-    /// The second manifest.
-    second: PathBuf,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum Published {
-    /// LIBERO-CTRL v0.1.
-    #[value(name = "v0.1")]
-    V0_1,
-}
-
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum Split {
     Clean,
@@ -70,8 +57,8 @@ enum Split {
 pub(super) fn manifest(command: ManifestCommand) -> Result<(), CommandError> {
     match command {
         ManifestCommand::Expand(arguments) => expand(&arguments),
-        ManifestCommand::Check(arguments) => check(&arguments.file),
-        ManifestCommand::Diff(arguments) => diff(&arguments.first, &arguments.second),
+        ManifestCommand::Check { file } => check(&file),
+        ManifestCommand::Diff { first, second } => diff(&first, &second),
     }
 }
 

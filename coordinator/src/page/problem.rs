@@ -45,71 +45,54 @@ impl Problem {
         Problem::Failed(text)
     }
 
-    /// Its code, its title, and what to do.
-    fn told(&self) -> (StatusCode, &'static str, Markup) {
+    fn code_and_title(&self) -> (StatusCode, &'static str) {
         match self {
-            Problem::Page => (
-                StatusCode::NOT_FOUND,
-                "There is no such page",
-                html! { "Nothing is at this address." },
-            ),
-            Problem::Address => (
-                StatusCode::BAD_REQUEST,
-                "This address is wrong",
-                html! { "It is longer than any address of this program." },
-            ),
-            Problem::Query(what) => (
-                StatusCode::BAD_REQUEST,
-                "This address is wrong",
-                html! { (what) },
-            ),
-            Problem::Campaign(name) => (
-                StatusCode::NOT_FOUND,
-                "There is no such campaign",
-                html! {
-                    "No campaign is called " code { (name) } " here. If there was one, it has been \
-                    deleted, with its results and files."
-                },
-            ),
-            Problem::Rollout { campaign, rollout } => (
-                StatusCode::NOT_FOUND,
-                "There is no such rollout",
-                html! {
-                    "Campaign " code { (campaign) } " has no rollout " code { (rollout) } ". "
-                    a href={ "/campaigns/" (campaign) "/rollouts" } { "Its rollouts" } "."
-                },
-            ),
-            Problem::Video => (
-                StatusCode::NOT_FOUND,
-                "There is no such video",
-                html! {
-                    "No video is kept of this rollout: what a campaign records is said when it is \
-                    created (" code { "--record" } ")."
-                },
-            ),
-            Problem::TooManyStreams => (
-                StatusCode::SERVICE_UNAVAILABLE,
-                "Too many pages are open",
-                html! { "This page looks again by itself now and then, instead of at once." },
-            ),
-            Problem::Failed(text) => (
-                StatusCode::SERVICE_UNAVAILABLE,
-                "This cannot be shown now",
-                html! {
-                    "The coordinator failed to " (text) ". Nothing is lost by that; its log says \
-                    more. Reload to try again."
-                },
-            ),
+            Problem::Page => (StatusCode::NOT_FOUND, "There is no such page"),
+            Problem::Address | Problem::Query(_) => {
+                (StatusCode::BAD_REQUEST, "This address is wrong")
+            }
+            Problem::Campaign(_) => (StatusCode::NOT_FOUND, "There is no such campaign"),
+            Problem::Rollout { .. } => (StatusCode::NOT_FOUND, "There is no such rollout"),
+            Problem::Video => (StatusCode::NOT_FOUND, "There is no such video"),
+            Problem::TooManyStreams => (StatusCode::SERVICE_UNAVAILABLE, "Too many pages are open"),
+            Problem::Failed(_) => (StatusCode::SERVICE_UNAVAILABLE, "This cannot be shown now"),
+        }
+    }
+
+    fn words(&self) -> Markup {
+        match self {
+            Problem::Page => html! { "Nothing is at this address." },
+            Problem::Address => html! { "It is longer than any address of this program." },
+            Problem::Query(what) => html! { (what) },
+            Problem::Campaign(name) => html! {
+                "No campaign is called " code { (name) } " here. If there was one, it has been \
+                deleted, with its results and files."
+            },
+            Problem::Rollout { campaign, rollout } => html! {
+                "Campaign " code { (campaign) } " has no rollout " code { (rollout) } ". "
+                a href={ "/campaigns/" (campaign) "/rollouts" } { "Its rollouts" } "."
+            },
+            Problem::Video => html! {
+                "No video is kept of this rollout: what a campaign records is said when it is \
+                created (" code { "--record" } ")."
+            },
+            Problem::TooManyStreams => html! {
+                "This page looks again by itself now and then, instead of at once."
+            },
+            Problem::Failed(text) => html! {
+                "The coordinator failed to " (text) ". Nothing is lost by that; its log says more. \
+                Reload to try again."
+            },
         }
     }
 }
 
 impl IntoResponse for Problem {
     fn into_response(self) -> Response {
-        let (code, title, words) = self.told();
+        let (code, title) = self.code_and_title();
         let main = html! {
             h1 { (title) }
-            p { (words) }
+            p { (self.words()) }
             p { a href="/" { "All campaigns" } }
         };
         answer::page(code, layout::still(title, &main).into_string())
