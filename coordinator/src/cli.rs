@@ -3,6 +3,7 @@
 
 mod backup;
 mod check;
+mod command;
 mod create;
 mod export;
 mod files;
@@ -16,15 +17,13 @@ mod status;
 mod watch;
 mod workers;
 
-use std::io::Write;
 use std::process::ExitCode;
-use std::time::Duration;
 
-use anyhow::Context;
-use clap::{Args, Parser, Subcommand};
-use coordinator::client::{Change, Client, ClientError, RETRY_FOR};
+use clap::{Parser, Subcommand};
+use coordinator::client::Change;
 use tracing_subscriber::EnvFilter;
-use transport::{ClientArguments, Role};
+
+use command::{CommandError, Connection};
 
 /// The campaign's memory: creates campaigns, leases their rollouts to workers,
 /// keeps the results and reports them.
@@ -65,7 +64,7 @@ enum CampaignCommand {
     /// Create a campaign from a specification, or from flags.
     Create(Box<create::CreateArguments>),
     /// List all campaigns.
-    List(status::ListArguments),
+    List(Connection),
     /// Show how one campaign stands, or all.
     Status(status::StatusArguments),
     /// Lease nothing more; what is being run may still be committed.
@@ -76,32 +75,6 @@ enum CampaignCommand {
     Cancel(operate::ChangeArguments),
     /// Remove a campaign with its results and files.
     Delete(operate::DeleteArguments),
-}
-
-/// Where the coordinator is.
-#[derive(Args, Debug)]
-struct Connection {
-    /// URL of the coordinator.
-    #[arg(
-        long,
-        value_name = "URL",
-        env = "COORDINATOR_URL",
-        default_value = "http://127.0.0.1:7411"
-    )]
-    connect: String,
-    /// Seconds to keep trying while the coordinator does not answer.
-    #[arg(long, value_name = "SECS", default_value_t = RETRY_FOR.as_secs())]
-    retry_secs: u64,
-    #[command(flatten)]
-    access: ClientArguments,
-}
-
-/// A command that did not do what it should.
-enum CommandError {
-    /// The command is wrong.
-    Usage(anyhow::Error),
-    /// It failed.
-    Failure(anyhow::Error),
 }
 
 /// Runs a command. Its errors are printed to standard error.
@@ -123,17 +96,13 @@ pub(crate) fn run(arguments: Arguments) -> ExitCode {
             return ExitCode::from(1);
         }
     };
-    match runtime.block_on(execute(arguments.command)) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(CommandError::Usage(error)) => {
-            eprintln!("error: failed to {error:#}");
-            ExitCode::from(2)
-        }
-        Err(CommandError::Failure(error)) => {
-            eprintln!("error: failed to {error:#}");
-            ExitCode::from(1)
-        }
-    }
+    let (error, code) = match runtime.block_on(execute(arguments.command)) {
+        Ok(()) => return ExitCode::SUCCESS,
+        Err(CommandError::Usage(error)) => (error, 2),
+        Err(CommandError::Failure(error)) => (error, 1),
+    };
+    eprintln!("error: failed to {error:#}");
+    ExitCode::from(code)
 }
 
 async fn execute(command: Command) -> Result<(), CommandError> {
@@ -153,52 +122,11 @@ async fn execute(command: Command) -> Result<(), CommandError> {
 async fn campaign(command: CampaignCommand) -> Result<(), CommandError> {
     match command {
         CampaignCommand::Create(arguments) => create::create(*arguments).await,
-        CampaignCommand::List(arguments) => status::list(arguments).await,
+        CampaignCommand::List(connection) => status::list(connection).await,
         CampaignCommand::Status(arguments) => status::status(arguments).await,
         CampaignCommand::Pause(arguments) => operate::change(arguments, Change::Pause).await,
         CampaignCommand::Resume(arguments) => operate::change(arguments, Change::Resume).await,
         CampaignCommand::Cancel(arguments) => operate::change(arguments, Change::Cancel).await,
         CampaignCommand::Delete(arguments) => operate::delete(arguments).await,
-    }
-}
-
-/// Prints a line to standard output. Unlike `println!` it does not panic when
-/// nobody reads it any more.
-fn print_line(text: &str) -> anyhow::Result<()> {
-    let mut stdout = std::io::stdout().lock();
-    writeln!(stdout, "{text}")
-        .and_then(|()| stdout.flush())
-        .context("print to standard output")
-}
-
-impl Connection {
-    fn client(&self) -> Result<Client, CommandError> {
-        // Who may steer campaigns may read them too.
-        let access = self.access.access(&[Role::Operator, Role::Viewer]);
-        let access = access.map_err(|error| CommandError::Failure(error.into()))?;
-        Ok(Client::new(
-            &self.connect,
-            &access,
-            Duration::from_secs(self.retry_secs),
-        )?)
-    }
-}
-
-impl From<ClientError> for CommandError {
-    fn from(error: ClientError) -> CommandError {
-        match error {
-            ClientError::Url { .. } | ClientError::Invalid { .. } => {
-                CommandError::Usage(error.into())
-            }
-            ClientError::Unreachable { .. } | ClientError::Refused { .. } => {
-                CommandError::Failure(error.into())
-            }
-        }
-    }
-}
-
-impl From<anyhow::Error> for CommandError {
-    fn from(error: anyhow::Error) -> CommandError {
-        CommandError::Failure(error)
     }
 }

@@ -28,12 +28,14 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(4);
 /// How long one connection attempt may take.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 
+type Service = OperatorServiceClient<Connection>;
+
 /// A connection to a coordinator, made when it is first needed.
 #[derive(Clone, Debug)]
 pub struct Client {
     url: String,
     retry_for: Duration,
-    service: OperatorServiceClient<Connection>,
+    service: Service,
 }
 
 /// A request that came to nothing.
@@ -87,7 +89,7 @@ impl Client {
         Ok(Client {
             url: url.to_owned(),
             retry_for,
-            service: OperatorServiceClient::new(connection)
+            service: Service::new(connection)
                 .max_decoding_message_size(proto::MAX_MESSAGE_BYTES)
                 .max_encoding_message_size(proto::MAX_MESSAGE_BYTES),
         })
@@ -104,10 +106,7 @@ impl Client {
         let request = wire::CreateCampaignRequest {
             spec: spec.to_owned(),
         };
-        self.call(request, async |mut it, request| {
-            it.create_campaign(request).await
-        })
-        .await
+        self.call(request, Service::create_campaign).await
     }
 
     /// All campaigns, oldest first.
@@ -115,9 +114,7 @@ impl Client {
     /// # Errors
     /// See [`ClientError`].
     pub async fn list_campaigns(&self) -> Result<Vec<wire::CampaignStatus>, ClientError> {
-        let list = self.call(wire::ListCampaignsRequest {}, async |mut it, request| {
-            it.list_campaigns(request).await
-        });
+        let list = self.call(wire::ListCampaignsRequest {}, Service::list_campaigns);
         Ok(list.await?.campaigns)
     }
 
@@ -129,9 +126,7 @@ impl Client {
         let request = wire::GetCampaignRequest {
             campaign: name.to_owned(),
         };
-        let response = self.call(request, async |mut it, request| {
-            it.get_campaign(request).await
-        });
+        let response = self.call(request, Service::get_campaign);
         Ok(response.await?.status.unwrap_or_default())
     }
 
@@ -143,7 +138,7 @@ impl Client {
         let request = wire::ReportRequest {
             campaign: name.to_owned(),
         };
-        let parts = self.call(request, async |mut it, request| it.report(request).await);
+        let parts = self.call(request, Service::report);
         let mut parts = parts.await?;
         let mut json = Vec::new();
         while let Some(part) = parts.message().await.map_err(|s| self.failed(&s))? {
@@ -166,8 +161,7 @@ impl Client {
         let request = wire::ExportRequest {
             campaign: name.to_owned(),
         };
-        self.call(request, async |mut it, request| it.export(request).await)
-            .await
+        self.call(request, Service::export).await
     }
 
     /// What an error in the middle of a stream means.
@@ -180,13 +174,13 @@ impl Client {
     async fn call<Q: Clone, T>(
         &self,
         request: Q,
-        send: impl AsyncFn(OperatorServiceClient<Connection>, Q) -> Result<Response<T>, Status>,
+        send: impl AsyncFn(&mut Service, Q) -> Result<Response<T>, Status>,
     ) -> Result<T, ClientError> {
         let deadline = Instant::now() + self.retry_for;
         let mut pause = FIRST_PAUSE;
         let mut was_told = false;
         loop {
-            let status = match send(self.service.clone(), request.clone()).await {
+            let status = match send(&mut self.service.clone(), request.clone()).await {
                 Ok(response) => return Ok(response.into_inner()),
                 Err(status) => status,
             };

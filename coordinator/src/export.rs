@@ -10,24 +10,10 @@ use queue::read::ExportedRow;
 use queue::{Queue, QueueError};
 use serde::Serialize;
 
+use crate::reading::ReadError;
+
 /// Results read at a time.
 const PAGE_ROWS: u32 = 1_000;
-
-/// Results that cannot be exported.
-#[derive(Debug, thiserror::Error)]
-pub enum ExportError {
-    /// The campaign or the database.
-    #[error(transparent)]
-    Queue(#[from] QueueError),
-    /// A stored manifest row does not read back.
-    #[error("read the stored manifest row of `{rollout_id}`")]
-    Row {
-        /// Whose.
-        rollout_id: String,
-        /// What is wrong with it.
-        source: serde_json::Error,
-    },
-}
 
 /// The reference's columns, in its order, and the replicate where it is not the
 /// first.
@@ -57,34 +43,33 @@ struct ExportRow<'a> {
 pub async fn lines(
     queue: Arc<Queue>,
     name: &CampaignName,
-) -> Result<impl Stream<Item = Result<String, ExportError>> + Send + use<>, QueueError> {
+) -> Result<impl Stream<Item = Result<String, ReadError>> + Send + use<>, QueueError> {
     let campaign = queue.view().await?.campaign(name).await?;
     // The last row of the page before; none when the last page was read.
     let first: Option<(String, u32)> = Some((String::new(), 0));
     let pages = stream::try_unfold((queue, first), move |(queue, last)| async move {
         let Some((rollout_id, replicate)) = last else {
-            return Ok::<_, ExportError>(None);
+            return Ok::<_, ReadError>(None);
         };
         // A view per page: one that lived as long as a slow reader would keep
         // the write-ahead log from being moved.
         let after = (!rollout_id.is_empty()).then_some((rollout_id.as_str(), replicate));
-        let mut view = queue.view().await.map_err(QueueError::from)?;
-        let rows = view.exported(campaign.id, after, PAGE_ROWS).await;
-        let rows = rows.map_err(QueueError::from)?;
+        let mut view = queue.view().await?;
+        let rows = view.exported(campaign.id, after, PAGE_ROWS).await?;
         let is_last = rows.len() < PAGE_ROWS as usize;
         let next = rows.last().filter(|_| !is_last);
         let next = next.map(|row| (row.rollout_id.clone(), row.replicate));
         Ok(Some((rows, (queue, next))))
     });
     let rows = pages
-        .map_ok(|rows| stream::iter(rows).map(Ok::<_, ExportError>))
+        .map_ok(|rows| stream::iter(rows).map(Ok::<_, ReadError>))
         .try_flatten();
     let policy = campaign.policy;
     Ok(rows.map(move |row| line(&row?, &policy)))
 }
 
-fn line(result: &ExportedRow, policy: &str) -> Result<String, ExportError> {
-    let in_row = |source| ExportError::Row {
+fn line(result: &ExportedRow, policy: &str) -> Result<String, ReadError> {
+    let in_row = |source| ReadError::Row {
         rollout_id: result.rollout_id.clone(),
         source,
     };

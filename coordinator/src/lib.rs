@@ -12,6 +12,7 @@ pub mod export;
 mod gauges;
 mod grpc;
 mod page;
+pub mod reading;
 pub mod report;
 mod serve;
 pub mod video_estimate;

@@ -29,13 +29,14 @@ use std::sync::Arc;
 
 use axum::Router;
 use axum::extract::{Path, Request, State};
-use axum::http::{HeaderMap, Uri, header};
+use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use tonic::Status;
 
 use crate::access::LOG_IN;
 use problem::Problem;
+use state::Asked;
 pub(crate) use state::Page;
 
 /// Adds the pages to the calls.
@@ -64,62 +65,44 @@ pub(crate) fn beside(page: Arc<Page>, calls: Router) -> Router {
 }
 
 type At = State<Arc<Page>>;
+/// A campaign's name and a rollout's id.
+type Of = (String, String);
 
-async fn all_campaigns(State(page): At, uri: Uri, headers: HeaderMap) -> Response {
-    page.show((uri, headers), campaigns::sheet(&page)).await
+async fn all_campaigns(State(page): At, asked: Asked) -> Response {
+    page.show(asked, campaigns::sheet(&page)).await
 }
 
-async fn one_campaign(
-    State(page): At,
-    Path(name): Path<String>,
-    uri: Uri,
-    headers: HeaderMap,
-) -> Response {
-    page.show((uri, headers), campaign::sheet(&page, &name))
-        .await
+async fn one_campaign(State(page): At, Path(name): Path<String>, asked: Asked) -> Response {
+    page.show(asked, campaign::sheet(&page, &name)).await
 }
 
-async fn rollouts_of(
-    State(page): At,
-    Path(name): Path<String>,
-    uri: Uri,
-    headers: HeaderMap,
-) -> Response {
-    let query = uri.query().unwrap_or_default().to_owned();
+async fn rollouts_of(State(page): At, Path(name): Path<String>, asked: Asked) -> Response {
+    let query = asked.0.query().unwrap_or_default().to_owned();
     let sheet = rollouts::sheet(&page, &name, &query);
-    page.show((uri, headers), sheet).await
+    page.show(asked, sheet).await
 }
 
-async fn one_configuration(
-    State(page): At,
-    Path((name, rollout)): Path<(String, String)>,
-    uri: Uri,
-    headers: HeaderMap,
-) -> Response {
-    let query = uri.query().unwrap_or_default().to_owned();
-    let sheet = configuration::sheet(&page, &name, &rollout, &query);
-    page.show((uri, headers), sheet).await
+async fn one_configuration(State(page): At, Path(of): Path<Of>, asked: Asked) -> Response {
+    let query = asked.0.query().unwrap_or_default().to_owned();
+    let sheet = configuration::sheet(&page, &of.0, &of.1, &query);
+    page.show(asked, sheet).await
 }
 
-async fn one_video(
-    State(page): At,
-    Path((name, rollout)): Path<(String, String)>,
-    request: Request,
-) -> Response {
-    let video = video::answer(&page, &name, &rollout, request).await;
+async fn one_video(State(page): At, Path(of): Path<Of>, request: Request) -> Response {
+    let video = video::answer(&page, &of.0, &of.1, request).await;
     video.unwrap_or_else(IntoResponse::into_response)
 }
 
-async fn all_workers(State(page): At, uri: Uri, headers: HeaderMap) -> Response {
-    page.show((uri, headers), standing::workers(&page)).await
+async fn all_workers(State(page): At, asked: Asked) -> Response {
+    page.show(asked, standing::workers(&page)).await
 }
 
-async fn all_policies(State(page): At, uri: Uri, headers: HeaderMap) -> Response {
-    page.show((uri, headers), standing::policies(&page)).await
+async fn all_policies(State(page): At, asked: Asked) -> Response {
+    page.show(asked, standing::policies(&page)).await
 }
 
-async fn the_quarantine(State(page): At, uri: Uri, headers: HeaderMap) -> Response {
-    page.show((uri, headers), standing::quarantine(&page)).await
+async fn the_quarantine(State(page): At, asked: Asked) -> Response {
+    page.show(asked, standing::quarantine(&page)).await
 }
 
 async fn events(State(page): At) -> Response {

@@ -5,36 +5,11 @@
 
 use attempt::Provenance;
 use paired::{Outcome, Record};
-use protocol::{CampaignSpec, SpecError, UnknownName};
-use queue::QueueError;
-use queue::ids::CampaignName;
+use protocol::{CampaignSpec, UnknownName};
 use queue::read::{Campaign, RecordRow, View};
 use report::{Origin, Quarantined, Subject, rollout_name};
 
-/// A campaign that cannot be read.
-#[derive(Debug, thiserror::Error)]
-pub enum ReportError {
-    /// The campaign or the database.
-    #[error(transparent)]
-    Queue(#[from] QueueError),
-    /// The stored specification does not read back.
-    #[error("read the stored specification of campaign `{campaign}`")]
-    Spec {
-        /// Whose.
-        campaign: CampaignName,
-        /// What is wrong with it.
-        source: SpecError,
-    },
-    /// A stored rollout id or realisation does not read back.
-    #[error("read a stored name")]
-    Name(#[from] UnknownName),
-}
-
-impl From<queue::StoreError> for ReportError {
-    fn from(error: queue::StoreError) -> ReportError {
-        ReportError::Queue(error.into())
-    }
-}
+use crate::reading::ReadError;
 
 /// A campaign as it stands. Results of another realisation mode than the
 /// campaign's, which a commit refuses, are missing from it and counted in
@@ -42,9 +17,9 @@ impl From<queue::StoreError> for ReportError {
 ///
 /// # Errors
 /// When the database fails.
-pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, ReportError> {
+pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, ReadError> {
     let spec = view.spec(campaign).await?;
-    let spec = CampaignSpec::from_json(&spec).map_err(|source| ReportError::Spec {
+    let spec = CampaignSpec::from_json(&spec).map_err(|source| ReadError::Spec {
         campaign: campaign.name.clone(),
         source,
     })?;

@@ -82,7 +82,6 @@ pub enum ServeError {
 #[derive(Debug)]
 pub struct Coordinator {
     queue: Arc<Queue>,
-    data: PathBuf,
     security: Security,
     min_free_bytes: u64,
 }
@@ -117,7 +116,6 @@ impl Coordinator {
         let queue = Queue::start(store, config.clock, config.rng, config.timing).await?;
         Ok(Coordinator {
             queue,
-            data: config.data,
             security: config.security,
             min_free_bytes: config.min_free_bytes,
         })
@@ -145,6 +143,7 @@ impl Coordinator {
         shutdown: impl Future<Output = ()>,
     ) -> Result<(), ServeError> {
         let queue = self.queue;
+        let folder = queue.store().folder();
         let (stop, stopped) = oneshot::channel::<()>();
         let gauges = Arc::new(Gauges::default());
         let page = Page::new(&queue, &self.security, &gauges);
@@ -187,7 +186,7 @@ impl Coordinator {
                 }
                 _ = sweep.tick() => {
                     let shortage = match queue.sweep().await {
-                        Ok(()) => Room::look(&self.data, self.min_free_bytes).shortage(&self.data),
+                        Ok(()) => Room::look(folder, self.min_free_bytes).shortage(folder),
                         Err(error) => Some(format!(
                             "the database cannot be written (failed to {})",
                             transport::chain(&error)

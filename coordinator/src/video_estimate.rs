@@ -28,11 +28,7 @@ pub fn in_words(campaign: &NewCampaign) -> Option<String> {
         )),
         which => Some(format!(
             "videos of {}: up to {}, less for rollouts that reach their goal",
-            if which == "all" {
-                "all rollouts"
-            } else {
-                "failures"
-            },
+            which.replace("all", "all rollouts"),
             size(most as f64)
         )),
     }

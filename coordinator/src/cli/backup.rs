@@ -6,8 +6,8 @@ use std::path::PathBuf;
 use anyhow::Context;
 use clap::Args;
 
+use super::command::{CommandError, Connection, print_line};
 use super::files::WholeFile;
-use super::{CommandError, Connection, print_line};
 
 /// Copies the database as it is now, while the coordinator runs. To restore it,
 /// put the file as `coordinator.sqlite` into an empty folder and start

@@ -6,7 +6,7 @@ use anyhow::anyhow;
 use clap::Args;
 use queue::invariants::{CheckError, INVARIANTS, check as check_database};
 
-use super::{CommandError, print_line};
+use super::command::{CommandError, failure, print_line, usage};
 
 #[derive(Args, Debug)]
 pub(super) struct CheckArguments {
@@ -18,8 +18,8 @@ pub(super) struct CheckArguments {
 pub(super) async fn check(arguments: CheckArguments) -> Result<(), CommandError> {
     let violations = check_database(&arguments.path).await;
     let violations = violations.map_err(|error| match error {
-        CheckError::Missing { .. } => CommandError::Usage(error.into()),
-        error => CommandError::Failure(error.into()),
+        CheckError::Missing { .. } => usage(error),
+        error => failure(error),
     })?;
     for violation in &violations {
         print_line(&format!("{}: {}", violation.invariant, violation.count))?;
@@ -36,7 +36,5 @@ pub(super) async fn check(arguments: CheckArguments) -> Result<(), CommandError>
     }
     let error = anyhow!("{} of {all} invariants do not hold", violations.len());
     let database = arguments.path.display();
-    Err(CommandError::Failure(
-        error.context(format!("find {database} in order")),
-    ))
+    Err(failure(error.context(format!("find {database} in order"))))
 }

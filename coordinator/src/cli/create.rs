@@ -4,46 +4,43 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use anyhow::Context;
-use clap::{ArgGroup, Args, ValueEnum};
+use clap::{ArgGroup, Args};
 use coordinator::video_estimate;
 use protocol::{
     Axis, CampaignSpec, Design, Level, MAX_CONFIGS, Nominal, PolicyRoute, Realisation, Record,
     Rollouts, TaskRef, UnknownName, select_tasks,
 };
 use queue::expand::NewCampaign;
+use serde::de::DeserializeOwned;
 
+use super::command::{CommandError, Connection, print_line, usage};
 use super::files::{read_manifest, read_spec};
-use super::{CommandError, Connection, print_line};
-
-/// The flags that say what a specification says.
-const SPEC_FLAGS: [&str; 12] = [
-    "policy",
-    "endpoint",
-    "tasks",
-    "axes",
-    "levels",
-    "configs",
-    "nominal",
-    "design_seed",
-    "manifest",
-    "realisation",
-    "replicates",
-    "record",
-];
-
-/// The flags that say what a manifest says.
-const DESIGN_FLAGS: [&str; 5] = ["axes", "levels", "configs", "nominal", "design_seed"];
 
 #[derive(Args, Debug)]
 #[command(group = ArgGroup::new("source").required(true).args(["spec", "name"]))]
 #[command(group = ArgGroup::new("rollouts").args(["tasks", "manifest"]))]
 pub(super) struct CreateArguments {
     /// File of a specification in JSON; `-` reads standard input.
-    #[arg(long, value_name = "FILE", conflicts_with_all = SPEC_FLAGS)]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["SpecFlags", "DesignFlags"])]
     spec: Option<PathBuf>,
     /// Name of the campaign; the flags below then say the rest.
     #[arg(long, requires_all = ["policy", "endpoint", "rollouts"])]
     name: Option<String>,
+    #[command(flatten)]
+    flags: SpecFlags,
+    #[command(flatten)]
+    design: DesignFlags,
+    /// Says what would be created, and what its videos would take, and creates
+    /// nothing
+    #[arg(long)]
+    dry_run: bool,
+    #[command(flatten)]
+    connection: Connection,
+}
+
+/// The flags that say what a specification says, beside its design.
+#[derive(Args, Debug)]
+struct SpecFlags {
     /// Name of the policy at its endpoint.
     #[arg(long)]
     policy: Option<String>,
@@ -53,6 +50,26 @@ pub(super) struct CreateArguments {
     /// Tasks: `libero_object/0,libero_spatial/0-3`, a suite, or `all`.
     #[arg(long, value_delimiter = ',')]
     tasks: Vec<String>,
+    /// Manifest to run as it stands, instructions included, instead of a
+    /// design; `-` reads standard input.
+    #[arg(long, value_name = "FILE", conflicts_with = "DesignFlags")]
+    manifest: Option<PathBuf>,
+    /// Where the perturbations' random elements come from: matched, reference.
+    #[arg(long, default_value = "matched")]
+    realisation: Realisation,
+    /// Times that every rollout runs, each with another policy seed.
+    #[arg(long, default_value_t = 1)]
+    replicates: u32,
+    /// Rollouts that are filmed: `none`; `failures`; `transitions`, of
+    /// configurations that the combination of axes changes, afterwards, by
+    /// `worker film`; or `all`.
+    #[arg(long, value_parser = named::<Record>, default_value = "none")]
+    record: Record,
+}
+
+/// The flags that say what a manifest says.
+#[derive(Args, Debug)]
+struct DesignFlags {
     /// Axes, each alone and all together: names, `metric` (all with numbers),
     /// `all`, or `none`.
     #[arg(long, value_delimiter = ',', default_value = "metric")]
@@ -63,48 +80,13 @@ pub(super) struct CreateArguments {
     /// Configurations: `0-9`, `0,3,5-7`. From 10 on they are drawn.
     #[arg(long, value_delimiter = ',', default_value = "0-9")]
     configs: Vec<String>,
-    /// Nominal rollouts: of the configurations' initial states, of all, none.
-    #[arg(long, value_enum, default_value_t = NominalChoice::Eval)]
-    nominal: NominalChoice,
+    /// Nominal rollouts: `eval`, those of the configurations' initial states;
+    /// `all`; or `none`.
+    #[arg(long, value_parser = named::<Nominal>, default_value = "eval")]
+    nominal: Nominal,
     /// From what the configurations beyond the protocol's ten are drawn.
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     design_seed: u64,
-    /// Manifest to run as it stands, instructions included, instead of a
-    /// design; `-` reads standard input.
-    #[arg(long, value_name = "FILE", conflicts_with_all = DESIGN_FLAGS)]
-    manifest: Option<PathBuf>,
-    /// Where the perturbations' random elements come from: matched, reference.
-    #[arg(long, default_value = "matched")]
-    realisation: String,
-    /// Times that every rollout runs, each with another policy seed.
-    #[arg(long, default_value_t = 1)]
-    replicates: u32,
-    /// Rollouts that are filmed.
-    #[arg(long, value_enum, default_value_t = RecordChoice::None)]
-    record: RecordChoice,
-    /// Says what would be created, and what its videos would take, and creates
-    /// nothing
-    #[arg(long)]
-    dry_run: bool,
-    #[command(flatten)]
-    connection: Connection,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum NominalChoice {
-    Eval,
-    All,
-    None,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum RecordChoice {
-    None,
-    Failures,
-    /// Of configurations that the combination of axes changes: afterwards, by
-    /// `worker film`
-    Transitions,
-    All,
 }
 
 pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandError> {
@@ -113,28 +95,21 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
         None => spec_of_flags(&arguments)?,
     };
     // Expanding here finds every mistake before anybody is asked.
-    let campaign =
-        NewCampaign::from_spec(&spec).map_err(|error| CommandError::Usage(error.into()))?;
+    let campaign = NewCampaign::from_spec(&spec).map_err(usage)?;
     let name = &campaign.name;
     if arguments.dry_run {
         let total = campaign.jobs.len();
         print_line(&format!("campaign {name} would have {total} rollouts"))?;
         return tell_size(&campaign);
     }
-    let created = arguments
-        .connection
-        .client()?
-        .create_campaign(&campaign.spec)
-        .await?;
-    if created.jobs_added == 0 {
-        print_line(&format!(
-            "campaign {name} was there already, with this specification: {} rollouts",
-            created.jobs_total
-        ))?;
-    } else {
-        let total = created.jobs_total;
-        print_line(&format!("campaign {name} created: {total} rollouts"))?;
-    }
+    let client = arguments.connection.client()?;
+    let created = client.create_campaign(&campaign.spec).await?;
+    let happened = match created.jobs_added {
+        0 => "was there already, with this specification",
+        _ => "created",
+    };
+    let total = created.jobs_total;
+    print_line(&format!("campaign {name} {happened}: {total} rollouts"))?;
     tell_size(&campaign)
 }
 
@@ -146,55 +121,44 @@ fn tell_size(campaign: &NewCampaign) -> Result<(), CommandError> {
 }
 
 fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandError> {
-    let rollouts = match &arguments.manifest {
+    let rollouts = match &arguments.flags.manifest {
         Some(path) => Rollouts::Manifest(read_manifest(path)?),
-        None => Rollouts::Design(design_of_flags(arguments).map_err(CommandError::Usage)?),
+        None => Rollouts::Design(design_of_flags(arguments).map_err(usage)?),
     };
-    let realisation = arguments.realisation.parse::<Realisation>();
     let spec = CampaignSpec {
         name: arguments.name.clone().unwrap_or_default(),
         policy: PolicyRoute {
-            name: arguments.policy.clone().unwrap_or_default(),
-            endpoint: arguments.endpoint.clone().unwrap_or_default(),
+            name: arguments.flags.policy.clone().unwrap_or_default(),
+            endpoint: arguments.flags.endpoint.clone().unwrap_or_default(),
         },
         rollouts,
-        realisation: realisation.map_err(|error| CommandError::Usage(error.into()))?,
-        replicates: arguments.replicates,
-        record: match arguments.record {
-            RecordChoice::None => Record::None,
-            RecordChoice::Failures => Record::Failures,
-            RecordChoice::Transitions => Record::Transitions,
-            RecordChoice::All => Record::All,
-        },
+        realisation: arguments.flags.realisation,
+        replicates: arguments.flags.replicates,
+        record: arguments.flags.record,
     };
-    spec.check()
-        .map_err(|error| CommandError::Usage(error.into()))?;
+    spec.check().map_err(usage)?;
     Ok(spec)
 }
 
 fn design_of_flags(arguments: &CreateArguments) -> anyhow::Result<Design> {
-    let axes = match texts(&arguments.axes).as_slice() {
-        ["metric"] => Axis::METRIC.to_vec(),
-        ["all"] => Axis::ALL.to_vec(),
-        ["none"] => Vec::new(),
-        names => parsed(names)?,
+    let axes = match arguments.design.axes.join(",").as_str() {
+        "metric" => Axis::METRIC.to_vec(),
+        "all" => Axis::ALL.to_vec(),
+        "none" => Vec::new(),
+        _ => parsed(&arguments.design.axes)?,
     };
     // Without axes there is nothing to have a level.
     let levels: Vec<Level> = match axes.is_empty() {
         true => Vec::new(),
-        false => parsed(&texts(&arguments.levels))?,
+        false => parsed(&arguments.design.levels)?,
     };
     let design = Design {
-        tasks: tasks(&arguments.tasks)?,
+        tasks: tasks(&arguments.flags.tasks)?,
         axes,
         levels,
-        configs: configs(&arguments.configs)?,
-        nominal: match arguments.nominal {
-            NominalChoice::Eval => Nominal::Eval,
-            NominalChoice::All => Nominal::All,
-            NominalChoice::None => Nominal::None,
-        },
-        seed: arguments.design_seed,
+        configs: configs(&arguments.design.configs)?,
+        nominal: arguments.design.nominal,
+        seed: arguments.design.design_seed,
     };
     Ok(design.in_order())
 }
@@ -203,16 +167,15 @@ fn design_of_flags(arguments: &CreateArguments) -> anyhow::Result<Design> {
 fn tasks(given: &[String]) -> anyhow::Result<Vec<TaskRef>> {
     let mut tasks = Vec::new();
     for text in given {
-        match text
-            .split_once('/')
-            .map(|(suite, index)| (suite, range(index)))
+        if let Some((suite, indices)) = text.split_once('/')
+            && let Some((first, last)) = range(indices)
+            && first != last
         {
-            Some((suite, Some((first, last)))) if first != last => {
-                for index in first..=last {
-                    tasks.extend(select_tasks(&format!("{suite}/{index}"))?);
-                }
+            for index in first..=last {
+                tasks.extend(select_tasks(&format!("{suite}/{index}"))?);
             }
-            _ => tasks.extend(select_tasks(text)?),
+        } else {
+            tasks.extend(select_tasks(text)?);
         }
     }
     Ok(tasks)
@@ -236,10 +199,11 @@ fn range(text: &str) -> Option<(u16, u16)> {
     (first <= last && last <= MAX_CONFIGS).then_some((first, last))
 }
 
-fn parsed<T: FromStr<Err = UnknownName>>(names: &[&str]) -> Result<Vec<T>, UnknownName> {
-    names.iter().map(|name| name.parse()).collect()
+/// A value by its name in a specification.
+fn named<T: DeserializeOwned>(name: &str) -> serde_json::Result<T> {
+    serde_json::from_value(name.into())
 }
 
-fn texts(given: &[String]) -> Vec<&str> {
-    given.iter().map(String::as_str).collect()
+fn parsed<T: FromStr<Err = UnknownName>>(names: &[String]) -> Result<Vec<T>, UnknownName> {
+    names.iter().map(|name| name.parse()).collect()
 }

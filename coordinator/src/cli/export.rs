@@ -4,19 +4,19 @@ use std::io::{BufWriter, Write};
 use std::path::PathBuf;
 
 use anyhow::Context;
-use clap::{Args, ValueEnum};
+use clap::Args;
 use coordinator::client::Client;
 
+use super::command::{CommandError, Connection};
 use super::files::WholeFile;
-use super::{CommandError, Connection};
 
 #[derive(Args, Debug)]
 pub(super) struct ExportArguments {
     /// Name of the campaign.
     campaign: String,
     /// What to write: `jsonl` are the reference's result rows.
-    #[arg(long, value_enum)]
-    format: Format,
+    #[arg(long, value_parser = ["jsonl"])]
+    format: String,
     /// File to write; standard output without it.
     #[arg(long, value_name = "FILE")]
     output: Option<PathBuf>,
@@ -24,14 +24,8 @@ pub(super) struct ExportArguments {
     connection: Connection,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum Format {
-    Jsonl,
-}
-
 pub(super) async fn export(arguments: ExportArguments) -> Result<(), CommandError> {
     let client = arguments.connection.client()?;
-    let Format::Jsonl = arguments.format;
     match &arguments.output {
         None => {
             let mut stdout = BufWriter::new(std::io::stdout().lock());

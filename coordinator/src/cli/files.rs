@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, anyhow};
 use protocol::{CampaignSpec, ManifestRow, manifest};
 
-use super::CommandError;
+use super::command::{CommandError, usage};
 
 /// Largest specification or manifest that is read, bytes. It must fit into a
 /// message to the coordinator.
@@ -17,29 +17,27 @@ const MAX_INPUT_BYTES: u64 = 24 << 20;
 /// Reads a text; `-` is standard input. A file that cannot be read is a wrong
 /// command.
 fn read_text(path: &Path) -> Result<String, CommandError> {
-    let name = name_of(path);
     let mut text = String::new();
-    let read = if is_standard_input(path) {
-        read_bounded(std::io::stdin(), &mut text)
-    } else {
-        File::open(path).and_then(|file| read_bounded(file, &mut text))
+    let read = match is_standard_input(path) {
+        true => read_bounded(std::io::stdin(), &mut text),
+        false => File::open(path).and_then(|file| read_bounded(file, &mut text)),
     };
-    let read = read.with_context(|| format!("read {name}"));
-    let read = read.map_err(CommandError::Usage)?;
-    if read > MAX_INPUT_BYTES as usize {
-        let most = MAX_INPUT_BYTES >> 20;
-        let error =
-            anyhow!("it is larger than {most} MiB: divide it").context(format!("read {name}"));
-        return Err(CommandError::Usage(error));
-    }
-    Ok(text)
+    let checked = match read {
+        Ok(size) if size <= MAX_INPUT_BYTES as usize => Ok(text),
+        Ok(_) => Err(anyhow!(
+            "it is larger than {} MiB: divide it",
+            MAX_INPUT_BYTES >> 20
+        )),
+        Err(error) => Err(error.into()),
+    };
+    checked.map_err(|error| usage(error.context(format!("read {}", name_of(path)))))
 }
 
 /// Reads a specification. One that is refused is a wrong command.
 pub(super) fn read_spec(path: &Path) -> Result<CampaignSpec, CommandError> {
     let spec = CampaignSpec::from_json(&read_text(path)?);
     spec.with_context(|| format!("use {}", name_of(path)))
-        .map_err(CommandError::Usage)
+        .map_err(usage)
 }
 
 /// Reads a manifest. One that is refused is a failure: the command was right.
@@ -57,6 +55,14 @@ pub(super) fn name_of(path: &Path) -> String {
     }
 }
 
+/// Writes a file, whole or not at all.
+pub(super) fn write_whole(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+    let mut file = WholeFile::create(path)?;
+    let written = file.writer().write_all(bytes);
+    written.with_context(|| format!("write {}", path.display()))?;
+    file.finish()
+}
+
 /// A file under another name until it is whole; nothing is left of one that is
 /// not finished.
 pub(super) struct WholeFile {
@@ -67,9 +73,8 @@ pub(super) struct WholeFile {
 
 impl WholeFile {
     pub(super) fn create(path: &Path) -> anyhow::Result<WholeFile> {
-        let mut partial = path.as_os_str().to_owned();
-        partial.push(".partial");
-        let partial = PathBuf::from(partial);
+        let mut partial = path.to_owned();
+        partial.as_mut_os_string().push(".partial");
         let file = File::create(&partial)
             .with_context(|| format!("write {}: may this user write there?", partial.display()))?;
         Ok(WholeFile {

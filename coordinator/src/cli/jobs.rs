@@ -1,12 +1,13 @@
 //! `coordinator jobs list|show|retry`.
 
 use anyhow::anyhow;
-use clap::{Args, Subcommand, ValueEnum};
+use clap::{Args, Subcommand};
 use coordinator::client::{GetJobResponse, Job, JobName, ListJobsRequest};
 use coordinator::words::duration_text;
 use queue::ids::shortened;
+use report::rollout_name;
 
-use super::{CommandError, Connection, print_line};
+use super::command::{CommandError, Connection, print_line, usage};
 
 /// Jobs asked for at a time.
 const PAGE_JOBS: u32 = 500;
@@ -28,8 +29,8 @@ pub(super) struct ListArguments {
     /// Name of the campaign.
     campaign: String,
     /// Only those in this state.
-    #[arg(long, value_enum)]
-    state: Option<StateChoice>,
+    #[arg(long, value_parser = ["queued", "leased", "committed", "quarantined"])]
+    state: Option<String>,
     /// Most rollouts to list.
     #[arg(long, default_value_t = 50, value_parser = clap::value_parser!(u32).range(1..))]
     limit: u32,
@@ -61,14 +62,6 @@ pub(super) struct RetryArguments {
     connection: Connection,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum StateChoice {
-    Queued,
-    Leased,
-    Committed,
-    Quarantined,
-}
-
 pub(super) async fn jobs(command: JobsCommand) -> Result<(), CommandError> {
     match command {
         JobsCommand::List(arguments) => list(arguments).await,
@@ -80,8 +73,8 @@ pub(super) async fn jobs(command: JobsCommand) -> Result<(), CommandError> {
 async fn list(arguments: ListArguments) -> Result<(), CommandError> {
     let client = arguments.connection.client()?;
     let mut request = ListJobsRequest {
-        campaign: arguments.campaign.clone(),
-        state: arguments.state.map_or("", StateChoice::name).to_owned(),
+        campaign: arguments.campaign,
+        state: arguments.state.unwrap_or_default(),
         ..ListJobsRequest::default()
     };
     let mut left = arguments.limit;
@@ -130,7 +123,7 @@ fn job_name(text: &str) -> Result<JobName, CommandError> {
     };
     let replicate = replicate.ok_or_else(|| {
         let error = anyhow!("write a rollout id, and #r1 after it for its second replicate");
-        CommandError::Usage(error.context(format!("read rollout `{text}`")))
+        usage(error.context(format!("read rollout `{text}`")))
     })?;
     Ok(JobName {
         rollout_id: rollout_id.to_owned(),
@@ -139,10 +132,7 @@ fn job_name(text: &str) -> Result<JobName, CommandError> {
 }
 
 fn name(job: &Job) -> String {
-    match job.replicate {
-        0 => job.rollout_id.clone(),
-        replicate => format!("{}#r{replicate}", job.rollout_id),
-    }
+    rollout_name(&job.rollout_id, job.replicate)
 }
 
 /// How a job stands, in words.
@@ -228,15 +218,4 @@ fn whole(details: &GetJobResponse) -> String {
     }
     lines.push(format!("  manifest row   {}", details.manifest_row));
     lines.join("\n")
-}
-
-impl StateChoice {
-    fn name(self) -> &'static str {
-        match self {
-            StateChoice::Queued => "queued",
-            StateChoice::Leased => "leased",
-            StateChoice::Committed => "committed",
-            StateChoice::Quarantined => "quarantined",
-        }
-    }
 }

@@ -1,15 +1,14 @@
 //! `coordinator manifest`: manifests as files. Needs no coordinator. What a
 //! manifest may say, and in what two of them differ, is the protocol's business.
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use clap::{ArgGroup, Args, Subcommand, ValueEnum};
 use protocol::{Design, DesignVersion, ManifestRow, manifest};
 
-use super::files::{WholeFile, name_of, read_manifest, read_spec};
-use super::{CommandError, print_line};
+use super::command::{CommandError, failure, print, print_line, usage};
+use super::files::{name_of, read_manifest, read_spec, write_whole};
 
 #[derive(Debug, Subcommand)]
 pub(super) enum ManifestCommand {
@@ -17,17 +16,25 @@ pub(super) enum ManifestCommand {
     /// would run.
     Expand(ExpandArguments),
     /// Check a manifest line by line.
-    Check(CheckArguments),
+    Check {
+        /// The manifest; `-` reads standard input.
+        file: PathBuf,
+    },
     /// Say in which rows and columns two manifests differ.
-    Diff(DiffArguments),
+    Diff {
+        /// The first manifest.
+        first: PathBuf,
+        /// The second manifest.
+        second: PathBuf,
+    },
 }
 
 #[derive(Args, Debug)]
 #[command(group = ArgGroup::new("source").required(true).args(["version", "spec"]))]
 pub(super) struct ExpandArguments {
-    /// A published design.
-    #[arg(long, value_enum, value_name = "VERSION")]
-    version: Option<Published>,
+    /// A published design of LIBERO-CTRL.
+    #[arg(long, value_name = "VERSION", value_parser = ["v0.1"])]
+    version: Option<String>,
     /// File of a campaign's specification in JSON, for its own design; `-`
     /// reads standard input.
     #[arg(long, value_name = "FILE")]
@@ -40,27 +47,6 @@ pub(super) struct ExpandArguments {
     output: Option<PathBuf>,
 }
 
-#[derive(Args, Debug)]
-pub(super) struct CheckArguments {
-    /// The manifest; `-` reads standard input.
-    file: PathBuf,
-}
-
-#[derive(Args, Debug)]
-pub(super) struct DiffArguments {
-    /// The first manifest.
-    first: PathBuf,
-    /// The second manifest.
-    second: PathBuf,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum Published {
-    /// LIBERO-CTRL v0.1.
-    #[value(name = "v0.1")]
-    V0_1,
-}
-
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum Split {
     Clean,
@@ -71,17 +57,14 @@ enum Split {
 pub(super) fn manifest(command: ManifestCommand) -> Result<(), CommandError> {
     match command {
         ManifestCommand::Expand(arguments) => expand(&arguments),
-        ManifestCommand::Check(arguments) => check(&arguments.file),
-        ManifestCommand::Diff(arguments) => diff(&arguments.first, &arguments.second),
+        ManifestCommand::Check { file } => check(&file),
+        ManifestCommand::Diff { first, second } => diff(&first, &second),
     }
 }
 
 fn expand(arguments: &ExpandArguments) -> Result<(), CommandError> {
     let rows = match &arguments.spec {
-        Some(path) => {
-            let rows = read_spec(path)?.expand();
-            rows.map_err(|error| CommandError::Usage(error.into()))?
-        }
+        Some(path) => read_spec(path)?.expand().map_err(usage)?,
         None => Design::v0_1().expand().context("expand v0.1")?,
     };
     let is_wanted = |row: &&ManifestRow| match arguments.split {
@@ -92,15 +75,9 @@ fn expand(arguments: &ExpandArguments) -> Result<(), CommandError> {
     let rows: Vec<&ManifestRow> = rows.iter().filter(is_wanted).collect();
     let text = manifest::to_text(rows.iter().copied());
     let Some(path) = &arguments.output else {
-        let mut stdout = std::io::stdout().lock();
-        let written = stdout.write_all(text.as_bytes());
-        let written = written.and_then(|()| stdout.flush());
-        return Ok(written.context("print to standard output")?);
+        return Ok(print(&text)?);
     };
-    let mut file = WholeFile::create(path)?;
-    let written = file.writer().write_all(text.as_bytes());
-    written.with_context(|| format!("write {}", path.display()))?;
-    file.finish()?;
+    write_whole(path, text.as_bytes())?;
     eprintln!("wrote {} rows to {}", rows.len(), path.display());
     Ok(())
 }
@@ -129,7 +106,7 @@ fn diff(first: &Path, second: &Path) -> Result<(), CommandError> {
             "{first} and {second} have the same {} rows",
             left.len()
         ))?),
-        count => Err(CommandError::Failure(anyhow!(
+        count => Err(failure(anyhow!(
             "find {first} and {second} alike: they differ in {count} places"
         ))),
     }

@@ -6,7 +6,7 @@ use anyhow::{Context, anyhow};
 use clap::Args;
 use coordinator::client::{Change, State};
 
-use super::{CommandError, Connection, print_line};
+use super::command::{CommandError, Connection, print_line, usage};
 
 #[derive(Args, Debug)]
 pub(super) struct ChangeArguments {
@@ -47,9 +47,7 @@ pub(super) async fn delete(arguments: DeleteArguments) -> Result<(), CommandErro
     };
     if confirmed != *name {
         let error = anyhow!("it is not `{confirmed}`; nothing was deleted");
-        return Err(CommandError::Usage(
-            error.context(format!("delete campaign `{name}`")),
-        ));
+        return Err(usage(error.context(format!("delete campaign `{name}`"))));
     }
     let deleted = arguments.connection.client()?.delete_campaign(name).await?;
     Ok(print_line(&format!(
@@ -62,9 +60,7 @@ pub(super) async fn delete(arguments: DeleteArguments) -> Result<(), CommandErro
 fn ask(name: &str) -> Result<String, CommandError> {
     if !std::io::stdin().is_terminal() {
         let error = anyhow!("pass --confirm {name} to delete its results and files for good");
-        return Err(CommandError::Usage(
-            error.context(format!("delete campaign `{name}`")),
-        ));
+        return Err(usage(error.context(format!("delete campaign `{name}`"))));
     }
     let mut stderr = std::io::stderr().lock();
     write!(

@@ -1,14 +1,15 @@
 //! `coordinator report`: campaigns of a coordinator and files of result rows,
 //! measured and written in the forms that were asked for.
 
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use clap::Args;
 use report::{Document, Subject, write_csv, write_parquet};
 
-use super::files::WholeFile;
-use super::{CommandError, Connection, print_line};
+use super::command::{CommandError, Connection, print_line, usage};
+use super::files::{WholeFile, write_whole};
 
 #[derive(Args, Debug)]
 pub(super) struct ReportArguments {
@@ -29,8 +30,8 @@ pub(super) struct ReportArguments {
     #[arg(long, value_name = "DIR")]
     figures: Option<PathBuf>,
     /// Write all outcomes, one row per configuration: FILE.csv or FILE.parquet.
-    #[arg(long, value_name = "FILE")]
-    table: Vec<PathBuf>,
+    #[arg(long, value_name = "FILE", value_parser = table)]
+    table: Vec<(PathBuf, TableForm)>,
     /// Published nominal success of a policy, for the reproduction gate.
     #[arg(long, value_name = "POLICY=PERCENT", value_parser = published)]
     published: Vec<(String, f64)>,
@@ -39,20 +40,13 @@ pub(super) struct ReportArguments {
 }
 
 /// Forms of the table.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 enum TableForm {
     Csv,
     Parquet,
 }
 
 pub(super) async fn report(arguments: ReportArguments) -> Result<(), CommandError> {
-    // What is wrong with the command is said before anything is computed.
-    let tables: Vec<(&Path, TableForm)> = arguments
-        .table
-        .iter()
-        .map(|path| Ok((path.as_path(), form_of(path)?)))
-        .collect::<anyhow::Result<_>>()
-        .map_err(CommandError::Usage)?;
     let mut subjects = Vec::new();
     if !arguments.campaigns.is_empty() {
         let client = arguments.connection.client()?;
@@ -61,14 +55,13 @@ pub(super) async fn report(arguments: ReportArguments) -> Result<(), CommandErro
         }
     }
     for path in &arguments.from {
-        let subject = report::import(path);
-        subjects.push(subject.map_err(|error| CommandError::Usage(error.into()))?);
+        subjects.push(report::import(path).map_err(usage)?);
     }
-    add_published(&mut subjects, &arguments.published).map_err(CommandError::Usage)?;
+    add_published(&mut subjects, &arguments.published).map_err(usage)?;
     // Thousands of resamplings, but nobody else waits for this thread.
     let document = Document::new(subjects).map_err(anyhow::Error::from)?;
-    for (path, form) in tables {
-        write_table(&document, path, form)?;
+    for (path, form) in &arguments.table {
+        write_table(&document, path, *form)?;
     }
     if let Some(folder) = &arguments.figures {
         write_figures(&document, folder)?;
@@ -111,12 +104,12 @@ fn add_published(subjects: &mut [Subject], published: &[(String, f64)]) -> anyho
     Ok(())
 }
 
-fn form_of(path: &Path) -> anyhow::Result<TableForm> {
-    match path.extension().and_then(|extension| extension.to_str()) {
-        Some("csv") => Ok(TableForm::Csv),
-        Some("parquet") => Ok(TableForm::Parquet),
-        _ => Err(anyhow!("its name ends neither with .csv nor with .parquet"))
-            .with_context(|| format!("write the table {}", path.display())),
+fn table(name: &str) -> Result<(PathBuf, TableForm), &'static str> {
+    let path = PathBuf::from(name);
+    match path.extension().and_then(OsStr::to_str) {
+        Some("csv") => Ok((path, TableForm::Csv)),
+        Some("parquet") => Ok((path, TableForm::Parquet)),
+        _ => Err("its name ends neither with .csv nor with .parquet"),
     }
 }
 
@@ -141,13 +134,4 @@ fn write_figures(document: &Document, folder: &Path) -> anyhow::Result<()> {
     }
     eprintln!("wrote {} figures to {}", figures.len(), folder.display());
     Ok(())
-}
-
-fn write_whole(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
-    use std::io::Write;
-
-    let mut file = WholeFile::create(path)?;
-    let written = file.writer().write_all(bytes);
-    written.with_context(|| format!("write {}", path.display()))?;
-    file.finish()
 }

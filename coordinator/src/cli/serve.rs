@@ -17,7 +17,7 @@ use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
 use transport::{Security, SecurityError, ServerArguments};
 
-use super::{CommandError, print_line};
+use super::command::{CommandError, failure, print_line, usage};
 
 /// Heartbeats that fit into a lease: a few may be lost before it is.
 const HEARTBEATS_PER_LEASE: u32 = 6;
@@ -53,13 +53,11 @@ pub(super) struct ServeArguments {
 }
 
 pub(super) async fn serve(arguments: ServeArguments) -> Result<(), CommandError> {
-    let security = match arguments.security.security(arguments.listen) {
-        Ok(security) => security,
-        Err(error @ SecurityError::Unguarded { .. }) => {
-            return Err(CommandError::Usage(error.into()));
-        }
-        Err(error) => return Err(CommandError::Failure(error.into())),
-    };
+    let security = arguments.security.security(arguments.listen);
+    let security = security.map_err(|error| match error {
+        SecurityError::Unguarded { .. } => usage(error),
+        error => failure(error),
+    })?;
     Ok(run(arguments, security).await?)
 }
 

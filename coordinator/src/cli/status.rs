@@ -5,18 +5,12 @@
 use clap::Args;
 use coordinator::client::CampaignStatus;
 
+use super::command::{CommandError, Connection, print_line};
 use super::line::{attention, line};
 use super::watch::watch;
-use super::{CommandError, Connection, print_line};
 
 /// What is said where there are none.
 const NO_CAMPAIGNS: &str = "no campaigns yet; `coordinator campaign create` makes one";
-
-#[derive(Args, Debug)]
-pub(super) struct ListArguments {
-    #[command(flatten)]
-    connection: Connection,
-}
 
 #[derive(Args, Debug)]
 pub(super) struct StatusArguments {
@@ -29,19 +23,18 @@ pub(super) struct StatusArguments {
     connection: Connection,
 }
 
-pub(super) async fn list(arguments: ListArguments) -> Result<(), CommandError> {
-    let campaigns = arguments.connection.client()?.list_campaigns().await?;
+pub(super) async fn list(connection: Connection) -> Result<(), CommandError> {
+    let campaigns = connection.client()?.list_campaigns().await?;
     if campaigns.is_empty() {
         return Ok(print_line(NO_CAMPAIGNS)?);
     }
-    let text: Vec<String> = campaigns
-        .iter()
-        .map(|status| match attention(status) {
-            Some(note) => format!("{}\n  {note}", line(status)),
-            None => line(status),
-        })
-        .collect();
-    Ok(print_line(&text.join("\n"))?)
+    for status in &campaigns {
+        print_line(&line(status))?;
+        if let Some(note) = attention(status) {
+            print_line(&format!("  {note}"))?;
+        }
+    }
+    Ok(())
 }
 
 pub(super) async fn status(arguments: StatusArguments) -> Result<(), CommandError> {

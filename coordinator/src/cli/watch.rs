@@ -2,14 +2,13 @@
 //! a rate and an ETA for each, and for each policy that several of them measure.
 
 use std::collections::BTreeMap;
-use std::io::{IsTerminal, Write};
+use std::io::IsTerminal;
 use std::time::Duration;
 
-use anyhow::Context;
 use coordinator::client::{CampaignStatus, Client, State};
 use queue::read::RATE_WINDOW;
 
-use super::CommandError;
+use super::command::{CommandError, print_line};
 use super::line::{attention, is_finished, line};
 
 /// Between two looks on a terminal, where the table rewrites itself, and
@@ -23,7 +22,14 @@ pub(super) async fn watch(
     client: &Client,
     name: Option<&str>,
 ) -> Result<Vec<CampaignStatus>, CommandError> {
-    let mut screen = Screen::new(std::io::stdout().is_terminal());
+    let mut screen = Screen {
+        is_terminal: std::io::stdout().is_terminal(),
+        ..Screen::default()
+    };
+    let period = match screen.is_terminal {
+        true => TERMINAL_PERIOD,
+        false => LOG_PERIOD,
+    };
     screen.say(&format!(
         "ETA = rollouts left / rate; rate = rollouts committed in the last {} minutes,\n\
          or since the first lease or the last resume, if that is less; of a policy,\n\
@@ -39,12 +45,13 @@ pub(super) async fn watch(
         if campaigns.iter().all(is_finished) {
             return Ok(campaigns);
         }
-        tokio::time::sleep(screen.period()).await;
+        tokio::time::sleep(period).await;
     }
 }
 
 /// What is being followed: on a terminal a table that rewrites itself, else
 /// lines per look.
+#[derive(Default)]
 struct Screen {
     is_terminal: bool,
     /// Lines that the next look rewrites.
@@ -53,22 +60,6 @@ struct Screen {
 }
 
 impl Screen {
-    fn new(is_terminal: bool) -> Screen {
-        Screen {
-            is_terminal,
-            lines: 0,
-            attention: Vec::new(),
-        }
-    }
-
-    fn period(&self) -> Duration {
-        if self.is_terminal {
-            TERMINAL_PERIOD
-        } else {
-            LOG_PERIOD
-        }
-    }
-
     /// Prints lines that stay, above the table.
     fn say(&mut self, text: &str) -> anyhow::Result<()> {
         let clear = match (self.is_terminal, self.lines) {
@@ -76,7 +67,7 @@ impl Screen {
             _ => String::new(),
         };
         self.lines = 0;
-        print(&format!("{clear}{text}\n"))
+        print_line(&format!("{clear}{text}"))
     }
 
     /// Shows how the campaigns stand, and, when it changes, what needs looking
@@ -126,14 +117,6 @@ fn of_policy(campaigns: &[&CampaignStatus]) -> CampaignStatus {
     let left = (sum.queued + sum.leased) as f64;
     sum.eta_secs = sum.rate_per_sec.map(|rate| left / rate);
     sum
-}
-
-fn print(text: &str) -> anyhow::Result<()> {
-    let mut stdout = std::io::stdout().lock();
-    stdout
-        .write_all(text.as_bytes())
-        .and_then(|()| stdout.flush())
-        .context("print the campaigns' progress")
 }
 
 #[cfg(test)]

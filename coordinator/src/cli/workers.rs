@@ -4,7 +4,7 @@ use clap::Args;
 use coordinator::client::WorkerStatus;
 use coordinator::words::duration_text;
 
-use super::{CommandError, Connection, print_line};
+use super::command::{CommandError, Connection, print_line};
 
 #[derive(Args, Debug)]
 pub(super) struct WorkersArguments {

@@ -3,7 +3,7 @@
 use proto::coordinator as wire;
 use tonic::Streaming;
 
-use super::{Client, ClientError};
+use super::{Client, ClientError, Service};
 
 pub use wire::change_campaign_request::Change;
 
@@ -21,9 +21,7 @@ impl Client {
             campaign: name.to_owned(),
             change: change.into(),
         };
-        let response = self.call(request, async |mut it, request| {
-            it.change_campaign(request).await
-        });
+        let response = self.call(request, Service::change_campaign);
         Ok(response.await?.state())
     }
 
@@ -39,10 +37,7 @@ impl Client {
             campaign: name.to_owned(),
             confirm: name.to_owned(),
         };
-        self.call(request, async |mut it, request| {
-            it.delete_campaign(request).await
-        })
-        .await
+        self.call(request, Service::delete_campaign).await
     }
 
     /// A page of a campaign's jobs.
@@ -53,9 +48,7 @@ impl Client {
         &self,
         request: &wire::ListJobsRequest,
     ) -> Result<Vec<wire::Job>, ClientError> {
-        let response = self.call(request.clone(), async |mut it, request| {
-            it.list_jobs(request).await
-        });
+        let response = self.call(request.clone(), Service::list_jobs);
         Ok(response.await?.jobs)
     }
 
@@ -72,8 +65,7 @@ impl Client {
             campaign: campaign.to_owned(),
             job: Some(job),
         };
-        self.call(request, async |mut it, request| it.get_job(request).await)
-            .await
+        self.call(request, Service::get_job).await
     }
 
     /// Takes jobs out of quarantine: those that are named, or all of the
@@ -91,9 +83,7 @@ impl Client {
             all: jobs.is_empty(),
             jobs,
         };
-        let response = self.call(request, async |mut it, request| {
-            it.retry_jobs(request).await
-        });
+        let response = self.call(request, Service::retry_jobs);
         Ok(response.await?.jobs)
     }
 
@@ -102,9 +92,7 @@ impl Client {
     /// # Errors
     /// See [`ClientError`].
     pub async fn list_workers(&self) -> Result<Vec<wire::WorkerStatus>, ClientError> {
-        let response = self.call(wire::ListWorkersRequest {}, async |mut it, request| {
-            it.list_workers(request).await
-        });
+        let response = self.call(wire::ListWorkersRequest {}, Service::list_workers);
         Ok(response.await?.workers)
     }
 
@@ -113,9 +101,6 @@ impl Client {
     /// # Errors
     /// See [`ClientError`].
     pub async fn backup(&self) -> Result<Streaming<wire::BackupChunk>, ClientError> {
-        self.call(wire::BackupRequest {}, async |mut it, request| {
-            it.backup(request).await
-        })
-        .await
+        self.call(wire::BackupRequest {}, Service::backup).await
     }
 }

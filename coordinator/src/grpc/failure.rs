@@ -1,22 +1,26 @@
 //! Errors as statuses: their words, and the code that says what to do.
 
-use queue::{ArtifactError, QueueError, StoreError};
+use queue::{ArtifactError, QueueError};
 use tonic::{Code, Status};
 use transport::chain;
 
-use crate::export::ExportError;
-use crate::report::ReportError;
+use crate::reading::ReadError;
 
-pub(super) fn store_failed(error: &StoreError) -> Status {
-    // The client may retry; the operator must know.
-    let text = chain(error);
-    tracing::error!("failed to {text}");
-    Status::unavailable(text)
+pub(super) fn failed(error: impl Into<ReadError>) -> Status {
+    let error = error.into();
+    let code = match &error {
+        ReadError::Queue(error) => code(error),
+        _ => Code::Internal,
+    };
+    if let ReadError::Queue(QueueError::Store(error)) = &error {
+        // The client may retry; the operator must know.
+        tracing::error!("failed to {}", chain(error));
+    }
+    Status::new(code, chain(&error))
 }
 
-pub(super) fn queue_failed(error: QueueError) -> Status {
-    let code = match &error {
-        QueueError::Store(error) => return store_failed(error),
+fn code(error: &QueueError) -> Code {
+    match error {
         // A worker that is not found registers again; one that fails the
         // precondition must stop.
         QueueError::UnknownWorker { .. }
@@ -29,14 +33,13 @@ pub(super) fn queue_failed(error: QueueError) -> Status {
         | QueueError::NotQuarantined { .. } => Code::FailedPrecondition,
         QueueError::BackupInHand => Code::ResourceExhausted,
         QueueError::CampaignDiffers { .. } => Code::AlreadyExists,
-        QueueError::ShuttingDown => Code::Unavailable,
-    };
-    Status::new(code, chain(&error))
+        QueueError::ShuttingDown | QueueError::Store(_) => Code::Unavailable,
+    }
 }
 
 pub(super) fn artifact_failed(error: ArtifactError) -> Status {
-    let code = match &error {
-        ArtifactError::Store(error) => return store_failed(error),
+    let code = match error {
+        ArtifactError::Store(error) => return failed(error),
         ArtifactError::TooLarge { .. } => Code::InvalidArgument,
         ArtifactError::NoOutcome { .. } => Code::PermissionDenied,
         ArtifactError::Write { .. } => {
@@ -47,16 +50,7 @@ pub(super) fn artifact_failed(error: ArtifactError) -> Status {
     Status::new(code, chain(&error))
 }
 
-pub(super) fn report_failed(error: ReportError) -> Status {
-    match error {
-        ReportError::Queue(error) => queue_failed(error),
-        error => Status::internal(chain(&error)),
-    }
-}
-
-pub(super) fn export_failed(error: ExportError) -> Status {
-    match error {
-        ExportError::Queue(error) => queue_failed(error),
-        error => Status::internal(chain(&error)),
-    }
+/// A request that is refused as it stands.
+pub(super) fn invalid(error: impl std::fmt::Display) -> Status {
+    Status::invalid_argument(error.to_string())
 }

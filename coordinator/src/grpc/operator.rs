@@ -8,14 +8,14 @@ use proto::coordinator::operator_service_server::OperatorService;
 use queue::Queue;
 use queue::expand::NewCampaign;
 use queue::ids::{CampaignName, JobId};
-use queue::read::{CampaignStatus, JobFilter, View};
+use queue::read::{Campaign, CampaignStatus, JobFilter, View};
 use queue::rules::campaign::CampaignState;
 use tokio_stream::{Stream, StreamExt};
 use tonic::{Request, Response, Status};
 use transport::chain;
 
 use super::backup::{self, Chunks};
-use super::failure::{export_failed, queue_failed, report_failed, store_failed};
+use super::failure::{failed, invalid};
 use super::{listing, read};
 use crate::export;
 use crate::report;
@@ -35,8 +35,15 @@ impl OperatorApi {
     }
 
     async fn view(&self) -> Result<View, Status> {
-        let view = self.queue.view().await;
-        view.map_err(|error| store_failed(&error))
+        self.queue.view().await.map_err(failed)
+    }
+
+    /// A campaign by its name, in the view that the answer is read from.
+    async fn campaign(&self, name: &str) -> Result<(View, Campaign), Status> {
+        let name = campaign_name(name)?;
+        let mut view = self.view().await?;
+        let campaign = view.campaign(&name).await.map_err(failed)?;
+        Ok((view, campaign))
     }
 }
 
@@ -51,9 +58,9 @@ impl OperatorService for OperatorApi {
         request: Request<wire::CreateCampaignRequest>,
     ) -> Result<Response<wire::CreateCampaignResponse>, Status> {
         let campaign = NewCampaign::from_json(&request.into_inner().spec)
-            .map_err(|error| Status::invalid_argument(chain(&error)))?;
+            .map_err(|error| invalid(chain(&error)))?;
         let created = self.queue.create_campaign(&campaign).await;
-        let created = created.map_err(queue_failed)?;
+        let created = created.map_err(failed)?;
         Ok(Response::new(wire::CreateCampaignResponse {
             jobs_added: created.jobs_added,
             jobs_total: created.jobs_total,
@@ -64,8 +71,7 @@ impl OperatorService for OperatorApi {
         &self,
         _: Request<wire::ListCampaignsRequest>,
     ) -> Result<Response<wire::ListCampaignsResponse>, Status> {
-        let campaigns = self.view().await?.statuses().await;
-        let campaigns = campaigns.map_err(|error| store_failed(&error))?;
+        let campaigns = self.view().await?.statuses().await.map_err(failed)?;
         Ok(Response::new(wire::ListCampaignsResponse {
             campaigns: campaigns.into_iter().map(write_status).collect(),
         }))
@@ -75,14 +81,12 @@ impl OperatorService for OperatorApi {
         &self,
         request: Request<wire::GetCampaignRequest>,
     ) -> Result<Response<wire::GetCampaignResponse>, Status> {
-        let name = campaign_name(&request.into_inner().campaign)?;
-        let mut view = self.view().await?;
-        let campaign = view.campaign(&name).await.map_err(queue_failed)?;
-        let spec = view.spec(&campaign).await;
-        let status = view.status(campaign).await;
+        let (mut view, campaign) = self.campaign(&request.into_inner().campaign).await?;
+        let spec = view.spec(&campaign).await.map_err(failed)?;
+        let status = view.status(campaign).await.map_err(failed)?;
         Ok(Response::new(wire::GetCampaignResponse {
-            spec: spec.map_err(|error| store_failed(&error))?,
-            status: Some(write_status(status.map_err(|error| store_failed(&error))?)),
+            spec,
+            status: Some(write_status(status)),
         }))
     }
 
@@ -94,7 +98,7 @@ impl OperatorService for OperatorApi {
         let name = campaign_name(&request.campaign)?;
         let change = read::change(request.change)?;
         let state = self.queue.change_campaign(&name, change).await;
-        let state = write_state(state.map_err(queue_failed)?);
+        let state = write_state(state.map_err(failed)?);
         Ok(Response::new(wire::ChangeCampaignResponse {
             state: state.into(),
         }))
@@ -107,12 +111,11 @@ impl OperatorService for OperatorApi {
         let request = request.into_inner();
         let name = campaign_name(&request.campaign)?;
         if request.confirm != request.campaign {
-            return Err(Status::invalid_argument(format!(
+            return Err(invalid(format!(
                 "delete campaign `{name}`: `confirm` must be its name once more"
             )));
         }
-        let deleted = self.queue.delete_campaign(&name).await;
-        let deleted = deleted.map_err(queue_failed)?;
+        let deleted = self.queue.delete_campaign(&name).await.map_err(failed)?;
         Ok(Response::new(wire::DeleteCampaignResponse {
             jobs: deleted.total(),
             results: deleted.committed,
@@ -124,18 +127,16 @@ impl OperatorService for OperatorApi {
         request: Request<wire::ListJobsRequest>,
     ) -> Result<Response<wire::ListJobsResponse>, Status> {
         let request = request.into_inner();
-        let name = campaign_name(&request.campaign)?;
         let filter = JobFilter {
             state: read::job_state(&request.state)?,
             after: JobId(request.after_job_id),
             limit: request.limit,
         };
-        let mut view = self.view().await?;
-        let campaign = view.campaign(&name).await.map_err(queue_failed)?;
-        let jobs = view.jobs(&campaign, filter).await;
-        let jobs = jobs.map_err(|error| store_failed(&error))?.into_iter();
+        let (mut view, campaign) = self.campaign(&request.campaign).await?;
+        let jobs = view.jobs(&campaign, filter).await.map_err(failed)?;
+        let jobs = jobs.into_iter().map(|line| listing::job(line, view.now));
         Ok(Response::new(wire::ListJobsResponse {
-            jobs: jobs.map(|line| listing::job(line, view.now)).collect(),
+            jobs: jobs.collect(),
         }))
     }
 
@@ -144,12 +145,9 @@ impl OperatorService for OperatorApi {
         request: Request<wire::GetJobRequest>,
     ) -> Result<Response<wire::GetJobResponse>, Status> {
         let request = request.into_inner();
-        let name = campaign_name(&request.campaign)?;
         let job = read::job_name(request.job.unwrap_or_default())?;
-        let mut view = self.view().await?;
-        let campaign = view.campaign(&name).await.map_err(queue_failed)?;
-        let details = view.job_details(&campaign, &job).await;
-        let details = details.map_err(queue_failed)?;
+        let (mut view, campaign) = self.campaign(&request.campaign).await?;
+        let details = view.job_details(&campaign, &job).await.map_err(failed)?;
         Ok(Response::new(listing::details(details, view.now)))
     }
 
@@ -160,10 +158,8 @@ impl OperatorService for OperatorApi {
         let request = request.into_inner();
         let name = campaign_name(&request.campaign)?;
         let retry = read::retry(request.jobs, request.all)?;
-        let jobs = self.queue.retry_jobs(&name, &retry).await;
-        Ok(Response::new(wire::RetryJobsResponse {
-            jobs: jobs.map_err(queue_failed)?,
-        }))
+        let jobs = self.queue.retry_jobs(&name, &retry).await.map_err(failed)?;
+        Ok(Response::new(wire::RetryJobsResponse { jobs }))
     }
 
     async fn list_workers(
@@ -171,12 +167,10 @@ impl OperatorService for OperatorApi {
         _: Request<wire::ListWorkersRequest>,
     ) -> Result<Response<wire::ListWorkersResponse>, Status> {
         let mut view = self.view().await?;
-        let workers = view.workers().await;
-        let workers = workers.map_err(|error| store_failed(&error))?.into_iter();
+        let workers = view.workers().await.map_err(failed)?.into_iter();
+        let workers = workers.map(|line| listing::worker(line, view.now));
         Ok(Response::new(wire::ListWorkersResponse {
-            workers: workers
-                .map(|line| listing::worker(line, view.now))
-                .collect(),
+            workers: workers.collect(),
         }))
     }
 
@@ -184,7 +178,7 @@ impl OperatorService for OperatorApi {
         &self,
         _: Request<wire::BackupRequest>,
     ) -> Result<Response<Self::BackupStream>, Status> {
-        let backup = self.queue.backup().await.map_err(queue_failed)?;
+        let backup = self.queue.backup().await.map_err(failed)?;
         Ok(Response::new(backup::chunks(backup).await?))
     }
 
@@ -192,20 +186,14 @@ impl OperatorService for OperatorApi {
         &self,
         request: Request<wire::ReportRequest>,
     ) -> Result<Response<Self::ReportStream>, Status> {
-        let name = campaign_name(&request.into_inner().campaign)?;
-        let mut view = self.view().await?;
-        let campaign = view.campaign(&name).await.map_err(queue_failed)?;
-        let subject = report::subject(&mut view, &campaign).await;
-        let json = serde_json::to_vec(&subject.map_err(report_failed)?);
+        let (mut view, campaign) = self.campaign(&request.into_inner().campaign).await?;
+        let subject = report::subject(&mut view, &campaign)
+            .await
+            .map_err(failed)?;
+        let json = serde_json::to_vec(&subject);
         let json = json.map_err(|error| Status::internal(error.to_string()))?;
-        let parts: Vec<_> = json
-            .chunks(REPORT_PART_BYTES)
-            .map(|part| {
-                Ok(wire::ReportPart {
-                    json: part.to_vec(),
-                })
-            })
-            .collect();
+        let parts = json.chunks(REPORT_PART_BYTES).map(<[u8]>::to_vec);
+        let parts: Vec<_> = parts.map(|json| Ok(wire::ReportPart { json })).collect();
         Ok(Response::new(Box::pin(tokio_stream::iter(parts))))
     }
 
@@ -214,17 +202,17 @@ impl OperatorService for OperatorApi {
         request: Request<wire::ExportRequest>,
     ) -> Result<Response<Self::ExportStream>, Status> {
         let name = campaign_name(&request.into_inner().campaign)?;
-        let export = export::lines(self.queue.clone(), &name).await;
-        let lines = export.map_err(queue_failed)?.map(|line| {
-            line.map(|json| wire::ExportLine { json })
-                .map_err(export_failed)
+        let lines = export::lines(self.queue.clone(), &name).await;
+        let lines = lines.map_err(failed)?.map(|line| {
+            let json = line.map_err(failed)?;
+            Ok(wire::ExportLine { json })
         });
         Ok(Response::new(Box::pin(lines)))
     }
 }
 
 fn campaign_name(name: &str) -> Result<CampaignName, Status> {
-    CampaignName::parse(name).map_err(|error| Status::invalid_argument(error.to_string()))
+    CampaignName::parse(name).map_err(invalid)
 }
 
 fn write_status(status: CampaignStatus) -> wire::CampaignStatus {

@@ -10,6 +10,8 @@ use queue::rules::lease::FailureReason;
 use queue::{CommitReport, MAX_JOBS_RETRIED, Retry, WorkerInfo};
 use tonic::Status;
 
+use super::failure::invalid;
+
 /// Longest name or version that is kept, bytes.
 const MAX_TEXT_BYTES: usize = 512;
 /// Longest rollout id that is looked for, bytes.
@@ -23,27 +25,24 @@ const MAX_ACTIONS_BYTES: usize = MAX_MOTION_STEPS * 28;
 const MAX_REALISED_VALUES: usize = 1_024;
 
 pub(super) fn worker_id(id: &str) -> Result<WorkerId, Status> {
-    WorkerId::parse(id).map_err(|error| Status::invalid_argument(error.to_string()))
+    WorkerId::parse(id).map_err(invalid)
 }
 
 pub(super) fn attempt(id: &str) -> Result<AttemptId, Status> {
-    id.parse()
-        .map_err(|error| Status::invalid_argument(format!("{error}")))
+    id.parse().map_err(invalid)
 }
 
 /// A claim's name has the form of an attempt's.
 pub(super) fn claim_id(id: String) -> Result<String, Status> {
     match id.parse::<AttemptId>() {
         Ok(_) => Ok(id),
-        Err(_) => Err(Status::invalid_argument(
-            "`claim_id` is not 32 digits of lower-case hex",
-        )),
+        Err(_) => Err(invalid("`claim_id` is not 32 digits of lower-case hex")),
     }
 }
 
 pub(super) fn worker_info(request: wire::RegisterRequest) -> Result<WorkerInfo, Status> {
     if request.slots == 0 {
-        return Err(Status::invalid_argument("`slots` is 0; a worker has some"));
+        return Err(invalid("`slots` is 0; a worker has some"));
     }
     Ok(WorkerInfo {
         id: worker_id(&request.worker_id)?,
@@ -111,7 +110,7 @@ pub(super) fn change(change: i32) -> Result<Change, Status> {
         Ok(Wire::Pause) => Ok(Change::Pause),
         Ok(Wire::Resume) => Ok(Change::Resume),
         Ok(Wire::Cancel) => Ok(Change::Cancel),
-        Ok(Wire::Unspecified) | Err(_) => Err(Status::invalid_argument(format!(
+        Ok(Wire::Unspecified) | Err(_) => Err(invalid(format!(
             "`change` is {change}, which is none of this protocol version"
         ))),
     }
@@ -122,7 +121,7 @@ pub(super) fn job_state(state: &str) -> Result<Option<&str>, Status> {
     match state {
         "" => Ok(None),
         "queued" | "leased" | "committed" | "quarantined" => Ok(Some(state)),
-        other => Err(Status::invalid_argument(format!(
+        other => Err(invalid(format!(
             "`{}` is no state of a job; there are queued, leased, committed, quarantined",
             shortened(other, MAX_ROLLOUT_ID_BYTES)
         ))),
@@ -131,7 +130,7 @@ pub(super) fn job_state(state: &str) -> Result<Option<&str>, Status> {
 
 pub(super) fn job_name(name: wire::JobName) -> Result<JobName, Status> {
     if name.rollout_id.len() > MAX_ROLLOUT_ID_BYTES {
-        return Err(Status::invalid_argument(format!(
+        return Err(invalid(format!(
             "a rollout id is longer than {MAX_ROLLOUT_ID_BYTES} bytes"
         )));
     }
@@ -148,7 +147,7 @@ pub(super) fn retry(jobs: Vec<wire::JobName>, all: bool) -> Result<Retry, Status
             let names: Result<Vec<JobName>, Status> = jobs.into_iter().map(job_name).collect();
             Ok(Retry::Named(names?))
         }
-        _ => Err(Status::invalid_argument(format!(
+        _ => Err(invalid(format!(
             "name 1 to {MAX_JOBS_RETRIED} jobs, or ask for all"
         ))),
     }
@@ -163,7 +162,7 @@ pub(super) fn failure_reason(reason: i32) -> Result<FailureReason, Status> {
         Ok(Reason::PolicyMisbehaved) => Ok(FailureReason::PolicyMisbehaved),
         Ok(Reason::PolicyUnavailable) => Ok(FailureReason::PolicyUnavailable),
         Ok(Reason::Draining) => Ok(FailureReason::Draining),
-        Ok(Reason::Unspecified) | Err(_) => Err(Status::invalid_argument(format!(
+        Ok(Reason::Unspecified) | Err(_) => Err(invalid(format!(
             "`reason` is {reason}, which is none of this protocol version"
         ))),
     }
@@ -188,7 +187,7 @@ fn motion(motion: wire::Motion) -> Result<Motion, Status> {
     let motion = Motion { path, actions };
     let (path, actions) = (motion.path.len(), motion.actions.len());
     if !motion.is_whole() || path > MAX_PATH_BYTES || actions > MAX_ACTIONS_BYTES {
-        return Err(Status::invalid_argument(format!(
+        return Err(invalid(format!(
             "`motion` has {path} bytes of path, 6 a position and at most {MAX_PATH_BYTES}, and \
              {actions} of actions, 28 each and at most {MAX_ACTIONS_BYTES}"
         )));
@@ -200,7 +199,7 @@ fn result(result: wire::RolloutResult) -> Result<RolloutResult, Status> {
     let residuals = [result.ik_residual_mm, result.ik_residual_deg];
     let finite = |value: &f64| value.is_finite() && *value >= 0.0;
     if !finite(&result.wall_secs) || !residuals.iter().flatten().all(finite) {
-        return Err(Status::invalid_argument(
+        return Err(invalid(
             "`result` holds a number that is negative or not finite",
         ));
     }
@@ -236,7 +235,7 @@ fn realised(axes: Vec<wire::RealisedAxis>) -> Result<Realised, Status> {
                 realised.add(axis, parameters, elements);
             }
             _ => {
-                return Err(Status::invalid_argument(format!(
+                return Err(invalid(format!(
                     "`realised` of axis `{}`: an axis with numbers comes once, with at most \
                      {MAX_REALISED_VALUES} values, all finite",
                     shortened(&name, MAX_ROLLOUT_ID_BYTES)
@@ -250,12 +249,12 @@ fn realised(axes: Vec<wire::RealisedAxis>) -> Result<Realised, Status> {
 fn realisation(name: &str) -> Result<String, Status> {
     name.parse::<protocol::Realisation>()
         .map(|realisation| realisation.to_string())
-        .map_err(|error| Status::invalid_argument(error.to_string()))
+        .map_err(invalid)
 }
 
 fn text(field: &str, value: String) -> Result<String, Status> {
     if value.len() > MAX_TEXT_BYTES {
-        return Err(Status::invalid_argument(format!(
+        return Err(invalid(format!(
             "`{field}` is longer than {MAX_TEXT_BYTES} bytes"
         )));
     }
@@ -274,7 +273,7 @@ fn digest(field: &str, value: &str) -> Result<String, Status> {
     if value.len() == 64 && value.bytes().all(is_hex) {
         Ok(value.to_owned())
     } else {
-        Err(Status::invalid_argument(format!(
+        Err(invalid(format!(
             "`{field}` is not a SHA-256 in lower-case hex"
         )))
     }
@@ -288,5 +287,5 @@ fn digest_or_empty(field: &str, value: &str) -> Result<String, Status> {
 }
 
 fn missing(field: &str) -> Status {
-    Status::invalid_argument(format!("`{field}` is missing"))
+    invalid(format!("`{field}` is missing"))
 }

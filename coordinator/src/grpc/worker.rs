@@ -9,7 +9,7 @@ use queue::{Assigned, ClaimRequest, CommitVerdict, Film, Queue, ReleaseVerdict, 
 use tokio_stream::StreamExt;
 use tonic::{Request, Response, Status, Streaming};
 
-use super::failure::{artifact_failed, queue_failed};
+use super::failure::{artifact_failed, failed, invalid};
 use super::read;
 use crate::gauges::Gauges;
 
@@ -53,7 +53,7 @@ impl WorkerService for WorkerApi {
             )));
         }
         let worker = read::worker_info(request)?;
-        self.queue.register(&worker).await.map_err(queue_failed)?;
+        self.queue.register(&worker).await.map_err(failed)?;
         tracing::info!(worker = %worker.id, host = worker.host, slots = worker.slots,
             assets = worker.pin.asset_pack, "worker registered");
         let timing = self.queue.timing();
@@ -79,7 +79,7 @@ impl WorkerService for WorkerApi {
             warm_task: warm.filter(|task| (1..=MAX_TASK_BYTES).contains(&task.len())),
         };
         let wait = read::wait(request.wait_secs);
-        let claimed = self.queue.claim(&claim, wait).await.map_err(queue_failed)?;
+        let claimed = self.queue.claim(&claim, wait).await.map_err(failed)?;
         Ok(Response::new(wire::ClaimResponse {
             lease: claimed.job.map(write_lease),
             idle_reason: claimed.idle_reason,
@@ -93,7 +93,7 @@ impl WorkerService for WorkerApi {
         let request = request.into_inner();
         let worker = read::worker_id(&request.worker_id)?;
         if request.progress.len() > MAX_PROGRESS {
-            return Err(Status::invalid_argument(format!(
+            return Err(invalid(format!(
                 "more than {MAX_PROGRESS} leases in one heartbeat"
             )));
         }
@@ -103,7 +103,7 @@ impl WorkerService for WorkerApi {
         });
         let progress: Vec<_> = progress.collect::<Result<_, Status>>()?;
         let lost = self.queue.heartbeat(&worker, &progress).await;
-        let lost = lost.map_err(queue_failed)?;
+        let lost = lost.map_err(failed)?;
         Ok(Response::new(wire::HeartbeatResponse {
             lost_attempts: lost.iter().map(ToString::to_string).collect(),
         }))
@@ -115,7 +115,7 @@ impl WorkerService for WorkerApi {
     ) -> Result<Response<wire::CommitResponse>, Status> {
         use wire::commit_response::Verdict;
         let report = read::commit(request.into_inner())?;
-        let reply = self.queue.commit(&report).await.map_err(queue_failed)?;
+        let reply = self.queue.commit(&report).await.map_err(failed)?;
         let verdict = match reply.verdict {
             CommitVerdict::Accepted => Verdict::Accepted,
             CommitVerdict::Duplicate => Verdict::Duplicate,
@@ -138,8 +138,8 @@ impl WorkerService for WorkerApi {
         let attempt = read::attempt(&request.attempt_id)?;
         let reason = read::failure_reason(request.reason)?;
         let error = read::error_text(&request.error);
-        let reply = self.queue.release(attempt, reason, error).await;
-        let reply = reply.map_err(queue_failed)?;
+        let released = self.queue.release(attempt, reason, error).await;
+        let reply = released.map_err(failed)?;
         let verdict = match reply.verdict {
             ReleaseVerdict::Requeued => Verdict::Requeued,
             ReleaseVerdict::Quarantined => Verdict::Quarantined,
@@ -157,7 +157,7 @@ impl WorkerService for WorkerApi {
         request: Request<wire::NextFilmRequest>,
     ) -> Result<Response<wire::NextFilmResponse>, Status> {
         let pin = read::pin(request.into_inner())?;
-        let next = self.queue.next_film(&pin).await.map_err(queue_failed)?;
+        let next = self.queue.next_film(&pin).await.map_err(failed)?;
         let (film, left) = next.unzip();
         Ok(Response::new(wire::NextFilmResponse {
             film: film.map(write_film),
@@ -171,10 +171,10 @@ impl WorkerService for WorkerApi {
     ) -> Result<Response<wire::PutArtifactResponse>, Status> {
         let mut chunks = request.into_inner();
         let first = next_chunk(&mut chunks).await?;
-        let first = first.ok_or_else(|| Status::invalid_argument("an empty upload"))?;
+        let first = first.ok_or_else(|| invalid("an empty upload"))?;
         let attempt = read::attempt(&first.attempt_id)?;
         if first.name != VIDEO {
-            return Err(Status::invalid_argument(format!(
+            return Err(invalid(format!(
                 "store artifact `{}`: only `{VIDEO}` is kept",
                 queue::ids::shortened(&first.name, MAX_TASK_BYTES)
             )));

@@ -6,10 +6,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use maud::{Markup, html};
 use paired::{Matched, Outcome, Record};
 use protocol::{Axis, Condition, Level, RolloutId};
+use queue::read::Counts;
 
-use super::bar::pieces;
+use super::bar::bar;
 use super::campaigns::progress;
-use super::layout::{Place, Sheet};
+use super::layout::{Place, Sheet, table};
 use super::problem::Problem;
 use super::state::Page;
 
@@ -29,11 +30,7 @@ pub(super) async fn sheet(page: &Page, name: &str) -> Result<Sheet, Problem> {
         (by_condition(records, name.as_str()))
         (::report::sections(&document, Some(&link)))
     };
-    Ok(Sheet {
-        title: name.to_string(),
-        place: Place::Campaigns,
-        main,
-    })
+    Ok(Sheet::new(Place::Campaigns, name.to_string(), main))
 }
 
 /// Where a rollout's configuration is shown.
@@ -41,6 +38,17 @@ pub(super) fn address(campaign: &str, rollout: RolloutId, replicate: u32) -> Str
     match replicate {
         0 => format!("/campaigns/{campaign}/configurations/{rollout}"),
         k => format!("/campaigns/{campaign}/configurations/{rollout}?replicate={k}"),
+    }
+}
+
+/// A rollout by its name, with a link to where it is shown.
+pub(super) fn rollout(campaign: &str, id: &str, replicate: u32) -> Markup {
+    let name = ::report::rollout_name(id, replicate);
+    html! {
+        @match id.parse() {
+            Ok(id) => a href=(address(campaign, id, replicate)) { code { (name) } },
+            Err(_) => code { (name) },
+        }
     }
 }
 
@@ -64,102 +72,80 @@ fn shown_first(matched: &Matched) -> RolloutId {
     .unwrap_or_else(|_| RolloutId::clean(matched.task, matched.init_id))
 }
 
-/// Outcomes of a condition at a level.
-#[derive(Clone, Copy, Default)]
-struct Tally {
-    succeeded: u64,
-    failed: u64,
-    aside: u64,
-    missing: u64,
-}
-
-impl Tally {
-    fn add(&mut self, outcome: Outcome) {
-        match outcome {
-            Outcome::Success => self.succeeded += 1,
-            Outcome::Failure => self.failed += 1,
-            Outcome::Quarantined => self.aside += 1,
-            Outcome::Missing => self.missing += 1,
-        }
-    }
-}
-
 /// A table of conditions × levels with what is there of each.
 fn by_condition<'a>(records: impl Iterator<Item = &'a Record>, campaign: &str) -> Markup {
-    let mut tallies: BTreeMap<(Condition, Level), Tally> = BTreeMap::new();
+    let mut tallies: BTreeMap<(Condition, Level), Counts> = BTreeMap::new();
     for record in records {
         let key = (record.id.condition(), record.id.level());
-        tallies.entry(key).or_default().add(record.outcome);
+        let tally = tallies.entry(key).or_default();
+        match record.outcome {
+            Outcome::Success | Outcome::Failure => tally.committed += 1,
+            Outcome::Quarantined => tally.quarantined += 1,
+            Outcome::Missing => tally.queued += 1,
+        }
+        tally.succeeded += u64::from(record.outcome == Outcome::Success);
     }
     let levels: BTreeSet<Level> = tallies.keys().map(|(_, level)| *level).collect();
-    let perturbed: Vec<Level> = levels
-        .into_iter()
-        .filter(|level| *level != Level::L0)
-        .collect();
+    let perturbed = levels.into_iter().filter(|level| *level != Level::L0);
+    let perturbed: Vec<Level> = perturbed.collect();
     let singles = Axis::ALL.into_iter().map(Condition::Single);
     let rows: Vec<Condition> = singles
         .chain([Condition::Combination])
         .filter(|row| tallies.keys().any(|(condition, _)| condition == row))
         .collect();
     let nominal = tallies.get(&(Condition::Clean, Level::L0));
-    html! {
-        section {
-            h2 { "Progress by condition" }
-            div.scroll tabindex="0" role="region" aria-label="Progress by condition" {
-                table.progress {
-                    thead {
-                        tr {
-                            th scope="col" { "condition" }
-                            @for level in &perturbed { th scope="col" { (level) } }
-                            @if perturbed.is_empty() { th scope="col" { "unperturbed" } }
-                        }
-                    }
-                    tbody {
-                        @if let Some(nominal) = nominal {
-                            tr {
-                                th scope="row" { "nominal" }
-                                td colspan=(perturbed.len().max(1)) { (tally(nominal)) }
-                            }
-                        }
-                        @for row in rows {
-                            tr {
-                                th scope="row" { (condition_name(row)) }
-                                @for level in &perturbed {
-                                    td {
-                                        @match tallies.get(&(row, *level)) {
-                                            Some(found) => (tally(found)),
-                                            None => span.muted { "–" },
-                                        }
-                                    }
-                                }
-                            }
+    let rows = html! {
+        @if let Some(nominal) = nominal {
+            tr {
+                th scope="row" { "nominal" }
+                td.tally colspan=(perturbed.len().max(1)) { (tally(nominal)) }
+            }
+        }
+        @for row in rows {
+            tr {
+                th scope="row" { (condition_name(row)) }
+                @for level in &perturbed {
+                    td.tally {
+                        @match tallies.get(&(row, *level)) {
+                            Some(found) => (tally(found)),
+                            None => span.muted { "–" },
                         }
                     }
                 }
             }
+        }
+    };
+    let mut columns = vec!["condition".to_owned()];
+    columns.extend(perturbed.iter().map(Level::to_string));
+    if perturbed.is_empty() {
+        columns.push("unperturbed".to_owned());
+    }
+    html! {
+        section {
+            h2 { "Progress by condition" }
+            (table("Progress by condition", &columns, &rows))
             p { a href={ "/campaigns/" (campaign) "/rollouts" } { "All rollouts, one by one" } }
         }
     }
 }
 
-fn tally(tally: &Tally) -> Markup {
-    let done = tally.succeeded + tally.failed;
-    let total = done + tally.aside + tally.missing;
-    let words = format!(
-        "{done} of {total} have a result, {} succeeded, {} quarantined",
-        tally.succeeded, tally.aside
-    );
-    let bar = [
-        ("succeeded", tally.succeeded),
-        ("failed", tally.failed),
-        ("aside", tally.aside),
-    ];
+/// A cell's bar and words.
+fn tally(counts: &Counts) -> Markup {
+    let Counts {
+        committed: done,
+        succeeded,
+        quarantined: aside,
+        ..
+    } = *counts;
+    let total = counts.total();
+    let words =
+        format!("{done} of {total} have a result, {succeeded} succeeded, {aside} quarantined");
     html! {
-        (pieces(total, &bar, &words))
+        (bar(counts, &words))
         small {
             (done) "/" (total)
-            @if done > 0 { ", " (tally.succeeded) " succeeded" }
-            @if tally.aside > 0 { ", " (tally.aside) " quarantined" }
+            @if done > 0 { ", " (succeeded) " succeeded" }
+            @if aside > 0 { ", " (aside) " quarantined" }
         }
     }
 }

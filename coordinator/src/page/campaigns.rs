@@ -4,7 +4,7 @@ use maud::{Markup, html};
 use queue::read::CampaignStatus;
 use queue::rules::campaign::CampaignState;
 
-use super::bar::{bar, legend};
+use super::bar::{bar, legend, words};
 use super::layout::{Place, Sheet};
 use super::problem::Problem;
 use super::state::Page;
@@ -30,11 +30,7 @@ pub(super) async fn sheet(page: &Page) -> Result<Sheet, Problem> {
             }
         }
     };
-    Ok(Sheet {
-        title: "Campaigns".to_owned(),
-        place: Place::Campaigns,
-        main,
-    })
+    Ok(Sheet::new(Place::Campaigns, "Campaigns", main))
 }
 
 /// How one campaign stands: words, bar, counts, and what keeps it.
@@ -48,7 +44,7 @@ pub(super) fn progress(status: &CampaignStatus) -> Markup {
             " " (done) " of " (counts.total()) " rollouts"
             " · " (pace(status))
         }
-        (bar(counts))
+        (bar(counts, &words(counts)))
         (legend(counts))
         p.muted {
             "Policy " strong { (status.campaign.policy) } " at " code { (status.campaign.endpoint) }

@@ -76,33 +76,27 @@ pub(super) fn video_controls() -> Markup {
 /// Class, word and what else is to be said of how a rollout stands.
 fn standing(shown: &Shown) -> (&'static str, &'static str, String) {
     let budget = shown.row.max_steps;
-    match (&shown.result, shown.line.state.as_str()) {
+    let line = &shown.line;
+    match (&shown.result, line.state.as_str()) {
         (Some(result), _) => {
+            let (class, word, within) = match result.success {
+                true => ("succeeded", "✓ success", "after"),
+                false => ("failed", "✗ failure", "in"),
+            };
             let steps = result.steps;
-            match result.success {
-                true => (
-                    "succeeded",
-                    "✓ success",
-                    format!("after {steps} of {budget} control steps"),
-                ),
-                false => (
-                    "failed",
-                    "✗ failure",
-                    format!("in {steps} of {budget} control steps"),
-                ),
-            }
+            (
+                class,
+                word,
+                format!("{within} {steps} of {budget} control steps"),
+            )
         }
         (None, "leased") => {
-            let steps = shown.line.control_steps.unwrap_or_default();
+            let steps = line.control_steps.unwrap_or_default();
             ("running", "running", format!("control step {steps}"))
         }
         (None, "quarantined") => {
-            let times = shown.line.charged_attempts;
-            (
-                "aside",
-                "quarantined",
-                format!("after {times} failed attempts"),
-            )
+            let detail = format!("after {} failed attempts", line.charged_attempts);
+            ("aside", "quarantined", detail)
         }
         (None, _) => ("empty", "waiting", String::new()),
     }
@@ -170,16 +164,14 @@ fn failures(shown: &Shown) -> Markup {
 fn origin(shown: &Shown, replicate: u32) -> Markup {
     let line = &shown.line;
     let seed = seeds::rollout_seed(&shown.id);
+    let attempts = format!("{}, {} charged", line.attempt, line.charged_attempts);
     let mut facts: Vec<(&str, String)> = vec![
         ("rollout", shown.id.to_string()),
         ("replicate", replicate.to_string()),
         ("initial state", shown.row.init_id.to_string()),
         ("policy seed", line.policy_seed.cast_unsigned().to_string()),
         ("rollout seed", seed.to_string()),
-        (
-            "attempts",
-            format!("{}, {} charged", line.attempt, line.charged_attempts),
-        ),
+        ("attempts", attempts),
     ];
     if line.stale_reports > 0 {
         facts.push(("late reports", format!("{}, refused", line.stale_reports)));
@@ -201,25 +193,22 @@ fn origin(shown: &Shown, replicate: u32) -> Markup {
 }
 
 fn of_result(result: &ResultLine) -> Vec<(&'static str, String)> {
-    let from = &result.provenance;
-    let privileged = if from.policy_privileged {
-        ", sees the simulator's state"
-    } else {
-        ""
+    let (from, pin) = (&result.provenance, &result.provenance.pin);
+    let privileged = match from.policy_privileged {
+        true => ", sees the simulator's state",
+        false => "",
     };
     let residual = result.ik_residual_mm.map(|mm| format!("{mm:.2} mm"));
     let divergent = match result.divergences {
         0 => String::new(),
         times => format!("{times} reports of another outcome"),
     };
+    let committed = utc_text(result.committed_ms);
+    let pack_digest = short(&pin.asset_pack_digest);
     vec![
         (
             "committed",
-            format!(
-                "attempt {}, {}",
-                result.number,
-                utc_text(result.committed_ms)
-            ),
+            format!("attempt {}, {committed}", result.number),
         ),
         ("divergent", divergent),
         ("attempt id", result.attempt.to_string()),
@@ -233,16 +222,9 @@ fn of_result(result: &ResultLine) -> Vec<(&'static str, String)> {
         ("checkpoint digest", from.policy_checkpoint_digest.clone()),
         ("batches", from.batch_mode.clone()),
         ("realisation", from.realisation.clone()),
-        (
-            "assets",
-            format!(
-                "{} {}",
-                from.pin.asset_pack,
-                short(&from.pin.asset_pack_digest)
-            ),
-        ),
-        ("simulator", format!("MuJoCo {}", from.pin.mujoco_version)),
-        ("renderer", from.pin.renderer.clone()),
+        ("assets", format!("{} {pack_digest}", pin.asset_pack)),
+        ("simulator", format!("MuJoCo {}", pin.mujoco_version)),
+        ("renderer", pin.renderer.clone()),
         ("fingerprint", short(&from.fingerprint)),
         ("machine", from.host.clone()),
         ("worker's program", from.program_version.clone()),

@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 
+use attempt::Motion;
 use maud::{Markup, html};
 use paired::{Matched, Outcome, Record, Records, Transition};
 use protocol::{Axis, Condition, ManifestRow, RolloutId};
@@ -11,10 +12,10 @@ use queue::read::{Campaign, FailureLine, ResultLine, RolloutLine, View};
 
 use super::campaign::address;
 use super::card::{self, Shown};
-use super::layout::{Place, Sheet};
+use super::layout::{Place, Sheet, crumbs};
 use super::problem::Problem;
 use super::state::Page;
-use super::trace::{self, Extent, Path};
+use super::trace::{self, Extent};
 
 /// The page.
 pub(super) async fn sheet(
@@ -42,23 +43,16 @@ pub(super) async fn sheet(
     let neighbours = neighbours(&mut view, &campaign, asked).await?;
     let campaign = name.as_str();
     let extent = Extent::of(shown.iter().map(|shown| &shown.path));
-    let nominal = shown
-        .iter()
-        .find(|shown| shown.id.condition() == Condition::Clean);
+    let is_nominal = |shown: &&Shown| shown.id.condition() == Condition::Clean;
+    let nominal = shown.iter().find(is_nominal);
     let trace = |rollout: &Shown| {
         let is_other = |nominal: &&Shown| nominal.id != rollout.id;
         let under = nominal.filter(is_other).map(|nominal| &nominal.path);
-        let drawn = !rollout.path.is_empty();
-        extent
-            .as_ref()
-            .filter(|_| drawn)
-            .map(|extent| trace::plot(&rollout.path, under, extent))
+        let extent = extent.as_ref().filter(|_| !rollout.path.is_empty())?;
+        Some(trace::plot(&rollout.path, under, extent))
     };
     let main = html! {
-        p.crumbs {
-            a href="/" { "Campaigns" } " › "
-            a href={ "/campaigns/" (campaign) } { (campaign) }
-        }
+        (crumbs(campaign))
         h1 { (heading(asked)) }
         p.instruction { "“" (first.row.id.task().instruction()) "”" }
         p {
@@ -75,11 +69,8 @@ pub(super) async fn sheet(
             }
         }
     };
-    Ok(Sheet {
-        title: format!("{asked} in {name}"),
-        place: Place::Campaigns,
-        main,
-    })
+    let title = format!("{asked} in {name}");
+    Ok(Sheet::new(Place::Campaigns, title, main))
 }
 
 /// The replicate that a query names; 0 where it names none.
@@ -116,10 +107,7 @@ async fn rollouts(
     for failure in view.failures(&jobs).await? {
         failures.entry(failure.job_id).or_default().push(failure);
     }
-    let paths = view.paths(&jobs).await?.into_iter();
-    let mut paths: BTreeMap<JobId, Path> = paths
-        .map(|(job, motion)| (job, trace::read(&motion)))
-        .collect();
+    let mut motions: BTreeMap<JobId, Motion> = view.paths(&jobs).await?.into_iter().collect();
     lines.sort_by_key(|line| ids.iter().position(|id| *id == line.rollout_id));
     let shown = lines.into_iter().map(|line| {
         let row = read(&line)?;
@@ -128,7 +116,7 @@ async fn rollouts(
             row,
             result: results.remove(&line.id),
             failures: failures.remove(&line.id).unwrap_or_default(),
-            path: paths.remove(&line.id).unwrap_or_default(),
+            path: trace::read(&motions.remove(&line.id).unwrap_or_default()),
             line,
         })
     });
@@ -146,11 +134,9 @@ fn siblings(asked: RolloutId) -> Vec<String> {
         return vec![asked.to_string()];
     };
     let singles = Axis::ALL.into_iter().map(Condition::Single);
-    let ids = singles
-        .chain([Condition::Combination])
-        .filter_map(|condition| {
-            RolloutId::perturbed(asked.task(), condition, asked.level(), config).ok()
-        });
+    let conditions = singles.chain([Condition::Combination]);
+    let id = |condition| RolloutId::perturbed(asked.task(), condition, asked.level(), config);
+    let ids = conditions.filter_map(|condition| id(condition).ok());
     ids.map(|id| id.to_string()).collect()
 }
 
@@ -182,28 +168,29 @@ fn ways(
     let before = place.and_then(|place| row.get(place.checked_sub(1)?));
     let after = place.and_then(|place| row.get(place + 1));
     let levels = neighbours.iter().filter(|id| id.number() == asked.number());
-    let levels: Vec<&RolloutId> = levels.collect();
     let to = |id: RolloutId, replicate| address(campaign, id, replicate);
+    let levels = levels.map(|id| (id.level().to_string(), to(*id, replicate)));
+    let replicates = replicates.iter().map(|k| (k.to_string(), to(asked, *k)));
+    let here = to(asked, replicate);
     html! {
         nav.ways aria-label="Other configurations" {
             @if let Some(id) = before { a rel="prev" href=(to(**id, replicate)) { "← " (number(**id)) } }
             @if let Some(id) = after { a rel="next" href=(to(**id, replicate)) { (number(**id)) " →" } }
-            @if levels.len() > 1 {
-                span {
-                    "Level "
-                    @for id in levels {
-                        @let current = (*id == asked).then_some("true");
-                        a href=(to(*id, replicate)) aria-current=[current] { (id.level()) } " "
-                    }
-                }
-            }
-            @if replicates.len() > 1 {
-                span {
-                    "Replicate "
-                    @for k in replicates {
-                        @let current = (*k == replicate).then_some("true");
-                        a href=(to(asked, *k)) aria-current=[current] { (k) } " "
-                    }
+            (choice("Level ", levels.collect(), &here))
+            (choice("Replicate ", replicates.collect(), &here))
+        }
+    }
+}
+
+/// Links to what one can choose from, by name and address, if there is a choice.
+fn choice(label: &str, links: Vec<(String, String)>, here: &str) -> Markup {
+    html! {
+        @if links.len() > 1 {
+            span {
+                (label)
+                @for (name, address) in links {
+                    @let current = (address == here).then_some("true");
+                    a href=(address) aria-current=[current] { (name) } " "
                 }
             }
         }
@@ -219,17 +206,11 @@ fn number(id: RolloutId) -> String {
 
 fn heading(asked: RolloutId) -> String {
     let task = asked.task();
-    let (suite, index) = (task.suite().name(), task.index());
-    match asked.config() {
-        Some(config) => {
-            let level = asked.level();
-            format!("{suite}, task {index}, configuration {config} at {level}")
-        }
-        None => {
-            let state = asked.number();
-            format!("{suite}, task {index}, nominal from initial state {state}")
-        }
-    }
+    let which = match asked.config() {
+        Some(config) => format!("configuration {config} at {}", asked.level()),
+        None => format!("nominal from initial state {}", asked.number()),
+    };
+    format!("{}, task {}, {which}", task.suite().name(), task.index())
 }
 
 /// What perturbing everything at once did, in words, once it is known.
@@ -247,11 +228,8 @@ fn transition(shown: &[Shown], replicate: u32) -> Option<&'static str> {
         })
         .collect();
     let records = Records::new(&records).ok()?;
-    let transition = records
-        .configurations()
-        .iter()
-        .find_map(Matched::transition)?;
-    Some(match transition {
+    let mut configurations = records.configurations().iter();
+    Some(match configurations.find_map(Matched::transition)? {
         Transition::Emergent => "Emergent: every axis alone succeeds, all at once fail.",
         Transition::Compensated => "Compensated: an axis alone fails, all at once succeed.",
         Transition::StillSucceeds => "Every axis alone succeeds, and so do all at once.",

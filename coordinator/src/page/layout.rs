@@ -13,6 +13,16 @@ pub(super) struct Sheet {
     pub(super) main: Markup,
 }
 
+impl Sheet {
+    pub(super) fn new(place: Place, title: impl Into<String>, main: Markup) -> Sheet {
+        Sheet {
+            title: title.into(),
+            place,
+            main,
+        }
+    }
+}
+
 /// An entry of the navigation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Place {
@@ -53,6 +63,38 @@ pub(super) fn whole(sheet: &Sheet, may_log_out: bool) -> Markup {
 pub(super) fn still(title: &str, main: &Markup) -> Markup {
     let top = html! { nav aria-label="Pages" { a href="/" { "Campaigns" } } };
     frame(title, false, top, main)
+}
+
+/// A table that scrolls by itself where it is too wide: what it is called, its
+/// columns, those of words beginning with a `.`, and its rows.
+pub(super) fn table(name: &str, columns: &[impl AsRef<str>], rows: &Markup) -> Markup {
+    html! {
+        div.scroll tabindex="0" role="region" aria-label=(name) {
+            table {
+                thead {
+                    tr {
+                        @for column in columns {
+                            @let column = column.as_ref();
+                            th scope="col" class=[column.starts_with('.').then_some("words")] {
+                                (column.trim_start_matches('.'))
+                            }
+                        }
+                    }
+                }
+                tbody { (rows) }
+            }
+        }
+    }
+}
+
+/// The way back from a page of a campaign.
+pub(super) fn crumbs(campaign: &str) -> Markup {
+    html! {
+        p.crumbs {
+            a href="/" { "Campaigns" } " › "
+            a href={ "/campaigns/" (campaign) } { (campaign) }
+        }
+    }
 }
 
 fn frame(title: &str, is_live: bool, top: Markup, main: &Markup) -> Markup {

@@ -28,18 +28,12 @@ pub(super) async fn form(State(page): State<Arc<Page>>, uri: Uri) -> Response {
 /// Takes the token and leads to where the browser wanted to go.
 pub(super) async fn submit(State(page): State<Arc<Page>>, body: Bytes) -> Response {
     if body.len() > MAX_FORM_BYTES {
-        return show(
-            StatusCode::PAYLOAD_TOO_LARGE,
-            "/",
-            "That is longer than any token.",
-        );
+        let why = "That is longer than any token.";
+        return show(StatusCode::PAYLOAD_TOO_LARGE, "/", why);
     }
     let next = next(&body);
-    let token = form_urlencoded::parse(&body).find(|(name, _)| name == "token");
-    let token = token
-        .map(|(_, token)| token.trim().to_owned())
-        .unwrap_or_default();
-    match page.security.cookie_for(&token, &READERS) {
+    let token = field(&body, "token");
+    match page.security.cookie_for(token.trim(), &READERS) {
         Some(cookie) => to(&next, Some(cookie)),
         None => {
             let why = "This is no token of a viewer or an operator of this coordinator.";
@@ -75,26 +69,28 @@ fn show(code: StatusCode, next: &str, why: &str) -> Response {
 fn to(address: &str, cookie: Option<String>) -> Response {
     let cookie = cookie.map(|cookie| [(header::SET_COOKIE, cookie)]);
     let headers = [
-        (header::LOCATION, address.to_owned()),
-        (header::CACHE_CONTROL, "no-store".to_owned()),
+        (header::LOCATION, address),
+        (header::CACHE_CONTROL, "no-store"),
     ];
-    match cookie {
-        Some(cookie) => (StatusCode::SEE_OTHER, headers, cookie).into_response(),
-        None => (StatusCode::SEE_OTHER, headers).into_response(),
-    }
+    (StatusCode::SEE_OTHER, headers, cookie, ()).into_response()
 }
 
 /// Where a form or a query wants to go on: an address of this server, or else
 /// its first page.
 fn next(form: &[u8]) -> String {
-    let next = form_urlencoded::parse(form).find(|(name, _)| name == "next");
-    let next = next.map(|(_, next)| next.into_owned()).unwrap_or_default();
+    let next = field(form, "next");
+    let mut bytes = next.bytes();
     let is_own = next.starts_with('/')
         && !next.starts_with("//")
-        && next
-            .bytes()
-            .all(|byte| byte.is_ascii_graphic() && byte != b'\\');
+        && bytes.all(|byte| byte.is_ascii_graphic() && byte != b'\\');
     if is_own { next } else { "/".to_owned() }
+}
+
+/// A field of a form, empty if it has none of that name.
+fn field(form: &[u8], name: &str) -> String {
+    let mut fields = form_urlencoded::parse(form);
+    let found = fields.find(|(found, _)| found == name);
+    found.map_or_else(String::new, |(_, value)| value.into_owned())
 }
 
 #[cfg(test)]

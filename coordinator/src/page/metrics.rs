@@ -20,16 +20,18 @@ pub(super) const MAX_CAMPAIGNS: usize = 200;
 /// Policies with series of their own.
 const MAX_POLICIES: usize = 200;
 
+/// Kinds of series.
+const GAUGE: &str = "gauge";
+const COUNTER: &str = "counter";
+
 /// The metrics.
 pub(super) async fn get(State(page): State<Arc<Page>>) -> Response {
     let made = page
         .metrics
         .get("", |made| made.at.elapsed() < PAGE_AGE, collect(&page));
+    let kind = "text/plain; version=0.0.4; charset=utf-8";
     let headers = [
-        (
-            header::CONTENT_TYPE,
-            "text/plain; version=0.0.4; charset=utf-8",
-        ),
+        (header::CONTENT_TYPE, kind),
         (header::CACHE_CONTROL, "no-store"),
     ];
     match made.await {
@@ -51,7 +53,7 @@ async fn collect(page: &Page) -> Result<Arc<str>, Problem> {
     of_policies(&mut text, &policies);
     let of_all = |count: fn(&CampaignStatus) -> u64| campaigns.iter().map(count).sum::<u64>();
     let ended = "rollout_attempts_ended_total";
-    text.family(ended, Kind::Counter, "Attempts that ended, by how.");
+    text.family(ended, COUNTER, "Attempts that ended, by how.");
     let committed = of_all(|status| status.counts.committed);
     text.sample(ended, &[("ending", "committed")], committed as f64);
     for (ending, count) in &endings {
@@ -111,7 +113,7 @@ async fn collect(page: &Page) -> Result<Arc<str>, Problem> {
         text.alone(name, help, value);
     }
     let build = "rollout_build_info";
-    text.family(build, Kind::Gauge, "The program; its value is 1.");
+    text.family(build, GAUGE, "The program; its value is 1.");
     text.sample(build, &[("version", env!("CARGO_PKG_VERSION"))], 1.0);
     Ok(text.0.into())
 }
@@ -121,32 +123,26 @@ fn of_campaigns(text: &mut Exposition, campaigns: &[CampaignStatus]) {
     text.alone("rollout_campaigns", "Campaigns that there are.", all as f64);
     let shown = &campaigns[all.saturating_sub(MAX_CAMPAIGNS)..];
     let jobs = "rollout_jobs";
-    text.family(jobs, Kind::Gauge, "Rollouts of a campaign, by state.");
+    text.family(jobs, GAUGE, "Rollouts of a campaign, by state.");
     for status in shown {
-        let counts = &status.counts;
+        let (name, counts) = (status.campaign.name.as_str(), &status.counts);
         for (state, count) in [
             ("queued", counts.queued),
             ("leased", counts.leased),
             ("committed", counts.committed),
             ("quarantined", counts.quarantined),
         ] {
-            let labels = [
-                ("campaign", status.campaign.name.as_str()),
-                ("state", state),
-            ];
+            let labels = [("campaign", name), ("state", state)];
             text.sample(jobs, &labels, count as f64);
         }
     }
     let commits = "rollout_commits_total";
-    text.family(commits, Kind::Counter, "Committed outcomes of a campaign.");
+    text.family(commits, COUNTER, "Committed outcomes of a campaign.");
     for status in shown {
-        let succeeded = status.counts.succeeded;
+        let (name, succeeded) = (status.campaign.name.as_str(), status.counts.succeeded);
         let failed = status.counts.committed.saturating_sub(succeeded);
         for (outcome, count) in [("success", succeeded), ("failure", failed)] {
-            let labels = [
-                ("campaign", status.campaign.name.as_str()),
-                ("outcome", outcome),
-            ];
+            let labels = [("campaign", name), ("outcome", outcome)];
             text.sample(commits, &labels, count as f64);
         }
     }
@@ -154,7 +150,7 @@ fn of_campaigns(text: &mut Exposition, campaigns: &[CampaignStatus]) {
 
 fn of_policies(text: &mut Exposition, policies: &[PolicyLine]) {
     let help = "1 for the state that a policy is in: available, paused by an outage, probing.";
-    text.family("rollout_policy_state", Kind::Gauge, help);
+    text.family("rollout_policy_state", GAUGE, help);
     for policy in policies.iter().take(MAX_POLICIES) {
         let current = match policy.health.state {
             PolicyState::Available => "available",
@@ -172,24 +168,13 @@ fn of_policies(text: &mut Exposition, policies: &[PolicyLine]) {
     }
 }
 
-/// What a series can do.
-#[derive(Clone, Copy)]
-enum Kind {
-    Gauge,
-    Counter,
-}
-
 /// The text, family by family.
 #[derive(Default)]
 struct Exposition(String);
 
 impl Exposition {
     /// Begins a family; its samples follow.
-    fn family(&mut self, name: &str, kind: Kind, help: &str) {
-        let kind = match kind {
-            Kind::Gauge => "gauge",
-            Kind::Counter => "counter",
-        };
+    fn family(&mut self, name: &str, kind: &str, help: &str) {
         // Writing to a string cannot fail.
         let _ = writeln!(self.0, "# HELP {name} {help}\n# TYPE {name} {kind}");
     }
@@ -206,7 +191,7 @@ impl Exposition {
 
     /// A gauge with one sample.
     fn alone(&mut self, name: &str, help: &str, value: f64) {
-        self.family(name, Kind::Gauge, help);
+        self.family(name, GAUGE, help);
         self.sample(name, &[], value);
     }
 }
@@ -225,7 +210,7 @@ mod tests {
     #[test]
     fn a_label_cannot_break_out_of_its_line() {
         let mut text = Exposition::default();
-        text.family("a_total", Kind::Counter, "What.");
+        text.family("a_total", COUNTER, "What.");
         text.sample("a_total", &[("b", "x\"} 1\nevil \\"), ("c", "d")], 3.0);
         text.alone("e_bytes", "Size.", 1e12);
         assert_eq!(

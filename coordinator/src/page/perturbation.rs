@@ -4,141 +4,79 @@
 use protocol::{Axis, ManifestRow};
 
 /// How one parameter is told.
-struct Told {
-    name: &'static str,
-    unit: &'static str,
-    /// From the parameter to the unit.
-    convert: fn(f64) -> f64,
-    decimals: usize,
-    is_signed: bool,
-}
+type Told = fn(f64) -> String;
 
 /// What an axis does in a rollout: a line for each of its parameters.
 pub(super) fn lines(row: &ManifestRow, axis: Axis) -> Vec<String> {
-    if axis == Axis::Language {
-        let variant = row.variant_id.as_deref().unwrap_or("as in the manifest");
-        return vec![format!("paraphrase {variant}")];
-    }
-    let values = row.perturbation.values(axis);
-    let told = told(axis).iter().zip(values);
-    told.map(|(told, value)| told.line(value)).collect()
-}
-
-/// The parameters of an axis, in the order of its keys.
-fn told(axis: Axis) -> &'static [Told] {
-    match axis {
+    let told: &[Told] = match axis {
         Axis::Camera => &CAMERA,
         Axis::Lighting => &LIGHTING,
         Axis::Robot => &ROBOT,
         Axis::Sensor => &SENSOR,
         Axis::Actuation => &ACTUATION,
-        Axis::Language => &[],
-    }
+        Axis::Language => {
+            let variant = row.variant_id.as_deref().unwrap_or("as in the manifest");
+            return vec![format!("paraphrase {variant}")];
+        }
+    };
+    let values = row.perturbation.values(axis);
+    let lines = told.iter().zip(values).map(|(told, value)| told(value));
+    // A minus sign stands before a number, a hyphen within a word.
+    lines.map(|line| line.replace(" -", " −")).collect()
 }
 
+// The parameters of each axis, in the order of its keys. A sign is told where
+// it counts.
+
 const CAMERA: [Told; 5] = [
-    degrees("azimuth"),
-    degrees("elevation"),
-    centimetres("distance"),
-    centimetres("look-at point along x"),
-    centimetres("look-at point along y"),
+    |degrees| format!("azimuth {degrees:+.1}°"),
+    |degrees| format!("elevation {degrees:+.1}°"),
+    |metres| format!("distance {:+.1} cm", 100.0 * metres),
+    |metres| format!("look-at point along x {:+.1} cm", 100.0 * metres),
+    |metres| format!("look-at point along y {:+.1} cm", 100.0 * metres),
 ];
 
 const LIGHTING: [Told; 5] = [
-    signed("brightness", " EV", |ev| ev, 2),
-    signed("warmth", " in log₂", |log2| log2, 2),
-    signed("green tint", " in log₂", |log2| log2, 2),
-    magnitude("ambient light ×", "", f64::exp2, 2),
-    degrees("height of the lights"),
+    |ev| format!("brightness {ev:+.2} EV"),
+    |log2| format!("warmth {log2:+.2} in log₂"),
+    |log2| format!("green tint {log2:+.2} in log₂"),
+    |log2| format!("ambient light ×{:.2}", log2.exp2()),
+    |degrees| format!("height of the lights {degrees:+.1}°"),
 ];
 
 const ROBOT: [Told; 6] = [
-    centimetres("hand along x"),
-    centimetres("hand along y"),
-    centimetres("hand along z"),
-    degrees("hand turned about x"),
-    degrees("hand turned about y"),
-    degrees("hand turned about z"),
+    |metres| format!("hand along x {:+.1} cm", 100.0 * metres),
+    |metres| format!("hand along y {:+.1} cm", 100.0 * metres),
+    |metres| format!("hand along z {:+.1} cm", 100.0 * metres),
+    |degrees| format!("hand turned about x {degrees:+.1}°"),
+    |degrees| format!("hand turned about y {degrees:+.1}°"),
+    |degrees| format!("hand turned about z {degrees:+.1}°"),
 ];
 
 const SENSOR: [Told; 4] = [
-    magnitude(
-        "noise, standard deviation",
-        " % of full scale",
-        |sigma| 100.0 * sigma.abs(),
-        2,
-    ),
-    magnitude("blur, standard deviation", " px at 128 px", f64::abs, 2),
-    magnitude("JPEG quality", "", |log2| 100.0 * (-log2.abs()).exp2(), 0),
-    magnitude("motion blur", " px at 128 px", f64::abs, 2),
+    |sigma| {
+        format!(
+            "noise, standard deviation {:.2} % of full scale",
+            100.0 * sigma.abs()
+        )
+    },
+    |px| format!("blur, standard deviation {:.2} px at 128 px", px.abs()),
+    |log2| format!("JPEG quality {:.0}", 100.0 * (-log2.abs()).exp2()),
+    |px| format!("motion blur {:.2} px at 128 px", px.abs()),
 ];
 
 const ACTUATION: [Told; 5] = [
-    magnitude("gain ×", "", f64::exp2, 2),
-    signed(
-        "bias",
-        " % of a demonstrated action",
-        |fraction| 100.0 * fraction,
-        1,
-    ),
-    degrees("command frame turned"),
-    magnitude("lag", " control steps", f64::abs, 2),
-    magnitude(
-        "noise",
-        " % of a demonstrated action",
-        |fraction| 100.0 * fraction.abs(),
-        1,
-    ),
+    |log2| format!("gain ×{:.2}", log2.exp2()),
+    |fraction| format!("bias {:+.1} % of a demonstrated action", 100.0 * fraction),
+    |degrees| format!("command frame turned {degrees:+.1}°"),
+    |steps| format!("lag {:.2} control steps", steps.abs()),
+    |fraction| {
+        format!(
+            "noise {:.1} % of a demonstrated action",
+            100.0 * fraction.abs()
+        )
+    },
 ];
-
-const fn degrees(name: &'static str) -> Told {
-    signed(name, "°", |degrees| degrees, 1)
-}
-
-const fn centimetres(name: &'static str) -> Told {
-    signed(name, " cm", |metres| 100.0 * metres, 1)
-}
-
-const fn signed(
-    name: &'static str,
-    unit: &'static str,
-    convert: fn(f64) -> f64,
-    decimals: usize,
-) -> Told {
-    Told {
-        name,
-        unit,
-        convert,
-        decimals,
-        is_signed: true,
-    }
-}
-
-const fn magnitude(
-    name: &'static str,
-    unit: &'static str,
-    convert: fn(f64) -> f64,
-    decimals: usize,
-) -> Told {
-    Told {
-        is_signed: false,
-        ..signed(name, unit, convert, decimals)
-    }
-}
-
-impl Told {
-    fn line(&self, value: f64) -> String {
-        let value = (self.convert)(value);
-        let decimals = self.decimals;
-        let number = match self.is_signed {
-            true => format!("{value:+.decimals$}"),
-            false => format!("{value:.decimals$}"),
-        };
-        let number = number.replace('-', "−");
-        let space = if self.name.ends_with('×') { "" } else { " " };
-        format!("{}{space}{number}{}", self.name, self.unit)
-    }
-}
 
 #[cfg(test)]
 mod tests {

@@ -5,11 +5,11 @@ use std::error::Error;
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
 use maud::{Markup, html};
-use queue::{QueueError, StoreError};
+use queue::QueueError;
 use transport::chain;
 
 use super::{answer, layout};
-use crate::report::ReportError;
+use crate::reading::ReadError;
 
 /// A request that is not met.
 #[derive(Debug)]
@@ -45,25 +45,17 @@ impl Problem {
         Problem::Failed(text)
     }
 
-    fn code(&self) -> StatusCode {
+    fn code_and_title(&self) -> (StatusCode, &'static str) {
         match self {
-            Problem::Page | Problem::Campaign(_) | Problem::Rollout { .. } | Problem::Video => {
-                StatusCode::NOT_FOUND
+            Problem::Page => (StatusCode::NOT_FOUND, "There is no such page"),
+            Problem::Address | Problem::Query(_) => {
+                (StatusCode::BAD_REQUEST, "This address is wrong")
             }
-            Problem::Address | Problem::Query(_) => StatusCode::BAD_REQUEST,
-            Problem::TooManyStreams | Problem::Failed(_) => StatusCode::SERVICE_UNAVAILABLE,
-        }
-    }
-
-    fn title(&self) -> &'static str {
-        match self {
-            Problem::Page => "There is no such page",
-            Problem::Address | Problem::Query(_) => "This address is wrong",
-            Problem::Campaign(_) => "There is no such campaign",
-            Problem::Rollout { .. } => "There is no such rollout",
-            Problem::Video => "There is no such video",
-            Problem::TooManyStreams => "Too many pages are open",
-            Problem::Failed(_) => "This cannot be shown now",
+            Problem::Campaign(_) => (StatusCode::NOT_FOUND, "There is no such campaign"),
+            Problem::Rollout { .. } => (StatusCode::NOT_FOUND, "There is no such rollout"),
+            Problem::Video => (StatusCode::NOT_FOUND, "There is no such video"),
+            Problem::TooManyStreams => (StatusCode::SERVICE_UNAVAILABLE, "Too many pages are open"),
+            Problem::Failed(_) => (StatusCode::SERVICE_UNAVAILABLE, "This cannot be shown now"),
         }
     }
 
@@ -97,35 +89,22 @@ impl Problem {
 
 impl IntoResponse for Problem {
     fn into_response(self) -> Response {
-        let title = self.title();
+        let (code, title) = self.code_and_title();
         let main = html! {
             h1 { (title) }
             p { (self.words()) }
             p { a href="/" { "All campaigns" } }
         };
-        answer::page(self.code(), layout::still(title, &main).into_string())
+        answer::page(code, layout::still(title, &main).into_string())
     }
 }
 
-impl From<StoreError> for Problem {
-    fn from(error: StoreError) -> Problem {
-        Problem::failed(&error)
-    }
-}
-
-impl From<QueueError> for Problem {
-    fn from(error: QueueError) -> Problem {
-        match error {
-            QueueError::UnknownCampaign { campaign } => Problem::Campaign(campaign.to_string()),
-            error => Problem::failed(&error),
-        }
-    }
-}
-
-impl From<ReportError> for Problem {
-    fn from(error: ReportError) -> Problem {
-        match error {
-            ReportError::Queue(error) => error.into(),
+impl<E: Into<ReadError>> From<E> for Problem {
+    fn from(error: E) -> Problem {
+        match error.into() {
+            ReadError::Queue(QueueError::UnknownCampaign { campaign }) => {
+                Problem::Campaign(campaign.to_string())
+            }
             error => Problem::failed(&error),
         }
     }

@@ -1,13 +1,12 @@
 //! The rollouts of a campaign, one by one, by state.
 
 use maud::{Markup, html};
-use protocol::RolloutId;
 use queue::QueueError;
 use queue::ids::{JobId, JobName};
 use queue::read::{JobFilter, JobLine};
 
-use super::campaign::address;
-use super::layout::{Place, Sheet};
+use super::campaign::rollout;
+use super::layout::{self, Place, Sheet, crumbs};
 use super::problem::Problem;
 use super::state::Page;
 
@@ -63,10 +62,7 @@ pub(super) async fn sheet(page: &Page, name: &str, query: &str) -> Result<Sheet,
     };
     let campaign = of.name.as_str();
     let main = html! {
-        p.crumbs {
-            a href="/" { "Campaigns" } " › "
-            a href={ "/campaigns/" (campaign) } { (campaign) }
-        }
+        (crumbs(campaign))
         h1 { "Rollouts of " (campaign) }
         (filters(campaign, &wanted))
         @if lines.is_empty() { p { "There are none." } } @else { (table(campaign, &lines)) }
@@ -75,11 +71,8 @@ pub(super) async fn sheet(page: &Page, name: &str, query: &str) -> Result<Sheet,
             p { a rel="next" href={ "?state=" (state) "&after=" (next) } { "The next ones" } }
         }
     };
-    Ok(Sheet {
-        title: format!("Rollouts of {campaign}"),
-        place: Place::Campaigns,
-        main,
-    })
+    let title = format!("Rollouts of {campaign}");
+    Ok(Sheet::new(Place::Campaigns, title, main))
 }
 
 impl Wanted {
@@ -129,40 +122,18 @@ fn filters(campaign: &str, wanted: &Wanted) -> Markup {
 }
 
 fn table(campaign: &str, lines: &[JobLine]) -> Markup {
-    html! {
-        div.scroll tabindex="0" role="region" aria-label="Rollouts" {
-            table {
-                thead {
-                    tr {
-                        th scope="col" { "rollout" }
-                        th.words scope="col" { "state" }
-                        th scope="col" { "attempts" }
-                        th.words scope="col" { "last error" }
-                    }
-                }
-                tbody {
-                    @for line in lines {
-                        tr {
-                            th scope="row" { (rollout(campaign, line)) }
-                            td.words { (standing(line)) }
-                            td { (line.attempt) }
-                            td.words { (line.last_error.as_deref().unwrap_or_default()) }
-                        }
-                    }
-                }
+    let rows = html! {
+        @for line in lines {
+            tr {
+                th scope="row" { (rollout(campaign, &line.rollout_id, line.replicate)) }
+                td.words { (standing(line)) }
+                td { (line.attempt) }
+                td.words { (line.last_error.as_deref().unwrap_or_default()) }
             }
         }
-    }
-}
-
-fn rollout(campaign: &str, line: &JobLine) -> Markup {
-    let name = ::report::rollout_name(&line.rollout_id, line.replicate);
-    html! {
-        @match line.rollout_id.parse::<RolloutId>() {
-            Ok(id) => a href=(address(campaign, id, line.replicate)) { code { (name) } },
-            Err(_) => code { (name) },
-        }
-    }
+    };
+    let columns = ["rollout", ".state", "attempts", ".last error"];
+    layout::table("Rollouts", &columns, &rows)
 }
 
 fn standing(line: &JobLine) -> String {

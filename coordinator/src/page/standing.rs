@@ -2,13 +2,12 @@
 //! quarantine.
 
 use maud::{Markup, html};
-use protocol::RolloutId;
 use queue::clock::UnixMillis;
 use queue::read::{PolicyLine, QuarantinedLine, WorkerLine};
 use queue::rules::outage::PolicyState;
 
-use super::campaign::address;
-use super::layout::{Place, Sheet};
+use super::campaign::rollout;
+use super::layout::{self, Place, Sheet};
 use super::problem::Problem;
 use super::state::Page;
 use crate::words::duration_text;
@@ -39,7 +38,7 @@ pub(super) async fn workers(page: &Page) -> Result<Sheet, Problem> {
             (workers_table("Workers that have gone", &gone[..gone.len().min(MAX_GONE)], now))
         }
     };
-    Ok(sheet("Workers", Place::Workers, main))
+    Ok(Sheet::new(Place::Workers, "Workers", main))
 }
 
 /// The policies.
@@ -51,7 +50,7 @@ pub(super) async fn policies(page: &Page) -> Result<Sheet, Problem> {
         @if policies.is_empty() { p { "No campaign has named a policy yet." } }
         @for policy in &policies { (policy_section(policy, now)) }
     };
-    Ok(sheet("Policies", Place::Policies, main))
+    Ok(Sheet::new(Place::Policies, "Policies", main))
 }
 
 /// What is in quarantine, of all campaigns.
@@ -78,42 +77,20 @@ pub(super) async fn quarantine(page: &Page) -> Result<Sheet, Problem> {
             (quarantine_table(&quarantined))
         }
     };
-    Ok(sheet("Quarantine", Place::Quarantine, main))
-}
-
-fn sheet(title: &str, place: Place, main: Markup) -> Sheet {
-    Sheet {
-        title: title.to_owned(),
-        place,
-        main,
-    }
+    Ok(Sheet::new(Place::Quarantine, "Quarantine", main))
 }
 
 fn workers_table(name: &str, workers: &[WorkerLine], now: UnixMillis) -> Markup {
-    let heads = [
+    let columns = [
         "worker",
         "machine",
         "busy",
         "last call",
-        "standing.",
-        "runs on.",
+        ".standing",
+        ".runs on",
     ];
-    html! {
-        div.scroll tabindex="0" role="region" aria-label=(name) {
-            table {
-                thead {
-                    tr {
-                        @for head in heads {
-                            th scope="col" class=[head.ends_with('.').then_some("words")] {
-                                (head.trim_end_matches('.'))
-                            }
-                        }
-                    }
-                }
-                tbody { @for worker in workers { (worker_row(worker, now)) } }
-            }
-        }
-    }
+    let rows = html! { @for worker in workers { (worker_row(worker, now)) } };
+    layout::table(name, &columns, &rows)
 }
 
 fn worker_row(line: &WorkerLine, now: UnixMillis) -> Markup {
@@ -188,40 +165,16 @@ fn policy_section(policy: &PolicyLine, now: UnixMillis) -> Markup {
 }
 
 fn quarantine_table(lines: &[QuarantinedLine]) -> Markup {
-    html! {
-        div.scroll tabindex="0" role="region" aria-label="Quarantined rollouts" {
-            table {
-                thead {
-                    tr {
-                        th scope="col" { "rollout" }
-                        th.words scope="col" { "campaign" }
-                        th scope="col" { "failures" }
-                        th.words scope="col" { "last error" }
-                    }
-                }
-                tbody {
-                    @for line in lines {
-                        tr {
-                            th scope="row" { (rollout(line)) }
-                            td.words { a href={ "/campaigns/" (line.campaign) } { (line.campaign) } }
-                            td { (line.charged_attempts) }
-                            td.words { pre { (line.last_error) } }
-                        }
-                    }
-                }
+    let rows = html! {
+        @for line in lines {
+            tr {
+                th scope="row" { (rollout(line.campaign.as_str(), &line.rollout_id, line.replicate)) }
+                td.words { a href={ "/campaigns/" (line.campaign) } { (line.campaign) } }
+                td { (line.charged_attempts) }
+                td.words { pre { (line.last_error) } }
             }
         }
-    }
-}
-
-fn rollout(line: &QuarantinedLine) -> Markup {
-    let name = ::report::rollout_name(&line.rollout_id, line.replicate);
-    html! {
-        @match line.rollout_id.parse::<RolloutId>() {
-            Ok(id) => {
-                a href=(address(line.campaign.as_str(), id, line.replicate)) { code { (name) } }
-            }
-            Err(_) => code { (name) },
-        }
-    }
+    };
+    let columns = ["rollout", ".campaign", "failures", ".last error"];
+    layout::table("Quarantined rollouts", &columns, &rows)
 }

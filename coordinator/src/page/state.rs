@@ -34,6 +34,9 @@ const MAX_DOCUMENTS: usize = 16;
 /// core.
 const DOCUMENT_AGE_PER_COST: u32 = 20;
 
+/// The address that a browser asks for, and its headers.
+pub(super) type Asked = (Uri, HeaderMap);
+
 /// Everything that the pages are made from.
 #[derive(Debug)]
 pub(crate) struct Page {
@@ -74,7 +77,7 @@ impl Page {
     /// ago. A browser that has the same already is told so.
     pub(super) async fn show(
         &self,
-        (uri, headers): (Uri, HeaderMap),
+        (uri, headers): Asked,
         sheet: impl Future<Output = Result<Sheet, Problem>>,
     ) -> Response {
         let address = uri.path_and_query().map_or("/", |address| address.as_str());

@@ -36,8 +36,6 @@ pub(crate) use seeds::seeds;
 
 /// How long a claim's caller waits before it hangs up.
 const PATIENCE: Duration = Duration::from_millis(20);
-/// What the coordinator's attempts follow from.
-const SEED: u64 = 1;
 /// What a clock that stands still shows.
 const NOW: UnixMillis = UnixMillis(1_700_000_000_000);
 
@@ -101,7 +99,7 @@ impl Open {
             data: data.to_owned(),
             timing: Timing::default(),
             clock: Arc::new(ManualClock::at(NOW)),
-            rng: ChaCha8Rng::seed_from_u64(SEED),
+            rng: ChaCha8Rng::seed_from_u64(seeds::SEED),
             security: Security::loopback(),
             min_free_bytes: 0,
         });

@@ -1,0 +1,89 @@
+//! What commands share: reaching the coordinator, failing and printing.
+
+use std::io::Write;
+use std::time::Duration;
+
+use anyhow::Context;
+use clap::Args;
+use coordinator::client::{Client, ClientError, RETRY_FOR};
+use transport::{ClientArguments, Role};
+
+/// Where the coordinator is.
+#[derive(Args, Debug)]
+pub(super) struct Connection {
+    /// URL of the coordinator.
+    #[arg(
+        long,
+        value_name = "URL",
+        env = "COORDINATOR_URL",
+        default_value = "http://127.0.0.1:7411"
+    )]
+    connect: String,
+    /// Seconds to keep trying while the coordinator does not answer.
+    #[arg(long, value_name = "SECS", default_value_t = RETRY_FOR.as_secs())]
+    retry_secs: u64,
+    #[command(flatten)]
+    access: ClientArguments,
+}
+
+/// A command that did not do what it should.
+pub(super) enum CommandError {
+    /// The command is wrong.
+    Usage(anyhow::Error),
+    /// It failed.
+    Failure(anyhow::Error),
+}
+
+/// Prints a line to standard output.
+pub(super) fn print_line(text: &str) -> anyhow::Result<()> {
+    print(&format!("{text}\n"))
+}
+
+/// Prints to standard output. Unlike `print!` it does not panic when nobody
+/// reads it any more.
+pub(super) fn print(text: &str) -> anyhow::Result<()> {
+    let mut stdout = std::io::stdout().lock();
+    let written = stdout.write_all(text.as_bytes());
+    written
+        .and_then(|()| stdout.flush())
+        .context("print to standard output")
+}
+
+/// A command that is wrong.
+pub(super) fn usage(error: impl Into<anyhow::Error>) -> CommandError {
+    CommandError::Usage(error.into())
+}
+
+/// A command that failed.
+pub(super) fn failure(error: impl Into<anyhow::Error>) -> CommandError {
+    CommandError::Failure(error.into())
+}
+
+impl Connection {
+    /// A client of this coordinator.
+    pub(super) fn client(&self) -> Result<Client, CommandError> {
+        // Who may steer campaigns may read them too.
+        let access = self.access.access(&[Role::Operator, Role::Viewer]);
+        let access = access.map_err(failure)?;
+        Ok(Client::new(
+            &self.connect,
+            &access,
+            Duration::from_secs(self.retry_secs),
+        )?)
+    }
+}
+
+impl From<ClientError> for CommandError {
+    fn from(error: ClientError) -> CommandError {
+        match error {
+            ClientError::Url { .. } | ClientError::Invalid { .. } => usage(error),
+            ClientError::Unreachable { .. } | ClientError::Refused { .. } => failure(error),
+        }
+    }
+}
+
+impl From<anyhow::Error> for CommandError {
+    fn from(error: anyhow::Error) -> CommandError {
+        CommandError::Failure(error)
+    }
+}

@@ -1,0 +1,38 @@
+//! What reading a campaign's results may fail with.
+
+use protocol::{SpecError, UnknownName};
+use queue::ids::CampaignName;
+use queue::{QueueError, StoreError};
+
+/// Results that cannot be read.
+#[derive(Debug, thiserror::Error)]
+pub enum ReadError {
+    /// The campaign or the database.
+    #[error(transparent)]
+    Queue(#[from] QueueError),
+    /// The stored specification does not read back.
+    #[error("read the stored specification of campaign `{campaign}`")]
+    Spec {
+        /// Whose.
+        campaign: CampaignName,
+        /// What is wrong with it.
+        source: SpecError,
+    },
+    /// A stored rollout id or realisation does not read back.
+    #[error("read a stored name")]
+    Name(#[from] UnknownName),
+    /// A stored manifest row does not read back.
+    #[error("read the stored manifest row of `{rollout_id}`")]
+    Row {
+        /// Whose.
+        rollout_id: String,
+        /// What is wrong with it.
+        source: serde_json::Error,
+    },
+}
+
+impl From<StoreError> for ReadError {
+    fn from(error: StoreError) -> ReadError {
+        ReadError::Queue(error.into())
+    }
+}
