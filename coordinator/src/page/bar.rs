@@ -12,7 +12,7 @@ fn pieces(counts: &Counts) -> [(&'static str, u64, &'static str); 5] {
     [
         ("succeeded", counts.succeeded, "succeeded"),
         ("failed", failed, "failed"),
-        ("aside", counts.quarantined, "set aside"),
+        ("aside", counts.quarantined, "quarantined"),
         ("running", counts.leased, "running"),
         ("empty", counts.queued, "waiting"),
     ]

@@ -4,7 +4,7 @@
 
 use std::fmt;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Longest name of a campaign, bytes; it is also a folder's name.
 pub const MAX_CAMPAIGN_NAME_BYTES: usize = 80;
@@ -17,7 +17,9 @@ pub const MAX_WORKER_ID_BYTES: usize = 128;
 pub struct CampaignId(pub i64);
 
 /// Row number of a job: one rollout × replicate of one campaign.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, sqlx::Type)]
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, sqlx::Type,
+)]
 #[sqlx(transparent)]
 pub struct JobId(pub i64);
 
@@ -28,12 +30,14 @@ pub struct PolicyId(pub i64);
 
 /// How many times a job has been leased; 0 before the first lease, only ever
 /// rises. A fact about an attempt, whose name is its `AttemptId`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, sqlx::Type)]
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, sqlx::Type,
+)]
 #[sqlx(transparent)]
 pub struct AttemptNumber(pub u32);
 
 /// A worker process, by the name that it chose when it started.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, sqlx::Type)]
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, sqlx::Type)]
 #[sqlx(transparent)]
 pub struct WorkerId(pub String);
 

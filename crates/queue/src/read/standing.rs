@@ -4,7 +4,7 @@ use super::View;
 use crate::clock::UnixMillis;
 use crate::ids::{CampaignId, CampaignName, PolicyId, WorkerId};
 use crate::rules::outage::PolicyHealth;
-use crate::store::policies::{HealthRow, health_columns};
+use crate::store::policies::health;
 use crate::store::{Doing, StoreError};
 
 /// Most workers of one answer: those with the latest calls.
@@ -48,7 +48,7 @@ pub struct PolicyLine {
     /// Its name there.
     pub name: String,
     /// How it does.
-    #[sqlx(flatten, try_from = "HealthRow")]
+    #[sqlx(json)]
     pub health: PolicyHealth,
     /// The campaigns that measure it, oldest first.
     #[sqlx(skip)]
@@ -100,7 +100,7 @@ impl View {
     pub async fn policies(&mut self) -> Result<Vec<PolicyLine>, StoreError> {
         let mut policies: Vec<PolicyLine> = sqlx::query_as(concat!(
             "SELECT p.id, p.endpoint, p.name, ",
-            health_columns!(),
+            health!(),
             " FROM policy p ORDER BY p.name, p.endpoint"
         ))
         .fetch_all(self.tx())

@@ -1,11 +1,14 @@
 //! What an operator may do with a campaign: its states and their changes.
 //! Not responsible for what becomes of single jobs (`lease`).
 
+use serde::Deserialize;
+
 use crate::clock::UnixMillis;
 
 /// Where a campaign stands with its operator. The store's CHECK constraints say
 /// the same.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(tag = "is", rename_all = "snake_case")]
 pub enum CampaignState {
     /// Its jobs are leased.
     Running {
@@ -79,16 +82,6 @@ impl CampaignState {
             CampaignState::Cancelled { .. } => "cancelled",
         }
     }
-
-    /// The state of that name.
-    pub fn from_name(name: &str, since: UnixMillis) -> Option<CampaignState> {
-        match name {
-            "running" => Some(CampaignState::Running { since }),
-            "paused" => Some(CampaignState::Paused { since }),
-            "cancelled" => Some(CampaignState::Cancelled { since }),
-            _ => None,
-        }
-    }
 }
 
 #[cfg(test)]
@@ -118,14 +111,15 @@ mod tests {
     }
 
     #[test]
-    fn names_read_back() {
+    fn states_read_back_under_their_names() {
         for state in [
             CampaignState::Running { since: THEN },
             CampaignState::Paused { since: THEN },
             CampaignState::Cancelled { since: THEN },
         ] {
-            assert_eq!(CampaignState::from_name(state.name(), THEN), Some(state));
+            let text = format!(r#"{{"is": "{}", "since": 1}}"#, state.name());
+            let read: CampaignState = serde_json::from_str(&text).expect("a state");
+            assert_eq!(read, state);
         }
-        assert_eq!(CampaignState::from_name("lost", THEN), None);
     }
 }

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use attempt::{AttemptId, Waits};
 use rand_chacha::rand_core::Rng;
+use serde::Deserialize;
 
 use crate::clock::UnixMillis;
 use crate::ids::{AttemptNumber, JobId, WorkerId};
@@ -19,7 +20,7 @@ pub const MIN_WORKERS_TO_QUARANTINE: u32 = 2;
 pub const MAX_WORKER_FAILURES_IN_A_ROW: u32 = 5;
 
 /// One rollout × replicate, as far as leasing goes.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 pub struct Job {
     /// Which one.
     pub id: JobId,
@@ -32,7 +33,8 @@ pub struct Job {
 }
 
 /// Where a job stands. The store's CHECK constraints say the same.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(tag = "is", rename_all = "snake_case")]
 pub enum JobState {
     /// Waits to be leased, not before an instant.
     Queued {
@@ -48,7 +50,7 @@ pub enum JobState {
 }
 
 /// A lease: one attempt at one job, by one worker.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 pub struct Lease {
     /// The attempt's name.
     pub attempt: AttemptId,
@@ -66,7 +68,7 @@ pub struct Lease {
 
 /// The part of a result that two reports of one rollout must share. Wall time is
 /// no part of it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 pub struct OutcomeKey {
     /// Whether the goal was reached.
     pub success: bool,

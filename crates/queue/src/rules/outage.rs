@@ -7,11 +7,12 @@
 
 use attempt::{AttemptId, Waits};
 use rand_chacha::rand_core::Rng;
+use serde::Deserialize;
 
 use crate::clock::UnixMillis;
 
 /// One policy at one endpoint, as far as its health goes.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 pub struct PolicyHealth {
     /// Outages since the last committed rollout.
     pub outages: u32,
@@ -23,7 +24,8 @@ pub struct PolicyHealth {
 }
 
 /// Where a policy stands. The store's CHECK constraints say the same.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(tag = "is", rename_all = "snake_case")]
 pub enum PolicyState {
     /// Its jobs are leased.
     Available,

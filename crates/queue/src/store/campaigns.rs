@@ -5,7 +5,7 @@ use attempt::Pin;
 use protocol::Realisation;
 use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
 
-use super::policies::{self, HealthRow, health_columns};
+use super::policies::{self, health};
 use super::workers::pin;
 use super::{Doing, StoreError, undecodable};
 use crate::clock::UnixMillis;
@@ -33,7 +33,7 @@ pub struct Campaign {
     /// Its policy's endpoint.
     pub endpoint: String,
     /// Its policy's health.
-    #[sqlx(flatten, try_from = "HealthRow")]
+    #[sqlx(json)]
     pub health: PolicyHealth,
     /// Where its perturbations' random elements come from: "matched" or
     /// "reference".
@@ -41,29 +41,13 @@ pub struct Campaign {
     /// Which rollouts are filmed: "none", "failures", "transitions" or "all".
     pub record: String,
     /// Where it stands with its operator.
-    #[sqlx(flatten, try_from = "StateRow")]
+    #[sqlx(json)]
     pub state: CampaignState,
     /// When its first job was leased.
     pub pinned_ms: Option<UnixMillis>,
     /// What it is pinned to since then.
     #[sqlx(json(nullable))]
     pub pin: Option<Pin>,
-}
-
-#[derive(sqlx::FromRow)]
-pub(crate) struct StateRow {
-    state: String,
-    state_since_ms: UnixMillis,
-}
-
-impl TryFrom<StateRow> for CampaignState {
-    type Error = sqlx::Error;
-
-    /// Reads the row; the CHECK constraints promise that this works.
-    fn try_from(row: StateRow) -> Result<CampaignState, sqlx::Error> {
-        CampaignState::from_name(&row.state, row.state_since_ms)
-            .ok_or_else(|| undecodable(format!("campaign state `{}`", row.state)))
-    }
 }
 
 impl Campaign {
@@ -91,11 +75,12 @@ macro_rules! campaigns_where {
     ($condition:literal) => {
         concat!(
             "SELECT c.id, c.name, c.spec_digest, c.policy_id, p.name AS policy, p.endpoint,
-                 c.realisation, c.record, c.state, c.state_since_ms, c.pinned_ms,
+                 c.realisation, c.record, c.pinned_ms,
+                 json_object('is', c.state, 'since', c.state_since_ms) AS state,
                  iif(c.asset_pack IS NULL, NULL, ",
             pin!(),
             ") AS pin, ",
-            health_columns!(),
+            health!(),
             " FROM campaign c JOIN policy p ON p.id = c.policy_id WHERE ",
             $condition,
             " ORDER BY c.id"

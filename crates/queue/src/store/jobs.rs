@@ -13,7 +13,7 @@ use sqlx::SqliteConnection;
 use super::{Doing, StoreError, json, undecodable};
 use crate::clock::UnixMillis;
 use crate::ids::{AttemptNumber, CampaignId, JobId, WorkerId};
-use crate::rules::lease::{AfterFailure, FailureReason, Job, JobState, Lease, OutcomeKey};
+use crate::rules::lease::{AfterFailure, FailureReason, Job, Lease, OutcomeKey};
 
 /// What matched rollouts share: one campaign, one scene, one initial state.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, sqlx::FromRow)]
@@ -33,7 +33,7 @@ pub(crate) struct NamedAttempt {
     /// Whose attempt it is or was.
     pub(crate) worker: WorkerId,
     pub(crate) number: AttemptNumber,
-    #[sqlx(flatten, try_from = "JobRow")]
+    #[sqlx(json)]
     pub(crate) job: Job,
     /// What the job's siblings share with it.
     #[sqlx(flatten)]
@@ -42,14 +42,14 @@ pub(crate) struct NamedAttempt {
     #[sqlx(json, rename = "manifest_row")]
     pub(crate) row: ManifestRow,
     /// The job's committed outcome, if it has one.
-    #[sqlx(flatten, try_from = "OutcomeRow")]
+    #[sqlx(json(nullable))]
     pub(crate) stored: Option<OutcomeKey>,
 }
 
 /// A leased job.
 #[derive(Clone, Debug, sqlx::FromRow)]
 pub(crate) struct LeasedRow {
-    #[sqlx(flatten, try_from = "JobRow")]
+    #[sqlx(json)]
     pub(crate) job: Job,
     pub(crate) campaign_id: CampaignId,
     /// Progress last reported.
@@ -64,76 +64,16 @@ pub(crate) struct Progress<'a> {
     pub(crate) control_steps: u32,
 }
 
-#[derive(sqlx::FromRow)]
-pub(crate) struct OutcomeRow {
-    success: Option<bool>,
-    steps: Option<u32>,
-}
-
-#[derive(sqlx::FromRow)]
-pub(crate) struct JobRow {
-    id: JobId,
-    attempt: AttemptNumber,
-    charged_attempts: u32,
-    state: String,
-    not_before_ms: Option<UnixMillis>,
-    attempt_id: Option<String>,
-    lease_owner: Option<WorkerId>,
-    leased_ms: Option<UnixMillis>,
-    lease_expires_ms: Option<UnixMillis>,
-    ceiling_ms: Option<UnixMillis>,
-    acknowledged: Option<bool>,
-}
-
-/// The columns of [`JobRow`], of table `j`.
-macro_rules! job_columns {
+/// The [`Job`] of a row of table `j`, as JSON; the CHECK constraints promise that
+/// it reads back.
+macro_rules! job {
     () => {
-        "j.id, j.attempt, j.charged_attempts, j.state, j.not_before_ms, j.attempt_id,
-         j.lease_owner, j.leased_ms, j.lease_expires_ms, j.ceiling_ms, j.acknowledged"
+        "json_object('id', j.id, 'attempt', j.attempt, 'charged_attempts', j.charged_attempts,
+             'state', json_object('is', j.state, 'not_before', j.not_before_ms,
+                 'attempt', j.attempt_id, 'owner', j.lease_owner, 'granted', j.leased_ms,
+                 'expires', j.lease_expires_ms, 'ceiling', j.ceiling_ms,
+                 'is_acknowledged', json(iif(j.acknowledged, 'true', 'false')))) AS job"
     };
-}
-
-impl TryFrom<JobRow> for Job {
-    type Error = sqlx::Error;
-
-    /// Reads the row; the CHECK constraints promise that this works.
-    fn try_from(row: JobRow) -> Result<Job, sqlx::Error> {
-        let lease = || {
-            Some(Lease {
-                attempt: row.attempt_id.as_deref()?.parse().ok()?,
-                owner: row.lease_owner.clone()?,
-                granted: row.leased_ms?,
-                expires: row.lease_expires_ms?,
-                ceiling: row.ceiling_ms?,
-                is_acknowledged: row.acknowledged?,
-            })
-        };
-        let state = match (row.state.as_str(), row.not_before_ms, lease()) {
-            ("queued", Some(not_before), None) => JobState::Queued { not_before },
-            ("leased", None, Some(lease)) => JobState::Leased(lease),
-            ("committed", None, None) => JobState::Committed,
-            ("quarantined", None, None) => JobState::Quarantined,
-            (state, ..) => {
-                let what = format!("job state `{state}` with columns of another");
-                return Err(undecodable(what));
-            }
-        };
-        Ok(Job {
-            id: row.id,
-            attempt: row.attempt,
-            charged_attempts: row.charged_attempts,
-            state,
-        })
-    }
-}
-
-impl From<OutcomeRow> for Option<OutcomeKey> {
-    fn from(row: OutcomeRow) -> Option<OutcomeKey> {
-        Some(OutcomeKey {
-            success: row.success?,
-            steps: row.steps?,
-        })
-    }
 }
 
 /// Attempts by their ids, whether or not they still hold their leases; those
@@ -144,8 +84,10 @@ pub(crate) async fn named(
 ) -> Result<BTreeMap<AttemptId, NamedAttempt>, StoreError> {
     let found: Vec<NamedAttempt> = sqlx::query_as(concat!(
         "SELECT n.named, n.worker, n.number, ",
-        job_columns!(),
-        ", j.campaign_id, j.task, j.init_id, j.manifest_row, r.success, r.steps
+        job!(),
+        ", j.campaign_id, j.task, j.init_id, j.manifest_row,
+             iif(r.job_id IS NULL, NULL, json_object('steps', r.steps,
+                 'success', json(iif(r.success, 'true', 'false')))) AS stored
          FROM (SELECT a.value AS named, h.id AS job_id, h.lease_owner AS worker, h.attempt AS number
                    FROM json_each(?1) a
                    JOIN job h ON h.attempt_id = a.value AND h.state = 'leased'
@@ -309,7 +251,7 @@ pub(crate) async fn leased(
 ) -> Result<Vec<LeasedRow>, StoreError> {
     sqlx::query_as(concat!(
         "SELECT ",
-        job_columns!(),
+        job!(),
         ", j.campaign_id, j.control_steps FROM job j
          WHERE j.campaign_id = ? AND j.state = 'leased' ORDER BY j.id"
     ))
@@ -327,7 +269,7 @@ pub(crate) async fn expired(
 ) -> Result<Vec<LeasedRow>, StoreError> {
     sqlx::query_as(concat!(
         "SELECT ",
-        job_columns!(),
+        job!(),
         ", j.campaign_id, j.control_steps FROM job j
          WHERE j.state = 'leased' AND j.lease_expires_ms <= ?
          ORDER BY j.lease_expires_ms LIMIT ?"

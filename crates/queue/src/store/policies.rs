@@ -3,61 +3,21 @@
 use attempt::AttemptId;
 use sqlx::SqliteConnection;
 
-use super::{Doing, StoreError, undecodable};
+use super::{Doing, StoreError};
 use crate::clock::UnixMillis;
 use crate::ids::{CampaignId, PolicyId};
 use crate::rules::outage::{PolicyHealth, PolicyState};
 
-/// The columns of [`HealthRow`], of table `p`.
-macro_rules! health_columns {
+/// The [`PolicyHealth`] of a row of table `p`, as JSON; the CHECK constraints
+/// promise that it reads back.
+macro_rules! health {
     () => {
-        "p.state AS policy_state, p.outages, p.available_ms, p.resume_ms, p.pause_reason,
-         p.probe_attempt_id"
+        "json_object('outages', p.outages, 'available_since', p.available_ms,
+             'state', json_object('is', p.state, 'resume', p.resume_ms,
+                 'reason', p.pause_reason, 'attempt', p.probe_attempt_id)) AS health"
     };
 }
-pub(crate) use health_columns;
-
-/// A policy's health as it is stored.
-#[derive(sqlx::FromRow)]
-pub(crate) struct HealthRow {
-    policy_state: String,
-    outages: u32,
-    available_ms: UnixMillis,
-    resume_ms: Option<UnixMillis>,
-    pause_reason: Option<String>,
-    probe_attempt_id: Option<String>,
-}
-
-impl TryFrom<HealthRow> for PolicyHealth {
-    type Error = sqlx::Error;
-
-    /// Reads the row; the CHECK constraints promise that this works.
-    fn try_from(row: HealthRow) -> Result<PolicyHealth, sqlx::Error> {
-        let reason = row.pause_reason.unwrap_or_default();
-        let state = (
-            row.policy_state.as_str(),
-            row.resume_ms,
-            row.probe_attempt_id,
-        );
-        let state = match state {
-            ("available", None, None) => PolicyState::Available,
-            ("paused", Some(resume), None) => PolicyState::Paused { resume, reason },
-            ("probing", None, Some(attempt)) => PolicyState::Probing {
-                attempt: attempt.parse().map_err(undecodable)?,
-                reason,
-            },
-            (state, ..) => {
-                let what = format!("policy state `{state}` with columns of another");
-                return Err(undecodable(what));
-            }
-        };
-        Ok(PolicyHealth {
-            outages: row.outages,
-            available_since: row.available_ms,
-            state,
-        })
-    }
-}
+pub(crate) use health;
 
 /// Finds or stores a policy.
 pub(crate) async fn find_or_insert(
