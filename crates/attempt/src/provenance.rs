@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 /// What a worker runs on. A campaign is pinned to one of these: results of two
 /// asset packs, simulators or renderers are two benchmarks, never pooled.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Pin {
     /// Name of the asset pack.
     pub asset_pack: String,
@@ -17,18 +17,21 @@ pub struct Pin {
     pub mujoco_version: String,
     /// The renderer's own name. Empty in a campaign that database schema 1
     /// pinned, until the next lease decides it.
+    #[serde(alias = "gl_renderer")]
     pub renderer: String,
 }
 
 /// Where a result came from, as far as many results share it.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Provenance {
     /// The machine's name.
     pub host: String,
     /// What the worker ran on.
+    #[serde(flatten)]
     pub pin: Pin,
     /// SHA-256 of a fixed motion and its frames, hex: equal fingerprints mean
     /// equal bits. Empty in results of database schema 1.
+    #[serde(default)]
     pub fingerprint: String,
     /// "matched" or "reference".
     pub realisation: String,
@@ -41,6 +44,7 @@ pub struct Provenance {
     /// Whether it saw the simulator's own state.
     pub policy_privileged: bool,
     /// Whether it was told the canonical instruction whatever the condition.
+    #[serde(default)]
     pub policy_canonical_only: bool,
     /// How a gateway asked it.
     pub batch_mode: String,
