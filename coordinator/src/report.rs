@@ -3,7 +3,6 @@
 //! `report`'s business. The same results give the same subject, however many
 //! attempts they took.
 
-use attempt::Provenance;
 use paired::{Outcome, Record};
 use protocol::{CampaignSpec, UnknownName};
 use queue::read::{Campaign, RecordRow, View};
@@ -26,8 +25,7 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
     let own = campaign.realisation.as_str();
     let rows = view.records(campaign.id).await?;
     let records: Result<Vec<Record>, _> = rows.iter().map(|row| read_record(row, own)).collect();
-    let provenances = view.provenances(campaign.id).await?.into_iter();
-    let mut provenances: Vec<report::Provenance> = provenances.map(provenance).collect();
+    let mut provenances = view.provenances(campaign.id).await?;
     // By their content: which came first depends on the workers.
     provenances.sort();
     let quarantined = view
@@ -78,23 +76,4 @@ fn read_record(row: &RecordRow, own: &str) -> Result<Record, UnknownName> {
 
 fn is_of_other_mode(row: &RecordRow, own: &str) -> bool {
     row.realisation.as_ref().is_some_and(|mode| mode != own)
-}
-
-fn provenance(stored: Provenance) -> report::Provenance {
-    report::Provenance {
-        host: stored.host,
-        renderer: stored.pin.renderer,
-        fingerprint: stored.fingerprint,
-        mujoco_version: stored.pin.mujoco_version,
-        asset_pack: stored.pin.asset_pack,
-        asset_pack_digest: stored.pin.asset_pack_digest,
-        realisation: stored.realisation,
-        policy_name: stored.policy_name,
-        policy_checkpoint: stored.policy_checkpoint,
-        policy_checkpoint_digest: stored.policy_checkpoint_digest,
-        policy_privileged: stored.policy_privileged,
-        policy_canonical_only: stored.policy_canonical_only,
-        batch_mode: stored.batch_mode,
-        program_version: stored.program_version,
-    }
 }

@@ -2,6 +2,7 @@
 //! terminal and on the page.
 
 use queue::clock::UnixMillis;
+use time::OffsetDateTime;
 
 /// Rollouts per second, minute or hour, whichever gives a number above one:
 /// `2.1/s`, `25.2/min`.
@@ -26,32 +27,16 @@ pub fn duration_text(secs: f64) -> String {
     }
 }
 
-/// An instant to the second: `2026-11-21 15:36:09 UTC`.
+/// An instant to the second: `2026-11-21 15:36:09 UTC`. One beyond the year
+/// 9999 is told in milliseconds since 1970.
 pub fn utc_text(at: UnixMillis) -> String {
-    let secs = at.0.div_euclid(1_000);
-    let (days, second) = (secs.div_euclid(86_400), secs.rem_euclid(86_400));
-    let (year, month, day) = civil(days);
-    let (h, m, s) = (second / 3_600, second / 60 % 60, second % 60);
-    format!("{year:04}-{month:02}-{day:02} {h:02}:{m:02}:{s:02} UTC")
-}
-
-/// Year, month and day of the Gregorian calendar, from days since 1970-01-01.
-fn civil(days: i64) -> (i64, i64, i64) {
-    // Years that begin in March have their leap day at the end, and five months
-    // from there always have 153 days.
-    let days = days + 719_468;
-    let era = days.div_euclid(146_097);
-    let of_era = days.rem_euclid(146_097);
-    let year = (of_era - of_era / 1_460 + of_era / 36_524 - of_era / 146_096) / 365;
-    let of_year = of_era - (365 * year + year / 4 - year / 100);
-    let from_march = (5 * of_year + 2) / 153;
-    let day = of_year - (153 * from_march + 2) / 5 + 1;
-    let month = if from_march < 10 {
-        from_march + 3
-    } else {
-        from_march - 9
-    };
-    (year + era * 400 + i64::from(month <= 2), month, day)
+    match OffsetDateTime::from_unix_timestamp(at.0.div_euclid(1_000)) {
+        Ok(instant) => {
+            let (h, m, s) = instant.to_hms();
+            format!("{} {h:02}:{m:02}:{s:02} UTC", instant.date())
+        }
+        Err(_) => format!("{} ms", at.0),
+    }
 }
 
 /// A size: `812 B`, `3.4 MiB`.

@@ -17,6 +17,7 @@ pub struct Pin {
     pub mujoco_version: String,
     /// The renderer's own name. Empty in a campaign that database schema 1
     /// pinned, until the next lease decides it.
+    #[serde(alias = "gl_renderer")]
     pub renderer: String,
 }
 
@@ -30,6 +31,7 @@ pub struct Provenance {
     pub pin: Pin,
     /// SHA-256 of a fixed motion and its frames, hex: equal fingerprints mean
     /// equal bits. Empty in results of database schema 1.
+    #[serde(default)]
     pub fingerprint: String,
     /// "matched" or "reference".
     pub realisation: String,
@@ -42,6 +44,7 @@ pub struct Provenance {
     /// Whether it saw the simulator's own state.
     pub policy_privileged: bool,
     /// Whether it got the canonical instruction under every condition.
+    #[serde(default)]
     pub policy_canonical_only: bool,
     /// How a gateway asked it.
     pub batch_mode: String,

@@ -21,6 +21,6 @@ mod words;
 pub use document::{Analysis, Document, DocumentError};
 pub use import::{BadLine, ImportError, import};
 pub use page::{STYLE, page, sections, warnings as page_warnings};
-pub use subject::{Origin, Provenance, Quarantined, Subject, rollout_name};
+pub use subject::{Origin, Quarantined, Subject, rollout_name};
 pub use table::{TableError, write_csv, write_parquet};
 pub use warnings::fingerprints_in_words;

@@ -1,7 +1,7 @@
 //! What a report is of: one policy's outcomes, and everything known about how
 //! they were made.
 
-use attempt::Fingerprints;
+use attempt::{Fingerprints, Provenance};
 use paired::{Count, Record};
 use protocol::Realisation;
 use serde::{Deserialize, Serialize};
@@ -57,42 +57,6 @@ pub enum Origin {
         /// What its makers say of it; empty where they say nothing.
         source: String,
     },
-}
-
-/// Where results came from, as far as many results share it.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-pub struct Provenance {
-    /// Machine.
-    pub host: String,
-    /// What draws, by its own name; empty where that is not known.
-    #[serde(alias = "gl_renderer")]
-    pub renderer: String,
-    /// Fingerprint of the slot; empty where that is not known.
-    #[serde(default)]
-    pub fingerprint: String,
-    /// Version of the simulator.
-    pub mujoco_version: String,
-    /// Name of the asset pack.
-    pub asset_pack: String,
-    /// Digest of the asset pack.
-    pub asset_pack_digest: String,
-    /// "matched" or "reference".
-    pub realisation: String,
-    /// What the policy calls itself.
-    pub policy_name: String,
-    /// Its checkpoint.
-    pub policy_checkpoint: String,
-    /// Digest of its checkpoint.
-    pub policy_checkpoint_digest: String,
-    /// Whether it saw privileged simulator state.
-    pub policy_privileged: bool,
-    /// Whether it got the canonical instruction under every condition.
-    #[serde(default)]
-    pub policy_canonical_only: bool,
-    /// How its queries were batched.
-    pub batch_mode: String,
-    /// Version of the worker's program.
-    pub program_version: String,
 }
 
 /// A quarantined rollout and its last error.

@@ -5,9 +5,9 @@ use std::collections::BTreeSet;
 
 use paired::Outcome;
 
-use attempt::Fingerprints;
+use attempt::{Fingerprints, Provenance};
 
-use crate::subject::{Provenance, Subject};
+use crate::subject::Subject;
 
 /// The built-in pack, which is another benchmark than LIBERO.
 const PRIMITIVES: &str = "primitives";
@@ -25,7 +25,7 @@ pub(crate) fn of_subject(subject: &Subject) -> Vec<String> {
         warnings.extend(mixed(provenances, what, so, of));
     }
     warnings.extend(subject.fingerprints.as_ref().map(fingerprints_in_words));
-    if provenances.iter().any(|p| p.asset_pack == PRIMITIVES) {
+    if provenances.iter().any(|p| p.pin.asset_pack == PRIMITIVES) {
         warnings.push(format!(
             "simulated with the built-in `{PRIMITIVES}` asset pack: boxes and cylinders, not \
              LIBERO's objects; these rates say nothing about LIBERO and compare with no \
@@ -118,16 +118,16 @@ const MIXTURES: [(&str, &str, Of); 6] = [
 ];
 
 fn mujoco(p: &Provenance) -> String {
-    p.mujoco_version.clone()
+    p.pin.mujoco_version.clone()
 }
 
 fn pack(p: &Provenance) -> String {
-    format!("{} ({})", p.asset_pack, short(&p.asset_pack_digest))
+    format!("{} ({})", p.pin.asset_pack, short(&p.pin.asset_pack_digest))
 }
 
 /// Empty in results of older workers that drew no frame.
 fn renderer(p: &Provenance) -> String {
-    p.renderer.clone()
+    p.pin.renderer.clone()
 }
 
 fn checkpoint(p: &Provenance) -> String {

@@ -3,12 +3,11 @@
 
 use std::path::Path;
 
-use attempt::Fingerprints;
+use attempt::{Fingerprints, Pin, Provenance};
 use paired::{Count, Outcome};
 use parquet::file::reader::{FileReader, SerializedFileReader};
 use report::{
-    Document, Origin, Provenance, Quarantined, Subject, figures, import, page, write_csv,
-    write_parquet,
+    Document, Origin, Quarantined, Subject, figures, import, page, write_csv, write_parquet,
 };
 use serde_json::Value;
 
@@ -24,11 +23,13 @@ fn document(subjects: Vec<Subject>) -> Document {
 fn provenance(mujoco_version: &str, batch_mode: &str) -> Provenance {
     Provenance {
         host: "one".to_owned(),
-        renderer: "llvmpipe".to_owned(),
+        pin: Pin {
+            renderer: "llvmpipe".to_owned(),
+            mujoco_version: mujoco_version.to_owned(),
+            asset_pack: "libero".to_owned(),
+            asset_pack_digest: "a".repeat(64),
+        },
         fingerprint: "f".repeat(64),
-        mujoco_version: mujoco_version.to_owned(),
-        asset_pack: "libero".to_owned(),
-        asset_pack_digest: "a".repeat(64),
         realisation: "matched".to_owned(),
         policy_name: "servo <b>".to_owned(),
         policy_checkpoint: "step 7".to_owned(),

@@ -3,10 +3,11 @@
 
 use std::collections::BTreeSet;
 
+use attempt::Provenance;
 use maud::{Markup, html};
 
 use crate::document::{Analysis, Document};
-use crate::subject::{Origin, Provenance};
+use crate::subject::Origin;
 
 pub(super) fn methods(document: &Document) -> Markup {
     let bootstrap = document
@@ -52,8 +53,8 @@ fn of_policy(analysis: &Analysis) -> Markup {
         digest => format!("{name}, SHA-256 {digest}"),
     };
     let entries = [
-        ("MuJoCo", distinct(|p| p.mujoco_version.clone())),
-        ("renderer", distinct(|p| p.renderer.clone())),
+        ("MuJoCo", distinct(|p| p.pin.mujoco_version.clone())),
+        ("renderer", distinct(|p| p.pin.renderer.clone())),
         ("fingerprint", distinct(|p| p.fingerprint.clone())),
         ("batch mode", distinct(|p| p.batch_mode.clone())),
         (
@@ -65,7 +66,7 @@ fn of_policy(analysis: &Analysis) -> Markup {
     let packs: BTreeSet<String> = subject
         .provenances
         .iter()
-        .map(|p| named(&p.asset_pack, &p.asset_pack_digest))
+        .map(|p| named(&p.pin.asset_pack, &p.pin.asset_pack_digest))
         .collect();
     let checkpoints: BTreeSet<String> = subject
         .provenances
