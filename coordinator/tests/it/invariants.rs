@@ -77,7 +77,7 @@ const BROKEN: [(&str, &str, &str); 16] = [
         "probe_is_out",
         "UPDATE policy SET state = 'probing', outages = 1, pause_reason = 'down',
              probe_attempt_id = hex(zeroblob(16))",
-        "tried by attempt 7 of job 1",
+        "which holds no lease",
     ),
     (
         "results_are_of_the_pin",
