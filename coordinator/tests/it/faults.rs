@@ -109,7 +109,7 @@ async fn who_was_granted_nothing_can_report_nothing() {
     // Nobody renews another one's lease.
     assert_eq!(
         liar.heartbeat(&[&lease], 5).await,
-        [lease.attempt_id.clone()]
+        std::slice::from_ref(&lease.attempt_id)
     );
     assert_eq!(holder.commit(&lease, true).await, Verdict::Accepted);
     assert_eq!(bench.count("SELECT count(*) FROM divergence").await, 0);
@@ -133,7 +133,7 @@ async fn a_lease_without_heartbeats_expires_and_is_charged() {
     assert_eq!(bench.count(told).await, 1);
     assert_eq!(
         worker.heartbeat(&[&lease], 30).await,
-        [lease.attempt_id.clone()]
+        std::slice::from_ref(&lease.attempt_id)
     );
 }
 

@@ -130,7 +130,7 @@ async fn a_cancelled_campaign_takes_its_leases_back_and_keeps_its_results() {
 
     assert_eq!(
         worker.heartbeat(&[&second], 9).await,
-        [second.attempt_id.clone()]
+        std::slice::from_ref(&second.attempt_id)
     );
     assert_eq!(worker.commit(&second, true).await, Verdict::Stale);
     assert_eq!(worker.commit(&first, true).await, Verdict::Duplicate);
