@@ -1,10 +1,13 @@
 //! Errors as statuses: their words, and the code that says what to do.
 
 use queue::{ArtifactError, QueueError};
-use tonic::{Code, Status};
+use tonic::{Code, Response, Status};
 use transport::chain;
 
 use crate::reading::ReadError;
+
+/// What a call comes to.
+pub(super) type Answer<T> = Result<Response<T>, Status>;
 
 pub(super) fn failed(error: impl Into<ReadError>) -> Status {
     let error = error.into();

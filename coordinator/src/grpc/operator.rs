@@ -3,8 +3,14 @@
 use std::pin::Pin;
 use std::sync::Arc;
 
-use proto::coordinator as wire;
 use proto::coordinator::operator_service_server::OperatorService;
+use proto::coordinator::{
+    self as wire, BackupRequest, ChangeCampaignRequest, ChangeCampaignResponse,
+    CreateCampaignRequest, CreateCampaignResponse, DeleteCampaignRequest, DeleteCampaignResponse,
+    ExportRequest, GetCampaignRequest, GetCampaignResponse, GetJobRequest, GetJobResponse,
+    ListCampaignsRequest, ListCampaignsResponse, ListJobsRequest, ListJobsResponse,
+    ListWorkersRequest, ListWorkersResponse, ReportRequest, RetryJobsRequest, RetryJobsResponse,
+};
 use queue::Queue;
 use queue::expand::NewCampaign;
 use queue::ids::{CampaignName, JobId};
@@ -15,7 +21,7 @@ use tonic::{Request, Response, Status};
 use transport::chain;
 
 use super::backup::{self, Chunks};
-use super::failure::{failed, invalid};
+use super::failure::{Answer, failed, invalid};
 use super::{listing, read};
 use crate::export;
 use crate::report;
@@ -55,13 +61,13 @@ impl OperatorService for OperatorApi {
 
     async fn create_campaign(
         &self,
-        request: Request<wire::CreateCampaignRequest>,
-    ) -> Result<Response<wire::CreateCampaignResponse>, Status> {
+        request: Request<CreateCampaignRequest>,
+    ) -> Answer<CreateCampaignResponse> {
         let campaign = NewCampaign::from_json(&request.into_inner().spec)
             .map_err(|error| invalid(chain(&error)))?;
         let created = self.queue.create_campaign(&campaign).await;
         let created = created.map_err(failed)?;
-        Ok(Response::new(wire::CreateCampaignResponse {
+        Ok(Response::new(CreateCampaignResponse {
             jobs_added: created.jobs_added,
             jobs_total: created.jobs_total,
         }))
@@ -69,22 +75,22 @@ impl OperatorService for OperatorApi {
 
     async fn list_campaigns(
         &self,
-        _: Request<wire::ListCampaignsRequest>,
-    ) -> Result<Response<wire::ListCampaignsResponse>, Status> {
+        _: Request<ListCampaignsRequest>,
+    ) -> Answer<ListCampaignsResponse> {
         let campaigns = self.view().await?.statuses().await.map_err(failed)?;
-        Ok(Response::new(wire::ListCampaignsResponse {
+        Ok(Response::new(ListCampaignsResponse {
             campaigns: campaigns.into_iter().map(write_status).collect(),
         }))
     }
 
     async fn get_campaign(
         &self,
-        request: Request<wire::GetCampaignRequest>,
-    ) -> Result<Response<wire::GetCampaignResponse>, Status> {
+        request: Request<GetCampaignRequest>,
+    ) -> Answer<GetCampaignResponse> {
         let (mut view, campaign) = self.campaign(&request.into_inner().campaign).await?;
         let spec = view.spec(&campaign).await.map_err(failed)?;
         let status = view.status(campaign).await.map_err(failed)?;
-        Ok(Response::new(wire::GetCampaignResponse {
+        Ok(Response::new(GetCampaignResponse {
             spec,
             status: Some(write_status(status)),
         }))
@@ -92,22 +98,22 @@ impl OperatorService for OperatorApi {
 
     async fn change_campaign(
         &self,
-        request: Request<wire::ChangeCampaignRequest>,
-    ) -> Result<Response<wire::ChangeCampaignResponse>, Status> {
+        request: Request<ChangeCampaignRequest>,
+    ) -> Answer<ChangeCampaignResponse> {
         let request = request.into_inner();
         let name = campaign_name(&request.campaign)?;
         let change = read::change(request.change)?;
         let state = self.queue.change_campaign(&name, change).await;
         let state = write_state(state.map_err(failed)?);
-        Ok(Response::new(wire::ChangeCampaignResponse {
+        Ok(Response::new(ChangeCampaignResponse {
             state: state.into(),
         }))
     }
 
     async fn delete_campaign(
         &self,
-        request: Request<wire::DeleteCampaignRequest>,
-    ) -> Result<Response<wire::DeleteCampaignResponse>, Status> {
+        request: Request<DeleteCampaignRequest>,
+    ) -> Answer<DeleteCampaignResponse> {
         let request = request.into_inner();
         let name = campaign_name(&request.campaign)?;
         if request.confirm != request.campaign {
@@ -116,16 +122,13 @@ impl OperatorService for OperatorApi {
             )));
         }
         let deleted = self.queue.delete_campaign(&name).await.map_err(failed)?;
-        Ok(Response::new(wire::DeleteCampaignResponse {
+        Ok(Response::new(DeleteCampaignResponse {
             jobs: deleted.total(),
             results: deleted.committed,
         }))
     }
 
-    async fn list_jobs(
-        &self,
-        request: Request<wire::ListJobsRequest>,
-    ) -> Result<Response<wire::ListJobsResponse>, Status> {
+    async fn list_jobs(&self, request: Request<ListJobsRequest>) -> Answer<ListJobsResponse> {
         let request = request.into_inner();
         let filter = JobFilter {
             state: read::job_state(&request.state)?,
@@ -135,15 +138,12 @@ impl OperatorService for OperatorApi {
         let (mut view, campaign) = self.campaign(&request.campaign).await?;
         let jobs = view.jobs(&campaign, filter).await.map_err(failed)?;
         let jobs = jobs.into_iter().map(|line| listing::job(line, view.now));
-        Ok(Response::new(wire::ListJobsResponse {
+        Ok(Response::new(ListJobsResponse {
             jobs: jobs.collect(),
         }))
     }
 
-    async fn get_job(
-        &self,
-        request: Request<wire::GetJobRequest>,
-    ) -> Result<Response<wire::GetJobResponse>, Status> {
+    async fn get_job(&self, request: Request<GetJobRequest>) -> Answer<GetJobResponse> {
         let request = request.into_inner();
         let job = read::job_name(request.job.unwrap_or_default())?;
         let (mut view, campaign) = self.campaign(&request.campaign).await?;
@@ -151,32 +151,26 @@ impl OperatorService for OperatorApi {
         Ok(Response::new(listing::details(details, view.now)))
     }
 
-    async fn retry_jobs(
-        &self,
-        request: Request<wire::RetryJobsRequest>,
-    ) -> Result<Response<wire::RetryJobsResponse>, Status> {
+    async fn retry_jobs(&self, request: Request<RetryJobsRequest>) -> Answer<RetryJobsResponse> {
         let request = request.into_inner();
         let name = campaign_name(&request.campaign)?;
         let retry = read::retry(request.jobs, request.all)?;
         let jobs = self.queue.retry_jobs(&name, &retry).await.map_err(failed)?;
-        Ok(Response::new(wire::RetryJobsResponse { jobs }))
+        Ok(Response::new(RetryJobsResponse { jobs }))
     }
 
-    async fn list_workers(
-        &self,
-        _: Request<wire::ListWorkersRequest>,
-    ) -> Result<Response<wire::ListWorkersResponse>, Status> {
+    async fn list_workers(&self, _: Request<ListWorkersRequest>) -> Answer<ListWorkersResponse> {
         let mut view = self.view().await?;
         let workers = view.workers().await.map_err(failed)?.into_iter();
         let workers = workers.map(|line| listing::worker(line, view.now));
-        Ok(Response::new(wire::ListWorkersResponse {
+        Ok(Response::new(ListWorkersResponse {
             workers: workers.collect(),
         }))
     }
 
     async fn backup(
         &self,
-        _: Request<wire::BackupRequest>,
+        _: Request<BackupRequest>,
     ) -> Result<Response<Self::BackupStream>, Status> {
         let backup = self.queue.backup().await.map_err(failed)?;
         Ok(Response::new(backup::chunks(backup).await?))
@@ -184,7 +178,7 @@ impl OperatorService for OperatorApi {
 
     async fn report(
         &self,
-        request: Request<wire::ReportRequest>,
+        request: Request<ReportRequest>,
     ) -> Result<Response<Self::ReportStream>, Status> {
         let (mut view, campaign) = self.campaign(&request.into_inner().campaign).await?;
         let subject = report::subject(&mut view, &campaign)
@@ -199,7 +193,7 @@ impl OperatorService for OperatorApi {
 
     async fn export(
         &self,
-        request: Request<wire::ExportRequest>,
+        request: Request<ExportRequest>,
     ) -> Result<Response<Self::ExportStream>, Status> {
         let name = campaign_name(&request.into_inner().campaign)?;
         let lines = export::lines(self.queue.clone(), &name).await;

@@ -3,13 +3,17 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use proto::coordinator as wire;
 use proto::coordinator::worker_service_server::WorkerService;
-use queue::{Assigned, ClaimRequest, CommitVerdict, Film, Queue, ReleaseVerdict, Upload};
+use proto::coordinator::{
+    self as wire, ClaimRequest, ClaimResponse, CommitRequest, CommitResponse, HeartbeatRequest,
+    HeartbeatResponse, NextFilmRequest, NextFilmResponse, PutArtifactResponse, RegisterRequest,
+    RegisterResponse, ReleaseRequest, ReleaseResponse,
+};
+use queue::{Assigned, CommitVerdict, Film, Queue, ReleaseVerdict, Upload};
 use tokio_stream::StreamExt;
 use tonic::{Request, Response, Status, Streaming};
 
-use super::failure::{artifact_failed, failed, invalid};
+use super::failure::{Answer, artifact_failed, failed, invalid};
 use super::read;
 use crate::gauges::Gauges;
 
@@ -37,10 +41,7 @@ impl WorkerApi {
 
 #[tonic::async_trait]
 impl WorkerService for WorkerApi {
-    async fn register(
-        &self,
-        request: Request<wire::RegisterRequest>,
-    ) -> Result<Response<wire::RegisterResponse>, Status> {
+    async fn register(&self, request: Request<RegisterRequest>) -> Answer<RegisterResponse> {
         let request = request.into_inner();
         let program_version = env!("CARGO_PKG_VERSION");
         if request.protocol_version != proto::COORDINATOR_PROTOCOL_VERSION {
@@ -57,7 +58,7 @@ impl WorkerService for WorkerApi {
         tracing::info!(worker = %worker.id, host = worker.host, slots = worker.slots,
             assets = worker.pin.asset_pack, "worker registered");
         let timing = self.queue.timing();
-        Ok(Response::new(wire::RegisterResponse {
+        Ok(Response::new(RegisterResponse {
             protocol_version: proto::COORDINATOR_PROTOCOL_VERSION,
             program_version: program_version.to_owned(),
             lease_secs: timing.lease.as_secs_f64(),
@@ -66,30 +67,24 @@ impl WorkerService for WorkerApi {
         }))
     }
 
-    async fn claim(
-        &self,
-        request: Request<wire::ClaimRequest>,
-    ) -> Result<Response<wire::ClaimResponse>, Status> {
+    async fn claim(&self, request: Request<ClaimRequest>) -> Answer<ClaimResponse> {
         let _counted = self.gauges.claim();
         let request = request.into_inner();
         let warm = Some(request.warm_task);
-        let claim = ClaimRequest {
+        let claim = queue::ClaimRequest {
             worker: read::worker_id(&request.worker_id)?,
             claim: read::claim_id(request.claim_id)?,
             warm_task: warm.filter(|task| (1..=MAX_TASK_BYTES).contains(&task.len())),
         };
         let wait = read::wait(request.wait_secs);
         let claimed = self.queue.claim(&claim, wait).await.map_err(failed)?;
-        Ok(Response::new(wire::ClaimResponse {
+        Ok(Response::new(ClaimResponse {
             lease: claimed.job.map(write_lease),
             idle_reason: claimed.idle_reason,
         }))
     }
 
-    async fn heartbeat(
-        &self,
-        request: Request<wire::HeartbeatRequest>,
-    ) -> Result<Response<wire::HeartbeatResponse>, Status> {
+    async fn heartbeat(&self, request: Request<HeartbeatRequest>) -> Answer<HeartbeatResponse> {
         let request = request.into_inner();
         let worker = read::worker_id(&request.worker_id)?;
         if request.progress.len() > MAX_PROGRESS {
@@ -104,15 +99,12 @@ impl WorkerService for WorkerApi {
         let progress: Vec<_> = progress.collect::<Result<_, Status>>()?;
         let lost = self.queue.heartbeat(&worker, &progress).await;
         let lost = lost.map_err(failed)?;
-        Ok(Response::new(wire::HeartbeatResponse {
+        Ok(Response::new(HeartbeatResponse {
             lost_attempts: lost.iter().map(ToString::to_string).collect(),
         }))
     }
 
-    async fn commit(
-        &self,
-        request: Request<wire::CommitRequest>,
-    ) -> Result<Response<wire::CommitResponse>, Status> {
+    async fn commit(&self, request: Request<CommitRequest>) -> Answer<CommitResponse> {
         use wire::commit_response::Verdict;
         let report = read::commit(request.into_inner())?;
         let reply = self.queue.commit(&report).await.map_err(failed)?;
@@ -123,16 +115,13 @@ impl WorkerService for WorkerApi {
             CommitVerdict::Divergent => Verdict::Divergent,
             CommitVerdict::Unpaired => Verdict::Unpaired,
         };
-        Ok(Response::new(wire::CommitResponse {
+        Ok(Response::new(CommitResponse {
             verdict: verdict.into(),
             detail: reply.detail,
         }))
     }
 
-    async fn release(
-        &self,
-        request: Request<wire::ReleaseRequest>,
-    ) -> Result<Response<wire::ReleaseResponse>, Status> {
+    async fn release(&self, request: Request<ReleaseRequest>) -> Answer<ReleaseResponse> {
         use wire::release_response::Verdict;
         let request = request.into_inner();
         let attempt = read::attempt(&request.attempt_id)?;
@@ -145,21 +134,18 @@ impl WorkerService for WorkerApi {
             ReleaseVerdict::Quarantined => Verdict::Quarantined,
             ReleaseVerdict::Stale => Verdict::Stale,
         };
-        Ok(Response::new(wire::ReleaseResponse {
+        Ok(Response::new(ReleaseResponse {
             verdict: verdict.into(),
             backoff_secs: reply.backoff.as_secs_f64(),
             stop_leasing: reply.stop_leasing.unwrap_or_default(),
         }))
     }
 
-    async fn next_film(
-        &self,
-        request: Request<wire::NextFilmRequest>,
-    ) -> Result<Response<wire::NextFilmResponse>, Status> {
+    async fn next_film(&self, request: Request<NextFilmRequest>) -> Answer<NextFilmResponse> {
         let pin = read::pin(request.into_inner())?;
         let next = self.queue.next_film(&pin).await.map_err(failed)?;
         let (film, left) = next.unzip();
-        Ok(Response::new(wire::NextFilmResponse {
+        Ok(Response::new(NextFilmResponse {
             film: film.map(write_film),
             left: left.unwrap_or(0),
         }))
@@ -168,7 +154,7 @@ impl WorkerService for WorkerApi {
     async fn put_artifact(
         &self,
         request: Request<Streaming<wire::ArtifactChunk>>,
-    ) -> Result<Response<wire::PutArtifactResponse>, Status> {
+    ) -> Answer<PutArtifactResponse> {
         let mut chunks = request.into_inner();
         let first = next_chunk(&mut chunks).await?;
         let first = first.ok_or_else(|| invalid("an empty upload"))?;
@@ -182,7 +168,7 @@ impl WorkerService for WorkerApi {
         let mut upload = self.queue.upload(attempt).await.map_err(artifact_failed)?;
         receive(&mut upload, &first.data, &mut chunks).await?;
         let path = upload.finish().await.map_err(artifact_failed)?;
-        Ok(Response::new(wire::PutArtifactResponse { path }))
+        Ok(Response::new(PutArtifactResponse { path }))
     }
 }
 
