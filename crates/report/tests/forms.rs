@@ -3,12 +3,11 @@
 
 use std::path::Path;
 
-use attempt::{Pin, Provenance};
+use attempt::{Fingerprints, Pin, Provenance};
 use paired::{Count, Outcome};
 use parquet::file::reader::{FileReader, SerializedFileReader};
 use report::{
-    Document, Fingerprints, Origin, SetAside, Subject, figures, import, page, write_csv,
-    write_parquet,
+    Document, Origin, SetAside, Subject, figures, import, page, write_csv, write_parquet,
 };
 use serde_json::Value;
 
