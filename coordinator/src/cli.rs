@@ -20,7 +20,7 @@ mod workers;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use coordinator::client::Change;
+use proto::coordinator::change_campaign_request::Change;
 use tracing_subscriber::EnvFilter;
 
 use command::{CommandError, Connection};

@@ -1,8 +1,6 @@
 //! Talking to a running coordinator as an operator: connecting, retrying while
 //! it cannot be reached, and telling a refusal from a failure.
 
-mod operate;
-
 use std::time::Duration;
 
 use proto::coordinator as wire;
@@ -13,13 +11,6 @@ use tonic::transport::Endpoint;
 use tonic::{Code, Response, Status, Streaming};
 use transport::{Access, Connection, innermost};
 
-pub use operate::Change;
-/// How campaigns, jobs and workers stand, as it comes over the wire.
-pub use proto::coordinator::{
-    CampaignStatus, GetJobResponse, Job, JobName, ListJobsRequest, WorkerStatus,
-    campaign_status::State,
-};
-
 /// How long a command tries to reach a coordinator.
 pub const RETRY_FOR: Duration = Duration::from_secs(30);
 /// Pauses between tries, doubling.
@@ -28,7 +19,8 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(4);
 /// How long one connection attempt may take.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 
-type Service = OperatorServiceClient<Connection>;
+/// The calls of an operator, as [`Client::call`] takes them.
+pub type Service = OperatorServiceClient<Connection>;
 
 /// A connection to a coordinator, made when it is first needed.
 #[derive(Clone, Debug)]
@@ -95,20 +87,6 @@ impl Client {
         })
     }
 
-    /// Creates a campaign from its specification, JSON.
-    ///
-    /// # Errors
-    /// See [`ClientError`].
-    pub async fn create_campaign(
-        &self,
-        spec: &str,
-    ) -> Result<wire::CreateCampaignResponse, ClientError> {
-        let request = wire::CreateCampaignRequest {
-            spec: spec.to_owned(),
-        };
-        self.call(request, Service::create_campaign).await
-    }
-
     /// All campaigns, oldest first.
     ///
     /// # Errors
@@ -138,10 +116,9 @@ impl Client {
         let request = wire::ReportRequest {
             campaign: name.to_owned(),
         };
-        let parts = self.call(request, Service::report);
-        let mut parts = parts.await?;
+        let mut parts = self.call(request, Service::report).await?;
         let mut json = Vec::new();
-        while let Some(part) = parts.message().await.map_err(|s| self.failed(&s))? {
+        while let Some(part) = self.next(&mut parts).await? {
             json.extend(part.json);
         }
         serde_json::from_slice(&json).map_err(|error| ClientError::Refused {
@@ -153,25 +130,21 @@ impl Client {
         })
     }
 
-    /// The results of a campaign, line by line.
+    /// The next piece of an answer that comes in pieces; none after the last.
     ///
     /// # Errors
     /// See [`ClientError`].
-    pub async fn export(&self, name: &str) -> Result<Streaming<wire::ExportLine>, ClientError> {
-        let request = wire::ExportRequest {
-            campaign: name.to_owned(),
-        };
-        self.call(request, Service::export).await
-    }
-
-    /// What an error in the middle of a stream means.
-    pub fn broken_stream(&self, status: &Status) -> ClientError {
-        self.failed(status)
+    pub async fn next<T>(&self, answer: &mut Streaming<T>) -> Result<Option<T>, ClientError> {
+        let next = answer.message().await;
+        next.map_err(|status| self.failed(&status))
     }
 
     /// Calls until the coordinator answers or the time for trying is over. All
     /// of its operator's calls may be repeated safely.
-    async fn call<Q: Clone, T>(
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub async fn call<Q: Clone, T>(
         &self,
         request: Q,
         send: impl AsyncFn(&mut Service, Q) -> Result<Response<T>, Status>,

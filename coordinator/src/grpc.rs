@@ -26,10 +26,14 @@ const MAX_WORKER_MESSAGE_BYTES: usize = 2 << 20;
 
 /// The services for workers and operators, on a queue.
 pub(crate) fn services(queue: &Arc<Queue>, gauges: &Arc<Gauges>) -> axum::Router {
-    let worker = WorkerServiceServer::new(WorkerApi::new(queue.clone(), gauges.clone()))
+    let (queue, gauges) = (queue.clone(), gauges.clone());
+    let operator = OperatorApi {
+        queue: queue.clone(),
+    };
+    let worker = WorkerServiceServer::new(WorkerApi { queue, gauges })
         .max_decoding_message_size(MAX_WORKER_MESSAGE_BYTES)
         .max_encoding_message_size(proto::MAX_MESSAGE_BYTES);
-    let operator = OperatorServiceServer::new(OperatorApi::new(queue.clone()))
+    let operator = OperatorServiceServer::new(operator)
         .max_decoding_message_size(proto::MAX_MESSAGE_BYTES)
         .max_encoding_message_size(proto::MAX_MESSAGE_BYTES);
     Routes::new(worker).add_service(operator).into_axum_router()

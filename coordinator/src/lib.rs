@@ -18,4 +18,4 @@ mod serve;
 pub mod video_estimate;
 pub mod words;
 
-pub use serve::{Config, Coordinator, ServeError, run};
+pub use serve::{Config, Coordinator, ServeError};

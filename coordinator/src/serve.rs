@@ -86,21 +86,6 @@ pub struct Coordinator {
     min_free_bytes: u64,
 }
 
-/// Opens the data folder, then serves on `listener` until `shutdown` is ready.
-///
-/// # Errors
-/// As [`Coordinator::open`] and [`Coordinator::serve`].
-pub async fn run(
-    config: Config,
-    listener: TcpListener,
-    shutdown: impl Future<Output = ()>,
-) -> Result<(), ServeError> {
-    Coordinator::open(config)
-        .await?
-        .serve(listener, shutdown)
-        .await
-}
-
 impl Coordinator {
     /// Opens the data folder.
     ///

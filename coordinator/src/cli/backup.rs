@@ -5,6 +5,8 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use clap::Args;
+use coordinator::client::Service;
+use proto::coordinator::BackupRequest;
 
 use super::command::{CommandError, Connection, print_line};
 use super::files::WholeFile;
@@ -24,14 +26,10 @@ pub(super) struct BackupArguments {
 
 pub(super) async fn backup(arguments: BackupArguments) -> Result<(), CommandError> {
     let client = arguments.connection.client()?;
-    let mut chunks = client.backup().await?;
+    let mut chunks = client.call(BackupRequest {}, Service::backup).await?;
     let mut file = WholeFile::create(&arguments.output)?;
     let mut size_bytes = 0;
-    loop {
-        let chunk = chunks.message().await;
-        let Some(chunk) = chunk.map_err(|status| client.broken_stream(&status))? else {
-            break;
-        };
+    while let Some(chunk) = client.next(&mut chunks).await? {
         let written = file.writer().write_all(&chunk.data);
         written.with_context(|| format!("write {}", arguments.output.display()))?;
         size_bytes += chunk.data.len();

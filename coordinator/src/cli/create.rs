@@ -5,7 +5,9 @@ use std::str::FromStr;
 
 use anyhow::Context;
 use clap::{ArgGroup, Args};
+use coordinator::client::Service;
 use coordinator::video_estimate;
+use proto::coordinator::CreateCampaignRequest;
 use protocol::{
     Axis, CampaignSpec, Design, Level, MAX_CONFIGS, Nominal, PolicyRoute, Realisation, Record,
     Rollouts, TaskRef, UnknownName, select_tasks,
@@ -103,7 +105,10 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
         return tell_size(&campaign);
     }
     let client = arguments.connection.client()?;
-    let created = client.create_campaign(&campaign.spec).await?;
+    let request = CreateCampaignRequest {
+        spec: campaign.spec.clone(),
+    };
+    let created = client.call(request, Service::create_campaign).await?;
     let happened = match created.jobs_added {
         0 => "was there already, with this specification",
         _ => "created",

@@ -5,7 +5,8 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use clap::Args;
-use coordinator::client::Client;
+use coordinator::client::{Client, Service};
+use proto::coordinator::ExportRequest;
 
 use super::command::{CommandError, Connection};
 use super::files::WholeFile;
@@ -46,13 +47,12 @@ async fn write_lines(
     campaign: &str,
     out: &mut impl Write,
 ) -> Result<u64, CommandError> {
-    let mut lines = client.export(campaign).await?;
+    let request = ExportRequest {
+        campaign: campaign.to_owned(),
+    };
+    let mut lines = client.call(request, Service::export).await?;
     let mut rows = 0;
-    loop {
-        let line = lines.message().await;
-        let Some(line) = line.map_err(|status| client.broken_stream(&status))? else {
-            break;
-        };
+    while let Some(line) = client.next(&mut lines).await? {
         writeln!(out, "{}", line.json).context("write the results")?;
         rows += 1;
     }

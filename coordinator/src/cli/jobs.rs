@@ -2,8 +2,11 @@
 
 use anyhow::anyhow;
 use clap::{Args, Subcommand};
-use coordinator::client::{GetJobResponse, Job, JobName, ListJobsRequest};
+use coordinator::client::Service;
 use coordinator::words::duration_text;
+use proto::coordinator::{
+    GetJobRequest, GetJobResponse, Job, JobName, ListJobsRequest, RetryJobsRequest,
+};
 use queue::ids::shortened;
 use report::rollout_name;
 
@@ -81,7 +84,8 @@ async fn list(arguments: ListArguments) -> Result<(), CommandError> {
     loop {
         // One more than is shown tells whether there are more.
         request.limit = left.min(PAGE_JOBS) + 1;
-        let page = client.list_jobs(&request).await?;
+        let page = client.call(request.clone(), Service::list_jobs);
+        let page = page.await?.jobs;
         let shown = page.iter().take(request.limit as usize - 1);
         for job in shown {
             print_line(&line(job))?;
@@ -99,17 +103,25 @@ async fn list(arguments: ListArguments) -> Result<(), CommandError> {
 
 async fn show(arguments: ShowArguments) -> Result<(), CommandError> {
     let client = arguments.connection.client()?;
-    let name = job_name(&arguments.rollout)?;
-    let details = client.job(&arguments.campaign, name).await?;
+    let request = GetJobRequest {
+        job: Some(job_name(&arguments.rollout)?),
+        campaign: arguments.campaign,
+    };
+    let details = client.call(request, Service::get_job).await?;
     Ok(print_line(&whole(&details))?)
 }
 
 async fn retry(arguments: RetryArguments) -> Result<(), CommandError> {
     let names: Result<Vec<JobName>, CommandError> =
         arguments.rollouts.iter().map(|id| job_name(id)).collect();
+    let request = RetryJobsRequest {
+        campaign: arguments.campaign,
+        jobs: names?,
+        all: arguments.all,
+    };
     let client = arguments.connection.client()?;
-    let jobs = client.retry_jobs(&arguments.campaign, names?).await?;
-    Ok(print_line(&match jobs {
+    let retried = client.call(request, Service::retry_jobs).await?;
+    Ok(print_line(&match retried.jobs {
         0 => "nothing is in quarantine".to_owned(),
         jobs => format!("{jobs} requeued"),
     })?)

@@ -1,8 +1,9 @@
 //! How a campaign stands, in a line that fits 80 columns, and what wants to be
 //! looked at.
 
-use coordinator::client::{CampaignStatus, State};
 use coordinator::words::{duration_text, rate_text};
+use proto::coordinator::CampaignStatus;
+use proto::coordinator::campaign_status::State;
 use queue::ids::shortened;
 
 /// Width of a line, and of its progress bar where there is room, columns.

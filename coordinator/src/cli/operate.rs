@@ -4,7 +4,10 @@ use std::io::{IsTerminal, Write};
 
 use anyhow::{Context, anyhow};
 use clap::Args;
-use coordinator::client::{Change, State};
+use coordinator::client::Service;
+use proto::coordinator::campaign_status::State;
+use proto::coordinator::change_campaign_request::Change;
+use proto::coordinator::{ChangeCampaignRequest, DeleteCampaignRequest};
 
 use super::command::{CommandError, Connection, print_line, usage};
 
@@ -30,8 +33,12 @@ pub(super) struct DeleteArguments {
 pub(super) async fn change(arguments: ChangeArguments, change: Change) -> Result<(), CommandError> {
     let name = &arguments.campaign;
     let client = arguments.connection.client()?;
-    let state = client.change_campaign(name, change).await?;
-    let text = match state {
+    let request = ChangeCampaignRequest {
+        campaign: name.clone(),
+        change: change.into(),
+    };
+    let changed = client.call(request, Service::change_campaign).await?;
+    let text = match changed.state() {
         State::Running | State::Unspecified => "running",
         State::Paused => "paused; what is being run may still be committed",
         State::Cancelled => "cancelled; its results stay",
@@ -49,7 +56,12 @@ pub(super) async fn delete(arguments: DeleteArguments) -> Result<(), CommandErro
         let error = anyhow!("it is not `{confirmed}`; nothing was deleted");
         return Err(usage(error.context(format!("delete campaign `{name}`"))));
     }
-    let deleted = arguments.connection.client()?.delete_campaign(name).await?;
+    let client = arguments.connection.client()?;
+    let request = DeleteCampaignRequest {
+        campaign: name.clone(),
+        confirm: confirmed,
+    };
+    let deleted = client.call(request, Service::delete_campaign).await?;
     Ok(print_line(&format!(
         "campaign {name} deleted: {} rollouts, {} results and their files",
         deleted.jobs, deleted.results

@@ -3,7 +3,7 @@
 //! `watch`'s business.
 
 use clap::Args;
-use coordinator::client::CampaignStatus;
+use proto::coordinator::CampaignStatus;
 
 use super::command::{CommandError, Connection, print_line};
 use super::line::{attention, line};

@@ -5,7 +5,9 @@ use std::collections::BTreeMap;
 use std::io::IsTerminal;
 use std::time::Duration;
 
-use coordinator::client::{CampaignStatus, Client, State};
+use coordinator::client::Client;
+use proto::coordinator::CampaignStatus;
+use proto::coordinator::campaign_status::State;
 use queue::read::RATE_WINDOW;
 
 use super::command::{CommandError, print_line};

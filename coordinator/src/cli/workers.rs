@@ -1,8 +1,9 @@
 //! `coordinator workers`.
 
 use clap::Args;
-use coordinator::client::WorkerStatus;
+use coordinator::client::Service;
 use coordinator::words::duration_text;
+use proto::coordinator::{ListWorkersRequest, WorkerStatus};
 
 use super::command::{CommandError, Connection, print_line};
 
@@ -16,8 +17,10 @@ pub(super) struct WorkersArguments {
 }
 
 pub(super) async fn workers(arguments: WorkersArguments) -> Result<(), CommandError> {
-    let workers = arguments.connection.client()?.list_workers().await?;
-    let (alive, gone): (Vec<_>, Vec<_>) = workers.into_iter().partition(|worker| worker.alive);
+    let client = arguments.connection.client()?;
+    let listed = client.call(ListWorkersRequest {}, Service::list_workers);
+    let workers = listed.await?.workers.into_iter();
+    let (alive, gone): (Vec<_>, Vec<_>) = workers.partition(|worker| worker.alive);
     let shown = alive.iter().chain(gone.iter().filter(|_| arguments.all));
     let mut lines: Vec<String> = shown.map(line).collect();
     if lines.is_empty() {

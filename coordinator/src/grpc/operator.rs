@@ -32,14 +32,10 @@ const REPORT_PART_BYTES: usize = 1 << 20;
 /// The operator service on a queue.
 #[derive(Debug)]
 pub(super) struct OperatorApi {
-    queue: Arc<Queue>,
+    pub(super) queue: Arc<Queue>,
 }
 
 impl OperatorApi {
-    pub(super) fn new(queue: Arc<Queue>) -> OperatorApi {
-        OperatorApi { queue }
-    }
-
     async fn view(&self) -> Result<View, Status> {
         self.queue.view().await.map_err(failed)
     }

@@ -34,10 +34,8 @@ pub(super) fn attempt(id: &str) -> Result<AttemptId, Status> {
 
 /// A claim's name has the form of an attempt's.
 pub(super) fn claim_id(id: String) -> Result<String, Status> {
-    match id.parse::<AttemptId>() {
-        Ok(_) => Ok(id),
-        Err(_) => Err(invalid("`claim_id` is not 32 digits of lower-case hex")),
-    }
+    let read = id.parse::<AttemptId>().map(|_| id);
+    read.map_err(|_| invalid("`claim_id` is not 32 digits of lower-case hex"))
 }
 
 pub(super) fn worker_info(request: wire::RegisterRequest) -> Result<WorkerInfo, Status> {

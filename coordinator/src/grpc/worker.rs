@@ -29,14 +29,8 @@ const VIDEO: &str = "video.mp4";
 /// The worker service on a queue.
 #[derive(Debug)]
 pub(super) struct WorkerApi {
-    queue: Arc<Queue>,
-    gauges: Arc<Gauges>,
-}
-
-impl WorkerApi {
-    pub(super) fn new(queue: Arc<Queue>, gauges: Arc<Gauges>) -> WorkerApi {
-        WorkerApi { queue, gauges }
-    }
+    pub(super) queue: Arc<Queue>,
+    pub(super) gauges: Arc<Gauges>,
 }
 
 #[tonic::async_trait]

@@ -63,53 +63,24 @@ async fn collect(page: &Page) -> Result<Arc<str>, Problem> {
     let slots: u32 = alive.clone().map(|worker| worker.slots).sum();
     let sizes = queue.store().sizes();
     let free = Room::look(queue.store().folder(), 0).free_bytes;
-    for (name, help, value) in [
-        (
-            "rollout_leases_held",
-            "Rollouts that workers hold.",
-            of_all(|status| status.counts.leased) as f64,
-        ),
-        (
-            "rollout_claims_waiting",
-            "Claims of workers that are not answered yet.",
-            page.gauges.claims() as f64,
-        ),
-        (
-            "rollout_workers_alive",
-            "Workers with a recent call.",
-            alive.count() as f64,
-        ),
-        (
-            "rollout_worker_slots_alive",
-            "Slots of these workers.",
-            f64::from(slots),
-        ),
-        (
-            "rollout_database_bytes",
-            "Size of the database.",
-            sizes.database as f64,
-        ),
-        (
-            "rollout_database_wal_bytes",
-            "Size of the database's write-ahead log.",
-            sizes.log as f64,
-        ),
-        (
-            "rollout_disk_free_bytes",
-            "Free on the data folder's disk.",
-            free as f64,
-        ),
-        (
-            "rollout_leasing_held",
-            "1 while nothing is leased for want of disk.",
-            f64::from(queue.held().is_some()),
-        ),
-        (
-            "rollout_page_streams",
-            "Browsers that follow the live page.",
-            page.changes.streams() as f64,
-        ),
-    ] {
+    let leased = of_all(|status| status.counts.leased) as f64;
+    let waiting = page.gauges.claims() as f64;
+    let is_held = f64::from(queue.held().is_some());
+    let streams = page.changes.streams() as f64;
+    // A row each.
+    #[rustfmt::skip]
+    let gauges = [
+        ("rollout_leases_held", "Rollouts that workers hold.", leased),
+        ("rollout_claims_waiting", "Claims of workers that are not answered yet.", waiting),
+        ("rollout_workers_alive", "Workers with a recent call.", alive.count() as f64),
+        ("rollout_worker_slots_alive", "Slots of these workers.", f64::from(slots)),
+        ("rollout_database_bytes", "Size of the database.", sizes.database as f64),
+        ("rollout_database_wal_bytes", "Size of its write-ahead log.", sizes.log as f64),
+        ("rollout_disk_free_bytes", "Free on the data folder's disk.", free as f64),
+        ("rollout_leasing_held", "1 while nothing is leased for want of disk.", is_held),
+        ("rollout_page_streams", "Browsers that follow the live page.", streams),
+    ];
+    for (name, help, value) in gauges {
         text.alone(name, help, value);
     }
     let build = "rollout_build_info";

@@ -24,7 +24,7 @@ pub(super) async fn answer(
     let video = view.video(campaign.id, rollout, replicate).await?;
     drop(view);
     let video = video.ok_or(Problem::Video)?;
-    let path = Path::new(&video.path);
+    let path = Path::new(&video);
     // What is stored was made by this program; a database from elsewhere must
     // not lead out of its folder all the same.
     let mut parts = path.components();

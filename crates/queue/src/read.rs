@@ -19,7 +19,7 @@ use crate::timing::Timing;
 pub use crate::store::campaigns::Campaign;
 pub use campaigns::{CampaignStatus, Counts, RATE_WINDOW};
 pub use changes::{Changes, Sizes};
-pub use configurations::{KeptFile, ResultLine, RolloutLine};
+pub use configurations::{ResultLine, RolloutLine};
 pub use jobs::{FailureLine, JobDetails, JobFilter, JobLine, MAX_JOBS_LISTED};
 pub use results::{Edition, ExportedRow, RecordRow};
 pub use standing::{MAX_WORKERS_LISTED, PolicyLine, QuarantinedLine, WorkerLine};

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use tempfile::TempPath;
 use tokio::sync::OwnedMutexGuard;
 
 use super::error::QueueError;
@@ -12,14 +13,14 @@ use crate::store::backup;
 /// then.
 #[derive(Debug)]
 pub struct Backup {
-    copy: backup::Copy,
+    copy: TempPath,
     _turn: OwnedMutexGuard<()>,
 }
 
 impl Backup {
     /// The file.
     pub fn path(&self) -> &Path {
-        self.copy.path()
+        &self.copy
     }
 }
 

@@ -78,13 +78,6 @@ pub struct ResultLine {
     pub provenance: Provenance,
 }
 
-/// A video kept beside an outcome.
-#[derive(Clone, Debug, sqlx::FromRow)]
-pub struct KeptFile {
-    /// Where it is, below the data folder.
-    pub path: String,
-}
-
 impl View {
     /// Those of the named rollouts that the campaign has, in one replicate.
     ///
@@ -192,7 +185,7 @@ impl View {
         Ok(rows.into_iter().map(motion).collect())
     }
 
-    /// The video of a rollout.
+    /// Where the video of a rollout is, below the data folder.
     ///
     /// # Errors
     /// When the database fails.
@@ -201,8 +194,8 @@ impl View {
         campaign: CampaignId,
         rollout_id: &str,
         replicate: u32,
-    ) -> Result<Option<KeptFile>, StoreError> {
-        sqlx::query_as(
+    ) -> Result<Option<String>, StoreError> {
+        sqlx::query_scalar(
             "SELECT a.path FROM job j JOIN result r ON r.job_id = j.id
              JOIN artifact a ON a.attempt_id = r.attempt_id AND a.kind = 'video'
              WHERE j.campaign_id = ? AND j.rollout_id = ? AND j.replicate = ?",
