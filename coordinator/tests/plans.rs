@@ -31,13 +31,7 @@ const SMALL: [&str; 7] = ["c", "t", "p", "w", "campaign", "policy", "worker"];
 /// Indices that hold the leased or the backed-off jobs only.
 const OF_FEW_JOBS: [&str; 3] = ["job_leased", "job_held", "job_backed_off"];
 /// What the hot statements must be seen to walk.
-const WALKED: [&str; 5] = [
-    "job_queued",
-    "job_leased",
-    "job_siblings",
-    "worker_seen",
-    "sqlite_autoindex_provenance_1",
-];
+const WALKED: [&str; 4] = ["job_queued", "job_leased", "job_siblings", "worker_seen"];
 
 /// Catches the statements that sqlx executes.
 #[derive(Clone, Default)]

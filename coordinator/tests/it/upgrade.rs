@@ -277,7 +277,13 @@ async fn the_database_of_every_released_schema_is_upgraded_with_its_rows() {
 
         // What was not in quarantine, nor cancelled, is run to its end.
         let bench = Bench::start_in(folder, clock).await;
-        let mut worker = bench.worker("new").await;
+        let pool = bench.database().await;
+        let renderer: String = sqlx::query_scalar("SELECT max(renderer) FROM campaign")
+            .fetch_one(&pool)
+            .await
+            .expect("a renderer");
+        pool.close().await;
+        let mut worker = bench.worker_drawing("new", "primitives", &renderer).await;
         for _ in 0..40 {
             for lease in worker.claim(64).await {
                 assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
@@ -286,7 +292,8 @@ async fn the_database_of_every_released_schema_is_upgraded_with_its_rows() {
         }
         let open = "SELECT count(*) FROM job j JOIN campaign c ON c.id = j.campaign_id
              WHERE j.state IN ('queued', 'leased') AND c.state = 'running'";
-        assert_eq!(bench.count(open).await, 0, "schema {version}");
+        let idle = worker.claim_response("").await.idle_reason;
+        assert_eq!(bench.count(open).await, 0, "schema {version}: {idle}");
         let folder = bench.stop().await;
         assert_eq!(check(folder.path()).await.expect("a database"), []);
     }

@@ -70,18 +70,12 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
         ("OperatorService/Report", named.clone()),
         ("OperatorService/Export", named.clone()),
     ];
-    let upload = upload();
     let mut seeds: Vec<Vec<u8>> = alone.iter().map(|said| calls(&[said])).collect();
-    seeds.push(upload.concat());
+    // A video is taken once its outcome is there.
     let committed = [
-        calls(&[&heartbeat()]),
-        upload.concat(),
-        calls(&[
-            &commit(),
-            &commit(),
-            &claim(),
-            &("OperatorService/Export", named),
-        ]),
+        calls(&[&heartbeat(), &commit()]),
+        upload().concat(),
+        calls(&[&commit(), &claim(), &("OperatorService/Export", named)]),
     ];
     seeds.push(committed.concat());
     let cancelled = ("OperatorService/ChangeCampaign", cancel.encode_to_vec());
