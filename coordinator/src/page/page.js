@@ -177,14 +177,18 @@ const videos = () => [...document.querySelectorAll("video")];
 const longest = () => videos().reduce((a, b) => ((b.duration || 0) > (a.duration || 0) ? b : a));
 
 function watchVideos() {
-  if (!player() || !player().hidden) return;
+  if (!player()) return;
+  // Videos arrive after their outcomes: some may be new.
+  const speed = document.getElementById("speed");
+  for (const video of videos()) {
+    video.removeAttribute("controls");
+    video.playbackRate = Number(speed.value);
+  }
+  if (!player().hidden) return;
   player().hidden = false;
-  videos().forEach((video) => video.removeAttribute("controls"));
   document.getElementById("play").addEventListener("click", playOrPause);
   document.getElementById("scrub").addEventListener("input", scrub);
-  document.getElementById("speed").addEventListener("change", (event) => {
-    videos().forEach((video) => { video.playbackRate = Number(event.target.value); });
-  });
+  speed.addEventListener("change", watchVideos);
   requestAnimationFrame(showTime);
 }
 
