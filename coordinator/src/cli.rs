@@ -19,8 +19,10 @@ mod workers;
 
 use std::process::ExitCode;
 
+use anyhow::Context;
 use clap::{Parser, Subcommand};
 use proto::coordinator::change_campaign_request::Change;
+use tokio::runtime::Runtime;
 use tracing_subscriber::EnvFilter;
 
 use command::{CommandError, Connection};
@@ -87,16 +89,15 @@ pub(crate) fn run(arguments: Arguments) -> ExitCode {
     tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)
+        // A log on a full disk must not end the program: this would print an
+        // error to the same place, and panic.
+        .log_internal_errors(false)
         .with_ansi(std::io::IsTerminal::is_terminal(&std::io::stderr()))
         .init();
-    let runtime = match tokio::runtime::Runtime::new() {
-        Ok(runtime) => runtime,
-        Err(error) => {
-            eprintln!("error: failed to start the asynchronous runtime: {error}");
-            return ExitCode::from(1);
-        }
-    };
-    let (error, code) = match runtime.block_on(execute(arguments.command)) {
+    let runtime = Runtime::new().context("start the asynchronous runtime");
+    let runtime = runtime.map_err(CommandError::Failure);
+    let done = runtime.and_then(|runtime| runtime.block_on(execute(arguments.command)));
+    let (error, code) = match done {
         Ok(()) => return ExitCode::SUCCESS,
         Err(CommandError::Usage(error)) => (error, 2),
         Err(CommandError::Failure(error)) => (error, 1),

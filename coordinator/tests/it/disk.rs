@@ -1,6 +1,7 @@
 //! A disk that is nearly full, and one that is: nothing is leased that could
 //! not be written down, and nothing that was accepted or is under way is lost.
 
+use std::fs::File;
 use std::process::Stdio;
 use std::time::{Duration, Instant};
 
@@ -55,6 +56,25 @@ async fn a_coordinator_that_cannot_write_leases_nothing_and_goes_on_when_it_can(
     while worker.claim(1).await.is_empty() {
         assert!(started.elapsed() < Duration::from_secs(20), "still held");
     }
+}
+
+/// A log on the same disk: what cannot be written there is lost, and nothing else.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_log_on_a_full_disk_does_not_end_the_coordinator() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let log = File::create(folder.path().join("log")).expect("a file");
+    let arguments = ["--min-free-mib", "0"];
+    let mut serve = Serve::start_with(&folder.path().join("data"), &arguments, log.into());
+    assert!(serve.command(&CREATE).status.success());
+    serve.limit_files("0:unlimited");
+    // Each registration is a line in the log.
+    for worker in ["a", "b"] {
+        let refused = serve.try_worker(worker).await.err().expect("no room");
+        assert_eq!(refused.code(), tonic::Code::Unavailable);
+    }
+    serve.limit_files("unlimited:unlimited");
+    assert!(serve.ended().is_none(), "it ended");
+    serve.worker("a").await.claim_one().await;
 }
 
 /// Defects 4 and 7: videos were sent before outcomes, which an artifacts folder

@@ -2,7 +2,7 @@
 //! killed, and its end explained. Not responsible for when any of that happens.
 
 use std::collections::VecDeque;
-use std::io;
+use std::io::{self, Write as _};
 use std::process::{ExitStatus, Stdio};
 
 use tokio::io::{AsyncBufRead, AsyncBufReadExt, AsyncRead, AsyncReadExt, AsyncWriteExt, BufReader};
@@ -165,7 +165,8 @@ async fn relay(output: Option<impl AsyncRead + Unpin>, slot: usize) -> VecDeque<
     let mut output = BufReader::new(output);
     while let Some(line) = next_line(&mut output, MAX_RELAYED_LINE_BYTES).await {
         let line = String::from_utf8_lossy(&line).into_owned();
-        eprintln!("[slot {slot}] {line}");
+        // `eprintln` would panic where the log's disk is full.
+        let _ = writeln!(io::stderr(), "[slot {slot}] {line}");
         if last.len() == LAST_WORDS {
             last.pop_front();
         }
