@@ -23,10 +23,10 @@ pub(super) async fn check(arguments: CheckArguments) -> Result<(), CommandError>
     })?;
     for violation in &violations {
         print_line(&format!("{}: {}", violation.invariant, violation.count))?;
-        for told in &violation.told {
-            print_line(&format!("  {told}"))?;
+        for example in &violation.examples {
+            print_line(&format!("  {example}"))?;
         }
-        if violation.count > violation.told.len() {
+        if violation.count > violation.examples.len() {
             print_line("  …")?;
         }
     }

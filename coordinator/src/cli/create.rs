@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use anyhow::Context;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{ArgGroup, Args};
 use coordinator::client::Service;
 use coordinator::video_estimate;
@@ -18,12 +19,23 @@ use serde::de::DeserializeOwned;
 use super::command::{CommandError, Connection, print_line, usage};
 use super::files::{read_manifest, read_spec};
 
+/// The flags that say what a manifest says, and the others that say what a
+/// specification says: an error names those of them that were given.
+const DESIGN_FLAGS: [&str; 5] = ["axes", "levels", "configs", "nominal", "design_seed"];
+#[rustfmt::skip]
+const SPEC_FLAGS: [&str; 7] =
+    ["policy", "endpoint", "tasks", "manifest", "realisation", "replicates", "record"];
+/// Names of what is filmed, and of nominal rollouts.
+const RECORDS: [&str; 4] = ["none", "failures", "transitions", "all"];
+const NOMINALS: [&str; 3] = ["eval", "all", "none"];
+
 #[derive(Args, Debug)]
 #[command(group = ArgGroup::new("source").required(true).args(["spec", "name"]))]
 #[command(group = ArgGroup::new("rollouts").args(["tasks", "manifest"]))]
 pub(super) struct CreateArguments {
     /// File of a specification in JSON; `-` reads standard input.
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["SpecFlags", "DesignFlags"])]
+    #[arg(long, value_name = "FILE")]
+    #[arg(conflicts_with_all = SPEC_FLAGS.into_iter().chain(DESIGN_FLAGS))]
     spec: Option<PathBuf>,
     /// Name of the campaign; the flags below then say the rest.
     #[arg(long, requires_all = ["policy", "endpoint", "rollouts"])]
@@ -54,7 +66,7 @@ struct SpecFlags {
     tasks: Vec<String>,
     /// Manifest to run as it stands, instructions included, instead of a
     /// design; `-` reads standard input.
-    #[arg(long, value_name = "FILE", conflicts_with = "DesignFlags")]
+    #[arg(long, value_name = "FILE", conflicts_with_all = DESIGN_FLAGS)]
     manifest: Option<PathBuf>,
     /// Where the perturbations' random elements come from: matched, reference.
     #[arg(long, default_value = "matched")]
@@ -65,7 +77,7 @@ struct SpecFlags {
     /// Rollouts that are filmed: `none`; `failures`; `transitions`, of
     /// configurations that the combination of axes changes, afterwards, by
     /// `worker film`; or `all`.
-    #[arg(long, value_parser = named::<Record>, default_value = "none")]
+    #[arg(long, value_parser = one_of::<Record>(RECORDS), default_value = "none")]
     record: Record,
 }
 
@@ -84,7 +96,7 @@ struct DesignFlags {
     configs: Vec<String>,
     /// Nominal rollouts: `eval`, those of the configurations' initial states;
     /// `all`; or `none`.
-    #[arg(long, value_parser = named::<Nominal>, default_value = "eval")]
+    #[arg(long, value_parser = one_of::<Nominal>(NOMINALS), default_value = "eval")]
     nominal: Nominal,
     /// From what the configurations beyond the protocol's ten are drawn.
     #[arg(long, value_name = "SEED", default_value_t = 0)]
@@ -204,9 +216,14 @@ fn range(text: &str) -> Option<(u16, u16)> {
     (first <= last && last <= MAX_CONFIGS).then_some((first, last))
 }
 
-/// A value by its name in a specification.
-fn named<T: DeserializeOwned>(name: &str) -> serde_json::Result<T> {
-    serde_json::from_value(name.into())
+/// A value by its name in a specification, one of these.
+fn one_of<T>(names: impl Into<PossibleValuesParser>) -> impl TypedValueParser<Value = T>
+where
+    T: DeserializeOwned + Clone + Send + Sync + 'static,
+{
+    names
+        .into()
+        .try_map(|name| serde_json::from_value(name.into()))
 }
 
 fn parsed<T: FromStr<Err = UnknownName>>(names: &[String]) -> Result<Vec<T>, UnknownName> {

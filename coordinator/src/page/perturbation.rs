@@ -1,14 +1,14 @@
 //! A rollout's perturbation in words, with units. What the values do is the
-//! simulator's business; what they mean is told in `protocol::Perturbation`.
+//! simulator's business; `protocol::Perturbation` says what they mean.
 
 use protocol::{Axis, ManifestRow};
 
-/// How one parameter is told.
-type Told = fn(f64) -> String;
+/// One parameter in words.
+type Phrase = fn(f64) -> String;
 
 /// What an axis does in a rollout: a line for each of its parameters.
 pub(super) fn lines(row: &ManifestRow, axis: Axis) -> Vec<String> {
-    let told: &[Told] = match axis {
+    let phrases: &[Phrase] = match axis {
         Axis::Camera => &CAMERA,
         Axis::Lighting => &LIGHTING,
         Axis::Robot => &ROBOT,
@@ -20,15 +20,16 @@ pub(super) fn lines(row: &ManifestRow, axis: Axis) -> Vec<String> {
         }
     };
     let values = row.perturbation.values(axis);
-    let lines = told.iter().zip(values).map(|(told, value)| told(value));
+    let pairs = phrases.iter().zip(values);
+    let lines = pairs.map(|(phrase, value)| phrase(value));
     // A minus sign stands before a number, a hyphen within a word.
     lines.map(|line| line.replace(" -", " −")).collect()
 }
 
-// The parameters of each axis, in the order of its keys. A sign is told where
-// it counts.
+// The parameters of each axis, in the order of its keys. A sign is shown
+// where it matters.
 
-const CAMERA: [Told; 5] = [
+const CAMERA: [Phrase; 5] = [
     |degrees| format!("azimuth {degrees:+.1}°"),
     |degrees| format!("elevation {degrees:+.1}°"),
     |metres| format!("distance {:+.1} cm", 100.0 * metres),
@@ -36,7 +37,7 @@ const CAMERA: [Told; 5] = [
     |metres| format!("look-at point along y {:+.1} cm", 100.0 * metres),
 ];
 
-const LIGHTING: [Told; 5] = [
+const LIGHTING: [Phrase; 5] = [
     |ev| format!("brightness {ev:+.2} EV"),
     |log2| format!("warmth {log2:+.2} in log₂"),
     |log2| format!("green tint {log2:+.2} in log₂"),
@@ -44,7 +45,7 @@ const LIGHTING: [Told; 5] = [
     |degrees| format!("height of the lights {degrees:+.1}°"),
 ];
 
-const ROBOT: [Told; 6] = [
+const ROBOT: [Phrase; 6] = [
     |metres| format!("hand along x {:+.1} cm", 100.0 * metres),
     |metres| format!("hand along y {:+.1} cm", 100.0 * metres),
     |metres| format!("hand along z {:+.1} cm", 100.0 * metres),
@@ -53,7 +54,7 @@ const ROBOT: [Told; 6] = [
     |degrees| format!("hand turned about z {degrees:+.1}°"),
 ];
 
-const SENSOR: [Told; 4] = [
+const SENSOR: [Phrase; 4] = [
     |sigma| {
         format!(
             "noise, standard deviation {:.2} % of full scale",
@@ -65,7 +66,7 @@ const SENSOR: [Told; 4] = [
     |px| format!("motion blur {:.2} px at 128 px", px.abs()),
 ];
 
-const ACTUATION: [Told; 5] = [
+const ACTUATION: [Phrase; 5] = [
     |log2| format!("gain ×{:.2}", log2.exp2()),
     |fraction| format!("bias {:+.1} % of a demonstrated action", 100.0 * fraction),
     |degrees| format!("command frame turned {degrees:+.1}°"),
@@ -85,7 +86,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn values_are_told_with_their_units_and_only_signs_that_count() {
+    fn values_come_with_their_units_and_only_signs_that_count() {
         let perturbation = Perturbation {
             camera: Some(CameraShift::from([-3.4, 1.25, 0.021, 0.0, -0.005])),
             sensor: Some(SensorCorruption::from([-0.02, 0.7, -1.0, 2.5])),

@@ -132,7 +132,7 @@ async fn an_unknown_attempt_an_odd_name_and_too_much_are_refused_and_leave_nothi
     };
     let refused = put(&mut worker, &unknown, "video.mp4", &small).await;
     assert_eq!(
-        refused.expect_err("nobody's").code(),
+        refused.expect_err("there is no such attempt").code(),
         Code::PermissionDenied
     );
     for name in ["../../etc/passwd", "video.mp4/..", "", "notes.txt"] {

@@ -262,7 +262,7 @@ async fn a_claim_that_is_asked_again_gets_the_lease_that_it_has_already() {
 }
 
 #[tokio::test]
-async fn leases_that_were_never_acknowledged_expire_uncharged_and_strike_nobody() {
+async fn leases_that_were_never_acknowledged_expire_uncharged_and_strike_no_worker() {
     let bench = Bench::start().await;
     bench.create(&small_spec("lost")).await.expect("created");
     let mut worker = bench.worker("a").await;

@@ -107,7 +107,7 @@ async fn who_was_granted_nothing_can_report_nothing() {
     };
     let refused = liar.service.release(release).await.expect_err("no reason");
     assert_eq!(refused.code(), Code::InvalidArgument);
-    // Nobody renews another one's lease.
+    // A worker cannot renew another one's lease.
     let over = liar.heartbeat(&[&lease], 5).await;
     assert_eq!(over, std::slice::from_ref(&lease.attempt_id));
     assert_eq!(holder.commit(&lease, true).await, Verdict::Accepted);

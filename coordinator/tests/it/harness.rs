@@ -12,7 +12,7 @@ use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::operator_service_client::OperatorServiceClient;
 use proto::coordinator::release_request::Reason;
 use proto::coordinator::worker_service_client::WorkerServiceClient;
-use queue::clock::{ManualClock, UnixMillis};
+use queue::clock::{Clock, ManualClock, UnixMillis};
 use queue::{Queue, Timing};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -52,6 +52,23 @@ pub(crate) struct Worker {
     pub(crate) service: WorkerServiceClient<Channel>,
 }
 
+/// A coordinator's configuration, for a clock that the test moves.
+pub(crate) fn config(data: &Path, clock: Arc<dyn Clock>) -> Config {
+    Config {
+        data: data.to_owned(),
+        timing: Timing {
+            // Tests sweep by hand.
+            sweep: Duration::from_secs(3_600),
+            ..Timing::default()
+        },
+        clock,
+        // No two starts may name attempts alike.
+        rng: ChaCha8Rng::seed_from_u64(STARTS.fetch_add(1, Ordering::Relaxed)),
+        security: transport::Security::loopback(),
+        min_free_bytes: 0,
+    }
+}
+
 impl Bench {
     pub(crate) async fn start() -> Bench {
         let folder = tempfile::tempdir().expect("a temporary folder");
@@ -61,19 +78,7 @@ impl Bench {
 
     /// Starts on a folder that may have a database.
     pub(crate) async fn start_in(folder: TempDir, clock: Arc<ManualClock>) -> Bench {
-        let config = Config {
-            data: folder.path().to_owned(),
-            timing: Timing {
-                // Tests sweep by hand.
-                sweep: Duration::from_secs(3_600),
-                ..Timing::default()
-            },
-            clock: clock.clone(),
-            // No two starts may name attempts alike.
-            rng: ChaCha8Rng::seed_from_u64(STARTS.fetch_add(1, Ordering::Relaxed)),
-            security: transport::Security::loopback(),
-            min_free_bytes: 0,
-        };
+        let config = config(folder.path(), clock.clone());
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
         let address = listener.local_addr().expect("an address");
         let coordinator = Coordinator::open(config).await.expect("a coordinator");

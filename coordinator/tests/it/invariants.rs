@@ -173,7 +173,7 @@ async fn each_invariant_is_found_by_its_name_when_it_is_broken() {
             .iter()
             .find(|violation| violation.invariant == invariant);
         let found = found.unwrap_or_else(|| panic!("{invariant}: {violations:?}"));
-        assert!(found.told[0].contains(word), "{found:?}");
+        assert!(found.examples[0].contains(word), "{found:?}");
         assert_eq!(
             std::fs::read(&file).expect("a file"),
             before,

@@ -5,17 +5,14 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use coordinator::{Config, Coordinator, ServeError};
+use coordinator::{Coordinator, ServeError};
 use proto::coordinator as wire;
 use proto::coordinator::worker_service_client::WorkerServiceClient;
-use queue::Timing;
 use queue::clock::{Clock, ManualClock, UnixMillis};
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::SeedableRng;
 use tokio::net::TcpListener;
 use tokio::task::JoinSet;
 
-use crate::harness::registration;
+use crate::harness::{config, registration};
 
 /// A clock that breaks: the writer asks it in every transaction.
 #[derive(Default)]
@@ -37,17 +34,7 @@ impl Clock for BreakableClock {
 async fn a_panic_of_the_writer_ends_the_coordinator_with_an_error_that_says_so() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let clock = Arc::new(BreakableClock::default());
-    let config = Config {
-        data: folder.path().to_owned(),
-        timing: Timing {
-            sweep: Duration::from_secs(3_600),
-            ..Timing::default()
-        },
-        clock: clock.clone(),
-        rng: ChaCha8Rng::seed_from_u64(1),
-        security: transport::Security::loopback(),
-        min_free_bytes: 0,
-    };
+    let config = config(folder.path(), clock.clone());
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
     let address = listener.local_addr().expect("an address");
     let coordinator = Coordinator::open(config).await.expect("a coordinator");

@@ -118,7 +118,7 @@ impl WorkerId {
     }
 }
 
-macro_rules! shown_as_what_it_holds {
+macro_rules! impl_display {
     ($($name:ty),*) => {
         $(impl fmt::Display for $name {
             fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -127,7 +127,7 @@ macro_rules! shown_as_what_it_holds {
         })*
     };
 }
-shown_as_what_it_holds!(CampaignName, WorkerId, JobId, AttemptNumber);
+impl_display!(CampaignName, WorkerId, JobId, AttemptNumber);
 
 impl fmt::Display for JobName {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -11,7 +11,7 @@ use sqlx::{ConnectOptions, Connection, SqliteConnection};
 use crate::store::{self, DATABASE_FILE};
 
 /// Violations of one invariant that are described; the rest are counted.
-pub const MAX_TOLD: usize = 5;
+pub const MAX_EXAMPLES: usize = 5;
 
 /// What always holds of a database.
 #[derive(Clone, Copy, Debug)]
@@ -29,8 +29,8 @@ pub struct Violation {
     pub invariant: &'static str,
     /// How often.
     pub count: usize,
-    /// The first [`MAX_TOLD`], in words.
-    pub told: Vec<String>,
+    /// The first [`MAX_EXAMPLES`], in words.
+    pub examples: Vec<String>,
 }
 
 /// A database that cannot be checked.
@@ -268,7 +268,7 @@ async fn violations(connection: &mut SqliteConnection) -> Result<Vec<Violation>,
             violations.push(Violation {
                 invariant: name,
                 count: rows.len(),
-                told: rows.into_iter().take(MAX_TOLD).collect(),
+                examples: rows.into_iter().take(MAX_EXAMPLES).collect(),
             });
         }
     }

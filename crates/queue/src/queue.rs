@@ -213,7 +213,7 @@ impl Queue {
         }
     }
 
-    /// Why nothing is leased for now, if that is so.
+    /// Why nothing is leased at the moment; none while jobs are leased.
     pub fn held(&self) -> Option<String> {
         self.shared.held()
     }

@@ -30,7 +30,7 @@ pub struct View {
     /// The instant that ages are counted from.
     pub now: UnixMillis,
     timing: Timing,
-    /// Why nothing is leased for now, if that is so.
+    /// Why nothing is leased at the moment; none while jobs are leased.
     held: Option<String>,
 }
 

@@ -1,5 +1,5 @@
-//! A wire between two programs: forwards connections, and cuts, delays,
-//! duplicates or half loses them when told to. What listens behind it may end and come back at
+//! A wire between two programs: forwards connections, and when asked to it cuts,
+//! delays or duplicates them, or loses the answers. What listens behind it may end and come back at
 //! another port; what dials it never notices but by the connection.
 
 use std::io::{Read, Write};

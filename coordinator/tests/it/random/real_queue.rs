@@ -25,12 +25,12 @@ use crate::harness::{open_database, sha, small_spec, with};
 
 /// What workers know of what they were granted, newest last.
 #[derive(Clone, Default)]
-struct Told {
+struct Known {
     claims: Vec<(ClaimRequest, Option<AttemptId>)>,
     granted: Vec<(WorkerId, AttemptId)>,
 }
 
-/// What an event told a worker.
+/// What a worker learns of an event.
 enum News {
     Claimed(ClaimRequest, Option<AttemptId>),
     Accepted,
@@ -70,7 +70,7 @@ async fn on_the_real_queue(events: &[Event]) {
             .await
             .expect("registered");
     }
-    let mut told = Told::default();
+    let mut known = Known::default();
     let mut accepted = 0;
     for event in events {
         if let Event::Restart = event {
@@ -83,16 +83,17 @@ async fn on_the_real_queue(events: &[Event]) {
             Event::Together(events) => events.as_slice(),
             event => std::slice::from_ref(event),
         };
-        let numbered = events.iter().zip(told.claims.len()..);
+        let numbered = events.iter().zip(known.claims.len()..);
         let happening =
-            numbered.map(|(event, number)| happen(&queue, &clock, &told, event, number));
+            numbered.map(|(event, number)| happen(&queue, &clock, &known, event, number));
         for news in join_all(happening).await {
             match news {
                 News::Claimed(claim, attempt) => {
                     let worker = claim.worker.clone();
-                    told.granted
+                    known
+                        .granted
                         .extend(attempt.map(|attempt| (worker, attempt)));
-                    told.claims.push((claim, attempt));
+                    known.claims.push((claim, attempt));
                 }
                 News::Accepted => accepted += 1,
                 News::Nothing => {}
@@ -122,13 +123,13 @@ fn campaign() -> CampaignName {
 async fn happen(
     queue: &Queue,
     clock: &ManualClock,
-    told: &Told,
+    known: &Known,
     event: &Event,
     number: usize,
 ) -> News {
     let granted = |number: usize| {
-        let mut newest_first = told.granted.iter().rev().cycle();
-        let skipped = number % told.granted.len().max(1);
+        let mut newest_first = known.granted.iter().rev().cycle();
+        let skipped = number % known.granted.len().max(1);
         newest_first.nth(skipped).cloned()
     };
     match event {
@@ -138,8 +139,8 @@ async fn happen(
             return News::Claimed(request, attempt);
         }
         Event::ClaimAgain { claim: number } => {
-            let mut newest_first = told.claims.iter().rev().cycle();
-            let before = newest_first.nth(number % told.claims.len().max(1));
+            let mut newest_first = known.claims.iter().rev().cycle();
+            let before = newest_first.nth(number % known.claims.len().max(1));
             if let Some((request, before)) = before.cloned() {
                 let attempt = claim(queue, &request).await;
                 if attempt.is_none() || attempt == before {
@@ -191,7 +192,7 @@ async fn finish(queue: &Queue, clock: &ManualClock) -> usize {
     // A cancelled campaign stays as it is.
     let _ = queue.change_campaign(&campaign(), Change::Resume).await;
     for round in 0..60 {
-        // A fresh name: the random workers may have been told to stop.
+        // A fresh name: the random workers may have been known to stop.
         let worker = 100 + round;
         queue
             .register(&worker_info(worker))
@@ -243,7 +244,7 @@ fn claim_of(worker: usize, number: usize, warm: Option<usize>) -> ClaimRequest {
 }
 
 async fn claim(queue: &Queue, request: &ClaimRequest) -> Option<AttemptId> {
-    // A worker that was told to stop is refused; it then claims nothing.
+    // A worker that was known to stop is refused; it then claims nothing.
     let claimed = queue.claim(request, Duration::ZERO).await;
     claimed.ok()?.job.map(|job| job.attempt)
 }

@@ -24,7 +24,7 @@ pub(crate) struct Shared {
     /// Rung when jobs may have become leasable.
     pub(crate) work: Notify,
     pub(crate) draining: watch::Sender<bool>,
-    /// Why nothing is leased for now, if that is so.
+    /// Why nothing is leased at the moment; none while jobs are leased.
     pub(crate) hold: watch::Sender<Option<String>>,
 }
 
@@ -52,7 +52,7 @@ impl Shared {
         self.clock.now()
     }
 
-    /// Why nothing is leased for now, if that is so.
+    /// Why nothing is leased at the moment; none while jobs are leased.
     pub(crate) fn held(&self) -> Option<String> {
         self.hold.borrow().clone()
     }

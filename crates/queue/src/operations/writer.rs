@@ -213,7 +213,7 @@ mod tests {
         // One wait for the first, and one for those that came meanwhile.
         assert!(began.elapsed() < BUSY * OPERATIONS / 4);
         lock.rollback().await.expect("lets go");
-        // It is answered again: that nobody of this name ever registered.
+        // It is answered again: no worker of this name ever registered.
         let answer = queue.heartbeat(&worker, &[]).await;
         assert!(
             matches!(answer, Err(QueueError::UnknownWorker { .. })),

@@ -50,6 +50,11 @@ macro_rules! pin {
 }
 pub(crate) use pin;
 
+/// Ids for `json_each`. A worker that asks with several slots is one worker.
+fn each_once(ids: &[&WorkerId]) -> String {
+    json(ids.iter().map(|id| &id.0).collect::<BTreeSet<_>>())
+}
+
 /// Stores a worker that announces itself; one that does so again starts with a
 /// clean record.
 pub(crate) async fn upsert(
@@ -91,7 +96,7 @@ pub(crate) async fn standings(
         pin!(),
         " AS pin FROM worker WHERE id IN (SELECT value FROM json_each(?))",
     ))
-    .bind(json(ids.iter().map(|id| &id.0).collect::<BTreeSet<_>>()))
+    .bind(each_once(ids))
     .fetch_all(tx)
     .await
     .doing("look up workers")?;
@@ -110,7 +115,7 @@ pub(crate) async fn seen(
          WHERE id IN (SELECT value FROM json_each(?2)) AND last_seen_ms < ?1",
     )
     .bind(now)
-    .bind(json(ids.iter().map(|id| &id.0).collect::<BTreeSet<_>>()))
+    .bind(each_once(ids))
     .execute(tx)
     .await
     .doing("note that workers were heard of")
@@ -150,7 +155,7 @@ pub(crate) async fn succeeded(
              AND (charged_in_a_row > 0 OR last_seen_ms < ?1)",
     )
     .bind(now)
-    .bind(json(ids.iter().map(|id| &id.0).collect::<BTreeSet<_>>()))
+    .bind(each_once(ids))
     .execute(tx)
     .await
     .doing("clear workers' failures")
