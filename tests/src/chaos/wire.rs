@@ -1,6 +1,6 @@
 //! A wire between two programs: forwards connections, and when asked to it cuts,
-//! delays or duplicates them, or loses the answers. What listens behind it may end and come back at
-//! another port; what dials it never notices but by the connection.
+//! delays or duplicates them, or loses the answers. What listens behind it may end
+//! and come back at another port; what dials it never notices but by the connection.
 
 use std::io::{Read, Write};
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
@@ -12,8 +12,7 @@ use std::time::Duration;
 /// Bytes that are forwarded at a time.
 const PIECE_BYTES: usize = 16 << 10;
 
-/// A wire; it ends with the test's process.
-#[derive(Clone)]
+/// A wire; dropping it closes it.
 pub struct Wire {
     address: SocketAddr,
     state: Arc<State>,
@@ -31,6 +30,7 @@ struct State {
     duplicates: AtomicBool,
     /// Whether what the server answers is lost.
     loses_answers: AtomicBool,
+    is_closed: AtomicBool,
 }
 
 impl Wire {
@@ -47,6 +47,9 @@ impl Wire {
         let state = Arc::clone(&wire.state);
         thread::spawn(move || {
             for caller in listener.incoming().flatten() {
+                if state.is_closed.load(Ordering::Relaxed) {
+                    return;
+                }
                 let state = Arc::clone(&state);
                 thread::spawn(move || state.forward(&caller));
             }
@@ -103,6 +106,15 @@ impl Wire {
 impl Default for Wire {
     fn default() -> Self {
         Self::new()
+    }
+}
+
+impl Drop for Wire {
+    fn drop(&mut self) {
+        self.state.is_closed.store(true, Ordering::Relaxed);
+        self.cut();
+        // The listener looks when somebody calls.
+        let _ = TcpStream::connect(self.address);
     }
 }
 
