@@ -1,5 +1,6 @@
 -- Every attempt has an id of its own, which names it in every call and beside
--- every row; claims are idempotent; realised values take the place of digests.
+-- every row; claims are idempotent; realised values take the place of digests;
+-- a policy that answers nonsense pauses; the first result pins a campaign.
 
 -- Workers of the former protocol cannot be spoken to any more: what they hold
 -- is queued again, charged to nobody.
@@ -33,6 +34,8 @@ CREATE TABLE policy (
                      CHECK (state IN ('available', 'paused', 'probing')),
     -- Outages since the last committed rollout: what the back-off grows with.
     outages          INTEGER NOT NULL DEFAULT 0 CHECK (outages >= 0),
+    -- Attempts in a row that it answered nonsense in.
+    misbehaved       INTEGER NOT NULL DEFAULT 0 CHECK (misbehaved >= 0),
     -- Leases granted before this instant are no evidence of a new outage.
     available_ms     INTEGER NOT NULL,
     resume_ms        INTEGER,
@@ -50,6 +53,14 @@ SELECT id, endpoint, name, state, outages, available_ms, resume_ms, pause_reason
 FROM former_policy;
 
 DROP TABLE former_policy;
+
+-- What a campaign asks of its workers: {"assets": "libero", "renderer": "gl"}.
+ALTER TABLE campaign ADD COLUMN wanted TEXT NOT NULL DEFAULT '{}'
+    CHECK (json_type(wanted) = 'object');
+
+UPDATE campaign SET pinned_ms = NULL, asset_pack = NULL, asset_pack_digest = NULL,
+    mujoco_version = NULL, renderer = NULL
+WHERE NOT EXISTS (SELECT 1 FROM result r WHERE r.campaign_id = campaign.id);
 
 -- A lease has the id of its attempt, the claim that asked for it, whether its
 -- worker has acknowledged it, and an instant that no heartbeat extends it past.
@@ -76,14 +87,15 @@ CREATE TABLE failure (
     worker_id        TEXT    NOT NULL,
     failed_ms        INTEGER NOT NULL,
     reason           TEXT    NOT NULL CHECK (reason IN
-                     ('simulator_error', 'slot_crashed', 'slot_stuck', 'policy_misbehaved',
-                      'lease_lost', 'overdue', 'unpaired', 'policy_unavailable', 'draining',
-                      'cancelled', 'never_acknowledged')),
+                     ('simulator_error', 'machine_error', 'slot_crashed', 'slot_stuck',
+                      'policy_misbehaved', 'lease_lost', 'overdue', 'unpaired',
+                      'policy_unavailable', 'draining', 'cancelled', 'unsuited',
+                      'never_acknowledged')),
     charged          INTEGER NOT NULL CHECK (charged IN (0, 1)),
     error            TEXT    NOT NULL,
     UNIQUE (job_id, attempt),
     CHECK (charged = (reason NOT IN
-        ('policy_unavailable', 'draining', 'cancelled', 'never_acknowledged')))
+        ('policy_unavailable', 'draining', 'cancelled', 'unsuited', 'never_acknowledged')))
 ) STRICT, WITHOUT ROWID;
 
 INSERT INTO failure (attempt_id, job_id, attempt, worker_id, failed_ms, reason, charged, error)

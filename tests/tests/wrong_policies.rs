@@ -1,6 +1,7 @@
 //! Policies that answer nonsense, through the whole chain of real processes:
-//! nothing of it becomes an outcome.
+//! nothing of it becomes an outcome, and nothing else suffers from it.
 
+use std::path::Path;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
@@ -8,8 +9,8 @@ use tests::programs::{Campaigns, Process, program};
 
 /// Longest that the first attempts may take.
 const PATIENCE: Duration = Duration::from_secs(120);
-/// A server whose actions are of no robot's units, made with the package that
-/// policies' authors use.
+/// A server whose every action is seven times one number, made with the package
+/// that policies' authors use.
 const CROOKED: &str = "\
 import numpy as np
 from rollout_policies import Description, Policy, serve
@@ -21,38 +22,76 @@ class Crooked(Policy):
         pass
 
     def infer(self, observation):
-        return np.full(7, 1e9)
+        return np.full(7, NUMBER)
 
 serve(Crooked())
 ";
 
-#[test]
-fn actions_of_a_thousand_million_are_nobodys_failure() {
+/// The campaigns of a policy `crooked`, whose actions consist of this number, and
+/// of others; none where no interpreter is named.
+fn crooked(test: &str, number: &str, data: &Path) -> Option<(Campaigns, Process)> {
     let Some(python) = std::env::var_os("ROLLOUT_PYTHON") else {
-        eprintln!(
-            "SKIPPED actions_of_a_thousand_million_are_nobodys_failure: \
-             `cargo xtask test` names the interpreter"
-        );
-        return;
+        eprintln!("SKIPPED {test}: `cargo xtask test` names the interpreter");
+        return None;
     };
-    let policy = Process::serve(Command::new(python).args(["-u", "-c", CROOKED]));
+    let program_text = CROOKED.replace("NUMBER", number);
+    let policy = Process::serve(Command::new(python).args(["-u", "-c", &program_text]));
     let route = format!("crooked={}", policy.url.replacen("http://", "grpc://", 1));
-    let data = tempfile::tempdir().unwrap();
-    let mut campaigns = Campaigns::start(data.path());
+    let mut campaigns = Campaigns::start(data);
     let mut gateway = Command::new(program("policy-gateway"));
     gateway.args(["--listen", "127.0.0.1:0", "--route", &route]);
+    gateway.args(["--route", "noop=builtin:noop"]);
     campaigns.gateway = Process::serve(&mut gateway);
     campaigns.create("crooked", "crooked", "libero_object/0", "0");
-    let _worker = Process::worker(&campaigns.coordinator.url, 1, "primitives");
-    let named = "component 0 of action 0 is 1e9, and actions lie within -1..1";
+    Some((campaigns, policy))
+}
+
+/// Waits until what a command prints contains some words.
+fn wait_for(campaigns: &Campaigns, arguments: &[&str], words: &str) {
     let deadline = Instant::now() + PATIENCE;
     loop {
-        let job = campaigns.succeed(&["jobs", "show", "crooked", "object/t0/camera/L3/c00"]);
-        if job.contains(named) {
-            break;
+        let printed = campaigns.succeed(arguments);
+        if printed.contains(words) {
+            return;
         }
-        assert!(Instant::now() < deadline, "{job}");
+        assert!(Instant::now() < deadline, "{printed}");
         std::thread::sleep(Duration::from_millis(200));
     }
+}
+
+#[test]
+fn actions_of_a_thousand_million_are_nobodys_failure() {
+    let data = tempfile::tempdir().unwrap();
+    let test = "actions_of_a_thousand_million_are_nobodys_failure";
+    let Some((campaigns, _policy)) = crooked(test, "1e9", data.path()) else {
+        return;
+    };
+    let _worker = Process::worker(&campaigns.coordinator.url, 1, "primitives");
+    let show = ["jobs", "show", "crooked", "object/t0/camera/L3/c00"];
+    let named = "component 0 of action 0 is 1e9, and actions lie within -1..1";
+    wait_for(&campaigns, &show, named);
     assert!(campaigns.outcomes("crooked").is_empty());
+}
+
+#[test]
+fn a_policy_that_answers_nan_holds_up_nobody_elses_campaign_on_the_same_worker() {
+    let data = tempfile::tempdir().unwrap();
+    let test = "a_policy_that_answers_nan_holds_up_nobody_elses_campaign_on_the_same_worker";
+    let Some((campaigns, _policy)) = crooked(test, "np.nan", data.path()) else {
+        return;
+    };
+    let worker = Process::worker(&campaigns.coordinator.url, 1, "primitives");
+    // Past the five attempts after which it pauses, and the worker used to stop.
+    let status = ["campaign", "status", "crooked"];
+    wait_for(&campaigns, &status, "policy `crooked` is paused");
+    campaigns.create("sound", "noop", "libero_object/0", "0");
+    campaigns.wait_for_commits("sound", None);
+    assert_eq!(campaigns.outcomes("sound").len(), 7);
+    assert!(campaigns.outcomes("crooked").is_empty());
+    // It is tried again and again, by the worker that is still there.
+    let list = ["jobs", "list", "crooked", "--state", "quarantined"];
+    wait_for(&campaigns, &list, "object/t0/");
+    let strikes = campaigns.succeed(&["workers"]);
+    assert!(strikes.contains("live"), "{strikes}");
+    drop(worker);
 }

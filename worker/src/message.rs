@@ -214,8 +214,10 @@ pub struct Failure {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FailureKind {
-    /// The simulator's: a file, the physics, the renderer.
+    /// The simulator's: the physics, or a scene.
     Simulator,
+    /// The machine's: a file, memory, graphics.
+    Machine,
     /// The slot's process died.
     SlotCrashed,
     /// The slot's process stood still and was killed.
@@ -233,6 +235,7 @@ impl FailureKind {
     pub fn reason(self) -> Reason {
         match self {
             Self::Simulator => Reason::SimulatorError,
+            Self::Machine => Reason::MachineError,
             Self::SlotCrashed => Reason::SlotCrashed,
             Self::SlotStuck => Reason::SlotStuck,
             Self::PolicyMisbehaved => Reason::PolicyMisbehaved,

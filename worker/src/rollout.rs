@@ -70,6 +70,7 @@ impl RolloutError {
     /// the rollout was abandoned, which is no fault.
     pub fn failure(&self) -> Option<Failure> {
         let kind = match self {
+            Self::Simulator { source, .. } if source.is_of_the_machine() => FailureKind::Machine,
             Self::Simulator { .. } => FailureKind::Simulator,
             Self::Policy(error) if error.is_misbehaviour() => FailureKind::PolicyMisbehaved,
             Self::Policy(_) => FailureKind::PolicyUnavailable,

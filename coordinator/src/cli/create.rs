@@ -11,7 +11,7 @@ use coordinator::video_estimate;
 use proto::coordinator::CreateCampaignRequest;
 use protocol::{
     Axis, CampaignSpec, Design, Level, MAX_CONFIGS, Nominal, PolicyRoute, Realisation, Record,
-    Rollouts, TaskRef, UnknownName, select_tasks,
+    RendererKind, Rollouts, TaskRef, UnknownName, Wanted, select_tasks,
 };
 use queue::expand::NewCampaign;
 use serde::de::DeserializeOwned;
@@ -23,11 +23,14 @@ use super::files::{read_manifest, read_spec};
 /// specification says: an error names those of them that were given.
 const DESIGN_FLAGS: [&str; 5] = ["axes", "levels", "configs", "nominal", "design_seed"];
 #[rustfmt::skip]
-const SPEC_FLAGS: [&str; 7] =
-    ["policy", "endpoint", "tasks", "manifest", "realisation", "replicates", "record"];
-/// Names of what is filmed, and of nominal rollouts.
+const SPEC_FLAGS: [&str; 9] = [
+    "policy", "endpoint", "tasks", "manifest", "realisation", "replicates", "record", "assets",
+    "renderer",
+];
+/// Names of what is filmed, of nominal rollouts and of what draws.
 const RECORDS: [&str; 4] = ["none", "failures", "transitions", "all"];
 const NOMINALS: [&str; 3] = ["eval", "all", "none"];
+const RENDERERS: [&str; 2] = ["software", "gl"];
 
 #[derive(Args, Debug)]
 #[command(group = ArgGroup::new("source").required(true).args(["spec", "name"]))]
@@ -79,6 +82,14 @@ struct SpecFlags {
     /// `worker film`; or `all`.
     #[arg(long, value_parser = one_of::<Record>(RECORDS), default_value = "none")]
     record: Record,
+    /// Asset pack that its workers must have: `primitives`, `libero`, or the
+    /// first digits of a pack's digest. Unless it is given, the first result
+    /// decides.
+    #[arg(long, value_name = "PACK")]
+    assets: Option<String>,
+    /// What must draw, likewise: `software` or `gl`.
+    #[arg(long, value_parser = one_of::<RendererKind>(RENDERERS))]
+    renderer: Option<RendererKind>,
 }
 
 /// The flags that say what a manifest says.
@@ -152,6 +163,10 @@ fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandErr
         realisation: arguments.flags.realisation,
         replicates: arguments.flags.replicates,
         record: arguments.flags.record,
+        wanted: Wanted {
+            assets: arguments.flags.assets.clone(),
+            renderer: arguments.flags.renderer,
+        },
     };
     spec.check().map_err(usage)?;
     Ok(spec)

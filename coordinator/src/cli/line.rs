@@ -48,7 +48,7 @@ pub(super) fn attention(status: &CampaignStatus) -> Option<String> {
     let mut notes = Vec::new();
     if status.policy_paused {
         notes.push(format!(
-            "policy {} is down, its rollouts wait: {}",
+            "policy `{}` is paused, its rollouts wait: {}",
             status.policy, status.policy_pause_reason
         ));
     } else if !status.waiting_reason.is_empty() {

@@ -155,6 +155,7 @@ pub(super) fn failure_reason(reason: i32) -> Result<FailureReason, Status> {
     use wire::release_request::Reason;
     match Reason::try_from(reason) {
         Ok(Reason::SimulatorError) => Ok(FailureReason::SimulatorError),
+        Ok(Reason::MachineError) => Ok(FailureReason::MachineError),
         Ok(Reason::SlotCrashed) => Ok(FailureReason::SlotCrashed),
         Ok(Reason::SlotStuck) => Ok(FailureReason::SlotStuck),
         Ok(Reason::PolicyMisbehaved) => Ok(FailureReason::PolicyMisbehaved),

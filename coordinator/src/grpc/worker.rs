@@ -48,7 +48,7 @@ impl WorkerService for WorkerApi {
             )));
         }
         let worker = read::worker_info(request)?;
-        self.queue.register(&worker).await.map_err(failed)?;
+        let idle_reason = self.queue.register(&worker).await.map_err(failed)?;
         tracing::info!(worker = %worker.id, host = worker.host, slots = worker.slots,
             assets = worker.pin.asset_pack, "worker registered");
         let timing = self.queue.timing();
@@ -58,6 +58,7 @@ impl WorkerService for WorkerApi {
             lease_secs: timing.lease.as_secs_f64(),
             heartbeat_secs: timing.heartbeat.as_secs_f64(),
             progress_timeout_secs: timing.progress_timeout.as_secs_f64(),
+            idle_reason,
         }))
     }
 

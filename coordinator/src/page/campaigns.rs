@@ -67,8 +67,8 @@ fn notes(status: &CampaignStatus) -> Markup {
             ul.notes {
                 @if let Some(reason) = &status.policy_pause_reason {
                     li {
-                        "Policy " (status.campaign.policy) " is down. Its rollouts wait, and no attempt \
-                        is charged: " (reason) ". " a href="/policies" { "Policies" } "."
+                        "Policy " (status.campaign.policy) " is paused, and its rollouts wait: "
+                        (reason) ". " a href="/policies" { "Policies" } "."
                     }
                 } @else if !status.waiting_reason.is_empty() {
                     li { "Nothing is running: " (status.waiting_reason) "." }

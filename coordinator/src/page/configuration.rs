@@ -134,7 +134,8 @@ fn siblings(asked: RolloutId) -> Vec<String> {
         return vec![asked.to_string()];
     };
     let singles = Axis::ALL.into_iter().map(Condition::Single);
-    let conditions = singles.chain([Condition::Combination]);
+    // Beside the nominal rollout, which it is looked at together with most.
+    let conditions = [Condition::Combination].into_iter().chain(singles);
     let id = |condition| RolloutId::perturbed(asked.task(), condition, asked.level(), config);
     let ids = conditions.filter_map(|condition| id(condition).ok());
     ids.map(|id| id.to_string()).collect()

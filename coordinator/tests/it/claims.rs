@@ -4,7 +4,6 @@ use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
 use proto::coordinator as wire;
-use proto::coordinator::commit_response::Verdict;
 use serde_json::json;
 use tokio::task::JoinSet;
 use tonic::Code;
@@ -106,58 +105,6 @@ async fn a_worker_keeps_its_warm_task_and_a_cold_one_takes_another() {
     assert_eq!(task(&rollout_id(&warm[0])), "t2", "its scene is compiled");
     let rest = first.claim_warm(64, "libero_object/2").await;
     assert_eq!(rest.len(), 9, "warmth is a preference, not a limit");
-}
-
-#[tokio::test]
-async fn a_campaign_is_pinned_to_the_pack_of_its_first_worker() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("pinned")).await.expect("created");
-    let mut first = bench.worker_on("a", "primitives").await;
-    let mut other = bench.worker_on("b", "libero").await;
-    let lease = first.claim_one().await;
-    let nothing = other.claim_response("").await;
-    assert!(nothing.lease.is_none());
-    for word in ["pinned", "primitives", "libero", "MuJoCo 3.3.7"] {
-        assert!(
-            nothing.idle_reason.contains(word),
-            "{}",
-            nothing.idle_reason
-        );
-    }
-    assert_eq!(bench.status("pinned").await.live_workers, 1);
-    assert_eq!(first.commit(&lease, true).await, Verdict::Accepted);
-    assert_eq!(first.claim(4).await.len(), 3);
-}
-
-#[tokio::test]
-async fn a_campaign_is_pinned_to_the_renderer_of_its_first_worker() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("pinned")).await.expect("created");
-    let mut first = bench.worker_drawing("a", "primitives", "one").await;
-    let mut other = bench.worker_drawing("b", "primitives", "another").await;
-    let lease = first.claim_one().await;
-    for warm in ["", "libero_object/0"] {
-        let nothing = other.claim_response(warm).await;
-        assert!(nothing.lease.is_none());
-        for word in ["`pinned` is pinned", "renderer `one`", "renderer `another`"] {
-            assert!(
-                nothing.idle_reason.contains(word),
-                "{}",
-                nothing.idle_reason
-            );
-        }
-    }
-    assert_eq!(bench.status("pinned").await.live_workers, 1);
-    assert_eq!(first.commit(&lease, true).await, Verdict::Accepted);
-    assert_eq!(first.claim_warm(4, "libero_object/0").await.len(), 3);
-
-    // Once only the other is left, the campaign says what it waits for.
-    bench.pass(70).await;
-    other.heartbeat(&[], 0).await;
-    let waits = bench.status("pinned").await.waiting_reason;
-    for word in ["renderer `one`", "renderer `another`"] {
-        assert!(waits.contains(word), "{waits}");
-    }
 }
 
 #[tokio::test]

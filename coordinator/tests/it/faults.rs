@@ -261,10 +261,10 @@ async fn a_worker_that_fails_five_times_in_a_row_is_told_to_stop() {
     // One success wipes the slate.
     assert_eq!(worker.commit(&leases[4], true).await, Verdict::Accepted);
     for lease in &leases[5..9] {
-        let released = worker.release(lease, Reason::SimulatorError).await;
+        let released = worker.release(lease, Reason::MachineError).await;
         assert_eq!(released.stop_leasing, "");
     }
-    let released = worker.release(&leases[9], Reason::SimulatorError).await;
+    let released = worker.release(&leases[9], Reason::MachineError).await;
     for word in ["5 times in a row", "the bench said so"] {
         assert!(
             released.stop_leasing.contains(word),

@@ -3,6 +3,7 @@
 
 mod access;
 mod artifacts;
+mod blame;
 mod campaigns;
 mod claims;
 mod disk;
@@ -18,6 +19,7 @@ mod outages;
 mod page;
 mod pairing;
 mod panics;
+mod pins;
 mod process;
 mod random;
 mod reports;

@@ -186,7 +186,7 @@ async fn an_outage_and_a_quarantine_are_told_in_words() {
         assert!(page.contains(word), "no `{word}`:\n{page}");
     }
     let page = ask(&bench.url, "GET /campaigns/begun").await.text();
-    assert!(page.contains("no attempt is charged"), "{page}");
+    assert!(page.contains("Policy expert is paused"), "{page}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

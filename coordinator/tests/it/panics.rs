@@ -34,7 +34,9 @@ impl Clock for BreakableClock {
 async fn a_panic_of_the_writer_ends_the_coordinator_with_an_error_that_says_so() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let clock = Arc::new(BreakableClock::default());
-    let config = config(folder.path(), clock.clone());
+    let mut config = config(folder.path(), clock.clone());
+    // More than any disk has: the first sweep says so, and is over then.
+    config.min_free_bytes = u64::MAX;
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
     let address = listener.local_addr().expect("an address");
     let coordinator = Coordinator::open(config).await.expect("a coordinator");
@@ -45,6 +47,18 @@ async fn a_panic_of_the_writer_ends_the_coordinator_with_an_error_that_says_so()
         .expect("a connection");
     let registered = worker.register(registration("a", "primitives")).await;
     registered.expect("registers");
+    let mut claim = wire::ClaimRequest {
+        worker_id: "a".to_owned(),
+        ..wire::ClaimRequest::default()
+    };
+    for number in 1.. {
+        claim.claim_id = format!("{number:032x}");
+        let claimed = worker.claim(claim.clone()).await.expect("an answer");
+        if claimed.into_inner().idle_reason.contains("MiB left") {
+            break;
+        }
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
 
     clock.broken.store(true, Ordering::SeqCst);
     let heartbeat = wire::HeartbeatRequest {

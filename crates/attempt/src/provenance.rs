@@ -3,7 +3,11 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
+use protocol::{RendererKind, Wanted};
 use serde::{Deserialize, Serialize};
+
+/// What the names of our own renderer's versions begin with.
+pub const SOFTWARE_RENDERER: &str = "rollout-raster ";
 
 /// What a worker runs on. A campaign is pinned to one of these: results of two
 /// asset packs, simulators or renderers are two benchmarks, never pooled.
@@ -79,6 +83,16 @@ impl Pin {
         self.asset_pack_digest == worker.asset_pack_digest
             && self.mujoco_version == worker.mujoco_version
             && (self.renderer.is_empty() || self.renderer == worker.renderer)
+    }
+
+    /// Whether a worker that runs on this is what a campaign asks for.
+    pub fn suits(&self, wanted: &Wanted) -> bool {
+        let has_pack = |name: &String| {
+            self.asset_pack == *name || self.asset_pack_digest.starts_with(name.as_str())
+        };
+        let is_software = self.renderer.starts_with(SOFTWARE_RENDERER);
+        let draws = |kind| (kind == RendererKind::Software) == is_software;
+        wanted.assets.as_ref().is_none_or(has_pack) && wanted.renderer.is_none_or(draws)
     }
 }
 

@@ -12,6 +12,7 @@ use crate::names::UnknownName;
 use crate::presets::PRESETS;
 use crate::row::ManifestRow;
 use crate::suite::TaskRef;
+use crate::wanted::{MIN_DIGEST_DIGITS, RendererKind, Wanted};
 
 /// Most replicates of a campaign: replicates multiply its rollouts.
 pub const MAX_REPLICATES: u32 = 100;
@@ -37,6 +38,9 @@ pub struct CampaignSpec {
     pub replicates: u32,
     /// Which rollouts are filmed.
     pub record: Record,
+    /// What its workers must run on, where that matters before the first result
+    /// decides it.
+    pub wanted: Wanted,
 }
 
 /// Where the rows of a campaign come from.
@@ -110,6 +114,15 @@ pub enum SpecError {
         /// What it says.
         given: String,
     },
+    /// No asset pack's name or digest.
+    #[error(
+        "read campaign specification: `assets` is `{given}`, write `primitives`, `libero` or the \
+         first {MIN_DIGEST_DIGITS} digits or more of a pack's digest (workers are given the folder)"
+    )]
+    Assets {
+        /// What it says.
+        given: String,
+    },
     /// A design that cannot be run.
     #[error("read campaign specification: {0}")]
     Design(#[from] DesignError),
@@ -151,6 +164,10 @@ impl CampaignSpec {
         if !(1..=MAX_REPLICATES).contains(&self.replicates) {
             let given = self.replicates;
             return Err(SpecError::Replicates { given });
+        }
+        if let Some(given) = self.wanted.unknown_assets() {
+            let given = given.to_owned();
+            return Err(SpecError::Assets { given });
         }
         match &self.rollouts {
             Rollouts::Design(design) => design.check()?,
@@ -194,6 +211,10 @@ struct SpecText {
     replicates: u32,
     #[serde(default)]
     record: Record,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    assets: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    renderer: Option<RendererKind>,
 }
 
 /// Fields that do not go together, or a task that is none.
@@ -225,6 +246,10 @@ impl TryFrom<SpecText> for CampaignSpec {
             realisation: text.realisation,
             replicates: text.replicates,
             record: text.record,
+            wanted: Wanted {
+                assets: text.assets,
+                renderer: text.renderer,
+            },
         })
     }
 }
@@ -244,6 +269,8 @@ impl From<CampaignSpec> for SpecText {
             realisation: spec.realisation,
             replicates: spec.replicates,
             record: spec.record,
+            assets: spec.wanted.assets,
+            renderer: spec.wanted.renderer,
         };
         match spec.rollouts {
             Rollouts::Manifest(rows) => text.manifest = Some(rows),

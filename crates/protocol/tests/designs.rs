@@ -234,5 +234,6 @@ fn campaign(rollouts: Rollouts) -> CampaignSpec {
         realisation: Realisation::Matched,
         replicates: 1,
         record: Record::None,
+        wanted: Wanted::default(),
     }
 }

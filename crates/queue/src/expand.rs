@@ -5,7 +5,7 @@
 use std::collections::BTreeSet;
 
 use protocol::seeds::policy_seed;
-use protocol::{CampaignSpec, Record, SpecError};
+use protocol::{CampaignSpec, Record, SpecError, Wanted};
 use serde_json::{Map, Value};
 use sha2::{Digest, Sha256};
 
@@ -28,6 +28,8 @@ pub struct NewCampaign {
     pub realisation: String,
     /// Which rollouts are filmed: "none", "failures", "transitions" or "all".
     pub record: &'static str,
+    /// What it asks of its workers.
+    pub wanted: Wanted,
     /// Its jobs, in paired-unit order.
     pub jobs: Vec<NewJob>,
     /// Control steps of all its rollouts, if none reaches its goal.
@@ -108,6 +110,7 @@ impl NewCampaign {
             policy: spec.policy.name.clone(),
             policy_endpoint: spec.policy.endpoint.clone(),
             realisation: spec.realisation.to_string(),
+            wanted: spec.wanted.clone(),
             record: match spec.record {
                 Record::None => "none",
                 Record::Failures => "failures",

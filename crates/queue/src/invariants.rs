@@ -146,13 +146,14 @@ pub const INVARIANTS: [Invariant; 16] = [
              UNION ALL SELECT job_id, attempt, 'divergence' FROM divergence) a
          JOIN job j ON j.id = a.job_id WHERE a.attempt > j.attempt",
     },
-    // What was leased is of a campaign that is pinned.
+    // A campaign is pinned exactly if it has results.
     Invariant {
-        name: "leases_pin_the_campaign",
-        query: "SELECT format('job %d was leased and campaign %s is pinned to nothing', j.id,
-             c.name)
-         FROM job j JOIN campaign c ON c.id = j.campaign_id
-         WHERE j.attempt > 0 AND c.pinned_ms IS NULL",
+        name: "results_pin_the_campaign",
+        query: "SELECT format('campaign %s is pinned to %s and has %s', c.name,
+             coalesce(c.asset_pack, 'nothing'), iif(c.pinned_ms IS NULL, 'results', 'none'))
+         FROM campaign c
+         WHERE (c.pinned_ms IS NULL) = EXISTS
+             (SELECT 1 FROM result r WHERE r.campaign_id = c.id)",
     },
     // A cancelled campaign holds no lease.
     Invariant {

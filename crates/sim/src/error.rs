@@ -82,3 +82,15 @@ pub enum SimError {
     #[error("allocate {0}: out of memory")]
     OutOfMemory(&'static str),
 }
+
+impl SimError {
+    /// Whether it is this machine's fault, and would not happen on a sound one.
+    pub fn is_of_the_machine(&self) -> bool {
+        matches!(
+            self,
+            SimError::Scene(scene::SceneError::Read { .. })
+                | SimError::Graphics { .. }
+                | SimError::OutOfMemory(_)
+        )
+    }
+}

@@ -21,8 +21,7 @@ use transport::{Access, Connection, chain, may_succeed_later};
 use super::error::SuperviseError;
 use crate::grpc::{parse_endpoint, within};
 
-/// How long the coordinator may wait for a job before it answers "none". A
-/// draining worker waits for that answer, because it could be a lease.
+/// How long the coordinator may wait for a job before it answers "none".
 const CLAIM_WAIT: Duration = Duration::from_secs(5);
 /// Longest wait for any other answer.
 const CALL_DEADLINE: Duration = Duration::from_secs(30);
@@ -91,8 +90,9 @@ impl Link {
         .await
     }
 
-    /// Asks for one job; without an answer until the worker drains. The same
-    /// claim however often it is asked, so a lost answer loses no lease.
+    /// Asks for one job, until the worker drains. The same claim however often it
+    /// is asked, so a lost answer loses no lease. Draining takes the claim back;
+    /// a lease that is granted in that very moment expires uncharged.
     pub(crate) async fn claim(&self, mut request: ClaimRequest) -> Result<ClaimResponse, Status> {
         request.wait_secs = CLAIM_WAIT.as_secs_f64();
         let mut draining = self.draining.clone();
@@ -100,16 +100,11 @@ impl Link {
             let request = request.clone();
             async move { grpc.claim(request).await }
         });
-        let outage_in_a_drain = async {
-            // The sender lives as long as the supervisor.
-            let _ = draining.wait_for(|draining| *draining).await;
-            while self.outage_began().is_none() {
-                tokio::time::sleep(Waits::USUAL.first).await;
-            }
-        };
         tokio::select! {
+            biased;
             answer = claiming => answer,
-            () = outage_in_a_drain => Ok(ClaimResponse::default()),
+            // The sender lives as long as the supervisor.
+            _ = draining.wait_for(|draining| *draining) => Ok(ClaimResponse::default()),
         }
     }
 
@@ -227,10 +222,6 @@ impl Link {
             }
             (_, None) => {}
         }
-    }
-
-    fn outage_began(&self) -> Option<Instant> {
-        *self.lock_outage()
     }
 
     fn lock_outage(&self) -> std::sync::MutexGuard<'_, Option<Instant>> {

@@ -361,6 +361,7 @@ impl Supervisor {
                 tracing::info!("registered with the coordinator at {url}");
                 self.timing = Timing::from(&answer);
                 self.is_registered = true;
+                self.tell_idle(answer.idle_reason);
             }
             Err(status) => {
                 let (url, answer) = (url.clone(), chain(&status));

@@ -62,6 +62,24 @@ async fn a_second_request_to_end_gives_the_rollout_back() {
     assert_eq!(coordinator.everything_told().len(), 2);
 }
 
+/// A worker that was told to end leased once more and gave the job back, which
+/// pinned a new campaign to its assets.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_worker_that_drains_takes_its_claim_back() {
+    if !ready("a_worker_that_drains_takes_its_claim_back") {
+        return;
+    }
+    let coordinator = ScriptedCoordinator::start().await;
+    let worker = WorkerProcess::start(&coordinator.url());
+    coordinator.claimed(1).await;
+    worker.signal("TERM");
+    coordinator.claim_taken_back().await;
+    let (status, said) = worker.wait();
+    assert!(status.success(), "{said}");
+    assert_eq!(coordinator.claims().len(), 1);
+    assert_eq!(coordinator.everything_told().len(), 1, "it registered only");
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn an_idle_worker_ends_at_once_and_leaves_no_process() {
     if !ready("an_idle_worker_ends_at_once_and_leaves_no_process") {

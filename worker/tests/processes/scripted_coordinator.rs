@@ -61,6 +61,8 @@ struct State {
     told: Vec<Told>,
     progress: Vec<Progress>,
     claims: Vec<ClaimRequest>,
+    /// Claims that were taken back before they had an answer.
+    claims_taken_back: u32,
     /// Answers to claims that get lost on their way.
     answers_to_lose: u32,
     /// What claims got whose answers were lost.
@@ -190,6 +192,14 @@ impl ScriptedCoordinator {
         self.runtime = Some(serve(self.service.clone(), listener));
     }
 
+    /// Waits until a claim was taken back before it had an answer.
+    pub(crate) async fn claim_taken_back(&self) {
+        self.wait_for("a claim to be taken back", |state| {
+            (state.claims_taken_back > 0).then_some(())
+        })
+        .await;
+    }
+
     /// Waits for the `number`-th thing to be told, registration being number 0.
     pub(crate) async fn told(&self, number: usize) -> Told {
         self.wait_for("to be told more", |state| state.told.get(number).cloned())
@@ -287,6 +297,20 @@ impl Service {
     }
 }
 
+/// A claim that waits for its answer.
+struct Waiting<'a> {
+    service: &'a Service,
+    is_answered: bool,
+}
+
+impl Drop for Waiting<'_> {
+    fn drop(&mut self) {
+        if !self.is_answered {
+            self.service.change(|state| state.claims_taken_back += 1);
+        }
+    }
+}
+
 #[tonic::async_trait]
 impl WorkerService for Service {
     async fn register(
@@ -300,6 +324,7 @@ impl WorkerService for Service {
             lease_secs: 30.0,
             heartbeat_secs: self.heartbeat.as_secs_f64(),
             progress_timeout_secs: self.progress_timeout.as_secs_f64(),
+            idle_reason: String::new(),
         }))
     }
 
@@ -310,6 +335,10 @@ impl WorkerService for Service {
         let claim = request.into_inner();
         let wait = Duration::from_secs_f64(claim.wait_secs);
         self.change(|state| state.claims.push(claim.clone()));
+        let mut waiting = Waiting {
+            service: self,
+            is_answered: false,
+        };
         let mut changes = self.changed.subscribe();
         let leasing = async {
             loop {
@@ -324,6 +353,7 @@ impl WorkerService for Service {
             }
         };
         let lease = tokio::time::timeout(wait, leasing).await.ok();
+        waiting.is_answered = true;
         let is_lost = self.change_quietly(|state| {
             let is_lost = lease.is_some() && state.answers_to_lose > 0;
             state.answers_to_lose -= u32::from(is_lost);

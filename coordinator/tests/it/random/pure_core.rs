@@ -10,7 +10,7 @@ use queue::ids::{AttemptNumber, JobId, WorkerId};
 use queue::rules::campaign::{CampaignState, Change};
 use queue::rules::lease::{
     AfterFailure, CommitJudgement, FailureReason, Job, JobState, Lease, MAX_CHARGED_ATTEMPTS,
-    OutcomeKey, Suspicion, strike, was_asleep,
+    OutcomeKey, Party, Suspicion, strike, was_asleep,
 };
 use queue::rules::outage::{Allowance, PolicyHealth, PolicyState};
 use rand_chacha::ChaCha8Rng;
@@ -185,7 +185,7 @@ impl World {
         };
         let suspicion = self.suspicion(granted);
         let then = job.after_failure(reason, suspicion, self.now, &mut self.rng);
-        if reason.is_charged() {
+        if reason.blames() == Some(Party::Machine) {
             let in_a_row = self.in_a_row.entry(granted.worker.clone()).or_default();
             *in_a_row = strike(*in_a_row).in_a_row;
         }
@@ -197,6 +197,10 @@ impl World {
                 self.now,
                 &mut self.rng,
             ),
+            FailureReason::PolicyMisbehaved => {
+                self.policy
+                    .after_misbehaviour(granted.attempt, "nonsense", self.now, &mut self.rng)
+            }
             _ => self.policy.after_other_failure(granted.attempt, self.now),
         };
         self.fail(granted, reason, then);
@@ -277,7 +281,11 @@ impl World {
             }
             AfterFailure::Quarantine => {
                 assert!(charged && job.charged_attempts >= MAX_CHARGED_ATTEMPTS);
-                assert!(workers >= 2, "one machine does not condemn a rollout");
+                let blamed = reason.blames();
+                assert!(
+                    workers >= 2 || blamed == Some(Party::Policy),
+                    "one machine does not condemn a rollout"
+                );
                 JobState::Quarantined
             }
         };

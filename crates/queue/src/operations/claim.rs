@@ -16,7 +16,7 @@ use crate::rules::outage::{Allowance, PolicyState};
 use crate::store::campaigns::Campaign;
 use crate::store::claims::{self, Grant, LeasedJob, Term};
 use crate::store::workers::Standing;
-use crate::store::{StoreError, campaigns, policies, workers};
+use crate::store::{StoreError, policies, workers};
 
 /// Longest wait of a claim.
 pub const MAX_CLAIM_WAIT: Duration = Duration::from_secs(30);
@@ -180,8 +180,8 @@ impl Context<'_> {
         let mut assigned = Vec::new();
         let mut done: BTreeSet<CampaignId> = BTreeSet::new();
         while !wanting.is_empty() {
-            // Looked at again after every campaign: a lease may pin it, or be
-            // the probe that the policy's other campaigns wait for.
+            // Looked at again after every campaign: a lease may be the probe that
+            // the policy's other campaigns wait for.
             let waiting = self.cache.waiting(&mut self.tx).await?;
             let suits =
                 |it: &&Campaign| it.state.may_lease() && it.takes(pin) && !done.contains(&it.id);
@@ -194,7 +194,7 @@ impl Context<'_> {
                 Allowance::Probe => 1,
                 Allowance::Nothing => continue,
             };
-            assigned.extend(self.lease_from(campaign, pin, wanting, room).await?);
+            assigned.extend(self.lease_from(campaign, wanting, room).await?);
         }
         Ok(assigned)
     }
@@ -203,7 +203,6 @@ impl Context<'_> {
     async fn lease_from(
         &mut self,
         campaign: &Campaign,
-        pin: &Pin,
         wanting: &mut Vec<Wanting<'_>>,
         room: usize,
     ) -> Result<Vec<(usize, Assigned)>, StoreError> {
@@ -214,10 +213,6 @@ impl Context<'_> {
         if campaign.health.state != PolicyState::Available {
             let probing = campaign.health.with_probe(first.attempt);
             policies::set_health(&mut self.tx, campaign.policy_id, &probing).await?;
-            self.cache.forget_campaigns();
-        }
-        if !campaign.is_pinned() {
-            campaigns::pin(&mut self.tx, campaign.id, pin, self.now).await?;
             self.cache.forget_campaigns();
         }
         let timing = self.shared.timing;
@@ -309,13 +304,14 @@ impl Context<'_> {
     }
 
     /// Why jobs wait that a worker on `pin` does not get; empty if none do.
-    async fn idle_reason(&mut self, pin: &Pin) -> Result<String, StoreError> {
+    pub(super) async fn idle_reason(&mut self, pin: &Pin) -> Result<String, StoreError> {
         let mut reasons = Vec::new();
         for campaign in self.cache.waiting(&mut self.tx).await?.iter() {
             let name = &campaign.name;
-            if let Some(other) = campaign.pin.as_ref().filter(|other| !other.takes(pin)) {
+            if !campaign.takes(pin) {
+                let demand = campaign.demand();
                 reasons.push(format!(
-                    "campaign `{name}` is pinned to {other} and this worker runs on {pin}"
+                    "campaign `{name}` {demand} and this worker runs on {pin}"
                 ));
             } else if !campaign.state.may_lease() {
                 reasons.push(format!("campaign `{name}` is paused"));
@@ -328,7 +324,7 @@ impl Context<'_> {
             ) {
                 let policy = &campaign.policy;
                 reasons.push(format!(
-                    "policy `{policy}` of campaign `{name}` is down: {reason}"
+                    "policy `{policy}` of campaign `{name}` is paused: {reason}"
                 ));
             }
         }

@@ -6,11 +6,11 @@ use attempt::{AttemptId, Digests, Motion, Provenance, Realised, RolloutResult};
 
 use super::context::Context;
 use super::error::QueueError;
-use crate::rules::lease::{CommitJudgement, FailureReason, Job, JobState, OutcomeKey};
+use crate::rules::lease::{CommitJudgement, FailureReason, Job, JobState, OutcomeKey, Party};
 use crate::rules::pairing::{self, Demand, Sibling};
 use crate::store::jobs::NamedAttempt;
 use crate::store::results::NewResult;
-use crate::store::{StoreError, jobs, results, workers};
+use crate::store::{StoreError, campaigns, jobs, results, workers};
 
 /// A result as a worker reports it.
 #[derive(Clone, Debug)]
@@ -40,7 +40,8 @@ pub enum CommitVerdict {
     Stale,
     /// Stored before with another outcome: kept apart.
     Divergent,
-    /// Disagrees with its configuration's siblings: refused and charged.
+    /// Disagrees with its configuration's siblings, and is charged, or with what
+    /// its campaign is pinned to meanwhile: refused.
     Unpaired,
 }
 
@@ -131,9 +132,26 @@ impl Context<'_> {
         report: &'r CommitReport,
         accepted: &mut Vec<NewResult<'r>>,
     ) -> Result<CommitReply, StoreError> {
-        let campaign = self.campaign(attempt.of.campaign).await?;
+        let mut campaign = self.campaign(attempt.of.campaign).await?;
+        let from = &report.provenance.pin;
+        if !campaign.takes(from) {
+            let (name, demand) = (&campaign.name, campaign.demand());
+            let detail = format!("campaign `{name}` {demand} and this result is of {from}");
+            // It was leased in good faith if another result pinned the campaign
+            // since then.
+            let lease = attempt.job.lease_of(attempt.id);
+            let reason = match lease.is_some_and(|it| campaign.pinned_ms >= Some(it.granted)) {
+                true => FailureReason::Unsuited,
+                false => FailureReason::Unpaired,
+            };
+            return self.refuse(attempt, reason, detail).await;
+        }
+        if !campaign.is_pinned() {
+            campaigns::pin(&mut self.tx, campaign.id, from, self.now).await?;
+            self.cache.forget_campaigns();
+            campaign = self.campaign(campaign.id).await?;
+        }
         let demand = Demand {
-            pin: campaign.pin.as_ref(),
             realisation: campaign.mode()?,
             row: &attempt.row,
         };
@@ -147,11 +165,7 @@ impl Context<'_> {
         };
         let siblings = self.cache.siblings(&mut self.tx, &attempt.of).await?;
         if let Some(detail) = pairing::difference(&demand, siblings, &result) {
-            self.refuse_unpaired(attempt, &detail).await?;
-            return Ok(CommitReply {
-                verdict: CommitVerdict::Unpaired,
-                detail,
-            });
+            return self.refuse(attempt, FailureReason::Unpaired, detail).await;
         }
         // From now on its siblings are compared with it.
         self.cache.add_sibling(&attempt.of, result);
@@ -175,19 +189,25 @@ impl Context<'_> {
         })
     }
 
-    async fn refuse_unpaired(
+    /// Ends an attempt whose result cannot stand beside the campaign's others.
+    async fn refuse(
         &mut self,
         attempt: &NamedAttempt,
-        detail: &str,
-    ) -> Result<(), StoreError> {
-        let Some(lease) = attempt.job.lease_of(attempt.id) else {
-            return Ok(());
-        };
-        let failure = (FailureReason::Unpaired, detail);
-        self.end_attempt((&attempt.job, lease), attempt.of.campaign, failure)
-            .await?;
-        self.strike(&lease.owner, detail).await?;
-        Ok(())
+        reason: FailureReason,
+        detail: String,
+    ) -> Result<CommitReply, StoreError> {
+        if let Some(lease) = attempt.job.lease_of(attempt.id) {
+            let failure = (reason, detail.as_str());
+            self.end_attempt((&attempt.job, lease), attempt.of.campaign, failure)
+                .await?;
+            if reason.blames() == Some(Party::Machine) {
+                self.strike(&lease.owner, &detail).await?;
+            }
+        }
+        Ok(CommitReply {
+            verdict: CommitVerdict::Unpaired,
+            detail,
+        })
     }
 }
 

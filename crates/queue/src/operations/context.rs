@@ -97,12 +97,14 @@ impl<'a> Context<'a> {
             self.shared.work.notify_waiters();
         }
         let before = &campaign.health;
-        let after = match reason {
-            FailureReason::PolicyUnavailable => self
-                .shared
-                .decide(|rng| before.after_outage(lease.attempt, lease.granted, error, now, rng)),
-            _ => before.after_other_failure(lease.attempt, now),
-        };
+        let id = lease.attempt;
+        let after = self.shared.decide(|rng| match reason {
+            FailureReason::PolicyUnavailable => {
+                before.after_outage(id, lease.granted, error, now, rng)
+            }
+            FailureReason::PolicyMisbehaved => before.after_misbehaviour(id, error, now, rng),
+            _ => before.after_other_failure(id, now),
+        });
         self.set_health(&campaign, &after).await?;
         let policy_wait = match (reason, after.state) {
             (FailureReason::PolicyUnavailable, PolicyState::Paused { resume, .. }) => {
@@ -113,8 +115,8 @@ impl<'a> Context<'a> {
         Ok(Ended { then, policy_wait })
     }
 
-    /// Counts one more charged failure of a worker. Returns why it must stop, if
-    /// it must.
+    /// Counts one more failure of a worker's machine. Returns why the worker must
+    /// stop, if it must.
     pub(super) async fn strike(
         &mut self,
         worker: &WorkerId,
@@ -124,8 +126,9 @@ impl<'a> Context<'a> {
         let strike = strike(standings.get(worker).map_or(0, |it| it.charged_in_a_row));
         let stop = strike.stop.then(|| {
             format!(
-                "it has failed {} times in a row (the limit is {MAX_WORKER_FAILURES_IN_A_ROW}), \
-                 the last time with: {last_error}; look at its machine, then start it again",
+                "its machine has failed {} times in a row (the limit is \
+                 {MAX_WORKER_FAILURES_IN_A_ROW}), the last time with: {last_error}; look at the \
+                 machine, then start the worker again",
                 strike.in_a_row
             )
         });
@@ -152,7 +155,7 @@ impl<'a> Context<'a> {
             (&before.state, &after.state)
         {
             tracing::warn!(
-                "policy `{}` is down, its jobs wait: {reason}",
+                "policy `{}` is paused, its jobs wait: {reason}",
                 campaign.policy
             );
         }

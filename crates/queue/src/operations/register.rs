@@ -8,15 +8,17 @@ use crate::store::workers::{self, WorkerInfo};
 
 impl Queue {
     /// Registers a worker; one that does so again starts with a clean record.
+    /// Answers why jobs wait that it cannot have; empty if none do.
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn register(&self, worker: &WorkerInfo) -> Result<(), QueueError> {
+    pub async fn register(&self, worker: &WorkerInfo) -> Result<String, QueueError> {
         let mut context = Context::begin(&self.shared, vec![Step::Register]).await?;
         workers::upsert(&mut context.tx, worker, context.now).await?;
+        let idle_reason = context.idle_reason(&worker.pin).await?;
         context.commit().await?;
         // One more live worker may free a job that the others failed on.
         self.shared.work.notify_waiters();
-        Ok(())
+        Ok(idle_reason)
     }
 }

@@ -6,7 +6,7 @@ use attempt::AttemptId;
 
 use super::context::Context;
 use super::error::QueueError;
-use crate::rules::lease::{AfterFailure, FailureReason};
+use crate::rules::lease::{AfterFailure, FailureReason, Party};
 use crate::store::{StoreError, jobs};
 
 /// What became of a job whose attempt ended without a result.
@@ -64,9 +64,9 @@ impl Context<'_> {
         let ended = self
             .end_attempt((&attempt.job, lease), attempt.of.campaign, failure)
             .await?;
-        let stop_leasing = match release.reason.is_charged() {
-            true => self.strike(&lease.owner, &release.error).await?,
-            false => None,
+        let stop_leasing = match release.reason.blames() {
+            Some(Party::Machine) => self.strike(&lease.owner, &release.error).await?,
+            _ => None,
         };
         let (verdict, backoff) = match ended.then {
             AfterFailure::Requeue { not_before } => {

@@ -14,7 +14,7 @@ use crate::rules::outage::PolicyState;
 use crate::store::campaigns::{self, Campaign};
 use crate::store::{Doing, StoreError, workers};
 
-/// A campaign's rate is taken over so long, or since its first lease or since it
+/// A campaign's rate is taken over so long, or since its first result or since it
 /// was resumed if that is less.
 pub const RATE_WINDOW: Duration = Duration::from_secs(300);
 
@@ -149,9 +149,11 @@ impl View {
         let waiting_reason = match (is_waiting, &self.held, &policy_pause_reason) {
             (false, ..) => String::new(),
             (true, Some(reason), _) => reason.clone(),
-            (true, None, Some(reason)) => format!("policy `{}` is down: {reason}", campaign.policy),
+            (true, None, Some(reason)) => {
+                format!("policy `{}` is paused: {reason}", campaign.policy)
+            }
             (true, None, None) if live_workers > 0 => String::new(),
-            (true, None, None) => no_worker_reason(campaign.pin.as_ref(), live.first()),
+            (true, None, None) => no_worker_reason(&campaign.demand(), live.first()),
         };
         let fingerprints = self.fingerprints(campaign.id).await?;
         Ok(CampaignStatus {
@@ -167,13 +169,13 @@ impl View {
     }
 }
 
-/// Results of a campaign committed since `since`.
+/// Results of a campaign committed after `since`.
 async fn committed_since(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
     since: UnixMillis,
 ) -> Result<i64, StoreError> {
-    sqlx::query_scalar("SELECT count(*) FROM result WHERE campaign_id = ? AND committed_ms >= ?")
+    sqlx::query_scalar("SELECT count(*) FROM result WHERE campaign_id = ? AND committed_ms > ?")
         .bind(campaign)
         .bind(since)
         .fetch_one(tx)
@@ -187,13 +189,12 @@ fn rate(committed: i64, since: UnixMillis, now: UnixMillis) -> Option<f64> {
     (committed > 0 && span > 0.0).then(|| committed as f64 / span)
 }
 
-fn no_worker_reason(pin: Option<&Pin>, live: Option<&Pin>) -> String {
-    match (pin, live) {
-        (Some(pin), Some(other)) => format!(
-            "no worker runs on {pin}, to which the campaign is pinned; one that is here runs on \
-             {other}"
-        ),
-        (Some(pin), None) => format!("no worker is here; start one on {pin}"),
-        (None, _) => "no worker is here; start one with `worker --connect`".to_owned(),
+fn no_worker_reason(demand: &str, live: Option<&Pin>) -> String {
+    match (demand, live) {
+        ("", _) => "no worker is here; start one with `worker --connect`".to_owned(),
+        (_, None) => format!("no worker is here, and the campaign {demand}"),
+        (_, Some(other)) => {
+            format!("no worker suits: the campaign {demand}; one that is here runs on {other}")
+        }
     }
 }

@@ -16,7 +16,7 @@ pub const MAX_CHARGED_ATTEMPTS: u32 = 3;
 /// Workers on which a job must have failed before it is quarantined, if that
 /// many are alive: one broken machine must not put a rollout into quarantine.
 pub const MIN_WORKERS_TO_QUARANTINE: u32 = 2;
-/// Charged failures in a row after which a worker leases no more.
+/// Failures of its machine in a row after which a worker leases no more.
 pub const MAX_WORKER_FAILURES_IN_A_ROW: u32 = 5;
 
 /// One rollout × replicate, as far as leasing goes.
@@ -26,7 +26,7 @@ pub struct Job {
     pub id: JobId,
     /// Leases granted so far.
     pub attempt: AttemptNumber,
-    /// Attempts that ended in a failure of the rollout or its worker.
+    /// Attempts that ended in a failure of policy, machine or simulator.
     pub charged_attempts: u32,
     /// Where it stands.
     pub state: JobState,
@@ -89,11 +89,24 @@ pub enum CommitJudgement {
     Stale,
 }
 
+/// Whom a failure counts against.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Party {
+    /// The policy: it pauses after a run of them.
+    Policy,
+    /// The worker's machine: it leases no more after a run of them.
+    Machine,
+    /// The simulator, which fails in the same way wherever it runs.
+    Simulator,
+}
+
 /// Why an attempt brought no result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum FailureReason {
-    /// The simulator failed (divergence, missing asset, native error).
+    /// The simulator failed: the physics diverged, or a scene is inconsistent.
     SimulatorError,
+    /// The worker's machine failed: a file, memory, graphics.
+    MachineError,
     /// The slot's process died.
     SlotCrashed,
     /// The slot's progress stopped.
@@ -112,6 +125,9 @@ pub enum FailureReason {
     Draining,
     /// The campaign was cancelled.
     Cancelled,
+    /// Another worker's result pinned the campaign to what this one does not run
+    /// on.
+    Unsuited,
     /// The lease expired before a heartbeat named it: the answer to its claim was
     /// lost.
     NeverAcknowledged,
@@ -138,7 +154,7 @@ pub struct Suspicion {
     pub able_workers: u32,
 }
 
-/// A worker's charged failures in a row, after one more.
+/// The failures in a row of a worker's machine, after one more.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Strike {
     /// How many.
@@ -185,7 +201,10 @@ impl Job {
             return AfterFailure::Requeue { not_before: now };
         }
         let charged = self.charged_attempts + 1;
-        let workers_needed = MIN_WORKERS_TO_QUARANTINE.min(suspicion.able_workers);
+        let workers_needed = match reason.blames() {
+            Some(Party::Policy) => 1,
+            _ => MIN_WORKERS_TO_QUARANTINE.min(suspicion.able_workers),
+        };
         if charged >= MAX_CHARGED_ATTEMPTS && suspicion.failed_on_workers >= workers_needed {
             return AfterFailure::Quarantine;
         }
@@ -210,22 +229,36 @@ impl Lease {
 }
 
 impl FailureReason {
-    /// Whether the attempt counts against the job and its worker. What the
-    /// policy's server, the network or an operator caused does not.
-    pub fn is_charged(self) -> bool {
-        !matches!(
-            self,
+    /// Whom it counts against: one party only. None for what the network, an
+    /// operator, or a policy that cannot be reached caused.
+    pub fn blames(self) -> Option<Party> {
+        match self {
+            FailureReason::PolicyMisbehaved => Some(Party::Policy),
+            FailureReason::SimulatorError => Some(Party::Simulator),
+            FailureReason::MachineError
+            | FailureReason::SlotCrashed
+            | FailureReason::SlotStuck
+            | FailureReason::LeaseLost
+            | FailureReason::Overdue
+            | FailureReason::Unpaired => Some(Party::Machine),
             FailureReason::PolicyUnavailable
-                | FailureReason::Draining
-                | FailureReason::Cancelled
-                | FailureReason::NeverAcknowledged
-        )
+            | FailureReason::Draining
+            | FailureReason::Cancelled
+            | FailureReason::Unsuited
+            | FailureReason::NeverAcknowledged => None,
+        }
+    }
+
+    /// Whether the attempt is one of those after which its job is quarantined.
+    pub fn is_charged(self) -> bool {
+        self.blames().is_some()
     }
 
     /// Its name in the store and in reports.
     pub fn as_str(self) -> &'static str {
         match self {
             FailureReason::SimulatorError => "simulator_error",
+            FailureReason::MachineError => "machine_error",
             FailureReason::SlotCrashed => "slot_crashed",
             FailureReason::SlotStuck => "slot_stuck",
             FailureReason::PolicyMisbehaved => "policy_misbehaved",
@@ -235,12 +268,13 @@ impl FailureReason {
             FailureReason::PolicyUnavailable => "policy_unavailable",
             FailureReason::Draining => "draining",
             FailureReason::Cancelled => "cancelled",
+            FailureReason::Unsuited => "unsuited",
             FailureReason::NeverAcknowledged => "never_acknowledged",
         }
     }
 }
 
-/// Counts one more charged failure of a worker that had `in_a_row` before it.
+/// Counts one more failure of a worker's machine that had `in_a_row` before it.
 pub fn strike(in_a_row: u32) -> Strike {
     let in_a_row = in_a_row.saturating_add(1);
     Strike {
@@ -284,7 +318,7 @@ mod tests {
     }
 
     #[test]
-    fn the_fifth_charged_failure_in_a_row_stops_a_worker() {
+    fn the_fifth_failure_in_a_row_of_its_machine_stops_a_worker() {
         let stops: Vec<bool> = (0..5).map(|in_a_row| strike(in_a_row).stop).collect();
         assert_eq!(stops, [false, false, false, false, true]);
     }

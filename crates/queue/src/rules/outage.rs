@@ -1,9 +1,9 @@
-//! A policy's outages: when its jobs pause, and how they resume by themselves.
-//! One policy is one name at one endpoint; others are not touched.
+//! A policy's outages and misbehaviour: when its jobs pause, and how they resume
+//! by themselves. One policy is one name at one endpoint; others are not touched.
 //!
-//! After an outage the policy's jobs wait for a back-off; then one job, the
-//! probe, is let through. Its first answered query resumes the rest; another
-//! outage doubles the back-off.
+//! After an outage, or a run of nonsense, the policy's jobs wait for a back-off;
+//! then one job, the probe, is let through. Its first answered query resumes the
+//! rest; another failure doubles the back-off.
 
 use attempt::{AttemptId, Waits};
 use rand_chacha::rand_core::Rng;
@@ -11,11 +11,16 @@ use serde::Deserialize;
 
 use crate::clock::UnixMillis;
 
+/// Attempts in a row that a policy may answer nonsense in before it pauses.
+pub const MAX_MISBEHAVED_IN_A_ROW: u32 = 5;
+
 /// One policy at one endpoint, as far as its health goes.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 pub struct PolicyHealth {
-    /// Outages since the last committed rollout.
+    /// Pauses since the last committed rollout.
     pub outages: u32,
+    /// Attempts that it answered nonsense in since the last committed rollout.
+    pub misbehaved: u32,
     /// Since when it is taken to answer; leases granted earlier are no evidence
     /// of a new outage.
     pub available_since: UnixMillis,
@@ -61,6 +66,7 @@ impl PolicyHealth {
     pub fn new(now: UnixMillis) -> PolicyHealth {
         PolicyHealth {
             outages: 0,
+            misbehaved: 0,
             available_since: now,
             state: PolicyState::Available,
         }
@@ -109,18 +115,48 @@ impl PolicyHealth {
             PolicyState::Paused { .. } => false,
             PolicyState::Probing { .. } => self.is_probe(attempt),
         };
-        if !is_news {
-            return self.clone();
+        match is_news {
+            true => self.paused(error, now, rng),
+            false => self.clone(),
         }
-        let outages = self.outages + 1;
+    }
+
+    /// The policy answered nonsense in this attempt. It pauses after a run of
+    /// them, and at once if this was the probe: other campaigns' rollouts are
+    /// worth more than its own.
+    #[must_use]
+    pub fn after_misbehaviour(
+        &self,
+        attempt: AttemptId,
+        error: &str,
+        now: UnixMillis,
+        rng: &mut impl Rng,
+    ) -> PolicyHealth {
+        let counted = PolicyHealth {
+            misbehaved: self.misbehaved.saturating_add(1),
+            ..self.clone()
+        };
+        let pauses = match &self.state {
+            PolicyState::Available => counted.misbehaved >= MAX_MISBEHAVED_IN_A_ROW,
+            PolicyState::Paused { .. } => false,
+            PolicyState::Probing { .. } => self.is_probe(attempt),
+        };
+        match pauses {
+            true => counted.paused(error, now, rng),
+            false => counted,
+        }
+    }
+
+    fn paused(&self, error: &str, now: UnixMillis, rng: &mut impl Rng) -> PolicyHealth {
+        let outages = self.outages.saturating_add(1);
         let wait = Waits::USUAL.after(outages, rng.next_u32());
         PolicyHealth {
             outages,
-            available_since: self.available_since,
             state: PolicyState::Paused {
                 resume: now.plus(wait.max(Waits::USUAL.first)),
                 reason: error.to_owned(),
             },
+            ..*self
         }
     }
 
@@ -131,9 +167,9 @@ impl PolicyHealth {
             return self.clone();
         }
         PolicyHealth {
-            outages: self.outages,
             available_since: now,
             state: PolicyState::Available,
+            ..*self
         }
     }
 
@@ -144,6 +180,7 @@ impl PolicyHealth {
         let mut health = self.after_answer(attempt, now);
         if health.state == PolicyState::Available {
             health.outages = 0;
+            health.misbehaved = 0;
         }
         health
     }

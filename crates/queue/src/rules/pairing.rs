@@ -1,11 +1,11 @@
 //! Whether a result may stand beside its configuration's others. A matched
-//! comparison is worth nothing if the scene, the initial state, the assets, the
-//! simulator, the perturbation or the first frame differ between rollouts that
-//! share them.
+//! comparison is worth nothing if the scene, the initial state, the perturbation
+//! or the first frame differ between rollouts that share them. That they share
+//! assets, simulator and renderer is the pin's business.
 
 use std::sync::Arc;
 
-use attempt::{Digests, Pin, Provenance, Realised};
+use attempt::{Digests, Provenance, Realised};
 use protocol::{Axis, ManifestRow, Realisation, RolloutId};
 
 use crate::ids::WorkerId;
@@ -20,8 +20,6 @@ const DRAWING_NOTHING: [Axis; 3] = [Axis::Camera, Axis::Lighting, Axis::Robot];
 /// What a campaign demands of one of its results.
 #[derive(Clone, Debug)]
 pub(crate) struct Demand<'a> {
-    /// What the campaign is pinned to.
-    pub(crate) pin: Option<&'a Pin>,
     /// The campaign's realisation mode.
     pub(crate) realisation: Realisation,
     /// The rollout that was to be run.
@@ -63,19 +61,8 @@ pub(crate) fn difference(
 }
 
 fn from_the_campaign(demand: &Demand<'_>, provenance: &Provenance) -> Option<String> {
-    let campaign = "in the campaign";
-    let here = &provenance.pin;
-    let pinned = demand.pin.and_then(|there| {
-        let (here_digest, there_digest) = (&here.asset_pack_digest, &there.asset_pack_digest);
-        let (here_version, there_version) = (&here.mujoco_version, &there.mujoco_version);
-        differs("asset-pack digest", here_digest, there_digest, campaign)
-            .or_else(|| differs("MuJoCo version", here_version, there_version, campaign))
-            .or_else(|| differs("renderer", &here.renderer, &there.renderer, campaign))
-    });
-    pinned.or_else(|| {
-        let (here, there) = (&provenance.realisation, demand.realisation.name());
-        differs("realisation mode", here, there, campaign)
-    })
+    let (here, there) = (&provenance.realisation, demand.realisation.name());
+    differs("realisation mode", here, there, "in the campaign")
 }
 
 /// A perturbation that was left out would agree with every sibling.
@@ -176,6 +163,8 @@ fn differs(what: &str, here: &str, there: &str, whose: &str) -> Option<String> {
 mod tests {
     use protocol::Design;
 
+    use attempt::Pin;
+
     use super::*;
 
     /// A digest of 64 times this digit.
@@ -236,7 +225,6 @@ mod tests {
     ) -> Option<String> {
         let row = row(id);
         let demand = Demand {
-            pin: None,
             realisation: mode,
             row: &row,
         };

@@ -2,12 +2,12 @@
 //! deleting, and reading a campaign with its policy.
 
 use attempt::Pin;
-use protocol::Realisation;
+use protocol::{Realisation, Wanted};
 use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
 
 use super::policies::{self, health};
 use super::workers::pin;
-use super::{Doing, StoreError, undecodable};
+use super::{Doing, StoreError, json, undecodable};
 use crate::clock::UnixMillis;
 use crate::expand::{NewCampaign, NewJob};
 use crate::ids::{CampaignId, CampaignName, PolicyId};
@@ -43,7 +43,10 @@ pub struct Campaign {
     /// Where it stands with its operator.
     #[sqlx(json)]
     pub state: CampaignState,
-    /// When its first job was leased.
+    /// What it asks of its workers.
+    #[sqlx(json)]
+    pub wanted: Wanted,
+    /// When its first result came.
     pub pinned_ms: Option<UnixMillis>,
     /// What it is pinned to since then.
     #[sqlx(json(nullable))]
@@ -57,7 +60,7 @@ impl Campaign {
         mode.doing("read a campaign's realisation mode")
     }
 
-    /// Whether a lease has decided everything that it is pinned to.
+    /// Whether a result has decided everything that it is pinned to.
     pub(crate) fn is_pinned(&self) -> bool {
         self.pin
             .as_ref()
@@ -66,7 +69,17 @@ impl Campaign {
 
     /// Whether it takes results of a worker that runs on `worker`.
     pub(crate) fn takes(&self, worker: &Pin) -> bool {
-        self.pin.as_ref().is_none_or(|pin| pin.takes(worker))
+        worker.suits(&self.wanted) && self.pin.as_ref().is_none_or(|pin| pin.takes(worker))
+    }
+
+    /// What its workers must run on, to be read after its name; empty if it
+    /// takes any.
+    pub(crate) fn demand(&self) -> String {
+        match &self.pin {
+            Some(pin) => format!("is pinned to {pin}"),
+            None if self.wanted == Wanted::default() => String::new(),
+            None => format!("wants {}", self.wanted),
+        }
     }
 }
 
@@ -75,7 +88,7 @@ macro_rules! campaigns_where {
     ($condition:literal) => {
         concat!(
             "SELECT c.id, c.name, c.spec_digest, c.policy_id, p.name AS policy, p.endpoint,
-                 c.realisation, c.record, c.pinned_ms,
+                 c.realisation, c.record, c.wanted, c.pinned_ms,
                  json_object('is', c.state, 'since', c.state_since_ms) AS state,
                  iif(c.asset_pack IS NULL, NULL, ",
             pin!(),
@@ -150,8 +163,8 @@ pub(crate) async fn insert(
         policies::find_or_insert(tx, &campaign.policy_endpoint, &campaign.policy, now).await?;
     let id: CampaignId = sqlx::query_scalar(
         "INSERT INTO campaign (name, spec, spec_digest, policy_id, realisation, record,
-             jobs, created_ms, state_since_ms)
-         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?8) RETURNING id",
+             wanted, jobs, created_ms, state_since_ms)
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?9) RETURNING id",
     )
     .bind(&campaign.name)
     .bind(&campaign.spec)
@@ -159,6 +172,7 @@ pub(crate) async fn insert(
     .bind(policy)
     .bind(&campaign.realisation)
     .bind(campaign.record)
+    .bind(json(&campaign.wanted))
     .bind(campaign.jobs.len() as i64)
     .bind(now)
     .fetch_one(&mut *tx)
@@ -201,7 +215,7 @@ async fn insert_jobs(
     Ok(())
 }
 
-/// Pins a campaign to what its first worker runs on; what it is pinned to
+/// Pins a campaign to what its first result came from; what it is pinned to
 /// stays as it is.
 pub(crate) async fn pin(
     tx: &mut SqliteConnection,

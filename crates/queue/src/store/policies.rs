@@ -12,9 +12,9 @@ use crate::rules::outage::{PolicyHealth, PolicyState};
 /// promise that it reads back.
 macro_rules! health {
     () => {
-        "json_object('outages', p.outages, 'available_since', p.available_ms,
-             'state', json_object('is', p.state, 'resume', p.resume_ms,
-                 'reason', p.pause_reason, 'attempt', p.probe_attempt_id)) AS health"
+        "json_object('outages', p.outages, 'misbehaved', p.misbehaved,
+             'available_since', p.available_ms, 'state', json_object('is', p.state,
+                 'resume', p.resume_ms, 'reason', p.pause_reason, 'attempt', p.probe_attempt_id)) AS health"
     };
 }
 pub(crate) use health;
@@ -75,11 +75,12 @@ pub(crate) async fn set_health(
         }
     };
     sqlx::query(
-        "UPDATE policy SET state = ?, outages = ?, available_ms = ?, resume_ms = ?,
+        "UPDATE policy SET state = ?, outages = ?, misbehaved = ?, available_ms = ?, resume_ms = ?,
              pause_reason = ?, probe_attempt_id = ? WHERE id = ?",
     )
     .bind(state)
     .bind(health.outages)
+    .bind(health.misbehaved)
     .bind(health.available_since)
     .bind(resume)
     .bind(reason)

@@ -92,7 +92,7 @@ impl Supervisor {
     }
 
     /// Says once why there is nothing to do although jobs wait.
-    fn tell_idle(&mut self, reason: String) {
+    pub(super) fn tell_idle(&mut self, reason: String) {
         if reason != self.idle_reason {
             if !reason.is_empty() {
                 tracing::info!("nothing to do: {reason}");

@@ -1,0 +1,105 @@
+//! Whom a failure counts against: policy, machine or simulator, and only one of
+//! them.
+
+use proto::coordinator::commit_response::Verdict;
+use proto::coordinator::release_request::Reason;
+use proto::coordinator::release_response::Verdict as Released;
+use queue::rules::outage::MAX_MISBEHAVED_IN_A_ROW;
+use serde_json::json;
+
+use crate::harness::{Bench, Worker, small_spec, with};
+
+/// Longer than any back-off, shorter than a worker is taken to be alive.
+const PAST_BACKOFF_SECS: u64 = 61;
+
+async fn create(bench: &Bench, name: &str, policy: &str) {
+    let policy = json!({"name": policy, "endpoint": "http://127.0.0.1:50051"});
+    let changes = json!({"policy": policy, "configs": [0, 1, 2]});
+    let spec = with(small_spec(name), changes);
+    assert_eq!(bench.create(&spec).await.expect("created").jobs_total, 12);
+}
+
+async fn misbehaves(worker: &mut Worker, lease: &proto::coordinator::Lease) -> Released {
+    let released = worker.release(lease, Reason::PolicyMisbehaved).await;
+    assert_eq!(released.stop_leasing, "", "it is no fault of the worker's");
+    released.verdict()
+}
+
+#[tokio::test]
+async fn a_policy_that_answers_nonsense_pauses_itself_and_never_a_worker() {
+    let bench = Bench::start().await;
+    create(&bench, "first", "nonsense").await;
+    create(&bench, "second", "sound").await;
+    let mut worker = bench.worker("a").await;
+    for number in 1..=MAX_MISBEHAVED_IN_A_ROW {
+        assert!(!bench.status("first").await.policy_paused, "{number}");
+        let leases = worker.claim(2).await;
+        let lease = leases.iter().find(|it| it.policy == "nonsense");
+        misbehaves(&mut worker, lease.expect("the older one goes first")).await;
+        for lease in leases.iter().filter(|it| it.policy == "sound") {
+            assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
+        }
+    }
+    let status = bench.status("first").await;
+    assert!(status.policy_paused);
+    assert_eq!(status.policy_pause_reason, "the bench said so");
+    let strikes = "SELECT count(*) FROM worker WHERE charged_in_a_row > 0";
+    assert_eq!(bench.count(strikes).await, 0);
+    while let Some(lease) = worker.claim(1).await.pop() {
+        if lease.policy == "sound" {
+            assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+        }
+    }
+    assert_eq!(bench.status("second").await.committed, 12);
+}
+
+#[tokio::test]
+async fn rollouts_of_a_policy_that_stays_nonsense_end_in_quarantine_with_its_words() {
+    let bench = Bench::start().await;
+    create(&bench, "first", "nonsense").await;
+    // Another machine would get the same answers: it need not be asked.
+    let (mut worker, mut other) = (bench.worker("a").await, bench.worker("b").await);
+    while bench.status("first").await.quarantined < 2 {
+        bench.pass(PAST_BACKOFF_SECS).await;
+        other.heartbeat(&[], 0).await;
+        let lease = worker.claim_one().await;
+        misbehaves(&mut worker, &lease).await;
+    }
+    let with_its_words = "SELECT count(*) FROM job
+        WHERE state = 'quarantined' AND last_error = 'the bench said so'";
+    assert_eq!(bench.count(with_its_words).await, 2);
+    // It is mended: its next probe is answered, and the rest follows.
+    bench.pass(PAST_BACKOFF_SECS).await;
+    let probe = worker.claim_one().await;
+    assert!(worker.claim(1).await.is_empty(), "one probe");
+    assert_eq!(worker.commit(&probe, true).await, Verdict::Accepted);
+    let misbehaved = "SELECT max(misbehaved) + max(outages) FROM policy";
+    assert_eq!(bench.count(misbehaved).await, 0, "its past is forgotten");
+    bench.pass(PAST_BACKOFF_SECS).await;
+    assert_eq!(worker.claim(64).await.len(), 9);
+}
+
+#[tokio::test]
+async fn only_its_machines_failures_stop_a_worker() {
+    for (reason, stops) in [
+        (Reason::SimulatorError, false),
+        (Reason::PolicyMisbehaved, false),
+        (Reason::PolicyUnavailable, false),
+        (Reason::MachineError, true),
+        (Reason::SlotCrashed, true),
+        (Reason::SlotStuck, true),
+    ] {
+        let bench = Bench::start().await;
+        create(&bench, "first", "any").await;
+        let mut worker = bench.worker("a").await;
+        let mut told = String::new();
+        for _ in 0..5 {
+            bench.pass(PAST_BACKOFF_SECS).await;
+            let lease = worker.claim_one().await;
+            told = worker.release(&lease, reason).await.stop_leasing;
+        }
+        assert_eq!(!told.is_empty(), stops, "{reason:?}: {told}");
+        let misbehaved = bench.count("SELECT max(misbehaved) FROM policy").await;
+        assert_eq!(misbehaved > 0, reason == Reason::PolicyMisbehaved);
+    }
+}

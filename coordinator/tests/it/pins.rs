@@ -1,0 +1,104 @@
+//! What a campaign's workers run on: what it asks for, and what its first result
+//! pins it to.
+
+use proto::coordinator::commit_response::Verdict;
+use serde_json::json;
+
+use crate::harness::{Bench, registration, small_spec, with};
+
+const SOFTWARE: &str = "rollout-raster 1";
+const GL: &str = "llvmpipe";
+
+/// Why a worker on this pack and renderer gets nothing, as it is told when it
+/// registers; empty if it may have jobs.
+async fn told(bench: &Bench, pack: &str, renderer: &str) -> String {
+    let mut worker = bench.worker_drawing("asks", pack, renderer).await;
+    let mut announced = registration("asks", pack);
+    renderer.clone_into(&mut announced.renderer);
+    let answer = worker.service.register(announced).await;
+    answer.expect("registered").into_inner().idle_reason
+}
+
+#[tokio::test]
+async fn a_campaign_is_pinned_to_the_pack_of_its_first_result() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("pinned")).await.expect("created");
+    let mut first = bench.worker_on("a", "primitives").await;
+    let mut other = bench.worker_on("b", "libero").await;
+    // Until a result decides, both may try: one that drains pins nothing.
+    let (lease, of_other) = (first.claim_one().await, other.claim_one().await);
+    assert_eq!(bench.status("pinned").await.live_workers, 2);
+    assert_eq!(first.commit(&lease, true).await, Verdict::Accepted);
+    assert_eq!(bench.status("pinned").await.live_workers, 1);
+    // Its rollout was for nothing, and that is nobody's fault.
+    let (verdict, detail) = other.commit_request(other.report(&of_other, true)).await;
+    assert_eq!(verdict, Verdict::Unpaired);
+    let nothing = other.claim_response("").await;
+    assert!(nothing.lease.is_none());
+    for word in ["pinned", "primitives", "libero", "MuJoCo 3.3.7"] {
+        assert!(detail.contains(word), "{detail}");
+        assert!(nothing.idle_reason.contains(word), "{nothing:?}");
+    }
+    let charged = "SELECT (SELECT max(charged_attempts) FROM job)
+        + (SELECT max(charged_in_a_row) FROM worker)";
+    assert_eq!(bench.count(charged).await, 0);
+    assert_eq!(first.claim(4).await.len(), 3);
+}
+
+#[tokio::test]
+async fn a_campaign_is_pinned_to_the_renderer_of_its_first_result() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("pinned")).await.expect("created");
+    let mut first = bench.worker_drawing("a", "primitives", "one").await;
+    let mut other = bench.worker_drawing("b", "primitives", "another").await;
+    let lease = first.claim_one().await;
+    assert_eq!(first.commit(&lease, true).await, Verdict::Accepted);
+    for warm in ["", "libero_object/0"] {
+        let nothing = other.claim_response(warm).await;
+        assert!(nothing.lease.is_none());
+        for word in ["`pinned` is pinned", "renderer `one`", "renderer `another`"] {
+            assert!(nothing.idle_reason.contains(word), "{nothing:?}");
+        }
+    }
+    assert_eq!(bench.status("pinned").await.live_workers, 1);
+    assert_eq!(first.claim_warm(4, "libero_object/0").await.len(), 3);
+}
+
+#[tokio::test]
+async fn what_a_campaign_asks_for_is_told_at_once_to_a_worker_that_does_not_suit() {
+    let bench = Bench::start().await;
+    let wanted = json!({"assets": "libero", "renderer": "software"});
+    let spec = with(small_spec("choosy"), wanted);
+    bench.create(&spec).await.expect("created");
+    for (pack, renderer) in [("primitives", SOFTWARE), ("libero", GL)] {
+        let told = told(&bench, pack, renderer).await;
+        for word in [
+            "`choosy` wants assets `libero` and renderer `software`",
+            pack,
+            renderer,
+        ] {
+            assert!(told.contains(word), "{told}");
+        }
+        // And so is whoever looks at the campaign.
+        let waits = bench.status("choosy").await.waiting_reason;
+        for word in ["wants assets `libero`", pack, renderer] {
+            assert!(waits.contains(word), "{waits}");
+        }
+    }
+    assert_eq!(told(&bench, "libero", SOFTWARE).await, "");
+    assert_eq!(bench.status("choosy").await.waiting_reason, "");
+    let mut worker = bench.worker_drawing("a", "libero", SOFTWARE).await;
+    assert_eq!(worker.claim(4).await.len(), 4);
+}
+
+#[tokio::test]
+async fn a_pack_may_be_asked_for_by_the_beginning_of_its_digest() {
+    let bench = Bench::start().await;
+    let digest = registration("a", "libero").asset_pack_digest;
+    let wanted = json!({"assets": digest[..10], "renderer": "gl"});
+    let spec = with(small_spec("exact"), wanted);
+    bench.create(&spec).await.expect("created");
+    assert_eq!(told(&bench, "libero", GL).await, "");
+    let told = told(&bench, "primitives", GL).await;
+    assert!(told.contains(&digest[..10]), "{told}");
+}

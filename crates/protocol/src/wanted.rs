@@ -1,0 +1,85 @@
+//! What a campaign asks of its workers. What it leaves open, its first result
+//! decides.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+/// Fewest digits of a digest that name an asset pack.
+pub(crate) const MIN_DIGEST_DIGITS: usize = 8;
+/// Asset packs by name.
+const PACKS: [&str; 2] = ["primitives", "libero"];
+
+/// What a campaign's workers must run on.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Wanted {
+    /// The asset pack: `primitives`, `libero`, or the first digits of a pack's
+    /// digest, at least eight.
+    pub assets: Option<String>,
+    /// What draws.
+    pub renderer: Option<RendererKind>,
+}
+
+/// What draws a worker's frames.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum RendererKind {
+    /// This project's renderer: the same bits on every machine.
+    Software,
+    /// A machine's OpenGL.
+    Gl,
+}
+
+impl Wanted {
+    /// The assets that it asks for, if they can be no pack's name or digest.
+    pub(crate) fn unknown_assets(&self) -> Option<&str> {
+        let is_digit = |it| matches!(it, b'0'..=b'9' | b'a'..=b'f');
+        let is_known = |text: &str| {
+            PACKS.contains(&text) || text.len() >= MIN_DIGEST_DIGITS && text.bytes().all(is_digit)
+        };
+        self.assets.as_deref().filter(|text| !is_known(text))
+    }
+}
+
+impl RendererKind {
+    /// Its name in a specification and on a worker's command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            RendererKind::Software => "software",
+            RendererKind::Gl => "gl",
+        }
+    }
+}
+
+/// "assets `libero` and renderer `software`"; empty if it asks for nothing.
+impl fmt::Display for Wanted {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let assets = self.assets.iter().map(|name| format!("assets `{name}`"));
+        let renderer = self.renderer.iter();
+        let renderer = renderer.map(|kind| format!("renderer `{}`", kind.name()));
+        let parts: Vec<String> = assets.chain(renderer).collect();
+        f.write_str(&parts.join(" and "))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn assets_are_a_packs_name_or_the_beginning_of_its_digest() {
+        let check = |assets: &str, is_known: bool| {
+            let wanted = Wanted {
+                assets: Some(assets.to_owned()),
+                renderer: None,
+            };
+            assert_eq!(wanted.unknown_assets().is_none(), is_known, "{assets}");
+        };
+        check("primitives", true);
+        check("libero", true);
+        check("0123abcd", true);
+        check("0123abc", false);
+        check("0123ABCD", false);
+        check("../libero-assets", false);
+    }
+}

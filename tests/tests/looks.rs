@@ -1,0 +1,131 @@
+//! How the page looks on the screens that people have: nothing is cut off, no
+//! letter is too small to read, figures use the width that they have. Pictures of
+//! every page on every screen are left in `target/looks`, to be looked at.
+
+use std::path::{Path, PathBuf};
+
+use tests::browser::{self, Browser, Screen};
+use tests::programs::Campaigns;
+
+/// A phone, a tablet, a laptop, a desk.
+const WIDTHS: [u32; 4] = [390, 768, 1280, 1920];
+/// Of which side by side means side by side.
+const WIDE: u32 = 1280;
+/// Smallest letters, CSS pixels.
+const MIN_LETTERS_PX: f64 = 11.0;
+/// How much of the page's width a figure with its caption takes, on a wide screen.
+const MIN_FILLED: f64 = 0.85;
+/// Tallest picture, CSS pixels.
+const MAX_HEIGHT: u64 = 8_000;
+
+/// The smallest letters that are shown, as they come out on the screen.
+const SMALLEST: &str = "(() => { let least = [99, ''];
+    for (const e of document.querySelectorAll('main *')) {
+        const own = [...e.childNodes].some(n => n.nodeType === 3 && n.data.trim());
+        if (!own || e.closest('.unseen') || !e.getClientRects().length) continue;
+        const svg = e.closest('svg');
+        const scale = svg ? svg.clientWidth / svg.viewBox.baseVal.width : 1;
+        const size = parseFloat(getComputedStyle(e).fontSize) * scale;
+        if (size < least[0]) least = [size, e.textContent.trim()];
+    }
+    return least; })()";
+/// The share of the page's width that the narrowest figure takes.
+const NARROWEST: &str = "(() => { const page = document.querySelector('main');
+    const width = page.getBoundingClientRect().width;
+    const share = f => { const boxes = [...f.querySelectorAll('svg, figcaption, p')]
+            .map(e => e.getBoundingClientRect()).filter(b => b.width);
+        return (Math.max(...boxes.map(b => b.right)) - Math.min(...boxes.map(b => b.left))) / width; };
+    return Math.min(1, ...[...document.querySelectorAll('main figure')].map(share)); })()";
+/// Whether the first two cards of a configuration stand in one row.
+const SIDE_BY_SIDE: &str = "(() => { const [nominal, all] = document.querySelectorAll('.rollout');
+    const title = e => e.querySelector('h2').innerText;
+    return [title(nominal), title(all),
+        nominal.getBoundingClientRect().top === all.getBoundingClientRect().top]; })()";
+
+/// A campaign of a few tasks.
+fn create(campaigns: &Campaigns, name: &str, levels: &str) {
+    let endpoint = &campaigns.gateway.url;
+    #[rustfmt::skip]
+    campaigns.succeed(&[
+        "campaign", "create", "--name", name, "--policy", "noop", "--endpoint", endpoint,
+        "--tasks", "libero_object,libero_spatial", "--axes", "all", "--levels", levels,
+        "--configs", "0-1", "--nominal", "eval",
+    ]);
+}
+
+/// A picture of the whole page.
+fn take(browser: &mut Browser, screen: Screen, path: &Path) {
+    let height = browser.value("document.documentElement.scrollHeight");
+    let height = height.as_u64().expect("a height").clamp(1, MAX_HEIGHT);
+    let height = u32::try_from(height).expect("not that tall");
+    browser.set_screen(Screen { height, ..screen });
+    std::fs::write(path, browser.screenshot()).expect("written");
+}
+
+#[test]
+fn on_every_screen_nothing_is_cut_off_or_too_small_and_figures_use_the_width() {
+    let test = "on_every_screen_nothing_is_cut_off_or_too_small_and_figures_use_the_width";
+    if !browser::is_installed(test) {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let pictures = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../target/looks");
+    std::fs::create_dir_all(&pictures).unwrap();
+    let campaigns = Campaigns::start(&folder.path().join("data"));
+    create(&campaigns, "one-level", "L2");
+    create(&campaigns, "three-levels", "L1,L2,L3");
+    let fast = [("SIMULATED_SLOT_STEP_MILLIS", "0")];
+    let worker = campaigns.simulated_worker(2, &fast);
+    campaigns.wait_for_commits("one-level", None);
+    campaigns.wait_for_commits("three-levels", None);
+    drop(worker);
+    create(&campaigns, "no-result", "L1,L2,L3");
+    let pages = [
+        ("campaigns", "/"),
+        ("no-result", "/campaigns/no-result"),
+        ("one-level", "/campaigns/one-level"),
+        ("three-levels", "/campaigns/three-levels"),
+        (
+            "configuration",
+            "/campaigns/one-level/configurations/object/t0/combination/L2/c00",
+        ),
+        ("rollouts", "/campaigns/one-level/rollouts"),
+        ("workers", "/workers"),
+    ];
+    let mut browser = Browser::start(&folder.path().join("profile"));
+    let mut problems = Vec::new();
+    for (name, path) in pages {
+        for (width, is_dark) in WIDTHS.into_iter().flat_map(|it| [(it, false), (it, true)]) {
+            let screen = Screen {
+                width,
+                height: 1_000,
+                is_dark,
+            };
+            browser.set_screen(screen);
+            browser.go(&format!("{}{path}", campaigns.coordinator.url));
+            let place = format!("{name} at {width} px");
+            let wide = browser.value("document.documentElement.scrollWidth");
+            if wide.as_u64() > Some(u64::from(width)) {
+                problems.push(format!("{place} is {wide} px wide"));
+            }
+            let smallest = browser.value(SMALLEST);
+            if smallest[0].as_f64() < Some(MIN_LETTERS_PX) {
+                problems.push(format!("{place}: letters of {smallest} px"));
+            }
+            let filled = browser.value(NARROWEST);
+            if width >= WIDE && filled.as_f64() < Some(MIN_FILLED) {
+                problems.push(format!("{place}: a figure takes {filled} of the width"));
+            }
+            if name == "configuration" && width >= WIDE {
+                let cards = browser.value(SIDE_BY_SIDE);
+                assert_eq!(cards, serde_json::json!(["nominal", "simultaneous", true]));
+            }
+            let theme = if is_dark { "dark" } else { "light" };
+            let picture = pictures.join(format!("{name}-{width}-{theme}.png"));
+            take(&mut browser, screen, &picture);
+        }
+    }
+    assert!(problems.is_empty(), "{}", problems.join("\n"));
+    let complaints = browser.complaints();
+    assert!(complaints.is_empty(), "{complaints:#?}");
+}
