@@ -25,6 +25,7 @@ mod rollout_id;
 mod row;
 mod suite;
 mod tasks;
+mod wording;
 
 pub use campaign::{CampaignSpec, MAX_REPLICATES, PolicyRoute, Record, Rollouts, SpecError};
 pub use condition::{Axis, Condition, Realisation};
@@ -40,3 +41,4 @@ pub use perturbation::{
 pub use rollout_id::RolloutId;
 pub use row::{MAX_ROWS, ManifestRow, RowError};
 pub use suite::{INIT_STATES_PER_TASK, Suite, TASKS_PER_SUITE, TaskRef};
+pub use wording::{JsonError, plain_words};
