@@ -23,7 +23,6 @@ use anyhow::Context;
 use clap::{Parser, Subcommand};
 use proto::coordinator::change_campaign_request::Change;
 use tokio::runtime::Runtime;
-use tracing_subscriber::EnvFilter;
 
 use command::{CommandError, Connection};
 
@@ -85,15 +84,7 @@ pub(crate) fn run(arguments: Arguments) -> ExitCode {
         Command::Serve(_) => "info",
         _ => "warn",
     };
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| default_level.into());
-    tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(std::io::stderr)
-        // A log on a full disk must not end the program: this would print an
-        // error to the same place, and panic.
-        .log_internal_errors(false)
-        .with_ansi(std::io::IsTerminal::is_terminal(&std::io::stderr()))
-        .init();
+    terminal::log(default_level);
     let runtime = Runtime::new().context("start the asynchronous runtime");
     let runtime = runtime.map_err(CommandError::Failure);
     let done = runtime.and_then(|runtime| runtime.block_on(execute(arguments.command)));
@@ -102,6 +93,9 @@ pub(crate) fn run(arguments: Arguments) -> ExitCode {
         Err(CommandError::Usage(error)) => (error, 2),
         Err(CommandError::Failure(error)) => (error, 1),
     };
+    if terminal::reader_is_gone(&*error) {
+        return ExitCode::SUCCESS;
+    }
     eprintln!("error: failed to {error:#}");
     ExitCode::from(code)
 }

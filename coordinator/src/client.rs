@@ -5,11 +5,14 @@ use std::time::Duration;
 
 use proto::coordinator as wire;
 use proto::coordinator::operator_service_client::OperatorServiceClient;
+use protocol::JsonError;
 use report::Subject;
 use tokio::time::Instant;
-use tonic::transport::Endpoint;
 use tonic::{Code, Response, Status, Streaming};
-use transport::{Access, Connection, innermost};
+use transport::{
+    Access, AccessError, Connection, EndpointError, Peer, ServerKind, Settings, Trouble, answer,
+    parse_endpoint,
+};
 
 /// How long a command tries to reach a coordinator.
 pub const RETRY_FOR: Duration = Duration::from_secs(30);
@@ -18,6 +21,14 @@ const FIRST_PAUSE: Duration = Duration::from_millis(250);
 const LONGEST_PAUSE: Duration = Duration::from_secs(4);
 /// How long one connection attempt may take.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// Where an operator says which coordinator is meant.
+const SETTINGS: Settings = Settings {
+    address: "--connect",
+    authority: "--ca",
+    clear: "http://",
+    encrypted: "https://",
+};
 
 /// The calls of an operator, as [`Client::call`] takes them.
 pub type Service = OperatorServiceClient<Connection>;
@@ -28,28 +39,25 @@ pub struct Client {
     url: String,
     retry_for: Duration,
     service: Service,
+    peer: Peer,
 }
 
 /// A request that came to nothing.
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
     /// Not a URL.
-    #[error("read coordinator address `{url}`: write a URL such as http://127.0.0.1:7411")]
-    Url {
-        /// What was given.
-        url: String,
-        /// What is wrong with it.
-        source: tonic::transport::Error,
-    },
-    /// Nobody answers.
-    #[error(
-        "reach the coordinator at {url} ({reason}): start it with `coordinator serve`, or name another with --connect"
-    )]
+    #[error(transparent)]
+    Url(#[from] EndpointError),
+    /// No URL to call over TLS.
+    #[error(transparent)]
+    Access(#[from] AccessError),
+    /// No coordinator answers.
+    #[error("reach the coordinator at {url}: {trouble}")]
     Unreachable {
         /// Where.
         url: String,
-        /// Why, the last time.
-        reason: String,
+        /// What is there instead, the last time.
+        trouble: Box<Trouble>,
     },
     /// The coordinator says that the request is wrong.
     #[error("{message}")]
@@ -71,19 +79,17 @@ impl Client {
     /// # Errors
     /// When `url` is none.
     pub fn new(url: &str, access: &Access, retry_for: Duration) -> Result<Client, ClientError> {
-        let no_url = |source| ClientError::Url {
-            url: url.to_owned(),
-            source,
-        };
-        let endpoint = Endpoint::from_shared(url.to_owned()).map_err(no_url)?;
+        let endpoint = parse_endpoint(url)?;
         let endpoint = endpoint.connect_timeout(CONNECT_TIMEOUT).tcp_nodelay(true);
-        let connection = access.connect_lazy(endpoint).map_err(no_url)?;
+        let peer = Peer::new(endpoint.clone(), access, ServerKind::Coordinator, SETTINGS);
+        let connection = access.connect_lazy(endpoint)?;
         Ok(Client {
             url: url.to_owned(),
             retry_for,
             service: Service::new(connection)
                 .max_decoding_message_size(proto::MAX_MESSAGE_BYTES)
                 .max_encoding_message_size(proto::MAX_MESSAGE_BYTES),
+            peer,
         })
     }
 
@@ -123,9 +129,10 @@ impl Client {
         }
         serde_json::from_slice(&json).map_err(|error| ClientError::Refused {
             message: format!(
-                "read what the coordinator at {} sent of `{name}` ({error}): use the same version \
-                 of both programs",
-                self.url
+                "read what the coordinator at {} sent of `{name}` ({}): use the same version of \
+                 both programs",
+                self.url,
+                JsonError::from(error).problem()
             ),
         })
     }
@@ -135,8 +142,10 @@ impl Client {
     /// # Errors
     /// See [`ClientError`].
     pub async fn next<T>(&self, answer: &mut Streaming<T>) -> Result<Option<T>, ClientError> {
-        let next = answer.message().await;
-        next.map_err(|status| self.failed(&status))
+        match answer.message().await {
+            Ok(next) => Ok(next),
+            Err(status) => Err(self.failed(&status, self.peer.trouble(&status).await)),
+        }
     }
 
     /// Calls until the coordinator answers or the time for trying is over. All
@@ -157,15 +166,23 @@ impl Client {
                 Ok(response) => return Ok(response.into_inner()),
                 Err(status) => status,
             };
-            if status.code() != Code::Unavailable || Instant::now() + pause > deadline {
-                return Err(self.failed(&status));
+            let trouble = self.peer.trouble(&status).await;
+            let may_pass = match &trouble {
+                Some(trouble) => !trouble.found.is_final(),
+                None => status.code() == Code::Unavailable,
+            };
+            if !may_pass || Instant::now() + pause > deadline {
+                return Err(self.failed(&status, trouble));
             }
             if !was_told {
                 was_told = true;
+                let reason = match &trouble {
+                    Some(trouble) => trouble.finding().to_string(),
+                    None => answer(&status),
+                };
                 eprintln!(
-                    "no answer from the coordinator at {} ({}); trying again for {} s",
+                    "no answer from the coordinator at {}: {reason}; trying again for {} s",
                     self.url,
-                    innermost(&status),
                     self.retry_for.as_secs()
                 );
             }
@@ -174,13 +191,15 @@ impl Client {
         }
     }
 
-    fn failed(&self, status: &Status) -> ClientError {
-        let message = status.message().to_owned();
-        match status.code() {
-            Code::Unavailable => ClientError::Unreachable {
+    fn failed(&self, status: &Status, trouble: Option<Trouble>) -> ClientError {
+        if let Some(trouble) = trouble {
+            return ClientError::Unreachable {
                 url: self.url.clone(),
-                reason: innermost(status),
-            },
+                trouble: trouble.into(),
+            };
+        }
+        let message = answer(status);
+        match status.code() {
             Code::InvalidArgument => ClientError::Invalid { message },
             _ => ClientError::Refused { message },
         }

@@ -69,9 +69,9 @@ pub async fn lines(
 }
 
 fn line(result: &ExportedRow, policy: &str) -> Result<String, ReadError> {
-    let in_row = |source| ReadError::Row {
+    let in_row = |error: serde_json::Error| ReadError::Row {
         rollout_id: result.rollout_id.clone(),
-        source,
+        source: error.into(),
     };
     let row: ManifestRow = serde_json::from_str(&result.manifest_row).map_err(in_row)?;
     let task = row.id.task();

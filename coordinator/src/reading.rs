@@ -1,6 +1,6 @@
 //! What reading a campaign's results may fail with.
 
-use protocol::{SpecError, UnknownName};
+use protocol::{JsonError, SpecError, UnknownName};
 use queue::ids::CampaignName;
 use queue::{QueueError, StoreError};
 
@@ -19,7 +19,7 @@ pub enum ReadError {
         source: SpecError,
     },
     /// A stored rollout id or realisation does not read back.
-    #[error("read a stored name")]
+    #[error("read a stored name of a result")]
     Name(#[from] UnknownName),
     /// A stored manifest row does not read back.
     #[error("read the stored manifest row of `{rollout_id}`")]
@@ -27,7 +27,7 @@ pub enum ReadError {
         /// Whose.
         rollout_id: String,
         /// What is wrong with it.
-        source: serde_json::Error,
+        source: JsonError,
     },
 }
 

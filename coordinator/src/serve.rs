@@ -57,8 +57,11 @@ pub enum ServeError {
     #[error(transparent)]
     Store(#[from] StoreError),
     /// Its socket fails.
-    #[error("serve: the listening socket failed")]
-    Transport(#[from] tonic::transport::Error),
+    #[error("go on serving: the listening socket failed ({problem})")]
+    Socket {
+        /// What the system said.
+        problem: String,
+    },
     /// Its certificate is no use.
     #[error(transparent)]
     Security(#[from] SecurityError),
@@ -207,6 +210,9 @@ async fn server(
         .initial_connection_window_size(CONNECTION_WINDOW_BYTES)
         .add_routes(routes)
         .serve_with_incoming_shutdown(connections, stopped)
-        .await?;
+        .await
+        .map_err(|error| ServeError::Socket {
+            problem: transport::innermost(&error),
+        })?;
     Ok(())
 }

@@ -6,7 +6,7 @@ use std::{fmt, time::Duration};
 use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
 use thiserror::Error;
 use tonic::{Code, Status};
-use transport::is_outage_code;
+use transport::{Settings, Trouble, answer, is_outage_code};
 
 use crate::{
     check::{ActionFault, DescriptionFault},
@@ -19,8 +19,13 @@ pub mod openpi;
 pub mod recorder;
 pub mod replay;
 
-/// How rustls begins to say what is wrong with a server's certificate.
-const BAD_CERTIFICATE: &str = "invalid peer certificate";
+/// Where a gateway's user says which policy server is meant.
+pub(crate) const SETTINGS: Settings = Settings {
+    address: "its route",
+    authority: "`ca` of the policy",
+    clear: "grpc://",
+    encrypted: "https://",
+};
 
 /// Something that answers for a policy. The `policy` field of requests is the
 /// caller's name of the route and means nothing to a back-end.
@@ -67,26 +72,13 @@ pub trait Backend: fmt::Display + Send + Sync {
 /// `RESOURCE_EXHAUSTED`: not charged to the rollout) or the policy did.
 #[derive(Clone, Debug, Error)]
 pub enum BackendError {
-    /// No connection, or it broke.
-    #[error(
-        "cannot reach the policy server at {address}: {reason}; start it, or correct the route"
-    )]
+    /// No connection, or it broke, or to something else.
+    #[error("cannot reach the policy server at {address}: {trouble}")]
     Unreachable {
         /// host:port.
         address: String,
-        /// The innermost cause, as the transport says it.
-        reason: String,
-    },
-    /// Its certificate is not one that this gateway trusts.
-    #[error(
-        "cannot trust the policy server at {address}: {reason}; give the certificate authority \
-         that signed its certificate as `ca` of the policy, or renew the certificate"
-    )]
-    Untrusted {
-        /// host:port.
-        address: String,
-        /// What is wrong with it.
-        reason: String,
+        /// What is there instead.
+        trouble: Box<Trouble>,
     },
     /// It does not let this gateway in.
     #[error(
@@ -166,7 +158,7 @@ pub enum BackendError {
         answered: usize,
     },
     /// It answered with an error of its own.
-    #[error("the policy server at {address} answered {:?}: {}", status.code(), status.message())]
+    #[error("the policy server at {address} answered: {}", answer(status))]
     Refused {
         /// host:port.
         address: String,
@@ -212,7 +204,6 @@ impl BackendError {
     pub fn code(&self) -> Code {
         match self {
             Self::Unreachable { .. }
-            | Self::Untrusted { .. }
             | Self::Barred { .. }
             | Self::Out { .. }
             | Self::Sick { .. }
@@ -229,14 +220,6 @@ impl BackendError {
             | Self::Description { .. }
             | Self::Nonsense { .. }
             | Self::BatchSize { .. } => Code::Internal,
-        }
-    }
-
-    /// No connection, for a reason of the transport's.
-    fn connecting(address: String, reason: String) -> Self {
-        match reason.contains(BAD_CERTIFICATE) {
-            true => Self::Untrusted { address, reason },
-            false => Self::Unreachable { address, reason },
         }
     }
 

@@ -8,7 +8,11 @@ use thiserror::Error;
 use transport::{Access, AccessError, Role};
 
 use crate::{
-    backend::{grpc::GrpcAddress, openpi::OpenpiAddress, recorder::RecordInto},
+    backend::{
+        grpc::{AddressError, GrpcAddress},
+        openpi::{OpenpiAddress, OpenpiAddressError},
+        recorder::RecordInto,
+    },
     builtin::Builtin,
     recording::RecordingError,
 };
@@ -106,9 +110,12 @@ pub enum UnusableBackend {
     /// Recordings that are no use.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// An address or a certificate authority that is none.
-    #[error("use a policy server's address, or the `ca` to know it by")]
-    Transport(#[from] tonic::transport::Error),
+    /// An address that is none.
+    #[error(transparent)]
+    Address(#[from] AddressError),
+    /// An openpi server's address that is none.
+    #[error(transparent)]
+    Openpi(#[from] OpenpiAddressError),
 }
 
 /// The replicas that answer for a route.

@@ -65,8 +65,10 @@ pub enum Answered {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Cause {
     /// No connection.
-    Unreachable,
-    /// One of the two does not trust the other.
+    Unreachable(String),
+    /// A connection that the settings make vain: to another server, say.
+    Misplaced(String),
+    /// It does not let this gateway in.
     Distrust(String),
     /// It describes itself otherwise than it did, or than its fellow replicas.
     Disagrees(String),
@@ -81,7 +83,7 @@ pub enum Cause {
 impl Cause {
     fn waits(&self) -> Waits {
         match self {
-            Self::Unreachable => WAITS,
+            Self::Unreachable(_) => WAITS,
             _ => SICK_WAITS,
         }
     }
@@ -96,7 +98,7 @@ impl fmt::Display for Cause {
     /// Reads after the server's name.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Unreachable => f.write_str("cannot be reached"),
+            Self::Unreachable(why) | Self::Misplaced(why) => write!(f, "cannot be reached: {why}"),
             Self::Distrust(error) => write!(f, "cannot be asked: {error}"),
             Self::Disagrees(difference) => f.write_str(difference),
             Self::Silent => f.write_str("did not answer in time"),
@@ -290,9 +292,13 @@ mod tests {
         Pass(u64),
     }
 
+    fn unreachable() -> Cause {
+        Cause::Unreachable("nothing listens there".to_owned())
+    }
+
     fn event() -> impl Strategy<Value = Event> {
         let cause = prop_oneof![
-            Just(Cause::Unreachable),
+            Just(unreachable()),
             Just(Cause::Silent),
             Just(Cause::Disagrees("digest".to_owned())),
         ];
@@ -359,7 +365,7 @@ mod tests {
         #[test]
         fn a_failure_is_followed_by_a_wait_within_its_bounds(
             events in prop::collection::vec(event(), 0..60),
-            cause in prop_oneof![Just(Cause::Unreachable), Just(Cause::Silent)],
+            cause in prop_oneof![Just(unreachable()), Just(Cause::Silent)],
         ) {
             let (mut health, mut now) = (Health::default(), Instant::now());
             for event in &events {
@@ -395,9 +401,9 @@ mod tests {
         let mut now = Instant::now();
         let mut waits = Vec::new();
         for _ in 0..8 {
-            health.failed(Cause::Unreachable, now);
+            health.failed(unreachable(), now);
             // A query that was on its way when the connection broke.
-            health.failed(Cause::Unreachable, now);
+            health.failed(unreachable(), now);
             let (_, wait) = health.admit(Call::Describe, now).expect_err("a wait");
             waits.push(wait.as_millis());
             now += wait;

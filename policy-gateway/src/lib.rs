@@ -11,7 +11,7 @@ use proto::policy::policy_server::PolicyServer;
 use thiserror::Error;
 use tokio::{net::TcpListener, sync::oneshot};
 use tonic::transport::server::TcpIncoming;
-use transport::{Demand, Role, Security, SecurityError};
+use transport::{Demand, Role, Security, SecurityError, innermost};
 
 use crate::{
     http2::{CONNECTION_WINDOW_BYTES, MAX_FRAME_BYTES, STREAM_WINDOW_BYTES},
@@ -77,7 +77,9 @@ pub async fn run(
         tokio::time::sleep(SHUTDOWN_GRACE).await;
     };
     tokio::select! {
-        served = served => Ok(served?),
+        served = served => served.map_err(|error| RunError::Socket {
+            problem: innermost(&error),
+        }),
         () = out_of_patience => {
             tracing::warn!("stopping with queries still under way after {} s", SHUTDOWN_GRACE.as_secs());
             Ok(())
@@ -99,8 +101,11 @@ fn demands(path: &str) -> Demand {
 #[derive(Debug, Error)]
 pub enum RunError {
     /// An address that cannot be used, or a listener that failed.
-    #[error("serve policies")]
-    Transport(#[from] tonic::transport::Error),
+    #[error("serve policies: the listening socket failed ({problem})")]
+    Socket {
+        /// What the system said.
+        problem: String,
+    },
     /// A certificate that is no use.
     #[error(transparent)]
     Security(#[from] SecurityError),

@@ -19,12 +19,12 @@ use policy_gateway::{
     conformance::{self, Target, front::Front, scene},
     service::Gateway,
 };
+use terminal::{number, reader_is_gone};
 use tokio::{
     net::TcpListener,
     signal::unix::{Signal, SignalKind, signal},
     task::JoinSet,
 };
-use tracing_subscriber::EnvFilter;
 use transport::{Access, ClientArguments, Role, Security, SecurityError, ServerArguments};
 
 /// The suites that a policy can be checked with.
@@ -51,7 +51,8 @@ struct Arguments {
 #[derive(Debug, Args)]
 struct Listen {
     /// Where to listen; port 0 takes a free one, and the line printed names it
-    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7071")]
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7071",
+        value_parser = terminal::address)]
     listen: SocketAddr,
 
     #[command(flatten)]
@@ -116,7 +117,8 @@ enum Command {
         policy: RouteName,
 
         /// Mebibytes to record at most
-        #[arg(long, value_name = "N", default_value_t = DEFAULT_MAX_BYTES >> 20)]
+        #[arg(long, value_name = "N", default_value_t = DEFAULT_MAX_BYTES >> 20,
+            value_parser = number(1..=1_u64 << 40, "MiB"))]
         max_mib: u64,
 
         #[command(flatten)]
@@ -140,14 +142,7 @@ enum Command {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
-    tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(std::io::stderr)
-        // A log on a full disk must not end the program: this would print an
-        // error to the same place, and panic.
-        .log_internal_errors(false)
-        .init();
+    terminal::log("info");
     let done = match arguments.command {
         Some(Command::Check {
             url,
@@ -301,7 +296,13 @@ async fn serve(
     } else {
         ""
     };
-    writeln!(stdout(), "listening on {address}{over}").context("print the address listened on")?;
+    match terminal::print_line(&format!("listening on {address}{over}")) {
+        // Whoever started this may have gone.
+        Err(error) if !reader_is_gone(&error) => {
+            return Err(error).context("print the address listened on");
+        }
+        _ => {}
+    }
 
     let shutdown = async move {
         tokio::select! {

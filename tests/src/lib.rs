@@ -8,4 +8,5 @@ pub mod circles;
 pub mod fidelity;
 pub mod files;
 pub mod measure;
+pub mod phrases;
 pub mod programs;

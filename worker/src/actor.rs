@@ -5,8 +5,7 @@
 use std::time::Duration;
 
 use proto::policy::{DescribeResponse, Observation, StateField};
-
-use crate::grpc::EndpointError;
+use transport::{AccessError, EndpointError};
 
 /// The cameras of a LIBERO scene that policies may look through.
 pub(crate) const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
@@ -22,14 +21,14 @@ pub enum PolicyError {
     /// The endpoint is not one.
     #[error(transparent)]
     Endpoint(#[from] EndpointError),
-    /// The certificate authority is no use.
-    #[error("use the certificate authority for the policy: {0}")]
-    Tls(#[source] tonic::transport::Error),
+    /// The endpoint cannot be called over TLS.
+    #[error(transparent)]
+    Access(#[from] AccessError),
     /// No runtime to call from.
     #[error("start the policy client: {0}")]
     Runtime(#[source] std::io::Error),
     /// No answer, or an answer that says "not now".
-    #[error("{call} policy `{policy}` at {endpoint}: {problem}")]
+    #[error("{call} {} at {endpoint}: {problem}", named(policy))]
     Unavailable {
         /// "describe", "reset", "ask".
         call: &'static str,
@@ -41,7 +40,7 @@ pub enum PolicyError {
         problem: String,
     },
     /// It describes itself as something that no rollout can work with.
-    #[error("use policy `{policy}` at {endpoint}: its description {problem}")]
+    #[error("use {} at {endpoint}: its description {problem}", named(policy))]
     Description {
         /// Which policy.
         policy: String,
@@ -52,7 +51,8 @@ pub enum PolicyError {
     },
     /// It answered, and the answer cannot be executed.
     #[error(
-        "use the answer of policy `{policy}` to query {query} of session {session}: {violation}"
+        "use the answer of {} to query {query} of session {session}: {violation}",
+        named(policy)
     )]
     Misbehaved {
         /// Which policy.
@@ -64,6 +64,14 @@ pub enum PolicyError {
         /// What is wrong with it.
         violation: String,
     },
+}
+
+/// A policy in a sentence; the only one of its server has no name.
+fn named(policy: &str) -> String {
+    match policy {
+        "" => "the policy".to_owned(),
+        name => format!("policy `{name}`"),
+    }
 }
 
 impl PolicyError {

@@ -7,9 +7,8 @@ use std::str::FromStr;
 use clap::{ArgGroup, Args, Parser, Subcommand};
 use protocol::{Level, Realisation, RolloutId, Suite, TaskRef};
 use sim::Renderer;
-use transport::ClientArguments;
-
-use crate::grpc::{EndpointError, parse_endpoint};
+use terminal::{number, number_from, seconds};
+use transport::{ClientArguments, EndpointError, parse_endpoint};
 
 /// Where LIBERO's assets are published: the hub that hf-libero 0.1.4 asks.
 pub const HUB: &str = "https://huggingface.co";
@@ -112,7 +111,7 @@ impl FromStr for SlotCount {
         match (text, text.parse()) {
             ("auto", _) => Ok(Self::Auto),
             (_, Ok(number)) => Ok(Self::Given(number)),
-            _ => Err("write `auto`, or a number from 1"),
+            _ => Err("write `auto`, or a whole number of slots, 1 or more"),
         }
     }
 }
@@ -150,10 +149,10 @@ pub struct BenchArguments {
     pub load: LoadArguments,
     /// Numbers of slots, separated by commas [default: 1, 2, 4, … and the
     /// machine's cores, once and twice]
-    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    #[arg(long, value_name = "LIST", value_delimiter = ',', value_parser = slots)]
     pub slots: Vec<NonZeroUsize>,
     /// How long each number of slots is measured, seconds
-    #[arg(long, value_name = "SECS", default_value = "20", value_parser = measuring_secs)]
+    #[arg(long, value_name = "SECS", default_value = "20", value_parser = seconds(0.1..=3600.0))]
     pub secs: f64,
     /// What simulates.
     #[command(flatten)]
@@ -179,7 +178,7 @@ pub struct LoadArguments {
     pub task: TaskRef,
     /// Control steps between two looks of the policy: it is shown both cameras
     /// once in so many
-    #[arg(long, value_name = "K", default_value = "1", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    #[arg(long, value_name = "K", default_value = "1", value_parser = number(1..=1000_u32, "control steps"))]
     pub execute: u32,
 }
 
@@ -231,7 +230,7 @@ pub struct RolloutArguments {
     #[arg(long, value_name = "DIR")]
     pub output: PathBuf,
     /// Which repetition: it changes the policy's seed
-    #[arg(long, value_name = "K", default_value = "0")]
+    #[arg(long, value_name = "K", default_value = "0", value_parser = number_from(0_u32, ""))]
     pub replicate: u32,
     /// Where random elements of perturbations come from: `matched` or
     /// `reference`
@@ -259,14 +258,14 @@ pub struct OwnTaskArguments {
     #[arg(long, value_name = "FILE", requires = "bddl")]
     pub init: Option<PathBuf>,
     /// Which of them, from 0 [default: 0]
-    #[arg(long, value_name = "N", requires = "bddl")]
+    #[arg(long, value_name = "N", requires = "bddl", value_parser = number_from(0_u16, ""))]
     pub init_id: Option<u16>,
     /// The policy's instruction [default: the BDDL file's own instruction]
     #[arg(long, value_name = "TEXT", requires = "bddl")]
     pub instruction: Option<String>,
     /// Control steps that the policy has [default: those of the suite; 520
     /// without --id]
-    #[arg(long, value_name = "N", requires = "bddl", value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    #[arg(long, value_name = "N", requires = "bddl", value_parser = number(1..=10_000_u32, "control steps"))]
     pub max_steps: Option<u32>,
 }
 
@@ -326,10 +325,10 @@ pub struct PreviewArguments {
     #[arg(long, value_name = "SUITE")]
     pub suite: Suite,
     /// The task in it, 0 to 9
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..10))]
+    #[arg(long, value_name = "N", value_parser = number(0..=9_u32, ""))]
     pub task: u32,
     /// The configuration: preset of every axis, and initial state
-    #[arg(long, value_name = "N", default_value = "0", value_parser = clap::value_parser!(u16).range(0..10))]
+    #[arg(long, value_name = "N", default_value = "0", value_parser = number(0..=9_u16, ""))]
     pub config: u16,
     /// Severity of the sheets that show all presets of an axis
     #[arg(long, value_name = "LEVEL", default_value = "L2")]
@@ -346,8 +345,9 @@ pub struct PreviewArguments {
     pub simulator: SimulatorArguments,
 }
 
-fn server_url(text: &str) -> Result<String, EndpointError> {
-    parse_endpoint(text).map(|_| text.to_owned())
+fn server_url(text: &str) -> Result<String, &'static str> {
+    let read = parse_endpoint(text).map(|_| text.to_owned());
+    read.map_err(|_| EndpointError::REMEDY)
 }
 
 fn hub_url(text: &str) -> Result<String, String> {
@@ -360,11 +360,9 @@ fn hub_url(text: &str) -> Result<String, String> {
     }
 }
 
-fn measuring_secs(text: &str) -> Result<f64, &'static str> {
-    match text.parse() {
-        Ok(secs) if (0.1..=3600.0).contains(&secs) => Ok(secs),
-        _ => Err("write a number of seconds, 0.1 to 3600"),
-    }
+fn slots(text: &str) -> Result<NonZeroUsize, &'static str> {
+    text.parse()
+        .map_err(|_| "write whole numbers of slots, 1 or more, with commas between them")
 }
 
 #[cfg(test)]

@@ -10,7 +10,6 @@ mod manifest;
 mod progress;
 
 use std::fs;
-use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::thread;
 
@@ -167,6 +166,5 @@ fn fetch(hub: &str, into: &Path) -> Result<(), AssetsError> {
 }
 
 fn print(text: &str) -> Result<(), AssetsError> {
-    let printed = io::stdout().lock().write_all(text.as_bytes());
-    printed.map_err(AssetsError::Print)
+    terminal::print(text).map_err(AssetsError::Print)
 }

@@ -12,7 +12,7 @@ use protocol::{ManifestRow, Realisation};
 use sim::Simulator;
 use tokio::sync::watch;
 use tonic::Status;
-use transport::{Access, chain};
+use transport::{Access, answer, chain};
 
 use crate::actor::Action;
 use crate::filming::{Replay, film_again};
@@ -52,8 +52,13 @@ pub enum FilmError {
     #[error(transparent)]
     Link(#[from] SuperviseError),
     /// It says no.
-    #[error("ask the coordinator what to film: {}", chain(.0))]
-    Refused(Status),
+    #[error("ask the coordinator at {url} what to film: {}", answer(status))]
+    Refused {
+        /// Where it is.
+        url: String,
+        /// Its answer.
+        status: Box<Status>,
+    },
 }
 
 /// A rollout to film.
@@ -87,7 +92,10 @@ pub fn run(config: &Config, simulator: &mut Simulator) -> Result<Filmed, FilmErr
             mujoco_version: Simulator::mujoco_version(),
         };
         let answer = runtime.block_on(link.next_film(request));
-        let answer = answer.map_err(FilmError::Refused)?;
+        let answer = answer.map_err(|status| FilmError::Refused {
+            url: config.coordinator.clone(),
+            status: status.into(),
+        })?;
         let Some(film) = answer.film else {
             return Ok(filmed);
         };
@@ -126,8 +134,8 @@ fn film_rollout(simulator: &mut Simulator, rollout: &Filmable, file: &Path) -> R
 }
 
 fn filmable(film: Film) -> Result<Filmable, String> {
-    let row: ManifestRow =
-        serde_json::from_str(&film.manifest_row).map_err(|error| error.to_string())?;
+    let row: ManifestRow = serde_json::from_str(&film.manifest_row)
+        .map_err(|error| protocol::JsonError::from(error).to_string())?;
     let attempt = film.attempt_id.parse();
     let realisation = film.realisation.parse();
     let motion = Motion {

@@ -1,41 +1,8 @@
-//! What both clients of this worker need to know of gRPC: reading the URLs of
-//! servers (`grpc://HOST:PORT` and `http://HOST:PORT` mean the same, and so do
-//! `grpcs://` and `https://`), and bounding calls in time.
+//! Calls of both clients of this worker, bounded in time.
 
 use std::time::Duration;
 
-use tonic::transport::Endpoint;
 use tonic::{Response, Status};
-
-/// A URL that is none.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "read endpoint `{given}`: it must look like http://HOST:PORT or grpc://HOST:PORT, with TLS https:// or grpcs://"
-)]
-pub struct EndpointError {
-    /// What was given.
-    pub given: String,
-}
-
-/// Reads a gRPC server's URL.
-///
-/// # Errors
-/// If it has another scheme, or no host.
-pub fn parse_endpoint(url: &str) -> Result<Endpoint, EndpointError> {
-    let error = || EndpointError {
-        given: url.to_owned(),
-    };
-    let (scheme, authority) = match url.split_once("://") {
-        Some(("http" | "grpc", authority)) => ("http", authority),
-        Some(("https" | "grpcs", authority)) => ("https", authority),
-        _ => return Err(error()),
-    };
-    let authority = authority.trim_end_matches('/');
-    let endpoint = Endpoint::from_shared(format!("{scheme}://{authority}")).map_err(|_| error())?;
-    let named = endpoint.uri().host().is_some_and(|host| !host.is_empty());
-    let bare = matches!(endpoint.uri().path(), "" | "/") && endpoint.uri().query().is_none();
-    (named && bare).then_some(endpoint).ok_or_else(error)
-}
 
 /// Makes a call, and gives up after `deadline`.
 ///
@@ -51,42 +18,5 @@ pub(crate) async fn within<T>(
             "no answer within {:.0} s",
             deadline.as_secs_f64()
         ))),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn all_schemes_name_the_same_server() {
-        for url in [
-            "grpc://gpu-3:7100",
-            "http://gpu-3:7100",
-            "http://gpu-3:7100/",
-            "grpcs://gpu-3:7100",
-            "https://gpu-3:7100",
-        ] {
-            let endpoint = parse_endpoint(url).expect(url);
-            assert_eq!(
-                endpoint.uri().authority().map(|it| it.as_str()),
-                Some("gpu-3:7100")
-            );
-        }
-    }
-
-    #[test]
-    fn what_is_no_url_of_a_server_is_refused_with_an_example() {
-        for url in [
-            "",
-            "localhost:7000",
-            "ftp://host",
-            "http://",
-            "http://a b",
-            "http://h/path",
-        ] {
-            let error = parse_endpoint(url).expect_err(url).to_string();
-            assert!(error.contains("http://HOST:PORT"), "{error}");
-        }
     }
 }

@@ -15,7 +15,7 @@ pub mod child;
 mod digest;
 pub mod film;
 mod filming;
-pub mod grpc;
+mod grpc;
 pub mod ids;
 pub mod measure;
 mod memory;

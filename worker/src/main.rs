@@ -3,7 +3,6 @@
 #![forbid(unsafe_code)]
 
 use std::convert::Infallible;
-use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -12,9 +11,9 @@ use clap::Parser;
 use protocol::TaskRef;
 use scene::{AssetPack, Sources};
 use sim::{Simulator, SimulatorConfig};
+use terminal::counted;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::mpsc;
-use tracing_subscriber::EnvFilter;
 use transport::{ClientArguments, Role};
 use worker::actor::Actor;
 use worker::args::{
@@ -25,7 +24,7 @@ use worker::args::{
 use worker::child::SlotProgram;
 use worker::ids::{WorkerId, host_name, random_id, random_number};
 use worker::message::{Assignment, Session, VideoOf, VideoRequest};
-use worker::policy::{POLICY_CALL_DEADLINE, PolicyClient};
+use worker::policy::{OF_ONE_ROLLOUT, POLICY_CALL_DEADLINE, PolicyClient};
 use worker::single::{OwnTask, RecordedActions};
 use worker::supervise::{self, Config, Identity};
 use worker::{assets, film, measure, preview, single, slot};
@@ -38,16 +37,7 @@ const SHUTDOWN_QUEUE: usize = 2;
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
-    tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(std::io::stderr)
-        // A log on a full disk must not end the program: this would print an
-        // error to the same place, and panic.
-        .log_internal_errors(false)
-        .with_ansi(std::io::stderr().is_terminal())
-        .with_target(false)
-        .init();
+    terminal::log("info");
     let result = match (arguments.command, arguments.serve, arguments.simulator) {
         (Some(Command::Slot(slot)), ..) => run_slot(&slot),
         (Some(Command::BenchSlot(slot)), ..) => run_bench_slot(&slot),
@@ -63,11 +53,17 @@ fn main() -> ExitCode {
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
+        Err(error) if terminal::reader_is_gone(&*error) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("worker: failed to {error:#}");
             ExitCode::FAILURE
         }
     }
+}
+
+/// Prints a line to standard output.
+fn say(line: &str) -> anyhow::Result<()> {
+    terminal::print_line(line).context("print to standard output")
 }
 
 fn open(arguments: &SimulatorArguments) -> anyhow::Result<SimulatorConfig> {
@@ -123,7 +119,7 @@ fn run_preview(arguments: &PreviewArguments) -> anyhow::Result<()> {
         realisation: arguments.realisation,
     };
     for path in preview::write(&mut simulator, &request, &arguments.output)? {
-        println!("{}", path.display());
+        say(&path.display().to_string())?;
     }
     Ok(())
 }
@@ -138,15 +134,15 @@ fn run_film(arguments: FilmArguments) -> anyhow::Result<()> {
     };
     let pack = simulator.pack.name().to_owned();
     let filmed = film::run(&config, &mut Simulator::new(simulator))?;
-    println!(
-        "{} videos stored; no more is left to film with asset pack {pack} and MuJoCo {}",
-        filmed.stored,
+    say(&format!(
+        "{} stored; no more is left to film with asset pack {pack} and MuJoCo {}",
+        counted(filmed.stored, "video"),
         Simulator::mujoco_version()
-    );
+    ))?;
     anyhow::ensure!(
         filmed.failed == 0,
-        "film {} rollouts more: the log says why",
-        filmed.failed
+        "film {} more: the log says why",
+        counted(filmed.failed, "rollout")
     );
     Ok(())
 }
@@ -167,6 +163,7 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
         (None, Some(endpoint)) => Box::new(PolicyClient::new(
             endpoint,
             &arguments.access.access(&[Role::Worker, Role::Operator])?,
+            OF_ONE_ROLLOUT,
         )?),
         (None, None) => unreachable!("clap asks for --endpoint or --actions"),
     };
@@ -194,17 +191,17 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
         output: &arguments.output,
     };
     let result = single::run(&mut simulator, actor.as_mut(), &request)?.result;
-    println!(
-        "{}: {} after {} steps in {:.1} s; see {}",
+    say(&format!(
+        "{}: {} after {} in {:.1} s; see {}",
         own_task.map_or_else(
             || assignment.row.id.to_string(),
             |task| task.bddl.display().to_string()
         ),
         if result.success { "success" } else { "failure" },
-        result.steps,
+        counted(result.steps.into(), "step"),
         result.wall_secs,
         arguments.output.display()
-    );
+    ))?;
     Ok(())
 }
 
@@ -253,15 +250,15 @@ fn run_worker(
         asset_pack_digest: simulator.pack.digest().to_owned(),
         mujoco_version: Simulator::mujoco_version(),
     };
-    println!(
-        "worker {}: {} slots, assets {} ({}), MuJoCo {}, coordinator {}",
+    say(&format!(
+        "worker {}: {}, assets {} ({}), MuJoCo {}, coordinator {}",
         identity.worker,
-        slots,
+        counted(slots.get() as u64, "slot"),
         identity.asset_pack,
         identity.asset_pack_digest.get(..12).unwrap_or_default(),
         identity.mujoco_version,
         arguments.connect
-    );
+    ))?;
     let scratch = tempfile::tempdir().context("make a folder for videos")?;
     let config = Config {
         coordinator: arguments.connect,

@@ -14,10 +14,12 @@ use proto::{MAX_MESSAGE_BYTES, PROTOCOL_VERSION};
 use tokio::runtime::Runtime;
 use tonic::transport::Endpoint;
 use tonic::{Response, Status};
-use transport::{Access, Connection, chain, is_outage};
+use transport::{
+    Access, Connection, Peer, ServerKind, Settings, answer, is_outage, parse_endpoint,
+};
 
 use crate::actor::{ACTION_WIDTH, Action, Actor, CAMERAS, Description, PolicyError, PolicySession};
-use crate::grpc::{parse_endpoint, within};
+use crate::grpc::within;
 
 /// Longest wait for one answer of a policy. A policy that needs longer once, to
 /// compile itself, does so before it serves.
@@ -38,15 +40,33 @@ pub struct PolicyClient {
     // while the simulator has this one.
     runtime: Runtime,
     grpc: GrpcClient<Connection>,
+    peer: Peer,
 }
+
+/// Where the user of a campaign's policy says which one is meant.
+pub const OF_A_CAMPAIGN: Settings = Settings {
+    address: "the campaign's endpoint",
+    authority: "the worker's --ca",
+    clear: "http://",
+    encrypted: "https://",
+};
+/// Where the user of a policy for one rollout does.
+pub const OF_ONE_ROLLOUT: Settings = Settings {
+    address: "--endpoint",
+    authority: "--ca",
+    ..OF_A_CAMPAIGN
+};
 
 impl PolicyClient {
     /// A client of the endpoint, `grpc://HOST:PORT` or `http://HOST:PORT`, with
-    /// TLS `grpcs://` or `https://`. The connection is made at the first call.
+    /// TLS `grpcs://` or `https://`, which was set in `settings`. The connection is
+    /// made at the first call.
     ///
     /// # Errors
     /// If the endpoint is no such URL.
-    pub fn new(endpoint: &str, access: &Access) -> Result<Self, PolicyError> {
+    pub fn new(endpoint: &str, access: &Access, settings: Settings) -> Result<Self, PolicyError> {
+        let address = with_settings(parse_endpoint(endpoint)?);
+        let peer = Peer::new(address.clone(), access, ServerKind::Policy, settings);
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(1)
             .enable_all()
@@ -54,15 +74,16 @@ impl PolicyClient {
             .map_err(PolicyError::Runtime)?;
         let connection = {
             let _inside = runtime.enter();
-            access.connect_lazy(with_settings(parse_endpoint(endpoint)?))
+            access.connect_lazy(address)
         };
-        let grpc = GrpcClient::new(connection.map_err(PolicyError::Tls)?)
+        let grpc = GrpcClient::new(connection?)
             .max_decoding_message_size(MAX_MESSAGE_BYTES)
             .max_encoding_message_size(MAX_MESSAGE_BYTES);
         Ok(Self {
             endpoint: endpoint.to_owned(),
             runtime,
             grpc,
+            peer,
         })
     }
 
@@ -88,7 +109,7 @@ impl PolicyClient {
             call,
             policy: session.policy.to_owned(),
             endpoint: self.endpoint.clone(),
-            problem: chain(status),
+            problem: self.explain(status),
         }
     }
 
@@ -102,7 +123,13 @@ impl PolicyClient {
         if is_outage(status) {
             return self.unavailable(call, session, status);
         }
-        misbehaved(session, query, chain(status))
+        misbehaved(session, query, self.explain(status))
+    }
+
+    /// What the policy answered, or what is there in its place.
+    fn explain(&self, status: &Status) -> String {
+        let trouble = self.runtime.block_on(self.peer.trouble(status));
+        trouble.map_or_else(|| answer(status), |trouble| trouble.to_string())
     }
 }
 

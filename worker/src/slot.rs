@@ -18,7 +18,7 @@ use crate::actor::PolicyError;
 use crate::filming::film;
 use crate::message::{Assignment, RolloutEvent, SlotCommand, SlotEvent};
 use crate::parent::{FromParent, Parent};
-use crate::policy::PolicyClient;
+use crate::policy::{OF_A_CAMPAIGN, PolicyClient};
 use crate::rollout::{self, RolloutError, Watcher};
 use crate::stage::Stage;
 
@@ -142,7 +142,7 @@ fn client<'a>(
 ) -> Result<&'a mut PolicyClient, PolicyError> {
     let client = match last.take() {
         Some(client) if client.endpoint() == endpoint => client,
-        _ => PolicyClient::new(endpoint, access)?,
+        _ => PolicyClient::new(endpoint, access, OF_A_CAMPAIGN)?,
     };
     Ok(last.insert(client))
 }

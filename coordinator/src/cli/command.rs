@@ -1,11 +1,11 @@
 //! What commands share: reaching the coordinator, failing and printing.
 
-use std::io::Write;
 use std::time::Duration;
 
 use anyhow::Context;
 use clap::Args;
 use coordinator::client::{Client, ClientError, RETRY_FOR};
+use terminal::number;
 use transport::{ClientArguments, Role};
 
 /// Where the coordinator is.
@@ -20,7 +20,8 @@ pub(super) struct Connection {
     )]
     connect: String,
     /// Seconds to keep trying while the coordinator does not answer.
-    #[arg(long, value_name = "SECS", default_value_t = RETRY_FOR.as_secs())]
+    #[arg(long, value_name = "SECS", default_value_t = RETRY_FOR.as_secs(),
+        value_parser = number(0..=86_400_u64, "seconds"))]
     retry_secs: u64,
     #[command(flatten)]
     access: ClientArguments,
@@ -39,14 +40,9 @@ pub(super) fn print_line(text: &str) -> anyhow::Result<()> {
     print(&format!("{text}\n"))
 }
 
-/// Prints to standard output. Unlike `print!` it does not panic when nobody
-/// reads it any more.
+/// Prints to standard output.
 pub(super) fn print(text: &str) -> anyhow::Result<()> {
-    let mut stdout = std::io::stdout().lock();
-    let written = stdout.write_all(text.as_bytes());
-    written
-        .and_then(|()| stdout.flush())
-        .context("print to standard output")
+    terminal::print(text).context("print to standard output")
 }
 
 /// A command that is wrong.
@@ -76,7 +72,9 @@ impl Connection {
 impl From<ClientError> for CommandError {
     fn from(error: ClientError) -> CommandError {
         match error {
-            ClientError::Url { .. } | ClientError::Invalid { .. } => usage(error),
+            ClientError::Url(_) | ClientError::Access(_) | ClientError::Invalid { .. } => {
+                usage(error)
+            }
             ClientError::Unreachable { .. } | ClientError::Refused { .. } => failure(error),
         }
     }

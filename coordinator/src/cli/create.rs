@@ -10,11 +10,12 @@ use coordinator::client::Service;
 use coordinator::video_estimate;
 use proto::coordinator::CreateCampaignRequest;
 use protocol::{
-    Axis, CampaignSpec, Design, Level, MAX_CONFIGS, Nominal, PolicyRoute, Realisation, Record,
-    RendererKind, Rollouts, TaskRef, UnknownName, Wanted, select_tasks,
+    Axis, CampaignSpec, Design, Level, MAX_CONFIGS, MAX_REPLICATES, Nominal, PolicyRoute,
+    Realisation, Record, RendererKind, Rollouts, TaskRef, UnknownName, Wanted, select_tasks,
 };
 use queue::expand::NewCampaign;
 use serde::de::DeserializeOwned;
+use terminal::{counted, number, number_from};
 
 use super::command::{CommandError, Connection, print_line, usage};
 use super::files::{read_manifest, read_spec};
@@ -75,7 +76,7 @@ struct SpecFlags {
     #[arg(long, default_value = "matched")]
     realisation: Realisation,
     /// Times that every rollout runs, each with another policy seed.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, value_parser = number(1..=MAX_REPLICATES, "times"))]
     replicates: u32,
     /// Rollouts that are filmed: `none`; `failures`; `transitions`, of
     /// configurations that the combination of axes changes, afterwards, by
@@ -110,7 +111,7 @@ struct DesignFlags {
     #[arg(long, value_parser = one_of::<Nominal>(NOMINALS), default_value = "eval")]
     nominal: Nominal,
     /// From what the configurations beyond the protocol's ten are drawn.
-    #[arg(long, value_name = "SEED", default_value_t = 0)]
+    #[arg(long, value_name = "SEED", default_value_t = 0, value_parser = number_from(0_u64, ""))]
     design_seed: u64,
 }
 
@@ -123,8 +124,8 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     let campaign = NewCampaign::from_spec(&spec).map_err(usage)?;
     let name = &campaign.name;
     if arguments.dry_run {
-        let total = campaign.jobs.len();
-        print_line(&format!("campaign {name} would have {total} rollouts"))?;
+        let total = counted(campaign.jobs.len() as u64, "rollout");
+        print_line(&format!("campaign {name} would have {total}"))?;
         return tell_size(&campaign);
     }
     let client = arguments.connection.client()?;
@@ -136,8 +137,8 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
         0 => "was there already, with this specification",
         _ => "created",
     };
-    let total = created.jobs_total;
-    print_line(&format!("campaign {name} {happened}: {total} rollouts"))?;
+    let total = counted(created.jobs_total, "rollout");
+    print_line(&format!("campaign {name} {happened}: {total}"))?;
     tell_size(&campaign)
 }
 

@@ -7,6 +7,7 @@ use anyhow::Context;
 use clap::Args;
 use coordinator::client::{Client, Service};
 use proto::coordinator::ExportRequest;
+use terminal::counted;
 
 use super::command::{CommandError, Connection};
 use super::files::WholeFile;
@@ -36,7 +37,7 @@ pub(super) async fn export(arguments: ExportArguments) -> Result<(), CommandErro
             let mut file = WholeFile::create(path)?;
             let rows = write_lines(&client, &arguments.campaign, file.writer()).await?;
             file.finish()?;
-            eprintln!("wrote {rows} results to {}", path.display());
+            eprintln!("wrote {} to {}", counted(rows, "result"), path.display());
         }
     }
     Ok(())

@@ -9,6 +9,7 @@ use proto::coordinator::{
 };
 use queue::ids::shortened;
 use report::rollout_name;
+use terminal::number_from;
 
 use super::command::{CommandError, Connection, print_line, usage};
 
@@ -35,7 +36,7 @@ pub(super) struct ListArguments {
     #[arg(long, value_parser = ["queued", "leased", "committed", "quarantined"])]
     state: Option<String>,
     /// Most rollouts to list.
-    #[arg(long, default_value_t = 50, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, default_value_t = 50, value_parser = number_from(1_u32, "rollouts"))]
     limit: u32,
     #[command(flatten)]
     connection: Connection,

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, anyhow};
 use clap::{ArgGroup, Args, Subcommand, ValueEnum};
 use protocol::{Design, DesignVersion, ManifestRow, manifest};
+use terminal::counted;
 
 use super::command::{CommandError, failure, print, print_line, usage};
 use super::files::{name_of, read_manifest, read_spec, write_whole};
@@ -78,7 +79,8 @@ fn expand(arguments: &ExpandArguments) -> Result<(), CommandError> {
         return Ok(print(&text)?);
     };
     write_whole(path, text.as_bytes())?;
-    eprintln!("wrote {} rows to {}", rows.len(), path.display());
+    let rows = counted(rows.len() as u64, "row");
+    eprintln!("wrote {rows} to {}", path.display());
     Ok(())
 }
 
@@ -86,9 +88,9 @@ fn check(path: &Path) -> Result<(), CommandError> {
     let rows = read_manifest(path)?;
     let nominal = rows.iter().filter(|row| is_nominal(row)).count();
     Ok(print_line(&format!(
-        "{}: {} rows, {nominal} nominal and {} perturbed; design {}",
+        "{}: {}, {nominal} nominal and {} perturbed; design {}",
         name_of(path),
-        rows.len(),
+        counted(rows.len() as u64, "row"),
         rows.len() - nominal,
         DesignVersion::of_manifest(&rows)
     ))?)
@@ -103,11 +105,12 @@ fn diff(first: &Path, second: &Path) -> Result<(), CommandError> {
     let (first, second) = (name_of(first), name_of(second));
     match differences.len() {
         0 => Ok(print_line(&format!(
-            "{first} and {second} have the same {} rows",
-            left.len()
+            "{first} and {second} have the same {}",
+            counted(left.len() as u64, "row")
         ))?),
         count => Err(failure(anyhow!(
-            "find {first} and {second} alike: they differ in {count} places"
+            "find the same rows in {first} and {second}: they differ in {}",
+            counted(count as u64, "place")
         ))),
     }
 }

@@ -8,6 +8,7 @@ use coordinator::client::Service;
 use proto::coordinator::campaign_status::State;
 use proto::coordinator::change_campaign_request::Change;
 use proto::coordinator::{ChangeCampaignRequest, DeleteCampaignRequest};
+use terminal::counted;
 
 use super::command::{CommandError, Connection, print_line, usage};
 
@@ -63,8 +64,9 @@ pub(super) async fn delete(arguments: DeleteArguments) -> Result<(), CommandErro
     };
     let deleted = client.call(request, Service::delete_campaign).await?;
     Ok(print_line(&format!(
-        "campaign {name} deleted: {} rollouts, {} results and their files",
-        deleted.jobs, deleted.results
+        "campaign {name} deleted: {}, {} and their files",
+        counted(deleted.jobs, "rollout"),
+        counted(deleted.results, "result")
     ))?)
 }
 

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, anyhow};
 use clap::Args;
 use report::{Document, Subject, write_csv, write_parquet};
+use terminal::counted;
 
 use super::command::{CommandError, Connection, print_line, usage};
 use super::files::{WholeFile, write_whole};
@@ -132,6 +133,7 @@ fn write_figures(document: &Document, folder: &Path) -> anyhow::Result<()> {
         let path = folder.join(format!("{}.svg", figure.name));
         write_whole(&path, figure.standalone().as_bytes())?;
     }
-    eprintln!("wrote {} figures to {}", figures.len(), folder.display());
+    let count = counted(figures.len() as u64, "figure");
+    eprintln!("wrote {count} to {}", folder.display());
     Ok(())
 }

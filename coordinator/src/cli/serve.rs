@@ -13,6 +13,7 @@ use queue::Timing;
 use queue::clock::SystemClock;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
+use terminal::{number, reader_is_gone};
 use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
 use transport::{Security, SecurityError, ServerArguments};
@@ -28,25 +29,26 @@ pub(super) struct ServeArguments {
     #[arg(long, value_name = "DIR")]
     data: PathBuf,
     /// Address to listen on; port 0 takes a free one.
-    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7411")]
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7411",
+        value_parser = terminal::address)]
     listen: SocketAddr,
     /// Seconds that a lease lasts without a heartbeat.
     #[arg(long, value_name = "SECS", default_value_t = 30,
-        value_parser = clap::value_parser!(u32).range(1..=3600))]
+        value_parser = number(1..=3600_u32, "seconds"))]
     lease_secs: u32,
     /// Seconds that a rollout may stand still before its worker kills it.
     #[arg(long, value_name = "SECS", default_value_t = 180,
-        value_parser = clap::value_parser!(u32).range(1..=86_400))]
+        value_parser = number(1..=86_400_u32, "seconds"))]
     progress_timeout_secs: u32,
     /// Seconds that an attempt may take for each control step of its budget,
     /// settling included; then its lease ends, heartbeats or not.
     #[arg(long, value_name = "SECS", default_value_t = 10,
-        value_parser = clap::value_parser!(u32).range(1..=86_400))]
+        value_parser = number(1..=86_400_u32, "seconds"))]
     step_ceiling_secs: u32,
     /// MiB that must be free on the data folder's disk; with less, nothing is
     /// leased.
     #[arg(long, value_name = "MIB", default_value_t = DEFAULT_MIN_FREE_MIB,
-        value_parser = clap::value_parser!(u64).range(0..=1 << 40))]
+        value_parser = number(0..=1_u64 << 40, "MiB"))]
     min_free_mib: u64,
     #[command(flatten)]
     security: ServerArguments,
@@ -87,9 +89,15 @@ async fn run(arguments: ServeArguments, security: Security) -> anyhow::Result<()
         );
     }
     let data = arguments.data.display();
-    print_line(&format!(
+    let told = print_line(&format!(
         "listening on {address}{over}, page at {scheme}://{address}/, data in {data}"
-    ))?;
+    ));
+    // Whoever started this may have gone.
+    if let Err(error) = told
+        && !reader_is_gone(&*error)
+    {
+        return Err(error);
+    }
     let shutdown = async move {
         tokio::select! {
             _ = terminate.recv() => {}

@@ -294,16 +294,13 @@ fn over_tls_a_token_opens_and_what_cannot_be_trusted_is_refused() {
     let other = Authority::new();
     let refused = list_over_tls(&guarded, &other.path("ca.pem"));
     assert_eq!(refused.status.code(), Some(1));
-    assert!(
-        text(&refused.stderr).contains("invalid peer certificate"),
-        "{}",
-        text(&refused.stderr)
-    );
+    let told = text(&refused.stderr);
+    assert!(told.contains("not signed by the authority"), "{told}");
     assert_eq!(guarded.database(), before);
 }
 
 #[test]
-fn an_expired_certificate_is_refused_by_its_name_and_told_once() {
+fn an_expired_certificate_is_refused_at_once() {
     let authority = Authority::new();
     let expired = authority.sign(2_020);
     let guarded = Guarded::start(&expired.each_ref().map(String::as_str));
@@ -312,7 +309,7 @@ fn an_expired_certificate_is_refused_by_its_name_and_told_once() {
     assert_eq!(refused.status.code(), Some(1));
     let told = text(&refused.stderr);
     assert!(told.contains("certificate expired"), "{told}");
-    assert_eq!(told.matches("trying again").count(), 1, "{told}");
+    assert!(!told.contains("trying again"), "{told}");
     assert_eq!(guarded.database(), before);
 }
 

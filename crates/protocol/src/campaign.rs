@@ -13,6 +13,7 @@ use crate::presets::PRESETS;
 use crate::row::ManifestRow;
 use crate::suite::TaskRef;
 use crate::wanted::{MIN_DIGEST_DIGITS, RendererKind, Wanted};
+use crate::wording::JsonError;
 
 /// Most replicates of a campaign: replicates multiply its rollouts.
 pub const MAX_REPLICATES: u32 = 100;
@@ -139,7 +140,7 @@ impl CampaignSpec {
     /// Names what is wrong and what would be right.
     pub fn from_json(text: &str) -> Result<Self, SpecError> {
         let spec: Self = serde_json::from_str(text).map_err(|error| SpecError::Json {
-            problem: error.to_string(),
+            problem: JsonError::from(error).to_string(),
         })?;
         spec.check()?;
         Ok(spec)
@@ -220,7 +221,9 @@ struct SpecText {
 /// Fields that do not go together, or a task that is none.
 #[derive(Debug, thiserror::Error)]
 enum TextError {
-    #[error("missing field `{0}`: a campaign has `tasks`, `axes` and `levels`, or a `manifest`")]
+    #[error(
+        "the field `{0}` is not there: a campaign has `tasks`, `axes` and `levels`, or a `manifest`"
+    )]
     Missing(&'static str),
     #[error("`{0}` beside `manifest`: the manifest itself says what is run, take one of them out")]
     BesideManifest(&'static str),

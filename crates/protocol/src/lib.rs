@@ -26,6 +26,7 @@ mod row;
 mod suite;
 mod tasks;
 mod wanted;
+mod wording;
 
 pub use campaign::{CampaignSpec, MAX_REPLICATES, PolicyRoute, Record, Rollouts, SpecError};
 pub use condition::{Axis, Condition, Realisation};
@@ -42,3 +43,4 @@ pub use rollout_id::RolloutId;
 pub use row::{MAX_ROWS, ManifestRow, RowError};
 pub use suite::{INIT_STATES_PER_TASK, Suite, TASKS_PER_SUITE, TaskRef};
 pub use wanted::{RendererKind, Wanted};
+pub use wording::{JsonError, plain_words};

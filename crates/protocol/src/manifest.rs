@@ -16,6 +16,7 @@ use crate::presets::unit;
 use crate::rollout_id::RolloutId;
 use crate::row::{MAX_ROWS, ManifestRow};
 use crate::suite::TaskRef;
+use crate::wording::JsonError;
 
 /// Errors that are listed; more are counted.
 const MAX_LISTED: usize = 20;
@@ -48,7 +49,7 @@ pub fn parse(text: &str) -> Result<Vec<ManifestRow>, ManifestErrors> {
                 rows.push(row);
             }
             Err(error) => {
-                let problem = LineProblem::Row(without_place(&error));
+                let problem = LineProblem::Row(JsonError::from(error).problem().to_owned());
                 checker.errors.add(line, problem);
             }
         }
@@ -303,15 +304,6 @@ impl Checker {
             0 => Ok(()),
             _ => Err(self.errors),
         }
-    }
-}
-
-/// The message without serde's "at line 1 column 7": the line is the file's.
-fn without_place(error: &serde_json::Error) -> String {
-    let message = error.to_string();
-    match message.rfind(" at line ") {
-        Some(end) => message[..end].to_owned(),
-        None => message,
     }
 }
 

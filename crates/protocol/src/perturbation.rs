@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
 use crate::condition::{Axis, Condition};
+use crate::wording::JsonError;
 
 /// Declares the parameters of one axis: a struct whose serialised names are the
 /// reference's keys, in the reference's order.
@@ -216,7 +217,7 @@ impl Perturbation {
         };
         serde_json::from_value(Value::Object(nested)).map_err(|source| PerturbError::Parameters {
             condition,
-            problem: source.to_string(),
+            problem: JsonError::from(source).problem().to_owned(),
         })
     }
 }

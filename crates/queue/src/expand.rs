@@ -5,7 +5,7 @@
 use std::collections::BTreeSet;
 
 use protocol::seeds::policy_seed;
-use protocol::{CampaignSpec, Record, SpecError, Wanted};
+use protocol::{CampaignSpec, JsonError, Record, SpecError, Wanted};
 use serde_json::{Map, Value};
 use sha2::{Digest, Sha256};
 
@@ -66,7 +66,7 @@ pub enum ExpandError {
     Name(#[from] NameError),
     /// It cannot be written as JSON.
     #[error("write a campaign's manifest rows as JSON")]
-    Json(#[from] serde_json::Error),
+    Json(#[from] JsonError),
 }
 
 impl NewCampaign {
@@ -97,12 +97,12 @@ impl NewCampaign {
                     task: row.id.task().to_string(),
                     init_id: row.init_id,
                     unit_order: jobs.len() as i64,
-                    manifest_row: serde_json::to_string(row)?,
+                    manifest_row: serde_json::to_string(row).map_err(JsonError::from)?,
                     policy_seed: policy_seed(&row.id, replicate),
                 });
             }
         }
-        let text = serde_json::to_string(spec)?;
+        let text = serde_json::to_string(spec).map_err(JsonError::from)?;
         Ok(NewCampaign {
             name,
             spec_digest: digest(&text),

@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use paired::{Cell, DuplicateRecord, Measures, Options, Records, Report, push_wrapped};
-use protocol::Level;
+use protocol::{JsonError, Level};
 use serde::Serialize;
 
 use crate::subject::{Origin, Quarantined, Subject};
@@ -48,7 +48,7 @@ pub enum DocumentError {
     },
     /// It cannot be written as JSON.
     #[error("write the report as JSON")]
-    Json(#[from] serde_json::Error),
+    Json(#[from] JsonError),
 }
 
 /// The JSON form: the measures of each policy and level first, where programs
@@ -117,11 +117,12 @@ impl Document {
             errors: &analysis.subject.errors,
             report: &analysis.report,
         });
-        Ok(serde_json::to_string_pretty(&JsonForm {
+        let text = serde_json::to_string_pretty(&JsonForm {
             warnings: &self.warnings,
             paired: paired.collect(),
             reports: reports.collect(),
-        })?)
+        });
+        Ok(text.map_err(JsonError::from)?)
     }
 
     /// The report for a terminal of 80 columns.

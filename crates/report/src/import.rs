@@ -11,7 +11,7 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use paired::{Count, Outcome, Record};
-use protocol::{Condition, Level, RolloutId, Suite};
+use protocol::{Condition, JsonError, Level, RolloutId, Suite};
 use protocol::{MAX_ROWS, Realisation};
 use serde::Deserialize;
 use sha2::{Digest, Sha256};
@@ -65,12 +65,12 @@ pub enum ImportError {
         path: PathBuf,
     },
     /// What is said about the rows does not read.
-    #[error("read {path}: it holds policy, source, realisation, published_nominal, nominal")]
+    #[error("read {path}, which says what the rows are")]
     About {
         /// Where.
         path: PathBuf,
         /// What is wrong with it.
-        source: serde_json::Error,
+        source: JsonError,
     },
 }
 
@@ -192,7 +192,10 @@ fn read_about(path: &Path) -> Result<About, ImportError> {
         Err(source) => return Err(ImportError::Read { path, source }),
     };
     let about = serde_json::from_reader(file.take(MAX_ABOUT_BYTES));
-    about.map_err(|source| ImportError::About { path, source })
+    about.map_err(|error: serde_json::Error| ImportError::About {
+        path,
+        source: error.into(),
+    })
 }
 
 /// What was read so far.
@@ -231,9 +234,11 @@ impl Reading {
         }
         let row: Row = serde_json::from_slice(line.trim_ascii_end()).map_err(|error| {
             // Its own line number is always 1, which would mislead.
-            error
-                .to_string()
-                .replace(" at line 1 column ", ", at column ")
+            let error = JsonError::from(error);
+            match error.place() {
+                Some((_, column)) => format!("{}, at column {column}", error.problem()),
+                None => error.problem().to_owned(),
+            }
         })?;
         row.agrees_with_itself()?;
         let key = (row.rollout_id, row.replicate);

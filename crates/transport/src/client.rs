@@ -1,7 +1,6 @@
 //! What a client brings along: the certificate authority that it trusts, and
 //! the token that it shows.
 
-use std::fmt::Display;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -64,6 +63,18 @@ pub enum AccessError {
     /// The certificate authority cannot be read.
     #[error(transparent)]
     Certificate(#[from] SecurityError),
+    /// The certificate authority is none.
+    #[error("use {} as a certificate authority: it must hold certificates as PEM", path.display())]
+    Authority {
+        /// Which file.
+        path: PathBuf,
+    },
+    /// Nothing that a certificate could be for.
+    #[error("call {host} over TLS: write the name of a host, or its IP address")]
+    Host {
+        /// As given.
+        host: String,
+    },
 }
 
 impl ClientArguments {
@@ -103,7 +114,7 @@ impl Access {
         tokens: Option<Tokens>,
         roles: &[Role],
     ) -> Result<Access, AccessError> {
-        let ca = ca.map(read_pem).transpose()?;
+        let ca = ca.map(authority).transpose()?;
         let token = match tokens {
             Some(tokens) => {
                 let token = tokens.for_role(roles).cloned();
@@ -126,33 +137,24 @@ impl Access {
     /// this machine; to anybody else it is not shown.
     ///
     /// # Errors
-    /// When the certificate authority is no use.
-    pub fn connect_lazy(&self, endpoint: Endpoint) -> Result<Connection, tonic::transport::Error> {
+    /// When no certificate can be for the endpoint's host.
+    pub fn connect_lazy(&self, endpoint: Endpoint) -> Result<Connection, AccessError> {
         let bearer = self.bearer(endpoint.uri());
         let channel = self.guarded(endpoint)?.connect_lazy();
         Ok(InterceptedService::new(channel, bearer))
     }
 
-    /// A connection that is made now; as [`connect_lazy`](Self::connect_lazy)
-    /// otherwise.
-    ///
-    /// # Errors
-    /// When the certificate authority is no use, or no server answers.
-    pub async fn connect(&self, endpoint: Endpoint) -> Result<Connection, tonic::transport::Error> {
-        let bearer = self.bearer(endpoint.uri());
-        let channel = self.guarded(endpoint)?.connect().await?;
-        Ok(InterceptedService::new(channel, bearer))
-    }
-
-    fn guarded(&self, endpoint: Endpoint) -> Result<Endpoint, tonic::transport::Error> {
-        if !is_encrypted(endpoint.uri()) {
+    fn guarded(&self, endpoint: Endpoint) -> Result<Endpoint, AccessError> {
+        if !Access::is_encrypted(endpoint.uri()) {
             return Ok(endpoint);
         }
+        let host = endpoint.uri().host().unwrap_or_default().to_owned();
         let tls = ClientTlsConfig::new().timeout(HANDSHAKE_TIMEOUT);
-        endpoint.tls_config(match &self.ca {
+        let guarded = endpoint.tls_config(match &self.ca {
             Some(ca) => tls.ca_certificate(Certificate::from_pem(ca)),
             None => tls,
-        })
+        });
+        guarded.map_err(|_| AccessError::Host { host })
     }
 
     /// Encrypts a connection to `host` that is no gRPC.
@@ -165,22 +167,39 @@ impl Access {
         stream: TcpStream,
         host: &str,
     ) -> std::io::Result<TlsStream<TcpStream>> {
-        fn wrong(error: impl Display) -> std::io::Error {
-            std::io::Error::other(error.to_string())
-        }
-        let mut roots = RootCertStore::empty();
-        for certificate in CertificateDer::pem_slice_iter(self.ca.as_deref().unwrap_or_default()) {
-            roots.add(certificate.map_err(wrong)?).map_err(wrong)?;
-        }
+        let host = ServerName::try_from(host.to_owned()).map_err(std::io::Error::other)?;
+        let handshake = self.tls(&[])?.connect(host, stream);
+        tokio::time::timeout(HANDSHAKE_TIMEOUT, handshake).await?
+    }
+
+    /// What encrypts connections over which one of these protocols is spoken; any,
+    /// if none is named.
+    pub(crate) fn tls(&self, protocols: &[&[u8]]) -> std::io::Result<TlsConnector> {
+        let wrong = std::io::Error::other;
+        // Looked at when it was read.
+        let roots =
+            roots(self.ca.as_deref().unwrap_or_default()).unwrap_or_else(RootCertStore::empty);
         let provider = Arc::new(crypto::ring::default_provider());
-        let config = ClientConfig::builder_with_provider(provider)
+        let mut config = ClientConfig::builder_with_provider(provider)
             .with_safe_default_protocol_versions()
-            .map_err(wrong)?
+            .map_err(|error| wrong(error.to_string()))?
             .with_root_certificates(roots)
             .with_no_client_auth();
-        let host = ServerName::try_from(host.to_owned()).map_err(wrong)?;
-        let handshake = TlsConnector::from(Arc::new(config)).connect(host, stream);
-        tokio::time::timeout(HANDSHAKE_TIMEOUT, handshake).await?
+        config.alpn_protocols = protocols.iter().map(|name| name.to_vec()).collect();
+        Ok(TlsConnector::from(Arc::new(config)))
+    }
+
+    /// A connection that is made now, and shows no token.
+    pub(crate) async fn channel(&self, endpoint: Endpoint) -> Option<Channel> {
+        self.guarded(endpoint).ok()?.connect().await.ok()
+    }
+
+    pub(crate) fn has_authority(&self) -> bool {
+        self.ca.is_some()
+    }
+
+    pub(crate) fn is_encrypted(uri: &Uri) -> bool {
+        matches!(uri.scheme_str(), Some("https" | "wss"))
     }
 
     /// The value of an `authorization` header of this scheme, where the token
@@ -204,7 +223,7 @@ impl Access {
 
     fn token_for(&self, uri: &Uri) -> Option<&Token> {
         let token = self.token.as_ref();
-        token.filter(|_| is_encrypted(uri) || is_this_machine(uri))
+        token.filter(|_| Access::is_encrypted(uri) || is_this_machine(uri))
     }
 }
 
@@ -219,8 +238,24 @@ impl Interceptor for Bearer {
     }
 }
 
-fn is_encrypted(uri: &Uri) -> bool {
-    matches!(uri.scheme_str(), Some("https" | "wss"))
+/// A certificate authority that can be used.
+fn authority(path: &Path) -> Result<Vec<u8>, AccessError> {
+    let pem = read_pem(path)?;
+    match roots(&pem) {
+        Some(roots) if !roots.is_empty() => Ok(pem),
+        _ => Err(AccessError::Authority {
+            path: path.to_owned(),
+        }),
+    }
+}
+
+/// None if one of the certificates is none.
+fn roots(pem: &[u8]) -> Option<RootCertStore> {
+    let mut roots = RootCertStore::empty();
+    for certificate in CertificateDer::pem_slice_iter(pem) {
+        roots.add(certificate.ok()?).ok()?;
+    }
+    Some(roots)
 }
 
 fn is_this_machine(uri: &Uri) -> bool {

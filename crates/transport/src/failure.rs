@@ -25,17 +25,23 @@ pub fn innermost(error: &(dyn Error + 'static)) -> String {
     while let Some(source) = innermost.source() {
         innermost = source;
     }
-    match innermost.downcast_ref::<Status>() {
-        Some(status) => status.message().to_owned(),
-        None => innermost.to_string(),
+    words(innermost)
+}
+
+/// A status displays with its code in the library's words, and with its details,
+/// which are bytes.
+fn words(error: &(dyn Error + 'static)) -> String {
+    match error.downcast_ref::<Status>() {
+        Some(status) => answer(status),
+        None => error.to_string(),
     }
 }
 
-/// A gRPC status displays with its details, which are bytes.
-fn words(error: &(dyn Error + 'static)) -> String {
-    match error.downcast_ref::<Status>() {
-        Some(status) => format!("{}: {}", status.code(), status.message()),
-        None => error.to_string(),
+/// What a server answered, in its words if it gave any.
+pub fn answer(status: &Status) -> String {
+    match status.message() {
+        "" => format!("gRPC status {:?}, without a reason", status.code()),
+        message => message.to_owned(),
     }
 }
 
@@ -92,13 +98,18 @@ mod tests {
         let mut status = Status::unavailable("transport error");
         status.set_source(std::sync::Arc::new(broken));
         let text = chain(&Outer(status));
-        let expected = format!(
-            "ask the policy: {}: transport error: peer went away",
-            Code::Unavailable
-        );
-        assert_eq!(text, expected);
+        assert_eq!(text, "ask the policy: transport error: peer went away");
         let twice = io::Error::other(io::Error::other("disk full"));
         assert_eq!(chain(&twice), "disk full");
+    }
+
+    #[test]
+    fn an_answer_without_words_is_named_by_its_code() {
+        let silent = Status::unimplemented("");
+        assert_eq!(
+            chain(&silent),
+            "gRPC status Unimplemented, without a reason"
+        );
     }
 
     #[test]

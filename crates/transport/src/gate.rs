@@ -182,11 +182,16 @@ impl Shared {
         if lock(&self.refusals).is_news(caller.ip(), code, Instant::now()) {
             let path = path.escape_debug().take(MAX_LOGGED_CHARS);
             let why = why.escape_debug().take(MAX_LOGGED_CHARS);
+            let (path, why) = (path.collect::<String>(), why.collect::<String>());
+            let why = match why.is_empty() {
+                // The router's own answer, which has no words.
+                true => "find such a call here".to_owned(),
+                false => why,
+            };
             tracing::warn!(
-                "{} was refused {}: {} (more of this kind from there is not logged)",
-                caller.ip(),
-                path.collect::<String>(),
-                why.collect::<String>()
+                "a request of {} for `{path}` was refused, it failed to {why} (more of this kind \
+                 from there is not logged)",
+                caller.ip()
             );
         }
     }

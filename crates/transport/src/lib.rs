@@ -1,6 +1,6 @@
 //! Access: where the programs' servers listen, over what, which callers get in
 //! with which role, how often one caller may call, clients' credentials, and
-//! whether a failed call is the client's fault or the server's.
+//! of a failed call, whose fault it is and what is there in the server's place.
 //! One crate for all programs, so that a rule holds everywhere. Not responsible
 //! for what is called: which call requires which role is each server's table.
 //!
@@ -14,16 +14,23 @@
 
 mod browser;
 mod client;
+mod endpoint;
 mod failure;
+mod found;
 mod gate;
+mod peer;
+mod probe;
 mod rate;
 mod refusals;
 mod server;
 mod token;
 
 pub use client::{Access, AccessError, Bearer, ClientArguments, Connection};
-pub use failure::{chain, innermost, is_outage, is_outage_code, may_succeed_later};
+pub use endpoint::{EndpointError, parse_endpoint};
+pub use failure::{answer, chain, innermost, is_outage, is_outage_code, may_succeed_later};
+pub use found::{CertificateFault, Found, ServerKind, Settings, Trouble};
 pub use gate::{Demand, Gate, Gated};
+pub use peer::Peer;
 pub use rate::{BURST_REQUESTS, MAX_REQUESTS_PER_SEC};
 pub use refusals::{LOG_AGAIN_AFTER, MAX_REMEMBERED_REFUSALS};
 pub use server::{

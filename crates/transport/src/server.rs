@@ -75,7 +75,7 @@ pub enum SecurityError {
     #[error(transparent)]
     Tokens(#[from] TokenError),
     /// A certificate or key cannot be read.
-    #[error("read {}: is it a PEM file that this user may read?", path.display())]
+    #[error("read {}: give a PEM file that this user may read", path.display())]
     Pem {
         /// Which.
         path: PathBuf,
@@ -83,8 +83,11 @@ pub enum SecurityError {
         source: io::Error,
     },
     /// The certificate and the key are no use.
-    #[error("use the certificate and the key: give a PEM chain and its PKCS#8 private key")]
-    Tls(#[source] tonic::transport::Error),
+    #[error(
+        "use the certificate and the key: give --tls-cert a PEM chain, and --tls-key the private \
+         key of its first certificate, as PEM"
+    )]
+    Tls,
 }
 
 impl ServerArguments {
@@ -186,7 +189,7 @@ impl Security {
             let tls = ServerTlsConfig::new()
                 .identity(identity.clone())
                 .timeout(HANDSHAKE_TIMEOUT);
-            server = server.tls_config(tls).map_err(SecurityError::Tls)?;
+            server = server.tls_config(tls).map_err(|_| SecurityError::Tls)?;
         }
         Ok(server.layer(Gate::new(self.tokens.clone(), demands, log_in)))
     }

@@ -11,10 +11,13 @@ use proto::policy::{
 };
 use thiserror::Error;
 use tonic::{Code, Response, Status, codegen::http::Uri, transport::Endpoint};
-use transport::{Access, Connection, innermost};
+use transport::{Access, Connection, Found, Peer, ServerKind};
 
-use super::{Backend, BackendError};
-use crate::http2::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES};
+use super::{Backend, BackendError, SETTINGS};
+use crate::{
+    config::UnusableBackend,
+    http2::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES},
+};
 
 /// Longest wait for a connection.
 pub const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
@@ -34,16 +37,18 @@ pub struct GrpcAddress {
 }
 
 impl GrpcAddress {
-    fn endpoint(&self) -> Result<Endpoint, tonic::transport::Error> {
+    fn endpoint(&self) -> Result<Endpoint, AddressError> {
         let scheme = if self.encrypted { "https" } else { "http" };
-        Ok(
-            Endpoint::from_shared(format!("{scheme}://{}", self.authority))?
-                .connect_timeout(CONNECT_TIMEOUT)
-                .tcp_nodelay(true)
-                .tcp_keepalive(Some(TCP_KEEPALIVE))
-                .initial_stream_window_size(STREAM_WINDOW_BYTES)
-                .initial_connection_window_size(CONNECTION_WINDOW_BYTES),
-        )
+        let endpoint = Endpoint::from_shared(format!("{scheme}://{}", self.authority));
+        let endpoint = endpoint.map_err(|_| AddressError {
+            text: self.to_string(),
+        })?;
+        Ok(endpoint
+            .connect_timeout(CONNECT_TIMEOUT)
+            .tcp_nodelay(true)
+            .tcp_keepalive(Some(TCP_KEEPALIVE))
+            .initial_stream_window_size(STREAM_WINDOW_BYTES)
+            .initial_connection_window_size(CONNECTION_WINDOW_BYTES))
     }
 }
 
@@ -102,18 +107,25 @@ pub struct AddressError {
 pub struct GrpcBackend {
     address: GrpcAddress,
     client: PolicyClient<Connection>,
+    peer: Peer,
 }
 
 impl GrpcBackend {
     /// A back-end that has not connected yet.
     ///
     /// # Errors
-    /// When the address is none, or the certificate authority is no use.
-    pub fn new(address: GrpcAddress, access: &Access) -> Result<Self, tonic::transport::Error> {
-        let client = PolicyClient::new(access.connect_lazy(address.endpoint()?)?)
+    /// When the address is none, or none to call over TLS.
+    pub fn new(address: GrpcAddress, access: &Access) -> Result<Self, UnusableBackend> {
+        let endpoint = address.endpoint()?;
+        let peer = Peer::new(endpoint.clone(), access, ServerKind::Policy, SETTINGS);
+        let client = PolicyClient::new(access.connect_lazy(endpoint)?)
             .max_decoding_message_size(proto::MAX_MESSAGE_BYTES)
             .max_encoding_message_size(proto::MAX_MESSAGE_BYTES);
-        Ok(Self { address, client })
+        Ok(Self {
+            address,
+            client,
+            peer,
+        })
     }
 
     /// Makes one call, and tells its two kinds of failure apart.
@@ -121,21 +133,37 @@ impl GrpcBackend {
         &self,
         call: impl Future<Output = Result<Response<T>, Status>>,
     ) -> Result<T, BackendError> {
+        match call.await {
+            Ok(response) => Ok(response.into_inner()),
+            Err(status) => Err(self.failed(status).await),
+        }
+    }
+
+    async fn failed(&self, status: Status) -> BackendError {
         let address = self.address.authority.clone();
-        call.await.map(Response::into_inner).map_err(|status| {
-            if is_transport_failure(&status) {
-                BackendError::connecting(address, innermost(&status))
-            } else if matches!(
+        match self.peer.trouble(&status).await {
+            // An answer of the policy's, and the policy is to blame.
+            Some(trouble) if trouble.found == Found::Older => BackendError::Refused {
+                address,
+                status: Box::new(Status::new(status.code(), trouble.to_string())),
+            },
+            Some(trouble) => BackendError::Unreachable {
+                address,
+                trouble: trouble.into(),
+            },
+            None if matches!(
                 status.code(),
                 Code::Unauthenticated | Code::PermissionDenied
-            ) {
+            ) =>
+            {
                 let reason = status.message().to_owned();
                 BackendError::Barred { address, reason }
-            } else {
-                let status = status.into();
-                BackendError::Refused { address, status }
             }
-        })
+            None => BackendError::Refused {
+                address,
+                status: status.into(),
+            },
+        }
     }
 }
 
@@ -198,12 +226,6 @@ impl fmt::Display for GrpcBackend {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.address.fmt(f)
     }
-}
-
-/// Whether a status was made on this side, without an answer: what a
-/// server answers carries no source.
-fn is_transport_failure(status: &Status) -> bool {
-    std::error::Error::source(status).is_some()
 }
 
 #[cfg(test)]

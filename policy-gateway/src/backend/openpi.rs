@@ -19,11 +19,12 @@ use proto::policy::{
 };
 use sha2::{Digest, Sha256};
 use tokio::sync::{Semaphore, SemaphorePermit};
-use transport::Access;
+use tonic::transport::Endpoint;
+use transport::{Access, Peer, ServerKind, Settings};
 
 pub use self::address::{DEFAULT_EXECUTE, MAX_EXECUTE, OpenpiAddress, OpenpiAddressError};
 use self::connection::Connection;
-use super::{Backend, BackendError};
+use super::{Backend, BackendError, SETTINGS};
 use crate::{
     check::ACTION_WIDTH,
     sessions::{MAX_SESSIONS, SessionTable},
@@ -52,6 +53,7 @@ pub const MAX_CONNECTIONS: usize = 2;
 pub struct OpenpiBackend {
     address: OpenpiAddress,
     access: Access,
+    peer: Peer,
     /// The instruction of every session: it goes with every query.
     prompts: Mutex<SessionTable<String>>,
     turns: Semaphore,
@@ -61,14 +63,26 @@ pub struct OpenpiBackend {
 
 impl OpenpiBackend {
     /// A back-end that has not connected yet.
-    pub fn new(address: OpenpiAddress, access: Access) -> Self {
-        Self {
+    ///
+    /// # Errors
+    /// When the address is none.
+    pub fn new(address: OpenpiAddress, access: Access) -> Result<Self, OpenpiAddressError> {
+        let endpoint = Endpoint::from_shared(address.uri()).map_err(|_| OpenpiAddressError {
+            text: address.to_string(),
+        })?;
+        let settings = Settings {
+            clear: "ws://",
+            encrypted: "wss://",
+            ..SETTINGS
+        };
+        Ok(Self {
+            peer: Peer::new(endpoint, &access, ServerKind::Openpi, settings),
             address,
             access,
             prompts: Mutex::new(SessionTable::new(MAX_SESSIONS)),
             turns: Semaphore::new(MAX_CONNECTIONS),
             idle: Mutex::default(),
-        }
+        })
     }
 
     async fn turn(&self) -> Option<SemaphorePermit<'_>> {
@@ -77,7 +91,7 @@ impl OpenpiBackend {
     }
 
     async fn connect(&self) -> Result<Connection, BackendError> {
-        Connection::open(&self.address, &self.access).await
+        Connection::open(&self.address, &self.access, &self.peer).await
     }
 
     fn idle(&self) -> std::sync::MutexGuard<'_, Vec<Connection>> {

@@ -28,12 +28,14 @@ pub enum ConfigError {
         source: std::io::Error,
     },
     /// A file that is no configuration.
-    #[error("read {path:?} as a gateway's configuration")]
+    #[error("read line {line} of {path:?} as a gateway's configuration: {problem}")]
     Toml {
         /// Which.
         path: PathBuf,
-        /// Where and what.
-        source: Box<toml::de::Error>,
+        /// Its line, from 1.
+        line: usize,
+        /// What is wrong there.
+        problem: String,
     },
     /// Something in a file that cannot be meant.
     #[error("use {path:?}")]

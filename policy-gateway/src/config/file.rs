@@ -24,6 +24,7 @@ use std::{
     time::Duration,
 };
 
+use protocol::plain_words;
 use serde::Deserialize;
 
 use super::{
@@ -64,9 +65,10 @@ pub fn read(path: &Path) -> Result<Config, ConfigError> {
         path: path.to_owned(),
         source,
     })?;
-    let document = toml::from_str::<Document>(&text).map_err(|source| ConfigError::Toml {
+    let document = toml::from_str::<Document>(&text).map_err(|error| ConfigError::Toml {
         path: path.to_owned(),
-        source: source.into(),
+        line: line_of(&text, error.span().map_or(0, |span| span.start)),
+        problem: plain_words(error.message()),
     })?;
     let routes = document
         .policy
@@ -79,6 +81,12 @@ pub fn read(path: &Path) -> Result<Config, ConfigError> {
             path: path.to_owned(),
             source: source.into(),
         })
+}
+
+/// The line of a byte, from 1.
+fn line_of(text: &str, byte: usize) -> usize {
+    let before = text.bytes().take(byte);
+    1 + before.filter(|byte| *byte == b'\n').count()
 }
 
 fn route(name: &str, table: Table) -> Result<RouteSpec, ConfigError> {
@@ -166,8 +174,10 @@ mod tests {
         check("[policy.x]", "find a server for policy x");
         check("[policy.x]\nreplicas = [\"ftp://a:1\"]", "ftp://a:1");
         check("[policy.x]\nreplicas = [\"wss://a:1\"]", "`ca =");
-        check("[policy.x]\nreplica = []", "unknown field `replica`");
-        check("[policy.x]\nbatching = \"big\"", "unknown variant `big`");
+        let unknown = "line 2 of";
+        check("[policy.x]\nreplica = []", unknown);
+        check("[policy.x]\nreplica = []", "there is no field `replica`");
+        check("[policy.x]\nbatching = \"big\"", "write one of `dynamic`");
         check("[policy.\"a b\"]", "letters, digits");
         check(
             "[policy.x]\nreplicas = [\"grpc://a:1\"]\nanswer_within_secs = 0",

@@ -8,11 +8,11 @@ use proto::policy::{
     ResetRequest, infer_result, policy_client::PolicyClient, policy_server::SERVICE_NAME,
 };
 use tokio::task::JoinSet;
-use tonic::{Code, Status, transport::Endpoint};
+use tonic::{Code, Status};
 use tonic_health::pb::{
     HealthCheckRequest, health_check_response::ServingStatus, health_client::HealthClient,
 };
-use transport::Connection;
+use transport::{Connection, Peer, ServerKind, Settings, parse_endpoint};
 
 use super::{
     scene,
@@ -24,6 +24,14 @@ use crate::{
     check::MAX_BATCH_QUERIES,
     config::DEFAULT_ANSWER_WITHIN,
     http2::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES},
+};
+
+/// Where the user of a check says which server is meant.
+const SETTINGS: Settings = Settings {
+    address: "the URL",
+    authority: "--ca",
+    clear: "grpc://",
+    encrypted: "https://",
 };
 
 /// In which order an episode's queries are asked.
@@ -61,11 +69,7 @@ impl Probe {
     /// # Errors
     /// When the address is none, nothing listens there, or it does not answer.
     pub async fn connect(target: &Target) -> Result<Self, ConformanceError> {
-        let url = match target.url.strip_prefix("grpc") {
-            Some(rest) => format!("http{rest}"),
-            None => target.url.clone(),
-        };
-        let endpoint = Endpoint::from_shared(url)
+        let endpoint = parse_endpoint(&target.url)
             .map_err(|_| ConformanceError::Url {
                 url: target.url.clone(),
             })?
@@ -74,26 +78,35 @@ impl Probe {
             .tcp_nodelay(true)
             .initial_stream_window_size(STREAM_WINDOW_BYTES)
             .initial_connection_window_size(CONNECTION_WINDOW_BYTES);
-        let connection =
-            target
-                .access
-                .connect(endpoint)
-                .await
-                .map_err(|source| ConformanceError::Connect {
-                    url: target.url.clone(),
-                    source,
-                })?;
+        let peer = Peer::new(
+            endpoint.clone(),
+            &target.access,
+            ServerKind::Policy,
+            SETTINGS,
+        );
+        let connection = target.access.connect_lazy(endpoint)?;
         let mut client = PolicyClient::new(connection.clone())
             .max_decoding_message_size(proto::MAX_MESSAGE_BYTES)
             .max_encoding_message_size(proto::MAX_MESSAGE_BYTES);
         let described = client
             .describe(describe(target, proto::PROTOCOL_VERSION))
-            .await
-            .map_err(|status| ConformanceError::Describe {
-                url: target.url.clone(),
-                status: status.into(),
-            })?
-            .into_inner();
+            .await;
+        let described = match described {
+            Ok(response) => response.into_inner(),
+            Err(status) => {
+                let url = target.url.clone();
+                return Err(match peer.trouble(&status).await {
+                    Some(trouble) => ConformanceError::Connect {
+                        url,
+                        trouble: trouble.into(),
+                    },
+                    None => ConformanceError::Describe {
+                        url,
+                        status: status.into(),
+                    },
+                });
+            }
+        };
         Ok(Self {
             connection,
             client,

@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 use tonic::Status;
-use transport::Access;
+use transport::{Access, AccessError, Trouble, answer};
 
 use super::front::FrontError;
 
@@ -34,20 +34,22 @@ pub enum ConformanceError {
         /// As given.
         url: String,
     },
-    /// Nothing listens there.
-    #[error("reach a policy server at {url}: start it, or correct the address")]
+    /// No URL to call over TLS.
+    #[error(transparent)]
+    Access(#[from] AccessError),
+    /// No policy server is there.
+    #[error("reach the policy server at {url}: {trouble}")]
     Connect {
         /// As given.
         url: String,
-        /// Why not.
-        #[source]
-        source: tonic::transport::Error,
+        /// What is there instead.
+        trouble: Box<Trouble>,
     },
     /// No gateway can stand in front of it.
     #[error(transparent)]
     Front(#[from] FrontError),
     /// It does not say what it is.
-    #[error("have {url} describe its policy: it answered {:?}: {}", status.code(), status.message())]
+    #[error("have {url} describe its policy: {}", answer(status))]
     Describe {
         /// As given.
         url: String,
@@ -55,7 +57,7 @@ pub enum ConformanceError {
         status: Box<Status>,
     },
     /// It answers no query.
-    #[error("play one episode with {url}: it answered {:?}: {}", status.code(), status.message())]
+    #[error("play one episode with {url}: {}", answer(status))]
     Episode {
         /// As given.
         url: String,

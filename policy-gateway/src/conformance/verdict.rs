@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use proto::policy::{DescribeResponse, InferResponse};
 use tonic::Status;
+use transport::answer;
 
 use crate::check::{self, DescriptionFault};
 
@@ -55,11 +56,7 @@ pub fn skip(reason: impl Into<String>) -> Verdict {
 
 /// Fails because there was no answer to judge.
 pub fn refused(status: &Status) -> Verdict {
-    fail(format!(
-        "the server answered {:?}: {}",
-        status.code(),
-        status.message()
-    ))
+    fail(format!("the server refused: {}", answer(status)))
 }
 
 /// A description, and whether it can be true.

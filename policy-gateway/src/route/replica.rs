@@ -76,7 +76,7 @@ impl Replica {
             BackendSpec::Builtin(builtin) => Arc::new(BuiltinBackend::new(*builtin)),
             BackendSpec::Grpc(address) => Arc::new(GrpcBackend::new(address.clone(), access)?),
             BackendSpec::Openpi(address) => {
-                Arc::new(OpenpiBackend::new(address.clone(), access.clone()))
+                Arc::new(OpenpiBackend::new(address.clone(), access.clone())?)
             }
             BackendSpec::Replay(folder) => Arc::new(Replay::open(folder)?),
         };
@@ -256,8 +256,14 @@ impl Replica {
         match &answer {
             Err(BackendError::TimedOut { .. }) => self.lost(Cause::Silent),
             Err(BackendError::QueueFull { .. } | BackendError::BatchLost) => {}
-            Err(BackendError::Unreachable { .. }) => self.lost(Cause::Unreachable),
-            Err(error @ (BackendError::Untrusted { .. } | BackendError::Barred { .. })) => {
+            Err(BackendError::Unreachable { trouble, .. }) => {
+                let why = trouble.to_string();
+                self.lost(match trouble.found.is_final() {
+                    true => Cause::Misplaced(why),
+                    false => Cause::Unreachable(why),
+                });
+            }
+            Err(error @ BackendError::Barred { .. }) => {
                 self.lost(Cause::Distrust(error.to_string()));
             }
             // "Not now" is an answer, too.

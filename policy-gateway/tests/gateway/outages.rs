@@ -32,7 +32,7 @@ async fn a_policy_that_is_down_is_unavailable_and_named_until_it_comes_up() {
         .await
         .expect_err("nothing listens there");
     assert_eq!(down.code(), Code::Unavailable);
-    for part in ["route pi05", &address.to_string(), "refused"] {
+    for part in ["route pi05", &address.to_string(), "nothing listens there"] {
         assert!(down.message().contains(part), "{part} in {down}");
     }
     // At once, and without another attempt to connect.

@@ -76,7 +76,8 @@ async fn a_hangup_reads_the_configuration_again_unless_it_is_wrong() {
         let sent = Command::new("kill").args(["-HUP", &pid]).status();
         assert!(sent.expect("kill runs").success());
         let line = lines.find(|line| line.as_ref().is_ok_and(|it| it.contains(expected)));
-        line.expect(expected).expect("UTF-8");
+        let line = line.expect(expected).expect("UTF-8");
+        assert!(!line.contains('\x1b'), "colours in a file: {line:?}");
     };
 
     write("[policy.stand]\nreplicas = [\"nobody\"]");

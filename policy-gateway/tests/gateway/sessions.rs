@@ -9,7 +9,7 @@ use transport::Access;
 use worker::{
     actor::{Actor, PolicySession},
     message::Session,
-    policy::PolicyClient,
+    policy::{OF_ONE_ROLLOUT, PolicyClient},
 };
 
 use crate::{
@@ -62,7 +62,8 @@ async fn equal_rollouts_of_two_campaigns_get_their_own_answers() {
             session: Session::new(&rollout, 0, AttemptId::from_random([campaign; 16])),
             seed: campaign.into(),
         });
-        let client = |_| PolicyClient::new(&endpoint, &Access::none()).expect("an endpoint");
+        let client =
+            |_| PolicyClient::new(&endpoint, &Access::none(), OF_ONE_ROLLOUT).expect("an endpoint");
         let mut clients = [0, 1].map(client);
         for (client, episode) in clients.iter_mut().zip(&episodes) {
             let (asked, seed) = (episode.asked(), episode.seed);

@@ -23,7 +23,7 @@ use worker::message::{
     Assignment, Evidence, Failure, FailureKind, Finished, RolloutEvent, SlotCommand, SlotEvent,
 };
 use worker::parent::Parent;
-use worker::policy::PolicyClient;
+use worker::policy::{OF_A_CAMPAIGN, PolicyClient};
 
 /// Control steps of a rollout, and how long one takes unless something else is
 /// asked for.
@@ -116,7 +116,8 @@ fn play(
     let started = Instant::now();
     let row = &assignment.row;
     let session = assignment.policy_session();
-    let mut policy = PolicyClient::new(&assignment.policy_endpoint, &Access::none())?;
+    let mut policy =
+        PolicyClient::new(&assignment.policy_endpoint, &Access::none(), OF_A_CAMPAIGN)?;
     let description = policy.describe(session)?;
     policy.reset(
         session,

@@ -201,7 +201,7 @@ impl Hub {
         })?;
         let read = serde_json::from_str(&text).map_err(|error| {
             let url = url.to_owned();
-            let problem = error.to_string();
+            let problem = protocol::JsonError::from(error).to_string();
             RequestError::Final(AssetsError::Answer { url, problem })
         });
         Ok((read?, next))

@@ -15,6 +15,7 @@ use sha2::{Digest, Sha256};
 use super::error::SingleError;
 use crate::actor::{ACTION_WIDTH, Action, Actor, Description, PolicyError, PolicySession};
 use crate::digest::hex;
+use protocol::JsonError;
 
 /// Most actions of a recording: far more than any budget of the protocol.
 const MAX_RECORDED_ACTIONS: usize = 10_000;
@@ -219,7 +220,11 @@ fn read_lines(mut reader: impl BufRead) -> Result<Vec<Action>, String> {
             return Err(too_many());
         }
         let action = serde_json::from_str(&text);
-        let problem = |error| format!("line {line}: {error}; write [x, y, z, rx, ry, rz, gripper]");
+        let problem = |error: serde_json::Error| {
+            let problem = JsonError::from(error);
+            let problem = problem.problem();
+            format!("line {line}: {problem}; write [x, y, z, rx, ry, rz, gripper]")
+        };
         actions.push(action.map_err(problem)?);
     }
     Ok(actions)

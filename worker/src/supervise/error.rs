@@ -1,9 +1,9 @@
 //! Why a worker ends.
 
 use attempt::AttemptIdError;
+use transport::{AccessError, EndpointError};
 
 use super::slot_state::MAX_FAILED_STARTS;
-use crate::grpc::EndpointError;
 
 /// Why a worker ended without a request to end.
 #[derive(Debug, thiserror::Error)]
@@ -11,9 +11,9 @@ pub enum SuperviseError {
     /// The coordinator's URL is none.
     #[error(transparent)]
     Endpoint(#[from] EndpointError),
-    /// The certificate authority is no use.
-    #[error("use the certificate authority for the coordinator")]
-    Tls(#[source] tonic::transport::Error),
+    /// The coordinator cannot be called over TLS.
+    #[error(transparent)]
+    Access(#[from] AccessError),
     /// The coordinator refused this worker.
     #[error("register with the coordinator at {url}: {answer}")]
     Refused {

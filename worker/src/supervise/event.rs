@@ -7,6 +7,36 @@ use tonic::Status;
 use super::deliver::Answer;
 use crate::message::SlotEvent;
 
+/// How a slot's process ended. Reads after its name.
+#[derive(Debug)]
+pub(crate) struct ProcessEnd {
+    /// "was killed by signal 9", say.
+    pub(crate) how: String,
+    /// The last lines that it printed, which this worker has passed on already.
+    pub(crate) last_words: Vec<String>,
+}
+
+impl ProcessEnd {
+    /// For those who have not seen what it printed.
+    pub(crate) fn with_last_words(&self) -> String {
+        match self.last_words.is_empty() {
+            true => self.how.clone(),
+            false => format!(
+                "{}; its last words: {}",
+                self.how,
+                self.last_words.join(" | ")
+            ),
+        }
+    }
+}
+
+impl From<String> for ProcessEnd {
+    fn from(how: String) -> Self {
+        let last_words = vec![];
+        Self { how, last_words }
+    }
+}
+
 /// One life of one slot's process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct ProcessKey {
@@ -36,8 +66,8 @@ pub(crate) enum Event {
     Delivered { slot: usize, answer: Answer },
     /// A slot's process said something.
     Slot { key: ProcessKey, event: SlotEvent },
-    /// A slot's process ended, as described in `end`.
-    Ended { key: ProcessKey, end: String },
+    /// A slot's process ended.
+    Ended { key: ProcessKey, end: ProcessEnd },
     /// A task of this program panicked.
     Panicked { task: task::Id, error: String },
     /// A request to end: the first one drains, the second gives rollouts back.

@@ -3,6 +3,7 @@
 //! Not responsible for what the answers mean.
 
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -16,10 +17,12 @@ use proto::coordinator::{
 use tokio::sync::{Notify, watch};
 use tokio::time::Instant;
 use tonic::{Response, Status};
-use transport::{Access, Connection, chain, may_succeed_later};
+use transport::{
+    Access, Connection, Peer, ServerKind, Settings, may_succeed_later, parse_endpoint,
+};
 
 use super::error::SuperviseError;
-use crate::grpc::{parse_endpoint, within};
+use crate::grpc::within;
 
 /// How long the coordinator may wait for a job before it answers "none".
 const CLAIM_WAIT: Duration = Duration::from_secs(5);
@@ -35,6 +38,14 @@ const CHUNK_BYTES: usize = 256 << 10;
 /// The largest video that is sent, bytes: far above any rollout's.
 const MAX_VIDEO_BYTES: u64 = 256 << 20;
 
+/// Where a worker's user says which coordinator is meant.
+const SETTINGS: Settings = Settings {
+    address: "--connect",
+    authority: "--ca",
+    clear: "http://",
+    encrypted: "https://",
+};
+
 /// A connection to the coordinator, shared by all calls.
 #[derive(Clone, Debug)]
 pub(crate) struct Link {
@@ -47,11 +58,21 @@ pub(crate) struct Link {
 #[derive(Debug)]
 struct LinkState {
     url: String,
+    peer: Peer,
     seed: u64,
+    /// Whether a coordinator has ever answered there: then no mistake in the
+    /// settings keeps it from doing so again.
+    has_answered: AtomicBool,
     /// Since when no call got through.
     outage: Mutex<Option<Instant>>,
     /// Rings when an outage has ended.
     back: Notify,
+}
+
+/// A call that came to nothing, its message saying why.
+struct Failed {
+    status: Status,
+    may_pass: bool,
 }
 
 impl Link {
@@ -65,12 +86,15 @@ impl Link {
         let endpoint = parse_endpoint(url)?
             .connect_timeout(CALL_DEADLINE)
             .tcp_nodelay(true);
-        let connection = access.connect_lazy(endpoint).map_err(SuperviseError::Tls)?;
+        let peer = Peer::new(endpoint.clone(), access, ServerKind::Coordinator, SETTINGS);
+        let connection = access.connect_lazy(endpoint)?;
         Ok(Self {
             grpc: WorkerServiceClient::new(connection),
             state: Arc::new(LinkState {
                 url: url.to_owned(),
+                peer,
                 seed,
+                has_answered: AtomicBool::new(false),
                 outage: Mutex::new(None),
                 back: Notify::new(),
             }),
@@ -116,8 +140,7 @@ impl Link {
     ) -> Result<HeartbeatResponse, Status> {
         let mut grpc = self.grpc.clone();
         let answer = within(deadline, grpc.heartbeat(request)).await;
-        self.note(&answer);
-        answer
+        self.noted(answer).await.map_err(|failed| failed.status)
     }
 
     /// Reports an outcome; until it is answered.
@@ -170,7 +193,8 @@ impl Link {
                 Err(status) if may_succeed_later(&status) && backoff.failures() < UPLOAD_TRIES => {
                     tokio::time::sleep(wait).await;
                 }
-                answered => return answered,
+                Err(status) => return Err(self.explained(status).await.status),
+                Ok(stored) => return Ok(stored),
             }
         }
     }
@@ -187,33 +211,69 @@ impl Link {
         let mut backoff = Backoff::new(Waits::USUAL, self.state.seed);
         loop {
             let answer = within(deadline, call(self.grpc.clone())).await;
-            self.note(&answer);
-            match answer {
-                Err(status) if may_succeed_later(&status) => tokio::select! {
+            match self.noted(answer).await {
+                Err(failed) if failed.may_pass => tokio::select! {
                     () = tokio::time::sleep(backoff.next_wait()) => {}
                     () = self.state.back.notified() => {}
                 },
-                answered => return answered,
+                answered => return answered.map_err(|failed| failed.status),
             }
         }
     }
 
+    /// An answer, or what is there in the coordinator's place.
+    async fn noted<T>(&self, answer: Result<T, Status>) -> Result<T, Failed> {
+        let answer = match answer {
+            Ok(answer) => {
+                self.state.has_answered.store(true, Ordering::Relaxed);
+                Ok(answer)
+            }
+            // What was found when the outage began is told already.
+            Err(status) if self.outage_began().is_some() && self.has_answered() => {
+                let may_pass = may_succeed_later(&status);
+                Err(Failed { status, may_pass })
+            }
+            Err(status) => Err(self.explained(status).await),
+        };
+        self.note(&answer);
+        answer
+    }
+
+    /// A failure in words that say what was found. A mistake in the settings never
+    /// passes.
+    async fn explained(&self, status: Status) -> Failed {
+        let may_pass = may_succeed_later(&status);
+        match self.state.peer.trouble(&status).await {
+            None => Failed { status, may_pass },
+            Some(trouble) => Failed {
+                status: Status::new(status.code(), trouble.to_string()),
+                may_pass: may_pass && (self.has_answered() || !trouble.found.is_final()),
+            },
+        }
+    }
+
+    fn has_answered(&self) -> bool {
+        self.state.has_answered.load(Ordering::Relaxed)
+    }
+
     /// Tells the beginning and the end of an outage, once.
-    fn note<T>(&self, answer: &Result<T, Status>) {
+    fn note<T>(&self, answer: &Result<T, Failed>) {
         let url = &self.state.url;
         let mut outage = self.lock_outage();
         match (answer, *outage) {
-            (Err(status), None) if may_succeed_later(status) => {
+            (Err(failed), None) if failed.may_pass => {
                 *outage = Some(Instant::now());
                 tracing::warn!(
-                    "coordinator {url} cannot be reached ({}); trying again every {} to {} s, \
+                    "coordinator {url} cannot be reached: {}; trying again every {} to {} s, \
                      rollouts in flight go on",
-                    chain(status),
+                    transport::answer(&failed.status),
                     Waits::USUAL.first.as_secs(),
                     Waits::USUAL.longest.as_secs()
                 );
             }
-            (Err(status), Some(_)) if may_succeed_later(status) => {}
+            (Err(failed), Some(_)) if failed.may_pass => {}
+            // The error says the rest, and ends the program.
+            (Err(_), Some(_)) if !self.has_answered() => {}
             (_, Some(since)) => {
                 *outage = None;
                 let secs = since.elapsed().as_secs_f64();

@@ -12,9 +12,9 @@ use tokio::process::{Child, Command};
 use tokio::sync::mpsc;
 use tokio::task::{self, JoinSet};
 
-use super::event::{Event, ProcessKey};
+use super::event::{Event, ProcessEnd, ProcessKey};
 use crate::child::{SlotProgram, connection, explain_status};
-use crate::memory::{OomKills, Verdict};
+use crate::memory::OomKills;
 use crate::message::{MAX_LINE_BYTES, SlotCommand, SlotEvent};
 
 /// Commands that wait for a process to read them: a rollout, and to abandon it.
@@ -101,7 +101,14 @@ async fn attend(
         carry_out(child, commands, requests)
     );
     let kills = OomKills::read().since(kills_before);
-    let end = explain_end(status, kills, &last_words);
+    let how = match status {
+        Ok(status) => explain_status(status, kills),
+        Err(error) => format!("could not be waited for ({error})"),
+    };
+    let end = ProcessEnd {
+        how,
+        last_words: last_words.into(),
+    };
     // A supervisor that is gone needs no explanation.
     let _ = events.send(Event::Ended { key, end }).await;
 }
@@ -189,33 +196,12 @@ async fn next_line(stream: &mut (impl AsyncBufRead + Unpin), max_bytes: u64) -> 
     }
 }
 
-fn explain_end(
-    status: io::Result<ExitStatus>,
-    kills: Verdict,
-    last_words: &VecDeque<String>,
-) -> String {
-    let mut text = match status {
-        Ok(status) => explain_status(status, kills),
-        Err(error) => format!("could not be waited for ({error})"),
-    };
-    if !last_words.is_empty() {
-        text.push_str("; its last words: ");
-        text.push_str(
-            &last_words
-                .iter()
-                .map(String::as_str)
-                .collect::<Vec<_>>()
-                .join(" | "),
-        );
-    }
-    text
-}
-
 #[cfg(test)]
 mod tests {
     use std::os::unix::process::ExitStatusExt;
 
     use super::*;
+    use crate::memory::Verdict;
 
     #[tokio::test]
     async fn lines_are_bounded() {
@@ -237,7 +223,10 @@ mod tests {
         check(11, "signal 11 (SIGSEGV");
         check(1 << 8, "exited with code 1");
         let last_words = VecDeque::from(["one".to_owned(), "two".to_owned()]);
-        let text = explain_end(Ok(ExitStatus::from_raw(6)), Verdict::Unknown, &last_words);
-        assert!(text.ends_with("its last words: one | two"), "{text}");
+        let end = ProcessEnd {
+            how: "aborted".to_owned(),
+            last_words: last_words.into(),
+        };
+        assert_eq!(end.with_last_words(), "aborted; its last words: one | two");
     }
 }

@@ -10,6 +10,7 @@ use attempt::AttemptId;
 use proto::coordinator::{
     HeartbeatRequest, HeartbeatResponse, Progress, RegisterRequest, RegisterResponse,
 };
+use terminal::counted;
 use tokio::sync::{mpsc, watch};
 use tokio::task::{self, JoinError, JoinSet};
 use tokio::time::{Instant, Interval, MissedTickBehavior, interval};
@@ -19,7 +20,7 @@ use transport::chain;
 use super::config::{Config, TIMING_UNTIL_REGISTERED, Timing, registration};
 use super::deliver::{Answer, Delivery, Ending, deliver};
 use super::error::SuperviseError;
-use super::event::{Event, ProcessKey};
+use super::event::{Event, ProcessEnd, ProcessKey};
 use super::link::Link;
 use super::process::SlotProcess;
 use super::slot_state::{
@@ -188,7 +189,8 @@ impl Supervisor {
             slot.process = None;
         }
         if !self.uploads.is_empty() {
-            tracing::warn!("{} videos were not stored in time", self.uploads.len());
+            let videos = counted(self.uploads.len() as u64, "video");
+            tracing::warn!("gave up storing {videos}: there was no more time");
         }
         self.calls.abort_all();
         self.uploads.abort_all();
@@ -269,7 +271,8 @@ impl Supervisor {
             }
             Err(error) => {
                 let program = program.program.display();
-                self.process_ended(slot, format!("could not start {program}: {error}"), now);
+                let end = ProcessEnd::from(format!("could not start {program}: {error}"));
+                self.process_ended(slot, end, now);
             }
         }
     }
@@ -376,22 +379,23 @@ impl Supervisor {
         assignment.map_or_else(String::new, |it| it.session.to_string())
     }
 
-    fn process_ended(&mut self, slot: usize, end: String, now: Instant) {
+    fn process_ended(&mut self, slot: usize, end: ProcessEnd, now: Instant) {
         self.slots[slot].process = None;
         let state = &mut self.slots[slot].state;
         let loss = state.ended(now);
         if state.cannot_start() {
-            let end = end.clone();
+            // What it printed last stands above.
+            let end = end.how.clone();
             self.stop(SuperviseError::Slot { slot, end });
         } else {
-            tracing::warn!("the process of slot {slot} {end}");
+            tracing::warn!("the process of slot {slot} {}", end.how);
         }
         if let Some(attempt) = loss.video {
             tracing::warn!("no video of {}: it was being made", self.label(slot));
             self.carry_out_video(slot, Some(VideoDecision::Drop(attempt)));
         }
         if let Some((attempt, kind)) = loss.rollout {
-            let error = self.explain_loss(kind, &end);
+            let error = self.explain_loss(kind, &end.with_last_words());
             let label = self.label(slot);
             let ending = Ending::Failed(Failure { kind, error });
             self.send_delivery(slot, attempt, label, ending);
@@ -536,8 +540,8 @@ impl Supervisor {
             self.told_to_end_at = Some(now);
             let running = self.slots.iter().filter_map(|it| it.state.progress());
             tracing::info!(
-                "draining: {} rollouts in flight are finished; a second signal gives them back instead",
-                running.count()
+                "draining: {} in flight to be finished; a second signal gives them back instead",
+                counted(running.count() as u64, "rollout")
             );
         } else if self.mode == Mode::Draining && !self.is_duplicate(now) {
             tracing::info!("giving the rollouts in flight back");
@@ -578,7 +582,7 @@ impl Supervisor {
     fn panicked(&mut self, task: task::Id, error: String, now: Instant) {
         let owns = |slot: &Slot| slot.process.as_ref().is_some_and(|it| it.task == task);
         if let Some(slot) = self.slots.iter().position(owns) {
-            let end = format!("is not attended any more: {error}");
+            let end = ProcessEnd::from(format!("is not attended any more: {error}"));
             return self.process_ended(slot, end, now);
         }
         tracing::error!("a part of this worker broke off: {error}");

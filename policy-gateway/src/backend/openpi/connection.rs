@@ -15,7 +15,7 @@ use tokio_tungstenite::{
         protocol::WebSocketConfig,
     },
 };
-use transport::{Access, innermost};
+use transport::{Access, Found, Peer};
 
 use super::address::OpenpiAddress;
 use crate::backend::{BackendError, grpc::CONNECT_TIMEOUT};
@@ -32,6 +32,7 @@ impl<S: AsyncRead + AsyncWrite + Send + Unpin> Stream for S {}
 pub(super) struct Connection {
     socket: WebSocketStream<Box<dyn Stream>>,
     authority: String,
+    peer: Peer,
     metadata: Vec<u8>,
 }
 
@@ -40,21 +41,27 @@ impl Connection {
     pub(super) async fn open(
         address: &OpenpiAddress,
         access: &Access,
+        peer: &Peer,
     ) -> Result<Self, BackendError> {
-        let unreachable = |reason: String| BackendError::Unreachable {
+        let unreachable = |found| BackendError::Unreachable {
             address: address.authority.clone(),
-            reason,
+            trouble: peer.found(found).into(),
         };
         let connecting = TcpStream::connect(&address.authority);
-        let stream = tokio::time::timeout(CONNECT_TIMEOUT, connecting)
-            .await
-            .map_err(|_| unreachable("no connection in time".to_owned()))?
-            .map_err(|error| unreachable(error.to_string()))?;
+        let stream = match tokio::time::timeout(CONNECT_TIMEOUT, connecting).await {
+            Ok(Ok(stream)) => stream,
+            Ok(Err(_)) => return Err(absent(address, peer).await),
+            Err(_) => return Err(unreachable(Found::NoAnswer)),
+        };
         let greeting = async {
-            let socket = shake_hands(stream, address, access).await;
+            let socket = match shake_hands(stream, address, access).await {
+                Ok(socket) => socket,
+                Err(error) => return Err(refusal(address, peer, &error).await),
+            };
             let mut connection = Self {
-                socket: socket.map_err(|error| refusal(address, &error))?,
+                socket,
                 authority: address.authority.clone(),
+                peer: peer.clone(),
                 metadata: vec![],
             };
             connection.metadata = connection.receive().await?;
@@ -62,7 +69,7 @@ impl Connection {
         };
         tokio::time::timeout(GREETING_WITHIN, greeting)
             .await
-            .map_err(|_| unreachable("it does not say its metadata".to_owned()))?
+            .map_err(|_| unreachable(Found::Mute))?
     }
 
     /// What the server said first.
@@ -73,7 +80,7 @@ impl Connection {
     /// Sends a message and waits for its answer.
     pub(super) async fn ask(&mut self, message: Vec<u8>) -> Result<Vec<u8>, BackendError> {
         let sent = self.socket.send(Message::binary(message)).await;
-        sent.map_err(|error| self.lost(&error))?;
+        sent.map_err(|_| self.lost())?;
         self.receive().await
     }
 
@@ -89,17 +96,17 @@ impl Connection {
                 // The library answers pings.
                 Some(Ok(Message::Ping(_) | Message::Pong(_) | Message::Frame(_))) => {}
                 Some(Ok(Message::Close(_))) | None => {
-                    return Err(self.lost(&tungstenite::Error::ConnectionClosed));
+                    return Err(self.lost());
                 }
-                Some(Err(error)) => return Err(self.lost(&error)),
+                Some(Err(_)) => return Err(self.lost()),
             }
         }
     }
 
-    fn lost(&self, error: &tungstenite::Error) -> BackendError {
+    fn lost(&self) -> BackendError {
         BackendError::Unreachable {
             address: self.authority.clone(),
-            reason: innermost(error),
+            trouble: self.peer.found(Found::Broken).into(),
         }
     }
 }
@@ -130,16 +137,27 @@ async fn shake_hands(
     Ok(socket)
 }
 
-fn refusal(address: &OpenpiAddress, error: &tungstenite::Error) -> BackendError {
-    let address = address.authority.clone();
+async fn refusal(address: &OpenpiAddress, peer: &Peer, error: &tungstenite::Error) -> BackendError {
     match error {
         tungstenite::Error::Http(response) if matches!(response.status().as_u16(), 401 | 403) => {
             BackendError::Barred {
-                address,
+                address: address.authority.clone(),
                 reason: format!("it answered HTTP {}", response.status()),
             }
         }
-        error => BackendError::connecting(address, innermost(error)),
+        tungstenite::Error::Http(response) => BackendError::Unreachable {
+            address: address.authority.clone(),
+            trouble: peer.found(Found::web(response.status().as_u16())).into(),
+        },
+        _ => absent(address, peer).await,
+    }
+}
+
+/// What is there in the server's place.
+async fn absent(address: &OpenpiAddress, peer: &Peer) -> BackendError {
+    BackendError::Unreachable {
+        address: address.authority.clone(),
+        trouble: peer.look_around().await.into(),
     }
 }
 

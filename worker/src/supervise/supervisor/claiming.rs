@@ -103,8 +103,11 @@ impl Supervisor {
 
     /// What a slot has to do for a lease. The error reads after "failed to …".
     fn assignment(&self, attempt: AttemptId, lease: Lease) -> Result<Assignment, String> {
-        let row: protocol::ManifestRow = serde_json::from_str(&lease.manifest_row)
-            .map_err(|error| format!("read the manifest row of job {}: {error}", lease.job_id))?;
+        let row: protocol::ManifestRow =
+            serde_json::from_str(&lease.manifest_row).map_err(|error| {
+                let problem = protocol::JsonError::from(error);
+                format!("read the manifest row of job {}: {problem}", lease.job_id)
+            })?;
         let realisation = lease.realisation.parse();
         let endpoint = self.config.policy_endpoint.clone();
         let of = match lease.record_failures_only {

@@ -1,0 +1,222 @@
+//! What readers of JSON and TOML say of a text, in the words of those who wrote
+//! it. Their messages name Rust's types; the field and the value in them are kept.
+
+use std::fmt;
+
+/// A text that is no JSON, or not the JSON that was asked for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct JsonError {
+    problem: String,
+    /// Line and column, from 1; none if the text as a whole is meant.
+    place: Option<(usize, usize)>,
+}
+
+impl JsonError {
+    /// What is wrong, without the place.
+    pub fn problem(&self) -> &str {
+        &self.problem
+    }
+
+    /// Line and column, from 1.
+    pub fn place(&self) -> Option<(usize, usize)> {
+        self.place
+    }
+}
+
+impl From<serde_json::Error> for JsonError {
+    fn from(error: serde_json::Error) -> Self {
+        let message = error.to_string();
+        let bare = match message.rfind(" at line ") {
+            Some(end) => &message[..end],
+            None => &message,
+        };
+        Self {
+            problem: plain_words(bare),
+            place: (error.line() > 0).then(|| (error.line(), error.column())),
+        }
+    }
+}
+
+impl fmt::Display for JsonError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.problem)?;
+        match self.place {
+            Some((line, column)) => write!(f, " (line {line}, column {column})"),
+            None => Ok(()),
+        }
+    }
+}
+
+impl std::error::Error for JsonError {}
+
+/// A message of a reader of JSON or TOML in plain words; one that is plain
+/// already, as it is.
+pub fn plain_words(message: &str) -> String {
+    let about = |prefix: &str| message.strip_prefix(prefix);
+    if let Some(field) = about("missing field ") {
+        return format!("the field {field} is not there");
+    }
+    if let Some(field) = about("duplicate field ") {
+        return format!("the field {field} is there twice");
+    }
+    if let Some(rest) = about("unknown field ") {
+        return match rest.split_once(", expected ") {
+            Some((field, known)) => {
+                format!("there is no field {field}; {}", choice("the field", known))
+            }
+            None => format!("there is no field {}", first(rest)),
+        };
+    }
+    if let Some(rest) = about("unknown variant ") {
+        return match rest.split_once(", expected ") {
+            Some((given, known)) => format!("{given} has no meaning; {}", choice("write", known)),
+            None => format!("{} has no meaning", first(rest)),
+        };
+    }
+    for prefix in ["invalid type: ", "invalid value: ", "invalid length "] {
+        if let Some((given, wanted)) = about(prefix).and_then(|rest| rest.split_once(", expected "))
+        {
+            let count = if prefix == "invalid length " {
+                "length "
+            } else {
+                ""
+            };
+            return format!(
+                "{count}{} stands where {} belongs",
+                value(given),
+                kind(wanted)
+            );
+        }
+    }
+    match message {
+        "expected value" | "expected ident" => "what follows is no value".to_owned(),
+        message if message.starts_with("EOF while parsing") => "the text ends too early".to_owned(),
+        "trailing characters" => "something follows after the end".to_owned(),
+        message => message.replace("expected ", "missing here: "),
+    }
+}
+
+/// Without what follows a comma.
+fn first(text: &str) -> &str {
+    text.split(',').next().unwrap_or(text)
+}
+
+/// "one of `a`, `b`" or "`a` or `b`" or "`a`", after a word for them.
+fn choice(word: &str, known: &str) -> String {
+    match (word, known.strip_prefix("one of ")) {
+        ("write", Some(several)) => format!("write one of {several}"),
+        (_, Some(several)) => format!("{word}s are {several}"),
+        ("write", None) => format!("write {known}"),
+        (_, None) if known.contains(" or ") => {
+            format!("{word}s are {}", known.replace(" or ", " and "))
+        }
+        (_, None) => format!("{word} is {known}"),
+    }
+}
+
+/// What was given: "string \"x\"", "integer `7`", "map", "null".
+fn value(given: &str) -> String {
+    for kind in ["string ", "integer ", "floating point ", "boolean "] {
+        if let Some(value) = given.strip_prefix(kind) {
+            return value.to_owned();
+        }
+    }
+    match given {
+        "map" => "an object".to_owned(),
+        "sequence" => "a list".to_owned(),
+        other => other.to_owned(),
+    }
+}
+
+/// What was wanted, which is often a type's name.
+fn kind(wanted: &str) -> String {
+    match wanted {
+        "u8" => "a whole number, 0 to 255,".to_owned(),
+        "u16" => "a whole number, 0 to 65535,".to_owned(),
+        "u32" | "u64" | "usize" => "a whole number, 0 or more,".to_owned(),
+        "i8" | "i16" | "i32" | "i64" | "isize" => "a whole number".to_owned(),
+        "f32" | "f64" => "a number".to_owned(),
+        "a sequence" => "a list".to_owned(),
+        "a map" => "an object".to_owned(),
+        "a boolean" => "true or false".to_owned(),
+        "string or map" => "a name".to_owned(),
+        other if other.starts_with("struct ") || other.starts_with("internally tagged") => {
+            "an object".to_owned()
+        }
+        other if other.starts_with("enum ") => "a name".to_owned(),
+        other => match other.strip_prefix("an array of length ") {
+            Some(count) => format!("a list of {count}"),
+            None => other.to_owned(),
+        },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde::Deserialize;
+
+    use super::*;
+
+    #[derive(Debug, Deserialize)]
+    #[serde(deny_unknown_fields)]
+    #[expect(dead_code, reason = "only read")]
+    struct Asked {
+        count: u32,
+        kind: Option<Kind>,
+        flag: Option<bool>,
+        pair: Option<[f64; 2]>,
+    }
+
+    #[derive(Debug, Deserialize)]
+    #[serde(rename_all = "lowercase")]
+    enum Kind {
+        Small,
+        Big,
+        Huge,
+    }
+
+    #[test]
+    fn what_a_json_text_lacks_is_said_in_plain_words() {
+        let check = |text: &str, expected: &str| {
+            let error = serde_json::from_str::<Asked>(text).expect_err(text);
+            assert_eq!(JsonError::from(error).to_string(), expected, "{text}");
+        };
+        check("{}", "the field `count` is not there (line 1, column 2)");
+        check(
+            r#"{"counts": 1}"#,
+            "there is no field `counts`; the fields are `count`, `kind`, `flag`, `pair` (line 1, \
+             column 9)",
+        );
+        check(
+            r#"{"count": 1, "count": 1}"#,
+            "the field `count` is there twice (line 1, column 20)",
+        );
+        check(
+            r#"{"count": -1}"#,
+            "`-1` stands where a whole number, 0 or more, belongs (line 1, column 12)",
+        );
+        check(
+            r#"{"count": "x"}"#,
+            "\"x\" stands where a whole number, 0 or more, belongs (line 1, column 13)",
+        );
+        check(
+            r#"{"count": 1, "kind": "vast"}"#,
+            "`vast` has no meaning; write one of `small`, `big`, `huge` (line 1, column 27)",
+        );
+        check(
+            r#"{"count": 1, "flag": 3}"#,
+            "`3` stands where true or false belongs (line 1, column 22)",
+        );
+        check(
+            r#"{"count": 1, "pair": [1]}"#,
+            "length 1 stands where a list of 2 belongs (line 1, column 24)",
+        );
+        check("", "the text ends too early (line 1, column 0)");
+        check(
+            r#"{"count": 1} x"#,
+            "something follows after the end (line 1, column 14)",
+        );
+        check("[1", "the text ends too early (line 1, column 2)");
+        check("{1}", "key must be a string (line 1, column 2)");
+    }
+}

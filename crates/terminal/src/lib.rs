@@ -1,0 +1,11 @@
+//! What all programs do alike on a terminal: their log, what they print, and
+//! how they refuse a flag's value. Not responsible for what is logged, printed
+//! or asked for.
+
+#![forbid(unsafe_code)]
+
+mod output;
+mod values;
+
+pub use output::{counted, log, print, print_line, reader_is_gone};
+pub use values::{address, number, number_from, seconds};

@@ -1,0 +1,73 @@
+//! What programs print: results on standard output, and a log on standard error.
+
+use std::error::Error;
+use std::io::{self, IsTerminal as _, Write as _};
+
+use tracing_subscriber::EnvFilter;
+
+/// Logs to standard error from now on, at this level unless RUST_LOG says
+/// otherwise, and in colour just if a terminal shows it.
+pub fn log(default_level: &str) {
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| default_level.into());
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(io::stderr)
+        // A log on a full disk must not end the program: this would print an
+        // error to the same place, and panic.
+        .log_internal_errors(false)
+        .with_ansi(io::stderr().is_terminal())
+        .with_target(false)
+        .init();
+}
+
+/// Prints a line to standard output.
+///
+/// # Errors
+/// If it cannot be written; see [`reader_is_gone`].
+pub fn print_line(text: &str) -> io::Result<()> {
+    print(&format!("{text}\n"))
+}
+
+/// Prints to standard output. Unlike `print!` it does not panic when nobody reads
+/// it any more.
+///
+/// # Errors
+/// If it cannot be written; see [`reader_is_gone`].
+pub fn print(text: &str) -> io::Result<()> {
+    let mut stdout = io::stdout().lock();
+    stdout.write_all(text.as_bytes())?;
+    stdout.flush()
+}
+
+/// Whether what was printed failed because its reader has enough, as with
+/// `| head`: then the program ends well, and says nothing.
+pub fn reader_is_gone(error: &(dyn Error + 'static)) -> bool {
+    let mut cause = Some(error);
+    while let Some(error) = cause {
+        let kind = error.downcast_ref::<io::Error>().map(io::Error::kind);
+        if kind == Some(io::ErrorKind::BrokenPipe) {
+            return true;
+        }
+        cause = error.source();
+    }
+    false
+}
+
+/// A number of things: `1 rollout`, `2 rollouts`.
+pub fn counted(count: u64, thing: &str) -> String {
+    match count {
+        1 => format!("1 {thing}"),
+        count => format!("{count} {thing}s"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_thing_is_no_plural() {
+        let counts = [0, 1, 2].map(|count| counted(count, "rollout"));
+        assert_eq!(counts, ["0 rollouts", "1 rollout", "2 rollouts"]);
+    }
+}

@@ -1,0 +1,382 @@
+//! What was found where a call failed, and what to do about it, in words. Pure:
+//! `probe` looks.
+
+use std::fmt;
+
+/// What a client expects at an address.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ServerKind {
+    /// A coordinator.
+    Coordinator,
+    /// A server of `rollout.policy.v1`: a policy, or a gateway before policies.
+    Policy,
+    /// An openpi server, which speaks WebSocket.
+    Openpi,
+}
+
+impl ServerKind {
+    /// Those that a gRPC call tells apart.
+    pub(crate) const OF_GRPC: [ServerKind; 2] = [ServerKind::Coordinator, ServerKind::Policy];
+
+    /// With its article.
+    fn article(self) -> &'static str {
+        match self {
+            ServerKind::Coordinator => "a coordinator",
+            ServerKind::Policy => "a policy server or policy-gateway",
+            ServerKind::Openpi => "an openpi server",
+        }
+    }
+
+    /// The one that is meant.
+    fn definite(self) -> &'static str {
+        match self {
+            ServerKind::Coordinator => "the coordinator",
+            ServerKind::Policy => "the policy server",
+            ServerKind::Openpi => "the openpi server",
+        }
+    }
+
+    fn start(self) -> &'static str {
+        match self {
+            ServerKind::Coordinator => "start it with `coordinator serve`",
+            ServerKind::Policy | ServerKind::Openpi => "start it",
+        }
+    }
+
+    /// The path of a call that only this kind of server has, and that changes
+    /// nothing whatever its argument.
+    pub(crate) fn call(self) -> Option<&'static str> {
+        match self {
+            ServerKind::Coordinator => {
+                Some("/rollout.coordinator.v1.OperatorService/ListCampaigns")
+            }
+            ServerKind::Policy => Some("/rollout.policy.v1.Policy/Describe"),
+            ServerKind::Openpi => None,
+        }
+    }
+}
+
+/// Where a client's user sets what it connects with: remedies name these.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Settings {
+    /// What holds the address, such as `--connect`.
+    pub address: &'static str,
+    /// What holds the certificate authority, such as `--ca`.
+    pub authority: &'static str,
+    /// How addresses begin without TLS, such as `http://`.
+    pub clear: &'static str,
+    /// How they begin with TLS, such as `https://`.
+    pub encrypted: &'static str,
+}
+
+/// What is wrong with a server's certificate.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum CertificateFault {
+    /// No known authority signed it.
+    Untrusted,
+    /// It was valid once.
+    Expired {
+        /// Since when, whole days.
+        days: u64,
+    },
+    /// It will be valid once.
+    NotYetValid,
+    /// It is for other names.
+    OtherName {
+        /// Which.
+        names: Vec<String>,
+    },
+    /// It is a certificate authority's own.
+    Authority,
+    /// Anything else.
+    Unusable(
+        /// In TLS's words.
+        String,
+    ),
+}
+
+/// What is at an address where a call failed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Found {
+    /// The name has no address.
+    UnknownHost,
+    /// Connections are refused.
+    Nothing,
+    /// Connections get no answer.
+    NoAnswer,
+    /// The system would not connect.
+    System(
+        /// Its words.
+        String,
+    ),
+    /// A server over TLS, asked in the clear.
+    Encrypted,
+    /// A server in the clear, asked over TLS.
+    Clear,
+    /// A certificate that is not to be trusted.
+    Certificate(CertificateFault),
+    /// TLS, of a kind that this side does not speak.
+    OtherTls(
+        /// In TLS's words.
+        String,
+    ),
+    /// A web server that does not speak what it is asked.
+    Web {
+        /// The first line of its answer, or its HTTP status.
+        said: String,
+        /// Whether it is a proxy whose own server is away.
+        is_proxy_waiting: bool,
+    },
+    /// An SSH server.
+    Ssh,
+    /// Something else that speaks.
+    Other {
+        /// How it begins.
+        said: String,
+    },
+    /// Something that takes the connection, and says nothing or hangs up.
+    Mute,
+    /// Another of our servers.
+    OtherKind(ServerKind),
+    /// A gRPC server that is none of ours.
+    OtherGrpc,
+    /// The right server, without this call.
+    Older,
+    /// The right server, now.
+    Broken,
+}
+
+/// HTTP statuses of a proxy whose own server is away.
+const PROXY_WAITING: [u16; 3] = [502, 503, 504];
+
+impl Found {
+    /// A web server that answered with this HTTP status.
+    pub fn web(status: u16) -> Found {
+        Found::Web {
+            said: format!("HTTP status {status}"),
+            is_proxy_waiting: PROXY_WAITING.contains(&status),
+        }
+    }
+
+    /// A web server whose answer begins with this line.
+    pub(crate) fn web_line(said: String) -> Found {
+        let status = said
+            .split_whitespace()
+            .nth(1)
+            .and_then(|word| word.parse().ok());
+        Found::Web {
+            is_proxy_waiting: status.is_some_and(|it| PROXY_WAITING.contains(&it)),
+            said,
+        }
+    }
+
+    /// Whether the client's settings or the server's are wrong, so that trying
+    /// again changes nothing.
+    pub fn is_final(&self) -> bool {
+        match self {
+            Found::Encrypted
+            | Found::Clear
+            | Found::Certificate(_)
+            | Found::OtherTls(_)
+            | Found::Ssh
+            | Found::Other { .. }
+            | Found::OtherKind(_)
+            | Found::OtherGrpc
+            | Found::Older => true,
+            Found::Web {
+                is_proxy_waiting, ..
+            } => !is_proxy_waiting,
+            Found::UnknownHost
+            | Found::Nothing
+            | Found::NoAnswer
+            | Found::System(_)
+            | Found::Mute
+            | Found::Broken => false,
+        }
+    }
+}
+
+/// Why a server could not be called: what was found in its place, and the
+/// remedy. Reads after the server's address and a colon.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{}; {}", self.finding(), Remedy(self))]
+pub struct Trouble {
+    /// What should have been there.
+    pub expected: ServerKind,
+    /// The host's name.
+    pub host: String,
+    /// What was there.
+    pub found: Found,
+    /// Whether the client knows a certificate authority.
+    pub has_authority: bool,
+    /// Where the remedy is applied.
+    pub settings: Settings,
+}
+
+impl Trouble {
+    /// What was found, without the remedy.
+    pub fn finding(&self) -> impl fmt::Display {
+        Finding(self)
+    }
+}
+
+struct Finding<'a>(&'a Trouble);
+
+impl fmt::Display for Finding<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Trouble {
+            expected,
+            host,
+            found,
+            settings,
+            has_authority,
+        } = self.0;
+        match found {
+            Found::UnknownHost => write!(f, "no address is known for the name `{host}`"),
+            Found::Nothing => f.write_str("nothing listens there"),
+            Found::NoAnswer => f.write_str("the machine does not answer"),
+            Found::System(words) => write!(f, "the system does not connect to it ({words})"),
+            Found::Encrypted => f.write_str("the server there speaks TLS"),
+            Found::Clear => f.write_str("the server there does not speak TLS"),
+            Found::Certificate(CertificateFault::Untrusted) if *has_authority => write!(
+                f,
+                "its certificate was not signed by the authority that {} names",
+                settings.authority
+            ),
+            Found::Certificate(CertificateFault::Untrusted) => {
+                f.write_str("its certificate was signed by an authority that is not known here")
+            }
+            Found::Certificate(CertificateFault::Expired { days }) => match days {
+                0 => f.write_str("its certificate expired today"),
+                1 => f.write_str("its certificate expired a day ago"),
+                days => write!(f, "its certificate expired {days} days ago"),
+            },
+            Found::Certificate(CertificateFault::NotYetValid) => {
+                f.write_str("its certificate is not valid yet")
+            }
+            Found::Certificate(CertificateFault::OtherName { names }) => match names.is_empty() {
+                true => write!(f, "its certificate names no host, and not `{host}`"),
+                false => write!(
+                    f,
+                    "its certificate is for {}, not for `{host}`",
+                    names.join(", ")
+                ),
+            },
+            Found::Certificate(CertificateFault::Authority) => f.write_str(
+                "its certificate is that of a certificate authority, which no server may show",
+            ),
+            Found::Certificate(CertificateFault::Unusable(words)) => {
+                write!(f, "its certificate cannot be used ({words})")
+            }
+            Found::OtherTls(words) => write!(f, "TLS with it fails ({words})"),
+            Found::Web {
+                said,
+                is_proxy_waiting: true,
+            } => write!(
+                f,
+                "a proxy there cannot reach the server behind it ({said})"
+            ),
+            Found::Web { said, .. } => {
+                write!(f, "a web server of another kind is there ({said})")
+            }
+            Found::Ssh => f.write_str("an SSH server is there"),
+            Found::Other { said } => {
+                write!(f, "a server of another kind is there, which says {said:?}")
+            }
+            Found::Mute => f.write_str("what listens there hangs up or says nothing"),
+            Found::OtherKind(kind) => {
+                write!(f, "{} is there, not {}", kind.article(), expected.article())
+            }
+            Found::OtherGrpc => write!(
+                f,
+                "a gRPC server is there, and it is not {}",
+                expected.article()
+            ),
+            Found::Older => write!(f, "{} there does not have this call", expected.definite()),
+            Found::Broken => f.write_str("the connection ended before the answer came"),
+        }
+    }
+}
+
+struct Remedy<'a>(&'a Trouble);
+
+impl fmt::Display for Remedy<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let trouble = self.0;
+        let expected = trouble.expected;
+        let Settings {
+            address,
+            authority,
+            clear,
+            encrypted,
+        } = trouble.settings;
+        match &trouble.found {
+            Found::UnknownHost => write!(f, "correct the host's name in {address}"),
+            Found::Nothing => write!(f, "{}, or name another in {address}", expected.start()),
+            Found::NoAnswer => write!(
+                f,
+                "check that it is up and that no firewall is between, or name another in \
+                 {address}"
+            ),
+            Found::System(_) => write!(f, "correct {address}"),
+            Found::Encrypted => {
+                write!(f, "write {encrypted} in place of {clear} in {address}")?;
+                match trouble.has_authority {
+                    true => Ok(()),
+                    false => write!(f, ", and name its certificate authority with {authority}"),
+                }
+            }
+            Found::Clear => write!(
+                f,
+                "write {clear} in place of {encrypted} in {address}, or start the server with \
+                 --tls-cert and --tls-key"
+            ),
+            Found::Certificate(CertificateFault::Untrusted) => write!(
+                f,
+                "name the certificate of the authority that signed it with {authority}"
+            ),
+            Found::Certificate(CertificateFault::Expired { .. }) => {
+                f.write_str("start the server with a new one in --tls-cert")
+            }
+            Found::Certificate(CertificateFault::NotYetValid) => {
+                f.write_str("set the clocks of both machines right")
+            }
+            Found::Certificate(CertificateFault::OtherName { .. }) => write!(
+                f,
+                "write a name that it is for in {address}, or start the server with a certificate \
+                 for `{}`",
+                trouble.host
+            ),
+            Found::Certificate(_) => f.write_str(
+                "start the server with one of its own, signed by the authority: docs/OPERATING.md \
+                 says how",
+            ),
+            Found::OtherTls(_) => f.write_str("let the server speak TLS 1.2 or 1.3, and HTTP/2"),
+            Found::Web {
+                is_proxy_waiting: true,
+                ..
+            } => f.write_str(expected.start()),
+            Found::Web { .. }
+            | Found::Ssh
+            | Found::Other { .. }
+            | Found::OtherKind(_)
+            | Found::OtherGrpc => write!(
+                f,
+                "name the address of {} in {address}",
+                expected.definite()
+            ),
+            Found::Mute => write!(
+                f,
+                "check that {address} names the port of {}",
+                expected.definite()
+            ),
+            Found::Older => f.write_str(match expected {
+                ServerKind::Coordinator => "use the same version of both programs",
+                ServerKind::Policy | ServerKind::Openpi => {
+                    "give it every call of rollout.policy.v1, as policy.proto describes them"
+                }
+            }),
+            Found::Broken => f.write_str("try again; the server's log says why, if it failed"),
+        }
+    }
+}

@@ -1,0 +1,191 @@
+//! The server that a client calls: where it is and what it should be, and, when
+//! a call fails, what is there in its place.
+
+use std::error::Error;
+use std::io;
+use std::time::Duration;
+
+use tonic::body::Body;
+use tonic::codegen::Service;
+use tonic::codegen::http::{Request, Uri, header};
+use tonic::transport::{Channel, Endpoint};
+use tonic::{Code, Status};
+
+use crate::client::Access;
+use crate::found::{Found, ServerKind, Settings, Trouble};
+use crate::probe::{self, Place, Speech};
+
+/// How tonic begins to say that an answer is no gRPC server's.
+const NO_GRPC_STATUS: &str = "grpc-status header missing";
+/// Longest wait for a second connection, and for its answer.
+const PATIENCE: Duration = Duration::from_secs(3);
+/// An empty message: not compressed, of no bytes.
+const EMPTY_MESSAGE: &str = "\0\0\0\0\0";
+
+/// A server that a client calls.
+#[derive(Clone, Debug)]
+pub struct Peer {
+    endpoint: Endpoint,
+    access: Access,
+    kind: ServerKind,
+    settings: Settings,
+}
+
+impl Peer {
+    /// What should be at an endpoint, and where its address is set.
+    pub fn new(endpoint: Endpoint, access: &Access, kind: ServerKind, settings: Settings) -> Peer {
+        Peer {
+            endpoint,
+            access: access.clone(),
+            kind,
+            settings,
+        }
+    }
+
+    /// Why a call came to nothing, if that was not the server's own answer. Takes
+    /// a few seconds at most: it looks at what is there.
+    pub async fn trouble(&self, status: &Status) -> Option<Trouble> {
+        let found = match status.source() {
+            Some(_) => match refused(status) {
+                Some(found) => found,
+                None => self.look().await,
+            },
+            None if status.code() == Code::Unimplemented => self.look().await,
+            None if status.message().starts_with(NO_GRPC_STATUS) => self.look().await,
+            None => return None,
+        };
+        // The server has this call, or there is none by which to tell.
+        let found = match found {
+            Found::Broken if status.code() == Code::Unimplemented => Found::Older,
+            found => found,
+        };
+        Some(self.found(found))
+    }
+
+    /// What is there now, for a client that speaks no gRPC.
+    pub async fn look_around(&self) -> Trouble {
+        self.found(self.look().await)
+    }
+
+    /// Trouble of this server's.
+    pub fn found(&self, found: Found) -> Trouble {
+        Trouble {
+            expected: self.kind,
+            host: host(self.endpoint.uri()).to_owned(),
+            found,
+            has_authority: self.access.has_authority(),
+            settings: self.settings,
+        }
+    }
+
+    async fn look(&self) -> Found {
+        let uri = self.endpoint.uri();
+        let is_encrypted = Access::is_encrypted(uri);
+        let place = Place {
+            host: host(uri),
+            port: uri
+                .port_u16()
+                .unwrap_or(if is_encrypted { 443 } else { 80 }),
+            is_encrypted,
+        };
+        let protocols: &[&[u8]] = match self.kind {
+            ServerKind::Openpi => &[],
+            ServerKind::Coordinator | ServerKind::Policy => &[probe::HTTP2],
+        };
+        let tls = match self.access.tls(protocols) {
+            Ok(tls) => tls,
+            Err(error) => return Found::OtherTls(error.to_string()),
+        };
+        match (probe::look(place, &tls).await, self.kind) {
+            (Err(found), _) => found,
+            (Ok(Speech::Http1(_)), ServerKind::Openpi) => Found::Broken,
+            (Ok(Speech::Http1(line)), _) => Found::web_line(line),
+            (Ok(Speech::Http2), _) => self.kind_there().await,
+        }
+    }
+
+    /// Which of our servers answers there.
+    async fn kind_there(&self) -> Found {
+        let Some(channel) = self.access.channel(self.http_endpoint()).await else {
+            return Found::Broken;
+        };
+        let others = ServerKind::OF_GRPC
+            .into_iter()
+            .filter(|kind| *kind != self.kind);
+        let mut there = Found::OtherGrpc;
+        for kind in [self.kind].into_iter().chain(others) {
+            let Some(path) = kind.call() else { continue };
+            match self.has_call(channel.clone(), path).await {
+                Ok(true) if kind == self.kind => return Found::Broken,
+                Ok(true) => return Found::OtherKind(kind),
+                Ok(false) => {}
+                // A coordinator answers what it does not know with a page.
+                Err(found) => there = found,
+            }
+        }
+        there
+    }
+
+    /// Whether a gRPC server has the call of a path.
+    ///
+    /// # Errors
+    /// What is there, if it is no gRPC server.
+    async fn has_call(&self, mut channel: Channel, path: &str) -> Result<bool, Found> {
+        let mut request = Request::post(path)
+            .body(Body::new(EMPTY_MESSAGE.to_owned()))
+            .map_err(|_| Found::Broken)?;
+        let headers = request.headers_mut();
+        for (name, value) in [
+            (header::CONTENT_TYPE, "application/grpc"),
+            (header::TE, "trailers"),
+        ] {
+            headers.insert(name, header::HeaderValue::from_static(value));
+        }
+        // A guarded server tells strangers nothing.
+        if let Some(token) = self.access.authorization(self.endpoint.uri(), "Bearer") {
+            headers.insert(header::AUTHORIZATION, token);
+        }
+        let answer = channel.call(request).await.map_err(|_| Found::Broken)?;
+        let content = answer.headers().get(header::CONTENT_TYPE);
+        if !content.is_some_and(|it| it.as_bytes().starts_with(b"application/grpc")) {
+            return Err(Found::web(answer.status().as_u16()));
+        }
+        let status = Status::from_header_map(answer.headers());
+        Ok(status.is_none_or(|status| status.code() != Code::Unimplemented))
+    }
+
+    /// An openpi server's address as a gRPC server's.
+    fn http_endpoint(&self) -> Endpoint {
+        let uri = self.endpoint.uri();
+        let scheme = if Access::is_encrypted(uri) {
+            "https"
+        } else {
+            "http"
+        };
+        let authority = uri.authority().map_or("", |authority| authority.as_str());
+        Endpoint::from_shared(format!("{scheme}://{authority}"))
+            .unwrap_or_else(|_| self.endpoint.clone())
+            .connect_timeout(PATIENCE)
+            .timeout(PATIENCE)
+    }
+}
+
+/// What the system said of the connection, if that is clear without another look.
+fn refused(status: &Status) -> Option<Found> {
+    let mut cause = status.source();
+    while let Some(error) = cause {
+        if let Some(found) = error
+            .downcast_ref::<io::Error>()
+            .and_then(probe::no_connection)
+        {
+            return Some(found);
+        }
+        cause = error.source();
+    }
+    None
+}
+
+fn host(uri: &Uri) -> &str {
+    let host = uri.host().unwrap_or_default();
+    host.trim_start_matches('[').trim_end_matches(']')
+}

@@ -1,0 +1,274 @@
+//! Looks at what listens at an address: connects, and lets it say enough to be
+//! told apart. Asked after a call has failed, since the errors of a call say only
+//! that something there did not fit.
+
+use std::io;
+use std::time::Duration;
+
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
+use tokio::net::TcpStream;
+use tokio::time::timeout;
+use tokio_rustls::TlsConnector;
+use tokio_rustls::rustls::pki_types::ServerName;
+use tokio_rustls::rustls::{CertificateError, Error as TlsError};
+
+use crate::found::{CertificateFault, Found};
+
+/// Longest wait for each answer.
+const PATIENCE: Duration = Duration::from_secs(3);
+/// How a client of HTTP/2 begins: its preface, and settings that change nothing.
+const PREFACE: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0";
+/// The protocol's name in TLS.
+pub(crate) const HTTP2: &[u8] = b"h2";
+/// Bytes of a frame's head in HTTP/2, and where its type is.
+const FRAME_HEAD: usize = 9;
+const FRAME_TYPE: usize = 3;
+const SETTINGS_FRAME: u8 = 4;
+/// Characters quoted of what a server says.
+const QUOTED_CHARS: usize = 60;
+
+/// Where to look.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Place<'a> {
+    /// Without brackets.
+    pub(crate) host: &'a str,
+    pub(crate) port: u16,
+    /// Whether the client asks over TLS.
+    pub(crate) is_encrypted: bool,
+}
+
+/// What a server speaks that can be connected to as the client does.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Speech {
+    Http2,
+    /// With the first line of its answer.
+    Http1(String),
+}
+
+/// What the first bytes of a server say.
+#[derive(Debug, PartialEq, Eq)]
+enum Heard {
+    Http2,
+    Http1(String),
+    Tls,
+    Ssh,
+    Other(String),
+    Silence,
+}
+
+/// Connects as the client does, and listens.
+///
+/// # Errors
+/// What is there, if it does not speak HTTP as the client would.
+pub(crate) async fn look(place: Place<'_>, tls: &TlsConnector) -> Result<Speech, Found> {
+    let stream = connect(place).await?;
+    if !place.is_encrypted {
+        return match greet(stream).await {
+            Heard::Silence => match encrypt(connect(place).await?, place, tls).await {
+                Err(Handshake::NotTls) => ask_web(connect(place).await?).await,
+                Ok(_) | Err(Handshake::Failed(_)) => Err(Found::Encrypted),
+            },
+            heard => speech(heard),
+        };
+    }
+    match encrypt(stream, place, tls).await {
+        Ok((_, true)) => Ok(Speech::Http2),
+        Ok((stream, false)) => speech(greet(stream).await),
+        Err(Handshake::Failed(found)) => Err(found),
+        Err(Handshake::NotTls) => match speech(greet(connect(place).await?).await) {
+            Ok(_) => Err(Found::Clear),
+            Err(Found::Encrypted) => Err(Found::Mute),
+            Err(found) => Err(found),
+        },
+    }
+}
+
+async fn connect(place: Place<'_>) -> Result<TcpStream, Found> {
+    let resolving = tokio::net::lookup_host((place.host, place.port));
+    let addresses = match timeout(PATIENCE, resolving).await {
+        Ok(Ok(addresses)) => addresses.collect::<Vec<_>>(),
+        Ok(Err(_)) | Err(_) => return Err(Found::UnknownHost),
+    };
+    if addresses.is_empty() {
+        return Err(Found::UnknownHost);
+    }
+    match timeout(PATIENCE, TcpStream::connect(&*addresses)).await {
+        Ok(Ok(stream)) => Ok(stream),
+        Ok(Err(error)) => Err(no_connection(&error).unwrap_or_else(|| system(&error))),
+        Err(_) => Err(Found::NoAnswer),
+    }
+}
+
+/// What the system's error says of the way to a server, if it says anything.
+pub(crate) fn no_connection(error: &io::Error) -> Option<Found> {
+    match error.kind() {
+        io::ErrorKind::ConnectionRefused => Some(Found::Nothing),
+        io::ErrorKind::TimedOut
+        | io::ErrorKind::HostUnreachable
+        | io::ErrorKind::NetworkUnreachable => Some(Found::NoAnswer),
+        _ => None,
+    }
+}
+
+fn system(error: &io::Error) -> Found {
+    Found::System(error.to_string())
+}
+
+enum Handshake {
+    /// It does not speak TLS, or said nothing of it.
+    NotTls,
+    /// It does, and something is wrong.
+    Failed(Found),
+}
+
+trait Stream: AsyncRead + AsyncWrite + Send + Unpin {}
+impl<S: AsyncRead + AsyncWrite + Send + Unpin> Stream for S {}
+
+/// Over TLS, and whether both sides agreed on HTTP/2.
+async fn encrypt(
+    stream: TcpStream,
+    place: Place<'_>,
+    tls: &TlsConnector,
+) -> Result<(impl Stream, bool), Handshake> {
+    let name = ServerName::try_from(place.host.to_owned());
+    let name = name.map_err(|_| Handshake::Failed(Found::UnknownHost))?;
+    match timeout(PATIENCE, tls.connect(name, stream)).await {
+        Ok(Ok(stream)) => {
+            let agreed = stream.get_ref().1.alpn_protocol() == Some(HTTP2);
+            Ok((stream, agreed))
+        }
+        Ok(Err(error)) => Err(of_tls(&error).map_or(Handshake::NotTls, Handshake::Failed)),
+        Err(_) => Err(Handshake::NotTls),
+    }
+}
+
+/// What a failed handshake says of the server, if TLS is what it speaks.
+fn of_tls(error: &io::Error) -> Option<Found> {
+    let inner = error.get_ref()?.downcast_ref::<TlsError>()?;
+    match inner {
+        TlsError::InvalidMessage(_) => None,
+        TlsError::InvalidCertificate(fault) => Some(Found::Certificate(certificate(fault))),
+        other => Some(Found::OtherTls(other.to_string())),
+    }
+}
+
+fn certificate(fault: &CertificateError) -> CertificateFault {
+    match fault {
+        CertificateError::UnknownIssuer => CertificateFault::Untrusted,
+        CertificateError::Expired => CertificateFault::Expired { days: 0 },
+        CertificateError::ExpiredContext { time, not_after } => CertificateFault::Expired {
+            days: time.as_secs().saturating_sub(not_after.as_secs()) / 86_400,
+        },
+        CertificateError::NotValidYet | CertificateError::NotValidYetContext { .. } => {
+            CertificateFault::NotYetValid
+        }
+        CertificateError::NotValidForName => CertificateFault::OtherName { names: vec![] },
+        CertificateError::NotValidForNameContext { presented, .. } => CertificateFault::OtherName {
+            names: presented.iter().map(|name| bare(name)).collect(),
+        },
+        // The library has no name of its own for it.
+        other if other.to_string().contains("CaUsedAsEndEntity") => CertificateFault::Authority,
+        other => CertificateFault::Unusable(other.to_string()),
+    }
+}
+
+/// A name without what the library writes around it, `DnsName("a.b")`.
+fn bare(name: &str) -> String {
+    let inner = name.split_once('(').map_or(name, |(_, inner)| inner);
+    inner.trim_end_matches(')').trim_matches('"').to_owned()
+}
+
+/// Says what a client of HTTP/2 says, and hears what comes back.
+async fn greet(mut stream: impl Stream) -> Heard {
+    let mut bytes = [0; 128];
+    let mut count = 0;
+    let listening = async {
+        // A server may speak first, and hang up because of what it reads.
+        let _ = stream.write_all(PREFACE).await;
+        while count < FRAME_HEAD {
+            match stream.read(&mut bytes[count..]).await {
+                Ok(0) | Err(_) => break,
+                Ok(more) => count += more,
+            }
+        }
+    };
+    let _ = timeout(PATIENCE, listening).await;
+    heard(&bytes[..count])
+}
+
+/// Asks as a browser does.
+async fn ask_web(mut stream: TcpStream) -> Result<Speech, Found> {
+    let mut bytes = [0; 128];
+    let asking = async {
+        let asked =
+            stream.write_all(b"GET / HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n");
+        asked.await?;
+        stream.read(&mut bytes).await
+    };
+    let count = match timeout(PATIENCE, asking).await {
+        Ok(Ok(count)) => count,
+        Ok(Err(_)) | Err(_) => 0,
+    };
+    speech(heard(&bytes[..count]))
+}
+
+fn heard(bytes: &[u8]) -> Heard {
+    match bytes {
+        [] => Heard::Silence,
+        [0x15 | 0x16, 0x03, ..] => Heard::Tls,
+        [b'S', b'S', b'H', b'-', ..] => Heard::Ssh,
+        [b'H', b'T', b'T', b'P', b'/', ..] | [b'<', ..] => Heard::Http1(first_line(bytes)),
+        [0, ..] if bytes.get(FRAME_TYPE) == Some(&SETTINGS_FRAME) => Heard::Http2,
+        _ => Heard::Other(first_line(bytes)),
+    }
+}
+
+fn first_line(bytes: &[u8]) -> String {
+    let text = String::from_utf8_lossy(bytes);
+    let line = text.lines().next().unwrap_or_default();
+    line.chars()
+        .take(QUOTED_CHARS)
+        .filter(|c| !c.is_control())
+        .collect()
+}
+
+fn speech(heard: Heard) -> Result<Speech, Found> {
+    match heard {
+        Heard::Http2 => Ok(Speech::Http2),
+        Heard::Http1(line) => Ok(Speech::Http1(line)),
+        Heard::Tls => Err(Found::Encrypted),
+        Heard::Ssh => Err(Found::Ssh),
+        Heard::Other(said) => Err(Found::Other { said }),
+        Heard::Silence => Err(Found::Mute),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn servers_are_told_apart_by_how_they_begin() {
+        let check = |bytes: &[u8], expected| assert_eq!(heard(bytes), expected);
+        check(b"", Heard::Silence);
+        check(b"\0\0\x18\x04\0\0\0\0\0\0\x03", Heard::Http2);
+        check(b"\x15\x03\x03\0\x02\x02\x32", Heard::Tls);
+        check(b"SSH-2.0-OpenSSH_9.6\r\n", Heard::Ssh);
+        let line = "HTTP/1.1 400 Bad Request";
+        let answer = format!("{line}\r\nServer: x\r\n\r\n");
+        check(answer.as_bytes(), Heard::Http1(line.to_owned()));
+        check(
+            b"220 mail ESMTP\r\n",
+            Heard::Other("220 mail ESMTP".to_owned()),
+        );
+    }
+
+    #[test]
+    fn a_proxy_whose_server_is_away_is_no_web_server_of_another_kind() {
+        let waits = |line: &str| !Found::web_line(line.to_owned()).is_final();
+        assert!(waits("HTTP/1.1 502 Bad Gateway"));
+        assert!(!waits("HTTP/1.1 400 Bad Request"));
+        assert!(!waits("<!DOCTYPE HTML>"));
+        assert!(!Found::web(503).is_final());
+    }
+}

@@ -1,0 +1,67 @@
+//! Output whose reader has gone, as with `| head`: every command that prints ends
+//! well, and says nothing of it.
+
+use std::io::pipe;
+use std::process::{Command, Stdio};
+
+use tests::programs::{Campaigns, program};
+
+/// Runs a command whose output nobody reads.
+fn check(name: &str, arguments: &[&str]) {
+    let (reader, writer) = pipe().expect("a pipe");
+    drop(reader);
+    let output = Command::new(program(name))
+        .args(arguments)
+        .stdin(Stdio::null())
+        .stdout(writer)
+        .stderr(Stdio::piped())
+        .output()
+        .expect("the program runs");
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{name} {arguments:?}: {said}");
+    for words in ["ipe", "panicked", "failed"] {
+        assert!(!said.contains(words), "{name} {arguments:?}: {said}");
+    }
+}
+
+#[test]
+fn a_command_whose_reader_has_enough_ends_without_a_word() {
+    let data = tempfile::tempdir().expect("a temporary folder");
+    let campaigns = Campaigns::start(data.path());
+    campaigns.create("first", "noop", "libero_object/0", "0-9");
+    let connect = ["--connect", &campaigns.coordinator.url];
+    let examples = concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/openvla_oft");
+    let copy = data.path().join("copy.sqlite");
+    let copy = copy.to_str().expect("UTF-8");
+    let job = "object/t0/camera/L3/c00";
+    for arguments in [
+        &["campaign", "list"][..],
+        &["campaign", "status"],
+        &["campaign", "status", "first"],
+        &["campaign", "pause", "first"],
+        &["campaign", "resume", "first"],
+        &["jobs", "list", "first"],
+        &["jobs", "show", "first", job],
+        &["jobs", "retry", "first", "--all"],
+        &["workers"],
+        &["report", "first"],
+        &["report", "first", "--json"],
+        &["report", "first", "--from", examples],
+        &["export", "first", "--format", "jsonl"],
+        &["backup", "--output", copy],
+    ] {
+        check("coordinator", &[arguments, &connect].concat());
+    }
+    check("coordinator", &["check", copy]);
+    check("coordinator", &["manifest", "expand", "--version", "v0.1"]);
+    check(
+        "policy-gateway",
+        &["check", &campaigns.gateway.url, "--policy", "noop"],
+    );
+    if let Err(error) = scene::Sources::open(&scene::Sources::default_dir()) {
+        println!("skipped the worker: failed to {error}");
+        return;
+    }
+    check("worker", &["assets", "list"]);
+    check("worker", &["assets", "list", "--files", "primitives"]);
+}

@@ -1,0 +1,263 @@
+//! Errors of the policy-gateway.
+
+use std::time::Duration;
+
+use policy_gateway::RunError;
+use policy_gateway::backend::BackendError;
+use policy_gateway::backend::grpc::GrpcAddress;
+use policy_gateway::backend::openpi::OpenpiAddress;
+use policy_gateway::backend::openpi::codec::AnswerError;
+use policy_gateway::builtin::Builtin;
+use policy_gateway::check::{ActionFault, DescriptionFault};
+use policy_gateway::config::{BackendSpec, ConfigError, RouteName, RouteSpec, UnusableBackend};
+use policy_gateway::conformance::ConformanceError;
+use policy_gateway::conformance::front::FrontError;
+use policy_gateway::health::Cause;
+use policy_gateway::recording::RecordingError;
+use policy_gateway::route::RouteError;
+use tonic::Status;
+use transport::{AccessError, Found, SecurityError, ServerKind, Settings, Trouble};
+
+use crate::{Messages, io_error, path, text, variants};
+
+pub(crate) fn add(messages: &mut Messages) {
+    configuration(messages);
+    checks(messages);
+    back_ends(messages);
+    routes(messages);
+    conformance(messages);
+}
+
+fn name() -> RouteName {
+    "pi05".parse().expect("a name")
+}
+
+fn trouble() -> Box<Trouble> {
+    Box::new(Trouble {
+        expected: ServerKind::Policy,
+        host: "gpu-3".to_owned(),
+        found: Found::Nothing,
+        has_authority: false,
+        settings: Settings {
+            address: "its route",
+            authority: "`ca` of the policy",
+            clear: "grpc://",
+            encrypted: "https://",
+        },
+    })
+}
+
+fn configuration(messages: &mut Messages) {
+    let no_name = || "a b".parse::<RouteName>().expect_err("no name");
+    let no_builtin = || "nope".parse::<Builtin>().expect_err("no policy");
+    let no_address = || "grpc://h".parse::<GrpcAddress>().expect_err("no port");
+    let no_openpi = || "ws://h".parse::<OpenpiAddress>().expect_err("no port");
+    messages.add("RouteNameError", no_name());
+    messages.add("UnknownBuiltin", no_builtin());
+    messages.add("AddressError", no_address());
+    messages.add("OpenpiAddressError", no_openpi());
+    let no_back_end = "nobody".parse::<BackendSpec>().expect_err("no back-end");
+    messages.add("ConfigError", no_back_end);
+    variants!(messages, ConfigError,
+        ConfigError::NoRoute => ConfigError::NoRoute,
+        ConfigError::Unreadable { .. } => ConfigError::Unreadable {
+            path: path(), source: io_error(),
+        },
+        ConfigError::Toml { .. } => ConfigError::Toml {
+            path: path(), line: 2, problem: protocol::plain_words("missing field `x`"),
+        },
+        ConfigError::InFile { .. } => ConfigError::InFile {
+            path: path(), source: Box::new(ConfigError::NoRoute),
+        },
+        ConfigError::NoReplica { .. } => ConfigError::NoReplica { name: name() },
+        ConfigError::BothKinds { .. } => ConfigError::BothKinds { name: name() },
+        ConfigError::TooManyReplicas { .. } => ConfigError::TooManyReplicas { name: name() },
+        ConfigError::ReplicaTwice { .. } => ConfigError::ReplicaTwice {
+            name: name(), replica: "grpc://h:1".to_owned(),
+        },
+        ConfigError::AnswerWithin { .. } => ConfigError::AnswerWithin { name: name(), secs: 0.0 },
+        ConfigError::Form { .. } => "pi05".parse::<RouteSpec>().expect_err("no back-end"),
+        ConfigError::Name(_) => ConfigError::Name(no_name()),
+        ConfigError::Twice { .. } => ConfigError::Twice { name: name() },
+        ConfigError::Backend { .. } => ConfigError::Backend { text: text() },
+        ConfigError::Builtin(_) => ConfigError::Builtin(no_builtin()),
+        ConfigError::Address(_) => ConfigError::Address(no_address()),
+        ConfigError::Openpi(_) => ConfigError::Openpi(no_openpi()),
+        ConfigError::NoAuthority { .. } => ConfigError::NoAuthority {
+            name: name(), replica: "https://h:1".to_owned(),
+        },
+    );
+    variants!(messages, UnusableBackend,
+        UnusableBackend::Access(_) => {
+            UnusableBackend::Access(AccessError::Host { host: text() })
+        },
+        UnusableBackend::Recording(_) => {
+            UnusableBackend::Recording(RecordingError::None { folder: path() })
+        },
+        UnusableBackend::Address(_) => UnusableBackend::Address(no_address()),
+        UnusableBackend::Openpi(_) => UnusableBackend::Openpi(no_openpi()),
+    );
+    variants!(messages, RecordingError,
+        RecordingError::Io { .. } => RecordingError::Io { path: path(), source: io_error() },
+        RecordingError::Broken { .. } => RecordingError::Broken { path: path() },
+        RecordingError::None { .. } => RecordingError::None { folder: path() },
+        RecordingError::TooMany { .. } => RecordingError::TooMany { folder: path() },
+        RecordingError::Policies { .. } => RecordingError::Policies {
+            one: path(), other: path(), difference: "their horizons differ".to_owned(),
+        },
+    );
+}
+
+fn checks(messages: &mut Messages) {
+    variants!(messages, ActionFault,
+        ActionFault::Width { .. } => ActionFault::Width { width: 6 },
+        ActionFault::Empty => ActionFault::Empty,
+        ActionFault::Ragged { .. } => ActionFault::Ragged { numbers: 13 },
+        ActionFault::TooMany { .. } => ActionFault::TooMany { count: 3, horizon: 2 },
+        ActionFault::NotFinite { .. } => ActionFault::NotFinite {
+            action: 0, component: 1, value: f32::NAN,
+        },
+        ActionFault::TooLarge { .. } => ActionFault::TooLarge {
+            action: 0, component: 1, value: 1e9,
+        },
+    );
+    variants!(messages, DescriptionFault,
+        DescriptionFault::Nameless => DescriptionFault::Nameless,
+        DescriptionFault::Horizon { .. } => DescriptionFault::Horizon { horizon: 0 },
+        DescriptionFault::Execute { .. } => DescriptionFault::Execute { execute: 9, horizon: 8 },
+        DescriptionFault::StateField { .. } => DescriptionFault::StateField { field: 99 },
+        DescriptionFault::EmptyFrame { .. } => DescriptionFault::EmptyFrame { camera: text() },
+        DescriptionFault::FramesTooLarge { .. } => DescriptionFault::FramesTooLarge {
+            bytes: 1 << 40,
+        },
+    );
+    variants!(messages, AnswerError,
+        AnswerError::NoMessage => AnswerError::NoMessage,
+        AnswerError::NoActions => AnswerError::NoActions,
+        AnswerError::NoArray => AnswerError::NoArray,
+        AnswerError::Dtype { .. } => AnswerError::Dtype { dtype: "<i8".to_owned() },
+        AnswerError::Shape { .. } => AnswerError::Shape { shape: vec![3] },
+    );
+}
+
+fn back_ends(messages: &mut Messages) {
+    let address = || "gpu-3:5000".to_owned();
+    let backend = || "grpc://gpu-3:5000".to_owned();
+    let why = || "nothing listens there; start it".to_owned();
+    for cause in [
+        Cause::Unreachable(why()),
+        Cause::Misplaced(why()),
+        Cause::Distrust(why()),
+        Cause::Disagrees("describes itself otherwise".to_owned()),
+        Cause::Silent,
+        Cause::Repeats("ValueError: shape".to_owned()),
+        Cause::Broken("CUDA error".to_owned()),
+    ] {
+        match &cause {
+            Cause::Unreachable(_)
+            | Cause::Misplaced(_)
+            | Cause::Distrust(_)
+            | Cause::Disagrees(_)
+            | Cause::Silent
+            | Cause::Repeats(_)
+            | Cause::Broken(_) => {}
+        }
+        messages.add(
+            "BackendError",
+            BackendError::Sick {
+                backend: backend(),
+                cause,
+            },
+        );
+    }
+    variants!(messages, BackendError,
+        BackendError::Unreachable { .. } => BackendError::Unreachable {
+            address: address(), trouble: trouble(),
+        },
+        BackendError::Barred { .. } => BackendError::Barred {
+            address: address(), reason: "it answered HTTP 401".to_owned(),
+        },
+        BackendError::Out { .. } => BackendError::Out {
+            backend: backend(), cause: Cause::Unreachable(why()),
+            retry_in: Duration::from_secs(1),
+        },
+        BackendError::TimedOut { .. } => BackendError::TimedOut {
+            backend: backend(), limit: Duration::from_secs(1),
+        },
+        BackendError::Sick { .. } => BackendError::Sick {
+            backend: backend(), cause: Cause::Silent,
+        },
+        BackendError::Description { .. } => BackendError::Description {
+            policy: text(), fault: DescriptionFault::Nameless,
+        },
+        BackendError::Disagrees { .. } => BackendError::Disagrees {
+            difference: "has another checkpoint".to_owned(),
+        },
+        BackendError::Nonsense { .. } => BackendError::Nonsense { fault: ActionFault::Empty },
+        BackendError::QueueFull { .. } => BackendError::QueueFull { queued: 64 },
+        BackendError::BatchLost => BackendError::BatchLost,
+        BackendError::BatchSize { .. } => BackendError::BatchSize { asked: 4, answered: 3 },
+        BackendError::Refused { .. } => BackendError::Refused {
+            address: address(), status: Box::new(Status::internal("")),
+        },
+        BackendError::Version { .. } => BackendError::Version { address: address(), theirs: 2 },
+        BackendError::SessionLost => BackendError::SessionLost,
+        BackendError::OutOfOrder { .. } => BackendError::OutOfOrder { expected: 3 },
+        BackendError::Policy { .. } => BackendError::Policy { message: text() },
+    );
+}
+
+fn routes(messages: &mut Messages) {
+    variants!(messages, RouteError,
+        RouteError::Replica { .. } => RouteError::Replica {
+            route: name(), replica: "grpc://h:1".to_owned(), at: String::new(),
+            source: Box::new(BackendError::Unreachable {
+                address: "h:1".to_owned(), trouble: trouble(),
+            }),
+        },
+        RouteError::Action { .. } => RouteError::Action {
+            policy: text(), route: name(), replica: "grpc://h:1".to_owned(),
+            session: "s".to_owned(), query_index: 3, source: ActionFault::Empty,
+        },
+        RouteError::SessionLost { .. } => RouteError::SessionLost {
+            route: name(), session: "s".to_owned(),
+        },
+        RouteError::Suite { .. } => RouteError::Suite {
+            route: name(), suite: text(), known: "libero_goal".to_owned(),
+        },
+        RouteError::Session { .. } => RouteError::Session { bytes: 0 },
+        RouteError::Retired { .. } => RouteError::Retired { route: name() },
+        RouteError::Overloaded => RouteError::Overloaded,
+    );
+    variants!(messages, RunError,
+        RunError::Socket { .. } => RunError::Socket { problem: io_error().to_string() },
+        RunError::Security(_) => RunError::Security(SecurityError::Tls),
+    );
+}
+
+fn conformance(messages: &mut Messages) {
+    let url = || "grpc://h:1".to_owned();
+    variants!(messages, ConformanceError,
+        ConformanceError::Url { .. } => ConformanceError::Url { url: text() },
+        ConformanceError::Access(_) => {
+            ConformanceError::Access(AccessError::Host { host: text() })
+        },
+        ConformanceError::Connect { .. } => ConformanceError::Connect {
+            url: url(), trouble: trouble(),
+        },
+        ConformanceError::Front(_) => ConformanceError::Front(FrontError::Listen(io_error())),
+        ConformanceError::Describe { .. } => ConformanceError::Describe {
+            url: url(), status: Box::new(Status::unknown("")),
+        },
+        ConformanceError::Episode { .. } => ConformanceError::Episode {
+            url: url(), status: Box::new(Status::unknown("")),
+        },
+    );
+    variants!(messages, FrontError,
+        FrontError::Config(_) => FrontError::Config(ConfigError::NoRoute),
+        FrontError::Backend(_) => FrontError::Backend(UnusableBackend::Access(
+            AccessError::Host { host: text() },
+        )),
+        FrontError::Listen(_) => FrontError::Listen(io_error()),
+    );
+}

@@ -1,0 +1,236 @@
+//! Errors of scenes, pictures and simulations, and of the worker.
+
+use raster::{DrawError, ModelError};
+use scene::SceneError;
+use sim::SimError;
+use sim::mujoco::ObjectKind;
+use tonic::Status;
+use transport::{AccessError, EndpointError};
+use worker::actor::PolicyError;
+use worker::assets::AssetsError;
+use worker::film::FilmError;
+use worker::measure::MeasureError;
+use worker::preview::PreviewError;
+use worker::rollout::RolloutError;
+use worker::single::SingleError;
+use worker::slot::SlotError;
+use worker::supervise::SuperviseError;
+use worker::video::VideoError;
+
+use crate::{Messages, io_error, path, text, variants};
+
+pub(crate) fn add(messages: &mut Messages) {
+    scenes(messages);
+    pictures(messages);
+    simulator(messages);
+    rollouts(messages);
+    supervision(messages);
+    assets(messages);
+}
+
+fn no_scene() -> SceneError {
+    SceneError::Inconsistent("joint `a` is there twice".to_owned())
+}
+
+fn no_policy() -> PolicyError {
+    PolicyError::Unavailable {
+        call: "ask",
+        policy: String::new(),
+        endpoint: "grpc://gpu-3:1".to_owned(),
+        problem: "no answer within 60 s".to_owned(),
+    }
+}
+
+fn scenes(messages: &mut Messages) {
+    messages.add(
+        "BddlError",
+        scene::Problem::parse("(define (problem x)").expect_err("it has no end"),
+    );
+    variants!(messages, SceneError,
+        SceneError::Read { .. } => SceneError::Read {
+            what: "the BDDL file".to_owned(), path: path(), remedy: "give its path".to_owned(),
+            source: io_error(),
+        },
+        SceneError::Malformed { .. } => SceneError::Malformed {
+            what: "the BDDL file".to_owned(), path: path(), problem: "line 3: no name".to_owned(),
+        },
+        SceneError::UnknownCategory { .. } => SceneError::UnknownCategory {
+            category: "mugg".to_owned(), instance: "mug_1".to_owned(), known: 60,
+        },
+        SceneError::UnknownProblem { .. } => SceneError::UnknownProblem {
+            problem: text(), known: vec!["libero_floor_manipulation"],
+        },
+        SceneError::Inconsistent(_) => no_scene(),
+        SceneError::NoRoom { .. } => SceneError::NoRoom {
+            object: "mug_1".to_owned(), region: "table".to_owned(), attempts: 5_000,
+        },
+    );
+}
+
+fn pictures(messages: &mut Messages) {
+    variants!(messages, ModelError,
+        ModelError::Texture { .. } => ModelError::Texture {
+            width: 3, height: 4, channels: 5, bytes: 6,
+        },
+        ModelError::Quality { .. } => ModelError::Quality { slices: 0, stacks: 0, quads: 0 },
+    );
+    variants!(messages, DrawError,
+        DrawError::Size { .. } => DrawError::Size { width: 0, height: 5_000 },
+        DrawError::Camera { .. } => DrawError::Camera {
+            what: "field of view", value: 0.0, needed: "give 1 to 179 degrees",
+        },
+        DrawError::Missing { .. } => DrawError::Missing {
+            geom: 3, what: "mesh", index: 9, count: 4,
+        },
+        DrawError::Texels { .. } => DrawError::Texels { texture: 1, given: 2, needed: 3 },
+    );
+    variants!(messages, VideoError,
+        VideoError::PaneSize { .. } => VideoError::PaneSize { given: 7 },
+        VideoError::Encode(_) => VideoError::Encode(openh264::Error::msg("no room")),
+        VideoError::Mux(_) => VideoError::Mux(muxide::api::MuxerError::MissingTrackConfig),
+    );
+}
+
+fn simulator(messages: &mut Messages) {
+    variants!(messages, SimError,
+        SimError::Scene(_) => SimError::Scene(no_scene()),
+        SimError::Compile(_) => SimError::Compile("Error: repeated name".to_owned()),
+        SimError::Missing { .. } => SimError::Missing { kind: ObjectKind::Body, name: text() },
+        SimError::StateWidth { .. } => SimError::StateWidth {
+            id: 1, file: text(), found: 71, needed: 79,
+        },
+        SimError::NoSuchState { .. } => SimError::NoSuchState { id: 60, file: text(), count: 50 },
+        SimError::Unstable { .. } => SimError::Unstable {
+            control_step: 4, problem: "velocities are no numbers".to_owned(),
+        },
+        SimError::Singular { .. } => SimError::Singular { control_step: 4 },
+        SimError::Predicate { .. } => SimError::Predicate {
+            predicate: "(on a b)".to_owned(), problem: "`a` has no such region".to_owned(),
+        },
+        SimError::Camera(_) => SimError::Camera("frontview".to_owned()),
+        SimError::Graphics { .. } => SimError::Graphics {
+            problem: "there is no device".to_owned(), remedy: "use --renderer software",
+        },
+        SimError::OutOfMemory(_) => SimError::OutOfMemory("a state"),
+    );
+}
+
+fn rollouts(messages: &mut Messages) {
+    variants!(messages, PolicyError,
+        PolicyError::Endpoint(_) => PolicyError::Endpoint(EndpointError { given: text() }),
+        PolicyError::Access(_) => PolicyError::Access(AccessError::Host { host: text() }),
+        PolicyError::Runtime(_) => PolicyError::Runtime(io_error()),
+        PolicyError::Unavailable { .. } => no_policy(),
+        PolicyError::Description { .. } => PolicyError::Description {
+            policy: String::new(), endpoint: text(), problem: "has horizon 0".to_owned(),
+        },
+        PolicyError::Misbehaved { .. } => PolicyError::Misbehaved {
+            policy: String::new(), session: "a".to_owned(), query: "reset".to_owned(),
+            violation: "it holds no action".to_owned(),
+        },
+    );
+    variants!(messages, RolloutError,
+        RolloutError::Simulator { .. } => RolloutError::Simulator {
+            title: "object/t0/clean/i03".to_owned(), source: SimError::OutOfMemory("a state"),
+        },
+        RolloutError::Policy(_) => RolloutError::Policy(no_policy()),
+        RolloutError::Abandoned => RolloutError::Abandoned,
+    );
+    variants!(messages, SingleError,
+        SingleError::Row { .. } => SingleError::Row {
+            id: "object/t0/clean/i03".parse().expect("an id"),
+            problem: "there are 50 initial states".to_owned(),
+        },
+        SingleError::Task(_) => SingleError::Task(no_scene()),
+        SingleError::NoInstruction { .. } => SingleError::NoInstruction { bddl: path() },
+        SingleError::Recorded { .. } => SingleError::Recorded {
+            path: path(), problem: "it holds no action".to_owned(),
+        },
+        SingleError::Policy(_) => SingleError::Policy(no_policy()),
+        SingleError::Rollout(_) => SingleError::Rollout(RolloutError::Abandoned),
+        SingleError::Write { .. } => SingleError::Write { path: path(), source: io_error() },
+    );
+    variants!(messages, PreviewError,
+        PreviewError::Simulate(_) => PreviewError::Simulate(SimError::OutOfMemory("a state")),
+        PreviewError::Write { .. } => PreviewError::Write {
+            path: path(), problem: io_error().to_string(),
+        },
+    );
+    variants!(messages, MeasureError,
+        MeasureError::Cores(_) => MeasureError::Cores(io_error()),
+        MeasureError::Memory { .. } => MeasureError::Memory {
+            field: "MemAvailable", file: path(),
+        },
+        MeasureError::Start { .. } => MeasureError::Start { program: path(), source: io_error() },
+        MeasureError::Ended { .. } => MeasureError::Ended {
+            slot: 0, end: "ended with exit status 1".to_owned(),
+        },
+        MeasureError::Silent { .. } => MeasureError::Silent { slots: 4, secs: 60.0 },
+        MeasureError::Talk(_) => MeasureError::Talk(io_error()),
+        MeasureError::Rollout(_) => MeasureError::Rollout(RolloutError::Abandoned),
+    );
+}
+
+fn supervision(messages: &mut Messages) {
+    let no_id = || "x".parse::<attempt::AttemptId>().expect_err("no id");
+    messages.add("AttemptIdError", no_id());
+    variants!(messages, SuperviseError,
+        SuperviseError::Endpoint(_) => SuperviseError::Endpoint(EndpointError { given: text() }),
+        SuperviseError::Access(_) => SuperviseError::Access(AccessError::Host { host: text() }),
+        SuperviseError::Refused { .. } => SuperviseError::Refused {
+            url: "http://h:1".to_owned(), answer: "nothing listens there".to_owned(),
+        },
+        SuperviseError::Stopped(_) => SuperviseError::Stopped("it failed too often".to_owned()),
+        SuperviseError::Lease { .. } => SuperviseError::Lease { url: text(), source: no_id() },
+        SuperviseError::Panicked(_) => SuperviseError::Panicked("a task".to_owned()),
+        SuperviseError::Renderers { .. } => SuperviseError::Renderers {
+            slot: 1, renderer: "gl".to_owned(), registered: "software".to_owned(),
+        },
+        SuperviseError::Slot { .. } => SuperviseError::Slot {
+            slot: 1, end: "ended with exit status 1".to_owned(),
+        },
+    );
+    variants!(messages, SlotError,
+        SlotError::Signals(_) => SlotError::Signals(io_error()),
+        SlotError::Simulator(_) => SlotError::Simulator(SimError::OutOfMemory("a state")),
+        SlotError::Parent(_) => SlotError::Parent(io_error()),
+    );
+    variants!(messages, FilmError,
+        FilmError::Room(_) => FilmError::Room(io_error()),
+        FilmError::Link(_) => FilmError::Link(SuperviseError::Panicked("a task".to_owned())),
+        FilmError::Refused { .. } => FilmError::Refused {
+            url: "http://h:1".to_owned(), status: Box::new(Status::unimplemented("")),
+        },
+    );
+}
+
+fn assets(messages: &mut Messages) {
+    let url = || "https://hub.example/api".to_owned();
+    variants!(messages, AssetsError,
+        AssetsError::Scene(_) => AssetsError::Scene(no_scene()),
+        AssetsError::Read { .. } => AssetsError::Read { path: path(), source: io_error() },
+        AssetsError::NoManifest { .. } => AssetsError::NoManifest {
+            path: path(), source: io_error(),
+        },
+        AssetsError::Manifest { .. } => AssetsError::Manifest {
+            path: path(), problem: "line 1 has no digest".to_owned(),
+        },
+        AssetsError::Differs { .. } => AssetsError::Differs {
+            folder: path(), manifest: path(), count: 1, named: "missing a.xml".to_owned(),
+        },
+        AssetsError::Primitives { .. } => AssetsError::Primitives { folder: path() },
+        AssetsError::Write { .. } => AssetsError::Write { path: path(), source: io_error() },
+        AssetsError::Print(_) => AssetsError::Print(io_error()),
+        AssetsError::Occupied { .. } => AssetsError::Occupied { folder: path() },
+        AssetsError::Unreachable { .. } => AssetsError::Unreachable {
+            url: url(), problem: "nothing listens there".to_owned(), tries: 5,
+        },
+        AssetsError::Refused { .. } => AssetsError::Refused { url: url(), status: 404 },
+        AssetsError::Answer { .. } => AssetsError::Answer {
+            url: url(), problem: crate::json_error().to_string(),
+        },
+        AssetsError::Altered { .. } => AssetsError::Altered {
+            url: url(), problem: "it has 3 bytes, not 4".to_owned(), tries: 5,
+        },
+    );
+}

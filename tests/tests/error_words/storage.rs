@@ -1,0 +1,179 @@
+//! Errors of the job table, of reports, and of the coordinator.
+
+use std::sync::Arc;
+
+use coordinator::ServeError;
+use coordinator::client::ClientError;
+use coordinator::reading::ReadError;
+use paired::DuplicateRecord;
+use protocol::{RolloutId, SpecError};
+use queue::expand::ExpandError;
+use queue::ids::{CampaignName, JobName, NameError, WorkerId};
+use queue::invariants::CheckError;
+use queue::{ArtifactError, OpenError, QueueError, StoreError};
+use report::{BadLine, DocumentError, ImportError, TableError};
+use transport::{AccessError, EndpointError, Found, SecurityError, ServerKind, Settings, Trouble};
+
+use crate::{Messages, io_error, json_error, path, text, variants};
+
+pub(crate) fn add(messages: &mut Messages) {
+    names_and_files(messages);
+    queue(messages);
+    reports(messages);
+    coordinator(messages);
+}
+
+fn store_error() -> StoreError {
+    StoreError {
+        doing: "commit results",
+        source: Arc::new(sqlx::Error::WorkerCrashed),
+    }
+}
+
+fn campaign() -> CampaignName {
+    CampaignName::parse("first").expect("a name")
+}
+
+fn names_and_files(messages: &mut Messages) {
+    messages.add("StoreError", store_error());
+    variants!(messages, NameError,
+        NameError::Campaign { .. } => CampaignName::parse("a b").expect_err("no name"),
+        NameError::Worker { .. } => WorkerId::parse("a b").expect_err("no id"),
+    );
+    variants!(messages, OpenError,
+        OpenError::Folder { .. } => OpenError::Folder { folder: path(), source: io_error() },
+        OpenError::InUse { .. } => OpenError::InUse { folder: path() },
+        OpenError::NewerSchema { .. } => OpenError::NewerSchema {
+            path: path(), found: 9, known: 8, program: "0.1.0",
+        },
+        OpenError::Migrate { .. } => OpenError::Migrate {
+            path: path(), known: 8, source: sqlx::migrate::MigrateError::VersionMissing(3),
+        },
+        OpenError::Database { .. } => OpenError::Database {
+            path: path(), source: sqlx::Error::WorkerCrashed,
+        },
+    );
+    variants!(messages, CheckError,
+        CheckError::Missing { .. } => CheckError::Missing { path: path() },
+        CheckError::Read { .. } => CheckError::Read {
+            path: path(), source: sqlx::Error::WorkerCrashed,
+        },
+        CheckError::OtherSchema { .. } => CheckError::OtherSchema {
+            path: path(), found: 9, known: 8,
+        },
+    );
+}
+
+fn queue(messages: &mut Messages) {
+    let worker = || -> WorkerId { WorkerId::parse("rack-1").expect("an id") };
+    let attempt = || attempt::AttemptId::from_random([7; 16]);
+    let job = || JobName {
+        rollout_id: "object/t0/clean/i03".to_owned(),
+        replicate: 1,
+    };
+    variants!(messages, QueueError,
+        QueueError::UnknownWorker { .. } => QueueError::UnknownWorker { worker: worker() },
+        QueueError::WorkerStopped { .. } => QueueError::WorkerStopped {
+            worker: worker(), reason: "it failed too often".to_owned(),
+        },
+        QueueError::UnknownAttempt { .. } => QueueError::UnknownAttempt { attempt: attempt() },
+        QueueError::UnknownCampaign { .. } => QueueError::UnknownCampaign { campaign: campaign() },
+        QueueError::CampaignDiffers { .. } => QueueError::CampaignDiffers {
+            campaign: campaign(), differs: "`tasks`".to_owned(),
+        },
+        QueueError::Cancelled { .. } => QueueError::Cancelled { campaign: campaign() },
+        QueueError::CampaignInUse { .. } => QueueError::CampaignInUse {
+            campaign: campaign(), leased: 1,
+        },
+        QueueError::UnknownRollout { .. } => QueueError::UnknownRollout {
+            campaign: campaign(), job: job(),
+        },
+        QueueError::NotQuarantined { .. } => QueueError::NotQuarantined {
+            job: job(), state: "leased".to_owned(),
+        },
+        QueueError::BackupInHand => QueueError::BackupInHand,
+        QueueError::ShuttingDown => QueueError::ShuttingDown,
+        QueueError::Store(_) => QueueError::Store(store_error()),
+    );
+    variants!(messages, ArtifactError,
+        ArtifactError::TooLarge { .. } => ArtifactError::TooLarge { attempt: attempt() },
+        ArtifactError::NoOutcome { .. } => ArtifactError::NoOutcome { attempt: attempt() },
+        ArtifactError::Write { .. } => ArtifactError::Write { path: path(), source: io_error() },
+        ArtifactError::Store(_) => ArtifactError::Store(store_error()),
+    );
+    variants!(messages, ExpandError,
+        ExpandError::Spec(_) => ExpandError::Spec(SpecError::Replicates { given: 0 }),
+        ExpandError::Name(_) => ExpandError::Name(NameError::Campaign { name: text() }),
+        ExpandError::Json(_) => ExpandError::Json(json_error()),
+    );
+}
+
+fn reports(messages: &mut Messages) {
+    let id: RolloutId = "object/t0/clean/i03".parse().expect("an id");
+    let twice = DuplicateRecord { id, replicate: 0 };
+    messages.add("DuplicateRecord", twice);
+    variants!(messages, DocumentError,
+        DocumentError::Duplicate { .. } => DocumentError::Duplicate {
+            policy: text(), source: twice,
+        },
+        DocumentError::Json(_) => DocumentError::Json(json_error()),
+    );
+    variants!(messages, TableError,
+        TableError::Csv(_) => TableError::Csv(io_error().into()),
+        TableError::Parquet(_) => TableError::Parquet(io_error().into()),
+        TableError::Flush(_) => TableError::Flush(io_error()),
+    );
+    variants!(messages, ImportError,
+        ImportError::Read { .. } => ImportError::Read { path: path(), source: io_error() },
+        ImportError::Lines { .. } => ImportError::Lines {
+            path: path(),
+            bad: 1,
+            named: vec![BadLine { number: 1, reason: json_error().to_string() }],
+        },
+        ImportError::TooLong { .. } => ImportError::TooLong { path: path() },
+        ImportError::Empty { .. } => ImportError::Empty { path: path() },
+        ImportError::About { .. } => ImportError::About { path: path(), source: json_error() },
+    );
+}
+
+fn coordinator(messages: &mut Messages) {
+    variants!(messages, ReadError,
+        ReadError::Queue(_) => ReadError::Queue(QueueError::ShuttingDown),
+        ReadError::Spec { .. } => ReadError::Spec {
+            campaign: campaign(), source: SpecError::Replicates { given: 0 },
+        },
+        ReadError::Name(_) => ReadError::Name(
+            "x".parse::<protocol::Level>().expect_err("no level"),
+        ),
+        ReadError::Row { .. } => ReadError::Row { rollout_id: text(), source: json_error() },
+    );
+    variants!(messages, ServeError,
+        ServeError::Open(_) => ServeError::Open(OpenError::InUse { folder: path() }),
+        ServeError::Store(_) => ServeError::Store(store_error()),
+        ServeError::Socket { .. } => ServeError::Socket { problem: io_error().to_string() },
+        ServeError::Security(_) => ServeError::Security(SecurityError::Tls),
+        ServeError::Panicked { .. } => ServeError::Panicked { what: "the database's writer" },
+        ServeError::Tidy { .. } => ServeError::Tidy { folder: path(), source: io_error() },
+    );
+    variants!(messages, ClientError,
+        ClientError::Url(_) => ClientError::Url(EndpointError { given: text() }),
+        ClientError::Access(_) => ClientError::Access(AccessError::Host { host: text() }),
+        ClientError::Unreachable { .. } => ClientError::Unreachable {
+            url: "http://h:1".to_owned(),
+            trouble: Box::new(Trouble {
+                expected: ServerKind::Coordinator,
+                host: "h".to_owned(),
+                found: Found::Nothing,
+                has_authority: false,
+                settings: Settings {
+                    address: "--connect",
+                    authority: "--ca",
+                    clear: "http://",
+                    encrypted: "https://",
+                },
+            }),
+        },
+        ClientError::Invalid { .. } => ClientError::Invalid { message: "find `x`".to_owned() },
+        ClientError::Refused { .. } => ClientError::Refused { message: "find `x`".to_owned() },
+    );
+}

@@ -1,0 +1,229 @@
+//! Errors of connections, access and the protocol's own texts.
+
+use protocol::manifest::{LineProblem, ManifestErrors};
+use protocol::{
+    Condition, DesignError, Level, PerturbError, RolloutId, RowError, SpecError, UnknownName,
+};
+use transport::{
+    AccessError, CertificateFault, EndpointError, Found, SecurityError, ServerKind, Settings,
+    TokenError, Trouble,
+};
+
+use crate::{Messages, io_error, path, text, variants};
+
+const SETTINGS: Settings = Settings {
+    address: "--connect",
+    authority: "--ca",
+    clear: "http://",
+    encrypted: "https://",
+};
+
+pub(crate) fn add(messages: &mut Messages) {
+    for trouble in troubles() {
+        messages.add("Trouble", trouble);
+    }
+    messages.add("EndpointError", EndpointError { given: text() });
+    tokens_and_certificates(messages);
+    protocol(messages);
+}
+
+fn tokens_and_certificates(messages: &mut Messages) {
+    variants!(messages, TokenError,
+        TokenError::Read { .. } => TokenError::Read { path: path(), source: io_error() },
+        TokenError::TooLarge { .. } => TokenError::TooLarge { path: path() },
+        TokenError::Line { .. } => TokenError::Line {
+            place: text(), line: 3, problem: "it has no token",
+        },
+        TokenError::Empty { .. } => TokenError::Empty { place: text() },
+        TokenError::TooMany { .. } => TokenError::TooMany { place: text() },
+    );
+    variants!(messages, SecurityError,
+        SecurityError::Unguarded { .. } => SecurityError::Unguarded {
+            address: "0.0.0.0:7411".parse().expect("an address"),
+            missing: "tokens would be sent in the clear",
+        },
+        SecurityError::Tokens(_) => SecurityError::Tokens(TokenError::Empty { place: text() }),
+        SecurityError::Pem { .. } => SecurityError::Pem { path: path(), source: io_error() },
+        SecurityError::Tls => SecurityError::Tls,
+    );
+    variants!(messages, AccessError,
+        AccessError::Tokens(_) => AccessError::Tokens(TokenError::Empty { place: text() }),
+        AccessError::NoToken { .. } => AccessError::NoToken { roles: "worker".to_owned() },
+        AccessError::Certificate(_) => AccessError::Certificate(SecurityError::Tls),
+        AccessError::Authority { .. } => AccessError::Authority { path: path() },
+        AccessError::Host { .. } => AccessError::Host { host: "a_b".to_owned() },
+    );
+}
+
+fn protocol(messages: &mut Messages) {
+    let id = || -> RolloutId { "object/t0/clean/i03".parse().expect("an id") };
+    let no_design = || DesignError::TooLarge { rows: 1_000_000 };
+    messages.add(
+        "UnknownName",
+        "purple".parse::<Level>().expect_err("no level"),
+    );
+    messages.add(
+        "UnknownName",
+        UnknownName {
+            kind: "axis",
+            given: String::new(),
+            valid: "camera".to_owned(),
+        },
+    );
+    let refused = protocol::manifest::parse("{}\n[]\nx").expect_err("no manifest");
+    messages.add("ManifestErrors", refused.clone());
+    variants!(messages, DesignError,
+        DesignError::Empty { .. } => DesignError::Empty {
+            field: "tasks", remedy: "name at least one",
+        },
+        DesignError::OutOfRange { .. } => DesignError::OutOfRange {
+            field: "configs", given: 1_000, valid: "0 to 999".to_owned(),
+        },
+        DesignError::NoParaphrase { .. } => DesignError::NoParaphrase {
+            level: "r2.5".parse().expect("a level"),
+        },
+        DesignError::TooLarge { .. } => no_design(),
+    );
+    variants!(messages, SpecError,
+        SpecError::Json { .. } => {
+            protocol::CampaignSpec::from_json("{}").expect_err("no specification")
+        },
+        SpecError::Empty { .. } => SpecError::Empty { field: "name", remedy: "write a name" },
+        SpecError::Replicates { .. } => SpecError::Replicates { given: 0 },
+        SpecError::Endpoint { .. } => SpecError::Endpoint { given: text() },
+        SpecError::Design(_) => SpecError::Design(no_design()),
+        SpecError::Manifest(_) => SpecError::Manifest(ManifestErrors::clone(&refused)),
+    );
+    variants!(messages, LineProblem,
+        LineProblem::Row(_) => LineProblem::Row("the field `suite` is not there".to_owned()),
+        LineProblem::Duplicate { .. } => LineProblem::Duplicate { id: id(), first: 1 },
+        LineProblem::Unpaired { .. } => LineProblem::Unpaired {
+            id: id(), column: "init_id".to_owned(), first: 2,
+        },
+        LineProblem::TooMany => LineProblem::TooMany,
+        LineProblem::NoRows => LineProblem::NoRows,
+        LineProblem::Radius { .. } => LineProblem::Radius {
+            id: id(),
+            axis: "camera".parse().expect("an axis"),
+            level: "L2".parse().expect("a level"),
+            given: 1.0,
+            expected: 2.0,
+        },
+    );
+    variants!(messages, PerturbError,
+        PerturbError::NotEmpty { .. } => PerturbError::NotEmpty { condition: Condition::Clean },
+        PerturbError::Parameters { .. } => PerturbError::Parameters {
+            condition: Condition::Combination, problem: "the field `x` is not there".to_owned(),
+        },
+    );
+    variants!(messages, RowError,
+        RowError::Contradiction { .. } => RowError::Contradiction {
+            id: id(), column: "suite", given: text(), expected: "libero_object".to_owned(),
+        },
+        RowError::InitState { .. } => RowError::InitState { id: id(), given: 50 },
+        RowError::PolicySeed { .. } => RowError::PolicySeed { id: id(), given: 7 },
+        RowError::Perturb { .. } => RowError::Perturb {
+            id: id(),
+            problem: PerturbError::NotEmpty { condition: Condition::Clean },
+        },
+    );
+}
+
+/// Everything that can be found in a server's place, for every kind of server.
+fn troubles() -> Vec<Trouble> {
+    let web = |is_proxy_waiting| Found::Web {
+        said: "HTTP status 404".to_owned(),
+        is_proxy_waiting,
+    };
+    let mut found = vec![
+        Found::UnknownHost,
+        Found::Nothing,
+        Found::NoAnswer,
+        Found::System(io_error().to_string()),
+        Found::Encrypted,
+        Found::Clear,
+        Found::OtherTls("received fatal alert: HandshakeFailure".to_owned()),
+        web(false),
+        web(true),
+        Found::Ssh,
+        Found::Other {
+            said: "220 mail".to_owned(),
+        },
+        Found::Mute,
+        Found::OtherKind(ServerKind::Policy),
+        Found::OtherGrpc,
+        Found::Older,
+        Found::Broken,
+    ];
+    for found in &found {
+        is_known(found);
+    }
+    let faults = [
+        CertificateFault::Untrusted,
+        CertificateFault::Expired { days: 0 },
+        CertificateFault::Expired { days: 1 },
+        CertificateFault::Expired { days: 400 },
+        CertificateFault::NotYetValid,
+        CertificateFault::OtherName { names: vec![] },
+        CertificateFault::OtherName {
+            names: vec!["a.b".to_owned(), "c.d".to_owned()],
+        },
+        CertificateFault::Authority,
+        CertificateFault::Unusable("bad encoding".to_owned()),
+    ];
+    for fault in &faults {
+        is_known_fault(fault);
+    }
+    found.extend(faults.map(Found::Certificate));
+    let kinds = [
+        ServerKind::Coordinator,
+        ServerKind::Policy,
+        ServerKind::Openpi,
+    ];
+    let mut troubles = vec![];
+    for (found, expected) in found.iter().flat_map(|it| kinds.map(|kind| (it, kind))) {
+        for has_authority in [false, true] {
+            troubles.push(Trouble {
+                expected,
+                host: "gpu-3".to_owned(),
+                found: found.clone(),
+                has_authority,
+                settings: SETTINGS,
+            });
+        }
+    }
+    troubles
+}
+
+/// Does not compile with a variant that is not listed above.
+fn is_known(found: &Found) {
+    match found {
+        Found::UnknownHost
+        | Found::Nothing
+        | Found::NoAnswer
+        | Found::System(_)
+        | Found::Encrypted
+        | Found::Clear
+        | Found::Certificate(_)
+        | Found::OtherTls(_)
+        | Found::Web { .. }
+        | Found::Ssh
+        | Found::Other { .. }
+        | Found::Mute
+        | Found::OtherKind(_)
+        | Found::OtherGrpc
+        | Found::Older
+        | Found::Broken => {}
+    }
+}
+
+fn is_known_fault(fault: &CertificateFault) {
+    match fault {
+        CertificateFault::Untrusted
+        | CertificateFault::Expired { .. }
+        | CertificateFault::NotYetValid
+        | CertificateFault::OtherName { .. }
+        | CertificateFault::Authority
+        | CertificateFault::Unusable(_) => {}
+    }
+}

@@ -1,0 +1,50 @@
+//! gRPC servers that are none of ours, or older than ours.
+
+use std::convert::Infallible;
+use std::future::{Ready, ready};
+use std::net::SocketAddr;
+use std::task::{Context, Poll};
+
+use tokio::net::TcpListener;
+use tonic::Status;
+use tonic::body::Body;
+use tonic::codegen::Service;
+use tonic::codegen::http::{Request, Response};
+use tonic::server::NamedService;
+use tonic::transport::Server;
+use tonic::transport::server::TcpIncoming;
+
+/// Answers the call of one path with a failure of its own, and knows no other.
+#[derive(Clone)]
+struct Knows(&'static str);
+
+impl Service<Request<Body>> for Knows {
+    type Response = Response<Body>;
+    type Error = Infallible;
+    type Future = Ready<Result<Self::Response, Infallible>>;
+
+    fn poll_ready(&mut self, _: &mut Context<'_>) -> Poll<Result<(), Infallible>> {
+        Poll::Ready(Ok(()))
+    }
+
+    fn call(&mut self, request: Request<Body>) -> Self::Future {
+        let status = match request.uri().path() == self.0 {
+            true => Status::failed_precondition("another version"),
+            false => Status::unimplemented(""),
+        };
+        ready(Ok(status.into_http()))
+    }
+}
+
+impl NamedService for Knows {
+    const NAME: &'static str = "rollout.coordinator.v1.OperatorService";
+}
+
+/// A server that knows the call of one path.
+pub(crate) async fn knowing(path: &'static str) -> SocketAddr {
+    let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
+    let address = listener.local_addr().expect("an address");
+    let server = Server::builder().add_service(Knows(path));
+    tokio::spawn(server.serve_with_incoming(TcpIncoming::from(listener)));
+    address
+}

@@ -1,0 +1,273 @@
+//! Every client against every server that it does not expect: it says what it
+//! tried, what it found there and what to do, in words of ours, and tries again
+//! only where that can help. The real programs on real sockets.
+
+mod grpc;
+mod servers;
+
+use std::path::Path;
+use std::process::Command;
+
+use servers::{Authority, authority, coordinator, gateway, nothing, speaking};
+use tests::phrases::raw_phrase;
+use tests::programs::{Process, program};
+
+/// What a client is to say of a server.
+struct Case {
+    /// `HOST:PORT`.
+    at: String,
+    /// Whether the client asks over TLS.
+    is_encrypted: bool,
+    /// Words of the finding and of the remedy.
+    expected: Vec<&'static str>,
+    /// Whether the client gives up at once.
+    is_final: bool,
+}
+
+fn case(at: impl ToString, scheme: &str, is_final: bool, expected: &[&'static str]) -> Case {
+    Case {
+        at: at.to_string(),
+        is_encrypted: scheme == "https",
+        expected: expected.to_vec(),
+        is_final,
+    }
+}
+
+/// What clients of any kind can meet. A name, since no certificate is for an
+/// address.
+fn anywhere() -> Vec<Case> {
+    let mail = speaking("220 mail.example ESMTP\r\n", "");
+    let web = speaking("", "HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\n\r\n");
+    vec![
+        case(
+            nothing(),
+            "http",
+            false,
+            &["nothing listens there", "start it"],
+        ),
+        case(
+            "no-such-host.invalid:7411",
+            "http",
+            false,
+            &["no address", "`no-such-host.invalid`"],
+        ),
+        case(
+            speaking("SSH-2.0-OpenSSH_9.6\r\n", ""),
+            "http",
+            true,
+            &["SSH server"],
+        ),
+        case(mail, "http", true, &["\"220 mail.example ESMTP\""]),
+        case(
+            web,
+            "http",
+            true,
+            &["web server", "HTTP/1.1 400 Bad Request"],
+        ),
+        case(
+            speaking("", ""),
+            "http",
+            false,
+            &["hangs up or says nothing"],
+        ),
+        case(web, "https", true, &["does not speak TLS"]),
+    ]
+}
+
+/// What they can meet over TLS, at a server of the right kind.
+fn over_tls(serve: impl Fn([String; 4]) -> Process, mine: &Authority) -> (Vec<Process>, Vec<Case>) {
+    let other = Authority::new();
+    let processes = [
+        mine.arguments("localhost", 2099),
+        other.arguments("localhost", 2099),
+        mine.arguments("localhost", 2020),
+        mine.arguments("gpu-3.example", 2099),
+        other.own_arguments(),
+    ]
+    .map(serve);
+    let at = |index: usize| {
+        let (_, port) = authority(&processes[index]).rsplit_once(':').map_or_else(
+            || panic!("a port"),
+            |(host, port)| (host.to_owned(), port.to_owned()),
+        );
+        format!("localhost:{port}")
+    };
+    let cases = vec![
+        case(at(0), "http", true, &["speaks TLS", "https://"]),
+        case(at(1), "https", true, &["not signed by the authority", "ca"]),
+        case(at(2), "https", true, &["expired", "days ago", "--tls-cert"]),
+        case(
+            at(3),
+            "https",
+            true,
+            &["for gpu-3.example, not for `localhost`"],
+        ),
+        case(at(4), "https", true, &["certificate"]),
+    ];
+    (processes.into(), cases)
+}
+
+/// Runs a client, and checks what it says.
+fn check(who: &str, case: &Case, mut command: Command) {
+    let output = command.output().expect("the program runs");
+    let said = [output.stdout, output.stderr].map(|it| String::from_utf8(it).expect("UTF-8"));
+    let said = said.concat();
+    let about = format!("{who} at {}:\n{said}", case.at);
+    assert!(!output.status.success(), "{about}");
+    for words in case.expected.iter().chain([&&*case.at]) {
+        assert!(said.contains(words), "no {words:?}: {about}");
+    }
+    assert_eq!(raw_phrase(&said), None, "{about}");
+    if case.is_final {
+        assert!(!said.contains("coordinator serve`"), "{about}");
+        assert!(!said.contains("trying again"), "{about}");
+    }
+}
+
+/// A command of the coordinator's.
+fn listing(case: &Case, ca: &Path) -> Command {
+    let scheme = if case.is_encrypted { "https" } else { "http" };
+    let mut command = Command::new(program("coordinator"));
+    let url = format!("{scheme}://{}", case.at);
+    command.args(["campaign", "list", "--retry-secs", "0", "--connect", &url]);
+    command.arg("--ca").arg(ca);
+    command
+}
+
+/// A worker whose slots simulate nothing. It tries for ever where that may help:
+/// then it is ended.
+fn working(case: &Case, ca: &Path) -> Command {
+    let scheme = if case.is_encrypted { "grpcs" } else { "grpc" };
+    let mut command = Command::new("timeout");
+    command.args(["10", "--"]);
+    let url = format!("{scheme}://{}", case.at);
+    command
+        .arg(program("worker"))
+        .args(["--connect", &url, "--assets", "primitives"]);
+    command.arg("--slot-program").arg(program("simulated_slot"));
+    command.arg("--ca").arg(ca);
+    command
+}
+
+/// Whether this machine can run a worker. Says so if it cannot.
+fn has_sources() -> bool {
+    let sources = scene::Sources::open(&scene::Sources::default_dir());
+    if let Err(error) = &sources {
+        println!("skipped the workers: failed to {error}");
+    }
+    sources.is_ok()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn who_looks_for_a_coordinator_says_what_was_found_and_what_to_do() {
+    let data = tempfile::tempdir().expect("a temporary folder");
+    let mine = Authority::new();
+    let other_server = gateway(&[]);
+    let clear = coordinator(&data.path().join("clear"), &[]);
+    let numbers = std::cell::Cell::new(0);
+    let serve = |arguments: [String; 4]| {
+        numbers.set(numbers.get() + 1);
+        coordinator(&data.path().join(numbers.get().to_string()), &arguments)
+    };
+    let (_processes, encrypted) = over_tls(serve, &mine);
+    let own_kind = [
+        case(
+            authority(&other_server),
+            "http",
+            true,
+            &["a policy server or policy-gateway is there", "--connect"],
+        ),
+        case(
+            authority(&clear),
+            "https",
+            true,
+            &["does not speak TLS", "http://"],
+        ),
+        case(
+            grpc::knowing("/none").await,
+            "http",
+            true,
+            &["not a coordinator"],
+        ),
+    ];
+    let old = "/rollout.coordinator.v1.OperatorService/ListCampaigns";
+    let old = case(grpc::knowing(old).await, "http", true, &["same version"]);
+    let cases = anywhere().into_iter().chain(encrypted).chain(own_kind);
+    for case in cases {
+        check(
+            "coordinator campaign list",
+            &case,
+            listing(&case, &mine.file()),
+        );
+        if has_sources() {
+            check("worker", &case, working(&case, &mine.file()));
+        }
+    }
+    // It knows the call that lists campaigns, and no other.
+    let mut command = Command::new(program("coordinator"));
+    command.args(["workers", "--connect", &format!("http://{}", old.at)]);
+    check("coordinator workers", &old, command);
+    if has_sources() {
+        check("worker", &old, working(&old, &mine.file()));
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn who_looks_for_a_policy_says_what_was_found_and_what_to_do() {
+    let data = tempfile::tempdir().expect("a temporary folder");
+    let mine = Authority::new();
+    let other_server = coordinator(data.path(), &[]);
+    let clear = gateway(&[]);
+    let (_processes, encrypted) = over_tls(|arguments| gateway(&arguments), &mine);
+    let own_kind = [
+        case(
+            authority(&other_server),
+            "http",
+            true,
+            &["a coordinator is there"],
+        ),
+        case(authority(&clear), "https", true, &["does not speak TLS"]),
+        case(
+            grpc::knowing("/none").await,
+            "http",
+            true,
+            &["not a policy server"],
+        ),
+    ];
+    for case in anywhere().into_iter().chain(encrypted).chain(own_kind) {
+        let scheme = if case.is_encrypted { "https" } else { "grpc" };
+        let url = format!("{scheme}://{}", case.at);
+        let mut checking = Command::new(program("policy-gateway"));
+        checking.args(["check", &url, "--ca"]).arg(mine.file());
+        check("policy-gateway check", &case, checking);
+
+        let config = data.path().join("gateway.toml");
+        let text = format!("[policy.x]\nreplicas = [{url:?}]\nca = {:?}\n", mine.file());
+        std::fs::write(&config, text).expect("written");
+        let mut serving = Command::new(program("policy-gateway"));
+        serving
+            .args(["--listen", "127.0.0.1:0", "--config"])
+            .arg(&config);
+        let between = Process::serve(&mut serving);
+        let mut through = Command::new(program("policy-gateway"));
+        through.args(["check", &between.url]);
+        check("policy-gateway before it", &case, through);
+
+        if has_sources() {
+            let mut rollout = Command::new(program("worker"));
+            rollout.args([
+                "rollout",
+                "--id",
+                "object/t0/clean/i00",
+                "--assets",
+                "primitives",
+            ]);
+            rollout.args(["--endpoint", &url, "--ca"]).arg(mine.file());
+            rollout
+                .arg("--no-video")
+                .arg("--output")
+                .arg(data.path().join("rollout"));
+            check("worker rollout", &case, rollout);
+        }
+    }
+}
