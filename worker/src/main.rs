@@ -8,7 +8,6 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::Context;
-use clap::Parser;
 use protocol::TaskRef;
 use scene::{AssetPack, Sources};
 use sim::{Simulator, SimulatorConfig};
@@ -37,7 +36,7 @@ const CACHED_SCENES: usize = 2;
 const SHUTDOWN_QUEUE: usize = 2;
 
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    let arguments = Arguments::read(std::env::args_os()).unwrap_or_else(|error| error.exit());
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
     tracing_subscriber::fmt()
         .with_env_filter(filter)
@@ -178,7 +177,7 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
         policy_seed: protocol::seeds::policy_seed(&row.id, arguments.replicate),
         row,
         realisation: arguments.realisation,
-        policy: arguments.policy,
+        policy: arguments.policy.unwrap_or_default(),
         policy_endpoint: arguments.endpoint.unwrap_or_default(),
         policy_deadline: POLICY_CALL_DEADLINE,
         video: (!arguments.no_video).then(|| VideoRequest {
