@@ -1,10 +1,12 @@
 //! The command line of `worker`.
 
+use std::ffi::OsString;
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::str::FromStr;
 
-use clap::{ArgGroup, Args, Parser, Subcommand};
+use clap::error::ErrorKind;
+use clap::{ArgGroup, Args, CommandFactory, Parser, Subcommand};
 use protocol::{Level, Realisation, RolloutId, Suite, TaskRef};
 use sim::Renderer;
 use terminal::{number, number_from, seconds};
@@ -48,6 +50,32 @@ pub struct Arguments {
     pub simulator: Option<SimulatorArguments>,
 }
 
+impl Arguments {
+    /// Reads a command line, its program's name included, and the environment.
+    ///
+    /// # Errors
+    /// If it asks for nothing that a worker can do, or for help. The coordinator's
+    /// address is looked at only where one is called: `COORDINATOR_URL` may hold
+    /// anything for the others, and for slots.
+    pub fn read<I>(words: I) -> Result<Self, clap::Error>
+    where
+        I: IntoIterator<Item: Into<OsString> + Clone>,
+    {
+        let read = Self::try_parse_from(words)?;
+        let coordinator = match (&read.command, &read.serve) {
+            (Some(Command::Film(film)), _) => Some(&film.connect),
+            (None, Some(serve)) => Some(&serve.connect),
+            _ => None,
+        };
+        let checked = coordinator.map(|url| server_url(url)).transpose();
+        checked.map_err(|problem| {
+            let problem = format!("--connect, or COORDINATOR_URL without it: {problem}");
+            Self::command().error(ErrorKind::ValueValidation, problem)
+        })?;
+        Ok(read)
+    }
+}
+
 /// What else a worker can do.
 #[derive(Debug, Subcommand)]
 pub enum Command {
@@ -79,7 +107,7 @@ pub enum Command {
 #[derive(Debug, Args)]
 pub struct ServeArguments {
     /// URL of the coordinator
-    #[arg(long, value_name = "URL", value_parser = server_url)]
+    #[arg(long, value_name = "URL", env = "COORDINATOR_URL")]
     pub connect: String,
     /// Rollouts at a time, each in a process of its own: a number, or `auto`
     /// for what a measurement of a few seconds recommends before the worker
@@ -120,7 +148,7 @@ impl FromStr for SlotCount {
 #[derive(Debug, Args)]
 pub struct FilmArguments {
     /// URL of the coordinator
-    #[arg(long, value_name = "URL", value_parser = server_url)]
+    #[arg(long, value_name = "URL", env = "COORDINATOR_URL")]
     pub connect: String,
     /// How to get in there.
     #[command(flatten)]
@@ -219,9 +247,10 @@ pub struct RolloutArguments {
     /// URL of the policy, or of a gateway
     #[arg(long, value_name = "URL", value_parser = server_url)]
     pub endpoint: Option<String>,
-    /// Which of the policies there; empty: the only one
-    #[arg(long, value_name = "NAME", default_value = "")]
-    pub policy: String,
+    /// Which of the policies there [default: the only one; where there are
+    /// several, one must be named]
+    #[arg(long, value_name = "NAME")]
+    pub policy: Option<String>,
     /// Replays recorded actions instead of asking a policy: .npz with an array
     /// `actions` (such as a trace.npz), .npy, or .jsonl, n rows of 7 numbers
     #[arg(long, value_name = "FILE")]
@@ -297,14 +326,16 @@ pub enum AssetsCommand {
         #[arg(long, requires = "packs")]
         files: bool,
     },
-    /// Names the files of a pack that are missing, altered or additional
+    /// Names the files of a pack that are missing, altered or additional; of a
+    /// pack without a manifest, whether it can show all 40 tasks
     Verify {
-        /// `primitives`, or the path of a LIBERO assets folder
+        /// `primitives`, or the path of a LIBERO assets folder [default:
+        /// `primitives`, and the fetched pack if there is one]
         #[arg(value_name = "PACK_OR_PATH")]
-        pack: String,
+        pack: Option<String>,
         /// What it should hold, as `list --files` wrote it [default: what
-        /// `fetch` recorded]
-        #[arg(long, value_name = "FILE")]
+        /// `fetch` recorded, if it is a fetched pack]
+        #[arg(long, value_name = "FILE", requires = "pack")]
         manifest: Option<PathBuf>,
     },
     /// Gets LIBERO's own assets from the hub; goes on where it was interrupted
@@ -367,13 +398,12 @@ fn slots(text: &str) -> Result<NonZeroUsize, &'static str> {
 
 #[cfg(test)]
 mod tests {
-    use clap::CommandFactory;
     use sim::GlDevice;
 
     use super::*;
 
     fn parse(line: &str) -> Result<Arguments, clap::Error> {
-        Arguments::try_parse_from(line.split_whitespace())
+        Arguments::read(line.split_whitespace())
     }
 
     #[test]

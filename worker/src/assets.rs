@@ -53,7 +53,16 @@ pub fn run(arguments: &AssetsArguments) -> Result<(), AssetsError> {
             }
             Ok(())
         }
-        AssetsCommand::Verify { pack, manifest } => verify(pack, manifest.as_deref(), &dir),
+        AssetsCommand::Verify { pack, manifest } => {
+            let packs = match pack {
+                Some(pack) => vec![pack.clone()],
+                None => known_packs(&dir),
+            };
+            for pack in &packs {
+                verify(pack, manifest.as_deref(), &dir)?;
+            }
+            Ok(())
+        }
         AssetsCommand::Fetch { into, hub } => {
             let into = into.clone().unwrap_or_else(|| fetched_pack(&dir));
             fetch(hub, &into)
@@ -74,8 +83,12 @@ fn fetched_pack(sources: &Path) -> PathBuf {
 }
 
 fn describe(pack: &AssetPack, sources: &Sources) -> Result<String, AssetsError> {
-    let files = Manifest::of_folder(pack.dir())?;
     let coverage = Coverage::of(pack, sources)?;
+    describe_with(pack, &coverage)
+}
+
+fn describe_with(pack: &AssetPack, coverage: &Coverage) -> Result<String, AssetsError> {
+    let files = Manifest::of_folder(pack.dir())?;
     Ok(format!(
         "{}\n  folder      {}\n  digest      {}\n  files       {}, {}\n{coverage}",
         pack.name(),
@@ -98,9 +111,15 @@ fn verify(pack: &str, manifest: Option<&Path>, sources: &Path) -> Result<(), Ass
     }
     let file = match manifest {
         Some(file) => file.to_owned(),
-        None => manifest::beside(&folder),
+        None => {
+            let fetched = manifest::beside(&folder);
+            if !fetched.exists() {
+                return verify_without_manifest(&folder, sources);
+            }
+            fetched
+        }
     };
-    let text = fs::read_to_string(&file).map_err(|source| AssetsError::NoManifest {
+    let text = fs::read_to_string(&file).map_err(|source| AssetsError::Read {
         path: file.clone(),
         source,
     })?;
@@ -126,6 +145,30 @@ fn verify(pack: &str, manifest: Option<&Path>, sources: &Path) -> Result<(), Ass
         "{}: all {} files are as they should be\n",
         folder.display(),
         expected.count()
+    ))
+}
+
+/// Of a pack that was not fetched, what can be said is whether all tasks can be
+/// shown with it.
+fn verify_without_manifest(folder: &Path, sources: &Path) -> Result<(), AssetsError> {
+    let sources = Sources::open(sources)?;
+    let pack = AssetPack::open(&folder.to_string_lossy(), &sources)?;
+    let coverage = Coverage::of(&pack, &sources)?;
+    let description = describe_with(&pack, &coverage)?;
+    if !coverage.is_whole() {
+        let folder = folder.to_owned();
+        return Err(AssetsError::Incomplete {
+            folder,
+            description,
+        });
+    }
+    print(&format!(
+        "{description}\
+         Every task can be shown. The contents of the files were not compared: only\n\
+         fetched packs have a manifest. To compare with a pack that is known to be whole:\n  \
+         worker assets list --files KNOWN_PACK > files.txt\n  \
+         worker assets verify {} --manifest files.txt\n",
+        folder.display()
     ))
 }
 

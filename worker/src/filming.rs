@@ -1,24 +1,21 @@
 //! Filming a rollout, if a video is wanted: simulates it a second time from
-//! the actions that were executed, and photographs both cameras after every
-//! control step. So the rollout itself draws only what the policy looks at, a
-//! video of failures costs nothing where the rollout succeeds, and what goes
-//! wrong here costs the video, never the outcome.
+//! the actions that were executed, and looks through both cameras after every
+//! control step, as a policy does. So the rollout itself draws only what the
+//! policy looks at, a video of failures costs nothing where the rollout succeeds,
+//! and what goes wrong here costs the video, never the outcome.
 
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::{fs, io};
 
 use protocol::{ManifestRow, Realisation};
-use sim::{Episode, Frame, SimError};
+use sim::{CameraRequest, Episode, Frame, ObservationRequest, SimError};
 
-use crate::actor::Action;
+use crate::actor::{Action, CAMERAS};
 use crate::message::Assignment;
 use crate::rollout::Simulated;
 use crate::stage::Stage;
 use crate::video::{PANE_SIDE, VideoEncoder, VideoError};
-
-/// Left and right in the video.
-const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
 
 /// Why there is no video.
 #[derive(Debug, thiserror::Error)]
@@ -60,8 +57,8 @@ pub(crate) struct Replay<'a> {
 }
 
 /// Films a rollout that has just been simulated, if a video of it is wanted;
-/// returns the file. `progress` gets the control steps since the rollout
-/// began, and may end the filming.
+/// returns the file. `progress` gets the number of pictures so far, and may end
+/// the filming.
 pub(crate) fn film(
     stage: &mut Stage<'_>,
     assignment: &Assignment,
@@ -72,22 +69,19 @@ pub(crate) fn film(
     let Some(video) = assignment.video_of(result.success) else {
         return Ok(None);
     };
-    let done = assignment.row.settle_steps + result.steps;
     let replay = Replay {
         row: &assignment.row,
         realisation: assignment.realisation,
         actions: &simulated.actions,
         success: result.success,
     };
-    film_again(stage, replay, &video.file, &mut |step| {
-        progress(done + step)
-    })?;
+    film_again(stage, replay, &video.file, progress)?;
     Ok(Some(video.file.clone()))
 }
 
-/// Films a rollout from its actions, to `file`. The pictures are the scene as it
-/// is, without the sensor's corruption. `progress` is called after every control
-/// step, settling included.
+/// Films a rollout from its actions, to `file`: at rest and after every action,
+/// what [`observe_both`] sees. `progress` gets the number of pictures so far, and
+/// may end the filming.
 pub(crate) fn film_again(
     stage: &mut Stage<'_>,
     replay: Replay<'_>,
@@ -95,37 +89,55 @@ pub(crate) fn film_again(
     progress: &mut dyn FnMut(u32) -> ControlFlow<()>,
 ) -> Result<(), FilmingError> {
     let mut encoder = VideoEncoder::new()?;
-    let row = replay.row;
-    let mut episode = stage.begin(row, replay.realisation)?;
-    episode.settle()?;
-    add_picture(&mut episode, &mut encoder)?;
-    let mut success = false;
-    for (done, action) in (1..).zip(replay.actions) {
-        if progress(row.settle_steps + done).is_break() {
-            return Err(FilmingError::Abandoned);
+    let mut pictures = 0;
+    watch_again(stage, replay, &mut |[left, right]| {
+        encoder.add([&left.rgb, &right.rgb])?;
+        pictures += 1;
+        match progress(pictures) {
+            ControlFlow::Continue(()) => Ok(()),
+            ControlFlow::Break(()) => Err(FilmingError::Abandoned),
         }
-        success = episode.step(action)?;
-        add_picture(&mut episode, &mut encoder)?;
-    }
-    if success != replay.success {
-        return Err(FilmingError::Differs);
-    }
+    })?;
     fs::write(file, encoder.finish()?).map_err(|source| FilmingError::Write {
         path: file.to_owned(),
         source,
     })
 }
 
-/// Both cameras' pictures of the scene as it is, without the sensor's
-/// corruption: left and right of a video.
-pub(crate) fn photograph(episode: &mut Episode<'_>) -> Result<[Frame; 2], SimError> {
-    let side = PANE_SIDE as u32;
-    let left = episode.photograph(CAMERAS[0], side, side)?;
-    let right = episode.photograph(CAMERAS[1], side, side)?;
-    Ok([left, right])
+/// Simulates a rollout from its actions, and shows what [`observe_both`] sees at
+/// rest and after every action.
+pub(crate) fn watch_again(
+    stage: &mut Stage<'_>,
+    replay: Replay<'_>,
+    show: &mut dyn FnMut([Frame; 2]) -> Result<(), FilmingError>,
+) -> Result<(), FilmingError> {
+    let mut episode = stage.begin(replay.row, replay.realisation)?;
+    episode.settle()?;
+    show(observe_both(&mut episode)?)?;
+    let mut success = false;
+    for action in replay.actions {
+        success = episode.step(action)?;
+        show(observe_both(&mut episode)?)?;
+    }
+    match success == replay.success {
+        true => Ok(()),
+        false => Err(FilmingError::Differs),
+    }
 }
 
-fn add_picture(episode: &mut Episode<'_>, encoder: &mut VideoEncoder) -> Result<(), FilmingError> {
-    let [left, right] = photograph(episode)?;
-    Ok(encoder.add([&left.rgb, &right.rgb])?)
+/// What a policy sees that asks for both cameras at [`PANE_SIDE`]: left and right
+/// of a video. To a policy that asks for another size, the sensor's corruption
+/// is of that size; it grows with the picture, and its noise has other values.
+pub(crate) fn observe_both(episode: &mut Episode<'_>) -> Result<[Frame; 2], SimError> {
+    let camera = |name: &str| CameraRequest {
+        name: name.to_owned(),
+        width: PANE_SIDE as u32,
+        height: PANE_SIDE as u32,
+    };
+    let request = ObservationRequest {
+        cameras: CAMERAS.map(camera).to_vec(),
+        privileged: false,
+    };
+    let frames = episode.observe(&request)?.frames;
+    Ok(frames.try_into().expect("as many as were asked for"))
 }

@@ -7,7 +7,6 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::Context;
-use clap::Parser;
 use protocol::TaskRef;
 use scene::{AssetPack, Sources};
 use sim::{Simulator, SimulatorConfig};
@@ -36,7 +35,7 @@ const CACHED_SCENES: usize = 2;
 const SHUTDOWN_QUEUE: usize = 2;
 
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    let arguments = Arguments::read(std::env::args_os()).unwrap_or_else(|error| error.exit());
     terminal::log("info");
     let result = match (arguments.command, arguments.serve, arguments.simulator) {
         (Some(Command::Slot(slot)), ..) => run_slot(&slot),
@@ -175,7 +174,7 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
         policy_seed: protocol::seeds::policy_seed(&row.id, arguments.replicate),
         row,
         realisation: arguments.realisation,
-        policy: arguments.policy,
+        policy: arguments.policy.unwrap_or_default(),
         policy_endpoint: arguments.endpoint.unwrap_or_default(),
         policy_deadline: POLICY_CALL_DEADLINE,
         video: (!arguments.no_video).then(|| VideoRequest {

@@ -143,7 +143,7 @@ pub enum SlotEvent {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RolloutEvent {
-    /// Control steps done, settling and filming included.
+    /// Control steps done, settling included.
     Progress(u32),
     /// It has a result. Said before anything is filmed.
     Finished(Box<Finished>),
@@ -151,6 +151,8 @@ pub enum RolloutEvent {
     Failed(Failure),
     /// It was abandoned, as commanded.
     Abandoned,
+    /// Pictures that the video has so far, which was announced with the result.
+    Filming(u32),
     /// The video that was announced with the result is in its file.
     Filmed,
     /// There is no video, for this reason; reads after "failed to".

@@ -1,8 +1,9 @@
 //! `worker rollout`: one rollout from the command line, for looking at a case.
 //! Does what a slot does, without a coordinator, and writes what came of it to
-//! a folder: `result.json`, `trace.npz`, `video.mp4`, and `frames/` with the
-//! first and the last picture of both cameras and those of the first and the
-//! last query as the policy saw them, all upright.
+//! a folder: `result.json`, `trace.npz`, `video.mp4`, and `frames/` with those of
+//! the first and the last query as the policy saw them, and both cameras' first
+//! and last picture at the film's size, all upright and all with the sensor's
+//! corruption.
 
 mod capture;
 mod error;

@@ -27,8 +27,8 @@ use crate::stage::Stage;
 const ASSIGNMENT_QUEUE: usize = 1;
 /// Of -1000 to 1000, see proc(5); more than other processes have.
 const OOM_SCORE_ADJ: &str = "500";
-/// Progress is reported every so many control steps: half a second of the
-/// robot's time.
+/// Progress is reported every so many control steps, and pictures of a video:
+/// half a second of the robot's time.
 const PROGRESS_EVERY: u32 = 10;
 
 /// Why a slot's process ended by itself.
@@ -126,7 +126,7 @@ fn work(
         }
     };
     reporter.tell(RolloutEvent::Finished(Box::new(simulated.finished.clone())));
-    let mut progress = |steps| reporter.progress(steps);
+    let mut progress = |pictures| reporter.advance(RolloutEvent::Filming, pictures);
     match film(&mut stage, assignment, &simulated, &mut progress) {
         Ok(None) => {}
         Ok(Some(_)) => reporter.tell(RolloutEvent::Filmed),
@@ -164,20 +164,26 @@ impl Reporter<'_> {
             self.broken = told.err();
         }
     }
-}
 
-impl Watcher for Reporter<'_> {
-    fn progress(&mut self, control_steps: u32) -> ControlFlow<()> {
+    /// Tells now and then how far a stage of the attempt has come; `Break` once
+    /// the attempt is no longer wanted.
+    fn advance(&mut self, event: fn(u32) -> RolloutEvent, done: u32) -> ControlFlow<()> {
         if *lock(self.abandoned) == Some(self.attempt) {
             return ControlFlow::Break(());
         }
-        if control_steps.is_multiple_of(PROGRESS_EVERY) {
-            self.tell(RolloutEvent::Progress(control_steps));
+        if done.is_multiple_of(PROGRESS_EVERY) {
+            self.tell(event(done));
         }
         match self.broken {
             Some(_) => ControlFlow::Break(()),
             None => ControlFlow::Continue(()),
         }
+    }
+}
+
+impl Watcher for Reporter<'_> {
+    fn progress(&mut self, control_steps: u32) -> ControlFlow<()> {
+        self.advance(RolloutEvent::Progress, control_steps)
     }
 }
 

@@ -42,8 +42,14 @@ fn line(worker: &WorkerStatus) -> String {
         0 => String::new(),
         failures => format!(", {failures} failures in a row"),
     };
+    let filming = match worker.filming {
+        0 => String::new(),
+        1 => "\n  filming 1 rollout".to_owned(),
+        rollouts => format!("\n  filming {rollouts} rollouts"),
+    };
     format!(
-        "{} on {}: {standing}{failures}, last call {} ago\n  {}, MuJoCo {}, {}, program {}",
+        "{} on {}: {standing}{failures}, last call {} ago{filming}\n  \
+         {}, MuJoCo {}, {}, program {}",
         worker.worker_id,
         worker.host,
         duration_text(worker.silent_secs),

@@ -69,5 +69,6 @@ pub(super) fn worker(line: WorkerLine, now: UnixMillis) -> wire::WorkerStatus {
         alive: line.is_alive,
         charged_in_a_row: line.charged_in_a_row,
         stopped_reason: line.stopped_reason.unwrap_or_default(),
+        filming: line.filming,
     }
 }

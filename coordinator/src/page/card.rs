@@ -92,7 +92,8 @@ fn standing(shown: &Shown) -> (&'static str, &'static str, String) {
         }
         (None, "leased") => {
             let steps = line.control_steps.unwrap_or_default();
-            ("running", "running", format!("control step {steps}"))
+            let detail = format!("control step {steps} of {budget}");
+            ("running", "running", detail)
         }
         (None, "quarantined") => {
             let detail = format!("after {} failed attempts", line.charged_attempts);
@@ -110,7 +111,10 @@ fn video(campaign: &str, shown: &Shown, replicate: u32, bytes: u64) -> Markup {
     html! {
         video data-keep controls muted playsinline preload="auto" src=(address)
             aria-label={ "Video of the rollout, " (condition_name(shown.id.condition())) } {}
-        p.muted.small { a href=(address) download { "MP4" } ", " (size_text(bytes)) }
+        p.muted.small {
+            "Both cameras as a policy sees them. " a href=(address) download { "MP4" }
+            ", " (size_text(bytes))
+        }
     }
 }
 

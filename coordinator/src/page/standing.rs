@@ -99,7 +99,10 @@ fn worker_row(line: &WorkerLine, now: UnixMillis) -> Markup {
         tr {
             th scope="row" { code { (line.id) } }
             td { (line.host) }
-            td { (line.leases) " of " (line.slots) }
+            td {
+                (line.leases) " of " (line.slots)
+                @if line.filming > 0 { ", filming " (line.filming) }
+            }
             td { (duration_text(silent)) " ago" }
             td.words {
                 @match &line.stopped_reason {

@@ -60,6 +60,7 @@ async fn everything(serve: &Serve) -> Result<(), Status> {
             attempt_id: lease.attempt_id.clone(),
             control_steps: 5,
         }],
+        ..wire::HeartbeatRequest::default()
     };
     worker.service.heartbeat(beat).await?;
     let release = wire::ReleaseRequest {

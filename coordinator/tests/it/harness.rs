@@ -338,6 +338,16 @@ impl Worker {
         response.expect("a verdict").into_inner()
     }
 
+    /// Sends a heartbeat that holds no lease, and says how many videos are made.
+    pub(crate) async fn films(&mut self, filming: u32) {
+        let request = wire::HeartbeatRequest {
+            worker_id: self.id.clone(),
+            filming,
+            ..wire::HeartbeatRequest::default()
+        };
+        self.service.heartbeat(request).await.expect("an answer");
+    }
+
     /// Sends a heartbeat; returns the attempts whose leases are lost.
     pub(crate) async fn heartbeat(&mut self, leases: &[&wire::Lease], steps: u32) -> Vec<String> {
         let progress = leases.iter().map(|lease| wire::Progress {
@@ -347,6 +357,7 @@ impl Worker {
         let request = wire::HeartbeatRequest {
             worker_id: self.id.clone(),
             progress: progress.collect(),
+            ..wire::HeartbeatRequest::default()
         };
         let response = self.service.heartbeat(request).await;
         response.expect("an answer").into_inner().lost_attempts

@@ -267,7 +267,8 @@ async fn a_job_is_shown_with_all_its_attempts() {
     let line = shown.job.expect("a job");
     assert_eq!(
         (line.state.as_str(), line.attempt, line.control_steps),
-        ("leased", 4, 42)
+        ("leased", 4, 32),
+        "the policy's steps, without the ten in which the scene settles"
     );
     assert_eq!(
         (line.lease_owner.as_str(), line.lease_left_secs),
@@ -334,7 +335,9 @@ async fn workers_are_listed_with_their_leases_and_why_they_stopped() {
     bench.worker("gone").await;
     bench.pass(100).await;
     let mut broken = bench.worker("broken").await;
-    bench.worker("sound").await.claim(2).await;
+    let mut sound = bench.worker("sound").await;
+    sound.claim(2).await;
+    sound.films(3).await;
     for lease in broken.claim(5).await {
         broken.release(&lease, Reason::SlotCrashed).await;
     }
@@ -348,6 +351,7 @@ async fn workers_are_listed_with_their_leases_and_why_they_stopped() {
     };
     assert_eq!((of("gone").alive, of("gone").silent_secs), (false, 100.0));
     assert_eq!((of("sound").alive, of("sound").leases), (true, 2));
+    assert_eq!((of("sound").filming, of("broken").filming), (3, 0));
     assert_eq!((of("broken").charged_in_a_row, of("broken").leases), (5, 0));
     assert!(of("broken").stopped_reason.contains("5 times in a row"));
 }
@@ -398,7 +402,12 @@ async fn an_operator_follows_and_ends_a_campaign_from_the_command_line() {
     let lease = worker.claim_one().await;
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     worker.claim_one().await;
-    run(&["workers"], 0, &["slow-1 on bench: 1/2 slots busy"]);
+    worker.films(2).await;
+    let busy = [
+        "slow-1 on bench: 1/2 slots busy",
+        "\n  filming 2 rollouts\n",
+    ];
+    run(&["workers"], 0, &busy);
     run(
         &["jobs", "list", "demo", "--limit", "1"],
         0,

@@ -63,7 +63,7 @@ async fn a_panic_of_the_writer_ends_the_coordinator_with_an_error_that_says_so()
     clock.broken.store(true, Ordering::SeqCst);
     let heartbeat = wire::HeartbeatRequest {
         worker_id: "a".to_owned(),
-        progress: Vec::new(),
+        ..wire::HeartbeatRequest::default()
     };
     worker.heartbeat(heartbeat).await.expect_err("no writer");
     let ended = tokio::time::timeout(Duration::from_secs(20), served.join_next());

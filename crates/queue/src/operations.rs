@@ -9,6 +9,7 @@ pub(crate) mod claim;
 pub(crate) mod commit;
 pub(crate) mod context;
 pub(crate) mod error;
+pub(crate) mod filming;
 pub(crate) mod films;
 pub(crate) mod heartbeat;
 pub(crate) mod in_flight;

@@ -16,6 +16,7 @@ use crate::ids::WorkerId;
 use crate::operations::claim::{ClaimRequest, Claimed, MAX_CLAIM_WAIT};
 use crate::operations::commit::{CommitReply, CommitReport, CommitVerdict};
 use crate::operations::error::QueueError;
+use crate::operations::filming::Filming;
 use crate::operations::heartbeat::Heartbeat;
 use crate::operations::in_flight::InFlight;
 use crate::operations::release::{Release, ReleaseReply, ReleaseVerdict};
@@ -36,6 +37,7 @@ pub struct Queue {
     _writer: JoinSet<()>,
     pub(crate) last_sweep: AtomicI64,
     pub(crate) films: InFlight,
+    pub(crate) filming: Filming,
     /// Held while a campaign comes or goes: its files must not be removed
     /// under a new one of the same name.
     pub(crate) campaigns: tokio::sync::Mutex<()>,
@@ -66,6 +68,7 @@ impl Queue {
             operations,
             _writer: writer,
             films: InFlight::default(),
+            filming: Filming::default(),
             campaigns: tokio::sync::Mutex::default(),
             backups: Arc::default(),
         }))
@@ -91,7 +94,8 @@ impl Queue {
     /// # Errors
     /// When the database cannot be read.
     pub async fn view(&self) -> Result<View, StoreError> {
-        View::begin(&self.shared.store, self.now(), self.timing(), self.held()).await
+        let (now, timing, filming) = (self.now(), self.timing(), self.filming.by_worker());
+        View::begin(&self.shared.store, now, timing, self.held(), filming).await
     }
 
     /// Reports when something was committed.
@@ -151,6 +155,14 @@ impl Queue {
             progress: progress.to_vec(),
         });
         self.ask(Operation::Heartbeat(pending), answer).await
+    }
+
+    /// Notes how many videos a worker draws or sends, as said by a heartbeat that
+    /// was accepted.
+    pub fn note_filming(&self, worker: &WorkerId, videos: u32) {
+        let now = self.now();
+        let alive_since = now.minus(self.timing().worker_alive);
+        self.filming.heard(worker, videos, now, alive_since);
     }
 
     /// Stores a result and ends its lease, or says why not.

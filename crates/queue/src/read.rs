@@ -1,6 +1,15 @@
 //! Reading: one consistent view, however many questions it answers. The page, the
 //! command line and reports use it; nothing that workers wait for does.
 
+/// The policy's control steps of a leased `job`: what workers report counts those
+/// in which the scene settles, and results and budgets do not.
+macro_rules! policy_steps {
+    () => {
+        "iif(control_steps IS NULL, NULL, max(0, control_steps
+             - coalesce(json_extract(manifest_row, '$.num_steps_wait'), 0))) AS control_steps"
+    };
+}
+
 mod campaigns;
 mod changes;
 mod configurations;
@@ -8,11 +17,13 @@ mod jobs;
 mod results;
 mod standing;
 
+use std::collections::BTreeMap;
 use std::ops::DerefMut;
 
 use sqlx::{Sqlite, SqliteConnection, Transaction};
 
 use crate::clock::UnixMillis;
+use crate::ids::WorkerId;
 use crate::store::{Store, StoreError};
 use crate::timing::Timing;
 
@@ -32,6 +43,8 @@ pub struct View {
     timing: Timing,
     /// Why nothing is leased at the moment; none while jobs are leased.
     held: Option<String>,
+    /// Videos that workers draw or send; those without any are left out.
+    filming: BTreeMap<WorkerId, u32>,
 }
 
 impl View {
@@ -40,12 +53,14 @@ impl View {
         now: UnixMillis,
         timing: Timing,
         held: Option<String>,
+        filming: BTreeMap<WorkerId, u32>,
     ) -> Result<View, StoreError> {
         Ok(View {
             transaction: store.read().await?,
             now,
             timing,
             held,
+            filming,
         })
     }
 

@@ -9,7 +9,7 @@ use protocol::{Axis, ManifestRow, Realisation, RobotShift};
 use crate::controller::{ARM_JOINTS, GRIP_SITE};
 use crate::error::SimError;
 use crate::mujoco::{Data, ObjectKind};
-use crate::observation::{Frame, Observation, ObservationRequest};
+use crate::observation::{Observation, ObservationRequest};
 use crate::perturb::{
     ActuationStage, ArmState, FrameSource, IkSolution, Jacobian, JointRange, Light, Lighting,
     SensorStage, shift_camera, shift_lighting, solve_shifted_pose,
@@ -139,12 +139,17 @@ impl<'a> Episode<'a> {
         self.environment().step(&action)
     }
 
-    /// What the policy sees now. Draws only what is asked for.
+    /// What the policy sees now, every perturbation included. Draws only what is
+    /// asked for. Of a camera and a size the pixels depend on the control step
+    /// alone, however often and at whatever sizes the scene was looked at before.
     pub fn observe(&mut self, request: &ObservationRequest) -> Result<Observation, SimError> {
         let mut frames = Vec::with_capacity(request.cameras.len());
         for camera in &request.cameras {
             let source = frame_source(&camera.name)?;
-            let mut frame = self.photograph(&camera.name, camera.width, camera.height)?;
+            let drawer = self.drawer.open()?;
+            let (width, height) = (camera.width, camera.height);
+            let drawn = &mut self.ready.environment;
+            let mut frame = drawn.draw(drawer, &camera.name, width, height)?;
             if let Some(stage) = &mut self.sensor {
                 stage.apply(&mut perturb::Frame {
                     source,
@@ -167,13 +172,6 @@ impl<'a> Episode<'a> {
             robot: environment.robot_state(),
             privileged,
         })
-    }
-
-    /// What a camera of the scene sees, without the sensor's perturbation: for
-    /// videos.
-    pub fn photograph(&mut self, camera: &str, width: u32, height: u32) -> Result<Frame, SimError> {
-        let drawer = self.drawer.open()?;
-        self.ready.environment.draw(drawer, camera, width, height)
     }
 
     /// The scene's environment, to be looked at.

@@ -12,7 +12,10 @@ use anyhow::{Context, Result};
 use clap::Parser;
 use protocol::{Realisation, RolloutId, TaskRef};
 use scene::{AssetPack, Sources};
-use sim::{Episode, Frame, GlDevice, Renderer, Simulator, SimulatorConfig};
+use sim::{
+    CameraRequest, Episode, Frame, GlDevice, ObservationRequest, Renderer, SimError, Simulator,
+    SimulatorConfig,
+};
 use tests::fidelity::CLOSE_LEVELS;
 use tests::measure::{Clock, Spread};
 use worker::measure::open_loop::smooth_action;
@@ -174,6 +177,19 @@ fn row_of(task: TaskRef, condition: &str) -> Result<protocol::ManifestRow> {
     Ok(worker::single::row_of(id)?)
 }
 
+/// A square frame of one camera, `side` pixels wide.
+fn look(episode: &mut Episode<'_>, camera: &str, side: u32) -> Result<Frame, SimError> {
+    let request = ObservationRequest {
+        cameras: vec![CameraRequest {
+            name: camera.to_owned(),
+            width: side,
+            height: side,
+        }],
+        privileged: false,
+    };
+    Ok(episode.observe(&request)?.frames.remove(0))
+}
+
 /// Both renderers, each with a simulator of its own.
 struct Bench {
     ours: Simulator,
@@ -235,9 +251,7 @@ impl Bench {
         let size = arguments.size;
         for frame in 0..=usize::from(arguments.frames) {
             for (camera, findings) in CAMERAS.iter().zip(&mut findings) {
-                let draw = |episode: &mut Episode<'_>| {
-                    clock.time(|| episode.photograph(camera, size, size))
-                };
+                let draw = |episode: &mut Episode<'_>| clock.time(|| look(episode, camera, size));
                 let before = resident()?;
                 let (millis, own) = draw(&mut ours);
                 let own = own?;

@@ -60,6 +60,11 @@ impl Coverage {
         }
         Ok(coverage)
     }
+
+    /// Whether every task can be shown.
+    pub(super) fn is_whole(&self) -> bool {
+        self.broken.is_empty()
+    }
 }
 
 impl Shelf {

@@ -21,19 +21,6 @@ pub enum AssetsError {
         #[source]
         source: io::Error,
     },
-    /// There is no manifest to verify against.
-    #[error(
-        "read manifest {}: only a fetched pack has one of its own; make one of a pack that is \
-         known to be whole with `worker assets list --files PATH`, and give it with --manifest",
-        path.display()
-    )]
-    NoManifest {
-        /// Where it was looked for.
-        path: PathBuf,
-        /// What happened.
-        #[source]
-        source: io::Error,
-    },
     /// A manifest is none.
     #[error("understand manifest {}: {problem}", path.display())]
     Manifest {
@@ -57,6 +44,19 @@ pub enum AssetsError {
         count: usize,
         /// The first of them, and how.
         named: String,
+    },
+    /// A pack that has no manifest cannot show all tasks.
+    #[error(
+        "verify {}: it cannot show all tasks; fetch LIBERO's assets again with \
+         `worker assets fetch`, or copy what is missing from a folder that has it\n{}",
+        folder.display(),
+        description.trim_end()
+    )]
+    Incomplete {
+        /// The pack.
+        folder: PathBuf,
+        /// What it has, and what it lacks.
+        description: String,
     },
     /// The built-in pack was changed after it was unpacked.
     #[error(

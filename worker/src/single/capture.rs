@@ -13,7 +13,7 @@ use transport::chain;
 
 use super::error::{SingleError, write_error};
 use super::trace::Trace;
-use crate::filming::photograph;
+use crate::filming::observe_both;
 use crate::rollout::{Step, Watcher};
 
 /// What is captured of one rollout.
@@ -62,11 +62,11 @@ impl Capture {
         written.map_err(|source| write_error(&path, source))
     }
 
-    fn photograph(&mut self, title: &'static str, episode: &mut Episode<'_>) {
+    fn look(&mut self, title: &'static str, episode: &mut Episode<'_>) {
         if !self.draw {
             return;
         }
-        match photograph(episode) {
+        match observe_both(episode) {
             Ok(frames) => self.ends.push((title, frames.into())),
             Err(error) => {
                 let problem = chain(&error);
@@ -93,12 +93,12 @@ impl Watcher for Capture {
     fn moved(&mut self, step: Option<&Step>, episode: &mut Episode<'_>) {
         self.trace.add(step, episode.environment());
         if step.is_none() {
-            self.photograph("first", episode);
+            self.look("first", episode);
         }
     }
 
     fn ended(&mut self, episode: &mut Episode<'_>) {
-        self.photograph("last", episode);
+        self.look("last", episode);
     }
 }
 

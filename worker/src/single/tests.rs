@@ -4,13 +4,17 @@
 use std::time::Duration;
 
 use npyz::npz::NpzArchive;
+use proto::policy as wire;
 use protocol::{Axis, ManifestRow, Realisation};
 use scene::{AssetPack, Sources};
 use sim::{Renderer, SimulatorConfig};
 
 use super::*;
+use crate::actor::{CAMERAS, Description, PolicyError, PolicySession};
+use crate::filming::{Replay, watch_again};
 use crate::ids::random_id;
 use crate::message::{Session, VideoOf, VideoRequest};
+use crate::video::PANE_SIDE;
 
 #[test]
 fn an_id_alone_says_what_is_simulated() {
@@ -175,6 +179,146 @@ fn both_cameras_first_and_last_pictures_are_kept_though_nobody_looked() {
         assert_ne!(first, last, "the arm has moved");
     }
     assert!(video.is_file());
+}
+
+/// Looks at both cameras before every action, and remembers what it saw.
+struct Looking {
+    side: u32,
+    seen: Vec<wire::Observation>,
+}
+
+impl Actor for Looking {
+    fn describe(&mut self, _session: PolicySession<'_>) -> Result<Description, PolicyError> {
+        let camera = |name: &str| wire::CameraRequest {
+            name: name.to_owned(),
+            width: self.side,
+            height: self.side,
+        };
+        Ok(Description {
+            about: wire::DescribeResponse {
+                cameras: CAMERAS.map(camera).to_vec(),
+                ..wire::DescribeResponse::default()
+            },
+            state: Vec::new(),
+            horizon: 1,
+            execute: 1,
+        })
+    }
+
+    fn reset(
+        &mut self,
+        _session: PolicySession<'_>,
+        _suite: &str,
+        _instruction: &str,
+        _seed: u64,
+    ) -> Result<(), PolicyError> {
+        Ok(())
+    }
+
+    fn infer(
+        &mut self,
+        _session: PolicySession<'_>,
+        _query_index: u32,
+        observation: wire::Observation,
+        _horizon: usize,
+    ) -> Result<Vec<Action>, PolicyError> {
+        self.seen.push(observation);
+        Ok(vec![[0.5, 0.0, -0.5, 0.0, 0.0, 0.0, -1.0]])
+    }
+}
+
+/// What is to be seen of one rollout.
+struct Seen {
+    /// By the policy, of both cameras, at every query.
+    by_policy: Vec<[Vec<u8>; 2]>,
+    /// In the pictures that the film is made of.
+    in_film: Vec<[Vec<u8>; 2]>,
+    film: Vec<u8>,
+    /// Of its `frames/`, each camera's first picture, in the simulator's order.
+    first_pictures: [Vec<u8>; 2],
+}
+
+fn look(simulator: &mut Simulator, row: &ManifestRow, realisation: Realisation, side: u32) -> Seen {
+    let folder = tempfile::tempdir().expect("a folder");
+    let video = folder.path().join("video.mp4");
+    let mut assignment = assignment(row.clone(), Some(&video));
+    assignment.realisation = realisation;
+    let mut actor = Looking {
+        side,
+        seen: Vec::new(),
+    };
+    let request = Request {
+        assignment: &assignment,
+        files: None,
+        draw: true,
+        output: folder.path(),
+    };
+    let finished = run(simulator, &mut actor, &request).expect("an outcome");
+    let seen = actor.seen.into_iter();
+    let by_policy: Vec<[Vec<u8>; 2]> = seen
+        .map(|it| [0, 1].map(|camera| it.images[camera].rgb.to_vec()))
+        .collect();
+    let actions = vec![[0.5, 0.0, -0.5, 0.0, 0.0, 0.0, -1.0]; by_policy.len()];
+    let replay = Replay {
+        row,
+        realisation,
+        actions: &actions,
+        success: finished.result.success,
+    };
+    let mut in_film = Vec::new();
+    let mut stage = Stage::of_the_protocol(simulator);
+    watch_again(&mut stage, replay, &mut |pictures| {
+        in_film.push(pictures.map(|picture| picture.rgb));
+        Ok(())
+    })
+    .expect("simulates");
+    let first_pictures = CAMERAS.map(|camera| {
+        let file = folder.path().join(format!("frames/first-{camera}.png"));
+        let mut picture = image::open(file).expect("a picture").into_rgb8();
+        image::imageops::flip_vertical_in_place(&mut picture);
+        picture.into_raw()
+    });
+    Seen {
+        by_policy,
+        in_film,
+        film: fs::read(&video).expect("a film"),
+        first_pictures,
+    }
+}
+
+#[test]
+fn films_and_pictures_show_what_the_policy_saw_with_the_sensors_corruption() {
+    let test = "films_and_pictures_show_what_the_policy_saw_with_the_sensors_corruption";
+    let Some(sources) = sources(test) else {
+        return;
+    };
+    let mut simulator = simulator(sources);
+    let mut sensor = row_of("object/t0/sensor/L3/c03".parse().expect("an id")).expect("a row");
+    sensor.max_steps = 4;
+    let nominal = ManifestRow {
+        perturbation: protocol::Perturbation::default(),
+        ..sensor.clone()
+    };
+    let side = PANE_SIDE as u32;
+    let unperturbed = look(&mut simulator, &nominal, Realisation::Matched, side);
+    for realisation in [Realisation::Matched, Realisation::Reference] {
+        let corrupted = look(&mut simulator, &sensor, realisation, side);
+        for seen in [&unperturbed, &corrupted] {
+            // The film goes on to the picture after the last action.
+            assert_eq!((seen.by_policy.len(), seen.in_film.len()), (4, 5));
+            assert!(seen.in_film[..4] == seen.by_policy, "{realisation}");
+            assert!(seen.first_pictures == seen.by_policy[0], "{realisation}");
+        }
+        for (own, nominal) in corrupted.in_film.iter().zip(&unperturbed.in_film) {
+            assert!(own[0] != nominal[0] && own[1] != nominal[1]);
+        }
+        assert!(corrupted.film != unperturbed.film);
+        // Pictures of another size than the policy's change nothing of what it sees.
+        let small = look(&mut simulator, &sensor, realisation, 128);
+        assert!(small.in_film == corrupted.in_film, "{realisation}");
+        let again = look(&mut simulator, &sensor, realisation, 128);
+        assert!(small.by_policy == again.by_policy, "{realisation}");
+    }
 }
 
 #[test]

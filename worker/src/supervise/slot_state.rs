@@ -103,8 +103,8 @@ pub(crate) enum Video {
     Filming {
         /// Of which attempt.
         attempt: AttemptId,
-        /// Control steps done, those of the rollout included.
-        control_steps: u32,
+        /// Pictures that it has: never control steps of the rollout, which is over.
+        pictures: u32,
         /// When the last of them was reported.
         moved_at: Instant,
         /// Whether it will have a result to stand beside.
@@ -248,6 +248,11 @@ impl SlotState {
         }
     }
 
+    /// Whether a video is being made, or waits for its result.
+    pub(crate) fn has_video(&self) -> bool {
+        self.video != Video::None
+    }
+
     /// The process says that it takes commands.
     pub(crate) fn became_ready(&mut self) {
         if matches!(self.process, ProcessState::Starting { .. }) {
@@ -255,30 +260,33 @@ impl SlotState {
         }
     }
 
-    /// The process reported progress with an attempt: simulating or filming it.
+    /// The process reported progress with the rollout of an attempt.
     pub(crate) fn advanced(&mut self, of: AttemptId, steps: u32, now: Instant) {
-        let (attempt, control_steps, moved_at) = match (&mut self.work, &mut self.video) {
-            (
-                Work::Running {
-                    attempt,
-                    control_steps,
-                    moved_at,
-                },
-                _,
-            )
-            | (
-                _,
-                Video::Filming {
-                    attempt,
-                    control_steps,
-                    moved_at,
-                    ..
-                },
-            ) => (*attempt, control_steps, moved_at),
-            _ => return,
-        };
-        if attempt == of && steps > *control_steps {
+        if let Work::Running {
+            attempt,
+            control_steps,
+            moved_at,
+        } = &mut self.work
+            && *attempt == of
+            && steps > *control_steps
+        {
             *control_steps = steps;
+            *moved_at = now;
+        }
+    }
+
+    /// The process reported progress with the video of an attempt.
+    pub(crate) fn filming_advanced(&mut self, of: AttemptId, made: u32, now: Instant) {
+        if let Video::Filming {
+            attempt,
+            pictures,
+            moved_at,
+            ..
+        } = &mut self.video
+            && *attempt == of
+            && made > *pictures
+        {
+            *pictures = made;
             *moved_at = now;
         }
     }
@@ -358,7 +366,7 @@ impl SlotState {
         if is_filmed {
             self.video = Video::Filming {
                 attempt: of,
-                control_steps,
+                pictures: 0,
                 moved_at: now,
                 result,
             };
@@ -511,7 +519,7 @@ mod tests {
         assert!(!slot.rollout_ended(attempt(2), true, now));
         assert_eq!((slot.work, slot.video), (before, Video::None));
         let mut slot = filming(now);
-        slot.advanced(attempt(2), 10, now);
+        slot.filming_advanced(attempt(2), 10, now);
         assert_eq!(slot.filming_ended(attempt(2), true), None);
         assert_eq!(slot.video, filming(now).video);
     }
@@ -545,11 +553,32 @@ mod tests {
     }
 
     #[test]
+    fn filming_advances_the_video_and_never_the_rollouts_steps() {
+        let now = Instant::now();
+        let mut slot = running(now);
+        slot.advanced(attempt(1), 290, now);
+        slot.filming_advanced(attempt(1), 300, now);
+        assert_eq!(
+            slot.progress(),
+            Some((attempt(1), 290)),
+            "nothing is filmed"
+        );
+        assert!(slot.rollout_ended(attempt(1), true, now));
+        slot.filming_advanced(attempt(1), 300, now);
+        slot.advanced(attempt(1), 570, now);
+        assert_eq!(slot.progress(), Some((attempt(1), 290)));
+        let Video::Filming { pictures, .. } = slot.video else {
+            panic!("{:?}", slot.video)
+        };
+        assert_eq!(pictures, 300);
+    }
+
+    #[test]
     fn filming_that_stands_still_is_killed_with_or_without_its_result_delivered() {
         let now = Instant::now();
         let mut slot = filming(now);
         let kill = Some(Decision::Kill(Kill::StuckFilming));
-        slot.advanced(attempt(1), 10, now + secs(1));
+        slot.filming_advanced(attempt(1), 10, now + secs(1));
         assert_eq!(slot.decide(Mode::Serving, TIMEOUT, now + TIMEOUT), None);
         let late = now + TIMEOUT + secs(1);
         assert_eq!(slot.decide(Mode::Draining, TIMEOUT, late), kill);
@@ -624,7 +653,7 @@ mod tests {
         /// was committed.
         #[test]
         fn a_draining_worker_takes_on_nothing_and_forgets_no_attempt(
-            events in proptest::collection::vec(0..9_u8, 0..40),
+            events in proptest::collection::vec(0..10_u8, 0..40),
             is_filmed: bool,
             is_committed: bool,
         ) {
@@ -649,6 +678,7 @@ mod tests {
                         answered = true;
                     }
                     6 => prop_assert!(!slot.rollout_ended(attempt(2), is_filmed, now)),
+                    7 => slot.filming_advanced(attempt(1), at as u32, now),
                     _ => match slot.decide(Mode::Draining, TIMEOUT, now) {
                         Some(Decision::Kill(why)) => slot.killed(why),
                         Some(decision) => prop_assert!(false, "{decision:?}"),

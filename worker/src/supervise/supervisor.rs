@@ -303,6 +303,9 @@ impl Supervisor {
         let state = &mut self.slots[slot].state;
         let (is_filmed, ending) = match event {
             RolloutEvent::Progress(steps) => return state.advanced(attempt, steps, now),
+            RolloutEvent::Filming(pictures) => {
+                return state.filming_advanced(attempt, pictures, now);
+            }
             RolloutEvent::Abandoned => {
                 state.rollout_ended(attempt, false, now);
                 return;
@@ -416,7 +419,7 @@ impl Supervisor {
                 }
             }
             Some(VideoDecision::Drop(attempt)) => {
-                self.uploads.spawn(remove(self.video_file(attempt)));
+                self.calls.spawn(remove(self.video_file(attempt)));
             }
             Some(VideoDecision::Upload(attempt)) => {
                 let upload = Upload {
@@ -466,6 +469,12 @@ impl Supervisor {
         }
     }
 
+    /// Videos that are being made, wait for their results, or are being sent.
+    fn videos_in_hand(&self) -> u32 {
+        let made = self.slots.iter().filter(|slot| slot.state.has_video());
+        u32::try_from(made.count() + self.uploads.len()).unwrap_or(u32::MAX)
+    }
+
     fn send_heartbeat(&mut self) {
         if self.heartbeat_under_way || !self.is_registered {
             return;
@@ -480,6 +489,7 @@ impl Supervisor {
         let request = HeartbeatRequest {
             worker_id: self.config.identity.worker.to_string(),
             progress: progress.collect(),
+            filming: self.videos_in_hand(),
         };
         let (link, events) = (self.link.clone(), self.events.clone());
         let deadline = self.timing.heartbeat.max(Duration::from_secs(1));

@@ -1,10 +1,14 @@
-//! Videos of rollouts that are over, from their actions.
+//! Videos of rollouts that are over, from their actions. The coordinator's address
+//! comes from the environment here.
 
-use proto::coordinator::Film;
+use std::process::Output;
+
+use proto::coordinator::{Film, Lease};
+use protocol::ManifestRow;
 
 use crate::scripted_coordinator::{ScriptedCoordinator, Told};
 use crate::scripted_policy::ScriptedPolicy;
-use crate::worker_process::{MAX_STEPS, WorkerProcess, attempt_id, lease, ready, run};
+use crate::worker_process::{MAX_STEPS, WorkerProcess, attempt_id, lease, program, ready};
 
 /// Three numbers of 16 bits.
 const POINT_BYTES: usize = 6;
@@ -13,12 +17,22 @@ const ACTION_BYTES: usize = 28;
 
 /// Runs a rollout whose actions are kept; what is to be filmed of it.
 async fn a_film(coordinator: &ScriptedCoordinator) -> Film {
+    film_of(coordinator, lease(1, "still", "")).await
+}
+
+async fn film_of(coordinator: &ScriptedCoordinator, mut kept: Lease) -> Film {
     let policy = ScriptedPolicy::start().await;
-    let mut kept = lease(1, "still", &policy.url());
+    kept.policy_endpoint = policy.url();
     kept.keep_actions = true;
     coordinator.lease(kept.clone());
-    let _worker = WorkerProcess::start(&coordinator.url());
+    let has_video = kept.record_video;
+    let mut serve = program();
+    serve.env("COORDINATOR_URL", coordinator.url());
+    let _worker = WorkerProcess::start_command(serve.args(["--assets", "primitives"]));
     let commit = coordinator.told(1).await.commit();
+    if has_video {
+        coordinator.told(2).await;
+    }
     let motion = commit.motion.expect("a motion");
     assert_eq!(motion.path.len(), (MAX_STEPS as usize + 1) * POINT_BYTES);
     assert_eq!(motion.actions.len(), MAX_STEPS as usize * ACTION_BYTES);
@@ -33,6 +47,22 @@ async fn a_film(coordinator: &ScriptedCoordinator) -> Film {
     }
 }
 
+/// Runs `worker film` to its end.
+fn film_all(coordinator: &ScriptedCoordinator) -> Output {
+    let mut film = program();
+    film.env("COORDINATOR_URL", coordinator.url());
+    film.args(["film", "--assets", "primitives"]);
+    tokio::task::block_in_place(|| film.output().expect("runs"))
+}
+
+/// The `number`-th thing that a coordinator was told: a video, with its attempt.
+async fn video(coordinator: &ScriptedCoordinator, number: usize) -> (String, Vec<u8>) {
+    let Told::Video { attempt, bytes } = coordinator.told(number).await else {
+        panic!("{:?}", coordinator.everything_told());
+    };
+    (attempt, bytes)
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_rollout_is_filmed_from_its_actions_when_its_policy_has_gone() {
     if !ready("a_rollout_is_filmed_from_its_actions_when_its_policy_has_gone") {
@@ -41,18 +71,14 @@ async fn a_rollout_is_filmed_from_its_actions_when_its_policy_has_gone() {
     let coordinator = ScriptedCoordinator::start().await;
     let film = a_film(&coordinator).await;
     coordinator.film(film);
-    let url = coordinator.url();
-    let filming = || run(&["film", "--connect", &url, "--assets", "primitives"]);
-    let output = tokio::task::block_in_place(filming);
+    let output = film_all(&coordinator);
     assert!(output.status.success(), "{output:?}");
     let said = String::from_utf8(output.stdout).expect("text");
     assert_eq!(
         said,
         "1 videos stored; no more is left to film with asset pack primitives and MuJoCo 3.3.7\n"
     );
-    let Told::Video { attempt, bytes } = coordinator.told(2).await else {
-        panic!("{:?}", coordinator.everything_told());
-    };
+    let (attempt, bytes) = video(&coordinator, 2).await;
     assert_eq!((attempt, &bytes[4..8]), (attempt_id(1), &b"ftyp"[..]));
 }
 
@@ -65,11 +91,48 @@ async fn a_film_that_ends_otherwise_than_its_rollout_is_not_stored() {
     let mut film = a_film(&coordinator).await;
     film.success = !film.success;
     coordinator.film(film);
-    let url = coordinator.url();
-    let filming = || run(&["film", "--connect", &url, "--assets", "primitives"]);
-    let output = tokio::task::block_in_place(filming);
+    let output = film_all(&coordinator);
     assert_eq!(output.status.code(), Some(1), "{output:?}");
     let said = String::from_utf8(output.stderr).expect("text");
     assert!(said.contains("its goal held at another step"), "{said}");
     assert_eq!(coordinator.everything_told().len(), 2, "no video");
+}
+
+/// Films of one rollout, by the slot that simulated it and afterwards.
+async fn films_of(row: &ManifestRow) -> [Vec<u8>; 2] {
+    let coordinator = ScriptedCoordinator::start().await;
+    let mut filmed = lease(1, "still", "");
+    filmed.manifest_row = serde_json::to_string(row).expect("JSON");
+    filmed.record_video = true;
+    let film = film_of(&coordinator, filmed).await;
+    coordinator.film(film);
+    let output = film_all(&coordinator);
+    assert!(output.status.success(), "{output:?}");
+    let (_, by_the_slot) = video(&coordinator, 2).await;
+    let (_, afterwards) = video(&coordinator, 3).await;
+    [by_the_slot, afterwards]
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_film_afterwards_is_that_of_the_slot_and_shows_the_sensors_corruption() {
+    if !ready("a_film_afterwards_is_that_of_the_slot_and_shows_the_sensors_corruption") {
+        return;
+    }
+    let row = |id: String| {
+        let row = worker::single::row_of(id.parse().expect("an id"));
+        ManifestRow {
+            max_steps: MAX_STEPS,
+            ..row.expect("a row")
+        }
+    };
+    let sensor = row("object/t0/sensor/L3/c03".to_owned());
+    let nominal = row(format!("object/t0/clean/i{:02}", sensor.init_id));
+    let [by_the_slot, afterwards] = films_of(&sensor).await;
+    assert!(
+        by_the_slot == afterwards,
+        "the same pictures, the same bytes"
+    );
+    let [unperturbed, again] = films_of(&nominal).await;
+    assert!(unperturbed == again, "the same pictures, the same bytes");
+    assert!(by_the_slot != unperturbed, "the corruption is to be seen");
 }

@@ -5,6 +5,7 @@
 //! Needs what `cargo xtask setup` unpacks; where that is missing, each test
 //! says so and passes.
 
+mod assets;
 mod endings;
 mod failures;
 mod films;

@@ -44,6 +44,46 @@ fn the_environment_names_the_sources_in_every_mode() {
     }
 }
 
+/// A slot inherits its worker's environment.
+#[test]
+fn the_coordinator_in_the_environment_is_looked_at_only_where_one_is_called() {
+    for (mode, problem) in [
+        (
+            "--assets primitives --sources /nonexistent",
+            "COORDINATOR_URL",
+        ),
+        (
+            "film --assets primitives --sources /nonexistent",
+            "COORDINATOR_URL",
+        ),
+        (
+            "slot --assets primitives --sources /nonexistent",
+            "/nonexistent/robosuite",
+        ),
+        (
+            "assets list --sources /nonexistent",
+            "/nonexistent/robosuite",
+        ),
+        (
+            "--connect http://127.0.0.1:9 --assets primitives --sources /nonexistent",
+            "/nonexistent/robosuite",
+        ),
+    ] {
+        for address in ["", "nowhere:7411"] {
+            let ran = Command::new(env!("CARGO_BIN_EXE_worker"))
+                .args(mode.split(' '))
+                .env("COORDINATOR_URL", address)
+                .output()
+                .expect("runs");
+            let said = String::from_utf8_lossy(&ran.stderr);
+            assert!(
+                !ran.status.success() && said.contains(problem),
+                "{mode}: {said}"
+            );
+        }
+    }
+}
+
 #[test]
 fn a_pack_that_is_not_there_is_named() {
     if !ready("a_pack_that_is_not_there_is_named") {

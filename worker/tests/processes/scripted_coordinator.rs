@@ -59,7 +59,7 @@ struct State {
     films: VecDeque<Film>,
     lost_attempts: Vec<String>,
     told: Vec<Told>,
-    progress: Vec<Progress>,
+    heartbeats: Vec<HeartbeatRequest>,
     claims: Vec<ClaimRequest>,
     /// Claims that were taken back before they had an answer.
     claims_taken_back: u32,
@@ -212,9 +212,25 @@ impl ScriptedCoordinator {
             let far = |it: &&Progress| {
                 it.attempt_id == attempt_id(job) && it.control_steps >= control_steps
             };
-            state.progress.iter().find(far).map(|_| ())
+            let last = state.heartbeats.last()?;
+            last.progress.iter().find(far).map(|_| ())
         })
         .await;
+    }
+
+    /// Waits until the last heartbeat says that so many videos are made or sent.
+    pub(crate) async fn films(&self, videos: u32) {
+        self.wait_for("a heartbeat about videos", |state| {
+            let last = state.heartbeats.last()?;
+            (last.filming == videos).then_some(())
+        })
+        .await;
+    }
+
+    /// The heartbeats so far.
+    pub(crate) fn heartbeats(&self) -> Vec<HeartbeatRequest> {
+        let state = self.service.state.lock();
+        state.expect("unpoisoned").heartbeats.clone()
     }
 
     /// Waits until it was asked for work so many times.
@@ -375,9 +391,9 @@ impl WorkerService for Service {
         &self,
         request: Request<HeartbeatRequest>,
     ) -> Result<Response<HeartbeatResponse>, Status> {
-        let progress = request.into_inner().progress;
+        let heartbeat = request.into_inner();
         let lost_attempts = self.change(|state| {
-            state.progress = progress;
+            state.heartbeats.push(heartbeat);
             state.lost_attempts.clone()
         });
         Ok(Response::new(HeartbeatResponse { lost_attempts }))

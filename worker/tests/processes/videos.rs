@@ -5,6 +5,7 @@ use std::time::Duration;
 use proto::coordinator::Lease;
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
+use protocol::ManifestRow;
 
 use crate::scripted_coordinator::{ScriptedCoordinator, Told};
 use crate::scripted_policy::ScriptedPolicy;
@@ -38,6 +39,28 @@ async fn a_video_of_a_failure_arrives_after_its_result() {
         panic!("{:?}", coordinator.everything_told());
     };
     assert_eq!((attempt, &bytes[4..8]), (attempt_id(1), &b"ftyp"[..]));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn heartbeats_say_that_a_video_is_made_and_never_count_it_as_steps() {
+    if !ready("heartbeats_say_that_a_video_is_made_and_never_count_it_as_steps") {
+        return;
+    }
+    let coordinator = ScriptedCoordinator::start().await;
+    let policy = ScriptedPolicy::start().await;
+    let filmed = filmed(1, &policy.url());
+    let row: ManifestRow = serde_json::from_str(&filmed.manifest_row).expect("a row");
+    coordinator.lease(filmed);
+    let _worker = WorkerProcess::start(&coordinator.url());
+    coordinator.told(1).await.commit();
+    coordinator.films(1).await;
+    coordinator.told(2).await;
+    coordinator.films(0).await;
+    let heartbeats = coordinator.heartbeats();
+    let steps = heartbeats.iter().flat_map(|it| &it.progress);
+    let most = steps.map(|it| it.control_steps).max();
+    assert!((1..=row.settle_steps + row.max_steps).contains(&most.expect("progress")));
+    assert!(heartbeats.iter().all(|it| it.filming <= 1));
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -64,8 +64,12 @@ impl WorkerProcess {
 
     /// The program with arguments of any kind.
     pub(crate) fn start_as(arguments: &[&str]) -> Self {
-        let child = Command::new(env!("CARGO_BIN_EXE_worker"))
-            .args(arguments)
+        Self::start_command(program().args(arguments))
+    }
+
+    /// The program, prepared in any way.
+    pub(crate) fn start_command(program: &mut Command) -> Self {
+        let child = program
             .stderr(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()
@@ -143,10 +147,14 @@ pub(crate) fn wait_for_the_end_of(pid: u32) {
     }
 }
 
+/// The program, in an environment that names no coordinator.
+pub(crate) fn program() -> Command {
+    let mut program = Command::new(env!("CARGO_BIN_EXE_worker"));
+    program.env_remove("COORDINATOR_URL");
+    program
+}
+
 /// Runs the program to its end.
 pub(crate) fn run(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_worker"))
-        .args(arguments)
-        .output()
-        .expect("runs")
+    program().args(arguments).output().expect("runs")
 }

@@ -144,6 +144,7 @@ fn heartbeat() -> Said {
             attempt_id: attempt(),
             control_steps: 9,
         }],
+        filming: 1,
     };
     ("WorkerService/Heartbeat", request.encode_to_vec())
 }

@@ -28,7 +28,8 @@ pub struct RolloutLine {
     pub policy_seed: i64,
     /// The worker that holds its lease, while it is leased.
     pub lease_owner: Option<WorkerId>,
-    /// Control steps that its worker last reported.
+    /// The policy's control steps that its worker last reported, while it is
+    /// leased; 0 while the scene settles.
     pub control_steps: Option<u32>,
     /// Reports that were refused because their lease was gone.
     pub stale_reports: u32,
@@ -89,12 +90,14 @@ impl View {
         ids: &[String],
         replicate: u32,
     ) -> Result<Vec<RolloutLine>, StoreError> {
-        sqlx::query_as(
+        sqlx::query_as(concat!(
             "SELECT id, rollout_id, state, attempt, charged_attempts, manifest_row, policy_seed,
-                 lease_owner, control_steps, stale_reports
+                 lease_owner, ",
+            policy_steps!(),
+            ", stale_reports
              FROM job WHERE campaign_id = ? AND replicate = ?
                  AND rollout_id IN (SELECT value FROM json_each(?))",
-        )
+        ))
         .bind(campaign)
         .bind(replicate)
         .bind(json(ids))

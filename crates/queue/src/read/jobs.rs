@@ -47,7 +47,8 @@ pub struct JobLine {
     pub lease_owner: Option<WorkerId>,
     /// When its lease ends without a heartbeat.
     pub lease_expires_ms: Option<UnixMillis>,
-    /// Control steps that its worker last reported.
+    /// The policy's control steps that its worker last reported, while it is
+    /// leased; 0 while the scene settles.
     pub control_steps: Option<u32>,
     /// What it last failed with.
     pub last_error: Option<String>,
@@ -94,11 +95,14 @@ pub struct JobDetails {
 /// The columns of [`JobLine`] and where they come from.
 macro_rules! job_lines {
     () => {
-        "SELECT j.id, j.rollout_id, j.replicate, j.state, j.attempt, j.charged_attempts,
-             j.not_before_ms, j.attempt_id, j.lease_owner, j.lease_expires_ms, j.control_steps,
-             j.last_error, r.success, r.steps
+        concat!(
+            "SELECT j.id, j.rollout_id, j.replicate, j.state, j.attempt, j.charged_attempts,
+             j.not_before_ms, j.attempt_id, j.lease_owner, j.lease_expires_ms, ",
+            policy_steps!(),
+            ", j.last_error, r.success, r.steps
          FROM job j LEFT JOIN result r ON r.job_id = j.id
          WHERE j.campaign_id = ?1"
+        )
     };
 }
 

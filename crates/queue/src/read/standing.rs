@@ -37,6 +37,10 @@ pub struct WorkerLine {
     pub stopped_reason: Option<String>,
     /// Heard of lately.
     pub is_alive: bool,
+    /// Videos of finished rollouts that it draws or sends; 0 of one that has
+    /// gone.
+    #[sqlx(skip)]
+    pub filming: u32,
 }
 
 /// A policy at one endpoint.
@@ -77,7 +81,7 @@ impl View {
     /// When the database fails.
     pub async fn workers(&mut self) -> Result<Vec<WorkerLine>, StoreError> {
         let alive_since = self.now.minus(self.timing.worker_alive);
-        sqlx::query_as(
+        let mut workers: Vec<WorkerLine> = sqlx::query_as(
             "SELECT w.id, w.host, w.slots, coalesce(h.leases, 0) AS leases, w.asset_pack,
                  w.mujoco_version, w.renderer, w.program_version, w.last_seen_ms,
                  w.charged_in_a_row, w.stopped_reason, w.last_seen_ms >= ? AS is_alive
@@ -90,7 +94,11 @@ impl View {
         .bind(MAX_WORKERS_LISTED)
         .fetch_all(self.tx())
         .await
-        .doing("list workers")
+        .doing("list workers")?;
+        for worker in workers.iter_mut().filter(|worker| worker.is_alive) {
+            worker.filming = self.filming.get(&worker.id).copied().unwrap_or_default();
+        }
+        Ok(workers)
     }
 
     /// All policies with their health, by name.

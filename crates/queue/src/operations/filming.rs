@@ -1,0 +1,59 @@
+//! How many videos each worker has in hand, as its last heartbeat said:
+//! remembered in memory only. Should that be lost, the next heartbeat says it
+//! again.
+
+use std::collections::BTreeMap;
+use std::sync::{Mutex, PoisonError};
+
+use crate::clock::UnixMillis;
+use crate::ids::WorkerId;
+
+/// Videos by worker, none of them zero, and when they were heard of.
+#[derive(Debug, Default)]
+pub(crate) struct Filming(Mutex<BTreeMap<WorkerId, (u32, UnixMillis)>>);
+
+impl Filming {
+    /// A worker's heartbeat said how many it has. Workers that have not been heard
+    /// of since `alive_since` are forgotten.
+    pub(crate) fn heard(
+        &self,
+        worker: &WorkerId,
+        videos: u32,
+        now: UnixMillis,
+        alive_since: UnixMillis,
+    ) {
+        let mut heard = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        heard.retain(|id, (_, at)| id != worker && *at >= alive_since);
+        if videos > 0 {
+            heard.insert(worker.clone(), (videos, now));
+        }
+    }
+
+    /// Videos by worker, those that have some.
+    pub(crate) fn by_worker(&self) -> BTreeMap<WorkerId, u32> {
+        let heard = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let heard = heard.iter();
+        heard
+            .map(|(id, (videos, _))| (id.clone(), *videos))
+            .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_worker_is_forgotten_once_it_has_no_video_or_has_gone() {
+        let filming = Filming::default();
+        let id = |name: &str| WorkerId(name.to_owned());
+        let hear = |name: &str, videos, now| {
+            filming.heard(&id(name), videos, UnixMillis(now), UnixMillis(now - 30));
+            filming.by_worker()
+        };
+        hear("a", 2, 100);
+        assert_eq!(hear("b", 1, 110), [(id("a"), 2), (id("b"), 1)].into());
+        assert_eq!(hear("b", 0, 120), [(id("a"), 2)].into());
+        assert_eq!(hear("c", 0, 140), [].into());
+    }
+}
