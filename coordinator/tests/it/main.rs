@@ -5,6 +5,7 @@ mod access;
 mod artifacts;
 mod campaigns;
 mod claims;
+mod compare;
 mod disk;
 mod failpoints;
 mod faults;
