@@ -84,7 +84,7 @@ pub(super) async fn compare(arguments: CompareArguments) -> Result<(), CommandEr
     if sources.len() != 2 {
         let given = sources.len();
         return Err(usage(anyhow!(
-            "compare {given} of the two that it takes: name two campaigns, or folders with --from"
+            "compare two policies: {given} given; name two campaigns, or folders with --from"
         )));
     }
     let mut subjects: Vec<Subject> = Vec::new();

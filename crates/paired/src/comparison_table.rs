@@ -8,14 +8,11 @@ use crate::difference::Difference;
 use crate::legend::of_intervals;
 use crate::text::{NOTHING, p_value, push_columns, push_legend, push_wrapped, separate};
 
-/// The comparison as a table with its legend. Rates and differences are in
-/// percent and percentage points.
+/// The comparison as a table with its legend; what is left out of it is in
+/// [`Comparison::left_out`]. Rates and differences are in percent and percentage
+/// points.
 pub fn comparison_table(comparison: &Comparison, bootstrap: &Bootstrap) -> String {
     let mut text = String::new();
-    for line in comparison.left_out() {
-        push_wrapped(&mut text, "! ", &line);
-    }
-    separate(&mut text);
     push_columns(&mut text, &rows(comparison));
     let cells = comparison.cells.iter();
     let gaps: Vec<String> = cells.clone().filter_map(gap).collect();

@@ -247,12 +247,16 @@ fn the_table_fits_a_terminal_and_explains_every_symbol() {
         }
     }
     b.truncate(a.len() - 3);
-    let table = comparison_table(&compare(&a, &b), &Bootstrap::default());
+    let it = compare(&a, &b);
+    assert_eq!(
+        it.left_out(),
+        ["left out: 3 rollouts that only A has, 0 rollouts that only B has"]
+    );
+    let table = comparison_table(&it, &Bootstrap::default());
     for line in table.lines() {
         assert!(line.chars().count() <= 80, "{line}\n{table}");
     }
     for words in [
-        "3 rollouts that only A has",
         "simultaneous",
         "A only, B only",
         "no spread",

@@ -132,8 +132,13 @@ impl Comparison {
             push_wrapped(&mut text, &format!("{letter}  "), &side.words());
         }
         text.push('\n');
-        for warning in self.warnings.iter().chain(&self.notes) {
+        let left_out = self.statistics.left_out();
+        let said = self.warnings.iter().chain(&self.notes).chain(&left_out);
+        for warning in said {
             push_wrapped(&mut text, "! ", warning);
+        }
+        if !text.ends_with("\n\n") {
+            text.push('\n');
         }
         text.push_str(&comparison_table(&self.statistics, &self.bootstrap));
         text
@@ -182,7 +187,10 @@ fn sides(a: &Analysis, b: &Analysis) -> [Side; 2] {
 
 /// What of a subject is not known, though both must share it.
 fn unknown(subject: &Subject, side: &Side) -> Option<String> {
-    let is_unknown = |(_, of): &&(&str, Of)| values(subject, *of).is_empty();
+    // A campaign without any result has nothing yet that could be known.
+    let has_results = !subject.provenances.is_empty();
+    let may_be_unknown = has_results || matches!(subject.origin, Origin::File { .. });
+    let is_unknown = |(_, of): &&(&str, Of)| may_be_unknown && values(subject, *of).is_empty();
     let unknown = SHARED.iter().filter(is_unknown).map(|(what, _)| *what);
     let mode = subject.realisation.is_none().then_some("realisation mode");
     let unknown: Vec<&str> = unknown.chain(mode).collect();

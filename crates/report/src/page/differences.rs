@@ -77,7 +77,7 @@ fn cells(comparison: &Comparison) -> Markup {
     let (a, b) = (&comparison.a.label, &comparison.b.label);
     let (rate_a, rate_b) = (format!("{a} %"), format!("{b} %"));
     let (only_a, only_b) = (format!("only {a}"), format!("only {b}"));
-    let heads = [
+    let mut heads = vec![
         "rollouts",
         "n",
         &rate_a,
@@ -86,10 +86,16 @@ fn cells(comparison: &Comparison) -> Markup {
         &only_a,
         &only_b,
         "McNemar p",
-        "worst to best points",
     ];
     let cells = comparison.statistics.cells.iter();
-    let rows = cells.filter(|cell| cell.replicate == 0).map(row);
+    let cells: Vec<&ComparedCell> = cells.filter(|cell| cell.replicate == 0).collect();
+    let has_bounds = cells.iter().any(|cell| cell.bounds.is_some());
+    heads.extend(has_bounds.then_some("worst to best points"));
+    let rows = cells.into_iter().map(|cell| {
+        let mut values = row(cell);
+        values.extend(has_bounds.then(|| or_dash(bounds(cell))));
+        values
+    });
     table(&comparison.title(), &heads, rows.collect())
 }
 
@@ -103,10 +109,6 @@ fn row(cell: &ComparedCell) -> Vec<Markup> {
         (0, quarantined) => format!("{quarantined} quarantined"),
         (missing, quarantined) => format!("{missing} missing, {quarantined} quarantined"),
     };
-    let bounds = cell.bounds.as_ref().map(|bounds| {
-        let [low, high] = bounds.difference.map(points);
-        format!("{low} to {high}")
-    });
     vec![
         plain(cell.name()),
         with(n, &gap),
@@ -116,8 +118,13 @@ fn row(cell: &ComparedCell) -> Vec<Markup> {
         of(|it| plain(it.a_only)),
         of(|it| plain(it.b_only)),
         of(|it| plain(words::p_value(it.mcnemar_p))),
-        or_dash(bounds),
     ]
+}
+
+/// The range of the difference over every outcome of quarantined rollouts.
+fn bounds(cell: &ComparedCell) -> Option<String> {
+    let [low, high] = cell.bounds.as_ref()?.difference.map(points);
+    Some(format!("{low} to {high}"))
 }
 
 fn explanation() -> Markup {

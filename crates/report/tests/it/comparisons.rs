@@ -185,6 +185,23 @@ fn result_files_are_compared_with_a_warning_of_what_they_do_not_say() {
 }
 
 #[test]
+fn a_campaign_without_results_is_compared_and_only_said_to_be_incomplete() {
+    let mut begun = other("second");
+    begun.provenances.clear();
+    for record in &mut begun.records {
+        record.outcome = Outcome::Missing;
+    }
+    let comparison = compare(campaign("first"), begun).expect("comparable");
+    assert_eq!(comparison.warnings, [""; 0]);
+    assert_eq!(comparison.statistics.compared(), 0);
+    let text = comparison.text();
+    assert!(
+        text.contains("8400 of 8400 rollouts have no result yet"),
+        "{text}"
+    );
+}
+
+#[test]
 fn rollouts_of_another_scene_or_perturbation_are_left_out_and_named() {
     let (mut a, mut b) = (campaign("first"), other("second"));
     let (id, init_id) = (a.records[0].id, a.records[0].init_id);
