@@ -64,7 +64,14 @@ mod tests {
         check(&format!("{service}/Added"), only(&[Role::Operator]));
         check("/added.v1.Service/Call", only(&[Role::Operator]));
         let reading = only(&READERS);
-        for page in ["/", "/campaigns/a.b", "/metrics", "/events", "/nowhere"] {
+        for page in [
+            "/",
+            "/campaigns/a.b",
+            "/compare",
+            "/metrics",
+            "/events",
+            "/nowhere",
+        ] {
             check(page, reading);
         }
         for open in OPEN {

@@ -4,6 +4,7 @@
 mod backup;
 mod check;
 mod command;
+mod compare;
 mod create;
 mod export;
 mod files;
@@ -56,6 +57,9 @@ enum Command {
     Manifest(manifest::ManifestCommand),
     /// Report on campaigns as far as they have come, or on result files.
     Report(report::ReportArguments),
+    /// Compare two policies over the rollouts that both have: campaigns, or
+    /// result files.
+    Compare(compare::CompareArguments),
     /// Write the committed results of a campaign.
     Export(export::ExportArguments),
 }
@@ -110,6 +114,7 @@ async fn execute(command: Command) -> Result<(), CommandError> {
         Command::Check(arguments) => check::check(arguments).await,
         Command::Manifest(command) => manifest::manifest(command),
         Command::Report(arguments) => report::report(arguments).await,
+        Command::Compare(arguments) => compare::compare(arguments).await,
         Command::Export(arguments) => export::export(arguments).await,
     }
 }

@@ -12,6 +12,7 @@ mod campaign;
 mod campaigns;
 mod card;
 mod changes;
+mod compare;
 mod configuration;
 mod kept;
 mod layout;
@@ -43,6 +44,7 @@ pub(crate) use state::Page;
 pub(crate) fn beside(page: Arc<Page>, calls: Router) -> Router {
     let pages = Router::new()
         .route("/", get(all_campaigns))
+        .route(compare::ADDRESS, get(two_campaigns))
         .route("/campaigns/{name}", get(one_campaign))
         .route("/campaigns/{name}/rollouts", get(rollouts_of))
         .route(
@@ -70,6 +72,11 @@ type Of = (String, String);
 
 async fn all_campaigns(State(page): At, asked: Asked) -> Response {
     page.show(asked, campaigns::sheet(&page)).await
+}
+
+async fn two_campaigns(State(page): At, asked: Asked) -> Response {
+    let query = asked.0.query().unwrap_or_default().to_owned();
+    page.show(asked, compare::sheet(&page, &query)).await
 }
 
 async fn one_campaign(State(page): At, Path(name): Path<String>, asked: Asked) -> Response {

@@ -4,9 +4,10 @@
 //! attempts they took.
 
 use paired::{Outcome, Record};
-use protocol::{CampaignSpec, UnknownName};
-use queue::read::{Campaign, RecordRow, View};
-use report::{Origin, Quarantined, Subject, rollout_name};
+use protocol::{CampaignSpec, ManifestRow, RolloutId, UnknownName};
+use queue::read::{Campaign, RecordRow, SetupRow, View};
+use report::{Origin, Quarantined, Setups, Subject, rollout_name};
+use sha2::{Digest, Sha256};
 
 use crate::reading::ReadError;
 
@@ -57,7 +58,54 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
         fingerprints: view.fingerprints(campaign.id).await?,
         published_nominal: None,
         reported_nominal: None,
+        setups: Setups::default(),
     })
+}
+
+/// What the campaign's rollouts are, so that they can be told from those of the
+/// same names in another campaign.
+///
+/// # Errors
+/// When the database fails.
+pub async fn setups(view: &mut View, campaign: &Campaign) -> Result<Setups, ReadError> {
+    let mut setups = Setups::default();
+    for row in view.setups(campaign.id).await? {
+        let SetupRow {
+            rollout_id,
+            manifest_row,
+            scene_digest,
+            init_state_digest,
+        } = row;
+        let row: ManifestRow = serde_json::from_str(&manifest_row)
+            .map_err(|source| ReadError::Row { rollout_id, source })?;
+        let state = RolloutId::clean(row.id.task(), row.init_id);
+        if let (Some(scene), Some(state_bytes)) = (scene_digest, init_state_digest) {
+            setups.scenes.insert(state, digest(&[&scene, &state_bytes]));
+        }
+        // Neither the state's place in the design nor the name of a paraphrase
+        // is met by the policy.
+        let met = ManifestRow {
+            init_slot: 0,
+            variant_id: None,
+            ..row
+        };
+        let id = met.id;
+        let met = serde_json::to_string(&met).map_err(|source| ReadError::Row {
+            rollout_id: id.to_string(),
+            source,
+        })?;
+        setups.rollouts.insert(id, digest(&[&met]));
+    }
+    Ok(setups)
+}
+
+/// As many digits of a SHA-256 as tell a campaign's rollouts apart.
+fn digest(texts: &[&str]) -> String {
+    let digest = Sha256::digest(texts.concat());
+    digest[..8]
+        .iter()
+        .map(|byte| format!("{byte:02x}"))
+        .collect()
 }
 
 fn read_record(row: &RecordRow, own: &str) -> Result<Record, UnknownName> {

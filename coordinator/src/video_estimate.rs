@@ -7,7 +7,7 @@ use queue::expand::NewCampaign;
 const VIDEO_BYTES_PER_STEP: u64 = 2_300;
 /// A control step's action as it is kept, bytes: seven 32-bit numbers.
 const ACTION_BYTES_PER_STEP: u64 = 28;
-/// Configurations that their combination changed in the paper: 1,417 of 8,400,
+/// Configurations that simultaneous perturbation changed in the paper: 1,417 of 8,400,
 /// over seven policies and three levels (table of paired outcomes, b + c).
 const CHANGED_IN_THE_PAPER: f64 = 0.17;
 /// The most of one policy at one level: 134 of 400.

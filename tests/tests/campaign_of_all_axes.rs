@@ -73,7 +73,7 @@ fn check_report(report: &str) {
         let completeness = &cell["completeness"];
         assert_eq!(completeness["complete"], TASKS.len(), "{cell}");
         assert_eq!(completeness["expected"], TASKS.len(), "{cell}");
-        assert_eq!(cell["together"]["n"], TASKS.len(), "{cell}");
+        assert_eq!(cell["simultaneous"]["n"], TASKS.len(), "{cell}");
         assert_eq!(cell["paired"]["n"], TASKS.len(), "{cell}");
         for axis in Axis::ALL {
             let alone = &cell["alone"][axis.name()]["count"];

@@ -76,8 +76,8 @@ fn write_error(path: &Path, problem: &dyn std::fmt::Display) -> PreviewError {
     }
 }
 
-/// Axes and their combination down, severities across, nominal first. The
-/// language axis is shown in words.
+/// The axes, each alone and simultaneous, down, severities across, nominal
+/// first. The language axis is shown in words.
 fn grid(simulator: &mut Simulator, request: &Request) -> Result<RgbImage, PreviewError> {
     let rows = Axis::ALL
         .map(Condition::Single)
@@ -95,13 +95,13 @@ fn grid(simulator: &mut Simulator, request: &Request) -> Result<RgbImage, Previe
         }
         let nominal = row(request.task, condition, None, request.config);
         sheet.add(
-            &format!("{condition}: nominal"),
+            &format!("{}: nominal", condition.label()),
             picture(simulator, request, &nominal)?,
         );
         for level in LEVELS {
             let row = row(request.task, condition, Some(level), request.config);
             sheet.add(
-                &format!("{condition} {level}"),
+                &format!("{} {level}", condition.label()),
                 picture(simulator, request, &row)?,
             );
         }

@@ -79,8 +79,8 @@ struct SpecFlags {
     #[arg(long, default_value_t = 1, value_parser = number(1..=MAX_REPLICATES, "times"))]
     replicates: u32,
     /// Rollouts that are filmed: `none`; `failures`; `transitions`, of
-    /// configurations that the combination of axes changes, afterwards, by
-    /// `worker film`; or `all`.
+    /// configurations whose outcome simultaneous perturbation changes,
+    /// afterwards, by `worker film`; or `all`.
     #[arg(long, value_parser = one_of::<Record>(RECORDS), default_value = "none")]
     record: Record,
     /// Asset pack that its workers must have: `primitives`, `libero`, or the
@@ -96,7 +96,7 @@ struct SpecFlags {
 /// The flags that say what a manifest says.
 #[derive(Args, Debug)]
 struct DesignFlags {
-    /// Axes, each alone and all together: names, `metric` (all with numbers),
+    /// Axes, each alone and simultaneous: names, `metric` (all with numbers),
     /// `all`, or `none`.
     #[arg(long, value_delimiter = ',', default_value = "metric")]
     axes: Vec<String>,

@@ -177,9 +177,11 @@ impl OperatorService for OperatorApi {
         request: Request<ReportRequest>,
     ) -> Result<Response<Self::ReportStream>, Status> {
         let (mut view, campaign) = self.campaign(&request.into_inner().campaign).await?;
-        let subject = report::subject(&mut view, &campaign)
+        let mut subject = report::subject(&mut view, &campaign)
             .await
             .map_err(failed)?;
+        let setups = report::setups(&mut view, &campaign).await;
+        subject.setups = setups.map_err(failed)?;
         let json = serde_json::to_vec(&subject);
         let json = json.map_err(|error| Status::internal(error.to_string()))?;
         let parts = json.chunks(REPORT_PART_BYTES).map(<[u8]>::to_vec);

@@ -52,16 +52,7 @@ pub(super) fn rollout(campaign: &str, id: &str, replicate: u32) -> Markup {
     }
 }
 
-/// How a condition is called beside its peers.
-pub(super) fn condition_name(condition: Condition) -> &'static str {
-    match condition {
-        Condition::Clean => "nominal",
-        Condition::Combination => "all at once",
-        single => single.name(),
-    }
-}
-
-/// The rollout that a configuration is called by: all axes at once.
+/// The rollout that a configuration is called by: the simultaneous one.
 fn shown_first(matched: &Matched) -> RolloutId {
     RolloutId::perturbed(
         matched.task,
@@ -97,13 +88,13 @@ fn by_condition<'a>(records: impl Iterator<Item = &'a Record>, campaign: &str) -
     let rows = html! {
         @if let Some(nominal) = nominal {
             tr {
-                th scope="row" { "nominal" }
+                th scope="row" { (Condition::Clean.label()) }
                 td.tally colspan=(perturbed.len().max(1)) { (tally(nominal)) }
             }
         }
         @for row in rows {
             tr {
-                th scope="row" { (condition_name(row)) }
+                th scope="row" { (row.label()) }
                 @for level in &perturbed {
                     td.tally {
                         @match tallies.get(&(row, *level)) {

@@ -5,6 +5,7 @@ use queue::read::CampaignStatus;
 use queue::rules::campaign::CampaignState;
 
 use super::bar::{bar, legend, words};
+use super::compare;
 use super::layout::{Place, Sheet};
 use super::problem::Problem;
 use super::state::Page;
@@ -15,8 +16,11 @@ pub(super) async fn sheet(page: &Page) -> Result<Sheet, Problem> {
     let mut campaigns = page.queue.view().await?.statuses().await?;
     // What was begun last is what people come for.
     campaigns.reverse();
+    let names = campaigns.iter().map(|it| it.campaign.name.to_string());
+    let names: Vec<String> = names.collect();
     let main = html! {
         h1 { "Campaigns" }
+        (compare::form(&names, [None, None]))
         @if campaigns.is_empty() {
             p {
                 "No campaigns yet. " code { "coordinator campaign create" } " makes one: it names \

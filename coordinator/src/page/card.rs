@@ -5,7 +5,6 @@ use maud::{Markup, html};
 use protocol::{Axis, Condition, ManifestRow, RolloutId, seeds};
 use queue::read::{FailureLine, ResultLine, RolloutLine};
 
-use super::campaign::condition_name;
 use super::perturbation;
 use super::trace::Path;
 use crate::words::{duration_text, size_text, utc_text};
@@ -31,7 +30,7 @@ impl Shown {
 
 /// The card, with a picture of how the hand moved if there is one.
 pub(super) fn card(campaign: &str, shown: &Shown, replicate: u32, trace: Option<Markup>) -> Markup {
-    let title = condition_name(shown.id.condition());
+    let title = shown.id.condition().label();
     let (class, word, detail) = standing(shown);
     html! {
         article.rollout aria-label=(title) {
@@ -110,7 +109,7 @@ fn video(campaign: &str, shown: &Shown, replicate: u32, bytes: u64) -> Markup {
     );
     html! {
         video data-keep controls muted playsinline preload="auto" src=(address)
-            aria-label={ "Video of the rollout, " (condition_name(shown.id.condition())) } {}
+            aria-label={ "Video of the rollout, " (shown.id.condition().label()) } {}
         p.muted.small {
             "Both cameras as a policy sees them. " a href=(address) download { "MP4" }
             ", " (size_text(bytes))

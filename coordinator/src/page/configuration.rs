@@ -1,4 +1,4 @@
-//! One configuration: its nominal rollout, each axis alone, and all at once,
+//! One configuration: its nominal rollout, each axis alone, and simultaneous,
 //! side by side.
 
 use std::collections::BTreeMap;
@@ -214,7 +214,7 @@ fn heading(asked: RolloutId) -> String {
     format!("{}, task {}, {which}", task.suite().name(), task.index())
 }
 
-/// What perturbing everything at once did, in words, once it is known.
+/// What simultaneous perturbation did, in words, once it is known.
 fn transition(shown: &[Shown], replicate: u32) -> Option<&'static str> {
     let records: Vec<Record> = shown
         .iter()
@@ -231,9 +231,9 @@ fn transition(shown: &[Shown], replicate: u32) -> Option<&'static str> {
     let records = Records::new(&records).ok()?;
     let mut configurations = records.configurations().iter();
     Some(match configurations.find_map(Matched::transition)? {
-        Transition::Emergent => "Emergent: every axis alone succeeds, all at once fail.",
-        Transition::Compensated => "Compensated: an axis alone fails, all at once succeed.",
-        Transition::StillSucceeds => "Every axis alone succeeds, and so do all at once.",
-        Transition::StillFails => "An axis alone fails, and so do all at once.",
+        Transition::Emergent => "Emergent: every axis alone succeeds, simultaneous fails.",
+        Transition::Compensated => "Compensated: an axis alone fails, simultaneous succeeds.",
+        Transition::StillSucceeds => "Every axis alone succeeds, and so does simultaneous.",
+        Transition::StillFails => "An axis alone fails, and so does simultaneous.",
     })
 }

@@ -5,7 +5,7 @@ use std::future::Future;
 use std::sync::Arc;
 use std::time::Duration;
 
-use ::report::Document;
+use ::report::{Comparison, Document, Unpairable};
 use axum::http::{HeaderMap, Uri};
 use axum::response::{IntoResponse, Response};
 use queue::Queue;
@@ -34,6 +34,9 @@ const MAX_DOCUMENTS: usize = 16;
 /// core.
 const DOCUMENT_AGE_PER_COST: u32 = 20;
 
+/// Two campaigns, compared if they can be.
+pub(super) type Compared = Result<Comparison, Unpairable>;
+
 /// The address that a browser asks for, and its headers.
 pub(super) type Asked = (Uri, HeaderMap);
 
@@ -46,6 +49,7 @@ pub(crate) struct Page {
     pub(super) changes: Changes,
     pages: Kept<Arc<Rendered>>,
     documents: Kept<(Edition, Arc<Document>)>,
+    comparisons: Kept<([Edition; 2], Arc<Compared>)>,
     pub(super) metrics: Kept<Arc<str>>,
 }
 
@@ -59,6 +63,7 @@ impl Page {
             changes: Changes::new(),
             pages: Kept::new(MAX_PAGES),
             documents: Kept::new(MAX_DOCUMENTS),
+            comparisons: Kept::new(MAX_DOCUMENTS),
             metrics: Kept::new(1),
         })
     }
@@ -126,6 +131,42 @@ impl Page {
             .get(campaign.name.as_str(), is_fresh, make)
             .await?;
         Ok(document)
+    }
+
+    /// Two campaigns against each other, from results as they are or as they
+    /// were a moment ago.
+    pub(super) async fn comparison(
+        &self,
+        [a, b]: [&Campaign; 2],
+        view: &mut View,
+    ) -> Result<Arc<Compared>, Problem> {
+        let editions = [view.edition(a.id).await?, view.edition(b.id).await?];
+        let is_fresh = |made: &Made<([Edition; 2], Arc<Compared>)>| {
+            let patience = (made.cost * DOCUMENT_AGE_PER_COST).max(PAGE_AGE);
+            let mut both = made.value.0.iter().zip(&editions);
+            made.value.0 == editions
+                || (both.all(|(made, now)| made.is_of_same_campaign(now))
+                    && made.at.elapsed() < patience)
+        };
+        let wanted = editions.clone();
+        let make = async {
+            let documents = [self.document(a, view).await?, self.document(b, view).await?];
+            let setups = [
+                report::setups(view, a).await?,
+                report::setups(view, b).await?,
+            ];
+            // Thousands of resamplings: not on a thread that answers others.
+            let compared = tokio::task::spawn_blocking(move || {
+                let [a, b] = documents.each_ref().map(|it| &it.analyses[0]);
+                Comparison::of([a, b], setups.each_ref())
+            });
+            let compared = compared.await.map_err(|error| Problem::failed(&error))?;
+            Ok::<_, Problem>((wanted, Arc::new(compared)))
+        };
+        // No name has a space.
+        let key = format!("{} {}", a.name, b.name);
+        let (_, compared) = self.comparisons.get(&key, is_fresh, make).await?;
+        Ok(compared)
     }
 
     /// A campaign by the name in an address, in the view that all of the page

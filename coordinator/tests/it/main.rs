@@ -6,6 +6,7 @@ mod artifacts;
 mod blame;
 mod campaigns;
 mod claims;
+mod compare;
 mod disk;
 mod failpoints;
 mod faults;

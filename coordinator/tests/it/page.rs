@@ -120,7 +120,7 @@ async fn every_page_says_what_there_is_and_may_load_nothing_from_elsewhere() {
                 "Progress by condition",
                 "camera",
                 "sensor",
-                "all at once",
+                "simultaneous",
                 "nominal",
                 "1 missing",
             ],

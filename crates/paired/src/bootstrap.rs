@@ -52,48 +52,69 @@ impl Bootstrap {
         clusters: usize,
         statistics: impl Fn(&[u32]) -> [f64; N] + Sync,
     ) -> Option<[Interval; N]> {
-        let cores = thread::available_parallelism().map_or(1, NonZero::get);
-        self.intervals_on(cores.min(MAX_THREADS), clusters, statistics)
+        let intervals = self.intervals_of_many(clusters, N, |draws, values| {
+            values.copy_from_slice(&statistics(draws));
+        });
+        intervals?.try_into().ok()
     }
 
-    fn intervals_on<const N: usize>(
+    /// The same of as many statistics as one likes: `statistics` writes their
+    /// values. One pass of resampling serves them all, and each has the interval
+    /// that it would have by itself.
+    pub fn intervals_of_many(
+        &self,
+        clusters: usize,
+        count: usize,
+        statistics: impl Fn(&[u32], &mut [f64]) + Sync,
+    ) -> Option<Vec<Interval>> {
+        let cores = thread::available_parallelism().map_or(1, NonZero::get);
+        self.intervals_on(cores.min(MAX_THREADS), clusters, count, statistics)
+    }
+
+    fn intervals_on(
         &self,
         threads: usize,
         clusters: usize,
-        statistics: impl Fn(&[u32]) -> [f64; N] + Sync,
-    ) -> Option<[Interval; N]> {
+        count: usize,
+        statistics: impl Fn(&[u32], &mut [f64]) + Sync,
+    ) -> Option<Vec<Interval>> {
         if clusters < 2 || self.replicates == 0 {
             return None;
         }
         let share = self.replicates.div_ceil(threads as u32);
         let shares = (0..self.replicates).step_by(share as usize);
         let shares = shares.map(|first| first..self.replicates.min(first + share));
-        let values: Vec<[f64; N]> = thread::scope(|scope| {
+        // One row of values per resampling.
+        let values: Vec<f64> = thread::scope(|scope| {
             let statistics = &statistics;
             let resampling =
-                |share| scope.spawn(move || self.resample(share, clusters, statistics));
+                |share| scope.spawn(move || self.resample(share, clusters, count, statistics));
             let running: Vec<_> = shares.map(resampling).collect();
             let done = running.into_iter();
             done.flat_map(|thread| thread.join().expect("a statistic does not panic"))
                 .collect()
         });
-        Some(std::array::from_fn(|i| {
-            let mut values: Vec<f64> = values.iter().map(|values| values[i]).collect();
+        let of_one = |i: usize| {
+            let mut values: Vec<f64> = values.iter().skip(i).step_by(count).copied().collect();
             values.sort_unstable_by(f64::total_cmp);
             [quantile(&values, 0.025), quantile(&values, 0.975)]
-        }))
+        };
+        Some((0..count).map(of_one).collect())
     }
 
     /// The statistics of some of the resamplings.
-    fn resample<const N: usize>(
+    fn resample(
         &self,
         replicates: Range<u32>,
         clusters: usize,
-        statistics: &(impl Fn(&[u32]) -> [f64; N] + Sync),
-    ) -> Vec<[f64; N]> {
+        count: usize,
+        statistics: &(impl Fn(&[u32], &mut [f64]) + Sync),
+    ) -> Vec<f64> {
         let mut rng = ChaCha12Rng::seed_from_u64(self.seed);
         let mut draws = vec![0; clusters];
-        let of_one = |replicate: u32| {
+        let mut values = vec![0.0; count * replicates.len()];
+        let rows = values.chunks_exact_mut(count.max(1));
+        for (replicate, row) in replicates.zip(rows) {
             rng.set_stream(u64::from(replicate));
             rng.set_word_pos(0);
             draws.fill(0);
@@ -102,9 +123,9 @@ impl Bootstrap {
                 let wide = u128::from(rng.next_u64()) * clusters as u128;
                 draws[(wide >> 64) as usize] += 1;
             }
-            statistics(&draws)
-        };
-        replicates.map(of_one).collect()
+            statistics(&draws, row);
+        }
+        values
     }
 }
 
@@ -149,9 +170,10 @@ mod tests {
             replicates: 1001,
             seed: 7,
         };
-        let alone = bootstrap.intervals_on(1, 40, mean);
+        let mean = |draws: &[u32], values: &mut [f64]| values.copy_from_slice(&mean(draws));
+        let alone = bootstrap.intervals_on(1, 40, 1, mean);
         for threads in [2, 3, 7, 16] {
-            assert_eq!(bootstrap.intervals_on(threads, 40, mean), alone);
+            assert_eq!(bootstrap.intervals_on(threads, 40, 1, mean), alone);
         }
     }
 

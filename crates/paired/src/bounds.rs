@@ -26,7 +26,7 @@ pub struct Bounds {
     pub s_indep: [f64; 2],
     /// Share that succeeds under every axis alone.
     pub s_conj: [f64; 2],
-    /// Success rate under all axes at once.
+    /// Success rate under simultaneous perturbation.
     pub s_sim: [f64; 2],
     /// `s_conj` − `s_indep`: from lowest less highest to highest less lowest,
     /// which contains the sharp range.
@@ -95,7 +95,7 @@ struct Ranges {
     b: [u64; 2],
     c: [u64; 2],
     changed: [u64; 2],
-    /// Successes together less conjunctions.
+    /// Simultaneous successes less conjunctions.
     i: [i64; 2],
 }
 
@@ -106,7 +106,7 @@ impl Bounds {
         let (mut n, mut affected) = (0, 0);
         let mut ranges = Ranges::default();
         for matched in configurations {
-            let outcomes = matched.alone.values().chain([&matched.together]);
+            let outcomes = matched.alone.values().chain([&matched.simultaneous]);
             let quarantined = outcomes
                 .copied()
                 .any(|outcome| outcome == Outcome::Quarantined);
@@ -121,7 +121,7 @@ impl Bounds {
 
 impl Ranges {
     fn add(&mut self, matched: &Matched) -> Option<()> {
-        let together = Possible::of(matched.together)?;
+        let simultaneous = Possible::of(matched.simultaneous)?;
         let mut alone = BTreeMap::new();
         for (&axis, &outcome) in &matched.alone {
             alone.insert(axis, Possible::of(outcome)?);
@@ -135,17 +135,17 @@ impl Ranges {
             conjunction = conjunction.and(possible);
         }
         conjunction.count(&mut self.s_conj);
-        together.count(&mut self.s_sim);
+        simultaneous.count(&mut self.s_sim);
         let (emergent, compensated) = (
-            conjunction.and(together.not()),
-            conjunction.not().and(together),
+            conjunction.and(simultaneous.not()),
+            conjunction.not().and(simultaneous),
         );
         emergent.count(&mut self.b);
         compensated.count(&mut self.c);
         self.changed[0] += u64::from(emergent.surely || compensated.surely);
         self.changed[1] += u64::from(emergent.maybe || compensated.maybe);
-        self.i[0] += i64::from(together.surely) - i64::from(conjunction.maybe);
-        self.i[1] += i64::from(together.maybe) - i64::from(conjunction.surely);
+        self.i[0] += i64::from(simultaneous.surely) - i64::from(conjunction.maybe);
+        self.i[1] += i64::from(simultaneous.maybe) - i64::from(conjunction.surely);
         Some(())
     }
 

@@ -24,7 +24,7 @@ pub struct PairedDesign {
     /// or what was measured.
     pub r_d: f64,
     /// How much configurations of a task resemble one another: the intraclass
-    /// correlation of together − conjunction, from [`task_correlation`].
+    /// correlation of simultaneous − conjunction, from [`task_correlation`].
     pub task_correlation: f64,
 }
 
@@ -67,7 +67,7 @@ pub fn minimum_detectable_effect(design: &PairedDesign) -> Option<f64> {
     Some(high)
 }
 
-/// The intraclass correlation over tasks of together − conjunction, −1, 0 or 1
+/// The intraclass correlation over tasks of simultaneous − conjunction, −1, 0 or 1
 /// per configuration: (B − W) / (B + (m₀ − 1)·W) with B and W the mean squares
 /// between and within tasks and m₀ the average number of configurations of a
 /// task, corrected for unequal numbers. At least 0: tasks do not repel one
@@ -80,7 +80,7 @@ pub fn minimum_detectable_effect(design: &PairedDesign) -> Option<f64> {
 pub fn task_correlation(configurations: &[Configuration]) -> Option<f64> {
     let mut tasks: BTreeMap<TaskRef, Vec<f64>> = BTreeMap::new();
     for configuration in configurations {
-        let change = f64::from(configuration.together) - f64::from(configuration.conjunction());
+        let change = f64::from(configuration.simultaneous) - f64::from(configuration.conjunction());
         tasks.entry(configuration.task).or_default().push(change);
     }
     let (k, n) = (tasks.len() as f64, configurations.len() as f64);
@@ -145,7 +145,7 @@ mod tests {
             let one = move |&change: &i8| Configuration {
                 task,
                 alone: [(Axis::Camera, change < 0)].into(),
-                together: change > 0,
+                simultaneous: change > 0,
             };
             changes.iter().map(one).collect::<Vec<_>>()
         };

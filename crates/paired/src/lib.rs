@@ -1,6 +1,7 @@
 //! Matched-outcome statistics: what happened to the same configurations under
 //! each axis alone and under all of them at once, how often simultaneous
-//! perturbation changed an outcome, in which direction, and how sure that is.
+//! perturbation changed an outcome, in which direction, and how sure that is;
+//! and how two policies differ over the same rollouts.
 //!
 //! Pure: records go in, a [`Report`] comes out, the same for the same records
 //! in any order. The caller knows where records come from, and passes warnings about
@@ -11,21 +12,32 @@
 
 mod bootstrap;
 mod bounds;
+mod comparison;
+mod comparison_table;
 mod count;
 mod design;
+mod difference;
 mod gate;
+mod interval;
+mod legend;
 mod mcnemar;
 mod measures;
 mod outcomes;
 mod replication;
 mod report;
 mod table;
+mod text;
 
 pub use bootstrap::{Bootstrap, Interval, quantile};
 pub use bounds::Bounds;
+pub use comparison::{ComparedCell, Comparison, Obstacle};
+pub use comparison_table::comparison_table;
 pub use count::Count;
 pub use design::{PairedDesign, minimum_detectable_effect, task_correlation};
+pub use difference::{Difference, DifferenceBounds, Pair};
 pub use gate::{GATE_ROLLOUTS, GATE_TOLERANCE, Gate, GateVerdict};
+pub use interval::{MIN_TASKS, NoInterval};
+pub use legend::legend;
 pub use mcnemar::mcnemar_exact;
 pub use measures::{Configuration, Measures};
 pub use outcomes::{DuplicateRecord, Matched, Outcome, Record, Records, Transition};
@@ -33,4 +45,5 @@ pub use replication::{Change, Flips, Replication};
 pub use report::{
     Cell, Completeness, Gap, Nominal, NominalSource, Options, Report, SingleAxis, report, report_of,
 };
-pub use table::{push_wrapped, table};
+pub use table::table;
+pub use text::push_wrapped;

@@ -6,6 +6,7 @@ use protocol::{Axis, TaskRef};
 use serde::{Deserialize, Serialize};
 
 use crate::bootstrap::{Bootstrap, Interval};
+use crate::interval::{NoInterval, intervals};
 use crate::mcnemar::mcnemar_exact;
 
 /// The outcomes of one complete configuration.
@@ -15,8 +16,8 @@ pub struct Configuration {
     pub task: TaskRef,
     /// Success under each axis alone.
     pub alone: BTreeMap<Axis, bool>,
-    /// Success under all of them at once.
-    pub together: bool,
+    /// Success under simultaneous perturbation by all of them.
+    pub simultaneous: bool,
 }
 
 impl Configuration {
@@ -30,7 +31,8 @@ impl Configuration {
 /// formulas are those of section 6 of the protocol (arXiv 2609.15940).
 ///
 /// A measure is exact; its interval (`…_ci95`) is a percentile cluster
-/// bootstrap ([`Bootstrap::intervals`]), absent with fewer than two tasks.
+/// bootstrap ([`Bootstrap::intervals`]). Where an interval would mislead it is
+/// absent, and `no_interval` says why.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Measures {
     /// Configurations.
@@ -43,7 +45,7 @@ pub struct Measures {
     pub s_indep: f64,
     /// Share of configurations that succeed under every axis alone.
     pub s_conj: f64,
-    /// Success rate under all axes at once.
+    /// Success rate under simultaneous perturbation.
     pub s_sim: f64,
     /// `s_conj` − `s_indep`: how far the axes' failures coincide.
     pub d: f64,
@@ -53,9 +55,11 @@ pub struct Measures {
     pub i: f64,
     /// Interval of `i`.
     pub i_ci95: Option<Interval>,
-    /// Emergent failures: every axis alone succeeds, all at once fail.
+    /// Emergent failures: every axis alone succeeds, the simultaneous rollout
+    /// fails.
     pub b: u64,
-    /// Compensated successes: some axis alone fails, all at once succeed.
+    /// Compensated successes: some axis alone fails, the simultaneous rollout
+    /// succeeds.
     pub c: u64,
     /// `b` / `n`.
     pub r_e: f64,
@@ -69,6 +73,8 @@ pub struct Measures {
     pub r_d: f64,
     /// Interval of `r_d`.
     pub r_d_ci95: Option<Interval>,
+    /// Why the absent intervals are; absent where none is.
+    pub no_interval: Option<NoInterval>,
     /// `b` / number of simultaneous failures; absent where there are none.
     pub emergent_share: Option<f64>,
     /// Exact two-sided McNemar test of `b` against `c`.
@@ -86,14 +92,11 @@ impl Measures {
         let clusters = Tally::of_tasks(configurations, &axes);
         let total = Tally::drawn(&clusters, &vec![1; clusters.len()]);
         let point = total.rates();
-        let intervals = bootstrap.intervals(clusters.len(), |draws| {
+        let (shown, no_interval) = intervals(bootstrap, clusters.len(), |draws| {
             Tally::drawn(&clusters, draws).rates().with_intervals()
         });
-        let [d_ci95, i_ci95, r_e_ci95, r_c_ci95, r_d_ci95] = match intervals {
-            Some(intervals) => intervals.map(Some),
-            None => [None; 5],
-        };
-        let failures = total.n - total.together;
+        let [d_ci95, i_ci95, r_e_ci95, r_c_ci95, r_d_ci95] = shown;
+        let failures = total.n - total.simultaneous;
         Some(Self {
             n: total.n,
             tasks: clusters.len() as u64,
@@ -113,6 +116,7 @@ impl Measures {
             r_c_ci95,
             r_d: point.r_e + point.r_c,
             r_d_ci95,
+            no_interval,
             emergent_share: (failures > 0).then(|| total.b as f64 / failures as f64),
             mcnemar_p: mcnemar_exact(total.b, total.c),
         })
@@ -125,7 +129,7 @@ pub(crate) struct Tally {
     n: u64,
     alone: Vec<u64>,
     conjunction: u64,
-    together: u64,
+    simultaneous: u64,
     b: u64,
     c: u64,
 }
@@ -167,12 +171,12 @@ impl Tally {
             *count += u64::from(success);
         }
         let conjunction = configuration.conjunction();
-        let together = configuration.together;
+        let simultaneous = configuration.simultaneous;
         self.n += 1;
         self.conjunction += u64::from(conjunction);
-        self.together += u64::from(together);
-        self.b += u64::from(conjunction && !together);
-        self.c += u64::from(!conjunction && together);
+        self.simultaneous += u64::from(simultaneous);
+        self.b += u64::from(conjunction && !simultaneous);
+        self.c += u64::from(!conjunction && simultaneous);
     }
 
     fn merge(&mut self, other: &Self, times: u64) {
@@ -182,7 +186,7 @@ impl Tally {
         }
         self.n += times * other.n;
         self.conjunction += times * other.conjunction;
-        self.together += times * other.together;
+        self.simultaneous += times * other.simultaneous;
         self.b += times * other.b;
         self.c += times * other.c;
     }
@@ -194,7 +198,7 @@ impl Tally {
             s_indep: s_axis.iter().product(),
             s_axis,
             s_conj: rate(self.conjunction),
-            s_sim: rate(self.together),
+            s_sim: rate(self.simultaneous),
             r_e: rate(self.b),
             r_c: rate(self.c),
         }

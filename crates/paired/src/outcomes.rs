@@ -85,30 +85,31 @@ pub struct Matched {
     pub nominal: Outcome,
     /// Under each axis alone, all axes of the campaign.
     pub alone: BTreeMap<Axis, Outcome>,
-    /// Under all axes at once; missing too where the campaign combines nothing.
-    pub together: Outcome,
+    /// Under simultaneous perturbation; missing too where the campaign has none.
+    pub simultaneous: Outcome,
 }
 
-/// What perturbing everything at once does to an outcome that the axes alone
-/// would lead one to expect.
+/// What simultaneous perturbation does to an outcome that the axes alone would
+/// lead one to expect.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Transition {
-    /// Every axis alone succeeds, and so do all at once.
+    /// Every axis alone succeeds, and so does the simultaneous rollout.
     StillSucceeds,
-    /// Some axis alone fails, and so do all at once.
+    /// Some axis alone fails, and so does the simultaneous rollout.
     StillFails,
-    /// Every axis alone succeeds, all at once fail: counted in `b`.
+    /// Every axis alone succeeds, the simultaneous rollout fails: counted in
+    /// `b`.
     Emergent,
-    /// Some axis alone fails, all at once succeed: counted in `c`.
+    /// Some axis alone fails, the simultaneous rollout succeeds: counted in `c`.
     Compensated,
 }
 
 impl Transition {
     /// The transition from the conjunction of the axes' successes to the
-    /// success of all at once.
-    pub const fn between(conjunction: bool, together: bool) -> Self {
-        match (conjunction, together) {
+    /// success of the simultaneous rollout.
+    pub const fn between(conjunction: bool, simultaneous: bool) -> Self {
+        match (conjunction, simultaneous) {
             (true, true) => Self::StillSucceeds,
             (false, false) => Self::StillFails,
             (true, false) => Self::Emergent,
@@ -138,7 +139,7 @@ impl Matched {
         Some(Configuration {
             task: self.task,
             alone,
-            together: self.together.success()?,
+            simultaneous: self.simultaneous.success()?,
         })
     }
 
@@ -146,7 +147,7 @@ impl Matched {
     pub fn transition(&self) -> Option<Transition> {
         let configuration = self.configuration()?;
         let conjunction = configuration.conjunction();
-        Some(Transition::between(conjunction, configuration.together))
+        Some(Transition::between(conjunction, configuration.simultaneous))
     }
 
     /// The outcome under one of the campaign's conditions.
@@ -154,7 +155,7 @@ impl Matched {
         match condition {
             Condition::Clean => self.nominal,
             Condition::Single(axis) => self.alone.get(&axis).copied().unwrap_or_default(),
-            Condition::Combination => self.together,
+            Condition::Combination => self.simultaneous,
         }
     }
 }
@@ -229,13 +230,13 @@ impl Records {
                 init_id,
                 nominal: self.outcome(replicate, RolloutId::clean(id.task(), init_id)),
                 alone: self.axes().map(|axis| (axis, Outcome::Missing)).collect(),
-                together: Outcome::Missing,
+                simultaneous: Outcome::Missing,
             });
             match id.condition() {
                 Condition::Single(axis) => {
                     entry.alone.insert(axis, outcome);
                 }
-                Condition::Combination => entry.together = outcome,
+                Condition::Combination => entry.simultaneous = outcome,
                 Condition::Clean => {}
             }
         }

@@ -7,6 +7,7 @@ use protocol::{Condition, Level};
 use serde::{Deserialize, Serialize};
 
 use crate::bootstrap::{Bootstrap, Interval};
+use crate::interval::{NoInterval, intervals};
 use crate::measures::{Configuration, Tally};
 use crate::outcomes::{Matched, Records, Transition};
 
@@ -81,6 +82,8 @@ pub struct Change {
     pub r_d: f64,
     /// Interval of it.
     pub r_d_ci95: Option<Interval>,
+    /// Why the absent intervals are; absent where none is.
+    pub no_interval: Option<NoInterval>,
 }
 
 impl Replication {
@@ -139,11 +142,10 @@ impl Change {
         let tasks = clusters[0].len();
         let once = vec![1; tasks];
         let [d, i, r_e, r_c, r_d] = changes(&once);
-        let intervals = bootstrap.intervals(tasks, changes);
-        let [d_ci95, i_ci95, r_e_ci95, r_c_ci95, r_d_ci95] =
-            intervals.map_or([None; 5], |intervals| intervals.map(Some));
+        let (shown, no_interval) = intervals(bootstrap, tasks, changes);
+        let [d_ci95, i_ci95, r_e_ci95, r_c_ci95, r_d_ci95] = shown;
         let s_sim = |of: usize| Tally::drawn(&clusters[of], &once).rates().s_sim;
-        let transition = |c: &Configuration| Transition::between(c.conjunction(), c.together);
+        let transition = |c: &Configuration| Transition::between(c.conjunction(), c.simultaneous);
         let (mut same, mut changed, mut again) = (0, 0, 0);
         for (then, now) in then.iter().zip(now) {
             let (then, now) = (transition(then), transition(now));
@@ -168,6 +170,7 @@ impl Change {
             r_c_ci95,
             r_d,
             r_d_ci95,
+            no_interval,
         }
     }
 }

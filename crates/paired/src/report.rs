@@ -84,13 +84,13 @@ pub struct Cell {
     /// Success of each axis alone over all its results, complete configuration
     /// or not.
     pub alone: BTreeMap<Axis, SingleAxis>,
-    /// Success of the combination over all its results; absent where the
-    /// campaign combines nothing.
-    pub together: Option<Count>,
+    /// Success of the simultaneous rollouts over all their results; absent where
+    /// the campaign has none.
+    pub simultaneous: Option<Count>,
     /// How many configurations the paired measures are of.
     pub completeness: Completeness,
     /// The paired measures; absent while no configuration is complete, or
-    /// where the campaign combines nothing.
+    /// where the campaign has no simultaneous rollout.
     pub paired: Option<Measures>,
     /// The same on configurations whose nominal rollout succeeded: what was
     /// solvable to begin with.
@@ -242,7 +242,7 @@ fn cell(records: &Records, matched: &[Matched], clean: Option<f64>, bootstrap: &
         replicate: matched[0].replicate,
         level: matched[0].level,
         alone: alone.collect(),
-        together: counts.get(&Condition::Combination).copied(),
+        simultaneous: counts.get(&Condition::Combination).copied(),
         completeness: Completeness {
             complete: complete.len() as u64,
             expected: matched.len() as u64,

@@ -3,19 +3,18 @@
 
 use std::fmt::Write;
 
-use protocol::{Axis, Condition};
+use protocol::Condition;
 
-use crate::bootstrap::Interval;
 use crate::bounds::Bounds;
 use crate::count::Count;
 use crate::gate::{GATE_TOLERANCE, Gate, GateVerdict};
 use crate::measures::Measures;
 use crate::report::{Cell, Gap, Nominal, NominalSource, Report};
+use crate::text::{
+    NOTHING, p_value, percent, points, points_interval, push_columns, push_row, push_wrapped, rate,
+    rate_interval, separate,
+};
 
-/// Columns of the terminal.
-const WIDTH: usize = 80;
-const RATE_LABEL: usize = 8;
-const RATE_COLUMN: usize = 10;
 const PAIRED_LABEL: usize = 20;
 const PAIRED_COLUMN: usize = 19;
 /// Paired cells beside each other.
@@ -24,7 +23,7 @@ const PAIRED_CELLS: usize = 3;
 const MAX_NAMED: usize = 6;
 
 /// The report as a table. Rates and differences are in percent and percentage
-/// points.
+/// points; what its symbols mean is in [`legend`](crate::legend).
 pub fn table(report: &Report) -> String {
     let mut text = String::new();
     for note in &report.notes {
@@ -50,7 +49,7 @@ pub fn table(report: &Report) -> String {
             .collect();
         let of = of_replicate(replicate, report);
         push_rates(&mut text, report, &cells, &of);
-        if cells.iter().any(|cell| cell.together.is_some()) {
+        if cells.iter().any(|cell| cell.simultaneous.is_some()) {
             for cells in cells.chunks(PAIRED_CELLS) {
                 push_paired(&mut text, cells, &of);
             }
@@ -101,7 +100,7 @@ fn gate_line(gate: &Gate) -> String {
         GateVerdict::Failed => "FAILED: robustness is not to be interpreted",
         GateVerdict::Undecided => "undecided: not all 2,000 clean rollouts have a result",
     };
-    let difference = gate.difference.map_or_else(|| "-".to_owned(), points);
+    let difference = gate.difference.map_or_else(|| NOTHING.to_owned(), points);
     format!(
         "reproduction gate: {difference} points from the published {} %, tolerance {:.0}: {verdict}",
         percent(Some(gate.published)),
@@ -124,32 +123,42 @@ fn push_rates(text: &mut String, report: &Report, cells: &[&Cell], of: &str) {
         false => "success, and its counts, %",
     };
     let _ = writeln!(text, "{title}{of}");
-    let together = cells.iter().any(|cell| cell.together.is_some());
-    let heads = report.axes.iter().map(|axis| axis.name());
-    let heads = heads.chain(together.then_some("together"));
-    push_row(text, RATE_LABEL, RATE_COLUMN, "", heads);
+    let has_simultaneous = cells.iter().any(|cell| cell.simultaneous.is_some());
+    let singles = report.axes.iter().copied().map(Condition::Single);
+    let columns: Vec<Condition> = singles
+        .chain(has_simultaneous.then_some(Condition::Combination))
+        .collect();
+    let row = |label: &str, value: &dyn Fn(Condition) -> String| -> (String, Vec<String>) {
+        (
+            label.to_owned(),
+            columns.iter().copied().map(value).collect(),
+        )
+    };
+    let mut rows = vec![row("", &|condition| condition.label().to_owned())];
     for cell in cells {
-        let counts = |count: &Count| format!("{}/{}", count.successes, count.n);
-        let alone = |axis: &Axis| &cell.alone[axis];
-        let success = |count: &Count| count.rate().map_or_else(|| "-".to_owned(), rate);
-        let rates = report.axes.iter().map(|axis| success(&alone(axis).count));
-        let rates = rates.chain(cell.together.as_ref().map(success));
-        push_row(
-            text,
-            RATE_LABEL,
-            RATE_COLUMN,
-            &cell.level.to_string(),
-            rates,
-        );
-        let row = report.axes.iter().map(|axis| counts(&alone(axis).count));
-        let row = row.chain(cell.together.as_ref().map(counts));
-        push_row(text, RATE_LABEL, RATE_COLUMN, "  counts", row);
+        let count = |condition| match condition {
+            Condition::Single(axis) => cell.alone.get(&axis).map(|alone| alone.count),
+            _ => cell.simultaneous,
+        };
+        let loss = |condition| match condition {
+            Condition::Single(axis) => percent(cell.alone[&axis].clean_relative_loss),
+            _ => String::new(),
+        };
+        let success = |condition| match count(condition).and_then(|count| count.rate()) {
+            Some(success) => rate(success),
+            None => NOTHING.to_owned(),
+        };
+        let counts = |condition| match count(condition) {
+            Some(Count { successes, n }) => format!("{successes}/{n}"),
+            None => NOTHING.to_owned(),
+        };
+        rows.push(row(&cell.level.to_string(), &success));
+        rows.push(row(" counts", &counts));
         if losses {
-            let row = report.axes.iter();
-            let row = row.map(|axis| percent(alone(axis).clean_relative_loss));
-            push_row(text, RATE_LABEL, RATE_COLUMN, "  loss", row);
+            rows.push(row(" loss", &loss));
         }
     }
+    push_columns(text, &rows);
 }
 
 /// One line of the paired block.
@@ -160,17 +169,17 @@ const PAIRED_LINES: [Line; 17] = [
     ("S_conj", |m| rate(m.s_conj)),
     ("S_sim", |m| rate(m.s_sim)),
     ("D = S_conj-S_indep", |m| points(m.d)),
-    ("  95 %", |m| points_interval(m.d_ci95)),
+    ("  95 %", |m| points_interval(m.d_ci95, m.no_interval)),
     ("I = S_sim-S_conj", |m| points(m.i)),
-    ("  95 %", |m| points_interval(m.i_ci95)),
+    ("  95 %", |m| points_interval(m.i_ci95, m.no_interval)),
     ("b emergent", |m| m.b.to_string()),
     ("c compensated", |m| m.c.to_string()),
     ("R_e = b/n", |m| rate(m.r_e)),
-    ("  95 %", |m| rate_interval(m.r_e_ci95)),
+    ("  95 %", |m| rate_interval(m.r_e_ci95, m.no_interval)),
     ("R_c = c/n", |m| rate(m.r_c)),
-    ("  95 %", |m| rate_interval(m.r_c_ci95)),
+    ("  95 %", |m| rate_interval(m.r_c_ci95, m.no_interval)),
     ("R_d = R_e+R_c", |m| rate(m.r_d)),
-    ("  95 %", |m| rate_interval(m.r_d_ci95)),
+    ("  95 %", |m| rate_interval(m.r_d_ci95, m.no_interval)),
     ("emergent share", |m| percent(m.emergent_share)),
     ("McNemar p", |m| p_value(m.mcnemar_p)),
 ];
@@ -179,7 +188,7 @@ const SOLVABLE_LINES: [Line; 4] = [
     ("solvable: n", |m| m.n.to_string()),
     ("  b, c", |m| format!("{}, {}", m.b, m.c)),
     ("  I", |m| points(m.i)),
-    ("    95 %", |m| points_interval(m.i_ci95)),
+    ("    95 %", |m| points_interval(m.i_ci95, m.no_interval)),
 ];
 
 /// One line of the worst and best case.
@@ -188,9 +197,9 @@ type BoundsLine = (&'static str, fn(&Bounds) -> String);
 /// The range of the measures over every outcome of the quarantined rollouts.
 const BOUNDS_LINES: [BoundsLine; 4] = [
     ("worst and best: n", |b| b.n.to_string()),
-    ("  I", |b| points_interval(Some(b.i))),
-    ("  R_e", |b| rate_interval(Some(b.r_e))),
-    ("  R_c", |b| rate_interval(Some(b.r_c))),
+    ("  I", |b| points_interval(Some(b.i), None)),
+    ("  R_e", |b| rate_interval(Some(b.r_e), None)),
+    ("  R_c", |b| rate_interval(Some(b.r_c), None)),
 ];
 
 fn push_paired(text: &mut String, cells: &[&Cell], of: &str) {
@@ -209,7 +218,7 @@ fn push_paired(text: &mut String, cells: &[&Cell], of: &str) {
     }
     let detectable = cells.iter().map(|cell| match cell.minimum_detectable_i {
         Some(i) => format!("{:.2}", 100.0 * i),
-        None => "-".to_owned(),
+        None => NOTHING.to_owned(),
     });
     push_row(
         text,
@@ -230,7 +239,7 @@ fn push_paired(text: &mut String, cells: &[&Cell], of: &str) {
         for (label, value) in BOUNDS_LINES {
             let values = cells.iter().map(|cell| match &cell.bounds {
                 Some(bounds) => value(bounds),
-                None => "-".to_owned(),
+                None => NOTHING.to_owned(),
             });
             push_row(text, PAIRED_LABEL, PAIRED_COLUMN, label, values);
         }
@@ -243,11 +252,7 @@ fn push_gaps(text: &mut String, cells: &[&Cell]) {
         let gaps = cell.completeness.gaps.iter();
         let gaps: Vec<String> = gaps
             .filter_map(|(condition, gap)| {
-                let name = match condition {
-                    Condition::Combination => "together",
-                    other => other.name(),
-                };
-                Some(format!("{name} {}", gap_text(gap)?))
+                Some(format!("{} {}", condition.label(), gap_text(gap)?))
             })
             .collect();
         if gaps.is_empty() {
@@ -270,7 +275,7 @@ fn push_replication(text: &mut String, report: &Report) {
     for replication in &report.replication {
         let changes = replication.changes.iter();
         let changes = changes.map(|(level, change)| {
-            let interval = points_interval(change.i_ci95);
+            let interval = points_interval(change.i_ci95, change.no_interval);
             format!("{level} {} {interval}", points(change.i))
         });
         let changes = changes.collect::<Vec<_>>().join(", ");
@@ -300,83 +305,5 @@ fn gap_text(gap: &Gap) -> Option<String> {
 }
 
 fn shown(measures: Option<&Measures>, value: fn(&Measures) -> String) -> String {
-    measures.map_or_else(|| "-".to_owned(), value)
-}
-
-fn rate(value: f64) -> String {
-    format!("{:.2}", 100.0 * value)
-}
-
-fn percent(value: Option<f64>) -> String {
-    value.map_or_else(|| "-".to_owned(), |value| format!("{:.1}", 100.0 * value))
-}
-
-fn points(value: f64) -> String {
-    format!("{:+.2}", 100.0 * value)
-}
-
-fn rate_interval(interval: Option<Interval>) -> String {
-    interval.map_or_else(
-        || "-".to_owned(),
-        |[low, high]| format!("[{}, {}]", rate(low), rate(high)),
-    )
-}
-
-fn points_interval(interval: Option<Interval>) -> String {
-    interval.map_or_else(
-        || "-".to_owned(),
-        |[low, high]| format!("[{}, {}]", points(low), points(high)),
-    )
-}
-
-fn p_value(p: f64) -> String {
-    match p < 1e-3 {
-        true => format!("{p:.1e}"),
-        false => format!("{p:.3}"),
-    }
-}
-
-fn separate(text: &mut String) {
-    if !text.is_empty() && !text.ends_with("\n\n") {
-        text.push('\n');
-    }
-}
-
-fn push_row<T: AsRef<str>>(
-    text: &mut String,
-    label_width: usize,
-    column_width: usize,
-    label: &str,
-    values: impl Iterator<Item = T>,
-) {
-    let mut row = format!("{label:<label_width$}");
-    for value in values {
-        let _ = write!(row, "{:>column_width$}", value.as_ref());
-    }
-    text.push_str(row.trim_end());
-    text.push('\n');
-}
-
-/// Words over as many lines of a terminal as they need, the first after
-/// `prefix`, the others below it.
-pub fn push_wrapped(text: &mut String, prefix: &str, words: &str) {
-    let indent = " ".repeat(prefix.len());
-    let mut line = prefix.to_owned();
-    let mut empty = true;
-    for word in words.split_whitespace() {
-        let needed = line.chars().count() + usize::from(!empty) + word.chars().count();
-        if !empty && needed > WIDTH {
-            text.push_str(&line);
-            text.push('\n');
-            line.clone_from(&indent);
-            empty = true;
-        }
-        if !empty {
-            line.push(' ');
-        }
-        line.push_str(word);
-        empty = false;
-    }
-    text.push_str(&line);
-    text.push('\n');
+    measures.map_or_else(|| NOTHING.to_owned(), value)
 }

@@ -84,7 +84,7 @@ fn of_counts(published: &Value, level: Level) -> Vec<Record> {
     let mut records = Vec::new();
     for (index, alone) in alone.into_iter().enumerate() {
         let (task, config) = (tasks[index % 40], (index / 40) as u16);
-        let together = match index < conjunction {
+        let simultaneous = match index < conjunction {
             true => index >= emergent,
             false => index - conjunction < compensated,
         };
@@ -100,7 +100,7 @@ fn of_counts(published: &Value, level: Level) -> Vec<Record> {
         for (axis, success) in Axis::ALL.into_iter().zip(alone) {
             add(Condition::Single(axis), success);
         }
-        add(Condition::Combination, together);
+        add(Condition::Combination, simultaneous);
     }
     records
 }

@@ -4,8 +4,8 @@
 use std::collections::BTreeMap;
 
 use paired::{
-    Bootstrap, Configuration, Interval, Measures, Options, Outcome, Record, mcnemar_exact,
-    quantile, report,
+    Bootstrap, Configuration, Difference, MIN_TASKS, Measures, NoInterval, Options, Outcome, Pair,
+    Record, mcnemar_exact, quantile, report,
 };
 use protocol::{Axis, RolloutId, TaskRef};
 use serde_json::Value;
@@ -33,7 +33,7 @@ fn configurations(data_set: &Value) -> Vec<Configuration> {
                     .zip(Axis::ALL)
                     .map(|(k, axis)| (axis, bits >> k & 1 == 1)),
             ),
-            together: bits >> 6 == 1,
+            simultaneous: bits >> 6 == 1,
         };
         bits.map(one).collect::<Vec<_>>()
     };
@@ -84,17 +84,84 @@ fn check(measures: &Measures, expected: &Value, what: &str) {
     ];
     for (value, interval, key) in with_intervals {
         close(value, key);
-        let deviation = number(&expected[format!("{key}_deviation")]);
-        let tolerance = 5.0 * 0.042 * deviation + 1.0 / m.n as f64;
-        let interval: Interval = interval.expect("several tasks");
-        let ends = expected[format!("{key}_ci95")].as_array().expect("two");
-        for (end, expected) in interval.into_iter().zip(ends.iter().map(number)) {
-            let off = (end - expected).abs();
-            assert!(
-                off <= tolerance,
-                "{what} {key}: {interval:?} is not {ends:?}"
-            );
+        if m.tasks < MIN_TASKS as u64 {
+            assert_eq!(interval, None, "{what}: of {} tasks", m.tasks);
+            assert_eq!(m.no_interval, Some(NoInterval::TooFewTasks), "{what}");
+            continue;
         }
+        let interval = interval.expect("enough tasks");
+        check_interval(interval, expected, key, m.n, what);
+    }
+}
+
+fn check_interval(interval: [f64; 2], expected: &Value, key: &str, n: u64, what: &str) {
+    let deviation = number(&expected[format!("{key}_deviation")]);
+    let tolerance = 5.0 * 0.042 * deviation + 1.0 / n as f64;
+    let ends = expected[format!("{key}_ci95")].as_array().expect("two");
+    for (end, expected) in interval.into_iter().zip(ends.iter().map(number)) {
+        let off = (end - expected).abs();
+        assert!(
+            off <= tolerance,
+            "{what} {key}: {interval:?} is not {ends:?}"
+        );
+    }
+}
+
+/// One set of pairs; see reference/expected.py for its form.
+fn pairs(data_set: &Value) -> Vec<Pair> {
+    let tasks = data_set["tasks"].as_array().expect("tasks");
+    let tasks = TaskRef::all().zip(tasks);
+    let of_task = |(task, text): (TaskRef, &Value)| {
+        let text = text.as_str().expect("a text").to_owned();
+        let digits: Vec<u32> = text.chars().filter_map(|c| c.to_digit(4)).collect();
+        assert_eq!(digits.len(), text.len(), "{text}");
+        let success = |bit: u32| Outcome::from(bit == 1);
+        digits.into_iter().map(move |bits| Pair {
+            task,
+            a: success(bits & 1),
+            b: success(bits >> 1),
+        })
+    };
+    tasks.flat_map(of_task).collect()
+}
+
+#[test]
+fn twelve_random_pairs_of_policies_differ_as_numpy_and_scipy_say() {
+    let expected = expected();
+    let data_sets = expected["paired_sets"].as_array().expect("data sets");
+    assert_eq!(data_sets.len(), 12);
+    let sets: Vec<Vec<Pair>> = data_sets.iter().map(pairs).collect();
+    let all = Difference::of_each(&sets, &Bootstrap::default());
+    for (number_of, (data_set, it)) in data_sets.iter().zip(all).enumerate() {
+        let (what, expected) = (format!("pairs {number_of}"), &data_set["expected"]);
+        let it = it.expect("not empty");
+        let counts = [
+            (it.n, "n"),
+            (it.tasks, "tasks"),
+            (it.both, "both"),
+            (it.a_only, "a_only"),
+            (it.b_only, "b_only"),
+            (it.neither, "neither"),
+        ];
+        for (count, key) in counts {
+            assert_eq!(Some(count), expected[key].as_u64(), "{what} {key}");
+        }
+        for (value, key) in [
+            (it.s_a, "s_a"),
+            (it.s_b, "s_b"),
+            (it.difference, "difference"),
+        ] {
+            let off = (value - number(&expected[key])).abs();
+            assert!(off < 1e-12, "{what} {key}: {value}");
+        }
+        let p = number(&expected["mcnemar_p"]);
+        assert!(
+            (it.mcnemar_p - p).abs() <= 1e-9 * p,
+            "{what}: {}",
+            it.mcnemar_p
+        );
+        let interval = it.difference_ci95.expect("enough tasks");
+        check_interval(interval, expected, "difference", it.n, &what);
     }
 }
 

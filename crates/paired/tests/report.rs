@@ -23,14 +23,15 @@ fn task(index: usize) -> TaskRef {
     TaskRef::all().nth(index).expect("one of forty")
 }
 
-/// Configurations over the first eight tasks.
+/// Configurations over the first sixteen tasks, so that many have intervals and
+/// some too few tasks.
 fn configurations() -> impl Strategy<Value = Vec<Configuration>> {
-    vec((0..8_usize, any::<[bool; 4]>()), 1..80).prop_map(|drawn| {
+    vec((0..16_usize, any::<[bool; 4]>()), 1..80).prop_map(|drawn| {
         let configuration =
-            |(index, [camera, robot, sensor, together]): (usize, [bool; 4])| Configuration {
+            |(index, [camera, robot, sensor, simultaneous]): (usize, [bool; 4])| Configuration {
                 task: task(index),
                 alone: BTreeMap::from_iter(AXES.into_iter().zip([camera, robot, sensor])),
-                together,
+                simultaneous,
             };
         drawn.into_iter().map(configuration).collect()
     })
@@ -75,7 +76,7 @@ proptest! {
         let renamed: Vec<Configuration> = configurations
             .iter()
             .map(|configuration| Configuration {
-                // Eight tasks of another suite, in the opposite order.
+                // Sixteen other tasks, in the opposite order.
                 task: task(37 - TaskRef::all().position(|t| t == configuration.task).expect("one")),
                 ..configuration.clone()
             })
@@ -191,15 +192,15 @@ fn nominal(task_index: usize, config: u16, outcome: Outcome) -> Record {
 }
 
 /// Two axes and their combination on three tasks with one configuration each.
-/// `outcomes`: nominal, camera, sensor, together.
+/// `outcomes`: nominal, camera, sensor, simultaneous.
 fn campaign(outcomes: [[Outcome; 4]; 3]) -> Vec<Record> {
     let rows = outcomes.into_iter().enumerate();
-    rows.flat_map(|(task, [clean, camera, sensor, together])| {
+    rows.flat_map(|(task, [clean, camera, sensor, simultaneous])| {
         [
             nominal(task, 0, clean),
             perturbed(task, Condition::Single(Axis::Camera), 0, camera),
             perturbed(task, Condition::Single(Axis::Sensor), 0, sensor),
-            perturbed(task, Condition::Combination, 0, together),
+            perturbed(task, Condition::Combination, 0, simultaneous),
         ]
     })
     .collect()
@@ -338,7 +339,7 @@ fn one_axis_has_rates_and_nothing_to_pair() {
     ];
     let report = report(&records, &Options::default()).expect("no duplicates");
     let cell = &report.cells[0];
-    assert_eq!(cell.together, None);
+    assert_eq!(cell.simultaneous, None);
     assert_eq!(cell.paired, None);
     assert_eq!(cell.alone[&Axis::Camera].clean_relative_loss, Some(1.0));
     assert!(!table(&report).contains("paired"));
@@ -366,8 +367,8 @@ fn replicates_are_compared_with_the_first() {
     let replication = &report.replication[0];
     let Flips { compared, flipped } = replication.flips;
     assert_eq!((compared, flipped), (11, 1));
-    let together = replication.flips_by_condition[&Condition::Combination];
-    assert_eq!(together.rate(), Some(1.0 / 3.0));
+    let simultaneous = replication.flips_by_condition[&Condition::Combination];
+    assert_eq!(simultaneous.rate(), Some(1.0 / 3.0));
     let change = &replication.changes[&Level::L2];
     assert_eq!((change.n, change.same_transition), (3, 2));
     assert_eq!((change.changed, change.changed_again), (2, 1));

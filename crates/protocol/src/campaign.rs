@@ -73,7 +73,7 @@ pub enum Record {
     None,
     /// Those that fail.
     Failures,
-    /// Those of configurations whose outcome the combination of axes changes,
+    /// Those of configurations whose outcome simultaneous perturbation changes,
     /// and their nominal rollouts: afterwards, from the actions that are kept
     /// with every rollout.
     Transitions,

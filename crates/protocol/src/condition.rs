@@ -82,7 +82,8 @@ pub enum Condition {
     Clean,
     /// One axis alone.
     Single(Axis),
-    /// All axes of the campaign at once; the paper's *Simultaneous*.
+    /// Simultaneous: all axes of the campaign at once. Ids call it
+    /// `combination`, as the published ones do.
     Combination,
 }
 
@@ -93,6 +94,16 @@ impl Condition {
             Self::Clean => "clean",
             Self::Single(axis) => axis.name(),
             Self::Combination => "combination",
+        }
+    }
+
+    /// What people read: `nominal`, an axis's name, or the paper's
+    /// `simultaneous`.
+    pub const fn label(self) -> &'static str {
+        match self {
+            Self::Clean => "nominal",
+            Self::Single(axis) => axis.name(),
+            Self::Combination => "simultaneous",
         }
     }
 }

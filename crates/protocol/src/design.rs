@@ -17,7 +17,7 @@ use crate::suite::{INIT_STATES_PER_TASK, Suite, TaskRef};
 pub struct Design {
     /// Tasks, in the benchmark's order, each once.
     pub tasks: Vec<TaskRef>,
-    /// Axes: each is perturbed alone, and of two or more all together.
+    /// Axes: each is perturbed alone, and two or more simultaneously.
     pub axes: Vec<Axis>,
     /// Levels of every axis.
     pub levels: Vec<Level>,

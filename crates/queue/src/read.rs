@@ -32,7 +32,7 @@ pub use campaigns::{CampaignStatus, Counts, RATE_WINDOW};
 pub use changes::{Changes, Sizes};
 pub use configurations::{ResultLine, RolloutLine};
 pub use jobs::{FailureLine, JobDetails, JobFilter, JobLine, MAX_JOBS_LISTED};
-pub use results::{Edition, ExportedRow, RecordRow};
+pub use results::{Edition, ExportedRow, RecordRow, SetupRow};
 pub use standing::{MAX_WORKERS_LISTED, PolicyLine, QuarantinedLine, WorkerLine};
 
 /// What is committed, as of one instant.

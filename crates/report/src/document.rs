@@ -3,10 +3,12 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use paired::{Cell, DuplicateRecord, Measures, Options, Records, Report, push_wrapped};
+use paired::{DuplicateRecord, Measures, Report, push_wrapped};
 use protocol::{JsonError, Level};
 use serde::Serialize;
 
+use crate::analysis::Analysis;
+use crate::comparison::{Comparison, Unpairable};
 use crate::subject::{Origin, Quarantined, Subject};
 use crate::warnings;
 
@@ -20,19 +22,6 @@ pub struct Document {
     pub warnings: Vec<String>,
     /// One per subject, in the given order.
     pub analyses: Vec<Analysis>,
-}
-
-/// One policy, measured.
-#[derive(Clone, Debug)]
-pub struct Analysis {
-    /// What it is called in this document, unlike all others.
-    pub label: String,
-    /// What it is of.
-    pub subject: Subject,
-    /// Its outcomes, matched.
-    pub records: Records,
-    /// The statistics.
-    pub report: Report,
 }
 
 /// A report that cannot be made.
@@ -81,11 +70,26 @@ impl Document {
         let warnings = warnings::of_comparison(&subjects);
         let labels = labels(&subjects);
         let analyses = labels.into_iter().zip(subjects);
-        let analyses = analyses.map(|(label, subject)| Analysis::new(label, subject));
+        let analyses = analyses.map(|(label, subject)| {
+            let refused = |source| DocumentError::Duplicate {
+                policy: label.clone(),
+                source,
+            };
+            Analysis::new(label.clone(), subject).map_err(refused)
+        });
         Ok(Self {
             warnings,
             analyses: analyses.collect::<Result<_, _>>()?,
         })
+    }
+
+    /// Every policy against every later one.
+    pub(crate) fn comparisons(&self) -> Vec<Result<Comparison, Unpairable>> {
+        let pairs = self.analyses.iter().enumerate().flat_map(|(index, a)| {
+            let later = self.analyses[index + 1..].iter();
+            later.map(move |b| Comparison::of([a, b], [&a.subject.setups, &b.subject.setups]))
+        });
+        pairs.collect()
     }
 
     /// The policies with complete configurations at a level: how each is called
@@ -140,42 +144,13 @@ impl Document {
             text.push_str(&paired::table(&analysis.report));
             text.push_str(&tail(&analysis.subject));
         }
+        let reports: Vec<&Report> = self.analyses.iter().map(|it| &it.report).collect();
+        let legend = paired::legend(&reports);
+        if !legend.is_empty() {
+            text.push('\n');
+            text.push_str(&legend);
+        }
         text
-    }
-}
-
-impl Analysis {
-    fn new(label: String, subject: Subject) -> Result<Self, DocumentError> {
-        let records = Records::new(&subject.records);
-        let records = records.map_err(|source| DocumentError::Duplicate {
-            policy: label.clone(),
-            source,
-        })?;
-        let report = paired::report_of(
-            &records,
-            &Options {
-                notes: warnings::of_subject(&subject),
-                published_nominal: subject.published_nominal,
-                reported_nominal: subject.reported_nominal,
-                ..Options::default()
-            },
-        );
-        Ok(Self {
-            label,
-            subject,
-            records,
-            report,
-        })
-    }
-
-    /// The cells of replicate 0, by level.
-    pub fn cells(&self) -> impl Iterator<Item = &Cell> {
-        self.report.cells.iter().filter(|cell| cell.replicate == 0)
-    }
-
-    /// The cell of a level in replicate 0.
-    pub fn cell(&self, level: Level) -> Option<&Cell> {
-        self.cells().find(|cell| cell.level == level)
     }
 }
 

@@ -8,6 +8,7 @@
 //! (C. Brewer, 2002).
 
 mod decomposition;
+mod differences;
 mod directions;
 mod gate;
 mod heat_map;
@@ -21,9 +22,11 @@ use maud::{Markup, PreEscaped, html};
 use paired::Matched;
 use protocol::Level;
 
-use crate::document::{Analysis, Document};
+use crate::analysis::Analysis;
+use crate::document::Document;
 
 pub use decomposition::decomposition;
+pub use differences::differences;
 pub use directions::directions;
 pub use gate::gate;
 pub use heat_map::heat_map;
@@ -127,6 +130,9 @@ pub fn all(document: &Document) -> Vec<Figure> {
     for analysis in &document.analyses {
         figures.extend(replicates(analysis));
         figures.extend(flips(analysis));
+    }
+    for pair in document.comparisons() {
+        figures.extend(pair.ok().and_then(|comparison| differences(&comparison)));
     }
     // Two labels can have one plain form, and no file may overwrite another.
     let mut taken = BTreeSet::new();

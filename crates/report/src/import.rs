@@ -16,7 +16,7 @@ use protocol::{MAX_ROWS, Realisation};
 use serde::Deserialize;
 use sha2::{Digest, Sha256};
 
-use crate::subject::{Origin, Subject};
+use crate::subject::{Origin, Setups, Subject};
 
 /// The rows, inside a folder.
 const ROWS: &str = "rollouts.jsonl";
@@ -181,6 +181,7 @@ pub fn import(path: &Path) -> Result<Subject, ImportError> {
         provenances: Vec::new(),
         published_nominal: about.published_nominal,
         reported_nominal: about.nominal,
+        setups: Setups::default(),
     })
 }
 

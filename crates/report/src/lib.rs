@@ -9,6 +9,8 @@
 
 #![forbid(unsafe_code)]
 
+mod analysis;
+mod comparison;
 mod document;
 pub mod figures;
 mod import;
@@ -18,9 +20,11 @@ mod table;
 mod warnings;
 mod words;
 
-pub use document::{Analysis, Document, DocumentError};
+pub use analysis::Analysis;
+pub use comparison::{Comparison, Side, Unpairable};
+pub use document::{Document, DocumentError};
 pub use import::{BadLine, ImportError, import};
-pub use page::{STYLE, page, sections, warnings as page_warnings};
-pub use subject::{Origin, Quarantined, Subject, rollout_name};
+pub use page::{STYLE, comparison as page_comparison, page, sections, warnings as page_warnings};
+pub use subject::{Origin, Quarantined, Setups, Subject, rollout_name};
 pub use table::{TableError, write_csv, write_parquet};
 pub use warnings::fingerprints_in_words;

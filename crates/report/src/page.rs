@@ -1,14 +1,19 @@
 //! The report as one page of HTML: no script, no network, light and dark, on a
 //! phone and on paper. What is written in its sections is in the modules below.
 
+mod differences;
 mod findings;
 mod methods;
+mod panels;
 mod tables;
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-use crate::document::{Analysis, Document};
+use crate::analysis::Analysis;
+use crate::comparison::Comparison;
+use crate::document::Document;
 use crate::figures::{self, Figure, Link, levels};
+use panels::figure;
 
 /// The page's style, with that of its figures.
 pub const STYLE: &str = concat!(
@@ -63,15 +68,16 @@ pub fn sections(document: &Document, link: Option<Link>) -> Markup {
             h2 { "Paired outcomes" }
             (tables::paired(document))
         }
-        (figure("Success under each axis alone, and under all axes at once.",
+        (figure("Success under each axis alone, and under simultaneous perturbation by all of them.",
             per_level(figures::heat_map)))
-        (figure("From independent axes to all at once. D: how far the axes' failures coincide in \
-            the same configurations. I: what perturbing everything at once adds to that, for \
+        (figure("From independent axes to simultaneous perturbation. D: how far the axes' \
+            failures coincide in the same configurations. I: what simultaneity adds to that, for \
             better or for worse. In brackets, 95 % intervals.",
             per_level(figures::decomposition)))
-        (figure("In which direction outcomes change. Left, every axis alone succeeds and all at \
-            once fail; right, some axis alone fails and all at once succeed. Whiskers and \
-            brackets: 95 % intervals; p: exact McNemar test of left against right.",
+        (figure("In which direction outcomes change. Left, every axis alone succeeds and the \
+            simultaneous rollout fails; right, some axis alone fails and the simultaneous rollout \
+            succeeds. Whiskers and brackets: 95 % intervals; p: exact McNemar test of left against \
+            right.",
             per_level(figures::directions)))
         (figure(matrix_caption(link), document.analyses.iter().flat_map(|analysis| {
             levels.iter().filter_map(move |&level| figures::matrix(analysis, level, link))
@@ -85,11 +91,18 @@ pub fn sections(document: &Document, link: Option<Link>) -> Markup {
             (tables::single_axes(document))
         }
         (replication(document))
+        @let pairs = document.comparisons();
+        @if !pairs.is_empty() { (differences::of_pairs(&pairs)) }
         (tables::solvable(document))
         (tables::bounds(document))
         (tables::quarantine(document))
         (methods::methods(document))
     }
+}
+
+/// A comparison of two policies, for another page that includes [`STYLE`].
+pub fn comparison(comparison: &Comparison) -> Markup {
+    differences::of_one(comparison)
 }
 
 fn title(document: &Document) -> String {
@@ -109,18 +122,6 @@ fn matrix_caption(link: Option<Link>) -> &'static str {
             "Every configuration: tasks downwards, configurations to the right, one square each. \
              A square opens its rollouts side by side; with the keyboard, arrow keys go from \
              square to square."
-        }
-    }
-}
-
-/// Panels with one caption; nothing where there is no panel.
-fn figure(caption: &str, panels: Vec<Figure>) -> Markup {
-    html! {
-        @if !panels.is_empty() {
-            figure {
-                div.panels { @for panel in &panels { (panel.inline()) } }
-                figcaption { (caption) }
-            }
         }
     }
 }

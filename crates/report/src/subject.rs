@@ -1,9 +1,11 @@
 //! What a report is of: one policy's outcomes, and everything known about how
 //! they were made.
 
+use std::collections::BTreeMap;
+
 use attempt::{Fingerprints, Provenance};
 use paired::{Count, Record};
-use protocol::Realisation;
+use protocol::{Realisation, RolloutId};
 use serde::{Deserialize, Serialize};
 
 /// One policy's outcomes under one set of circumstances.
@@ -33,6 +35,21 @@ pub struct Subject {
     pub published_nominal: Option<f64>,
     /// Nominal successes as published elsewhere.
     pub reported_nominal: Option<Count>,
+    /// What the policy was given to do; empty where that is not known.
+    #[serde(default)]
+    pub setups: Setups,
+}
+
+/// What the rollouts of a subject were, beyond their names: two subjects can
+/// have a rollout of one name that is another in each. Digests, of which only
+/// equality means something.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Setups {
+    /// Of perturbation, instruction and step budget, by rollout.
+    pub rollouts: BTreeMap<RolloutId, String>,
+    /// Of scene and initial state, by the nominal rollout from that state,
+    /// where any result tells.
+    pub scenes: BTreeMap<RolloutId, String>,
 }
 
 /// Where outcomes come from.

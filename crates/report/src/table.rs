@@ -3,7 +3,9 @@
 //! as Parquet, with the same columns.
 //!
 //! An outcome is true, false, or empty where there is none: `unresolved` says
-//! whether it is missing or quarantined.
+//! whether it is missing or quarantined. Parquet's columns have types: outcomes
+//! are booleans, numbers integers, names and enumerations strings. No column is
+//! an instant: the same outcomes give the same bytes.
 
 use std::io::Write;
 use std::sync::Arc;
@@ -13,12 +15,15 @@ use parquet::basic::{LogicalType, Repetition, Type as Physical};
 use parquet::column::writer::ColumnWriter;
 use parquet::data_type::ByteArray;
 use parquet::errors::ParquetError;
+use parquet::file::metadata::KeyValue;
 use parquet::file::properties::WriterProperties;
 use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::types::Type;
 use protocol::{Axis, Condition};
+use serde_json::{Value as Json, json};
 
-use crate::document::{Analysis, Document};
+use crate::analysis::Analysis;
+use crate::document::Document;
 
 /// A table that cannot be written.
 #[derive(Debug, thiserror::Error)]
@@ -63,7 +68,7 @@ const COLUMNS: [Column; 19] = [
     ("conjunction", |_, m| {
         Value::Bool(m.configuration().map(|c| c.conjunction()))
     }),
-    ("combination", |_, m| Value::Bool(m.together.success())),
+    ("combination", |_, m| Value::Bool(m.simultaneous.success())),
     ("transition", |_, m| {
         Value::Text(
             m.transition()
@@ -86,7 +91,9 @@ pub fn write_csv(document: &Document, out: impl Write) -> Result<(), TableError>
     Ok(csv.flush()?)
 }
 
-/// Writes the table as Parquet: one row group, no compression.
+/// Writes the table as Parquet: one row group, no compression. The footer also
+/// has what pandas needs to read nullable columns as what they are, see
+/// [`for_pandas`].
 ///
 /// # Errors
 /// When `out` fails.
@@ -102,7 +109,9 @@ pub fn write_parquet(document: &Document, out: impl Write + Send) -> Result<(), 
         .map(|(name, _)| field(name).map(Arc::new))
         .collect();
     let schema = Type::group_type_builder("configurations").with_fields(fields?);
-    let properties = Arc::new(WriterProperties::builder().build());
+    let about = KeyValue::new("pandas".to_owned(), for_pandas().to_string());
+    let properties = WriterProperties::builder().set_key_value_metadata(Some(vec![about]));
+    let properties = Arc::new(properties.build());
     let mut file = SerializedFileWriter::new(out, Arc::new(schema.build()?), properties)?;
     let mut group = file.next_row_group()?;
     for values in columns {
@@ -140,18 +149,59 @@ fn rows(document: &Document) -> impl Iterator<Item = (&Analysis, &Matched)> {
     })
 }
 
+/// What a column holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    Number,
+    Text,
+    Outcome,
+}
+
+fn kind(name: &str) -> Kind {
+    match name {
+        "replicate" | "task" | "config" | "init_id" => Kind::Number,
+        "policy" | "origin" | "level" | "suite" | "transition" | "unresolved" => Kind::Text,
+        _ => Kind::Outcome,
+    }
+}
+
+/// The footer's entry `pandas`: without it, pandas makes a column of booleans or
+/// texts with gaps a column of `object`, in which `None` stands between them.
+/// Its form: <https://pandas.pydata.org/docs/development/developer.html>.
+fn for_pandas() -> Json {
+    let column = |(name, _): &Column| {
+        let (pandas_type, numpy_type) = match kind(name) {
+            Kind::Number => ("int64", "int64"),
+            Kind::Text => ("unicode", "string"),
+            Kind::Outcome => ("bool", "boolean"),
+        };
+        json!({
+            "name": name,
+            "field_name": name,
+            "pandas_type": pandas_type,
+            "numpy_type": numpy_type,
+            "metadata": null,
+        })
+    };
+    json!({
+        "index_columns": [],
+        "column_indexes": [],
+        "columns": COLUMNS.iter().map(column).collect::<Vec<_>>(),
+        "creator": {"library": "rollout", "version": env!("CARGO_PKG_VERSION")},
+        "pandas_version": "1.0.0",
+    })
+}
+
 /// The schema of a column: texts and outcomes may be absent.
 fn field(name: &str) -> Result<Type, ParquetError> {
-    let (physical, repetition, logical) = match name {
-        "replicate" | "task" | "config" | "init_id" => {
-            (Physical::INT64, Repetition::REQUIRED, None)
-        }
-        "policy" | "origin" | "level" | "suite" | "transition" | "unresolved" => (
+    let (physical, repetition, logical) = match kind(name) {
+        Kind::Number => (Physical::INT64, Repetition::REQUIRED, None),
+        Kind::Text => (
             Physical::BYTE_ARRAY,
             Repetition::OPTIONAL,
             Some(LogicalType::String),
         ),
-        _ => (Physical::BOOLEAN, Repetition::OPTIONAL, None),
+        Kind::Outcome => (Physical::BOOLEAN, Repetition::OPTIONAL, None),
     };
     let field = Type::primitive_type_builder(name, physical).with_repetition(repetition);
     field.with_logical_type(logical).build()

@@ -86,7 +86,7 @@ pub(crate) fn of_comparison(subjects: &[Subject]) -> Vec<String> {
     warnings
 }
 
-type Of = fn(&Provenance) -> String;
+pub(crate) type Of = fn(&Provenance) -> String;
 
 /// Properties that all results of a campaign should share, and what it means if
 /// they do not.
@@ -117,16 +117,16 @@ const MIXTURES: [(&str, &str, Of); 6] = [
     }),
 ];
 
-fn mujoco(p: &Provenance) -> String {
+pub(crate) fn mujoco(p: &Provenance) -> String {
     p.pin.mujoco_version.clone()
 }
 
-fn pack(p: &Provenance) -> String {
+pub(crate) fn pack(p: &Provenance) -> String {
     format!("{} ({})", p.pin.asset_pack, short(&p.pin.asset_pack_digest))
 }
 
 /// Empty in results of older workers that drew no frame.
-fn renderer(p: &Provenance) -> String {
+pub(crate) fn renderer(p: &Provenance) -> String {
     p.pin.renderer.clone()
 }
 

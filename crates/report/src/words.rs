@@ -3,7 +3,7 @@
 
 use std::collections::BTreeSet;
 
-use paired::Interval;
+use paired::{Interval, NoInterval};
 
 /// A rate, or a loss, in percent: `87.5`, `−0.3`.
 pub(crate) fn percent(rate: f64) -> String {
@@ -23,18 +23,26 @@ fn minus(text: String) -> String {
     }
 }
 
-/// ` [9.8, 17.8]`; empty where there is none.
-pub(crate) fn rate_interval(interval: Option<Interval>) -> String {
-    interval.map_or_else(String::new, |[low, high]| {
-        format!(" [{}, {}]", percent(low), percent(high))
-    })
+/// ` [9.8, 17.8]`, or why there is none: ` (too few tasks)`.
+pub(crate) fn rate_interval(interval: Option<Interval>, why: Option<NoInterval>) -> String {
+    interval_of(percent, interval, why)
 }
 
-/// ` [−6.0, +6.5]`; empty where there is none.
-pub(crate) fn points_interval(interval: Option<Interval>) -> String {
-    interval.map_or_else(String::new, |[low, high]| {
-        format!(" [{}, {}]", points(low), points(high))
-    })
+/// ` [−6.0, +6.5]`, or why there is none: ` (too few tasks)`.
+pub(crate) fn points_interval(interval: Option<Interval>, why: Option<NoInterval>) -> String {
+    interval_of(points, interval, why)
+}
+
+fn interval_of(
+    number: fn(f64) -> String,
+    interval: Option<Interval>,
+    why: Option<NoInterval>,
+) -> String {
+    match (interval, why) {
+        (Some([low, high]), _) => format!(" [{}, {}]", number(low), number(high)),
+        (None, Some(why)) => format!(" ({why})"),
+        (None, None) => String::new(),
+    }
 }
 
 /// `n = 400`, or `n = 396 to 400`.
@@ -52,14 +60,5 @@ pub(crate) fn p_value(p: f64) -> String {
     match p < 1e-3 {
         true => format!("{p:.0e}").replace('-', "−"),
         false => format!("{p:.3}"),
-    }
-}
-
-/// How a condition is called beside its peers.
-pub(crate) fn condition(condition: protocol::Condition) -> &'static str {
-    match condition {
-        protocol::Condition::Clean => "nominal",
-        protocol::Condition::Combination => "all at once",
-        single => single.name(),
     }
 }

@@ -7,7 +7,9 @@ crate, and resamples with another generator.
 
 Takes a few seconds. A data set is one text per task, two hexadecimal digits
 per configuration: bits 0 to 5 are the success under camera, lighting, robot,
-sensor, actuation and language alone, bit 6 that under all at once.
+sensor, actuation and language alone, bit 6 that under simultaneous
+perturbation. Of two policies it is one digit per rollout: bit 0 is the success
+of A, bit 1 that of B.
 """
 
 import json
@@ -21,6 +23,7 @@ HERE = Path(__file__).parent
 EXAMPLE = HERE / "../../../../examples/openvla_oft/rollouts.jsonl"
 AXES = ["camera", "lighting", "robot", "sensor", "actuation", "language"]
 DATA_SETS = 20
+PAIRED_SETS = 12
 RESAMPLINGS = 100_000
 INTERVALS = ["d", "i", "r_e", "r_c", "r_d"]
 
@@ -89,8 +92,8 @@ def expected(tasks, rng):
 
 
 def random_tasks(rng):
-    """Tasks of unequal difficulty, axes that fail together, and a combination
-    that is harder or easier than its parts."""
+    """Tasks of unequal difficulty, axes that fail together, and simultaneous
+    perturbation that is harder or easier than its parts."""
     ease = rng.normal(rng.uniform(0.5, 2.5), 0.8, size=rng.integers(4, 41))
     shift = rng.uniform(-1.5, 1.0)
     tasks = []
@@ -104,6 +107,50 @@ def random_tasks(rng):
 
 def text(y):
     return "".join(f"{sum(int(v) << k for k, v in enumerate(row)):02x}" for row in y)
+
+
+def random_pairs(rng):
+    """Two policies on tasks of unequal difficulty, alike in what they find
+    hard, on unequal numbers of rollouts."""
+    ease = rng.normal(rng.uniform(-1.0, 2.0), 1.0, size=rng.integers(10, 41))
+    shift = rng.uniform(-1.0, 1.0)
+    tasks = []
+    for own in ease:
+        gap = rng.normal(shift, 0.8)
+        luck = rng.normal(own, 0.8, size=rng.integers(1, 31))
+        logit = np.stack([luck + gap / 2, luck - gap / 2], axis=1)
+        tasks.append(rng.random(logit.shape) < 1 / (1 + np.exp(-logit)))
+    return tasks
+
+
+def difference(tasks, rng):
+    """A - B over the same rollouts, for whole tasks resampled."""
+    y = np.concatenate(tasks)
+    a, b = y[:, 0], y[:, 1]
+    net = np.array([float(t[:, 0].sum()) - float(t[:, 1].sum()) for t in tasks])
+    size = np.array([len(t) for t in tasks], dtype=float)
+    times = rng.multinomial(len(tasks), np.full(len(tasks), 1 / len(tasks)), size=RESAMPLINGS)
+    values = (times @ net) / (times @ size)
+    a_only, b_only = int((a & ~b).sum()), int((b & ~a).sum())
+    test = binomtest(a_only, a_only + b_only, 0.5).pvalue if a_only + b_only else 1.0
+    return {
+        "n": len(y),
+        "tasks": len(tasks),
+        "both": int((a & b).sum()),
+        "a_only": a_only,
+        "b_only": b_only,
+        "neither": int((~a & ~b).sum()),
+        "s_a": float(a.mean()),
+        "s_b": float(b.mean()),
+        "difference": float(a.mean() - b.mean()),
+        "difference_ci95": np.percentile(values, [2.5, 97.5]).tolist(),
+        "difference_deviation": float(values.std()),
+        "mcnemar_p": float(test),
+    }
+
+
+def pairs_text(y):
+    return "".join(str(int(a) + 2 * int(b)) for a, b in y)
 
 
 def example(level):
@@ -132,6 +179,17 @@ def main():
               (91, 47), (0, 400), (700, 900), (2000, 2100)]
     samples = [rng.normal(size=n) for n in [1, 2, 3, 10, 101]]
     shares = [0, 0.025, 0.3, 0.5, 0.975, 1]
+    # Of its own, so that what is above stays as it is.
+    rng_of_pairs = np.random.default_rng(20260905)
+    paired_sets = []
+    for _ in range(PAIRED_SETS):
+        tasks = random_pairs(rng_of_pairs)
+        paired_sets.append(
+            {
+                "tasks": [pairs_text(y) for y in tasks],
+                "expected": difference(tasks, rng_of_pairs),
+            }
+        )
     document = {
         "made_with": {"numpy": np.__version__, "scipy": scipy.__version__},
         "resamplings": RESAMPLINGS,
@@ -149,6 +207,7 @@ def main():
         ],
         "data_sets": data_sets,
         "openvla_oft": {level: expected(example(level), rng) for level in ["L1", "L2", "L3"]},
+        "paired_sets": paired_sets,
     }
     (HERE / "expected.json").write_text(json.dumps(document, indent=1) + "\n")
 

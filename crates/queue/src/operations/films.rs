@@ -1,5 +1,5 @@
 //! Which rollouts are filmed after the fact: those of configurations whose outcome
-//! the combination of axes changed, in campaigns that record transitions. Their
+//! simultaneous perturbation changed, in campaigns that record transitions. Their
 //! actions were kept, so that filming them needs no policy.
 
 use std::collections::BTreeSet;

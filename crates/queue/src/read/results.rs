@@ -58,6 +58,19 @@ pub struct RecordRow {
     pub realisation: Option<String>,
 }
 
+/// What a rollout was, beyond its name.
+#[derive(Clone, Debug, sqlx::FromRow)]
+pub struct SetupRow {
+    /// Which rollout.
+    pub rollout_id: String,
+    /// Its manifest row, JSON.
+    pub manifest_row: String,
+    /// SHA-256 of the composed scene, once it is committed.
+    pub scene_digest: Option<String>,
+    /// SHA-256 of the initial state's bytes, once it is committed.
+    pub init_state_digest: Option<String>,
+}
+
 impl Edition {
     /// Whether the other is an earlier or a later one of the same campaign.
     pub fn is_of_same_campaign(&self, other: &Edition) -> bool {
@@ -132,6 +145,23 @@ impl View {
         .fetch_all(self.tx())
         .await
         .doing("read what is known of a campaign")
+    }
+
+    /// What the rollouts of a campaign are, of its first replicate: a replicate
+    /// changes nothing of it.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn setups(&mut self, campaign: CampaignId) -> Result<Vec<SetupRow>, StoreError> {
+        sqlx::query_as(
+            "SELECT j.rollout_id, j.manifest_row, r.scene_digest, r.init_state_digest
+             FROM job j LEFT JOIN result r ON r.job_id = j.id
+             WHERE j.campaign_id = ? AND j.replicate = 0",
+        )
+        .bind(campaign)
+        .fetch_all(self.tx())
+        .await
+        .doing("read what a campaign's rollouts are")
     }
 
     /// The distinct provenances of a campaign's results.

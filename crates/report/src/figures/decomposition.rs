@@ -36,7 +36,8 @@ pub fn decomposition(document: &Document, level: Level) -> Option<Figure> {
         }
     };
     let title = format!(
-        "Success expected of independent axes, under every axis alone, and all at once, at {level}"
+        "Success expected of independent axes, under every axis alone, and under simultaneous \
+         perturbation, at {level}"
     );
     Some(Figure::new(
         &format!("decomposition-{level}"),
@@ -75,12 +76,12 @@ fn row(scale: &Scale, name: &str, m: &Measures, top: f64) -> Markup {
     let in_d = format!(
         "D {}{}",
         words::points(m.d),
-        words::points_interval(m.d_ci95)
+        words::points_interval(m.d_ci95, m.no_interval)
     );
     let in_i = format!(
         "I {}{}",
         words::points(m.i),
-        words::points_interval(m.i_ci95)
+        words::points_interval(m.i_ci95, m.no_interval)
     );
     html! {
         g {

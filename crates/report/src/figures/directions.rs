@@ -8,7 +8,8 @@ use protocol::Level;
 
 use super::svg::{AXIS, HEAD, MARGIN, Scale, line, percent_ticks, rect, shortened, text, whisker};
 use super::{Figure, WIDTH};
-use crate::document::{Analysis, Document};
+use crate::analysis::Analysis;
+use crate::document::Document;
 use crate::words;
 
 const LEGEND: f64 = 20.0;
@@ -81,12 +82,12 @@ fn row(scale: &Scale, name: &str, m: &Measures, top: f64) -> Markup {
     let emergent = format!(
         "{}{}",
         words::percent(m.r_e),
-        words::rate_interval(m.r_e_ci95)
+        words::rate_interval(m.r_e_ci95, m.no_interval)
     );
     let compensated = format!(
         "{}{}",
         words::percent(m.r_c),
-        words::rate_interval(m.r_c_ci95)
+        words::rate_interval(m.r_c_ci95, m.no_interval)
     );
     html! {
         g {

@@ -1,5 +1,5 @@
-//! Success under each axis alone and under all at once, policies × axes, one
-//! panel per level.
+//! Success under each axis alone and under simultaneous perturbation, policies ×
+//! axes, one panel per level.
 
 use maud::{Markup, html};
 use paired::{Cell, Count};
@@ -15,7 +15,7 @@ const LABELS: f64 = 108.0;
 const LABEL_CHARACTERS: usize = 15;
 const ROW: f64 = 28.0;
 /// Height of the slanted names below the columns.
-const NAMES: f64 = 58.0;
+const NAMES: f64 = 66.0;
 const LEGEND: f64 = 52.0;
 /// Pieces that the colour scale is drawn in.
 const LEGEND_STEPS: u32 = 40;
@@ -68,7 +68,7 @@ pub fn heat_map(document: &Document, level: Level) -> Option<Figure> {
                 (text(0.0, y + 18.0, "name", &shortened(name, LABEL_CHARACTERS)))
             }
             @for (column, condition) in columns.iter().enumerate() {
-                @let what = format!("{name}, {}", words::condition(*condition));
+                @let what = format!("{name}, {}", condition.label());
                 @let place = [LABELS + width * column as f64, y];
                 (square(&what, count(cell, *condition), place, width))
             }
@@ -78,7 +78,7 @@ pub fn heat_map(document: &Document, level: Level) -> Option<Figure> {
         }
         (legend(bottom + NAMES, &counts))
     };
-    let title = format!("Success under each axis alone and all at once at {level}, by policy");
+    let title = format!("Success under each axis alone and simultaneous at {level}, by policy");
     let name = format!("single-axis-{level}");
     Some(Figure::new(&name, title, bottom + NAMES + LEGEND, body))
 }
@@ -88,14 +88,14 @@ fn count(cell: &Cell, condition: Condition) -> Option<Count> {
     match condition {
         Condition::Clean => None,
         Condition::Single(axis) => cell.alone.get(&axis).map(|alone| alone.count),
-        Condition::Combination => cell.together,
+        Condition::Combination => cell.simultaneous,
     }
 }
 
 /// A column's name, ending at a place.
 fn slanted([x, y]: [f64; 2], condition: Condition) -> Markup {
     let turned = format!("translate({} {}) rotate(-45)", number(x), number(y));
-    html! { text class="small end" transform=(turned) { (words::condition(condition)) } }
+    html! { text class="small end" transform=(turned) { (condition.label()) } }
 }
 
 fn square(what: &str, count: Option<Count>, [x, y]: [f64; 2], width: f64) -> Markup {

@@ -1,5 +1,5 @@
 //! The outcome matrix of a cell: forty tasks × their configurations, each
-//! marked with what perturbing everything at once did to its outcome.
+//! marked with what simultaneous perturbation did to its outcome.
 
 use std::collections::BTreeMap;
 
@@ -9,8 +9,7 @@ use protocol::{Axis, Condition, Level, Suite, TaskRef};
 
 use super::svg::{HEAD, number, rect, text};
 use super::{Figure, Link, WIDTH};
-use crate::document::Analysis;
-use crate::words;
+use crate::analysis::Analysis;
 
 /// Most configurations of a task that fit; more are counted in words.
 const MAX_COLUMNS: usize = 10;
@@ -25,7 +24,7 @@ const LEGEND: f64 = 58.0;
 /// says, if there is one; none where the policy has no such cell, or combines
 /// nothing.
 pub fn matrix(analysis: &Analysis, level: Level, link: Option<Link>) -> Option<Figure> {
-    analysis.cell(level)?.together?;
+    analysis.cell(level)?.simultaneous?;
     let mut tasks: BTreeMap<TaskRef, Vec<&Matched>> = BTreeMap::new();
     for matched in analysis.records.configurations() {
         if matched.replicate == 0 && matched.level == level {
@@ -98,7 +97,7 @@ fn legend(top: f64) -> Markup {
             150.0,
             22.0,
             Some(Transition::StillFails),
-            "an axis alone fails, and so do all",
+            "fails either way",
         ),
     ];
     html! {
@@ -198,7 +197,7 @@ fn said(matched: &Matched) -> String {
                 _ => true,
             })
             .filter(|&condition| matched.outcome(condition) == outcome)
-            .map(words::condition)
+            .map(Condition::label)
             .collect()
     };
     let place = format!("{} c{}", matched.task, matched.config);

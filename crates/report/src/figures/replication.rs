@@ -7,9 +7,11 @@ use maud::{Markup, html};
 use paired::{Cell, Flips};
 use protocol::{Condition, Level};
 
-use super::svg::{AXIS, HEAD, Scale, circle, line, number, percent_ticks, rect, text, whisker};
+use super::svg::{
+    AXIS, HEAD, Scale, circle, line, number, percent_ticks, rect, text, whisker, withheld,
+};
 use super::{Figure, WIDTH};
-use crate::document::Analysis;
+use crate::analysis::Analysis;
 use crate::words;
 
 const LABELS: f64 = 84.0;
@@ -76,7 +78,10 @@ fn replicate(scale: &Scale, cell: &Cell, y: f64) -> Markup {
     let of = format!("seed {}", cell.replicate);
     html! {
         (text(LABELS - 10.0, y + 4.0, "small muted end", &of))
-        @if let Some(interval) = measures.i_ci95 { (whisker(scale, interval, y)) }
+        @match measures.i_ci95 {
+            Some(interval) => (whisker(scale, interval, y)),
+            None => (withheld(scale, measures.i, measures.no_interval, y)),
+        }
         (circle(scale.at(measures.i), y, "mark"))
     }
 }
@@ -110,7 +115,7 @@ pub fn flips(analysis: &Analysis) -> Option<Figure> {
         @for (index, (condition, flips)) in conditions.iter().enumerate() {
             @let y = HEAD + BAR_ROW * index as f64;
             @let rate = flips.rate().unwrap_or_default();
-            (text(0.0, y + 16.0, "small", words::condition(*condition)))
+            (text(0.0, y + 16.0, "small", condition.label()))
             (rect(LABELS, y + 5.0, scale.at(rate) - LABELS, 14.0, "bar"))
             text class="small muted" x=(number(scale.at(rate) + 6.0)) y=(number(y + 16.0)) {
                 (words::percent(rate)) " % of " (flips.compared)

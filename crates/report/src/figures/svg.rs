@@ -1,7 +1,7 @@
 //! What the figures are drawn with: numbers, scales, axes, intervals.
 
 use maud::{Markup, html};
-use paired::Interval;
+use paired::{Interval, NoInterval};
 
 /// Width of every panel, in its own units: pixels, where it is not scaled.
 pub const WIDTH: f64 = 380.0;
@@ -88,6 +88,18 @@ pub(super) fn whisker(scale: &Scale, [low, high]: Interval, y: f64) -> Markup {
             d={ "M" (low) " " (top) "V" (bottom) "M" (low) " " (middle) "H" (high)
                 "M" (high) " " (top) "V" (bottom) } {}
     }
+}
+
+/// Beside a value without an interval: why it has none. On the side on which
+/// there is room.
+pub(super) fn withheld(scale: &Scale, value: f64, why: Option<NoInterval>, y: f64) -> Markup {
+    let x = scale.at(value);
+    let is_right = x > f64::midpoint(scale.range[0], scale.range[1]) + 1.0;
+    let (x, class) = match is_right {
+        true => (x - 10.0, "tiny muted end"),
+        false => (x + 10.0, "tiny muted"),
+    };
+    html! { @if let Some(why) = why { (text(x, y + 3.5, class, why.name())) } }
 }
 
 pub(super) fn circle(x: f64, y: f64, class: &str) -> Markup {

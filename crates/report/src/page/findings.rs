@@ -4,7 +4,8 @@
 use maud::{Markup, html};
 use paired::{Cell, Measures};
 
-use crate::document::{Analysis, Document};
+use crate::analysis::Analysis;
+use crate::document::Document;
 use crate::subject::Origin;
 use crate::words;
 
@@ -21,8 +22,8 @@ pub(super) fn subtitle(document: &Document) -> Markup {
     let rollouts: usize = rollouts.sum();
     html! {
         p.muted {
-            (rollouts) " rollouts: the same configurations under each axis alone, and under all \
-            axes at once."
+            (rollouts) " rollouts: the same configurations under each axis alone, and under \
+            simultaneous perturbation by all of them."
             @if let [Analysis { subject, .. }] = document.analyses.as_slice() {
                 @match &subject.origin {
                     Origin::Campaign { name, design, .. } => {
@@ -70,7 +71,7 @@ pub(super) fn warnings(document: &Document) -> Markup {
 }
 
 /// A warning as a sentence, names between backticks as code.
-fn sentence(warning: &str) -> Markup {
+pub(super) fn sentence(warning: &str) -> Markup {
     let mut letters = warning.chars();
     let first = letters.next().map(|c| c.to_uppercase().to_string());
     let text = format!("{}{}.", first.unwrap_or_default(), letters.as_str());
@@ -117,16 +118,17 @@ fn finding(what: &str, cell: &Cell, m: &Measures) -> Markup {
                 " complete configurations out of " (cell.completeness.expected)
             } @else { " configurations" }
             ", "
-            span.emergent {
+            // A nought is nothing to warn of.
+            span class=[(m.b > 0).then_some("emergent")] {
                 (m.b) @if m.b == 1 { " fails" } @else { " fail" }
-                " only when everything is perturbed at once"
+                " only under simultaneous perturbation"
             }
             " and "
-            span.compensated {
+            span class=[(m.c > 0).then_some("compensated")] {
                 (m.c) @if m.c == 1 { " succeeds" } @else { " succeed" }
                 " although an axis alone makes them fail"
             }
-            ". Net effect " (words::points(m.i)) " points" (words::points_interval(m.i_ci95))
+            ". Net effect " (words::points(m.i)) " points" (words::points_interval(m.i_ci95, m.no_interval))
             "; " (net) " (p = " (words::p_value(m.mcnemar_p)) ")."
         }
     }

@@ -3,10 +3,13 @@
 use std::fmt::Display;
 
 use maud::{Markup, Render, html};
-use paired::{Bounds, Cell, Count, Gap, GateVerdict, Measures, Nominal, NominalSource};
+use paired::{
+    Bounds, Cell, Count, Gap, GateVerdict, Interval, Measures, NoInterval, Nominal, NominalSource,
+};
 use protocol::{Axis, Condition};
 
-use crate::document::{Analysis, Document};
+use crate::analysis::Analysis;
+use crate::document::Document;
 use crate::words::{self, percent, points, points_interval, rate_interval};
 
 /// A cell and what it is of.
@@ -25,7 +28,7 @@ fn rows(document: &Document) -> impl Iterator<Item = Row<'_>> {
 
 /// A table in a box that scrolls, reachable by keyboard. A column whose head
 /// ends with a stop holds words, the others numbers. Nothing without rows.
-fn table(name: &str, heads: &[&str], rows: Vec<Vec<Markup>>) -> Markup {
+pub(super) fn table(name: &str, heads: &[&str], rows: Vec<Vec<Markup>>) -> Markup {
     let is_words = |column: usize| heads[column].ends_with('.').then_some("words");
     html! {
         @if !rows.is_empty() {
@@ -56,26 +59,30 @@ fn table(name: &str, heads: &[&str], rows: Vec<Vec<Markup>>) -> Markup {
     }
 }
 
-fn plain(value: impl Display) -> Markup {
+pub(super) fn plain(value: impl Display) -> Markup {
     html! { (value.to_string()) }
 }
 
 /// A value, or a dash.
-fn or_dash(value: Option<impl Render>) -> Markup {
+pub(super) fn or_dash(value: Option<impl Render>) -> Markup {
     html! { @if let Some(value) = value { (value) } @else { span.muted { "–" } } }
 }
 
 /// A value with something smaller below it.
-fn with(value: impl Display, below: &str) -> Markup {
+pub(super) fn with(value: impl Display, below: &str) -> Markup {
     html! { (value.to_string()) @if !below.is_empty() { small { (below.trim_start()) } } }
 }
 
-fn rate(rate: f64, interval: Option<[f64; 2]>) -> Markup {
-    with(percent(rate), &rate_interval(interval))
+fn rate(rate: f64, interval: Option<Interval>, why: Option<NoInterval>) -> Markup {
+    with(percent(rate), &rate_interval(interval, why))
 }
 
-fn difference(difference: f64, interval: Option<[f64; 2]>) -> Markup {
-    with(points(difference), &points_interval(interval))
+pub(super) fn difference(
+    difference: f64,
+    interval: Option<Interval>,
+    why: Option<NoInterval>,
+) -> Markup {
+    with(points(difference), &points_interval(interval, why))
 }
 
 type Column = (&'static str, fn(&Measures) -> Markup);
@@ -84,13 +91,13 @@ const PAIRED: [Column; 12] = [
     ("S_indep %", |m| plain(percent(m.s_indep))),
     ("S_conj %", |m| plain(percent(m.s_conj))),
     ("S_sim %", |m| plain(percent(m.s_sim))),
-    ("D points", |m| difference(m.d, m.d_ci95)),
-    ("I points", |m| difference(m.i, m.i_ci95)),
+    ("D points", |m| difference(m.d, m.d_ci95, m.no_interval)),
+    ("I points", |m| difference(m.i, m.i_ci95, m.no_interval)),
     ("b", |m| plain(m.b)),
     ("c", |m| plain(m.c)),
-    ("R_e %", |m| rate(m.r_e, m.r_e_ci95)),
-    ("R_c %", |m| rate(m.r_c, m.r_c_ci95)),
-    ("R_d %", |m| rate(m.r_d, m.r_d_ci95)),
+    ("R_e %", |m| rate(m.r_e, m.r_e_ci95, m.no_interval)),
+    ("R_c %", |m| rate(m.r_c, m.r_c_ci95, m.no_interval)),
+    ("R_d %", |m| rate(m.r_d, m.r_d_ci95, m.no_interval)),
     ("emergent share %", |m| {
         or_dash(m.emergent_share.map(percent))
     }),
@@ -121,10 +128,11 @@ pub(super) fn paired(document: &Document) -> Markup {
     html! {
         (table("Paired outcomes", &heads, rows(document).map(values).collect()))
         p.muted {
-            "n: configurations of which all outcomes are known. b: every axis alone succeeds, all \
-            at once fail (emergent). c: some axis alone fails, all at once succeed (compensated). \
-            R_e = b/n, R_c = c/n, R_d = R_e + R_c, I = R_c − R_e. Emergent share: b of all \
-            failures under everything at once. Detectable |I|, in points: the smallest net effect \
+            "n: configurations of which all outcomes are known. b: every axis alone succeeds, the \
+            simultaneous rollout fails (emergent). c: some axis alone fails, the simultaneous \
+            rollout succeeds (compensated). R_e = b/n, R_c = c/n, R_d = R_e + R_c, I = R_c − R_e. \
+            Emergent share: b of all simultaneous failures. In brackets, 95 % intervals; where \
+            one would mislead, why (see Methods). Detectable |I|, in points: the smallest net effect \
             that so many configurations, with so many changes, show in four of five repetitions."
         }
     }
@@ -178,7 +186,7 @@ pub(super) fn single_axes(document: &Document) -> Markup {
     let names: Vec<String> = axes.iter().map(|axis| format!("{axis} %")).collect();
     let mut heads = vec!["policy", "level"];
     heads.extend(names.iter().map(String::as_str));
-    heads.push("all at once %");
+    heads.push("simultaneous %");
     let values = |Row { policy, cell }: Row| {
         let alone = |axis: &Axis| {
             let alone = cell.alone.get(axis);
@@ -188,7 +196,12 @@ pub(super) fn single_axes(document: &Document) -> Markup {
         };
         let mut values = vec![plain(policy), plain(cell.level)];
         values.extend(axes.iter().map(alone));
-        values.push(success(cell, Condition::Combination, cell.together, None));
+        values.push(success(
+            cell,
+            Condition::Combination,
+            cell.simultaneous,
+            None,
+        ));
         values
     };
     html! {
@@ -250,9 +263,9 @@ pub(super) fn replication(analysis: &Analysis) -> Markup {
                 plain(format!("{replicate} against 0")),
                 plain(level),
                 plain(change.n),
-                difference(change.i, change.i_ci95),
-                difference(change.r_e, change.r_e_ci95),
-                difference(change.r_c, change.r_c_ci95),
+                difference(change.i, change.i_ci95, change.no_interval),
+                difference(change.r_e, change.r_e_ci95, change.no_interval),
+                difference(change.r_c, change.r_c_ci95, change.no_interval),
                 plain(percent(change.same_transition as f64 / change.n as f64)),
                 or_dash(again),
             ]);
@@ -277,9 +290,9 @@ pub(super) fn solvable(document: &Document) -> Markup {
             plain(m.n),
             plain(m.b),
             plain(m.c),
-            difference(m.i, m.i_ci95),
-            rate(m.r_e, m.r_e_ci95),
-            rate(m.r_c, m.r_c_ci95),
+            difference(m.i, m.i_ci95, m.no_interval),
+            rate(m.r_e, m.r_e_ci95, m.no_interval),
+            rate(m.r_c, m.r_c_ci95, m.no_interval),
             plain(words::p_value(m.mcnemar_p)),
         ])
     };

@@ -1,0 +1,108 @@
+//! `coordinator compare`: two policies against each other, over the rollouts
+//! that both have.
+
+use std::path::PathBuf;
+
+use anyhow::anyhow;
+use clap::{Arg, ArgAction, ArgMatches, Args, Command, FromArgMatches, value_parser};
+use report::{Comparison, Document, Subject};
+
+use super::command::{CommandError, Connection, print_line, usage};
+
+#[derive(Args, Debug)]
+pub(super) struct CompareArguments {
+    #[command(flatten)]
+    sources: Sources,
+    /// Print JSON instead of a table.
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    connection: Connection,
+}
+
+/// Where outcomes come from.
+#[derive(Clone, Debug)]
+enum Source {
+    Campaign(String),
+    Folder(PathBuf),
+}
+
+/// Campaigns and folders in the order in which they stand on the command line,
+/// which says which of them is A: of derived arguments it would be lost.
+#[derive(Clone, Debug)]
+struct Sources(Vec<Source>);
+
+impl Args for Sources {
+    fn augment_args(command: Command) -> Command {
+        let campaigns = Arg::new("campaigns")
+            .value_name("CAMPAIGN")
+            .num_args(0..=2)
+            .required_unless_present("from")
+            .help("Names of campaigns; the first of two is A, and the difference is A - B");
+        let from = Arg::new("from")
+            .long("from")
+            .value_name("DIR")
+            .action(ArgAction::Append)
+            .value_parser(value_parser!(PathBuf))
+            .help(
+                "In place of a campaign: folder with a `rollouts.jsonl` of the reference or of \
+                 `export`, or such a file",
+            );
+        command.arg(campaigns).arg(from)
+    }
+
+    fn augment_args_for_update(command: Command) -> Command {
+        Self::augment_args(command)
+    }
+}
+
+impl FromArgMatches for Sources {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
+        let names = matches.get_many::<String>("campaigns");
+        let names = names.unwrap_or_default().cloned().map(Source::Campaign);
+        let folders = matches.get_many::<PathBuf>("from");
+        let folders = folders.unwrap_or_default().cloned().map(Source::Folder);
+        let places = |name| matches.indices_of(name).unwrap_or_default();
+        let mut sources: Vec<(usize, Source)> = places("campaigns")
+            .zip(names)
+            .chain(places("from").zip(folders))
+            .collect();
+        sources.sort_by_key(|(place, _)| *place);
+        Ok(Self(
+            sources.into_iter().map(|(_, source)| source).collect(),
+        ))
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
+        *self = Self::from_arg_matches(matches)?;
+        Ok(())
+    }
+}
+
+pub(super) async fn compare(arguments: CompareArguments) -> Result<(), CommandError> {
+    let sources = arguments.sources.0;
+    if sources.len() != 2 {
+        let given = sources.len();
+        return Err(usage(anyhow!(
+            "compare two policies: {given} given; name two campaigns, or folders with --from"
+        )));
+    }
+    let mut subjects: Vec<Subject> = Vec::new();
+    for source in &sources {
+        subjects.push(match source {
+            Source::Campaign(name) => arguments.connection.client()?.report(name).await?,
+            Source::Folder(path) => report::import(path).map_err(usage)?,
+        });
+    }
+    let document = Document::new(subjects).map_err(anyhow::Error::from)?;
+    let [a, b] = document.analyses.as_slice() else {
+        unreachable!("one analysis per subject");
+    };
+    let setups = [&a.subject.setups, &b.subject.setups];
+    let comparison = Comparison::of([a, b], setups).map_err(anyhow::Error::from)?;
+    let text = match arguments.json {
+        true => comparison.json().map_err(anyhow::Error::from)?,
+        false => comparison.text(),
+    };
+    Ok(print_line(text.trim_end())?)
+}

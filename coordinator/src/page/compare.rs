@@ -1,0 +1,98 @@
+//! Two campaigns against each other, over the rollouts that both have.
+
+use maud::{Markup, html};
+use queue::ids::{CampaignName, shortened};
+use queue::read::{Campaign, View};
+
+use super::layout::{Place, Sheet};
+use super::problem::Problem;
+use super::state::Page;
+
+/// Where the page is.
+pub(super) const ADDRESS: &str = "/compare";
+
+/// The page; without two campaigns in its query, the form that asks for them.
+pub(super) async fn sheet(page: &Page, query: &str) -> Result<Sheet, Problem> {
+    let of = |wanted: &str| {
+        let mut pairs = form_urlencoded::parse(query.as_bytes());
+        let value = pairs.find(|(name, _)| name == wanted);
+        value.map(|(_, value)| value.into_owned())
+    };
+    let (a, b) = (of("a"), of("b"));
+    let mut view = page.queue.view().await?;
+    let names = names(&mut view).await?;
+    let form = form(&names, [a.as_deref(), b.as_deref()]);
+    let (Some(a), Some(b)) = (a, b) else {
+        let main = html! { (crumbs()) h1 { "Compare two campaigns" } (form) };
+        return Ok(Sheet::new(Place::Campaigns, "Compare", main));
+    };
+    let (a, b) = (
+        campaign(&mut view, &a).await?,
+        campaign(&mut view, &b).await?,
+    );
+    let comparison = page.comparison([&a, &b], &mut view).await?;
+    let title = format!("{} against {}", a.name, b.name);
+    let main = html! {
+        (crumbs())
+        h1 { (title) }
+        p {
+            "A is policy " strong { (a.policy) } " of "
+            a href={ "/campaigns/" (a.name) } { (a.name) }
+            ", B is policy " strong { (b.policy) } " of "
+            a href={ "/campaigns/" (b.name) } { (b.name) } "."
+        }
+        (form)
+        @match comparison.as_ref() {
+            Ok(comparison) => (::report::page_comparison(comparison)),
+            Err(refused) => {
+                h2 { "They cannot be compared" }
+                ul { @for reason in &refused.reasons { li { (reason) } } }
+            }
+        }
+    };
+    Ok(Sheet::new(Place::Campaigns, title, main))
+}
+
+/// Asks for two campaigns; nothing where there is no choice.
+pub(super) fn form(names: &[String], chosen: [Option<&str>; 2]) -> Markup {
+    let select = |id: &str, chosen: Option<&str>, otherwise: usize| {
+        let chosen = chosen.or_else(|| names.get(otherwise).map(String::as_str));
+        html! {
+            select #(id) name=(id) {
+                @for name in names {
+                    option value=(name) selected[Some(name.as_str()) == chosen] { (name) }
+                }
+            }
+        }
+    };
+    html! {
+        @if names.len() > 1 {
+            form.find action=(ADDRESS) {
+                label for="a" { "Compare" }
+                (select("a", chosen[0], 0))
+                label for="b" { "with" }
+                (select("b", chosen[1], 1))
+                button { "Show the difference" }
+            }
+        }
+    }
+}
+
+fn crumbs() -> Markup {
+    html! { p.crumbs { a href="/" { "Campaigns" } } }
+}
+
+/// The campaigns, the newest first.
+async fn names(view: &mut View) -> Result<Vec<String>, Problem> {
+    let statuses = view.statuses().await?;
+    let names = statuses.iter().rev();
+    Ok(names
+        .map(|status| status.campaign.name.to_string())
+        .collect())
+}
+
+async fn campaign(view: &mut View, name: &str) -> Result<Campaign, Problem> {
+    let unknown = || Problem::Campaign(shortened(name, 80).to_owned());
+    let name = CampaignName::parse(name).map_err(|_| unknown())?;
+    Ok(view.campaign(&name).await?)
+}

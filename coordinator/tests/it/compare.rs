@@ -1,0 +1,250 @@
+//! Two policies against each other, from the command line and on the page.
+
+use proto::coordinator as wire;
+use proto::coordinator::commit_response::Verdict;
+use serde_json::{Value, json};
+
+use crate::harness::{Bench, Worker, rollout_id, small_spec, with};
+use crate::page::ask;
+use crate::process::{Serve, coordinator, text};
+
+/// The published outcomes of OpenVLA-OFT.
+const EXAMPLE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/openvla_oft");
+
+/// Runs everything there is: the policy `strong` succeeds everywhere, any other
+/// only where nothing is simultaneous.
+async fn run_all(worker: &mut Worker) {
+    loop {
+        let leases: Vec<wire::Lease> = worker.claim(64).await;
+        if leases.is_empty() {
+            break;
+        }
+        for lease in leases {
+            let success = lease.policy == "strong" || !rollout_id(&lease).contains("combination");
+            assert_eq!(worker.commit(&lease, success).await, Verdict::Accepted);
+        }
+    }
+}
+
+fn create(serve: &Serve, name: &str, policy: &str, more: &[&str]) {
+    #[rustfmt::skip]
+    let arguments = [
+        "campaign", "create", "--name", name, "--policy", policy,
+        "--endpoint", "http://127.0.0.1:50051", "--tasks", "libero_object", "--levels", "L1",
+    ];
+    let created = serve.command(&[&arguments, more].concat());
+    assert!(created.status.success(), "{}", text(&created.stderr));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn two_campaigns_are_compared_over_the_rollouts_that_both_have() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    create(
+        &serve,
+        "a",
+        "strong",
+        &["--axes", "camera,sensor", "--configs", "0,1"],
+    );
+    create(
+        &serve,
+        "b",
+        "weak",
+        &["--axes", "camera,sensor", "--configs", "0"],
+    );
+    run_all(&mut serve.worker("w").await).await;
+
+    let output = serve.command(&["compare", "a", "b"]);
+    let table = text(&output.stdout);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let words = table.split_whitespace().collect::<Vec<_>>().join(" ");
+    for said in [
+        "A strong at http://127.0.0.1:50051, campaign a",
+        "B weak at http://127.0.0.1:50051, campaign b",
+        // Ten tasks: all of A's, none of B's.
+        "simultaneous 10 100.0 0.0 +100.0 no spread 10 0 0.002",
+        "nominal 10 100.0 100.0 +0.0 no spread 0 0 1.000",
+        "left out: 40 rollouts that only A has, 0 rollouts that only B has",
+        "above 0, A succeeds more often",
+    ] {
+        assert!(words.contains(said), "no `{said}` in\n{table}");
+    }
+    for line in table.lines() {
+        assert!(line.chars().count() <= 80, "{line}");
+    }
+
+    let output = serve.command(&["compare", "b", "a", "--json"]);
+    let json: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    assert_eq!(json["a"]["origin"]["campaign"]["name"], "b");
+    let last = json["cells"].as_array().and_then(|cells| cells.last());
+    let last = last.expect("a cell");
+    assert_eq!(last["condition"], "combination");
+    assert_eq!(last["difference"]["difference"], json!(-1.0));
+    assert_eq!(last["difference"]["no_interval"], "no_spread");
+    assert_eq!(
+        (&json["only_in_a"], &json["only_in_b"]),
+        (&json!(0), &json!(40))
+    );
+    assert_eq!(json["unpaired"], json!({}));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn campaigns_and_folders_are_a_and_b_in_the_order_of_the_command_line() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(&folder.path().join("data"));
+    create(&serve, "a", "strong", &["--configs", "0"]);
+    run_all(&mut serve.worker("w").await).await;
+    let rows = folder.path().join("rollouts.jsonl");
+    let rows = rows.to_string_lossy();
+    let exported = serve.command(&["export", "a", "--format", "jsonl", "--output", &rows]);
+    assert!(exported.status.success(), "{}", text(&exported.stderr));
+
+    let file = folder.path().to_string_lossy();
+    for (arguments, is_file_first) in [
+        (["compare", "--from", &file, "a", "--json"], true),
+        (["compare", "a", "--from", &file, "--json"], false),
+    ] {
+        let output = serve.command(&arguments);
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        let json: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+        assert_eq!(
+            json["a"]["origin"]["file"].is_object(),
+            is_file_first,
+            "{json}"
+        );
+        let warning = json["warnings"][0].as_str().expect("a warning");
+        assert!(
+            warning.contains("asset pack, MuJoCo version, renderer"),
+            "{warning}"
+        );
+        let compared = json["cells"].as_array().expect("cells").iter();
+        let compared: u64 = compared
+            .filter_map(|cell| cell["difference"]["n"].as_u64())
+            .sum();
+        assert_eq!(compared, 10 * 7, "five axes, simultaneous, nominal");
+    }
+
+    // The published outcomes were perturbed in the other mode.
+    let output = serve.command(&["compare", "a", "--from", EXAMPLE]);
+    let error = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{error}");
+    assert!(error.contains("different realisation modes"), "{error}");
+    assert!(text(&output.stdout).is_empty());
+}
+
+#[test]
+fn a_wrong_compare_command_exits_with_2_and_says_what_it_takes() {
+    let check = |arguments: &[&str], words: &str| {
+        let output = coordinator(arguments);
+        let error = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {error}");
+        assert!(error.contains(words), "{words}: {error}");
+    };
+    check(&["compare"], "CAMPAIGN");
+    check(&["compare", "--from", EXAMPLE], "two campaigns");
+    check(&["compare", "one"], "two campaigns");
+    check(
+        &["compare", "one", "two", "--from", EXAMPLE],
+        "two campaigns",
+    );
+}
+
+/// What `coordinator compare` makes of two campaigns of a bench.
+async fn compared(bench: &Bench, names: [&str; 2]) -> report::Comparison {
+    let mut subjects = Vec::new();
+    for name in names {
+        let request = wire::ReportRequest {
+            campaign: name.to_owned(),
+        };
+        let parts = bench.operator().await.report(request).await;
+        let mut parts = parts.expect("a report").into_inner();
+        let mut bytes = Vec::new();
+        while let Some(part) = parts.message().await.expect("a part") {
+            bytes.extend(part.json);
+        }
+        subjects.push(serde_json::from_slice(&bytes).expect("a subject"));
+    }
+    let document = report::Document::new(subjects).expect("no duplicates");
+    let [a, b] = document.analyses.as_slice() else {
+        panic!("two");
+    };
+    let setups = [&a.subject.setups, &b.subject.setups];
+    report::Comparison::of([a, b], setups).expect("comparable")
+}
+
+/// Configuration 10 is drawn from the design's seed: under the same ids two
+/// designs have other perturbations, and other initial states.
+#[tokio::test]
+async fn rollouts_that_only_share_their_names_are_not_paired() {
+    let bench = Bench::start().await;
+    for (name, seed) in [("a", 0), ("b", 1), ("c", 0)] {
+        let changes = json!({"configs": [0, 10], "design_seed": seed, "nominal": "none"});
+        let spec = with(small_spec(name), changes);
+        bench.create(&spec).await.expect("created");
+    }
+    let it = compared(&bench, ["a", "b"]).await.statistics;
+    let unpaired: Vec<String> = it
+        .unpaired
+        .values()
+        .flatten()
+        .map(|id| id.to_string())
+        .collect();
+    assert_eq!(unpaired.len(), 3, "{unpaired:?}");
+    assert!(
+        unpaired.iter().all(|id| id.ends_with("c10")),
+        "{unpaired:?}"
+    );
+    assert_eq!(it.shared(), 3, "the presets are the same");
+    let same = compared(&bench, ["a", "c"]).await.statistics;
+    assert_eq!((same.shared(), same.unpaired.len()), (6, 0));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn two_campaigns_are_compared_on_the_page() {
+    let bench = Bench::start().await;
+    let first = with(
+        small_spec("first"),
+        json!({"policy": {"name": "strong", "endpoint": "http://127.0.0.1:50051"}}),
+    );
+    bench.create(&first).await.expect("created");
+    let list = ask(&bench.url, "GET /").await.text();
+    assert!(
+        !list.contains("action=\"/compare\""),
+        "one has nothing to be compared with"
+    );
+    bench.create(&small_spec("second")).await.expect("created");
+    let mut worker = bench.worker("w").await;
+    run_all(&mut worker).await;
+
+    // Another address than before: a page is shown again for a second.
+    let list = ask(&bench.url, "GET /?later").await.text();
+    assert!(list.contains("action=\"/compare\""), "{list}");
+    let form = ask(&bench.url, "GET /compare").await;
+    assert!(
+        form.text().contains("<option value=\"first\""),
+        "{}",
+        form.text()
+    );
+    let answer = ask(&bench.url, "GET /compare?a=first&b=second")
+        .await
+        .text();
+    for words in [
+        "first against second",
+        "strong − expert",
+        "L1 simultaneous",
+        "+100.0",
+        "(too few tasks)",
+        "<svg",
+    ] {
+        assert!(answer.contains(words), "no `{words}` in\n{answer}");
+    }
+    let missing = ask(&bench.url, "GET /compare?a=first&b=third").await;
+    assert!(missing.text().contains("There is no such campaign"));
+    // What cannot be compared is a page too, not an error.
+    let other = with(small_spec("other"), json!({"realisation": "reference"}));
+    bench.create(&other).await.expect("created");
+    let refused = ask(&bench.url, "GET /compare?a=first&b=other").await.text();
+    for words in ["They cannot be compared", "different realisation modes"] {
+        assert!(refused.contains(words), "no `{words}` in\n{refused}");
+    }
+}

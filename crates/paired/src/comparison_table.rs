@@ -1,0 +1,153 @@
+//! A comparison of two policies as text for a terminal of 80 columns.
+
+use protocol::Condition;
+
+use crate::bootstrap::Bootstrap;
+use crate::comparison::{ComparedCell, Comparison};
+use crate::difference::Difference;
+use crate::legend::of_intervals;
+use crate::text::{NOTHING, p_value, push_columns, push_legend, push_wrapped, separate};
+
+/// The comparison as a table with its legend; what is left out of it is in
+/// [`Comparison::left_out`]. Rates and differences are in percent and percentage
+/// points.
+pub fn comparison_table(comparison: &Comparison, bootstrap: &Bootstrap) -> String {
+    let mut text = String::new();
+    push_columns(&mut text, &rows(comparison));
+    let cells = comparison.cells.iter();
+    let gaps: Vec<String> = cells.clone().filter_map(gap).collect();
+    if !gaps.is_empty() {
+        separate(&mut text);
+        push_wrapped(&mut text, "incomplete: ", &gaps.join("; "));
+    }
+    let bounds: Vec<String> = cells.filter_map(bounds).collect();
+    if !bounds.is_empty() {
+        separate(&mut text);
+        push_wrapped(&mut text, "worst and best A - B: ", &bounds.join("; "));
+    }
+    separate(&mut text);
+    push_legend(&mut text, &legend(comparison, bootstrap));
+    text
+}
+
+fn heads() -> (String, Vec<String>) {
+    let heads = ["n", "A %", "B %", "A - B", "95 %", "A only", "B only", "p"];
+    (String::new(), heads.map(str::to_owned).to_vec())
+}
+
+/// A row per cell, below its replicate, where there are several, and its level.
+fn rows(comparison: &Comparison) -> Vec<(String, Vec<String>)> {
+    let has_replicates = comparison.cells.iter().any(|cell| cell.replicate > 0);
+    let mut rows = vec![heads()];
+    let mut above: Option<&ComparedCell> = None;
+    for cell in &comparison.cells {
+        let is_new = above.is_none_or(|above| above.replicate != cell.replicate);
+        if is_new && has_replicates {
+            rows.push((format!("replicate {}", cell.replicate), Vec::new()));
+        }
+        let label = cell.condition.label();
+        let label = match cell.condition {
+            Condition::Clean => label.to_owned(),
+            _ => {
+                if is_new || above.is_some_and(|above| above.level != cell.level) {
+                    rows.push((cell.level.to_string(), Vec::new()));
+                }
+                format!(" {label}")
+            }
+        };
+        let values = cell.difference.as_ref().map_or_else(nothing, values);
+        rows.push((label, values));
+        above = Some(cell);
+    }
+    rows
+}
+
+/// Of no rollout.
+fn nothing() -> Vec<String> {
+    let mut values = vec![NOTHING.to_owned(); heads().1.len()];
+    "0".clone_into(&mut values[0]);
+    values
+}
+
+/// `nominal`, `L2 camera`, and of later replicates `L2 camera (replicate 1)`.
+fn name(cell: &ComparedCell) -> String {
+    match cell.replicate {
+        0 => cell.name(),
+        k => format!("{} (replicate {k})", cell.name()),
+    }
+}
+
+fn values(it: &Difference) -> Vec<String> {
+    let point = |value: f64| format!("{:+.1}", 100.0 * value);
+    let interval = match (it.difference_ci95, it.no_interval) {
+        (Some([low, high]), _) => format!("[{}, {}]", point(low), point(high)),
+        (None, Some(why)) => why.to_string(),
+        (None, None) => NOTHING.to_owned(),
+    };
+    vec![
+        it.n.to_string(),
+        format!("{:.1}", 100.0 * it.s_a),
+        format!("{:.1}", 100.0 * it.s_b),
+        point(it.difference),
+        interval,
+        it.a_only.to_string(),
+        it.b_only.to_string(),
+        p_value(it.mcnemar_p),
+    ]
+}
+
+fn gap(cell: &ComparedCell) -> Option<String> {
+    let gap = match (cell.missing, cell.quarantined) {
+        (0, 0) => return None,
+        (missing, 0) => format!("{missing} missing"),
+        (0, quarantined) => format!("{quarantined} quarantined"),
+        (missing, quarantined) => format!("{missing} missing, {quarantined} quarantined"),
+    };
+    Some(format!("{} {gap}", name(cell)))
+}
+
+fn bounds(cell: &ComparedCell) -> Option<String> {
+    let [low, high] = cell.bounds.as_ref()?.difference.map(|value| 100.0 * value);
+    Some(format!("{} {low:+.1} to {high:+.1}", name(cell)))
+}
+
+fn legend(comparison: &Comparison, bootstrap: &Bootstrap) -> Vec<(&'static str, String)> {
+    let mut entries = Vec::new();
+    let mut add = |symbol, meaning: &str| entries.push((symbol, meaning.to_owned()));
+    if comparison.cells.iter().any(|cell| cell.replicate > 0) {
+        add(
+            "replicate",
+            "each of A against the one of the same number of B",
+        );
+    }
+    add(
+        "n",
+        "rollouts with an outcome of both; every figure is over these",
+    );
+    add("A %, B %", "success rates over them");
+    add(
+        "A - B",
+        "their difference, in points: above 0, A succeeds more often",
+    );
+    add("A only, B only", "rollouts that only one of them solves");
+    add(
+        "p",
+        "exact two-sided McNemar test of A only against B only; of many rows some are small by \
+         chance",
+    );
+    if comparison.cells.iter().any(|cell| cell.bounds.is_some()) {
+        add(
+            "worst and best",
+            "range over every outcome that quarantined rollouts could have had",
+        );
+    }
+    let differences = comparison.cells.iter();
+    let differences = differences.filter_map(|cell| cell.difference.as_ref());
+    let absent: Vec<_> = differences
+        .map(|difference| difference.no_interval)
+        .collect();
+    if !absent.is_empty() {
+        entries.extend(of_intervals(bootstrap, absent));
+    }
+    entries
+}

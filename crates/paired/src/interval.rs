@@ -1,0 +1,117 @@
+//! Which intervals may be shown. A percentile interval always comes out as two
+//! numbers, also where they mean nothing; here such intervals are withheld,
+//! with the reason.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use crate::bootstrap::{Bootstrap, Interval};
+
+/// Fewest tasks that give an interval: from ten on, 95 % nominal are at least
+/// 90 % actual where the tasks' values are normally distributed.
+///
+/// There the percentile interval of G tasks is the mean ± 1.96·√((G − 1)/G)
+/// standard errors, which covers the truth with probability
+/// P(|t_{G−1}| ≤ 1.96·√((G − 1)/G)): 75 % for three tasks, 85 % for five, 90.4 %
+/// for ten, 94 % for forty. Below four tasks an end of the interval is no more
+/// than the most extreme task, because that one is drawn G times with
+/// probability G^−G > 2.5 %; of two tasks it covers the truth in half of all
+/// cases. docs/REPORT.md has simulations.
+///
+/// Sources: T. Hesterberg, What teachers should know about the bootstrap, The
+/// American Statistician 69 (2015), 371–386, section 4 (the interval is too
+/// narrow by √((n − 1)/n), and takes z for t); A. C. Cameron, J. B. Gelbach and
+/// D. L. Miller, Bootstrap-based improvements for inference with clustered
+/// errors, Review of Economics and Statistics 90 (2008), 414–427 (resampling
+/// few clusters rejects too often).
+pub const MIN_TASKS: usize = 10;
+
+/// Widths up to this are rounding errors of equal values.
+const NO_WIDTH: f64 = 1e-12;
+
+/// Why a value has no interval.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum NoInterval {
+    /// There are fewer tasks than [`MIN_TASKS`].
+    TooFewTasks,
+    /// All resamplings give one value, as where nothing ever happens: the width
+    /// would be nought, which says nothing of how sure the value is.
+    NoSpread,
+}
+
+impl NoInterval {
+    /// In place of an interval: `too few tasks`, `no spread`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::TooFewTasks => "too few tasks",
+            Self::NoSpread => "no spread",
+        }
+    }
+}
+
+impl fmt::Display for NoInterval {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+/// Intervals of `N` statistics over `tasks` tasks, and why those that are
+/// absent are: the tasks are the same for all of them, so one reason holds for
+/// all.
+pub(crate) fn intervals<const N: usize>(
+    bootstrap: &Bootstrap,
+    tasks: usize,
+    statistics: impl Fn(&[u32]) -> [f64; N] + Sync,
+) -> ([Option<Interval>; N], Option<NoInterval>) {
+    // What is withheld is not made.
+    let intervals = (tasks >= MIN_TASKS).then(|| bootstrap.intervals(tasks, statistics));
+    let intervals = intervals.flatten().map_or([None; N], |all| all.map(Some));
+    let shown = intervals.map(|interval| shown(tasks, interval));
+    let why = shown.iter().find_map(|interval| interval.err());
+    (shown.map(Result::ok), why)
+}
+
+/// An interval if it may be shown.
+pub(crate) fn shown(tasks: usize, interval: Option<Interval>) -> Result<Interval, NoInterval> {
+    if tasks < MIN_TASKS {
+        return Err(NoInterval::TooFewTasks);
+    }
+    let has_width = |[low, high]: &Interval| high - low > NO_WIDTH;
+    interval.filter(has_width).ok_or(NoInterval::NoSpread)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(values: &[f64]) -> (Option<Interval>, Option<NoInterval>) {
+        let ([interval], why) = intervals(&Bootstrap::default(), values.len(), |draws| {
+            let sum: f64 = draws
+                .iter()
+                .zip(values)
+                .map(|(&d, v)| f64::from(d) * v)
+                .sum();
+            [sum / values.len() as f64]
+        });
+        (interval, why)
+    }
+
+    #[test]
+    fn fewer_than_ten_tasks_have_no_interval_however_they_differ() {
+        let values: Vec<f64> = (0..10).map(f64::from).collect();
+        assert_eq!(of(&values[..2]), (None, Some(NoInterval::TooFewTasks)));
+        assert_eq!(of(&values[..9]), (None, Some(NoInterval::TooFewTasks)));
+        let (interval, why) = of(&values);
+        let [low, high] = interval.expect("ten tasks");
+        assert!(low < 4.5 && 4.5 < high, "{low} {high}");
+        assert_eq!(why, None);
+    }
+
+    #[test]
+    fn a_value_that_no_resampling_changes_has_no_interval() {
+        assert_eq!(of(&[0.0; 40]), (None, Some(NoInterval::NoSpread)));
+        assert_eq!(of(&[1.0 / 3.0; 40]), (None, Some(NoInterval::NoSpread)));
+    }
+}

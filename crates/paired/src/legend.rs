@@ -1,0 +1,120 @@
+//! What the symbols of the table mean, for readers who have not the paper at
+//! hand: a line for each that is printed, and for no other.
+
+use crate::bootstrap::Bootstrap;
+use crate::interval::{MIN_TASKS, NoInterval};
+use crate::report::Report;
+use crate::text::push_legend;
+
+/// The legend of the tables of some reports, for a terminal of 80 columns;
+/// empty where they print no symbol.
+pub fn legend(reports: &[&Report]) -> String {
+    let cells = || reports.iter().flat_map(|report| &report.cells);
+    let has_pairs = cells().any(|cell| cell.simultaneous.is_some());
+    let has_loss = cells().any(|cell| {
+        let mut axes = cell.alone.values();
+        axes.any(|axis| axis.clean_relative_loss.is_some())
+    });
+    let mut entries: Vec<(&str, String)> = Vec::new();
+    let mut add = |symbol, meaning: &str| entries.push((symbol, meaning.to_owned()));
+    if has_loss {
+        add("loss", "1 - success / nominal success");
+    }
+    if has_pairs {
+        add("simultaneous", "all of these axes in one rollout");
+        add(
+            "n complete",
+            "configurations of which every outcome is known",
+        );
+        add(
+            "S_indep",
+            "product of the axes' success rates: expected of axes that act independently",
+        );
+        add(
+            "S_conj",
+            "share of configurations that succeed under every axis alone",
+        );
+        add(
+            "S_sim",
+            "share that succeeds under simultaneous perturbation",
+        );
+        add(
+            "D",
+            "how far the axes' failures coincide in the same configurations",
+        );
+        add("I", "net effect of simultaneity: below 0, failures emerge");
+        add(
+            "b emergent",
+            "every axis alone succeeds, the simultaneous rollout fails",
+        );
+        add(
+            "c compensated",
+            "some axis alone fails, the simultaneous rollout succeeds",
+        );
+        add(
+            "R_e, R_c, R_d",
+            "shares of configurations: emergent, compensated, changed",
+        );
+        add("emergent share", "b of all simultaneous failures");
+        add("McNemar p", "exact two-sided test of b against c");
+        add(
+            "detectable |I|",
+            "smallest |I| that so many configurations, with so many changes, show in 4 of 5 \
+             repetitions",
+        );
+    }
+    if cells().any(|cell| cell.solvable.is_some()) {
+        add(
+            "solvable",
+            "only configurations whose nominal rollout succeeds",
+        );
+    }
+    if cells().any(|cell| cell.bounds.is_some()) {
+        add(
+            "worst and best",
+            "range over every outcome that quarantined rollouts could have had",
+        );
+    }
+    let replication = reports.iter().flat_map(|report| &report.replication);
+    let changes = replication.flat_map(|replication| replication.changes.values());
+    let measures = cells().flat_map(|cell| cell.paired.iter().chain(&cell.solvable));
+    let why = measures.map(|measures| measures.no_interval);
+    let why: Vec<_> = why
+        .chain(changes.map(|change| change.no_interval))
+        .collect();
+    if cells().any(|cell| cell.paired.is_some()) {
+        let bootstrap = reports
+            .first()
+            .map_or_else(Bootstrap::default, |it| it.bootstrap);
+        entries.extend(of_intervals(&bootstrap, why));
+    }
+    let mut text = String::new();
+    push_legend(&mut text, &entries);
+    text
+}
+
+/// What intervals are, and what stands in place of those that are absent.
+pub(crate) fn of_intervals(
+    bootstrap: &Bootstrap,
+    absent: impl IntoIterator<Item = Option<NoInterval>>,
+) -> Vec<(&'static str, String)> {
+    let absent: Vec<NoInterval> = absent.into_iter().flatten().collect();
+    let mut entries = vec![(
+        "95 %",
+        format!(
+            "interval: {} resamplings of whole tasks",
+            bootstrap.replicates
+        ),
+    )];
+    if absent.contains(&NoInterval::TooFewTasks) {
+        let name = NoInterval::TooFewTasks.name();
+        let meaning = format!("too few tasks for an interval: it takes {MIN_TASKS}");
+        entries.push((name, meaning));
+    }
+    if absent.contains(&NoInterval::NoSpread) {
+        let meaning = "no interval: all tasks have the same value, so that resampling them says \
+                       nothing of its uncertainty";
+        entries.push((NoInterval::NoSpread.name(), meaning.to_owned()));
+    }
+    entries
+}

@@ -1,0 +1,142 @@
+//! How a terminal of 80 columns is written to: rows, paragraphs, numbers.
+
+use std::fmt::Write;
+
+use crate::bootstrap::Interval;
+use crate::interval::NoInterval;
+
+/// Columns of the terminal.
+pub(crate) const WIDTH: usize = 80;
+
+/// What stands where nothing is known.
+pub(crate) const NOTHING: &str = "-";
+
+/// Words over as many lines of a terminal as they need, the first after
+/// `prefix`, the others below it.
+pub fn push_wrapped(text: &mut String, prefix: &str, words: &str) {
+    let indent = " ".repeat(prefix.chars().count());
+    let mut line = prefix.to_owned();
+    let mut empty = true;
+    for word in words.split_whitespace() {
+        let needed = line.chars().count() + usize::from(!empty) + word.chars().count();
+        if !empty && needed > WIDTH {
+            text.push_str(&line);
+            text.push('\n');
+            line.clone_from(&indent);
+            empty = true;
+        }
+        if !empty {
+            line.push(' ');
+        }
+        line.push_str(word);
+        empty = false;
+    }
+    text.push_str(&line);
+    text.push('\n');
+}
+
+/// Begins a block: an empty line after what is there.
+pub(crate) fn separate(text: &mut String) {
+    if !text.is_empty() && !text.ends_with("\n\n") {
+        text.push('\n');
+    }
+}
+
+/// A label and values, each at the right end of a column of the same width.
+pub(crate) fn push_row<T: AsRef<str>>(
+    text: &mut String,
+    label_width: usize,
+    column_width: usize,
+    label: &str,
+    values: impl Iterator<Item = T>,
+) {
+    let mut row = format!("{label:<label_width$}");
+    for value in values {
+        let _ = write!(row, "{:>column_width$}", value.as_ref());
+    }
+    text.push_str(row.trim_end());
+    text.push('\n');
+}
+
+/// Rows of equally many values, the first row their heads, in columns as wide
+/// as what is in them.
+pub(crate) fn push_columns(text: &mut String, rows: &[(String, Vec<String>)]) {
+    let width = |cell: &String| cell.chars().count();
+    let label = rows.iter().map(|(label, _)| width(label)).max();
+    let label = label.unwrap_or_default();
+    let columns = rows.first().map_or(0, |(_, values)| values.len());
+    let of_column = |column: usize| {
+        let cells = rows.iter().filter_map(|(_, values)| values.get(column));
+        cells.map(width).max().unwrap_or_default()
+    };
+    let widths: Vec<usize> = (0..columns).map(of_column).collect();
+    let needed = label + widths.iter().sum::<usize>();
+    // Wider than necessary where there is room.
+    let gap = match needed + 2 * columns <= WIDTH {
+        true => 2,
+        false => 1,
+    };
+    for (name, values) in rows {
+        let mut row = format!("{name:<label$}");
+        for (value, width) in values.iter().zip(&widths) {
+            let _ = write!(row, "{value:>width$}", width = width + gap);
+        }
+        text.push_str(row.trim_end());
+        text.push('\n');
+    }
+}
+
+/// Entries of a legend: a symbol, and what it means beside it.
+pub(crate) fn push_legend(text: &mut String, entries: &[(&str, String)]) {
+    let widths = entries.iter().map(|(symbol, _)| symbol.chars().count());
+    let width = widths.max().unwrap_or_default();
+    for (symbol, meaning) in entries {
+        push_wrapped(text, &format!("{symbol:<width$}  "), meaning);
+    }
+}
+
+/// A rate in percent, two decimals: `87.50`.
+pub(crate) fn rate(value: f64) -> String {
+    format!("{:.2}", 100.0 * value)
+}
+
+/// A rate in percent, one decimal: `87.5`.
+pub(crate) fn percent(value: Option<f64>) -> String {
+    let text = value.map(|value| format!("{:.1}", 100.0 * value));
+    text.unwrap_or_else(|| NOTHING.to_owned())
+}
+
+/// A difference in points, two decimals: `+0.25`.
+pub(crate) fn points(value: f64) -> String {
+    format!("{:+.2}", 100.0 * value)
+}
+
+/// An interval of rates, or why there is none.
+pub(crate) fn rate_interval(interval: Option<Interval>, why: Option<NoInterval>) -> String {
+    interval_of(rate, interval, why)
+}
+
+/// An interval of differences, or why there is none.
+pub(crate) fn points_interval(interval: Option<Interval>, why: Option<NoInterval>) -> String {
+    interval_of(points, interval, why)
+}
+
+fn interval_of(
+    number: fn(f64) -> String,
+    interval: Option<Interval>,
+    why: Option<NoInterval>,
+) -> String {
+    match (interval, why) {
+        (Some([low, high]), _) => format!("[{}, {}]", number(low), number(high)),
+        (None, Some(why)) => why.to_string(),
+        (None, None) => NOTHING.to_owned(),
+    }
+}
+
+/// A p-value: `0.003`, `5.1e-9`.
+pub(crate) fn p_value(p: f64) -> String {
+    match p < 1e-3 {
+        true => format!("{p:.1e}"),
+        false => format!("{p:.3}"),
+    }
+}

@@ -1,0 +1,17 @@
+//! Figures in a page: panels side by side where there is room.
+
+use maud::{Markup, html};
+
+use crate::figures::Figure;
+
+/// Panels with one caption; nothing where there is no panel.
+pub(super) fn figure(caption: &str, panels: Vec<Figure>) -> Markup {
+    html! {
+        @if !panels.is_empty() {
+            figure {
+                div.panels { @for panel in &panels { (panel.inline()) } }
+                figcaption { (caption) }
+            }
+        }
+    }
+}

@@ -1,0 +1,22 @@
+"""Prints what pandas makes of each column of a Parquet file, and the kinds of
+values in it, as JSON: {"camera": ["boolean", ["bool"]], ...}.
+
+    python3 columns.py table.parquet
+"""
+
+import json
+import sys
+
+import pandas
+import pyarrow.parquet
+
+frame = pyarrow.parquet.read_table(sys.argv[1]).to_pandas()
+kinds = {
+    name: [str(column.dtype), sorted({type(value).__name__ for value in column.dropna()})]
+    for name, column in frame.items()
+}
+gaps = {name: int(column.isna().sum()) for name, column in frame.items()}
+mixed = [name for name, column in frame.items() if column.dtype == object]
+# What it is for: no cast is needed to count.
+successes = int(frame["camera"].sum())
+json.dump({"columns": kinds, "gaps": gaps, "objects": mixed, "camera": successes}, sys.stdout)

@@ -1,0 +1,8 @@
+//! Reports as their readers and programs meet them.
+
+mod comparisons;
+mod forms;
+mod import;
+mod subjects;
+mod tables;
+mod words;

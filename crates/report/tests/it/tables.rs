@@ -1,0 +1,134 @@
+//! The table of configurations, as CSV and as Parquet.
+
+use parquet::file::reader::{FileReader, SerializedFileReader};
+use report::{Document, write_csv, write_parquet};
+use serde_json::Value;
+
+use crate::subjects::{broken, document, example};
+
+#[test]
+fn the_csv_table_has_a_row_per_configuration() {
+    let mut bytes = Vec::new();
+    write_csv(&document(vec![example(), broken()]), &mut bytes).expect("written");
+    let mut reader = csv::Reader::from_reader(bytes.as_slice());
+    let header = reader.headers().expect("names").clone();
+    let column = |name: &str| header.iter().position(|n| n == name).expect("a column");
+    let (transition, policy) = (column("transition"), column("policy"));
+    let (level, unresolved) = (column("level"), column("unresolved"));
+    let rows: Vec<csv::StringRecord> = reader.records().collect::<Result<_, _>>().expect("rows");
+    assert_eq!(rows.len(), 2 * 1200);
+    let of_cell = rows
+        .iter()
+        .filter(|r| &r[policy] == "OpenVLA-OFT" && &r[level] == "L2");
+    let count = |what: &str| of_cell.clone().filter(|r| &r[transition] == what).count();
+    assert_eq!((count("emergent"), count("compensated")), (54, 55));
+    let incomplete = rows.iter().filter(|r| r[transition].is_empty());
+    assert!(incomplete.clone().count() > 100);
+    for row in incomplete {
+        assert!(row[unresolved].contains("missing") || row[unresolved].contains("quarantined"));
+    }
+}
+
+#[test]
+fn the_parquet_table_reads_back_as_the_csv_table() {
+    let document = document(vec![example(), broken()]);
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("table.parquet");
+    let file = std::fs::File::create(&path).expect("created");
+    write_parquet(&document, file).expect("written");
+    let mut csv_bytes = Vec::new();
+    write_csv(&document, &mut csv_bytes).expect("written");
+    let mut csv = csv::Reader::from_reader(csv_bytes.as_slice());
+
+    let file = std::fs::File::open(&path).expect("opened");
+    let reader = SerializedFileReader::new(file).expect("Parquet");
+    let mut rows = 0;
+    for (row, expected) in reader.get_row_iter(None).expect("rows").zip(csv.records()) {
+        let row = row.expect("a row");
+        let values: Vec<String> = row
+            .get_column_iter()
+            .map(|(_, field)| match field {
+                parquet::record::Field::Null => String::new(),
+                parquet::record::Field::Str(text) => text.clone(),
+                other => other.to_string(),
+            })
+            .collect();
+        assert_eq!(values, expected.expect("a row").iter().collect::<Vec<_>>());
+        rows += 1;
+    }
+    assert_eq!(rows, 2 * 1200);
+}
+
+/// What the Parquet file says of its columns, by name.
+fn parquet_of(document: &Document) -> (tempfile::TempDir, std::path::PathBuf) {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("table.parquet");
+    let file = std::fs::File::create(&path).expect("created");
+    write_parquet(document, file).expect("written");
+    (folder, path)
+}
+
+#[test]
+fn parquet_columns_have_types_and_say_so_to_pandas() {
+    use parquet::basic::{LogicalType, Type as Physical};
+    let (_folder, path) = parquet_of(&document(vec![broken()]));
+    let file = std::fs::File::open(&path).expect("opened");
+    let reader = SerializedFileReader::new(file).expect("Parquet");
+    let metadata = reader.metadata().file_metadata();
+    let entries = metadata.key_value_metadata().expect("some");
+    let about = entries.iter().find(|entry| entry.key == "pandas");
+    let about = about
+        .and_then(|entry| entry.value.as_ref())
+        .expect("a text");
+    let about: Value = serde_json::from_str(about).expect("JSON");
+    let said = about["columns"].as_array().expect("columns");
+    let columns = metadata.schema_descr().columns();
+    assert_eq!(said.len(), columns.len());
+    for (column, said) in columns.iter().zip(said) {
+        let (name, is_text) = (
+            column.name(),
+            column.logical_type_ref() == Some(&LogicalType::String),
+        );
+        assert_eq!(said["name"], name);
+        let expected = match (column.physical_type(), is_text) {
+            (Physical::BOOLEAN, false) => "boolean",
+            (Physical::BYTE_ARRAY, true) => "string",
+            (Physical::INT64, false) => "int64",
+            other => panic!("{name}: {other:?}"),
+        };
+        assert_eq!(said["numpy_type"], expected, "{name}");
+    }
+    let of = |kind: &str| said.iter().filter(|it| it["numpy_type"] == kind).count();
+    assert_eq!((of("boolean"), of("int64"), of("string")), (9, 4, 6));
+}
+
+#[test]
+fn pandas_reads_the_parquet_table_without_a_column_of_mixed_kinds() {
+    let asked = std::process::Command::new("python3")
+        .args(["-c", "import pandas, pyarrow"])
+        .output();
+    if !asked.is_ok_and(|output| output.status.success()) {
+        println!("skipped: no python3 with pandas and pyarrow is on the path");
+        return;
+    }
+    let (_folder, path) = parquet_of(&document(vec![broken()]));
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/it/columns.py");
+    let output = std::process::Command::new("python3")
+        .arg(script)
+        .arg(&path)
+        .output()
+        .expect("python3");
+    let error = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{error}");
+    let told: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    assert_eq!(told["objects"], serde_json::json!([]), "{told}");
+    let columns = told["columns"].as_object().expect("columns");
+    assert_eq!(columns.len(), 19);
+    let kinds = |name: &str| columns[name].to_string();
+    assert_eq!(kinds("camera"), r#"["boolean",["bool"]]"#);
+    assert_eq!(kinds("config"), r#"["int64",["int"]]"#);
+    assert_eq!(kinds("level"), r#"["string",["str"]]"#);
+    assert_eq!(kinds("transition"), r#"["string",["str"]]"#);
+    // Outcomes that are missing or in quarantine are gaps, not values.
+    assert!(told["gaps"]["camera"].as_u64() > Some(0), "{told}");
+}

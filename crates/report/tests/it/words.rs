@@ -1,0 +1,136 @@
+//! What a report says in words: intervals that it withholds, its legend, and
+//! one name for one thing.
+
+use paired::Outcome;
+use report::{Subject, figures, page};
+use serde_json::Value;
+
+use crate::subjects::{broken, document, example, replicated};
+
+/// The first `tasks` tasks of the example.
+fn some_tasks(tasks: usize) -> Subject {
+    let mut subject = example();
+    let first: Vec<protocol::TaskRef> = protocol::TaskRef::all().take(tasks).collect();
+    subject
+        .records
+        .retain(|record| first.contains(&record.id.task()));
+    subject
+}
+
+#[test]
+fn too_few_tasks_for_an_interval_is_said_in_every_form() {
+    let few = document(vec![some_tasks(9)]);
+    let json: Value = serde_json::from_str(&few.json().expect("written")).expect("JSON");
+    let l2 = &json["paired"]["OpenVLA-OFT"]["L2"];
+    assert_eq!((&l2["tasks"], &l2["i_ci95"]), (&9.into(), &Value::Null));
+    assert_eq!(l2["no_interval"], "too_few_tasks");
+    let text = few.text();
+    assert!(
+        text.contains("too few tasks for an interval: it takes 10"),
+        "{text}"
+    );
+    assert!(!text.contains('['), "{text}");
+    let html = page(&few);
+    assert!(
+        html.contains("(too few tasks)") && !html.contains("S_sim, ["),
+        "no interval"
+    );
+    let drawn = figures::all(&few);
+    for kind in ["decomposition-l2", "directions-l2"] {
+        let figure = drawn.iter().find(|figure| figure.name == kind);
+        let figure = figure.expect(kind).standalone();
+        assert!(figure.contains("(too few tasks)"), "{figure}");
+        assert!(!figure.contains("class=\"whisker\""), "{figure}");
+    }
+
+    let enough = document(vec![some_tasks(10)]);
+    assert!(!enough.text().contains("too few tasks"));
+    let json: Value = serde_json::from_str(&enough.json().expect("written")).expect("JSON");
+    let l2 = &json["paired"]["OpenVLA-OFT"]["L2"];
+    assert_eq!(l2["i_ci95"].as_array().map(Vec::len), Some(2));
+    assert_eq!(l2["no_interval"], Value::Null);
+}
+
+/// All simultaneous rollouts succeed, so that no failure emerges anywhere.
+fn nothing_emerges() -> Subject {
+    let mut subject = example();
+    for record in &mut subject.records {
+        if record.id.condition() == protocol::Condition::Combination {
+            record.outcome = Outcome::Success;
+        }
+    }
+    subject
+}
+
+#[test]
+fn nought_has_no_interval_of_no_width_and_is_no_warning() {
+    let none = document(vec![nothing_emerges()]);
+    let json: Value = serde_json::from_str(&none.json().expect("written")).expect("JSON");
+    let l2 = &json["paired"]["OpenVLA-OFT"]["L2"];
+    assert_eq!((&l2["b"], &l2["r_e_ci95"]), (&0.into(), &Value::Null));
+    assert_eq!(l2["no_interval"], "no_spread");
+    assert_eq!(l2["r_c_ci95"].as_array().map(Vec::len), Some(2));
+    let html = page(&none);
+    assert!(html.contains("<span>0 fail only under simultaneous perturbation"));
+    assert!(html.contains("<span class=\"compensated\">"));
+    let some = page(&document(vec![example()]));
+    assert!(some.contains("<span class=\"emergent\">"));
+}
+
+#[test]
+fn every_symbol_of_the_table_is_explained_below_it_once() {
+    let text = document(vec![example(), broken()]).text();
+    let legend = text.rfind("\n\n").expect("a block");
+    let legend: Vec<&str> = text[legend..].lines().collect();
+    for symbol in [
+        "loss",
+        "simultaneous",
+        "n complete",
+        "S_indep",
+        "S_conj",
+        "S_sim",
+        "D ",
+        "I ",
+        "b emergent",
+        "c compensated",
+        "R_e, R_c, R_d",
+        "emergent share",
+        "McNemar p",
+        "detectable |I|",
+        "worst and best",
+        "95 %",
+    ] {
+        let lines = legend.iter().filter(|line| line.starts_with(symbol));
+        assert_eq!(lines.count(), 1, "{symbol}: {legend:#?}");
+    }
+    // What the table does not print is not explained either.
+    assert!(
+        !legend.iter().any(|line| line.starts_with("solvable")),
+        "{legend:#?}"
+    );
+    let nominal_only = {
+        let mut subject = example();
+        subject.records.truncate(1);
+        subject
+    };
+    let text = document(vec![nominal_only]).text();
+    assert!(!text.contains("S_indep"), "{text}");
+}
+
+#[test]
+fn the_axes_at_once_have_one_name_in_every_form() {
+    let document = document(vec![example(), replicated()]);
+    let drawn = figures::all(&document);
+    let drawn: String = drawn.iter().map(|figure| figure.standalone()).collect();
+    for (form, text) in [
+        ("text", document.text()),
+        ("page", page(&document)),
+        ("figures", drawn),
+    ] {
+        let text = text.to_lowercase();
+        assert!(text.contains("simultaneous"), "{form}");
+        for other in ["at once", "combination", "all together"] {
+            assert!(!text.contains(other), "{form}: {other}");
+        }
+    }
+}
