@@ -5,6 +5,7 @@
 pub mod browser;
 pub mod chaos;
 pub mod circles;
+pub mod documents;
 pub mod fidelity;
 pub mod files;
 pub mod measure;

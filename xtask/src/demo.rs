@@ -49,9 +49,32 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let programs = build_programs(root)?;
     let running = Instant::now();
     let dir = fresh_folder(&root.join("demo-data"))?;
+    campaign(&programs, &dir, options)?;
+    println!(
+        "The campaign took {} s; with set-up and building {} s.",
+        running.elapsed().as_secs(),
+        start.elapsed().as_secs()
+    );
+    println!("To look at one rollout:  worker rollout --help");
+    Ok(())
+}
+
+/// Runs it with fewer rollouts, and keeps nothing of it.
+pub(crate) fn check(root: &Path, programs: &Path) -> Result<()> {
+    let options = Options {
+        slots: 2,
+        assets: "primitives".to_owned(),
+        configs: "0".to_owned(),
+    };
+    let dir = fresh_folder(&root.join("demo-data"))?;
+    campaign(programs, &dir, &options)?;
+    std::fs::remove_dir_all(&dir).with_context(|| format!("remove {}", dir.display()))
+}
+
+fn campaign(programs: &Path, dir: &Path, options: &Options) -> Result<()> {
     println!("Running a campaign");
     let start_one = |name: &str, arguments: &[&str]| -> Result<Running> {
-        step(name, || Running::start(&programs, name, arguments, &dir))
+        step(name, || Running::start(programs, name, arguments, dir))
     };
     let data = dir.join("coordinator");
     let data_arg = data.to_string_lossy();
@@ -111,21 +134,15 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
         "--output",
         &results_arg,
     ]))?;
-    let video = step("one video", || film(&programs, &gateway, options, &dir))?;
+    let video = step("one video", || film(programs, &gateway, options, dir))?;
     println!();
     println!("report    {}", page.display());
     println!("page      http://{PAGE_ADDRESS}/ as soon as this runs:");
-    println!("          {}", serve_again(&programs, &data));
+    println!("          {}", serve_again(programs, &data));
     println!("results   {}", results.display());
     println!("database  {}", data.display());
     println!("video     {video}");
     println!("logs      {}", dir.display());
-    println!(
-        "The campaign took {} s; with set-up and building {} s.",
-        running.elapsed().as_secs(),
-        start.elapsed().as_secs()
-    );
-    println!("To look at one rollout:  worker rollout --help");
     Ok(())
 }
 

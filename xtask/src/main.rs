@@ -9,6 +9,7 @@ mod demo;
 mod original;
 mod packages;
 mod process;
+mod python;
 mod setup;
 mod skipped;
 mod step;
@@ -42,7 +43,7 @@ enum Command {
     /// Run all tests, with cargo-nextest where it is installed.
     Test {
         /// Passed on to the test runner, for example a name to filter by.
-        #[arg(last = true)]
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         filters: Vec<String>,
     },
     /// Take the pictures of the live page in docs/screenshots.
@@ -179,4 +180,64 @@ fn root() -> PathBuf {
         .parent()
         .expect("xtask is in the workspace")
         .to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What the pages say of `cargo xtask`, in blocks and within sentences.
+    fn documented() -> Vec<String> {
+        let pages = std::fs::read_dir(root().join("docs")).expect("the pages");
+        let pages = pages.map(|page| page.expect("a page").path());
+        let others = ["README.md", "policies/README.md", "fuzz/README.md"];
+        let all = pages.chain(others.map(|page| root().join(page)));
+        let pages = all.filter(|page| page.extension().is_some_and(|it| it == "md"));
+        let mut commands = Vec::new();
+        for page in pages {
+            let text = std::fs::read_to_string(page).expect("a page");
+            let mut code = false;
+            let mut sentences = String::new();
+            for line in text.lines() {
+                if line.starts_with("```") {
+                    code = !code;
+                } else if code {
+                    commands.extend(line.find("cargo xtask").map(|at| line[at..].to_owned()));
+                } else {
+                    sentences.push_str(line.trim());
+                    sentences.push(' ');
+                }
+            }
+            let quoted = sentences.split('`').skip(1).step_by(2);
+            let own = quoted.filter(|it| it.starts_with("cargo xtask") && !it.contains('…'));
+            commands.extend(own.map(str::to_owned));
+        }
+        commands
+    }
+
+    #[test]
+    fn every_documented_command_of_its_is_understood() {
+        let documented = documented();
+        assert!(documented.len() > 20, "{documented:?}");
+        for command in documented {
+            let words = command.split_whitespace();
+            let words = words.take_while(|word| !["#", "&&"].contains(word)).skip(1);
+            if let Err(error) = Arguments::try_parse_from(words) {
+                panic!("`{command}`: {error}");
+            }
+        }
+    }
+
+    #[test]
+    fn names_of_tests_need_no_dashes_before_them() {
+        for words in [
+            &["xtask", "test", "undisturbed"][..],
+            &["xtask", "test", "--", "undisturbed"],
+        ] {
+            let Command::Test { filters } = Arguments::parse_from(words).command else {
+                panic!("{words:?}");
+            };
+            assert_eq!(filters, ["undisturbed"]);
+        }
+    }
 }

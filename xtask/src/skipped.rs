@@ -1,7 +1,8 @@
 //! Which tests did not run because something is missing on this machine: the
 //! reference data, a tool. Such a test passes after printing a line that begins
 //! with `skipped`. The output of passed tests is not shown, but nextest's report
-//! keeps it.
+//! keeps it. So are documented commands that no machine runs in a test: their lines
+//! begin with `not run`.
 
 use std::path::Path;
 
@@ -9,6 +10,9 @@ use anyhow::{Context, Result, ensure};
 
 /// The beginning of the line.
 const MARK: &str = "skipped";
+
+/// The beginning of a line about a documented command.
+const NOT_RUN: &str = "not run";
 
 /// Part of every path to the reference data, in whatever checkout a test looked for
 /// it.
@@ -23,15 +27,24 @@ const REFERENCE: &str = "/shared/";
 pub(crate) fn check(report: &Path, shared: &Path) -> Result<()> {
     let text = std::fs::read_to_string(report)
         .with_context(|| format!("read nextest's report {}", report.display()))?;
-    let skipped =
-        list(&text).with_context(|| format!("read nextest's report {}", report.display()))?;
+    let read = |mark| {
+        list(&text, mark).with_context(|| format!("read nextest's report {}", report.display()))
+    };
+    let not_run = read(NOT_RUN)?;
+    if !not_run.is_empty() {
+        println!("Documented commands that no test runs:");
+    }
+    for (_, why) in &not_run {
+        println!("  {why}");
+    }
+    let skipped = read(MARK)?;
     for (test, why) in &skipped {
         println!("  {test}: {why}");
     }
     match skipped.len() {
-        0 => println!("No test was skipped for what this machine lacks."),
-        1 => println!("1 test was skipped for what this machine lacks."),
-        n => println!("{n} tests were skipped for what this machine lacks."),
+        0 => println!("Nothing was skipped for what this machine lacks."),
+        1 => println!("1 test, or a part of it, was skipped for what this machine lacks."),
+        n => println!("{n} tests, or parts of them, were skipped for what this machine lacks."),
     }
     let wrongly: Vec<&str> = skipped
         .iter()
@@ -48,22 +61,23 @@ pub(crate) fn check(report: &Path, shared: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Tests by name, and the line in which each says that it was skipped.
-fn list(report: &str) -> Result<Vec<(String, String)>> {
+/// Tests by name, and the lines that begin with a mark: what each left out and why.
+fn list(report: &str, mark: &str) -> Result<Vec<(String, String)>> {
     let document = roxmltree::Document::parse(report)?;
     let tests = document
         .descendants()
         .filter(|n| n.has_tag_name("testcase"));
     let mut skipped: Vec<(String, String)> = tests
-        .filter_map(|test| {
-            let name = test.attribute("name")?;
+        .flat_map(|test| {
+            let name = test.attribute("name").unwrap_or_default();
             let said = test.children().filter_map(|output| output.text());
-            let line = said
-                .flat_map(str::lines)
-                .map(str::trim)
-                .find(|line| line.starts_with(MARK))?;
-            let why = line.split_once(": ").map_or(line, |(_, why)| why);
-            Some((name.to_owned(), why.to_owned()))
+            let lines = said.flat_map(str::lines).map(str::trim);
+            lines
+                .filter(|line| line.starts_with(mark))
+                .map(move |line| {
+                    let why = line.split_once(": ").map_or(line, |(_, why)| why);
+                    (name.to_owned(), why.to_owned())
+                })
         })
         .collect();
     skipped.sort();
@@ -79,12 +93,16 @@ mod tests {
         let report = "<testsuites><testsuite name='scene'>
             <testcase name='b_is_held'><system-out>running 1 test
                 skipped b_is_held: no reference data at ../shared
+                not run: A.md:7: needs a GPU
+                skipped b_is_held: no npm
                 </system-out></testcase>
             <testcase name='a_holds'><system-out>nothing is skipped here</system-out></testcase>
             </testsuite></testsuites>";
-        let expected = ("b_is_held", "no reference data at ../shared");
-        let expected = (expected.0.to_owned(), expected.1.to_owned());
-        assert_eq!(list(report).expect("XML"), [expected]);
+        let of_b = |why: &str| ("b_is_held".to_owned(), why.to_owned());
+        let skipped = [of_b("no npm"), of_b("no reference data at ../shared")];
+        assert_eq!(list(report, MARK).expect("XML"), skipped);
+        let not_run = [of_b("A.md:7: needs a GPU")];
+        assert_eq!(list(report, NOT_RUN).expect("XML"), not_run);
     }
 
     #[test]

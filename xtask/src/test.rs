@@ -4,25 +4,26 @@
 use std::path::Path;
 use std::process::Command;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 
 use crate::cargo::{build_program, build_programs, cargo};
+use crate::demo;
 use crate::process::{capture, run as run_command};
+use crate::python;
 use crate::setup;
 use crate::skipped;
 use crate::step::step;
 use crate::typescript;
-
-/// The client with which openpi's robots query its servers: the tests compare the
-/// gateway's messages with its own.
-const OPENPI_CLIENT: &str = "openpi-client==0.1.2";
 
 /// Sets up, builds and runs everything.
 pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
     let cache = setup::run(root)?;
     // The end-to-end tests start the real programs.
     let programs = build_programs(root)?;
-    let python = step("Python environment for policies/", || python(root, &cache))?;
+    let python = step("Python environment for policies/", || {
+        python::environment(root, &cache)
+    })?;
+    let packages = python::packages(root, &cache)?;
     let typescript = typescript::build(root)?;
     step("browser for the live page's tests", || {
         // Without it these tests are skipped, and said to be.
@@ -47,7 +48,8 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
     };
     tests
         .env("ROLLOUT_PROGRAMS", &programs)
-        .env("ROLLOUT_PYTHON", &python);
+        .env("ROLLOUT_PYTHON", &python)
+        .env("ROLLOUT_PYTHON_PACKAGES", &packages);
     if let Some(server) = typescript {
         tests.env("ROLLOUT_TYPESCRIPT_POLICY", server);
     }
@@ -79,6 +81,8 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
                 .arg(root.join("policies/tests"))
                 .env("POLICY_GATEWAY", programs.join("policy-gateway")),
         )?;
+        println!("Testing the demo, with fewer rollouts");
+        demo::check(root, &programs)?;
     }
     Ok(())
 }
@@ -143,38 +147,6 @@ pub(crate) fn bench_report(root: &Path, release: bool) -> Result<()> {
         "bench",
     ]);
     run_command(program.args(release.then_some("--release")))
-}
-
-/// A virtual environment with the policies package, editable; returns its
-/// interpreter.
-fn python(root: &Path, cache: &Path) -> Result<String> {
-    let dir = cache.join("policies-venv");
-    let python = dir.join("bin/python");
-    if !python.exists() {
-        capture(Command::new("python3").args(["-m", "venv"]).arg(&dir))
-            .context("make a virtual environment (Debian: `apt-get install python3-venv`)")?;
-    }
-    let install = [
-        "-m",
-        "pip",
-        "install",
-        "--quiet",
-        "--disable-pip-version-check",
-    ];
-    capture(
-        Command::new(&python)
-            .args(install)
-            .arg("--editable")
-            .arg(format!("{}[dev]", root.join("policies").display())),
-    )?;
-    // By itself: it asks for a NumPy before 2, which newer Pythons do not have,
-    // and does without.
-    capture(
-        Command::new(&python)
-            .args(install)
-            .args(["--no-deps", OPENPI_CLIENT]),
-    )?;
-    Ok(python.display().to_string())
 }
 
 #[cfg(test)]

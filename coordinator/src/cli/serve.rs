@@ -89,8 +89,9 @@ async fn run(arguments: ServeArguments, security: Security) -> anyhow::Result<()
         );
     }
     let data = arguments.data.display();
+    let page = page(scheme, address);
     let told = print_line(&format!(
-        "listening on {address}{over}, page at {scheme}://{address}/, data in {data}"
+        "listening on {address}{over}, page at {page}, data in {data}"
     ));
     // Whoever started this may have gone.
     if let Err(error) = told
@@ -108,6 +109,15 @@ async fn run(arguments: ServeArguments, security: Security) -> anyhow::Result<()
     // Whoever started this may have gone; it ended well all the same.
     let _ = print_line("stopped");
     Ok(())
+}
+
+/// Where a browser finds the page. It can open no address that stands for all of a
+/// machine's.
+fn page(scheme: &str, address: SocketAddr) -> String {
+    match (address.ip().is_unspecified(), address.port()) {
+        (true, port) => format!("{scheme}://HOST:{port}/ where HOST is this machine's name"),
+        (false, _) => format!("{scheme}://{address}/"),
+    }
 }
 
 fn config(arguments: &ServeArguments, security: Security) -> anyhow::Result<Config> {
@@ -135,4 +145,22 @@ fn random_seed() -> anyhow::Result<[u8; 32]> {
     let read = rustix::rand::getrandom(&mut seed, rustix::rand::GetRandomFlags::empty());
     read.context("ask the system for randomness")?;
     Ok(seed)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_page_is_never_said_to_be_at_an_address_that_no_browser_opens() {
+        let page = |address: &str| page("https", address.parse().expect("an address"));
+        assert_eq!(page("127.0.0.1:7411"), "https://127.0.0.1:7411/");
+        assert_eq!(page("[::1]:7411"), "https://[::1]:7411/");
+        for all in ["0.0.0.0:7511", "[::]:7511"] {
+            assert_eq!(
+                page(all),
+                "https://HOST:7511/ where HOST is this machine's name"
+            );
+        }
+    }
 }

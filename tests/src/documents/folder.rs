@@ -1,0 +1,230 @@
+//! Where the commands of a page run: a folder like the checkout, whose own files
+//! they cannot change, and a network of its own.
+
+use std::fs::{self, File};
+use std::os::unix::fs::symlink;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use tempfile::TempDir;
+
+use crate::programs::program;
+
+/// Folders of the checkout that commands write into; the others are links.
+const COPIED: [&str; 2] = ["assets", "policies"];
+
+/// What other programs and the machine's owner have set, and a newcomer has not.
+const UNSET: [&str; 6] = [
+    "COORDINATOR_URL",
+    "ROLLOUT_TOKENS",
+    "ROLLOUT_TOKEN_FILE",
+    "ROLLOUT_CA",
+    "RUST_LOG",
+    "VIRTUAL_ENV",
+];
+
+/// Something that only some machines have.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Thing {
+    /// `reference data`: the folder `shared` beside the checkout.
+    ReferenceData,
+    /// `Python packages`: what `pip install ./policies` would download.
+    PythonPackages,
+    /// `TypeScript build`: what npm makes of `policies/typescript`.
+    TypeScriptBuild,
+}
+
+impl Thing {
+    /// What a `needs` comment means.
+    pub fn named(word: &str) -> Option<Self> {
+        match word {
+            "reference data" => Some(Self::ReferenceData),
+            "Python packages" => Some(Self::PythonPackages),
+            "TypeScript build" => Some(Self::TypeScriptBuild),
+            _ => None,
+        }
+    }
+
+    /// Why it is not there; none if it is.
+    pub fn lacks(self) -> Option<String> {
+        match self {
+            Self::ReferenceData => {
+                let dir = checkout().join("../shared");
+                (!dir.is_dir()).then(|| format!("no reference data at {}", dir.display()))
+            }
+            Self::PythonPackages => python_packages().is_none().then(|| {
+                "`cargo xtask test` names the Python packages that it downloaded".to_owned()
+            }),
+            Self::TypeScriptBuild => (!checkout().join(BUILT).is_file())
+                .then(|| "`cargo xtask test` builds it where npm is installed".to_owned()),
+        }
+    }
+}
+
+/// What npm builds.
+const BUILT: &str = "policies/typescript/dist/src/main.js";
+
+/// Wheels for `pip install ./policies`, which a test never downloads.
+fn python_packages() -> Option<PathBuf> {
+    std::env::var_os("ROLLOUT_PYTHON_PACKAGES").map(PathBuf::from)
+}
+
+/// How pages that use the same ports are kept apart.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Network {
+    /// A network of its own, as root.
+    OfRoot,
+    /// A network of its own, as a user who looks like root in it.
+    OfUser,
+    /// The machine's: one page at a time.
+    Machine,
+}
+
+/// Brings the loopback device up, then becomes the program that follows.
+const UP: &str = "ip link set lo up && exec \"$@\"";
+
+impl Network {
+    /// The best that this machine offers.
+    pub fn of_this_machine() -> Self {
+        let works = |network: &Self| {
+            let mut words = network.wrapper().iter();
+            let Some(first) = words.next() else {
+                return true;
+            };
+            let mut probe = Command::new(first);
+            probe.args(words).arg("true");
+            probe.stdout(Stdio::null()).stderr(Stdio::null());
+            probe.status().is_ok_and(|status| status.success())
+        };
+        let best = [Self::OfRoot, Self::OfUser].into_iter().find(works);
+        best.unwrap_or(Self::Machine)
+    }
+
+    /// The words before a command that runs in it.
+    pub fn wrapper(self) -> &'static [&'static str] {
+        match self {
+            Self::OfRoot => &["unshare", "--net", "sh", "-c", UP, "sh"],
+            Self::OfUser => &[
+                "unshare",
+                "--user",
+                "--map-root-user",
+                "--net",
+                "sh",
+                "-c",
+                UP,
+                "sh",
+            ],
+            Self::Machine => &[],
+        }
+    }
+}
+
+/// The folder of one page's session.
+pub struct Folder {
+    root: TempDir,
+    network: Network,
+    /// Held while the machine's own network is used.
+    _turn: Option<File>,
+}
+
+impl Folder {
+    /// Makes it.
+    ///
+    /// # Panics
+    /// If files cannot be written.
+    pub fn make() -> Self {
+        let network = Network::of_this_machine();
+        let turn = (network == Network::Machine).then(|| {
+            let path = std::env::temp_dir().join("rollout-documents.lock");
+            let file = File::create(path).expect("a lock file");
+            file.lock().expect("the turn of this page");
+            file
+        });
+        let root = tempfile::tempdir().expect("a folder");
+        let folder = Self {
+            root,
+            network,
+            _turn: turn,
+        };
+        folder.fill().expect("a folder like the checkout");
+        folder
+    }
+
+    fn fill(&self) -> std::io::Result<()> {
+        let here = self.checkout();
+        fs::create_dir_all(&here)?;
+        fs::create_dir(self.outputs())?;
+        for entry in fs::read_dir(checkout())? {
+            let (name, path) = entry.map(|it| (it.file_name(), it.path()))?;
+            match name.to_str() {
+                Some(".git" | "target" | "demo-data") => {}
+                Some(copied) if COPIED.contains(&copied) => copy(&path, &here.join(name))?,
+                _ => symlink(path, here.join(name))?,
+            }
+        }
+        let shared = checkout().join("../shared");
+        if let Ok(shared) = shared.canonicalize() {
+            symlink(shared, self.root.path().join("shared"))?;
+        }
+        Ok(())
+    }
+
+    /// The folder that stands for the checkout.
+    pub fn checkout(&self) -> PathBuf {
+        self.root.path().join("rollout")
+    }
+
+    /// The folder for what commands print.
+    pub fn outputs(&self) -> PathBuf {
+        self.root.path().join("outputs")
+    }
+
+    /// The network of the session.
+    pub fn network(&self) -> Network {
+        self.network
+    }
+
+    /// Gives a shell its folder and a newcomer's environment.
+    pub fn furnish(&self, shell: &mut Command) {
+        shell.current_dir(self.checkout());
+        for name in UNSET {
+            shell.env_remove(name);
+        }
+        let path = std::env::var("PATH").unwrap_or_default();
+        shell.env("PATH", format!("{}:{path}", programs().display()));
+        if let Some(packages) = python_packages() {
+            shell
+                .env("PIP_NO_INDEX", "1")
+                .env("PIP_FIND_LINKS", packages);
+        }
+        shell.env("PIP_DISABLE_PIP_VERSION_CHECK", "1");
+    }
+}
+
+/// The checkout that the test was built from.
+pub fn checkout() -> PathBuf {
+    let dir = Path::new(env!("CARGO_MANIFEST_DIR")).parent();
+    dir.expect("the package is in the workspace").to_owned()
+}
+
+fn programs() -> PathBuf {
+    let coordinator = program("coordinator");
+    let dir = coordinator.parent().expect("programs are in a folder");
+    dir.canonicalize().expect("the folder of the programs")
+}
+
+/// Copies a folder, without what was installed or built in it.
+fn copy(from: &Path, to: &Path) -> std::io::Result<()> {
+    fs::create_dir(to)?;
+    for entry in fs::read_dir(from)? {
+        let entry = entry?;
+        let (path, target) = (entry.path(), to.join(entry.file_name()));
+        let made = matches!(entry.file_name().to_str(), Some("node_modules" | "dist"));
+        match entry.file_type()? {
+            _ if made => symlink(path, target)?,
+            kind if kind.is_dir() => copy(&path, &target)?,
+            _ => drop(fs::copy(path, target)?),
+        }
+    }
+    Ok(())
+}

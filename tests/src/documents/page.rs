@@ -1,0 +1,288 @@
+//! What a page asks its reader to do, in its order.
+
+use std::fmt;
+
+use pulldown_cmark::{CodeBlockKind, Event, Parser, Tag, TagEnd};
+
+/// Programs of which a line in a block without a language is a mistake: the block
+/// would not be run.
+const PROGRAMS: [&str; 11] = [
+    "cargo",
+    "coordinator",
+    "worker",
+    "policy-gateway",
+    "python",
+    "python3",
+    "pip",
+    "npm",
+    "node",
+    "openssl",
+    "ssh",
+];
+
+/// One thing to do.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Step {
+    /// The line of the page where it begins, from 1.
+    pub line: usize,
+    /// What to do.
+    pub action: Action,
+}
+
+/// What a block asks for.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Action {
+    /// Commands, run one after the other, and what they need beside the programs.
+    Run {
+        /// The commands.
+        commands: Vec<Command>,
+        /// The word of a `needs` comment.
+        needs: Option<String>,
+    },
+    /// Writes a file into the folder of the session.
+    Write {
+        /// Its name.
+        name: String,
+        /// What it holds.
+        text: String,
+    },
+    /// Leaves a block of commands out.
+    Leave {
+        /// Why, as the page's source says.
+        reason: String,
+    },
+}
+
+/// A command of a block: one line, or several that belong together.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Command {
+    /// The line of the page where it begins, from 1.
+    pub line: usize,
+    /// Its text, several lines included.
+    pub text: String,
+}
+
+/// Why a page cannot be read.
+#[derive(Debug, PartialEq, Eq)]
+pub struct PageError {
+    line: usize,
+    problem: &'static str,
+}
+
+impl fmt::Display for PageError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "line {}: {}", self.line, self.problem)
+    }
+}
+
+impl std::error::Error for PageError {}
+
+/// Reads a page of Markdown.
+///
+/// # Errors
+/// If a block shows commands without being marked `sh`, or if a comment before a
+/// block does not fit it.
+pub fn steps(markdown: &str) -> Result<Vec<Step>, PageError> {
+    let mut steps = Vec::new();
+    let mut comment: Option<Comment> = None;
+    let mut html = String::new();
+    let mut block: Option<(usize, String, String)> = None;
+    for (event, range) in Parser::new(markdown).into_offset_iter() {
+        let line = 1 + markdown[..range.start].matches('\n').count();
+        match event {
+            Event::Start(Tag::HtmlBlock) => html.clear(),
+            Event::Html(text) => html.push_str(&text),
+            Event::End(TagEnd::HtmlBlock) => comment = Comment::read(&html),
+            Event::Start(Tag::CodeBlock(kind)) => {
+                let (language, first) = match kind {
+                    CodeBlockKind::Fenced(language) => (language.to_string(), line + 1),
+                    CodeBlockKind::Indented => (String::new(), line),
+                };
+                block = Some((first, language, String::new()));
+            }
+            Event::Text(text) => match &mut block {
+                Some((_, _, held)) => held.push_str(&text),
+                None => comment = None,
+            },
+            Event::End(TagEnd::CodeBlock) => {
+                let (first, language, text) = block.take().expect("a block that began");
+                let action = action(first, &language, &text, comment.take())?;
+                steps.extend(action.map(|action| Step {
+                    line: first,
+                    action,
+                }));
+            }
+            Event::Start(_) => comment = None,
+            _ => {}
+        }
+    }
+    Ok(steps)
+}
+
+/// What an HTML comment says of the block after it.
+#[derive(Debug)]
+enum Comment {
+    NotRun(String),
+    Needs(String),
+    File(String),
+}
+
+impl Comment {
+    fn read(html: &str) -> Option<Self> {
+        let inside = html.trim().strip_prefix("<!--")?.strip_suffix("-->")?;
+        let (key, value) = inside.trim().split_once(':')?;
+        let value = value.split_whitespace().collect::<Vec<_>>().join(" ");
+        match key {
+            "not run" => Some(Self::NotRun(value)),
+            "needs" => Some(Self::Needs(value)),
+            "file" => Some(Self::File(value)),
+            _ => None,
+        }
+    }
+}
+
+fn action(
+    first: usize,
+    language: &str,
+    text: &str,
+    comment: Option<Comment>,
+) -> Result<Option<Action>, PageError> {
+    let error = |problem| PageError {
+        line: first,
+        problem,
+    };
+    match (language, comment) {
+        ("sh", Some(Comment::NotRun(reason))) if reason.is_empty() => {
+            Err(error("a block that is not run needs a reason"))
+        }
+        ("sh", Some(Comment::NotRun(reason))) => Ok(Some(Action::Leave { reason })),
+        ("sh", Some(Comment::File(_))) => Err(error("commands are run, not written into a file")),
+        ("sh", needs) => {
+            let needs = match needs {
+                Some(Comment::Needs(thing)) => Some(thing),
+                _ => None,
+            };
+            let commands = commands(first, text);
+            Ok(Some(Action::Run { commands, needs }))
+        }
+        (_, Some(Comment::File(name))) => Ok(Some(Action::Write {
+            name,
+            text: text.to_owned(),
+        })),
+        (_, Some(_)) => Err(error("the comment before it is for blocks marked `sh`")),
+        ("", None) if text.lines().any(is_command) => {
+            Err(error("a block with commands must be marked `sh`"))
+        }
+        (_, None) => Ok(None),
+    }
+}
+
+/// A drawing or a table may begin with a program's name, too, but is spaced out.
+fn is_command(line: &str) -> bool {
+    let command = line.split(" #").next().unwrap_or_default().trim_end();
+    let mut words = command.split(' ');
+    let first = words.next().unwrap_or_default();
+    PROGRAMS.contains(&first) && words.next().is_some() && !command.contains("  ")
+}
+
+/// The commands of a block. A line that ends with a backslash goes on in the next
+/// one, and a here-document to its end.
+fn commands(first: usize, text: &str) -> Vec<Command> {
+    let mut commands: Vec<Command> = Vec::new();
+    let mut open: Option<Command> = None;
+    for (index, line) in text.lines().enumerate() {
+        let command = match open.take() {
+            Some(mut command) => {
+                command.text.push('\n');
+                command.text.push_str(line);
+                command
+            }
+            None if line.trim().is_empty() || line.trim_start().starts_with('#') => continue,
+            None => Command {
+                line: first + index,
+                text: line.to_owned(),
+            },
+        };
+        if goes_on(&command.text) {
+            open = Some(command);
+        } else {
+            commands.push(command);
+        }
+    }
+    commands.extend(open);
+    commands
+}
+
+fn goes_on(command: &str) -> bool {
+    let mut lines = command.lines();
+    let first = lines.next().unwrap_or_default();
+    if let Some((_, word)) = first.split_once("<<") {
+        let word = word.split_whitespace().next().unwrap_or_default();
+        let word = word.trim_matches(['\'', '"', '-']);
+        return !lines.any(|line| line.trim_start() == word);
+    }
+    command.ends_with('\\')
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ran(markdown: &str) -> Vec<(usize, String)> {
+        let steps = steps(markdown).expect("a page");
+        let commands = steps.into_iter().flat_map(|step| match step.action {
+            Action::Run { commands, .. } => commands,
+            _ => Vec::new(),
+        });
+        commands.map(|it| (it.line, it.text)).collect()
+    }
+
+    #[test]
+    fn commands_have_the_lines_of_their_page_and_keep_together_what_belongs_together() {
+        let page =
+            "# Page\n\n```sh\na one  # first\n\nb \\\n  two\ncat > f <<'END'\nx\nEND\nc\n```\n";
+        let expected = [
+            (4, "a one  # first"),
+            (6, "b \\\n  two"),
+            (8, "cat > f <<'END'\nx\nEND"),
+            (11, "c"),
+        ];
+        assert_eq!(
+            ran(page),
+            expected.map(|(line, text)| (line, text.to_owned()))
+        );
+    }
+
+    #[test]
+    fn a_comment_is_for_the_block_right_after_it_only() {
+        let page = "<!-- not run: hours -->\n\n```sh\na\n```\n```sh\nb\n```\n\n\
+            <!-- not run: hours -->\nText.\n```sh\nc\n```\n";
+        let steps = steps(page).expect("a page");
+        let reason = String::from("hours");
+        assert_eq!(steps[0].action, Action::Leave { reason });
+        assert_eq!(ran(page), [(7, "b".to_owned()), (13, "c".to_owned())]);
+    }
+
+    #[test]
+    fn a_block_becomes_a_file() {
+        let page = "<!-- file: a.toml -->\n```toml\n[a]\n```\n";
+        let (name, text) = ("a.toml".to_owned(), "[a]\n".to_owned());
+        let action = Action::Write { name, text };
+        assert_eq!(steps(page), Ok(vec![Step { line: 3, action }]));
+    }
+
+    #[test]
+    fn a_block_that_would_be_forgotten_is_refused() {
+        for page in [
+            "```\ncoordinator report x   # first\n```\n",
+            "    cargo xtask demo\n",
+            "<!-- not run: -->\n```sh\na\n```\n",
+            "<!-- not run: hours -->\n```toml\na\n```\n",
+            "<!-- file: a -->\n```sh\na\n```\n",
+        ] {
+            assert!(steps(page).is_err(), "{page}");
+        }
+        let drawing = "```\nworker            coordinator         policy-gateway\n```\n";
+        assert_eq!(steps(drawing), Ok(Vec::new()));
+    }
+}

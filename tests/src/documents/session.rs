@@ -1,0 +1,277 @@
+//! One shell that is given commands one by one, with servers in the background.
+
+use std::fs::{self, File};
+use std::io::{BufRead, BufReader, Write};
+use std::os::unix::process::CommandExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdin, Command as Program, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::time::{Duration, Instant};
+
+use super::folder::Folder;
+
+/// Longest that a command, or the start of a server, may take.
+const PATIENCE: Duration = Duration::from_secs(240);
+
+/// Reads a file for the output and a command, each behind a zero byte; runs the
+/// command and answers with its exit status and the newest background process. When
+/// nothing more comes, because the test is done or gone, it takes all its processes
+/// with it.
+const DRIVER: &str = r#"
+exec 3<&0 4>&1 </dev/null
+while IFS= read -r -d '' output <&3 && IFS= read -r -d '' command <&3; do
+    eval "$command" >"$output" 2>&1 3<&- 4>&-
+    printf '%s %s\n' "$?" "$!" >&4
+done
+kill -KILL 0
+"#;
+
+/// What a server says once it can be used.
+const READY: [&str; 2] = ["listening on ", "registered with the coordinator"];
+
+/// A shell in the folder of a page.
+pub struct Session {
+    shell: Child,
+    commands: ChildStdin,
+    answers: Receiver<String>,
+    outputs: PathBuf,
+    servers: Vec<Server>,
+    count: usize,
+}
+
+/// A command that runs until the page ends.
+struct Server {
+    process: String,
+    command: String,
+    output: PathBuf,
+}
+
+/// A command that failed, for people.
+#[derive(Debug)]
+pub struct Failure {
+    /// What is wrong, in a line.
+    pub problem: String,
+    /// What was printed, of long outputs the end.
+    pub output: String,
+    /// Whether the shell can be given no more commands.
+    pub fatal: bool,
+}
+
+impl Session {
+    /// Starts the shell.
+    ///
+    /// # Panics
+    /// If it cannot be started.
+    pub fn start(folder: &Folder) -> Self {
+        let mut words = folder.network().wrapper().iter().chain(&["bash", "-c"]);
+        let mut program = Program::new(words.next().expect("a program"));
+        program.args(words).arg(DRIVER);
+        folder.furnish(&mut program);
+        program.stdin(Stdio::piped()).stdout(Stdio::piped());
+        // Whatever it starts is in its process group.
+        let mut shell = program.process_group(0).spawn().expect("a shell starts");
+        let commands = shell.stdin.take().expect("a pipe");
+        let stdout = BufReader::new(shell.stdout.take().expect("a pipe"));
+        let (send, answers) = channel();
+        std::thread::spawn(move || {
+            for line in stdout.lines().map_while(Result::ok) {
+                let _ = send.send(line);
+            }
+        });
+        Self {
+            shell,
+            commands,
+            answers,
+            outputs: folder.outputs(),
+            servers: Vec::new(),
+            count: 0,
+        }
+    }
+
+    /// Runs a command to its end, or until its server can be used.
+    ///
+    /// # Errors
+    /// If it fails, ends although it is a server, or takes too long.
+    pub fn run(&mut self, command: &str) -> Result<(), Failure> {
+        if stays(command) {
+            return self.start_server(command);
+        }
+        let (status, output) = self.call(command)?;
+        if status.starts_with("0 ") {
+            return Ok(());
+        }
+        let status = status.split(' ').next().unwrap_or_default();
+        Err(failure(format!("it ended with status {status}"), &output))
+    }
+
+    fn start_server(&mut self, command: &str) -> Result<(), Failure> {
+        let (status, output) = self.call(&in_background(command))?;
+        let process = status.split(' ').nth(1).unwrap_or_default().to_owned();
+        self.servers.push(Server {
+            process: process.clone(),
+            command: command.to_owned(),
+            output: output.clone(),
+        });
+        let watches = watches(command);
+        let start = Instant::now();
+        while start.elapsed() < PATIENCE {
+            let said = fs::read_to_string(&output).unwrap_or_default();
+            if READY.iter().any(|ready| said.contains(ready)) || (watches && !said.is_empty()) {
+                return Ok(());
+            }
+            let (alive, _) = self.call(&format!("kill -0 {process}"))?;
+            if !alive.starts_with("0 ") {
+                self.servers.pop();
+                let (status, _) = self.call(&format!("wait {process}"))?;
+                if watches && status.starts_with("0 ") {
+                    return Ok(());
+                }
+                return Err(failure("it ended at once".to_owned(), &output));
+            }
+            std::thread::sleep(Duration::from_millis(100));
+        }
+        Err(failure("it does not become ready".to_owned(), &output))
+    }
+
+    /// Looks after the servers at the end of a page.
+    ///
+    /// # Errors
+    /// If one of them ended by itself with an error.
+    pub fn finish(mut self) -> Result<(), Failure> {
+        for server in std::mem::take(&mut self.servers) {
+            let process = &server.process;
+            let (alive, _) = self.call(&format!("kill -0 {process}"))?;
+            if alive.starts_with("0 ") {
+                continue;
+            }
+            let (status, _) = self.call(&format!("wait {process}"))?;
+            let status = status.split(' ').next().unwrap_or_default();
+            // The page itself waited for it (127), or killed it (128 and the signal).
+            if !matches!(status, "0" | "127" | "137" | "143") {
+                let problem = format!("`{}` ended with status {status}", server.command);
+                return Err(failure(problem, &server.output));
+            }
+        }
+        Ok(())
+    }
+
+    /// Gives the shell a command; returns its answer and the file of the output.
+    fn call(&mut self, command: &str) -> Result<(String, PathBuf), Failure> {
+        self.count += 1;
+        let output = self.outputs.join(format!("{}.txt", self.count));
+        let text = format!("{}\0{command}\n\0", output.display());
+        let sent = self.commands.write_all(text.as_bytes());
+        let fatal = |problem: String| Failure {
+            fatal: true,
+            ..failure(problem, &output)
+        };
+        sent.map_err(|error| fatal(format!("the shell is gone: {error}")))?;
+        match self.answers.recv_timeout(PATIENCE) {
+            Ok(answer) => Ok((answer, output)),
+            Err(RecvTimeoutError::Disconnected) => Err(fatal("the shell is gone".to_owned())),
+            Err(RecvTimeoutError::Timeout) => {
+                let secs = PATIENCE.as_secs();
+                Err(fatal(format!("it takes more than {secs} s")))
+            }
+        }
+    }
+}
+
+impl Drop for Session {
+    fn drop(&mut self) {
+        let group = format!("-{}", self.shell.id());
+        let _ = Program::new("kill").args(["-KILL", "--", &group]).status();
+        let _ = self.shell.wait();
+    }
+}
+
+fn failure(problem: String, output: &Path) -> Failure {
+    let mut text = String::new();
+    if let Ok(file) = File::open(output) {
+        let lines: Vec<String> = BufReader::new(file).lines().map_while(Result::ok).collect();
+        text = lines[lines.len().saturating_sub(30)..].join("\n");
+    }
+    Failure {
+        problem,
+        output: text,
+        fatal: false,
+    }
+}
+
+/// The command as a process beside the shell, whether the page says so itself or
+/// its reader has a terminal for it. `$!` names the program itself.
+fn in_background(command: &str) -> String {
+    let bare = without_comment(command);
+    format!("{} &", bare.trim_end().trim_end_matches('&'))
+}
+
+fn without_comment(command: &str) -> &str {
+    match command.lines().last().and_then(|line| line.find(" #")) {
+        Some(at) => {
+            let last = command.rfind('\n').map_or(0, |newline| newline + 1);
+            &command[..last + at]
+        }
+        None => command,
+    }
+}
+
+/// Whether a command goes on until it is stopped.
+fn stays(command: &str) -> bool {
+    let mut words = command
+        .split_whitespace()
+        .skip_while(|word| word.contains('='));
+    let program = words.next().unwrap_or_default();
+    let program = program.rsplit('/').next().unwrap_or_default();
+    let words: Vec<&str> = words.collect();
+    let first = words.first().copied().unwrap_or_default();
+    match program {
+        "coordinator" => first == "serve" || watches(command),
+        "policy-gateway" => first != "check" && !words.contains(&"--help"),
+        "worker" => first == "--connect",
+        "python" | "python3" => {
+            words.contains(&"--listen") || words.contains(&"serve") || first.ends_with("policy.py")
+        }
+        "node" => true,
+        _ => false,
+    }
+}
+
+/// Whether a command shows something until its reader has seen enough.
+fn watches(command: &str) -> bool {
+    command.split_whitespace().any(|word| word == "--watch")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn servers_are_told_from_commands_that_end() {
+        for server in [
+            "coordinator serve --data campaigns",
+            "policy-gateway --route a=builtin:noop",
+            "policy-gateway replay recorded",
+            "worker --connect http://127.0.0.1:7411 --slots 2",
+            "env/bin/python -m rollout_policies.examples.colour_servo --listen 127.0.0.1:5000",
+            "coordinator campaign status --watch  # live",
+        ] {
+            assert!(stays(server), "{server}");
+        }
+        for command in [
+            "coordinator campaign status",
+            "policy-gateway check grpc://127.0.0.1:5000",
+            "worker film --connect http://127.0.0.1:7411",
+            "python -m rollout_policies list",
+            "umask 077",
+        ] {
+            assert!(!stays(command), "{command}");
+        }
+    }
+
+    #[test]
+    fn a_comment_or_an_ampersand_of_the_page_is_no_part_of_a_background_command() {
+        assert_eq!(in_background("a --b   # and c"), "a --b &");
+        assert_eq!(in_background("a --b &"), "a --b  &");
+        assert_eq!(in_background("a \\\n  --b  # c"), "a \\\n  --b &");
+    }
+}

@@ -1,0 +1,97 @@
+//! Runs a page from its first command to its last.
+
+use std::fs;
+use std::time::Instant;
+
+use super::folder::{Folder, Thing, checkout};
+use super::page::{Action, Command, Step, steps};
+use super::session::{Failure, Session};
+
+/// Part of a command that reads the reference data.
+const SHARED: &str = "../shared";
+
+/// Runs the commands of a page of the checkout, and prints which of them do not run
+/// and why.
+///
+/// # Panics
+/// With line, command and output of every command that fails, or if the page cannot
+/// be read.
+pub fn visit(page: &str) {
+    let text = fs::read_to_string(checkout().join(page)).expect("the page");
+    let failures = failures(page, &text);
+    assert!(failures.is_empty(), "\n{}", failures.join("\n"));
+}
+
+/// Runs the commands of a page; returns, for people, the failures with line, command
+/// and output. After one, the page goes on where its shell can.
+///
+/// # Panics
+/// If the page cannot be read.
+pub fn failures(page: &str, text: &str) -> Vec<String> {
+    let steps = steps(text).unwrap_or_else(|error| panic!("{page}, {error}"));
+    let folder = Folder::make();
+    let mut session = Session::start(&folder);
+    let mut failures = Vec::new();
+    for step in &steps {
+        match todo(step) {
+            Todo::Run(commands) => {
+                for command in commands {
+                    let start = Instant::now();
+                    let outcome = session.run(&command.text);
+                    let secs = start.elapsed().as_secs_f64();
+                    println!("ran {page}:{}: {secs:.1} s", command.line);
+                    let Err(failure) = outcome else {
+                        continue;
+                    };
+                    failures.push(told(page, command, &failure));
+                    if failure.fatal {
+                        return failures;
+                    }
+                }
+            }
+            Todo::Write(name, text) => {
+                fs::write(folder.checkout().join(name), text).expect("the page's file");
+            }
+            Todo::Say(mark, why) => println!("{mark}: {page}:{}: {why}", step.line),
+        }
+    }
+    if let Err(failure) = session.finish() {
+        failures.push(format!("{page}: {}\n{}", failure.problem, failure.output));
+    }
+    failures
+}
+
+/// What becomes of a step on this machine.
+enum Todo<'a> {
+    Run(&'a [Command]),
+    Write(&'a str, &'a str),
+    Say(&'static str, String),
+}
+
+fn todo(step: &Step) -> Todo<'_> {
+    match &step.action {
+        Action::Leave { reason } => Todo::Say("not run", reason.clone()),
+        Action::Write { name, text } => Todo::Write(name, text),
+        Action::Run { commands, needs } => {
+            let reads = commands.iter().any(|it| it.text.contains(SHARED));
+            let named = needs.as_deref().map(|word| {
+                Thing::named(word).unwrap_or_else(|| panic!("line {}: {word}?", step.line))
+            });
+            let things = named
+                .into_iter()
+                .chain(reads.then_some(Thing::ReferenceData));
+            match things.filter_map(Thing::lacks).next() {
+                Some(why) => Todo::Say("skipped", why),
+                None => Todo::Run(commands),
+            }
+        }
+    }
+}
+
+fn told(page: &str, command: &Command, failure: &Failure) -> String {
+    let Command { line, text } = command;
+    let Failure {
+        problem, output, ..
+    } = failure;
+    format!("{page}:{line}: {problem}\n{text}\n--- what it printed:\n{output}\n---")
+}

@@ -1,0 +1,101 @@
+//! Every command of the documentation works as it is written.
+
+use std::path::Path;
+
+use tests::documents::folder::checkout;
+use tests::documents::visit::{failures, visit};
+
+/// A test per page: pages run beside each other, and the report of the tests says
+/// which of them fails.
+macro_rules! pages {
+    ($($test:ident: $page:literal,)*) => {
+        const PAGES: &[&str] = &[$($page),*];
+        $(
+            #[test]
+            fn $test() {
+                visit($page);
+            }
+        )*
+    };
+}
+
+pages! {
+    commands_of_the_readme_work: "README.md",
+    commands_of_architecture_work: "docs/ARCHITECTURE.md",
+    commands_of_expert_work: "docs/EXPERT.md",
+    commands_of_fidelity_work: "docs/FIDELITY.md",
+    commands_of_operating_work: "docs/OPERATING.md",
+    commands_of_page_work: "docs/PAGE.md",
+    commands_of_paraphrases_work: "docs/PARAPHRASES.md",
+    commands_of_performance_work: "docs/PERFORMANCE.md",
+    commands_of_policies_work: "docs/POLICIES.md",
+    commands_of_protocol_work: "docs/PROTOCOL.md",
+    commands_of_reliability_work: "docs/RELIABILITY.md",
+    commands_of_the_asset_pack_work: "assets/primitives/README.md",
+    commands_of_the_examples_work: "examples/README.md",
+    commands_of_fuzzing_work: "fuzz/README.md",
+    commands_of_the_python_package_work: "policies/README.md",
+    commands_of_the_typescript_server_work: "policies/typescript/README.md",
+}
+
+#[test]
+fn a_command_that_fails_is_named_with_its_line_and_what_it_printed() {
+    let page = "\
+```sh
+export WORD=spoken
+echo $WORD && false   # the shell stays the same
+coordinator serve --data here --listen 127.0.0.1:7411
+coordinator campaign list
+coordinator serve --data there --listen 127.0.0.1:7411
+```
+
+<!-- file: gateway.toml -->
+```toml
+nonsense
+```
+
+```sh
+policy-gateway --config gateway.toml
+```
+";
+    let failures = failures("page.md", page);
+    let expected: [(&str, &str); 3] = [
+        ("page.md:3: it ended with status 1", "spoken"),
+        ("page.md:6: it ended at once", "choose another address"),
+        ("page.md:15: it ended at once", "gateway.toml"),
+    ];
+    assert_eq!(failures.len(), expected.len(), "{failures:?}");
+    for (failure, (begins, holds)) in failures.iter().zip(expected) {
+        assert!(failure.starts_with(begins), "{failure}");
+        assert!(failure.contains(holds), "{failure}");
+    }
+}
+
+#[test]
+fn every_page_is_visited() {
+    let mut found = Vec::new();
+    let root = checkout();
+    let mut folders = vec![root.clone()];
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder).expect("a folder of the checkout") {
+            let path = entry.expect("an entry").path();
+            let name = path.file_name().and_then(|name| name.to_str());
+            let name = name.unwrap_or_default();
+            let others = name.starts_with('.') || ["target", "node_modules"].contains(&name);
+            if path.is_dir() && !others && !path.is_symlink() {
+                folders.push(path);
+            } else if is_page(&path) {
+                let page = path.strip_prefix(&root).expect("inside");
+                found.push(page.display().to_string());
+            }
+        }
+    }
+    found.sort();
+    let mut known: Vec<&str> = PAGES.to_vec();
+    known.sort_unstable();
+    assert_eq!(found, known, "name new pages in tests/tests/documents.rs");
+}
+
+fn is_page(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension == "md")
+}

@@ -1,0 +1,65 @@
+//! What the tests of the Python package and of the documentation need of Python.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, Result};
+
+use crate::process::capture;
+use crate::step::step;
+
+/// The client with which openpi's robots query its servers: the tests compare the
+/// gateway's messages with its own.
+const OPENPI_CLIENT: &str = "openpi-client==0.1.2";
+
+/// What `pip install ./policies` builds the package with.
+const BUILT_WITH: &str = "setuptools>=61";
+
+/// Written into the folder of packages once all are there; holds the package's
+/// requirements.
+const STAMP: &str = "requirements-of.toml";
+
+/// A virtual environment with the policies package, editable; returns its
+/// interpreter.
+pub(crate) fn environment(root: &Path, cache: &Path) -> Result<String> {
+    let dir = cache.join("policies-venv");
+    let python = dir.join("bin/python");
+    if !python.exists() {
+        capture(Command::new("python3").args(["-m", "venv"]).arg(&dir))
+            .context("make a virtual environment (Debian: `apt-get install python3-venv`)")?;
+    }
+    let package = format!("{}[dev]", root.join("policies").display());
+    capture(pip(&python, "install").arg("--editable").arg(package))?;
+    // By itself: it asks for a NumPy before 2, which newer Pythons do not have,
+    // and does without.
+    capture(pip(&python, "install").args(["--no-deps", OPENPI_CLIENT]))?;
+    Ok(python.display().to_string())
+}
+
+/// A folder with what `pip install ./policies` downloads, so that the commands of
+/// the documentation install without a network.
+pub(crate) fn packages(root: &Path, cache: &Path) -> Result<PathBuf> {
+    let folder = cache.join("python-packages");
+    step("packages for policies/README.md", || {
+        let manifest = root.join("policies/pyproject.toml");
+        let wanted = std::fs::read_to_string(&manifest)
+            .with_context(|| format!("read {}", manifest.display()))?;
+        let stamp = folder.join(STAMP);
+        if std::fs::read_to_string(&stamp).is_ok_and(|there| there == wanted) {
+            return Ok("already there");
+        }
+        let mut download = pip(Path::new("python3"), "download");
+        download.arg("--dest").arg(&folder);
+        capture(download.arg(root.join("policies")).arg(BUILT_WITH))?;
+        std::fs::write(&stamp, wanted).with_context(|| format!("write {}", stamp.display()))?;
+        Ok("downloaded")
+    })?;
+    Ok(folder)
+}
+
+fn pip(python: &Path, command: &str) -> Command {
+    let mut pip = Command::new(python);
+    pip.args(["-m", "pip", command, "--quiet"]);
+    pip.arg("--disable-pip-version-check");
+    pip
+}
