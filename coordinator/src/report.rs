@@ -76,8 +76,14 @@ pub async fn setups(view: &mut View, campaign: &Campaign) -> Result<Setups, Read
             scene_digest,
             init_state_digest,
         } = row;
-        let row: ManifestRow = serde_json::from_str(&manifest_row)
-            .map_err(|source| ReadError::Row { rollout_id, source })?;
+        let unreadable = |rollout_id: String| {
+            |error: serde_json::Error| ReadError::Row {
+                rollout_id,
+                source: error.into(),
+            }
+        };
+        let row: ManifestRow =
+            serde_json::from_str(&manifest_row).map_err(unreadable(rollout_id))?;
         let state = RolloutId::clean(row.id.task(), row.init_id);
         if let (Some(scene), Some(state_bytes)) = (scene_digest, init_state_digest) {
             setups.scenes.insert(state, digest(&[&scene, &state_bytes]));
@@ -90,10 +96,7 @@ pub async fn setups(view: &mut View, campaign: &Campaign) -> Result<Setups, Read
             ..row
         };
         let id = met.id;
-        let met = serde_json::to_string(&met).map_err(|source| ReadError::Row {
-            rollout_id: id.to_string(),
-            source,
-        })?;
+        let met = serde_json::to_string(&met).map_err(unreadable(id.to_string()))?;
         setups.rollouts.insert(id, digest(&[&met]));
     }
     Ok(setups)

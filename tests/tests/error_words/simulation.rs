@@ -209,8 +209,8 @@ fn assets(messages: &mut Messages) {
     variants!(messages, AssetsError,
         AssetsError::Scene(_) => AssetsError::Scene(no_scene()),
         AssetsError::Read { .. } => AssetsError::Read { path: path(), source: io_error() },
-        AssetsError::NoManifest { .. } => AssetsError::NoManifest {
-            path: path(), source: io_error(),
+        AssetsError::Incomplete { .. } => AssetsError::Incomplete {
+            folder: path(), description: "lacks the arena of libero_goal".to_owned(),
         },
         AssetsError::Manifest { .. } => AssetsError::Manifest {
             path: path(), problem: "line 1 has no digest".to_owned(),

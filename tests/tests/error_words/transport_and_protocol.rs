@@ -91,6 +91,7 @@ fn protocol(messages: &mut Messages) {
         SpecError::Empty { .. } => SpecError::Empty { field: "name", remedy: "write a name" },
         SpecError::Replicates { .. } => SpecError::Replicates { given: 0 },
         SpecError::Endpoint { .. } => SpecError::Endpoint { given: text() },
+        SpecError::Assets { .. } => SpecError::Assets { given: text() },
         SpecError::Design(_) => SpecError::Design(no_design()),
         SpecError::Manifest(_) => SpecError::Manifest(ManifestErrors::clone(&refused)),
     );

@@ -229,7 +229,7 @@ impl Link {
                 Ok(answer)
             }
             // What was found when the outage began is told already.
-            Err(status) if self.outage_began().is_some() && self.has_answered() => {
+            Err(status) if self.lock_outage().is_some() && self.has_answered() => {
                 let may_pass = may_succeed_later(&status);
                 Err(Failed { status, may_pass })
             }
