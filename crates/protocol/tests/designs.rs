@@ -7,7 +7,7 @@ use proptest::sample::{select, subsequence};
 use protocol::presets::{PRESETS, apply_preset, round6, unit};
 use protocol::{
     Axis, CampaignSpec, Condition, Design, Level, MAX_CONFIGS, ManifestRow, Nominal, Perturbation,
-    PolicyRoute, Realisation, Record, RolloutId, Rollouts, TaskRef, manifest,
+    PolicyRoute, Realisation, Record, RolloutId, Rollouts, TaskRef, Wanted, manifest,
 };
 
 /// The components of which only one sign counts: farther, higher, later,
