@@ -1,12 +1,19 @@
-//! What recording a campaign takes on the disk, estimated before it runs.
+//! What recording a campaign takes on the disk and of the workers' time,
+//! estimated before it runs.
 
 use queue::expand::NewCampaign;
 
+use crate::words::duration_text;
+
 /// A control step of a video, bytes: 1.2 to 2.3 thousand in four rollouts of 78
 /// to 111 steps (two tasks, the real assets and the built-in ones).
-const VIDEO_BYTES_PER_STEP: u64 = 2_300;
+const VIDEO_BYTES_PER_STEP: f64 = 2_300.0;
+/// Simulating a control step of a video again, drawing and compressing it, on one
+/// core, s: 0.04 to 0.07, and up to 0.12 where the sensor's corruption is in the
+/// pictures (docs/PERFORMANCE.md, "What a film costs").
+const FILMING_SECS_PER_STEP: f64 = 0.12;
 /// A control step's action as it is kept, bytes: seven 32-bit numbers.
-const ACTION_BYTES_PER_STEP: u64 = 28;
+const ACTION_BYTES_PER_STEP: f64 = 28.0;
 /// Configurations that simultaneous perturbation changed in the paper: 1,417 of 8,400,
 /// over seven policies and three levels (table of paired outcomes, b + c).
 const CHANGED_IN_THE_PAPER: f64 = 0.17;
@@ -15,21 +22,26 @@ const MOST_CHANGED_IN_THE_PAPER: f64 = 0.34;
 
 /// What a campaign's videos take, in words; nothing if there are none.
 pub fn in_words(campaign: &NewCampaign) -> Option<String> {
-    let most = campaign.step_budget * VIDEO_BYTES_PER_STEP;
+    let steps = campaign.step_budget as f64;
+    let videos = |share: f64| {
+        let secs = steps * share * FILMING_SECS_PER_STEP;
+        let bytes = size(steps * share * VIDEO_BYTES_PER_STEP);
+        format!("{bytes} and {} of one core", duration_text(secs))
+    };
     match campaign.record {
         "none" => None,
         "transitions" => Some(format!(
-            "videos of changed configurations: {} if as many change as in the paper ({:.0} %), {} \
-             with the most that changed there; until then up to {} of actions",
-            size(most as f64 * CHANGED_IN_THE_PAPER),
+            "videos of changed configurations: up to {}\nif as many change as in the paper \
+             ({:.0} %), {} with the\nmost that changed there; until then up to {} of actions",
+            videos(CHANGED_IN_THE_PAPER),
             CHANGED_IN_THE_PAPER * 100.0,
-            size(most as f64 * MOST_CHANGED_IN_THE_PAPER),
-            size((campaign.step_budget * ACTION_BYTES_PER_STEP) as f64),
+            videos(MOST_CHANGED_IN_THE_PAPER),
+            size(steps * ACTION_BYTES_PER_STEP),
         )),
         which => Some(format!(
-            "videos of {}: up to {}, less for rollouts that reach their goal",
+            "videos of {}: up to {},\nless for rollouts that reach their goal",
             which.replace("all", "all rollouts"),
-            size(most as f64)
+            videos(1.0)
         )),
     }
 }
@@ -64,18 +76,22 @@ mod tests {
     }
 
     #[test]
-    fn sizes_follow_from_the_step_budget() {
+    fn sizes_and_times_follow_from_the_step_budget() {
         // 12 rollouts of at most 280 steps.
         check("none", None);
         check(
             "all",
-            Some("videos of all rollouts: up to 8 MB, less for rollouts that reach their goal"),
+            Some(
+                "videos of all rollouts: up to 8 MB and 6m43s of one core,\n\
+                 less for rollouts that reach their goal",
+            ),
         );
         check(
             "transitions",
             Some(
-                "videos of changed configurations: 1 MB if as many change as in the paper (17 %), \
-                 3 MB with the most that changed there; until then up to 1 MB of actions",
+                "videos of changed configurations: up to 1 MB and 1m09s of one core\n\
+                 if as many change as in the paper (17 %), 3 MB and 2m17s of one core with the\n\
+                 most that changed there; until then up to 1 MB of actions",
             ),
         );
     }
