@@ -4,6 +4,7 @@
 mod campaigns;
 mod changes;
 mod configurations;
+mod forecast;
 mod jobs;
 mod results;
 mod standing;
@@ -20,6 +21,7 @@ pub use crate::store::campaigns::Campaign;
 pub use campaigns::{CampaignStatus, Counts, RATE_WINDOW};
 pub use changes::{Changes, Sizes};
 pub use configurations::{ResultLine, RolloutLine};
+pub use forecast::Forecast;
 pub use jobs::{FailureLine, JobDetails, JobFilter, JobLine, MAX_JOBS_LISTED};
 pub use results::{Edition, ExportedRow, RecordRow};
 pub use standing::{MAX_WORKERS_LISTED, PolicyLine, QuarantinedLine, WorkerLine};
