@@ -3,12 +3,12 @@
 #![forbid(unsafe_code)]
 
 use std::convert::Infallible;
-use std::io::IsTerminal as _;
+use std::io::{IsTerminal as _, Write as _};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::Context;
-use clap::Parser;
+use clap::{CommandFactory, Parser};
 use protocol::TaskRef;
 use scene::{AssetPack, Sources};
 use sim::{Simulator, SimulatorConfig};
@@ -55,6 +55,7 @@ fn main() -> ExitCode {
         (Some(Command::Rollout(rollout)), ..) => run_rollout(*rollout),
         (Some(Command::Preview(preview)), ..) => run_preview(&preview),
         (Some(Command::Film(arguments)), ..) => run_film(arguments),
+        (Some(Command::Completions { shell }), ..) => print_completions(shell),
         (Some(Command::Assets(arguments)), ..) => {
             assets::run(&arguments).map_err(anyhow::Error::from)
         }
@@ -68,6 +69,14 @@ fn main() -> ExitCode {
             ExitCode::FAILURE
         }
     }
+}
+
+fn print_completions(shell: clap_complete::Shell) -> anyhow::Result<()> {
+    let mut script = Vec::new();
+    clap_complete::generate(shell, &mut Arguments::command(), "worker", &mut script);
+    std::io::stdout()
+        .write_all(&script)
+        .context("print to standard output")
 }
 
 fn open(arguments: &SimulatorArguments) -> anyhow::Result<SimulatorConfig> {
