@@ -182,3 +182,31 @@ CREATE TABLE artifact (
 INSERT INTO artifact SELECT * FROM former_artifact;
 
 DROP TABLE former_artifact;
+
+-- Operators steer a campaign that is there: which goes first, where its policy
+-- is, what it is called. A worker that ends says so.
+
+-- Jobs of a higher priority are leased first.
+ALTER TABLE campaign ADD COLUMN priority INTEGER NOT NULL DEFAULT 0
+    CHECK (priority BETWEEN -100 AND 100);
+
+-- The folder of its files below `artifacts`, once it is not its name: a renamed
+-- campaign keeps the one that it was created with.
+ALTER TABLE campaign ADD COLUMN folder TEXT CHECK (folder <> '');
+
+CREATE UNIQUE INDEX campaign_folder ON campaign (coalesce(folder, name));
+
+-- What campaigns were called before: who asks for the old name is told the new
+-- one. A campaign that takes the name takes the row out.
+CREATE TABLE former_name (
+    name             TEXT    PRIMARY KEY CHECK (name <> ''),
+    campaign_id      INTEGER NOT NULL REFERENCES campaign (id) ON DELETE CASCADE
+) STRICT, WITHOUT ROWID;
+
+CREATE INDEX former_name_of ON former_name (campaign_id);
+
+-- When a worker ended in good order; it may announce itself again.
+ALTER TABLE worker ADD COLUMN signed_off_ms INTEGER;
+
+-- A policy is kept as long as a campaign measures it.
+DELETE FROM policy WHERE id NOT IN (SELECT policy_id FROM campaign);

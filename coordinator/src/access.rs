@@ -11,7 +11,7 @@ pub(crate) const LOG_IN: &str = "/login";
 /// Everything that a worker calls.
 const WORKER_SERVICE: &str = "/rollout.coordinator.v1.WorkerService/";
 /// The calls of the operator service that change nothing.
-const READING: [&str; 7] = [
+const READING: [&str; 8] = [
     "/rollout.coordinator.v1.OperatorService/ListCampaigns",
     "/rollout.coordinator.v1.OperatorService/GetCampaign",
     "/rollout.coordinator.v1.OperatorService/ListJobs",
@@ -19,6 +19,7 @@ const READING: [&str; 7] = [
     "/rollout.coordinator.v1.OperatorService/ListWorkers",
     "/rollout.coordinator.v1.OperatorService/Report",
     "/rollout.coordinator.v1.OperatorService/Export",
+    "/rollout.coordinator.v1.OperatorService/Forecast",
 ];
 
 /// What a browser loads before its person has logged in, or to log out: it

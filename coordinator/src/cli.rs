@@ -1,14 +1,18 @@
 //! What people type: reading the command line and saying what came of it. Exit
 //! code 2 is for a command that is wrong, 1 for one that failed.
 
+mod alter;
 mod backup;
 mod check;
 mod command;
 mod compare;
+mod completions;
 mod create;
 mod export;
 mod files;
+mod forecast;
 mod jobs;
+mod json;
 mod line;
 mod manifest;
 mod operate;
@@ -21,11 +25,11 @@ mod workers;
 use std::process::ExitCode;
 
 use anyhow::Context;
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use proto::coordinator::change_campaign_request::Change;
 use tokio::runtime::Runtime;
 
-use command::{CommandError, Connection};
+use command::CommandError;
 
 /// The campaign's memory: creates campaigns, leases their rollouts to workers,
 /// keeps the results and reports them.
@@ -62,6 +66,8 @@ enum Command {
     Compare(compare::CompareArguments),
     /// Write the committed results of a campaign.
     Export(export::ExportArguments),
+    /// Print a script that completes this program's commands in a shell.
+    Completions(completions::CompletionsArguments),
 }
 
 #[derive(Debug, Subcommand)]
@@ -69,7 +75,7 @@ enum CampaignCommand {
     /// Create a campaign from a specification, or from flags.
     Create(Box<create::CreateArguments>),
     /// List all campaigns.
-    List(Connection),
+    List(status::ListArguments),
     /// Show how one campaign stands, or all.
     Status(status::StatusArguments),
     /// Lease nothing more; what is being run may still be committed.
@@ -78,6 +84,12 @@ enum CampaignCommand {
     Resume(operate::ChangeArguments),
     /// End a campaign for ever; its results stay.
     Cancel(operate::ChangeArguments),
+    /// Lease a campaign's rollouts before or after those of others.
+    SetPriority(alter::PriorityArguments),
+    /// Say where a campaign's policy is from now on.
+    SetEndpoint(alter::EndpointArguments),
+    /// Give a campaign another name.
+    Rename(alter::RenameArguments),
     /// Remove a campaign with its results and files.
     Delete(operate::DeleteArguments),
 }
@@ -116,17 +128,23 @@ async fn execute(command: Command) -> Result<(), CommandError> {
         Command::Report(arguments) => report::report(arguments).await,
         Command::Compare(arguments) => compare::compare(arguments).await,
         Command::Export(arguments) => export::export(arguments).await,
+        Command::Completions(arguments) => {
+            completions::completions(arguments, Arguments::command())
+        }
     }
 }
 
 async fn campaign(command: CampaignCommand) -> Result<(), CommandError> {
     match command {
         CampaignCommand::Create(arguments) => create::create(*arguments).await,
-        CampaignCommand::List(connection) => status::list(connection).await,
+        CampaignCommand::List(arguments) => status::list(arguments).await,
         CampaignCommand::Status(arguments) => status::status(arguments).await,
         CampaignCommand::Pause(arguments) => operate::change(arguments, Change::Pause).await,
         CampaignCommand::Resume(arguments) => operate::change(arguments, Change::Resume).await,
         CampaignCommand::Cancel(arguments) => operate::change(arguments, Change::Cancel).await,
+        CampaignCommand::SetPriority(arguments) => alter::set_priority(arguments).await,
+        CampaignCommand::SetEndpoint(arguments) => alter::set_endpoint(arguments).await,
+        CampaignCommand::Rename(arguments) => alter::rename(arguments).await,
         CampaignCommand::Delete(arguments) => operate::delete(arguments).await,
     }
 }

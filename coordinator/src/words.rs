@@ -39,6 +39,38 @@ pub fn utc_text(at: UnixMillis) -> String {
     }
 }
 
+/// An instant in RFC 3339, to the millisecond: `2026-11-21T15:36:09.123Z`. One
+/// beyond the year 9999 is the last that can be written so.
+pub fn rfc3339(at: UnixMillis) -> String {
+    const LAST_SECS: i64 = 253_402_300_799;
+    let secs = at.0.div_euclid(1_000).clamp(0, LAST_SECS);
+    let millis = at.0.rem_euclid(1_000);
+    let instant = OffsetDateTime::from_unix_timestamp(secs);
+    let instant = instant.unwrap_or(OffsetDateTime::UNIX_EPOCH);
+    let (h, m, s) = instant.to_hms();
+    format!("{}T{h:02}:{m:02}:{s:02}.{millis:03}Z", instant.date())
+}
+
+/// What a worker runs on, for people; what it did not name is left out.
+pub fn runs_on(pack: &str, mujoco: &str, renderer: &str, program: &str) -> String {
+    let named = |prefix: &str, version: &str| match version {
+        "" => String::new(),
+        version => format!("{prefix} {version}"),
+    };
+    let (mujoco, program) = (named("MuJoCo", mujoco), named("program", program));
+    let parts = [pack, &mujoco, renderer, &program];
+    let told: Vec<&str> = parts.into_iter().filter(|part| !part.is_empty()).collect();
+    told.join(", ")
+}
+
+/// A number of things: `1 rollout`, `2 rollouts`.
+pub fn counted(count: u64, thing: &str) -> String {
+    match count {
+        1 => format!("1 {thing}"),
+        count => format!("{count} {thing}s"),
+    }
+}
+
 /// A size: `812 B`, `3.4 MiB`.
 pub fn size_text(bytes: u64) -> String {
     let units = ["KiB", "MiB", "GiB", "TiB"];
@@ -74,7 +106,29 @@ mod tests {
             "1969-12-31 23:59:59 UTC",
         ];
         assert_eq!(instants, told);
+        let written = [0, 1_795_275_369_123, i64::MAX].map(|ms| rfc3339(UnixMillis(ms)));
+        let expected = [
+            "1970-01-01T00:00:00.000Z",
+            "2026-11-21T15:36:09.123Z",
+            "9999-12-31T23:59:59.807Z",
+        ];
+        assert_eq!(written, expected);
         let sizes = [812, 3_565_158, u64::MAX].map(size_text);
         assert_eq!(sizes, ["812 B", "3.4 MiB", "16777216.0 TiB"]);
+        let counts = [0, 1, 2].map(|count| counted(count, "slot"));
+        assert_eq!(counts, ["0 slots", "1 slot", "2 slots"]);
+    }
+
+    /// A worker of schema 1 names no renderer.
+    #[test]
+    fn what_a_worker_did_not_name_leaves_no_gap() {
+        assert_eq!(
+            runs_on("primitives", "3.3.7", "", "0.1.0"),
+            "primitives, MuJoCo 3.3.7, program 0.1.0"
+        );
+        assert_eq!(
+            runs_on("primitives", "3.3.7", "llvmpipe", ""),
+            "primitives, MuJoCo 3.3.7, llvmpipe"
+        );
     }
 }

@@ -210,8 +210,13 @@ async fn no_statement_of_a_worker_or_a_sweep_walks_the_jobs() {
         "levels": ["L1", "L2", "L3"],
         "configs": [0, 1, 2],
     });
-    let campaign = NewCampaign::from_json(&spec.to_string()).expect("a campaign");
-    queue.create_campaign(&campaign).await.expect("created");
+    // Two of them, which share the workers.
+    for name in ["plans", "more"] {
+        let mut spec = spec.clone();
+        spec["name"] = name.into();
+        let campaign = NewCampaign::from_json(&spec.to_string()).expect("a campaign");
+        queue.create_campaign(&campaign).await.expect("created");
+    }
     let worker = WorkerInfo {
         id: WorkerId("a".to_owned()),
         host: "here".to_owned(),
@@ -233,6 +238,12 @@ async fn no_statement_of_a_worker_or_a_sweep_walks_the_jobs() {
     let options = SqliteConnectOptions::new().filename(file).read_only(true);
     let mut connection = options.connect().await.expect("a database");
     let verbs = ["SELECT", "INSERT", "UPDATE", "DELETE"];
+    assert!(
+        statements
+            .iter()
+            .any(|it| it.contains("GROUP BY campaign_id")),
+        "what campaigns hold is compared"
+    );
     // A new origin comes once per kind of worker, not once per rollout, and
     // SQLite would look for its children only if references were broken.
     let is_hot = |statement: &&String| {

@@ -138,6 +138,11 @@ enum Command {
         #[command(flatten)]
         listen: Listen,
     },
+    /// Prints a script that completes this program's commands in a shell
+    Completions {
+        /// The shell
+        shell: clap_complete::Shell,
+    },
 }
 
 fn main() -> ExitCode {
@@ -179,6 +184,7 @@ fn main() -> ExitCode {
             let route = RouteSpec::new(policy, BackendSpec::Replay(folder));
             serve_routes(vec![route], &listen)
         }
+        Some(Command::Completions { shell }) => print_completions(shell),
         None => {
             let Serve {
                 routes,
@@ -197,6 +203,15 @@ fn main() -> ExitCode {
         eprintln!("policy-gateway: failed to {error:#}");
         ExitCode::FAILURE
     })
+}
+
+fn print_completions(shell: clap_complete::Shell) -> anyhow::Result<ExitCode> {
+    let mut script = Vec::new();
+    let mut command = Arguments::command();
+    clap_complete::generate(shell, &mut command, "policy-gateway", &mut script);
+    let written = stdout().write_all(&script);
+    written.context("print to standard output")?;
+    Ok(ExitCode::SUCCESS)
 }
 
 impl Listen {

@@ -33,7 +33,8 @@ pub const HUB: &str = "https://huggingface.co";
                       worker preview --suite SUITE --task N --assets PACK\n              \
                       --output DIR [OPTIONS]\n       \
                       worker bench --assets PACK [OPTIONS]\n       \
-                      worker assets list|verify|fetch [OPTIONS]"
+                      worker assets list|verify|fetch [OPTIONS]\n       \
+                      worker completions SHELL"
 )]
 pub struct Arguments {
     /// What else a worker can do.
@@ -94,6 +95,11 @@ pub enum Command {
     /// make on this machine, and recommends a number of slots; needs no
     /// coordinator and no policy
     Bench(BenchArguments),
+    /// Prints a script that completes this program's commands in a shell
+    Completions {
+        /// The shell
+        shell: clap_complete::Shell,
+    },
     /// The process of one slot, started by a worker
     #[command(hide = true)]
     Slot(SlotArguments),

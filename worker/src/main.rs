@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::Context;
+use clap::CommandFactory;
 use protocol::TaskRef;
 use scene::{AssetPack, Sources};
 use sim::{Simulator, SimulatorConfig};
@@ -44,6 +45,7 @@ fn main() -> ExitCode {
         (Some(Command::Rollout(rollout)), ..) => run_rollout(*rollout),
         (Some(Command::Preview(preview)), ..) => run_preview(&preview),
         (Some(Command::Film(arguments)), ..) => run_film(arguments),
+        (Some(Command::Completions { shell }), ..) => print_completions(shell),
         (Some(Command::Assets(arguments)), ..) => {
             assets::run(&arguments).map_err(anyhow::Error::from)
         }
@@ -63,6 +65,12 @@ fn main() -> ExitCode {
 /// Prints a line to standard output.
 fn say(line: &str) -> anyhow::Result<()> {
     terminal::print_line(line).context("print to standard output")
+}
+
+fn print_completions(shell: clap_complete::Shell) -> anyhow::Result<()> {
+    let mut script = Vec::new();
+    clap_complete::generate(shell, &mut Arguments::command(), "worker", &mut script);
+    terminal::print(&String::from_utf8_lossy(&script)).context("print to standard output")
 }
 
 fn open(arguments: &SimulatorArguments) -> anyhow::Result<SimulatorConfig> {

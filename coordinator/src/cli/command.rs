@@ -58,14 +58,15 @@ pub(super) fn failure(error: impl Into<anyhow::Error>) -> CommandError {
 impl Connection {
     /// A client of this coordinator.
     pub(super) fn client(&self) -> Result<Client, CommandError> {
+        self.patient_client(Duration::from_secs(self.retry_secs))
+    }
+
+    /// A client of this coordinator that keeps trying for so long.
+    pub(super) fn patient_client(&self, retry_for: Duration) -> Result<Client, CommandError> {
         // Who may steer campaigns may read them too.
         let access = self.access.access(&[Role::Operator, Role::Viewer]);
         let access = access.map_err(failure)?;
-        Ok(Client::new(
-            &self.connect,
-            &access,
-            Duration::from_secs(self.retry_secs),
-        )?)
+        Ok(Client::new(&self.connect, &access, retry_for)?)
     }
 }
 

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 use std::str::FromStr;
+use std::time::Duration;
 
 use anyhow::Context;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
@@ -17,8 +18,10 @@ use queue::expand::NewCampaign;
 use serde::de::DeserializeOwned;
 use terminal::{counted, number, number_from};
 
+use super::alter::priority;
 use super::command::{CommandError, Connection, print_line, usage};
 use super::files::{read_manifest, read_spec};
+use super::forecast;
 
 /// The flags that say what a manifest says, and the others that say what a
 /// specification says: an error names those of them that were given.
@@ -48,8 +51,13 @@ pub(super) struct CreateArguments {
     flags: SpecFlags,
     #[command(flatten)]
     design: DesignFlags,
-    /// Says what would be created, and what its videos would take, and creates
-    /// nothing
+    /// The higher, the earlier its rollouts are leased, from -100 to 100; campaigns
+    /// of one priority share the workers.
+    #[arg(long, value_name = "N", default_value_t = 0, allow_negative_numbers = true,
+        value_parser = priority())]
+    priority: i32,
+    /// Says what would be created, how long it would take and what its videos
+    /// would take, and creates nothing.
     #[arg(long)]
     dry_run: bool,
     #[command(flatten)]
@@ -126,11 +134,14 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     if arguments.dry_run {
         let total = counted(campaign.jobs.len() as u64, "rollout");
         print_line(&format!("campaign {name} would have {total}"))?;
+        let client = arguments.connection.patient_client(Duration::ZERO)?;
+        print_line(&forecast::in_words(&client, &campaign).await)?;
         return tell_size(&campaign);
     }
     let client = arguments.connection.client()?;
     let request = CreateCampaignRequest {
         spec: campaign.spec.clone(),
+        priority: arguments.priority,
     };
     let created = client.call(request, Service::create_campaign).await?;
     let happened = match created.jobs_added {
@@ -139,6 +150,12 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     };
     let total = counted(created.jobs_total, "rollout");
     print_line(&format!("campaign {name} {happened}: {total}"))?;
+    if created.priority != arguments.priority {
+        let kept = created.priority;
+        print_line(&format!(
+            "it keeps priority {kept}: `coordinator campaign set-priority` changes it"
+        ))?;
+    }
     tell_size(&campaign)
 }
 

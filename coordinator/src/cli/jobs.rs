@@ -12,6 +12,7 @@ use report::rollout_name;
 use terminal::number_from;
 
 use super::command::{CommandError, Connection, print_line, usage};
+use super::json;
 
 /// Jobs asked for at a time.
 const PAGE_JOBS: u32 = 500;
@@ -35,9 +36,25 @@ pub(super) struct ListArguments {
     /// Only those in this state.
     #[arg(long, value_parser = ["queued", "leased", "committed", "quarantined"])]
     state: Option<String>,
+    /// Only those with this outcome.
+    #[arg(long, value_parser = ["success", "failure"])]
+    outcome: Option<String>,
+    /// Only those of a task, `libero_object/0`, or of a suite.
+    #[arg(long)]
+    task: Option<String>,
+    /// Only those of a condition: an axis, `nominal`, or `simultaneous` for all
+    /// axes at once.
+    #[arg(long, value_name = "CONDITION")]
+    condition: Option<String>,
+    /// Only those of a level: `L2`, `r2.5`.
+    #[arg(long)]
+    level: Option<String>,
     /// Most rollouts to list.
     #[arg(long, default_value_t = 50, value_parser = number_from(1_u32, "rollouts"))]
     limit: u32,
+    /// Print JSON, as docs/JSON.md describes it.
+    #[arg(long)]
+    json: bool,
     #[command(flatten)]
     connection: Connection,
 }
@@ -48,6 +65,9 @@ pub(super) struct ShowArguments {
     campaign: String,
     /// Rollout id; `ID#r1` is its second replicate.
     rollout: String,
+    /// Print JSON, as docs/JSON.md describes it.
+    #[arg(long)]
+    json: bool,
     #[command(flatten)]
     connection: Connection,
 }
@@ -76,12 +96,26 @@ pub(super) async fn jobs(command: JobsCommand) -> Result<(), CommandError> {
 
 async fn list(arguments: ListArguments) -> Result<(), CommandError> {
     let client = arguments.connection.client()?;
+    let condition = arguments.condition.as_deref().map(|name| match name {
+        // As rollout ids name them.
+        "nominal" => "clean",
+        "simultaneous" => "combination",
+        name => name,
+    });
     let mut request = ListJobsRequest {
         campaign: arguments.campaign,
         state: arguments.state.unwrap_or_default(),
+        outcome: arguments.outcome.unwrap_or_default(),
+        task: arguments.task.unwrap_or_default(),
+        condition: condition.unwrap_or_default().to_owned(),
+        level: arguments.level.unwrap_or_default(),
         ..ListJobsRequest::default()
     };
     let mut left = arguments.limit;
+    let mut listed = json::Jobs {
+        jobs: Vec::new(),
+        is_truncated: false,
+    };
     loop {
         // One more than is shown tells whether there are more.
         request.limit = left.min(PAGE_JOBS) + 1;
@@ -89,16 +123,23 @@ async fn list(arguments: ListArguments) -> Result<(), CommandError> {
         let page = page.await?.jobs;
         let shown = page.iter().take(request.limit as usize - 1);
         for job in shown {
-            print_line(&line(job))?;
+            match arguments.json {
+                true => listed.jobs.push(json::Job::of(job)),
+                false => print_line(&line(job))?,
+            }
             request.after_job_id = job.job_id;
             left -= 1;
         }
-        if page.len() < request.limit as usize {
-            return Ok(());
+        let is_last = page.len() < request.limit as usize;
+        if !is_last && left > 0 {
+            continue;
         }
-        if left == 0 {
-            return Ok(print_line("… and more: --limit shows them")?);
-        }
+        listed.is_truncated = !is_last;
+        return match (arguments.json, is_last) {
+            (true, _) => json::print(&listed),
+            (false, true) => Ok(()),
+            (false, false) => Ok(print_line("… and more: --limit shows them")?),
+        };
     }
 }
 
@@ -109,7 +150,10 @@ async fn show(arguments: ShowArguments) -> Result<(), CommandError> {
         campaign: arguments.campaign,
     };
     let details = client.call(request, Service::get_job).await?;
-    Ok(print_line(&whole(&details))?)
+    match arguments.json {
+        true => json::print(&json::JobDetails::of(&details)?),
+        false => Ok(print_line(&whole(&details))?),
+    }
 }
 
 async fn retry(arguments: RetryArguments) -> Result<(), CommandError> {

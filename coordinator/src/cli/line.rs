@@ -14,15 +14,18 @@ const NAME_BYTES: usize = 18;
 
 /// Whether nothing more will happen by itself.
 pub(super) fn is_finished(status: &CampaignStatus) -> bool {
-    status.state() == State::Cancelled || status.committed + status.quarantined == status.total
+    status.state() == State::Cancelled || status.committed + status.quarantined >= status.total
 }
 
 /// One line: name, bar, counts, rate, ETA. The bar gets what the rest leaves.
+/// Done is what has a result; what is in quarantine is not.
 pub(super) fn line(status: &CampaignStatus) -> String {
-    let done = status.committed + status.quarantined;
+    let done = status.committed;
     let percent = (done * 100).checked_div(status.total).unwrap_or(0);
     let pace = if status.state() == State::Cancelled {
         "cancelled".to_owned()
+    } else if is_finished(status) && status.quarantined > 0 {
+        format!("finished but for {} in quarantine", status.quarantined)
     } else if is_finished(status) {
         "finished".to_owned()
     } else if status.state() == State::Paused {
@@ -113,6 +116,25 @@ mod tests {
         assert!(line(&with(State::Paused)).ends_with("40%  paused, 2 running"));
         assert!(line(&with(State::Cancelled)).ends_with("40%  cancelled"));
         assert!(is_finished(&with(State::Cancelled)) && !is_finished(&with(State::Paused)));
+    }
+
+    /// 137 of 140 and three in quarantine were "140/140 100%  finished".
+    #[test]
+    fn what_is_in_quarantine_is_not_done_and_the_end_says_so() {
+        let status = CampaignStatus {
+            campaign: "demo".to_owned(),
+            total: 140,
+            committed: 137,
+            quarantined: 3,
+            ..CampaignStatus::default()
+        };
+        assert!(is_finished(&status));
+        assert_eq!(
+            line(&status),
+            "demo ███████████████░ 137/140 97%  finished but for 3 in quarantine"
+        );
+        let note = attention(&status).expect("a note");
+        assert!(note.contains("coordinator jobs list demo --state quarantined"));
     }
 
     #[test]

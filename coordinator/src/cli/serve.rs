@@ -129,6 +129,7 @@ fn config(arguments: &ServeArguments, security: Security) -> anyhow::Result<Conf
             heartbeat: lease / HEARTBEATS_PER_LEASE,
             progress_timeout: Duration::from_secs(arguments.progress_timeout_secs.into()),
             ceiling_per_step: Duration::from_secs(arguments.step_ceiling_secs.into()),
+            worker_alive: lease,
             ..Timing::default()
         },
         clock: Arc::new(SystemClock::start()),

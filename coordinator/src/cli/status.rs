@@ -6,11 +6,21 @@ use clap::Args;
 use proto::coordinator::CampaignStatus;
 
 use super::command::{CommandError, Connection, print_line};
+use super::json;
 use super::line::{attention, line};
 use super::watch::watch;
 
 /// What is said where there are none.
 const NO_CAMPAIGNS: &str = "no campaigns yet; `coordinator campaign create` makes one";
+
+#[derive(Args, Debug)]
+pub(super) struct ListArguments {
+    /// Print JSON, as docs/JSON.md describes it.
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    connection: Connection,
+}
 
 #[derive(Args, Debug)]
 pub(super) struct StatusArguments {
@@ -19,12 +29,18 @@ pub(super) struct StatusArguments {
     /// Follow until everything is finished.
     #[arg(long)]
     watch: bool,
+    /// Print JSON, as docs/JSON.md describes it.
+    #[arg(long, conflicts_with = "watch")]
+    json: bool,
     #[command(flatten)]
     connection: Connection,
 }
 
-pub(super) async fn list(connection: Connection) -> Result<(), CommandError> {
-    let campaigns = connection.client()?.list_campaigns().await?;
+pub(super) async fn list(arguments: ListArguments) -> Result<(), CommandError> {
+    let campaigns = arguments.connection.client()?.list_campaigns().await?;
+    if arguments.json {
+        return json::print(&json::Campaigns::of(&campaigns));
+    }
     if campaigns.is_empty() {
         return Ok(print_line(NO_CAMPAIGNS)?);
     }
@@ -45,6 +61,9 @@ pub(super) async fn status(arguments: StatusArguments) -> Result<(), CommandErro
         (false, Some(name)) => vec![client.campaign_status(name).await?],
         (false, None) => client.list_campaigns().await?,
     };
+    if arguments.json {
+        return json::print(&json::Campaigns::of(&campaigns));
+    }
     if campaigns.is_empty() {
         return Ok(print_line(NO_CAMPAIGNS)?);
     }
@@ -60,6 +79,7 @@ fn details(status: &CampaignStatus) -> String {
             "  policy       {} at {}",
             status.policy, status.policy_endpoint
         ),
+        format!("  priority     {:>7}", status.priority),
         format!("  committed    {:>7}", status.committed),
         format!("  succeeded    {:>7}", status.succeeded),
         format!("  running      {:>7}", status.leased),

@@ -34,8 +34,8 @@ pub(super) async fn watch(
     };
     screen.say(&format!(
         "ETA = rollouts left / rate; rate = rollouts committed in the last {} minutes,\n\
-         or since the first lease or the last resume, if that is less; of a policy,\n\
-         what is left of its running campaigns / the sum of their rates",
+         or since the first of them began or the last resume, if that is less; of a\n\
+         policy, what is left of its running campaigns / the sum of their rates",
         RATE_WINDOW.as_secs() / 60
     ))?;
     loop {
@@ -90,7 +90,9 @@ impl Screen {
 /// A line per campaign, and one per policy that several of them measure.
 fn table(campaigns: &[CampaignStatus]) -> Vec<String> {
     let mut policies: BTreeMap<(&str, &str), Vec<&CampaignStatus>> = BTreeMap::new();
-    for status in campaigns {
+    // What is cancelled never goes on.
+    let going_on = |status: &&CampaignStatus| status.state() != State::Cancelled;
+    for status in campaigns.iter().filter(going_on) {
         let policy = (status.policy_endpoint.as_str(), status.policy.as_str());
         policies.entry(policy).or_default().push(status);
     }
@@ -99,8 +101,8 @@ fn table(campaigns: &[CampaignStatus]) -> Vec<String> {
     campaigns.iter().map(line).chain(totals).collect()
 }
 
-/// The campaigns of a policy as if they were one. What is paused or cancelled
-/// is not left to be done.
+/// The campaigns of a policy, none of them cancelled, as if they were one. What is
+/// paused is not left to be done for now.
 fn of_policy(campaigns: &[&CampaignStatus]) -> CampaignStatus {
     let mut sum = CampaignStatus::default();
     for status in campaigns {
@@ -109,15 +111,20 @@ fn of_policy(campaigns: &[&CampaignStatus]) -> CampaignStatus {
         sum.leased += status.leased;
         sum.committed += status.committed;
         sum.quarantined += status.quarantined;
-        if !matches!(status.state(), State::Paused | State::Cancelled) {
+        if status.state() != State::Paused {
             sum.queued += status.queued;
         }
         if let Some(rate) = status.rate_per_sec {
             sum.rate_per_sec = Some(sum.rate_per_sec.unwrap_or(0.0) + rate);
         }
     }
-    let left = (sum.queued + sum.leased) as f64;
-    sum.eta_secs = sum.rate_per_sec.map(|rate| left / rate);
+    let left = sum.queued + sum.leased;
+    if left == 0 {
+        // All that is left waits to be resumed, if anything is.
+        sum.set_state(State::Paused);
+    } else {
+        sum.eta_secs = sum.rate_per_sec.map(|rate| left as f64 / rate);
+    }
     sum
 }
 
@@ -151,6 +158,46 @@ mod tests {
             table[3],
             "all of expert ████████░░░░░░░░ 100/200 50%  2 running  1.0/s  ETA 1m40s"
         );
+    }
+
+    /// "all of expert 2176/13875 … ETA 0s" while everything that was left was of
+    /// cancelled campaigns.
+    #[test]
+    fn what_is_cancelled_is_in_no_line_of_a_policy() {
+        let in_state = |name: &str, state: State| CampaignStatus {
+            state: state.into(),
+            ..campaign(name, "expert")
+        };
+        let cancelled = in_state("gone", State::Cancelled);
+        let running = in_state("one", State::Running);
+        assert_eq!(table(&[running.clone(), cancelled.clone()]).len(), 2);
+        let lines = table(&[running.clone(), cancelled, running]);
+        assert!(lines[3].contains("100/200 50%"), "{}", lines[3]);
+    }
+
+    #[test]
+    fn a_policy_whose_campaigns_are_all_paused_or_finished_shows_no_eta() {
+        let paused = CampaignStatus {
+            state: State::Paused.into(),
+            leased: 0,
+            rate_per_sec: None,
+            eta_secs: None,
+            ..campaign("paused", "expert")
+        };
+        let finished = CampaignStatus {
+            queued: 0,
+            leased: 0,
+            committed: 100,
+            ..campaign("finished", "expert")
+        };
+        let lines = table(&[paused, finished.clone()]);
+        assert!(
+            lines[2].ends_with("150/200 75%  paused, 0 running"),
+            "{}",
+            lines[2]
+        );
+        let lines = table(&[finished.clone(), finished]);
+        assert!(lines[2].ends_with("200/200 100%  finished"), "{}", lines[2]);
     }
 
     #[test]

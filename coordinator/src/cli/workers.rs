@@ -2,16 +2,20 @@
 
 use clap::Args;
 use coordinator::client::Service;
-use coordinator::words::duration_text;
+use coordinator::words::{counted, duration_text, runs_on};
 use proto::coordinator::{ListWorkersRequest, WorkerStatus};
 
 use super::command::{CommandError, Connection, print_line};
+use super::json;
 
 #[derive(Args, Debug)]
 pub(super) struct WorkersArguments {
     /// List those that have gone, too.
     #[arg(long)]
     all: bool,
+    /// Print JSON, as docs/JSON.md describes it.
+    #[arg(long)]
+    json: bool,
     #[command(flatten)]
     connection: Connection,
 }
@@ -22,6 +26,9 @@ pub(super) async fn workers(arguments: WorkersArguments) -> Result<(), CommandEr
     let workers = listed.await?.workers.into_iter();
     let (alive, gone): (Vec<_>, Vec<_>) = workers.partition(|worker| worker.alive);
     let shown = alive.iter().chain(gone.iter().filter(|_| arguments.all));
+    if arguments.json {
+        return json::print(&json::Workers::of(shown));
+    }
     let mut lines: Vec<String> = shown.map(line).collect();
     if lines.is_empty() {
         lines.push("no worker is alive; start one with `worker --connect`".to_owned());
@@ -34,13 +41,14 @@ pub(super) async fn workers(arguments: WorkersArguments) -> Result<(), CommandEr
 
 fn line(worker: &WorkerStatus) -> String {
     let standing = match (worker.alive, worker.stopped_reason.as_str()) {
+        (false, _) if worker.signed_off => "ended".to_owned(),
         (false, _) => "gone".to_owned(),
         (true, "") => format!("{}/{} slots busy", worker.leases, worker.slots),
         (true, reason) => format!("leases no more: {reason}"),
     };
     let failures = match worker.charged_in_a_row {
         0 => String::new(),
-        failures => format!(", {failures} failures in a row"),
+        failures => format!(", {} in a row", counted(failures.into(), "failure")),
     };
     let filming = match worker.filming {
         0 => String::new(),
@@ -48,14 +56,15 @@ fn line(worker: &WorkerStatus) -> String {
         rollouts => format!("\n  filming {rollouts} rollouts"),
     };
     format!(
-        "{} on {}: {standing}{failures}, last call {} ago{filming}\n  \
-         {}, MuJoCo {}, {}, program {}",
+        "{} on {}: {standing}{failures}, last call {} ago{filming}\n  {}",
         worker.worker_id,
         worker.host,
         duration_text(worker.silent_secs),
-        worker.asset_pack,
-        worker.mujoco_version,
-        worker.renderer,
-        worker.program_version
+        runs_on(
+            &worker.asset_pack,
+            &worker.mujoco_version,
+            &worker.renderer,
+            &worker.program_version
+        )
     )
 }

@@ -29,13 +29,16 @@ fn code(error: &QueueError) -> Code {
         QueueError::UnknownWorker { .. }
         | QueueError::UnknownAttempt { .. }
         | QueueError::UnknownCampaign { .. }
+        | QueueError::Renamed { .. }
         | QueueError::UnknownRollout { .. } => Code::NotFound,
         QueueError::WorkerStopped { .. }
         | QueueError::Cancelled { .. }
         | QueueError::CampaignInUse { .. }
+        | QueueError::PolicyMeasured { .. }
         | QueueError::NotQuarantined { .. } => Code::FailedPrecondition,
         QueueError::BackupInHand => Code::ResourceExhausted,
-        QueueError::CampaignDiffers { .. } => Code::AlreadyExists,
+        QueueError::CampaignDiffers { .. } | QueueError::NameTaken { .. } => Code::AlreadyExists,
+        QueueError::Unspecified { .. } => Code::InvalidArgument,
         QueueError::ShuttingDown | QueueError::Store(_) => Code::Unavailable,
     }
 }

@@ -1,9 +1,59 @@
-//! Jobs and workers as messages. Instants become spans here: the reader's clock
-//! may go wrong.
+//! Campaigns, jobs and workers as messages. Spans are taken here: the reader's
+//! clock may go wrong.
 
 use proto::coordinator as wire;
 use queue::clock::UnixMillis;
-use queue::read::{FailureLine, JobDetails, JobLine, ResultLine, WorkerLine};
+use queue::read::{
+    CampaignStatus, FailureLine, Forecast, JobDetails, JobLine, ResultLine, WorkerLine,
+};
+use queue::rules::campaign::CampaignState;
+
+pub(super) fn status(status: CampaignStatus) -> wire::CampaignStatus {
+    let (campaign, counts) = (status.campaign, status.counts);
+    wire::CampaignStatus {
+        campaign: campaign.name.as_str().to_owned(),
+        policy: campaign.policy,
+        policy_endpoint: campaign.endpoint,
+        total: counts.total(),
+        queued: counts.queued,
+        leased: counts.leased,
+        committed: counts.committed,
+        quarantined: counts.quarantined,
+        succeeded: counts.succeeded,
+        policy_paused: status.policy_pause_reason.is_some(),
+        policy_pause_reason: status.policy_pause_reason.unwrap_or_default(),
+        rate_per_sec: status.rate_per_sec,
+        eta_secs: status.eta_secs,
+        live_workers: status.live_workers,
+        waiting_reason: status.waiting_reason,
+        mixed_fingerprints: status
+            .fingerprints
+            .map_or_else(String::new, |mixed| ::report::fingerprints_in_words(&mixed)),
+        state: state(campaign.state).into(),
+        priority: campaign.priority,
+        created_unix_ms: campaign.created_ms.0,
+    }
+}
+
+pub(super) fn state(state: CampaignState) -> wire::campaign_status::State {
+    use wire::campaign_status::State;
+    match state {
+        CampaignState::Running { .. } => State::Running,
+        CampaignState::Paused { .. } => State::Paused,
+        CampaignState::Cancelled { .. } => State::Cancelled,
+    }
+}
+
+pub(super) fn forecast(forecast: Forecast) -> wire::ForecastResponse {
+    wire::ForecastResponse {
+        workers: forecast.workers,
+        slots: forecast.slots,
+        secs: forecast.secs,
+        results: forecast.results,
+        is_of_policy: forecast.is_of_policy,
+        unmeasured_suites: forecast.unmeasured_suites,
+    }
+}
 
 pub(super) fn job(line: JobLine, now: UnixMillis) -> wire::Job {
     let left = |instant: Option<UnixMillis>| {
@@ -35,6 +85,7 @@ pub(super) fn details(details: JobDetails, now: UnixMillis) -> wire::GetJobRespo
         reason: line.reason,
         charged: line.charged,
         error: line.error,
+        failed_unix_ms: line.failed_ms.0,
     };
     let result = |line: ResultLine| wire::ResultOrigin {
         attempt: line.number.0,
@@ -45,6 +96,7 @@ pub(super) fn details(details: JobDetails, now: UnixMillis) -> wire::GetJobRespo
         renderer: line.provenance.pin.renderer,
         divergences: line.divergences,
         video: line.video.unwrap_or_default(),
+        committed_unix_ms: line.committed_ms.0,
     };
     wire::GetJobResponse {
         job: Some(job(details.line, now)),
@@ -70,5 +122,8 @@ pub(super) fn worker(line: WorkerLine, now: UnixMillis) -> wire::WorkerStatus {
         charged_in_a_row: line.charged_in_a_row,
         stopped_reason: line.stopped_reason.unwrap_or_default(),
         filming: line.filming,
+        last_seen_unix_ms: line.last_seen_ms.0,
+        registered_unix_ms: line.registered_ms.0,
+        signed_off: line.has_signed_off,
     }
 }

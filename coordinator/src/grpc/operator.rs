@@ -5,17 +5,17 @@ use std::sync::Arc;
 
 use proto::coordinator::operator_service_server::OperatorService;
 use proto::coordinator::{
-    self as wire, BackupRequest, ChangeCampaignRequest, ChangeCampaignResponse,
-    CreateCampaignRequest, CreateCampaignResponse, DeleteCampaignRequest, DeleteCampaignResponse,
-    ExportRequest, GetCampaignRequest, GetCampaignResponse, GetJobRequest, GetJobResponse,
+    self as wire, AlterCampaignRequest, AlterCampaignResponse, BackupRequest,
+    ChangeCampaignRequest, ChangeCampaignResponse, CreateCampaignRequest, CreateCampaignResponse,
+    DeleteCampaignRequest, DeleteCampaignResponse, ExportRequest, ForecastRequest,
+    ForecastResponse, GetCampaignRequest, GetCampaignResponse, GetJobRequest, GetJobResponse,
     ListCampaignsRequest, ListCampaignsResponse, ListJobsRequest, ListJobsResponse,
     ListWorkersRequest, ListWorkersResponse, ReportRequest, RetryJobsRequest, RetryJobsResponse,
 };
 use queue::Queue;
 use queue::expand::NewCampaign;
-use queue::ids::{CampaignName, JobId};
-use queue::read::{Campaign, CampaignStatus, JobFilter, View};
-use queue::rules::campaign::CampaignState;
+use queue::ids::CampaignName;
+use queue::read::{Campaign, View};
 use tokio_stream::{Stream, StreamExt};
 use tonic::{Request, Response, Status};
 use transport::chain;
@@ -59,13 +59,18 @@ impl OperatorService for OperatorApi {
         &self,
         request: Request<CreateCampaignRequest>,
     ) -> Answer<CreateCampaignResponse> {
-        let campaign = NewCampaign::from_json(&request.into_inner().spec)
-            .map_err(|error| invalid(chain(&error)))?;
+        let request = request.into_inner();
+        let campaign = NewCampaign::from_json(&request.spec);
+        let campaign = NewCampaign {
+            priority: read::priority(request.priority)?,
+            ..campaign.map_err(|error| invalid(chain(&error)))?
+        };
         let created = self.queue.create_campaign(&campaign).await;
         let created = created.map_err(failed)?;
         Ok(Response::new(CreateCampaignResponse {
             jobs_added: created.jobs_added,
             jobs_total: created.jobs_total,
+            priority: created.priority,
         }))
     }
 
@@ -75,7 +80,7 @@ impl OperatorService for OperatorApi {
     ) -> Answer<ListCampaignsResponse> {
         let campaigns = self.view().await?.statuses().await.map_err(failed)?;
         Ok(Response::new(ListCampaignsResponse {
-            campaigns: campaigns.into_iter().map(write_status).collect(),
+            campaigns: campaigns.into_iter().map(listing::status).collect(),
         }))
     }
 
@@ -88,7 +93,7 @@ impl OperatorService for OperatorApi {
         let status = view.status(campaign).await.map_err(failed)?;
         Ok(Response::new(GetCampaignResponse {
             spec,
-            status: Some(write_status(status)),
+            status: Some(listing::status(status)),
         }))
     }
 
@@ -100,7 +105,7 @@ impl OperatorService for OperatorApi {
         let name = campaign_name(&request.campaign)?;
         let change = read::change(request.change)?;
         let state = self.queue.change_campaign(&name, change).await;
-        let state = write_state(state.map_err(failed)?);
+        let state = listing::state(state.map_err(failed)?);
         Ok(Response::new(ChangeCampaignResponse {
             state: state.into(),
         }))
@@ -126,11 +131,7 @@ impl OperatorService for OperatorApi {
 
     async fn list_jobs(&self, request: Request<ListJobsRequest>) -> Answer<ListJobsResponse> {
         let request = request.into_inner();
-        let filter = JobFilter {
-            state: read::job_state(&request.state)?,
-            after: JobId(request.after_job_id),
-            limit: request.limit,
-        };
+        let filter = read::job_filter(&request)?;
         let (mut view, campaign) = self.campaign(&request.campaign).await?;
         let jobs = view.jobs(&campaign, filter).await.map_err(failed)?;
         let jobs = jobs.into_iter().map(|line| listing::job(line, view.now));
@@ -201,42 +202,34 @@ impl OperatorService for OperatorApi {
         });
         Ok(Response::new(Box::pin(lines)))
     }
+
+    async fn alter_campaign(
+        &self,
+        request: Request<AlterCampaignRequest>,
+    ) -> Answer<AlterCampaignResponse> {
+        let request = request.into_inner();
+        let name = campaign_name(&request.campaign)?;
+        let to = read::alteration(request)?;
+        let taken_back = self.queue.alter_campaign(&name, &to).await;
+        let taken_back = taken_back.map_err(failed)?;
+        let name = to.name.unwrap_or(name);
+        let (mut view, campaign) = self.campaign(name.as_str()).await?;
+        let status = view.status(campaign).await.map_err(failed)?;
+        Ok(Response::new(AlterCampaignResponse {
+            status: Some(listing::status(status)),
+            taken_back,
+        }))
+    }
+
+    async fn forecast(&self, request: Request<ForecastRequest>) -> Answer<ForecastResponse> {
+        let request = request.into_inner();
+        let rollouts = read::rollouts_by_suite(request.rollouts)?;
+        let mut view = self.view().await?;
+        let forecast = view.forecast(&request.policy, &rollouts).await;
+        Ok(Response::new(listing::forecast(forecast.map_err(failed)?)))
+    }
 }
 
 fn campaign_name(name: &str) -> Result<CampaignName, Status> {
     CampaignName::parse(name).map_err(invalid)
-}
-
-fn write_status(status: CampaignStatus) -> wire::CampaignStatus {
-    let (campaign, counts) = (status.campaign, status.counts);
-    wire::CampaignStatus {
-        campaign: campaign.name.as_str().to_owned(),
-        policy: campaign.policy,
-        policy_endpoint: campaign.endpoint,
-        total: counts.total(),
-        queued: counts.queued,
-        leased: counts.leased,
-        committed: counts.committed,
-        quarantined: counts.quarantined,
-        succeeded: counts.succeeded,
-        policy_paused: status.policy_pause_reason.is_some(),
-        policy_pause_reason: status.policy_pause_reason.unwrap_or_default(),
-        rate_per_sec: status.rate_per_sec,
-        eta_secs: status.eta_secs,
-        live_workers: status.live_workers,
-        waiting_reason: status.waiting_reason,
-        mixed_fingerprints: status
-            .fingerprints
-            .map_or_else(String::new, |mixed| ::report::fingerprints_in_words(&mixed)),
-        state: write_state(campaign.state).into(),
-    }
-}
-
-fn write_state(state: CampaignState) -> wire::campaign_status::State {
-    use wire::campaign_status::State;
-    match state {
-        CampaignState::Running { .. } => State::Running,
-        CampaignState::Paused { .. } => State::Paused,
-        CampaignState::Cancelled { .. } => State::Cancelled,
-    }
 }

@@ -1,13 +1,16 @@
 //! Reading messages: every string is bounded, every number in range, every
 //! digest a digest, before it goes any further.
 
+use std::collections::BTreeMap;
+
 use attempt::{AttemptId, Digests, IkResidual, Motion, Pin, Provenance, Realised, RolloutResult};
 use proto::{MAX_MOTION_STEPS, coordinator as wire};
-use protocol::Axis;
-use queue::ids::{JobName, WorkerId, shortened};
-use queue::rules::campaign::Change;
+use protocol::{Axis, Suite, select_tasks};
+use queue::ids::{CampaignName, JobId, JobName, WorkerId, shortened};
+use queue::read::JobFilter;
+use queue::rules::campaign::{Change, PRIORITIES};
 use queue::rules::lease::FailureReason;
-use queue::{CommitReport, MAX_JOBS_RETRIED, Retry, WorkerInfo};
+use queue::{Alteration, CommitReport, MAX_JOBS_RETRIED, Retry, WorkerInfo};
 use tonic::Status;
 
 use super::failure::invalid;
@@ -114,8 +117,76 @@ pub(super) fn change(change: i32) -> Result<Change, Status> {
     }
 }
 
+/// One of the priorities that there are.
+pub(super) fn priority(priority: i32) -> Result<i32, Status> {
+    if PRIORITIES.contains(&priority) {
+        return Ok(priority);
+    }
+    let (least, most) = (PRIORITIES.start(), PRIORITIES.end());
+    Err(invalid(format!(
+        "`priority` is {priority}; it is from {least} to {most}"
+    )))
+}
+
+/// What is to become of a campaign.
+pub(super) fn alteration(request: wire::AlterCampaignRequest) -> Result<Alteration, Status> {
+    let name = request.name.map(|name| CampaignName::parse(&name));
+    let endpoint = request.policy_endpoint;
+    let policy = request.policy;
+    Ok(Alteration {
+        priority: request.priority.map(priority).transpose()?,
+        endpoint: endpoint
+            .map(|it| required("policy_endpoint", it))
+            .transpose()?,
+        policy: policy.map(|it| required("policy", it)).transpose()?,
+        name: name.transpose().map_err(invalid)?,
+    })
+}
+
+/// How many rollouts of which suite.
+pub(super) fn rollouts_by_suite(
+    asked: Vec<wire::SuiteRollouts>,
+) -> Result<BTreeMap<String, u64>, Status> {
+    let mut rollouts = BTreeMap::new();
+    for of in asked {
+        let suite: Suite = of.suite.parse().map_err(invalid)?;
+        *rollouts.entry(suite.to_string()).or_default() += of.rollouts;
+    }
+    Ok(rollouts)
+}
+
+/// Which jobs are wanted.
+pub(super) fn job_filter(request: &wire::ListJobsRequest) -> Result<JobFilter<'_>, Status> {
+    let given = |text: &'_ str| (!text.is_empty()).then(|| text.to_owned());
+    let condition = given(&request.condition).map(|name| name.parse());
+    let level = given(&request.level).map(|name| name.parse());
+    let task = request.task.as_str();
+    if !task.is_empty() {
+        select_tasks(task).map_err(invalid)?;
+    }
+    Ok(JobFilter {
+        state: job_state(&request.state)?,
+        success: match request.outcome.as_str() {
+            "" => None,
+            "success" => Some(true),
+            "failure" => Some(false),
+            other => {
+                return Err(invalid(format!(
+                    "`{}` is no outcome; there are success and failure",
+                    shortened(other, MAX_ROLLOUT_ID_BYTES)
+                )));
+            }
+        },
+        task: (!task.is_empty() && task != "all").then_some(task),
+        condition: condition.transpose().map_err(invalid)?,
+        level: level.transpose().map_err(invalid)?,
+        after: JobId(request.after_job_id),
+        limit: request.limit,
+    })
+}
+
 /// The name of a job's state; none where all are wanted.
-pub(super) fn job_state(state: &str) -> Result<Option<&str>, Status> {
+fn job_state(state: &str) -> Result<Option<&str>, Status> {
     match state {
         "" => Ok(None),
         "queued" | "leased" | "committed" | "quarantined" => Ok(Some(state)),

@@ -7,7 +7,7 @@ use proto::coordinator::worker_service_server::WorkerService;
 use proto::coordinator::{
     self as wire, ClaimRequest, ClaimResponse, CommitRequest, CommitResponse, HeartbeatRequest,
     HeartbeatResponse, NextFilmRequest, NextFilmResponse, PutArtifactResponse, RegisterRequest,
-    RegisterResponse, ReleaseRequest, ReleaseResponse,
+    RegisterResponse, ReleaseRequest, ReleaseResponse, SignOffRequest, SignOffResponse,
 };
 use queue::{Assigned, CommitVerdict, Film, Queue, ReleaseVerdict, Upload};
 use tokio_stream::StreamExt;
@@ -135,6 +135,13 @@ impl WorkerService for WorkerApi {
             backoff_secs: reply.backoff.as_secs_f64(),
             stop_leasing: reply.stop_leasing.unwrap_or_default(),
         }))
+    }
+
+    async fn sign_off(&self, request: Request<SignOffRequest>) -> Answer<SignOffResponse> {
+        let worker = read::worker_id(&request.into_inner().worker_id)?;
+        self.queue.sign_off(&worker).await.map_err(failed)?;
+        tracing::info!(%worker, "worker signed off");
+        Ok(Response::new(SignOffResponse {}))
     }
 
     async fn next_film(&self, request: Request<NextFilmRequest>) -> Answer<NextFilmResponse> {

@@ -40,7 +40,7 @@ pub(super) async fn sheet(page: &Page) -> Result<Sheet, Problem> {
 /// How one campaign stands: words, bar, counts, and what keeps it.
 pub(super) fn progress(status: &CampaignStatus) -> Markup {
     let counts = &status.counts;
-    let done = counts.committed + counts.quarantined;
+    let done = counts.committed;
     let percent = (done * 100).checked_div(counts.total()).unwrap_or(0);
     html! {
         p.pace {
@@ -95,6 +95,12 @@ fn notes(status: &CampaignStatus) -> Markup {
 fn pace(status: &CampaignStatus) -> String {
     match status.campaign.state {
         CampaignState::Cancelled { .. } => "cancelled".to_owned(),
+        _ if left(status) == 0 && status.counts.quarantined > 0 => {
+            format!(
+                "finished but for {} in quarantine",
+                status.counts.quarantined
+            )
+        }
         _ if left(status) == 0 => "finished".to_owned(),
         CampaignState::Paused { .. } => "paused by its operator".to_owned(),
         CampaignState::Running { .. } => match (status.rate_per_sec, status.eta_secs) {

@@ -22,6 +22,13 @@ pub(super) enum Problem {
     Query(&'static str),
     /// There is no such campaign, or no longer.
     Campaign(String),
+    /// The campaign has another name by now.
+    Renamed {
+        /// What was asked for.
+        former: String,
+        /// What it is called.
+        now: String,
+    },
     /// The campaign has no such rollout.
     Rollout {
         /// The campaign.
@@ -52,6 +59,7 @@ impl Problem {
                 (StatusCode::BAD_REQUEST, "This address is wrong")
             }
             Problem::Campaign(_) => (StatusCode::NOT_FOUND, "There is no such campaign"),
+            Problem::Renamed { .. } => (StatusCode::NOT_FOUND, "This campaign was renamed"),
             Problem::Rollout { .. } => (StatusCode::NOT_FOUND, "There is no such rollout"),
             Problem::Video => (StatusCode::NOT_FOUND, "There is no such video"),
             Problem::TooManyStreams => (StatusCode::SERVICE_UNAVAILABLE, "Too many pages are open"),
@@ -67,6 +75,10 @@ impl Problem {
             Problem::Campaign(name) => html! {
                 "No campaign is called " code { (name) } " here. If there was one, it has been \
                 deleted, with its results and files."
+            },
+            Problem::Renamed { former, now } => html! {
+                "Campaign " code { (former) } " is called "
+                a href={ "/campaigns/" (now) } { (now) } " now."
             },
             Problem::Rollout { campaign, rollout } => html! {
                 "Campaign " code { (campaign) } " has no rollout " code { (rollout) } ". "
@@ -105,6 +117,10 @@ impl<E: Into<ReadError>> From<E> for Problem {
             ReadError::Queue(QueueError::UnknownCampaign { campaign }) => {
                 Problem::Campaign(campaign.to_string())
             }
+            ReadError::Queue(QueueError::Renamed { campaign, now }) => Problem::Renamed {
+                former: campaign.to_string(),
+                now: now.to_string(),
+            },
             error => Problem::failed(&error),
         }
     }

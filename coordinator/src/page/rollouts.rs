@@ -1,4 +1,4 @@
-//! The rollouts of a campaign, one by one, by state.
+//! The rollouts of a campaign, one by one, by state or outcome.
 
 use maud::{Markup, html};
 use queue::QueueError;
@@ -13,18 +13,21 @@ use super::state::Page;
 /// Rollouts on a page.
 const PAGE_JOBS: u32 = 200;
 
-/// The states that one can ask for, and how they are called.
-const STATES: [(&str, &str); 4] = [
-    ("leased", "running"),
-    ("queued", "waiting"),
-    ("committed", "with a result"),
-    ("quarantined", "quarantined"),
+/// What one can ask for, as a query names it, and how it is called.
+const CHOICES: [(&str, &str); 6] = [
+    ("state=leased", "running"),
+    ("state=queued", "waiting"),
+    ("state=committed", "with a result"),
+    ("outcome=success", "succeeded"),
+    ("outcome=failure", "failed"),
+    ("state=quarantined", "quarantined"),
 ];
 
 /// What a query asks for.
 #[derive(Default)]
 struct Wanted {
-    state: Option<String>,
+    /// One of [`CHOICES`]; all without it.
+    choice: Option<&'static str>,
     after: i64,
     /// One rollout by its id, if any.
     id: Option<String>,
@@ -34,7 +37,6 @@ struct Wanted {
 pub(super) async fn sheet(page: &Page, name: &str, query: &str) -> Result<Sheet, Problem> {
     let wanted = Wanted::read(query)?;
     let (of, mut view) = page.campaign(name).await?;
-    let state = wanted.state.as_deref();
     let (lines, next) = match &wanted.id {
         Some(id) => {
             let job = JobName {
@@ -48,8 +50,15 @@ pub(super) async fn sheet(page: &Page, name: &str, query: &str) -> Result<Sheet,
             }
         }
         None => {
+            let (name, value) = wanted.choice.unwrap_or_default().split_once('=').unzip();
             let filter = JobFilter {
-                state,
+                state: value.filter(|_| name == Some("state")),
+                success: value
+                    .filter(|_| name == Some("outcome"))
+                    .map(|outcome| outcome == "success"),
+                task: None,
+                condition: None,
+                level: None,
                 after: JobId(wanted.after),
                 limit: PAGE_JOBS + 1,
             };
@@ -67,8 +76,10 @@ pub(super) async fn sheet(page: &Page, name: &str, query: &str) -> Result<Sheet,
         (filters(campaign, &wanted))
         @if lines.is_empty() { p { "There are none." } } @else { (table(campaign, &lines)) }
         @if let Some(next) = next {
-            @let state = state.unwrap_or_default();
-            p { a rel="next" href={ "?state=" (state) "&after=" (next) } { "The next ones" } }
+            @let choice = wanted.choice.map(|choice| format!("{choice}&"));
+            p { a rel="next" href={ "?" (choice.unwrap_or_default()) "after=" (next) } {
+                "The next ones"
+            } }
         }
     };
     let title = format!("Rollouts of {campaign}");
@@ -80,14 +91,15 @@ impl Wanted {
         let mut wanted = Wanted::default();
         for (name, value) in form_urlencoded::parse(query.as_bytes()) {
             match name.as_ref() {
-                "state" if value.is_empty() => {}
-                "state" if STATES.iter().any(|(state, _)| *state == value) => {
-                    wanted.state = Some(value.into_owned());
-                }
-                "state" => {
-                    return Err(Problem::Query(
-                        "A state is one of queued, leased, committed and quarantined.",
-                    ));
+                "state" | "outcome" if value.is_empty() => {}
+                "state" | "outcome" => {
+                    let asked = format!("{name}={value}");
+                    let known = CHOICES.iter().find(|(choice, _)| *choice == asked);
+                    let (choice, _) = known.ok_or(Problem::Query(
+                        "A state is one of queued, leased, committed and quarantined, an outcome \
+                         success or failure.",
+                    ))?;
+                    wanted.choice = Some(choice);
                 }
                 "after" => {
                     let after = value.parse();
@@ -102,14 +114,13 @@ impl Wanted {
 }
 
 fn filters(campaign: &str, wanted: &Wanted) -> Markup {
-    let state = wanted.state.as_deref();
     let base = format!("/campaigns/{campaign}/rollouts");
     html! {
-        nav.ways aria-label="States" {
-            a href=(base) aria-current=[state.is_none().then_some("true")] { "all" }
-            @for (name, words) in STATES {
-                @let current = (state == Some(name)).then_some("true");
-                a href={ (base) "?state=" (name) } aria-current=[current] { (words) }
+        nav.ways aria-label="States and outcomes" {
+            a href=(base) aria-current=[wanted.choice.is_none().then_some("true")] { "all" }
+            @for (choice, words) in CHOICES {
+                @let current = (wanted.choice == Some(choice)).then_some("true");
+                a href={ (base) "?" (choice) } aria-current=[current] { (words) }
             }
         }
         form.find action=(base) {

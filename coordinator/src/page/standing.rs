@@ -10,7 +10,7 @@ use super::campaign::rollout;
 use super::layout::{self, Place, Sheet};
 use super::problem::Problem;
 use super::state::Page;
-use crate::words::duration_text;
+use crate::words::{counted, duration_text, runs_on};
 
 /// Quarantined rollouts that are shown.
 const MAX_QUARANTINED: u32 = 500;
@@ -108,24 +108,23 @@ fn worker_row(line: &WorkerLine, now: UnixMillis) -> Markup {
                 @match &line.stopped_reason {
                     Some(reason) => { "leases no more: " (reason) }
                     None if line.charged_in_a_row > 0 => {
-                        (line.charged_in_a_row) " failures in a row"
+                        (counted(line.charged_in_a_row.into(), "failure")) " in a row"
                     }
                     None if line.is_alive => "well",
+                    None if line.has_signed_off => "ended",
                     None => "gone",
                 }
             }
-            td.words { (runs_on(line)) }
+            td.words {
+                (runs_on(
+                    &line.asset_pack,
+                    &line.mujoco_version,
+                    &line.renderer,
+                    &line.program_version,
+                ))
+            }
         }
     }
-}
-
-fn runs_on(line: &WorkerLine) -> String {
-    let simulator = format!("MuJoCo {}", line.mujoco_version);
-    let program = format!("program {}", line.program_version);
-    let parts = [&line.asset_pack, &simulator, &line.renderer, &program];
-    // One that a coordinator of schema 1 registered named no renderer.
-    let told = parts.into_iter().filter(|part| !part.is_empty());
-    told.map(String::as_str).collect::<Vec<_>>().join(", ")
 }
 
 fn policy_section(policy: &PolicyLine, now: UnixMillis) -> Markup {

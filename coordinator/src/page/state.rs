@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use ::report::{Comparison, Document, Unpairable};
 use axum::http::{HeaderMap, Uri};
-use axum::response::{IntoResponse, Response};
+use axum::response::{IntoResponse, Redirect, Response};
 use queue::Queue;
 use queue::ids::{CampaignName, shortened};
 use queue::read::{Campaign, Edition, View};
@@ -100,6 +100,11 @@ impl Page {
         };
         match self.pages.get(address, is_fresh, make).await {
             Ok(rendered) => rendered.answer(&headers),
+            // A bookmark of before.
+            Err(Problem::Renamed { former, now }) => {
+                let (old, new) = (format!("/campaigns/{former}"), format!("/campaigns/{now}"));
+                Redirect::temporary(&address.replacen(&old, &new, 1)).into_response()
+            }
             Err(problem) => problem.into_response(),
         }
     }

@@ -98,7 +98,7 @@ async fn register(channel: &Channel, token: Option<&str>, id: &str) -> Result<()
 async fn create(channel: &Channel, token: Option<&str>, spec: String) -> Result<(), Status> {
     let mut service = OperatorServiceClient::new(showing(channel, token));
     service
-        .create_campaign(wire::CreateCampaignRequest { spec })
+        .create_campaign(wire::CreateCampaignRequest { spec, priority: 0 })
         .await?;
     Ok(())
 }

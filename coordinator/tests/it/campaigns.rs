@@ -81,7 +81,9 @@ async fn a_status_counts_and_says_how_fast_it_goes() {
     for success in [true, false] {
         let lease = worker.claim_one().await;
         bench.pass(10).await;
-        assert_eq!(worker.commit(&lease, success).await, Verdict::Accepted);
+        let mut report = worker.report(&lease, success);
+        report.result.as_mut().expect("one").wall_secs = 10.0;
+        assert_eq!(worker.commit_request(report).await.0, Verdict::Accepted);
     }
     let status = bench.status("paced").await;
     assert_eq!(

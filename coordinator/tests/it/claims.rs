@@ -120,20 +120,115 @@ async fn a_worker_that_names_no_renderer_is_not_registered() {
     assert_eq!(bench.count("SELECT count(*) FROM worker").await, 1);
 }
 
+/// Who created a campaign first had all workers until it was done.
 #[tokio::test]
-async fn older_campaigns_go_first() {
+async fn campaigns_of_one_priority_progress_together() {
     let bench = Bench::start().await;
     bench.create(&small_spec("older")).await.expect("created");
     bench.create(&small_spec("newer")).await.expect("created");
     let mut worker = bench.worker("a").await;
+    let mut names = Vec::new();
+    // One slot, which never holds two leases.
+    for _ in 0..4 {
+        let lease = worker.claim_one().await;
+        assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+        names.push(lease.campaign);
+    }
+    assert_eq!(names, ["older", "newer", "older", "newer"]);
+    // Many, which hold what they get.
+    let rest = worker.claim(8).await;
+    let of = |name: &str| rest.iter().filter(|lease| lease.campaign == name).count();
+    assert_eq!((of("older"), of("newer")), (2, 2));
+}
+
+#[tokio::test]
+async fn the_campaign_with_the_fewest_leases_is_next() {
+    let bench = Bench::start().await;
+    let spec = |name| with(small_spec(name), json!({"configs": [0, 1, 2, 3]}));
+    bench.create(&spec("begun")).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    let begun = worker.claim(4).await;
+    bench.create(&spec("new")).await.expect("created");
     let campaigns: Vec<String> = worker
-        .claim(8)
+        .claim(6)
         .await
         .into_iter()
         .map(|l| l.campaign)
         .collect();
-    assert_eq!(campaigns[..4], ["older"; 4]);
-    assert_eq!(campaigns[4..], ["newer"; 4]);
+    assert_eq!(campaigns[..4], ["new"; 4], "until they hold the same");
+    assert_eq!(campaigns[4..], ["begun", "new"], "then in turn");
+    // A slot that ends a rollout goes on with the same campaign, and its scene.
+    assert_eq!(worker.commit(&begun[0], true).await, Verdict::Accepted);
+    assert_eq!(worker.claim_one().await.campaign, "begun");
+}
+
+#[tokio::test]
+async fn a_higher_priority_goes_first_and_may_be_changed_at_any_time() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("usual")).await.expect("created");
+    let urgent = bench.create_with_priority(&small_spec("urgent"), 7).await;
+    assert_eq!(urgent.expect("created").priority, 7);
+    let mut worker = bench.worker("a").await;
+    assert_eq!(worker.claim_one().await.campaign, "urgent");
+    assert_eq!(worker.claim_one().await.campaign, "urgent");
+    // The same again keeps the priority that it has.
+    let again = bench.create(&small_spec("urgent")).await.expect("there");
+    assert_eq!((again.jobs_added, again.priority), (0, 7));
+
+    let request = wire::AlterCampaignRequest {
+        campaign: "usual".to_owned(),
+        priority: Some(8),
+        ..wire::AlterCampaignRequest::default()
+    };
+    let mut operator = bench.operator().await;
+    let altered = operator.alter_campaign(request.clone()).await;
+    let altered = altered.expect("altered").into_inner();
+    assert_eq!(altered.status.expect("a status").priority, 8);
+    assert_eq!(worker.claim_one().await.campaign, "usual");
+    for priority in [-101, 101] {
+        let request = wire::AlterCampaignRequest {
+            priority: Some(priority),
+            ..request.clone()
+        };
+        let refused = operator
+            .alter_campaign(request)
+            .await
+            .expect_err("no priority");
+        assert_eq!(refused.code(), Code::InvalidArgument);
+        assert!(refused.message().contains("from -100 to 100"), "{refused}");
+        let refused = bench
+            .create_with_priority(&small_spec("new"), priority)
+            .await;
+        let refused = refused.expect_err("no priority");
+        assert_eq!(refused.code(), Code::InvalidArgument);
+    }
+    // What is left of a lower priority is had once the higher ones are done.
+    assert_eq!(worker.claim(64).await.len(), 5);
+}
+
+/// The first in line may be pinned to other assets, paused, or wait for its
+/// policy: those behind it go on.
+#[tokio::test]
+async fn nothing_starves_behind_a_campaign_that_a_worker_cannot_run() {
+    let bench = Bench::start().await;
+    let policy = |name: &str| json!({"policy": {"name": name, "endpoint": "http://127.0.0.1:1"}});
+    let foreign = bench.create_with_priority(&small_spec("foreign"), 9).await;
+    foreign.expect("created");
+    let mut other = bench.worker_on("other", "libero").await;
+    let lease = other.claim_one().await;
+    assert_eq!(other.commit(&lease, true).await, Verdict::Accepted);
+    let down = with(small_spec("down"), policy("fragile"));
+    bench.create_with_priority(&down, 5).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    let lease = worker.claim_one().await;
+    assert_eq!(lease.campaign, "down");
+    let reason = wire::release_request::Reason::PolicyUnavailable;
+    worker.release(&lease, reason).await;
+    let sound = with(small_spec("sound"), policy("sound"));
+    bench.create(&sound).await.expect("created");
+    let rest = worker.claim(64).await;
+    assert_eq!(rest.len(), 4);
+    assert!(rest.iter().all(|lease| lease.campaign == "sound"));
 }
 
 #[tokio::test]

@@ -50,7 +50,7 @@ async fn everything(serve: &Serve) -> Result<(), Status> {
         .map_err(|error| Status::unavailable(error.to_string()))?;
     let spec = small_spec("passing").to_string();
     operator
-        .create_campaign(wire::CreateCampaignRequest { spec })
+        .create_campaign(wire::CreateCampaignRequest { spec, priority: 0 })
         .await?;
     let mut worker = serve.try_worker("b").await?;
     let lease = worker.try_claim(0.0, "").await?.lease.expect("a lease");

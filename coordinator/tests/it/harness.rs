@@ -172,8 +172,17 @@ impl Bench {
         &self,
         spec: &Value,
     ) -> Result<wire::CreateCampaignResponse, Status> {
+        self.create_with_priority(spec, 0).await
+    }
+
+    pub(crate) async fn create_with_priority(
+        &self,
+        spec: &Value,
+        priority: i32,
+    ) -> Result<wire::CreateCampaignResponse, Status> {
         let request = wire::CreateCampaignRequest {
             spec: spec.to_string(),
+            priority,
         };
         let created = self.operator().await.create_campaign(request).await?;
         Ok(created.into_inner())

@@ -2,6 +2,7 @@
 //! where a process has to die, real processes. Only the clock is moved by hand.
 
 mod access;
+mod altering;
 mod artifacts;
 mod blame;
 mod campaigns;
@@ -14,6 +15,7 @@ mod films;
 mod fingerprints;
 mod harness;
 mod invariants;
+mod json;
 mod manifests;
 mod operating;
 mod outages;
@@ -26,5 +28,6 @@ mod random;
 mod reports;
 mod schema;
 mod seeds;
+mod standing;
 mod together;
 mod upgrade;

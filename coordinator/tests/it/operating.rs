@@ -154,7 +154,9 @@ async fn a_cancelled_campaign_takes_its_leases_back_and_keeps_its_results() {
 #[tokio::test]
 async fn cancelling_frees_a_policy_whose_probe_it_takes_back() {
     let bench = Bench::start().await;
-    bench.create(&small_spec("first")).await.expect("created");
+    let first = small_spec("first");
+    let first = bench.create_with_priority(&first, 1).await;
+    first.expect("created");
     bench.create(&small_spec("second")).await.expect("created");
     let mut worker = bench.worker("a").await;
     let lease = worker.claim_one().await;
@@ -173,7 +175,8 @@ async fn cancelling_frees_a_policy_whose_probe_it_takes_back() {
 #[tokio::test]
 async fn a_campaign_is_deleted_with_its_files_by_who_names_it_twice() {
     let bench = Bench::start().await;
-    bench.create(&small_spec("old")).await.expect("created");
+    let old = bench.create_with_priority(&small_spec("old"), 1).await;
+    old.expect("created");
     bench.create(&small_spec("kept")).await.expect("created");
     let mut worker = bench.worker("a").await;
     let (lease, held) = (worker.claim_one().await, worker.claim_one().await);
@@ -302,6 +305,7 @@ async fn jobs_are_listed_page_by_page_and_by_state() {
             state: state.to_owned(),
             after_job_id: after,
             limit,
+            ..wire::ListJobsRequest::default()
         };
         operator
             .list_jobs(request)

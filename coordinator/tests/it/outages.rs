@@ -21,7 +21,7 @@ fn spec_of(name: &str, policy: &str) -> serde_json::Value {
 async fn two_campaigns() -> Bench {
     let bench = Bench::start().await;
     bench
-        .create(&spec_of("first", "fragile"))
+        .create_with_priority(&spec_of("first", "fragile"), 1)
         .await
         .expect("created");
     bench

@@ -17,7 +17,7 @@ const SILENCE: Duration = Duration::from_secs(30);
 
 /// An answer over HTTP/1.1.
 pub(crate) struct Answer {
-    code: u16,
+    pub(crate) code: u16,
     head: String,
     body: Vec<u8>,
 }
@@ -28,7 +28,7 @@ impl Answer {
     }
 
     /// The value of a header.
-    fn header(&self, name: &str) -> Option<&str> {
+    pub(crate) fn header(&self, name: &str) -> Option<&str> {
         let mut lines = self.head.lines().filter_map(|line| line.split_once(": "));
         let found = lines.find(|(key, _)| key.eq_ignore_ascii_case(name));
         found.map(|(_, value)| value)

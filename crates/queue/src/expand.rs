@@ -34,6 +34,9 @@ pub struct NewCampaign {
     pub jobs: Vec<NewJob>,
     /// Control steps of all its rollouts, if none reaches its goal.
     pub step_budget: u64,
+    /// Its priority, one of [`PRIORITIES`](crate::rules::campaign::PRIORITIES); 0
+    /// unless it is set.
+    pub priority: i32,
 }
 
 /// A job ready to be stored.
@@ -119,6 +122,7 @@ impl NewCampaign {
             },
             jobs,
             step_budget,
+            priority: 0,
         })
     }
 
@@ -126,6 +130,22 @@ impl NewCampaign {
     pub fn tasks(&self) -> BTreeSet<&str> {
         self.jobs.iter().map(|job| job.task.as_str()).collect()
     }
+}
+
+/// A stored specification after a change, and its digest.
+///
+/// # Errors
+/// When it is no specification any more.
+pub(crate) fn altered(
+    spec: &str,
+    change: impl FnOnce(&mut CampaignSpec),
+) -> Result<(String, String), ExpandError> {
+    let mut spec = CampaignSpec::from_json(spec)?;
+    change(&mut spec);
+    spec.check()?;
+    let text = serde_json::to_string(&spec).map_err(JsonError::from)?;
+    let digest = digest(&text);
+    Ok((text, digest))
 }
 
 /// The names of the fields in which two specifications differ, for people.

@@ -209,7 +209,7 @@ pub const INVARIANTS: [Invariant; 16] = [
     Invariant {
         name: "removals_are_of_no_campaign",
         query: "SELECT format('folder %s of campaign %s is to be removed', m.folder, c.name)
-         FROM removal m JOIN campaign c ON m.folder = 'artifacts/' || c.name",
+         FROM removal m JOIN campaign c ON m.folder = 'artifacts/' || coalesce(c.folder, c.name)",
     },
 ];
 

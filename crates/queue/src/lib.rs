@@ -19,6 +19,7 @@ pub mod rules;
 mod store;
 mod timing;
 
+pub use operations::alter::Alteration;
 pub use operations::artifacts::{
     ARTIFACTS_FOLDER, ArtifactError, MAX_ARTIFACT_BYTES, Upload, remove_partial_files,
 };

@@ -1,6 +1,7 @@
 //! What workers and operators do: each reads what a decision needs, lets the
 //! rules decide, and carries it out in the writing transaction.
 
+pub(crate) mod alter;
 pub(crate) mod artifacts;
 pub(crate) mod backup;
 mod cache;

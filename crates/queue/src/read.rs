@@ -13,6 +13,7 @@ macro_rules! policy_steps {
 mod campaigns;
 mod changes;
 mod configurations;
+mod forecast;
 mod jobs;
 mod results;
 mod standing;
@@ -31,6 +32,7 @@ pub use crate::store::campaigns::Campaign;
 pub use campaigns::{CampaignStatus, Counts, RATE_WINDOW};
 pub use changes::{Changes, Sizes};
 pub use configurations::{ResultLine, RolloutLine};
+pub use forecast::Forecast;
 pub use jobs::{FailureLine, JobDetails, JobFilter, JobLine, MAX_JOBS_LISTED};
 pub use results::{Edition, ExportedRow, RecordRow, SetupRow};
 pub use standing::{MAX_WORKERS_LISTED, PolicyLine, QuarantinedLine, WorkerLine};

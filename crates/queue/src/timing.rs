@@ -14,8 +14,8 @@ pub struct Timing {
     /// An attempt may take so long for each control step of its budget, settling
     /// included; after that its lease is renewed no more.
     pub ceiling_per_step: Duration,
-    /// A worker counts as alive for so long after its last call; longer
-    /// than the longest wait of a claim.
+    /// A worker counts as alive for so long after its last call, unless it has
+    /// said good-bye: as long as its leases last without a heartbeat.
     pub worker_alive: Duration,
     /// Between two looks for expired leases.
     pub sweep: Duration,
@@ -28,7 +28,7 @@ impl Default for Timing {
             heartbeat: Duration::from_secs(5),
             progress_timeout: Duration::from_secs(180),
             ceiling_per_step: Duration::from_secs(10),
-            worker_alive: Duration::from_secs(60),
+            worker_alive: Duration::from_secs(30),
             sweep: Duration::from_secs(1),
         }
     }

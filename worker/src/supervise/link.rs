@@ -12,7 +12,7 @@ use proto::coordinator::worker_service_client::WorkerServiceClient;
 use proto::coordinator::{
     ArtifactChunk, ClaimRequest, ClaimResponse, CommitRequest, CommitResponse, HeartbeatRequest,
     HeartbeatResponse, NextFilmRequest, NextFilmResponse, PutArtifactResponse, RegisterRequest,
-    RegisterResponse, ReleaseRequest, ReleaseResponse,
+    RegisterResponse, ReleaseRequest, ReleaseResponse, SignOffRequest,
 };
 use tokio::sync::{Notify, watch};
 use tokio::time::Instant;
@@ -28,6 +28,8 @@ use crate::grpc::within;
 const CLAIM_WAIT: Duration = Duration::from_secs(5);
 /// Longest wait for any other answer.
 const CALL_DEADLINE: Duration = Duration::from_secs(30);
+/// Longest wait for the answer to a good-bye.
+const SIGN_OFF_DEADLINE: Duration = Duration::from_secs(2);
 /// Longest wait for a video to be stored.
 const UPLOAD_DEADLINE: Duration = Duration::from_secs(60);
 /// How often a video is sent before it is given up: for about a minute, if it is
@@ -159,6 +161,13 @@ impl Link {
             async move { grpc.release(request).await }
         })
         .await
+    }
+
+    /// Says that this worker is gone; asked once, because nothing depends on it.
+    pub(crate) async fn sign_off(&self, request: SignOffRequest) -> Result<(), Status> {
+        let mut grpc = self.grpc.clone();
+        let answer = within(SIGN_OFF_DEADLINE, grpc.sign_off(request)).await;
+        answer.map(drop)
     }
 
     /// Asks for a rollout to film; until it is answered.

@@ -9,6 +9,7 @@ use std::time::Duration;
 use attempt::AttemptId;
 use proto::coordinator::{
     HeartbeatRequest, HeartbeatResponse, Progress, RegisterRequest, RegisterResponse,
+    SignOffRequest,
 };
 use terminal::counted;
 use tokio::sync::{mpsc, watch};
@@ -157,6 +158,7 @@ impl Supervisor {
             self.carry_out_decisions(now);
         }
         self.end(inbox).await;
+        self.sign_off().await;
         self.fault.map_or(Ok(()), Err)
     }
 
@@ -206,6 +208,23 @@ impl Supervisor {
         };
         if tokio::time::timeout(END_DEADLINE, ending).await.is_err() {
             tracing::warn!("a slot's process does not end by itself and is killed");
+        }
+    }
+
+    /// Tells the coordinator, which would else count this worker as alive for the
+    /// length of a lease.
+    async fn sign_off(&self) {
+        if !self.is_registered {
+            return;
+        }
+        let request = SignOffRequest {
+            worker_id: self.config.identity.worker.to_string(),
+        };
+        if let Err(status) = self.link.sign_off(request).await {
+            tracing::debug!(
+                "the coordinator did not hear the good-bye: {}",
+                chain(&status)
+            );
         }
     }
 

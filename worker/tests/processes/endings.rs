@@ -89,10 +89,16 @@ async fn an_idle_worker_ends_at_once_and_leaves_no_process() {
     let worker = WorkerProcess::start(&coordinator.url());
     coordinator.claimed(1).await;
     let slots = worker.slots();
+    assert_eq!(coordinator.signed_off(), [""; 0]);
     worker.signal("TERM");
     let (status, said) = worker.wait();
     assert!(status.success(), "{said}");
     slots.into_iter().for_each(wait_for_the_end_of);
+    let claimed = &coordinator.claims()[0];
+    assert_eq!(
+        coordinator.signed_off(),
+        std::slice::from_ref(&claimed.worker_id)
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]

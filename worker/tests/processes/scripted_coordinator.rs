@@ -11,7 +11,7 @@ use proto::coordinator::{
     ArtifactChunk, ClaimRequest, ClaimResponse, CommitRequest, CommitResponse, Film,
     HeartbeatRequest, HeartbeatResponse, Lease, NextFilmRequest, NextFilmResponse, Progress,
     PutArtifactResponse, RegisterRequest, RegisterResponse, ReleaseRequest, ReleaseResponse,
-    commit_response, release_request, release_response,
+    SignOffRequest, SignOffResponse, commit_response, release_request, release_response,
 };
 use tokio::net::TcpListener;
 use tokio::runtime::Runtime;
@@ -60,6 +60,7 @@ struct State {
     lost_attempts: Vec<String>,
     told: Vec<Told>,
     heartbeats: Vec<HeartbeatRequest>,
+    signed_off: Vec<String>,
     claims: Vec<ClaimRequest>,
     /// Claims that were taken back before they had an answer.
     claims_taken_back: u32,
@@ -244,6 +245,12 @@ impl ScriptedCoordinator {
     /// What it was told so far.
     pub(crate) fn everything_told(&self) -> Vec<Told> {
         self.service.state.lock().expect("unpoisoned").told.clone()
+    }
+
+    /// The workers that said good-bye.
+    pub(crate) fn signed_off(&self) -> Vec<String> {
+        let state = self.service.state.lock();
+        state.expect("unpoisoned").signed_off.clone()
     }
 
     /// How it was asked for work.
@@ -433,6 +440,15 @@ impl WorkerService for Service {
             film,
             left: left as u64,
         }))
+    }
+
+    async fn sign_off(
+        &self,
+        request: Request<SignOffRequest>,
+    ) -> Result<Response<SignOffResponse>, Status> {
+        let worker = request.into_inner().worker_id;
+        self.change(|state| state.signed_off.push(worker));
+        Ok(Response::new(SignOffResponse {}))
     }
 
     async fn put_artifact(

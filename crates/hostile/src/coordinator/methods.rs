@@ -1,7 +1,7 @@
 //! The methods of the coordinator that are called.
 
 /// Every method; an input names one by its place.
-pub(super) const METHODS: [&str; 19] = [
+pub(super) const METHODS: [&str; 22] = [
     "WorkerService/Register",
     CLAIM,
     "WorkerService/Heartbeat",
@@ -21,6 +21,9 @@ pub(super) const METHODS: [&str; 19] = [
     "OperatorService/Backup",
     "OperatorService/Report",
     "OperatorService/Export",
+    "OperatorService/AlterCampaign",
+    "OperatorService/Forecast",
+    "WorkerService/SignOff",
 ];
 
 /// The one method that may wait, for a job.

@@ -35,6 +35,27 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
         state: "leased".into(),
         after_job_id: 0,
         limit: 10,
+        outcome: "success".into(),
+        task: "libero_object".into(),
+        condition: "camera".into(),
+        level: "L1".into(),
+    };
+    let alter = wire::AlterCampaignRequest {
+        campaign: "c".into(),
+        priority: Some(-7),
+        policy_endpoint: Some("http://127.0.0.1:2".into()),
+        policy: Some("q".into()),
+        name: Some("d".into()),
+    };
+    let forecast = wire::ForecastRequest {
+        policy: "p".into(),
+        rollouts: vec![wire::SuiteRollouts {
+            suite: "libero_object".into(),
+            rollouts: 9,
+        }],
+    };
+    let sign_off = wire::SignOffRequest {
+        worker_id: "w".into(),
     };
     let retry = wire::RetryJobsRequest {
         campaign: "c".into(),
@@ -69,6 +90,9 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
         ("OperatorService/Backup", vec![]),
         ("OperatorService/Report", named.clone()),
         ("OperatorService/Export", named.clone()),
+        ("OperatorService/AlterCampaign", alter.encode_to_vec()),
+        ("OperatorService/Forecast", forecast.encode_to_vec()),
+        ("WorkerService/SignOff", sign_off.encode_to_vec()),
     ];
     let mut seeds: Vec<Vec<u8>> = alone.iter().map(|said| calls(&[said])).collect();
     // A video is taken once its outcome is there.
@@ -124,7 +148,10 @@ fn number(method: &str) -> u8 {
 }
 
 fn create() -> Said {
-    let request = wire::CreateCampaignRequest { spec: SPEC.into() };
+    let request = wire::CreateCampaignRequest {
+        spec: SPEC.into(),
+        priority: 3,
+    };
     ("OperatorService/CreateCampaign", request.encode_to_vec())
 }
 

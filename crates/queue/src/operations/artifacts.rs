@@ -11,7 +11,6 @@ use tokio::io::AsyncWriteExt;
 
 use super::context::Context;
 use super::shared::Shared;
-use crate::ids::CampaignName;
 use crate::queue::Queue;
 use crate::store::StoreError;
 use crate::store::artifacts::{self, ArtifactOwner};
@@ -136,9 +135,9 @@ impl Upload<'_> {
     }
 }
 
-/// The folder of a campaign's files, below the data folder.
-pub(crate) fn campaign_folder(campaign: &CampaignName) -> String {
-    format!("{ARTIFACTS_FOLDER}/{campaign}")
+/// Where a campaign's folder is, below the data folder.
+pub(crate) fn campaign_folder(folder: &str) -> String {
+    format!("{ARTIFACTS_FOLDER}/{folder}")
 }
 
 /// Removes what uploads of an earlier run left half-way.
@@ -165,12 +164,12 @@ pub fn remove_partial_files(data: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// `artifacts/CAMPAIGN/spatial_t0_camera_L2_c00.r0.ATTEMPT.mp4`. Rollout ids
-/// hold letters, digits, underscores and slashes only, campaign names no slash.
+/// `artifacts/FOLDER/spatial_t0_camera_L2_c00.r0.ATTEMPT.mp4`. Rollout ids hold
+/// letters, digits, underscores and slashes only, campaigns' folders no slash.
 fn relative_path(owner: &ArtifactOwner, attempt: AttemptId) -> String {
     format!(
         "{}/{}.r{}.{attempt}.mp4",
-        campaign_folder(&owner.campaign),
+        campaign_folder(&owner.folder),
         owner.rollout_id.replace('/', "_"),
         owner.replicate,
     )

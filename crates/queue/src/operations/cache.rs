@@ -3,8 +3,9 @@
 //! For one transaction: the campaigns with waiting jobs, a campaign with its
 //! policy, and what live workers run on; forgotten whenever an operation changes
 //! any of them. Beyond it: results and origins, which never change once they are
-//! stored, and which only this process stores. A transaction that was undone, or
-//! that deleted a campaign, forgets everything.
+//! stored, and which only this process stores; and whose turn it was, which only
+//! orders equals. A transaction that was undone, or that deleted a campaign,
+//! forgets everything.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
@@ -36,6 +37,9 @@ pub(super) struct Cache {
     live: Option<Arc<Vec<Pin>>>,
     siblings: BTreeMap<InitialState, Vec<Sibling>>,
     origins: HashMap<Arc<Provenance>, ProvenanceId>,
+    /// How often campaigns were leased from, and at which of these each last was.
+    turns: u64,
+    last_turns: BTreeMap<CampaignId, u64>,
 }
 
 impl Cache {
@@ -134,6 +138,18 @@ impl Cache {
         let origin = Arc::new(of.clone());
         self.origins.insert(origin.clone(), id);
         Ok((id, origin))
+    }
+
+    /// A campaign was leased from.
+    pub(super) fn had_turn(&mut self, campaign: CampaignId) {
+        self.turns += 1;
+        self.last_turns.insert(campaign, self.turns);
+    }
+
+    /// When a campaign was last leased from, by a number that only rises; 0 if
+    /// that is not known.
+    pub(super) fn last_turn(&self, campaign: CampaignId) -> u64 {
+        self.last_turns.get(&campaign).copied().unwrap_or(0)
     }
 
     /// Campaigns, policies or what waits may have changed.

@@ -1,10 +1,10 @@
 //! Creating, pausing, resuming, cancelling and deleting campaigns.
 
 use super::context::Context;
-use super::error::QueueError;
+use super::error::{QueueError, unknown_campaign};
 use super::{artifacts, removals};
 use crate::expand::{NewCampaign, differing_fields};
-use crate::ids::CampaignName;
+use crate::ids::{CampaignId, CampaignName};
 use crate::queue::Queue;
 use crate::read::Counts;
 use crate::rules::campaign::{CampaignState, CancelledIsFinal, Change};
@@ -12,7 +12,7 @@ use crate::rules::lease::{FailureReason, JobState};
 use crate::store::campaigns::Campaign;
 use crate::store::failpoint::Step;
 use crate::store::removals as pending;
-use crate::store::{campaigns, jobs};
+use crate::store::{StoreError, campaigns, jobs, policies};
 
 /// What creating a campaign did.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,6 +21,8 @@ pub struct Created {
     pub jobs_added: u64,
     /// Jobs that it has.
     pub jobs_total: u64,
+    /// Its priority: one that was there keeps its own.
+    pub priority: i32,
 }
 
 impl Queue {
@@ -45,18 +47,21 @@ impl Queue {
             return Ok(Created {
                 jobs_added: 0,
                 jobs_total: jobs,
+                priority: existing.priority,
             });
         }
-        campaigns::insert(&mut context.tx, new, context.now).await?;
-        // Files that could not be removed with a deleted campaign of this name
+        let folder = campaigns::free_folder(&mut context.tx, &new.name).await?;
+        campaigns::insert(&mut context.tx, new, &folder, context.now).await?;
+        // Files that could not be removed with a deleted campaign of this folder
         // stay now, rather than to take the new one's with them.
-        pending::done(&mut context.tx, &artifacts::campaign_folder(&new.name)).await?;
+        pending::done(&mut context.tx, &artifacts::campaign_folder(&folder)).await?;
         context.commit().await?;
         tracing::info!(campaign = %new.name, jobs, "campaign created");
         shared.work.notify_waiters();
         Ok(Created {
             jobs_added: jobs,
             jobs_total: jobs,
+            priority: new.priority,
         })
     }
 
@@ -83,15 +88,8 @@ impl Queue {
         }
         campaigns::set_state(&mut context.tx, campaign.id, after).await?;
         if let CampaignState::Cancelled { .. } = after {
-            for row in jobs::leased(&mut context.tx, campaign.id).await? {
-                let JobState::Leased(lease) = &row.job.state else {
-                    continue;
-                };
-                let failure = (FailureReason::Cancelled, "the campaign was cancelled");
-                context
-                    .end_attempt((&row.job, lease), campaign.id, failure)
-                    .await?;
-            }
+            let why = "the campaign was cancelled";
+            context.take_back(campaign.id, why).await?;
         }
         context.commit().await?;
         tracing::info!(campaign = %name, "the campaign is {}", after.name());
@@ -109,7 +107,6 @@ impl Queue {
     pub async fn delete_campaign(&self, name: &CampaignName) -> Result<Counts, QueueError> {
         let _alone = self.campaigns.lock().await;
         let shared = &*self.shared;
-        let folder = artifacts::campaign_folder(name);
         let mut context = Context::begin(shared, vec![Step::DeleteCampaign]).await?;
         let campaign = context.campaign_named(name).await?;
         let counts = Counts::of(&mut context.tx, campaign.id).await?;
@@ -119,7 +116,9 @@ impl Queue {
                 leased: counts.leased,
             });
         }
+        let folder = artifacts::campaign_folder(&campaign.folder);
         campaigns::delete(&mut context.tx, campaign.id).await?;
+        policies::remove_unused(&mut context.tx, campaign.policy_id).await?;
         context.cache.forget();
         pending::note(&mut context.tx, &folder).await?;
         context.commit().await?;
@@ -135,9 +134,27 @@ impl Context<'_> {
         &mut self,
         name: &CampaignName,
     ) -> Result<Campaign, QueueError> {
-        let found = campaigns::by_name(&mut self.tx, name).await?;
-        found.ok_or_else(|| QueueError::UnknownCampaign {
-            campaign: name.clone(),
-        })
+        match campaigns::by_name(&mut self.tx, name).await? {
+            Some(campaign) => Ok(campaign),
+            None => Err(unknown_campaign(&mut self.tx, name).await?),
+        }
+    }
+
+    /// Takes a campaign's leases back without a charge; their workers learn of it
+    /// with their next heartbeat. Returns how many there were.
+    pub(super) async fn take_back(
+        &mut self,
+        campaign: CampaignId,
+        why: &str,
+    ) -> Result<u64, StoreError> {
+        let leased = jobs::leased(&mut self.tx, campaign).await?;
+        for row in &leased {
+            if let JobState::Leased(lease) = &row.job.state {
+                let failure = (FailureReason::Cancelled, why);
+                self.end_attempt((&row.job, lease), campaign, failure)
+                    .await?;
+            }
+        }
+        Ok(leased.len() as u64)
     }
 }

@@ -10,7 +10,7 @@ use attempt::{AttemptId, Pin};
 use super::context::Context;
 use super::error::QueueError;
 use crate::ids::{AttemptNumber, CampaignId, CampaignName, JobId, WorkerId};
-use crate::rules::choice::{WaitingTask, choose_task};
+use crate::rules::choice::{WaitingCampaign, WaitingTask, choose_campaign, choose_task};
 use crate::rules::lease::MIN_WORKERS_TO_QUARANTINE;
 use crate::rules::outage::{Allowance, PolicyState};
 use crate::store::campaigns::Campaign;
@@ -170,31 +170,62 @@ impl Context<'_> {
         Ok(by_claim.collect())
     }
 
-    /// Leases to workers that run on `pin`, oldest campaigns first. Claims
-    /// that are met are taken out of `wanting`.
+    /// Leases to workers that run on `pin`, in the order of `choose_campaign`.
+    /// Claims that are met are taken out of `wanting`.
     async fn lease_to(
         &mut self,
         pin: &Pin,
         wanting: &mut Vec<Wanting<'_>>,
     ) -> Result<Vec<(usize, Assigned)>, StoreError> {
         let mut assigned = Vec::new();
+        // Campaigns that have nothing more for those that are left.
         let mut done: BTreeSet<CampaignId> = BTreeSet::new();
+        let mut leased: Option<BTreeMap<CampaignId, u32>> = None;
         while !wanting.is_empty() {
             // Looked at again after every campaign: a lease may be the probe that
             // the policy's other campaigns wait for.
             let waiting = self.cache.waiting(&mut self.tx).await?;
-            let suits =
-                |it: &&Campaign| it.state.may_lease() && it.takes(pin) && !done.contains(&it.id);
-            let Some(campaign) = waiting.iter().find(suits) else {
+            let now = self.now;
+            let suits = |it: &&Campaign| {
+                it.state.may_lease()
+                    && it.takes(pin)
+                    && !done.contains(&it.id)
+                    && it.health.allowance(now) != Allowance::Nothing
+            };
+            let suitable: Vec<&Campaign> = waiting.iter().filter(suits).collect();
+            if suitable.len() > 1 && leased.is_none() {
+                leased = Some(claims::leases(&mut self.tx).await?);
+            }
+            let of = |it: &&Campaign| WaitingCampaign {
+                id: it.id,
+                priority: it.priority,
+                leased: leased.iter().filter_map(|all| all.get(&it.id)).sum(),
+                last_turn: self.cache.last_turn(it.id),
+            };
+            let seen: Vec<WaitingCampaign> = suitable.iter().map(of).collect();
+            let Some((chosen, share)) = choose_campaign(&seen, wanting.len()) else {
                 break;
             };
-            done.insert(campaign.id);
-            let room = match campaign.health.allowance(self.now) {
-                Allowance::Unlimited => wanting.len(),
-                Allowance::Probe => 1,
-                Allowance::Nothing => continue,
+            let Some(campaign) = suitable.into_iter().find(|it| it.id == chosen) else {
+                break;
             };
-            assigned.extend(self.lease_from(campaign, wanting, room).await?);
+            let room = match campaign.health.allowance(now) {
+                Allowance::Unlimited => share,
+                Allowance::Probe => 1,
+                Allowance::Nothing => 0,
+            };
+            let granted = self.lease_from(campaign, wanting, room).await?;
+            if granted.len() < room {
+                done.insert(chosen);
+            }
+            if !granted.is_empty() {
+                self.cache.had_turn(chosen);
+            }
+            if let Some(leased) = &mut leased {
+                let more = u32::try_from(granted.len()).unwrap_or(u32::MAX);
+                *leased.entry(chosen).or_default() += more;
+            }
+            assigned.extend(granted);
         }
         Ok(assigned)
     }
@@ -258,8 +289,12 @@ impl Context<'_> {
                 tasks = Some(claims::waiting_tasks(&mut self.tx, campaign.id, self.now).await?);
             }
             let mut chosen: Vec<Option<String>> = Vec::with_capacity(wanting.len());
-            for asks in wanting.iter().take(room - grants.len()) {
-                chosen.push(asks.choose(tasks.as_deref_mut().unwrap_or_default()));
+            let mut open = room - grants.len();
+            for asks in wanting.iter() {
+                let tasks = tasks.as_deref_mut().unwrap_or_default();
+                let task = (open > 0).then(|| asks.choose(tasks)).flatten();
+                open -= usize::from(task.is_some());
+                chosen.push(task);
             }
             let demand: BTreeSet<&str> = chosen.iter().flatten().map(String::as_str).collect();
             if demand.is_empty() {

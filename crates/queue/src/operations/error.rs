@@ -1,9 +1,10 @@
 //! Why a request is not met.
 
 use attempt::AttemptId;
+use sqlx::SqliteConnection;
 
 use crate::ids::{CampaignName, JobName, WorkerId};
-use crate::store::StoreError;
+use crate::store::{StoreError, campaigns};
 
 /// A request that cannot be met.
 #[derive(Clone, Debug, thiserror::Error)]
@@ -37,6 +38,42 @@ pub enum QueueError {
     UnknownCampaign {
         /// Which.
         campaign: CampaignName,
+    },
+    /// The campaign that last had the name has another one.
+    #[error("find campaign `{campaign}`: it was renamed and is called `{now}`")]
+    Renamed {
+        /// Which.
+        campaign: CampaignName,
+        /// What it is called.
+        now: CampaignName,
+    },
+    /// A campaign was to be called as another one is.
+    #[error("rename campaign `{campaign}`: another one is called `{taken}`; choose another name")]
+    NameTaken {
+        /// Which.
+        campaign: CampaignName,
+        /// The name.
+        taken: CampaignName,
+    },
+    /// A campaign with results was to name another policy.
+    #[error(
+        "change the policy of campaign `{campaign}`: it has {results} results of policy `{policy}`; create another campaign for another policy"
+    )]
+    PolicyMeasured {
+        /// Which.
+        campaign: CampaignName,
+        /// Whose results it has.
+        policy: String,
+        /// How many.
+        results: u64,
+    },
+    /// A change would make no specification.
+    #[error("change campaign `{campaign}`: {problem}")]
+    Unspecified {
+        /// Which.
+        campaign: CampaignName,
+        /// What is wrong, and what would be right.
+        problem: String,
     },
     /// Another specification has the name.
     #[error(
@@ -91,4 +128,16 @@ pub enum QueueError {
     /// The database failed.
     #[error(transparent)]
     Store(#[from] StoreError),
+}
+
+/// Why no campaign has a name.
+pub(crate) async fn unknown_campaign(
+    tx: &mut SqliteConnection,
+    name: &CampaignName,
+) -> Result<QueueError, StoreError> {
+    let campaign = name.clone();
+    Ok(match campaigns::renamed(tx, name).await? {
+        Some(now) => QueueError::Renamed { campaign, now },
+        None => QueueError::UnknownCampaign { campaign },
+    })
 }

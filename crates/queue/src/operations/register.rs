@@ -1,7 +1,8 @@
-//! Workers announce themselves.
+//! Workers announce themselves, and say good-bye.
 
 use super::context::Context;
 use super::error::QueueError;
+use crate::ids::WorkerId;
 use crate::queue::Queue;
 use crate::store::failpoint::Step;
 use crate::store::workers::{self, WorkerInfo};
@@ -20,5 +21,20 @@ impl Queue {
         // One more live worker may free a job that the others failed on.
         self.shared.work.notify_waiters();
         Ok(idle_reason)
+    }
+
+    /// A worker ended in good order: it counts as gone at once, until it registers
+    /// again.
+    ///
+    /// # Errors
+    /// When the worker is unknown or the database fails.
+    pub async fn sign_off(&self, worker: &WorkerId) -> Result<(), QueueError> {
+        let mut context = Context::begin(&self.shared, vec![Step::Register]).await?;
+        if !workers::sign_off(&mut context.tx, worker, context.now).await? {
+            return Err(QueueError::UnknownWorker {
+                worker: worker.clone(),
+            });
+        }
+        Ok(context.commit().await?)
     }
 }

@@ -8,14 +8,14 @@ use sqlx::SqliteConnection;
 use super::View;
 use crate::clock::UnixMillis;
 use crate::ids::{CampaignId, CampaignName};
-use crate::operations::error::QueueError;
+use crate::operations::error::{QueueError, unknown_campaign};
 use crate::rules::campaign::CampaignState;
 use crate::rules::outage::PolicyState;
 use crate::store::campaigns::{self, Campaign};
 use crate::store::{Doing, StoreError, workers};
 
-/// A campaign's rate is taken over so long, or since its first result or since it
-/// was resumed if that is less.
+/// A campaign's rate is taken over so long, or, if that is less, since its first
+/// rollout began or since it was resumed.
 pub const RATE_WINDOW: Duration = Duration::from_secs(300);
 
 /// How a campaign's jobs are spread over the states.
@@ -93,10 +93,10 @@ impl View {
     /// # Errors
     /// When there is no such campaign or the database fails.
     pub async fn campaign(&mut self, name: &CampaignName) -> Result<Campaign, QueueError> {
-        let found = campaigns::by_name(self.tx(), name).await?;
-        found.ok_or_else(|| QueueError::UnknownCampaign {
-            campaign: name.clone(),
-        })
+        match campaigns::by_name(self.tx(), name).await? {
+            Some(campaign) => Ok(campaign),
+            None => Err(unknown_campaign(self.tx(), name).await?),
+        }
     }
 
     /// A campaign's specification, JSON.
@@ -128,13 +128,11 @@ impl View {
         let counts = Counts::of(self.tx(), campaign.id).await?;
         let since = now.minus(self.timing.worker_alive);
         let live = workers::live_pins(self.tx(), since).await?;
-        let rate_per_sec = match (campaign.pinned_ms, campaign.state) {
-            (Some(started), CampaignState::Running { since: resumed }) => {
-                let since = started.max(resumed).max(now.minus(RATE_WINDOW));
-                let committed = committed_since(self.tx(), campaign.id, since).await?;
-                rate(committed, since, now)
+        let rate_per_sec = match campaign.state {
+            CampaignState::Running { since: resumed } => {
+                rate(self.tx(), campaign.id, resumed, now).await?
             }
-            _ => None,
+            CampaignState::Paused { .. } | CampaignState::Cancelled { .. } => None,
         };
         let left = (counts.queued + counts.leased) as f64;
         let policy_pause_reason = match &campaign.health.state {
@@ -169,24 +167,32 @@ impl View {
     }
 }
 
-/// Results of a campaign committed after `since`.
-async fn committed_since(
+/// Rollouts per second of late; none before one came about. What a campaign had
+/// under way when it was paused says nothing of its pace after it is resumed:
+/// counted are rollouts that began since.
+async fn rate(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
-    since: UnixMillis,
-) -> Result<i64, StoreError> {
-    sqlx::query_scalar("SELECT count(*) FROM result WHERE campaign_id = ? AND committed_ms > ?")
-        .bind(campaign)
-        .bind(since)
-        .fetch_one(tx)
-        .await
-        .doing("count recent results")
-}
-
-/// Rollouts per second; none before the first was committed.
-fn rate(committed: i64, since: UnixMillis, now: UnixMillis) -> Option<f64> {
-    let span = now.since(since).as_secs_f64();
-    (committed > 0 && span > 0.0).then(|| committed as f64 / span)
+    resumed: UnixMillis,
+    now: UnixMillis,
+) -> Result<Option<f64>, StoreError> {
+    let window = resumed.max(now.minus(RATE_WINDOW));
+    let (committed, first_began): (i64, Option<i64>) = sqlx::query_as(
+        "SELECT count(*), min(committed_ms - CAST(wall_secs * 1000 AS INTEGER)) FROM result
+         WHERE campaign_id = ?1 AND committed_ms >= ?2
+             AND committed_ms - CAST(wall_secs * 1000 AS INTEGER) >= ?3",
+    )
+    .bind(campaign)
+    .bind(window)
+    .bind(resumed)
+    .fetch_one(tx)
+    .await
+    .doing("count recent results")?;
+    let Some(first_began) = first_began else {
+        return Ok(None);
+    };
+    let span = now.since(window.max(UnixMillis(first_began))).as_secs_f64();
+    Ok((span > 0.0).then(|| committed as f64 / span))
 }
 
 fn no_worker_reason(demand: &str, live: Option<&Pin>) -> String {

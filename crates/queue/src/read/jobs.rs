@@ -1,5 +1,7 @@
 //! Jobs, with their attempts.
 
+use protocol::{Condition, Level};
+
 use super::View;
 use super::configurations::ResultLine;
 use crate::clock::UnixMillis;
@@ -18,6 +20,14 @@ const MAX_FAILURES_SHOWN: u32 = 100;
 pub struct JobFilter<'a> {
     /// "queued", "leased", "committed" or "quarantined"; all without it.
     pub state: Option<&'a str>,
+    /// Committed ones that reached their goal, or that did not; all without it.
+    pub success: Option<bool>,
+    /// Those of a task, "libero_object/0", or of a suite, "libero_object".
+    pub task: Option<&'a str>,
+    /// Those of a condition.
+    pub condition: Option<Condition>,
+    /// Those of a level.
+    pub level: Option<Level>,
     /// Those after this one.
     pub after: JobId,
     /// At most so many; bounded by [`MAX_JOBS_LISTED`].
@@ -118,12 +128,25 @@ impl View {
     ) -> Result<Vec<JobLine>, StoreError> {
         sqlx::query_as(concat!(
             job_lines!(),
-            " AND j.id > ?2 AND (?3 IS NULL OR j.state = ?3) ORDER BY j.id LIMIT ?4"
+            " AND j.id > ?2 AND (?3 IS NULL OR j.state = ?3)
+             AND (?5 IS NULL OR r.success = ?5)
+             AND (?6 IS NULL OR j.task = ?6 OR substr(j.task, 1, length(?6) + 1) = ?6 || '/')
+             AND (?7 IS NULL OR instr(j.rollout_id, '/' || ?7 || '/') > 0)
+             AND (?8 IS NULL OR instr(j.rollout_id, '/' || ?8 || '/') > 0)
+             ORDER BY j.id LIMIT ?4"
         ))
         .bind(campaign.id)
         .bind(filter.after)
         .bind(filter.state)
         .bind(filter.limit.clamp(1, MAX_JOBS_LISTED))
+        .bind(filter.success)
+        .bind(filter.task)
+        .bind(filter.condition.map(Condition::name))
+        .bind(filter.level.map(|level| match level {
+            // Nominal rollouts' ids name no level.
+            Level::L0 => Condition::Clean.name().to_owned(),
+            level => level.to_string(),
+        }))
         .fetch_all(self.tx())
         .await
         .doing("list jobs")

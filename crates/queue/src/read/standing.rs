@@ -29,13 +29,17 @@ pub struct WorkerLine {
     pub renderer: String,
     /// Version of its program.
     pub program_version: String,
+    /// When it last announced itself.
+    pub registered_ms: UnixMillis,
     /// When it last called.
     pub last_seen_ms: UnixMillis,
+    /// Ended in good order, and said so.
+    pub has_signed_off: bool,
     /// Charged failures in a row.
     pub charged_in_a_row: u32,
     /// Why it may lease no more, if so.
     pub stopped_reason: Option<String>,
-    /// Heard of lately.
+    /// Heard of lately, and has not said good-bye.
     pub is_alive: bool,
     /// Videos of finished rollouts that it draws or sends; 0 of one that has
     /// gone.
@@ -83,8 +87,10 @@ impl View {
         let alive_since = self.now.minus(self.timing.worker_alive);
         let mut workers: Vec<WorkerLine> = sqlx::query_as(
             "SELECT w.id, w.host, w.slots, coalesce(h.leases, 0) AS leases, w.asset_pack,
-                 w.mujoco_version, w.renderer, w.program_version, w.last_seen_ms,
-                 w.charged_in_a_row, w.stopped_reason, w.last_seen_ms >= ? AS is_alive
+                 w.mujoco_version, w.renderer, w.program_version, w.registered_ms,
+                 w.last_seen_ms, w.charged_in_a_row, w.stopped_reason,
+                 w.signed_off_ms IS NOT NULL AS has_signed_off,
+                 w.last_seen_ms >= ? AND w.signed_off_ms IS NULL AS is_alive
              FROM worker w LEFT JOIN
                  (SELECT lease_owner, count(*) AS leases FROM job WHERE state = 'leased'
                   GROUP BY lease_owner) h ON h.lease_owner = w.id

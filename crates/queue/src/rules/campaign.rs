@@ -1,9 +1,15 @@
 //! What an operator may do with a campaign: its states and their changes.
 //! Not responsible for what becomes of single jobs (`lease`).
 
+use std::ops::RangeInclusive;
+
 use serde::Deserialize;
 
 use crate::clock::UnixMillis;
+
+/// The priorities that a campaign may have; 0 where nothing is said. The store's
+/// CHECK constraint says the same.
+pub const PRIORITIES: RangeInclusive<i32> = -100..=100;
 
 /// Where a campaign stands with its operator. The store's CHECK constraints say
 /// the same.

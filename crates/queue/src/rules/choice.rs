@@ -1,4 +1,45 @@
-//! Which task a worker is given next.
+//! Which campaign, and which of its tasks, a worker is given next.
+
+use crate::ids::CampaignId;
+
+/// A campaign of which jobs wait that a worker can have, as a claim sees it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct WaitingCampaign {
+    /// Which.
+    pub id: CampaignId,
+    /// The higher, the earlier.
+    pub priority: i32,
+    /// Leases on it now.
+    pub leased: u32,
+    /// When it was last leased from: a number that rises with every time. 0 if
+    /// that is not known.
+    pub last_turn: u64,
+}
+
+/// The campaign that jobs are leased from next, and how many of `claims` it is
+/// given before the others are looked at again; at least one.
+///
+/// The highest priority goes first. Campaigns of one priority share the workers:
+/// the one with the fewest leases is next, among equals the one that has waited
+/// for its turn the longest, then the one that was created first. Claims that
+/// arrive together are given out as if each had come alone.
+pub fn choose_campaign(waiting: &[WaitingCampaign], claims: usize) -> Option<(CampaignId, usize)> {
+    let priority = waiting.iter().map(|campaign| campaign.priority).max()?;
+    let peers = waiting.iter().filter(|it| it.priority == priority);
+    let mut peers: Vec<&WaitingCampaign> = peers.collect();
+    peers.sort_by_key(|it| (it.leased, it.last_turn, it.id));
+    let first = peers.first()?;
+    // With so many leases each, its peers and it have the same number once all
+    // claims are met; peers that have more already get none.
+    let mut level = usize::MAX;
+    let mut leases = claims;
+    for (others, peer) in peers.iter().enumerate() {
+        leases += peer.leased as usize;
+        level = level.min(leases.div_ceil(others + 1));
+    }
+    let share = level.saturating_sub(first.leased as usize);
+    Some((first.id, share.max(1)))
+}
 
 /// A task of one campaign of which jobs wait, as a claim sees it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -23,6 +64,82 @@ pub fn choose_task(waiting: &[WaitingTask]) -> Option<&WaitingTask> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn campaign(id: i64, priority: i32, leased: u32, last_turn: u64) -> WaitingCampaign {
+        WaitingCampaign {
+            id: CampaignId(id),
+            priority,
+            leased,
+            last_turn,
+        }
+    }
+
+    #[test]
+    fn the_highest_priority_goes_first_whatever_it_holds() {
+        let waiting = [
+            campaign(1, 0, 0, 0),
+            campaign(2, 5, 90, 7),
+            campaign(3, -5, 0, 0),
+        ];
+        assert_eq!(choose_campaign(&waiting, 4), Some((CampaignId(2), 4)));
+        assert_eq!(choose_campaign(&[], 4), None);
+    }
+
+    #[test]
+    fn among_equals_the_fewest_leases_then_the_longest_wait_then_age_decide() {
+        let first = |waiting: &[WaitingCampaign]| choose_campaign(waiting, 1).map(|it| it.0.0);
+        assert_eq!(
+            first(&[campaign(1, 0, 2, 1), campaign(2, 0, 1, 2)]),
+            Some(2)
+        );
+        assert_eq!(
+            first(&[campaign(1, 0, 1, 9), campaign(2, 0, 1, 8)]),
+            Some(2)
+        );
+        assert_eq!(
+            first(&[campaign(2, 0, 1, 8), campaign(1, 0, 1, 8)]),
+            Some(1)
+        );
+    }
+
+    /// Leases given to each campaign when `claims` arrive together, and when
+    /// they come one by one.
+    fn check(leased: &[u32], claims: usize) {
+        let given = |at_a_time: usize| {
+            let mut waiting: Vec<WaitingCampaign> = (1..)
+                .zip(leased)
+                .map(|(id, leased)| campaign(id, 0, *leased, 0))
+                .collect();
+            let mut left = claims;
+            for turn in 1.. {
+                if left == 0 {
+                    break;
+                }
+                let (id, share) = choose_campaign(&waiting, left.min(at_a_time)).expect("some");
+                assert!((1..=left).contains(&share), "{share} of {left}");
+                let chosen = waiting.iter_mut().find(|it| it.id == id).expect("it");
+                chosen.leased += share as u32;
+                chosen.last_turn = turn;
+                left -= share;
+            }
+            waiting.iter().map(|it| it.leased).collect::<Vec<_>>()
+        };
+        let (mut together, mut alone) = (given(usize::MAX), given(1));
+        together.sort_unstable();
+        alone.sort_unstable();
+        assert_eq!(together, alone, "{leased:?} and {claims} claims");
+    }
+
+    #[test]
+    fn claims_that_arrive_together_are_shared_out_as_if_each_had_come_alone() {
+        check(&[0, 0], 10);
+        check(&[0, 0, 0], 10);
+        check(&[7, 0], 4);
+        check(&[7, 0], 9);
+        check(&[3, 1, 5, 1], 6);
+        check(&[3, 1, 5, 1], 1);
+        check(&[2], 5);
+    }
 
     #[test]
     fn a_claim_prefers_solitude_then_paired_unit_order() {

@@ -5,12 +5,12 @@ use sqlx::SqliteConnection;
 
 use super::{Doing, StoreError};
 use crate::clock::UnixMillis;
-use crate::ids::CampaignName;
 
 /// The rollout that an artifact belongs to.
 #[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
 pub(crate) struct ArtifactOwner {
-    pub(crate) campaign: CampaignName,
+    /// The folder of its campaign's files.
+    pub(crate) folder: String,
     pub(crate) rollout_id: String,
     pub(crate) replicate: u32,
 }
@@ -21,7 +21,7 @@ pub(crate) async fn owner(
     attempt: AttemptId,
 ) -> Result<Option<ArtifactOwner>, StoreError> {
     sqlx::query_as(
-        "SELECT c.name AS campaign, j.rollout_id, j.replicate
+        "SELECT coalesce(c.folder, c.name) AS folder, j.rollout_id, j.replicate
          FROM result r JOIN job j ON j.id = r.job_id JOIN campaign c ON c.id = j.campaign_id
          WHERE r.attempt_id = ?",
     )

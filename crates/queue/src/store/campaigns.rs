@@ -1,5 +1,5 @@
-//! Statements on `campaign` and `campaign_task`: creating, pinning, moving,
-//! deleting, and reading a campaign with its policy.
+//! Statements on `campaign`, `campaign_task` and `former_name`: creating,
+//! pinning, altering, deleting, and reading a campaign with its policy.
 
 use attempt::Pin;
 use protocol::{Realisation, Wanted};
@@ -46,6 +46,13 @@ pub struct Campaign {
     /// What it asks of its workers.
     #[sqlx(json)]
     pub wanted: Wanted,
+    /// Jobs of a higher priority are leased first.
+    pub priority: i32,
+    /// When it was created.
+    pub created_ms: UnixMillis,
+    /// The folder of its files, below the folder of all artifacts: its first
+    /// name, or one like it where another campaign has that folder.
+    pub(crate) folder: String,
     /// When its first result came.
     pub pinned_ms: Option<UnixMillis>,
     /// What it is pinned to since then.
@@ -88,7 +95,8 @@ macro_rules! campaigns_where {
     ($condition:literal) => {
         concat!(
             "SELECT c.id, c.name, c.spec_digest, c.policy_id, p.name AS policy, p.endpoint,
-                 c.realisation, c.record, c.wanted, c.pinned_ms,
+                 c.realisation, c.record, c.wanted, c.priority, c.created_ms,
+                 coalesce(c.folder, c.name) AS folder, c.pinned_ms,
                  json_object('is', c.state, 'since', c.state_since_ms) AS state,
                  iif(c.asset_pack IS NULL, NULL, ",
             pin!(),
@@ -153,18 +161,42 @@ pub(crate) async fn spec(tx: &mut SqliteConnection, id: CampaignId) -> Result<St
         .doing("read a campaign's specification")
 }
 
-/// Stores a campaign and all its jobs.
+/// A folder that no campaign has, for the files of a new one: its name, unless a
+/// renamed campaign has kept that one. What follows the `~` is in no name.
+pub(crate) async fn free_folder(
+    tx: &mut SqliteConnection,
+    name: &CampaignName,
+) -> Result<String, StoreError> {
+    let mut folder = name.as_str().to_owned();
+    for number in 2_u64.. {
+        let taken = "SELECT EXISTS (SELECT 1 FROM campaign WHERE coalesce(folder, name) = ?)";
+        let taken: bool = sqlx::query_scalar(taken)
+            .bind(&folder)
+            .fetch_one(&mut *tx)
+            .await
+            .doing("look for a campaign's folder")?;
+        if !taken {
+            break;
+        }
+        folder = format!("{name}~{number}");
+    }
+    Ok(folder)
+}
+
+/// Stores a campaign and all its jobs; its files go into a folder of its own.
 pub(crate) async fn insert(
     tx: &mut SqliteConnection,
     campaign: &NewCampaign,
+    folder: &str,
     now: UnixMillis,
 ) -> Result<(), StoreError> {
+    take_name(tx, &campaign.name).await?;
     let policy =
         policies::find_or_insert(tx, &campaign.policy_endpoint, &campaign.policy, now).await?;
     let id: CampaignId = sqlx::query_scalar(
         "INSERT INTO campaign (name, spec, spec_digest, policy_id, realisation, record,
-             wanted, jobs, created_ms, state_since_ms)
-         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?9) RETURNING id",
+             wanted, jobs, created_ms, state_since_ms, priority, folder)
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?9, ?10, nullif(?11, ?1)) RETURNING id",
     )
     .bind(&campaign.name)
     .bind(&campaign.spec)
@@ -175,6 +207,8 @@ pub(crate) async fn insert(
     .bind(json(&campaign.wanted))
     .bind(campaign.jobs.len() as i64)
     .bind(now)
+    .bind(campaign.priority)
+    .bind(folder)
     .fetch_one(&mut *tx)
     .await
     .doing("store a campaign")?;
@@ -255,6 +289,102 @@ pub(crate) async fn set_state(
         .execute(tx)
         .await
         .doing("store a campaign's state")
+        .map(drop)
+}
+
+/// Stores a campaign's priority.
+pub(crate) async fn set_priority(
+    tx: &mut SqliteConnection,
+    id: CampaignId,
+    priority: i32,
+) -> Result<(), StoreError> {
+    sqlx::query("UPDATE campaign SET priority = ? WHERE id = ?")
+        .bind(priority)
+        .bind(id)
+        .execute(tx)
+        .await
+        .doing("store a campaign's priority")
+        .map(drop)
+}
+
+/// Stores a campaign's altered specification.
+pub(crate) async fn set_spec(
+    tx: &mut SqliteConnection,
+    id: CampaignId,
+    spec: &str,
+    spec_digest: &str,
+) -> Result<(), StoreError> {
+    sqlx::query("UPDATE campaign SET spec = ?, spec_digest = ? WHERE id = ?")
+        .bind(spec)
+        .bind(spec_digest)
+        .bind(id)
+        .execute(tx)
+        .await
+        .doing("store a campaign's specification")
+        .map(drop)
+}
+
+/// Stores which policy a campaign measures.
+pub(crate) async fn set_policy(
+    tx: &mut SqliteConnection,
+    id: CampaignId,
+    policy: PolicyId,
+) -> Result<(), StoreError> {
+    sqlx::query("UPDATE campaign SET policy_id = ? WHERE id = ?")
+        .bind(policy)
+        .bind(id)
+        .execute(tx)
+        .await
+        .doing("store a campaign's policy")
+        .map(drop)
+}
+
+/// Renames a campaign. Its files stay where they are, and who asks for the former
+/// name can be told.
+pub(crate) async fn rename(
+    tx: &mut SqliteConnection,
+    campaign: &Campaign,
+    name: &CampaignName,
+) -> Result<(), StoreError> {
+    take_name(tx, name).await?;
+    sqlx::query("UPDATE campaign SET name = ?1, folder = nullif(?2, ?1) WHERE id = ?3")
+        .bind(name)
+        .bind(&campaign.folder)
+        .bind(campaign.id)
+        .execute(&mut *tx)
+        .await
+        .doing("rename a campaign")?;
+    sqlx::query("INSERT INTO former_name (name, campaign_id) VALUES (?, ?)")
+        .bind(&campaign.name)
+        .bind(campaign.id)
+        .execute(tx)
+        .await
+        .doing("keep a campaign's former name")
+        .map(drop)
+}
+
+/// What the campaign is called now that last had a name, if it was renamed.
+pub(crate) async fn renamed(
+    tx: &mut SqliteConnection,
+    name: &CampaignName,
+) -> Result<Option<CampaignName>, StoreError> {
+    sqlx::query_scalar(
+        "SELECT c.name FROM former_name f JOIN campaign c ON c.id = f.campaign_id
+         WHERE f.name = ?",
+    )
+    .bind(name)
+    .fetch_optional(tx)
+    .await
+    .doing("look for a campaign's former name")
+}
+
+/// A name is a campaign's own from now on, and no other's former one.
+async fn take_name(tx: &mut SqliteConnection, name: &CampaignName) -> Result<(), StoreError> {
+    sqlx::query("DELETE FROM former_name WHERE name = ?")
+        .bind(name)
+        .execute(tx)
+        .await
+        .doing("take a campaign's name")
         .map(drop)
 }
 

@@ -90,6 +90,20 @@ pub(crate) async fn repeated(
     .doing("look for claims that are repeated")
 }
 
+/// The leases that campaigns hold; one that holds none is left out. Walks the
+/// leased jobs only.
+pub(crate) async fn leases(
+    tx: &mut SqliteConnection,
+) -> Result<BTreeMap<CampaignId, u32>, StoreError> {
+    let rows: Vec<(CampaignId, u32)> = sqlx::query_as(
+        "SELECT campaign_id, count(*) FROM job WHERE state = 'leased' GROUP BY campaign_id",
+    )
+    .fetch_all(tx)
+    .await
+    .doing("count the leases of campaigns")?;
+    Ok(rows.into_iter().collect())
+}
+
 /// The tasks of a campaign of which jobs wait. One index seek per task, whatever
 /// the number of jobs.
 pub(crate) async fn waiting_tasks(

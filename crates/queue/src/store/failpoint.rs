@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 pub enum Step {
     /// Leases get their full time again when the coordinator starts.
     Start,
-    /// A worker announces itself.
+    /// A worker announces itself, or says good-bye.
     Register,
     /// Jobs are leased.
     Claim,
@@ -26,7 +26,7 @@ pub enum Step {
     Artifact,
     /// A campaign is expanded.
     CreateCampaign,
-    /// A campaign is paused, resumed or cancelled.
+    /// A campaign is paused, resumed, cancelled or altered.
     ChangeCampaign,
     /// A campaign is deleted.
     DeleteCampaign,

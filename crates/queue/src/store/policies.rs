@@ -38,6 +38,22 @@ pub(crate) async fn find_or_insert(
     .doing("store a policy")
 }
 
+/// Removes a policy that no campaign measures any more.
+pub(crate) async fn remove_unused(
+    tx: &mut SqliteConnection,
+    id: PolicyId,
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "DELETE FROM policy WHERE id = ?1
+         AND NOT EXISTS (SELECT 1 FROM campaign WHERE policy_id = ?1)",
+    )
+    .bind(id)
+    .execute(tx)
+    .await
+    .doing("remove a policy")
+    .map(drop)
+}
+
 /// An attempt that is out to try its policy.
 #[derive(Clone, Debug, sqlx::FromRow)]
 pub(crate) struct Probe {

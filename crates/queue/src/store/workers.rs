@@ -69,7 +69,7 @@ pub(crate) async fn upsert(
          ON CONFLICT (id) DO UPDATE SET host = ?2, slots = ?3, asset_pack = ?4,
              asset_pack_digest = ?5, mujoco_version = ?6, renderer = ?7,
              program_version = ?8, registered_ms = ?9, last_seen_ms = ?9,
-             charged_in_a_row = 0, stopped_reason = NULL",
+             charged_in_a_row = 0, stopped_reason = NULL, signed_off_ms = NULL",
     )
     .bind(&worker.id)
     .bind(&worker.host)
@@ -162,7 +162,23 @@ pub(crate) async fn succeeded(
     .map(drop)
 }
 
-/// What workers run on that have called since `since` and may lease.
+/// Notes that a worker ended in good order; says whether it is known.
+pub(crate) async fn sign_off(
+    tx: &mut SqliteConnection,
+    id: &WorkerId,
+    now: UnixMillis,
+) -> Result<bool, StoreError> {
+    let noted = sqlx::query("UPDATE worker SET signed_off_ms = ? WHERE id = ?")
+        .bind(now)
+        .bind(id)
+        .execute(tx)
+        .await
+        .doing("note that a worker ended")?;
+    Ok(noted.rows_affected() > 0)
+}
+
+/// What workers run on that have called since `since`, have not said good-bye
+/// and may lease.
 pub(crate) async fn live_pins(
     tx: &mut SqliteConnection,
     since: UnixMillis,
@@ -170,7 +186,8 @@ pub(crate) async fn live_pins(
     let pins: Vec<Json<Pin>> = sqlx::query_scalar(concat!(
         "SELECT ",
         pin!(),
-        " FROM worker WHERE last_seen_ms >= ? AND stopped_reason IS NULL",
+        " FROM worker WHERE last_seen_ms >= ? AND stopped_reason IS NULL
+             AND signed_off_ms IS NULL",
     ))
     .bind(since)
     .fetch_all(tx)

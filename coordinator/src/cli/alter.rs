@@ -1,0 +1,108 @@
+//! `coordinator campaign set-priority|set-endpoint|rename`.
+
+use clap::Args;
+use coordinator::client::Service;
+use coordinator::words::counted;
+use proto::coordinator::{AlterCampaignRequest, AlterCampaignResponse};
+use queue::rules::campaign::PRIORITIES;
+
+use super::command::{CommandError, Connection, print_line};
+
+#[derive(Args, Debug)]
+pub(super) struct PriorityArguments {
+    /// Name of the campaign.
+    campaign: String,
+    /// From -100 to 100: the higher, the earlier. 0 is what a campaign has
+    /// unless it is told otherwise; campaigns of one priority share the workers.
+    #[arg(value_name = "N", allow_negative_numbers = true, value_parser = priority())]
+    priority: i32,
+    #[command(flatten)]
+    connection: Connection,
+}
+
+#[derive(Args, Debug)]
+pub(super) struct EndpointArguments {
+    /// Name of the campaign.
+    campaign: String,
+    /// URL of the gateway, or of the policy itself.
+    url: String,
+    /// The policy's name there, if it is another; only while the campaign has no
+    /// result.
+    #[arg(long)]
+    policy: Option<String>,
+    #[command(flatten)]
+    connection: Connection,
+}
+
+#[derive(Args, Debug)]
+pub(super) struct RenameArguments {
+    /// Name of the campaign.
+    campaign: String,
+    /// What it is to be called.
+    name: String,
+    #[command(flatten)]
+    connection: Connection,
+}
+
+/// Reads a priority.
+pub(super) fn priority() -> clap::builder::RangedI64ValueParser<i32> {
+    let (least, most) = (*PRIORITIES.start(), *PRIORITIES.end());
+    clap::value_parser!(i32).range(i64::from(least)..=i64::from(most))
+}
+
+pub(super) async fn set_priority(arguments: PriorityArguments) -> Result<(), CommandError> {
+    let request = AlterCampaignRequest {
+        campaign: arguments.campaign.clone(),
+        priority: Some(arguments.priority),
+        ..AlterCampaignRequest::default()
+    };
+    alter(&arguments.connection, request).await?;
+    Ok(print_line(&format!(
+        "campaign {} has priority {}",
+        arguments.campaign, arguments.priority
+    ))?)
+}
+
+pub(super) async fn set_endpoint(arguments: EndpointArguments) -> Result<(), CommandError> {
+    let request = AlterCampaignRequest {
+        campaign: arguments.campaign.clone(),
+        policy_endpoint: Some(arguments.url),
+        policy: arguments.policy,
+        ..AlterCampaignRequest::default()
+    };
+    let altered = alter(&arguments.connection, request).await?;
+    let status = altered.status.unwrap_or_default();
+    let mut lines = vec![format!(
+        "campaign {} measures {} at {}",
+        arguments.campaign, status.policy, status.policy_endpoint
+    )];
+    if altered.taken_back > 0 {
+        lines.push(format!(
+            "{} taken back without a charge: what was being run at the old endpoint\n\
+             runs again at the new one",
+            counted(altered.taken_back, "rollout")
+        ));
+    }
+    Ok(print_line(&lines.join("\n"))?)
+}
+
+pub(super) async fn rename(arguments: RenameArguments) -> Result<(), CommandError> {
+    let request = AlterCampaignRequest {
+        campaign: arguments.campaign.clone(),
+        name: Some(arguments.name.clone()),
+        ..AlterCampaignRequest::default()
+    };
+    alter(&arguments.connection, request).await?;
+    Ok(print_line(&format!(
+        "campaign {} is called {}; its page has moved with it, its files stay",
+        arguments.campaign, arguments.name
+    ))?)
+}
+
+async fn alter(
+    connection: &Connection,
+    request: AlterCampaignRequest,
+) -> Result<AlterCampaignResponse, CommandError> {
+    let client = connection.client()?;
+    Ok(client.call(request, Service::alter_campaign).await?)
+}

@@ -1,0 +1,22 @@
+//! `coordinator completions`.
+
+use clap::{Args, Command};
+use clap_complete::Shell;
+
+use super::command::{CommandError, print};
+
+#[derive(Args, Debug)]
+pub(super) struct CompletionsArguments {
+    /// The shell.
+    shell: Shell,
+}
+
+/// Prints the script for `command`, which is this program's.
+pub(super) fn completions(
+    arguments: CompletionsArguments,
+    mut command: Command,
+) -> Result<(), CommandError> {
+    let mut script = Vec::new();
+    clap_complete::generate(arguments.shell, &mut command, "coordinator", &mut script);
+    Ok(print(&String::from_utf8_lossy(&script))?)
+}

@@ -1,0 +1,338 @@
+//! Altering a campaign that is there: where its policy is, what it is called.
+
+use proto::coordinator as wire;
+use proto::coordinator::change_campaign_request::Change;
+use proto::coordinator::commit_response::Verdict;
+use proto::coordinator::release_request::Reason;
+use queue::invariants::check;
+use serde_json::{Value, json};
+use tonic::{Code, Status};
+
+use crate::harness::{Bench, Worker, small_spec, with};
+use crate::page::ask;
+use crate::process::{CREATE, Serve, text};
+
+const ELSEWHERE: &str = "http://127.0.0.1:50099";
+
+async fn alter(
+    bench: &Bench,
+    request: wire::AlterCampaignRequest,
+) -> Result<wire::AlterCampaignResponse, Status> {
+    let altered = bench.operator().await.alter_campaign(request).await?;
+    Ok(altered.into_inner())
+}
+
+fn to_endpoint(campaign: &str, url: &str) -> wire::AlterCampaignRequest {
+    wire::AlterCampaignRequest {
+        campaign: campaign.to_owned(),
+        policy_endpoint: Some(url.to_owned()),
+        ..wire::AlterCampaignRequest::default()
+    }
+}
+
+fn to_name(campaign: &str, name: &str) -> wire::AlterCampaignRequest {
+    wire::AlterCampaignRequest {
+        campaign: campaign.to_owned(),
+        name: Some(name.to_owned()),
+        ..wire::AlterCampaignRequest::default()
+    }
+}
+
+async fn is_in_order(bench: &Bench) {
+    let violations = check(bench.folder.path()).await.expect("a database");
+    assert_eq!(violations, []);
+}
+
+async fn delete(bench: &Bench, name: &str) {
+    let request = wire::DeleteCampaignRequest {
+        campaign: name.to_owned(),
+        confirm: name.to_owned(),
+    };
+    let deleted = bench.operator().await.delete_campaign(request).await;
+    deleted.expect("deleted");
+}
+
+/// A worker stores a video beside a committed outcome; returns its path below
+/// the data folder.
+async fn film(worker: &mut Worker, lease: &wire::Lease) -> String {
+    let video = tokio_stream::iter([wire::ArtifactChunk {
+        attempt_id: lease.attempt_id.clone(),
+        name: "video.mp4".to_owned(),
+        data: vec![1; 100],
+    }]);
+    let put = worker.service.put_artifact(video).await.expect("kept");
+    put.into_inner().path
+}
+
+/// A typo in the endpoint took deleting the campaign and creating it again.
+#[tokio::test]
+async fn a_campaign_whose_endpoint_is_mended_goes_on_at_once() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("typo")).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    let held = worker.claim_one().await;
+    let lost = worker.claim_one().await;
+    worker.release(&lost, Reason::PolicyUnavailable).await;
+    assert!(bench.status("typo").await.policy_paused);
+    assert!(worker.claim(1).await.is_empty());
+
+    let altered = alter(&bench, to_endpoint("typo", ELSEWHERE)).await;
+    let altered = altered.expect("altered");
+    assert_eq!(altered.taken_back, 1);
+    let status = altered.status.expect("a status");
+    assert_eq!(status.policy_endpoint, ELSEWHERE);
+    assert!(!status.policy_paused, "nothing bad is known of the new one");
+
+    // What ran at the old endpoint is not for this campaign any more, and says
+    // nothing of the new one.
+    let over = worker.heartbeat(&[&held], 20).await;
+    assert_eq!(over, std::slice::from_ref(&held.attempt_id));
+    worker.release(&held, Reason::PolicyUnavailable).await;
+    assert_eq!(worker.commit(&held, true).await, Verdict::Stale);
+    assert!(!bench.status("typo").await.policy_paused);
+    let charged = "SELECT sum(charged_attempts) FROM job";
+    assert_eq!(bench.count(charged).await, 0);
+    let leases = worker.claim(8).await;
+    assert_eq!(leases.len(), 4);
+    assert!(
+        leases
+            .iter()
+            .all(|lease| lease.policy_endpoint == ELSEWHERE)
+    );
+    // The mistyped endpoint is nobody's any more.
+    assert_eq!(bench.count("SELECT count(*) FROM policy").await, 1);
+    is_in_order(&bench).await;
+}
+
+#[tokio::test]
+async fn a_mended_campaign_is_created_again_as_it_is_now_only() {
+    let bench = Bench::start().await;
+    let before = small_spec("typo");
+    bench.create(&before).await.expect("created");
+    let request = wire::AlterCampaignRequest {
+        policy: Some("expart".to_owned()),
+        ..to_endpoint("typo", ELSEWHERE)
+    };
+    alter(&bench, request).await.expect("altered");
+    let policy = json!({"policy": {"name": "expart", "endpoint": ELSEWHERE}});
+    let now = bench.create(&with(before.clone(), policy)).await;
+    assert_eq!(now.expect("there").jobs_added, 0);
+    let refused = bench.create(&before).await.expect_err("another");
+    assert_eq!(refused.code(), Code::AlreadyExists);
+    assert!(refused.message().contains("`policy`"), "{refused}");
+}
+
+#[tokio::test]
+async fn a_change_that_cannot_be_is_refused_and_nothing_changes() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("one")).await.expect("created");
+    bench.create(&small_spec("two")).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    let lease = worker.claim_one().await;
+    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+    assert_eq!(lease.campaign, "one");
+    let held = worker.claim(8).await;
+    let refusals = [
+        (
+            to_endpoint("one", "localhost"),
+            Code::InvalidArgument,
+            "http://",
+        ),
+        (to_endpoint("none", ELSEWHERE), Code::NotFound, "no such"),
+        (
+            to_name("one", "two"),
+            Code::AlreadyExists,
+            "another one is called `two`",
+        ),
+        (to_name("one", "../up"), Code::InvalidArgument, "../up"),
+        (
+            wire::AlterCampaignRequest {
+                policy: Some("another".to_owned()),
+                priority: Some(3),
+                ..to_name("one", "three")
+            },
+            Code::FailedPrecondition,
+            "1 results of policy `expert`",
+        ),
+    ];
+    for (request, code, words) in refusals {
+        let refused = alter(&bench, request.clone()).await;
+        let refused = refused.expect_err("a refusal");
+        assert_eq!(refused.code(), code, "{request:?}: {refused}");
+        assert!(refused.message().contains(words), "{refused}");
+    }
+    let status = bench.status("one").await;
+    assert_eq!((status.priority, status.leased), (0, 3));
+    let leases: Vec<&wire::Lease> = held.iter().collect();
+    assert!(worker.heartbeat(&leases, 9).await.is_empty());
+    let change = wire::ChangeCampaignRequest {
+        campaign: "one".to_owned(),
+        change: Change::Cancel.into(),
+    };
+    let cancelled = bench.operator().await.change_campaign(change).await;
+    cancelled.expect("cancelled");
+    let refused = alter(&bench, to_endpoint("one", ELSEWHERE)).await;
+    assert!(refused.expect_err("final").message().contains("final"));
+    is_in_order(&bench).await;
+}
+
+#[tokio::test]
+async fn the_probe_of_a_policy_that_a_campaign_leaves_is_replaced() {
+    let bench = Bench::start().await;
+    let leaves = bench.create_with_priority(&small_spec("leaves"), 1).await;
+    leaves.expect("created");
+    bench.create(&small_spec("stays")).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    let lease = worker.claim_one().await;
+    worker.release(&lease, Reason::PolicyUnavailable).await;
+    bench.pass(61).await;
+    let probe = worker.claim_one().await;
+    assert_eq!(probe.campaign, "leaves");
+    alter(&bench, to_endpoint("leaves", ELSEWHERE))
+        .await
+        .expect("altered");
+    is_in_order(&bench).await;
+    let next = worker.claim(2).await;
+    let campaigns: Vec<&str> = next.iter().map(|lease| lease.campaign.as_str()).collect();
+    assert_eq!(campaigns, ["leaves", "leaves"], "at once, elsewhere");
+    let rest = worker.claim(8).await;
+    let probes = rest.iter().filter(|lease| lease.campaign == "stays");
+    assert_eq!(probes.count(), 1, "another tries the old one");
+}
+
+#[tokio::test]
+async fn a_renamed_campaign_keeps_everything_and_is_found_under_its_new_name() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("old")).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    let (done, held) = (worker.claim_one().await, worker.claim_one().await);
+    assert_eq!(worker.commit(&done, true).await, Verdict::Accepted);
+    let video = film(&mut worker, &done).await;
+    assert!(video.starts_with("artifacts/old/"), "{video}");
+
+    alter(&bench, to_name("old", "new")).await.expect("renamed");
+    assert_eq!(worker.commit(&held, true).await, Verdict::Accepted);
+    let second = film(&mut worker, &held).await;
+    assert!(second.starts_with("artifacts/old/"), "{second}");
+    assert_eq!(bench.status("new").await.committed, 2);
+    let again = bench.create(&small_spec("new")).await.expect("there");
+    assert_eq!(again.jobs_added, 0);
+    let request = wire::GetCampaignRequest {
+        campaign: "old".to_owned(),
+    };
+    let refused = bench.operator().await.get_campaign(request).await;
+    let refused = refused.expect_err("renamed");
+    assert_eq!(refused.code(), Code::NotFound);
+    assert!(refused.message().contains("is called `new`"), "{refused}");
+    is_in_order(&bench).await;
+}
+
+/// Files are below a folder of the campaign's name: one that takes over a former
+/// name must neither mix its files with the other's, nor delete them.
+#[tokio::test]
+async fn a_name_that_is_free_again_shares_no_files_with_who_had_it_before() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("name")).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    let lease = worker.claim_one().await;
+    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+    let kept = film(&mut worker, &lease).await;
+    alter(&bench, to_name("name", "first"))
+        .await
+        .expect("renamed");
+    let taken = bench.create_with_priority(&small_spec("name"), 1).await;
+    assert_eq!(taken.expect("created").jobs_added, 4);
+    let lease = worker.claim_one().await;
+    assert_eq!(lease.campaign, "name");
+    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+    let own = film(&mut worker, &lease).await;
+    assert!(own.starts_with("artifacts/name~2/"), "{own}");
+    is_in_order(&bench).await;
+
+    delete(&bench, "name").await;
+    assert!(bench.folder.path().join(&kept).is_file());
+    assert!(!bench.folder.path().join(&own).exists());
+    // Nobody has the name now, and nobody is sent elsewhere for it.
+    let request = wire::GetCampaignRequest {
+        campaign: "name".to_owned(),
+    };
+    let refused = bench.operator().await.get_campaign(request).await;
+    let refused = refused.expect_err("gone");
+    assert!(refused.message().contains("no such campaign"), "{refused}");
+    // Back to its first name, and away again.
+    alter(&bench, to_name("first", "name"))
+        .await
+        .expect("renamed");
+    alter(&bench, to_name("name", "last"))
+        .await
+        .expect("renamed");
+    is_in_order(&bench).await;
+    delete(&bench, "last").await;
+    assert!(!bench.folder.path().join(&kept).exists());
+    assert_eq!(bench.count("SELECT count(*) FROM former_name").await, 0);
+    is_in_order(&bench).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_operator_alters_a_campaign_from_the_command_line() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    let run = |arguments: &[&str], code: i32, words: &str| {
+        let output = serve.command(arguments);
+        let said = format!("{}{}", text(&output.stdout), text(&output.stderr));
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {said}");
+        assert!(said.contains(words), "{arguments:?}: {said}");
+    };
+    run(
+        &[&CREATE[..], &["--priority", "-3"]].concat(),
+        0,
+        "14 rollouts",
+    );
+    run(&CREATE, 0, "it keeps priority -3");
+    let mut worker = serve.worker("a").await;
+    worker.claim_one().await;
+    let set = |name, value| vec!["campaign", name, "demo", value];
+    run(&set("set-priority", "-100"), 0, "demo has priority -100");
+    run(&set("set-priority", "101"), 2, "-100..=100");
+    run(&set("set-endpoint", "localhost"), 2, "http://");
+    run(&set("set-endpoint", ELSEWHERE), 0, "1 rollout taken back");
+    run(&["campaign", "status", "demo"], 0, ELSEWHERE);
+    run(&set("rename", "final"), 0, "demo is called final");
+    run(&["campaign", "status", "demo"], 1, "is called `final`");
+    run(&["campaign", "status", "final"], 0, "final ░");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_bookmark_of_before_leads_to_the_renamed_campaign() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("old")).await.expect("created");
+    alter(&bench, to_name("old", "new")).await.expect("renamed");
+    let page = async |path: &str| ask(&bench.url, &format!("GET {path}")).await;
+    for rest in ["", "/rollouts?state=queued"] {
+        let answer = page(&format!("/campaigns/old{rest}")).await;
+        assert_eq!(answer.code, 307);
+        let location = answer.header("location").expect("a location");
+        assert_eq!(location, format!("/campaigns/new{rest}"));
+        assert_eq!(page(location).await.code, 200);
+    }
+}
+
+#[tokio::test]
+async fn the_stored_specification_follows_every_change() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("old")).await.expect("created");
+    let request = wire::AlterCampaignRequest {
+        name: Some("new".to_owned()),
+        priority: Some(1),
+        ..to_endpoint("old", ELSEWHERE)
+    };
+    alter(&bench, request).await.expect("altered");
+    let request = wire::GetCampaignRequest {
+        campaign: "new".to_owned(),
+    };
+    let campaign = bench.operator().await.get_campaign(request).await;
+    let spec = campaign.expect("a campaign").into_inner().spec;
+    let spec: Value = serde_json::from_str(&spec).expect("JSON");
+    assert_eq!(spec["name"], "new");
+    assert_eq!(spec["policy"]["endpoint"], ELSEWHERE);
+}

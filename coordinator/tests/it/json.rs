@@ -1,0 +1,193 @@
+//! `--json`: what is printed has the keys that docs/JSON.md documents, no more and
+//! no less, whatever state things are in.
+
+use std::collections::BTreeSet;
+
+use proto::coordinator::commit_response::Verdict;
+use proto::coordinator::release_request::Reason;
+use serde_json::Value;
+
+use crate::process::{CREATE, Serve, text};
+
+/// The keys of one command in the document: those that its table's rows begin
+/// with.
+fn documented(command: &str) -> BTreeSet<String> {
+    let page = include_str!("../../../docs/JSON.md");
+    let title = format!("## `{command}`");
+    let section = page.split("\n## ").find(|part| {
+        let first = part.lines().next().unwrap_or_default();
+        format!("## {first}").contains(&title)
+    });
+    let section = section.unwrap_or_else(|| panic!("docs/JSON.md has no section {title}"));
+    let key = |line: &str| Some(line.strip_prefix("| `")?.split('`').next()?.to_owned());
+    section.lines().filter_map(key).collect()
+}
+
+/// The keys of a value, with those of what is in it: `campaigns[].rollouts.total`.
+/// What a manifest row has is its own business.
+fn keys(value: &Value, at: &str, found: &mut BTreeSet<String>) {
+    match value {
+        Value::Object(fields) if at != "manifest_row" => {
+            for (name, field) in fields {
+                let name = match at {
+                    "" => name.clone(),
+                    at => format!("{at}.{name}"),
+                };
+                keys(field, &name, found);
+                found.insert(name);
+            }
+        }
+        Value::Array(items) => {
+            for item in items {
+                keys(item, &format!("{at}[]"), found);
+            }
+        }
+        _ => {}
+    }
+}
+
+struct Printed(Value);
+
+impl Printed {
+    fn by(serve: &Serve, arguments: &[&str]) -> Printed {
+        let output = serve.command(&[arguments, &["--json"]].concat());
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        Printed(serde_json::from_str(text(&output.stdout)).expect("JSON"))
+    }
+
+    fn has_the_keys_of(&self, command: &str) {
+        let mut found = BTreeSet::new();
+        keys(&self.0, "", &mut found);
+        assert_eq!(found, documented(command), "{command}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_printed_has_the_keys_that_are_documented() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    assert!(serve.command(&CREATE).status.success());
+    let mut worker = serve.worker("a").await;
+    let leases = worker.claim(3).await;
+    worker.release(&leases[0], Reason::SlotCrashed).await;
+    assert_eq!(worker.commit(&leases[1], true).await, Verdict::Accepted);
+    assert_eq!(worker.commit(&leases[2], false).await, Verdict::Accepted);
+    worker.claim(1).await;
+
+    for command in ["campaign list", "campaign status"] {
+        let arguments: Vec<&str> = command.split(' ').collect();
+        let printed = Printed::by(&serve, &arguments);
+        printed.has_the_keys_of("campaign list");
+        let campaign = &printed.0["campaigns"][0];
+        assert_eq!(campaign["name"], "demo");
+        assert_eq!(campaign["state"], "running");
+        assert_eq!(campaign["rollouts"]["total"], 14);
+        assert_eq!(campaign["rollouts"]["failed"], 1);
+        assert_eq!(campaign["policy_outage"], Value::Null);
+        let created = campaign["created_at"].as_str().expect("an instant");
+        let form = "2026-11-21T15:36:09.123Z";
+        assert_eq!((created.len(), &created[10..11]), (form.len(), "T"));
+        assert!(created.ends_with('Z'));
+    }
+    let one = Printed::by(&serve, &["campaign", "status", "demo"]);
+    one.has_the_keys_of("campaign list");
+
+    let jobs = Printed::by(&serve, &["jobs", "list", "demo"]);
+    jobs.has_the_keys_of("jobs list");
+    assert_eq!(jobs.0["is_truncated"], false);
+    let jobs = jobs.0["jobs"].as_array().expect("a list").clone();
+    assert_eq!(jobs.len(), 14);
+    let states: BTreeSet<&str> = jobs
+        .iter()
+        .filter_map(|job| job["state"].as_str())
+        .collect();
+    assert_eq!(states, BTreeSet::from(["committed", "leased", "queued"]));
+    for job in &jobs {
+        let is_leased = job["state"] == "leased";
+        assert_eq!(job["worker_id"].is_string(), is_leased, "{job}");
+        assert_eq!(job["lease_left_secs"].is_number(), is_leased, "{job}");
+        assert_eq!(job["outcome"].is_string(), job["state"] == "committed");
+    }
+    let few = Printed::by(&serve, &["jobs", "list", "demo", "--limit", "2"]);
+    few.has_the_keys_of("jobs list");
+    assert_eq!(few.0["is_truncated"], true);
+    assert_eq!(few.0["jobs"].as_array().map(Vec::len), Some(2));
+
+    // A result is of one job, failures of another.
+    let mut shown = BTreeSet::new();
+    for job in &jobs {
+        let id = job["rollout_id"].as_str().expect("an id");
+        keys(
+            &Printed::by(&serve, &["jobs", "show", "demo", id]).0,
+            "",
+            &mut shown,
+        );
+    }
+    assert_eq!(shown, documented("jobs show"));
+
+    let workers = Printed::by(&serve, &["workers"]);
+    workers.has_the_keys_of("workers");
+    assert_eq!(workers.0["workers"][0]["worker_id"], "a");
+    assert_eq!(workers.0["workers"][0]["is_alive"], true);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn rollouts_are_listed_by_outcome_task_condition_and_level() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    let create = [&CREATE[..], &["--axes", "camera,sensor"]].concat();
+    assert!(serve.command(&create).status.success());
+    let mut worker = serve.worker("a").await;
+    for (place, lease) in worker.claim(5).await.iter().enumerate() {
+        let verdict = worker.commit(lease, place % 2 == 0).await;
+        assert_eq!(verdict, Verdict::Accepted);
+    }
+    let ids = |filters: &[&str]| -> Vec<String> {
+        let printed = Printed::by(&serve, &[&["jobs", "list", "demo"][..], filters].concat());
+        let jobs = printed.0["jobs"].as_array().expect("a list").iter();
+        jobs.map(|job| job["rollout_id"].as_str().expect("an id").to_owned())
+            .collect()
+    };
+    assert_eq!(ids(&[]).len(), 8);
+    assert_eq!(ids(&["--outcome", "success"]).len(), 3);
+    assert_eq!(ids(&["--outcome", "failure"]).len(), 2);
+    assert_eq!(ids(&["--state", "queued", "--outcome", "failure"]).len(), 0);
+    assert_eq!(ids(&["--task", "libero_object/1"]).len(), 4);
+    assert_eq!(ids(&["--task", "libero_object"]).len(), 8);
+    assert_eq!(ids(&["--task", "libero_goal"]).len(), 0);
+    assert_eq!(ids(&["--level", "L1"]).len(), 6);
+    assert_eq!(ids(&["--level", "L0"]).len(), 2);
+    assert_eq!(ids(&["--level", "L2"]).len(), 0);
+    let of_camera = ids(&["--condition", "camera", "--task", "libero_object/0"]);
+    assert_eq!(of_camera, ["object/t0/camera/L1/c00"]);
+    for (name, id) in [("nominal", "clean"), ("simultaneous", "combination")] {
+        let found = ids(&["--condition", name]);
+        assert_eq!(found.len(), 2);
+        assert!(found.iter().all(|it| it.contains(id)), "{found:?}");
+        assert_eq!(found, ids(&["--condition", id]));
+    }
+    for (flag, value) in [
+        ("--outcome", "won"),
+        ("--task", "libero_object/77"),
+        ("--condition", "camrea"),
+        ("--level", "L9"),
+    ] {
+        let refused = serve.command(&["jobs", "list", "demo", flag, value]);
+        assert_eq!(refused.status.code(), Some(2), "{flag} {value}");
+        assert!(text(&refused.stderr).contains(value), "{flag} {value}");
+    }
+}
+
+#[test]
+fn every_shell_gets_a_script_that_completes_commands() {
+    for shell in ["bash", "elvish", "fish", "powershell", "zsh"] {
+        let output = crate::process::coordinator(&["completions", shell]);
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        let script = text(&output.stdout);
+        for word in ["set-priority", "coordinator", "dry-run"] {
+            assert!(script.contains(word), "{shell}: {word}");
+        }
+    }
+    let refused = crate::process::coordinator(&["completions", "cmd"]);
+    assert_eq!(refused.status.code(), Some(2));
+}

@@ -1,0 +1,173 @@
+//! What is said of workers, paces and policies is so at every moment.
+
+use proto::coordinator as wire;
+use proto::coordinator::change_campaign_request::Change;
+use proto::coordinator::commit_response::Verdict;
+use serde_json::json;
+use tonic::Code;
+
+use crate::harness::{Bench, Worker, registration, small_spec, with};
+use crate::process::{CREATE, Serve, coordinator, text};
+
+async fn change(bench: &Bench, campaign: &str, change: Change) {
+    let request = wire::ChangeCampaignRequest {
+        campaign: campaign.to_owned(),
+        change: change.into(),
+    };
+    let changed = bench.operator().await.change_campaign(request).await;
+    changed.expect("changed");
+}
+
+async fn commit_after(worker: &mut Worker, lease: &wire::Lease, wall_secs: f64) {
+    let mut report = worker.report(lease, true);
+    report.result.as_mut().expect("one").wall_secs = wall_secs;
+    assert_eq!(worker.commit_request(report).await.0, Verdict::Accepted);
+}
+
+/// Workers that had ended in good order stayed "live" for a minute.
+#[tokio::test]
+async fn a_worker_that_says_good_bye_is_gone_at_once() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("watched")).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    assert_eq!(bench.status("watched").await.live_workers, 1);
+    let good_bye = wire::SignOffRequest {
+        worker_id: "a".to_owned(),
+    };
+    let heard = worker.service.sign_off(good_bye.clone()).await;
+    heard.expect("an answer");
+    let status = bench.status("watched").await;
+    assert_eq!(status.live_workers, 0);
+    assert!(status.waiting_reason.contains("no worker"), "{status:?}");
+    let mut operator = bench.operator().await;
+    let list = operator.list_workers(wire::ListWorkersRequest {}).await;
+    let line = list.expect("a list").into_inner().workers.remove(0);
+    assert!(!line.alive && line.signed_off);
+
+    // It may come back under its name.
+    let again = worker.service.register(registration("a", "primitives"));
+    again.await.expect("registers");
+    assert_eq!(bench.status("watched").await.live_workers, 1);
+    let stranger = wire::SignOffRequest {
+        worker_id: "b".to_owned(),
+    };
+    let refused = worker.service.sign_off(stranger).await;
+    assert_eq!(refused.expect_err("a stranger").code(), Code::NotFound);
+}
+
+#[tokio::test]
+async fn a_worker_counts_as_alive_for_the_length_of_a_lease() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("watched")).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    bench.pass(30).await;
+    assert_eq!(bench.status("watched").await.live_workers, 1);
+    bench.pass(1).await;
+    assert_eq!(bench.status("watched").await.live_workers, 0);
+    worker.heartbeat(&[], 0).await;
+    assert_eq!(bench.status("watched").await.live_workers, 1);
+}
+
+/// "100.0/s ETA 16s" right after `resume`: what was under way before the pause
+/// was divided by the moment since.
+#[tokio::test]
+async fn what_began_before_a_pause_says_nothing_of_the_pace_after_it() {
+    let bench = Bench::start().await;
+    let spec = with(small_spec("paced"), json!({"configs": [0, 1]}));
+    bench.create(&spec).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    let leases = worker.claim(2).await;
+    change(&bench, "paced", Change::Pause).await;
+    bench.pass(20).await;
+    change(&bench, "paced", Change::Resume).await;
+    bench.clock.advance(std::time::Duration::from_millis(10));
+    for lease in &leases {
+        commit_after(&mut worker, lease, 20.0).await;
+    }
+    let status = bench.status("paced").await;
+    assert_eq!((status.rate_per_sec, status.eta_secs), (None, None));
+
+    let lease = worker.claim_one().await;
+    bench.pass(20).await;
+    commit_after(&mut worker, &lease, 20.0).await;
+    let status = bench.status("paced").await;
+    assert_eq!(status.rate_per_sec, Some(0.05));
+    assert_eq!(status.eta_secs, Some(5.0 / 0.05));
+}
+
+/// A campaign that waited for its first worker is as fast as its rollouts, not as
+/// slow as the wait.
+#[tokio::test]
+async fn the_wait_for_the_first_worker_is_in_no_pace() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("late")).await.expect("created");
+    bench.pass(200).await;
+    let mut worker = bench.worker("a").await;
+    let lease = worker.claim_one().await;
+    bench.pass(10).await;
+    commit_after(&mut worker, &lease, 10.0).await;
+    assert_eq!(bench.status("late").await.rate_per_sec, Some(0.1));
+}
+
+#[tokio::test]
+async fn the_policy_of_a_deleted_campaign_is_listed_no_more() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("kept")).await.expect("created");
+    let policy = json!({"policy": {"name": "gone", "endpoint": "http://127.0.0.1:1"}});
+    let deleted = with(small_spec("deleted"), policy);
+    bench.create(&deleted).await.expect("created");
+    let listed = async || {
+        let policies = bench.queue.view().await.expect("a view").policies().await;
+        let names = policies.expect("policies").into_iter().map(|it| it.name);
+        names.collect::<Vec<_>>()
+    };
+    assert_eq!(listed().await, ["expert", "gone"]);
+    let request = wire::DeleteCampaignRequest {
+        campaign: "deleted".to_owned(),
+        confirm: "deleted".to_owned(),
+    };
+    let done = bench.operator().await.delete_campaign(request).await;
+    done.expect("deleted");
+    assert_eq!(listed().await, ["expert"]);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_dry_run_forecasts_from_what_connected_workers_measured() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let dry = [&CREATE[..], &["--dry-run"]].concat();
+    // Without a coordinator the rest is said, and that is no failure.
+    let nowhere = [&dry[..], &["--connect", "http://127.0.0.1:9"]].concat();
+    let alone = coordinator(&nowhere);
+    assert!(alone.status.success(), "{}", text(&alone.stderr));
+    let said = text(&alone.stdout);
+    assert!(said.starts_with("campaign demo would have 14 rollouts\n"));
+    assert!(
+        said.contains("no forecast of its duration: failed to reach"),
+        "{said}"
+    );
+
+    // Workers count as alive for so long as a slow machine takes.
+    let lease = ["--lease-secs", "3600"];
+    let serve = Serve::start_with(folder.path(), &lease, std::process::Stdio::null());
+    let forecast = || {
+        let output = serve.command(&dry);
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        text(&output.stdout).to_owned()
+    };
+    assert!(forecast().contains("no worker is connected"));
+    let mut worker = serve.worker("a").await;
+    assert!(forecast().contains("no worker has been measured"));
+    assert!(serve.command(&CREATE).status.success());
+    for wall_secs in [50.0, 70.0] {
+        let lease = worker.claim_one().await;
+        commit_after(&mut worker, &lease, wall_secs).await;
+    }
+    let _second = serve.worker("b").await;
+    // 14 rollouts of a minute on two workers of two slots.
+    let said = forecast();
+    assert!(
+        said.contains("about 3m30s on the 2 workers connected now (4 slots)"),
+        "{said}"
+    );
+    assert!(said.contains("2 recent rollouts of expert"), "{said}");
+}
