@@ -176,6 +176,11 @@ fn result_files_are_compared_with_a_warning_of_what_they_do_not_say() {
     let mut file = other("second");
     file.provenances.clear();
     file.realisation = None;
+    file.origin = Origin::File {
+        name: "second".to_owned(),
+        digest: "0".repeat(64),
+        source: String::new(),
+    };
     let comparison = compare(campaign("first"), file).expect("comparable");
     let said = comparison.warnings.join("\n");
     let expected = "`second`: asset pack, MuJoCo version, renderer, realisation mode not known";
