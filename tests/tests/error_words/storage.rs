@@ -78,6 +78,16 @@ fn queue(messages: &mut Messages) {
         },
         QueueError::UnknownAttempt { .. } => QueueError::UnknownAttempt { attempt: attempt() },
         QueueError::UnknownCampaign { .. } => QueueError::UnknownCampaign { campaign: campaign() },
+        QueueError::Renamed { .. } => QueueError::Renamed { campaign: campaign(), now: campaign() },
+        QueueError::NameTaken { .. } => QueueError::NameTaken {
+            campaign: campaign(), taken: campaign(),
+        },
+        QueueError::PolicyMeasured { .. } => QueueError::PolicyMeasured {
+            campaign: campaign(), policy: "oft".to_owned(), results: 7,
+        },
+        QueueError::Unspecified { .. } => QueueError::Unspecified {
+            campaign: campaign(), problem: "`replicates` is 0, valid are 1 to 100".to_owned(),
+        },
         QueueError::CampaignDiffers { .. } => QueueError::CampaignDiffers {
             campaign: campaign(), differs: "`tasks`".to_owned(),
         },
