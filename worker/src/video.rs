@@ -35,11 +35,21 @@ pub enum VideoError {
         given: usize,
     },
     /// The H.264 encoder.
-    #[error("encode a video")]
-    Encode(#[from] openh264::Error),
+    #[error("encode a video: OpenH264 fails with code {code}")]
+    Encode {
+        /// Its own number for it.
+        code: i64,
+    },
     /// The MP4 writer.
     #[error("write a video as MP4")]
     Mux(#[from] MuxerError),
+}
+
+impl From<openh264::Error> for VideoError {
+    fn from(error: openh264::Error) -> Self {
+        let code = error.native_code();
+        Self::Encode { code }
+    }
 }
 
 /// Makes one video, picture by picture, in memory.

@@ -134,11 +134,11 @@ fn a_bad_manifest_exits_with_1_and_names_its_lines_and_a_wrong_command_with_2() 
     for words in [
         "v.jsonl: read manifest: 5 lines are refused",
         "line 2: read row spatial/t0/lighting/L1/c00: read `perturb`",
-        "unknown field `blur_sigma`",
+        "there is no field `blur_sigma`",
         "line 3: read row spatial/t0/robot/L1/c00: `level` is L3, but the id says L1",
         "line 4: read row spatial/t0/sensor/L1/c00: `init_id` is 50, valid are 0 to 49",
         "line 5: spatial/t0/camera/L1/c00 is already in line 1",
-        "line 6: unknown field `colour`",
+        "line 6: there is no field `colour`",
     ] {
         assert!(stderr.contains(words), "no {words:?} in {stderr}");
     }

@@ -440,19 +440,19 @@ mod tests {
             "level `L4`: valid are L1, L2, L3",
         );
         check("levels", json(r#"["L0"]"#), "valid are L1, L2, L3");
-        check("levels", json("null"), "missing field `levels`");
+        check("levels", json("null"), "the field `levels` is not there");
         check(
             "configs",
             json("[1000]"),
             "`configs` has 1000, valid are 0 to 999",
         );
-        check("nominal", json(r#""some""#), "unknown variant `some`");
+        check("nominal", json(r#""some""#), "`some` has no meaning; write");
         check(
             "replicates",
             json("0"),
             "`replicates` has 0, valid are 1 to 100",
         );
-        check("colour", json("1"), "unknown field `colour`");
+        check("colour", json("1"), "there is no field `colour`");
         check(
             "policy",
             json(r#"{"name": "p", "endpoint": "here"}"#),

@@ -392,11 +392,11 @@ mod tests {
         let rows = rows();
         let sensor = to_text(&rows[4..5]);
         assert!(sensor.contains("sensor/L1"), "{sensor}");
-        check_refused("{\"rollout_id\": ", "EOF");
+        check_refused("{\"rollout_id\": ", "the text ends too early");
         check_refused(&to_text(&rows[..1]), "is already in line 1");
         check_refused(
             &sensor.replace("blur_sigma", "d_azimuth_deg"),
-            "unknown field `d_azimuth_deg`",
+            "there is no field `d_azimuth_deg`",
         );
         check_refused(
             &sensor.replace("sensor/L1", "sensor/L2"),

@@ -3,7 +3,7 @@
 
 /// A name that means nothing here.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("read {kind} `{given}`: valid are {valid}")]
+#[error("read {kind}{}: valid are {valid}", quoted(given))]
 pub struct UnknownName {
     /// What was expected: "suite", "task", "axis", ...
     pub kind: &'static str,
@@ -11,6 +11,14 @@ pub struct UnknownName {
     pub given: String,
     /// What would have been understood, for people.
     pub valid: String,
+}
+
+/// What was given, after what was expected.
+fn quoted(given: &str) -> String {
+    match given {
+        "" => ", of which nothing was given".to_owned(),
+        given => format!(" `{given}`"),
+    }
 }
 
 impl UnknownName {

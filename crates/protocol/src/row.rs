@@ -292,6 +292,6 @@ mod tests {
         check("init_id", json!(50), "`init_id` is 50, valid are 0 to 49");
         check("policy_seed", json!(7), "write 0");
         check("colour", json!("red"), "unknown field `colour`");
-        check("perturb", json!({"blur_sigma": 1.0}), "missing field");
+        check("perturb", json!({"blur_sigma": 1.0}), "is not there");
     }
 }

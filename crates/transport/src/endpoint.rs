@@ -5,7 +5,7 @@ use tonic::transport::Endpoint;
 
 /// A URL that is none. Reads after "failed to …".
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("read the address `{given}`: {}", EndpointError::REMEDY)]
+#[error("read {given:?} as a server's address: {}", EndpointError::REMEDY)]
 pub struct EndpointError {
     /// What was given.
     pub given: String,

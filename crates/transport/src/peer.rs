@@ -2,6 +2,7 @@
 //! a call fails, what is there in its place.
 
 use std::error::Error;
+use std::future::poll_fn;
 use std::io;
 use std::time::Duration;
 
@@ -145,6 +146,8 @@ impl Peer {
         if let Some(token) = self.access.authorization(self.endpoint.uri(), "Bearer") {
             headers.insert(header::AUTHORIZATION, token);
         }
+        let is_ready = poll_fn(|context| channel.poll_ready(context)).await;
+        is_ready.map_err(|_| Found::Broken)?;
         let answer = channel.call(request).await.map_err(|_| Found::Broken)?;
         let content = answer.headers().get(header::CONTENT_TYPE);
         if !content.is_some_and(|it| it.as_bytes().starts_with(b"application/grpc")) {

@@ -154,7 +154,10 @@ fn of_tls(error: &io::Error) -> Option<Found> {
 
 fn certificate(fault: &CertificateError) -> CertificateFault {
     match fault {
-        CertificateError::UnknownIssuer => CertificateFault::Untrusted,
+        // A signature is wrong where an authority has the name of a known one.
+        CertificateError::UnknownIssuer | CertificateError::BadSignature => {
+            CertificateFault::Untrusted
+        }
         CertificateError::Expired => CertificateFault::Expired { days: 0 },
         CertificateError::ExpiredContext { time, not_after } => CertificateFault::Expired {
             days: time.as_secs().saturating_sub(not_after.as_secs()) / 86_400,

@@ -19,6 +19,17 @@ use tests::phrases::raw_phrase;
 /// listed.
 const PRIVATE: [&str; 3] = ["FilmingError", "TextError", "Outer"];
 
+/// Errors that are sentences of their own; the others read after "failed to …".
+const SENTENCES: [&str; 7] = [
+    "Trouble",
+    "BackendError",
+    "ActionFault",
+    "DescriptionFault",
+    "AnswerError",
+    "RouteError",
+    "LineProblem",
+];
+
 /// The messages of errors, and whose they are.
 #[derive(Default)]
 pub(crate) struct Messages {
@@ -32,7 +43,11 @@ impl Messages {
         let name = path.rsplit("::").next().unwrap_or(path);
         self.enums.insert(name.trim().to_owned());
         let logged = transport::chain(&error);
-        let printed = format!("failed to {:#}", anyhow::Error::from(error));
+        let start = match SENTENCES.contains(&name) {
+            true => "",
+            false => "failed to ",
+        };
+        let printed = format!("{start}{:#}", anyhow::Error::from(error));
         for text in [logged, printed] {
             self.texts.push((name.to_owned(), text));
         }

@@ -86,7 +86,7 @@ fn pictures(messages: &mut Messages) {
     );
     variants!(messages, VideoError,
         VideoError::PaneSize { .. } => VideoError::PaneSize { given: 7 },
-        VideoError::Encode(_) => VideoError::Encode(openh264::Error::msg("no room")),
+        VideoError::Encode { .. } => VideoError::from(openh264::Error::msg("no room")),
         VideoError::Mux(_) => VideoError::Mux(muxide::api::MuxerError::MissingTrackConfig),
     );
 }

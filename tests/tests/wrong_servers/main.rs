@@ -139,7 +139,7 @@ fn listing(case: &Case, ca: &Path) -> Command {
 fn working(case: &Case, ca: &Path) -> Command {
     let scheme = if case.is_encrypted { "grpcs" } else { "grpc" };
     let mut command = Command::new("timeout");
-    command.args(["10", "--"]);
+    command.arg("10");
     let url = format!("{scheme}://{}", case.at);
     command
         .arg(program("worker"))

@@ -174,7 +174,7 @@ impl Hub {
                 url: url.to_owned(),
                 problem,
             }),
-            other => passing(other.to_string()),
+            other => passing(in_words(&other)),
         })?;
         match response.status().as_u16() {
             200 | 206 | 416 => Ok(response),
@@ -196,7 +196,7 @@ impl Hub {
         let body = response.body_mut().with_config().limit(MAX_ANSWER_BYTES);
         let text = body.read_to_string().map_err(|error| {
             let url = url.to_owned();
-            let problem = error.to_string();
+            let problem = in_words(&error);
             RequestError::Passing { url, problem }
         })?;
         let read = serde_json::from_str(&text).map_err(|error| {
@@ -205,6 +205,16 @@ impl Hub {
             RequestError::Final(AssetsError::Answer { url, problem })
         });
         Ok((read?, next))
+    }
+}
+
+/// What keeps a hub from answering.
+fn in_words(error: &ureq::Error) -> String {
+    match error {
+        ureq::Error::Io(error) => error.to_string(),
+        ureq::Error::HostNotFound => "no address is known for its name".to_owned(),
+        ureq::Error::Timeout(_) => "it does not answer in time".to_owned(),
+        other => other.to_string(),
     }
 }
 

@@ -77,7 +77,7 @@ fn bad_lines_are_named_by_their_numbers_and_nothing_is_taken() {
         "3 lines are bad",
         "line 2: ",
         "line 3: read level `L9`",
-        "line 4: invalid type: string \"yes\"",
+        "line 4: \"yes\" stands where true or false belongs",
     ] {
         assert!(told.contains(expected), "{expected}: {told}");
     }
