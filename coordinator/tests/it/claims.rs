@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
 use proto::coordinator as wire;
+use proto::coordinator::commit_response::Verdict;
 use serde_json::json;
 use tokio::task::JoinSet;
 use tonic::Code;
