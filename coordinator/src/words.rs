@@ -63,14 +63,6 @@ pub fn runs_on(pack: &str, mujoco: &str, renderer: &str, program: &str) -> Strin
     told.join(", ")
 }
 
-/// A number of things: `1 rollout`, `2 rollouts`.
-pub fn counted(count: u64, thing: &str) -> String {
-    match count {
-        1 => format!("1 {thing}"),
-        count => format!("{count} {thing}s"),
-    }
-}
-
 /// A size: `812 B`, `3.4 MiB`.
 pub fn size_text(bytes: u64) -> String {
     let units = ["KiB", "MiB", "GiB", "TiB"];
@@ -115,8 +107,6 @@ mod tests {
         assert_eq!(written, expected);
         let sizes = [812, 3_565_158, u64::MAX].map(size_text);
         assert_eq!(sizes, ["812 B", "3.4 MiB", "16777216.0 TiB"]);
-        let counts = [0, 1, 2].map(|count| counted(count, "slot"));
-        assert_eq!(counts, ["0 slots", "1 slot", "2 slots"]);
     }
 
     /// A worker of schema 1 names no renderer.

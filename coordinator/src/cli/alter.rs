@@ -2,9 +2,9 @@
 
 use clap::Args;
 use coordinator::client::Service;
-use coordinator::words::counted;
 use proto::coordinator::{AlterCampaignRequest, AlterCampaignResponse};
 use queue::rules::campaign::PRIORITIES;
+use terminal::{counted, number};
 
 use super::command::{CommandError, Connection, print_line};
 
@@ -14,7 +14,7 @@ pub(super) struct PriorityArguments {
     campaign: String,
     /// From -100 to 100: the higher, the earlier. 0 is what a campaign has
     /// unless it is told otherwise; campaigns of one priority share the workers.
-    #[arg(value_name = "N", allow_negative_numbers = true, value_parser = priority())]
+    #[arg(value_name = "N", allow_negative_numbers = true, value_parser = number(PRIORITIES, ""))]
     priority: i32,
     #[command(flatten)]
     connection: Connection,
@@ -42,12 +42,6 @@ pub(super) struct RenameArguments {
     name: String,
     #[command(flatten)]
     connection: Connection,
-}
-
-/// Reads a priority.
-pub(super) fn priority() -> clap::builder::RangedI64ValueParser<i32> {
-    let (least, most) = (*PRIORITIES.start(), *PRIORITIES.end());
-    clap::value_parser!(i32).range(i64::from(least)..=i64::from(most))
 }
 
 pub(super) async fn set_priority(arguments: PriorityArguments) -> Result<(), CommandError> {

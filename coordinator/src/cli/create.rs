@@ -15,10 +15,10 @@ use protocol::{
     Realisation, Record, RendererKind, Rollouts, TaskRef, UnknownName, Wanted, select_tasks,
 };
 use queue::expand::NewCampaign;
+use queue::rules::campaign::PRIORITIES;
 use serde::de::DeserializeOwned;
 use terminal::{counted, number, number_from};
 
-use super::alter::priority;
 use super::command::{CommandError, Connection, print_line, usage};
 use super::files::{read_manifest, read_spec};
 use super::forecast;
@@ -54,7 +54,7 @@ pub(super) struct CreateArguments {
     /// The higher, the earlier its rollouts are leased, from -100 to 100; campaigns
     /// of one priority share the workers.
     #[arg(long, value_name = "N", default_value_t = 0, allow_negative_numbers = true,
-        value_parser = priority())]
+        value_parser = number(PRIORITIES, ""))]
     priority: i32,
     /// Says what would be created, how long it would take and what its videos
     /// would take, and creates nothing.

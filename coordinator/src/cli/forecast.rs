@@ -4,9 +4,10 @@
 use std::collections::BTreeMap;
 
 use coordinator::client::{Client, Service};
-use coordinator::words::{counted, duration_text};
+use coordinator::words::duration_text;
 use proto::coordinator::{ForecastRequest, ForecastResponse, SuiteRollouts};
 use queue::expand::NewCampaign;
+use terminal::counted;
 
 /// How long the campaign would take, in words. Without a coordinator, or without
 /// access to it, they say so: what else a dry run says needs none.

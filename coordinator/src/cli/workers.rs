@@ -2,8 +2,9 @@
 
 use clap::Args;
 use coordinator::client::Service;
-use coordinator::words::{counted, duration_text, runs_on};
+use coordinator::words::{duration_text, runs_on};
 use proto::coordinator::{ListWorkersRequest, WorkerStatus};
+use terminal::counted;
 
 use super::command::{CommandError, Connection, print_line};
 use super::json;

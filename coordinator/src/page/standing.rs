@@ -5,12 +5,13 @@ use maud::{Markup, html};
 use queue::clock::UnixMillis;
 use queue::read::{PolicyLine, QuarantinedLine, WorkerLine};
 use queue::rules::outage::PolicyState;
+use terminal::counted;
 
 use super::campaign::rollout;
 use super::layout::{self, Place, Sheet};
 use super::problem::Problem;
 use super::state::Page;
-use crate::words::{counted, duration_text, runs_on};
+use crate::words::{duration_text, runs_on};
 
 /// Quarantined rollouts that are shown.
 const MAX_QUARANTINED: u32 = 500;

@@ -467,7 +467,7 @@ async fn an_operator_follows_and_ends_a_campaign_from_the_command_line() {
     run(
         &["campaign", "delete", "demo", "--confirm", "demo"],
         0,
-        &["14 rollouts, 1 results"],
+        &["14 rollouts, 1 result and"],
     );
     run(&["campaign", "list"], 0, &["no campaigns yet"]);
 }

@@ -297,7 +297,7 @@ fn a_coordinator_that_cannot_be_reached_is_named_after_a_few_tries() {
     for word in [
         "failed to reach",
         url.as_str(),
-        "refused",
+        "nothing listens there",
         "coordinator serve",
         "--connect",
     ] {

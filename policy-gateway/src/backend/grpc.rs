@@ -11,13 +11,10 @@ use proto::policy::{
 };
 use thiserror::Error;
 use tonic::{Code, Response, Status, codegen::http::Uri, transport::Endpoint};
-use transport::{Access, Connection, Found, Peer, ServerKind};
+use transport::{Access, AccessError, Connection, Found, Peer, ServerKind};
 
 use super::{Backend, BackendError, SETTINGS};
-use crate::{
-    config::UnusableBackend,
-    http2::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES},
-};
+use crate::http2::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES};
 
 /// Longest wait for a connection.
 pub const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
@@ -37,7 +34,11 @@ pub struct GrpcAddress {
 }
 
 impl GrpcAddress {
-    fn endpoint(&self) -> Result<Endpoint, AddressError> {
+    /// What is called there.
+    ///
+    /// # Errors
+    /// When the address is none.
+    pub fn endpoint(&self) -> Result<Endpoint, AddressError> {
         let scheme = if self.encrypted { "https" } else { "http" };
         let endpoint = Endpoint::from_shared(format!("{scheme}://{}", self.authority));
         let endpoint = endpoint.map_err(|_| AddressError {
@@ -111,12 +112,15 @@ pub struct GrpcBackend {
 }
 
 impl GrpcBackend {
-    /// A back-end that has not connected yet.
+    /// A back-end at an address's endpoint that has not connected yet.
     ///
     /// # Errors
-    /// When the address is none, or none to call over TLS.
-    pub fn new(address: GrpcAddress, access: &Access) -> Result<Self, UnusableBackend> {
-        let endpoint = address.endpoint()?;
+    /// When the endpoint is none to call over TLS.
+    pub fn new(
+        address: GrpcAddress,
+        endpoint: Endpoint,
+        access: &Access,
+    ) -> Result<Self, AccessError> {
         let peer = Peer::new(endpoint.clone(), access, ServerKind::Policy, SETTINGS);
         let client = PolicyClient::new(access.connect_lazy(endpoint)?)
             .max_decoding_message_size(proto::MAX_MESSAGE_BYTES)

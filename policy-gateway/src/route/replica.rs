@@ -74,7 +74,10 @@ impl Replica {
         } = *route;
         let backend: Arc<dyn Backend> = match spec {
             BackendSpec::Builtin(builtin) => Arc::new(BuiltinBackend::new(*builtin)),
-            BackendSpec::Grpc(address) => Arc::new(GrpcBackend::new(address.clone(), access)?),
+            BackendSpec::Grpc(address) => {
+                let endpoint = address.endpoint()?;
+                Arc::new(GrpcBackend::new(address.clone(), endpoint, access)?)
+            }
             BackendSpec::Openpi(address) => {
                 Arc::new(OpenpiBackend::new(address.clone(), access.clone())?)
             }

@@ -11,7 +11,7 @@ use queue::expand::ExpandError;
 use queue::ids::{CampaignName, JobName, NameError, WorkerId};
 use queue::invariants::CheckError;
 use queue::{ArtifactError, OpenError, QueueError, StoreError};
-use report::{BadLine, DocumentError, ImportError, TableError};
+use report::{BadLine, DocumentError, ImportError, TableError, Unpairable};
 use transport::{AccessError, EndpointError, Found, SecurityError, ServerKind, Settings, Trouble};
 
 use crate::{Messages, io_error, json_error, path, text, variants};
@@ -127,6 +127,14 @@ fn reports(messages: &mut Messages) {
             policy: text(), source: twice,
         },
         DocumentError::Json(_) => DocumentError::Json(json_error()),
+    );
+    messages.add(
+        "Unpairable",
+        Unpairable {
+            a: "first".to_owned(),
+            b: "again".to_owned(),
+            reasons: vec!["no rollout is in both".to_owned()],
+        },
     );
     variants!(messages, TableError,
         TableError::Csv(_) => TableError::Csv(io_error().into()),
