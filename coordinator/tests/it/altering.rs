@@ -293,7 +293,7 @@ async fn an_operator_alters_a_campaign_from_the_command_line() {
     worker.claim_one().await;
     let set = |name, value| vec!["campaign", name, "demo", value];
     run(&set("set-priority", "-100"), 0, "demo has priority -100");
-    run(&set("set-priority", "101"), 2, "-100..=100");
+    run(&set("set-priority", "101"), 2, "-100 to 100");
     run(&set("set-endpoint", "localhost"), 2, "http://");
     run(&set("set-endpoint", ELSEWHERE), 0, "1 rollout taken back");
     run(&["campaign", "status", "demo"], 0, ELSEWHERE);
