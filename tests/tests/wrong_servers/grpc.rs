@@ -6,13 +6,14 @@ use std::net::SocketAddr;
 use std::task::{Context, Poll};
 
 use tokio::net::TcpListener;
+use tokio::task::JoinSet;
 use tonic::Status;
 use tonic::body::Body;
 use tonic::codegen::Service;
 use tonic::codegen::http::{Request, Response};
 use tonic::server::NamedService;
-use tonic::transport::Server;
 use tonic::transport::server::TcpIncoming;
+use tonic::transport::{Error, Server};
 
 /// Answers the call of one path with a failure of its own, and knows no other.
 #[derive(Clone)]
@@ -40,11 +41,14 @@ impl NamedService for Knows {
     const NAME: &'static str = "rollout.coordinator.v1.OperatorService";
 }
 
+/// Servers that end when this is dropped.
+pub(crate) type Servers = JoinSet<Result<(), Error>>;
+
 /// A server that knows the call of one path.
-pub(crate) async fn knowing(path: &'static str) -> SocketAddr {
+pub(crate) async fn knowing(path: &'static str, servers: &mut Servers) -> SocketAddr {
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
     let address = listener.local_addr().expect("an address");
     let server = Server::builder().add_service(Knows(path));
-    tokio::spawn(server.serve_with_incoming(TcpIncoming::from(listener)));
+    servers.spawn(server.serve_with_incoming(TcpIncoming::from(listener)));
     address
 }

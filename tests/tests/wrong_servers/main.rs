@@ -170,6 +170,7 @@ async fn who_looks_for_a_coordinator_says_what_was_found_and_what_to_do() {
         coordinator(&data.path().join(numbers.get().to_string()), &arguments)
     };
     let (_processes, encrypted) = over_tls(serve, &mine);
+    let mut servers = grpc::Servers::new();
     let own_kind = [
         case(
             authority(&other_server),
@@ -184,14 +185,19 @@ async fn who_looks_for_a_coordinator_says_what_was_found_and_what_to_do() {
             &["does not speak TLS", "http://"],
         ),
         case(
-            grpc::knowing("/none").await,
+            grpc::knowing("/none", &mut servers).await,
             "http",
             true,
             &["not a coordinator"],
         ),
     ];
     let old = "/rollout.coordinator.v1.OperatorService/ListCampaigns";
-    let old = case(grpc::knowing(old).await, "http", true, &["same version"]);
+    let old = case(
+        grpc::knowing(old, &mut servers).await,
+        "http",
+        true,
+        &["same version"],
+    );
     let cases = anywhere().into_iter().chain(encrypted).chain(own_kind);
     for case in cases {
         check(
@@ -219,6 +225,7 @@ async fn who_looks_for_a_policy_says_what_was_found_and_what_to_do() {
     let other_server = coordinator(data.path(), &[]);
     let clear = gateway(&[]);
     let (_processes, encrypted) = over_tls(|arguments| gateway(&arguments), &mine);
+    let mut servers = grpc::Servers::new();
     let own_kind = [
         case(
             authority(&other_server),
@@ -228,7 +235,7 @@ async fn who_looks_for_a_policy_says_what_was_found_and_what_to_do() {
         ),
         case(authority(&clear), "https", true, &["does not speak TLS"]),
         case(
-            grpc::knowing("/none").await,
+            grpc::knowing("/none", &mut servers).await,
             "http",
             true,
             &["not a policy server"],
