@@ -118,17 +118,20 @@ pub trait Actor {
     /// that no rollout can work with.
     fn describe(&mut self, session: PolicySession<'_>) -> Result<Description, PolicyError>;
 
-    /// Starts an episode.
+    /// Starts an episode. Nothing happens in those that keep nothing from one
+    /// episode to the next.
     ///
     /// # Errors
     /// If it does not answer or refuses.
     fn reset(
         &mut self,
-        session: PolicySession<'_>,
-        suite: &str,
-        instruction: &str,
-        seed: u64,
-    ) -> Result<(), PolicyError>;
+        _session: PolicySession<'_>,
+        _suite: &str,
+        _instruction: &str,
+        _seed: u64,
+    ) -> Result<(), PolicyError> {
+        Ok(())
+    }
 
     /// Its answers to one observation: between one and `horizon` actions,
     /// finite, not yet clipped.

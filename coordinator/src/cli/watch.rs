@@ -101,8 +101,8 @@ fn table(campaigns: &[CampaignStatus]) -> Vec<String> {
     campaigns.iter().map(line).chain(totals).collect()
 }
 
-/// The campaigns of a policy, none of them cancelled, as if they were one. What is
-/// paused is not left to be done for now.
+/// The campaigns of a policy, none of them cancelled, as if they were one. What a
+/// paused campaign has left is in no forecast.
 fn of_policy(campaigns: &[&CampaignStatus]) -> CampaignStatus {
     let mut sum = CampaignStatus::default();
     for status in campaigns {

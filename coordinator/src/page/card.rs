@@ -128,15 +128,21 @@ fn perturbed(shown: &Shown) -> Markup {
             axes
         }
     };
-    let is_many = axes.len() > 1;
     let is_told = shown.row.instruction != shown.id.task().instruction();
+    let values = |axis| {
+        let lines = perturbation::lines(&shown.row, axis);
+        html! { ul.values { @for line in lines { li { (line) } } } }
+    };
     html! {
         @if is_told { p.instruction { "Instruction: “" (shown.row.instruction) "”" } }
-        @if axes.is_empty() { p.muted { "Nothing is perturbed." } }
-        @for axis in axes {
-            @let lines = perturbation::lines(&shown.row, axis);
-            @if is_many { h3 { (axis) } }
-            ul.values { @for line in lines { li { (line) } } }
+        @match axes.as_slice() {
+            [] => p.muted { "Nothing is perturbed." },
+            [axis] => (values(*axis)),
+            // The cards of the axes alone beside it say the same.
+            axes => details {
+                summary { (axes.len()) " axes perturbed" }
+                @for axis in axes { h3 { (axis) } (values(*axis)) }
+            },
         }
     }
 }

@@ -152,7 +152,7 @@ async fn a_change_that_cannot_be_is_refused_and_nothing_changes() {
                 ..to_name("one", "three")
             },
             Code::FailedPrecondition,
-            "1 results of policy `expert`",
+            "results of policy `expert`, 1 so far",
         ),
     ];
     for (request, code, words) in refusals {

@@ -65,6 +65,22 @@ async fn a_campaign_is_pinned_to_the_renderer_of_its_first_result() {
 }
 
 #[tokio::test]
+async fn a_result_that_is_refused_pins_nothing() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("open")).await.expect("created");
+    let mut worker = bench.worker_on("a", "primitives").await;
+    let lease = worker.claim_one().await;
+    let mut report = worker.report(&lease, true);
+    let provenance = report.provenance.as_mut().expect("provenance");
+    "reference".clone_into(&mut provenance.realisation);
+    let (verdict, _) = worker.commit_request(report).await;
+    assert_eq!(verdict, Verdict::Unpaired);
+    let pinned = "SELECT count(*) FROM campaign WHERE pinned_ms IS NOT NULL";
+    assert_eq!(bench.count(pinned).await, 0);
+    assert_eq!(told(&bench, "libero", GL).await, "");
+}
+
+#[tokio::test]
 async fn what_a_campaign_asks_for_is_told_at_once_to_a_worker_that_does_not_suit() {
     let bench = Bench::start().await;
     let wanted = json!({"assets": "libero", "renderer": "software"});

@@ -177,16 +177,6 @@ impl Actor for OpenLoop<'_> {
         Ok(self.description.clone())
     }
 
-    fn reset(
-        &mut self,
-        _: PolicySession<'_>,
-        _suite: &str,
-        _instruction: &str,
-        _seed: u64,
-    ) -> Result<(), PolicyError> {
-        Ok(())
-    }
-
     fn infer(
         &mut self,
         session: PolicySession<'_>,

@@ -152,16 +152,6 @@ impl Actor for OpenLoop {
         Ok(self.0.clone())
     }
 
-    fn reset(
-        &mut self,
-        _: PolicySession<'_>,
-        _suite: &str,
-        _instruction: &str,
-        _seed: u64,
-    ) -> Result<(), PolicyError> {
-        Ok(())
-    }
-
     fn infer(
         &mut self,
         _: PolicySession<'_>,

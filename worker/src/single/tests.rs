@@ -205,16 +205,6 @@ impl Actor for Looking {
         })
     }
 
-    fn reset(
-        &mut self,
-        _session: PolicySession<'_>,
-        _suite: &str,
-        _instruction: &str,
-        _seed: u64,
-    ) -> Result<(), PolicyError> {
-        Ok(())
-    }
-
     fn infer(
         &mut self,
         _session: PolicySession<'_>,

@@ -132,7 +132,7 @@ impl Context<'_> {
         report: &'r CommitReport,
         accepted: &mut Vec<NewResult<'r>>,
     ) -> Result<CommitReply, StoreError> {
-        let mut campaign = self.campaign(attempt.of.campaign).await?;
+        let campaign = self.campaign(attempt.of.campaign).await?;
         let from = &report.provenance.pin;
         if !campaign.takes(from) {
             let (name, demand) = (&campaign.name, campaign.demand());
@@ -145,11 +145,6 @@ impl Context<'_> {
                 false => FailureReason::Unpaired,
             };
             return self.refuse(attempt, reason, detail).await;
-        }
-        if !campaign.is_pinned() {
-            campaigns::pin(&mut self.tx, campaign.id, from, self.now).await?;
-            self.cache.forget_campaigns();
-            campaign = self.campaign(campaign.id).await?;
         }
         let demand = Demand {
             realisation: campaign.mode()?,
@@ -166,6 +161,10 @@ impl Context<'_> {
         let siblings = self.cache.siblings(&mut self.tx, &attempt.of).await?;
         if let Some(detail) = pairing::difference(&demand, siblings, &result) {
             return self.refuse(attempt, FailureReason::Unpaired, detail).await;
+        }
+        if !campaign.is_pinned() {
+            campaigns::pin(&mut self.tx, campaign.id, from, self.now).await?;
+            self.cache.forget_campaigns();
         }
         // From now on its siblings are compared with it.
         self.cache.add_sibling(&attempt.of, result);

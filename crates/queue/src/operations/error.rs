@@ -57,7 +57,7 @@ pub enum QueueError {
     },
     /// A campaign with results was to name another policy.
     #[error(
-        "change the policy of campaign `{campaign}`: it has {results} results of policy `{policy}`; create another campaign for another policy"
+        "change the policy of campaign `{campaign}`: it has results of policy `{policy}`, {results} so far; create another campaign for another policy"
     )]
     PolicyMeasured {
         /// Which.

@@ -125,21 +125,16 @@ fn of_kind(
     rollouts: &BTreeMap<String, u64>,
 ) -> Forecast {
     let is_of_policy = drawn.iter().any(|it| it.policy == policy);
-    let used = drawn
-        .iter()
-        .filter(|it| !is_of_policy || it.policy == policy);
-    let used: Vec<&&Measured> = used.collect();
-    let Some(any) = mean(used.iter().copied().copied()) else {
+    let used = drawn.iter().copied();
+    let used = used.filter(|it| !is_of_policy || it.policy == policy);
+    let used: Vec<&Measured> = used.collect();
+    let Some(any) = mean(used.iter().copied()) else {
         return Forecast::default();
     };
     let mut unmeasured_suites = Vec::new();
     let (mut work, mut longest) = (0.0, 0.0_f64);
     for (suite, count) in rollouts {
-        let in_suite = used
-            .iter()
-            .copied()
-            .copied()
-            .filter(|it| it.suite == *suite);
+        let in_suite = used.iter().copied().filter(|it| it.suite == *suite);
         let secs = mean(in_suite).unwrap_or_else(|| {
             unmeasured_suites.push(suite.clone());
             any

@@ -15,7 +15,7 @@ const LABELS: f64 = 108.0;
 const LABEL_CHARACTERS: usize = 15;
 const ROW: f64 = 28.0;
 /// Height of the slanted names below the columns.
-const NAMES: f64 = 66.0;
+const NAMES: f64 = 78.0;
 const LEGEND: f64 = 52.0;
 /// Pieces that the colour scale is drawn in.
 const LEGEND_STEPS: u32 = 40;
