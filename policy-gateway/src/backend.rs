@@ -44,6 +44,10 @@ pub trait Backend: fmt::Display + Send + Sync {
     /// [`BackendError`].
     async fn reset(&self, request: ResetRequest) -> Result<(), BackendError>;
 
+    /// Notes that an episode is over. Nothing happens in those that keep nothing
+    /// of one; what goes wrong is nobody's loss.
+    async fn end(&self, _session: &str) {}
+
     /// Answers one observation, unchecked.
     ///
     /// # Errors

@@ -7,8 +7,9 @@ use std::{
 };
 
 use proto::policy::{
-    DescribeRequest, DescribeResponse, InferBatchRequest, InferBatchResponse, InferRequest,
-    InferResponse, InferResult, ResetRequest, ResetResponse, infer_result, policy_server::Policy,
+    DescribeRequest, DescribeResponse, EndRequest, EndResponse, InferBatchRequest,
+    InferBatchResponse, InferRequest, InferResponse, InferResult, ResetRequest, ResetResponse,
+    infer_result, policy_server::Policy,
 };
 use tokio::task::JoinSet;
 use tonic::{Request, Response, Status};
@@ -145,6 +146,12 @@ impl Policy for Gateway {
         let request = request.into_inner();
         self.route(&request.policy)?.reset(request).await?;
         Ok(Response::new(ResetResponse {}))
+    }
+
+    async fn end(&self, request: Request<EndRequest>) -> Result<Response<EndResponse>, Status> {
+        let request = request.into_inner();
+        self.route(&request.policy)?.end(&request.session);
+        Ok(Response::new(EndResponse {}))
     }
 
     async fn infer(

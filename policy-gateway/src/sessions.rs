@@ -1,5 +1,5 @@
-//! A bounded table of open sessions. Sessions have no end on the wire, so the
-//! table forgets the one idle for longest when it is full. Responsible for
+//! A bounded table of open sessions. Not every session is ended by its caller, so
+//! the table forgets the one idle for longest when it is full. Responsible for
 //! that bound only; what is kept per session is the owner's.
 
 use std::collections::HashMap;
@@ -57,6 +57,11 @@ impl<V> SessionTable<V> {
         let entry = self.entries.get_mut(session)?;
         entry.last_use = last_use;
         Some(&mut entry.value)
+    }
+
+    /// Takes a session out, if it is open.
+    pub fn close(&mut self, session: &str) -> Option<V> {
+        self.entries.remove(session).map(|entry| entry.value)
     }
 
     fn next_use(&mut self) -> u64 {

@@ -133,6 +133,10 @@ pub trait Actor {
         Ok(())
     }
 
+    /// Notes that the episode is over. What goes wrong is nobody's loss: a policy
+    /// bounds what it keeps in any case.
+    fn end(&mut self, _session: PolicySession<'_>) {}
+
     /// Its answers to one observation: between one and `horizon` actions,
     /// finite, not yet clipped.
     ///

@@ -7,8 +7,8 @@ use std::time::Duration;
 
 use proto::policy::policy_client::PolicyClient as GrpcClient;
 use proto::policy::{
-    CameraRequest, DescribeRequest, DescribeResponse, InferRequest, InferResponse, Observation,
-    ResetRequest, StateField,
+    CameraRequest, DescribeRequest, DescribeResponse, EndRequest, InferRequest, InferResponse,
+    Observation, ResetRequest, StateField,
 };
 use proto::{MAX_MESSAGE_BYTES, PROTOCOL_VERSION};
 use tokio::runtime::Runtime;
@@ -24,6 +24,8 @@ use crate::grpc::within;
 /// Longest wait for one answer of a policy. A policy that needs longer once, to
 /// compile itself, does so before it serves.
 pub const POLICY_CALL_DEADLINE: Duration = Duration::from_secs(60);
+/// Longest wait for word that the end of an episode was noted.
+const END_DEADLINE: Duration = Duration::from_secs(2);
 /// Longest wait for a connection.
 const CONNECT_DEADLINE: Duration = Duration::from_secs(10);
 /// HTTP/2 window, bytes: holds an observation, so that no call waits for
@@ -169,6 +171,17 @@ impl Actor for PolicyClient {
         self.call(session.deadline, grpc.reset(request))
             .map(|_| ())
             .map_err(|status| self.refused("reset", session, "reset".to_owned(), &status))
+    }
+
+    fn end(&mut self, session: PolicySession<'_>) {
+        let request = EndRequest {
+            policy: session.policy.to_owned(),
+            session: session.session.to_owned(),
+        };
+        let mut grpc = self.grpc.clone();
+        if let Err(status) = self.call(END_DEADLINE.min(session.deadline), grpc.end(request)) {
+            tracing::debug!("end of session {:?}: {status}", session.session);
+        }
     }
 
     fn infer(

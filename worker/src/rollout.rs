@@ -199,7 +199,9 @@ impl Run<'_> {
             &instruction,
             self.assignment.policy_seed,
         )?;
-        let success = self.act(&mut episode)?;
+        let outcome = self.act(&mut episode);
+        self.actor.end(self.assignment.policy_session());
+        let success = outcome?;
         self.watcher.ended(&mut episode);
         let result = RolloutResult {
             success,

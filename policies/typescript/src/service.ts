@@ -12,6 +12,8 @@ import {
 
 import type { DescribeRequest__Output } from "../generated/rollout/policy/v1/DescribeRequest.js";
 import type { DescribeResponse } from "../generated/rollout/policy/v1/DescribeResponse.js";
+import type { EndRequest__Output } from "../generated/rollout/policy/v1/EndRequest.js";
+import type { EndResponse } from "../generated/rollout/policy/v1/EndResponse.js";
 import type { InferRequest__Output } from "../generated/rollout/policy/v1/InferRequest.js";
 import type { InferResponse } from "../generated/rollout/policy/v1/InferResponse.js";
 import type { ResetRequest__Output } from "../generated/rollout/policy/v1/ResetRequest.js";
@@ -53,6 +55,11 @@ export function policy(): UntypedServiceImplementation {
         if (sessions.size <= MAX_SESSIONS) break;
         sessions.delete(oldest);
       }
+      return {};
+    }),
+    End: answering((request: EndRequest__Output): EndResponse => {
+      requirePolicy(request.policy);
+      sessions.delete(request.session);
       return {};
     }),
     Infer: answering((request: InferRequest__Output) => {

@@ -6,8 +6,8 @@
 use std::{fmt, str::FromStr, time::Duration};
 
 use proto::policy::{
-    DescribeRequest, DescribeResponse, InferBatchRequest, InferRequest, InferResponse, InferResult,
-    ResetRequest, infer_result, policy_client::PolicyClient,
+    DescribeRequest, DescribeResponse, EndRequest, InferBatchRequest, InferRequest, InferResponse,
+    InferResult, ResetRequest, infer_result, policy_client::PolicyClient,
 };
 use thiserror::Error;
 use tonic::{Code, Response, Status, codegen::http::Uri, transport::Endpoint};
@@ -196,6 +196,17 @@ impl Backend for GrpcBackend {
         self.call(self.client.clone().reset(request))
             .await
             .map(drop)
+    }
+
+    async fn end(&self, session: &str) {
+        let request = EndRequest {
+            policy: self.address.policy.clone(),
+            session: session.to_owned(),
+        };
+        // Servers of the first release know no such call.
+        if let Err(status) = self.client.clone().end(request).await {
+            tracing::debug!(backend = %self, "end of session {session:?}: {status}");
+        }
     }
 
     async fn infer(&self, mut request: InferRequest) -> Result<InferResponse, BackendError> {

@@ -151,6 +151,10 @@ impl Backend for OpenpiBackend {
         Ok(())
     }
 
+    async fn end(&self, session: &str) {
+        self.prompts().close(session);
+    }
+
     async fn infer(&self, request: InferRequest) -> Result<InferResponse, BackendError> {
         let prompt = self.prompts().get(&request.session).cloned();
         let prompt = prompt.ok_or(BackendError::SessionLost)?;

@@ -15,8 +15,7 @@ use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest}
 use super::{Backend, BackendError};
 use crate::recording::{Pair, Writer};
 
-/// After so long without a query a session has ended: sessions have no end on
-/// the wire.
+/// After so long without a query a session has ended, if nobody said so before.
 pub const ENDED_AFTER: Duration = Duration::from_secs(120);
 /// Bytes written by default: four hundred sessions of a hundred
 /// observations.
@@ -116,6 +115,12 @@ impl Open {
         }
     }
 
+    fn end(&mut self, session: &str) {
+        if let Some((_, writer)) = self.sessions.remove(session) {
+            end(session, writer);
+        }
+    }
+
     fn end_idle(&mut self) {
         let ended = |(last, _): &(Instant, Writer)| last.elapsed() > ENDED_AFTER;
         let ended = self.sessions.extract_if(|_, session| ended(session));
@@ -151,6 +156,12 @@ impl Backend for Recorder {
         self.inner.reset(request.clone()).await?;
         self.write(move |open| open.begin(&request)).await;
         Ok(())
+    }
+
+    async fn end(&self, session: &str) {
+        self.inner.end(session).await;
+        let session = session.to_owned();
+        self.write(move |open| open.end(&session)).await;
     }
 
     async fn infer(&self, query: InferRequest) -> Result<InferResponse, BackendError> {

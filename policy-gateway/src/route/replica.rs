@@ -173,6 +173,13 @@ impl Replica {
         Ok(())
     }
 
+    /// Notes that an episode is over, if the replica is there to be told.
+    pub async fn end(&self, session: &str) {
+        if self.would_admit(Call::Of(session)) {
+            let _ = tokio::time::timeout(self.answer_within, self.backend.end(session)).await;
+        }
+    }
+
     /// Answers one observation of `task` with actions of which there are at
     /// most `horizon`.
     ///

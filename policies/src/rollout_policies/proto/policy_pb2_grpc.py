@@ -34,6 +34,11 @@ class PolicyStub(object):
                 request_serializer=rollout__policies_dot_proto_dot_policy__pb2.InferBatchRequest.SerializeToString,
                 response_deserializer=rollout__policies_dot_proto_dot_policy__pb2.InferBatchResponse.FromString,
                 )
+        self.End = channel.unary_unary(
+                '/rollout.policy.v1.Policy/End',
+                request_serializer=rollout__policies_dot_proto_dot_policy__pb2.EndRequest.SerializeToString,
+                response_deserializer=rollout__policies_dot_proto_dot_policy__pb2.EndResponse.FromString,
+                )
 
 
 class PolicyServicer(object):
@@ -71,6 +76,16 @@ class PolicyServicer(object):
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def End(self, request, context):
+        """Ends an episode, so that what is kept of it can go. Optional: a server that
+        answers UNIMPLEMENTED forgets sessions on its own. Sent at most once and
+        never retried, so that a server still has to bound what it keeps; a session
+        that is not open is no error.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
 
 def add_PolicyServicer_to_server(servicer, server):
     rpc_method_handlers = {
@@ -93,6 +108,11 @@ def add_PolicyServicer_to_server(servicer, server):
                     servicer.InferBatch,
                     request_deserializer=rollout__policies_dot_proto_dot_policy__pb2.InferBatchRequest.FromString,
                     response_serializer=rollout__policies_dot_proto_dot_policy__pb2.InferBatchResponse.SerializeToString,
+            ),
+            'End': grpc.unary_unary_rpc_method_handler(
+                    servicer.End,
+                    request_deserializer=rollout__policies_dot_proto_dot_policy__pb2.EndRequest.FromString,
+                    response_serializer=rollout__policies_dot_proto_dot_policy__pb2.EndResponse.SerializeToString,
             ),
     }
     generic_handler = grpc.method_handlers_generic_handler(
@@ -169,5 +189,22 @@ class Policy(object):
         return grpc.experimental.unary_unary(request, target, '/rollout.policy.v1.Policy/InferBatch',
             rollout__policies_dot_proto_dot_policy__pb2.InferBatchRequest.SerializeToString,
             rollout__policies_dot_proto_dot_policy__pb2.InferBatchResponse.FromString,
+            options, channel_credentials,
+            insecure, call_credentials, compression, wait_for_ready, timeout, metadata)
+
+    @staticmethod
+    def End(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(request, target, '/rollout.policy.v1.Policy/End',
+            rollout__policies_dot_proto_dot_policy__pb2.EndRequest.SerializeToString,
+            rollout__policies_dot_proto_dot_policy__pb2.EndResponse.FromString,
             options, channel_credentials,
             insecure, call_credentials, compression, wait_for_ready, timeout, metadata)
