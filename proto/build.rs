@@ -15,6 +15,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         // A server need not have every call: what it lacks is UNIMPLEMENTED.
         .generate_default_stubs(true)
         .compile_fds(protox::compile([policy], ["."])?)?;
-    tonic_prost_build::configure().compile_fds(protox::compile([coordinator], ["."])?)?;
+    tonic_prost_build::configure()
+        .btree_map(".rollout.coordinator.v1.Provenance")
+        .compile_fds(protox::compile([coordinator], ["."])?)?;
     Ok(())
 }

@@ -357,6 +357,7 @@ fn outcome(
             fingerprint: digest("fingerprint"),
             realisation: job.realisation.clone(),
             policy_name: job.policy.clone(),
+            policy_settings: [("execute".to_owned(), "8".to_owned())].into(),
             program_version: env!("CARGO_PKG_VERSION").to_owned(),
             ..Provenance::default()
         },

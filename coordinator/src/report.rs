@@ -6,7 +6,7 @@
 use paired::{Outcome, Record};
 use protocol::{CampaignSpec, ManifestRow, RolloutId, UnknownName};
 use queue::read::{Campaign, RecordRow, SetupRow, View};
-use report::{Origin, Quarantined, Setups, Subject, rollout_name};
+use report::{BeyondRange, Origin, Quarantined, Setups, Subject, rollout_name};
 use sha2::{Digest, Sha256};
 
 use crate::reading::ReadError;
@@ -55,10 +55,20 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
             .collect(),
         left_out: rows.iter().filter(|row| is_of_other_mode(row, own)).count() as u64,
         provenances,
+        beyond: Some(beyond_range(view, campaign).await?),
         fingerprints: view.fingerprints(campaign.id).await?,
         published_nominal: None,
         reported_nominal: None,
         setups: Setups::default(),
+    })
+}
+
+async fn beyond_range(view: &mut View, campaign: &Campaign) -> Result<BeyondRange, ReadError> {
+    let (actions, of_actions, rollouts) = view.beyond_range(campaign.id).await?;
+    Ok(BeyondRange {
+        actions: actions.unsigned_abs(),
+        of_actions: of_actions.unsigned_abs(),
+        rollouts: rollouts.unsigned_abs(),
     })
 }
 

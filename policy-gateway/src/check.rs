@@ -102,6 +102,9 @@ pub fn description(described: &DescribeResponse) -> Result<(), DescriptionFault>
     if bytes > proto::MAX_MESSAGE_BYTES as u64 {
         return Err(DescriptionFault::FramesTooLarge { bytes });
     }
+    if let Some(problem) = described.settings_problem() {
+        return Err(DescriptionFault::Settings { problem });
+    }
     Ok(())
 }
 
@@ -137,10 +140,19 @@ pub fn difference(one: &DescribeResponse, other: &DescribeResponse) -> Option<St
             ("privileged", it.privileged.to_string()),
         ]
     };
-    let mut pairs = said(one).into_iter().zip(said(other));
-    pairs
-        .find(|((_, was), (_, is))| was != is)
-        .map(|((what, was), (_, is))| format!("its {what} is {is:?}, not {was:?}"))
+    let setting = |of: &DescribeResponse, name: &str| {
+        let named = of.settings.iter().find(|setting| setting.name == name);
+        named.map_or_else(|| "not given".to_owned(), |setting| setting.value.clone())
+    };
+    let names = one.settings.iter().chain(&other.settings);
+    let names = names.map(|setting| setting.name.as_str());
+    said(one)
+        .into_iter()
+        .zip(said(other))
+        .map(|((what, was), (_, is))| (what, was, is))
+        .chain(names.map(|name| (name, setting(one, name), setting(other, name))))
+        .find(|(_, was, is)| was != is)
+        .map(|(what, was, is)| format!("its {what} is {is:?}, not {was:?}"))
 }
 
 /// Why an answer is not a chunk of actions.
@@ -234,6 +246,12 @@ pub enum DescriptionFault {
     FramesTooLarge {
         /// Of all frames together.
         bytes: u64,
+    },
+    /// Settings that no result can carry.
+    #[error("it {problem}")]
+    Settings {
+        /// Which, and why.
+        problem: String,
     },
 }
 

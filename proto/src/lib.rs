@@ -10,6 +10,37 @@ pub mod policy {
     tonic::include_proto!("rollout.policy.v1");
 }
 
+impl policy::DescribeResponse {
+    /// What keeps the settings from being recorded, in words that read after "it";
+    /// none if they can be.
+    pub fn settings_problem(&self) -> Option<String> {
+        let count = self.settings.len();
+        if count > MAX_SETTINGS {
+            return Some(format!(
+                "names {count} settings: at most {MAX_SETTINGS} are recorded"
+            ));
+        }
+        self.settings.iter().enumerate().find_map(|(place, setting)| {
+            let name = &setting.name;
+            if !(1..=MAX_SETTING_NAME_BYTES).contains(&name.len()) {
+                return Some(format!(
+                    "gives setting {place} a name of {} bytes: 1 to {MAX_SETTING_NAME_BYTES} fit",
+                    name.len()
+                ));
+            }
+            if setting.value.len() > MAX_SETTING_VALUE_BYTES {
+                return Some(format!(
+                    "gives setting `{name}` {} bytes: at most {MAX_SETTING_VALUE_BYTES} fit",
+                    setting.value.len()
+                ));
+            }
+            let earlier = &self.settings[..place];
+            let twice = earlier.iter().any(|other| other.name == *name);
+            twice.then(|| format!("names setting `{name}` twice"))
+        })
+    }
+}
+
 /// `rollout.coordinator.v1`.
 pub mod coordinator {
     tonic::include_proto!("rollout.coordinator.v1");
@@ -25,6 +56,12 @@ pub const COORDINATOR_PROTOCOL_VERSION: u32 = 3;
 /// Most control steps of which a motion is sent: ten times LIBERO's longest
 /// rollout. Of a longer one the outcome goes without.
 pub const MAX_MOTION_STEPS: usize = 5_200;
+/// Most settings of a policy's description.
+pub const MAX_SETTINGS: usize = 64;
+/// Longest name of a setting, bytes.
+pub const MAX_SETTING_NAME_BYTES: usize = 64;
+/// Longest value of a setting, bytes.
+pub const MAX_SETTING_VALUE_BYTES: usize = 512;
 /// Largest message accepted, bytes: an observation of two 512×512 frames fits
 /// four times. tonic's own default of 4 MiB does not hold a batch.
 pub const MAX_MESSAGE_BYTES: usize = 32 << 20;

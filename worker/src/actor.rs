@@ -151,10 +151,9 @@ pub trait Actor {
     ) -> Result<Vec<Action>, PolicyError>;
 }
 
-/// The action with every number in [-1, 1], and whether any had to be moved.
-pub fn clip(action: Action) -> (Action, bool) {
-    let clipped = action.map(|number| number.clamp(-1.0, 1.0));
-    (clipped, clipped != action)
+/// The action with every number in [-1, 1].
+pub fn clip(action: Action) -> Action {
+    action.map(|number| number.clamp(-1.0, 1.0))
 }
 
 #[cfg(test)]
@@ -164,8 +163,8 @@ mod tests {
     #[test]
     fn only_numbers_outside_the_range_are_clipped() {
         let inside = [1.0, -1.0, 0.5, 0.0, 0.0, 0.0, -1.0];
-        assert_eq!(clip(inside), (inside, false));
+        assert_eq!(clip(inside), inside);
         let outside = [1.5, -1.0, 0.5, 0.0, 0.0, 0.0, -3.0];
-        assert_eq!(clip(outside), (inside, true));
+        assert_eq!(clip(outside), inside);
     }
 }

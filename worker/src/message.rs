@@ -5,6 +5,7 @@
 //! Everything that is said about a rollout names its attempt: an event that
 //! crossed a command on its way is about an attempt that is no longer in hand.
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -199,6 +200,8 @@ pub struct Evidence {
     pub policy_privileged: bool,
     /// Whether it gets the canonical instruction under every condition.
     pub policy_canonical_only: bool,
+    /// What its server resolved, by name, with `horizon` and `execute`.
+    pub policy_settings: BTreeMap<String, String>,
     /// How a gateway asks it: "single" unless one says otherwise.
     pub batch_mode: String,
 }

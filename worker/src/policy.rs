@@ -247,7 +247,8 @@ fn check_description(about: DescribeResponse) -> Result<Description, String> {
             "has horizon {horizon} and execute {execute}: 1 <= execute <= horizon must hold"
         ));
     }
-    if let Some(problem) = about.cameras.iter().find_map(camera_problem) {
+    let problem = about.cameras.iter().find_map(camera_problem);
+    if let Some(problem) = problem.or_else(|| about.settings_problem()) {
         return Err(problem);
     }
     let state = about

@@ -4,11 +4,13 @@
 //! policy will look at it. Knows no coordinator: the caller says what a rollout
 //! is for, what acts in it and what becomes of its result.
 
+use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
 use attempt::{IkResidual, Motion, Realised, RolloutResult};
 use proto::policy as wire;
+use protocol::Realisation;
 use sha2::{Digest, Sha256};
 use sim::{CameraRequest, Digests, Episode, Observation, ObservationRequest, SimError};
 use transport::chain;
@@ -23,8 +25,8 @@ use crate::stage::Stage;
 pub struct Step {
     /// As the policy answered.
     pub sent: Action,
-    /// The same, every number in [-1, 1]: the robot's command, before the
-    /// actuation axis distorts it.
+    /// The robot's command, before the actuation axis distorts it: see
+    /// [`command`].
     pub executed: Action,
 }
 
@@ -90,7 +92,7 @@ const UNBATCHED: &str = "single";
 pub struct Simulated {
     /// Its result.
     pub finished: Finished,
-    /// The actions that the robot executed: with them it can be simulated again.
+    /// The robot's commands: with them it can be simulated again.
     pub actions: Vec<Action>,
 }
 
@@ -137,6 +139,7 @@ pub fn run(
         policy_checkpoint_digest: description.about.checkpoint_digest.clone(),
         policy_privileged: description.about.privileged,
         policy_canonical_only: description.about.language() == wire::Language::CanonicalOnly,
+        policy_settings: settings(&description),
         batch_mode: match description.about.batch_mode.as_str() {
             "" => UNBATCHED.to_owned(),
             mode => mode.to_owned(),
@@ -162,7 +165,7 @@ struct Run<'a> {
     description: &'a Description,
     actor: &'a mut dyn Actor,
     watcher: &'a mut dyn Watcher,
-    /// What the policy did, clipped: the rollout can be simulated again.
+    /// What the robot was told: the rollout can be simulated again.
     executed: Vec<Action>,
     /// Where the end-effector was, tenths of a millimetre.
     path: Vec<[i16; 3]>,
@@ -229,8 +232,8 @@ impl Run<'_> {
             let room = (row.max_steps - self.steps()) as usize;
             let actions = self.query(episode)?;
             for sent in actions.into_iter().take(self.description.execute.min(room)) {
-                let (executed, clipped) = clip(sent);
-                self.clipped_actions += u32::from(clipped);
+                let executed = command(sent, self.assignment.realisation);
+                self.clipped_actions += u32::from(clip(sent) != sent);
                 let success = episode
                     .step(&executed)
                     .map_err(|source| self.simulator_failed(source))?;
@@ -300,6 +303,29 @@ fn carry_on(verdict: ControlFlow<()>) -> Result<(), RolloutError> {
     match verdict {
         ControlFlow::Continue(()) => Ok(()),
         ControlFlow::Break(()) => Err(RolloutError::Abandoned),
+    }
+}
+
+/// What the policy's server resolved, with how much of each answer was executed.
+fn settings(description: &Description) -> BTreeMap<String, String> {
+    let given = description.about.settings.iter();
+    given
+        .map(|setting| (setting.name.clone(), setting.value.clone()))
+        .chain([
+            ("execute".to_owned(), description.execute.to_string()),
+            ("horizon".to_owned(), description.horizon.to_string()),
+        ])
+        .collect()
+}
+
+/// What the actuation axis gets of an action: every number in [-1, 1], unless
+/// the realisation is the released code's, which distorts what the policy
+/// answered and clips afterwards. Where no axis distorts it, nothing differs:
+/// the controller clips.
+fn command(sent: Action, realisation: Realisation) -> Action {
+    match realisation {
+        Realisation::Matched => clip(sent),
+        Realisation::Reference => sent,
     }
 }
 

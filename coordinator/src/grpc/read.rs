@@ -99,6 +99,7 @@ pub(super) fn commit(request: wire::CommitRequest) -> Result<CommitReport, Statu
             )?,
             policy_privileged: provenance.policy_privileged,
             policy_canonical_only: provenance.policy_canonical_only,
+            policy_settings: settings(provenance.policy_settings)?,
             batch_mode: text("batch_mode", provenance.batch_mode)?,
             program_version: text("program_version", provenance.program_version)?,
         },
@@ -329,6 +330,21 @@ fn text(field: &str, value: String) -> Result<String, Status> {
         )));
     }
     Ok(value)
+}
+
+fn settings(given: BTreeMap<String, String>) -> Result<BTreeMap<String, String>, Status> {
+    // A worker adds two to those of the policy.
+    if given.len() > proto::MAX_SETTINGS + 2 {
+        let count = given.len();
+        return Err(invalid(format!(
+            "`policy_settings` has {count} entries, too many"
+        )));
+    }
+    let checked = given.into_iter().map(|(name, value)| {
+        let name = text("policy_settings", name)?;
+        Ok((name, text("policy_settings", value)?))
+    });
+    checked.collect()
 }
 
 fn required(field: &str, value: String) -> Result<String, Status> {

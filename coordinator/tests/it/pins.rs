@@ -1,6 +1,7 @@
 //! What a campaign's workers run on: what it asks for, and what its first result
 //! pins it to.
 
+use proto::coordinator::Provenance;
 use proto::coordinator::commit_response::Verdict;
 use serde_json::json;
 
@@ -78,6 +79,64 @@ async fn a_result_that_is_refused_pins_nothing() {
     let pinned = "SELECT count(*) FROM campaign WHERE pinned_ms IS NOT NULL";
     assert_eq!(bench.count(pinned).await, 0);
     assert_eq!(told(&bench, "libero", GL).await, "");
+}
+
+/// Weights that were replaced, or another `--execute`, are another policy: its
+/// jobs wait until the one that was measured is back, and nobody is charged.
+#[tokio::test]
+async fn a_policy_that_was_replaced_is_an_outage_of_the_one_that_was_measured() {
+    for (what, replace) in [
+        ("execute is `1` now and was `8`", execute as Replace),
+        (
+            "image slots is `not given` now and was `image=agentview`",
+            forget_slots,
+        ),
+        ("digest of the weights is `other` now and was ``", weights),
+    ] {
+        let bench = Bench::start().await;
+        bench.create(&small_spec("pinned")).await.expect("created");
+        let mut worker = bench.worker_on("a", "primitives").await;
+        let leases = worker.claim(3).await;
+        let report = |lease: usize, replace: Replace| {
+            let mut report = worker.report(&leases[lease], true);
+            let provenance = report.provenance.as_mut().expect("provenance");
+            for (name, value) in [("execute", "8"), ("image slots", "image=agentview")] {
+                let settings = &mut provenance.policy_settings;
+                settings.insert(name.to_owned(), value.to_owned());
+            }
+            replace(provenance);
+            report
+        };
+        let same: Replace = |_| {};
+        let [first, other, again] = [report(0, same), report(1, replace), report(2, same)];
+        assert_eq!(worker.commit_request(first).await.0, Verdict::Accepted);
+        let (verdict, detail) = worker.commit_request(other).await;
+        assert_eq!(verdict, Verdict::Unpaired);
+        for word in ["`pinned`", what, "create another campaign"] {
+            assert!(detail.contains(word), "{detail}");
+        }
+        let waits = bench.status("pinned").await.policy_pause_reason;
+        assert!(waits.contains(what), "{waits}");
+        let charged = "SELECT (SELECT max(charged_attempts) FROM job)
+            + (SELECT max(charged_in_a_row) FROM worker)";
+        assert_eq!(bench.count(charged).await, 0);
+        assert_eq!(worker.commit_request(again).await.0, Verdict::Accepted);
+    }
+}
+
+type Replace = fn(&mut Provenance);
+
+fn execute(policy: &mut Provenance) {
+    let settings = &mut policy.policy_settings;
+    settings.insert("execute".to_owned(), "1".to_owned());
+}
+
+fn forget_slots(policy: &mut Provenance) {
+    policy.policy_settings.remove("image slots");
+}
+
+fn weights(policy: &mut Provenance) {
+    "other".clone_into(&mut policy.policy_checkpoint_digest);
 }
 
 #[tokio::test]

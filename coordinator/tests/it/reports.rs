@@ -230,8 +230,8 @@ async fn a_report_leaves_results_of_another_realisation_out_and_says_so_at_the_t
     for alter in [
         "INSERT INTO provenance SELECT 99, host, renderer, fingerprint, '3.9.9', asset_pack,
              asset_pack_digest, 'reference', policy_name, policy_checkpoint,
-             policy_checkpoint_digest, policy_privileged, policy_canonical_only, batch_mode,
-             program_version
+             policy_checkpoint_digest, policy_privileged, policy_canonical_only,
+             policy_settings, batch_mode, program_version
          FROM provenance",
         "UPDATE result SET provenance_id = 99 WHERE job_id =
              (SELECT id FROM job WHERE rollout_id = 'object/t0/combination/L1/c01')",

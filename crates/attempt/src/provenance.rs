@@ -1,6 +1,6 @@
 //! Where a result came from.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
 use protocol::{RendererKind, Wanted};
@@ -50,6 +50,11 @@ pub struct Provenance {
     /// Whether it got the canonical instruction under every condition.
     #[serde(default)]
     pub policy_canonical_only: bool,
+    /// What its server resolved and its actions depend on, by name: chunk and
+    /// executed actions, image slots, statistics, revision. Empty in results of
+    /// database schema 2.
+    #[serde(default)]
+    pub policy_settings: BTreeMap<String, String>,
     /// How a gateway asked it.
     pub batch_mode: String,
     /// Version of the worker's program.
@@ -93,6 +98,33 @@ impl Pin {
         let is_software = self.renderer.starts_with(SOFTWARE_RENDERER);
         let draws = |kind| (kind == RendererKind::Software) == is_software;
         wanted.assets.as_ref().is_none_or(has_pack) && wanted.renderer.is_none_or(draws)
+    }
+}
+
+impl Provenance {
+    /// In what the policies of two results differ, in words; none where they are
+    /// one. The results are of one campaign and suite.
+    pub fn other_policy(&self, pinned: &Provenance) -> Option<String> {
+        let differs = |what: &str, here: &str, there: &str| {
+            (here != there).then(|| format!("{what} is `{here}` now and was `{there}`"))
+        };
+        let digests = [self, pinned].map(|it| it.policy_checkpoint_digest.as_str());
+        let settings = &pinned.policy_settings;
+        differs("name", &self.policy_name, &pinned.policy_name)
+            .or_else(|| {
+                let names = (&self.policy_checkpoint, &pinned.policy_checkpoint);
+                differs("checkpoint", names.0, names.1)
+            })
+            .or_else(|| differs("digest of the weights", digests[0], digests[1]))
+            .or_else(|| {
+                let names: BTreeSet<&String> =
+                    settings.keys().chain(self.policy_settings.keys()).collect();
+                names.into_iter().find_map(|name| {
+                    let [here, there] = [&self.policy_settings, settings]
+                        .map(|of| of.get(name).map_or("not given", String::as_str));
+                    differs(name, here, there)
+                })
+            })
     }
 }
 

@@ -28,6 +28,9 @@ use crate::rules::lease::FailureReason;
 use crate::store::{Store, StoreError};
 use crate::timing::Timing;
 
+/// Between two checkpoints of the write-ahead log.
+const CHECKPOINT_INTERVAL: Duration = Duration::from_secs(1);
+
 /// The job table in operation.
 pub struct Queue {
     pub(crate) shared: Arc<Shared>,
@@ -42,6 +45,18 @@ pub struct Queue {
     /// under a new one of the same name.
     pub(crate) campaigns: tokio::sync::Mutex<()>,
     pub(crate) backups: Arc<tokio::sync::Mutex<()>>,
+}
+
+/// Checkpoints the write-ahead log beside the writer, whose transactions would
+/// wait for it otherwise.
+async fn keep_log_short(shared: Arc<Shared>) {
+    loop {
+        tokio::time::sleep(CHECKPOINT_INTERVAL).await;
+        // A disk that is full may have room again; the log is read on in any case.
+        if let Err(error) = shared.store.checkpoint().await {
+            tracing::debug!("failed to {error}: {}", error.source);
+        }
+    }
 }
 
 impl Queue {
@@ -62,6 +77,7 @@ impl Queue {
         let (operations, asked) = mpsc::channel(MAX_WAITING);
         let mut writer = JoinSet::new();
         writer.spawn(writer::run(shared.clone(), asked));
+        writer.spawn(keep_log_short(shared.clone()));
         Ok(Arc::new(Queue {
             last_sweep: AtomicI64::new(shared.now().0),
             shared,

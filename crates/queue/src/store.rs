@@ -156,6 +156,11 @@ pub(crate) fn undecodable(
     sqlx::Error::Decode(error.into())
 }
 
+/// The log's length at which a transaction moves it into the database itself,
+/// which everybody waits for: 64 MiB. [`Store::checkpoint`] is to come before.
+const LARGEST_LOG_PAGES: &str = "16384";
+/// The writer's share of the database in memory, KiB, as SQLite takes it.
+const WRITER_CACHE_KIB: &str = "-65536";
 /// Rows that one statement stores: a few numbers, so that a few statements stay
 /// prepared.
 const INSERTED_ROWS: [usize; 4] = [64, 16, 4, 1];
@@ -211,7 +216,12 @@ impl Store {
                 let usable = !connection.is_in_transaction();
                 Box::pin(async move { Ok(usable) })
             })
-            .connect_with(options.clone())
+            .connect_with(
+                options
+                    .clone()
+                    .pragma("wal_autocheckpoint", LARGEST_LOG_PAGES)
+                    .pragma("cache_size", WRITER_CACHE_KIB),
+            )
             .await
             .map_err(database)?;
         MIGRATIONS
@@ -270,6 +280,16 @@ impl Store {
     /// A connection that sees what others commit.
     pub(crate) async fn reader(&self) -> Result<PoolConnection<Sqlite>, StoreError> {
         self.readers.acquire().await.doing("begin reading")
+    }
+
+    /// Moves what is committed from the write-ahead log into the database, as far
+    /// as no reader still needs it, while the writer goes on.
+    pub(crate) async fn checkpoint(&self) -> Result<(), StoreError> {
+        sqlx::query("PRAGMA wal_checkpoint(PASSIVE)")
+            .execute(&self.readers)
+            .await
+            .doing("checkpoint the write-ahead log")
+            .map(drop)
     }
 
     /// Moves everything from the write-ahead log into the database and closes

@@ -177,6 +177,7 @@ pub fn import(path: &Path) -> Result<Subject, ImportError> {
         errors: Vec::new(),
         divergent: Vec::new(),
         left_out: 0,
+        beyond: None,
         fingerprints: None,
         provenances: Vec::new(),
         published_nominal: about.published_nominal,

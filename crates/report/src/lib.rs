@@ -25,6 +25,6 @@ pub use comparison::{Comparison, Side, Unpairable};
 pub use document::{Document, DocumentError};
 pub use import::{BadLine, ImportError, import};
 pub use page::{STYLE, comparison as page_comparison, page, sections, warnings as page_warnings};
-pub use subject::{Origin, Quarantined, Setups, Subject, rollout_name};
+pub use subject::{BeyondRange, Origin, Quarantined, Setups, Subject, rollout_name};
 pub use table::{TableError, write_csv, write_parquet};
 pub use warnings::fingerprints_in_words;

@@ -28,6 +28,9 @@ pub struct Subject {
     pub left_out: u64,
     /// The distinct circumstances under which the outcomes were made.
     pub provenances: Vec<Provenance>,
+    /// What the policy answered beyond the range, if that is known.
+    #[serde(default)]
+    pub beyond: Option<BeyondRange>,
     /// How the outcomes mix fingerprints, if they have more than one.
     #[serde(default)]
     pub fingerprints: Option<Fingerprints>,
@@ -50,6 +53,17 @@ pub struct Setups {
     /// Of scene and initial state, by the nominal rollout from that state,
     /// where any result tells.
     pub scenes: BTreeMap<RolloutId, String>,
+}
+
+/// Actions with a number outside [-1, 1], of all that were executed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct BeyondRange {
+    /// So many of them.
+    pub actions: u64,
+    /// All actions.
+    pub of_actions: u64,
+    /// Rollouts with at least one of them.
+    pub rollouts: u64,
 }
 
 /// Where outcomes come from.

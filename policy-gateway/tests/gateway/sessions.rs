@@ -3,8 +3,13 @@
 use std::time::Duration;
 
 use attempt::AttemptId;
-use proto::policy::{DescribeResponse, Observation};
+use proto::policy::{
+    DescribeRequest, DescribeResponse, EndRequest, EndResponse, InferRequest, InferResponse,
+    Observation, ResetRequest, ResetResponse, policy_server::Policy,
+};
 use protocol::RolloutId;
+use tokio::sync::mpsc;
+use tonic::{Request, Response, Status};
 use transport::Access;
 use worker::{
     actor::{Actor, PolicySession},
@@ -14,7 +19,7 @@ use worker::{
 
 use crate::{
     program::{address, program},
-    support::{Scripted, chunk, description, serve},
+    support::{Scripted, chunk, description, infer, reloadable, reset, serve},
 };
 
 /// A rollout as its worker plays it.
@@ -84,4 +89,77 @@ async fn equal_rollouts_of_two_campaigns_get_their_own_answers() {
     gateway.kill().expect("it runs");
     gateway.wait().expect("it ends");
     asked.expect("every rollout got its own answers");
+}
+
+/// A server that notes which sessions began and ended, or knows no End.
+struct Noting {
+    events: mpsc::UnboundedSender<String>,
+    knows_end: bool,
+}
+
+#[tonic::async_trait]
+impl Policy for Noting {
+    async fn describe(
+        &self,
+        _: Request<DescribeRequest>,
+    ) -> Result<Response<DescribeResponse>, Status> {
+        Ok(Response::new(description("noting", 1)))
+    }
+
+    async fn reset(
+        &self,
+        request: Request<ResetRequest>,
+    ) -> Result<Response<ResetResponse>, Status> {
+        let session = request.into_inner().session;
+        self.events.send(format!("begin {session}")).expect("heard");
+        Ok(Response::new(ResetResponse {}))
+    }
+
+    async fn end(&self, request: Request<EndRequest>) -> Result<Response<EndResponse>, Status> {
+        let session = request.into_inner().session;
+        self.events.send(format!("end {session}")).expect("heard");
+        match self.knows_end {
+            true => Ok(Response::new(EndResponse {})),
+            false => Err(Status::unimplemented("a server of the first release")),
+        }
+    }
+
+    async fn infer(&self, _: Request<InferRequest>) -> Result<Response<InferResponse>, Status> {
+        Ok(Response::new(chunk(&[0.0; 7], 7)))
+    }
+}
+
+#[tokio::test]
+async fn the_end_of_an_episode_reaches_its_server_and_closes_its_session() {
+    for knows_end in [true, false] {
+        let (events, mut heard) = mpsc::unbounded_channel();
+        let server = serve(Noting { events, knows_end }).await;
+        let route = format!("x=grpc://{}", server.address);
+        let (gateway, _handle) = reloadable(vec![route.parse().expect("a route")]).await;
+        let mut client = gateway.client().await;
+        for session in ["one", "two"] {
+            client.reset(reset("x", session)).await.expect("an episode");
+        }
+        client.infer(infer("x", "one", 0)).await.expect("an answer");
+        let end = |session: &str| EndRequest {
+            policy: "x".to_owned(),
+            session: session.to_owned(),
+        };
+        client.end(end("one")).await.expect("noted");
+        client.end(end("one")).await.expect("noted already");
+        client.end(end("never opened")).await.expect("no error");
+        client.end(end("two")).await.expect("noted");
+        let mut all = vec![];
+        while !all.contains(&"end two".to_owned()) || !all.contains(&"end one".to_owned()) {
+            all.push(heard.recv().await.expect("the server lives"));
+        }
+        all.sort();
+        assert_eq!(all, ["begin one", "begin two", "end one", "end two"]);
+        // Who does not know the call is as healthy as before.
+        client.reset(reset("x", "one")).await.expect("an episode");
+        client.infer(infer("x", "one", 0)).await.expect("an answer");
+        drop(client);
+        gateway.stop().await;
+        server.stop().await;
+    }
 }

@@ -167,6 +167,7 @@ fn play(
             policy_privileged: about.privileged,
             policy_canonical_only: about.language
                 == i32::from(proto::policy::Language::CanonicalOnly),
+            policy_settings: [("execute".to_owned(), about.execute.to_string())].into(),
             batch_mode: "single".to_owned(),
         },
         motion: Motion::pack(&path(&fate), &[]),

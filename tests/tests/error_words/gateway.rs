@@ -130,6 +130,9 @@ fn checks(messages: &mut Messages) {
         DescriptionFault::FramesTooLarge { .. } => DescriptionFault::FramesTooLarge {
             bytes: 1 << 40,
         },
+        DescriptionFault::Settings { .. } => DescriptionFault::Settings {
+            problem: "names setting `execute` twice".to_owned(),
+        },
     );
     variants!(messages, AnswerError,
         AnswerError::NoMessage => AnswerError::NoMessage,

@@ -142,6 +142,54 @@ fn a_task_of_ones_own_is_replayed_and_its_trace_replays_again() {
     assert!(result.contains("KITCHEN_SCENE1_open_the_bottom_drawer"));
 }
 
+/// The released code distorts what the policy answered and clips afterwards: with
+/// a gain below 1, an answer of 2 is another command than one of 1.
+#[test]
+fn answers_beyond_the_range_reach_the_actuation_axis_as_the_released_code_has_it() {
+    let test = "answers_beyond_the_range_reach_the_actuation_axis_as_the_released_code_has_it";
+    let Some(sources) = sources(test) else {
+        return;
+    };
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut simulator = simulator(sources);
+    let mut path_of = |id: &str, realisation: Realisation, size: f64| {
+        let recording = folder.path().join("actions.jsonl");
+        let line = format!("[{size}, 0, -{size}, 0, 0, 0, -1]\n");
+        fs::write(&recording, line.repeat(6)).expect("writes");
+        let mut recorded = RecordedActions::read(&recording).expect("actions");
+        let mut row = row_of(id.parse().expect("an id")).expect("a row");
+        row.max_steps = recorded.count();
+        if let Some(distortion) = &mut row.perturbation.actuation {
+            distortion.gain_log2 = -1.0;
+        }
+        let assignment = Assignment {
+            realisation,
+            ..assignment(row, None)
+        };
+        let request = Request {
+            assignment: &assignment,
+            files: None,
+            draw: false,
+            output: folder.path(),
+        };
+        let finished = run(&mut simulator, &mut recorded, &request).expect("an outcome");
+        let clipped = if size > 1.0 { 6 } else { 0 };
+        assert_eq!(finished.result.clipped_actions, clipped);
+        array::<f64>(&folder.path().join("trace.npz"), "qpos").1
+    };
+    let (distorted, clean) = ("object/t0/actuation/L1/c00", "object/t0/clean/i00");
+    let (matched, reference) = (Realisation::Matched, Realisation::Reference);
+    for (id, realisation, alike) in [
+        (distorted, matched, true),
+        (distorted, reference, false),
+        (clean, matched, true),
+        (clean, reference, true),
+    ] {
+        let same = path_of(id, realisation, 2.0) == path_of(id, realisation, 1.0);
+        assert_eq!(same, alike, "{id} in {realisation} realisation");
+    }
+}
+
 #[test]
 fn both_cameras_first_and_last_pictures_are_kept_though_nobody_looked() {
     let test = "both_cameras_first_and_last_pictures_are_kept_though_nobody_looked";

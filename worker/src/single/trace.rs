@@ -4,7 +4,7 @@
 //! | array | shape | what |
 //! | --- | --- | --- |
 //! | `actions` | n × 7 | as the policy sent them |
-//! | `executed` | n × 7 | the same, clipped into -1..1; before the actuation axis distorts them |
+//! | `executed` | n × 7 | what the actuation axis gets of them: clipped into -1..1, or as sent in `reference` realisation |
 //! | `eef_pos` | n+1 × 3 | site between the fingertips, world frame, m |
 //! | `eef_quat_xyzw` | n+1 × 4 | hand body, world frame |
 //! | `joint_pos` | n+1 × 7 | arm, rad |

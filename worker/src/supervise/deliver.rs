@@ -190,6 +190,7 @@ fn provenance(evidence: Evidence, identity: Identity, realisation: Realisation) 
         policy_checkpoint_digest: evidence.policy_checkpoint_digest,
         policy_privileged: evidence.policy_privileged,
         policy_canonical_only: evidence.policy_canonical_only,
+        policy_settings: evidence.policy_settings,
         batch_mode: evidence.batch_mode,
         program_version: env!("CARGO_PKG_VERSION").to_owned(),
     }

@@ -32,7 +32,7 @@ result() {
         "init_state_digest": "bb", "realised": {}, "first_frame_digest": "",
         "policy_name": "", "policy_checkpoint": "", "policy_checkpoint_digest": "",
         "policy_privileged": false, "policy_canonical_only": false,
-        "batch_mode": "single"}, "motion": {"path": [], "actions": []},
+        "policy_settings": {}, "batch_mode": "single"}, "motion": {"path": [], "actions": []},
         "is_filmed_next": %s}}' "$1" "$2" | tr -d '\n'
 }
 "#;

@@ -11,6 +11,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
 use attempt::{Pin, Provenance};
+use protocol::Suite;
 use sqlx::SqliteConnection;
 
 use crate::clock::UnixMillis;
@@ -37,6 +38,8 @@ pub(super) struct Cache {
     live: Option<Arc<Vec<Pin>>>,
     siblings: BTreeMap<InitialState, Vec<Sibling>>,
     origins: HashMap<Arc<Provenance>, ProvenanceId>,
+    /// Whose policy a campaign's results of a suite are of.
+    measured: BTreeMap<(CampaignId, Suite), Option<Arc<Provenance>>>,
     /// How often campaigns were leased from, and at which of these each last was.
     turns: u64,
     last_turns: BTreeMap<CampaignId, u64>,
@@ -138,6 +141,35 @@ impl Cache {
         let origin = Arc::new(of.clone());
         self.origins.insert(origin.clone(), id);
         Ok((id, origin))
+    }
+
+    /// An origin of the campaign's results of a suite that says which policy was
+    /// measured; none before the first.
+    pub(super) async fn measured(
+        &mut self,
+        tx: &mut SqliteConnection,
+        campaign: CampaignId,
+        suite: Suite,
+    ) -> Result<Option<Arc<Provenance>>, StoreError> {
+        let key = (campaign, suite);
+        if !self.measured.contains_key(&key) {
+            let stored = provenance::of_suite(tx, campaign, suite).await?;
+            self.measured.insert(key, stored.map(Arc::new));
+        }
+        Ok(self.measured[&key].clone())
+    }
+
+    /// The campaign has a result of a suite, and this is its origin.
+    pub(super) fn add_measured(
+        &mut self,
+        campaign: CampaignId,
+        suite: Suite,
+        origin: &Arc<Provenance>,
+    ) {
+        let known = self.measured.entry((campaign, suite)).or_default();
+        if known.is_none() && !origin.policy_settings.is_empty() {
+            *known = Some(origin.clone());
+        }
     }
 
     /// A campaign was leased from.

@@ -146,6 +146,20 @@ impl Context<'_> {
             };
             return self.refuse(attempt, reason, detail).await;
         }
+        let suite = attempt.row.id.task().suite();
+        let measured = self
+            .cache
+            .measured(&mut self.tx, campaign.id, suite)
+            .await?;
+        if let Some(difference) = measured.and_then(|it| report.provenance.other_policy(&it)) {
+            let name = &campaign.name;
+            let detail = format!(
+                "another policy answers than the one that campaign `{name}` has measured in \
+                 {suite}: its {difference}; serve that one again, or create another campaign"
+            );
+            let reason = FailureReason::PolicyUnavailable;
+            return self.refuse(attempt, reason, detail).await;
+        }
         let demand = Demand {
             realisation: campaign.mode()?,
             row: &attempt.row,
@@ -166,7 +180,8 @@ impl Context<'_> {
             campaigns::pin(&mut self.tx, campaign.id, from, self.now).await?;
             self.cache.forget_campaigns();
         }
-        // From now on its siblings are compared with it.
+        // From now on others are compared with it.
+        self.cache.add_measured(campaign.id, suite, &result.origin);
         self.cache.add_sibling(&attempt.of, result);
         let after = campaign.health.after_commit(attempt.id, self.now);
         self.set_health(&campaign, &after).await?;

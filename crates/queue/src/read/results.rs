@@ -185,6 +185,26 @@ impl View {
         Ok(rows.into_iter().map(|Json(row)| row).collect())
     }
 
+    /// Actions beyond the range in a campaign's results: how many, of how many, and
+    /// in how many rollouts.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn beyond_range(
+        &mut self,
+        campaign: CampaignId,
+    ) -> Result<(i64, i64, i64), StoreError> {
+        sqlx::query_as(
+            "SELECT coalesce(sum(clipped_actions), 0), coalesce(sum(steps), 0),
+                 coalesce(sum(clipped_actions > 0), 0)
+             FROM result WHERE campaign_id = ?",
+        )
+        .bind(campaign)
+        .fetch_one(self.tx())
+        .await
+        .doing("count a campaign's actions beyond the range")
+    }
+
     /// Results of each fingerprint in a campaign, and the tasks and initial
     /// states that have several; none while there is one. Walks the results'
     /// index, and the committed jobs only if there is something to tell.

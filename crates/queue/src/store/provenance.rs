@@ -2,9 +2,12 @@
 //! share it.
 
 use attempt::Provenance;
+use protocol::Suite;
 use sqlx::SqliteConnection;
+use sqlx::types::Json;
 
 use super::{Doing, StoreError};
+use crate::ids::CampaignId;
 
 /// Row number of an origin that is stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, sqlx::Type)]
@@ -21,10 +24,33 @@ macro_rules! provenance {
              'policy_checkpoint_digest', v.policy_checkpoint_digest,
              'policy_privileged', json(iif(v.policy_privileged, 'true', 'false')),
              'policy_canonical_only', json(iif(v.policy_canonical_only, 'true', 'false')),
-             'batch_mode', v.batch_mode, 'program_version', v.program_version) AS provenance"
+             'policy_settings', json(v.policy_settings), 'batch_mode', v.batch_mode, 'program_version', v.program_version) AS provenance"
     };
 }
 pub(crate) use provenance;
+
+/// An origin of a campaign's results of a suite that names its policy's settings.
+pub(crate) async fn of_suite(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+    suite: Suite,
+) -> Result<Option<Provenance>, StoreError> {
+    let found: Option<Json<Provenance>> = sqlx::query_scalar(concat!(
+        "SELECT ",
+        provenance!(),
+        " FROM result r
+         JOIN provenance v ON v.id = r.provenance_id
+         JOIN job j ON j.id = r.job_id
+         WHERE r.campaign_id = ? AND v.policy_settings <> '{}' AND j.task GLOB ? || '/*'
+         LIMIT 1",
+    ))
+    .bind(campaign)
+    .bind(suite.name())
+    .fetch_optional(tx)
+    .await
+    .doing("look for the policy that a suite was measured with")?;
+    Ok(found.map(|Json(origin)| origin))
+}
 
 /// The row number of an origin, which is stored if it is new.
 pub(crate) async fn find_or_insert(
@@ -35,9 +61,9 @@ pub(crate) async fn find_or_insert(
     sqlx::query_scalar(
         "INSERT INTO provenance (host, renderer, fingerprint, mujoco_version, asset_pack,
              asset_pack_digest, realisation, policy_name, policy_checkpoint,
-             policy_checkpoint_digest, policy_privileged, policy_canonical_only, batch_mode,
-             program_version)
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)
+             policy_checkpoint_digest, policy_privileged, policy_canonical_only, policy_settings,
+             batch_mode, program_version)
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)
          ON CONFLICT DO UPDATE SET host = excluded.host RETURNING id",
     )
     .bind(&of.host)
@@ -52,6 +78,7 @@ pub(crate) async fn find_or_insert(
     .bind(&of.policy_checkpoint_digest)
     .bind(of.policy_privileged)
     .bind(of.policy_canonical_only)
+    .bind(Json(&of.policy_settings))
     .bind(&of.batch_mode)
     .bind(&of.program_version)
     .fetch_one(tx)

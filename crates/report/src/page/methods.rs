@@ -6,10 +6,11 @@ use std::collections::BTreeSet;
 use attempt::Provenance;
 use maud::{Markup, html};
 use paired::MIN_TASKS;
+use protocol::Realisation;
 
 use crate::analysis::Analysis;
 use crate::document::Document;
-use crate::subject::Origin;
+use crate::subject::{BeyondRange, Origin};
 
 pub(super) fn methods(document: &Document) -> Markup {
     let bootstrap = document
@@ -65,6 +66,11 @@ fn of_policy(analysis: &Analysis) -> Markup {
         ("MuJoCo", distinct(|p| p.pin.mujoco_version.clone())),
         ("renderer", distinct(|p| p.pin.renderer.clone())),
         ("fingerprint", distinct(|p| p.fingerprint.clone())),
+        ("policy settings", distinct(settings)),
+        (
+            "actions beyond ±1",
+            subject.beyond.map(|it| beyond(it, subject.realisation)),
+        ),
         ("batch mode", distinct(|p| p.batch_mode.clone())),
         (
             "worker",
@@ -110,4 +116,26 @@ fn of_policy(analysis: &Analysis) -> Markup {
             }
         }
     }
+}
+
+fn settings(of: &Provenance) -> String {
+    let settings = of.policy_settings.iter();
+    let settings: Vec<String> = settings
+        .map(|(name, value)| format!("{name} {value}"))
+        .collect();
+    settings.join(", ")
+}
+
+/// How often the order of clipping and of the actuation axis can matter at all.
+fn beyond(of: BeyondRange, realisation: Option<Realisation>) -> String {
+    let BeyondRange {
+        actions,
+        of_actions,
+        rollouts,
+    } = of;
+    let when = match realisation {
+        Some(Realisation::Reference) => "after",
+        _ => "before",
+    };
+    format!("{actions} of {of_actions}, in {rollouts} rollouts; clipped {when} the actuation axis")
 }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use attempt::{Fingerprints, Pin, Provenance};
 use paired::{Count, Outcome};
-use report::{Document, Origin, Quarantined, Subject, import};
+use report::{BeyondRange, Document, Origin, Quarantined, Subject, import};
 
 pub(crate) fn example() -> Subject {
     let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/openvla_oft");
@@ -31,6 +31,7 @@ fn provenance(mujoco_version: &str, batch_mode: &str) -> Provenance {
         policy_checkpoint_digest: "c".repeat(64),
         policy_privileged: false,
         policy_canonical_only: false,
+        policy_settings: [("executed".to_owned(), "8".to_owned())].into(),
         batch_mode: batch_mode.to_owned(),
         program_version: "0.1.0".to_owned(),
     }
@@ -66,6 +67,11 @@ pub(crate) fn broken() -> Subject {
             })
             .collect(),
         left_out: 3,
+        beyond: Some(BeyondRange {
+            actions: 1_234,
+            of_actions: 1_800_000,
+            rollouts: 17,
+        }),
         fingerprints: Some(Fingerprints {
             results: [("f".repeat(64), 8_000), ("e".repeat(64), 3)].into(),
             mixed: (0..7)
