@@ -1,6 +1,9 @@
 """The server on a real socket: what a policy's author may rely on."""
 
+import dataclasses
+import logging
 import os
+import pathlib
 import re
 import signal
 import subprocess
@@ -11,7 +14,8 @@ import numpy as np
 import pytest
 from conftest import Answering, Client, Noisy, Seeing
 
-from rollout_policies import Description, Policy, State, start
+from rollout_policies import Description, Gripper, Policy, State, UnusableDescription, start
+from rollout_policies.broken import BROKEN_WORDS
 from rollout_policies.proto import policy_pb2 as pb
 
 
@@ -40,6 +44,34 @@ def test_the_description_reaches_the_caller(serving):
     camera = described.cameras[0]
     assert (camera.name, camera.width, camera.height) == ("agentview", 3, 2)
     assert list(described.state) == [pb.STATE_FIELD_EEF_POS, pb.STATE_FIELD_GRIPPER_POS]
+
+
+def test_what_was_resolved_reaches_the_caller_and_people(serving):
+    class Resolved(Seeing):
+        description = dataclasses.replace(
+            Seeing.description,
+            checkpoint="org/weights",
+            settings={"image slots": "image=agentview", "revision": "1f2e3d"},
+            gripper=Gripper.RLDS,
+        )
+
+    settings = serving(Resolved()).describe().settings
+    assert [(one.name, one.value) for one in settings] == [
+        ("image slots", "image=agentview"),
+        ("revision", "1f2e3d"),
+        ("gripper", "0 closed, 1 open"),
+    ]
+    assert Resolved.description.lines() == [
+        "policy: seeing",
+        "checkpoint: org/weights",
+        "cameras: agentview 3x2",
+        "state: eef_pos, gripper_pos",
+        "horizon: 1",
+        "execute: 1",
+        "gripper: 0 closed, 1 open",
+        "image slots: image=agentview",
+        "revision: 1f2e3d",
+    ]
 
 
 def test_another_protocol_version_is_refused_naming_both(serving):
@@ -75,6 +107,19 @@ def test_images_arrive_bottom_row_first_and_can_be_turned(serving):
     assert raw[0, 0].tolist() == [0, 1, 2]
     assert policy.observation.upright("agentview")[1, 0].tolist() == [0, 1, 2]
     assert policy.observation.rotated("agentview")[1, 2].tolist() == [0, 1, 2]
+
+
+def test_frames_are_contiguous_and_may_be_written_to(serving):
+    policy = Seeing()
+    client = serving(policy)
+    client.reset()
+    client.infer(observation=pb.Observation(images=[frame()], state=readings()))
+    seen = policy.observation
+    for one in (seen.images["agentview"], seen.upright("agentview"), seen.rotated("agentview")):
+        assert one.flags.c_contiguous and one.flags.writeable
+    # A copy: what is done to it is not done to the frame.
+    seen.upright("agentview")[:] = 0
+    assert seen.images["agentview"][0, 1].tolist() == [3, 4, 5]
 
 
 def test_robot_readings_arrive_by_name_and_join_into_a_vector(serving):
@@ -211,6 +256,146 @@ def test_one_query_of_a_batch_fails_alone_and_neighbours_change_nothing(serving)
     assert code == grpc.StatusCode.INVALID_ARGUMENT and "at most 3" in text
 
 
+class Batching(Policy):
+    """Cannot answer the session that is called "bad"."""
+
+    def __init__(self, error, stateful=False):
+        self.description = Description(name="batching", max_batch=4, stateful=stateful)
+        self.error, self.alone = error, []
+
+    def reset(self, episode):
+        pass
+
+    def infer(self, observation):
+        self.alone.append(observation.episode.session)
+        return self.answers([observation])[0]
+
+    def infer_batch(self, observations):
+        return self.answers(observations)
+
+    def answers(self, observations):
+        if any(observation.episode.session == "bad" for observation in observations):
+            raise self.error
+        return [np.full(7, 0.5) for _ in observations]
+
+
+def answered_in_a_batch(client):
+    for session in ("a", "bad", "b"):
+        client.reset(session)
+    queries = [client.request(session) for session in ("a", "bad", "b")]
+    results = client.stub.InferBatch(pb.InferBatchRequest(queries=queries)).results
+    return [result.error or list(result.response.actions) for result in results]
+
+
+def test_only_the_guilty_query_of_a_batch_fails(serving):
+    policy = Batching(KeyError("butter"))
+    one, guilty, other = answered_in_a_batch(serving(policy))
+    assert one == other == [0.5] * 7
+    assert "'bad'" in guilty and "KeyError: 'butter'" in guilty
+    assert policy.alone == ["a", "bad", "b"]
+
+
+def test_a_batch_that_answers_too_little_is_asked_one_by_one(serving):
+    class Forgetful(Batching):
+        def infer_batch(self, observations):
+            return super().infer_batch(observations[:1])
+
+    policy = Forgetful(KeyError("butter"))
+    client = serving(policy)
+    assert [len(one) == 7 for one in answered_in_a_batch(client)] == [True, False, True]
+
+
+@pytest.mark.parametrize(
+    "policy",
+    [
+        Batching(RuntimeError("CUDA error: device-side assert triggered")),
+        # Its episodes' memories may have moved on.
+        Batching(KeyError("butter"), stateful=True),
+    ],
+    ids=["from which no process recovers", "stateful"],
+)
+def test_a_batch_that_cannot_be_asked_again_fails_as_one(serving, policy):
+    answers = answered_in_a_batch(serving(policy))
+    for session, answer in zip(("a", "bad", "b"), answers):
+        assert f"'{session}'" in answer and "infer raised" in answer
+    assert policy.alone == []
+
+
+def test_after_an_error_from_which_no_process_recovers_nobody_else_is_asked(serving):
+    class Breaking(Batching):
+        def infer_batch(self, observations):
+            raise ValueError("of this batch")
+
+    policy = Breaking(RuntimeError("CUDA out of memory"))
+    one, guilty, other = answered_in_a_batch(serving(policy))
+    assert one == [0.5] * 7
+    assert "out of memory" in guilty and "out of memory" in other
+    assert policy.alone == ["a", "bad"]
+
+
+def test_the_gateway_looks_for_the_same_words_of_a_broken_process():
+    source = pathlib.Path(__file__).parents[2] / "policy-gateway" / "src" / "health.rs"
+    words = re.search(r"BROKEN_WORDS: \[&str; \d+\] = \[(.*?)\]", source.read_text(), re.DOTALL)
+    assert tuple(re.findall(r'"(.*?)"', words[1])) == BROKEN_WORDS
+
+
+@pytest.mark.parametrize(
+    ("gripper", "opens", "closes"),
+    [
+        (Gripper.MINUS_ONE_OPENS, -1, 1),
+        (Gripper.ONE_OPENS, 1, -1),
+        (Gripper.RLDS, 1, 0),
+        (Gripper.ZERO_OPENS, 0, 1),
+    ],
+)
+def test_a_declared_gripper_convention_becomes_the_simulators(serving, gripper, opens, closes):
+    class Gripping(Policy):
+        description = Description(name="gripping", horizon=2, gripper=gripper)
+
+        def reset(self, episode):
+            pass
+
+        def infer(self, observation):
+            return [[0.5] * 6 + [opens], [0.5] * 6 + [closes]]
+
+    client = serving(Gripping())
+    client.reset()
+    assert client.infer().tolist() == [[0.5] * 6 + [-1.0], [0.5] * 6 + [1.0]]
+
+
+@pytest.mark.parametrize(("gripper", "warnings"), [(0.5, 1), (-0.5, 0)])
+def test_a_gripper_that_never_opens_is_warned_of_once(serving, caplog, gripper, warnings):
+    class Closed(Policy):
+        # Of a chunk, what is not executed opens nothing.
+        description = Description(name="closed", horizon=20, execute=10)
+
+        def reset(self, episode):
+            pass
+
+        def infer(self, observation):
+            actions = np.zeros((20, 7))
+            actions[9, 6] = gripper
+            actions[10:, 6] = -1
+            return actions
+
+    client = serving(Closed())
+    with caplog.at_level(logging.WARNING):
+        for session in "abc":
+            client.reset(session)
+            for query_index in range(5):
+                client.infer(session, query_index)
+            client.end(session)
+        # Too short to tell.
+        client.reset("d")
+        client.infer("d")
+        client.end("d")
+        client.reset("e")
+    said = [record.getMessage() for record in caplog.records]
+    assert len(said) == warnings
+    for text in said:
+        assert "'closed'" in text and "session 'a'" in text and "gripper=" in text
+
+
 def test_the_health_service_answers(serving):
     call = serving(Noisy()).channel.unary_unary("/grpc.health.v1.Health/Check")
     name = b"rollout.policy.v1.Policy"
@@ -233,6 +418,26 @@ def test_a_description_that_cannot_be_true_is_refused_when_it_is_made():
         Description(name="p", horizon=8, execute=9)
     with pytest.raises(ValueError, match="a policy needs a name"):
         Description(name="")
+    with pytest.raises(ValueError, match="horizon is 2000, not within 1..1040"):
+        Description(name="p", horizon=2000)
+    with pytest.raises(ValueError, match="setting 'revision' is 3;.* are texts"):
+        Description(name="p", settings={"revision": 3})
+
+
+@pytest.mark.parametrize(
+    ("attributes", "expected"),
+    [
+        ({}, "policy Nameless has no description: write `description = Description"),
+        ({"description": {"name": "p"}}, "description of policy Nameless is of type dict, not"),
+    ],
+)
+def test_a_policy_that_does_not_say_what_it_is_is_told_what_to_write(attributes, expected):
+    methods = {"reset": lambda *_: None, "infer": lambda *_: None}
+    nameless = type("Nameless", (Policy,), {**methods, **attributes})
+    with pytest.raises(UnusableDescription, match=expected):
+        start(nameless())
+    with pytest.raises(UnusableDescription, match="make one"):
+        start(nameless)
 
 
 def test_the_example_names_its_port_serves_and_stops_on_sigterm():

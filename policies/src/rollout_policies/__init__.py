@@ -5,20 +5,40 @@ Subclass `Policy`, say in `description` what it is and wants to see, implement
 sessions, retries, checks and errors. The numbers are the policy's.
 """
 
-from .description import Camera, Description, Language, State
-from .episode import Episode, Observation
-from .policy import Policy
-from .server import Server, serve, start
+from .access import AccessError, UnguardedAddress
+from .actions import UnusableActions
+from .description import Camera, Description, Gripper, Language, State
+from .episode import Episode, Observation, UnusableObservation
+from .fake import fake_episode, fake_observation
+from .policy import Policy, UnusableDescription
+from .processing.actions import Ensemble
+from .processing.images import BILINEAR, LANCZOS3, resize
+from .processing.robot import gripper_from_rlds
+from .server import CannotListen, Server, serve, start
 
 __all__ = [
+    "BILINEAR",
+    "LANCZOS3",
+    "AccessError",
     "Camera",
+    "CannotListen",
     "Description",
+    "Ensemble",
     "Episode",
+    "Gripper",
     "Language",
     "Observation",
     "Policy",
     "Server",
     "State",
+    "UnguardedAddress",
+    "UnusableActions",
+    "UnusableDescription",
+    "UnusableObservation",
+    "fake_episode",
+    "fake_observation",
+    "gripper_from_rlds",
+    "resize",
     "serve",
     "start",
 ]
