@@ -155,6 +155,7 @@ def test_help_says_what_the_docstring_says_and_fits_a_terminal(capsys, monkeypat
         (lambda self, sizes: None, None),
         (lambda self, sizes=(1, 2): None, r"parameter sizes=\(1, 2\) of Odd.*annotate"),
         (lambda self, listen="here": None, "called like a flag of the server.*rename"),
+        (lambda self, help="me": None, "called like a flag of the server.*rename"),
         (lambda self, sizes, /: None, "parameter sizes of Odd"),
     ],
 )

@@ -160,7 +160,7 @@ def is_loopback(host: str) -> bool:
     except OSError:
         # Listening there fails, which says more.
         return False
-    addresses = [ipaddress.ip_address(address.partition("%")[0]) for address in found]
+    addresses = [ipaddress.ip_address(str(address).partition("%")[0]) for address in found]
     mapped = [getattr(address, "ipv4_mapped", None) or address for address in addresses]
     return all(address.is_loopback for address in mapped)
 

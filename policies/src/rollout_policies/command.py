@@ -134,19 +134,19 @@ def _parser(policy_class: type[Policy]) -> tuple[argparse.ArgumentParser, list[s
     )
     group = parser.add_argument_group("policy")
     own = []
-    for parameter in inspect.signature(policy_class, eval_str=True).parameters.values():
-        # What is caught in bulk has no names.
-        if parameter.kind not in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
-            _add_flag(group, policy_class, parameter)
-            own.append(parameter.name)
-    if "execute" not in own:
-        group.add_argument(
-            "--execute",
-            type=int,
-            metavar="N",
-            help="actions of every answer that are executed (default: what the policy says)",
-        )
     try:
+        for parameter in inspect.signature(policy_class, eval_str=True).parameters.values():
+            # What is caught in bulk has no names.
+            if parameter.kind not in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
+                _add_flag(group, policy_class, parameter)
+                own.append(parameter.name)
+        if "execute" not in own:
+            group.add_argument(
+                "--execute",
+                type=int,
+                metavar="N",
+                help="actions of every answer that are executed (default: what the policy says)",
+            )
         add_server_flags(parser)
     except argparse.ArgumentError as error:
         raise UnusableParameter(

@@ -16,7 +16,7 @@ from pathlib import Path
 import grpc
 
 from . import health
-from .access import Tokens, TokenGate, read_tokens, require_guarded, server_credentials
+from .access import TokenGate, Tokens, read_tokens, require_guarded, server_credentials
 from .description import MAX_MESSAGE_BYTES, Description
 from .inference import InferenceThread
 from .policy import Policy, description_of
