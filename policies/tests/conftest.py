@@ -104,6 +104,13 @@ class Answering(Policy):
         return self.answer
 
 
+def refusal(call, *arguments, **fields):
+    """Code and text of a call that is refused."""
+    with pytest.raises(grpc.RpcError) as caught:
+        call(*arguments, **fields)
+    return caught.value.code(), caught.value.details()
+
+
 def gateway_program():
     """The program that the environment variable POLICY_GATEWAY names."""
     program = os.environ.get("POLICY_GATEWAY")

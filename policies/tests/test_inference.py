@@ -10,8 +10,11 @@ from concurrent.futures import CancelledError, ThreadPoolExecutor
 import numpy as np
 import pytest
 from conftest import Client, running
+from test_conformance import around_computed_networks
 
-from rollout_policies import Description, Policy, UnusableActions
+from rollout_policies import Description, Policy, UnusableActions, fake_observation
+from rollout_policies.adapters import openvla_oft, univla
+from rollout_policies.conformance.probe import to_message
 from rollout_policies.inference import InferenceThread
 from rollout_policies.proto import policy_pb2 as pb
 
@@ -124,6 +127,21 @@ def test_calls_are_made_in_turn_and_what_waits_at_the_end_is_cancelled():
     assert "too late" not in made
 
 
+def test_idle_episodes_are_looked_for_while_calls_never_stop_coming():
+    inference, swept = InferenceThread(), threading.Event()
+    gives_up_at = time.monotonic() + PATIENCE
+
+    def again():
+        if swept.is_set() or time.monotonic() > gives_up_at:
+            inference.close()
+        else:
+            inference.submit(again)
+
+    inference.submit(again)
+    inference.work(swept.set, 0.01)
+    assert swept.is_set()
+
+
 def test_queries_under_way_are_answered_before_a_server_stops(tmp_path):
     script = tmp_path / "slow_policy.py"
     script.write_text(
@@ -212,3 +230,21 @@ def test_a_policy_that_takes_no_made_up_episode_is_served_cold_with_a_warning(ca
         policy.warm_up()
     assert policy.sizes == []
     assert "not warmed up" in caplog.text and "another robot's tasks" in caplog.text
+
+
+@pytest.mark.parametrize("name", ["openvla-oft", "univla"])
+def test_frames_that_go_through_a_jpeg_are_prepared_outside_the_turn(serving, monkeypatch, name):
+    [policy] = [it for it in around_computed_networks() if it.description.name == name]
+    prepared_in = []
+
+    def frame(turned):
+        prepared_in.append(threading.current_thread().name)
+        return turned
+
+    monkeypatch.setattr(openvla_oft, "frame", frame)
+    monkeypatch.setattr(univla, "frame", frame)
+    client = serving(policy)
+    client.reset(suite="libero_object", instruction="pick up the butter")
+    client.infer(observation=to_message(fake_observation(policy.description)))
+    assert len(prepared_in) == len(policy.description.cameras)
+    assert "inference" not in prepared_in

@@ -4,8 +4,7 @@ import time
 
 import grpc
 import numpy as np
-import pytest
-from conftest import Noisy
+from conftest import Noisy, refusal
 
 from rollout_policies import Description, Episode, Policy, service
 from rollout_policies.proto import policy_pb2 as pb
@@ -33,9 +32,7 @@ class Remembering(Policy):
 
 
 def code_of(call, *arguments):
-    with pytest.raises(grpc.RpcError) as caught:
-        call(*arguments)
-    return caught.value.code()
+    return refusal(call, *arguments)[0]
 
 
 def test_an_ended_episode_is_told_to_the_policy_and_let_go_of(serving):

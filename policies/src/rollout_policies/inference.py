@@ -36,11 +36,15 @@ class InferenceThread:
         """Makes calls, in this thread, until `close`; calls `sweep` now and then."""
         sweep_at = time.monotonic() + every_secs
         while True:
-            try:
-                waiting = self._calls.get(timeout=max(0.0, sweep_at - time.monotonic()))
-            except queue.Empty:
+            # Before each call: where calls never stop coming, nothing is ever idle.
+            left = sweep_at - time.monotonic()
+            if left <= 0:
                 sweep()
                 sweep_at = time.monotonic() + every_secs
+                continue
+            try:
+                waiting = self._calls.get(timeout=left)
+            except queue.Empty:
                 continue
             if waiting is None:
                 return
