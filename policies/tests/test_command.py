@@ -125,6 +125,7 @@ def test_what_is_wrong_with_access_is_found_before_weights_are_loaded(capsys, tm
             (["--token-file", str(tmp_path / "missing")], "missing: No such file"),
             (["--tls-cert", "c", "--tls-key", "k"], "certificate c and key k"),
             (["--listen", taken.address], taken.address),
+            (["--listen", "localhost"], "'localhost' as an address.*HOST:PORT"),
         ):
             capsys.readouterr()
             with pytest.raises(SystemExit, match=expected):

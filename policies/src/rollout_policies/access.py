@@ -172,7 +172,7 @@ def require_guarded(listen: str, encrypted: bool, tokens: Tokens | None) -> None
     """
     if encrypted and tokens:
         return
-    if listen.startswith("unix:") or is_loopback(listen.rpartition(":")[0]):
+    if is_loopback(listen.rpartition(":")[0]):
         return
     missing = "every client would be let in, in the clear"
     if encrypted:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import logging
+import re
 import signal
 import socket
 import sys
@@ -106,6 +107,7 @@ def start(policy: Policy, listen: str = "127.0.0.1:0") -> Server:
     The policy is asked in a thread of the server's: a model that must stay in
     the thread that made it is for `serve`. `warm_up` is not called.
     """
+    _require_address(listen)
     require_guarded(listen, encrypted=False, tokens=None)
     server = Server(policy, description_of(policy), listen)
     server.work_in_background()
@@ -159,6 +161,7 @@ def require_servable(
 ) -> tuple[grpc.ServerCredentials | None, Tokens | None]:
     """What a server shows and asks for; to be found wrong before weights are
     loaded. Raises UnguardedAddress, AccessError, CannotListen."""
+    _require_address(listen)
     tokens = read_tokens(token_file)
     credentials = None if tls is None else server_credentials(*tls)
     if not insecure:
@@ -167,12 +170,15 @@ def require_servable(
     return credentials, tokens
 
 
+def _require_address(listen: str) -> None:
+    if not re.search(r":\d+$", listen):
+        raise CannotListen(f"failed to read {listen!r} as an address to listen on: write HOST:PORT")
+
+
 def _require_free(listen: str) -> None:
     """Finds a port taken before a long warm-up, not after it. Nothing listens
     there meanwhile, so that callers are refused and not kept waiting."""
     host, _, port = listen.rpartition(":")
-    if not port.isdigit() or listen.startswith("unix:"):
-        return
     try:
         [family, kind, number, _, address], *_ = socket.getaddrinfo(
             host.strip("[]") or None, int(port), type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
