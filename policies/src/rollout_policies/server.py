@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import logging
 import re
 import signal
 import socket
@@ -31,8 +30,6 @@ MAX_CONCURRENT_RPCS = 256
 SHUTDOWN_GRACE_SECS = 10.0
 #: Between two looks for episodes that are idle.
 SWEEP_SECS = 30.0
-
-log = logging.getLogger("rollout_policies")
 
 
 class CannotListen(OSError):
