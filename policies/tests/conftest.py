@@ -26,6 +26,9 @@ class Client:
     def reset(self, session="s", seed=7, **fields):
         self.stub.Reset(pb.ResetRequest(session=session, seed=seed, **fields))
 
+    def end(self, session="s"):
+        self.stub.End(pb.EndRequest(session=session))
+
     def infer(self, session="s", query_index=0, observation=None):
         response = self.stub.Infer(self.request(session, query_index, observation))
         assert response.action_width == 7
@@ -101,23 +104,49 @@ class Answering(Policy):
         return self.answer
 
 
-def assert_conforms(policy):
-    """Serves `policy` and has the gateway's conformance check look at it.
+def refusal(call, *arguments, **fields):
+    """Code and text of a call that is refused."""
+    with pytest.raises(grpc.RpcError) as caught:
+        call(*arguments, **fields)
+    return caught.value.code(), caught.value.details()
 
-    Runs the program that the environment variable POLICY_GATEWAY names.
-    """
+
+def gateway_program():
+    """The program that the environment variable POLICY_GATEWAY names."""
     program = os.environ.get("POLICY_GATEWAY")
     if program is None:
         pytest.skip("POLICY_GATEWAY does not name the policy-gateway program")
-    server = start(policy)
-    try:
-        check = subprocess.run(
-            [program, "check", f"grpc://{server.address}"],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-    finally:
-        server.stop(0)
+    return program
+
+
+def assert_gateway_finds_that_it_conforms(url, *arguments):
+    """Has the gateway's conformance check look at a server."""
+    check = subprocess.run(
+        [gateway_program(), "check", url, *arguments], capture_output=True, text=True, check=False
+    )
     print(check.stdout)
     assert check.returncode == 0, check.stdout + check.stderr
+
+
+def assert_conforms(policy):
+    """Serves `policy` and has the gateway's conformance check look at it."""
+    gateway_program()
+    server = start(policy)
+    try:
+        assert_gateway_finds_that_it_conforms(f"grpc://{server.address}")
+    finally:
+        server.stop(0)
+
+
+@contextlib.contextmanager
+def running(*command, **options):
+    """A server as a process of its own, and what it says after `listening on`."""
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, **options)
+    try:
+        line = process.stdout.readline()
+        assert line.startswith("listening on "), line
+        yield process, line.split()[2]
+    finally:
+        process.terminate()
+        process.wait(timeout=60)
+        process.stdout.close()

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 import rollout_policies
-from rollout_policies.proto import policy_pb2 as pb
+from rollout_policies import Description, check, fake_observation
+from rollout_policies.conformance.probe import to_message
 
-PAGE = pathlib.Path(__file__).parent.parent / "README.md"
+PACKAGE = pathlib.Path(__file__).parent.parent
+PAGE = PACKAGE / "README.md"
 
 
 def samples():
@@ -18,27 +20,30 @@ def samples():
     return found
 
 
-def look(camera):
-    rgb = np.random.default_rng(5).bytes(camera.width * camera.height * 3)
-    return pb.Image(camera=camera.name, width=camera.width, height=camera.height, rgb=rgb)
-
-
 @pytest.mark.parametrize("sample", samples())
 def test_a_sample_serves_a_policy_that_answers(sample, serving, monkeypatch):
     served = []
-    # In place of serving for ever at an address that may be taken.
-    monkeypatch.setattr(rollout_policies, "serve", lambda policy, _: served.append(policy))
+    # In place of serving for ever.
+    monkeypatch.setattr(rollout_policies, "run", lambda made: served.append(made()))
     exec(compile(sample, str(PAGE), "exec"), {"__name__": "__main__"})
     [policy] = served
     client = serving(policy)
     described = client.describe()
     client.reset(instruction="put the milk in the basket", suite="libero_object")
-    widths = {pb.STATE_FIELD_EEF_POS: 3, pb.STATE_FIELD_EEF_AXIS_ANGLE: 3}
-    state = [
-        pb.StateReading(field=field, values=[0.5] * widths.get(field, 2))
-        for field in described.state
-    ]
-    observation = pb.Observation(images=map(look, described.cameras), state=state)
+    observation = to_message(fake_observation(Description.from_message(described)))
     actions = client.infer(observation=observation)
     assert actions.shape == (described.horizon, 7)
     assert np.abs(actions).max() <= 1.0
+    check(policy)
+
+
+def test_everything_that_the_page_names_is_exported():
+    named = set(re.findall(r"`([A-Za-z_0-9]+)\(", PAGE.read_text(encoding="utf-8")))
+    exported = {name for name in named if hasattr(rollout_policies, name)}
+    assert {"check", "fake_observation", "resize", "Ensemble", "gripper_from_rlds"} <= exported
+    assert set(rollout_policies.__all__) >= exported
+
+
+def test_type_checkers_are_told_that_the_package_is_typed():
+    assert (pathlib.Path(rollout_policies.__file__).parent / "py.typed").is_file()
+    assert '"py.typed"' in (PACKAGE / "pyproject.toml").read_text(encoding="utf-8")

@@ -1,5 +1,6 @@
 """The server on a real socket: what a policy's author may rely on."""
 
+import dataclasses
 import os
 import re
 import signal
@@ -9,16 +10,10 @@ import sys
 import grpc
 import numpy as np
 import pytest
-from conftest import Answering, Client, Noisy, Seeing
+from conftest import Answering, Client, Noisy, Seeing, refusal
 
-from rollout_policies import Description, Policy, State, start
+from rollout_policies import Description, Gripper, Policy, State, UnusableDescription, start
 from rollout_policies.proto import policy_pb2 as pb
-
-
-def refusal(call, *arguments, **fields):
-    with pytest.raises(grpc.RpcError) as caught:
-        call(*arguments, **fields)
-    return caught.value.code(), caught.value.details()
 
 
 def frame(width=3, height=2, camera="agentview"):
@@ -40,6 +35,34 @@ def test_the_description_reaches_the_caller(serving):
     camera = described.cameras[0]
     assert (camera.name, camera.width, camera.height) == ("agentview", 3, 2)
     assert list(described.state) == [pb.STATE_FIELD_EEF_POS, pb.STATE_FIELD_GRIPPER_POS]
+
+
+def test_what_was_resolved_reaches_the_caller_and_people(serving):
+    class Resolved(Seeing):
+        description = dataclasses.replace(
+            Seeing.description,
+            checkpoint="org/weights",
+            settings={"image slots": "image=agentview", "revision": "1f2e3d"},
+            gripper=Gripper.RLDS,
+        )
+
+    settings = serving(Resolved()).describe().settings
+    assert [(one.name, one.value) for one in settings] == [
+        ("image slots", "image=agentview"),
+        ("revision", "1f2e3d"),
+        ("gripper", "0 closed, 1 open"),
+    ]
+    assert Resolved.description.lines() == [
+        "policy: seeing",
+        "checkpoint: org/weights",
+        "cameras: agentview 3x2",
+        "state: eef_pos, gripper_pos",
+        "horizon: 1",
+        "execute: 1",
+        "gripper: 0 closed, 1 open",
+        "image slots: image=agentview",
+        "revision: 1f2e3d",
+    ]
 
 
 def test_another_protocol_version_is_refused_naming_both(serving):
@@ -75,6 +98,19 @@ def test_images_arrive_bottom_row_first_and_can_be_turned(serving):
     assert raw[0, 0].tolist() == [0, 1, 2]
     assert policy.observation.upright("agentview")[1, 0].tolist() == [0, 1, 2]
     assert policy.observation.rotated("agentview")[1, 2].tolist() == [0, 1, 2]
+
+
+def test_frames_are_contiguous_and_may_be_written_to(serving):
+    policy = Seeing()
+    client = serving(policy)
+    client.reset()
+    client.infer(observation=pb.Observation(images=[frame()], state=readings()))
+    seen = policy.observation
+    for one in (seen.images["agentview"], seen.upright("agentview"), seen.rotated("agentview")):
+        assert one.flags.c_contiguous and one.flags.writeable
+    # A copy: what is done to it is not done to the frame.
+    seen.upright("agentview")[:] = 0
+    assert seen.images["agentview"][0, 1].tolist() == [3, 4, 5]
 
 
 def test_robot_readings_arrive_by_name_and_join_into_a_vector(serving):
@@ -186,31 +222,6 @@ def test_a_session_that_was_never_opened_is_an_outage(serving):
     assert "'unheard-of'" in text
 
 
-def test_one_query_of_a_batch_fails_alone_and_neighbours_change_nothing(serving):
-    class Batched(Noisy):
-        description = Description(name="batched", horizon=4, stochastic=True, max_batch=3)
-        sizes = []
-
-        def infer_batch(self, observations):
-            self.sizes.append(len(observations))
-            return super().infer_batch(observations)
-
-    policy = Batched()
-    client = serving(policy)
-    for session in "abc":
-        client.reset(session, seed=ord(session))
-    alone = client.infer("c", 1)
-    queries = [client.request("a", 1), client.request("b", 1), client.request("c", 1)]
-    results = client.stub.InferBatch(pb.InferBatchRequest(queries=queries)).results
-    assert policy.sizes == [2]  # c is answered from memory
-    assert np.allclose(results[2].response.actions, alone.ravel())
-    client.reset("d", seed=ord("a"))
-    assert np.allclose(results[0].response.actions, client.infer("d", 1).ravel())
-
-    code, text = refusal(client.stub.InferBatch, pb.InferBatchRequest(queries=queries * 2))
-    assert code == grpc.StatusCode.INVALID_ARGUMENT and "at most 3" in text
-
-
 def test_the_health_service_answers(serving):
     call = serving(Noisy()).channel.unary_unary("/grpc.health.v1.Health/Check")
     name = b"rollout.policy.v1.Policy"
@@ -233,6 +244,26 @@ def test_a_description_that_cannot_be_true_is_refused_when_it_is_made():
         Description(name="p", horizon=8, execute=9)
     with pytest.raises(ValueError, match="a policy needs a name"):
         Description(name="")
+    with pytest.raises(ValueError, match="horizon is 2000, not within 1..1040"):
+        Description(name="p", horizon=2000)
+    with pytest.raises(ValueError, match="setting 'revision' is 3;.* are texts"):
+        Description(name="p", settings={"revision": 3})
+
+
+@pytest.mark.parametrize(
+    ("attributes", "expected"),
+    [
+        ({}, "policy Nameless has no description: write `description = Description"),
+        ({"description": {"name": "p"}}, "description of policy Nameless is of type dict, not"),
+    ],
+)
+def test_a_policy_that_does_not_say_what_it_is_is_told_what_to_write(attributes, expected):
+    methods = {"reset": lambda *_: None, "infer": lambda *_: None}
+    nameless = type("Nameless", (Policy,), {**methods, **attributes})
+    with pytest.raises(UnusableDescription, match=expected):
+        start(nameless())
+    with pytest.raises(UnusableDescription, match="make one"):
+        start(nameless)
 
 
 def test_the_example_names_its_port_serves_and_stops_on_sigterm():

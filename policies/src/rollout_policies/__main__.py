@@ -1,6 +1,8 @@
-"""Serves one of the policies of the LIBERO-CTRL paper, or lists them.
+"""Serves one of the policies of the LIBERO-CTRL paper, lists them, or checks a
+server of any policy.
 
     python -m rollout_policies list
+    python -m rollout_policies check grpc://127.0.0.1:5000
     python -m rollout_policies serve smolvla --listen 127.0.0.1:5000
     python -m rollout_policies serve openvla-oft --suite libero_goal --listen 127.0.0.1:5001
 """
@@ -10,12 +12,17 @@ from __future__ import annotations
 import argparse
 import contextlib
 import logging
+import os
 import sys
 
+from .access import AccessError, UnguardedAddress, read_tokens
 from .adapters import BATCHING, MODULES, NoBatches, Options, load
 from .adapters.upstream import UnusableCheckpoint, UpstreamMissing
 from .catalogue import Entry, NoCheckpoint, entries
-from .server import serve
+from .command import add_server_flags, server_options
+from .conformance import CannotCheck, Target, check_server
+from .fake import TASKS
+from .server import require_servable, serve
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -26,6 +33,8 @@ def main(arguments: list[str] | None = None) -> int:
     if given.command == "list":
         print("\n\n".join(_described(entry) for entry in entries().values()))
         return 0
+    if given.command == "check":
+        return _check(given)
     options = Options(
         checkpoint=given.checkpoint,
         suite=given.suite,
@@ -33,15 +42,17 @@ def main(arguments: list[str] | None = None) -> int:
         max_batch=given.max_batch,
     )
     try:
+        options_of_server = server_options(given)
+        require_servable(**options_of_server)
         # Upstream packages print while they load; the first line of the output
         # is the address.
         with contextlib.redirect_stdout(sys.stderr):
             policy = load(given.policy, options)
-        serve(policy, given.listen)
-    except (NoCheckpoint, NoBatches) as error:
+        serve(policy, **options_of_server)
+    except (NoCheckpoint, NoBatches, UnguardedAddress) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    except (UpstreamMissing, UnusableCheckpoint, OSError) as error:
+    except (UpstreamMissing, UnusableCheckpoint, AccessError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     return 0
@@ -58,7 +69,7 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--checkpoint", metavar="ID", help="hub id or local path of the weights")
     one.add_argument("--suite", help="which weights, where every suite has its own")
     one.add_argument("--device", default="cuda", help="as torch names it (default: cuda)")
-    one.add_argument("--listen", default="127.0.0.1:0", metavar="ADDR", help="port 0: a free one")
+    add_server_flags(one)
     one.add_argument(
         "--max-batch",
         type=_positive,
@@ -67,7 +78,44 @@ def _parser() -> argparse.ArgumentParser:
         help=f"queries in one forward pass, for {' and '.join(BATCHING)}; moves low-order bits"
         " (default: 1)",
     )
+    _add_check(commands.add_parser("check", help="whether a server keeps the policy protocol"))
     return parser
+
+
+def _add_check(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("url", help="grpc://HOST:PORT, or https://HOST:PORT over TLS")
+    parser.add_argument("--policy", default="", help="which, where the server has several")
+    parser.add_argument(
+        "--suite", choices=list(TASKS), default="libero_object", help="whose task is made up"
+    )
+    parser.add_argument(
+        "--ca",
+        metavar="FILE",
+        default=os.environ.get("ROLLOUT_CA") or None,
+        help="certificate authority of the server, PEM, for https:// (or ROLLOUT_CA)",
+    )
+    parser.add_argument(
+        "--token-file",
+        metavar="FILE",
+        default=os.environ.get("ROLLOUT_TOKEN_FILE") or None,
+        help="this client's token, as `ROLE TOKEN` (or ROLLOUT_TOKEN_FILE, or that line in"
+        " ROLLOUT_TOKENS)",
+    )
+
+
+def _check(given: argparse.Namespace) -> int:
+    """Prints a verdict per point; 1 if one of them failed."""
+    try:
+        target = Target(
+            given.url, given.policy, given.suite, given.ca, read_tokens(given.token_file)
+        )
+        findings = check_server(target, lambda finding: print(finding, flush=True))
+    except (CannotCheck, AccessError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    conforms = not any(finding.verdict.failed for finding in findings)
+    print("conforms" if conforms else "does not conform")
+    return 0 if conforms else 1
 
 
 def _positive(text: str) -> int:

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Mapping
 
 from .proto import policy_pb2 as pb
 
 PROTOCOL_VERSION = 1
+#: Longest chunk that a policy may declare: twice LIBERO's longest episode.
+MAX_HORIZON = 1040
+#: Largest message, bytes: as in the gateway and the worker.
+MAX_MESSAGE_BYTES = 32 << 20
 
 
 class State(enum.Enum):
@@ -59,6 +64,24 @@ class Language(enum.Enum):
     IGNORED = pb.LANGUAGE_IGNORED
 
 
+class Gripper(enum.Enum):
+    """What the seventh number of a policy's actions means.
+
+    The simulator wants -1 to open and 1 to close; answers of a policy that
+    declares another convention are converted by this package. Conventions
+    between 0 and 1 are decided at one half, and become -1 or 1.
+    """
+
+    #: LIBERO's own. Numbers in between pass as they are.
+    MINUS_ONE_OPENS = "-1 open, 1 closed"
+    #: The opposite: the sign is changed.
+    ONE_OPENS = "-1 closed, 1 open"
+    #: As in RLDS data: what OpenVLA, Octo and their kin have learnt.
+    RLDS = "0 closed, 1 open"
+    #: The opposite of RLDS.
+    ZERO_OPENS = "0 open, 1 closed"
+
+
 @dataclass(frozen=True)
 class Camera:
     """Frames of one camera, in pixels."""
@@ -79,6 +102,7 @@ class Description:
 
     `horizon` is the most actions that one query may answer, `execute` how many
     of them the robot runs before the next query (all of them by default).
+    A description that cannot be true raises ValueError.
     """
 
     name: str
@@ -97,12 +121,23 @@ class Description:
     language: Language = Language.FREE_FORM
     #: Above 1: `infer_batch` answers up to so many queries at once.
     max_batch: int = 1
+    #: What the seventh number of an answer means.
+    gripper: Gripper = Gripper.MINUS_ONE_OPENS
+    #: What was resolved and decides the actions, one fact each, for example
+    #: {"image slots": "image=agentview", "revision": "1f2e3d"}. Recorded with
+    #: every result, and the same for all results of a campaign and suite.
+    settings: Mapping[str, str] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "cameras", tuple(self.cameras))
         object.__setattr__(self, "state", tuple(self.state))
+        object.__setattr__(self, "settings", dict(self.settings))
         if not self.name:
             raise ValueError("a policy needs a name")
+        if not 1 <= self.horizon <= MAX_HORIZON:
+            raise ValueError(
+                f"policy {self.name!r}: horizon is {self.horizon}, not within 1..{MAX_HORIZON}"
+            )
         if self.execute is None:
             object.__setattr__(self, "execute", self.horizon)
         if not 1 <= self.execute <= self.horizon:
@@ -113,9 +148,25 @@ class Description:
         names = [camera.name for camera in self.cameras]
         if len(set(names)) != len(names):
             raise ValueError(f"policy {self.name!r}: one camera is named twice in {names}")
+        size = sum(3 * camera.width * camera.height for camera in self.cameras)
+        if size > MAX_MESSAGE_BYTES:
+            raise ValueError(
+                f"policy {self.name!r}: its frames are {size} bytes per query, and a message"
+                f" holds {MAX_MESSAGE_BYTES}"
+            )
+        for name, value in self.settings.items():
+            if not (isinstance(name, str) and name and isinstance(value, str)):
+                raise ValueError(
+                    f"policy {self.name!r}: setting {name!r} is {value!r}; names and values of"
+                    " settings are texts"
+                )
 
     def to_message(self) -> pb.DescribeResponse:
-        """The same on the wire."""
+        """The same on the wire, where a gripper that is converted is one of the
+        settings."""
+        settings = dict(self.settings)
+        if self.gripper is not Gripper.MINUS_ONE_OPENS:
+            settings.setdefault("gripper", self.gripper.value)
         return pb.DescribeResponse(
             protocol_version=PROTOCOL_VERSION,
             name=self.name,
@@ -133,4 +184,45 @@ class Description:
             stochastic=self.stochastic,
             language=self.language.value,
             max_batch=self.max_batch,
+            settings=[pb.Setting(name=name, value=value) for name, value in settings.items()],
         )
+
+    @classmethod
+    def from_message(cls, message: pb.DescribeResponse) -> Description:
+        """What a server says of its policy; its actions are LIBERO's.
+
+        Raises ValueError if it cannot be true.
+        """
+        return cls(
+            name=message.name,
+            horizon=message.horizon,
+            execute=message.execute,
+            cameras=tuple(Camera(one.name, one.width, one.height) for one in message.cameras),
+            state=tuple(State(number) for number in message.state),
+            checkpoint=message.checkpoint,
+            checkpoint_digest=message.checkpoint_digest,
+            parameters=message.parameters,
+            stateful=message.stateful,
+            stochastic=message.stochastic,
+            language=Language(message.language or pb.LANGUAGE_FREE_FORM),
+            max_batch=max(1, message.max_batch),
+            settings={setting.name: setting.value for setting in message.settings},
+        )
+
+    def lines(self) -> list[str]:
+        """Everything that was resolved, one `name: value` each, for people."""
+        cameras = [f"{camera.name} {camera.width}x{camera.height}" for camera in self.cameras]
+        facts = {
+            "policy": self.name,
+            "checkpoint": self.checkpoint,
+            "digest": self.checkpoint_digest,
+            "parameters": f"{self.parameters:,}" if self.parameters else "",
+            "cameras": ", ".join(cameras) or "none",
+            "state": ", ".join(reading.name.lower() for reading in self.state) or "none",
+            "horizon": f"{self.horizon}",
+            "execute": f"{self.execute}",
+            "gripper": self.gripper.value,
+            "batches": f"up to {self.max_batch}" if self.max_batch > 1 else "",
+            **self.settings,
+        }
+        return [f"{name}: {value}" for name, value in facts.items() if value]

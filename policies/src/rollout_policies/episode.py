@@ -24,7 +24,8 @@ class Episode:
     instruction: str
     #: The policy's seed of this rollout and replicate.
     seed: int
-    #: Whatever the policy keeps between queries; set it in `reset`.
+    #: Whatever the policy keeps between queries; set it in `reset`. The server
+    #: lets go of it when the episode is over.
     memory: Any = None
 
     def rng(self, query_index: int) -> np.random.Generator:
@@ -44,11 +45,14 @@ class Observation:
     episode: Episode
     #: 0, 1, 2, ... within the episode.
     query_index: int
-    #: By camera name: uint8 [height, width, 3], RGB, read-only. Row 0 is the
-    #: BOTTOM of the picture, as the simulator renders it.
+    #: By camera name: uint8 [height, width, 3], RGB, contiguous and this
+    #: observation's own. Row 0 is the BOTTOM of the picture, as the simulator
+    #: renders it.
     images: Mapping[str, np.ndarray]
     #: By reading: float64, in the units that `State` names.
     state: Mapping[State, np.ndarray] = field(default_factory=dict)
+    #: What the policy's `prepare` made of it.
+    prepared: Any = None
 
     @property
     def rng(self) -> np.random.Generator:
@@ -56,13 +60,15 @@ class Observation:
         return self.episode.rng(self.query_index)
 
     def upright(self, camera: str) -> np.ndarray:
-        """A camera's frame with row 0 at the top: what a person would see."""
-        return self.images[camera][::-1]
+        """A camera's frame with row 0 at the top: what a person would see. A
+        contiguous copy, as `torch.from_numpy` wants it."""
+        return self.images[camera][::-1].copy()
 
     def rotated(self, camera: str) -> np.ndarray:
         """A camera's frame turned by 180 degrees: upright, left and right
-        exchanged. Most LIBERO checkpoints were trained on this."""
-        return self.images[camera][::-1, ::-1]
+        exchanged. Most LIBERO checkpoints were trained on this. A contiguous
+        copy, as `torch.from_numpy` wants it."""
+        return self.images[camera][::-1, ::-1].copy()
 
     def vector(self, *fields: State) -> np.ndarray:
         """Readings end to end, in this order; all that were asked for, in
@@ -95,7 +101,8 @@ def read_observation(
                 f" {len(frame.rgb)} bytes, not {camera.width}x{camera.height} in"
                 f" {int(np.prod(shape))}"
             )
-        images[camera.name] = np.frombuffer(frame.rgb, dtype=np.uint8).reshape(shape)
+        # A copy, because what lies in a message cannot be written to.
+        images[camera.name] = np.frombuffer(frame.rgb, dtype=np.uint8).reshape(shape).copy()
     state = {}
     for wanted in description.state:
         reading = readings.get(wanted.value)

@@ -139,10 +139,12 @@ class OpenVlaOft(Policy):
     def reset(self, episode: Episode) -> None:
         require_suite(self.entry, self.suite, episode)
 
+    def prepare(self, observation: Observation) -> tuple[np.ndarray, ...]:
+        return tuple(frame(observation.rotated(camera.name)) for camera in (SCENE, WRIST))
+
     def infer(self, observation: Observation) -> np.ndarray:
         actions = self.model.chunk(
-            frame(observation.rotated(SCENE.name)),
-            frame(observation.rotated(WRIST.name)),
+            *(observation.prepared or self.prepare(observation)),
             prompt(observation.episode.instruction),
             proprio(state_vector(observation), self.model.proprio_statistics),
         )

@@ -125,10 +125,13 @@ class UniVla(Policy):
         require_suite(self.entry, self.suite, episode)
         episode.memory = Memory()
 
+    def prepare(self, observation: Observation) -> tuple[np.ndarray]:
+        return (frame(observation.rotated(SCENE.name)),)
+
     def infer(self, observation: Observation) -> np.ndarray:
         memory = observation.episode.memory
         chunk, tokens = self.model.chunk(
-            frame(observation.rotated(SCENE.name)),
+            *(observation.prepared or self.prepare(observation)),
             prompt_after(observation.episode.instruction, memory.history),
             seed_of(observation),
         )

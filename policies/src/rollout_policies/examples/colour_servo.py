@@ -10,8 +10,6 @@ nothing and solves next to no task.
 
 from __future__ import annotations
 
-import argparse
-
 import numpy as np
 
 from rollout_policies import (
@@ -22,7 +20,7 @@ from rollout_policies import (
     Observation,
     Policy,
     State,
-    serve,
+    run,
 )
 
 WRIST = "robot0_eye_in_hand"
@@ -46,6 +44,8 @@ GRASPABLE_WIDTH = 0.18
 
 
 class ColourServo(Policy):
+    """Serves a policy without weights that reaches for colours."""
+
     description = Description(
         name="colour-servo",
         checkpoint="example: no weights",
@@ -97,11 +97,5 @@ def smooth(values: np.ndarray) -> np.ndarray:
     return windows.mean(axis=(2, 3))
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--listen", default="127.0.0.1:0", metavar="ADDR")
-    serve(ColourServo(), parser.parse_args().listen)
-
-
 if __name__ == "__main__":
-    main()
+    run(ColourServo)

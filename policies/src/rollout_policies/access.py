@@ -1,0 +1,242 @@
+"""Who may connect to a server: a certificate, tokens, and the rule that other
+machines need both. Files and words are those of the gateway's server."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import ipaddress
+import logging
+import os
+import socket
+import ssl
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import grpc
+
+ROLES = ("worker", "operator", "viewer")
+#: Who may ask a policy.
+ASKING_ROLES = ("worker", "operator")
+#: Bytes in a token, tokens in a file, and bytes of a file.
+MIN_TOKEN_BYTES, MAX_TOKEN_BYTES = 16, 256
+MAX_TOKENS = 256
+MAX_TOKEN_FILE_BYTES = 128 << 10
+#: Environment variable that holds the lines of a token file.
+TOKENS_VARIABLE = "ROLLOUT_TOKENS"
+#: Whether a server is up is no secret.
+HEALTH_PATH = "/grpc.health.v1.Health/"
+#: A refusal of the same kind to the same machine is logged again after this.
+LOGGED_AGAIN_SECS = 600.0
+#: Refusals that are remembered for that.
+MAX_LOGGED = 1024
+
+log = logging.getLogger("rollout_policies")
+
+
+class AccessError(ValueError):
+    """Certificate, key or tokens are no use. Never holds a token."""
+
+
+class UnguardedAddress(ValueError):
+    """Other machines could connect, and something is missing for that."""
+
+
+@dataclass(frozen=True)
+class Tokens:
+    """Tokens with their roles, in the order of their file."""
+
+    entries: tuple[tuple[str, str], ...]
+
+    def __repr__(self) -> str:
+        return f"Tokens({len(self.entries)})"
+
+    @classmethod
+    def read(cls, path: str | Path) -> Tokens:
+        """Reads a token file: one `ROLE TOKEN` per line, empty lines and those
+        that begin with `#` skipped. Raises AccessError."""
+        try:
+            with open(path, "rb") as file:
+                data = file.read(MAX_TOKEN_FILE_BYTES + 1)
+            if len(data) > MAX_TOKEN_FILE_BYTES:
+                raise AccessError(
+                    f"failed to read token file {path}: it is larger than"
+                    f" {MAX_TOKEN_FILE_BYTES} bytes"
+                )
+            text = data.decode("utf-8")
+        except OSError as error:
+            raise AccessError(f"failed to read token file {path}: {error.strerror}") from error
+        except UnicodeDecodeError:
+            raise AccessError(f"failed to read token file {path}: it is not UTF-8") from None
+        return cls.parse(text, f"token file {path}")
+
+    @classmethod
+    def parse(cls, text: str, place: str) -> Tokens:
+        """Reads the text of a token file. Raises AccessError, which names the
+        place and the line."""
+        entries = []
+        for number, line in enumerate(text.splitlines(), 1):
+            words = line.split()
+            if not words or words[0].startswith("#"):
+                continue
+            problem = _problem(words)
+            if problem:
+                raise AccessError(
+                    f"failed to read line {number} of {place}: {problem}; write one `ROLE TOKEN`"
+                    " per line, the role being worker, operator or viewer"
+                )
+            entries.append((words[0], words[1]))
+        if not entries:
+            raise AccessError(
+                f"failed to find a token in {place}: write one `ROLE TOKEN` per line"
+            )
+        if len(entries) > MAX_TOKENS:
+            raise AccessError(f"failed to read {place}: it holds more than {MAX_TOKENS} tokens")
+        return cls(tuple(entries))
+
+    def role_of(self, shown: str) -> str | None:
+        """The role that a token gives, in a time that tells nothing about it."""
+        digest = _digest(shown)
+        found = None
+        for role, token in self.entries:
+            if hmac.compare_digest(digest, _digest(token)):
+                found = role
+        return found
+
+    def for_role(self, *roles: str) -> str | None:
+        """The first token of one of these roles, in the order of the roles."""
+        return next((token for role in roles for has, token in self.entries if has == role), None)
+
+
+def _problem(words: list[str]) -> str | None:
+    if len(words) != 2:
+        return "it is not two words"
+    role, token = words
+    if role not in ROLES:
+        return "its first word is no role"
+    if len(token) < MIN_TOKEN_BYTES:
+        return "the token is too short to be a secret: take 32 random hex digits"
+    if len(token) > MAX_TOKEN_BYTES:
+        return "the token is longer than any token"
+    if not all("!" <= character <= "~" for character in token):
+        return "the token holds something other than visible ASCII characters"
+    return None
+
+
+def _digest(secret: str) -> bytes:
+    return hashlib.sha256(secret.encode("utf-8", "surrogateescape")).digest()
+
+
+def read_tokens(path: str | Path | None) -> Tokens | None:
+    """Tokens of a file, or else of the environment; None where neither is."""
+    if path is not None:
+        return Tokens.read(path)
+    text = os.environ.get(TOKENS_VARIABLE)
+    return Tokens.parse(text, TOKENS_VARIABLE) if text else None
+
+
+def server_credentials(certificate: str | Path, key: str | Path) -> grpc.ServerCredentials:
+    """What a server shows its clients. Raises AccessError."""
+    try:
+        # gRPC would only log that they do not fit.
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        context.load_cert_chain(certificate, key, password="")
+        pair = Path(key).read_bytes(), Path(certificate).read_bytes()
+    except OSError as error:
+        raise AccessError(
+            f"failed to use certificate {certificate} and key {key} ({error.strerror or error}):"
+            " give a PEM chain, and the private key of its first certificate, as PEM"
+        ) from error
+    return grpc.ssl_server_credentials([pair])
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine reaches a host."""
+    host = host.strip("[]")
+    try:
+        found = {info[4][0] for info in socket.getaddrinfo(host or "0.0.0.0", None)}
+    except OSError:
+        # Listening there fails, which says more.
+        return False
+    addresses = [ipaddress.ip_address(str(address).partition("%")[0]) for address in found]
+    mapped = [getattr(address, "ipv4_mapped", None) or address for address in addresses]
+    return all(address.is_loopback for address in mapped)
+
+
+def require_guarded(listen: str, encrypted: bool, tokens: Tokens | None) -> None:
+    """Refuses an address that other machines reach, without TLS or tokens.
+
+    Raises UnguardedAddress.
+    """
+    if encrypted and tokens:
+        return
+    if is_loopback(listen.rpartition(":")[0]):
+        return
+    missing = "every client would be let in, in the clear"
+    if encrypted:
+        missing = "every client would be let in without a token"
+    elif tokens:
+        missing = "tokens would be sent in the clear"
+    raise UnguardedAddress(
+        f"failed to listen on {listen}: other machines can reach that, and {missing}; give"
+        " --tls-cert, --tls-key and --token-file, or --insecure if only trusted people reach this"
+        " network (in Python: tls, token_file, insecure)"
+    )
+
+
+class TokenGate(grpc.ServerInterceptor):
+    """Demands a token of a role that may ask policies."""
+
+    def __init__(self, tokens: Tokens) -> None:
+        self._tokens = tokens
+        self._lock = threading.Lock()
+        self._logged: dict[tuple[str, grpc.StatusCode], float] = {}
+
+    def intercept_service(self, continuation, handler_call_details):
+        if handler_call_details.method.startswith(HEALTH_PATH):
+            return continuation(handler_call_details)
+        shown = dict(handler_call_details.invocation_metadata or ()).get("authorization", "")
+        if not isinstance(shown, str) or not shown.startswith("Bearer "):
+            return self._refusal(
+                grpc.StatusCode.UNAUTHENTICATED,
+                "be let in without a token: name a --token-file (it is sent over https:// and to"
+                " this machine only)",
+            )
+        role = self._tokens.role_of(shown[len("Bearer ") :])
+        if role is None:
+            return self._refusal(
+                grpc.StatusCode.UNAUTHENTICATED,
+                "be let in: the token is none that this server knows",
+            )
+        if role not in ASKING_ROLES:
+            return self._refusal(
+                grpc.StatusCode.PERMISSION_DENIED,
+                f"do this with the token of a {role}: it takes that of {' or '.join(ASKING_ROLES)}",
+            )
+        return continuation(handler_call_details)
+
+    def _refusal(self, code: grpc.StatusCode, why: str) -> grpc.RpcMethodHandler:
+        def refuse(_request, context):
+            peer = context.peer().rpartition(":")[0]
+            if self._is_news(peer, code):
+                log.warning(
+                    "a request of %s was refused, it failed to %s (more of this kind from there"
+                    " is not logged)",
+                    peer,
+                    why,
+                )
+            context.abort(code, why)
+
+        return grpc.unary_unary_rpc_method_handler(refuse)
+
+    def _is_news(self, peer: str, code: grpc.StatusCode) -> bool:
+        now = time.monotonic()
+        with self._lock:
+            if now - self._logged.get((peer, code), -LOGGED_AGAIN_SECS) < LOGGED_AGAIN_SECS:
+                return False
+            if len(self._logged) >= MAX_LOGGED:
+                self._logged.clear()
+            self._logged[peer, code] = now
+            return True

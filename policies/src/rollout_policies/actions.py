@@ -1,0 +1,52 @@
+"""What a policy answers: the check of its shape, and the gripper's conventions."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .description import Gripper
+from .processing.robot import gripper_from_rlds
+
+ACTION_WIDTH = 7
+
+
+class UnusableActions(ValueError):
+    """A policy answered something that is no chunk of actions."""
+
+
+def read_actions(answer: object, horizon: int) -> np.ndarray:
+    """Checks a policy's answer and returns it as float32 [n, 7].
+
+    Raises UnusableActions. Numbers beyond -1..1 pass: the worker clips them,
+    and counts them in the result.
+    """
+    try:
+        actions = np.atleast_2d(np.asarray(answer, dtype=np.float32))
+    except (TypeError, ValueError) as error:
+        raise UnusableActions(f"it answered no array of numbers: {error}") from error
+    if actions.ndim != 2 or actions.shape[1] != ACTION_WIDTH:
+        raise UnusableActions(f"its actions have shape {list(actions.shape)}, not [n, 7]")
+    if not 1 <= len(actions) <= horizon:
+        raise UnusableActions(f"it answered {len(actions)} actions, of a horizon of {horizon}")
+    if not np.isfinite(actions).all():
+        row, column = np.argwhere(~np.isfinite(actions))[0]
+        raise UnusableActions(
+            f"component {column} of action {row} is {actions[row, column]}"
+        )
+    return actions
+
+
+def to_simulator(actions: np.ndarray, gripper: Gripper) -> np.ndarray:
+    """Actions float32 [n, 7] of this convention with the simulator's: -1 open,
+    1 closed."""
+    if gripper is Gripper.MINUS_ONE_OPENS:
+        return actions
+    if gripper is Gripper.RLDS:
+        return gripper_from_rlds(actions).astype(np.float32)
+    turned = actions.copy()
+    turned[:, -1] *= -1
+    if gripper is Gripper.ZERO_OPENS:
+        # Turned, it counts from -1 (closed) to 0 (open); plus 1, as RLDS does.
+        turned[:, -1] += 1
+        return gripper_from_rlds(turned).astype(np.float32)
+    return turned

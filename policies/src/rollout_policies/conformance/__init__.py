@@ -1,0 +1,70 @@
+"""Whether a policy keeps the policy protocol: what `check` and `python -m
+rollout_policies check URL` ask, point by point, as `policy-gateway check` does.
+
+It judges the protocol, not the policy: the observations are made up, and no
+answer to them is a good or a bad one.
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import Callable
+
+from ..policy import Policy, description_of
+from ..server import Server
+from .points import Finding, examine
+from .probe import CannotCheck, Probe, Target
+
+__all__ = ["CannotCheck", "DoesNotConform", "Finding", "Target", "check", "check_server"]
+
+
+class DoesNotConform(AssertionError):
+    """A policy does not keep the protocol; the text has the points."""
+
+    def __init__(self, findings: list[Finding]) -> None:
+        failed = [str(finding) for finding in findings if finding.verdict.failed]
+        super().__init__("\n".join(["the policy does not conform:", *failed]))
+        self.findings = findings
+
+
+def check(policy: Policy, *, suite: str = "libero_object") -> list[Finding]:
+    """Checks a policy in this process, for its unit tests.
+
+    It is served on the loopback address and asked in this thread, for episodes
+    of a task of `suite`. Returns what was found. Raises DoesNotConform, and
+    CannotCheck if the policy answers no query.
+    """
+    server = Server(policy, description_of(policy), "127.0.0.1:0")
+    outcome: list[list[Finding] | BaseException] = []
+
+    def ask() -> None:
+        try:
+            outcome.append(check_server(Target(f"grpc://{server.address}", suite=suite)))
+        except BaseException as error:
+            outcome.append(error)
+        finally:
+            server.stop(0)
+
+    asking = threading.Thread(target=ask, name="check", daemon=True)
+    asking.start()
+    server.work()
+    asking.join()
+    [findings] = outcome
+    if isinstance(findings, BaseException):
+        raise findings
+    if any(finding.verdict.failed for finding in findings):
+        raise DoesNotConform(findings)
+    return findings
+
+
+def check_server(
+    target: Target, report: Callable[[Finding], None] = lambda _: None
+) -> list[Finding]:
+    """Checks the server at an address, telling `report` each finding as it is
+    known. Raises CannotCheck."""
+    findings = []
+    with Probe(target) as probe:
+        for finding in examine(probe):
+            findings.append(finding)
+            report(finding)
+    return findings

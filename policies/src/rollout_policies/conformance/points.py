@@ -1,0 +1,128 @@
+"""The points of the protocol, and in which order they are checked."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+from typing import Iterator
+
+import grpc
+
+from . import verdict
+from .probe import QUERIES, CannotCheck, Played, Probe
+from .verdict import Verdict
+
+#: Seed of the episode that others are compared with, and one that may differ.
+SEED, OTHER_SEED = 1, 2
+#: Episodes at once while throughput is measured.
+CONCURRENCY = 8
+
+
+class Point(enum.Enum):
+    """One point of the protocol, as a sentence that should be true; in the order
+    in which they are checked."""
+
+    DESCRIPTION = "the description can be true"
+    VERSION = "another protocol version is refused"
+    HEALTH = "the health service says that it serves"
+    SHAPE = "answers are finite actions, n × 7, within the horizon"
+    RANGE = "actions lie within -1..1"
+    RETRY = "a retry gets the same actions"
+    SAME_SEED = "the same seed gives the same actions"
+    OTHER_SEED = "another seed gives other actions just if declared stochastic"
+    ORDER = "the order of queries changes nothing"
+    ISOLATION = "sessions do not touch one another"
+    RESTART = "a Reset starts an open session anew"
+    BATCH = "a batch's neighbours change nothing"
+    UNOPENED = "a session that was never opened is refused"
+    END = "the end of an episode is noted"
+    SPEED = "it answers at speed"
+
+
+#: Points that compare episodes of one seed.
+SEEDED = frozenset(
+    {
+        Point.SAME_SEED,
+        Point.OTHER_SEED,
+        Point.ORDER,
+        Point.ISOLATION,
+        Point.RESTART,
+        Point.BATCH,
+    }
+)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """How a server does on one point."""
+
+    point: Point
+    verdict: Verdict
+
+    def __str__(self) -> str:
+        text = f": {self.verdict.text}" if self.verdict.text else ""
+        return f"{self.verdict.word.value}  {self.point.value}{text}"
+
+
+def examine(probe: Probe) -> Iterator[Finding]:
+    """Checks point by point, by comparison with an episode of SEED.
+
+    Raises CannotCheck if there is none.
+    """
+    try:
+        reference = probe.episode("reference", SEED)
+    except grpc.RpcError as error:
+        why = verdict.words_of(error)
+        raise CannotCheck(f"failed to play one episode: {why}") from error
+    for point in Point:
+        try:
+            found = _examined(point, probe, reference)
+        except grpc.RpcError as error:
+            found = verdict.refused(error)
+        except CannotCheck as error:
+            found = verdict.failed(str(error))
+        yield Finding(point, found)
+
+
+def _examined(point: Point, probe: Probe, reference: Played) -> Verdict:
+    described, answers = probe.described, reference.answers
+    if point in SEEDED and described.unseeded:
+        return verdict.skipped(
+            "its random numbers follow no seed, so that no two episodes are alike"
+        )
+    if point is Point.DESCRIPTION:
+        return verdict.description(described)
+    if point is Point.VERSION:
+        return probe.other_version()
+    if point is Point.HEALTH:
+        return probe.health()
+    if point is Point.SHAPE:
+        return verdict.shapes(answers, described.horizon)
+    if point is Point.RANGE:
+        return verdict.numbers_range(answers)
+    if point is Point.RETRY:
+        return verdict.same(*probe.retries(SEED))
+    if point is Point.SAME_SEED:
+        return verdict.same(answers, probe.episode("again", SEED).answers)
+    if point is Point.OTHER_SEED:
+        other = probe.episode("other seed", OTHER_SEED).answers
+        return verdict.seeds(described.stochastic, answers, other)
+    if point is Point.ORDER:
+        if described.stateful:
+            return verdict.skipped("the policy is stateful: its queries come in order")
+        backward = probe.episode("backward", SEED, range(QUERIES - 1, -1, -1))
+        return verdict.same(answers, backward.answers)
+    if point is Point.ISOLATION:
+        return verdict.same(answers, probe.interleaved(SEED, OTHER_SEED))
+    if point is Point.RESTART:
+        return verdict.same(answers, probe.restarted(SEED, OTHER_SEED))
+    if point is Point.BATCH:
+        if described.max_batch <= 1:
+            return verdict.skipped("the policy declares no batches")
+        return verdict.batch(answers, probe.batched(SEED))
+    if point is Point.UNOPENED:
+        return probe.unopened()
+    if point is Point.END:
+        return probe.ended(SEED)
+    wall_secs, together = probe.side_by_side(CONCURRENCY)
+    return verdict.speed(reference.latencies, CONCURRENCY, wall_secs, together)

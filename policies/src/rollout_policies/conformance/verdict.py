@@ -1,0 +1,180 @@
+"""The verdicts: pure functions of what a server answered."""
+
+from __future__ import annotations
+
+import enum
+import math
+from dataclasses import dataclass
+from typing import Sequence
+
+import grpc
+import numpy as np
+
+from ..actions import ACTION_WIDTH, UnusableActions, read_actions
+from ..description import Description
+from ..proto import policy_pb2 as pb
+
+#: How far beyond 1 a number may lie and still be an action that a worker clips;
+#: more is a policy that answers in other units.
+LARGEST_PLAUSIBLE = 2.0
+#: How far a batch may move an action. Kernels for other batch sizes add in
+#: another order, which moves low-order bits.
+BATCH_TOLERANCE = 1e-3
+
+
+class Word(enum.Enum):
+    """How a server does on one point."""
+
+    PASS = "pass"
+    FAIL = "FAIL"
+    #: The point does not apply.
+    SKIP = "skip"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How a server does on one point, and what to know of it."""
+
+    word: Word
+    text: str = ""
+
+    @property
+    def failed(self) -> bool:
+        """Whether the protocol is not kept."""
+        return self.word is Word.FAIL
+
+
+def passed(note: str = "") -> Verdict:
+    return Verdict(Word.PASS, note)
+
+
+def failed(reason: str) -> Verdict:
+    return Verdict(Word.FAIL, reason)
+
+
+def skipped(reason: str) -> Verdict:
+    return Verdict(Word.SKIP, reason)
+
+
+def refused(error: grpc.RpcError) -> Verdict:
+    """Fails because there was no answer to judge."""
+    return failed(f"the server refused: {words_of(error)}")
+
+
+def words_of(error: grpc.RpcError) -> str:
+    """A failed call, for people."""
+    return f"{error.details()} ({error.code().name})"
+
+
+def description(described: pb.DescribeResponse) -> Verdict:
+    """A description, and whether it can be true."""
+    try:
+        Description.from_message(described)
+    except ValueError as error:
+        return failed(str(error))
+    return passed(
+        f'"{described.name}", checkpoint "{described.checkpoint}", horizon {described.horizon},'
+        f" execute {described.execute}"
+    )
+
+
+def shapes(answers: Sequence[pb.InferResponse], horizon: int) -> Verdict:
+    """Every answer of an episode, its query index being its place."""
+    for at, answer in enumerate(answers):
+        numbers = len(answer.actions)
+        if answer.action_width != ACTION_WIDTH:
+            return failed(
+                f"at query {at}, its actions are {answer.action_width} numbers wide, not"
+                f" {ACTION_WIDTH}"
+            )
+        if numbers % ACTION_WIDTH:
+            return failed(
+                f"at query {at}, it answered {numbers} numbers, which are no whole actions of"
+                f" {ACTION_WIDTH}"
+            )
+        try:
+            read_actions(np.reshape(answer.actions, (-1, ACTION_WIDTH)), horizon)
+        except UnusableActions as error:
+            return failed(f"at query {at}, {error}")
+    return passed()
+
+
+def numbers_range(answers: Sequence[pb.InferResponse]) -> Verdict:
+    """Whether the numbers are actions."""
+    largest = max((abs(number) for answer in answers for number in answer.actions), default=0.0)
+    if largest <= 1.0:
+        return passed()
+    if largest <= LARGEST_PLAUSIBLE:
+        return passed(f"the largest is {largest:.4g}: workers clip it, and count that")
+    return failed(f"the largest is {largest:.4g}: is it un-normalised?")
+
+
+def same(expected: Sequence[pb.InferResponse], found: Sequence[pb.InferResponse]) -> Verdict:
+    """Whether two episodes were answered alike, bit for bit."""
+    at = first_difference(expected, found)
+    return passed() if at is None else failed(f"at query {at} the actions differ")
+
+
+def seeds(
+    stochastic: bool, one: Sequence[pb.InferResponse], other: Sequence[pb.InferResponse]
+) -> Verdict:
+    """Whether other seeds do what the policy declares of them."""
+    at = first_difference(one, other)
+    if stochastic and at is None:
+        return failed("it declares itself stochastic, but seeds 1 and 2 give the same")
+    if not stochastic and at is not None:
+        return failed(f"it declares itself deterministic, but seeds 1 and 2 differ at query {at}")
+    return passed()
+
+
+def batch(alone: Sequence[pb.InferResponse], batched: Sequence[pb.InferResponse]) -> Verdict:
+    """Whether answers in a batch are those given alone."""
+    if first_difference(alone, batched) is None:
+        return passed("bit for bit")
+    lengths = [[len(answer.actions) for answer in answers] for answers in (alone, batched)]
+    if lengths[0] != lengths[1]:
+        return failed("in a batch there are other numbers of actions")
+    differences = [abs(a - b) for a, b in zip(_numbers(alone), _numbers(batched))]
+    largest = max(differences)
+    # A NaN is not at most anything.
+    if largest <= BATCH_TOLERANCE and not any(map(math.isnan, differences)):
+        return passed(f"but they move actions by up to {largest:.1e}: batches cost reproducibility")
+    return failed(f"in a batch the actions differ by up to {largest:.4g}")
+
+
+def speed(
+    alone: Sequence[float], concurrency: int, wall_secs: float, together: Sequence[float]
+) -> Verdict:
+    """Latencies, s, of queries one by one, and of `concurrency` episodes at once
+    that took `wall_secs` in all."""
+    return passed(
+        f"one by one {_percentiles(alone)}; {concurrency} episodes at once"
+        f" {_percentiles(together)}, {len(together) / wall_secs:.0f} queries/s"
+    )
+
+
+def first_difference(
+    one: Sequence[pb.InferResponse], other: Sequence[pb.InferResponse]
+) -> int | None:
+    """The first query at which two episodes differ."""
+    bits = [
+        [np.array(answer.actions, dtype=np.float32).tobytes() for answer in answers]
+        for answers in (one, other)
+    ]
+    for at, (a, b) in enumerate(zip(*bits)):
+        if a != b:
+            return at
+    return None if len(one) == len(other) else min(len(one), len(other))
+
+
+def _numbers(answers: Sequence[pb.InferResponse]) -> list[float]:
+    return [number for answer in answers for number in answer.actions]
+
+
+def _percentiles(latencies: Sequence[float]) -> str:
+    ordered = sorted(latencies)
+
+    def at(share: float) -> float:
+        return 1e3 * ordered[max(1, math.ceil(share * len(ordered))) - 1]
+
+    return f"p50 {at(0.5):.2f} ms, p99 {at(0.99):.2f} ms"

@@ -1,0 +1,88 @@
+"""Made-up observations: all that a policy can ask for, of the right shape and
+of plausible size, and the same for the same seed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .description import Camera, Description, State
+from .episode import Episode, Observation
+
+#: Suites, and the canonical instruction of a task of each.
+TASKS = {
+    "libero_object": "pick up the butter and place it in the basket",
+    "libero_spatial": (
+        "pick up the black bowl between the plate and the ramekin and place it on the plate"
+    ),
+    "libero_goal": "open the middle drawer of the cabinet",
+    "libero_10": "put both the alphabet soup and the tomato sauce in the basket",
+}
+#: Things on the table of a frame.
+THINGS = 6
+#: The Panda's rest posture, rad.
+JOINTS = (0.0, -0.16, 0.0, -2.44, 0.0, 2.23, 0.785)
+#: How far readings are from rest: m and rad; joint velocities, rad/s.
+AWAY = 0.05
+
+
+def fake_episode(suite: str = "libero_object", seed: int = 0, session: str = "made up") -> Episode:
+    """An episode of a task of this suite; of `libero_object`'s if the suite is
+    unknown."""
+    return Episode(session, suite, TASKS.get(suite, TASKS["libero_object"]), seed)
+
+
+def fake_observation(
+    description: Description,
+    seed: int = 0,
+    query_index: int = 0,
+    episode: Episode | None = None,
+) -> Observation:
+    """An observation of what a policy asks for, drawn from (seed, query_index).
+
+    Frames are a table with coloured things on it, readings those of an arm near
+    its rest posture, which agree with one another. `episode` is a made-up one
+    if it is not given.
+    """
+    rng = np.random.default_rng([seed, query_index])
+    readings = fake_readings(rng)
+    return Observation(
+        episode or fake_episode(seed=seed),
+        query_index,
+        {camera.name: fake_frame(camera, rng) for camera in description.cameras},
+        {field: readings[field] for field in description.state},
+    )
+
+
+def fake_frame(camera: Camera, rng: np.random.Generator) -> np.ndarray:
+    """A frame uint8 [height, width, 3], bottom row first."""
+    height, width = camera.height, camera.width
+    up = np.linspace(0.0, 1.0, height)[:, None, None]
+    wood, wall = rng.uniform([120, 90, 60], [200, 150, 110]), rng.uniform(150, 230, 3)
+    frame = np.where(up < 0.7, wood * (0.7 + 0.4 * up), np.broadcast_to(wall, (height, width, 3)))
+    for _ in range(THINGS):
+        bottom, left = rng.uniform(0.05, 0.55), rng.uniform(0.0, 0.85)
+        tall, wide = rng.uniform(0.05, 0.2, 2)
+        rows = slice(int(bottom * height), int((bottom + tall) * height) + 1)
+        columns = slice(int(left * width), int((left + wide) * width) + 1)
+        frame[rows, columns] = rng.uniform(0, 255, 3)
+    frame += rng.normal(0.0, 4.0, frame.shape)
+    return np.clip(np.round(frame), 0, 255).astype(np.uint8)
+
+
+def fake_readings(rng: np.random.Generator) -> dict[State, np.ndarray]:
+    """Every reading that there is, of one posture: the fingers point down, and
+    the hand is turned about the vertical."""
+    turn = rng.uniform(-AWAY, AWAY)
+    # Half a turn about a horizontal axis, which lies at half the turn.
+    axis = np.array([np.cos(turn / 2), np.sin(turn / 2), 0.0])
+    opening = rng.uniform(0.03, 0.04)
+    return {
+        State.EEF_POS: np.array([-0.15, 0.0, 0.25]) + rng.uniform(-AWAY, AWAY, 3),
+        State.EEF_QUAT_XYZW: np.append(axis, 0.0),
+        State.EEF_AXIS_ANGLE: np.pi * axis,
+        State.EEF_ROTATION: (2 * np.outer(axis, axis) - np.eye(3)).ravel(),
+        State.JOINT_POS: np.array(JOINTS) + rng.uniform(-AWAY, AWAY, 7),
+        State.JOINT_VEL: rng.uniform(-AWAY, AWAY, 7),
+        State.GRIPPER_POS: np.array([opening, -opening]),
+        State.GRIPPER_VEL: np.zeros(2),
+    }

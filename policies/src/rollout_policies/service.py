@@ -1,0 +1,310 @@
+"""The protocol's calls around a policy: sessions, retries, checks and errors.
+
+A call comes in a thread of gRPC's, where its message is read and its frames are
+prepared; the policy itself is asked in the inference thread.
+"""
+
+from __future__ import annotations
+
+import logging
+from concurrent.futures import CancelledError
+from dataclasses import dataclass, replace
+from typing import Any, Callable, Sequence
+
+import grpc
+
+from .actions import ACTION_WIDTH, UnusableActions, read_actions, to_simulator
+from .broken import is_broken
+from .description import PROTOCOL_VERSION, Description
+from .episode import Episode, Observation, UnusableObservation, read_observation
+from .inference import InferenceThread
+from .policy import Policy
+from .proto import policy_pb2 as pb
+from .proto import policy_pb2_grpc as pb_grpc
+from .sessions import Session, SessionTable
+
+#: An episode of so many executed actions should have opened the gripper once.
+TELLING_ACTIONS = 50
+
+log = logging.getLogger("rollout_policies")
+
+
+@dataclass(frozen=True)
+class QueryError:
+    """Why one query got no answer, in a text that names it."""
+
+    code: grpc.StatusCode
+    text: str
+
+
+class PolicyService(pb_grpc.PolicyServicer):
+    """Answers for one policy."""
+
+    def __init__(
+        self,
+        policy: Policy,
+        description: Description,
+        inference: InferenceThread,
+        sessions: SessionTable,
+    ) -> None:
+        self._policy = policy
+        self._description = description
+        self._message = description.to_message()
+        self._inference = inference
+        self._sessions = sessions
+        self._warned_of_gripper = False
+
+    # In threads of gRPC's.
+
+    def Describe(self, request, context):
+        if request.protocol_version != PROTOCOL_VERSION:
+            context.abort(
+                grpc.StatusCode.FAILED_PRECONDITION,
+                f"the caller speaks policy protocol version {request.protocol_version}, this"
+                f" server version {PROTOCOL_VERSION}; upgrade the older side",
+            )
+        self._require_policy(request.policy, context)
+        return self._message
+
+    def Reset(self, request, context):
+        self._require_policy(request.policy, context)
+        if not request.session:
+            context.abort(grpc.StatusCode.INVALID_ARGUMENT, "a session needs a name")
+        episode = Episode(request.session, request.suite, request.instruction, request.seed)
+        problem = self._in_turn(context, self._begin, episode)
+        if problem is not None:
+            context.abort(grpc.StatusCode.INTERNAL, problem)
+        return pb.ResetResponse()
+
+    def Infer(self, request, context):
+        self._require_policy(request.policy, context)
+        [result] = self._results([request], context)
+        if isinstance(result, QueryError):
+            context.abort(result.code, result.text)
+        return result
+
+    def InferBatch(self, request, context):
+        largest = max(1, self._description.max_batch)
+        if len(request.queries) > largest:
+            context.abort(
+                grpc.StatusCode.INVALID_ARGUMENT,
+                f"{len(request.queries)} queries in one InferBatch; at most {largest} are taken",
+            )
+        for query in request.queries:
+            self._require_policy(query.policy, context)
+        results = self._results(request.queries, context)
+        for result in results:
+            # The text of one result could not say that nobody is to blame.
+            if isinstance(result, QueryError) and result.code == grpc.StatusCode.UNAVAILABLE:
+                context.abort(result.code, result.text)
+        return pb.InferBatchResponse(
+            results=[
+                pb.InferResult(error=result.text)
+                if isinstance(result, QueryError)
+                else pb.InferResult(response=result)
+                for result in results
+            ]
+        )
+
+    def End(self, request, context):
+        self._require_policy(request.policy, context)
+        session = self._sessions.close(request.session)
+        if session is not None:
+            # Nobody waits for it: queries of other episodes may be before it.
+            self._inference.submit(self._forget, session)
+        return pb.EndResponse()
+
+    def _require_policy(self, name, context):
+        # A worker that means another policy must not measure this one.
+        if name not in ("", self._description.name):
+            context.abort(
+                grpc.StatusCode.NOT_FOUND,
+                f"this server serves no policy {name!r}; it serves {self._description.name}",
+            )
+
+    def _results(self, requests, context):
+        """One response or QueryError per request, in their order."""
+        results = [self._read(request) for request in requests]
+        if any(isinstance(result, Observation) for result in results):
+            return self._in_turn(context, self._answer, results)
+        return results
+
+    def _read(self, request) -> Observation | pb.InferResponse | QueryError:
+        """What to ask the policy; or the answer that it gave before; or why it
+        cannot be asked."""
+        where = f"session {request.session!r}, query {request.query_index}"
+        session = self._sessions.get(request.session)
+        if session is None:
+            return _not_open(where)
+        earlier = session.answered(request.query_index)
+        if earlier is not None:
+            return earlier
+        try:
+            observation = read_observation(
+                request.observation, session.episode, request.query_index, self._description
+            )
+        except UnusableObservation as error:
+            text = f"{where}: unusable observation: {error}"
+            return QueryError(grpc.StatusCode.INVALID_ARGUMENT, text)
+        try:
+            return replace(observation, prepared=self._policy.prepare(observation))
+        except Exception as error:
+            log.exception("prepare of %s failed", where)
+            text = f"policy {self._description.name!r}, {where}: prepare raised {one_line(error)}"
+            return QueryError(grpc.StatusCode.INTERNAL, text)
+
+    def _in_turn(self, context, call: Callable, *arguments: Any) -> Any:
+        """What a call in the inference thread returns."""
+        try:
+            return self._inference.submit(call, *arguments).result()
+        except CancelledError:
+            context.abort(grpc.StatusCode.UNAVAILABLE, "this server is stopping")
+
+    # In the inference thread.
+
+    def close_idle(self) -> None:
+        """Forgets episodes that nothing was heard of for too long."""
+        for session in self._sessions.close_idle():
+            log.info("session %r is forgotten: nobody ended it", session.episode.session)
+            self._forget(session)
+
+    def _begin(self, episode: Episode) -> str | None:
+        """Starts an episode, anew if it is under way. Returns what went wrong."""
+        before = self._sessions.close(episode.session)
+        if before is not None:
+            self._forget(before)
+        try:
+            self._policy.reset(episode)
+        except Exception as error:
+            log.exception("reset of session %r failed", episode.session)
+            return f"reset of session {episode.session!r} raised {one_line(error)}"
+        for idlest in self._sessions.open(Session(episode)):
+            self._forget(idlest)
+        return None
+
+    def _forget(self, session: Session) -> None:
+        """Tells the policy that an episode is over, and lets go of its memory."""
+        episode = session.episode
+        if session.executed >= TELLING_ACTIONS and not session.opened:
+            self._warn_of_gripper(session)
+        try:
+            self._policy.end(episode)
+        except Exception:
+            log.exception("end of session %r failed", episode.session)
+        episode.memory = None
+
+    def _warn_of_gripper(self, session: Session) -> None:
+        if self._warned_of_gripper:
+            return
+        self._warned_of_gripper = True
+        log.warning(
+            "policy %r never opened the gripper in session %r: none of %d actions has a negative"
+            " seventh number, and -1 opens; if the model means something else by it, declare that"
+            " (Description(gripper=...)). This is said once",
+            self._description.name,
+            session.episode.session,
+            session.executed,
+        )
+
+    def _answer(self, results: list) -> list:
+        """The same with answers in place of observations."""
+        results = list(results)
+        asked = []
+        for at, observation in enumerate(results):
+            if isinstance(observation, Observation):
+                known = self._known(observation)
+                if known is None:
+                    asked.append(at)
+                else:
+                    results[at] = known
+        answers = self._infer([results[at] for at in asked])
+        for at, answer in zip(asked, answers):
+            results[at] = self._keep(results[at], answer)
+        return results
+
+    def _known(self, observation: Observation) -> pb.InferResponse | QueryError | None:
+        """The answer to a query that needs no policy, now that it is its turn."""
+        name, query = observation.episode.session, observation.query_index
+        where = f"session {name!r}, query {query}"
+        session = self._sessions.get(name)
+        if session is None or session.episode is not observation.episode:
+            return _not_open(where)
+        earlier = session.answered(query)
+        if earlier is not None:
+            return earlier
+        if self._description.stateful and query != session.next_query:
+            return QueryError(
+                grpc.StatusCode.FAILED_PRECONDITION,
+                f"{where}: a stateful policy answers its queries in order, and query"
+                f" {session.next_query} is next",
+            )
+        return None
+
+    def _infer(self, observations: Sequence[Observation]) -> list:
+        """The policy's answers, or what it raised, in their order."""
+        if len(observations) > 1:
+            try:
+                answers = list(self._policy.infer_batch(observations))
+                if len(answers) != len(observations):
+                    raise UnusableActions(
+                        f"infer_batch answered {len(answers)} of {len(observations)} observations"
+                    )
+                return answers
+            except Exception as error:
+                log.exception("infer_batch of %d queries failed", len(observations))
+                # The memories of a stateful policy may have moved on already.
+                if self._description.stateful or is_broken(error):
+                    return [error] * len(observations)
+        answers = []
+        for observation in observations:
+            answers.append(self._infer_one(observation))
+            if isinstance(answers[-1], Exception) and is_broken(answers[-1]):
+                # The others would fail likewise, each after its own time.
+                return answers + [answers[-1]] * (len(observations) - len(answers))
+        return answers
+
+    def _infer_one(self, observation: Observation) -> Any:
+        try:
+            return self._policy.infer(observation)
+        except Exception as error:
+            log.exception(
+                "infer of session %r, query %d failed",
+                observation.episode.session,
+                observation.query_index,
+            )
+            return error
+
+    def _keep(self, observation: Observation, answer: Any) -> pb.InferResponse | QueryError:
+        name, query = observation.episode.session, observation.query_index
+        where = f"policy {self._description.name!r}, session {name!r}, query {query}"
+        if isinstance(answer, Exception):
+            text = f"{where}: infer raised {one_line(answer)}"
+            return QueryError(grpc.StatusCode.INTERNAL, text)
+        try:
+            actions = read_actions(answer, self._description.horizon)
+        except UnusableActions as error:
+            return QueryError(grpc.StatusCode.INTERNAL, f"{where}: {error}")
+        actions = to_simulator(actions, self._description.gripper)
+        response = pb.InferResponse(actions=actions.ravel().tolist(), action_width=ACTION_WIDTH)
+        session = self._sessions.get(name)
+        if session is not None:
+            executed = actions[: self._description.execute]
+            session.executed += len(executed)
+            session.opened |= bool((executed[:, -1] < 0).any())
+            session.last = query, response
+            session.next_query = query + 1
+        return response
+
+
+def _not_open(where: str) -> QueryError:
+    return QueryError(
+        grpc.StatusCode.UNAVAILABLE,
+        f"{where}: the session is not open here (it was ended, started anew or idle for long, or"
+        " the server was restarted since its Reset); start the rollout again",
+    )
+
+
+def one_line(error: BaseException) -> str:
+    """Type and message, short enough for a status."""
+    text = f"{type(error).__name__}: {error}"
+    return " ".join(text.split())[:500]

@@ -1,0 +1,195 @@
+"""Who may connect: certificates and tokens as the gateway's server takes them."""
+
+import subprocess
+import sys
+
+import grpc
+import pytest
+from conftest import (
+    Client,
+    Noisy,
+    assert_gateway_finds_that_it_conforms,
+    gateway_program,
+    running,
+)
+
+from rollout_policies import AccessError, UnguardedAddress, serve, start
+from rollout_policies.__main__ import main
+from rollout_policies.access import Tokens, is_loopback, require_guarded
+from rollout_policies.proto import policy_pb2_grpc as pb_grpc
+
+COLOUR_SERVO = [sys.executable, "-m", "rollout_policies.examples.colour_servo"]
+TOKENS = {role: f"{role}-0123456789abcdef" for role in ("worker", "operator", "viewer")}
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """An authority, a certificate for localhost, its key, and files of tokens,
+    made as docs/OPERATING.md says."""
+    folder = tmp_path_factory.mktemp("access")
+    names = "subjectAltName=DNS:localhost,IP:127.0.0.1\nbasicConstraints=CA:FALSE\n"
+    (folder / "names").write_text(names)
+    key = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes"]
+    for command in (
+        ["req", "-x509", *key, "-keyout", "ca-key.pem", "-out", "ca.pem", "-subj", "/CN=rollout"],
+        ["req", *key, "-keyout", "key.pem", "-out", "request.pem", "-subj", "/CN=localhost"],
+        ["x509", "-req", "-in", "request.pem", "-CA", "ca.pem", "-CAkey", "ca-key.pem",
+         "-CAcreateserial", "-days", "2", "-extfile", "names", "-out", "cert.pem"],
+    ):  # fmt: skip
+        subprocess.run(["openssl", *command], cwd=folder, check=True, capture_output=True)
+    lines = [f"{role} {token}\n" for role, token in TOKENS.items()]
+    (folder / "tokens").write_text("# who may talk\n\n" + "".join(lines))
+    for role, line in zip(TOKENS, lines):
+        (folder / role).write_text(line)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def guarded(files):
+    """The address of a server that asks for tokens over TLS, for all machines."""
+    command = [*COLOUR_SERVO, "--listen", "0.0.0.0:0"]
+    command += ["--tls-cert", files / "cert.pem", "--tls-key", files / "key.pem"]
+    with running(*command, "--token-file", files / "tokens") as (_, address):
+        yield "localhost:" + address.rpartition(":")[2]
+
+
+class TlsClient(Client):
+    """Shows a token over TLS."""
+
+    def __init__(self, address, ca, token=None):
+        credentials = grpc.ssl_channel_credentials(ca.read_bytes())
+        if token is not None:
+            shown = grpc.access_token_call_credentials(token)
+            credentials = grpc.composite_channel_credentials(credentials, shown)
+        self.channel = grpc.secure_channel(address, credentials)
+        self.stub = pb_grpc.PolicyStub(self.channel)
+
+
+@pytest.mark.parametrize("role", ["worker", "operator"])
+def test_who_asks_policies_is_let_in_over_tls(files, guarded, role):
+    client = TlsClient(guarded, files / "ca.pem", TOKENS[role])
+    assert client.describe().name == "colour-servo"
+    client.reset()
+    client.channel.close()
+
+
+@pytest.mark.parametrize(
+    ("token", "code", "expected"),
+    [
+        (None, grpc.StatusCode.UNAUTHENTICATED, "name a --token-file"),
+        ("worker-0123456789abcdeF", grpc.StatusCode.UNAUTHENTICATED, "none that this server"),
+        (TOKENS["viewer"], grpc.StatusCode.PERMISSION_DENIED, "token of a viewer"),
+    ],
+)
+def test_others_are_refused_and_told_why(files, guarded, token, code, expected):
+    client = TlsClient(guarded, files / "ca.pem", token)
+    for call in (client.describe, client.reset, client.infer, client.end):
+        with pytest.raises(grpc.RpcError) as caught:
+            call()
+        assert caught.value.code() == code and expected in caught.value.details()
+    # Whether a server is up is no secret.
+    assert client.channel.unary_unary("/grpc.health.v1.Health/Check")(b"") == b"\x08\x01"
+    client.channel.close()
+
+
+def test_the_gateway_asks_a_guarded_server(files, guarded):
+    assert_gateway_finds_that_it_conforms(
+        f"https://{guarded}", "--ca", str(files / "ca.pem"), "--token-file", str(files / "operator")
+    )
+
+
+def test_a_campaigns_gateway_finds_a_guarded_server_by_its_configuration(files, guarded):
+    program = gateway_program()
+    (files / "gateway.toml").write_text(
+        f'[policy.servo]\nreplicas = ["https://{guarded}"]\nca = "ca.pem"\n'
+        'token_file = "worker"\n'
+    )
+    command = [program, "--listen", "127.0.0.1:0", "--config", "gateway.toml"]
+    with running(*command, cwd=files) as (_, address):
+        client = Client(address)
+        assert client.describe(policy="servo").name == "colour-servo"
+        client.channel.close()
+
+
+def test_this_packages_check_asks_a_guarded_server(files, guarded, capsys):
+    arguments = ["check", f"https://{guarded}", "--ca", str(files / "ca.pem")]
+    assert main([*arguments, "--token-file", str(files / "operator")]) == 0
+    assert capsys.readouterr().out.endswith("conforms\n")
+    assert main([*arguments, "--token-file", str(files / "viewer")]) == 1
+    assert "a token of role worker or operator" in capsys.readouterr().err
+    assert main(arguments) == 1
+    assert "name a --token-file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("encrypted", "tokens", "expected"),
+    [
+        (False, False, "every client would be let in, in the clear"),
+        (False, True, "tokens would be sent in the clear"),
+        (True, False, "without a token"),
+        (True, True, None),
+    ],
+)
+def test_only_loopback_is_open_without_being_told_so(encrypted, tokens, expected):
+    known = Tokens.parse("worker 0123456789abcdef", "the test") if tokens else None
+    for loopback in ("127.0.0.1:1", "localhost:0", "[::1]:1", "[::ffff:127.0.0.1]:1"):
+        require_guarded(loopback, encrypted, known)
+    for open_ in ("0.0.0.0:1", "[::]:1", "10.0.0.7:1", ":5000"):
+        if expected is None:
+            require_guarded(open_, encrypted, known)
+            continue
+        with pytest.raises(UnguardedAddress, match=expected) as caught:
+            require_guarded(open_, encrypted, known)
+        for word in (open_, "--tls-cert", "--insecure"):
+            assert word in str(caught.value)
+    assert is_loopback("127.9.9.9") and not is_loopback("")
+
+
+def test_a_policy_is_not_served_to_other_machines_by_accident():
+    with pytest.raises(UnguardedAddress):
+        serve(Noisy(), "0.0.0.0:0")
+    with pytest.raises(UnguardedAddress):
+        start(Noisy(), "0.0.0.0:0")
+
+
+def test_a_trusted_network_is_served_when_that_is_said():
+    with running(*COLOUR_SERVO, "--listen", "0.0.0.0:0", "--insecure") as (_, address):
+        client = Client("127.0.0.1:" + address.rpartition(":")[2])
+        assert client.describe().name == "colour-servo"
+        client.channel.close()
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("", "find a token"),
+        ("# only this", "find a token"),
+        ("worker s3cret", "line 1 of the test: the token is too short"),
+        ("\nboss s3cret-s3cret-s3cret", "line 2 of the test: its first word is no role"),
+        ("s3cret-s3cret-s3cret", "not two words"),
+        ("worker s3cret-s3cret s3cret-s3cret", "not two words"),
+        ("worker s3crét-s3cret-s3cret", "visible ASCII"),
+        (f"worker {'s3cret' * 100}", "longer"),
+        ("viewer 0123456789abcdef\n" * 257, "more than 256"),
+    ],
+)
+def test_a_bad_line_of_tokens_is_named_by_its_number_and_never_by_its_secret(text, expected):
+    with pytest.raises(AccessError, match=expected) as caught:
+        Tokens.parse(text, "the test")
+    assert "s3cr" not in str(caught.value)
+
+
+def test_tokens_do_not_print(files):
+    assert "0123456789" not in repr(Tokens.read(files / "tokens"))
+
+
+def test_files_that_are_no_use_are_named(files, tmp_path):
+    large = tmp_path / "large"
+    large.write_bytes(b"#" * (1 << 20))
+    with pytest.raises(AccessError, match=f"{large}: it is larger than 131072 bytes"):
+        Tokens.read(large)
+    with pytest.raises(AccessError, match="missing: No such file"):
+        Tokens.read(tmp_path / "missing")
+    # The key of another certificate.
+    with pytest.raises(AccessError, match="ca-key.pem"):
+        serve(Noisy(), tls=(files / "cert.pem", files / "ca-key.pem"))

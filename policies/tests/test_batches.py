@@ -1,0 +1,121 @@
+"""Several queries at once: neighbours change nothing, and only the guilty fails."""
+
+import pathlib
+import re
+
+import grpc
+import numpy as np
+import pytest
+from conftest import Noisy, refusal
+
+from rollout_policies import Description, Policy
+from rollout_policies.broken import BROKEN_WORDS
+from rollout_policies.proto import policy_pb2 as pb
+
+
+def test_one_query_of_a_batch_fails_alone_and_neighbours_change_nothing(serving):
+    class Batched(Noisy):
+        description = Description(name="batched", horizon=4, stochastic=True, max_batch=3)
+        sizes = []
+
+        def infer_batch(self, observations):
+            self.sizes.append(len(observations))
+            return super().infer_batch(observations)
+
+    policy = Batched()
+    client = serving(policy)
+    for session in "abc":
+        client.reset(session, seed=ord(session))
+    alone = client.infer("c", 1)
+    queries = [client.request("a", 1), client.request("b", 1), client.request("c", 1)]
+    results = client.stub.InferBatch(pb.InferBatchRequest(queries=queries)).results
+    assert policy.sizes == [2]  # c is answered from memory
+    assert np.allclose(results[2].response.actions, alone.ravel())
+    client.reset("d", seed=ord("a"))
+    assert np.allclose(results[0].response.actions, client.infer("d", 1).ravel())
+
+    code, text = refusal(client.stub.InferBatch, pb.InferBatchRequest(queries=queries * 2))
+    assert code == grpc.StatusCode.INVALID_ARGUMENT and "at most 3" in text
+
+
+class Batching(Policy):
+    """Cannot answer the session that is called "bad"."""
+
+    def __init__(self, error, stateful=False):
+        self.description = Description(name="batching", max_batch=4, stateful=stateful)
+        self.error, self.alone = error, []
+
+    def reset(self, episode):
+        pass
+
+    def infer(self, observation):
+        self.alone.append(observation.episode.session)
+        return self.answers([observation])[0]
+
+    def infer_batch(self, observations):
+        return self.answers(observations)
+
+    def answers(self, observations):
+        if any(observation.episode.session == "bad" for observation in observations):
+            raise self.error
+        return [np.full(7, 0.5) for _ in observations]
+
+
+def answered_in_a_batch(client):
+    for session in ("a", "bad", "b"):
+        client.reset(session)
+    queries = [client.request(session) for session in ("a", "bad", "b")]
+    results = client.stub.InferBatch(pb.InferBatchRequest(queries=queries)).results
+    return [result.error or list(result.response.actions) for result in results]
+
+
+def test_only_the_guilty_query_of_a_batch_fails(serving):
+    policy = Batching(KeyError("butter"))
+    one, guilty, other = answered_in_a_batch(serving(policy))
+    assert one == other == [0.5] * 7
+    assert "'bad'" in guilty and "KeyError: 'butter'" in guilty
+    assert policy.alone == ["a", "bad", "b"]
+
+
+def test_a_batch_that_answers_too_little_is_asked_one_by_one(serving):
+    class Forgetful(Batching):
+        def infer_batch(self, observations):
+            return super().infer_batch(observations[:1])
+
+    policy = Forgetful(KeyError("butter"))
+    client = serving(policy)
+    assert [len(one) == 7 for one in answered_in_a_batch(client)] == [True, False, True]
+
+
+@pytest.mark.parametrize(
+    "policy",
+    [
+        Batching(RuntimeError("CUDA error: device-side assert triggered")),
+        # Its episodes' memories may have moved on.
+        Batching(KeyError("butter"), stateful=True),
+    ],
+    ids=["from which no process recovers", "stateful"],
+)
+def test_a_batch_that_cannot_be_asked_again_fails_as_one(serving, policy):
+    answers = answered_in_a_batch(serving(policy))
+    for session, answer in zip(("a", "bad", "b"), answers):
+        assert f"'{session}'" in answer and "infer raised" in answer
+    assert policy.alone == []
+
+
+def test_after_an_error_from_which_no_process_recovers_nobody_else_is_asked(serving):
+    class Breaking(Batching):
+        def infer_batch(self, observations):
+            raise ValueError("of this batch")
+
+    policy = Breaking(RuntimeError("CUDA out of memory"))
+    one, guilty, other = answered_in_a_batch(serving(policy))
+    assert one == [0.5] * 7
+    assert "out of memory" in guilty and "out of memory" in other
+    assert policy.alone == ["a", "bad"]
+
+
+def test_the_gateway_looks_for_the_same_words_of_a_broken_process():
+    source = pathlib.Path(__file__).parents[2] / "policy-gateway" / "src" / "health.rs"
+    words = re.search(r"BROKEN_WORDS: \[&str; \d+\] = \[(.*?)\]", source.read_text(), re.DOTALL)
+    assert tuple(re.findall(r'"(.*?)"', words[1])) == BROKEN_WORDS

@@ -1,0 +1,346 @@
+"""This package's own conformance check: servers that keep the protocol pass, and
+every way not to keep it is found at its point."""
+
+import dataclasses
+import itertools
+import re
+import subprocess
+import sys
+from concurrent import futures
+from pathlib import Path
+
+import grpc
+import numpy as np
+import pytest
+from conftest import Noisy, running
+from test_conformance import Batched, Remembering
+
+from rollout_policies import (
+    Camera,
+    CannotCheck,
+    Description,
+    DoesNotConform,
+    Policy,
+    State,
+    check,
+    fake_observation,
+    health,
+    start,
+)
+from rollout_policies.conformance import Target, check_server
+from rollout_policies.conformance.points import Point
+from rollout_policies.conformance.verdict import Word
+from rollout_policies.examples.colour_servo import ColourServo
+from rollout_policies.fake import TASKS
+from rollout_policies.processing.robot import axis_angle
+from rollout_policies.proto import policy_pb2 as pb
+from rollout_policies.proto import policy_pb2_grpc as pb_grpc
+
+SPEAKS_OF = {
+    Point.SPEED: r"one by one p50 [\d.]+ ms, p99 [\d.]+ ms; 8 episodes at once p50 .* queries/s",
+    Point.DESCRIPTION: r'".*", checkpoint ".*", horizon \d+, execute \d+',
+}
+
+
+@pytest.mark.parametrize(
+    ("policy", "skipped"),
+    [
+        (Noisy(), {Point.BATCH}),
+        (Batched(), set()),
+        (Remembering(), {Point.BATCH, Point.ORDER}),
+        (ColourServo(), {Point.BATCH}),
+    ],
+    ids=lambda it: it.description.name if isinstance(it, Policy) else "",
+)
+def test_a_policy_that_keeps_the_protocol_passes_every_point(policy, skipped):
+    findings = check(policy)
+    assert [finding.point for finding in findings] == list(Point)
+    for finding in findings:
+        expected = Word.SKIP if finding.point in skipped else Word.PASS
+        assert finding.verdict.word is expected, finding
+        assert re.search(SPEAKS_OF.get(finding.point, ""), finding.verdict.text), finding
+
+
+class Faulty(Noisy):
+    """A policy with one fault, which its class overrides."""
+
+    description = Description(name="faulty", horizon=4, stochastic=True, max_batch=4)
+    calls = itertools.count()
+
+
+class Unseeded(Faulty):
+    def infer(self, observation):
+        return np.random.default_rng().uniform(-1, 1, (4, 7))
+
+
+class Deaf(Faulty):
+    def infer(self, observation):
+        return np.zeros((4, 7))
+
+
+class SecretlyStochastic(Faulty):
+    description = dataclasses.replace(Faulty.description, stochastic=False)
+
+
+class Sharing(Faulty):
+    """Keeps in itself what belongs to an episode."""
+
+    def reset(self, episode):
+        self.seed = episode.seed
+
+    def infer(self, observation):
+        return np.random.default_rng([self.seed, observation.query_index]).uniform(-1, 1, (4, 7))
+
+
+class Carrying(Faulty):
+    """Keeps something between queries without saying so."""
+
+    def reset(self, episode):
+        episode.memory = 0.0
+
+    def infer(self, observation):
+        noise = super().infer(observation)
+        observation.episode.memory = (observation.episode.memory + noise[0, 0]) / 2
+        return np.clip(noise + observation.episode.memory, -1, 1)
+
+
+class Mixing(Faulty):
+    def infer_batch(self, observations):
+        answers = [self.infer(observation) for observation in observations]
+        return [answer * 0.5 + sum(answers) / len(answers) * 0.5 for answer in answers]
+
+
+class Millimetres(Faulty):
+    def infer(self, observation):
+        return 100 * super().infer(observation)
+
+
+@pytest.mark.parametrize(
+    ("policy", "failing", "expected"),
+    [
+        (Unseeded, Point.SAME_SEED, "at query 0 the actions differ"),
+        (Deaf, Point.OTHER_SEED, "declares itself stochastic"),
+        (SecretlyStochastic, Point.OTHER_SEED, "declares itself deterministic"),
+        (Sharing, Point.ISOLATION, "the actions differ"),
+        (Carrying, Point.ORDER, "the actions differ"),
+        (Mixing, Point.BATCH, "in a batch the actions differ by up to"),
+        (Millimetres, Point.RANGE, "is it un-normalised?"),
+    ],
+)
+def test_a_policys_fault_is_found_at_its_point(policy, failing, expected):
+    with pytest.raises(DoesNotConform) as caught:
+        check(policy())
+    failed = {finding.point: finding.verdict.text for finding in caught.value.findings
+              if finding.verdict.failed}  # fmt: skip
+    assert expected in failed[failing]
+    assert f"FAIL  {failing.value}: " in str(caught.value)
+
+
+def test_a_policy_that_answers_nothing_cannot_be_checked():
+    class Raising(Faulty):
+        def infer(self, observation):
+            raise KeyError("butter")
+
+    with pytest.raises(CannotCheck, match="KeyError: 'butter'"):
+        check(Raising())
+
+
+def test_a_policy_that_moves_low_order_bits_in_batches_is_told_so():
+    class Rounding(Faulty):
+        def infer_batch(self, observations):
+            return [self.infer(observation) + 1e-5 for observation in observations]
+
+    [batch] = [finding for finding in check(Rounding()) if finding.point is Point.BATCH]
+    assert "batches cost reproducibility" in batch.verdict.text
+
+
+def test_a_policy_of_one_suite_is_checked_with_a_task_of_it():
+    class OfGoal(Faulty):
+        def reset(self, episode):
+            assert episode.suite == "libero_goal" and "drawer" in episode.instruction
+
+    with pytest.raises(CannotCheck, match="AssertionError"):
+        check(OfGoal())
+    check(OfGoal(), suite="libero_goal")
+
+
+class Wire(pb_grpc.PolicyServicer):
+    """A server written by hand, with the faults that are named to it."""
+
+    def __init__(self, *faults):
+        self.faults = set(faults)
+        self.seeds, self.asked = {}, {}
+
+    def Describe(self, request, context):
+        if request.protocol_version != 1 and "version" not in self.faults:
+            context.abort(grpc.StatusCode.FAILED_PRECONDITION, "version 1 is spoken here")
+        execute = 9 if "description" in self.faults else 2
+        return pb.DescribeResponse(
+            protocol_version=1, name="wire", horizon=2, execute=execute, stochastic=True
+        )
+
+    def Reset(self, request, context):
+        if "restart" not in self.faults or request.session not in self.seeds:
+            self.seeds[request.session] = request.seed
+        return pb.ResetResponse()
+
+    def Infer(self, request, context):
+        if "unopened" not in self.faults and request.session not in self.seeds:
+            context.abort(grpc.StatusCode.UNAVAILABLE, "not open")
+        seed, times = self.seeds.get(request.session, 0), 0
+        if "retry" in self.faults:
+            times = self.asked[request.session] = self.asked.get(request.session, -1) + 1
+        rng = np.random.default_rng([seed, request.query_index, times])
+        count, width = (3 if "horizon" in self.faults else 2), (6 if "width" in self.faults else 7)
+        actions = rng.uniform(-1, 1, count * width).astype(np.float32)
+        if "nan" in self.faults:
+            actions[9] = np.nan
+        return pb.InferResponse(actions=actions.tolist(), action_width=width)
+
+    def End(self, request, context):
+        if "end" in self.faults and request.session not in self.seeds:
+            context.abort(grpc.StatusCode.NOT_FOUND, "no such session")
+        self.seeds.pop(request.session, None)
+        return pb.EndResponse()
+
+
+def findings_of(servicer, healthy=True):
+    server = grpc.server(futures.ThreadPoolExecutor(16))
+    pb_grpc.add_PolicyServicer_to_server(servicer, server)
+    if healthy:
+        server.add_generic_rpc_handlers((health.handler(),))
+    port = server.add_insecure_port("127.0.0.1:0")
+    server.start()
+    try:
+        return check_server(Target(f"grpc://127.0.0.1:{port}"))
+    finally:
+        server.stop(0)
+
+
+@pytest.mark.parametrize(
+    ("fault", "failing", "expected"),
+    [
+        ("description", Point.DESCRIPTION, "execute is 9 and horizon 2"),
+        ("version", Point.VERSION, "to a caller of version 2"),
+        ("health", Point.HEALTH, "UNIMPLEMENTED"),
+        ("width", Point.SHAPE, "6 numbers wide"),
+        ("horizon", Point.SHAPE, "3 actions, of a horizon of 2"),
+        ("nan", Point.SHAPE, "component 2 of action 1 is nan"),
+        ("retry", Point.RETRY, "at query 0 the actions differ"),
+        ("restart", Point.RESTART, "the actions differ"),
+        ("unopened", Point.UNOPENED, "without instruction and seed"),
+        ("end", Point.END, "NOT_FOUND"),
+        (None, None, None),
+    ],
+)
+def test_a_servers_fault_is_found_at_its_point(fault, failing, expected):
+    findings = findings_of(Wire(fault), healthy=fault != "health")
+    assert [finding.point for finding in findings] == list(Point)
+    failed = {one.point: one.verdict.text for one in findings if one.verdict.failed}
+    if failing is None:
+        assert failed == {}
+    else:
+        assert expected in failed[failing]
+    # A server that numbers its answers is at odds with every comparison.
+    if fault not in (None, "retry"):
+        assert len(failed) == 1
+
+
+# The command.
+
+
+def command(*arguments):
+    return subprocess.run(
+        [sys.executable, "-m", "rollout_policies", "check", *arguments],
+        capture_output=True,
+        text=True,
+    )
+
+
+def test_the_command_prints_every_point_and_ends_with_0_for_a_server_that_conforms():
+    with running(sys.executable, "-m", "rollout_policies.examples.colour_servo") as (_, address):
+        done = command(f"grpc://{address}")
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert lines[-1] == "conforms" and len(lines) == len(Point) + 1
+    assert all(line.startswith(("pass  ", "skip  ")) for line in lines[:-1])
+
+
+def test_the_command_ends_with_1_for_a_server_that_does_not_conform():
+    server = start(Millimetres())
+    try:
+        done = command(f"http://{server.address}")
+    finally:
+        server.stop(0)
+    assert done.returncode == 1
+    assert done.stdout.endswith("does not conform\n")
+    assert "FAIL  actions lie within -1..1: the largest is " in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "expected"),
+    [
+        (["grpc://127.0.0.1:1"], 1, "have grpc://127.0.0.1:1 describe its policy"),
+        (["ws://127.0.0.1:1"], 1, "write grpc://HOST:PORT"),
+        (["127.0.0.1:1"], 1, "write grpc://HOST:PORT"),
+        (["https://127.0.0.1:1", "--ca", "missing"], 1, "failed to read missing"),
+        (["grpc://127.0.0.1:1", "--suite", "libero_90"], 2, "invalid choice: 'libero_90'"),
+        ([], 2, "url"),
+    ],
+)
+def test_a_command_that_can_check_nothing_says_why(arguments, code, expected):
+    done = command(*arguments)
+    assert done.returncode == code
+    assert expected in done.stderr and "Traceback" not in done.stderr
+
+
+# Made-up observations.
+
+EVERYTHING = Description(
+    name="everything",
+    cameras=(Camera("agentview", 64, 48), Camera("robot0_eye_in_hand", 5, 3)),
+    state=tuple(State),
+)
+
+
+def test_a_made_up_observation_is_of_the_shape_that_was_asked_for():
+    made = fake_observation(EVERYTHING)
+    assert {name: frame.shape for name, frame in made.images.items()} == {
+        "agentview": (48, 64, 3),
+        "robot0_eye_in_hand": (3, 5, 3),
+    }
+    assert all(frame.dtype == np.uint8 for frame in made.images.values())
+    assert len(made.vector()) == sum(field.size for field in State)
+    # As the robot's own are.
+    assert all(np.abs(reading).max() < 4 for reading in made.state.values())
+
+
+def test_made_up_observations_follow_seed_and_query():
+    def bytes_of(*which):
+        made = fake_observation(EVERYTHING, *which)
+        return made.images["agentview"].tobytes() + made.vector().tobytes()
+
+    assert bytes_of(1, 2) == bytes_of(1, 2)
+    assert len({bytes_of(1, 2), bytes_of(1, 3), bytes_of(2, 2)}) == 3
+
+
+def test_made_up_readings_describe_one_posture():
+    state = fake_observation(EVERYTHING, 5).state
+    x, y, z, w = quaternion = state[State.EEF_QUAT_XYZW]
+    assert np.linalg.norm(quaternion) == pytest.approx(1)
+    rotation = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    assert state[State.EEF_ROTATION].reshape(3, 3) == pytest.approx(np.array(rotation))
+    assert state[State.EEF_AXIS_ANGLE] == pytest.approx(axis_angle(quaternion))
+    # Fingers down.
+    assert state[State.EEF_ROTATION][8] == pytest.approx(-1)
+
+
+def test_the_tasks_are_those_of_the_gateways_check():
+    source = Path(__file__).parents[2] / "policy-gateway" / "src" / "conformance" / "scene.rs"
+    table = source.read_text().partition("pub const TASKS")[2].partition("];")[0]
+    texts = re.findall(r'"(.*?)"', table)
+    assert dict(zip(texts[::2], texts[1::2])) == TASKS

@@ -1,0 +1,250 @@
+"""Which thread asks a policy, in which order, and how it warms up."""
+
+import logging
+import pathlib
+import sys
+import threading
+import time
+from concurrent.futures import CancelledError, ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from conftest import Client, running
+from test_conformance import around_computed_networks
+
+from rollout_policies import Description, Policy, UnusableActions, fake_observation
+from rollout_policies.adapters import openvla_oft, univla
+from rollout_policies.conformance.probe import to_message
+from rollout_policies.inference import InferenceThread
+from rollout_policies.proto import policy_pb2 as pb
+
+THREADS = pathlib.Path(__file__).parent / "threads.py"
+#: What a test waits for before it fails, s.
+PATIENCE = 60
+
+
+def test_one_thread_makes_a_policy_warms_it_up_and_asks_it(tmp_path):
+    notes = tmp_path / "notes"
+    with running(sys.executable, str(THREADS), "--notes", str(notes)) as (_, address):
+        assert [line.split()[0] for line in notes.read_text().splitlines()] == [
+            "__init__",
+            "warm_up",
+        ]
+        client = Client(address)
+        with ThreadPoolExecutor(8) as pool:
+            sessions = [f"s{at}" for at in range(8)]
+            list(pool.map(client.reset, sessions))
+            list(pool.map(client.infer, sessions))
+            queries = [client.request(session, 1) for session in sessions[:2]]
+            client.stub.InferBatch(pb.InferBatchRequest(queries=queries))
+            list(pool.map(client.end, sessions))
+        # Behind the ends, which nobody waits for.
+        client.reset("last")
+        client.channel.close()
+    threads = {}
+    for line in notes.read_text().splitlines():
+        method, thread = line.split()
+        threads.setdefault(method, set()).add(thread)
+    of_model = [threads[name] for name in threads if name != "prepare"]
+    assert set(threads) == {
+        "__init__", "warm_up", "reset", "infer", "infer_batch", "end", "prepare",
+    }
+    assert of_model == [of_model[0]] * len(of_model) and len(of_model[0]) == 1
+    assert threads["prepare"].isdisjoint(of_model[0])
+
+
+def test_frames_are_prepared_while_the_model_answers_others(serving):
+    class Waiting(Policy):
+        description = Description(name="waiting")
+
+        def __init__(self):
+            self.other_is_prepared = threading.Event()
+
+        def reset(self, episode):
+            pass
+
+        def prepare(self, observation):
+            if observation.episode.session == "b":
+                self.other_is_prepared.set()
+            return observation.episode.session
+
+        def infer(self, observation):
+            assert self.other_is_prepared.wait(PATIENCE), "prepare waits for its turn"
+            assert observation.prepared == observation.episode.session
+            return np.zeros(7)
+
+    client = serving(Waiting())
+    client.reset("a")
+    client.reset("b")
+    with ThreadPoolExecutor(2) as pool:
+        assert [one.shape for one in pool.map(client.infer, "ab")] == [(1, 7), (1, 7)]
+
+
+def test_what_prepare_raises_fails_its_query_alone(serving):
+    class Picky(Policy):
+        description = Description(name="picky", max_batch=2)
+
+        def reset(self, episode):
+            pass
+
+        def prepare(self, observation):
+            if observation.episode.session == "bad":
+                raise ValueError("no such frame")
+
+        def infer(self, observation):
+            return np.zeros(7)
+
+    client = serving(Picky())
+    client.reset("bad")
+    client.reset("good")
+    queries = [client.request("bad"), client.request("good")]
+    bad, good = client.stub.InferBatch(pb.InferBatchRequest(queries=queries)).results
+    assert "prepare raised ValueError: no such frame" in bad.error and "'bad'" in bad.error
+    assert len(good.response.actions) == 7
+
+
+def test_calls_are_made_in_turn_and_what_waits_at_the_end_is_cancelled():
+    inference = InferenceThread()
+    made, swept, release = [], threading.Event(), threading.Event()
+    thread = threading.Thread(target=inference.work, args=(swept.set, 0.01), daemon=True)
+    calls = [inference.submit(made.append, at) for at in range(5)]
+    failing = inference.submit(lambda: 1 / 0)
+    thread.start()
+    assert isinstance(failing.exception(PATIENCE), ZeroDivisionError)
+    assert made == [0, 1, 2, 3, 4] and all(call.done() for call in calls)
+    assert swept.wait(PATIENCE)
+    under_way = threading.Event()
+    first = inference.submit(lambda: (under_way.set(), release.wait(PATIENCE)))
+    waiting = inference.submit(made.append, "too late")
+    assert under_way.wait(PATIENCE)
+    inference.close()
+    release.set()
+    thread.join(PATIENCE)
+    assert first.result()[1] is True
+    for late in (waiting, inference.submit(made.append, "later still")):
+        with pytest.raises(CancelledError):
+            late.result(PATIENCE)
+    assert "too late" not in made
+
+
+def test_idle_episodes_are_looked_for_while_calls_never_stop_coming():
+    inference, swept = InferenceThread(), threading.Event()
+    gives_up_at = time.monotonic() + PATIENCE
+
+    def again():
+        if swept.is_set() or time.monotonic() > gives_up_at:
+            inference.close()
+        else:
+            inference.submit(again)
+
+    inference.submit(again)
+    inference.work(swept.set, 0.01)
+    assert swept.is_set()
+
+
+def test_queries_under_way_are_answered_before_a_server_stops(tmp_path):
+    script = tmp_path / "slow_policy.py"
+    script.write_text(
+        "import pathlib, sys, time\n"
+        "import numpy as np\n"
+        "from rollout_policies import Description, Policy, run\n"
+        "class Slow(Policy):\n"
+        "    description = Description(name='slow')\n"
+        "    def __init__(self, go: pathlib.Path):\n"
+        "        self.go = go\n"
+        "    def reset(self, episode):\n"
+        "        self.waits = episode.session == 's'\n"
+        "    def infer(self, observation):\n"
+        "        if self.waits:\n"
+        "            self.go.with_suffix('.asked').touch()\n"
+        "        while self.waits and not self.go.exists():\n"
+        "            time.sleep(0.01)\n"
+        "        return np.zeros(7)\n"
+        "run(Slow)\n"
+    )
+    go = tmp_path / "go"
+    with running(sys.executable, str(script), "--go", str(go)) as (process, address):
+        client = Client(address)
+        client.reset()
+        answer = client.stub.Infer.future(client.request(), timeout=PATIENCE)
+        while not go.with_suffix(".asked").exists():
+            assert process.poll() is None
+            time.sleep(0.01)
+        process.terminate()
+        go.touch()
+        assert len(answer.result().actions) == 7
+        assert process.wait(PATIENCE) == 0
+        client.channel.close()
+
+
+class WarmedUp(Policy):
+    """Accepts tasks of one suite, and keeps what it was asked."""
+
+    def __init__(self, answer, max_batch=1):
+        self.description = Description(name="warmed-up", horizon=2, max_batch=max_batch)
+        self.answer, self.sizes, self.open = answer, [], set()
+
+    def reset(self, episode):
+        if episode.suite != "libero_goal":
+            raise ValueError("these weights are for libero_goal")
+        self.open.add(episode.session)
+
+    def infer(self, observation):
+        return self.infer_batch([observation])[0]
+
+    def infer_batch(self, observations):
+        self.sizes.append(len(observations))
+        if isinstance(self.answer, Exception):
+            raise self.answer
+        return [self.answer] * len(observations)
+
+    def end(self, episode):
+        self.open.remove(episode.session)
+
+
+@pytest.mark.parametrize(("max_batch", "sizes"), [(1, [1]), (4, [1, 4])])
+def test_a_policy_warms_up_with_one_query_and_a_full_batch_of_a_suite_it_takes(max_batch, sizes):
+    policy = WarmedUp(np.zeros(7), max_batch)
+    policy.warm_up()
+    assert policy.sizes == sizes and policy.open == set()
+
+
+@pytest.mark.parametrize(
+    ("answer", "expected"),
+    [(RuntimeError("no kernel"), "no kernel"), (np.zeros((3, 7)), "a horizon of 2")],
+)
+def test_a_policy_that_cannot_answer_says_so_before_it_serves(answer, expected):
+    policy = WarmedUp(answer)
+    with pytest.raises((RuntimeError, UnusableActions), match=expected):
+        policy.warm_up()
+    assert policy.open == set()
+
+
+def test_a_policy_that_takes_no_made_up_episode_is_served_cold_with_a_warning(caplog):
+    class Elsewhere(WarmedUp):
+        def reset(self, episode):
+            raise ValueError("another robot's tasks")
+
+    policy = Elsewhere(np.zeros(7))
+    with caplog.at_level(logging.WARNING):
+        policy.warm_up()
+    assert policy.sizes == []
+    assert "not warmed up" in caplog.text and "another robot's tasks" in caplog.text
+
+
+@pytest.mark.parametrize("name", ["openvla-oft", "univla"])
+def test_frames_that_go_through_a_jpeg_are_prepared_outside_the_turn(serving, monkeypatch, name):
+    [policy] = [it for it in around_computed_networks() if it.description.name == name]
+    prepared_in = []
+
+    def frame(turned):
+        prepared_in.append(threading.current_thread().name)
+        return turned
+
+    monkeypatch.setattr(openvla_oft, "frame", frame)
+    monkeypatch.setattr(univla, "frame", frame)
+    client = serving(policy)
+    client.reset(suite="libero_object", instruction="pick up the butter")
+    client.infer(observation=to_message(fake_observation(policy.description)))
+    assert len(prepared_in) == len(policy.description.cameras)
+    assert "inference" not in prepared_in

@@ -1,0 +1,177 @@
+"""How episodes end, and what is kept of them until then."""
+
+import time
+
+import grpc
+import numpy as np
+from conftest import Noisy, refusal
+
+from rollout_policies import Description, Episode, Policy, service
+from rollout_policies.proto import policy_pb2 as pb
+from rollout_policies.sessions import Session, SessionTable
+
+
+class Remembering(Policy):
+    """Keeps something of every episode, and which of them ended."""
+
+    description = Description(name="remembering")
+
+    def __init__(self):
+        self.ended = []
+        self.episodes = []
+
+    def reset(self, episode):
+        episode.memory = f"of {episode.session}"
+        self.episodes.append(episode)
+
+    def infer(self, observation):
+        return np.zeros(7)
+
+    def end(self, episode):
+        self.ended.append((episode.session, episode.memory))
+
+
+def code_of(call, *arguments):
+    return refusal(call, *arguments)[0]
+
+
+def test_an_ended_episode_is_told_to_the_policy_and_let_go_of(serving):
+    policy = Remembering()
+    client = serving(policy)
+    client.reset("a")
+    client.infer("a")
+    client.end("a")
+    # It comes behind the end, for which nobody waits.
+    client.reset("b")
+    assert policy.ended == [("a", "of a")]
+    assert [episode.memory for episode in policy.episodes] == [None, "of b"]
+    assert code_of(client.infer, "a", 1) == grpc.StatusCode.UNAVAILABLE
+
+
+def test_the_end_of_a_session_that_is_not_open_is_no_error(serving):
+    policy = Remembering()
+    client = serving(policy)
+    client.end("never opened")
+    client.reset("a")
+    client.end("a")
+    client.end("a")
+    client.reset("b")
+    assert policy.ended == [("a", "of a")]
+
+
+def test_the_end_at_another_policy_ends_nothing(serving):
+    policy = Remembering()
+    client = serving(policy)
+    client.reset("a")
+    request = pb.EndRequest(policy="pi05", session="a")
+    assert code_of(client.stub.End, request) == grpc.StatusCode.NOT_FOUND
+    client.infer("a")
+    assert policy.ended == []
+
+
+def test_an_episode_that_is_started_anew_has_ended(serving):
+    policy = Remembering()
+    client = serving(policy)
+    client.reset("a")
+    client.reset("a")
+    assert policy.ended == [("a", "of a")]
+    assert [episode.memory for episode in policy.episodes] == [None, "of a"]
+
+
+def test_what_end_raises_hurts_nobody(serving):
+    class Careless(Remembering):
+        def end(self, episode):
+            raise RuntimeError("no such file")
+
+    policy = Careless()
+    client = serving(policy)
+    client.reset("a")
+    client.end("a")
+    client.reset("b")
+    client.infer("b")
+    assert [episode.memory for episode in policy.episodes] == [None, "of b"]
+
+
+def test_the_idlest_episode_ends_when_there_are_too_many(serving, monkeypatch):
+    monkeypatch.setattr("rollout_policies.server.SessionTable", lambda: SessionTable(most=2))
+    policy = Remembering()
+    client = serving(policy)
+    client.reset("a")
+    client.reset("b")
+    client.infer("a")
+    client.reset("c")
+    assert policy.ended == [("b", "of b")]
+    client.infer("a", 1)
+
+
+def test_an_episode_of_which_nothing_is_heard_ends_without_another_call(serving, monkeypatch):
+    now = [0.0]
+    table = SessionTable(idle_secs=10.0, clock=lambda: now[0])
+    monkeypatch.setattr("rollout_policies.server.SessionTable", lambda: table)
+    swept = []
+
+    class Sweeping(service.PolicyService):
+        def close_idle(self):
+            super().close_idle()
+            swept.append(now[0])
+
+    monkeypatch.setattr("rollout_policies.server.PolicyService", Sweeping)
+    monkeypatch.setattr("rollout_policies.server.SWEEP_SECS", 0.001)
+    policy = Remembering()
+    client = serving(policy)
+    client.reset("a")
+    client.reset("b")
+    now[0] = 8.0
+    client.infer("b")
+    now[0] = 12.0
+    while 12.0 not in swept:
+        time.sleep(0.001)
+    assert policy.ended == [("a", "of a")]
+    assert code_of(client.infer, "a") == grpc.StatusCode.UNAVAILABLE
+    client.infer("b", 1)
+
+
+def test_a_reset_that_raises_leaves_no_episode_and_ends_the_one_before(serving):
+    class Fussy(Remembering):
+        def reset(self, episode):
+            if self.episodes:
+                raise ValueError("one is enough")
+            super().reset(episode)
+
+    policy = Fussy()
+    client = serving(policy)
+    client.reset("a")
+    assert code_of(client.reset, "a") == grpc.StatusCode.INTERNAL
+    assert policy.ended == [("a", "of a")]
+    assert code_of(client.infer, "a") == grpc.StatusCode.UNAVAILABLE
+
+
+def test_an_ended_episode_takes_the_answer_for_retries_with_it(serving):
+    client = serving(Noisy())
+    client.reset("a")
+    client.infer("a")
+    client.end("a")
+    assert code_of(client.infer, "a", 0) == grpc.StatusCode.UNAVAILABLE
+
+
+def test_a_table_forgets_by_number_and_by_time_and_nothing_else():
+    now = [0.0]
+    table = SessionTable(most=3, idle_secs=5.0, clock=lambda: now[0])
+
+    def session(name):
+        return Session(Episode(name, "", "", 0))
+
+    def names(sessions):
+        return [one.episode.session for one in sessions]
+
+    assert [names(table.open(session(name))) for name in "abc"] == [[], [], []]
+    now[0] = 4.0
+    assert table.get("a").episode.session == "a"
+    assert names(table.open(session("d"))) == ["b"]
+    now[0] = 6.0
+    assert names(table.close_idle()) == ["c"]
+    assert table.close_idle() == [] and len(table) == 2
+    assert table.close("a").episode.session == "a"
+    assert table.close("a") is None and table.get("a") is None
+    now[0] = 9.5
+    assert names(table.close_idle()) == ["d"] and len(table) == 0

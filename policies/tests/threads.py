@@ -1,0 +1,46 @@
+"""A policy that notes in which thread each of its methods is called, for
+test_inference.py: one line each into the file that --notes names."""
+
+import threading
+
+import numpy as np
+
+from rollout_policies import Description, Policy, run
+
+
+class Threads(Policy):
+    """Notes its threads."""
+
+    description = Description(name="threads", max_batch=4)
+
+    def __init__(self, notes: str):
+        self.notes = open(notes, "a", buffering=1)
+        self.note("__init__")
+
+    def note(self, what):
+        print(what, threading.get_ident(), file=self.notes)
+
+    def warm_up(self):
+        self.note("warm_up")
+        print("a model that prints while it compiles")
+
+    def prepare(self, observation):
+        self.note("prepare")
+
+    def reset(self, episode):
+        self.note("reset")
+
+    def infer(self, observation):
+        self.note("infer")
+        return np.zeros(7)
+
+    def infer_batch(self, observations):
+        self.note("infer_batch")
+        return [np.zeros(7) for _ in observations]
+
+    def end(self, episode):
+        self.note("end")
+
+
+if __name__ == "__main__":
+    run(Threads)
