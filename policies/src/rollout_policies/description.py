@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Mapping
 
 from .proto import policy_pb2 as pb
 
@@ -97,6 +98,10 @@ class Description:
     language: Language = Language.FREE_FORM
     #: Above 1: `infer_batch` answers up to so many queries at once.
     max_batch: int = 1
+    #: What was resolved when the policy was loaded and decides its actions, one
+    #: fact each, for example {"image slots": "image=agentview"}. Recorded with
+    #: every result; the results of one campaign and suite share them.
+    settings: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "cameras", tuple(self.cameras))
@@ -133,4 +138,5 @@ class Description:
             stochastic=self.stochastic,
             language=self.language.value,
             max_batch=self.max_batch,
+            settings=[pb.Setting(name=name, value=value) for name, value in self.settings.items()],
         )
