@@ -10,6 +10,8 @@ import math
 import numpy as np
 import pytest
 
+from rollout_policies.adapters.openvla_oft import frame
+from rollout_policies.adapters.univla import study_frame
 from rollout_policies.processing import images, jpeg
 from rollout_policies.processing.actions import Ensemble, from_bounds, within_bounds
 from rollout_policies.processing.robot import axis_angle, gripper_from_rlds
@@ -71,6 +73,32 @@ def test_the_centre_crop_is_tensorflows():
         [60, 63, 68, 78, 91, 107],
         [75, 77, 83, 92, 105, 121],
     ]
+
+
+def test_plain_shrinking_leaves_samples_out_as_torch_without_antialias():
+    # PyTorch 2.11.0, as are the next ones.
+    assert images.resize_plainly(pattern(8), 5, 5)[..., 2].tolist() == [
+        [40, 43, 45, 48, 50],
+        [43, 58, 73, 88, 104],
+        [45, 73, 101, 129, 157],
+        [48, 88, 129, 170, 211],
+        [50, 104, 157, 211, 139],
+    ]
+    assert images.resize_plainly(pattern(8), 11, 11)[3, :4].tolist() == [
+        [13, 22, 40],
+        [17, 23, 46],
+        [22, 24, 53],
+        [27, 27, 61],
+    ]
+
+
+def test_the_study_crops_univla_s_frames_to_whole_pixels():
+    framed = study_frame(pattern(256))
+    assert framed.shape == (224, 224, 3)
+    assert framed[100, :3].tolist() == [[90, 46, 132], [98, 28, 188], [105, 42, 161]]
+    assert framed[223, 223].tolist() == [133, 232, 98]
+    # Upstream's way gives other pixels.
+    assert (framed != frame(pattern(256))).mean() > 0.5
 
 
 def test_a_crop_of_everything_changes_nothing():

@@ -48,12 +48,14 @@ def test_tied_names_stand_for_one_another_and_are_compared():
 
 
 def test_what_is_unused_or_for_training_may_lack_its_other_side():
-    named = Exceptions(unused=("*.head",), training_only=("video.*",))
+    named = Exceptions(unused=("*.head",), skipped=("video.*",))
     network, stored = tensors(a=(1,)), tensors(a=(1,))
     network["text.head"], stored["video.encoder"] = np.ones(1), np.ones(1)
     assert str(found(network, stored, named)) == ""
     assert found(network, stored).missing == ["text.head"]
     assert found(network, stored).unknown == ["video.encoder"]
+    computed = {**tensors(a=(1,)), "text.rotary_emb.inv_freq": np.ones(1)}
+    assert str(found(tensors(a=(1,)), computed)) == ""
     # But not another content.
     assert found(network, {**stored, "text.head": np.zeros(1)}, named).content == ["text.head"]
 

@@ -27,7 +27,7 @@ from .cameras import ROLES, camera_of_slot, short
 from .fetch import fetch, naming_downloads
 from .statistics import ACTION_WIDTH, STATE_WIDTH, require_statistics
 from .upstream import UnusableCheckpoint, digest, precision, require
-from .weights import Exceptions, require_loaded, stored_in
+from .weights import COMPUTED, Exceptions, require_loaded, stored_in
 
 STATE, ACTION = "observation.state", "action"
 WEIGHTS, CONFIG, BEFORE = "model.safetensors", "config.json", "policy_preprocessor.json"
@@ -60,7 +60,7 @@ EXCEPTIONS = {
                 "model.qwen.model.lm_head.weight"
             )
         },
-        training_only=("model.video_encoder.*", "model.video_predictor.*"),
+        skipped=(*COMPUTED, "model.video_encoder.*", "model.video_predictor.*"),
     ),
 }
 
@@ -149,7 +149,7 @@ class LerobotModel:
             "image slots": ", ".join(f"{short(slot)}={feeding[slot]}" for slot in sorted(feeding)),
             "state slots": f"{STATE}={STATE_CONTENT}" if with_state else "none",
             "statistics": "; ".join(statistics),
-            "lerobot": require("lerobot", entry).__version__,
+            "lerobot": getattr(require("lerobot", entry), "__version__", "unknown"),
             **precision(options.device, network),
             **fetched.settings,
         }

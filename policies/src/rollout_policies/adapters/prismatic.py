@@ -16,11 +16,9 @@ from typing import Any, Mapping
 from ..catalogue import Entry
 from .statistics import ACTION_WIDTH, require_statistics
 from .upstream import UnusableCheckpoint, UpstreamMissing, require
-from .weights import Exceptions, require_loaded, stored_in
+from .weights import require_loaded, stored_in
 
 STATISTICS = "dataset_statistics.json"
-#: Computed, and kept in files by some versions of transformers.
-COMPUTED = Exceptions(training_only=("*.rotary_emb.inv_freq",))
 
 
 def prompt(instruction: str) -> str:
@@ -83,7 +81,7 @@ def load_network(
         folder, torch_dtype=torch.bfloat16, low_cpu_mem_usage=True
     )
     with stored_in(folder.glob("*.safetensors")) as stored:
-        require_loaded(network, stored, checkpoint, COMPUTED)
+        require_loaded(network, stored, checkpoint)
     if _sees_ahead(network, torch, transformers) == causal:
         raise UpstreamMissing(
             f"the transformers that is installed ({transformers.__version__}) is another one than"

@@ -20,6 +20,9 @@ from .upstream import UnusableCheckpoint
 PIECE = 1 << 24
 #: Names shown of every kind of difference.
 SHOWN = 3
+#: Tensors that networks compute when they are made, and that older versions of
+#: transformers wrote into files all the same.
+COMPUTED = ("*.rotary_emb.inv_freq", "*.position_ids")
 
 
 @dataclass(frozen=True)
@@ -33,8 +36,8 @@ class Exceptions:
     tied: Mapping[str, str] = field(default_factory=dict)
     #: Of the network, but never used to act: a file may lack them.
     unused: tuple[str, ...] = ()
-    #: Of the file, for parts of the network that only training needs.
-    training_only: tuple[str, ...] = ()
+    #: Of the file, and not of the network: computed there, or for training only.
+    skipped: tuple[str, ...] = COMPUTED
 
     def partner(self, name: str) -> str | None:
         """The other name of a tied tensor."""
@@ -96,7 +99,7 @@ def compare(
             found.missing.append(name)
     for name, theirs in stored.items():
         partner = exceptions.partner(name)
-        if name in network or any(fnmatchcase(name, p) for p in exceptions.training_only):
+        if name in network or any(fnmatchcase(name, p) for p in exceptions.skipped):
             continue
         if partner in network:
             look(name, network[partner], theirs)
