@@ -82,7 +82,9 @@ def test_what_was_resolved_is_in_the_settings(policy, checkpoint):
     assert settings["statistics"].startswith(f"actions {way} ")
     assert "the state " in settings["statistics"]
     assert (settings["device"], settings["precision"]) == ("cpu", settings["precision"])
-    assert settings["executed actions"] == ("1" if name == "act" else str(policy.description.execute))
+    assert settings["executed actions"] == (
+        "1" if name == "act" else str(policy.description.execute)
+    )
     assert settings["lerobot"]
 
 
@@ -119,7 +121,9 @@ def test_the_instruction_and_the_frames_matter(policy, checkpoint):
     # Random weights hardly look; that they look at all is what counts.
     seen = observation(1)
     dark = observation(1)
-    object.__setattr__(dark, "images", {key: np.zeros_like(dark.images[key]) for key in dark.images})
+    object.__setattr__(
+        dark, "images", {key: np.zeros_like(dark.images[key]) for key in dark.images}
+    )
     answers = []
     for one in (seen, dark, observation(1, instruction="pick up the butter")):
         policy.reset(one.episode)
@@ -195,7 +199,9 @@ def test_a_file_with_one_tensor_too_many_is_refused(altered):
     name, folder = altered
     with stored_tensors(folder) as tensors:
         tensors["model.another.weight"] = tensors[acting_name(name, tensors)].clone()
-    with pytest.raises(UnusableCheckpoint, match=r"unknown to the network \(model.another.weight\)"):
+    with pytest.raises(
+        UnusableCheckpoint, match=r"unknown to the network \(model.another.weight\)"
+    ):
         loaded(name, folder)
 
 

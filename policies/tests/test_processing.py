@@ -150,7 +150,9 @@ def test_axis_angles_are_robosuites_and_antipodes_are_not_flipped(quaternion, ex
     assert axis_angle(np.array(quaternion)) == pytest.approx(expected, abs=1e-12)
 
 
-@pytest.mark.parametrize(("learnt", "commanded"), [(0.0, 1), (0.2, 1), (0.5, 0), (0.9, -1), (1, -1)])
+@pytest.mark.parametrize(
+    ("learnt", "commanded"), [(0.0, 1), (0.2, 1), (0.5, 0), (0.9, -1), (1, -1)]
+)
 def test_a_gripper_learnt_as_0_closed_becomes_1_closed(learnt, commanded):
     chunk = np.zeros((2, 7))
     chunk[:, :6] = 0.3

@@ -69,7 +69,7 @@ def torch_network():
 
 @pytest.mark.parametrize("piece", [1, 7_000, 1 << 24])
 def test_files_are_compared_in_pieces_of_any_size(tmp_path, monkeypatch, piece):
-    torch, network = torch_network()
+    _, network = torch_network()
     from safetensors.torch import save_file
 
     monkeypatch.setattr(weights, "PIECE", piece)
@@ -91,7 +91,7 @@ def test_files_are_compared_in_pieces_of_any_size(tmp_path, monkeypatch, piece):
 
 
 def test_a_file_is_never_read_whole(tmp_path, monkeypatch):
-    torch, network = torch_network()
+    _, network = torch_network()
     from safetensors.torch import save_file
 
     save_file(network.state_dict(), tmp_path / "model.safetensors")

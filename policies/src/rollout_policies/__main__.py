@@ -1,8 +1,8 @@
 """Serves one of the policies of the LIBERO-CTRL paper, or lists them.
 
-    python -m rollout_policies list
-    python -m rollout_policies serve smolvla --listen 127.0.0.1:5000
-    python -m rollout_policies serve openvla-oft --suite libero_goal --device cuda:1
+python -m rollout_policies list
+python -m rollout_policies serve smolvla --listen 127.0.0.1:5000
+python -m rollout_policies serve openvla-oft --suite libero_goal --device cuda:1
 """
 
 from __future__ import annotations

@@ -40,7 +40,9 @@ def fetch(entry: Entry, name: str, revision: str | None = None) -> Fetched:
     local = Path(name).expanduser()
     if local.is_dir():
         if revision is not None:
-            raise UnusableOption(f"--revision names a commit of the hub, and {name} is a folder here")
+            raise UnusableOption(
+                f"--revision names a commit of the hub, and {name} is a folder here"
+            )
         cached = local.resolve()
         known = cached.parent.name == "snapshots" and COMMIT.fullmatch(cached.name)
         return Fetched(local, cached.name if known else "")
@@ -94,7 +96,8 @@ def downloads(needed: Mapping[str, str]) -> str:
     """A sentence about what is loaded besides the checkpoint, and how to do it
     without a network."""
     cached = (
-        "Without a network, download it all beforehand (`hf download NAME`) and set HF_HUB_OFFLINE=1"
+        "Without a network, download it all beforehand (`hf download NAME`) and set"
+        " HF_HUB_OFFLINE=1"
     )
     if not needed:
         return f"Nothing else is downloaded. {cached}"

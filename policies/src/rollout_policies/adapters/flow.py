@@ -41,9 +41,7 @@ class FlowPolicy(Policy):
         )
 
     @classmethod
-    def load(
-        cls, entry: Entry, options: Options, *, kind: str, **replaced: Any
-    ) -> FlowPolicy:
+    def load(cls, entry: Entry, options: Options, *, kind: str, **replaced: Any) -> FlowPolicy:
         """Loads a checkpoint of this kind of lerobot's; see `LerobotModel.load`."""
         model = LerobotModel.load(entry, options, kind=kind, **replaced)
         config = model.config

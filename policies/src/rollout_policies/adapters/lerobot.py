@@ -284,9 +284,7 @@ def _slots(
     return slots
 
 
-def _downloads(
-    entry: Entry, config: Any, steps: Sequence[Mapping[str, Any]]
-) -> dict[str, str]:
+def _downloads(entry: Entry, config: Any, steps: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     """What loading a checkpoint asks the hub for, by name: its own choice, which
     may differ from the released one's."""
     named = {getattr(config, name, None) for name in ("vlm_model_name", "qwen_model_name")}

@@ -110,9 +110,9 @@ def _sees_ahead(network: Any, torch: Any, transformers: Any) -> bool:
         one = torch.randn(1, 3, 8)
         other = torch.cat([one[:, :2], torch.randn(1, 1, 8)], dim=1)
         first, second = (
-            model(
-                inputs_embeds=each, attention_mask=torch.ones(1, 3, dtype=torch.long)
-            ).logits[:, 0]
+            model(inputs_embeds=each, attention_mask=torch.ones(1, 3, dtype=torch.long)).logits[
+                :, 0
+            ]
             for each in (one, other)
         )
     return not torch.equal(first, second)

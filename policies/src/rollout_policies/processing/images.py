@@ -54,7 +54,9 @@ def resize_plainly(frame: np.ndarray, height: int, width: int) -> np.ndarray:
     for axis, target in ((0, height), (1, width)):
         size = values.shape[axis]
         # Pixels are squares; beyond the centres of the outer ones is nothing.
-        centres = (np.arange(target, dtype=np.float32) + np.float32(0.5)) * np.float32(size / target)
+        centres = (np.arange(target, dtype=np.float32) + np.float32(0.5)) * np.float32(
+            size / target
+        )
         values = _interpolated(values, axis, np.clip(centres - np.float32(0.5), 0, size - 1))
     return np.clip(np.round(values), 0, 255).astype(np.uint8)
 
