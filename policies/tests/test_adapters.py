@@ -13,13 +13,19 @@ import numpy as np
 import pytest
 from test_processing import pattern
 
-from rollout_policies import Episode, Observation, State
-from rollout_policies.adapters import MODULES, NoBatches, Options, load
-from rollout_policies.adapters import openvla_oft, predvla, univla
+from rollout_policies import Camera, Episode, Observation, State
+from rollout_policies.adapters import MODULES, Options, executed, load
+from rollout_policies.adapters import openvla_oft, predvla, prismatic, univla
+from rollout_policies.adapters.cameras import camera_of_slot
 from rollout_policies.adapters.flow import FlowPolicy
-from rollout_policies.adapters.lerobot import batch_of, camera_of_slot
+from rollout_policies.adapters.lerobot import batch_of
 from rollout_policies.adapters.minerva import Minerva
-from rollout_policies.adapters.upstream import WrongSuite, digest
+from rollout_policies.adapters.upstream import (
+    UnusableCheckpoint,
+    UnusableOption,
+    WrongSuite,
+    digest,
+)
 from rollout_policies.adapters.vla_jepa import VlaJepa
 from rollout_policies.catalogue import NoCheckpoint, entries, entry
 from rollout_policies.description import Language
@@ -50,25 +56,9 @@ def next_one(earlier, query_index):
 # What lerobot runs.
 
 
-def test_the_first_two_slots_get_cameras_and_the_others_get_nothing():
-    slots = [
-        "observation.images.camera3",
-        "observation.images.camera1",
-        "observation.images.empty_camera_0",
-        "observation.images.camera2",
-    ]
-    assert camera_of_slot(slots) == {
-        "observation.images.camera1": "agentview",
-        "observation.images.camera2": "robot0_eye_in_hand",
-    }
-    assert list(camera_of_slot(["observation.images.wrist_image", "observation.images.image"])) == [
-        "observation.images.image",
-        "observation.images.wrist_image",
-    ]
-
-
 def test_lerobot_gets_turned_frames_and_eight_numbers():
     slots = camera_of_slot(["observation.images.image", "observation.images.image2"])
+    assert slots["observation.images.image"] == "agentview"
     batch = batch_of([observation(), observation(instruction="other")], slots)
     frames = batch["observation.images.image"]
     assert frames.shape == (2, 3, 256, 256) and frames.dtype == np.float32
@@ -82,10 +72,18 @@ def test_lerobot_gets_turned_frames_and_eight_numbers():
     assert "observation.state" not in batch_of([observation()], slots, with_state=False)
 
 
-class RecordingFlow:
-    """Answers its noise, or what its generator would draw."""
+class Loaded:
+    """What a model says of itself."""
 
     checkpoint, checkpoint_digest, parameters = "weights", "d1", 3
+    cameras = (Camera("agentview"), Camera("robot0_eye_in_hand"))
+    fields = (State.EEF_POS, State.EEF_QUAT_XYZW, State.GRIPPER_POS)
+    settings = {"image slots": "image=agentview, image2=robot0_eye_in_hand"}
+
+
+class RecordingFlow(Loaded):
+    """Answers its noise, or what its generator would draw."""
+
     config = SimpleNamespace(chunk_size=50, max_action_dim=32)
 
     def __init__(self):
@@ -110,6 +108,37 @@ def test_a_flow_policy_describes_its_chunk_and_what_is_executed():
     assert (described.horizon, described.execute, described.max_batch) == (50, 1, 8)
     assert described.stochastic and not described.stateful
     assert [camera.name for camera in described.cameras] == ["agentview", "robot0_eye_in_hand"]
+    sent = {setting.name: setting.value for setting in described.to_message().settings}
+    assert sent == {**Loaded.settings, "chunk": "50", "executed actions": "1"}
+
+
+def test_a_checkpoint_of_the_paper_executes_as_the_protocol_and_others_as_they_say():
+    smolvla = entry("smolvla")
+    own = {"chunk": 50, "own": 10}
+    assert executed(smolvla, Options(), **own) == 1
+    assert executed(smolvla, Options(checkpoint="lerobot/smolvla_libero"), **own) == 1
+    assert executed(smolvla, Options(checkpoint="me/mine"), **own) == 10
+    assert executed(smolvla, Options(execute=5), **own) == 5
+    assert executed(smolvla, Options(checkpoint="me/mine", execute=5), **own) == 5
+    # A chunk that is shorter than what the paper executes of its own checkpoint's.
+    assert executed(entry("pi05"), Options(checkpoint="me/mine"), chunk=5, own=5) == 5
+
+
+def test_other_than_the_paper_s_is_said(caplog):
+    executed(entry("smolvla"), Options(checkpoint="me/mine"), chunk=50, own=10)
+    assert "executing 10 of every chunk" in caplog.text and "executes 1 of" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("chunk", "options", "words"),
+    [
+        (50, Options(execute=51), "--execute is 51, and SmolVLA answers chunks of 50 actions"),
+        (1, Options(execute=2), "--execute is 2, and SmolVLA answers 1 action here; it must be 1"),
+    ],
+)
+def test_more_actions_than_a_chunk_has_are_refused(chunk, options, words):
+    with pytest.raises(UnusableOption, match=words):
+        executed(entry("smolvla"), options, chunk=chunk, own=1)
 
 
 @pytest.mark.parametrize(("cls", "name"), [(FlowPolicy, "smolvla"), (VlaJepa, "vla-jepa")])
@@ -124,10 +153,8 @@ def test_noise_depends_on_seed_and_query_and_on_no_neighbour(cls, name):
     assert alone.shape == (50, 7)
 
 
-class RecordingLerobot:
+class RecordingLerobot(Loaded):
     """Keeps a count per episode, as lerobot's queues would."""
-
-    checkpoint, checkpoint_digest, parameters = "weights", "d1", 3
 
     def fresh_memory(self):
         return {"count": 0}
@@ -178,15 +205,20 @@ def test_openvla_oft_is_asked_with_cropped_frames_a_prompt_and_percentiles():
     assert actions.shape == (8, 7)
     assert (actions[:, 6] == -1).all() and (actions[:, :6] == 0.9).all()
     assert (policy.description.horizon, policy.description.execute) == (8, 8)
+    shorter = openvla_oft.OpenVlaOft(
+        entry("openvla-oft"), model, suite="libero_goal", checkpoint="weights", execute=4
+    )
+    assert (shorter.description.horizon, shorter.description.execute) == (8, 4)
+    assert shorter.description.settings["executed actions"] == "4"
 
 
 def test_statistics_are_found_with_and_without_no_noops():
-    assert openvla_oft.statistics_of("libero_10", {"libero_10_no_noops": {}}) == (
+    assert prismatic.statistics_of("libero_10", {"libero_10_no_noops": {}}) == (
         "libero_10_no_noops"
     )
-    assert openvla_oft.statistics_of("libero_10", {"libero_10": {}}) == "libero_10"
+    assert prismatic.statistics_of("libero_10", {"libero_10": {}}) == "libero_10"
     with pytest.raises(ValueError, match="no statistics of libero_10; it has those of bridge"):
-        openvla_oft.statistics_of("libero_10", {"bridge": {}})
+        prismatic.statistics_of("libero_10", {"bridge": {}})
 
 
 class RecordingUnivla:
@@ -195,12 +227,13 @@ class RecordingUnivla:
     def __init__(self):
         self.asked = []
 
-    def chunk(self, pixels, text, seed):
-        self.asked.append((text, seed))
+    def chunk(self, pixels, text, generator):
+        self.asked.append((text, generator))
+        self.pixels = pixels
         # The n-th chunk says n, and its gripper is open.
         chunk = np.full((12, 7), len(self.asked) / 10)
         chunk[:, 6] = 1
-        return chunk, [32001, 2, 32032, 32005]
+        return chunk, [32001, 2, 32032, 32005], ("after", generator)
 
 
 def test_univla_carries_latent_actions_and_chunks_from_query_to_query():
@@ -226,6 +259,29 @@ def test_univla_carries_latent_actions_and_chunks_from_query_to_query():
     policy.infer(again)
     assert model.asked[2] == model.asked[0] != model.asked[1]
     assert policy.description.stateful and policy.description.stochastic
+    assert (model.pixels == openvla_oft.frame(pattern(256)[::-1, ::-1])).all()
+
+
+def test_univla_as_in_the_study_draws_on_from_one_seed_and_crops_whole_pixels():
+    model = RecordingUnivla()
+    bounds = {"q01": [-2.0] * 7, "q99": [2.0] * 7, "mask": [True] * 6 + [False]}
+    policy = univla.UniVla(
+        entry("univla"),
+        model,
+        bounds,
+        suite="libero_goal",
+        checkpoint="weights",
+        evaluation="study",
+    )
+    for seed in (1, 2):
+        seen = observation(seed)
+        policy.reset(seen.episode)
+        policy.infer(seen)
+        policy.infer(next_one(seen, 1))
+    assert [generator for _, generator in model.asked] == [7, ("after", 7)] * 2
+    assert (model.pixels == univla.study_frame(pattern(256)[::-1, ::-1])).all()
+    assert not policy.description.stochastic
+    assert policy.description.settings["evaluation"] == "study"
 
 
 # PredVLA.
@@ -294,6 +350,33 @@ def test_an_episode_of_another_suite_is_refused(name):
         made.reset(observation().episode)
 
 
+def test_weights_of_predvla_are_those_of_its_repository(tmp_path):
+    listed = {suite: entry("predvla").checkpoint_for(suite) for suite in predvla_suites()}
+    assert listed == {
+        "libero_spatial": "checkpoints/predvla_spatial_s1.pt",
+        "libero_object": "checkpoints/predvla_object_s1.pt",
+        "libero_goal": "checkpoints/predvla_goal_s1.pt",
+        "libero_10": "checkpoints/predvla_long_s1.pt",
+    }
+    # They are found in the authors' repository, wherever the server is started.
+    file = tmp_path / listed["libero_goal"]
+    file.parent.mkdir()
+    file.write_bytes(b"weights")
+    assert predvla._file(entry("predvla"), listed["libero_goal"], tmp_path) == file
+    with pytest.raises(NoCheckpoint, match="predvla_long_s1.pt here nor in .*--checkpoint"):
+        predvla._file(entry("predvla"), listed["libero_10"], tmp_path)
+
+
+def predvla_suites():
+    return ("libero_spatial", "libero_object", "libero_goal", "libero_10")
+
+
+def test_weights_of_predvla_that_were_trained_for_another_suite_are_refused():
+    with pytest.raises(UnusableCheckpoint, match="trained for libero_10, and --suite says"):
+        predvla._require_trained_for("libero_goal", {"data": {"suite": "libero_10"}}, "w.pt")
+    predvla._require_trained_for("libero_goal", {"data": {"suite": "libero_90+libero_goal"}}, "w")
+
+
 def test_every_policy_of_the_catalogue_has_an_adapter():
     assert list(entries()) == list(MODULES)
     for listed in entries().values():
@@ -308,7 +391,7 @@ def test_weights_of_a_suite_need_a_suite():
 
 
 def test_batches_are_refused_where_neighbours_would_share_noise():
-    with pytest.raises(NoBatches, match="VLA-JEPA answers one query at a time"):
+    with pytest.raises(UnusableOption, match="VLA-JEPA answers one query at a time"):
         load("vla-jepa", Options(max_batch=4))
 
 
@@ -335,6 +418,19 @@ def test_the_command_line_lists_every_policy_with_what_it_needs():
     for name in MODULES:
         assert f"{name}  (" in listed.stdout
     assert "pip install 'lerobot[smolvla]" in listed.stdout
+    assert max(map(len, listed.stdout.splitlines())) <= 80
+
+
+def test_the_command_line_lists_all_that_is_downloaded():
+    listed = " ".join(command("list").stdout.split())
+    for name in (
+        "google/paligemma-3b-pt-224 (tokeniser; gated",
+        "HuggingFaceTB/SmolVLM2-500M-Video-Instruct",
+        "Qwen/Qwen3-VL-2B-Instruct (all of it, 4 GB",
+        "sentence-transformers/all-MiniLM-L6-v2",
+        "torchvision's resnet18",
+    ):
+        assert f"also downloads: {name}" in listed
 
 
 @pytest.mark.parametrize(
@@ -344,10 +440,15 @@ def test_the_command_line_lists_every_policy_with_what_it_needs():
         (("serve", "predvla"), 2, ["--suite must be one of"]),
         (("serve", "smolvla", "--max-batch", "0"), 2, ["0 is below 1"]),
         (("serve", "minerva", "--max-batch", "2"), 2, ["MINERVA", "--max-batch"]),
+        (("serve", "smolvla", "--suite", "nonsense"), 2, ["--suite must be one of", "nonsense"]),
+        (("serve", "minerva", "--execute", "4"), 2, ["--execute is 4, and MINERVA"]),
+        (("serve", "smolvla", "--image-keys", "left=a"), 2, ["scene=SLOT,wrist=SLOT"]),
+        (("serve", "univla", "--image-keys", "scene=a"), 2, ["UniVLA's images have no names"]),
+        (("serve", "smolvla", "--evaluation", "study"), 2, ["--evaluation is for univla"]),
         (
-            ("serve", "univla", "--suite", "libero_goal"),
+            ("serve", "univla", "--suite", "libero_goal", "--checkpoint", "./nowhere"),
             2,
-            ["univla-libero-goal is no folder", "--checkpoint"],
+            ["there is no folder ./nowhere", "--checkpoint"],
         ),
     ],
 )
@@ -360,11 +461,11 @@ def test_a_wrong_command_is_refused_with_the_remedy(arguments, code, words):
 
 def test_a_missing_upstream_package_is_named_with_how_to_install_it():
     try:
-        import timm  # noqa: F401
+        import huggingface_hub  # noqa: F401
     except ImportError:
         refused = command("serve", "openvla-oft", "--suite", "libero_10")
         assert refused.returncode == 1
-        for word in ("failed to import timm", "OpenVLA-OFT", "github.com/moojink/openvla-oft"):
+        for word in ("failed to import huggingface_hub", "OpenVLA-OFT", "moojink/openvla-oft"):
             assert word in refused.stderr
     else:
-        pytest.skip("timm is installed here")
+        pytest.skip("huggingface_hub is installed here")

@@ -51,9 +51,10 @@ class ComputedUnivla:
 
     parameters = 0
 
-    def chunk(self, pixels, text, seed):
-        rng = np.random.default_rng([seed, pixels.sum(), *text.encode()])
-        return rng.uniform(-1, 1, (12, 7)), (32001 + rng.integers(0, 32, 4)).tolist()
+    def chunk(self, pixels, text, generator):
+        rng = np.random.default_rng([generator, pixels.sum(), *text.encode()])
+        actions, tokens = rng.uniform(-1, 1, (12, 7)), 32001 + rng.integers(0, 32, 4)
+        return actions, tokens.tolist(), generator + 1
 
 
 class ComputedPredvla:
@@ -78,6 +79,7 @@ def around_computed_networks():
     return [
         openvla_oft.OpenVlaOft(entry("openvla-oft"), ComputedOft(), **served),
         univla.UniVla(entry("univla"), ComputedUnivla(), bounds, **served),
+        univla.UniVla(entry("univla"), ComputedUnivla(), bounds, **served, evaluation="study"),
         predvla.PredVla(entry("predvla"), ComputedPredvla(), **served),
     ]
 

@@ -7,6 +7,7 @@ Skipped where lerobot is not installed (it brings PyTorch):
 """
 
 import contextlib
+import json
 import shutil
 
 import numpy as np
@@ -20,7 +21,10 @@ import random_lerobot  # noqa: E402
 from safetensors.torch import load_file, save_file  # noqa: E402
 
 from rollout_policies.adapters import Options, load  # noqa: E402
-from rollout_policies.adapters.upstream import UnusableCheckpoint  # noqa: E402
+from rollout_policies.adapters.upstream import (  # noqa: E402
+    UnusableCheckpoint,
+    UnusableOption,
+)
 
 #: ACT is lerobot's own and stands in MINERVA's place: it, too, keeps chunks of
 #: one episode inside the policy.
@@ -60,8 +64,40 @@ def test_the_description_counts_and_names_what_was_loaded(policy, checkpoint):
     assert described.checkpoint == str(checkpoint[1])
     assert len(described.checkpoint_digest) == 64
     assert described.parameters > 100_000
-    expected = {"smolvla": (50, 1), "pi05": (10, 10), "vla-jepa": (7, 7), "act": (1, 1)}
+    # As the checkpoints say: none of them is the paper's.
+    expected = {"smolvla": (50, 50), "pi05": (10, 10), "vla-jepa": (7, 7), "act": (1, 1)}
     assert (described.horizon, described.execute) == expected[checkpoint[0]]
+
+
+def test_what_was_resolved_is_in_the_settings(policy, checkpoint):
+    settings = dict(policy.description.settings)
+    name = checkpoint[0]
+    slots = {
+        "smolvla": "camera1=agentview, camera2=robot0_eye_in_hand, camera3=nothing",
+        "pi05": "empty_camera_0=nothing, image=agentview, image2=robot0_eye_in_hand",
+    }
+    assert settings["image slots"] == slots.get(name, "image=agentview, image2=robot0_eye_in_hand")
+    assert settings["state slots"] == "observation.state=eef_pos, eef_axis_angle, gripper_pos"
+    way = {"pi05": "QUANTILES", "vla-jepa": "MIN_MAX"}.get(name, "MEAN_STD")
+    assert settings["statistics"].startswith(f"actions {way} ")
+    assert "the state " in settings["statistics"]
+    assert (settings["device"], settings["precision"]) == ("cpu", settings["precision"])
+    assert settings["executed actions"] == (
+        "1" if name == "act" else str(policy.description.execute)
+    )
+    assert settings["lerobot"]
+
+
+def test_as_many_actions_are_executed_as_the_command_line_says(checkpoint):
+    name, folder = checkpoint
+    if name == "act":
+        with pytest.raises(UnusableOption, match="--execute is 2, and MINERVA answers 1 action"):
+            loaded(name, folder, execute=2)
+        return
+    described = loaded(name, folder, execute=2).description
+    assert (described.execute, described.settings["executed actions"]) == (2, "2")
+    with pytest.raises(UnusableOption, match="--execute is 99, and .* answers chunks of"):
+        loaded(name, folder, execute=99)
 
 
 def test_an_episode_depends_on_its_seed_alone(policy):
@@ -85,7 +121,9 @@ def test_the_instruction_and_the_frames_matter(policy, checkpoint):
     # Random weights hardly look; that they look at all is what counts.
     seen = observation(1)
     dark = observation(1)
-    object.__setattr__(dark, "images", {key: np.zeros_like(dark.images[key]) for key in dark.images})
+    object.__setattr__(
+        dark, "images", {key: np.zeros_like(dark.images[key]) for key in dark.images}
+    )
     answers = []
     for one in (seen, dark, observation(1, instruction="pick up the butter")):
         policy.reset(one.episode)
@@ -105,14 +143,180 @@ def test_a_batch_moves_low_order_bits_and_no_more(checkpoint):
     assert np.allclose(policy.infer_batch(queries), alone, atol=1e-4)
 
 
-def test_weights_that_do_not_fit_are_refused(checkpoint, tmp_path):
+@pytest.fixture
+def altered(checkpoint, tmp_path):
+    """A copy of the checkpoint to plant faults in: `(name, folder)`."""
     name, folder = checkpoint
-    broken = tmp_path / "broken"
-    shutil.copytree(folder, broken)
-    weights = broken / "model.safetensors"
-    save_file({"elsewhere." + key: value for key, value in load_file(weights).items()}, weights)
-    with pytest.raises((UnusableCheckpoint, RuntimeError)):
-        loaded(name, broken)
+    shutil.copytree(folder, tmp_path / "altered")
+    return name, tmp_path / "altered"
+
+
+@contextlib.contextmanager
+def stored_tensors(folder):
+    """The tensors of a checkpoint, to alter."""
+    weights = folder / "model.safetensors"
+    tensors = load_file(weights)
+    yield tensors
+    save_file(tensors, weights)
+
+
+@contextlib.contextmanager
+def json_of(folder, file):
+    """A file's content, to alter."""
+    path = folder / file
+    content = json.loads(path.read_text("utf-8"))
+    yield content
+    path.write_text(json.dumps(content), "utf-8")
+
+
+def test_weights_under_other_names_are_refused(altered):
+    name, folder = altered
+    with stored_tensors(folder) as tensors:
+        for key in list(tensors):
+            tensors["elsewhere." + key] = tensors.pop(key)
+    with pytest.raises(UnusableCheckpoint, match=r"missing in the file .* unknown to the network"):
+        loaded(name, folder)
+
+
+#: A tensor of every policy that acts, and the largest.
+ACTING = {
+    "smolvla": "model.action_out_proj.weight",
+    "pi05": "model.action_out_proj.weight",
+    "vla-jepa": "model.action_model.action_encoder.layer1.weight",
+    "act": "model.action_head.weight",
+}
+
+
+def test_a_file_that_lacks_one_tensor_is_refused(altered):
+    name, folder = altered
+    with stored_tensors(folder) as tensors:
+        tensors.pop(acting := acting_name(name, tensors))
+    with pytest.raises(UnusableCheckpoint, match=rf"1 missing in the file \({acting}\)"):
+        loaded(name, folder)
+
+
+def test_a_file_with_one_tensor_too_many_is_refused(altered):
+    name, folder = altered
+    with stored_tensors(folder) as tensors:
+        tensors["model.another.weight"] = tensors[acting_name(name, tensors)].clone()
+    with pytest.raises(
+        UnusableCheckpoint, match=r"unknown to the network \(model.another.weight\)"
+    ):
+        loaded(name, folder)
+
+
+def test_a_large_tensor_that_is_not_the_file_s_is_refused(altered, monkeypatch):
+    # As after a loader that fails half way: one number of the largest tensor.
+    name, folder = altered
+    from rollout_policies.adapters import lerobot as adapter
+
+    inner = adapter._require_weights
+    largest = []
+
+    def look(network, file, checkpoint):
+        tensors = network.state_dict()
+        largest.append(max(tensors, key=lambda key: tensors[key].numel()))
+        tensors[largest[0]].flatten()[-1] += 1
+        inner(network, file, checkpoint)
+
+    monkeypatch.setattr(adapter, "_require_weights", look)
+    with pytest.raises(UnusableCheckpoint, match="1 of other content") as refused:
+        loaded(name, folder)
+    assert largest[0] in str(refused.value)
+
+
+def test_embeddings_that_are_tied_in_the_file_are_loaded_or_refused(altered):
+    # lerobot's π0.5 copies the head's weights into the embedding if a file lacks
+    # it, as released ones do; of SmolVLA it does not.
+    name, folder = altered
+    if name not in ("smolvla", "pi05"):
+        pytest.skip(f"{name} has no file without them")
+    with stored_tensors(folder) as tensors:
+        [embedding] = [key for key in tensors if key.endswith("embed_tokens.weight")]
+        del tensors[embedding]
+    if name == "pi05":
+        assert play(loaded(name, folder), seed=1, queries=1)
+    else:
+        with pytest.raises(UnusableCheckpoint, match="missing in the file .*embed_tokens"):
+            loaded(name, folder)
+
+
+def acting_name(name, tensors):
+    """ACTING's tensor, or the last one of the part that acts."""
+    if ACTING[name] in tensors:
+        return ACTING[name]
+    return sorted(key for key in tensors if "action" in key and key.endswith("weight"))[-1]
+
+
+def rename_slots(folder, names):
+    """Gives the image slots of a checkpoint other names."""
+    for file in ("config.json", "policy_preprocessor.json", "policy_postprocessor.json"):
+        text = (folder / file).read_text("utf-8")
+        for old, new in names.items():
+            text = text.replace(f'"observation.images.{old}"', f'"observation.images.{new}"')
+        (folder / file).write_text(text, "utf-8")
+
+
+def test_two_cameras_whose_names_sort_the_other_way_are_not_swapped(policy, altered):
+    name, folder = altered
+    first, second = ("camera1", "camera2") if name == "smolvla" else ("image", "image2")
+    rename_slots(folder, {first: "front", second: "cam_wrist"})
+    renamed = loaded(name, folder)
+    assert "cam_wrist=robot0_eye_in_hand" in renamed.description.settings["image slots"]
+    assert np.array_equal(play(renamed, seed=1), play(policy, seed=1))
+    # The other way round is another policy.
+    swapped = loaded(name, folder, image_keys={"scene": "cam_wrist", "wrist": "front"})
+    assert not np.array_equal(play(swapped, seed=1), play(policy, seed=1))
+
+
+def test_slots_whose_names_do_not_tell_are_refused_with_the_flag(altered):
+    name, folder = altered
+    first, second = ("camera1", "camera2") if name == "smolvla" else ("image", "image2")
+    rename_slots(folder, {first: "left", second: "right"})
+    with pytest.raises(UnusableCheckpoint, match="--image-keys scene=left,wrist=right"):
+        loaded(name, folder)
+    assert loaded(name, folder, image_keys={"scene": "left", "wrist": "right"})
+
+
+@pytest.mark.parametrize("which", ["action", "observation.state"])
+def test_a_checkpoint_without_statistics_is_refused(altered, which):
+    # lerobot would pass the numbers on as they are.
+    name, folder = altered
+    for file in folder.glob("policy_*_normalizer_processor.safetensors"):
+        drop_statistics(file, which)
+    for file in folder.glob("policy_*_unnormalizer_processor.safetensors"):
+        drop_statistics(file, which)
+    what = "actions" if which == "action" else "the state"
+    with pytest.raises(UnusableCheckpoint, match=f"has no statistics of {what}"):
+        loaded(name, folder)
+
+
+def drop_statistics(file, which):
+    kept = {key: one for key, one in load_file(file).items() if not key.startswith(f"{which}.")}
+    save_file(kept, file)
+
+
+def test_a_file_that_is_not_there_is_named_with_what_to_do(altered):
+    name, folder = altered
+    (folder / "policy_preprocessor.json").unlink()
+    with pytest.raises(UnusableCheckpoint, match="no policy_preprocessor.json.*convert it"):
+        loaded(name, folder)
+    (folder / "model.safetensors").unlink()
+    (folder / "adapter_config.json").write_text("{}")
+    with pytest.raises(UnusableCheckpoint, match="no model.safetensors.*a LoRA.*merge"):
+        loaded(name, folder)
+
+
+def test_a_download_that_does_not_come_is_refused_with_the_list(altered, monkeypatch):
+    name, folder = altered
+    field = {"smolvla": "vlm_model_name", "vla-jepa": "qwen_model_name"}.get(name)
+    if field is None:
+        pytest.skip(f"{name}'s configuration names no repository")
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+    with json_of(folder, "config.json") as config:
+        config[field] = "nobody/nothing"
+    with pytest.raises(UnusableCheckpoint, match="downloaded: nobody/nothing .*HF_HUB_OFFLINE"):
+        loaded(name, folder)
 
 
 def test_a_checkpoint_of_another_policy_is_refused(checkpoint):

@@ -10,6 +10,8 @@ import math
 import numpy as np
 import pytest
 
+from rollout_policies.adapters.openvla_oft import frame
+from rollout_policies.adapters.univla import study_frame
 from rollout_policies.processing import images, jpeg
 from rollout_policies.processing.actions import Ensemble, from_bounds, within_bounds
 from rollout_policies.processing.robot import axis_angle, gripper_from_rlds
@@ -73,6 +75,32 @@ def test_the_centre_crop_is_tensorflows():
     ]
 
 
+def test_plain_shrinking_leaves_samples_out_as_torch_without_antialias():
+    # PyTorch 2.11.0, as are the next ones.
+    assert images.resize_plainly(pattern(8), 5, 5)[..., 2].tolist() == [
+        [40, 43, 45, 48, 50],
+        [43, 58, 73, 88, 104],
+        [45, 73, 101, 129, 157],
+        [48, 88, 129, 170, 211],
+        [50, 104, 157, 211, 139],
+    ]
+    assert images.resize_plainly(pattern(8), 11, 11)[3, :4].tolist() == [
+        [13, 22, 40],
+        [17, 23, 46],
+        [22, 24, 53],
+        [27, 27, 61],
+    ]
+
+
+def test_the_study_crops_univla_s_frames_to_whole_pixels():
+    framed = study_frame(pattern(256))
+    assert framed.shape == (224, 224, 3)
+    assert framed[100, :3].tolist() == [[90, 46, 132], [98, 28, 188], [105, 42, 161]]
+    assert framed[223, 223].tolist() == [133, 232, 98]
+    # Upstream's way gives other pixels.
+    assert (framed != frame(pattern(256))).mean() > 0.5
+
+
 def test_a_crop_of_everything_changes_nothing():
     assert (images.centre_crop(pattern(16), 1.0, 16) == pattern(16)).all()
 
@@ -122,7 +150,9 @@ def test_axis_angles_are_robosuites_and_antipodes_are_not_flipped(quaternion, ex
     assert axis_angle(np.array(quaternion)) == pytest.approx(expected, abs=1e-12)
 
 
-@pytest.mark.parametrize(("learnt", "commanded"), [(0.0, 1), (0.2, 1), (0.5, 0), (0.9, -1), (1, -1)])
+@pytest.mark.parametrize(
+    ("learnt", "commanded"), [(0.0, 1), (0.2, 1), (0.5, 0), (0.9, -1), (1, -1)]
+)
 def test_a_gripper_learnt_as_0_closed_becomes_1_closed(learnt, commanded):
     chunk = np.zeros((2, 7))
     chunk[:, :6] = 0.3

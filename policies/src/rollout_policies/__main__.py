@@ -4,7 +4,7 @@ server of any policy.
     python -m rollout_policies list
     python -m rollout_policies check grpc://127.0.0.1:5000
     python -m rollout_policies serve smolvla --listen 127.0.0.1:5000
-    python -m rollout_policies serve openvla-oft --suite libero_goal --listen 127.0.0.1:5001
+    python -m rollout_policies serve openvla-oft --suite libero_goal --device cuda:1
 """
 
 from __future__ import annotations
@@ -14,15 +14,20 @@ import contextlib
 import logging
 import os
 import sys
+import textwrap
 
 from .access import AccessError, UnguardedAddress, read_tokens
-from .adapters import BATCHING, MODULES, NoBatches, Options, load
-from .adapters.upstream import UnusableCheckpoint, UpstreamMissing
+from .adapters import BATCHING, EVALUATIONS, MODULES, WITH_SLOTS, WITH_STUDY, Options, load
+from .adapters.cameras import ROLES
+from .adapters.upstream import UnusableCheckpoint, UnusableOption, UpstreamMissing
 from .catalogue import Entry, NoCheckpoint, entries
 from .command import add_server_flags, server_options
 from .conformance import CannotCheck, Target, check_server
 from .fake import TASKS
 from .server import require_servable, serve
+
+#: Columns that every terminal has.
+TERMINAL_WIDTH = 80
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -37,9 +42,13 @@ def main(arguments: list[str] | None = None) -> int:
         return _check(given)
     options = Options(
         checkpoint=given.checkpoint,
+        revision=given.revision,
         suite=given.suite,
         device=given.device,
         max_batch=given.max_batch,
+        execute=given.execute,
+        image_keys=given.image_keys,
+        evaluation=given.evaluation,
     )
     try:
         options_of_server = server_options(given)
@@ -49,7 +58,7 @@ def main(arguments: list[str] | None = None) -> int:
         with contextlib.redirect_stdout(sys.stderr):
             policy = load(given.policy, options)
         serve(policy, **options_of_server)
-    except (NoCheckpoint, NoBatches, UnguardedAddress) as error:
+    except (NoCheckpoint, UnusableOption, UnguardedAddress) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     except (UpstreamMissing, UnusableCheckpoint, AccessError, OSError) as error:
@@ -66,9 +75,35 @@ def _parser() -> argparse.ArgumentParser:
     commands.add_parser("list", help="the policies, their checkpoints and what they need")
     one = commands.add_parser("serve", help="load a policy and serve it")
     one.add_argument("policy", choices=list(MODULES))
-    one.add_argument("--checkpoint", metavar="ID", help="hub id or local path of the weights")
+    one.add_argument(
+        "--checkpoint",
+        metavar="NAME",
+        help="hub name (owner/repository, with /folder if need be) or local path of the weights",
+    )
+    one.add_argument("--revision", metavar="REV", help="the hub's branch, tag or commit")
     one.add_argument("--suite", help="which weights, where every suite has its own")
     one.add_argument("--device", default="cuda", help="as torch names it (default: cuda)")
+    one.add_argument(
+        "--execute",
+        type=_positive,
+        metavar="N",
+        help="actions of a chunk that are executed before the next query (default: as the"
+        " checkpoint says; of the checkpoints of `list`, as LIBERO-CTRL's protocol says)",
+    )
+    one.add_argument(
+        "--image-keys",
+        type=_image_keys,
+        metavar="scene=SLOT,wrist=SLOT",
+        help=f"which camera feeds which image slot, for {', '.join(WITH_SLOTS)} (default: by"
+        " the slots' names, if they are known)",
+    )
+    one.add_argument(
+        "--evaluation",
+        choices=EVALUATIONS,
+        default=EVALUATIONS[0],
+        help=f"whose way to evaluate, for {', '.join(WITH_STUDY)}: its authors' or LIBERO-CTRL's"
+        " (default: upstream)",
+    )
     add_server_flags(one)
     one.add_argument(
         "--max-batch",
@@ -125,12 +160,36 @@ def _positive(text: str) -> int:
     return number
 
 
+def _image_keys(text: str) -> dict[str, str]:
+    pairs = [pair.partition("=")[::2] for pair in text.split(",")]
+    keys = {role.strip(): slot.strip() for role, slot in pairs}
+    if len(keys) != len(pairs) or not all(keys.values()) or not set(keys) <= set(ROLES):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not of the form scene=SLOT,wrist=SLOT, each once and either of them"
+        )
+    return keys
+
+
 def _described(entry: Entry) -> str:
     if entry.per_suite:
-        weights = [f"  {suite}: {name}" for suite, name in entry.checkpoint.items()]
+        weights = [f"{suite}: {name}" for suite, name in entry.checkpoint.items()]
     else:
-        weights = [f"  {entry.checkpoint}"]
-    return "\n".join([f"{entry.name}  ({entry.title})", *weights, f"  needs: {entry.install}"])
+        weights = [str(entry.checkpoint)]
+    lines = [f"weights: {line}" for line in weights]
+    lines += [f"also downloads: {name} ({what})" for name, what in entry.downloads.items()]
+    lines.append(f"install: {entry.install}")
+    wrapped = [
+        textwrap.fill(
+            line,
+            TERMINAL_WIDTH,
+            initial_indent="  ",
+            subsequent_indent="    ",
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+        for line in lines
+    ]
+    return "\n".join([f"{entry.name}  ({entry.title})", *wrapped])
 
 
 if __name__ == "__main__":

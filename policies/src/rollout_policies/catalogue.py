@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import importlib.resources
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Mapping
 
 try:
     import tomllib
 except ModuleNotFoundError:  # Python 3.10
     import tomli as tomllib
+
+
+#: The suites that weights are trained for.
+SUITES = ("libero_spatial", "libero_object", "libero_goal", "libero_10")
 
 
 class UnknownPolicy(ValueError):
@@ -35,11 +39,21 @@ class Entry:
     #: The upstream package's top module, and how to install it.
     module: str
     install: str
+    #: Of every chunk of these checkpoints, how many actions LIBERO-CTRL's protocol
+    #: executes; None where the policy leaves no choice.
+    execute: int | None = None
+    #: What is downloaded besides the checkpoint, by name, and what it is.
+    downloads: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def per_suite(self) -> bool:
         """Whether every suite has its own weights, and so its own server."""
         return not isinstance(self.checkpoint, str)
+
+    def lists(self, checkpoint: str | None) -> bool:
+        """Whether a checkpoint of the command line is one of these."""
+        listed = self.checkpoint.values() if self.per_suite else [self.checkpoint]
+        return checkpoint is None or checkpoint in listed
 
     def checkpoint_for(self, suite: str | None) -> str:
         """The checkpoint's id for a suite such as "libero_goal".

@@ -9,10 +9,14 @@ on frames and actions is in `rollout_policies.processing`.
 from __future__ import annotations
 
 import importlib
+import logging
 from dataclasses import dataclass
+from typing import Mapping
 
-from ..catalogue import entry
+from ..catalogue import SUITES, Entry, entry
 from ..policy import Policy
+from .fetch import naming_downloads
+from .upstream import UnusableOption
 
 #: Module of each policy in the catalogue.
 MODULES = {
@@ -28,37 +32,91 @@ MODULES = {
 #: Those that draw their noise outside the network, so that it can be given row
 #: by row to a batch.
 BATCHING = ("pi05", "smolvla")
+#: Those whose checkpoints name their image slots.
+WITH_SLOTS = ("pi05", "smolvla", "vla-jepa", "minerva")
+#: Those that the study ran otherwise than their authors do.
+WITH_STUDY = ("univla",)
+EVALUATIONS = ("upstream", "study")
 
-
-class NoBatches(ValueError):
-    """The policy answers one query at a time."""
+log = logging.getLogger("rollout_policies")
 
 
 @dataclass(frozen=True)
 class Options:
     """What the command line may say about serving a policy."""
 
-    #: A hub's id or a local path; the catalogue's own if None.
+    #: A hub's name or a local path; the catalogue's own if None.
     checkpoint: str | None = None
+    #: The hub's branch, tag or commit; its main branch if None.
+    revision: str | None = None
     #: For policies with other weights for every suite.
     suite: str | None = None
     #: As torch names it.
     device: str = "cuda"
     #: Queries answered in one forward pass, where the policy can.
     max_batch: int = 1
+    #: Actions of a chunk that are executed; what the checkpoint says if None.
+    execute: int | None = None
+    #: Image slots by camera ("scene", "wrist"), where names do not tell.
+    image_keys: Mapping[str, str] | None = None
+    #: Whose evaluation is followed: the policy's authors' or LIBERO-CTRL's.
+    evaluation: str = "upstream"
 
 
 def load(name: str, options: Options) -> Policy:
     """Loads a policy, ready to be served.
 
-    Raises UnknownPolicy, NoBatches, NoCheckpoint, UpstreamMissing,
+    Raises UnknownPolicy, UnusableOption, NoCheckpoint, UpstreamMissing,
     UnusableCheckpoint, or whatever the upstream package raises.
     """
     listed = entry(name)
-    if options.max_batch > 1 and name not in BATCHING:
-        raise NoBatches(
+    _require_options(listed, options)
+    module = importlib.import_module(f"{__name__}.{MODULES[name]}")
+    with naming_downloads(listed.downloads):
+        return module.load(listed, options)
+
+
+def _require_options(listed: Entry, options: Options) -> None:
+    """Refuses what no checkpoint of a policy could do."""
+    if options.suite is not None and options.suite not in SUITES:
+        raise UnusableOption(f"--suite must be one of {', '.join(SUITES)}, and is {options.suite}")
+    if options.max_batch > 1 and listed.name not in BATCHING:
+        raise UnusableOption(
             f"{listed.title} answers one query at a time; --max-batch is for"
             f" {' and '.join(BATCHING)}"
         )
-    module = importlib.import_module(f"{__name__}.{MODULES[name]}")
-    return module.load(listed, options)
+    if options.image_keys and listed.name not in WITH_SLOTS:
+        raise UnusableOption(
+            f"{listed.title}'s images have no names; --image-keys is for {', '.join(WITH_SLOTS)}"
+        )
+    if options.evaluation != EVALUATIONS[0] and listed.name not in WITH_STUDY:
+        raise UnusableOption(
+            f"the study ran {listed.title} as its authors do; --evaluation is for"
+            f" {', '.join(WITH_STUDY)}"
+        )
+
+
+def executed(listed: Entry, options: Options, *, chunk: int, own: int) -> int:
+    """How many actions of a chunk are executed: what the command line says, else
+    LIBERO-CTRL's number for its own checkpoints, else the checkpoint's `own`.
+
+    Raises UnusableOption for a number that does not fit the chunk.
+    """
+    protocol = listed.execute if listed.lists(options.checkpoint) else None
+    number = next(one for one in (options.execute, protocol, own) if one is not None)
+    if not 1 <= number <= chunk:
+        source = "--execute" if options.execute is not None else "the number that is executed"
+        answers = "1 action" if chunk == 1 else f"chunks of {chunk} actions"
+        raise UnusableOption(
+            f"{source} is {number}, and {listed.title} answers {answers} here; it must be"
+            f" {'1' if chunk == 1 else f'from 1 to {chunk}'}"
+        )
+    if options.execute is None and listed.execute not in (None, number):
+        log.warning(
+            "executing %d of every chunk, as the checkpoint says; LIBERO-CTRL executes %d of"
+            " its own checkpoint of %s (--execute N sets another number)",
+            number,
+            listed.execute,
+            listed.title,
+        )
+    return number

@@ -3,7 +3,7 @@ keep nothing in between."""
 
 from __future__ import annotations
 
-from typing import Sequence
+from typing import Any, Sequence
 
 import numpy as np
 
@@ -11,7 +11,8 @@ from ..catalogue import Entry
 from ..description import Description
 from ..episode import Episode, Observation
 from ..policy import Policy
-from .lerobot import CAMERAS, FIELDS, LerobotModel
+from . import Options, executed
+from .lerobot import LerobotModel
 
 
 class FlowPolicy(Policy):
@@ -26,13 +27,26 @@ class FlowPolicy(Policy):
             checkpoint=model.checkpoint,
             checkpoint_digest=model.checkpoint_digest,
             parameters=model.parameters,
-            cameras=CAMERAS,
-            state=FIELDS,
+            cameras=model.cameras,
+            state=model.fields,
             horizon=model.config.chunk_size,
             execute=execute,
             stochastic=True,
             max_batch=max_batch,
+            settings={
+                **model.settings,
+                "chunk": str(model.config.chunk_size),
+                "executed actions": str(execute),
+            },
         )
+
+    @classmethod
+    def load(cls, entry: Entry, options: Options, *, kind: str, **replaced: Any) -> FlowPolicy:
+        """Loads a checkpoint of this kind of lerobot's; see `LerobotModel.load`."""
+        model = LerobotModel.load(entry, options, kind=kind, **replaced)
+        config = model.config
+        execute = executed(entry, options, chunk=config.chunk_size, own=config.n_action_steps)
+        return cls(entry, model, execute=execute, max_batch=options.max_batch)
 
     def reset(self, episode: Episode) -> None:
         """Nothing is kept: the instruction goes with every query."""

@@ -3,12 +3,15 @@
 `LerobotModel` is the only code here that touches lerobot and torch. lerobot's
 own processors normalise, tokenise, resize and un-normalise, with the statistics
 that lie beside the checkpoint: doing that again here would be doing it twice.
+What lerobot passes over in silence is refused here: weights that do not fit, and
+statistics that are not there.
 """
 
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
+import json
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Mapping, Sequence
 
@@ -20,28 +23,46 @@ from ..episode import Observation
 from ..processing.images import unit_planes
 from ..processing.robot import STATE_FIELDS, state_vector
 from . import Options
-from .upstream import UnusableCheckpoint, digest, require
+from .cameras import ROLES, camera_of_slot, short
+from .fetch import fetch, naming_downloads
+from .statistics import ACTION_WIDTH, STATE_WIDTH, require_statistics
+from .upstream import UnusableCheckpoint, digest, precision, require
+from .weights import COMPUTED, Exceptions, require_loaded, stored_in
 
-IMAGES = "observation.images."
-STATE = "observation.state"
-WEIGHTS = "model.safetensors"
-#: In the order in which checkpoints declare their slots.
-CAMERAS = (Camera("agentview"), Camera("robot0_eye_in_hand"))
-FIELDS = STATE_FIELDS
-#: Tensors up to this size are compared with the file after loading.
-COMPARED_NUMBERS = 1 << 20
-
-
-def camera_of_slot(slots: Sequence[str]) -> dict[str, str]:
-    """Which camera goes into which of a checkpoint's image slots.
-
-    By name, the first slot gets the view of the scene and the second the
-    wrist's, whatever they are called; further ones and those called "empty"
-    get nothing at all. A checkpoint may declare a third camera that never was
-    in its training data, and zeros in its place are something it never saw.
-    """
-    real = sorted(slot for slot in slots if not slot.removeprefix(IMAGES).startswith("empty"))
-    return {slot: camera.name for slot, camera in zip(real, CAMERAS)}
+STATE, ACTION = "observation.state", "action"
+WEIGHTS, CONFIG, BEFORE = "model.safetensors", "config.json", "policy_preprocessor.json"
+#: What is in the state, in its order.
+STATE_CONTENT = "eef_pos, eef_axis_angle, gripper_pos"
+#: Those that do without an image that does not come; others stop at the first
+#: query.
+LEAVE_SLOTS_EMPTY = ("smolvla", "pi05")
+_LANGUAGE_MODEL = "model.paligemma_with_expert.paligemma"
+#: By lerobot's kind of policy.
+EXCEPTIONS = {
+    # The file of the released checkpoint has one of the two, and lerobot copies it.
+    # Neither head of the language models is asked.
+    "pi05": Exceptions(
+        tied={
+            f"{_LANGUAGE_MODEL}.model.language_model.embed_tokens.weight": (
+                f"{_LANGUAGE_MODEL}.lm_head.weight"
+            )
+        },
+        unused=(
+            f"{_LANGUAGE_MODEL}.lm_head.weight",
+            "model.paligemma_with_expert.gemma_expert.lm_head.weight",
+        ),
+    ),
+    "smolvla": Exceptions(unused=("model.vlm_with_expert.vlm.lm_head.weight",)),
+    # The world model is there to train with.
+    "vla_jepa": Exceptions(
+        tied={
+            "model.qwen.model.model.language_model.embed_tokens.weight": (
+                "model.qwen.model.lm_head.weight"
+            )
+        },
+        skipped=(*COMPUTED, "model.video_encoder.*", "model.video_predictor.*"),
+    ),
+}
 
 
 def batch_of(
@@ -75,49 +96,83 @@ class LerobotModel:
     with_state: bool
     checkpoint: str
     checkpoint_digest: str
+    #: What was resolved, for the policy's description.
+    settings: dict[str, str] = field(default_factory=dict)
 
     @classmethod
     def load(
-        cls, entry: Entry, options: Options, *, kind: str | None = None, **settings: Any
+        cls, entry: Entry, options: Options, *, kind: str | None = None, **replaced: Any
     ) -> LerobotModel:
         """Loads a checkpoint from a folder or a hub, which must be of this kind
-        of lerobot's; `settings` replace what its configuration says."""
+        of lerobot's; `replaced` is put in the place of what its configuration says.
+
+        Raises UnusableCheckpoint for one that would not run as it was trained.
+        """
         name = options.checkpoint or entry.checkpoint_for(options.suite)
         configs = require("lerobot.configs.policies", entry)
         factory = require("lerobot.policies.factory", entry)
-        folder = _fetch(name, entry)
-        config = configs.PreTrainedConfig.from_pretrained(folder)
-        config.device = options.device
-        config.pretrained_path = folder
-        unknown = [field for field in settings if not hasattr(config, field)]
+        fetched = fetch(entry, name, options.revision)
+        folder = fetched.folder
+        _require_files(folder, name)
+        config = configs.PreTrainedConfig.from_pretrained(str(folder))
+        unknown = [each for each in replaced if not hasattr(config, each)]
         if unknown or kind not in (None, config.type):
             raise UnusableCheckpoint(
                 f"checkpoint {name} is a policy of kind {config.type!r}, not {entry.title};"
                 " name another with --checkpoint"
             )
-        for field, value in settings.items():
-            setattr(config, field, value)
-        network = factory.get_policy_class(config.type).from_pretrained(folder, config=config)
+        config.device = options.device
+        config.pretrained_path = str(folder)
+        for each, value in replaced.items():
+            setattr(config, each, value)
+        steps = json.loads((folder / BEFORE).read_text("utf-8"))["steps"]
+        slots = _slots(config, steps, options.image_keys)
+        with naming_downloads(_downloads(entry, config, steps)):
+            network = factory.get_policy_class(config.type).from_pretrained(
+                str(folder), config=config
+            )
+            before, after = factory.make_pre_post_processors(
+                config,
+                pretrained_path=str(folder),
+                preprocessor_overrides={
+                    "device_processor": {"device": options.device},
+                    # Frames go straight into the slots that the checkpoint declares.
+                    "rename_observations_processor": {"rename_map": {}},
+                },
+            )
         network.to(options.device).eval()
-        _require_loaded(network, Path(folder) / WEIGHTS, name)
-        before, after = factory.make_pre_post_processors(
-            config,
-            pretrained_path=str(folder),
-            preprocessor_overrides={
-                "device_processor": {"device": options.device},
-                # Frames go straight into the slots that the checkpoint declares.
-                "rename_observations_processor": {"rename_map": {}},
-            },
-        )
+        _require_weights(network, folder / WEIGHTS, name)
+        with_state = STATE in config.input_features
+        statistics = _statistics(config, before, after, slots, with_state)
+        feeding = {slot: slots.get(slot, "nothing") for slot in config.image_features}
+        settings = {
+            "image slots": ", ".join(f"{short(slot)}={feeding[slot]}" for slot in sorted(feeding)),
+            "state slots": f"{STATE}={STATE_CONTENT}" if with_state else "none",
+            "statistics": "; ".join(statistics),
+            "lerobot": getattr(require("lerobot", entry), "__version__", "unknown"),
+            **precision(options.device, network),
+            **fetched.settings,
+        }
         return cls(
             network,
             before,
             after,
-            camera_of_slot(list(config.image_features)),
-            STATE in config.input_features,
+            slots,
+            with_state,
             name,
-            digest([Path(folder) / "config.json", Path(folder) / WEIGHTS]),
+            digest([folder / CONFIG, folder / WEIGHTS]),
+            settings,
         )
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """The cameras that are looked at, the scene's first."""
+        return tuple(Camera(name) for name in ROLES.values() if name in self.slots.values())
+
+    @property
+    def fields(self) -> tuple[Any, ...]:
+        """The readings that the state is made of."""
+        return STATE_FIELDS if self.with_state else ()
 
     @property
     def config(self) -> Any:
@@ -191,36 +246,117 @@ class LerobotModel:
         )
 
 
-def _fetch(name: str, entry: Entry) -> str:
-    """The folder of a checkpoint, fetched from the hub unless it is one."""
-    if Path(name).is_dir():
-        return name
-    return require("huggingface_hub", entry).snapshot_download(name)
-
-
-def _require_loaded(network: Any, weights: Path, name: str) -> None:
-    """Compares the network with the file of its weights.
-
-    lerobot's π0.5 prints a warning when weights do not fit, and goes on with
-    random ones; such a policy moves, and fails every task.
-    """
-    from safetensors import safe_open
-
-    own = network.state_dict()
-    compared = 0
-    with safe_open(str(weights), framework="pt") as file:
-        for key in file.keys():
-            mine = own.get(key, own.get(f"model.{key}"))
-            if mine is None or mine.numel() > COMPARED_NUMBERS:
-                continue
-            theirs = file.get_tensor(key).to(mine.dtype)
-            if theirs.shape != mine.shape or not theirs.equal(mine.cpu()):
-                raise UnusableCheckpoint(
-                    f"checkpoint {name} was not loaded: {key!r} of the network is not what"
-                    f" {weights.name} holds"
-                )
-            compared += 1
-    if compared == 0:
-        raise UnusableCheckpoint(
-            f"checkpoint {name} was not loaded: {weights.name} has no tensor of the network"
+def _require_files(folder: Path, name: str) -> None:
+    """Refuses what is no checkpoint of a policy, by what its folder lacks."""
+    lacking = [file for file in (CONFIG, WEIGHTS, BEFORE) if not (folder / file).is_file()]
+    if not lacking:
+        return
+    remedy = "name a folder that lerobot's save_pretrained wrote"
+    if (folder / "adapter_config.json").is_file():
+        remedy = "it is a LoRA beside a model: merge them and save the result"
+    elif (folder / "pretrained_model").is_dir():
+        remedy = f"name {folder / 'pretrained_model'}"
+    elif lacking == [BEFORE]:
+        remedy = (
+            "it was saved before lerobot kept statistics in files of their own: convert it with"
+            " python -m lerobot.processor.migrate_policy_normalization"
         )
+    raise UnusableCheckpoint(f"checkpoint {name} has no {' and no '.join(lacking)}; {remedy}")
+
+
+def _slots(
+    config: Any, steps: Sequence[Mapping[str, Any]], given: Mapping[str, str] | None
+) -> dict[str, str]:
+    """Camera by image slot, none empty where the policy cannot do without."""
+    renamed = {
+        source: slot
+        for step in steps
+        for source, slot in step.get("config", {}).get("rename_map", {}).items()
+    }
+    declared = list(config.image_features)
+    slots = camera_of_slot(declared, given, renamed)
+    empty = [short(slot) for slot in declared if slot not in slots]
+    if empty and config.type not in LEAVE_SLOTS_EMPTY:
+        raise UnusableCheckpoint(
+            f"the checkpoint wants an image in every slot, and LIBERO has none for"
+            f" {', '.join(empty)}: it was trained with other cameras"
+        )
+    return slots
+
+
+def _downloads(entry: Entry, config: Any, steps: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """What loading a checkpoint asks the hub for, by name: its own choice, which
+    may differ from the released one's."""
+    named = {getattr(config, name, None) for name in ("vlm_model_name", "qwen_model_name")}
+    named |= {step.get("config", {}).get("tokenizer_name") for step in steps}
+    names = sorted(name for name in named if name and not Path(name).is_dir())
+    return {name: entry.downloads.get(name, "the checkpoint names it") for name in names}
+
+
+def _require_weights(network: Any, weights: Path, name: str) -> None:
+    """Compares the network with the file of its weights."""
+    own = network.state_dict()
+
+    def rename(stored: str) -> str:
+        # openpi's names, which lerobot's loader of pi05 knows, have no prefix and
+        # two layers that are called otherwise.
+        other = stored.replace("action_time_mlp_", "time_mlp_")
+        return next(
+            (one for one in (stored, f"model.{stored}", f"model.{other}") if one in own), stored
+        )
+
+    with stored_in([weights], rename) as stored:
+        require_loaded(network, stored, name, EXCEPTIONS.get(network.config.type, Exceptions()))
+
+
+def _statistics(
+    config: Any, before: Any, after: Any, slots: Mapping[str, str], with_state: bool
+) -> list[str]:
+    """What is normalised by which statistics, in short.
+
+    Where statistics are missing, lerobot passes numbers on as they are.
+    """
+    if any(getattr(step, "enabled", False) for step in before.steps if _is(step, "Relative")):
+        raise UnusableCheckpoint(
+            "the checkpoint's actions are relative to the state (use_relative_actions), and"
+            " LIBERO's robot takes them as they are"
+        )
+    width = config.action_feature.shape[0]
+    if width != ACTION_WIDTH:
+        raise UnusableCheckpoint(
+            f"the checkpoint's actions are {width} numbers, and LIBERO's are {ACTION_WIDTH}:"
+            " it was trained for another robot, or for none"
+        )
+    found = [_of(ACTION, "ACTION", config, after, "Unnormalizer", ACTION_WIDTH)]
+    if with_state:
+        found.append(_of(STATE, "STATE", config, before, "Normalizer", STATE_WIDTH))
+    images = [_of(slot, "VISUAL", config, before, "Normalizer") for slot in sorted(slots)]
+    return found + [one for one in images if not one.endswith("not normalised")]
+
+
+def _of(
+    key: str, kind: str, config: Any, pipeline: Any, step_name: str, width: int | None = None
+) -> str:
+    """One feature's statistics, as `require_statistics` gives them."""
+    what = {"ACTION": "actions", "STATE": "the state"}.get(kind, f"images of {short(key)}")
+    declared = {_name(of): _name(mode) for of, mode in config.normalization_mapping.items()}
+    mode = declared.get(kind, "IDENTITY")
+    statistics: dict[str, Any] = {}
+    for step in pipeline.steps:
+        # Of observations, a step touches those that it names; of actions, all.
+        if _is(step, step_name) and (kind == "ACTION" or key in step.features):
+            mode = {_name(of): _name(way) for of, way in step.norm_map.items()}.get(kind, mode)
+            for name, tensor in step.state_dict().items():
+                of, _, statistic = name.rpartition(".")
+                if of == key:
+                    statistics[statistic] = tensor.float().cpu().numpy()
+    return require_statistics(what, mode, statistics, width)
+
+
+def _is(step: Any, name: str) -> bool:
+    return type(step).__name__.startswith(name)
+
+
+def _name(value: Any) -> str:
+    """An enumeration's value, which configurations also write as plain text."""
+    return str(getattr(value, "value", value))

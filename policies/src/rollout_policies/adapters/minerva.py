@@ -17,10 +17,11 @@ from ..catalogue import Entry
 from ..description import Description, Language
 from ..episode import Episode, Observation
 from ..policy import Policy
-from . import Options
-from .lerobot import CAMERAS, FIELDS, LerobotModel
+from . import Options, executed
+from .lerobot import LerobotModel
 
-#: The authors' protocol.
+#: The authors' protocol: asked at every step, and how fast old chunks lose their
+#: say.
 EXECUTE = 1
 ENSEMBLE = 0.01
 
@@ -35,11 +36,17 @@ class Minerva(Policy):
             checkpoint=model.checkpoint,
             checkpoint_digest=model.checkpoint_digest,
             parameters=model.parameters,
-            cameras=CAMERAS,
-            state=FIELDS,
+            cameras=model.cameras,
+            state=model.fields,
             horizon=EXECUTE,
             stateful=True,
             language=Language.CANONICAL_ONLY,
+            settings={
+                **model.settings,
+                "chunk": "averaged to 1",
+                "executed actions": str(EXECUTE),
+                "ensemble": f"exp(-{ENSEMBLE} i)",
+            },
         )
 
     def reset(self, episode: Episode) -> None:
@@ -51,6 +58,7 @@ class Minerva(Policy):
 
 def load(entry: Entry, options: Options) -> Policy:
     """Loads the checkpoint; see `rollout_policies.adapters.load`."""
+    executed(entry, options, chunk=EXECUTE, own=EXECUTE)
     model = LerobotModel.load(
         entry, options, n_action_steps=EXECUTE, temporal_ensemble_coeff=ENSEMBLE
     )

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, Mapping
 
 import numpy as np
@@ -21,43 +20,30 @@ from ..processing import jpeg
 from ..processing.actions import within_bounds
 from ..processing.images import LANCZOS3, centre_crop, resize
 from ..processing.robot import STATE_FIELDS, gripper_from_rlds, state_vector
-from . import Options
-from .upstream import UnusableCheckpoint, digest, require, require_suite
+from . import Options, executed
+from .fetch import fetch
+from .prismatic import load_network, prompt, statistics_in
+from .statistics import STATE_WIDTH, require_statistics
+from .upstream import UnusableCheckpoint, digest, precision, require, require_suite
+from .weights import load_stored
 
 SCENE, WRIST = Camera("agentview"), Camera("robot0_eye_in_hand")
 #: Side of the frames that the network takes, pixels.
 SIDE = 224
 #: Share of a frame's area that is left: it was trained on random crops.
 CROP_AREA = 0.9
-#: Actions in a chunk, all of which are executed.
+#: Actions in a chunk.
 CHUNK = 8
-STATE_WIDTH = 8
+#: Parts in files of their own: what makes them, and what they say of a checkpoint
+#: that has others.
+HEAD, PROJECTOR = "action_head", "proprio_projector"
+NOT_SERVED = {"noisy_action_projector": "diffusion", "vision_backbone": "FiLM"}
 
 
 def frame(turned: np.ndarray) -> np.ndarray:
     """A frame [256, 256, 3], turned by 180 degrees, as the network takes it:
     through a JPEG, Lanczos to 224, and the middle of that."""
     return centre_crop(resize(jpeg.round_trip(turned), SIDE, SIDE, LANCZOS3), CROP_AREA, SIDE)
-
-
-def prompt(instruction: str) -> str:
-    """What the language model completes."""
-    return f"In: What action should the robot take to {instruction.lower()}?\nOut:"
-
-
-def statistics_of(suite: str, all_statistics: Mapping[str, Any]) -> str:
-    """The key of a suite's statistics: OpenVLA's data sets are called
-    `libero_goal_no_noops` where steps without motion were dropped.
-
-    Raises UnusableCheckpoint if there are none.
-    """
-    for key in (suite, f"{suite}_no_noops"):
-        if key in all_statistics:
-            return key
-    raise UnusableCheckpoint(
-        f"the checkpoint has no statistics of {suite}; it has those of"
-        f" {', '.join(all_statistics) or 'nothing'}"
-    )
 
 
 def proprio(state: np.ndarray, statistics: Mapping[str, Any]) -> np.ndarray:
@@ -118,10 +104,18 @@ class OftModel:
 
 
 class OpenVlaOft(Policy):
-    """A chunk per query, executed whole."""
+    """A chunk per query."""
 
     def __init__(
-        self, entry: Entry, model: OftModel, *, suite: str, checkpoint: str, weights: str = ""
+        self,
+        entry: Entry,
+        model: OftModel,
+        *,
+        suite: str,
+        checkpoint: str,
+        weights: str = "",
+        execute: int = CHUNK,
+        settings: Mapping[str, str] | None = None,
     ) -> None:
         self.entry = entry
         self.suite = suite
@@ -134,6 +128,14 @@ class OpenVlaOft(Policy):
             cameras=(SCENE, WRIST),
             state=STATE_FIELDS,
             horizon=CHUNK,
+            execute=execute,
+            settings={
+                **(settings or {}),
+                "image slots": f"first={SCENE.name}, second={WRIST.name}",
+                "state slots": "proprio=eef_pos, eef_axis_angle, gripper_pos",
+                "chunk": str(CHUNK),
+                "executed actions": str(execute),
+            },
         )
 
     def reset(self, episode: Episode) -> None:
@@ -153,42 +155,73 @@ class OpenVlaOft(Policy):
 
 def load(entry: Entry, options: Options) -> Policy:
     """Loads the checkpoint; see `rollout_policies.adapters.load`."""
-    listed = entry.checkpoint_for(options.suite)
-    checkpoint = options.checkpoint or listed
-    # Upstream's image library must come before its TensorFlow: the other way
-    # round, importing it has been seen to crash the process.
-    require("timm", entry)
-    upstream = require("experiments.robot.openvla_utils", entry)
-    settings = SimpleNamespace(
-        pretrained_checkpoint=checkpoint,
-        load_in_8bit=False,
-        load_in_4bit=False,
-        use_film=False,
-        use_l1_regression=True,
-        use_diffusion=False,
-        use_proprio=True,
-        num_images_in_input=2,
-    )
-    network = upstream.get_vla(settings)
+    checkpoint = entry.checkpoint_for(options.suite)
+    checkpoint = options.checkpoint or checkpoint
+    execute = executed(entry, options, chunk=CHUNK, own=CHUNK)
+    fetched = fetch(entry, checkpoint, options.revision)
+    folder = fetched.folder
+    parts = _parts(folder, checkpoint)
+    statistics, key, brief = statistics_in(folder, options.suite)
+    state = statistics[key].get("proprio", {})
+    state_brief = require_statistics("the state", "QUANTILES", state, STATE_WIDTH)
+    network, processor = load_network(entry, folder, checkpoint, options.device, causal=False)
+    network.norm_stats = statistics
+    network.vision_backbone.set_num_images_in_input(2)
+    constants = require("prismatic.vla.constants", entry)
+    if constants.NUM_ACTIONS_CHUNK != CHUNK:
+        raise UnusableCheckpoint(
+            f"prismatic/vla/constants.py says chunks of {constants.NUM_ACTIONS_CHUNK} actions,"
+            f" and LIBERO's are {CHUNK}: it reads the name of a robot from the command line,"
+            " where another robot's must not occur"
+        )
+    width = network.llm_dim
+    heads = require("prismatic.models.action_heads", entry)
+    projectors = require("prismatic.models.projectors", entry)
     model = OftModel(
         network,
-        upstream.get_processor(settings),
-        upstream.get_action_head(settings, network.llm_dim),
-        upstream.get_proprio_projector(settings, network.llm_dim, STATE_WIDTH),
-        statistics_of(options.suite, network.norm_stats),
-        str(upstream.DEVICE),
+        processor,
+        heads.L1RegressionActionHead(input_dim=width, hidden_dim=width, action_dim=7),
+        projectors.ProprioProjector(llm_dim=width, proprio_dim=STATE_WIDTH),
+        key,
+        options.device,
     )
+    torch = require("torch", entry)
+    for part, module in ((HEAD, model.action_head), (PROJECTOR, model.proprio_projector)):
+        stored = torch.load(parts[part], map_location="cpu", weights_only=True)
+        # Of a part that was trained on several cards, names have a prefix.
+        stored = {name.removeprefix("module."): tensor for name, tensor in stored.items()}
+        load_stored(module.to(torch.bfloat16), stored, checkpoint, part)
+        module.to(options.device).eval()
     return OpenVlaOft(
         entry,
         model,
         suite=options.suite,
         checkpoint=checkpoint,
-        weights=_digest(checkpoint, entry),
+        weights=digest([*folder.glob("*.safetensors"), *parts.values()]),
+        execute=execute,
+        settings={
+            "statistics": f"{brief}; {state_brief}",
+            **precision(options.device, network, model.action_head),
+            **fetched.settings,
+        },
     )
 
 
-def _digest(checkpoint: str, entry: Entry) -> str:
-    folder = Path(checkpoint)
-    if not folder.is_dir():
-        folder = Path(require("huggingface_hub", entry).snapshot_download(checkpoint))
-    return digest([*folder.glob("*.safetensors"), *folder.glob("*.pt")])
+def _parts(folder: Path, checkpoint: str) -> dict[str, Path]:
+    """The files of the parts that are trained beside the network, by part."""
+    found = {
+        part: sorted(folder.glob(f"*{part}*checkpoint*")) for part in (HEAD, PROJECTOR, *NOT_SERVED)
+    }
+    for part, way in NOT_SERVED.items():
+        if found[part]:
+            raise UnusableCheckpoint(
+                f"checkpoint {checkpoint} was trained with {way} (it has"
+                f" {found[part][0].name}), which this adapter does not serve"
+            )
+    for part in (HEAD, PROJECTOR):
+        if len(found[part]) != 1:
+            raise UnusableCheckpoint(
+                f"checkpoint {checkpoint} has {len(found[part]) or 'no'} files of its {part}"
+                " (*checkpoint.pt), and one is needed: of several, leave one"
+            )
+    return {part: found[part][0] for part in (HEAD, PROJECTOR)}

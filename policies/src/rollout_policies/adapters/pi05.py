@@ -5,7 +5,7 @@ written into the prompt. openpi's own server needs no adapter: a gateway
 speaks its protocol.
 
 `lerobot/pi05_libero_base` is not fine-tuned and has no statistics of LIBERO: it
-loads, moves and scores nothing. `lerobot/pi05-libero` is the one to serve.
+is refused. `lerobot/pi05-libero` is the one to serve.
 """
 
 from __future__ import annotations
@@ -14,13 +14,8 @@ from ..catalogue import Entry
 from ..policy import Policy
 from . import Options
 from .flow import FlowPolicy
-from .lerobot import LerobotModel
-
-#: LIBERO-CTRL's protocol, which is that of the checkpoint.
-EXECUTE = 10
 
 
 def load(entry: Entry, options: Options) -> Policy:
     """Loads the checkpoint; see `rollout_policies.adapters.load`."""
-    model = LerobotModel.load(entry, options, kind="pi05", n_action_steps=EXECUTE)
-    return FlowPolicy(entry, model, execute=EXECUTE, max_batch=options.max_batch)
+    return FlowPolicy.load(entry, options, kind="pi05")

@@ -14,7 +14,7 @@ from __future__ import annotations
 import types
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Mapping
 
 import numpy as np
 
@@ -23,8 +23,10 @@ from ..description import Camera, Description, State
 from ..episode import Episode, Observation
 from ..policy import Policy
 from ..processing.images import BILINEAR, resize
-from . import Options
-from .upstream import digest, require, require_suite
+from . import Options, executed
+from .statistics import DIGITS
+from .upstream import UnusableCheckpoint, UnusableOption, digest, precision, require, require_suite
+from .weights import load_stored
 
 SCENE, WRIST = Camera("agentview"), Camera("robot0_eye_in_hand")
 #: Side of the frames that it was trained on, pixels.
@@ -113,7 +115,14 @@ class PredVla(Policy):
     """One action per step."""
 
     def __init__(
-        self, entry: Entry, model: PredvlaModel, *, suite: str, checkpoint: str, weights: str = ""
+        self,
+        entry: Entry,
+        model: PredvlaModel,
+        *,
+        suite: str,
+        checkpoint: str,
+        weights: str = "",
+        settings: Mapping[str, str] | None = None,
     ) -> None:
         self.entry = entry
         self.suite = suite
@@ -126,6 +135,13 @@ class PredVla(Policy):
             cameras=(SCENE, WRIST),
             state=(State.JOINT_POS, State.GRIPPER_POS),
             stateful=True,
+            settings={
+                **(settings or {}),
+                "image slots": f"agentview={SCENE.name}, eye={WRIST.name}",
+                "state slots": "q=joint_pos, gripper_pos",
+                "chunk": "1",
+                "executed actions": "1",
+            },
         )
 
     def reset(self, episode: Episode) -> None:
@@ -145,24 +161,33 @@ class PredVla(Policy):
 
 def load(entry: Entry, options: Options) -> Policy:
     """Loads the checkpoint; see `rollout_policies.adapters.load`."""
-    listed = entry.checkpoint_for(options.suite)
-    file = Path(options.checkpoint or listed)
-    if not file.is_file():
-        raise NoCheckpoint(
-            f"{entry.title}'s weights are a file, and {file} is none; name it with --checkpoint"
+    checkpoint = entry.checkpoint_for(options.suite)
+    checkpoint = options.checkpoint or checkpoint
+    executed(entry, options, chunk=1, own=1)
+    if options.revision is not None:
+        raise UnusableOption(
+            f"--revision names a commit of the hub, and {entry.title}'s weights are files of its"
+            " authors' repository: check out the commit there"
         )
     torch = require("torch", entry)
     package = require("predvla.model", entry)
+    home = Path(package.__file__).parents[1]
+    file = _file(entry, checkpoint, home)
     correction = require("predvla.er_batch", entry).ERBatch
     saved = torch.load(file, map_location="cpu", weights_only=False)
+    _require_trained_for(options.suite, saved["cfg"], checkpoint)
     network = package.PredVLA(saved["cfg"]).to(options.device).eval()
-    network.load_state_dict(saved["model"])
+    load_stored(network, saved["model"], checkpoint)
     for number in network.parameters():
         number.requires_grad_(False)
-    front = require("predvla.frontend", entry).Frontend(
-        _cache(saved["cfg"]["paths"]["cache_root"], Path(package.__file__).parents[1]),
-        device=options.device,
-    )
+    cache = Path(_cache(saved["cfg"]["paths"]["cache_root"], home))
+    statistics = sorted(cache.glob("*.npz"))
+    if not statistics:
+        raise UnusableCheckpoint(
+            f"checkpoint {checkpoint} normalises with the statistics of {cache}, where there are"
+            f" none: unpack {entry.title}'s feature caches there"
+        )
+    front = require("predvla.frontend", entry).Frontend(str(cache), device=options.device)
     # Four hundred steps of a small network per action: compiled, it is several
     # times faster; upstream does so on this kind of device only.
     compiled = options.device.startswith("cuda")
@@ -182,9 +207,33 @@ def load(entry: Entry, options: Options) -> Policy:
         entry,
         model,
         suite=options.suite,
-        checkpoint=options.checkpoint or listed,
+        checkpoint=checkpoint,
         weights=digest([file]),
+        settings={
+            "statistics": f"{cache.name} {digest(statistics)[:DIGITS]}",
+            **precision(options.device, network),
+        },
     )
+
+
+def _file(entry: Entry, name: str, home: Path) -> Path:
+    """A checkpoint's file, here or in the authors' repository."""
+    for file in (Path(name).expanduser(), home / name):
+        if file.is_file():
+            return file
+    raise NoCheckpoint(
+        f"{entry.title}'s weights are a file, and there is no {name} here nor in {home}; name it"
+        " with --checkpoint"
+    )
+
+
+def _require_trained_for(suite: str, config: Mapping[str, Any], checkpoint: str) -> None:
+    """Refuses weights of another suite: they say which they were trained for."""
+    trained = config["data"].get("suite", suite)
+    if suite not in trained.split("+"):
+        raise UnusableCheckpoint(
+            f"checkpoint {checkpoint} was trained for {trained}, and --suite says {suite}"
+        )
 
 
 def _cache(named: str, home: Path) -> str:

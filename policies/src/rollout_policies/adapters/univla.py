@@ -4,26 +4,32 @@ them into twelve real ones.
 It is asked at every step, sees the scene's camera only, is told which latent
 actions it took last, and averages what its last twelve chunks say about now.
 Every suite has its own weights.
+
+The study of LIBERO-CTRL evaluated it otherwise than its authors do: frames were
+reduced plainly and cropped to whole pixels, and every episode drew from the same
+seed. Both ways are here; its authors' is the default.
 """
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, Iterable, Mapping
+from typing import Any, Callable, Iterable, Mapping
 
 import numpy as np
 
-from ..catalogue import Entry, NoCheckpoint
+from ..catalogue import Entry
 from ..description import Description
 from ..episode import Episode, Observation
 from ..policy import Policy
 from ..processing.actions import Ensemble, from_bounds
+from ..processing.images import resize_plainly
 from ..processing.robot import gripper_from_rlds
-from . import Options
-from .openvla_oft import SCENE, frame, prompt, statistics_of
-from .upstream import digest, require, require_suite, seed_of
+from . import Options, executed
+from .fetch import fetch
+from .openvla_oft import CROP_AREA, SCENE, SIDE, frame
+from .prismatic import load_network, prompt, statistics_in
+from .upstream import UnusableCheckpoint, digest, precision, require, require_suite, seed_of
+from .weights import load_stored
 
 #: Actions in a chunk, and how fast old chunks lose their say.
 CHUNK = 12
@@ -37,6 +43,23 @@ LATENT_ACTIONS = 32
 LATENT_STEPS = 4
 #: Widths of the language model and of the decoder; its heads.
 WIDTH, DECODER_WIDTH, HEADS = 4096, 512, 8
+#: With which every episode of the study begins to draw.
+STUDY_SEED = 7
+DECODER = "action_decoder.pt"
+
+
+def study_frame(turned: np.ndarray) -> np.ndarray:
+    """A frame [256, 256, 3], turned by 180 degrees, as the study gave it to the
+    network: bilinear to 224 without antialias, the middle in whole pixels, and
+    that enlarged again."""
+    small = resize_plainly(turned, SIDE, SIDE)
+    side = round(SIDE * CROP_AREA**0.5)
+    start = (SIDE - side) // 2
+    return resize_plainly(small[start : start + side, start : start + side], SIDE, SIDE)
+
+
+#: How a frame becomes what the network takes, by whose evaluation is followed.
+FRAMES: dict[str, Callable[[np.ndarray], np.ndarray]] = {"upstream": frame, "study": study_frame}
 
 
 def prompt_after(instruction: str, history: str) -> str:
@@ -59,6 +82,8 @@ class Memory:
 
     history: str = ""
     ensemble: Ensemble = field(default_factory=lambda: Ensemble(DECAY))
+    #: Where the generator stands, if it is not started anew at every query.
+    generator: Any = None
 
 
 @dataclass
@@ -76,13 +101,16 @@ class UnivlaModel:
         parts = (self.network, self.decoder)
         return sum(number.numel() for part in parts for number in part.parameters())
 
-    def chunk(self, pixels: np.ndarray, text: str, seed: int) -> tuple[np.ndarray, list[int]]:
-        """Twelve actions in -1..1 and the latent actions' tokens."""
+    def chunk(
+        self, pixels: np.ndarray, text: str, generator: Any
+    ) -> tuple[np.ndarray, list[int], Any]:
+        """Twelve actions in -1..1, the latent actions' tokens, and where the
+        generator stands then. It starts from a seed, or from where it stood."""
         import torch
         from PIL import Image
 
         inputs = self.processor(text, Image.fromarray(pixels))
-        torch.manual_seed(seed)
+        self._start(generator)
         with torch.inference_mode():
             latent, visual, tokens = self.network.predict_latent_action(
                 **inputs.to(self.device, dtype=torch.bfloat16),
@@ -91,7 +119,25 @@ class UnivlaModel:
                 top_p=TOP_P,
             )
             chunk = self.decoder(latent.float(), visual.float())
-        return chunk.reshape(CHUNK, -1).cpu().numpy(), [int(token) for token in tokens[0]]
+        drawn = [int(token) for token in tokens[0]]
+        return chunk.reshape(CHUNK, -1).cpu().numpy(), drawn, self._generator()
+
+    def _start(self, generator: Any) -> None:
+        import torch
+
+        if isinstance(generator, int):
+            torch.manual_seed(generator)
+            return
+        processor, card = generator
+        torch.set_rng_state(processor)
+        if card is not None:
+            torch.cuda.set_rng_state(card, self.device)
+
+    def _generator(self) -> tuple[Any, Any]:
+        import torch
+
+        on_card = self.device.startswith("cuda")
+        return torch.get_rng_state(), torch.cuda.get_rng_state(self.device) if on_card else None
 
 
 class UniVla(Policy):
@@ -106,11 +152,15 @@ class UniVla(Policy):
         suite: str,
         checkpoint: str,
         weights: str = "",
+        evaluation: str = "upstream",
+        settings: Mapping[str, str] | None = None,
     ) -> None:
         self.entry = entry
         self.suite = suite
         self.model = model
         self.statistics = statistics
+        self.frame = FRAMES[evaluation]
+        self.as_study = evaluation == "study"
         self.description = Description(
             name=entry.name,
             checkpoint=checkpoint,
@@ -118,22 +168,31 @@ class UniVla(Policy):
             parameters=model.parameters,
             cameras=(SCENE,),
             stateful=True,
-            stochastic=True,
+            # In the study, every episode draws the same.
+            stochastic=not self.as_study,
+            settings={
+                **(settings or {}),
+                "image slots": f"first={SCENE.name}",
+                "state slots": "none",
+                "chunk": f"{CHUNK}, averaged to 1",
+                "executed actions": "1",
+                "evaluation": evaluation,
+            },
         )
 
     def reset(self, episode: Episode) -> None:
         require_suite(self.entry, self.suite, episode)
-        episode.memory = Memory()
+        episode.memory = Memory(generator=STUDY_SEED)
 
     def prepare(self, observation: Observation) -> tuple[np.ndarray]:
-        return (frame(observation.rotated(SCENE.name)),)
+        return (self.frame(observation.rotated(SCENE.name)),)
 
     def infer(self, observation: Observation) -> np.ndarray:
         memory = observation.episode.memory
-        chunk, tokens = self.model.chunk(
+        chunk, tokens, memory.generator = self.model.chunk(
             *(observation.prepared or self.prepare(observation)),
             prompt_after(observation.episode.instruction, memory.history),
-            seed_of(observation),
+            memory.generator if self.as_study else seed_of(observation),
         )
         memory.history = history_of(tokens)
         action = memory.ensemble.add(chunk)
@@ -144,46 +203,39 @@ class UniVla(Policy):
 def load(entry: Entry, options: Options) -> Policy:
     """Loads the checkpoint; see `rollout_policies.adapters.load`."""
     listed = entry.checkpoint_for(options.suite)
-    folder = Path(options.checkpoint or listed)
-    if not folder.is_dir():
-        raise NoCheckpoint(
-            f"{entry.title}'s weights are folders of one hub repository, and {folder} is no"
-            f" folder; fetch it ({entry.install}) and name it with --checkpoint"
+    checkpoint = options.checkpoint or listed
+    executed(entry, options, chunk=1, own=1)
+    fetched = fetch(entry, checkpoint, options.revision)
+    folder = fetched.folder
+    if not (folder / DECODER).is_file():
+        raise UnusableCheckpoint(
+            f"checkpoint {checkpoint} has no {DECODER}, which turns latent actions into real"
+            " ones: it was pre-trained, and not fine-tuned on LIBERO"
         )
-    torch = require("torch", entry)
-    network, processor = _language_model(entry, folder, options.device)
-    decoder = _decoder(entry).to(options.device).eval()
-    decoder.load_state_dict(torch.load(folder / "action_decoder.pt", map_location="cpu"))
-    # What the model's own configuration holds are the pre-training's statistics.
-    everything = json.loads((folder / "dataset_statistics.json").read_text("utf-8"))
-    statistics = everything[statistics_of(options.suite, everything)]["action"]
+    everything, key, brief = statistics_in(folder, options.suite)
+    statistics = everything[key]["action"]
     # The gripper was not normalised.
     statistics.setdefault("mask", [True] * 6 + [False])
+    network, processor = load_network(entry, folder, checkpoint, options.device, causal=True)
+    torch = require("torch", entry)
+    decoder = _decoder(entry)
+    stored = torch.load(folder / DECODER, map_location="cpu", weights_only=True)
+    load_stored(decoder, stored, checkpoint, "the decoder")
+    decoder.to(options.device).eval()
     return UniVla(
         entry,
         UnivlaModel(network, processor, decoder, options.device),
         statistics,
         suite=options.suite,
-        checkpoint=options.checkpoint or listed,
-        weights=digest([*folder.glob("*.safetensors"), folder / "action_decoder.pt"]),
+        checkpoint=checkpoint,
+        weights=digest([*folder.glob("*.safetensors"), folder / DECODER]),
+        evaluation=options.evaluation,
+        settings={
+            "statistics": brief,
+            **precision(options.device, network, decoder),
+            **fetched.settings,
+        },
     )
-
-
-def _language_model(entry: Entry, folder: Path, device: str) -> tuple[Any, Any]:
-    torch = require("torch", entry)
-    transformers = require("transformers", entry)
-    configuration = require("prismatic.extern.hf.configuration_prismatic", entry)
-    modeling = require("prismatic.extern.hf.modeling_prismatic", entry)
-    processing = require("prismatic.extern.hf.processing_prismatic", entry)
-    config = configuration.OpenVLAConfig
-    transformers.AutoConfig.register("openvla", config)
-    transformers.AutoImageProcessor.register(config, processing.PrismaticImageProcessor)
-    transformers.AutoProcessor.register(config, processing.PrismaticProcessor)
-    network = modeling.OpenVLAForActionPrediction.from_pretrained(
-        folder, torch_dtype=torch.bfloat16, low_cpu_mem_usage=True
-    )
-    processor = transformers.AutoProcessor.from_pretrained(folder, trust_remote_code=True)
-    return network.to(device).eval(), processor
 
 
 def _decoder(entry: Entry) -> Any:

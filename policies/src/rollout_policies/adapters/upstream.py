@@ -6,7 +6,7 @@ import hashlib
 import importlib
 from pathlib import Path
 from types import ModuleType
-from typing import Iterable
+from typing import Any, Iterable
 
 from ..catalogue import Entry
 from ..episode import Episode
@@ -21,6 +21,10 @@ class UpstreamMissing(ImportError):
 
 class UnusableCheckpoint(ValueError):
     """The weights are not what the policy needs."""
+
+
+class UnusableOption(ValueError):
+    """A flag of the command line does not fit the policy or its checkpoint."""
 
 
 class WrongSuite(ValueError):
@@ -65,6 +69,13 @@ def digest(files: Iterable[Path]) -> str:
                 one.update(piece)
         total.update(one.digest())
     return total.hexdigest()
+
+
+def precision(device: str, *networks: Any) -> dict[str, str]:
+    """What decides a network's low-order digits: the kinds of its numbers and of
+    the device."""
+    kinds = {str(one.dtype).removeprefix("torch.") for net in networks for one in net.parameters()}
+    return {"precision": ", ".join(sorted(kinds)), "device": device.partition(":")[0]}
 
 
 def seed_of(observation) -> int:

@@ -17,11 +17,7 @@ from ..episode import Observation
 from ..policy import Policy
 from . import Options
 from .flow import FlowPolicy
-from .lerobot import LerobotModel
 from .upstream import seed_of
-
-#: LIBERO-CTRL's protocol: the whole chunk.
-EXECUTE = 7
 
 
 class VlaJepa(FlowPolicy):
@@ -37,8 +33,5 @@ class VlaJepa(FlowPolicy):
 
 def load(entry: Entry, options: Options) -> Policy:
     """Loads the checkpoint; see `rollout_policies.adapters.load`."""
-    # The world model is there to train with; without it nothing else is fetched.
-    model = LerobotModel.load(
-        entry, options, kind="vla_jepa", n_action_steps=EXECUTE, enable_world_model=False
-    )
-    return VlaJepa(entry, model, execute=EXECUTE)
+    # The world model is there to train with.
+    return VlaJepa.load(entry, options, kind="vla_jepa", enable_world_model=False)

@@ -43,6 +43,24 @@ def resize(frame: np.ndarray, height: int, width: int, kernel: Kernel) -> np.nda
     return np.clip(np.round(filtered), 0, 255).astype(np.uint8)
 
 
+def resize_plainly(frame: np.ndarray, height: int, width: int) -> np.ndarray:
+    """Resizes by linear interpolation between the two nearest samples, which
+    leaves samples out when it shrinks the frame.
+
+    `torch.nn.functional.interpolate(mode="bilinear", align_corners=False)`,
+    followed by rounding to the nearest.
+    """
+    values = frame.astype(np.float32)
+    for axis, target in ((0, height), (1, width)):
+        size = values.shape[axis]
+        # Pixels are squares; beyond the centres of the outer ones is nothing.
+        centres = (np.arange(target, dtype=np.float32) + np.float32(0.5)) * np.float32(
+            size / target
+        )
+        values = _interpolated(values, axis, np.clip(centres - np.float32(0.5), 0, size - 1))
+    return np.clip(np.round(values), 0, 255).astype(np.uint8)
+
+
 def _filter_matrix(size: int, target: int, kernel: Kernel) -> np.ndarray:
     """Weight of every sample [size] in every result [target]; rows sum to 1."""
     weight_at, radius = kernel
@@ -75,11 +93,17 @@ def _sample_linearly(
 ) -> np.ndarray:
     """`count` values between two places, given as shares of the whole."""
     last = values.shape[axis] - 1
-    places = np.linspace(start * last, end * last, count, dtype=np.float32)
+    return _interpolated(
+        values, axis, np.linspace(start * last, end * last, count, dtype=np.float32)
+    )
+
+
+def _interpolated(values: np.ndarray, axis: int, places: np.ndarray) -> np.ndarray:
+    """Values at places between samples, along one axis."""
     below = np.floor(places).astype(int)
     above = np.ceil(places).astype(int)
     shape = [1] * values.ndim
-    shape[axis] = count
+    shape[axis] = len(places)
     share = (places - below).reshape(shape)
     low, high = values.take(below, axis), values.take(above, axis)
     return low + (high - low) * share

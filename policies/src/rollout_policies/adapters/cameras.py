@@ -1,0 +1,115 @@
+"""Which camera feeds which image slot of a checkpoint.
+
+Checkpoints call their slots as the data set did that they were trained on. A
+wrong guess serves a policy that sees its wrist where it expects the scene, and
+fails every task; so slots are assigned by names that are known, or by the
+command line, or not at all.
+"""
+
+from __future__ import annotations
+
+from typing import Mapping, Sequence
+
+from .upstream import UnusableCheckpoint, UnusableOption
+
+SCENE, WRIST = "agentview", "robot0_eye_in_hand"
+#: What the command line calls the two cameras.
+ROLES = {"scene": SCENE, "wrist": WRIST}
+#: Names seen in published checkpoints, data sets and evaluations of LIBERO.
+NAMES = {
+    SCENE: frozenset(
+        "image agentview agentview_image agentview_rgb agentview_cam agent_view base base_0_rgb"
+        " base_rgb base_image camera1 cam_high cam_scene exterior exterior_image_1_left external"
+        " front front_image front_rgb cam_front full_image image_primary primary main main_image"
+        " rgb_static scene scene_image static static_image third_person third_person_image"
+        " third_person_view top cam_top".split()
+    ),
+    WRIST: frozenset(
+        "image2 camera2 cam_hand cam_wrist eye_in_hand eye_in_hand_image eye_in_hand_rgb gripper"
+        " gripper_image hand hand_camera hand_image image_wrist in_hand left_wrist_0_rgb"
+        " rgb_gripper robot0_eye_in_hand robot0_eye_in_hand_image wrist wrist_0_rgb wrist_cam"
+        " wrist_camera wrist_image wrist_rgb wrist_view".split()
+    ),
+}
+#: Slots that are declared and that no data set of LIBERO fills: a checkpoint has
+#: never seen anything in them, and zeros would be something.
+NEVER_FILLED = frozenset(["camera3", "image3", "right_wrist_0_rgb"])
+
+
+def camera_of_slot(
+    slots: Sequence[str],
+    given: Mapping[str, str] | None = None,
+    renamed: Mapping[str, str] | None = None,
+) -> dict[str, str]:
+    """The simulator's camera of every slot that gets one.
+
+    `given` is the command line's: slot by role ("scene", "wrist"). `renamed` is
+    the checkpoint's own record of how its data set's images were renamed, slot by
+    image: it tells more than the slots' own names, `camera1` for example.
+
+    Raises UnusableOption if `given` names no slot, UnusableCheckpoint, with the
+    flag to write, if the names do not tell.
+    """
+    if given:
+        return _as_given(slots, given)
+    found: dict[str, str] = {}
+    for slot in slots:
+        roles = {_camera(name) for name in _names_of(slot, renamed or {})}
+        if len(roles) != 1 or (camera := roles.pop()) == "unknown":
+            raise _unclear(slots, f"{short(slot)} is no name that is known")
+        if camera is None:
+            continue
+        if camera in found.values():
+            raise _unclear(slots, "two of them seem to be of one camera")
+        found[slot] = camera
+    if not found:
+        raise _unclear(slots, "none of them is of a camera of LIBERO")
+    return found
+
+
+def short(slot: str) -> str:
+    """A slot's name without what all have in common: `image` for
+    `observation.images.image`."""
+    return slot.rpartition(".")[2]
+
+
+def _as_given(slots: Sequence[str], given: Mapping[str, str]) -> dict[str, str]:
+    by_name = {**{short(slot): slot for slot in slots}, **{slot: slot for slot in slots}}
+    found = {}
+    for role, name in given.items():
+        if role not in ROLES or name not in by_name:
+            wrong = name if role in ROLES else role
+            raise UnusableOption(
+                f"--image-keys: {wrong!r} is neither a camera (scene, wrist) nor an image slot"
+                f" of this checkpoint, whose slots are {_listed(slots)}"
+            )
+        if by_name[name] in found:
+            raise UnusableOption(f"--image-keys: two cameras are given to slot {name}")
+        found[by_name[name]] = ROLES[role]
+    return found
+
+
+def _names_of(slot: str, renamed: Mapping[str, str]) -> list[str]:
+    """What the images in a slot were called when the checkpoint was trained."""
+    return [source for source, target in renamed.items() if target == slot] or [slot]
+
+
+def _camera(name: str) -> str | None:
+    """The camera that a name stands for, None for none, or "unknown"."""
+    known = short(name).lower().replace("-", "_")
+    if known in NEVER_FILLED or known.startswith("empty"):
+        return None
+    return next((camera for camera, names in NAMES.items() if known in names), "unknown")
+
+
+def _unclear(slots: Sequence[str], why: str) -> UnusableCheckpoint:
+    names = [short(slot) for slot in slots]
+    example = ",".join(f"{role}={name}" for role, name in zip(ROLES, names))
+    return UnusableCheckpoint(
+        f"which camera belongs into which image slot is not clear: the checkpoint's slots are"
+        f" {_listed(slots)}, and {why}; say which is which, for example --image-keys {example}"
+    )
+
+
+def _listed(slots: Sequence[str]) -> str:
+    return ", ".join(short(slot) for slot in slots) or "none"

@@ -1,0 +1,111 @@
+"""Checkpoints and what they load besides, from folders and from the hub."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Iterable, Iterator, Mapping
+
+from ..catalogue import Entry, NoCheckpoint
+from .upstream import UnusableCheckpoint, UnusableOption, require
+
+#: `owner/repository`, and a folder of it behind another slash.
+HUB_NAME = re.compile(r"(?P<repository>[\w-][\w.-]*/[\w-][\w.-]*)(?:/(?P<folder>[\w./-]+))?")
+COMMIT = re.compile(r"[0-9a-f]{40}")
+
+
+@dataclass(frozen=True)
+class Fetched:
+    """A checkpoint on this machine."""
+
+    folder: Path
+    #: The hub's commit; empty for a folder that is not the hub's.
+    revision: str = ""
+
+    @property
+    def settings(self) -> dict[str, str]:
+        """The revision, if there is one."""
+        return {"revision": self.revision} if self.revision else {}
+
+
+def fetch(entry: Entry, name: str, revision: str | None = None) -> Fetched:
+    """The folder of a checkpoint: a folder of this machine, or one that the hub is
+    asked for, `owner/repository` or `owner/repository/folder`.
+
+    Raises NoCheckpoint if the name is neither, UnusableOption for the revision of
+    a folder, UnusableCheckpoint if the hub does not give it.
+    """
+    local = Path(name).expanduser()
+    if local.is_dir():
+        if revision is not None:
+            raise UnusableOption(
+                f"--revision names a commit of the hub, and {name} is a folder here"
+            )
+        cached = local.resolve()
+        known = cached.parent.name == "snapshots" and COMMIT.fullmatch(cached.name)
+        return Fetched(local, cached.name if known else "")
+    named = HUB_NAME.fullmatch(name)
+    if named is None:
+        raise NoCheckpoint(
+            f"{entry.title}'s weights: there is no folder {name}, and that is no name of the"
+            " hub's (owner/repository); name the weights with --checkpoint"
+        )
+    repository, folder = named["repository"], named["folder"]
+    hub = require("huggingface_hub", entry)
+    given = {} if folder is None else {"allow_patterns": [f"{folder}/*", f"*/{folder}/*"]}
+    try:
+        snapshot = Path(hub.snapshot_download(repository, revision=revision, **given))
+    except (OSError, ValueError) as error:
+        raise UnusableCheckpoint(
+            f"{entry.title}'s weights: there is no folder {name} here, and the hub did not give"
+            f" {repository}{f' at {revision}' if revision else ''}: {first_line(error)}."
+            f" {downloads(entry.downloads)}"
+        ) from error
+    commit = snapshot.name if COMMIT.fullmatch(snapshot.name) else ""
+    return Fetched(_inside(snapshot, folder, name), commit)
+
+
+def _inside(snapshot: Path, folder: str | None, name: str) -> Path:
+    if folder is None:
+        return snapshot
+    wanted = Path(folder).parts
+    found = [path for path in snapshot.rglob(wanted[-1]) if path.parts[-len(wanted) :] == wanted]
+    found = [path for path in found if path.is_dir()]
+    if len(found) != 1:
+        there = sorted(path.name for path in snapshot.iterdir() if path.is_dir())
+        raise UnusableCheckpoint(
+            f"checkpoint {name}: its repository has {len(found) or 'no'} folders {folder};"
+            f" at its top are {', '.join(there) or 'none'}"
+        )
+    return found[0]
+
+
+@contextlib.contextmanager
+def naming_downloads(needed: Mapping[str, str]) -> Iterator[None]:
+    """Turns what a package raises for a file that it cannot get into
+    UnusableCheckpoint, which lists what it loads besides the checkpoint."""
+    try:
+        yield
+    except OSError as error:
+        raise UnusableCheckpoint(f"{first_line(error)}. {downloads(needed)}") from error
+
+
+def downloads(needed: Mapping[str, str]) -> str:
+    """A sentence about what is loaded besides the checkpoint, and how to do it
+    without a network."""
+    cached = (
+        "Without a network, download it all beforehand (`hf download NAME`) and set"
+        " HF_HUB_OFFLINE=1"
+    )
+    if not needed:
+        return f"Nothing else is downloaded. {cached}"
+    listed = "; ".join(f"{name} ({what})" for name, what in needed.items())
+    return f"Besides the checkpoint, this is downloaded: {listed}. {cached}"
+
+
+def first_line(error: BaseException) -> str:
+    """What an error says, up to its first line's end."""
+    lines: Iterable[str] = (line.strip() for line in str(error).splitlines())
+    return next((line.rstrip(".") for line in lines if line), type(error).__name__)

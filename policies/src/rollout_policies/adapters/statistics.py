@@ -1,0 +1,71 @@
+"""Statistics between a network's numbers and the world's.
+
+A checkpoint without them loads and moves: its actions stay where training had
+normalised them to, and every task fails.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any, Mapping
+
+import numpy as np
+
+from .upstream import UnusableCheckpoint
+
+#: What each way to normalise needs. Names as lerobot calls them.
+NEEDED = {
+    "MEAN_STD": ("mean", "std"),
+    "MIN_MAX": ("min", "max"),
+    "QUANTILES": ("q01", "q99"),
+    "QUANTILE10": ("q10", "q90"),
+}
+ACTION_WIDTH, STATE_WIDTH = 7, 8
+#: Characters of a digest that are shown.
+DIGITS = 12
+
+
+def require_statistics(
+    what: str, mode: str, statistics: Mapping[str, Any], width: int | None = None
+) -> str:
+    """Checks that there are statistics of `what` for this way to normalise, finite
+    and not all of one value, [width] if that is given. Returns them in short: the
+    way and a digest.
+
+    Raises UnusableCheckpoint.
+    """
+    if mode == "IDENTITY":
+        return f"{what} not normalised"
+    if mode not in NEEDED:
+        raise UnusableCheckpoint(f"the checkpoint normalises {what} by {mode}, which is not known")
+    lacking = [name for name in NEEDED[mode] if name not in statistics]
+    if lacking:
+        raise UnusableCheckpoint(
+            f"the checkpoint has no statistics of {what}: it normalises them by {mode} and lacks"
+            f" {' and '.join(lacking)}. Without them it moves and fails every task, as a base"
+            " model that was not fine-tuned does; serve a checkpoint that was trained on LIBERO,"
+            " with the processors that were saved beside it"
+        )
+    low, high = (np.asarray(statistics[name], dtype=np.float64) for name in NEEDED[mode])
+    if not (np.isfinite(low).all() and np.isfinite(high).all()):
+        raise UnusableCheckpoint(f"the checkpoint's statistics of {what} are not finite")
+    spread = high if mode == "MEAN_STD" else high - low
+    if not (spread != 0).any():
+        raise UnusableCheckpoint(
+            f"the checkpoint's statistics of {what} have no spread: they were never computed"
+        )
+    if width is not None and {low.size, high.size} != {width}:
+        raise UnusableCheckpoint(
+            f"the checkpoint's statistics of {what} are {low.size} numbers, and LIBERO's are"
+            f" {width}: it was trained for another robot"
+        )
+    return f"{what} {mode} {digest(statistics)}"
+
+
+def digest(statistics: Mapping[str, Any]) -> str:
+    """The first digits of SHA-256 over numbers by name."""
+    total = hashlib.sha256()
+    for name in sorted(statistics):
+        total.update(name.encode())
+        total.update(np.asarray(statistics[name], dtype="<f8").tobytes())
+    return total.hexdigest()[:DIGITS]

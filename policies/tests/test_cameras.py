@@ -1,0 +1,94 @@
+"""Which camera feeds which image slot."""
+
+import pytest
+
+from rollout_policies.adapters.cameras import camera_of_slot
+from rollout_policies.adapters.upstream import UnusableCheckpoint, UnusableOption
+
+SCENE, WRIST = "agentview", "robot0_eye_in_hand"
+
+
+def slots(*names):
+    return [f"observation.images.{name}" for name in names]
+
+
+def by_name(*names, **given):
+    found = camera_of_slot(slots(*names), **given)
+    return {slot.removeprefix("observation.images."): camera for slot, camera in found.items()}
+
+
+@pytest.mark.parametrize(
+    ("scene", "wrist"),
+    [
+        ("image", "image2"),
+        ("image", "wrist_image"),
+        ("agentview", "robot0_eye_in_hand"),
+        ("agentview_rgb", "eye_in_hand_rgb"),
+        ("front", "wrist"),
+        ("front", "cam_wrist"),
+        ("static", "gripper"),
+        ("scene", "hand"),
+        ("base_0_rgb", "left_wrist_0_rgb"),
+        ("camera1", "camera2"),
+        ("Third-Person-View", "Wrist-Image"),
+    ],
+)
+def test_known_names_get_their_cameras_in_any_order(scene, wrist):
+    assert by_name(scene, wrist) == {scene: SCENE, wrist: WRIST}
+    assert by_name(wrist, scene) == {scene: SCENE, wrist: WRIST}
+
+
+def test_slots_that_never_were_in_the_data_get_nothing():
+    assert by_name("camera3", "camera1", "empty_camera_0", "camera2") == {
+        "camera1": SCENE,
+        "camera2": WRIST,
+    }
+    assert by_name("base_0_rgb", "left_wrist_0_rgb", "right_wrist_0_rgb") == {
+        "base_0_rgb": SCENE,
+        "left_wrist_0_rgb": WRIST,
+    }
+
+
+def test_one_camera_alone_is_enough():
+    assert by_name("image") == {"image": SCENE}
+    assert camera_of_slot(["observation.image"]) == {"observation.image": SCENE}
+
+
+@pytest.mark.parametrize(
+    "names", [("left", "right"), ("image", "depth"), ("image", "front"), ("empty_camera_0",), ()]
+)
+def test_unknown_or_doubtful_names_are_refused_with_the_flag_to_write(names):
+    with pytest.raises(UnusableCheckpoint) as refused:
+        by_name(*names)
+    assert f"slots are {', '.join(names) or 'none'}" in str(refused.value)
+    assert "--image-keys " in str(refused.value)
+    if len(names) == 2:
+        assert f"--image-keys scene={names[0]},wrist={names[1]}" in str(refused.value)
+
+
+def test_the_command_line_decides_where_names_do_not():
+    given = {"scene": "right", "wrist": "observation.images.left"}
+    assert by_name("left", "right", given=given) == {"right": SCENE, "left": WRIST}
+    # It may say the opposite of the names, and leave a slot empty.
+    given = {"wrist": "image"}
+    assert by_name("image", "image2", given=given) == {"image": WRIST}
+
+
+@pytest.mark.parametrize("given", [{"scene": "front"}, {"scene": "left", "wrist": "left"}])
+def test_a_slot_that_is_not_there_or_is_given_twice_is_refused(given):
+    with pytest.raises(UnusableOption, match="--image-keys"):
+        by_name("left", "right", given=given)
+
+
+def test_how_the_data_s_images_were_renamed_tells_more_than_the_slots():
+    wrist_first = {
+        "observation.images.wrist_image": "observation.images.camera1",
+        "observation.images.image": "observation.images.camera2",
+    }
+    assert by_name("camera1", "camera2", "camera3", renamed=wrist_first) == {
+        "camera1": WRIST,
+        "camera2": SCENE,
+    }
+    strange = {"observation.images.second_image": "observation.images.camera2"}
+    with pytest.raises(UnusableCheckpoint, match="camera2 is no name that is known"):
+        by_name("camera1", "camera2", renamed=strange)

@@ -1,0 +1,93 @@
+"""Checkpoints of folders and of the hub, which a stand-in plays here."""
+
+import sys
+from types import SimpleNamespace
+
+import pytest
+
+from rollout_policies.adapters import Options, load
+from rollout_policies.adapters.fetch import fetch, naming_downloads
+from rollout_policies.adapters.upstream import UnusableCheckpoint, UnusableOption
+from rollout_policies.catalogue import NoCheckpoint, entry
+
+COMMIT = "0123456789abcdef0123456789abcdef01234567"
+
+
+@pytest.fixture
+def hub(tmp_path, monkeypatch):
+    """A hub with one repository; it keeps what it is asked."""
+    snapshot = tmp_path / "models--me--mine" / "snapshots" / COMMIT
+    (snapshot / "ckpt" / "small").mkdir(parents=True)
+    asked = []
+
+    def snapshot_download(repository, revision=None, **given):
+        asked.append((repository, revision, given))
+        if repository != "me/mine":
+            raise OSError("401 Client Error\nRepository Not Found")
+        return str(snapshot)
+
+    fake = SimpleNamespace(snapshot_download=snapshot_download)
+    monkeypatch.setitem(sys.modules, "huggingface_hub", fake)
+    return SimpleNamespace(asked=asked, snapshot=snapshot)
+
+
+def test_a_revision_is_asked_for_and_the_commit_is_kept(hub):
+    fetched = fetch(entry("smolvla"), "me/mine", "v2")
+    assert hub.asked == [("me/mine", "v2", {})]
+    assert fetched.folder == hub.snapshot
+    assert fetched.settings == {"revision": COMMIT}
+
+
+def test_a_folder_here_is_taken_as_it_is_and_has_no_revision(hub, tmp_path):
+    fetched = fetch(entry("smolvla"), str(tmp_path))
+    assert (fetched.folder, fetched.settings, hub.asked) == (tmp_path, {}, [])
+    with pytest.raises(UnusableOption, match="--revision names a commit of the hub"):
+        fetch(entry("smolvla"), str(tmp_path), "v2")
+    # One of the hub's own folders says which commit it is.
+    assert fetch(entry("smolvla"), str(hub.snapshot)).revision == COMMIT
+
+
+def test_a_folder_of_a_repository_is_found_in_it(hub):
+    fetched = fetch(entry("minerva"), "me/mine/small")
+    assert fetched.folder == hub.snapshot / "ckpt" / "small"
+    assert hub.asked[0][2] == {"allow_patterns": ["small/*", "*/small/*"]}
+    with pytest.raises(UnusableCheckpoint, match="has no folders large; at its top are ckpt"):
+        fetch(entry("minerva"), "me/mine/large")
+
+
+def test_minerva_s_default_is_a_folder_of_its_repository(hub):
+    with pytest.raises(UnusableCheckpoint):
+        fetch(entry("minerva"), entry("minerva").checkpoint_for(None))
+    assert hub.asked[0][0] == "k1000dai/MINERVA"
+
+
+@pytest.mark.parametrize("name", ["./ckpt", "/no/such/folder", "~/none", "weights"])
+def test_what_is_no_folder_and_no_name_of_the_hub_is_refused_without_asking(hub, name):
+    with pytest.raises(NoCheckpoint, match="there is no folder"):
+        fetch(entry("smolvla"), name)
+    assert hub.asked == []
+
+
+def test_what_the_hub_does_not_give_is_refused_with_all_that_is_downloaded(hub):
+    with pytest.raises(UnusableCheckpoint) as refused:
+        fetch(entry("vla-jepa"), "me/none", "v2")
+    for words in (
+        "there is no folder me/none here",
+        "did not give me/none at v2: 401 Client Error",
+        "Qwen/Qwen3-VL-2B-Instruct",
+        "HF_HUB_OFFLINE=1",
+    ):
+        assert words in str(refused.value)
+
+
+def test_a_missing_download_is_refused_with_the_list():
+    with pytest.raises(UnusableCheckpoint, match="Cannot reach it.*paligemma.*HF_HUB_OFFLINE"):
+        with naming_downloads(entry("pi05").downloads):
+            raise OSError("\nCannot reach it.\nmore")
+
+
+def test_every_policy_refuses_a_suite_that_there_is_not(hub):
+    for name in ("pi05", "minerva", "univla"):
+        with pytest.raises(UnusableOption, match="--suite must be one of"):
+            load(name, Options(suite="libero_90"))
+    assert hub.asked == []

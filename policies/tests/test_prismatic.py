@@ -1,0 +1,266 @@
+"""OpenVLA-OFT's and UniVLA's loading, with PyTorch and small parts in the place
+of upstream's classes. Skipped where PyTorch or transformers is not installed.
+
+The stand-ins load as transformers does: what does not fit is left as it was.
+"""
+
+import json
+import sys
+from types import ModuleType, SimpleNamespace
+
+import numpy as np
+import pytest
+from test_adapters import next_one, observation
+
+torch = pytest.importorskip("torch", reason="PyTorch is not installed")
+transformers = pytest.importorskip("transformers", reason="transformers is not installed")
+from safetensors.torch import load_file, save_file  # noqa: E402
+
+from rollout_policies.adapters import Options, load, prismatic, univla  # noqa: E402
+from rollout_policies.adapters.upstream import UnusableCheckpoint, UpstreamMissing  # noqa: E402
+from rollout_policies.catalogue import entry  # noqa: E402
+
+WIDTH = 16
+LANGUAGE_MODEL = transformers.LlamaConfig(
+    hidden_size=WIDTH, intermediate_size=16, num_hidden_layers=1, num_attention_heads=2,
+    num_key_value_heads=2, vocab_size=32,
+)  # fmt: skip
+
+
+class Network(torch.nn.Module):
+    """OpenVLAForActionPrediction: knows where it is, and answers its weights."""
+
+    def __init__(self):
+        super().__init__()
+        self.inner = torch.nn.Linear(WIDTH, WIDTH)
+        self.vision_backbone = SimpleNamespace(set_num_images_in_input=self.see)
+        self.llm_dim = WIDTH
+        self.config = SimpleNamespace(text_config=LANGUAGE_MODEL)
+
+    def see(self, images):
+        self.images = images
+
+    @classmethod
+    def from_pretrained(cls, folder, torch_dtype, low_cpu_mem_usage):
+        network = cls().to(torch_dtype)
+        for file in folder.glob("*.safetensors"):
+            network.load_state_dict(load_file(file), strict=False)
+        return network
+
+    def predict_action(self, action_head, proprio_projector, pixel_values, proprio, **_):
+        places = [self.inner.weight, pixel_values, *action_head.parameters()]
+        places += proprio_projector.parameters()
+        assert len({place.device for place in places}) == 1
+        return np.full((8, 7), float(self.inner.weight[0, 0])), None
+
+
+class Processor:
+    def __init__(self, images, words):
+        pass
+
+    def __call__(self, text, image):
+        frames = torch.from_numpy(np.asarray(image)).float()[None]
+        return transformers.BatchFeature({"pixel_values": frames})
+
+
+def module_of(**parts):
+    module = ModuleType("upstream")
+    vars(module).update(parts)
+    return module
+
+
+@pytest.fixture
+def upstream(monkeypatch):
+    """Upstream's modules, for as long as a test lasts."""
+    folder = SimpleNamespace(from_pretrained=lambda folder: None)
+    modules = {
+        "timm": {},
+        "prismatic.extern.hf.modeling_prismatic": {"OpenVLAForActionPrediction": Network},
+        "prismatic.extern.hf.processing_prismatic": {
+            "PrismaticProcessor": Processor,
+            "PrismaticImageProcessor": folder,
+        },
+        "prismatic.vla.constants": {"NUM_ACTIONS_CHUNK": 8},
+        "prismatic.models.action_heads": {
+            "L1RegressionActionHead": lambda input_dim, hidden_dim, action_dim: torch.nn.Linear(
+                input_dim, action_dim
+            )
+        },
+        "prismatic.models.projectors": {
+            "ProprioProjector": lambda llm_dim, proprio_dim: torch.nn.Linear(proprio_dim, llm_dim)
+        },
+    }
+    for name, parts in modules.items():
+        monkeypatch.setitem(sys.modules, name, module_of(**parts))
+    monkeypatch.setattr(transformers.AutoTokenizer, "from_pretrained", lambda folder: None)
+    # OpenVLA-OFT's own transformers.
+    monkeypatch.setattr(prismatic, "_sees_ahead", lambda *_: True)
+
+
+@pytest.fixture
+def oft(tmp_path, upstream):
+    """A checkpoint of OpenVLA-OFT, small and random."""
+    torch.manual_seed(1)
+    save_file(Network().state_dict(), tmp_path / "model-00001-of-00001.safetensors")
+    for part, made in {
+        "action_head": torch.nn.Linear(WIDTH, 7),
+        "proprio_projector": torch.nn.Linear(8, WIDTH),
+    }.items():
+        stored = {f"module.{name}": one for name, one in made.state_dict().items()}
+        torch.save(stored, tmp_path / f"{part}--50000_checkpoint.pt")
+    numbers = {
+        of: {"q01": [-1.0] * width, "q99": [1.0] * width}
+        for of, width in (("action", 7), ("proprio", 8))
+    }
+    statistics = {"libero_goal_no_noops": numbers}
+    (tmp_path / "dataset_statistics.json").write_text(json.dumps(statistics))
+    return tmp_path
+
+
+def served(folder, name="openvla-oft", **options):
+    given = {"checkpoint": str(folder), "suite": "libero_goal", "device": "cpu", **options}
+    return load(name, Options(**given))
+
+
+def test_openvla_oft_is_loaded_whole_and_onto_the_device_that_was_asked_for(oft):
+    policy = served(oft)
+    seen = observation()
+    policy.reset(seen.episode)
+    assert policy.infer(seen).shape == policy.infer(next_one(seen, 1)).shape == (8, 7)
+    assert policy.model.network.images == 2
+    settings = policy.description.settings
+    assert (settings["device"], settings["precision"]) == ("cpu", "bfloat16")
+    assert settings["statistics"].startswith("libero_goal_no_noops: actions QUANTILES ")
+    # "meta" has no numbers, but it is another device than upstream's.
+    parts = (policy.model.action_head, policy.model.proprio_projector, policy.model.network)
+    elsewhere = served(oft, device="meta").model
+    for one in (elsewhere.network, elsewhere.action_head, elsewhere.proprio_projector):
+        assert {number.device.type for number in one.parameters()} == {"meta"}
+    assert {number.device.type for one in parts for number in one.parameters()} == {"cpu"}
+
+
+def test_a_network_that_lacks_a_tensor_is_refused(oft):
+    [file] = oft.glob("*.safetensors")
+    stored = load_file(file)
+    del stored["inner.bias"]
+    save_file(stored, file)
+    with pytest.raises(UnusableCheckpoint, match=r"1 missing in the file \(inner.bias\)"):
+        served(oft)
+
+
+@pytest.mark.parametrize("part", ["action_head", "proprio_projector"])
+def test_a_part_that_lacks_a_tensor_is_refused(oft, part):
+    file = oft / f"{part}--50000_checkpoint.pt"
+    stored = torch.load(file, weights_only=True)
+    del stored["module.bias"]
+    torch.save(stored, file)
+    with pytest.raises(UnusableCheckpoint, match=rf"of {part}, 1 missing in the file \(bias\)"):
+        served(oft)
+
+
+@pytest.mark.parametrize(
+    ("file", "words"),
+    [
+        ("noisy_action_projector--1_checkpoint.pt", "was trained with diffusion"),
+        ("vision_backbone--1_checkpoint.pt", "was trained with FiLM"),
+        ("action_head--2_checkpoint.pt", "has 2 files of its action_head"),
+    ],
+)
+def test_parts_that_are_not_served_are_refused(oft, file, words):
+    (oft / file).write_bytes(b"")
+    with pytest.raises(UnusableCheckpoint, match=words):
+        served(oft)
+
+
+def test_a_checkpoint_without_proprio_statistics_is_refused(oft):
+    file = oft / "dataset_statistics.json"
+    statistics = json.loads(file.read_text())
+    del statistics["libero_goal_no_noops"]["proprio"]
+    file.write_text(json.dumps(statistics))
+    with pytest.raises(UnusableCheckpoint, match="no statistics of the state"):
+        served(oft)
+
+
+def test_another_robot_s_chunk_is_refused(oft):
+    sys.modules["prismatic.vla.constants"].NUM_ACTIONS_CHUNK = 25
+    with pytest.raises(UnusableCheckpoint, match="chunks of 25 actions, and LIBERO's are 8"):
+        served(oft)
+
+
+def test_the_transformers_of_everybody_else_is_refused_for_openvla_oft(oft, monkeypatch):
+    # It has the same version; what tells is whether a token sees the later ones.
+    monkeypatch.undo()
+    network = Network()
+    assert not prismatic._sees_ahead(network, torch, transformers)
+    attention = transformers.models.llama.modeling_llama.LlamaModel.forward
+
+    def both_ways(self, *arguments, **named):
+        width = named["inputs_embeds"].shape[1]
+        named["attention_mask"] = torch.zeros(1, 1, width, width)
+        return attention(self, *arguments, **named)
+
+    monkeypatch.setattr(transformers.models.llama.modeling_llama.LlamaModel, "forward", both_ways)
+    assert prismatic._sees_ahead(network, torch, transformers)
+
+
+def test_a_transformers_that_attends_otherwise_is_named(oft, monkeypatch):
+    monkeypatch.setattr(prismatic, "_sees_ahead", lambda *_: False)
+    with pytest.raises(UpstreamMissing, match="does not see the tokens behind it.*environment"):
+        served(oft)
+
+
+class Pool(torch.nn.Linear):
+    """MAPBlock, of other widths."""
+
+    def __init__(self, n_latents, vis_dim, embed_dim, n_heads):
+        super().__init__(2, 2)
+
+
+@pytest.fixture
+def of_univla(oft, monkeypatch):
+    """A checkpoint of UniVLA, small and random."""
+    monkeypatch.setattr(prismatic, "_sees_ahead", lambda *_: False)
+    pools = module_of(MAPBlock=Pool)
+    monkeypatch.setitem(sys.modules, "prismatic.models.policy.transformer_utils", pools)
+    torch.save(univla._decoder(entry("univla")).state_dict(), oft / "action_decoder.pt")
+    return oft
+
+
+def test_univla_s_decoder_must_fit_exactly(of_univla):
+    policy = served(of_univla, "univla")
+    assert policy.description.settings["evaluation"] == "upstream"
+    file = of_univla / "action_decoder.pt"
+    stored = torch.load(file, weights_only=True)
+    stored["extra"] = stored.pop("visual_pool.bias")
+    torch.save(stored, file)
+    with pytest.raises(UnusableCheckpoint, match="of the decoder, .*visual_pool.bias.*extra"):
+        served(of_univla, "univla")
+    file.unlink()
+    with pytest.raises(UnusableCheckpoint, match="no action_decoder.pt.*pre-trained"):
+        served(of_univla, "univla")
+
+
+def test_univla_s_draws_go_on_where_they_stood(of_univla):
+    model = univla.UnivlaModel(
+        SimpleNamespace(
+            predict_latent_action=lambda **_: (
+                torch.rand(1, 4, WIDTH),
+                torch.rand(1, 1, WIDTH),
+                torch.randint(32001, 32033, (1, 4)),
+            )
+        ),
+        Processor(None, None),
+        lambda latent, visual: latent.new_zeros(1, 84),
+        "cpu",
+    )
+    pixels = np.zeros((4, 4, 3), dtype=np.uint8)
+
+    def drawn(generator):
+        _, tokens, after = model.chunk(pixels, "text", generator)
+        return tokens, after
+
+    first, after_first = drawn(7)
+    second, _ = drawn(after_first)
+    torch.rand(1)
+    assert drawn(7)[0] == first != second
+    assert drawn(after_first)[0] == second

@@ -1,0 +1,125 @@
+"""A network is compared with its files, tensor by tensor, both ways."""
+
+import numpy as np
+import pytest
+
+from rollout_policies.adapters import weights
+from rollout_policies.adapters.upstream import UnusableCheckpoint
+from rollout_policies.adapters.weights import Exceptions, compare
+
+
+def found(network, stored, exceptions=Exceptions()):
+    return compare(network, stored, np.array_equal, exceptions)
+
+
+def tensors(**shapes):
+    return {name: np.full(shape, len(name)) for name, shape in shapes.items()}
+
+
+def test_what_agrees_has_no_differences():
+    network = tensors(weight=(3, 4), bias=(3,))
+    assert str(found(network, dict(reversed(network.items())))) == ""
+
+
+def test_every_kind_of_difference_is_named():
+    network = tensors(missing=(2,), shape=(2, 3), content=(2,), same=(4,))
+    stored = {**tensors(unknown=(2,), shape=(3, 2), same=(4,)), "content": np.zeros(2)}
+    differences = found(network, stored)
+    assert differences.missing == ["missing"]
+    assert differences.unknown == ["unknown"]
+    assert differences.shape == ["shape: [2, 3], in the file [3, 2]"]
+    assert differences.content == ["content"]
+
+
+def test_of_many_differences_the_first_and_their_number_are_shown():
+    network = tensors(**{f"layer{index}": (1,) for index in range(9)})
+    assert str(found(network, {})) == "9 missing in the file (layer0, layer1, layer2, ...)"
+
+
+def test_tied_names_stand_for_one_another_and_are_compared():
+    tied = Exceptions(tied={"embed": "head"})
+    both, one = tensors(embed=(2,), head=(2,)), {"head": np.full(2, 5)}
+    both["head"] = both["embed"]
+    assert str(found(both, one, tied)) == ""
+    assert str(found({"embed": np.full(2, 5)}, both, tied)) == ""
+    # A copy that was not made stays random, whatever its other name holds.
+    assert found({**both, "embed": np.zeros(2)}, one, tied).content == ["embed"]
+    assert found(both, one).missing == ["embed"]
+
+
+def test_what_is_unused_or_for_training_may_lack_its_other_side():
+    named = Exceptions(unused=("*.head",), skipped=("video.*",))
+    network, stored = tensors(a=(1,)), tensors(a=(1,))
+    network["text.head"], stored["video.encoder"] = np.ones(1), np.ones(1)
+    assert str(found(network, stored, named)) == ""
+    assert found(network, stored).missing == ["text.head"]
+    assert found(network, stored).unknown == ["video.encoder"]
+    computed = {**tensors(a=(1,)), "text.rotary_emb.inv_freq": np.ones(1)}
+    assert str(found(tensors(a=(1,)), computed)) == ""
+    # But not another content.
+    assert found(network, {**stored, "text.head": np.zeros(1)}, named).content == ["text.head"]
+
+
+def torch_network():
+    torch = pytest.importorskip("torch", reason="PyTorch is not installed")
+    torch.manual_seed(1)
+    network = torch.nn.Sequential(torch.nn.Linear(300, 50), torch.nn.BatchNorm1d(50))
+    return torch, network.to(torch.bfloat16)
+
+
+@pytest.mark.parametrize("piece", [1, 7_000, 1 << 24])
+def test_files_are_compared_in_pieces_of_any_size(tmp_path, monkeypatch, piece):
+    _, network = torch_network()
+    from safetensors.torch import save_file
+
+    monkeypatch.setattr(weights, "PIECE", piece)
+    file = tmp_path / "model.safetensors"
+    # Files may hold more digits than the network.
+    stored = {f"old.{name}": one.float() for name, one in network.state_dict().items()}
+    stored["old.0.weight"] += 1e-6 * stored["old.0.weight"]
+    save_file(stored, file)
+
+    def look():
+        with weights.stored_in([file], lambda name: name.removeprefix("old.")) as there:
+            weights.require_loaded(network, there, "mine")
+
+    look()
+    stored["old.0.weight"][-1, -1] += 1
+    save_file(stored, file)
+    with pytest.raises(UnusableCheckpoint, match=r"1 of other content \(0.weight\)"):
+        look()
+
+
+def test_a_file_is_never_read_whole(tmp_path, monkeypatch):
+    _, network = torch_network()
+    from safetensors.torch import save_file
+
+    save_file(network.state_dict(), tmp_path / "model.safetensors")
+    monkeypatch.setattr(weights, "PIECE", 3_000)
+    largest = 0
+    inner = weights._InFile.__getitem__
+
+    def watched(self, rows):
+        nonlocal largest
+        piece = inner(self, rows)
+        largest = max(largest, piece.numel())
+        return piece
+
+    monkeypatch.setattr(weights._InFile, "__getitem__", watched)
+    with weights.stored_in(tmp_path.glob("*.safetensors")) as there:
+        weights.require_loaded(network, there, "mine")
+    assert 0 < largest <= 3_000
+
+
+def test_parts_that_an_adapter_loads_must_fit_exactly():
+    torch, network = torch_network()
+    stored = {name: one.clone() + 1 for name, one in network.state_dict().items()}
+    weights.load_stored(network, stored, "mine", "the decoder")
+    assert torch.equal(network[0].weight, stored["0.weight"])
+    del stored["0.bias"]
+    stored["extra"] = torch.zeros(1)
+    stored["1.weight"] = torch.zeros(49)
+    with pytest.raises(UnusableCheckpoint) as refused:
+        weights.load_stored(network, stored, "mine", "the decoder")
+    for words in ("checkpoint mine", "of the decoder", "(0.bias)", "(extra)", "1.weight: [50]"):
+        assert words in str(refused.value)
