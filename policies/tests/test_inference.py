@@ -234,7 +234,7 @@ def test_a_policy_that_takes_no_made_up_episode_is_served_cold_with_a_warning(ca
 
 @pytest.mark.parametrize("name", ["openvla-oft", "univla"])
 def test_frames_that_go_through_a_jpeg_are_prepared_outside_the_turn(serving, monkeypatch, name):
-    [policy] = [it for it in around_computed_networks() if it.description.name == name]
+    policy, *_ = [it for it in around_computed_networks() if it.description.name == name]
     prepared_in = []
 
     def frame(turned):

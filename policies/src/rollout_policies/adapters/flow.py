@@ -33,11 +33,7 @@ class FlowPolicy(Policy):
             execute=execute,
             stochastic=True,
             max_batch=max_batch,
-            settings={
-                **model.settings,
-                "chunk": str(model.config.chunk_size),
-                "executed actions": str(execute),
-            },
+            settings=model.settings,
         )
 
     @classmethod

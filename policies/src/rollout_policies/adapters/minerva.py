@@ -44,7 +44,6 @@ class Minerva(Policy):
             settings={
                 **model.settings,
                 "chunk": "averaged to 1",
-                "executed actions": str(EXECUTE),
                 "ensemble": f"exp(-{ENSEMBLE} i)",
             },
         )

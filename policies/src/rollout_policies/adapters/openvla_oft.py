@@ -133,8 +133,6 @@ class OpenVlaOft(Policy):
                 **(settings or {}),
                 "image slots": f"first={SCENE.name}, second={WRIST.name}",
                 "state slots": "proprio=eef_pos, eef_axis_angle, gripper_pos",
-                "chunk": str(CHUNK),
-                "executed actions": str(execute),
             },
         )
 

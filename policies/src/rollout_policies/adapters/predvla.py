@@ -139,8 +139,6 @@ class PredVla(Policy):
                 **(settings or {}),
                 "image slots": f"agentview={SCENE.name}, eye={WRIST.name}",
                 "state slots": "q=joint_pos, gripper_pos",
-                "chunk": "1",
-                "executed actions": "1",
             },
         )
 

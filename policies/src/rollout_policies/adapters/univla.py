@@ -175,7 +175,6 @@ class UniVla(Policy):
                 "image slots": f"first={SCENE.name}",
                 "state slots": "none",
                 "chunk": f"{CHUNK}, averaged to 1",
-                "executed actions": "1",
                 "evaluation": evaluation,
             },
         )
