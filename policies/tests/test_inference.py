@@ -13,7 +13,7 @@ from conftest import Client, running
 from test_conformance import around_computed_networks
 
 from rollout_policies import Description, Policy, UnusableActions, fake_observation
-from rollout_policies.adapters import openvla_oft, univla
+from rollout_policies.adapters import openvla_oft
 from rollout_policies.conformance.probe import to_message
 from rollout_policies.inference import InferenceThread
 from rollout_policies.proto import policy_pb2 as pb
@@ -242,7 +242,7 @@ def test_frames_that_go_through_a_jpeg_are_prepared_outside_the_turn(serving, mo
         return turned
 
     monkeypatch.setattr(openvla_oft, "frame", frame)
-    monkeypatch.setattr(univla, "frame", frame)
+    monkeypatch.setattr(policy, "frame", frame, raising=False)
     client = serving(policy)
     client.reset(suite="libero_object", instruction="pick up the butter")
     client.infer(observation=to_message(fake_observation(policy.description)))
