@@ -21,7 +21,7 @@ from rollout_policies.proto import policy_pb2 as pb
 pytest.importorskip("vla_eval", reason="vla-eval is not installed")
 pytest.importorskip("anyio", reason="anyio is not installed")
 import anyio  # noqa: E402
-from recording_vla_eval_server import scripted  # noqa: E402
+from recording_vla_eval_server import described, scripted  # noqa: E402
 from vla_eval.benchmarks.libero.benchmark import LIBEROBenchmark  # noqa: E402
 from vla_eval.connection import Connection  # noqa: E402
 from vla_eval.runners.sync_runner import SyncEpisodeRunner  # noqa: E402
@@ -251,15 +251,9 @@ def test_frames_travel_in_each_of_its_formats(program, received, form, sent):
     dtype, *shape, digest, mean = shown["payload"]["images"]["agentview"]
     assert (dtype, shape) == ("|u1", [256, 256, 3])
     turned = np.ascontiguousarray(frame[::-1, ::-1])
-    lossless = described_digest(turned) == digest
-    assert lossless == (form != "jpeg")
+    is_lossless = described(turned)[4] == digest
+    assert is_lossless == (form != "jpeg")
     np.testing.assert_allclose(mean, turned.mean(axis=(0, 1)), atol=1)
-
-
-def described_digest(frame):
-    from recording_vla_eval_server import described
-
-    return described(frame)[4]
 
 
 def test_a_chunk_of_the_servers_is_executed_here_if_the_address_says_so(program, received):
@@ -276,8 +270,8 @@ def test_a_chunk_of_the_servers_is_executed_here_if_the_address_says_so(program,
             assert "a chunk of 6 actions" in caught.value.details()
             assert "?execute=6" in caught.value.details()
         with gateway(program, server, "?execute=5") as client:
-            described = client.describe()
-            assert (described.horizon, described.execute) == (5, 5)
+            description = client.describe()
+            assert (description.horizon, description.execute) == (5, 5)
             client.reset(suite=SUITE, instruction="answer a chunk")
             actions = client.infer(observation=OBSERVATION)
             expected = np.float32([scripted(step) for step in range(5)])
@@ -312,13 +306,14 @@ def test_it_describes_what_was_resolved_and_the_address_wins(program, received):
     asked = {"send_state": True, "env_seed": 0, "success_mode": "truncation"}
     with serving(received, "--gripper", "binary_close_positive", **asked) as server:
         with gateway(program, server) as client:
-            described = client.describe()
+            description = client.describe()
         with gateway(program, server, "?send_wrist_image=true&send_state=false") as client:
             other = client.describe()
-    assert described.name == "Policy" and described.checkpoint.startswith("not named by its server")
-    assert described.stateful and described.stochastic and described.unseeded
-    assert described.batch_mode == "single, unseeded"
-    settings = {it.name: it.value for it in described.settings}
+    assert description.name == "Policy"
+    assert description.checkpoint.startswith("not named by its server")
+    assert description.stateful and description.stochastic and description.unseeded
+    assert description.batch_mode == "single, unseeded"
+    settings = {it.name: it.value for it in description.settings}
     assert settings == {
         "server": "Policy of vla-eval 0.8.0",
         "observation parameters": 'send_state=true, env_seed=0, success_mode="truncation"',
@@ -329,7 +324,6 @@ def test_it_describes_what_was_resolved_and_the_address_wins(program, received):
         "image format": "png",
         "state": "eef_pos3_axisangle3_gripper2, nearer antipode",
         "controller states": "of the instant of observation, not of the end of the control step",
-        "executed actions": "1",
         "gripper": "open below 0, else closed",
     }
     settings = {it.name: it.value for it in other.settings}

@@ -19,7 +19,7 @@ use crate::script;
 /// How the gateway says that a policy did not want a query.
 const POLICY: &str = "the policy failed: ";
 /// Every method; an input names one by its place.
-const METHODS: [&str; 4] = ["Describe", "Reset", "Infer", "InferBatch"];
+const METHODS: [&str; 5] = ["Describe", "Reset", "Infer", "InferBatch", "End"];
 
 /// Makes the calls of an input, one after another; says whether none was refused.
 ///
@@ -153,11 +153,16 @@ fn session(policy: &str) -> Vec<u8> {
     let batch = wire::InferBatchRequest {
         queries: vec![infer.clone(), infer.clone()],
     };
+    let end = wire::EndRequest {
+        policy: policy.into(),
+        session: "s".into(),
+    };
     [
         script::write(0, &describe.encode_to_vec()),
         script::write(1, &reset.encode_to_vec()),
         script::write(2, &infer.encode_to_vec()),
         script::write(3, &batch.encode_to_vec()),
+        script::write(4, &end.encode_to_vec()),
     ]
     .concat()
 }

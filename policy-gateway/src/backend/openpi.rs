@@ -212,19 +212,11 @@ fn describe(address: &OpenpiAddress, metadata: &[u8]) -> DescribeResponse {
         stochastic: true,
         unseeded: true,
         language: Language::FreeForm.into(),
-        settings: [
-            (
-                "image slots",
-                "observation/image=agentview, observation/wrist_image=robot0_eye_in_hand"
-                    .to_owned(),
-            ),
-            ("executed actions", address.execute.to_string()),
-        ]
-        .map(|(name, value)| Setting {
-            name: name.to_owned(),
-            value,
-        })
-        .into(),
+        settings: vec![Setting {
+            name: "image slots".to_owned(),
+            value: "observation/image=agentview, observation/wrist_image=robot0_eye_in_hand"
+                .to_owned(),
+        }],
         ..DescribeResponse::default()
     }
 }

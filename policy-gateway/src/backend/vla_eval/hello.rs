@@ -25,8 +25,8 @@ const STATE: [StateField; 4] = [
 /// What vla-eval's LIBERO benchmark does not know, it leaves alone; of what it
 /// knows, these belong to the campaign here.
 const OF_THE_CAMPAIGN: [&str; 4] = ["seed", "env_seed", "max_steps", "num_steps_wait"];
-/// Characters of a declaration that are recorded.
-const RECORDED_CHARS: usize = 300;
+/// Bytes of a setting's value that are recorded; the whole HELLO is in its digest.
+const RECORDED_BYTES: usize = 512;
 
 /// How a server's episodes are played.
 #[derive(Clone, Debug, PartialEq)]
@@ -110,7 +110,6 @@ pub(super) fn terms(hello: &ValueRef<'_>, address: &VlaEvalAddress) -> Result<Te
         ("image format", address.image_format.to_string()),
         ("state", shown_state.to_owned()),
         ("controller states", controller_states.to_owned()),
-        ("executed actions", address.execute.to_string()),
         ("gripper", "open below 0, else closed".to_owned()),
     ];
     let described = DescribeResponse {
@@ -138,7 +137,7 @@ pub(super) fn terms(hello: &ValueRef<'_>, address: &VlaEvalAddress) -> Result<Te
         settings: settings
             .map(|(name, value)| Setting {
                 name: name.to_owned(),
-                value,
+                value: begin_of(value),
             })
             .into(),
         ..DescribeResponse::default()
@@ -209,8 +208,15 @@ fn declaration(value: &ValueRef<'_>) -> String {
             None => format!("{name}={value}"),
         }
     });
-    let text = entries.collect::<Vec<_>>().join(", ");
-    or_none(&text.chars().take(RECORDED_CHARS).collect::<String>())
+    or_none(&entries.collect::<Vec<_>>().join(", "))
+}
+
+/// As much of a text as is recorded.
+fn begin_of(mut text: String) -> String {
+    let fits = |at: &usize| *at <= RECORDED_BYTES;
+    let ends = text.char_indices().map(|(at, c)| at + c.len_utf8());
+    text.truncate(ends.take_while(fits).last().unwrap_or_default());
+    text
 }
 
 fn or_none(text: &str) -> String {
@@ -224,4 +230,35 @@ fn digest(hello: &ValueRef<'_>) -> String {
     let hello: Value = hello.to_owned();
     let digest = Sha256::digest(written(&hello));
     digest[..8].iter().map(|it| format!("{it:02x}")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn told(parameters: Value) -> Result<Terms, String> {
+        let hello = crate::backend::numpy::map([
+            ("protocol_version", VERSION.into()),
+            ("observation_params", parameters),
+        ]);
+        let address = "vla-eval://h:1".parse().expect("an address");
+        terms(&hello.as_ref(), &address)
+    }
+
+    #[test]
+    fn what_a_server_declares_fits_a_result_however_long_it_is() {
+        let long = "é".repeat(10 * RECORDED_BYTES);
+        let parameters = Value::Map(vec![(long.as_str().into(), true.into())]);
+        let described = told(parameters).expect("nothing to refuse").described;
+        let lengths = described.settings.iter().map(|it| it.value.len());
+        assert_eq!(lengths.max(), Some(RECORDED_BYTES));
+    }
+
+    #[test]
+    fn parameters_that_are_nothing_are_as_if_they_were_not_there() {
+        for nothing in [Value::Nil, Value::Map(vec![]), "".into()] {
+            let terms = told(nothing).expect("nothing to refuse");
+            assert!(!terms.wrist && !terms.state && terms.flips);
+        }
+    }
 }
