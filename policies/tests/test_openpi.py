@@ -4,10 +4,8 @@ what openpi's own LIBERO client would show it.
 Runs the program that the environment variable POLICY_GATEWAY names.
 """
 
-import contextlib
 import hashlib
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -15,7 +13,7 @@ from pathlib import Path
 import grpc
 import numpy as np
 import pytest
-from conftest import Client
+from programs import client_behind, gateway_program, running
 
 from rollout_policies.proto import policy_pb2 as pb
 
@@ -27,26 +25,9 @@ SERVER = Path(__file__).parent / "simulated_openpi_server.py"
 KEY = "key-of-the-simulated-server"
 
 
-@contextlib.contextmanager
-def running(command):
-    """A program that prints where it listens."""
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    try:
-        line = process.stdout.readline()
-        assert line.startswith("listening on "), line
-        yield line.split()[2]
-    finally:
-        process.kill()
-        process.wait()
-        process.stdout.close()
-
-
 @pytest.fixture
 def program():
-    program = os.environ.get("POLICY_GATEWAY")
-    if program is None:
-        pytest.skip("POLICY_GATEWAY does not name the policy-gateway program")
-    return program
+    return gateway_program()
 
 
 @pytest.fixture
@@ -57,14 +38,6 @@ def shown(tmp_path):
 
 def simulated(shown, *arguments):
     return running([sys.executable, str(SERVER), "--shown", str(shown), *arguments])
-
-
-@contextlib.contextmanager
-def client_behind(program, *arguments):
-    with running([program, "--listen", "127.0.0.1:0", *arguments]) as address:
-        client = Client(address)
-        yield client
-        client.channel.close()
 
 
 def observation(side=256):

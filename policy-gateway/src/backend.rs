@@ -15,9 +15,13 @@ use crate::{
 
 pub mod builtin;
 pub mod grpc;
+pub mod numpy;
 pub mod openpi;
 pub mod recorder;
 pub mod replay;
+mod shown;
+pub mod vla_eval;
+pub mod websocket;
 
 /// Where a gateway's user says which policy server is meant.
 pub(crate) const SETTINGS: Settings = Settings {
@@ -169,6 +173,14 @@ pub enum BackendError {
         /// What it answered.
         status: Box<Status>,
     },
+    /// It serves something that cannot be run as it is meant.
+    #[error("the policy server at {address} cannot be run here: {reason}")]
+    Unsuited {
+        /// host:port.
+        address: String,
+        /// Why, with the remedy.
+        reason: String,
+    },
     /// It speaks another version of the policy protocol.
     #[error(
         "the policy server at {address} speaks policy protocol version {theirs}, this gateway \
@@ -219,7 +231,9 @@ impl BackendError {
             // An exception that a server let through, in most languages.
             Self::Refused { status, .. } if status.code() == Code::Unknown => Code::Internal,
             Self::Refused { status, .. } => status.code(),
-            Self::Version { .. } | Self::OutOfOrder { .. } => Code::FailedPrecondition,
+            Self::Unsuited { .. } | Self::Version { .. } | Self::OutOfOrder { .. } => {
+                Code::FailedPrecondition
+            }
             Self::Policy { .. }
             | Self::Description { .. }
             | Self::Nonsense { .. }

@@ -12,6 +12,7 @@ use crate::{
         grpc::{AddressError, GrpcAddress},
         openpi::{OpenpiAddress, OpenpiAddressError},
         recorder::RecordInto,
+        vla_eval::{VlaEvalAddress, VlaEvalAddressError},
     },
     builtin::Builtin,
     recording::RecordingError,
@@ -116,6 +117,9 @@ pub enum UnusableBackend {
     /// An openpi server's address that is none.
     #[error(transparent)]
     Openpi(#[from] OpenpiAddressError),
+    /// A vla-eval model server's address that is none.
+    #[error(transparent)]
+    VlaEval(#[from] VlaEvalAddressError),
 }
 
 /// The replicas that answer for a route.
@@ -220,8 +224,8 @@ impl FromStr for RouteSpec {
 }
 
 /// What answers for a route: `builtin:NAME`, `grpc://HOST:PORT[/POLICY]`, the
-/// same with `https://` over TLS, `ws://HOST:PORT` (`wss://` over TLS), or
-/// `replay:FOLDER`.
+/// same with `https://` over TLS, `ws://HOST:PORT` (`wss://` over TLS),
+/// `vla-eval://HOST:PORT` (`vla-evals://` over TLS), or `replay:FOLDER`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum BackendSpec {
     /// A policy inside the gateway.
@@ -230,6 +234,8 @@ pub enum BackendSpec {
     Grpc(GrpcAddress),
     /// A policy server of openpi's.
     Openpi(OpenpiAddress),
+    /// A model server of vla-eval's.
+    VlaEval(VlaEvalAddress),
     /// A folder of recordings.
     Replay(PathBuf),
 }
@@ -239,7 +245,8 @@ impl BackendSpec {
         match self {
             Self::Builtin(_) | Self::Replay(_) => false,
             Self::Grpc(address) => address.encrypted,
-            Self::Openpi(address) => address.encrypted,
+            Self::Openpi(address) => address.place.encrypted,
+            Self::VlaEval(address) => address.place.encrypted,
         }
     }
 }
@@ -252,6 +259,7 @@ impl FromStr for BackendSpec {
             Some(("builtin", name)) => Ok(Self::Builtin(name.parse()?)),
             Some(("grpc" | "https", _)) => Ok(Self::Grpc(text.parse()?)),
             Some(("ws" | "wss", _)) => Ok(Self::Openpi(text.parse()?)),
+            Some(("vla-eval" | "vla-evals", _)) => Ok(Self::VlaEval(text.parse()?)),
             Some(("replay", folder)) if !folder.is_empty() => Ok(Self::Replay(folder.into())),
             _ => Err(ConfigError::Backend {
                 text: text.to_owned(),
@@ -266,6 +274,7 @@ impl fmt::Display for BackendSpec {
             Self::Builtin(builtin) => builtin.fmt(f),
             Self::Grpc(address) => address.fmt(f),
             Self::Openpi(address) => address.fmt(f),
+            Self::VlaEval(address) => address.fmt(f),
             Self::Replay(folder) => write!(f, "replay:{}", folder.display()),
         }
     }
@@ -289,7 +298,9 @@ mod tests {
         check("x=builtin:nope", "noop and expert");
         check("x=http://host:1", "grpc://HOST:PORT");
         check("x=ws://host", "ws://HOST:PORT");
+        check("x=vla-eval://host", "vla-eval://HOST:PORT");
         check("x=https://host:1", "`ca = \"FILE\"`");
+        check("x=vla-evals://host:1", "`ca = \"FILE\"`");
         check("x=grpc://host", "grpc://HOST:PORT");
         check("x=grpc://host:1,", "grpc://HOST:PORT");
     }

@@ -62,8 +62,9 @@ struct Listen {
 #[derive(Debug, Args)]
 struct Serve {
     /// A policy's name and what answers for it: grpc://HOST:PORT[/POLICY],
-    /// ws://HOST:PORT (an openpi server), builtin:noop or builtin:expert, or
-    /// several replicas with commas between (repeatable)
+    /// ws://HOST:PORT (an openpi server), vla-eval://HOST:PORT (a model server
+    /// of vla-eval), builtin:noop or builtin:expert, or several replicas with
+    /// commas between (repeatable)
     #[arg(
         long = "route",
         value_name = "NAME=BACKEND",
@@ -85,8 +86,8 @@ struct Serve {
 enum Command {
     /// Checks whether a policy server keeps the policy protocol, point by point
     Check {
-        /// Where it listens: grpc://HOST:PORT, https://HOST:PORT, or
-        /// ws://HOST:PORT for an openpi server
+        /// Where it listens: grpc://HOST:PORT, https://HOST:PORT,
+        /// ws://HOST:PORT for an openpi server, or vla-eval://HOST:PORT
         #[arg(value_name = "URL")]
         url: String,
 
@@ -257,10 +258,10 @@ async fn check(
     let mut target = target(access.access(&[Role::Operator, Role::Worker])?);
     // Kept until the end.
     let mut front = None;
-    if target.url.starts_with("ws") {
+    if target.url.starts_with("ws") || target.url.starts_with("vla-eval") {
         let ClientArguments { ca, token_file } = access;
         let started = Front::start(&target.url, AccessFiles { ca, token_file }).await?;
-        say(&"checked as this gateway serves it: openpi's protocol says less than this one");
+        say(&"checked as this gateway serves it: its own protocol says less than this one");
         target.url = format!("grpc://{}", started.address);
         front = Some(started);
     }

@@ -64,6 +64,11 @@ impl<V> SessionTable<V> {
         self.entries.remove(session).map(|entry| entry.value)
     }
 
+    /// Forgets the sessions for which `keeps` says no.
+    pub fn retain(&mut self, mut keeps: impl FnMut(&V) -> bool) {
+        self.entries.retain(|_, entry| keeps(&entry.value));
+    }
+
     fn next_use(&mut self) -> u64 {
         self.uses += 1;
         self.uses

@@ -8,9 +8,10 @@ use anyhow::{Context, Result};
 use crate::process::capture;
 use crate::step::step;
 
-/// The client with which openpi's robots query its servers: the tests compare the
-/// gateway's messages with its own.
-const OPENPI_CLIENT: &str = "openpi-client==0.1.2";
+/// What the tests compare the gateway's messages with: the client with which
+/// openpi's robots query its servers, and vla-eval, whose model servers and LIBERO
+/// benchmark they run.
+const COMPARED_WITH: [&str; 2] = ["openpi-client==0.1.2", "vla-eval==0.8.0"];
 
 /// What `pip install ./policies` builds the package with.
 const BUILT_WITH: &str = "setuptools>=61";
@@ -30,9 +31,9 @@ pub(crate) fn environment(root: &Path, cache: &Path) -> Result<String> {
     }
     let package = format!("{}[dev]", root.join("policies").display());
     capture(pip(&python, "install").arg("--editable").arg(package))?;
-    // By itself: it asks for a NumPy before 2, which newer Pythons do not have,
-    // and does without.
-    capture(pip(&python, "install").args(["--no-deps", OPENPI_CLIENT]))?;
+    // By themselves: the one asks for a NumPy before 2, which newer Pythons do not
+    // have, the other for what films and draws; both do without.
+    capture(pip(&python, "install").arg("--no-deps").args(COMPARED_WITH))?;
     Ok(python.display().to_string())
 }
 

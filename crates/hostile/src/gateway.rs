@@ -4,6 +4,7 @@
 //! execute or a refusal.
 
 use policy_gateway::backend::openpi::codec;
+use policy_gateway::backend::vla_eval;
 use policy_gateway::check;
 use policy_gateway::config::Config;
 use policy_gateway::service::Gateway;
@@ -18,7 +19,7 @@ use crate::script;
 /// How the gateway says that a policy did not want a query.
 const POLICY: &str = "the policy failed: ";
 /// Every method; an input names one by its place.
-const METHODS: [&str; 4] = ["Describe", "Reset", "Infer", "InferBatch"];
+const METHODS: [&str; 5] = ["Describe", "Reset", "Infer", "InferBatch", "End"];
 
 /// Makes the calls of an input, one after another; says whether none was refused.
 ///
@@ -76,6 +77,13 @@ pub(crate) fn answers(input: &[u8]) -> bool {
         let [count, width] = chunk.shape;
         assert_eq!(count * width, chunk.numbers.len());
     }
+    if let Ok(response) = vla_eval::answer(input, 1, 1) {
+        is_an_answer = true;
+        let grippers = response.actions.chunks(check::ACTION_WIDTH as usize);
+        if check::actions(&response, 1).is_ok() {
+            assert!(grippers.flat_map(|it| it.last()).all(|it| it.abs() == 1.0));
+        }
+    }
     is_an_answer
 }
 
@@ -107,7 +115,17 @@ pub(crate) fn answer_seeds() -> Vec<Vec<u8>> {
     let mut chunk = b"\x81\xa7actions\x84\xc4\x0b__ndarray__\xc3\xc4\x04data\xc4\x1c".to_vec();
     chunk.extend([0; 28]);
     chunk.extend(b"\xc4\x05dtype\xa3<f4\xc4\x05shape\x92\x01\x07");
-    vec![described.encode_to_vec(), response.encode_to_vec(), chunk]
+    // One action, as vla-eval's servers write it.
+    let mut action = b"\x84\xa4type\xa6action\xa7payload\x81\xa7actions".to_vec();
+    action.extend(b"\x84\xab__ndarray__\xc3\xa4data\xc4\x1c");
+    action.extend([0; 28]);
+    action.extend(b"\xa5dtype\xa3<f4\xa5shape\x91\x07\xa3seq\x01\xa9timestamp\x00");
+    vec![
+        described.encode_to_vec(),
+        response.encode_to_vec(),
+        chunk,
+        action,
+    ]
 }
 
 fn session(policy: &str) -> Vec<u8> {
@@ -135,11 +153,16 @@ fn session(policy: &str) -> Vec<u8> {
     let batch = wire::InferBatchRequest {
         queries: vec![infer.clone(), infer.clone()],
     };
+    let end = wire::EndRequest {
+        policy: policy.into(),
+        session: "s".into(),
+    };
     [
         script::write(0, &describe.encode_to_vec()),
         script::write(1, &reset.encode_to_vec()),
         script::write(2, &infer.encode_to_vec()),
         script::write(3, &batch.encode_to_vec()),
+        script::write(4, &end.encode_to_vec()),
     ]
     .concat()
 }

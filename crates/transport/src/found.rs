@@ -12,6 +12,8 @@ pub enum ServerKind {
     Policy,
     /// An openpi server, which speaks WebSocket.
     Openpi,
+    /// A model server of vla-eval's, which speaks WebSocket.
+    VlaEval,
 }
 
 impl ServerKind {
@@ -24,6 +26,7 @@ impl ServerKind {
             ServerKind::Coordinator => "a coordinator",
             ServerKind::Policy => "a policy server or policy-gateway",
             ServerKind::Openpi => "an openpi server",
+            ServerKind::VlaEval => "a vla-eval model server",
         }
     }
 
@@ -33,13 +36,14 @@ impl ServerKind {
             ServerKind::Coordinator => "the coordinator",
             ServerKind::Policy => "the policy server",
             ServerKind::Openpi => "the openpi server",
+            ServerKind::VlaEval => "the vla-eval model server",
         }
     }
 
     fn start(self) -> &'static str {
         match self {
             ServerKind::Coordinator => "start it with `coordinator serve`",
-            ServerKind::Policy | ServerKind::Openpi => "start it",
+            ServerKind::Policy | ServerKind::Openpi | ServerKind::VlaEval => "start it",
         }
     }
 
@@ -51,7 +55,7 @@ impl ServerKind {
                 Some("/rollout.coordinator.v1.OperatorService/ListCampaigns")
             }
             ServerKind::Policy => Some("/rollout.policy.v1.Policy/Describe"),
-            ServerKind::Openpi => None,
+            ServerKind::Openpi | ServerKind::VlaEval => None,
         }
     }
 }
@@ -372,7 +376,7 @@ impl fmt::Display for Remedy<'_> {
             ),
             Found::Older => f.write_str(match expected {
                 ServerKind::Coordinator => "use the same version of both programs",
-                ServerKind::Policy | ServerKind::Openpi => {
+                ServerKind::Policy | ServerKind::Openpi | ServerKind::VlaEval => {
                     "give it every call of rollout.policy.v1, as policy.proto describes them"
                 }
             }),

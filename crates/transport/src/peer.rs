@@ -90,7 +90,7 @@ impl Peer {
             is_encrypted,
         };
         let protocols: &[&[u8]] = match self.kind {
-            ServerKind::Openpi => &[],
+            ServerKind::Openpi | ServerKind::VlaEval => &[],
             ServerKind::Coordinator | ServerKind::Policy => &[probe::HTTP2],
         };
         let tls = match self.access.tls(protocols) {
@@ -99,7 +99,7 @@ impl Peer {
         };
         match (probe::look(place, &tls).await, self.kind) {
             (Err(found), _) => found,
-            (Ok(Speech::Http1(_)), ServerKind::Openpi) => Found::Broken,
+            (Ok(Speech::Http1(_)), ServerKind::Openpi | ServerKind::VlaEval) => Found::Broken,
             (Ok(Speech::Http1(line)), _) => Found::web_line(line),
             (Ok(Speech::Http2), _) => self.kind_there().await,
         }
@@ -157,7 +157,7 @@ impl Peer {
         Ok(status.is_none_or(|status| status.code() != Code::Unimplemented))
     }
 
-    /// An openpi server's address as a gRPC server's.
+    /// A WebSocket server's address as a gRPC server's.
     fn http_endpoint(&self) -> Endpoint {
         let uri = self.endpoint.uri();
         let scheme = if Access::is_encrypted(uri) {

@@ -14,17 +14,18 @@ use std::{
 };
 
 use proto::policy::{
-    CameraRequest, DescribeResponse, InferRequest, InferResponse, Language, ResetRequest,
-    StateField,
+    DescribeResponse, InferRequest, InferResponse, Language, ResetRequest, Setting, StateField,
 };
 use sha2::{Digest, Sha256};
 use tokio::sync::{Semaphore, SemaphorePermit};
-use tonic::transport::Endpoint;
-use transport::{Access, Peer, ServerKind, Settings};
+use transport::{Access, ServerKind};
 
 pub use self::address::{DEFAULT_EXECUTE, MAX_EXECUTE, OpenpiAddress, OpenpiAddressError};
-use self::connection::Connection;
-use super::{Backend, BackendError, SETTINGS};
+use super::{
+    Backend, BackendError,
+    shown::{self, FRAME_SIDE},
+    websocket::{Connection, Received, Server},
+};
 use crate::{
     check::ACTION_WIDTH,
     sessions::{MAX_SESSIONS, SessionTable},
@@ -32,13 +33,12 @@ use crate::{
 
 mod address;
 pub mod codec;
-mod connection;
 pub mod frame;
 
 /// Cameras, in the order of openpi's message.
 const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
-/// Side of the frames asked for, pixels: LIBERO's.
-const FRAME_SIDE: u32 = 256;
+/// Characters of a server's traceback that are quoted: its end names the error.
+const TOLD_CHARS: usize = 600;
 /// Readings, end to end the eight numbers of its state.
 const STATE: [StateField; 3] = [
     StateField::EefPos,
@@ -52,8 +52,7 @@ pub const MAX_CONNECTIONS: usize = 2;
 /// An openpi server.
 pub struct OpenpiBackend {
     address: OpenpiAddress,
-    access: Access,
-    peer: Peer,
+    server: Server,
     /// The instruction of every session: it goes with every query.
     prompts: Mutex<SessionTable<String>>,
     turns: Semaphore,
@@ -67,18 +66,20 @@ impl OpenpiBackend {
     /// # Errors
     /// When the address is none.
     pub fn new(address: OpenpiAddress, access: Access) -> Result<Self, OpenpiAddressError> {
-        let endpoint = Endpoint::from_shared(address.uri()).map_err(|_| OpenpiAddressError {
-            text: address.to_string(),
-        })?;
-        let settings = Settings {
-            clear: "ws://",
-            encrypted: "wss://",
-            ..SETTINGS
-        };
-        Ok(Self {
-            peer: Peer::new(endpoint, &access, ServerKind::Openpi, settings),
-            address,
+        let schemes = ["ws://", "wss://"];
+        // As openpi's client shows its key.
+        let server = Server::new(
+            address.place.clone(),
             access,
+            ServerKind::Openpi,
+            schemes,
+            "Api-Key",
+        );
+        Ok(Self {
+            server: server.ok_or_else(|| OpenpiAddressError {
+                text: address.to_string(),
+            })?,
+            address,
             prompts: Mutex::new(SessionTable::new(MAX_SESSIONS)),
             turns: Semaphore::new(MAX_CONNECTIONS),
             idle: Mutex::default(),
@@ -90,8 +91,10 @@ impl OpenpiBackend {
         self.turns.acquire().await.ok()
     }
 
-    async fn connect(&self) -> Result<Connection, BackendError> {
-        Connection::open(&self.address, &self.access, &self.peer).await
+    /// Connects, and reads the metadata that such a server sends first.
+    async fn connect(&self) -> Result<(Connection, Vec<u8>), BackendError> {
+        let (connection, metadata) = self.server.connect(None).await?;
+        Ok((connection, answered(metadata)?))
     }
 
     fn idle(&self) -> std::sync::MutexGuard<'_, Vec<Connection>> {
@@ -108,14 +111,14 @@ impl OpenpiBackend {
         let _turn = self.turn().await;
         let idle = self.idle().pop();
         if let Some(mut connection) = idle {
-            match connection.ask(message.clone()).await {
+            match ask(&mut connection, message.clone()).await {
                 // The server restarted since; it keeps nothing that could be lost.
                 Err(BackendError::Unreachable { .. }) => self.idle().clear(),
                 answer => return self.keep(connection, answer),
             }
         }
-        let mut connection = self.connect().await?;
-        let answer = connection.ask(message).await;
+        let (mut connection, _) = self.connect().await?;
+        let answer = ask(&mut connection, message).await;
         self.keep(connection, answer)
     }
 
@@ -138,8 +141,8 @@ impl Backend for OpenpiBackend {
         let _turn = self.turn().await;
         // A new connection each time: only that shows whether it is the same
         // server still. The metadata are the first thing that it says.
-        let connection = self.connect().await?;
-        let described = describe(&self.address, connection.metadata());
+        let (connection, metadata) = self.connect().await?;
+        let described = describe(&self.address, &metadata);
         let mut idle = self.idle();
         idle.truncate(MAX_CONNECTIONS - 1);
         idle.push(connection);
@@ -172,27 +175,48 @@ impl fmt::Display for OpenpiBackend {
     }
 }
 
+async fn ask(connection: &mut Connection, message: Vec<u8>) -> Result<Vec<u8>, BackendError> {
+    connection.send(message).await?;
+    answered(connection.receive().await?)
+}
+
+/// What a server raised comes as text; then it closes the connection.
+fn answered(received: Received) -> Result<Vec<u8>, BackendError> {
+    match received {
+        Received::Binary(bytes) => Ok(bytes),
+        Received::Text(traceback) => Err(BackendError::Policy {
+            message: last_chars(&traceback),
+        }),
+    }
+}
+
+fn last_chars(text: &str) -> String {
+    let text = text.trim();
+    let skipped = text.chars().count().saturating_sub(TOLD_CHARS);
+    text.chars().skip(skipped).collect()
+}
+
 /// What is known of any such server. Its metadata are whatever its training
 /// configuration says; replicas must say the same.
 fn describe(address: &OpenpiAddress, metadata: &[u8]) -> DescribeResponse {
-    let camera = |name: &str| CameraRequest {
-        name: name.to_owned(),
-        width: FRAME_SIDE,
-        height: FRAME_SIDE,
-    };
     let digest = Sha256::digest(metadata);
     let digest: String = digest[..8].iter().map(|it| format!("{it:02x}")).collect();
     DescribeResponse {
         protocol_version: proto::PROTOCOL_VERSION,
         name: "openpi".to_owned(),
         checkpoint: format!("not named by its server, whose metadata are sha256 {digest}…"),
-        cameras: CAMERAS.map(camera).into(),
+        cameras: CAMERAS.map(shown::camera).into(),
         state: STATE.map(i32::from).into(),
         horizon: address.execute,
         execute: address.execute,
         stochastic: true,
         unseeded: true,
         language: Language::FreeForm.into(),
+        settings: vec![Setting {
+            name: "image slots".to_owned(),
+            value: "observation/image=agentview, observation/wrist_image=robot0_eye_in_hand"
+                .to_owned(),
+        }],
         ..DescribeResponse::default()
     }
 }
@@ -201,22 +225,14 @@ fn describe(address: &OpenpiAddress, metadata: &[u8]) -> DescribeResponse {
 fn question(request: &InferRequest, prompt: &str) -> Result<Vec<u8>, String> {
     let observation = request.observation.as_ref();
     let frame = |camera: &str| {
-        let mut frames = observation.iter().flat_map(|it| &it.images);
-        let frame = frames
-            .find(|it| it.camera == camera)
-            .filter(|it| (it.width, it.height) == (FRAME_SIDE, FRAME_SIDE))
-            .filter(|it| it.rgb.len() == 3 * (FRAME_SIDE * FRAME_SIDE) as usize);
-        let frame = frame.ok_or_else(|| format!("the observation has no frame of {camera}"))?;
-        Ok::<_, String>(frame::prepare(&frame.rgb, FRAME_SIDE as usize))
+        let frame = shown::frame(observation, camera)?;
+        Ok::<_, String>(frame::prepare(&frame, FRAME_SIDE as usize))
     };
+    let [position, rotation, fingers] = STATE;
     let mut state = vec![];
-    for field in STATE {
-        let mut readings = observation.iter().flat_map(|it| &it.state);
-        let reading = readings.find(|it| it.field() == field);
-        let reading =
-            reading.ok_or_else(|| format!("the observation lacks {}", field.as_str_name()))?;
-        state.extend_from_slice(&reading.values);
-    }
+    state.extend(shown::reading::<3>(observation, position)?);
+    state.extend(shown::reading::<3>(observation, rotation)?);
+    state.extend(shown::reading::<2>(observation, fingers)?);
     let [scene, wrist] = CAMERAS;
     Ok(codec::observation(&codec::Shown {
         side: frame::SIDE,

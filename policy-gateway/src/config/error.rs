@@ -6,7 +6,7 @@ use thiserror::Error;
 
 use super::name::{RouteName, RouteNameError};
 use crate::{
-    backend::{grpc::AddressError, openpi::OpenpiAddressError},
+    backend::{grpc::AddressError, openpi::OpenpiAddressError, vla_eval::VlaEvalAddressError},
     builtin::UnknownBuiltin,
 };
 
@@ -99,7 +99,8 @@ pub enum ConfigError {
     /// No such kind.
     #[error(
         "read back-end {text:?}: write grpc://HOST:PORT, or https:// for one over TLS, or \
-         ws://HOST:PORT for an openpi server, or builtin:NAME, or replay:FOLDER"
+         ws://HOST:PORT for an openpi server, or vla-eval://HOST:PORT for a model server of \
+         vla-eval, or builtin:NAME, or replay:FOLDER"
     )]
     Backend {
         /// As written.
@@ -114,6 +115,9 @@ pub enum ConfigError {
     /// `ws://` and no address.
     #[error(transparent)]
     Openpi(#[from] OpenpiAddressError),
+    /// `vla-eval://` and no address.
+    #[error(transparent)]
+    VlaEval(#[from] VlaEvalAddressError),
     /// TLS with a server whose certificate no authority vouches for.
     #[error(
         "trust {replica} of policy {name}: give the certificate authority that signed its \

@@ -28,7 +28,8 @@ pub enum ConformanceError {
     /// Not `grpc://HOST:PORT`.
     #[error(
         "read {url:?} as a policy server's address: write grpc://HOST:PORT, or https:// for one \
-         over TLS, or ws://HOST:PORT for an openpi server"
+         over TLS, or ws://HOST:PORT for an openpi server, or vla-eval://HOST:PORT for a model \
+         server of vla-eval"
     )]
     Url {
         /// As given.

@@ -18,7 +18,7 @@ use transport::Access;
 use crate::{
     backend::{
         Backend, BackendError, builtin::BuiltinBackend, grpc::GrpcBackend, openpi::OpenpiBackend,
-        recorder::Recorder, replay::Replay,
+        recorder::Recorder, replay::Replay, vla_eval::VlaEvalBackend,
     },
     batch::batcher::Batcher,
     check,
@@ -80,6 +80,9 @@ impl Replica {
             }
             BackendSpec::Openpi(address) => {
                 Arc::new(OpenpiBackend::new(address.clone(), access.clone())?)
+            }
+            BackendSpec::VlaEval(address) => {
+                Arc::new(VlaEvalBackend::new(address.clone(), access.clone())?)
             }
             BackendSpec::Replay(folder) => Arc::new(Replay::open(folder)?),
         };

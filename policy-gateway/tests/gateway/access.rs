@@ -154,19 +154,22 @@ async fn an_expired_certificate_is_named() {
     drop(server.log());
 }
 
-/// The server is none of openpi's: what is looked at is how far one gets.
+/// The server is none of openpi's or vla-eval's: what is looked at is how far one
+/// gets.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn over_wss_too_only_a_server_of_the_given_authority_is_trusted() {
+async fn over_websocket_too_only_a_server_of_the_given_authority_is_trusted() {
     let papers = Papers::new();
     let server = papers.serve(2099);
     let (ca, token) = (papers.path("ca.pem"), papers.path("token"));
     let others = Papers::new();
-    let untrusted = ask_over("wss", &server, &others.path("ca.pem"), &token).await;
-    let untrusted = untrusted.expect_err("another authority");
-    assert!(untrusted.message().contains("not signed by"), "{untrusted}");
-    let trusted = ask_over("wss", &server, &ca, &token).await;
-    let trusted = trusted.expect_err("no WebSocket there");
-    assert_eq!(trusted.code(), Code::Unavailable);
-    assert!(trusted.message().contains("cannot reach"), "{trusted}");
+    for scheme in ["wss", "vla-evals"] {
+        let untrusted = ask_over(scheme, &server, &others.path("ca.pem"), &token).await;
+        let untrusted = untrusted.expect_err("another authority");
+        assert!(untrusted.message().contains("not signed by"), "{untrusted}");
+        let trusted = ask_over(scheme, &server, &ca, &token).await;
+        let trusted = trusted.expect_err("no WebSocket there");
+        assert_eq!(trusted.code(), Code::Unavailable);
+        assert!(trusted.message().contains("cannot reach"), "{trusted}");
+    }
     drop(server.log());
 }

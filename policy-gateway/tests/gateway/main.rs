@@ -12,4 +12,5 @@ mod replicas;
 mod routing;
 mod sessions;
 mod support;
+mod vla_eval;
 mod wrong_servers;

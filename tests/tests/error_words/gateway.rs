@@ -5,8 +5,10 @@ use std::time::Duration;
 use policy_gateway::RunError;
 use policy_gateway::backend::BackendError;
 use policy_gateway::backend::grpc::GrpcAddress;
+use policy_gateway::backend::numpy::ArrayError;
 use policy_gateway::backend::openpi::OpenpiAddress;
 use policy_gateway::backend::openpi::codec::AnswerError;
+use policy_gateway::backend::vla_eval::{AnswerError as VlaEvalAnswerError, VlaEvalAddress};
 use policy_gateway::builtin::Builtin;
 use policy_gateway::check::{ActionFault, DescriptionFault};
 use policy_gateway::config::{BackendSpec, ConfigError, RouteName, RouteSpec, UnusableBackend};
@@ -56,6 +58,11 @@ fn configuration(messages: &mut Messages) {
     messages.add("UnknownBuiltin", no_builtin());
     messages.add("AddressError", no_address());
     messages.add("OpenpiAddressError", no_openpi());
+    let no_vla_eval = || {
+        let text = "vla-eval://h";
+        text.parse::<VlaEvalAddress>().expect_err("no port")
+    };
+    messages.add("VlaEvalAddressError", no_vla_eval());
     let no_back_end = "nobody".parse::<BackendSpec>().expect_err("no back-end");
     messages.add("ConfigError", no_back_end);
     variants!(messages, ConfigError,
@@ -83,6 +90,7 @@ fn configuration(messages: &mut Messages) {
         ConfigError::Builtin(_) => ConfigError::Builtin(no_builtin()),
         ConfigError::Address(_) => ConfigError::Address(no_address()),
         ConfigError::Openpi(_) => ConfigError::Openpi(no_openpi()),
+        ConfigError::VlaEval(_) => ConfigError::VlaEval(no_vla_eval()),
         ConfigError::NoAuthority { .. } => ConfigError::NoAuthority {
             name: name(), replica: "https://h:1".to_owned(),
         },
@@ -96,6 +104,7 @@ fn configuration(messages: &mut Messages) {
         },
         UnusableBackend::Address(_) => UnusableBackend::Address(no_address()),
         UnusableBackend::Openpi(_) => UnusableBackend::Openpi(no_openpi()),
+        UnusableBackend::VlaEval(_) => UnusableBackend::VlaEval(no_vla_eval()),
     );
     variants!(messages, RecordingError,
         RecordingError::Io { .. } => RecordingError::Io { path: path(), source: io_error() },
@@ -137,9 +146,25 @@ fn checks(messages: &mut Messages) {
     variants!(messages, AnswerError,
         AnswerError::NoMessage => AnswerError::NoMessage,
         AnswerError::NoActions => AnswerError::NoActions,
-        AnswerError::NoArray => AnswerError::NoArray,
-        AnswerError::Dtype { .. } => AnswerError::Dtype { dtype: "<i8".to_owned() },
+        AnswerError::Array(_) => AnswerError::Array(ArrayError::None),
         AnswerError::Shape { .. } => AnswerError::Shape { shape: vec![3] },
+    );
+    variants!(messages, ArrayError,
+        ArrayError::None => ArrayError::None,
+        ArrayError::Dtype { .. } => ArrayError::Dtype { dtype: "<i8".to_owned() },
+    );
+    variants!(messages, VlaEvalAnswerError,
+        VlaEvalAnswerError::NoMessage => VlaEvalAnswerError::NoMessage,
+        VlaEvalAnswerError::Kind { .. } => VlaEvalAnswerError::Kind { kind: text() },
+        VlaEvalAnswerError::OutOfStep { .. } => VlaEvalAnswerError::OutOfStep { number: 3, asked: 4 },
+        VlaEvalAnswerError::Policy(_) => VlaEvalAnswerError::Policy(text()),
+        VlaEvalAnswerError::Start(_) => VlaEvalAnswerError::Start(text()),
+        VlaEvalAnswerError::None => VlaEvalAnswerError::None,
+        VlaEvalAnswerError::Array(_) => VlaEvalAnswerError::Array(ArrayError::None),
+        VlaEvalAnswerError::Shape { .. } => VlaEvalAnswerError::Shape { shape: vec![2, 3, 7] },
+        VlaEvalAnswerError::Chunk { .. } => VlaEvalAnswerError::Chunk { count: 8 },
+        VlaEvalAnswerError::Single { .. } => VlaEvalAnswerError::Single { execute: 8 },
+        VlaEvalAnswerError::Short { .. } => VlaEvalAnswerError::Short { count: 4, execute: 8 },
     );
 }
 
@@ -202,6 +227,9 @@ fn back_ends(messages: &mut Messages) {
         BackendError::BatchSize { .. } => BackendError::BatchSize { asked: 4, answered: 3 },
         BackendError::Refused { .. } => BackendError::Refused {
             address: address(), status: Box::new(Status::internal("")),
+        },
+        BackendError::Unsuited { .. } => BackendError::Unsuited {
+            address: address(), reason: "it answers poses; serve motions".to_owned(),
         },
         BackendError::Version { .. } => BackendError::Version { address: address(), theirs: 2 },
         BackendError::SessionLost => BackendError::SessionLost,

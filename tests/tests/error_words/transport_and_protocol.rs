@@ -180,6 +180,7 @@ fn troubles() -> Vec<Trouble> {
         ServerKind::Coordinator,
         ServerKind::Policy,
         ServerKind::Openpi,
+        ServerKind::VlaEval,
     ];
     let mut troubles = vec![];
     for (found, expected) in found.iter().flat_map(|it| kinds.map(|kind| (it, kind))) {

@@ -5,6 +5,13 @@ use std::{fmt, str::FromStr};
 use thiserror::Error;
 use tonic::codegen::http::Uri;
 
+use crate::backend::websocket::{Place, Schemes};
+
+const SCHEMES: Schemes = Schemes {
+    clear: "ws",
+    encrypted: "wss",
+};
+
 /// Actions executed of every chunk, unless the address says otherwise: what
 /// openpi's LIBERO evaluation does (`replan_steps`).
 pub const DEFAULT_EXECUTE: u32 = 5;
@@ -15,19 +22,10 @@ pub const MAX_EXECUTE: u32 = 100;
 /// `?execute=N` for more or fewer actions per query than openpi's client.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct OpenpiAddress {
-    /// `host:port`.
-    pub authority: String,
-    /// Over TLS.
-    pub encrypted: bool,
+    /// Where that is.
+    pub place: Place,
     /// Actions executed of every chunk.
     pub execute: u32,
-}
-
-impl OpenpiAddress {
-    pub(super) fn uri(&self) -> String {
-        let scheme = if self.encrypted { "wss" } else { "ws" };
-        format!("{scheme}://{}/", self.authority)
-    }
 }
 
 impl FromStr for OpenpiAddress {
@@ -36,24 +34,14 @@ impl FromStr for OpenpiAddress {
     fn from_str(text: &str) -> Result<Self, OpenpiAddressError> {
         let read = || {
             let uri: Uri = text.parse().ok()?;
-            let encrypted = match uri.scheme_str()? {
-                "ws" => false,
-                "wss" => true,
-                _ => return None,
-            };
+            let place = Place::read(&uri, SCHEMES)?;
             let execute = match uri.query() {
                 None => DEFAULT_EXECUTE,
                 Some(query) => query.strip_prefix("execute=")?.parse().ok()?,
             };
-            let complete = uri.host().is_some_and(|host| !host.is_empty())
-                && uri.port_u16().is_some()
-                && uri.path() == "/"
-                && (1..=MAX_EXECUTE).contains(&execute);
-            complete.then(|| Self {
-                authority: uri.authority().map(ToString::to_string).unwrap_or_default(),
-                encrypted,
-                execute,
-            })
+            (1..=MAX_EXECUTE)
+                .contains(&execute)
+                .then_some(Self { place, execute })
         };
         read().ok_or_else(|| OpenpiAddressError {
             text: text.to_owned(),
@@ -63,7 +51,7 @@ impl FromStr for OpenpiAddress {
 
 impl fmt::Display for OpenpiAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.uri().trim_end_matches('/'))?;
+        f.write_str(&self.place.text(SCHEMES))?;
         match self.execute {
             DEFAULT_EXECUTE => Ok(()),
             execute => write!(f, "?execute={execute}"),

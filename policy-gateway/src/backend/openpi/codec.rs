@@ -1,9 +1,9 @@
-//! The messages of openpi's protocol: msgpack maps in which an array of NumPy is
-//! a map of its own, with `__ndarray__`, `data`, `dtype` and `shape` as binary
-//! keys (module `msgpack_numpy` of openpi-client). Pure.
+//! The messages of openpi's protocol: msgpack maps with arrays of NumPy in them
+//! (module `msgpack_numpy` of openpi-client). Pure.
 
-use rmpv::{Value, ValueRef, decode::read_value_ref, encode::write_value};
 use thiserror::Error;
+
+use crate::backend::numpy::{self, Array, ArrayError, Keys, array, lookup, map};
 
 /// An observation, as openpi's LIBERO client shows it.
 #[derive(Clone, Copy, Debug)]
@@ -31,21 +31,24 @@ pub struct Chunk {
 
 /// Writes an observation.
 pub fn observation(shown: &Shown<'_>) -> Vec<u8> {
-    let frame = |rgb: &[u8]| array("|u1", &[shown.side, shown.side, 3], rgb.to_vec());
-    let state = shown.state.iter().flat_map(|it| it.to_le_bytes());
-    let entries = [
+    let frame = |rgb: &[u8]| {
+        array(
+            Keys::Bytes,
+            "|u1",
+            &[shown.side, shown.side, 3],
+            rgb.to_vec(),
+        )
+    };
+    let state = shown.state.iter().flat_map(|it| it.to_le_bytes()).collect();
+    numpy::written(&map([
         ("observation/image", frame(shown.image)),
         ("observation/wrist_image", frame(shown.wrist_image)),
         (
             "observation/state",
-            array("<f8", &[shown.state.len()], state.collect()),
+            array(Keys::Bytes, "<f8", &[shown.state.len()], state),
         ),
-        ("prompt", Value::from(shown.prompt)),
-    ];
-    let entries = entries.map(|(key, value)| (Value::from(key), value));
-    let mut bytes = vec![];
-    write_value(&mut bytes, &Value::Map(entries.into())).expect("a vector takes every byte");
-    bytes
+        ("prompt", shown.prompt.into()),
+    ]))
 }
 
 /// Reads the actions out of an answer; whatever else is in it is left alone.
@@ -53,45 +56,16 @@ pub fn observation(shown: &Shown<'_>) -> Vec<u8> {
 /// # Errors
 /// When there are none.
 pub fn answer(bytes: &[u8]) -> Result<Chunk, AnswerError> {
-    let answer = read_value_ref(&mut &*bytes).map_err(|_| AnswerError::NoMessage)?;
+    let answer = numpy::read(bytes).ok_or(AnswerError::NoMessage)?;
     let actions = lookup(&answer, "actions").ok_or(AnswerError::NoActions)?;
-    let shape = lookup(actions, "shape").and_then(as_shape);
-    let shape = shape.ok_or(AnswerError::NoArray)?;
-    let dtype = lookup(actions, "dtype").and_then(as_text);
-    let data = lookup(actions, "data").and_then(as_bytes);
-    let (Some(dtype), Some(data)) = (dtype, data) else {
-        return Err(AnswerError::NoArray);
-    };
-    let numbers: Vec<f32> = match dtype {
-        "<f4" => {
-            let (numbers, []) = data.as_chunks() else {
-                return Err(AnswerError::NoArray);
-            };
-            numbers.iter().map(|it| f32::from_le_bytes(*it)).collect()
-        }
-        "<f8" => {
-            let (numbers, []) = data.as_chunks() else {
-                return Err(AnswerError::NoArray);
-            };
-            let numbers = numbers.iter().map(|it| f64::from_le_bytes(*it));
-            numbers.map(|it| it as f32).collect()
-        }
-        other => {
-            return Err(AnswerError::Dtype {
-                dtype: other.chars().take(16).collect(),
-            });
-        }
-    };
-    let &[count, width] = shape.as_slice() else {
-        return Err(AnswerError::Shape { shape });
-    };
-    if count.checked_mul(width) != Some(numbers.len()) {
-        return Err(AnswerError::NoArray);
+    let Array { shape, numbers } = numpy::numbers(actions)?;
+    match *shape {
+        [count, width] => Ok(Chunk {
+            shape: [count, width],
+            numbers,
+        }),
+        _ => Err(AnswerError::Shape { shape }),
     }
-    Ok(Chunk {
-        shape: [count, width],
-        numbers,
-    })
 }
 
 /// Why an answer holds no actions.
@@ -104,77 +78,23 @@ pub enum AnswerError {
     #[error("its answer has no \"actions\": is it an openpi policy server?")]
     NoActions,
     /// Something else under that name.
-    #[error("its \"actions\" are no array as openpi-client writes one")]
-    NoArray,
-    /// Numbers of a kind that no policy answers.
-    #[error("its \"actions\" have dtype {dtype:?}, not <f4 or <f8")]
-    Dtype {
-        /// As NumPy writes it.
-        dtype: String,
-    },
+    #[error(transparent)]
+    Array(#[from] ArrayError),
     /// Not one chunk.
-    #[error("its \"actions\" have shape {shape:?}, not [n, 7]")]
+    #[error("its actions have shape {shape:?}, not [n, 7]")]
     Shape {
         /// As answered.
         shape: Vec<usize>,
     },
 }
 
-fn array(dtype: &str, shape: &[usize], data: Vec<u8>) -> Value {
-    let shape = shape.iter().map(|&it| Value::from(it)).collect();
-    let entries = [
-        ("__ndarray__", Value::Boolean(true)),
-        ("data", Value::Binary(data)),
-        ("dtype", Value::from(dtype)),
-        ("shape", Value::Array(shape)),
-    ];
-    let binary = |key: &str| Value::Binary(key.as_bytes().to_vec());
-    Value::Map(entries.map(|(key, value)| (binary(key), value)).into())
-}
-
-/// The entry of a map under a key of text or, as in arrays, of bytes.
-fn lookup<'a, 'b>(map: &'b ValueRef<'a>, key: &str) -> Option<&'b ValueRef<'a>> {
-    let ValueRef::Map(entries) = map else {
-        return None;
-    };
-    let is_key =
-        |it: &ValueRef<'_>| as_text(it) == Some(key) || as_bytes(it) == Some(key.as_bytes());
-    entries
-        .iter()
-        .find(|(it, _)| is_key(it))
-        .map(|(_, value)| value)
-}
-
-fn as_text<'a>(value: &ValueRef<'a>) -> Option<&'a str> {
-    match value {
-        ValueRef::String(text) => text.into_str(),
-        _ => None,
-    }
-}
-
-fn as_bytes<'a>(value: &ValueRef<'a>) -> Option<&'a [u8]> {
-    match value {
-        ValueRef::Binary(bytes) => Some(bytes),
-        _ => None,
-    }
-}
-
-fn as_shape(value: &ValueRef<'_>) -> Option<Vec<usize>> {
-    let ValueRef::Array(sides) = value else {
-        return None;
-    };
-    let side = |it: &ValueRef<'_>| match it {
-        ValueRef::Integer(side) => side.as_u64().and_then(|side| usize::try_from(side).ok()),
-        _ => None,
-    };
-    sides.iter().map(side).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
+    use rmpv::Value;
 
     use super::*;
+    use crate::backend::shown::turned;
 
     /// `packb` of openpi-client 0.1.2 of the observation in the test below.
     const OBSERVATION: &str = "84b16f62736572766174696f6e2f696d61676584c40b5f5f6e6461727261795f5fc3c40464617461c40c000102030405060708090a0bc4056474797065a37c7531c405736861706593020203b76f62736572766174696f6e2f77726973745f696d61676584c40b5f5f6e6461727261795f5fc3c40464617461c40c090a0b060708030405000102c4056474797065a37c7531c405736861706593020203b16f62736572766174696f6e2f737461746584c40b5f5f6e6461727261795f5fc3c40464617461c440000000000000e03f000000000000f0bf00000000000000000000000000000000000000000000000000000000000000007b14ae47e17aa43f7b14ae47e17aa4bfc4056474797065a33c6638c40573686170659108a670726f6d7074a77069636b207570";
@@ -191,11 +111,10 @@ mod tests {
     #[test]
     fn an_observation_is_written_byte_by_byte_as_openpi_client_writes_it() {
         let image: Vec<u8> = (0..12).collect();
-        let turned: Vec<u8> = image.rchunks(3).flatten().copied().collect();
         let written = observation(&Shown {
             side: 2,
             image: &image,
-            wrist_image: &turned,
+            wrist_image: &turned(&image),
             state: &[0.5, -1.0, 0.0, 0.0, 0.0, 0.0, 0.04, -0.04],
             prompt: "pick up",
         });
@@ -214,26 +133,23 @@ mod tests {
 
     #[test]
     fn what_holds_no_actions_is_named() {
-        let written = |value: Value| {
-            let mut bytes = vec![];
-            write_value(&mut bytes, &value).expect("a vector");
-            bytes
-        };
-        let actions = |array| written(Value::Map(vec![("actions".into(), array)]));
+        let actions = |array: Value| numpy::written(&map([("actions", array)]));
+        let array = |dtype, shape: &[usize], data| array(Keys::Bytes, dtype, shape, data);
         let cases = [
             (vec![0xdf], AnswerError::NoMessage),
-            (written(Value::Map(vec![])), AnswerError::NoActions),
-            (actions(Value::from(3)), AnswerError::NoArray),
+            (numpy::written(&map([])), AnswerError::NoActions),
+            (actions(Value::from(3)), ArrayError::None.into()),
             // More numbers declared than sent.
             (
                 actions(array("<f4", &[2, 7], vec![0; 28])),
-                AnswerError::NoArray,
+                ArrayError::None.into(),
             ),
             (
                 actions(array("<i8", &[1, 7], vec![0; 56])),
-                AnswerError::Dtype {
+                ArrayError::Dtype {
                     dtype: "<i8".to_owned(),
-                },
+                }
+                .into(),
             ),
             (
                 actions(array("<f4", &[7], vec![0; 28])),

@@ -1,5 +1,5 @@
-//! A frame as openpi's LIBERO client prepares it: turned by 180°, then resized
-//! to 224 × 224 as Pillow's bilinear filter does, to the last bit. Pure.
+//! A frame as openpi's LIBERO client prepares it: resized to 224 × 224 as
+//! Pillow's bilinear filter does, to the last bit. Pure.
 //!
 //! The client would pad a frame that is not square; the simulator's are.
 
@@ -8,12 +8,9 @@ pub const SIDE: usize = 224;
 /// Binary digits of Pillow's weights behind the point.
 const WEIGHT_BITS: u32 = 22;
 
-/// Turns a square RGB frame of `side` pixels whose row 0 is the BOTTOM of the
-/// picture upright (and mirrors it, as openpi's training data are), and resizes
-/// it to [`SIDE`].
+/// Resizes a square RGB frame of `side` pixels to [`SIDE`].
 pub fn prepare(rgb: &[u8], side: usize) -> Vec<u8> {
-    let turned: Vec<u8> = rgb.rchunks_exact(3).flatten().copied().collect();
-    resize(&turned, side, SIDE)
+    resize(rgb, side, SIDE)
 }
 
 /// The pixels that one pixel of the result is made of.
@@ -78,6 +75,7 @@ mod tests {
     use sha2::{Digest, Sha256};
 
     use super::*;
+    use crate::backend::shown::turned;
 
     // The figures are those of Pillow 13.0.0, by way of openpi-client 0.1.2's
     // `resize_with_pad`.
@@ -93,7 +91,7 @@ mod tests {
 
     #[test]
     fn a_frame_is_what_openpis_client_makes_of_it_to_the_last_bit() {
-        let prepared = prepare(&pattern(256), 256);
+        let prepared = prepare(&turned(&pattern(256)), 256);
         let at = |x: usize, y: usize| &prepared[3 * (y * SIDE + x)..][..3];
         assert_eq!(at(0, 0), [45, 88, 138]);
         assert_eq!(at(100, 100), [105, 55, 105]);
@@ -116,12 +114,16 @@ mod tests {
 
     #[test]
     fn the_last_pixel_comes_first() {
+        let mut frame = vec![0; 3 * SIDE * SIDE];
+        frame[0] = 9;
+        assert_eq!(turned(&frame)[3 * SIDE * SIDE - 3..], [9, 0, 0]);
+    }
+
+    #[test]
+    fn a_frame_of_the_right_size_is_left_alone() {
         assert_eq!(
             prepare(&[7; 3 * SIDE * SIDE], SIDE),
             vec![7; 3 * SIDE * SIDE]
         );
-        let mut frame = vec![0; 3 * SIDE * SIDE];
-        frame[0] = 9;
-        assert_eq!(prepare(&frame, SIDE)[3 * SIDE * SIDE - 3..], [9, 0, 0]);
     }
 }

@@ -1,0 +1,41 @@
+"""Programs that print where they listen, and a gateway before them.
+
+The gateway is the program that the environment variable POLICY_GATEWAY names.
+"""
+
+import contextlib
+import os
+import subprocess
+
+import pytest
+from conftest import Client
+
+
+@contextlib.contextmanager
+def running(command):
+    """A program that prints `listening on ADDRESS` first: that address."""
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        line = process.stdout.readline()
+        assert line.startswith("listening on "), line
+        yield line.split()[2]
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+def gateway_program():
+    program = os.environ.get("POLICY_GATEWAY")
+    if program is None:
+        pytest.skip("POLICY_GATEWAY does not name the policy-gateway program")
+    return program
+
+
+@contextlib.contextmanager
+def client_behind(program, *arguments):
+    """A client of a gateway with these arguments."""
+    with running([program, "--listen", "127.0.0.1:0", *arguments]) as address:
+        client = Client(address)
+        yield client
+        client.channel.close()

@@ -1,0 +1,432 @@
+"""A model server of the real vla-eval behind the gateway: what it receives is what
+vla-eval's own LIBERO benchmark sends it, and what it answers is executed alike.
+
+Runs the program that the environment variable POLICY_GATEWAY names.
+"""
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import grpc
+import numpy as np
+import pytest
+from programs import client_behind, gateway_program, running
+
+from rollout_policies.proto import policy_pb2 as pb
+
+pytest.importorskip("vla_eval", reason="vla-eval is not installed")
+pytest.importorskip("anyio", reason="anyio is not installed")
+import anyio  # noqa: E402
+from recording_vla_eval_server import described, scripted  # noqa: E402
+from vla_eval.benchmarks.libero.benchmark import LIBEROBenchmark  # noqa: E402
+from vla_eval.connection import Connection  # noqa: E402
+from vla_eval.runners.sync_runner import SyncEpisodeRunner  # noqa: E402
+
+SERVER = Path(__file__).parent / "recording_vla_eval_server.py"
+BENCHMARK = "vla_eval.benchmarks.libero.benchmark:LIBEROBenchmark"
+SUITE = "libero_goal"
+EVERYTHING = {"send_wrist_image": True, "send_state": True}
+STEPS = 6
+
+
+@pytest.fixture
+def program():
+    return gateway_program()
+
+
+@pytest.fixture
+def received(tmp_path):
+    """Where the server writes what it receives."""
+    return tmp_path / "received.jsonl"
+
+
+def serving(received, *arguments, **params):
+    command = [sys.executable, str(SERVER), "--received", str(received)]
+    return running([*command, "--params", json.dumps(params), *arguments])
+
+
+def gateway(program, server, options=""):
+    return client_behind(program, "--route", f"x=vla-eval://{server}{options}")
+
+
+def lines(received):
+    return [json.loads(line) for line in received.read_text().splitlines()]
+
+
+def messages(received):
+    return [line for line in lines(received) if line["type"] != "gone"]
+
+
+def until(condition, seconds=30):
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def rotation_of(quaternion):
+    x, y, z, w = quaternion
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def moments():
+    """What robosuite observes at each of a few steps: among them the hand's rest,
+    near half a turn, and quaternions of either sign."""
+    generator = np.random.default_rng(3)
+    quaternions = generator.normal(size=(STEPS, 4))
+    quaternions[0] = (0.9999, 0.001, -0.002, 0.0003)
+    quaternions[1] = (-0.9999, 0.001, 0.003, -0.0004)
+    quaternions[2] = (0, 0, 0, 1)
+    for quaternion in quaternions:
+        yield {
+            "agentview_image": generator.integers(0, 256, (256, 256, 3), dtype=np.uint8),
+            "robot0_eye_in_hand_image": generator.integers(0, 256, (256, 256, 3), dtype=np.uint8),
+            "robot0_eef_pos": generator.uniform(-1, 1, 3),
+            "robot0_eef_quat": quaternion / np.linalg.norm(quaternion),
+            "robot0_gripper_qpos": generator.uniform(-0.04, 0.04, 2),
+        }
+
+
+def observation(moment):
+    images = [
+        pb.Image(camera=camera, width=256, height=256, rgb=moment[f"{camera}_image"].tobytes())
+        for camera in ("agentview", "robot0_eye_in_hand")
+    ]
+    quaternion = moment["robot0_eef_quat"]
+    readings = {
+        pb.STATE_FIELD_EEF_POS: moment["robot0_eef_pos"],
+        pb.STATE_FIELD_EEF_QUAT_XYZW: quaternion,
+        pb.STATE_FIELD_EEF_ROTATION: rotation_of(quaternion).ravel(),
+        pb.STATE_FIELD_GRIPPER_POS: moment["robot0_gripper_qpos"],
+    }
+    state = [pb.StateReading(field=field, values=values) for field, values in readings.items()]
+    return pb.Observation(images=images, state=state)
+
+
+OBSERVATION = observation(next(moments()))
+
+
+class Rehearsed(LIBEROBenchmark):
+    """vla-eval's LIBERO benchmark, with moments made up in the simulator's place.
+
+    The controller's site is turned against the hand as in robosuite's Panda gripper
+    (`panda_gripper.xml`: -90 degrees about z)."""
+
+    def reset(self, task):
+        self.left = moments()
+        self.executed = []
+        self._env = self
+        return self.next()
+
+    def next(self):
+        moment = next(self.left, None)
+        if moment is not None:
+            turn = np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]])
+            controller = SimpleNamespace(
+                ee_pos=moment["robot0_eef_pos"],
+                ee_ori_mat=rotation_of(moment["robot0_eef_quat"]) @ turn,
+            )
+            self.robots = [SimpleNamespace(controller=controller)]
+        return moment
+
+    def close(self):
+        pass
+
+    def step(self, action):
+        if isinstance(action, dict):  # vla-eval's runner; itself, as the environment
+            return super().step(action)
+        self.executed.append(action)
+        return self.next() or {name: np.zeros(4) for name in STATE_NAMES}, 0.0, False, {}
+
+
+STATE_NAMES = ("robot0_eef_pos", "robot0_eef_quat", "robot0_gripper_qpos")
+
+
+def until_it_ended(received):
+    until(lambda: messages(received)[-1]["type"] == "episode_end")
+
+
+def played_by_vla_eval(server, instruction, **params):
+    """One episode of its own client: the actions that it executes."""
+    benchmark = Rehearsed(SUITE, **params)
+
+    async def play():
+        connection = Connection(f"ws://{server}")
+        await connection.connect(benchmark=BENCHMARK)
+        task = {"name": instruction, "suite": SUITE, "task_id": 3, "episode_idx": 0}
+        # The last step's observation would be that of no moment.
+        runner = SyncEpisodeRunner()
+        benchmark.check_done = lambda step: len(benchmark.executed) == STEPS
+        await runner.run_episode(benchmark, task, connection, max_steps=STEPS)
+        await connection.close()
+
+    anyio.run(play)
+    return np.array(benchmark.executed, dtype=np.float32)
+
+
+def played_by_the_gateway(program, server, received, instruction):
+    with gateway(program, server) as client:
+        client.reset(suite=SUITE, instruction=instruction)
+        actions = [
+            client.infer(query_index=at, observation=observation(moment))
+            for at, moment in enumerate(moments())
+        ]
+        client.stub.End(pb.EndRequest(session="s"))
+        # It is told in the background.
+        until_it_ended(received)
+    return np.concatenate(actions)
+
+
+def assert_alike(ours, theirs):
+    """Numbers may differ in the last bit of single precision; all else is equal."""
+    if isinstance(theirs, dict):
+        assert list(ours) == list(theirs), "the same keys in the same order"
+        for key, value in theirs.items():
+            assert_alike(ours[key], value)
+    elif isinstance(theirs, list) and theirs[0] in ("<f4", "<f8"):
+        assert ours[:2] == theirs[:2]
+        np.testing.assert_allclose(ours[2:], theirs[2:], rtol=3e-7, atol=3e-7)
+    else:
+        assert ours == theirs
+
+
+@pytest.mark.parametrize(
+    "params",
+    [{}, EVERYTHING, {**EVERYTHING, "quat_no_antipodal": True, "env_seed": 0}],
+    ids=["an image", "everything", "quaternions as they are"],
+)
+@pytest.mark.parametrize("chunk_size", [None, 4], ids=["single actions", "chunks"])
+def test_the_server_receives_message_by_message_what_vla_evals_own_benchmark_sends(
+    program, received, tmp_path, params, chunk_size
+):
+    by_theirs = tmp_path / "theirs.jsonl"
+    arguments = [] if chunk_size is None else ["--chunk-size", str(chunk_size)]
+    instruction = "pick it up" if chunk_size is None else "answer a chunk"
+    with serving(by_theirs, *arguments, **params) as server:
+        theirs = played_by_vla_eval(server, instruction, **params)
+        until_it_ended(by_theirs)
+    with serving(received, *arguments, **params) as server:
+        ours = played_by_the_gateway(program, server, received, instruction)
+    assert ours.shape == (STEPS, 7)
+    np.testing.assert_array_equal(ours, theirs)
+    assert set(ours[:, 6]) == {-1, 1}
+
+    expected = messages(by_theirs)
+    # The description, which every Reset has before it, left its connection.
+    hello, *episode = messages(received)
+    assert [line["type"] for line in episode] == [line["type"] for line in expected][1:]
+    start, *observations, end = expected[1:]
+    assert_alike(hello, expected[0])
+    del start["payload"]["task"]["task_id"], start["payload"]["task"]["episode_idx"]
+    assert_alike(episode[0], start)
+    assert len(observations) == STEPS
+    for ours, theirs in zip(episode[1:-1], observations):
+        assert_alike(ours, theirs)
+    assert episode[-1]["seq"] == end["seq"] and episode[-1]["payload"] == {}
+
+
+@pytest.mark.parametrize("form, sent", [("png", "png"), ("raw", "|u1"), ("jpeg", "jpeg")])
+def test_frames_travel_in_each_of_its_formats(program, received, form, sent):
+    # Waves: JPEG is meant for pictures, not for noise.
+    y, x = np.mgrid[:256, :256] / 16
+    waves = np.stack([np.sin(x) + np.cos(y), np.sin(x + y), np.cos(x - y)], axis=-1)
+    frame = np.uint8(127 + 60 * waves)
+    moment = {**next(moments()), "agentview_image": frame}
+    with serving(received) as server:
+        with gateway(program, server, f"?image_format={form}") as client:
+            client.reset(suite=SUITE, instruction="reach")
+            client.infer(observation=observation(moment))
+    [shown] = [line for line in messages(received) if line["type"] == "observation"]
+    assert shown["forms"] == {"agentview": sent}
+    dtype, *shape, digest, mean = shown["payload"]["images"]["agentview"]
+    assert (dtype, shape) == ("|u1", [256, 256, 3])
+    turned = np.ascontiguousarray(frame[::-1, ::-1])
+    is_lossless = described(turned)[4] == digest
+    assert is_lossless == (form != "jpeg")
+    np.testing.assert_allclose(mean, turned.mean(axis=(0, 1)), atol=1)
+
+
+def test_a_chunk_of_the_servers_is_executed_here_if_the_address_says_so(program, received):
+    with serving(received) as server:
+        # vla-eval's own client takes no chunks from a server that does not hand
+        # them out one by one.
+        with pytest.raises(Exception, match="Action dimension mismatch: got 6"):
+            played_by_vla_eval(server, "answer a chunk")
+        with gateway(program, server) as client:
+            client.reset(suite=SUITE, instruction="answer a chunk")
+            with pytest.raises(grpc.RpcError) as caught:
+                client.infer(observation=OBSERVATION)
+            assert caught.value.code() == grpc.StatusCode.INTERNAL
+            assert "a chunk of 6 actions" in caught.value.details()
+            assert "?execute=6" in caught.value.details()
+        with gateway(program, server, "?execute=5") as client:
+            description = client.describe()
+            assert (description.horizon, description.execute) == (5, 5)
+            client.reset(suite=SUITE, instruction="answer a chunk")
+            actions = client.infer(observation=OBSERVATION)
+            expected = np.float32([scripted(step) for step in range(5)])
+            np.testing.assert_array_equal(actions[:, :6], expected[:, :6])
+            assert actions[:, 6].tolist() == [1, -1, 1, -1, 1]
+            client.reset("t", suite=SUITE, instruction="reach")
+            with pytest.raises(grpc.RpcError) as caught:
+                client.infer("t", observation=OBSERVATION)
+            assert "leave out ?execute" in caught.value.details()
+
+
+def test_every_episode_has_its_connection_and_its_chunks_and_ends_with_it(program, received):
+    with serving(received, "--chunk-size", "4") as server, gateway(program, server) as client:
+        for session in ("a", "b"):
+            client.reset(session, suite=SUITE, instruction="answer a chunk")
+        for step in range(3):
+            for session in ("a", "b"):
+                action = client.infer(session, step, OBSERVATION)
+                expected = np.float32(scripted(step))
+                np.testing.assert_array_equal(action[0, :6], expected[:6])
+        assert not [line for line in lines(received) if line["type"] == "gone"]
+        client.stub.End(pb.EndRequest(session="a"))
+        until(lambda: [it for it in lines(received) if it["type"] == "gone"])
+        assert [it["type"] for it in lines(received)][-2:] == ["episode_end", "gone"]
+        with pytest.raises(grpc.RpcError) as caught:
+            client.infer("a", 3, OBSERVATION)
+        assert caught.value.code() == grpc.StatusCode.UNAVAILABLE
+        client.infer("b", 3, OBSERVATION)
+
+
+def test_it_describes_what_was_resolved_and_the_address_wins(program, received):
+    asked = {"send_state": True, "env_seed": 0, "success_mode": "truncation"}
+    with serving(received, "--gripper", "binary_close_positive", **asked) as server:
+        with gateway(program, server) as client:
+            description = client.describe()
+        with gateway(program, server, "?send_wrist_image=true&send_state=false") as client:
+            other = client.describe()
+    assert description.name == "Policy"
+    assert description.checkpoint.startswith("not named by its server")
+    assert description.stateful and description.stochastic and description.unseeded
+    assert description.batch_mode == "single, unseeded"
+    settings = {it.name: it.value for it in description.settings}
+    assert settings == {
+        "server": "Policy of vla-eval 0.8.0",
+        "observation parameters": 'send_state=true, env_seed=0, success_mode="truncation"',
+        "left to the campaign": "env_seed",
+        "observation spec": "none",
+        "action spec": "gripper=binary_close_positive",
+        "image slots": "agentview=agentview",
+        "image format": "png",
+        "state": "eef_pos3_axisangle3_gripper2, nearer antipode",
+        "controller states": "of the instant of observation, not of the end of the control step",
+        "gripper": "open below 0, else closed",
+    }
+    settings = {it.name: it.value for it in other.settings}
+    assert settings["image slots"] == "agentview=agentview, wrist=robot0_eye_in_hand"
+    assert settings["state"] == "none" and not other.state
+    assert [it.name for it in other.cameras] == ["agentview", "robot0_eye_in_hand"]
+
+
+@pytest.mark.parametrize(
+    "arguments, params, words",
+    [
+        ([], {"absolute_action": True}, "serve a checkpoint of relative actions"),
+        ([], {"send_state": "yes"}, "neither true nor false"),
+        (["--gripper", "continuous_01"], {}, "it would never open"),
+        (["--gripper", "binary_close_negative"], {}, "it would open where it should close"),
+        ([], {"suite": "libero_spatial"}, "give the policy a server per suite"),
+    ],
+)
+def test_what_cannot_be_run_as_it_is_meant_is_refused_with_the_reason(
+    program, received, arguments, params, words
+):
+    with serving(received, *arguments, **params) as server, gateway(program, server) as client:
+        with pytest.raises(grpc.RpcError) as caught:
+            client.reset(suite=SUITE, instruction="reach")
+    assert caught.value.code() == grpc.StatusCode.FAILED_PRECONDITION
+    assert words in caught.value.details()
+
+
+@pytest.mark.parametrize(
+    "instruction, words",
+    [
+        ("raise", "ValueError: the policy does not like this instruction"),
+        ("answer nothing", 'its answer has no "actions"'),
+        ("answer NaN", "component 0 of action 0 is NaN"),
+        ("answer six numbers", "its actions are 6 numbers wide, not 7"),
+        ("answer a cube", "its actions have shape [2, 3, 7]"),
+    ],
+)
+def test_what_the_policy_does_wrong_is_the_policys_and_the_next_query_is_answered(
+    program, received, instruction, words
+):
+    with serving(received) as server, gateway(program, server) as client:
+        client.reset(suite=SUITE, instruction=instruction)
+        with pytest.raises(grpc.RpcError) as caught:
+            client.infer(observation=OBSERVATION)
+        assert caught.value.code() == grpc.StatusCode.INTERNAL
+        assert words in caught.value.details()
+        client.reset("t", suite=SUITE, instruction="reach")
+        assert client.infer("t", observation=OBSERVATION).shape == (1, 7)
+
+
+def test_a_list_of_numbers_is_an_action_too(program, received):
+    with serving(received) as server, gateway(program, server) as client:
+        client.reset(suite=SUITE, instruction="answer a list")
+        assert client.infer(observation=OBSERVATION).tolist() == [[0.5, 0, 0, 0, 0, 0, -1]]
+
+
+def test_an_episode_that_the_policy_does_not_start_says_why(program, received):
+    with serving(received) as server, gateway(program, server) as client:
+        client.reset(suite=SUITE, instruction="refuse to start")
+        with pytest.raises(grpc.RpcError) as caught:
+            client.infer(observation=OBSERVATION)
+    assert caught.value.code() == grpc.StatusCode.INTERNAL
+    assert "episode_start_failed: KeyError: 'no such task'" in caught.value.details()
+
+
+def test_a_server_that_dies_in_an_episode_is_an_outage_and_is_found_again(program, received):
+    with serving(received) as server:
+        port = server.rsplit(":", 1)[1]
+        with gateway(program, server) as client:
+            client.reset(suite=SUITE, instruction="reach")
+            client.infer(observation=OBSERVATION)
+            client.reset("t", suite=SUITE, instruction="die")
+            # Dies with one query under way, and with another episode open.
+            for session, query_index in (("t", 0), ("s", 1)):
+                with pytest.raises(grpc.RpcError) as caught:
+                    client.infer(session, query_index, OBSERVATION)
+                assert caught.value.code() == grpc.StatusCode.UNAVAILABLE
+            with serving(received, "--port", port):
+
+                def answers_again():
+                    try:
+                        client.reset("u", suite=SUITE, instruction="reach")
+                        return client.infer("u", observation=OBSERVATION).shape == (1, 7)
+                    except grpc.RpcError as error:
+                        assert error.code() == grpc.StatusCode.UNAVAILABLE
+                        return False
+
+                until(answers_again)
+                # Its episode is gone: chunks and histories were the server's.
+                with pytest.raises(grpc.RpcError) as caught:
+                    client.infer("s", 1, OBSERVATION)
+                assert caught.value.code() == grpc.StatusCode.UNAVAILABLE
+
+
+def test_it_passes_the_conformance_check_but_for_its_seeds(program, received):
+    with serving(received, "--chunk-size", "4", **EVERYTHING) as server:
+        check = subprocess.run(
+            [program, "check", f"vla-eval://{server}", "--suite", SUITE],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+    assert check.returncode == 0, check.stdout + check.stderr
+    assert "skip  the same seed gives the same actions: its random numbers" in check.stdout
+    assert "pass  a retry gets the same actions" in check.stdout

@@ -1,0 +1,148 @@
+//! Arrays of NumPy in msgpack messages, as the servers of openpi and vla-eval
+//! write and read them: a map of `__ndarray__`, `data`, `dtype` and `shape`. Pure.
+
+use rmpv::{Value, ValueRef, decode::read_value_ref, encode::write_value};
+use thiserror::Error;
+
+/// What the keys of an array's map are.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Keys {
+    /// Bytes, as openpi writes them.
+    Bytes,
+    /// Text, as vla-eval does.
+    Text,
+}
+
+/// Numbers in rows.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Array {
+    /// Sides.
+    pub shape: Vec<usize>,
+    /// As many as the sides' product, row after row.
+    pub numbers: Vec<f32>,
+}
+
+/// Why a value is no array of numbers. Reads after "its actions".
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum ArrayError {
+    /// Something else.
+    #[error("its actions are no array of numbers")]
+    None,
+    /// Numbers of a kind that no policy answers.
+    #[error("its actions have dtype {dtype:?}, not <f4 or <f8")]
+    Dtype {
+        /// As NumPy writes it.
+        dtype: String,
+    },
+}
+
+/// An array to send.
+pub(super) fn array(keys: Keys, dtype: &str, shape: &[usize], data: Vec<u8>) -> Value {
+    let shape = shape.iter().map(|&it| Value::from(it)).collect();
+    let entries = [
+        ("__ndarray__", Value::Boolean(true)),
+        ("data", Value::Binary(data)),
+        ("dtype", Value::from(dtype)),
+        ("shape", Value::Array(shape)),
+    ];
+    let key = |key: &str| match keys {
+        Keys::Bytes => Value::Binary(key.as_bytes().to_vec()),
+        Keys::Text => Value::from(key),
+    };
+    Value::Map(entries.map(|(name, value)| (key(name), value)).into())
+}
+
+/// A map with keys of text.
+pub(super) fn map<const N: usize>(entries: [(&str, Value); N]) -> Value {
+    Value::Map(entries.map(|(key, value)| (Value::from(key), value)).into())
+}
+
+/// A message's bytes.
+pub(super) fn written(message: &Value) -> Vec<u8> {
+    let mut bytes = vec![];
+    write_value(&mut bytes, message).expect("a vector takes every byte");
+    bytes
+}
+
+/// A message, if the bytes are one.
+pub(super) fn read(bytes: &[u8]) -> Option<ValueRef<'_>> {
+    read_value_ref(&mut &*bytes).ok()
+}
+
+/// Reads an array of floating-point numbers.
+///
+/// # Errors
+/// When it is none.
+pub(super) fn numbers(value: &ValueRef<'_>) -> Result<Array, ArrayError> {
+    let shape = lookup(value, "shape").and_then(as_shape);
+    let dtype = lookup(value, "dtype").and_then(as_text);
+    let data = lookup(value, "data").and_then(as_bytes);
+    let (Some(shape), Some(dtype), Some(data)) = (shape, dtype, data) else {
+        return Err(ArrayError::None);
+    };
+    let numbers: Option<Vec<f32>> = match dtype {
+        "<f4" => whole(data).map(|them| them.iter().map(|it| f32::from_le_bytes(*it)).collect()),
+        "<f8" => whole(data).map(|them| {
+            let them = them.iter().map(|it| f64::from_le_bytes(*it) as f32);
+            them.collect()
+        }),
+        other => {
+            return Err(ArrayError::Dtype {
+                dtype: other.chars().take(16).collect(),
+            });
+        }
+    };
+    let numbers = numbers.ok_or(ArrayError::None)?;
+    let count = shape
+        .iter()
+        .try_fold(1_usize, |count, side| count.checked_mul(*side));
+    if count != Some(numbers.len()) {
+        return Err(ArrayError::None);
+    }
+    Ok(Array { shape, numbers })
+}
+
+fn whole<const N: usize>(data: &[u8]) -> Option<&[[u8; N]]> {
+    let (numbers, []) = data.as_chunks() else {
+        return None;
+    };
+    Some(numbers)
+}
+
+/// The entry of a map under a key of text or, as in openpi's arrays, of bytes.
+pub(super) fn lookup<'a, 'b>(map: &'b ValueRef<'a>, key: &str) -> Option<&'b ValueRef<'a>> {
+    let ValueRef::Map(entries) = map else {
+        return None;
+    };
+    let is_key =
+        |it: &ValueRef<'_>| as_text(it) == Some(key) || as_bytes(it) == Some(key.as_bytes());
+    entries
+        .iter()
+        .find(|(it, _)| is_key(it))
+        .map(|(_, value)| value)
+}
+
+pub(super) fn as_text<'a>(value: &ValueRef<'a>) -> Option<&'a str> {
+    match value {
+        ValueRef::String(text) => text.into_str(),
+        _ => None,
+    }
+}
+
+fn as_bytes<'a>(value: &ValueRef<'a>) -> Option<&'a [u8]> {
+    match value {
+        ValueRef::Binary(bytes) => Some(bytes),
+        _ => None,
+    }
+}
+
+fn as_shape(value: &ValueRef<'_>) -> Option<Vec<usize>> {
+    let ValueRef::Array(sides) = value else {
+        return None;
+    };
+    let side = |it: &ValueRef<'_>| match it {
+        ValueRef::Integer(side) => side.as_u64().and_then(|side| usize::try_from(side).ok()),
+        _ => None,
+    };
+    sides.iter().map(side).collect()
+}

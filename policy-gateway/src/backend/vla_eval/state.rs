@@ -1,0 +1,163 @@
+//! The robot's state as vla-eval's LIBERO benchmark computes it (its modules
+//! `benchmarks.libero.benchmark` and `rotation`), in the same precision. Pure.
+
+/// Below this sine of half the angle there is no rotation.
+const NO_ROTATION: f64 = 1e-8;
+
+/// `states`: position (m), the hand's axis times angle (rad, rounded to single
+/// precision as there) and fingers (m).
+///
+/// Where `flips`, a quaternion with negative w is replaced by its antipode, so
+/// that the angle is at most π; else it is up to 2π, as in robosuite.
+pub(super) fn states(
+    position: [f64; 3],
+    quaternion_xyzw: [f64; 4],
+    fingers: [f64; 2],
+    flips: bool,
+) -> [f64; 8] {
+    let axis_angle = match flips {
+        true => axis_angle(quaternion_xyzw),
+        false => unflipped_axis_angle(quaternion_xyzw),
+    };
+    let [x, y, z] = position;
+    let [a, b, c] = axis_angle.map(f64::from);
+    let [left, right] = fingers;
+    [x, y, z, a, b, c, left, right]
+}
+
+/// `controller_states`: the same of the site that robosuite's controller moves,
+/// in single precision. That site is in the same place as the one of `states`,
+/// and turned against the hand by −90° about its z axis. There they are those of the
+/// end of a control step, and here of the instant of observation, which is up to
+/// 50 ms earlier: LIBERO's readings and frames lag.
+///
+/// `hand` is the hand's rotation matrix, row by row.
+pub(super) fn controller_states(position: [f64; 3], hand: [f64; 9], fingers: [f64; 2]) -> [f32; 8] {
+    let [xx, xy, xz, yx, yy, yz, zx, zy, zz] = hand;
+    let site = [[-xy, xx, xz], [-yy, yx, yz], [-zy, zx, zz]];
+    let site = site.map(|row| row.map(|it| f64::from(it as f32)));
+    let [a, b, c] = axis_angle(quaternion_of(site));
+    let [x, y, z] = position.map(|it| it as f32);
+    let [left, right] = fingers.map(|it| it as f32);
+    [x, y, z, a, b, c, left, right]
+}
+
+fn axis_angle(quaternion_xyzw: [f64; 4]) -> [f32; 3] {
+    let flipped = match quaternion_xyzw[3] < 0.0 {
+        true => quaternion_xyzw.map(|it| -it),
+        false => quaternion_xyzw,
+    };
+    let [x, y, z, w] = flipped;
+    let w = w.clamp(-1.0, 1.0);
+    let sine = (1.0 - w * w).sqrt();
+    if sine < NO_ROTATION {
+        return [0.0; 3];
+    }
+    let angle = 2.0 * w.acos();
+    [x, y, z].map(|it| (it / sine * angle) as f32)
+}
+
+fn unflipped_axis_angle(quaternion_xyzw: [f64; 4]) -> [f32; 3] {
+    let [x, y, z, w] = quaternion_xyzw;
+    let w = w.clamp(-1.0, 1.0);
+    let sine = (1.0 - w * w).sqrt();
+    if sine == 0.0 {
+        return [0.0; 3];
+    }
+    [x, y, z].map(|it| (it * 2.0 * w.acos() / sine) as f32)
+}
+
+/// The quaternion x y z w of a rotation matrix, from the largest of its
+/// components (Shepperd's method). That choice decides the sign, which tells
+/// where the axis of a half turn points: LIBERO's hand is near one.
+fn quaternion_of([[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]]: [[f64; 3]; 3]) -> [f64; 4] {
+    let trace = xx + yy + zz;
+    if trace > 0.0 {
+        let s = 2.0 * (trace + 1.0).sqrt();
+        [(zy - yz) / s, (xz - zx) / s, (yx - xy) / s, 0.25 * s]
+    } else if xx > yy && xx > zz {
+        let s = 2.0 * (1.0 + xx - yy - zz).sqrt();
+        [0.25 * s, (xy + yx) / s, (xz + zx) / s, (zy - yz) / s]
+    } else if yy > zz {
+        let s = 2.0 * (1.0 + yy - xx - zz).sqrt();
+        [(xy + yx) / s, 0.25 * s, (yz + zy) / s, (xz - zx) / s]
+    } else {
+        let s = 2.0 * (1.0 + zz - xx - yy).sqrt();
+        [(xz + zx) / s, (yz + zy) / s, 0.25 * s, (yx - xy) / s]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The rotation matrix of a quaternion x y z w, row by row.
+    fn matrix([x, y, z, w]: [f64; 4]) -> [f64; 9] {
+        [
+            1.0 - 2.0 * (y * y + z * z),
+            2.0 * (x * y - w * z),
+            2.0 * (x * z + w * y),
+            2.0 * (x * y + w * z),
+            1.0 - 2.0 * (x * x + z * z),
+            2.0 * (y * z - w * x),
+            2.0 * (x * z - w * y),
+            2.0 * (y * z + w * x),
+            1.0 - 2.0 * (x * x + y * y),
+        ]
+    }
+
+    fn assert_near(actual: [f64; 3], expected: [f64; 3]) {
+        let near = |(a, b): (f64, f64)| (a - b).abs() < 1e-6;
+        assert!(
+            actual.into_iter().zip(expected).all(near),
+            "{actual:?} is not {expected:?}"
+        );
+    }
+
+    #[test]
+    fn rotations_are_those_of_vla_evals_own_functions() {
+        // Quaternion; its axis times angle, flipped and not; the controller's.
+        let cases = [
+            (
+                [0.6, 0.0, 0.0, -0.8],
+                [-1.287_002_2, 0.0, 0.0],
+                [4.996_182_9, 0.0, 0.0],
+                [-0.997_640_3, -0.997_640_3, -1.330_187_1],
+            ),
+            (
+                [-0.8, -0.6, 0.0, 0.0],
+                [-2.513_274_2, -1.884_955_6, 0.0],
+                [-2.513_274_2, -1.884_955_6, 0.0],
+                [0.444_288_3, 3.110_018, 0.0],
+            ),
+            (
+                [0.0, 0.6, 0.0, 0.8],
+                [0.0, 1.287_002_2, 0.0],
+                [0.0, 1.287_002_2, 0.0],
+                [-0.997_640_3, 0.997_640_3, -1.330_187_1],
+            ),
+            (
+                [0.0, 0.0, 0.96, -0.28],
+                [0.0, 0.0, -2.574_004_4],
+                [0.0, 0.0, 3.709_180_8],
+                [0.0, 0.0, 2.138_384_6],
+            ),
+            (
+                [0.0, 0.0, 0.0, 1.0],
+                [0.0; 3],
+                [0.0; 3],
+                [0.0, 0.0, -1.570_796_4],
+            ),
+        ];
+        let (position, fingers) = ([0.1, 0.2, 0.3], [0.04, -0.04]);
+        for (quaternion, flipped, as_it_is, of_controller) in cases {
+            for (flips, expected) in [(true, flipped), (false, as_it_is)] {
+                let [x, y, z, a, b, c, left, right] = states(position, quaternion, fingers, flips);
+                assert_eq!(([x, y, z], [left, right]), (position, fingers));
+                assert_near([a, b, c], expected);
+            }
+            let [_, _, _, a, b, c, _, _] = controller_states(position, matrix(quaternion), fingers);
+            assert_near([a, b, c].map(f64::from), of_controller);
+        }
+    }
+}

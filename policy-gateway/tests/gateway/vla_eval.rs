@@ -1,0 +1,337 @@
+//! Model servers of vla-eval that do what the real ones cannot be made to do.
+//! Those are held against the gateway in `policies/tests/test_vla_eval.py`.
+
+use std::{sync::Arc, time::Duration};
+
+use futures_util::{SinkExt, StreamExt};
+use policy_gateway::{
+    config::{self, RouteSpec},
+    conformance::scene,
+};
+use proto::policy::{InferRequest, policy_client::PolicyClient};
+use rmpv::Value;
+use tokio::{
+    net::TcpListener,
+    sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel},
+    task::JoinSet,
+};
+use tokio_tungstenite::{
+    WebSocketStream, accept_hdr_async,
+    tungstenite::{
+        Message,
+        handshake::server::{Request, Response},
+    },
+};
+use tonic::{Code, Status, transport::Channel};
+
+use crate::support::{Running, describe, gateway, infer, reloadable, reset};
+
+/// What a server does when it is asked something.
+#[derive(Clone)]
+enum Answer {
+    Message(Vec<u8>),
+    Text(&'static str),
+    Close,
+    Nothing,
+}
+
+/// What a server noticed.
+#[derive(Debug, PartialEq)]
+enum Noticed {
+    /// A connection, with its `Authorization`.
+    Connected(Option<String>),
+    /// A message's type.
+    Asked(String),
+    Gone,
+}
+
+/// A server whose answers a function says, from a message's type and number.
+struct Server {
+    port: u16,
+    noticed: UnboundedReceiver<Noticed>,
+    _task: JoinSet<()>,
+}
+
+impl Server {
+    async fn start(answer: impl Fn(&str, u64) -> Answer + Send + Sync + 'static) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
+        let port = listener.local_addr().expect("a bound address").port();
+        let answer = Arc::new(answer);
+        let (notices, noticed) = unbounded_channel();
+        let mut task = JoinSet::new();
+        task.spawn(async move {
+            let mut connections = JoinSet::new();
+            while let Ok((stream, _)) = listener.accept().await {
+                let (answer, notices) = (Arc::clone(&answer), notices.clone());
+                connections.spawn(async move {
+                    let note = notices.clone();
+                    // The type is the library's.
+                    #[allow(clippy::result_large_err)]
+                    let see = |request: &Request, response: Response| {
+                        let shown = request.headers().get("authorization");
+                        let shown = shown.map(|it| it.to_str().expect("ASCII").to_owned());
+                        drop(note.send(Noticed::Connected(shown)));
+                        Ok(response)
+                    };
+                    // What looks around after a failure speaks no WebSocket.
+                    if let Ok(socket) = accept_hdr_async(stream, see).await {
+                        serve(socket, &*answer, &notices).await;
+                        drop(notices.send(Noticed::Gone));
+                    }
+                });
+            }
+        });
+        Self {
+            port,
+            noticed,
+            _task: task,
+        }
+    }
+
+    fn route(&self) -> String {
+        format!("x=vla-eval://127.0.0.1:{}", self.port)
+    }
+
+    async fn behind_a_gateway(&self) -> Running {
+        gateway(&[&self.route()]).await
+    }
+}
+
+async fn serve(
+    mut socket: WebSocketStream<tokio::net::TcpStream>,
+    answer: &(impl Fn(&str, u64) -> Answer + Sync),
+    notices: &UnboundedSender<Noticed>,
+) {
+    while let Some(Ok(message)) = socket.next().await {
+        let Message::Binary(bytes) = message else {
+            continue;
+        };
+        let asked = rmpv::decode::read_value(&mut &*bytes).expect("msgpack");
+        let kind = asked["type"].as_str().expect("text").to_owned();
+        let number = asked["seq"].as_u64().expect("a number");
+        drop(notices.send(Noticed::Asked(kind.clone())));
+        let sent = match answer(&kind, number) {
+            Answer::Message(bytes) => socket.send(Message::binary(bytes)).await,
+            Answer::Text(text) => socket.send(Message::text(text)).await,
+            Answer::Close => return,
+            Answer::Nothing => Ok(()),
+        };
+        if sent.is_err() {
+            return;
+        }
+    }
+}
+
+fn map(entries: Vec<(&str, Value)>) -> Value {
+    let entries = entries.into_iter();
+    Value::Map(entries.map(|(key, value)| (key.into(), value)).collect())
+}
+
+fn message(kind: &str, payload: Value, number: u64) -> Answer {
+    let message = map(vec![
+        ("type", kind.into()),
+        ("payload", payload),
+        ("seq", number.into()),
+        ("timestamp", 0.0.into()),
+    ]);
+    let mut bytes = vec![];
+    rmpv::encode::write_value(&mut bytes, &message).expect("a vector");
+    Answer::Message(bytes)
+}
+
+/// As vla-eval's servers greet.
+fn greeting(number: u64) -> Answer {
+    let payload = vec![
+        ("harness_version", "0.8.0".into()),
+        ("protocol_version", 1.into()),
+        ("model_server", "Scripted".into()),
+    ];
+    message("hello", map(payload), number)
+}
+
+fn action(numbers: Vec<Value>, number: u64) -> Answer {
+    let payload = map(vec![("actions", Value::Array(numbers))]);
+    message("action", payload, number)
+}
+
+/// Greets, and answers observations as told.
+fn answering(
+    observed: impl Fn(u64) -> Answer + Send + Sync + 'static,
+) -> impl Fn(&str, u64) -> Answer + Send + Sync + 'static {
+    move |kind, number| match kind {
+        "hello" => greeting(number),
+        "observation" => observed(number),
+        _ => Answer::Nothing,
+    }
+}
+
+async fn query(
+    client: &mut PolicyClient<Channel>,
+    session: &str,
+    query_index: u32,
+) -> Result<Vec<f32>, Status> {
+    let described = client.describe(describe("x")).await?.into_inner();
+    let request = InferRequest {
+        observation: Some(scene::observation(&described, query_index)),
+        ..infer("x", session, query_index)
+    };
+    Ok(client.infer(request).await?.into_inner().actions)
+}
+
+#[tokio::test]
+async fn an_answer_that_is_none_is_named_and_the_episode_is_given_up_where_it_must_be() {
+    let short_of_numbers = |number| {
+        let array = map(vec![
+            ("__ndarray__", true.into()),
+            ("data", Value::Binary(vec![0; 27])),
+            ("dtype", "<f4".into()),
+            ("shape", Value::Array(vec![7.into()])),
+        ]);
+        message("action", map(vec![("actions", array)]), number)
+    };
+    type Answering = fn(u64) -> Answer;
+    let cases: [(Answering, &str, Code); 7] = [
+        (
+            |_| Answer::Message(vec![0xdf, 1, 2]),
+            "no message of vla-eval's",
+            Code::Unavailable,
+        ),
+        (
+            |_| Answer::Text("Traceback"),
+            "no message of vla-eval's",
+            Code::Unavailable,
+        ),
+        (greeting, "with \"hello\"", Code::Unavailable),
+        (
+            |number| action(vec![0.0.into(); 7], number - 1),
+            "without continuous_inference",
+            Code::Unavailable,
+        ),
+        // These leave a connection on which the next question can be asked.
+        (short_of_numbers, "no array of numbers", Code::Internal),
+        (
+            |number| action(vec!["left".into(); 7], number),
+            "no array of numbers",
+            Code::Internal,
+        ),
+        (
+            |number| message("error", map(vec![("error", "no".into())]), number),
+            "no",
+            Code::Internal,
+        ),
+    ];
+    for (answer, words, afterwards) in cases {
+        let server = Server::start(answering(answer)).await;
+        let gateway = server.behind_a_gateway().await;
+        let mut client = gateway.client().await;
+        client.reset(reset("x", "s")).await.expect("an episode");
+        let wrong = query(&mut client, "s", 0).await.expect_err(words);
+        assert_eq!(wrong.code(), Code::Internal, "{wrong}");
+        assert!(wrong.message().contains(words), "{wrong}");
+        let again = query(&mut client, "s", 0).await.expect_err(words);
+        assert_eq!(again.code(), afterwards, "{words}: {again}");
+    }
+}
+
+#[tokio::test]
+async fn a_connection_that_breaks_in_a_query_is_an_outage() {
+    let server = Server::start(answering(|_| Answer::Close)).await;
+    let gateway = server.behind_a_gateway().await;
+    let mut client = gateway.client().await;
+    client.reset(reset("x", "s")).await.expect("an episode");
+    let broken = query(&mut client, "s", 0).await.expect_err("it hung up");
+    assert_eq!(broken.code(), Code::Unavailable, "{broken}");
+    assert!(broken.message().contains("cannot reach"), "{broken}");
+}
+
+#[tokio::test]
+async fn what_is_no_vla_eval_server_or_one_of_another_version_is_told_apart() {
+    type Greeting = fn(&str, u64) -> Answer;
+    let cases: [(Greeting, &str); 4] = [
+        // As openpi's servers begin.
+        (
+            |_, _| {
+                let Answer::Message(metadata) = message("none", map(vec![]), 0) else {
+                    unreachable!("it is a message");
+                };
+                Answer::Message(metadata)
+            },
+            "ws://HOST:PORT for an openpi server",
+        ),
+        (|_, _| Answer::Text("hello"), "vla-eval model server"),
+        (
+            |_, number| {
+                let payload = map(vec![("protocol_version", 2.into())]);
+                message("hello", payload, number)
+            },
+            "version 2 of vla-eval's protocol",
+        ),
+        (
+            |_, number| message("hello", map(vec![]), number),
+            "an unnamed version",
+        ),
+    ];
+    for (greeting, words) in cases {
+        let server = Server::start(greeting).await;
+        let gateway = server.behind_a_gateway().await;
+        let mut client = gateway.client().await;
+        let refused = client.reset(reset("x", "s")).await.expect_err(words);
+        assert_eq!(refused.code(), Code::FailedPrecondition, "{refused}");
+        assert!(refused.message().contains(words), "{words}: {refused}");
+    }
+}
+
+#[tokio::test]
+async fn an_answer_that_came_too_late_is_given_to_no_other_query() {
+    let mut server = Server::start(answering(|_| Answer::Nothing)).await;
+    let spec = RouteSpec {
+        answer_within: Duration::from_millis(300),
+        ..server.route().parse().expect("a route")
+    };
+    let (gateway, _) = reloadable(vec![spec]).await;
+    let mut client = gateway.client().await;
+    client.reset(reset("x", "s")).await.expect("an episode");
+    let late = query(&mut client, "s", 0).await.expect_err("silence");
+    assert_eq!(late.code(), Code::DeadlineExceeded, "{late}");
+    // The connection of the question goes with it; that of the description stays.
+    let mut noticed = vec![];
+    while noticed.last() != Some(&Noticed::Gone) {
+        noticed.push(server.noticed.recv().await.expect("a server"));
+    }
+    let asked = Noticed::Asked("observation".to_owned());
+    assert!(noticed.contains(&asked), "{noticed:?}");
+}
+
+#[tokio::test]
+async fn queries_of_an_episode_are_asked_in_order() {
+    let server = Server::start(answering(|number| action(vec![0.5.into(); 7], number))).await;
+    let gateway = server.behind_a_gateway().await;
+    let mut client = gateway.client().await;
+    client.reset(reset("x", "s")).await.expect("an episode");
+    let early = query(&mut client, "s", 1).await.expect_err("0 is next");
+    assert_eq!(early.code(), Code::FailedPrecondition, "{early}");
+    for query_index in 0..3 {
+        let actions = query(&mut client, "s", query_index).await.expect("actions");
+        assert_eq!(actions, [0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 1.0]);
+    }
+}
+
+#[tokio::test]
+async fn a_token_is_shown_to_what_stands_before_the_server() {
+    let mut server = Server::start(answering(|_| Answer::Nothing)).await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let token = folder.path().join("token");
+    std::fs::write(&token, "worker secret-of-the-proxy-0123\n").expect("written");
+    let file = folder.path().join("gateway.toml");
+    let text = format!(
+        "[policy.x]\nreplicas = [\"vla-eval://127.0.0.1:{}\"]\ntoken_file = {token:?}\n",
+        server.port
+    );
+    std::fs::write(&file, text).expect("written");
+    let config = config::file::read(&file).expect("a configuration");
+    let (gateway, _) = reloadable(config.routes().to_vec()).await;
+    let mut client = gateway.client().await;
+    client.describe(describe("x")).await.expect("a description");
+    let shown = Some("Bearer secret-of-the-proxy-0123".to_owned());
+    assert_eq!(server.noticed.recv().await, Some(Noticed::Connected(shown)));
+}
