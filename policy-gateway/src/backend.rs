@@ -15,6 +15,7 @@ use crate::{
 
 pub mod builtin;
 pub mod grpc;
+pub mod open;
 pub mod openpi;
 pub mod recorder;
 pub mod replay;
