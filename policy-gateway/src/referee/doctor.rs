@@ -42,8 +42,9 @@ impl Point {
         Self::Frames,
         Self::Instructions,
         Self::Gripper,
-        Self::Latency,
+        // Asks much, so that there is more to take percentiles of.
         Self::Memory,
+        Self::Latency,
     ];
 
     /// Its name, for programs.
@@ -127,41 +128,28 @@ async fn look(
     answered: &Answered,
     measures: Measures,
 ) -> Result<Verdict, RefereeError> {
-    match point {
-        Point::Latency => {
-            return Ok(verdicts::latency(
-                &patient.latencies,
-                measures.answer_within,
-            ));
-        }
-        Point::Memory => return memory(patient, measures.episodes).await,
-        Point::Actions => return Ok(verdicts::actions(&answered.faults, answered.asked)),
-        _ if !answered.faults.is_empty() => return Ok(skip("not all of its answers are actions")),
-        _ => {}
-    }
     let actions = &answered.actions;
     let described = &patient.server().described;
-    let constant = verdicts::is_constant(actions);
+    let noise = answered.noise;
     Ok(match point {
+        Point::Actions => verdicts::actions(&answered.faults, answered.asked),
+        Point::Memory => memory(patient, measures.episodes).await?,
+        Point::Latency => verdicts::latency(&patient.latencies, measures.answer_within),
+        _ if !answered.faults.is_empty() => skip("not all of its answers are actions"),
         Point::Range => verdicts::range(actions),
         Point::Motion => verdicts::motion(actions),
         Point::Gripper => verdicts::gripper(actions),
-        _ if constant => skip("all of its actions are the same"),
+        _ if verdicts::is_constant(actions) => skip("all of its actions are the same"),
         Point::Observations => {
-            let change = Change {
-                most: answered.between_situations,
-                noise: answered.noise,
-            };
-            verdicts::observations(change, patient.situations(), described)
+            let most = answered.between_situations;
+            verdicts::observations(Change { most, noise }, patient.situations(), described)
         }
         Point::Frames if described.cameras.is_empty() => skip("it asks for none"),
         Point::Frames => {
             let mut changes = vec![];
-            let cameras = described.cameras.clone();
-            for camera in cameras {
+            for camera in &described.cameras {
                 let most = patient.with_other_frames(&camera.name).await?;
-                let noise = answered.noise;
-                changes.push((camera.name, Change { most, noise }));
+                changes.push((camera.name.clone(), Change { most, noise }));
             }
             verdicts::frames(&changes)
         }
@@ -169,11 +157,9 @@ async fn look(
             Err(reason) => skip(reason),
             Ok(()) => {
                 let (most, asked) = patient.with_other_instructions().await?;
-                let noise = answered.noise;
                 verdicts::instructions(Change { most, noise }, asked)
             }
         },
-        Point::Actions | Point::Latency | Point::Memory => skip("looked at elsewhere"),
     })
 }
 
