@@ -12,17 +12,18 @@ use super::{
     difference::{self, Apart, Difference, Kind, NUMBERS, size},
     fit::{Limit, fit},
     panel::{Panel, SEED, Side},
-    search::{Course, Found},
+    search::{Course, Explanation, Found},
     server::{RefereeError, Server},
     situation::Situation,
+    variant::Topic,
 };
 
 /// Answers to each situation that are averaged where seeds do not help.
 const AVERAGED: usize = 8;
 /// Standard errors of a mean within which two means are the same.
 const ERRORS: f64 = 2.5;
-/// What an explanation may leave of a difference.
-const LEFT: f64 = 0.1;
+/// What another size may leave of a difference.
+const LEFT_OF_SIZE: f64 = 0.4;
 /// Differences below this share of how much an answer varies are those of rounding.
 const ROUNDING: f64 = 0.02;
 /// Seeds that programs have as their default.
@@ -60,12 +61,6 @@ impl Both {
     fn apart(&self) -> Apart {
         let (before, at) = self.a.largest_difference(&self.b);
         Apart { before, at }
-    }
-
-    /// The limit below which a difference is explained, if `floor` is none.
-    fn limit(&self, floor: &Limit) -> Limit {
-        let as_they_come = fit(&self.a, &self.b, &[f64::INFINITY; 7]).left;
-        std::array::from_fn(|at| floor[at].max(LEFT * as_they_come[at]))
     }
 
     /// Whether what differs is little beside how much the answers vary.
@@ -151,11 +146,11 @@ async fn paired(
     let course = Course {
         panel,
         seeds: &seeds,
-        limit: both.limit(&[REPEATABLE; 7]),
+        floor: [REPEATABLE; 7],
         // Where noise differs, nothing that is shown makes it the same.
         together: !random,
     };
-    let as_they_come = fit(&both.a, &both.b, &course.limit);
+    let as_they_come = fit(&both.a, &both.b, &course.floor);
     if random
         && !as_they_come.explains
         && let Some(found) = other_seed(panel, both).await?
@@ -183,11 +178,9 @@ async fn paired(
         }
         Found::Nothing(_) if random => averaged(panel, chances).await,
         Found::Nothing(closest) => {
-            let left = closest.fit.left.iter().copied().fold(0.0, f64::max);
-            let attempt = difference::attempt(&closest);
-            let found = unexplained(both, apart, &attempt, left);
+            let found = not_explained(both, apart, &closest);
             let note = compared(panel, &both.a, "with the same seed");
-            Ok((vec![found], note))
+            Ok((found, note))
         }
     }
 }
@@ -240,11 +233,10 @@ async fn averaged(
         (first..first + AVERAGED as u64).collect()
     };
     let both = Both::ask(panel, &seeds).await?;
-    let limit = both.limit(&floor(&both, chances));
     let course = Course {
         panel,
         seeds: &seeds,
-        limit,
+        floor: floor(&both, chances),
         together: true,
     };
     let apart = both.apart();
@@ -262,11 +254,7 @@ async fn averaged(
     let mut differences = match course.search(&both.a, &both.b).await? {
         Found::Explained(explanation) => difference::explained(&explanation, apart),
         Found::Nothing(_) if both.differ_by_rounding() => vec![],
-        Found::Nothing(closest) => {
-            let left = closest.fit.left.iter().copied().fold(0.0, f64::max);
-            let attempt = difference::attempt(&closest);
-            vec![unexplained(&both, apart, &attempt, left)]
-        }
+        Found::Nothing(closest) => not_explained(&both, apart, &closest),
     };
     if differences.is_empty() && chances.iter().all(Chance::follows_seed) {
         let text = format!(
@@ -296,7 +284,22 @@ fn floor(both: &Both, chances: [Chance; 2]) -> Limit {
     })
 }
 
-fn unexplained(both: &Both, apart: Apart, attempt: &str, left: f64) -> Difference {
+/// What is said where nothing makes the answers alike. No two libraries scale a
+/// frame to the same bits: a size need not take all of the difference away.
+fn not_explained(both: &Both, apart: Apart, closest: &Explanation) -> Vec<Difference> {
+    let norm = |it: &Limit| it.iter().map(|it| it * it).sum::<f64>().sqrt();
+    let as_they_come = fit(&both.a, &both.b, &[f64::INFINITY; 7]).left;
+    let mut shown = closest.shown.iter();
+    let scaled = shown.any(|(_, variant)| variant.topic() == Topic::Size);
+    match scaled && norm(&closest.fit.left) < LEFT_OF_SIZE * norm(&as_they_come) {
+        true => difference::of_shown(closest, apart),
+        false => vec![unexplained(both, apart, closest)],
+    }
+}
+
+fn unexplained(both: &Both, apart: Apart, closest: &Explanation) -> Difference {
+    let left = closest.fit.left.iter().copied().fold(0.0, f64::max);
+    let attempt = difference::attempt(closest);
     let mut text = format!(
         "their answers differ by up to {} ({}), and no difference that is looked for here \
          explains it.",

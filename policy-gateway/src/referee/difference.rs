@@ -141,20 +141,37 @@ pub struct Apart {
 
 /// What an explanation consists of, in the order of a policy's pipeline.
 pub fn explained(explanation: &Explanation, apart: Apart) -> Vec<Difference> {
-    let left = explanation.fit.left.iter().copied().fold(0.0, f64::max);
-    let so_far = format!(
-        "As they come, their answers differ by up to {} ({}); so, by {}.",
-        size(apart.before),
-        NUMBERS[apart.at],
-        size(left),
-    );
-    let shown = explanation.shown.iter();
-    let mut differences: Vec<Difference> = shown
-        .map(|(side, variant)| Difference::new(kind(variant), seen(*side, variant)))
-        .collect();
+    let mut differences = shown(explanation);
     differences.extend(of_actions(&explanation.fit));
+    with_sizes(differences, explanation, apart)
+}
+
+/// The same, of what is shown otherwise alone.
+pub fn of_shown(explanation: &Explanation, apart: Apart) -> Vec<Difference> {
+    with_sizes(shown(explanation), explanation, apart)
+}
+
+fn shown(explanation: &Explanation) -> Vec<Difference> {
+    let shown = explanation.shown.iter();
+    shown
+        .map(|(side, variant)| Difference::new(kind(variant), seen(*side, variant)))
+        .collect()
+}
+
+fn with_sizes(
+    mut differences: Vec<Difference>,
+    explanation: &Explanation,
+    apart: Apart,
+) -> Vec<Difference> {
+    let left = explanation.fit.left.iter().copied().fold(0.0, f64::max);
     for difference in &mut differences {
-        difference.text = format!("{} {so_far}", difference.text);
+        difference.text = format!(
+            "{} As they come, their answers differ by up to {} ({}); so, by {}.",
+            difference.text,
+            size(apart.before),
+            NUMBERS[apart.at],
+            size(left),
+        );
     }
     differences
 }
@@ -200,7 +217,11 @@ fn seen(side: Side, variant: &Variant) -> String {
         Side::A => ("A", "B"),
         Side::B => ("B", "A"),
     };
-    format!("{other} answers what {shown} answers when {shown} is shown {variant}.")
+    let nearly = match variant.topic() {
+        Topic::Size => "nearly ",
+        _ => "",
+    };
+    format!("{other} answers {nearly}what {shown} answers when {shown} is shown {variant}.")
 }
 
 /// In what the actions themselves differ.

@@ -115,6 +115,14 @@ impl Fit {
         self.cost() == 0
     }
 
+    /// Whether what is left is within another limit.
+    pub fn is_within(&self, limit: &Limit) -> bool {
+        self.left
+            .iter()
+            .zip(limit)
+            .all(|(left, limit)| left <= limit)
+    }
+
     /// What is left in all, in units of the limit.
     pub fn remainder(&self, limit: &Limit) -> f64 {
         let shares = self.left.iter().zip(limit);

@@ -16,14 +16,17 @@ const MOST_TOGETHER: usize = 3;
 /// explanation.
 const PROGRESS: f64 = 0.75;
 
+/// What an explanation may leave of a difference; more is another difference.
+const LEFT: f64 = 0.1;
+
 /// What both servers are asked with.
 pub struct Course<'a> {
     /// The servers and the situations.
     pub panel: &'a Panel,
     /// Seeds by situation: several are averaged over.
     pub seeds: &'a (dyn Fn(usize) -> Vec<u64> + Sync),
-    /// How much of a difference counts as none.
-    pub limit: Limit,
+    /// How much of a difference is none.
+    pub floor: Limit,
     /// Whether several differences at once are looked for.
     pub together: bool,
 }
@@ -54,28 +57,77 @@ pub enum Found {
 
 impl Course<'_> {
     /// Looks for an explanation of what differs between the answers `a` and `b` to
-    /// the situations as they are.
+    /// the situations as they are. What a change explains by nine tenths it explains;
+    /// the last tenth is looked into by itself.
     ///
     /// # Errors
     /// When a server does not answer with actions.
     pub async fn search(&self, a: &Answers, b: &Answers) -> Result<Found, RefereeError> {
+        let mut limit = self.limit(fit(a, b, &[f64::INFINITY; 7]).left);
         let plain = Explanation {
             shown: vec![],
-            fit: fit(a, b, &self.limit),
+            fit: fit(a, b, &limit),
         };
-        // Nothing that is shown otherwise could be simpler.
-        if plain.fit.explains && plain.cost() <= 1 {
-            return Ok(Found::Explained(plain));
+        let mut explained = match self.beyond(&plain, &limit, a, b).await? {
+            Found::Explained(explained) => explained,
+            nothing => return Ok(nothing),
+        };
+        while explained.shown.len() < MOST_TOGETHER && self.together {
+            let further = self.limit(explained.fit.left);
+            if further == limit || explained.fit.is_within(&self.floor) {
+                break;
+            }
+            limit = further;
+            let (one, other) = self.answers(&explained.shown, a, b).await?;
+            let fit = fit(&one, &other, &limit);
+            let shown = explained.shown.clone();
+            match self
+                .beyond(&Explanation { shown, fit }, &limit, a, b)
+                .await?
+            {
+                Found::Explained(more) => explained = more,
+                Found::Nothing(_) => break,
+            }
         }
-        let rest = |it: &Explanation| it.fit.remainder(&self.limit);
-        let mut closest = plain.clone();
-        let mut explanations: Vec<Explanation> =
-            plain.fit.explains.then_some(plain).into_iter().collect();
-        let depth = if self.together { MOST_TOGETHER } else { 1 };
+        Ok(Found::Explained(explained))
+    }
+
+    /// What is no difference any more beside one of this size.
+    fn limit(&self, apart: Limit) -> Limit {
+        std::array::from_fn(|at| self.floor[at].max(LEFT * apart[at]))
+    }
+
+    /// The simplest explanation that holds what is known already.
+    async fn beyond(
+        &self,
+        known: &Explanation,
+        limit: &Limit,
+        a: &Answers,
+        b: &Answers,
+    ) -> Result<Found, RefereeError> {
+        // Nothing that is shown otherwise could be simpler.
+        if known.fit.explains && known.fit.cost() <= 1 {
+            return Ok(Found::Explained(known.clone()));
+        }
+        let rest = |it: &Explanation| it.fit.remainder(limit);
+        let mut closest = known.clone();
+        let mut explanations: Vec<Explanation> = known
+            .fit
+            .explains
+            .then_some(known)
+            .cloned()
+            .into_iter()
+            .collect();
+        let depth = match self.together {
+            true => MOST_TOGETHER - known.shown.len(),
+            false => 1,
+        };
         for _ in 0..depth {
             let mut candidates = vec![];
             for shown in self.further(&closest.shown) {
-                candidates.push(self.examine(shown, a, b).await?);
+                let (one, other) = self.answers(&shown, a, b).await?;
+                let fit = fit(&one, &other, limit);
+                candidates.push(Explanation { shown, fit });
             }
             explanations.extend(candidates.iter().filter(|it| it.fit.explains).cloned());
             let simplest = explanations.iter().min_by(|one, other| {
@@ -113,17 +165,19 @@ impl Course<'_> {
         further
     }
 
-    async fn examine(
+    /// Answers of both where this is shown otherwise.
+    async fn answers(
         &self,
-        shown: Vec<(Side, Variant)>,
+        shown: &[(Side, Variant)],
         a: &Answers,
         b: &Answers,
-    ) -> Result<Explanation, RefereeError> {
-        let changed_a = self.changed(Side::A, &shown).await?;
-        let changed_b = self.changed(Side::B, &shown).await?;
-        let (one, other) = (changed_a.as_ref(), changed_b.as_ref());
-        let fit = fit(one.unwrap_or(a), other.unwrap_or(b), &self.limit);
-        Ok(Explanation { shown, fit })
+    ) -> Result<(Answers, Answers), RefereeError> {
+        let one = self.changed(Side::A, shown).await?;
+        let other = self.changed(Side::B, shown).await?;
+        Ok((
+            one.unwrap_or_else(|| a.clone()),
+            other.unwrap_or_else(|| b.clone()),
+        ))
     }
 
     /// Answers of one side to what it is shown otherwise, if anything.

@@ -94,7 +94,12 @@ async fn frames_fed_turned_are_named() {
 async fn frames_scaled_down_on_the_way_are_named() {
     let shrinking =
         Planted::sound().preparing(|seen| seen.frames.iter_mut().for_each(halved_and_doubled));
-    names(shrinking, Kind::FrameSize, "scaled to 32 × 32 pixels").await;
+    names(
+        shrinking,
+        Kind::FrameSize,
+        "scaled to 64 × 64 pixels and back (means",
+    )
+    .await;
 }
 
 #[tokio::test]

@@ -21,7 +21,7 @@ use tonic::{Request, Response, Status};
 pub(crate) type Action = [f64; 7];
 
 /// Side of its frames, pixels.
-pub(crate) const SIDE: usize = 64;
+pub(crate) const SIDE: usize = 128;
 /// Samples along a side of a frame, as a network has patches.
 const PATCHES: usize = 32;
 /// Actions that it computes beyond its horizon, for those that skip some.
