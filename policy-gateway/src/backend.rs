@@ -16,6 +16,7 @@ use crate::{
 pub mod builtin;
 pub mod grpc;
 pub mod numpy;
+pub mod open;
 pub mod openpi;
 pub mod recorder;
 pub mod replay;

@@ -28,6 +28,7 @@ pub mod health;
 pub mod held;
 pub mod http2;
 pub mod recording;
+pub mod referee;
 pub mod route;
 pub mod service;
 pub mod sessions;

@@ -17,6 +17,7 @@ use policy_gateway::{
     backend::recorder::{DEFAULT_MAX_BYTES, RecordInto},
     config::{self, AccessFiles, BackendSpec, Config, RouteName, RouteSpec},
     conformance::{self, Target, front::Front, scene},
+    referee::command::{CommandError, Compare, Doctor},
     service::Gateway,
 };
 use terminal::{number, reader_is_gone};
@@ -102,6 +103,11 @@ enum Command {
         #[command(flatten)]
         access: ClientArguments,
     },
+    /// Shows two policy servers the same observations, and names what one does
+    /// otherwise than the other
+    Compare(Box<Compare>),
+    /// Looks for the usual mistakes of a policy server that scores nothing
+    Doctor(Box<Doctor>),
     /// Stands before a policy server and records sessions: observations and
     /// actions, a file each, until it is stopped
     Record {
@@ -164,6 +170,8 @@ fn main() -> ExitCode {
             };
             check(target, access)
         }
+        Some(Command::Compare(compare)) => judge(compare.run(&|line| say(&line))),
+        Some(Command::Doctor(doctor)) => judge(doctor.run(&|line| say(&line))),
         Some(Command::Record {
             upstream,
             output,
@@ -276,6 +284,17 @@ async fn check(
         ExitCode::SUCCESS
     } else {
         ExitCode::FAILURE
+    })
+}
+
+/// Ends with 0 if the servers under judgement do well, with 1 if not.
+#[tokio::main]
+async fn judge(
+    judgement: impl Future<Output = Result<bool, CommandError>>,
+) -> anyhow::Result<ExitCode> {
+    Ok(match judgement.await? {
+        true => ExitCode::SUCCESS,
+        false => ExitCode::FAILURE,
     })
 }
 

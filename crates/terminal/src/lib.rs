@@ -7,5 +7,5 @@
 mod output;
 mod values;
 
-pub use output::{counted, log, print, print_line, reader_is_gone};
+pub use output::{counted, log, print, print_line, reader_is_gone, wrapped};
 pub use values::{address, number, number_from, seconds};

@@ -61,9 +61,47 @@ pub fn counted(count: u64, thing: &str) -> String {
     }
 }
 
+/// Columns of a terminal.
+const WIDTH: usize = 80;
+
+/// Words over as many lines of 80 columns as they need, the first after `prefix`, the
+/// others `indent` columns from the left.
+pub fn wrapped(prefix: &str, indent: usize, words: &str) -> String {
+    let mut text = prefix.to_owned();
+    let mut column = prefix.chars().count();
+    for word in words.split_whitespace() {
+        let width = word.chars().count();
+        if column > indent && column + 1 + width > WIDTH {
+            text.push('\n');
+            text.push_str(&" ".repeat(indent));
+            column = indent;
+        } else if column > 0 && !text.ends_with(' ') {
+            text.push(' ');
+            column += 1;
+        }
+        text.push_str(word);
+        column += width;
+    }
+    text
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn words_are_wrapped_at_80_columns_below_their_indent() {
+        let words = "seven letters ".repeat(12);
+        let text = wrapped("FAIL  it answers:", 6, &words);
+        let lines: Vec<&str> = text.lines().collect();
+        assert!(lines.len() > 1 && lines.iter().all(|line| line.chars().count() <= 80));
+        assert!(lines[0].starts_with("FAIL  it answers: seven"));
+        assert!(lines[1..].iter().all(|line| line.starts_with("      ")));
+        let again: Vec<&str> = text.split_whitespace().skip(3).collect();
+        assert_eq!(again, words.split_whitespace().collect::<Vec<_>>());
+        let long = "x".repeat(100);
+        assert_eq!(wrapped("", 2, &long), long);
+    }
 
     #[test]
     fn one_thing_is_no_plural() {

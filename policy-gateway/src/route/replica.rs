@@ -16,10 +16,7 @@ use tokio::sync::Semaphore;
 use transport::Access;
 
 use crate::{
-    backend::{
-        Backend, BackendError, builtin::BuiltinBackend, grpc::GrpcBackend, openpi::OpenpiBackend,
-        recorder::Recorder, replay::Replay, vla_eval::VlaEvalBackend,
-    },
+    backend::{Backend, BackendError, open::open, recorder::Recorder},
     batch::batcher::Batcher,
     check,
     config::{AccessFiles, BackendSpec, Batching, RouteSpec, UnusableBackend},
@@ -72,20 +69,7 @@ impl Replica {
             batching,
             ..
         } = *route;
-        let backend: Arc<dyn Backend> = match spec {
-            BackendSpec::Builtin(builtin) => Arc::new(BuiltinBackend::new(*builtin)),
-            BackendSpec::Grpc(address) => {
-                let endpoint = address.endpoint()?;
-                Arc::new(GrpcBackend::new(address.clone(), endpoint, access)?)
-            }
-            BackendSpec::Openpi(address) => {
-                Arc::new(OpenpiBackend::new(address.clone(), access.clone())?)
-            }
-            BackendSpec::VlaEval(address) => {
-                Arc::new(VlaEvalBackend::new(address.clone(), access.clone())?)
-            }
-            BackendSpec::Replay(folder) => Arc::new(Replay::open(folder)?),
-        };
+        let backend = open(spec, access)?;
         let backend = match &route.record {
             Some(into) => Arc::new(Recorder::new(backend, into.clone())),
             None => backend,

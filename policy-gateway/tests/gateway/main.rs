@@ -4,8 +4,12 @@
 mod access;
 mod answers;
 mod batches;
+mod compare;
 mod conformance;
+mod doctor;
+mod judgement;
 mod outages;
+mod planted;
 mod program;
 mod recordings;
 mod replicas;

@@ -226,7 +226,9 @@ fn stays(command: &str) -> bool {
     let first = words.first().copied().unwrap_or_default();
     match program {
         "coordinator" => first == "serve" || watches(command),
-        "policy-gateway" => first != "check" && !words.contains(&"--help"),
+        "policy-gateway" => {
+            !["check", "compare", "doctor"].contains(&first) && !words.contains(&"--help")
+        }
         "worker" => first == "--connect",
         "python" | "python3" => {
             words.contains(&"--listen") || words.contains(&"serve") || first.ends_with("policy.py")
@@ -260,6 +262,8 @@ mod tests {
         for command in [
             "coordinator campaign status",
             "policy-gateway check grpc://127.0.0.1:5000",
+            "policy-gateway compare grpc://127.0.0.1:5000 builtin:expert",
+            "policy-gateway doctor grpc://127.0.0.1:5000",
             "worker film --connect http://127.0.0.1:7411",
             "python -m rollout_policies list",
             "umask 077",

@@ -10,7 +10,7 @@ const WEIGHT_BITS: u32 = 22;
 
 /// Resizes a square RGB frame of `side` pixels to [`SIDE`].
 pub fn prepare(rgb: &[u8], side: usize) -> Vec<u8> {
-    resize(rgb, side, SIDE)
+    resize(rgb, [side; 2], [SIDE; 2])
 }
 
 /// The pixels that one pixel of the result is made of.
@@ -19,16 +19,17 @@ struct Window {
     weights: Vec<i32>,
 }
 
-/// Pillow's two passes, along rows and then along columns, with rounding to
-/// whole levels in between.
-fn resize(rgb: &[u8], from: usize, to: usize) -> Vec<u8> {
+/// An RGB frame of another size, each given as width and height in pixels: Pillow's
+/// two passes of its bilinear filter, along rows and then along columns, with
+/// rounding to whole levels in between.
+pub fn resize(rgb: &[u8], from: [usize; 2], to: [usize; 2]) -> Vec<u8> {
     if from == to {
         return rgb.to_vec();
     }
-    let windows = windows(from, to);
-    let rows = rgb.chunks_exact(3 * from);
-    let narrow: Vec<u8> = rows.flat_map(|row| mix(&windows, row, 3)).collect();
-    mix(&windows, &narrow, 3 * to).collect()
+    let across = windows(from[0], to[0]);
+    let rows = rgb.chunks_exact(3 * from[0]);
+    let narrow: Vec<u8> = rows.flat_map(|row| mix(&across, row, 3)).collect();
+    mix(&windows(from[1], to[1]), &narrow, 3 * to[0]).collect()
 }
 
 /// Mixes lines of `stride` bytes into as many as there are windows.
@@ -109,7 +110,7 @@ mod tests {
             6, 56, 106, 15, 65, 115, 23, 73, 123, 22, 72, 122, 31, 81, 131, 39, 89, 139, 37, 87,
             137, 46, 96, 146, 55, 105, 155,
         ];
-        assert_eq!(resize(&pattern(4), 4, 3), resized);
+        assert_eq!(resize(&pattern(4), [4; 2], [3; 2]), resized);
     }
 
     #[test]

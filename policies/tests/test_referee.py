@@ -1,0 +1,109 @@
+"""The gateway's referee judges servers of this package by their answers.
+
+Runs the program that the environment variable POLICY_GATEWAY names.
+"""
+
+import json
+import os
+import subprocess
+
+import numpy as np
+import pytest
+
+from rollout_policies import Camera, Description, Policy, State, start
+from rollout_policies.examples.colour_servo import ColourServo
+
+CAMERAS = (Camera("agentview", 128, 128), Camera("robot0_eye_in_hand", 128, 128))
+
+
+class Looking(Policy):
+    """Follows its frames by position, its state and its instruction."""
+
+    description = Description(
+        name="looking",
+        horizon=4,
+        cameras=CAMERAS,
+        state=(State.EEF_POS, State.EEF_AXIS_ANGLE, State.GRIPPER_POS),
+    )
+
+    def reset(self, episode):
+        pass
+
+    def frames(self, observation):
+        return [observation.upright(camera.name) for camera in CAMERAS]
+
+    def infer(self, observation):
+        weights = np.random.default_rng(7)
+        seen = np.zeros(7)
+        for frame in self.frames(observation):
+            coarse = frame[4::8, 4::8].astype(float).ravel() / 255 - 0.5
+            seen += weights.normal(0, 0.1, (7, coarse.size)) @ coarse
+        seen += weights.normal(0, 0.5, (7, 8)) @ observation.vector()
+        seen += 0.2 * np.sin(sum(observation.episode.instruction.encode()) + np.arange(7))
+        return 0.8 * np.sin(seen + 0.2 * np.arange(4)[:, None])
+
+
+class Flipped(Looking):
+    """Feeds its frames as they come: bottom row first."""
+
+    def frames(self, observation):
+        return [observation.images[camera.name] for camera in CAMERAS]
+
+
+class Keeping(Looking):
+    """Keeps the frames of every episode."""
+
+    def __init__(self):
+        self.kept = []
+
+    def infer(self, observation):
+        for frame in self.frames(observation):
+            self.kept.append(np.repeat(frame, 8, axis=0))
+        return super().infer(observation)
+
+
+@pytest.fixture
+def judged():
+    """Runs a command on servers of these policies: `judged("doctor", policy) -> JSON`."""
+    program = os.environ.get("POLICY_GATEWAY")
+    if program is None:
+        pytest.skip("POLICY_GATEWAY does not name the policy-gateway program")
+    servers = []
+
+    def run(command, *policies):
+        servers.extend(start(policy) for policy in policies)
+        urls = [f"grpc://{server.address}" for server in servers[-len(policies) :]]
+        ran = subprocess.run(
+            [program, command, *urls, "--json"], capture_output=True, text=True, check=False
+        )
+        assert ran.returncode in (0, 1) and ran.stdout, ran.stderr
+        judgement = json.loads(ran.stdout)
+        said = judgement["is_same" if command == "compare" else "is_sound"]
+        assert said == (ran.returncode == 0)
+        return judgement
+
+    yield run
+    for server in servers:
+        server.stop(0)
+
+
+def failed(examination):
+    return {it["point"]: it["text"] for it in examination["findings"] if it["verdict"] == "fail"}
+
+
+@pytest.mark.parametrize("policy", [Looking, ColourServo])
+def test_a_server_without_mistakes_is_not_accused(judged, policy):
+    assert failed(judged("doctor", policy())) == {}
+    assert judged("compare", policy(), policy())["differences"] == []
+
+
+def test_frames_that_are_fed_as_they_come_are_named(judged):
+    (difference,) = judged("compare", Looking(), Flipped())["differences"]
+    assert difference["kind"] == "frame_orientation"
+    assert "flipped vertically" in difference["text"]
+
+
+def test_a_server_that_keeps_every_episode_is_found_by_its_process(judged):
+    found = failed(judged("doctor", Keeping()))
+    assert list(found) == ["memory"]
+    assert f"process {os.getpid()} grew" in found["memory"]

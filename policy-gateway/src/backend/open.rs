@@ -1,0 +1,32 @@
+//! From what a configuration names to what can be asked.
+
+use std::sync::Arc;
+
+use transport::Access;
+
+use super::{
+    Backend, builtin::BuiltinBackend, grpc::GrpcBackend, openpi::OpenpiBackend, replay::Replay,
+    vla_eval::VlaEvalBackend,
+};
+use crate::config::{BackendSpec, UnusableBackend};
+
+/// The back-end that a specification names. Nothing is connected yet.
+///
+/// # Errors
+/// See [`UnusableBackend`].
+pub fn open(spec: &BackendSpec, access: &Access) -> Result<Arc<dyn Backend>, UnusableBackend> {
+    Ok(match spec {
+        BackendSpec::Builtin(builtin) => Arc::new(BuiltinBackend::new(*builtin)),
+        BackendSpec::Grpc(address) => {
+            let endpoint = address.endpoint()?;
+            Arc::new(GrpcBackend::new(address.clone(), endpoint, access)?)
+        }
+        BackendSpec::Openpi(address) => {
+            Arc::new(OpenpiBackend::new(address.clone(), access.clone())?)
+        }
+        BackendSpec::VlaEval(address) => {
+            Arc::new(VlaEvalBackend::new(address.clone(), access.clone())?)
+        }
+        BackendSpec::Replay(folder) => Arc::new(Replay::open(folder)?),
+    })
+}

@@ -1,0 +1,85 @@
+//! What a server answered to all situations, as numbers. Pure.
+
+use super::server::Action;
+
+/// Actions to each situation: means over seeds, if there were several.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Answers {
+    /// By situation, then by action of the chunk.
+    pub chunks: Vec<Vec<Action>>,
+    /// Standard deviation between answers to the same situation with other seeds,
+    /// by number of an action; 0 of a single seed.
+    pub spread: Action,
+}
+
+impl Answers {
+    /// The means of several answers to each situation: `asked[situation][seed]`.
+    /// Of chunks of other lengths, what they have in common.
+    pub fn of(asked: Vec<Vec<Vec<Action>>>) -> Self {
+        let mut chunks = vec![];
+        let mut squares = [0.0; 7];
+        let mut freedom = 0_usize;
+        for seeds in asked {
+            let rows = seeds.iter().map(Vec::len).min().unwrap_or(0);
+            let count = seeds.len() as f64;
+            let mean = |row: usize, at: usize| {
+                seeds.iter().map(|chunk| chunk[row][at]).sum::<f64>() / count
+            };
+            let means: Vec<Action> = (0..rows)
+                .map(|row| std::array::from_fn(|at| mean(row, at)))
+                .collect();
+            for chunk in &seeds {
+                for (row, mean) in chunk.iter().zip(&means) {
+                    for at in 0..7 {
+                        squares[at] += (row[at] - mean[at]).powi(2);
+                    }
+                }
+            }
+            freedom += rows * seeds.len().saturating_sub(1);
+            chunks.push(means);
+        }
+        Self {
+            chunks,
+            spread: squares.map(|it| (it / freedom.max(1) as f64).sqrt()),
+        }
+    }
+
+    /// The largest difference of any number from the same one of `other`, and the
+    /// number of an action that it is.
+    pub fn largest_difference(&self, other: &Self) -> (f64, usize) {
+        let pairs = self.chunks.iter().zip(&other.chunks);
+        let rows = pairs.flat_map(|(one, other)| one.iter().zip(other));
+        let numbers = rows.flat_map(|(a, b)| (0..7).map(move |at| ((a[at] - b[at]).abs(), at)));
+        numbers.fold((0.0, 0), |most, it| if it.0 > most.0 { it } else { most })
+    }
+
+    /// How many numbers there are.
+    pub fn numbers(&self) -> usize {
+        self.chunks.iter().map(|chunk| 7 * chunk.len()).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn answers_of_several_seeds_have_means_and_a_spread() {
+        let asked = vec![
+            vec![vec![[1.0; 7], [5.0; 7]], vec![[3.0; 7]]],
+            vec![vec![[0.0; 7]], vec![[2.0; 7]]],
+        ];
+        let answers = Answers::of(asked);
+        assert_eq!(answers.chunks, [[[2.0; 7]], [[1.0; 7]]]);
+        assert_eq!(answers.spread, [2.0_f64.sqrt(); 7]);
+        assert_eq!(answers.numbers(), 14);
+    }
+
+    #[test]
+    fn the_largest_difference_is_found_with_its_place() {
+        let one = Answers::of(vec![vec![vec![[0.0; 7]]]]);
+        let mut other = one.clone();
+        other.chunks[0][0][4] = -0.5;
+        assert_eq!(one.largest_difference(&other), (0.5, 4));
+    }
+}

@@ -1,0 +1,188 @@
+//! `policy-gateway compare` and `policy-gateway doctor`: their flags, and what they
+//! do with them.
+
+use std::{path::PathBuf, time::Duration};
+
+use clap::Args;
+use protocol::Suite;
+use serde::Serialize;
+use terminal::number;
+use thiserror::Error;
+use transport::{Access, AccessError, ClientArguments, Role};
+
+use super::{
+    compare::compare,
+    doctor::{self, Finding, Measures},
+    made_up, recorded,
+    report::{self, Asked, ComparisonJson, ExaminationJson},
+    server::{RefereeError, Server},
+    situation::Situation,
+};
+use crate::config::{BackendSpec, DEFAULT_ANSWER_WITHIN};
+
+/// What a server is shown.
+#[derive(Clone, Debug, Args)]
+struct Shown {
+    /// Show what was recorded in this folder by `policy-gateway record`, in place of
+    /// made-up scenes
+    #[arg(long, value_name = "DIR")]
+    recorded: Option<PathBuf>,
+
+    /// The suite of made-up tasks
+    #[arg(long, value_name = "SUITE", default_value_t = Suite::Object, conflicts_with = "recorded")]
+    suite: Suite,
+
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+
+    #[command(flatten)]
+    access: ClientArguments,
+}
+
+/// `compare`.
+#[derive(Clone, Debug, Args)]
+pub struct Compare {
+    /// One server, as in --route: grpc://HOST:PORT[/POLICY], ws://HOST:PORT,
+    /// builtin:expert …
+    #[arg(value_name = "URL-A")]
+    a: BackendSpec,
+
+    /// The other one
+    #[arg(value_name = "URL-B")]
+    b: BackendSpec,
+
+    #[command(flatten)]
+    shown: Shown,
+}
+
+/// `doctor`.
+#[derive(Clone, Debug, Args)]
+pub struct Doctor {
+    /// The server, as in --route: grpc://HOST:PORT[/POLICY], ws://HOST:PORT,
+    /// builtin:expert …
+    #[arg(value_name = "URL")]
+    url: BackendSpec,
+
+    /// Seconds that a gateway gives it for an answer (answer_within_secs there)
+    #[arg(long, value_name = "SECS", default_value_t = DEFAULT_ANSWER_WITHIN.as_secs(),
+        value_parser = number(1..=3600_u64, "seconds"))]
+    answer_within: u64,
+
+    /// Episodes to play to see whether its memory grows
+    #[arg(long, value_name = "N", default_value_t = 30,
+        value_parser = number(0..=100_000_u32, "episodes"))]
+    episodes: u32,
+
+    #[command(flatten)]
+    shown: Shown,
+}
+
+/// Why a command came to nothing. Reads after "failed to …".
+#[derive(Debug, Error)]
+pub enum CommandError {
+    /// A token or certificate authority that is no use.
+    #[error(transparent)]
+    Access(#[from] AccessError),
+    /// Servers that cannot be judged.
+    #[error(transparent)]
+    Referee(#[from] RefereeError),
+    /// Not printable.
+    #[error("print JSON")]
+    Json(#[from] serde_json::Error),
+}
+
+impl Compare {
+    /// Compares, telling `say` each line; true if both are the same.
+    ///
+    /// # Errors
+    /// When a server cannot be judged.
+    pub async fn run(&self, say: &dyn Fn(&str)) -> Result<bool, CommandError> {
+        let access = self.shown.access()?;
+        let recorded = self.shown.recorded()?;
+        let suite = self.shown.suite_of(recorded.as_deref());
+        let a = Server::connect(&self.a, &access, &suite).await?;
+        let b = Server::connect(&self.b, &access, &suite).await?;
+        let situations = recorded.unwrap_or_else(|| {
+            let cameras = made_up::cameras(&[&a.described, &b.described]);
+            made_up::situations(self.shown.suite, &cameras)
+        });
+        let asked = [&a, &b].map(|it| Asked::new(&it.url, &it.described));
+        if !self.shown.json {
+            for (letter, asked) in ["A", "B"].iter().zip(&asked) {
+                say(&asked.line(letter));
+            }
+        }
+        let comparison = compare(a, b, situations).await?;
+        if self.shown.json {
+            let [a, b] = asked;
+            say(&json(&ComparisonJson::of(a, b, &comparison))?);
+        } else {
+            for line in report::comparison(&comparison) {
+                say(&line);
+            }
+        }
+        Ok(comparison.differences.is_empty())
+    }
+}
+
+impl Doctor {
+    /// Looks at a server, telling `say` each line; true if nothing is wrong.
+    ///
+    /// # Errors
+    /// When it cannot be judged.
+    pub async fn run(&self, say: &dyn Fn(&str)) -> Result<bool, CommandError> {
+        let access = self.shown.access()?;
+        let recorded = self.shown.recorded()?;
+        let suite = self.shown.suite_of(recorded.as_deref());
+        let server = Server::connect(&self.url, &access, &suite).await?;
+        let situations = recorded.unwrap_or_else(|| {
+            let cameras = made_up::cameras(&[&server.described]);
+            made_up::situations(self.shown.suite, &cameras)
+        });
+        let asked = Asked::new(&server.url, &server.described);
+        if !self.shown.json {
+            say(&asked.line(""));
+        }
+        let measures = Measures {
+            answer_within: Duration::from_secs(self.answer_within),
+            episodes: self.episodes,
+        };
+        let mut findings = vec![];
+        let mut report = |finding: &Finding| {
+            if !self.shown.json {
+                say(&report::finding(finding));
+            }
+            findings.push(finding.clone());
+        };
+        let sound = doctor::examine(&server, &situations, measures, &mut report).await?;
+        match self.shown.json {
+            true => say(&json(&ExaminationJson::of(asked, &findings))?),
+            false if sound => say("nothing found"),
+            false => say("found something"),
+        }
+        Ok(sound)
+    }
+}
+
+impl Shown {
+    fn access(&self) -> Result<Access, AccessError> {
+        self.access.access(&[Role::Operator, Role::Worker])
+    }
+
+    fn recorded(&self) -> Result<Option<Vec<Situation>>, RefereeError> {
+        let folder = self.recorded.as_deref();
+        let situations = folder.map(|folder| recorded::situations(folder, made_up::COUNT));
+        Ok(situations.transpose()?)
+    }
+
+    /// The suite that servers are asked about first.
+    fn suite_of(&self, recorded: Option<&[Situation]>) -> String {
+        let first = recorded.and_then(|it| it.first());
+        first.map_or_else(|| self.suite.name().to_owned(), |it| it.suite.clone())
+    }
+}
+
+fn json(value: &impl Serialize) -> Result<String, serde_json::Error> {
+    serde_json::to_string_pretty(value)
+}

@@ -1,0 +1,181 @@
+//! The usual mistakes of one server: what `policy-gateway doctor URL` runs.
+//! Responsible for the order of the points; [`patient`] asks, [`verdicts`] judges,
+//! [`memory`] looks at the server's process.
+
+use std::{fmt, time::Duration};
+
+use super::{
+    server::{RefereeError, Server},
+    situation::Situation,
+};
+use crate::conformance::verdict::{Verdict, fail, skip};
+use memory::Process;
+use patient::{Answered, Patient};
+use verdicts::Change;
+
+pub mod memory;
+mod patient;
+pub mod verdicts;
+
+/// One thing that may be wrong.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(missing_docs, reason = "the sentences below say it")]
+pub enum Point {
+    Actions,
+    Range,
+    Motion,
+    Observations,
+    Frames,
+    Instructions,
+    Gripper,
+    Latency,
+    Memory,
+}
+
+impl Point {
+    /// Every point, in the order in which they are looked at.
+    pub const ALL: [Self; 9] = [
+        Self::Actions,
+        Self::Range,
+        Self::Motion,
+        Self::Observations,
+        Self::Frames,
+        Self::Instructions,
+        Self::Gripper,
+        // Asks much, so that there is more to take percentiles of.
+        Self::Memory,
+        Self::Latency,
+    ];
+
+    /// Its name, for programs.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Actions => "actions",
+            Self::Range => "range",
+            Self::Motion => "motion",
+            Self::Observations => "observations",
+            Self::Frames => "frames",
+            Self::Instructions => "instructions",
+            Self::Gripper => "gripper",
+            Self::Latency => "latency",
+            Self::Memory => "memory",
+        }
+    }
+}
+
+impl fmt::Display for Point {
+    /// The point as a sentence that should be true.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Actions => "answers are finite actions of seven numbers",
+            Self::Range => "actions lie within -1..1",
+            Self::Motion => "the arm moves",
+            Self::Observations => "other observations get other actions",
+            Self::Frames => "it looks at its frames",
+            Self::Instructions => "other instructions get other actions",
+            Self::Gripper => "the gripper opens",
+            Self::Latency => "it answers in time",
+            Self::Memory => "what it keeps of an episode goes with it",
+        })
+    }
+}
+
+/// How a server does on one point.
+#[derive(Clone, Debug)]
+pub struct Finding {
+    /// What was looked at.
+    pub point: Point,
+    /// What was seen.
+    pub verdict: Verdict,
+}
+
+/// What to measure a server by.
+#[derive(Clone, Copy, Debug)]
+pub struct Measures {
+    /// Within which a gateway wants an answer.
+    pub answer_within: Duration,
+    /// Episodes played to see whether memory grows.
+    pub episodes: u32,
+}
+
+/// Looks at a server point by point, telling `report` each as it is known. True if
+/// nothing is wrong.
+///
+/// # Errors
+/// When the server answers no query, or wants what the situations lack: then there
+/// is nothing to look at.
+pub async fn examine(
+    server: &Server,
+    situations: &[Situation],
+    measures: Measures,
+    report: &mut dyn FnMut(&Finding),
+) -> Result<bool, RefereeError> {
+    let mut patient = Patient::new(server, situations)?;
+    let answered = patient.answer_all().await?;
+    let mut sound = true;
+    for point in Point::ALL {
+        let verdict = look(point, &mut patient, &answered, measures).await;
+        let verdict = verdict.unwrap_or_else(|error| fail(format!("failed to {error}")));
+        sound &= !matches!(verdict, Verdict::Fail { .. });
+        report(&Finding { point, verdict });
+    }
+    Ok(sound)
+}
+
+async fn look(
+    point: Point,
+    patient: &mut Patient<'_>,
+    answered: &Answered,
+    measures: Measures,
+) -> Result<Verdict, RefereeError> {
+    let actions = &answered.actions;
+    let described = &patient.server().described;
+    let noise = answered.noise;
+    Ok(match point {
+        Point::Actions => verdicts::actions(&answered.faults, answered.asked),
+        Point::Memory => memory(patient, measures.episodes).await?,
+        Point::Latency => verdicts::latency(&patient.latencies, measures.answer_within),
+        _ if !answered.faults.is_empty() => skip("not all of its answers are actions"),
+        Point::Range => verdicts::range(actions),
+        Point::Motion => verdicts::motion(actions),
+        Point::Gripper => verdicts::gripper(actions),
+        _ if verdicts::is_constant(actions) => skip("all of its actions are the same"),
+        Point::Observations => {
+            let most = answered.between_situations;
+            verdicts::observations(Change { most, noise }, patient.situations(), described)
+        }
+        Point::Frames if described.cameras.is_empty() => skip("it asks for none"),
+        Point::Frames => {
+            let mut changes = vec![];
+            for camera in &described.cameras {
+                let most = patient.with_other_frames(&camera.name).await?;
+                changes.push((camera.name.clone(), Change { most, noise }));
+            }
+            verdicts::frames(&changes)
+        }
+        Point::Instructions => match verdicts::reads_language(described) {
+            Err(reason) => skip(reason),
+            Ok(()) => {
+                let (most, asked) = patient.with_other_instructions().await?;
+                verdicts::instructions(Change { most, noise }, asked)
+            }
+        },
+    })
+}
+
+/// Plays episodes and looks at what they leave behind.
+async fn memory(patient: &mut Patient<'_>, episodes: u32) -> Result<Verdict, RefereeError> {
+    let process = Process::listening_at(&patient.server().url);
+    let mut resident = vec![];
+    let mut took = vec![];
+    for _ in 0..episodes {
+        took.push(patient.episode().await?);
+        resident.extend(process.as_ref().and_then(Process::resident_bytes));
+    }
+    Ok(match process {
+        Some(process) if resident.len() == took.len() => {
+            verdicts::memory(&process.to_string(), &resident)
+        }
+        _ => verdicts::slowing(&took),
+    })
+}

@@ -1,0 +1,121 @@
+//! The process that listens at an address of this machine, and how much memory it
+//! holds. From Linux's /proc: elsewhere, and of other users' processes, nothing is
+//! known.
+
+use std::{fmt, fs, path::Path};
+
+/// Processes that share a listening socket.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Process {
+    ids: Vec<u32>,
+}
+
+/// Of a socket that listens, in /proc/net/tcp.
+const LISTENING: &str = "0A";
+/// Bytes of a page; that of every machine this runs on.
+const PAGE_BYTES: u64 = 4096;
+
+impl Process {
+    /// The process that listens at a URL, if that is one of this machine, and is not
+    /// this process.
+    pub fn listening_at(url: &str) -> Option<Self> {
+        let sockets = sockets(port_of_this_machine(url)?);
+        let mut ids = vec![];
+        for entry in fs::read_dir("/proc").ok()?.flatten() {
+            let id = entry.file_name().to_str().and_then(|it| it.parse().ok());
+            if let Some(id) = id
+                && id != std::process::id()
+                && holds(&entry.path().join("fd"), &sockets)
+            {
+                ids.push(id);
+            }
+        }
+        (!ids.is_empty()).then_some(Self { ids })
+    }
+
+    /// Memory that it holds now, bytes; None when it is gone.
+    pub fn resident_bytes(&self) -> Option<u64> {
+        let pages = |id: &u32| {
+            let text = fs::read_to_string(format!("/proc/{id}/statm")).ok()?;
+            text.split(' ').nth(1)?.parse::<u64>().ok()
+        };
+        let pages: Option<Vec<u64>> = self.ids.iter().map(pages).collect();
+        Some(pages?.iter().sum::<u64>() * PAGE_BYTES)
+    }
+}
+
+impl fmt::Display for Process {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let ids: Vec<String> = self.ids.iter().map(u32::to_string).collect();
+        let noun = if ids.len() == 1 {
+            "process"
+        } else {
+            "processes"
+        };
+        write!(f, "{noun} {}", ids.join(", "))
+    }
+}
+
+fn port_of_this_machine(url: &str) -> Option<u16> {
+    let (_, rest) = url.split_once("://")?;
+    let authority = rest.split(['/', '?']).next()?;
+    let (host, port) = authority.rsplit_once(':')?;
+    let here = host == "localhost" || host == "[::1]" || host.starts_with("127.");
+    port.parse().ok().filter(|_| here)
+}
+
+/// Sockets that listen at a port, as links in a process's fd folder name them.
+fn sockets(port: u16) -> Vec<String> {
+    let tables = ["/proc/net/tcp", "/proc/net/tcp6"].map(fs::read_to_string);
+    let of_port = format!(":{port:04X}");
+    let lines = tables.iter().flatten().flat_map(|table| table.lines());
+    lines
+        .filter_map(|line| {
+            let fields: Vec<&str> = line.split_whitespace().collect();
+            let listens = fields.get(1)?.ends_with(&of_port) && *fields.get(3)? == LISTENING;
+            listens.then(|| fields.get(9).map(|inode| format!("socket:[{inode}]")))?
+        })
+        .collect()
+}
+
+fn holds(folder: &Path, sockets: &[String]) -> bool {
+    let Ok(entries) = fs::read_dir(folder) else {
+        return false;
+    };
+    let mut links = entries
+        .flatten()
+        .filter_map(|entry| fs::read_link(entry.path()).ok());
+    links.any(|link| {
+        link.to_str()
+            .is_some_and(|it| sockets.iter().any(|s| s == it))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_addresses_of_this_machine_have_a_port_here() {
+        assert_eq!(port_of_this_machine("grpc://127.0.0.1:5000/x"), Some(5000));
+        assert_eq!(
+            port_of_this_machine("ws://[::1]:8000?execute=5"),
+            Some(8000)
+        );
+        assert_eq!(port_of_this_machine("https://localhost:1"), Some(1));
+        assert_eq!(port_of_this_machine("grpc://gpu1:5000"), None);
+        assert_eq!(port_of_this_machine("builtin:noop"), None);
+    }
+
+    #[test]
+    fn a_socket_that_listens_is_found_by_its_port() {
+        let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
+        let port = listener.local_addr().expect("bound").port();
+        let sockets = sockets(port);
+        assert_eq!(sockets.len(), 1);
+        assert!(holds(Path::new("/proc/self/fd"), &sockets));
+        // This very process is not the server of anybody.
+        let url = format!("grpc://127.0.0.1:{port}");
+        assert_eq!(Process::listening_at(&url), None);
+    }
+}

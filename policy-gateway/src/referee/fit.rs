@@ -1,0 +1,297 @@
+//! From one server's actions to the other's: the simplest map that leads there.
+//! Each of an action's seven numbers is the same, or scaled and moved; the gripper
+//! may be told in another convention, and the chunk may begin elsewhere. Pure.
+
+use super::{answers::Answers, server::Action};
+
+/// The gripper's place in an action.
+pub const GRIPPER: usize = 6;
+/// Smallest share of a number's variation that a scale must leave: less is an answer
+/// that does not follow the other one.
+const LEAST_SCALE: f64 = 1e-3;
+
+/// What becomes of one number of an action.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Map {
+    /// Nothing.
+    Same,
+    /// The gripper in another convention.
+    Gripper(Convention),
+    /// Scaled and moved.
+    Affine {
+        /// Factor.
+        scale: f64,
+        /// Summand, after scaling.
+        offset: f64,
+    },
+}
+
+/// How the gripper may be told: what the second server's number is, where the
+/// first one's is −1 open, 1 closed, or the other way round.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Convention {
+    /// Of the other sign.
+    Inverted,
+    /// From −1..1 to 0..1.
+    Share,
+    /// From −1..1 to 1..0.
+    InvertedShare,
+    /// From 0..1 to −1..1.
+    FromShare,
+    /// From 0..1 to 1..−1.
+    FromInvertedShare,
+    /// −1 or 1 only.
+    Sign,
+}
+
+impl Convention {
+    const ALL: [Self; 6] = [
+        Self::Inverted,
+        Self::Share,
+        Self::InvertedShare,
+        Self::FromShare,
+        Self::FromInvertedShare,
+        Self::Sign,
+    ];
+
+    fn of(self, number: f64) -> f64 {
+        match self {
+            Self::Inverted => -number,
+            Self::Share => (number + 1.0) / 2.0,
+            Self::InvertedShare => (1.0 - number) / 2.0,
+            Self::FromShare => 2.0 * number - 1.0,
+            Self::FromInvertedShare => 1.0 - 2.0 * number,
+            Self::Sign => number.signum(),
+        }
+    }
+}
+
+impl Map {
+    fn of(self, number: f64) -> f64 {
+        match self {
+            Self::Same => number,
+            Self::Gripper(convention) => convention.of(number),
+            Self::Affine { scale, offset } => scale * number + offset,
+        }
+    }
+
+    /// What has to be believed for it: an affine map has two parameters.
+    fn cost(self) -> u32 {
+        match self {
+            Self::Same => 0,
+            Self::Gripper(_) => 1,
+            Self::Affine { .. } => 2,
+        }
+    }
+}
+
+/// How far numbers may lie apart, root mean square, and still be the same: by
+/// number of an action.
+pub type Limit = Action;
+
+/// A map from one server's actions to the other's.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Fit {
+    /// The second server's first action is the first one's with this index; if it
+    /// is below 0, the other way round.
+    pub shift: i32,
+    /// By number of an action.
+    pub maps: [Map; 7],
+    /// What is left between them, root mean square, by number of an action.
+    pub left: Action,
+    /// Whether what is left is within the limit.
+    pub explains: bool,
+}
+
+impl Fit {
+    /// What has to be believed for it.
+    pub fn cost(&self) -> u32 {
+        let maps: u32 = self.maps.iter().map(|map| map.cost()).sum();
+        maps + u32::from(self.shift != 0)
+    }
+
+    /// Whether nothing has to be changed.
+    pub fn is_identity(&self) -> bool {
+        self.cost() == 0
+    }
+
+    /// Whether what is left is within another limit.
+    pub fn is_within(&self, limit: &Limit) -> bool {
+        self.left
+            .iter()
+            .zip(limit)
+            .all(|(left, limit)| left <= limit)
+    }
+
+    /// What is left in all, in units of the limit.
+    pub fn remainder(&self, limit: &Limit) -> f64 {
+        let shares = self.left.iter().zip(limit);
+        shares
+            .map(|(left, limit)| (left / limit).powi(2))
+            .sum::<f64>()
+            .sqrt()
+    }
+}
+
+/// The simplest map from `one` to `other` that explains their difference; if none
+/// does, the best without a shift.
+pub fn fit(one: &Answers, other: &Answers, limit: &Limit) -> Fit {
+    let aligned = at_shift(one, other, 0, limit);
+    if aligned.explains && aligned.is_identity() {
+        return aligned;
+    }
+    let pairs = one.chunks.iter().zip(&other.chunks);
+    let shortest = pairs.map(|(a, b)| a.len().min(b.len())).min().unwrap_or(0);
+    // Half of the chunk must still be there to be compared.
+    let furthest = (shortest / 2) as i32;
+    let shifts = (1..=furthest).flat_map(|by| [by, -by]);
+    let shifted = shifts.map(|shift| at_shift(one, other, shift, limit));
+    let explaining = shifted.filter(|fit| fit.explains);
+    let simplest = explaining.min_by(|a, b| {
+        let by_rest = || a.remainder(limit).total_cmp(&b.remainder(limit));
+        a.cost().cmp(&b.cost()).then_with(by_rest)
+    });
+    match simplest {
+        Some(fit) if !aligned.explains || fit.cost() < aligned.cost() => fit,
+        _ => aligned,
+    }
+}
+
+fn at_shift(one: &Answers, other: &Answers, shift: i32, limit: &Limit) -> Fit {
+    let (skip_one, skip_other) = (shift.max(0) as usize, (-shift).max(0) as usize);
+    let chunks = one.chunks.iter().zip(&other.chunks);
+    let rows: Vec<(&Action, &Action)> = chunks
+        .flat_map(|(a, b)| a.iter().skip(skip_one).zip(b.iter().skip(skip_other)))
+        .collect();
+    let mut fit = Fit {
+        shift,
+        maps: [Map::Same; 7],
+        left: [0.0; 7],
+        explains: true,
+    };
+    for at in 0..7 {
+        let numbers: Vec<(f64, f64)> = rows.iter().map(|(a, b)| (a[at], b[at])).collect();
+        let mut simplest = (Map::Same, left(&numbers, Map::Same));
+        if simplest.1 > limit[at] {
+            let conventions = Convention::ALL.map(Map::Gripper);
+            let conventions = conventions.into_iter().filter(|_| at == GRIPPER);
+            for map in conventions.chain(affine(&numbers)) {
+                let left = left(&numbers, map);
+                // The first that explains it is the simplest.
+                if simplest.1 > limit[at] && left < simplest.1 {
+                    simplest = (map, left);
+                }
+            }
+        }
+        fit.explains &= simplest.1 <= limit[at];
+        (fit.maps[at], fit.left[at]) = simplest;
+    }
+    fit
+}
+
+/// What a map leaves between pairs of numbers, root mean square.
+fn left(numbers: &[(f64, f64)], map: Map) -> f64 {
+    let squares = numbers.iter().map(|(a, b)| (map.of(*a) - b).powi(2));
+    (squares.sum::<f64>() / numbers.len().max(1) as f64).sqrt()
+}
+
+/// Scale and offset by least squares. None of too few pairs, or where the second
+/// number does not follow the first one.
+fn affine(numbers: &[(f64, f64)]) -> Option<Map> {
+    let count = numbers.len() as f64;
+    if numbers.len() < 4 {
+        return None;
+    }
+    let mean = |of: fn(&(f64, f64)) -> f64| numbers.iter().map(of).sum::<f64>() / count;
+    let (mean_a, mean_b) = (mean(|it| it.0), mean(|it| it.1));
+    let varied: f64 = numbers.iter().map(|(a, _)| (a - mean_a).powi(2)).sum();
+    let together: f64 = numbers
+        .iter()
+        .map(|(a, b)| (a - mean_a) * (b - mean_b))
+        .sum();
+    let scale = match varied / count > 1e-12 {
+        true => together / varied,
+        // A number that never changes: only an offset can be seen.
+        false => 1.0,
+    };
+    (scale.abs() >= LEAST_SCALE).then_some(Map::Affine {
+        scale,
+        offset: mean_b - scale * mean_a,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LIMIT: Limit = [1e-3; 7];
+
+    /// Eight chunks of four actions without pattern.
+    fn answers() -> Answers {
+        let number = |situation: usize, row: usize, at: usize| {
+            ((situation * 37 + row * 11 + at * 5) as f64 * 1.7).sin() * 0.8
+        };
+        let chunk = |situation: usize| {
+            (0..4).map(move |row| std::array::from_fn(|at| number(situation, row, at)))
+        };
+        Answers {
+            chunks: (0..8).map(|situation| chunk(situation).collect()).collect(),
+            spread: [0.0; 7],
+        }
+    }
+
+    fn changed(change: impl Fn(&mut Action)) -> Answers {
+        let mut other = answers();
+        other.chunks.iter_mut().flatten().for_each(change);
+        other
+    }
+
+    #[test]
+    fn the_same_actions_need_no_map_and_others_have_none() {
+        let same = fit(&answers(), &changed(|it| it[2] += 1e-4), &LIMIT);
+        assert!(same.explains && same.is_identity());
+        let squared = changed(|it| it[2] = it[2] * it[2]);
+        let other = fit(&answers(), &squared, &LIMIT);
+        assert!(!other.explains);
+        let constant = changed(|it| *it = [0.3; 7]);
+        assert!(!fit(&answers(), &constant, &LIMIT).explains);
+    }
+
+    #[test]
+    fn a_gripper_is_told_in_another_convention_before_it_is_scaled() {
+        for convention in Convention::ALL {
+            let other = changed(|it| it[GRIPPER] = convention.of(it[GRIPPER]));
+            let found = fit(&answers(), &other, &LIMIT);
+            assert_eq!(found.maps[GRIPPER], Map::Gripper(convention));
+            assert!(found.explains && found.cost() == 1);
+        }
+        let scaled = fit(&answers(), &changed(|it| it[GRIPPER] *= 0.04), &LIMIT);
+        let Map::Affine { scale, offset } = scaled.maps[GRIPPER] else {
+            panic!("{scaled:?}");
+        };
+        assert!((scale - 0.04).abs() < 1e-9 && offset.abs() < 1e-9);
+    }
+
+    #[test]
+    fn scale_and_offset_of_a_number_are_found() {
+        let found = fit(&answers(), &changed(|it| it[1] = 0.5 * it[1] - 0.2), &LIMIT);
+        let Map::Affine { scale, offset } = found.maps[1] else {
+            panic!("{found:?}");
+        };
+        assert!((scale - 0.5).abs() < 1e-9 && (offset + 0.2).abs() < 1e-9);
+        assert!(found.explains && found.cost() == 2);
+    }
+
+    #[test]
+    fn a_chunk_that_begins_later_is_told_from_one_that_begins_earlier() {
+        for (skip, shift) in [(1, 1), (2, 2)] {
+            let mut later = answers();
+            for chunk in &mut later.chunks {
+                chunk.rotate_left(skip);
+                chunk[4 - skip..].fill([0.1; 7]);
+            }
+            assert_eq!(fit(&answers(), &later, &LIMIT).shift, shift);
+            assert_eq!(fit(&later, &answers(), &LIMIT).shift, -shift);
+        }
+    }
+}

@@ -1,0 +1,152 @@
+//! Two servers and what both are shown. Responsible for asking: every situation,
+//! changed as told, with as many seeds as told.
+
+use proto::policy::{DescribeResponse, Observation};
+
+use super::{
+    answers::Answers,
+    server::{Action, RefereeError, Server},
+    situation::Situation,
+    variant::Variant,
+};
+
+/// First seed. No program of the field has it as its default.
+pub const SEED: u64 = 4_711;
+/// Queries of one episode, the same observation each time, of policies that keep
+/// their chunks to themselves: an answer alone would show one action of them.
+const HELD_QUERIES: u32 = 4;
+
+/// Which of the two.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Side {
+    /// The first one named.
+    A,
+    /// The other one.
+    B,
+}
+
+/// The two servers and the situations.
+pub struct Panel {
+    a: Server,
+    b: Server,
+    situations: Vec<Situation>,
+    /// Each as the servers are shown it, unless it is changed.
+    shown_to_a: Vec<Observation>,
+    shown_to_b: Vec<Observation>,
+    queries: u32,
+}
+
+impl Panel {
+    /// Prepares what both are shown.
+    ///
+    /// # Errors
+    /// When a server wants what the situations lack.
+    pub fn new(a: Server, b: Server, situations: Vec<Situation>) -> Result<Self, RefereeError> {
+        let shown = |server: &Server| -> Result<Vec<Observation>, RefereeError> {
+            let shown = situations
+                .iter()
+                .map(|it| it.observation(&server.described));
+            shown
+                .collect::<Result<_, _>>()
+                .map_err(|missing| RefereeError::Lacking {
+                    url: server.url.clone(),
+                    missing: missing.to_string(),
+                })
+        };
+        let (shown_to_a, shown_to_b) = (shown(&a)?, shown(&b)?);
+        let described = [&a.described, &b.described];
+        let one_by_one = described.iter().all(|it| it.horizon == 1);
+        let held = one_by_one && described.iter().any(|it| it.stateful);
+        Ok(Self {
+            shown_to_a,
+            shown_to_b,
+            situations,
+            queries: if held { HELD_QUERIES } else { 1 },
+            a,
+            b,
+        })
+    }
+
+    /// What a server says of itself.
+    pub fn described(&self, side: Side) -> &DescribeResponse {
+        &self.server(side).described
+    }
+
+    /// One of the two.
+    pub fn server(&self, side: Side) -> &Server {
+        match side {
+            Side::A => &self.a,
+            Side::B => &self.b,
+        }
+    }
+
+    /// How many situations there are.
+    pub fn situations(&self) -> usize {
+        self.situations.len()
+    }
+
+    /// What can be changed in what a server is shown.
+    pub fn variants(&self, side: Side) -> Vec<Variant> {
+        let other = match side {
+            Side::A => Side::B,
+            Side::B => Side::A,
+        };
+        let mut variants = Variant::all(self.described(side), self.described(other));
+        variants.retain(|it| {
+            self.situations
+                .iter()
+                .all(|situation| it.applies(situation))
+        });
+        variants
+    }
+
+    /// Asks a server about the first `count` situations, changed by `variants`, once
+    /// with each of `seeds(situation)`.
+    ///
+    /// # Errors
+    /// When it does not answer with actions.
+    pub async fn ask(
+        &self,
+        side: Side,
+        variants: &[Variant],
+        count: usize,
+        seeds: impl Fn(usize) -> Vec<u64>,
+    ) -> Result<Answers, RefereeError> {
+        let shown = match side {
+            Side::A => &self.shown_to_a,
+            Side::B => &self.shown_to_b,
+        };
+        let mut asked = vec![];
+        for (at, situation) in self.situations.iter().take(count).enumerate() {
+            let mut observation = shown[at].clone();
+            for variant in variants {
+                variant.apply(situation, &mut observation);
+            }
+            let mut answers = vec![];
+            for seed in seeds(at) {
+                answers.push(self.chunk(side, situation, &observation, seed).await?);
+            }
+            asked.push(answers);
+        }
+        Ok(Answers::of(asked))
+    }
+
+    /// One episode's actions.
+    async fn chunk(
+        &self,
+        side: Side,
+        situation: &Situation,
+        observation: &Observation,
+        seed: u64,
+    ) -> Result<Vec<Action>, RefereeError> {
+        let server = self.server(side);
+        let (suite, instruction) = (&situation.suite, &situation.instruction);
+        let mut episode = server.episode(suite, instruction, seed).await?;
+        let mut chunk = vec![];
+        for _ in 0..self.queries {
+            chunk.extend(episode.actions(observation.clone()).await?);
+        }
+        episode.end().await;
+        Ok(chunk)
+    }
+}

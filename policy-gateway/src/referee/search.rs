@@ -1,0 +1,198 @@
+//! Which of the usual differences between two pipelines makes one server answer as
+//! the other does. Responsible for the order: what needs least to be believed comes
+//! first.
+
+use super::{
+    answers::Answers,
+    fit::{Fit, Limit, fit},
+    panel::{Panel, Side},
+    server::RefereeError,
+    variant::{Topic, Variant},
+};
+
+/// Differences in what servers are shown that are found together.
+const MOST_TOGETHER: usize = 3;
+/// What a change must take away of what is left to be taken for a part of the
+/// explanation.
+const PROGRESS: f64 = 0.75;
+
+/// What an explanation may leave of a difference; more is another difference.
+const LEFT: f64 = 0.1;
+
+/// What both servers are asked with.
+pub struct Course<'a> {
+    /// The servers and the situations.
+    pub panel: &'a Panel,
+    /// Seeds by situation: several are averaged over.
+    pub seeds: &'a (dyn Fn(usize) -> Vec<u64> + Sync),
+    /// How much of a difference is none.
+    pub floor: Limit,
+    /// Whether several differences at once are looked for.
+    pub together: bool,
+}
+
+/// Changes to what is shown, and a map of the actions.
+#[derive(Clone, Debug)]
+pub struct Explanation {
+    /// What is shown to whom otherwise, so that the answers are alike.
+    pub shown: Vec<(Side, Variant)>,
+    /// From A's actions to B's.
+    pub fit: Fit,
+}
+
+impl Explanation {
+    fn cost(&self) -> u32 {
+        self.fit.cost() + self.shown.len() as u32
+    }
+}
+
+/// What came of a search.
+#[derive(Clone, Debug)]
+pub enum Found {
+    /// This makes them alike.
+    Explained(Explanation),
+    /// Nothing does; this comes closest.
+    Nothing(Explanation),
+}
+
+impl Course<'_> {
+    /// Looks for an explanation of what differs between the answers `a` and `b` to
+    /// the situations as they are. What a change explains by nine tenths it explains;
+    /// the last tenth is looked into by itself.
+    ///
+    /// # Errors
+    /// When a server does not answer with actions.
+    pub async fn search(&self, a: &Answers, b: &Answers) -> Result<Found, RefereeError> {
+        let mut limit = self.limit(fit(a, b, &[f64::INFINITY; 7]).left);
+        let plain = Explanation {
+            shown: vec![],
+            fit: fit(a, b, &limit),
+        };
+        let mut explained = match self.beyond(&plain, &limit, a, b).await? {
+            Found::Explained(explained) => explained,
+            nothing => return Ok(nothing),
+        };
+        while explained.shown.len() < MOST_TOGETHER && self.together {
+            let further = self.limit(explained.fit.left);
+            if further == limit || explained.fit.is_within(&self.floor) {
+                break;
+            }
+            limit = further;
+            let (one, other) = self.answers(&explained.shown, a, b).await?;
+            let fit = fit(&one, &other, &limit);
+            let shown = explained.shown.clone();
+            match self
+                .beyond(&Explanation { shown, fit }, &limit, a, b)
+                .await?
+            {
+                Found::Explained(more) => explained = more,
+                Found::Nothing(_) => break,
+            }
+        }
+        Ok(Found::Explained(explained))
+    }
+
+    /// What is no difference any more beside one of this size.
+    fn limit(&self, apart: Limit) -> Limit {
+        std::array::from_fn(|at| self.floor[at].max(LEFT * apart[at]))
+    }
+
+    /// The simplest explanation that holds what is known already.
+    async fn beyond(
+        &self,
+        known: &Explanation,
+        limit: &Limit,
+        a: &Answers,
+        b: &Answers,
+    ) -> Result<Found, RefereeError> {
+        // Nothing that is shown otherwise could be simpler.
+        if known.fit.explains && known.fit.cost() <= 1 {
+            return Ok(Found::Explained(known.clone()));
+        }
+        let rest = |it: &Explanation| it.fit.remainder(limit);
+        let mut closest = known.clone();
+        let mut explanations: Vec<Explanation> = known
+            .fit
+            .explains
+            .then_some(known)
+            .cloned()
+            .into_iter()
+            .collect();
+        let depth = match self.together {
+            true => MOST_TOGETHER - known.shown.len(),
+            false => 1,
+        };
+        for _ in 0..depth {
+            let mut candidates = vec![];
+            for shown in self.further(&closest.shown) {
+                let (one, other) = self.answers(&shown, a, b).await?;
+                let fit = fit(&one, &other, limit);
+                candidates.push(Explanation { shown, fit });
+            }
+            explanations.extend(candidates.iter().filter(|it| it.fit.explains).cloned());
+            let simplest = explanations.iter().min_by(|one, other| {
+                let by_rest = || rest(one).total_cmp(&rest(other));
+                one.cost().cmp(&other.cost()).then_with(by_rest)
+            });
+            if let Some(simplest) = simplest {
+                return Ok(Found::Explained(simplest.clone()));
+            }
+            let nearest = candidates
+                .into_iter()
+                .min_by(|one, other| rest(one).total_cmp(&rest(other)));
+            match nearest {
+                Some(nearest) if rest(&nearest) < PROGRESS * rest(&closest) => closest = nearest,
+                _ => break,
+            }
+        }
+        Ok(Found::Nothing(closest))
+    }
+
+    /// One change more than these, on a topic that they do not touch.
+    fn further(&self, shown: &[(Side, Variant)]) -> Vec<Vec<(Side, Variant)>> {
+        let touched: Vec<Topic> = shown.iter().map(|(_, it)| it.topic()).collect();
+        let mut further = vec![];
+        for side in [Side::A, Side::B] {
+            for variant in self.panel.variants(side) {
+                let again = side == Side::B
+                    && variant.is_its_own_inverse()
+                    && self.panel.variants(Side::A).contains(&variant);
+                if !again && !touched.contains(&variant.topic()) {
+                    further.push([shown, &[(side, variant)]].concat());
+                }
+            }
+        }
+        further
+    }
+
+    /// Answers of both where this is shown otherwise.
+    async fn answers(
+        &self,
+        shown: &[(Side, Variant)],
+        a: &Answers,
+        b: &Answers,
+    ) -> Result<(Answers, Answers), RefereeError> {
+        let one = self.changed(Side::A, shown).await?;
+        let other = self.changed(Side::B, shown).await?;
+        Ok((
+            one.unwrap_or_else(|| a.clone()),
+            other.unwrap_or_else(|| b.clone()),
+        ))
+    }
+
+    /// Answers of one side to what it is shown otherwise, if anything.
+    async fn changed(
+        &self,
+        side: Side,
+        shown: &[(Side, Variant)],
+    ) -> Result<Option<Answers>, RefereeError> {
+        let of_side = shown.iter().filter(|(whose, _)| *whose == side);
+        let variants: Vec<Variant> = of_side.map(|(_, variant)| variant.clone()).collect();
+        if variants.is_empty() {
+            return Ok(None);
+        }
+        let all = self.panel.situations();
+        let answers = self.panel.ask(side, &variants, all, self.seeds).await?;
+        Ok(Some(answers))
+    }
+}

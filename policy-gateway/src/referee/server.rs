@@ -1,0 +1,234 @@
+//! A server that is asked: any back-end of a route, directly, so that what it
+//! answers is seen as it is.
+
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicU32, Ordering},
+    },
+    time::{Duration, Instant},
+};
+
+use proto::policy::{DescribeResponse, InferRequest, InferResponse, Observation, ResetRequest};
+use thiserror::Error;
+use transport::{Access, chain};
+
+use crate::{
+    backend::{Backend, BackendError, open::open},
+    check::{self, ActionFault, DescriptionFault},
+    config::{BackendSpec, UnusableBackend},
+    recording::RecordingError,
+};
+
+/// Longest wait for an answer: models that are compiled at their first query take
+/// minutes.
+pub const PATIENCE: Duration = Duration::from_secs(600);
+
+/// One action: translation (3), rotation (3), gripper.
+pub type Action = [f64; 7];
+
+/// A server that says what it is.
+pub struct Server {
+    /// As given.
+    pub url: String,
+    /// What it says of itself.
+    pub described: DescribeResponse,
+    backend: Arc<dyn Backend>,
+    /// Sessions opened so far.
+    sessions: AtomicU32,
+    /// Tells this run's sessions from those of another.
+    run: u32,
+}
+
+/// An episode at a server.
+pub struct Episode<'a> {
+    server: &'a Server,
+    session: String,
+    next_query: u32,
+}
+
+/// An answer as it came, and how long it took.
+pub struct Timed {
+    /// Unchecked.
+    pub response: InferResponse,
+    /// From question to answer.
+    pub took: Duration,
+}
+
+impl Server {
+    /// Asks the server of a route what it is.
+    ///
+    /// # Errors
+    /// When it cannot be reached, or describes what cannot be.
+    pub async fn connect(
+        spec: &BackendSpec,
+        access: &Access,
+        suite: &str,
+    ) -> Result<Self, RefereeError> {
+        let url = spec.to_string();
+        let backend = open(spec, access)?;
+        let described = in_time(&url, backend.describe(suite)).await?;
+        if let Err(fault) = check::description(&described) {
+            return Err(RefereeError::Description { url, fault });
+        }
+        Ok(Self {
+            url,
+            described,
+            backend,
+            sessions: AtomicU32::new(0),
+            run: std::process::id(),
+        })
+    }
+
+    /// Starts an episode.
+    ///
+    /// # Errors
+    /// When the server refuses it.
+    pub async fn episode(
+        &self,
+        suite: &str,
+        instruction: &str,
+        seed: u64,
+    ) -> Result<Episode<'_>, RefereeError> {
+        let number = self.sessions.fetch_add(1, Ordering::Relaxed);
+        let session = format!("referee {}: {number}", self.run);
+        let request = ResetRequest {
+            policy: String::new(),
+            session: session.clone(),
+            suite: suite.to_owned(),
+            instruction: instruction.to_owned(),
+            seed,
+        };
+        in_time(&self.url, self.backend.reset(request)).await?;
+        Ok(Episode {
+            server: self,
+            session,
+            next_query: 0,
+        })
+    }
+
+    /// Queries asked so far are spread over this many episodes.
+    pub fn episodes(&self) -> u32 {
+        self.sessions.load(Ordering::Relaxed)
+    }
+
+    /// Checks that an answer is a chunk of actions, and returns them.
+    ///
+    /// # Errors
+    /// When it is none.
+    pub fn actions(&self, response: &InferResponse) -> Result<Vec<Action>, ActionFault> {
+        check::actions(response, self.described.horizon)?;
+        let rows = response.actions.chunks_exact(7);
+        Ok(rows
+            .map(|row| std::array::from_fn(|at| f64::from(row[at])))
+            .collect())
+    }
+}
+
+impl Episode<'_> {
+    /// Asks the next query.
+    ///
+    /// # Errors
+    /// When the server refuses it, or does not answer within [`PATIENCE`].
+    pub async fn ask(&mut self, observation: Observation) -> Result<Timed, RefereeError> {
+        let request = InferRequest {
+            policy: String::new(),
+            session: self.session.clone(),
+            query_index: self.next_query,
+            observation: Some(observation),
+        };
+        self.next_query += 1;
+        let asked = Instant::now();
+        let response = in_time(&self.server.url, self.server.backend.infer(request)).await?;
+        Ok(Timed {
+            response,
+            took: asked.elapsed(),
+        })
+    }
+
+    /// The same, and the answer must be a chunk of actions.
+    ///
+    /// # Errors
+    /// As [`Episode::ask`], or when it is none.
+    pub async fn actions(&mut self, observation: Observation) -> Result<Vec<Action>, RefereeError> {
+        let answer = self.ask(observation).await?;
+        let actions = self.server.actions(&answer.response);
+        actions.map_err(|fault| RefereeError::Nonsense {
+            url: self.server.url.clone(),
+            fault,
+        })
+    }
+
+    /// Says that the episode is over.
+    pub async fn end(self) {
+        let end = self.server.backend.end(&self.session);
+        // A server that does not answer to that loses nothing.
+        let _ = tokio::time::timeout(Duration::from_secs(5), end).await;
+    }
+}
+
+async fn in_time<T>(
+    url: &str,
+    answer: impl Future<Output = Result<T, BackendError>>,
+) -> Result<T, RefereeError> {
+    let answer = tokio::time::timeout(PATIENCE, answer).await;
+    let answer = answer.map_err(|_| RefereeError::Silent {
+        url: url.to_owned(),
+    })?;
+    answer.map_err(|error| RefereeError::Answer {
+        url: url.to_owned(),
+        problem: chain(&error),
+    })
+}
+
+/// Why servers cannot be judged. Reads after "failed to …".
+#[derive(Debug, Error)]
+pub enum RefereeError {
+    /// An address, access or recordings that are no use.
+    #[error(transparent)]
+    Backend(#[from] UnusableBackend),
+    /// Recordings that are no use.
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
+    /// It does not answer.
+    #[error("get an answer of {url} within {} s", PATIENCE.as_secs())]
+    Silent {
+        /// As given.
+        url: String,
+    },
+    /// It cannot be reached, or answers with an error.
+    #[error("get an answer of {url}: {problem}")]
+    Answer {
+        /// As given.
+        url: String,
+        /// What it said.
+        problem: String,
+    },
+    /// It describes itself as nothing that can be run.
+    #[error("use what {url} says of itself: {fault}; `policy-gateway check {url}` says more")]
+    Description {
+        /// As given.
+        url: String,
+        /// What is wrong.
+        fault: DescriptionFault,
+    },
+    /// It answers no actions.
+    #[error("compare what {url} answers: {fault}; `policy-gateway doctor {url}` says more")]
+    Nonsense {
+        /// As given.
+        url: String,
+        /// What is wrong.
+        fault: ActionFault,
+    },
+    /// The recordings lack something.
+    #[error(
+        "show {url} what was recorded: it wants {missing}, which the recordings lack; record a \
+         policy that wants them too, or leave --recorded out"
+    )]
+    Lacking {
+        /// As given.
+        url: String,
+        /// What.
+        missing: String,
+    },
+}

@@ -1,0 +1,148 @@
+//! A situation of the robot, complete enough to be shown to servers that want
+//! different things of it. Responsible for making the observation that a
+//! description asks for: frames of its size, readings of its kind.
+
+use proto::policy::{
+    DescribeResponse, Image, Observation, PrivilegedState, StateField, StateReading,
+};
+use thiserror::Error;
+
+use super::pose::{self, Quaternion};
+use crate::backend::openpi::frame::resize;
+
+/// What can be seen and read at one moment of an episode.
+#[derive(Clone, Debug, Default)]
+pub struct Situation {
+    /// Suite of the episode.
+    pub suite: String,
+    /// Its instruction.
+    pub instruction: String,
+    /// Frames by camera, row 0 at the BOTTOM.
+    pub frames: Vec<Image>,
+    /// Readings, each kind once.
+    pub readings: Vec<(StateField, Vec<f64>)>,
+    /// The simulator's own state.
+    pub privileged: Option<PrivilegedState>,
+}
+
+/// What a server wants and a situation does not have.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("{0}")]
+pub struct Missing(pub String);
+
+impl Situation {
+    /// What a server of this description is shown.
+    ///
+    /// # Errors
+    /// When it asks for something that is not there and cannot be derived.
+    pub fn observation(&self, described: &DescribeResponse) -> Result<Observation, Missing> {
+        let mut observation = Observation::default();
+        for camera in &described.cameras {
+            let frame = self.frames.iter().find(|it| it.camera == camera.name);
+            let frame = frame.ok_or_else(|| Missing(format!("frames of {:?}", camera.name)))?;
+            observation
+                .images
+                .push(resized(frame, camera.width, camera.height));
+        }
+        for field in described.state() {
+            let values = self
+                .reading(field)
+                .ok_or_else(|| Missing(format!("the robot reading {}", field.as_str_name())))?;
+            observation.state.push(StateReading {
+                field: field.into(),
+                values,
+            });
+        }
+        if described.privileged {
+            let state = self.privileged.clone();
+            let state = state.ok_or_else(|| Missing("the simulator's own state".to_owned()));
+            observation.privileged = Some(state?);
+        }
+        Ok(observation)
+    }
+
+    /// A reading: as it is there, or derived from another form of the
+    /// orientation.
+    pub fn reading(&self, field: StateField) -> Option<Vec<f64>> {
+        if let Some((_, values)) = self.readings.iter().find(|(known, _)| *known == field) {
+            return Some(values.clone());
+        }
+        let quaternion = self.quaternion()?;
+        match field {
+            StateField::EefQuatXyzw => Some(quaternion.to_vec()),
+            StateField::EefAxisAngle => Some(pose::axis_angle(quaternion).to_vec()),
+            StateField::EefRotation => Some(pose::matrix(quaternion).to_vec()),
+            _ => None,
+        }
+    }
+
+    /// The hand's orientation, from whichever form of it is there.
+    pub fn quaternion(&self) -> Option<Quaternion> {
+        self.readings
+            .iter()
+            .find_map(|(field, values)| match field {
+                StateField::EefQuatXyzw => values.as_slice().try_into().ok(),
+                StateField::EefAxisAngle => {
+                    let rotation = values.as_slice().try_into().ok()?;
+                    Some(pose::from_axis_angle(rotation))
+                }
+                StateField::EefRotation => {
+                    let matrix = values.as_slice().try_into().ok()?;
+                    Some(pose::from_matrix(matrix))
+                }
+                _ => None,
+            })
+    }
+}
+
+/// A frame in another size, as Pillow's bilinear filter makes it.
+pub fn resized(frame: &Image, width: u32, height: u32) -> Image {
+    let size = |width: u32, height: u32| [width as usize, height as usize];
+    let from = size(frame.width, frame.height);
+    if frame.rgb.len() != 3 * from[0] * from[1] || (frame.width, frame.height) == (width, height) {
+        return frame.clone();
+    }
+    Image {
+        camera: frame.camera.clone(),
+        width,
+        height,
+        rgb: resize(&frame.rgb, from, size(width, height)).into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proto::policy::CameraRequest;
+
+    use super::*;
+
+    #[test]
+    fn what_a_description_asks_for_is_made_from_what_there_is() {
+        let situation = Situation {
+            frames: vec![Image {
+                camera: "agentview".to_owned(),
+                width: 4,
+                height: 4,
+                rgb: vec![9; 48].into(),
+            }],
+            readings: vec![(StateField::EefAxisAngle, vec![0.0, 0.0, 1.0])],
+            ..Situation::default()
+        };
+        let mut described = DescribeResponse {
+            cameras: vec![CameraRequest {
+                name: "agentview".to_owned(),
+                width: 3,
+                height: 2,
+            }],
+            state: vec![StateField::EefQuatXyzw.into()],
+            ..DescribeResponse::default()
+        };
+        let made = situation.observation(&described).expect("it is there");
+        assert_eq!(made.images[0].rgb, vec![9; 18]);
+        assert!((made.state[0].values[3] - 0.5_f64.cos()).abs() < 1e-9);
+
+        described.state = vec![StateField::JointPos.into()];
+        let missing = situation.observation(&described).expect_err("no joints");
+        assert!(missing.to_string().contains("JOINT_POS"), "{missing}");
+    }
+}

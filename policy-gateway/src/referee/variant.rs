@@ -1,0 +1,423 @@
+//! Observations as another pipeline would show them: one mistake of the field's
+//! usual ones at a time. Pure.
+
+use std::fmt;
+
+use proto::policy::{DescribeResponse, Image, Observation, StateField};
+
+use super::{
+    layout::{self, Part, Parts},
+    pose,
+    situation::{Situation, resized},
+};
+
+/// One way in which an observation may be shown otherwise.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Variant {
+    /// Frames of some cameras turned over.
+    Turned(Turn, Option<String>),
+    /// Frames scaled to this width and height, and back.
+    Resized([u32; 2], Filter),
+    /// The first two cameras' frames exchanged.
+    CamerasSwapped,
+    /// Blue, green, red.
+    ColoursReversed,
+    /// Quaternions, and axis times angle, of the other sign.
+    Sign(SignRule),
+    /// The readings, end to end, hold these parts in place of what they are called.
+    State(Vec<Part>),
+}
+
+/// How a frame is turned over. As people see it: row 0 is its bottom.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Turn {
+    /// Top to bottom.
+    UpsideDown,
+    /// Left to right.
+    Mirrored,
+    /// By 180°, which is both.
+    Half,
+    /// By 90° to the left.
+    Left,
+    /// By 90° to the right.
+    Right,
+}
+
+/// Which of the two quaternions of an orientation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SignRule {
+    /// The other one, always.
+    Other,
+    /// The one whose w is not below 0.
+    PositiveW,
+}
+
+/// How pixels become fewer, and then more.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Filter {
+    /// As Pillow and TensorFlow do with a bilinear filter.
+    Bilinear,
+    /// By the mean of what a pixel covers, and by repeating it.
+    Mean,
+    /// By leaving pixels out, and by repeating them.
+    Nearest,
+}
+
+/// What a variant is about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Topic {
+    /// Frames turned over.
+    Orientation,
+    /// Frames in another resolution.
+    Size,
+    /// Which camera is which.
+    Cameras,
+    /// Channels of a frame.
+    Colours,
+    /// The sign of quaternions.
+    Sign,
+    /// What the robot's numbers mean.
+    State,
+}
+
+/// Widths and heights that networks of the field take, pixels.
+const SIDES: [u32; 7] = [64, 84, 112, 128, 160, 192, 224];
+
+impl Variant {
+    /// Every variant that can change what a server of this description sees, `other`
+    /// being that of the server it is compared with.
+    pub fn all(described: &DescribeResponse, other: &DescribeResponse) -> Vec<Self> {
+        let mut variants = vec![];
+        let cameras = &described.cameras;
+        let each = || cameras.iter().map(|it| Some(it.name.clone()));
+        let groups: Vec<Option<String>> = match cameras.len() {
+            0 => vec![],
+            1 => vec![None],
+            _ => [None].into_iter().chain(each()).collect(),
+        };
+        let is_square = cameras.iter().all(|it| it.width == it.height);
+        for turn in Turn::ALL {
+            if is_square || !matches!(turn, Turn::Left | Turn::Right) {
+                variants.extend(groups.iter().map(|group| Self::Turned(turn, group.clone())));
+            }
+        }
+        if let [one, two, ..] = &cameras[..]
+            && (one.width, one.height) == (two.width, two.height)
+        {
+            variants.push(Self::CamerasSwapped);
+        }
+        if !cameras.is_empty() {
+            variants.push(Self::ColoursReversed);
+        }
+        let orientations = [StateField::EefQuatXyzw, StateField::EefAxisAngle];
+        if described.state().any(|field| orientations.contains(&field)) {
+            variants.push(Self::Sign(SignRule::Other));
+            variants.push(Self::Sign(SignRule::PositiveW));
+        }
+        let fields: Vec<StateField> = described.state().collect();
+        let fields_of_other: Vec<StateField> = other.state().collect();
+        let layouts = layout::others(&fields, &fields_of_other);
+        variants.extend(layouts.into_iter().map(Self::State));
+        variants.extend(sizes(described, other));
+        variants
+    }
+
+    /// What it is about.
+    pub fn topic(&self) -> Topic {
+        match self {
+            Self::Turned(..) => Topic::Orientation,
+            Self::Resized(..) => Topic::Size,
+            Self::CamerasSwapped => Topic::Cameras,
+            Self::ColoursReversed => Topic::Colours,
+            Self::Sign(_) => Topic::Sign,
+            Self::State(_) => Topic::State,
+        }
+    }
+
+    /// Whether the situation has what it needs.
+    pub fn applies(&self, situation: &Situation) -> bool {
+        match self {
+            Self::State(parts) => layout::numbers(parts, situation).is_some(),
+            _ => true,
+        }
+    }
+
+    /// Whether done twice it is undone, so that it makes no difference which of two
+    /// servers is shown it.
+    pub fn is_its_own_inverse(&self) -> bool {
+        match self {
+            Self::Turned(turn, _) => !matches!(turn, Turn::Left | Turn::Right),
+            Self::Resized(..) | Self::Sign(SignRule::PositiveW) | Self::State(_) => false,
+            Self::CamerasSwapped | Self::ColoursReversed | Self::Sign(SignRule::Other) => true,
+        }
+    }
+
+    /// Changes an observation that was made of this situation.
+    pub fn apply(&self, situation: &Situation, observation: &mut Observation) {
+        match self {
+            Self::Turned(turn, only) => {
+                for image in &mut observation.images {
+                    if only.as_ref().is_none_or(|it| *it == image.camera) {
+                        turn.apply(image);
+                    }
+                }
+            }
+            Self::Resized(size, filter) => {
+                for image in &mut observation.images {
+                    filter.apply(*size, image);
+                }
+            }
+            Self::CamerasSwapped => {
+                if let [one, two, ..] = &mut observation.images[..] {
+                    std::mem::swap(&mut one.rgb, &mut two.rgb);
+                }
+            }
+            Self::ColoursReversed => {
+                for image in &mut observation.images {
+                    let pixels = image.rgb.chunks_exact(3);
+                    let reversed = pixels.flat_map(|rgb| [rgb[2], rgb[1], rgb[0]]);
+                    image.rgb = reversed.collect::<Vec<u8>>().into();
+                }
+            }
+            Self::Sign(rule) => {
+                for reading in &mut observation.state {
+                    rule.apply(reading.field(), &mut reading.values);
+                }
+            }
+            Self::State(parts) => {
+                let Some(numbers) = layout::numbers(parts, situation) else {
+                    return;
+                };
+                let mut numbers = numbers.into_iter();
+                for value in observation.state.iter_mut().flat_map(|it| &mut it.values) {
+                    *value = numbers.next().unwrap_or_default();
+                }
+            }
+        }
+    }
+}
+
+/// Sizes other than the server's own, that of the other server first.
+fn sizes(described: &DescribeResponse, other: &DescribeResponse) -> Vec<Variant> {
+    let size = |it: &DescribeResponse| it.cameras.first().map(|it| [it.width, it.height]);
+    let Some([width, height]) = size(described) else {
+        return vec![];
+    };
+    let known = SIDES.map(|side| [side, side]);
+    let others = size(other).into_iter().chain(known);
+    let mut sizes: Vec<[u32; 2]> = vec![];
+    for [w, h] in others {
+        if w < width && h < height && !sizes.contains(&[w, h]) {
+            sizes.push([w, h]);
+        }
+    }
+    let filtered = |size| Filter::ALL.map(|filter| Variant::Resized(size, filter));
+    sizes.into_iter().flat_map(filtered).collect()
+}
+
+impl Filter {
+    /// All of them.
+    const ALL: [Self; 3] = [Self::Bilinear, Self::Mean, Self::Nearest];
+
+    /// Scales a frame to a smaller size, and back.
+    fn apply(self, [width, height]: [u32; 2], image: &mut Image) {
+        if self == Self::Bilinear {
+            let small = resized(image, width, height);
+            *image = resized(&small, image.width, image.height);
+            return;
+        }
+        let (large, small) = ([image.width, image.height], [width, height]);
+        let (large, small) = (large.map(|it| it as usize), small.map(|it| it as usize));
+        if image.rgb.len() != 3 * large[0] * large[1] {
+            return;
+        }
+        // The cell of the smaller frame that a place of the larger one lies in, and
+        // the places that belong to a cell.
+        let cell = |at: usize, axis: usize| (2 * at + 1) * small[axis] / (2 * large[axis]);
+        let begin = |cell: usize, axis: usize| cell * large[axis] / small[axis];
+        let places = |cell: usize, axis: usize| match self {
+            Self::Nearest => {
+                let middle = (2 * cell + 1) * large[axis] / (2 * small[axis]);
+                middle..middle + 1
+            }
+            _ => begin(cell, axis)..begin(cell + 1, axis),
+        };
+        let mean = |column: usize, row: usize, channel: usize| {
+            let (columns, rows) = (places(column, 0), places(row, 1));
+            let count = columns.len() * rows.len();
+            let levels = rows.flat_map(|row| {
+                let line = row * large[0];
+                columns
+                    .clone()
+                    .map(move |column| 3 * (line + column) + channel)
+            });
+            let sum: usize = levels.map(|at| usize::from(image.rgb[at])).sum();
+            ((sum + count / 2) / count) as u8
+        };
+        let mut cells = Vec::with_capacity(3 * small[0] * small[1]);
+        for row in 0..small[1] {
+            for column in 0..small[0] {
+                cells.extend((0..3).map(|channel| mean(column, row, channel)));
+            }
+        }
+        let mut back = Vec::with_capacity(image.rgb.len());
+        for row in 0..large[1] {
+            for column in 0..large[0] {
+                let at = 3 * (cell(row, 1) * small[0] + cell(column, 0));
+                back.extend_from_slice(&cells[at..at + 3]);
+            }
+        }
+        image.rgb = back.into();
+    }
+}
+
+impl Turn {
+    /// All of them.
+    const ALL: [Self; 5] = [
+        Self::UpsideDown,
+        Self::Half,
+        Self::Mirrored,
+        Self::Left,
+        Self::Right,
+    ];
+
+    fn apply(self, image: &mut Image) {
+        let (width, height) = (image.width as usize, image.height as usize);
+        if image.rgb.len() != 3 * width * height {
+            return;
+        }
+        let from = |row: usize, column: usize| match self {
+            Self::UpsideDown => (height - 1 - row, column),
+            Self::Mirrored => (row, width - 1 - column),
+            Self::Half => (height - 1 - row, width - 1 - column),
+            // Of square frames. Rows count from the bottom.
+            Self::Left => (width - 1 - column, row),
+            Self::Right => (column, height - 1 - row),
+        };
+        let mut turned = Vec::with_capacity(image.rgb.len());
+        for row in 0..height {
+            for column in 0..width {
+                let (row, column) = from(row, column);
+                let at = 3 * (row * width + column);
+                turned.extend_from_slice(&image.rgb[at..at + 3]);
+            }
+        }
+        image.rgb = turned.into();
+    }
+}
+
+impl SignRule {
+    fn apply(self, field: StateField, values: &mut [f64]) {
+        let quaternion = match (field, &*values) {
+            (StateField::EefQuatXyzw, &[x, y, z, w]) => [x, y, z, w],
+            (StateField::EefAxisAngle, &[x, y, z]) => pose::from_axis_angle([x, y, z]),
+            _ => return,
+        };
+        if self == Self::PositiveW && quaternion[3] >= 0.0 {
+            return;
+        }
+        let other = quaternion.map(|it| -it);
+        match field {
+            StateField::EefQuatXyzw => values.copy_from_slice(&other),
+            _ => values.copy_from_slice(&pose::axis_angle(other)),
+        }
+    }
+}
+
+impl fmt::Display for Variant {
+    /// What was done to the observation: "its frames turned by 180°".
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Turned(turn, only) => {
+                match only {
+                    None => write!(f, "frames ")?,
+                    Some(camera) => write!(f, "frames of {camera} ")?,
+                }
+                f.write_str(match turn {
+                    Turn::UpsideDown => "flipped vertically",
+                    Turn::Mirrored => "mirrored left to right",
+                    Turn::Half => "turned by 180°",
+                    Turn::Left => "turned by 90° to the left",
+                    Turn::Right => "turned by 90° to the right",
+                })
+            }
+            Self::Resized([width, height], filter) => {
+                let filter = match filter {
+                    Filter::Bilinear => "bilinear",
+                    Filter::Mean => "means of pixels",
+                    Filter::Nearest => "nearest pixels",
+                };
+                write!(
+                    f,
+                    "frames scaled to {width} × {height} pixels and back ({filter})"
+                )
+            }
+            Self::CamerasSwapped => f.write_str("the frames of the two cameras exchanged"),
+            Self::ColoursReversed => f.write_str("frames in blue, green, red (BGR)"),
+            Self::Sign(SignRule::Other) => f.write_str("the quaternion's sign flipped"),
+            Self::Sign(SignRule::PositiveW) => {
+                f.write_str("the quaternion's sign chosen so that w is not negative")
+            }
+            Self::State(parts) => write!(f, "a state of {}", Parts(parts)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn image(rgb: &[u8]) -> Image {
+        Image {
+            camera: "agentview".to_owned(),
+            width: 2,
+            height: 2,
+            rgb: rgb
+                .iter()
+                .flat_map(|it| [*it; 3])
+                .collect::<Vec<u8>>()
+                .into(),
+        }
+    }
+
+    #[test]
+    fn frames_are_turned_as_people_see_them() {
+        // Bottom row 1 2, top row 3 4.
+        for (turn, expected) in [
+            (Turn::UpsideDown, [3, 4, 1, 2]),
+            (Turn::Mirrored, [2, 1, 4, 3]),
+            (Turn::Half, [4, 3, 2, 1]),
+            // The upper right corner becomes the upper left one.
+            (Turn::Left, [3, 1, 4, 2]),
+            (Turn::Right, [2, 4, 1, 3]),
+        ] {
+            let mut turned = image(&[1, 2, 3, 4]);
+            turn.apply(&mut turned);
+            assert_eq!(turned, image(&expected), "{turn:?}");
+        }
+    }
+
+    #[test]
+    fn frames_are_scaled_down_and_back_by_either_filter() {
+        for (filter, expected) in [(Filter::Mean, [2; 4]), (Filter::Nearest, [3; 4])] {
+            let mut scaled = image(&[1, 2, 2, 3]);
+            filter.apply([1, 1], &mut scaled);
+            assert_eq!(scaled, image(&expected), "{filter:?}");
+        }
+    }
+
+    #[test]
+    fn a_sign_is_flipped_in_either_form_of_the_orientation() {
+        let quaternion = [0.96, 0.0, 0.2, -0.196];
+        let mut values = quaternion.to_vec();
+        SignRule::PositiveW.apply(StateField::EefQuatXyzw, &mut values);
+        assert_eq!(values, quaternion.map(|it: f64| -it));
+        let kept = values.clone();
+        SignRule::PositiveW.apply(StateField::EefQuatXyzw, &mut values);
+        assert_eq!(values, kept);
+
+        let mut rotation = vec![3.0, 0.0, 0.0];
+        SignRule::Other.apply(StateField::EefAxisAngle, &mut rotation);
+        assert!((rotation[0] - (3.0 - 2.0 * std::f64::consts::PI)).abs() < 1e-9);
+    }
+}

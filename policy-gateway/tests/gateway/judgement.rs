@@ -1,0 +1,246 @@
+//! `compare` and `doctor` as programs: what they print, and how they end.
+
+use std::collections::BTreeSet;
+
+use policy_gateway::{backend::recorder::RecordInto, config::RouteSpec};
+use proto::policy::{Image, InferRequest, Observation, StateField, StateReading};
+use serde_json::Value;
+
+use crate::{
+    planted::{Planted, SIDE, hash, upside_down},
+    program::program,
+    support::{Running, infer, reloadable, reset, serve},
+};
+
+struct Ended {
+    status: Option<i32>,
+    printed: String,
+    complained: String,
+}
+
+/// Runs a command to its end, beside the servers of this test.
+async fn ended(arguments: &[&str]) -> Ended {
+    let mut command = program(arguments);
+    let output = tokio::task::spawn_blocking(move || command.output());
+    let output = output.await.expect("it runs").expect("the program starts");
+    Ended {
+        status: output.status.code(),
+        printed: String::from_utf8(output.stdout).expect("UTF-8"),
+        complained: String::from_utf8(output.stderr).expect("UTF-8"),
+    }
+}
+
+fn url(server: &Running) -> String {
+    format!("grpc://{}", server.address)
+}
+
+fn flipping() -> Planted {
+    Planted::sound().preparing(|seen| seen.frames.iter_mut().for_each(upside_down))
+}
+
+fn unopened() -> Planted {
+    Planted::sound().finishing(|actions| {
+        actions
+            .iter_mut()
+            .for_each(|it| it[6] = (it[6] + 1.0) / 2.0);
+    })
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_judgement_is_0_or_1_and_fits_80_columns() {
+    let (sound, flips) = (serve(Planted::sound()).await, serve(flipping()).await);
+    let (sound, flips, unopened) = (url(&sound), url(&flips), serve(unopened()).await);
+    let cases: [(&[&str], i32, &str, &str); 4] = [
+        (
+            &["compare", &sound, &sound],
+            0,
+            "pass  the same",
+            "the same",
+        ),
+        (
+            &["compare", &sound, &flips],
+            1,
+            "FAIL  frame orientation: B answers what A",
+            "not the same",
+        ),
+        (
+            &["doctor", &sound],
+            0,
+            "pass  the gripper opens",
+            "nothing found",
+        ),
+        (
+            &["doctor", &url(&unopened), "--episodes", "3"],
+            1,
+            "FAIL  the gripper opens: its number",
+            "found something",
+        ),
+    ];
+    for (arguments, status, holds, last) in cases {
+        let ended = ended(arguments).await;
+        let Ended {
+            printed,
+            complained,
+            ..
+        } = &ended;
+        assert_eq!(ended.status, Some(status), "{printed}{complained}");
+        let lines: Vec<&str> = printed.lines().collect();
+        assert!(lines.iter().any(|it| it.starts_with(holds)), "{printed}");
+        assert_eq!(lines.last(), Some(&last), "{printed}");
+        let widest = lines.iter().map(|it| it.chars().count()).max();
+        assert!(widest <= Some(80), "{printed}");
+    }
+}
+
+#[tokio::test]
+async fn what_cannot_be_asked_is_1_and_what_cannot_be_meant_2() {
+    let nobody = url_of_nobody().await;
+    let ask = ["compare", "builtin:noop", &nobody];
+    let unreachable = ended(&ask).await;
+    assert_eq!(unreachable.status, Some(1));
+    assert!(unreachable.printed.is_empty());
+    let words = format!("failed to get an answer of {nobody}");
+    assert!(
+        unreachable.complained.contains(&words),
+        "{}",
+        unreachable.complained
+    );
+    let wrong: [&[&str]; 4] = [
+        &["compare", "builtin:noop"],
+        &["compare", "builtin:noop", "http://h:1"],
+        &["doctor", "builtin:noop", "--suite", "libero_90"],
+        &["doctor", "builtin:noop", "--answer-within", "0"],
+    ];
+    for arguments in wrong {
+        assert_eq!(ended(arguments).await.status, Some(2), "{arguments:?}");
+    }
+}
+
+async fn url_of_nobody() -> String {
+    format!("grpc://{}", crate::support::unused_address().await)
+}
+
+/// The keys that a section of docs/JSON.md documents.
+fn documented(command: &str) -> BTreeSet<String> {
+    let page = include_str!("../../../docs/JSON.md");
+    let title = format!("`{command}`");
+    let mut sections = page.split("\n## ");
+    let section = sections
+        .find(|it| it.starts_with(&title))
+        .expect("a section");
+    let key = |line: &str| Some(line.strip_prefix("| `")?.split('`').next()?.to_owned());
+    section.lines().filter_map(key).collect()
+}
+
+fn keys(value: &Value, at: &str, found: &mut BTreeSet<String>) {
+    match value {
+        Value::Object(fields) => {
+            for (name, field) in fields {
+                let separator = if at.is_empty() { "" } else { "." };
+                let name = format!("{at}{separator}{name}");
+                keys(field, &name, found);
+                found.insert(name);
+            }
+        }
+        Value::Array(items) => {
+            for item in items {
+                keys(item, &format!("{at}[]"), found);
+            }
+        }
+        _ => {}
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn json_has_the_keys_that_are_documented() {
+    let mut other = flipping();
+    other.described.execute = 4;
+    let (sound, other) = (serve(Planted::sound()).await, serve(other).await);
+    let (sound, other) = (url(&sound), url(&other));
+    let compare = ["compare", &sound, &other, "--json"];
+    let doctor = ["doctor", &sound, "--episodes", "3", "--json"];
+    for (arguments, command, verdict) in [
+        (&compare[..], "policy-gateway compare", "is_same"),
+        (&doctor[..], "policy-gateway doctor", "is_sound"),
+    ] {
+        let ended = ended(arguments).await;
+        let printed: Value = serde_json::from_str(&ended.printed).expect("JSON");
+        let mut found = BTreeSet::new();
+        keys(&printed, "", &mut found);
+        assert_eq!(found, documented(command));
+        assert_eq!(printed[verdict], Value::Bool(ended.status == Some(0)));
+    }
+}
+
+/// An episode of two observations with noise in their frames.
+async fn record(folder: &std::path::Path) {
+    let server = serve(Planted::sound()).await;
+    let route: RouteSpec = format!("x={}", url(&server)).parse().expect("a route");
+    let record = Some(RecordInto {
+        folder: folder.to_owned(),
+        max_bytes: 1 << 30,
+    });
+    let (gateway, handle) = reloadable(vec![RouteSpec { record, ..route }]).await;
+    let mut client = gateway.client().await;
+    for session in ["one", "two", "three"] {
+        client.reset(reset("x", session)).await.expect("an episode");
+        for query_index in 0..2 {
+            let key = u64::from(query_index) + session.len() as u64 * 7;
+            let frame = |camera: &str, slot: u64| Image {
+                camera: camera.to_owned(),
+                width: SIDE as u32,
+                height: SIDE as u32,
+                rgb: (0..3 * (SIDE * SIDE) as u64)
+                    .map(|at| (127.0 + 100.0 * hash(&[key, slot, at / 40])) as u8)
+                    .collect::<Vec<u8>>()
+                    .into(),
+            };
+            let reading = |field: StateField, values: &[f64]| StateReading {
+                field: field.into(),
+                values: values.to_vec(),
+            };
+            let shift = 0.1 * hash(&[key]);
+            let observation = Observation {
+                images: vec![frame("agentview", 0), frame("robot0_eye_in_hand", 1)],
+                state: vec![
+                    reading(StateField::EefPos, &[0.1 + shift, 0.2, 0.3 - shift]),
+                    reading(StateField::EefAxisAngle, &[3.0, shift, 0.1]),
+                    reading(StateField::GripperPos, &[0.03, -0.03]),
+                ],
+                privileged: None,
+            };
+            let query = InferRequest {
+                observation: Some(observation),
+                ..infer("x", session, query_index)
+            };
+            client.infer(query).await.expect("an answer");
+        }
+    }
+    drop((client, handle));
+    gateway.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn recorded_observations_are_shown_in_place_of_made_up_ones() {
+    let folder = tempfile::tempdir().expect("a folder");
+    record(folder.path()).await;
+    let recorded = folder.path().to_str().expect("UTF-8");
+    let (sound, flips) = (serve(Planted::sound()).await, serve(flipping()).await);
+    let (sound, flips) = (url(&sound), url(&flips));
+    let compared = ended(&["compare", &sound, &flips, "--recorded", recorded]).await;
+    assert_eq!(compared.status, Some(1), "{}", compared.complained);
+    let words: Vec<&str> = compared.printed.split_whitespace().collect();
+    let words = words.join(" ");
+    for expected in ["frames flipped vertically", "to 6 observations"] {
+        assert!(words.contains(expected), "{words}");
+    }
+
+    let joints = serve(Planted::sound().with_state(&[StateField::JointPos])).await;
+    let lacking = ended(&["doctor", &url(&joints), "--recorded", recorded]).await;
+    assert_eq!(lacking.status, Some(1));
+    assert!(
+        lacking.complained.contains("JOINT_POS"),
+        "{}",
+        lacking.complained
+    );
+}

@@ -1,0 +1,253 @@
+//! A policy with a pipeline like those of the field, in which a test plants
+//! mistakes: a smooth function of its frames by position, its state, its
+//! instruction and its noise, in chunks of actions.
+
+use std::{
+    collections::HashMap,
+    sync::{
+        Mutex,
+        atomic::{AtomicU64, Ordering},
+    },
+};
+
+use proto::policy::{
+    CameraRequest, DescribeRequest, DescribeResponse, Image, InferBatchRequest, InferBatchResponse,
+    InferRequest, InferResponse, Language, ResetRequest, ResetResponse, StateField,
+    policy_server::Policy,
+};
+use tonic::{Request, Response, Status};
+
+/// One of its actions.
+pub(crate) type Action = [f64; 7];
+
+/// Side of its frames, pixels.
+pub(crate) const SIDE: usize = 128;
+/// Samples along a side of a frame, as a network has patches.
+const PATCHES: usize = 32;
+/// Actions that it computes beyond its horizon, for those that skip some.
+const BEYOND: usize = 4;
+
+/// What its network is given.
+pub(crate) struct Seen {
+    pub(crate) frames: Vec<Image>,
+    pub(crate) state: Vec<f64>,
+    pub(crate) instruction: String,
+    pub(crate) seed: u64,
+    /// How many queries came before, of all sessions.
+    pub(crate) asked_before: u64,
+}
+
+/// The policy, and what it does before and after its network.
+pub(crate) struct Planted {
+    pub(crate) described: DescribeResponse,
+    /// Size of its noise.
+    noise: f64,
+    prepare: Box<dyn Fn(&mut Seen) + Send + Sync>,
+    finish: Box<dyn Fn(&mut Vec<Action>) + Send + Sync>,
+    sessions: Mutex<HashMap<String, ResetRequest>>,
+    asked: AtomicU64,
+}
+
+impl Planted {
+    /// One that makes no mistakes: two cameras, eight numbers, chunks of eight.
+    pub(crate) fn sound() -> Self {
+        let camera = |name: &str| CameraRequest {
+            name: name.to_owned(),
+            width: SIDE as u32,
+            height: SIDE as u32,
+        };
+        let state = [
+            StateField::EefPos,
+            StateField::EefAxisAngle,
+            StateField::GripperPos,
+        ];
+        Self {
+            described: DescribeResponse {
+                protocol_version: proto::PROTOCOL_VERSION,
+                name: "planted".to_owned(),
+                cameras: ["agentview", "robot0_eye_in_hand"].map(camera).into(),
+                state: state.map(i32::from).into(),
+                horizon: 8,
+                execute: 8,
+                language: Language::FreeForm.into(),
+                ..DescribeResponse::default()
+            },
+            noise: 0.0,
+            prepare: Box::new(|_| {}),
+            finish: Box::new(|_| {}),
+            sessions: Mutex::default(),
+            asked: AtomicU64::new(0),
+        }
+    }
+
+    /// One that draws noise of this size from the seed.
+    pub(crate) fn drawing(noise: f64) -> Self {
+        let mut policy = Self::sound();
+        policy.described.stochastic = true;
+        Self { noise, ..policy }
+    }
+
+    /// Asks for another state.
+    pub(crate) fn with_state(mut self, fields: &[StateField]) -> Self {
+        self.described.state = fields.iter().map(|&field| field.into()).collect();
+        self
+    }
+
+    /// Changes what its network is given.
+    pub(crate) fn preparing(self, prepare: impl Fn(&mut Seen) + Send + Sync + 'static) -> Self {
+        let prepare = Box::new(prepare);
+        Self { prepare, ..self }
+    }
+
+    /// Changes what its network answers. There are some actions more than it answers.
+    pub(crate) fn finishing(
+        self,
+        finish: impl Fn(&mut Vec<Action>) + Send + Sync + 'static,
+    ) -> Self {
+        let finish = Box::new(finish);
+        Self { finish, ..self }
+    }
+
+    fn answer(&self, request: InferRequest) -> Result<InferResponse, Status> {
+        let sessions = self.sessions.lock().expect("no test panics here");
+        let reset = sessions.get(&request.session).cloned();
+        drop(sessions);
+        let reset = reset.ok_or_else(|| Status::unavailable("the session is not open"))?;
+        let observation = request.observation.unwrap_or_default();
+        let readings = observation.state.into_iter();
+        let mut seen = Seen {
+            state: readings.flat_map(|it| it.values).collect(),
+            frames: observation.images,
+            instruction: reset.instruction,
+            seed: reset.seed,
+            asked_before: self.asked.fetch_add(1, Ordering::SeqCst),
+        };
+        (self.prepare)(&mut seen);
+        let query = u64::from(request.query_index);
+        let horizon = self.described.horizon as usize;
+        let mut actions = network(&seen, query, horizon + BEYOND, self.noise);
+        (self.finish)(&mut actions);
+        let actions = actions.into_iter().take(horizon).flatten();
+        Ok(InferResponse {
+            actions: actions.map(|it| it as f32).collect(),
+            action_width: 7,
+        })
+    }
+}
+
+/// Between -1 and 1, another number for other words.
+pub(crate) fn hash(words: &[u64]) -> f64 {
+    let mut sum = 0x9e37_79b9_7f4a_7c15_u64;
+    for word in words {
+        sum = (sum ^ word).wrapping_mul(0xff51_afd7_ed55_8ccd);
+        sum = (sum ^ (sum >> 33)).wrapping_mul(0xc4ce_b9fe_1a85_ec53);
+        sum ^= sum >> 29;
+    }
+    (sum >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+}
+
+/// Chunks that change smoothly with everything that is seen.
+fn network(seen: &Seen, query: u64, count: usize, noise: f64) -> Vec<Action> {
+    let mut features = [0.0; 14];
+    for (slot, frame) in seen.frames.iter().enumerate() {
+        let (width, height) = (frame.width as usize, frame.height as usize);
+        let scale = 2.5 / (3.0 * (PATCHES * PATCHES) as f64).sqrt();
+        for patch in 0..PATCHES * PATCHES {
+            let (row, column) = (patch / PATCHES, patch % PATCHES);
+            let middle = |at: usize, of: usize| (2 * at + 1) * of / (2 * PATCHES);
+            let at = 3 * (middle(row, height) * width + middle(column, width));
+            for channel in 0..3 {
+                let level = f64::from(frame.rgb[at + channel]) / 127.5 - 1.0;
+                let place = (slot * PATCHES * PATCHES + patch) * 3 + channel;
+                for (feature, sum) in features.iter_mut().enumerate() {
+                    *sum += scale * level * weight(place, feature);
+                }
+            }
+        }
+    }
+    let text = seen.instruction.bytes().map(u64::from).collect::<Vec<_>>();
+    for (feature, sum) in features.iter_mut().enumerate() {
+        let feature = feature as u64;
+        for (at, number) in seen.state.iter().enumerate() {
+            let phase = 3.0 * hash(&[1, at as u64, feature]);
+            *sum += 0.25 * (2.0 * number + phase).sin();
+        }
+        *sum += 0.4 * hash(&[&[2, feature], &text[..]].concat());
+    }
+    let number = |row: usize, at: usize| {
+        let wave = (features[at] + (0.3 + 0.1 * at as f64) * row as f64).sin();
+        let chance = noise * hash(&[3, seen.seed, query, row as u64, at as u64]);
+        0.7 * (wave + 0.5 * features[7 + at]).tanh() + chance
+    };
+    (0..count)
+        .map(|row| std::array::from_fn(|at| number(row, at)))
+        .collect()
+}
+
+/// A network's weights: no place is like another.
+fn weight(place: usize, feature: usize) -> f64 {
+    static WEIGHTS: std::sync::OnceLock<Vec<f64>> = std::sync::OnceLock::new();
+    let all = 2 * PATCHES * PATCHES * 3 * 14;
+    let weights = WEIGHTS.get_or_init(|| (0..all as u64).map(|at| hash(&[4, at])).collect());
+    weights[place * 14 + feature]
+}
+
+/// Puts the rows of a frame into the opposite order.
+pub(crate) fn upside_down(frame: &mut Image) {
+    let rows = frame.rgb.chunks_exact(3 * frame.width as usize).rev();
+    frame.rgb = rows.flatten().copied().collect::<Vec<u8>>().into();
+}
+
+/// Halves a frame by the means of four pixels, and doubles it by repeating them.
+pub(crate) fn halved_and_doubled(frame: &mut Image) {
+    let width = frame.width as usize;
+    let old = frame.rgb.clone();
+    let level = |row: usize, column: usize, channel: usize| {
+        u32::from(old[3 * (row * width + column) + channel])
+    };
+    let number = |at: usize| {
+        let (row, column, channel) = (at / 3 / width, at / 3 % width, at % 3);
+        let (row, column) = (row & !1, column & !1);
+        let four = [(0, 0), (0, 1), (1, 0), (1, 1)];
+        let sum: u32 = four
+            .iter()
+            .map(|(down, right)| level(row + down, column + right, channel))
+            .sum();
+        (sum / 4) as u8
+    };
+    frame.rgb = (0..old.len()).map(number).collect::<Vec<u8>>().into();
+}
+
+#[tonic::async_trait]
+impl Policy for Planted {
+    async fn describe(
+        &self,
+        _: Request<DescribeRequest>,
+    ) -> Result<Response<DescribeResponse>, Status> {
+        Ok(Response::new(self.described.clone()))
+    }
+
+    async fn reset(
+        &self,
+        request: Request<ResetRequest>,
+    ) -> Result<Response<ResetResponse>, Status> {
+        let request = request.into_inner();
+        let mut sessions = self.sessions.lock().expect("no test panics here");
+        sessions.insert(request.session.clone(), request);
+        Ok(Response::new(ResetResponse {}))
+    }
+
+    async fn infer(
+        &self,
+        request: Request<InferRequest>,
+    ) -> Result<Response<InferResponse>, Status> {
+        self.answer(request.into_inner()).map(Response::new)
+    }
+
+    async fn infer_batch(
+        &self,
+        _: Request<InferBatchRequest>,
+    ) -> Result<Response<InferBatchResponse>, Status> {
+        Err(Status::unimplemented("one at a time"))
+    }
+}
