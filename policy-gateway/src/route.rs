@@ -202,18 +202,15 @@ impl Route {
     }
 
     /// Closes a session, if it is open, and tells every replica that had its
-    /// Reset; once a query under way is answered, for which nobody waits here.
-    pub fn end(&self, session: &str) {
+    /// Reset, once a query under way is answered.
+    pub async fn end(&self, session: &str) {
         let Some(open) = self.sessions().close(session) else {
             return;
         };
-        let session = session.to_owned();
-        tokio::spawn(async move {
-            let replicas = std::mem::take(&mut open.state.lock().await.open_on);
-            for replica in replicas {
-                replica.end(&session).await;
-            }
-        });
+        let replicas = std::mem::take(&mut open.state.lock().await.open_on);
+        for replica in replicas {
+            replica.end(session).await;
+        }
     }
 
     /// Asks one replica after the other, as far as the policy allows it.

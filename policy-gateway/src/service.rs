@@ -150,7 +150,7 @@ impl Policy for Gateway {
 
     async fn end(&self, request: Request<EndRequest>) -> Result<Response<EndResponse>, Status> {
         let request = request.into_inner();
-        self.route(&request.policy)?.end(&request.session);
+        self.route(&request.policy)?.end(&request.session).await;
         Ok(Response::new(EndResponse {}))
     }
 

@@ -7,7 +7,8 @@
 //! orders equals. A transaction that was undone, or that deleted a campaign,
 //! forgets everything.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::HashMap;
+use std::collections::btree_map::{BTreeMap, Entry};
 use std::sync::Arc;
 
 use attempt::{Pin, Provenance};
@@ -151,12 +152,13 @@ impl Cache {
         campaign: CampaignId,
         suite: Suite,
     ) -> Result<Option<Arc<Provenance>>, StoreError> {
-        let key = (campaign, suite);
-        if !self.measured.contains_key(&key) {
-            let stored = provenance::of_suite(tx, campaign, suite).await?;
-            self.measured.insert(key, stored.map(Arc::new));
-        }
-        Ok(self.measured[&key].clone())
+        Ok(match self.measured.entry((campaign, suite)) {
+            Entry::Occupied(known) => known.get().clone(),
+            Entry::Vacant(unknown) => {
+                let stored = provenance::of_suite(tx, campaign, suite).await?;
+                unknown.insert(stored.map(Arc::new)).clone()
+            }
+        })
     }
 
     /// The campaign has a result of a suite, and this is its origin.
