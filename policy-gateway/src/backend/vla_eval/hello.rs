@@ -6,7 +6,7 @@ use proto::policy::{DescribeResponse, Language, Setting, StateField};
 use rmpv::{Value, ValueRef};
 use sha2::{Digest, Sha256};
 
-use super::{VlaEvalAddress, message::VERSION};
+use super::{address::VlaEvalAddress, message::VERSION};
 use crate::backend::{
     numpy::{as_text, lookup, written},
     shown::camera,
