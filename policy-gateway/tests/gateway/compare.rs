@@ -202,8 +202,9 @@ async fn a_chunk_that_begins_later_is_named() {
 
 #[tokio::test]
 async fn what_a_seed_does_otherwise_is_named() {
-    let seeding = |change: fn(&mut Seen)| Planted::drawing(0.2).preparing(change);
-    let cases: [(fn(&mut Seen), &str); 4] = [
+    type Change = fn(&mut Seen);
+    let seeding = |change: Change| Planted::drawing(0.2).preparing(change);
+    let cases: [(Change, &str); 4] = [
         (|seen| seen.seed += 1, "one more than its own"),
         (|seen| seen.seed = 42, "seed 42, whatever its own seed is"),
         (|seen| seen.seed = seen.asked_before, "otherwise every time"),

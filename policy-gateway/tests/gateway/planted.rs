@@ -37,13 +37,16 @@ pub(crate) struct Seen {
     pub(crate) asked_before: u64,
 }
 
+/// What is done to a network's actions.
+type Finish = dyn Fn(&mut Vec<Action>) + Send + Sync;
+
 /// The policy, and what it does before and after its network.
 pub(crate) struct Planted {
     pub(crate) described: DescribeResponse,
     /// Size of its noise.
     noise: f64,
     prepare: Box<dyn Fn(&mut Seen) + Send + Sync>,
-    finish: Box<dyn Fn(&mut Vec<Action>) + Send + Sync>,
+    finish: Box<Finish>,
     sessions: Mutex<HashMap<String, ResetRequest>>,
     asked: AtomicU64,
 }
