@@ -5,7 +5,7 @@
 //! usual mistakes of one.
 //!
 //! [`situation`] is what is shown, [`made_up`] and [`recorded`] are where it comes
-//! from, [`variant`] and [`layout`] how it can be shown otherwise; [`server`] and
+//! from, [`variant`], [`filter`] and [`layout`] how it can be shown otherwise; [`server`] and
 //! [`panel`] ask; [`fit`] and [`search`] explain; [`difference`] and [`report`] are
 //! the words.
 
@@ -16,6 +16,7 @@ pub mod compare;
 pub mod descriptions;
 pub mod difference;
 pub mod doctor;
+pub mod filter;
 pub mod fit;
 pub mod layout;
 pub mod made_up;

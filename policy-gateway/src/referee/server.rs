@@ -107,11 +107,6 @@ impl Server {
         })
     }
 
-    /// Queries asked so far are spread over this many episodes.
-    pub fn episodes(&self) -> u32 {
-        self.sessions.load(Ordering::Relaxed)
-    }
-
     /// Checks that an answer is a chunk of actions, and returns them.
     ///
     /// # Errors

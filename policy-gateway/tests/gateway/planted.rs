@@ -37,16 +37,16 @@ pub(crate) struct Seen {
     pub(crate) asked_before: u64,
 }
 
-/// What a mistake does to what goes into the network or comes out of it.
-type Change<T> = Box<dyn Fn(&mut T) + Send + Sync>;
+/// What is done to a network's actions.
+type Finish = dyn Fn(&mut Vec<Action>) + Send + Sync;
 
 /// The policy, and what it does before and after its network.
 pub(crate) struct Planted {
     pub(crate) described: DescribeResponse,
     /// Size of its noise.
     noise: f64,
-    prepare: Change<Seen>,
-    finish: Change<Vec<Action>>,
+    prepare: Box<dyn Fn(&mut Seen) + Send + Sync>,
+    finish: Box<Finish>,
     sessions: Mutex<HashMap<String, ResetRequest>>,
     asked: AtomicU64,
 }

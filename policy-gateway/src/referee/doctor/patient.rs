@@ -90,11 +90,11 @@ impl<'a> Patient<'a> {
             }
             first.push(actions);
         }
-        for (at, before) in first.iter().enumerate().take(self.tried()) {
+        for (at, earlier) in first.iter().enumerate().take(self.tried()) {
             let shown = self.shown[at].clone();
             let response = self.ask(at, shown, Some(instruction)).await?;
             let again = answered.take(self.server, &response);
-            let apart = largest_difference(before, &again);
+            let apart = largest_difference(earlier, &again);
             answered.noise = answered.noise.max(apart);
         }
         let mut episode = self.server.episode(suite, instruction, SEED).await?;
