@@ -16,6 +16,8 @@ use policy_gateway::conformance::ConformanceError;
 use policy_gateway::conformance::front::FrontError;
 use policy_gateway::health::Cause;
 use policy_gateway::recording::RecordingError;
+use policy_gateway::referee::command::CommandError;
+use policy_gateway::referee::server::RefereeError;
 use policy_gateway::route::RouteError;
 use tonic::Status;
 use transport::{AccessError, Found, SecurityError, ServerKind, Settings, Trouble};
@@ -28,6 +30,7 @@ pub(crate) fn add(messages: &mut Messages) {
     back_ends(messages);
     routes(messages);
     conformance(messages);
+    referee(messages);
 }
 
 fn name() -> RouteName {
@@ -290,5 +293,33 @@ fn conformance(messages: &mut Messages) {
             AccessError::Host { host: text() },
         )),
         FrontError::Listen(_) => FrontError::Listen(io_error()),
+    );
+}
+
+fn referee(messages: &mut Messages) {
+    let url = || "grpc://h:1".to_owned();
+    let recordings = || RecordingError::None { folder: path() };
+    variants!(messages, RefereeError,
+        RefereeError::Backend(_) => RefereeError::Backend(UnusableBackend::Access(
+            AccessError::Host { host: text() },
+        )),
+        RefereeError::Recording(_) => RefereeError::Recording(recordings()),
+        RefereeError::Silent { .. } => RefereeError::Silent { url: url() },
+        RefereeError::Answer { .. } => RefereeError::Answer {
+            url: url(), problem: "nothing listens there; start it".to_owned(),
+        },
+        RefereeError::Description { .. } => RefereeError::Description {
+            url: url(), fault: DescriptionFault::Nameless,
+        },
+        RefereeError::Nonsense { .. } => RefereeError::Nonsense {
+            url: url(), fault: ActionFault::Empty,
+        },
+        RefereeError::Lacking { .. } => RefereeError::Lacking {
+            url: url(), missing: "frames of \"agentview\"".to_owned(),
+        },
+    );
+    variants!(messages, CommandError,
+        CommandError::Access(_) => CommandError::Access(AccessError::Host { host: text() }),
+        CommandError::Referee(_) => CommandError::Referee(RefereeError::Silent { url: url() }),
     );
 }

@@ -17,7 +17,7 @@ use tests::phrases::raw_phrase;
 
 /// Errors that only their own crate can make; what carries them outside is
 /// listed.
-const PRIVATE: [&str; 3] = ["FilmingError", "TextError", "Outer"];
+const PRIVATE: [&str; 4] = ["FilmingError", "TextError", "Outer", "Missing"];
 
 /// Errors that are sentences of their own; the others read after "failed to …".
 const SENTENCES: [&str; 7] = [
