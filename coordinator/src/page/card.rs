@@ -207,10 +207,6 @@ fn of_result(result: &ResultLine) -> Vec<(&'static str, String)> {
         true => ", sees the simulator's state",
         false => "",
     };
-    let settings = from.policy_settings.iter();
-    let settings: Vec<_> = settings
-        .map(|(name, value)| format!("{name} {value}"))
-        .collect();
     let residual = result.ik_residual_mm.map(|mm| format!("{mm:.2} mm"));
     let divergent = match result.divergences {
         0 => String::new(),
@@ -233,7 +229,7 @@ fn of_result(result: &ResultLine) -> Vec<(&'static str, String)> {
         ("policy", format!("{}{privileged}", from.policy_name)),
         ("checkpoint", from.policy_checkpoint.clone()),
         ("checkpoint digest", from.policy_checkpoint_digest.clone()),
-        ("policy settings", settings.join(", ")),
+        ("policy settings", from.policy_settings_in_words()),
         ("batches", from.batch_mode.clone()),
         ("realisation", from.realisation.clone()),
         ("assets", format!("{} {pack_digest}", pin.asset_pack)),

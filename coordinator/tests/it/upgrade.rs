@@ -18,11 +18,13 @@ use crate::harness::{Bench, open_database, sha, small_spec};
 use crate::process::{coordinator, text};
 
 /// A database that the released program of each schema wrote, as SQL: jobs of
-/// every state, charged and uncharged failures, a policy that is down, films. A
-/// new migration adds the one of the schema before it.
-const RELEASED: [&str; 2] = [
+/// every state, charged and uncharged failures, a policy that is down, films. The
+/// third is what the released program made of the second. A new migration adds the
+/// one of the schema before it.
+const RELEASED: [&str; 3] = [
     include_str!("../databases/schema_1.sql"),
     include_str!("../databases/schema_2.sql"),
+    include_str!("../databases/schema_3.sql"),
 ];
 
 const FIRST_MIGRATION: &str = "0001_campaigns_jobs_results.sql";
@@ -296,4 +298,25 @@ async fn the_database_of_every_released_schema_is_upgraded_with_its_rows() {
         let folder = bench.stop().await;
         assert_eq!(check(folder.path()).await.expect("a database"), []);
     }
+}
+
+/// For a day, the third migration did what the third and the fourth do now.
+#[tokio::test]
+async fn a_database_whose_third_migration_did_what_the_fourth_does_is_taken_over() {
+    let folder = Bench::start().await.stop().await;
+    let made = schema(folder.path()).await;
+    let pool = open_database(folder.path()).await;
+    sqlx::raw_sql(
+        "DELETE FROM _sqlx_migrations WHERE version = 4;
+         UPDATE _sqlx_migrations SET checksum = x'c72edb7d6ab23f7fec0c961407d9c3da302ba47620bd0b1fd51042840882470fdc2a626d4af01e92d7fbb7ec1df4a671'
+         WHERE version = 3",
+    )
+    .execute(&pool)
+    .await
+    .expect("as that program left it");
+    pool.close().await;
+    let clock = Arc::new(ManualClock::at(UnixMillis(NOW_MS)));
+    let folder = Bench::start_in(folder, clock).await.stop().await;
+    assert_eq!(schema(folder.path()).await, made);
+    assert_eq!(check(folder.path()).await.expect("a database"), []);
 }

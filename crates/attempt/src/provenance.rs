@@ -52,7 +52,7 @@ pub struct Provenance {
     pub policy_canonical_only: bool,
     /// What its server resolved and its actions depend on, by name: chunk and
     /// executed actions, image slots, statistics, revision. Empty in results of
-    /// database schema 2.
+    /// database schema 3 and before.
     #[serde(default)]
     pub policy_settings: BTreeMap<String, String>,
     /// How a gateway asked it.
@@ -102,6 +102,16 @@ impl Pin {
 }
 
 impl Provenance {
+    /// Its policy's settings in words: `execute 8, horizon 50`; empty where there are
+    /// none.
+    pub fn policy_settings_in_words(&self) -> String {
+        let settings = self.policy_settings.iter();
+        let settings: Vec<String> = settings
+            .map(|(name, value)| format!("{name} {value}"))
+            .collect();
+        settings.join(", ")
+    }
+
     /// In what the policies of two results differ, in words; none where they are
     /// one. The results are of one campaign and suite.
     pub fn other_policy(&self, pinned: &Provenance) -> Option<String> {
@@ -117,6 +127,10 @@ impl Provenance {
             })
             .or_else(|| differs("digest of the weights", digests[0], digests[1]))
             .or_else(|| {
+                // Every commit comes here, and almost all agree.
+                if &self.policy_settings == settings {
+                    return None;
+                }
                 let names: BTreeSet<&String> =
                     settings.keys().chain(self.policy_settings.keys()).collect();
                 names.into_iter().find_map(|name| {

@@ -36,8 +36,8 @@ pub struct Queue {
     pub(crate) shared: Arc<Shared>,
     /// What workers ask for, on its way into the next transaction.
     operations: mpsc::Sender<Operation>,
-    /// The task that executes it; ends with the queue.
-    _writer: JoinSet<()>,
+    /// What executes it, and what keeps the log short; both end with the queue.
+    _tasks: JoinSet<()>,
     pub(crate) last_sweep: AtomicI64,
     pub(crate) films: InFlight,
     pub(crate) filming: Filming,
@@ -75,14 +75,14 @@ impl Queue {
         start::start(&shared).await?;
         removals::finish_all(&shared).await?;
         let (operations, asked) = mpsc::channel(MAX_WAITING);
-        let mut writer = JoinSet::new();
-        writer.spawn(writer::run(shared.clone(), asked));
-        writer.spawn(keep_log_short(shared.clone()));
+        let mut tasks = JoinSet::new();
+        tasks.spawn(writer::run(shared.clone(), asked));
+        tasks.spawn(keep_log_short(shared.clone()));
         Ok(Arc::new(Queue {
             last_sweep: AtomicI64::new(shared.now().0),
             shared,
             operations,
-            _writer: writer,
+            _tasks: tasks,
             films: InFlight::default(),
             filming: Filming::default(),
             campaigns: tokio::sync::Mutex::default(),

@@ -224,6 +224,7 @@ impl Store {
             )
             .await
             .map_err(database)?;
+        divide_third_migration(&writer).await.map_err(database)?;
         MIGRATIONS
             .run(&writer)
             .await
@@ -308,6 +309,49 @@ impl Store {
         self.writer.close().await;
         Ok(())
     }
+}
+
+/// The third migration's checksum while it did what the third and the fourth do now.
+const UNDIVIDED_THIRD: [u8; 48] = *b"\
+    \xc7\x2e\xdb\x7d\x6a\xb2\x3f\x7f\xec\x0c\x96\x14\x07\xd9\xc3\xda\
+    \x30\x2b\xa4\x76\x20\xbd\x0b\x1f\xd5\x10\x42\x84\x08\x82\x47\x0f\
+    \xdc\x2a\x62\x6d\x4a\xf0\x1e\x92\xd7\xfb\xb7\xec\x1d\xf4\xa6\x71";
+
+/// Writes into a database of the program that had one migration for two that it has
+/// both.
+async fn divide_third_migration(writer: &SqlitePool) -> Result<(), sqlx::Error> {
+    let known = "SELECT count(*) FROM sqlite_schema WHERE name = '_sqlx_migrations'";
+    if sqlx::query_scalar::<_, i64>(known)
+        .fetch_one(writer)
+        .await?
+        == 0
+    {
+        return Ok(());
+    }
+    let [third, fourth] = [3, 4].map(|version| {
+        let mut migrations = MIGRATIONS.iter();
+        migrations
+            .find(|migration| migration.version == version)
+            .expect("a migration of this program")
+    });
+    sqlx::query(
+        "INSERT INTO _sqlx_migrations
+             (version, description, installed_on, success, checksum, execution_time)
+         SELECT ?, ?, installed_on, success, ?, 0 FROM _sqlx_migrations
+         WHERE version = 3 AND checksum = ?",
+    )
+    .bind(fourth.version)
+    .bind(fourth.description.as_ref())
+    .bind(fourth.checksum.as_ref())
+    .bind(UNDIVIDED_THIRD.as_slice())
+    .execute(writer)
+    .await?;
+    sqlx::query("UPDATE _sqlx_migrations SET checksum = ? WHERE version = 3 AND checksum = ?")
+        .bind(third.checksum.as_ref())
+        .bind(UNDIVIDED_THIRD.as_slice())
+        .execute(writer)
+        .await?;
+    Ok(())
 }
 
 /// The newest schema version that this program knows.

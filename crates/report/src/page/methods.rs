@@ -66,7 +66,10 @@ fn of_policy(analysis: &Analysis) -> Markup {
         ("MuJoCo", distinct(|p| p.pin.mujoco_version.clone())),
         ("renderer", distinct(|p| p.pin.renderer.clone())),
         ("fingerprint", distinct(|p| p.fingerprint.clone())),
-        ("policy settings", distinct(settings)),
+        (
+            "policy settings",
+            distinct(Provenance::policy_settings_in_words),
+        ),
         (
             "actions beyond ±1",
             subject.beyond.map(|it| beyond(it, subject.realisation)),
@@ -116,14 +119,6 @@ fn of_policy(analysis: &Analysis) -> Markup {
             }
         }
     }
-}
-
-fn settings(of: &Provenance) -> String {
-    let settings = of.policy_settings.iter();
-    let settings: Vec<String> = settings
-        .map(|(name, value)| format!("{name} {value}"))
-        .collect();
-    settings.join(", ")
 }
 
 /// How often the order of clipping and of the actuation axis can matter at all.
