@@ -137,10 +137,10 @@ fn rollouts(messages: &mut Messages) {
         RolloutError::Abandoned => RolloutError::Abandoned,
     );
     variants!(messages, SingleError,
-        SingleError::Row { .. } => SingleError::Row {
+        SingleError::Row(_) => SingleError::Row(NoSuchRow {
             id: "object/t0/clean/i03".parse().expect("an id"),
             problem: "there are 50 initial states".to_owned(),
-        },
+        }),
         SingleError::Task(_) => SingleError::Task(no_scene()),
         SingleError::NoInstruction { .. } => SingleError::NoInstruction { bddl: path() },
         SingleError::Recorded { .. } => SingleError::Recorded {
