@@ -8,7 +8,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use sim::mujoco::{Model, OwnArray, Values};
-use sim::{ActionFrame, Conditions, Drawer, Environment, Frame, ObjectKind, ReadyScene, Renderer};
+use sim::{ActionFrame, Conditions, Drawer, Environment, Frame, ObjectKind, ReadyScene, Renderer, Reset};
 
 use crate::action::{Numbers, WIDTH, actions};
 use crate::error::simulation;
@@ -129,23 +129,30 @@ impl Simulation {
     }
 
     /// Resets as robosuite does: places everything with LIBERO's samplers, which draw
-    /// from NumPy's legacy generator, and observes once. Returns the generator's state
-    /// after it. The model has been loaded `joint_sampler_rounds` times since the
-    /// environment was constructed.
+    /// from NumPy's legacy generator, and observes once. `joint_sampler_rounds` is how
+    /// often the original has loaded its model by then: once when it is constructed, and
+    /// once more with each hard reset. Returns the generator's state after it, and the
+    /// rounds that it came to: more than were given where it had to place things again.
+    #[pyo3(signature = (generator, joint_sampler_rounds, *, hard = true))]
     fn reset<'py>(
         &self,
         py: Python<'py>,
         generator: Generator<'py>,
-        joint_sampler_rounds: usize,
-    ) -> PyResult<Generator<'py>> {
+        joint_sampler_rounds: u32,
+        hard: bool,
+    ) -> PyResult<(Generator<'py>, u32)> {
         let mut rng = generator::read(&generator)?;
-        let rng = self.state.with(py, move |state| {
+        let kind = match hard {
+            true => Reset::Hard,
+            false => Reset::Soft,
+        };
+        let (rng, rounds) = self.state.with(py, move |state| {
             state.conditions = None;
-            let reset = state.environment.reset(&mut rng, joint_sampler_rounds);
-            reset.map_err(simulation)?;
-            Ok(rng)
+            let reset = state.environment.reset(&mut rng, kind, joint_sampler_rounds);
+            let rounds = reset.map_err(simulation)?;
+            Ok((rng, rounds))
         })?;
-        Ok(generator::write(py, &rng))
+        Ok((generator::write(py, &rng), rounds))
     }
 
     /// Starts over at a state (time, qpos, qvel), as a campaign does.

@@ -6,7 +6,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use serde::Deserialize;
 use sim::episode::NO_OP;
-use sim::{Conditions, Environment, ReadyScene};
+use sim::{Conditions, Environment, ReadyScene, Reset};
 
 use crate::error::simulation;
 
@@ -29,7 +29,7 @@ pub(crate) struct Sampled {
 }
 
 /// What an environment that is constructed, seeded and reset has sampled of its joints.
-const JOINT_SAMPLER_ROUNDS: usize = 2;
+const JOINT_SAMPLER_ROUNDS: u32 = 2;
 
 impl Start {
     /// From JSON: a row, or `{"sampled": SEED, "settle_steps": N}`.
@@ -71,7 +71,7 @@ impl Start {
             }
             Self::Sampled(it) => {
                 let mut rng = LegacyRng::seed(it.sampled);
-                let reset = environment.reset(&mut rng, JOINT_SAMPLER_ROUNDS);
+                let reset = environment.reset(&mut rng, Reset::Hard, JOINT_SAMPLER_ROUNDS);
                 reset.map_err(simulation)?;
                 for _ in 0..it.settle_steps {
                     environment.step(&NO_OP).map_err(simulation)?;

@@ -10,6 +10,7 @@ use crate::error::SimError;
 use crate::mujoco::{Model, ObjectKind};
 use crate::predicates::Goal;
 use crate::render::Prepared;
+use crate::reset::Resets;
 
 /// `mjDSBL_AUTORESET`: an unstable state is reported, not silently replaced.
 pub(crate) const DISABLE_AUTORESET: i32 = 1 << 16;
@@ -24,6 +25,7 @@ pub struct CompiledScene {
     pub(crate) model: Model,
     pub(crate) goal: Goal,
     pub(crate) burners: Vec<Burner>,
+    pub(crate) resets: Resets,
     pub(crate) hand_body: usize,
     pub(crate) grip_site: usize,
     /// For our renderer; made when it first draws the scene.
@@ -50,6 +52,7 @@ impl CompiledScene {
     pub fn compile(scene: Scene, pack: &AssetPack, sources: &Sources) -> Result<Self, SimError> {
         let mut model = Model::compile(&scene.mjcf(pack, sources))?;
         model.disable(DISABLE_NATIVE_CCD | DISABLE_AUTORESET);
+        let resets = Resets::resolve(&scene, &model)?;
         for pose in &scene.fixture_poses {
             let body = model.id(ObjectKind::Body, &pose.root_body)?;
             model.body_pos_mut()[body * 3..][..3].copy_from_slice(&pose.pos);
@@ -59,6 +62,7 @@ impl CompiledScene {
         Ok(Self {
             goal: Goal::resolve(&scene, &model)?,
             burners: find_burners(&scene, &model)?,
+            resets,
             hand_body: model.id(ObjectKind::Body, HAND_BODY)?,
             grip_site: model.id(ObjectKind::Site, GRIP_SITE)?,
             prepared: OnceLock::new(),
@@ -90,7 +94,7 @@ impl CompiledScene {
 
 /// The original hides the sites of the robot, the objects and the fixtures by
 /// negating their opacity; those of zones on the workspace stay.
-fn hide_marker_sites(scene: &Scene, model: &mut Model) {
+pub(crate) fn hide_marker_sites(scene: &Scene, model: &mut Model) {
     let mut prefixes = vec![
         "robot0_".to_owned(),
         "mount0_".to_owned(),

@@ -19,6 +19,7 @@ pub mod predicates;
 mod privileged;
 mod ready_scene;
 pub mod render;
+mod reset;
 pub mod simulator;
 mod state;
 
@@ -36,5 +37,6 @@ pub use observation::{
 pub use perturb::IkSolution;
 pub use ready_scene::ReadyScene;
 pub use render::{Drawer, GlDevice, Renderer};
+pub use reset::Reset;
 pub use simulator::{Simulator, SimulatorConfig};
 pub use state::Snapshot;
