@@ -1,5 +1,6 @@
 //! Errors of scenes, pictures and simulations, and of the worker.
 
+use protocol::NoSuchRow;
 use raster::{DrawError, ModelError};
 use scene::SceneError;
 use sim::SimError;
