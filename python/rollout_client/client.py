@@ -16,7 +16,8 @@ from . import access, frames
 from . import report as reports
 from .campaign import Campaign
 from .connection import Connection
-from .program import Program, spec_text
+from .errors import SettingsError
+from .program import Program
 from .proto import coordinator_pb2 as wire
 from .report import Comparison, Report
 from .status import CAMPAIGNS, Forecast, Status
@@ -129,7 +130,15 @@ def _source(source: str | os.PathLike[str]) -> str | Path:
 
 
 def _text(spec: Spec) -> str:
-    return json.dumps(spec) if isinstance(spec, Mapping) else spec_text(spec)
+    """The JSON of a specification. Raises SettingsError."""
+    if isinstance(spec, Mapping):
+        return json.dumps(spec)
+    path = Path(spec)
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        why = getattr(error, "strerror", None) or "it is not UTF-8"
+        raise SettingsError(f"failed to read specification {path}: {why}") from error
 
 
 def _worker(worker: wire.WorkerStatus) -> dict[str, Any]:

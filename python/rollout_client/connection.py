@@ -12,6 +12,7 @@ import grpc
 
 from . import probe
 from .access import Access
+from .channel import channel
 from .errors import (
     AccessDeniedError,
     CoordinatorError,
@@ -47,7 +48,7 @@ class Connection:
     def __init__(self, access: Access, retry_secs: float) -> None:
         self.access = access
         self.retry_secs = retry_secs
-        self._channel = probe.channel(access)
+        self._channel = channel(access)
         #: The calls, for `call` and `collect`.
         self.operator: Any = OperatorServiceStub(self._channel)  # type: ignore[no-untyped-call]
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import grpc
 
 from .access import Access
+from .channel import channel
 
 #: Longest wait for each answer, s.
 PATIENCE = 3.0
@@ -230,22 +231,3 @@ def _has_call(there: grpc.Channel, access: Access, path: str) -> bool | Found:
             return _web(f"HTTP status {details.removeprefix(WEB_ANSWER)}")
         return error.code() is not grpc.StatusCode.UNIMPLEMENTED
     return True
-
-
-def channel(access: Access) -> grpc.Channel:
-    """A connection that is made at the first call."""
-    options = [
-        # As the command line: large campaigns have long lists, and no proxy is asked.
-        ("grpc.max_receive_message_length", 32 << 20),
-        ("grpc.max_send_message_length", 32 << 20),
-        ("grpc.enable_http_proxy", 0),
-        ("grpc.initial_reconnect_backoff_ms", 250),
-        ("grpc.min_reconnect_backoff_ms", 5_000),
-        ("grpc.max_reconnect_backoff_ms", 4_000),
-        # A channel of its own, which has none of another's failures behind it.
-        ("grpc.use_local_subchannel_pool", 1),
-    ]
-    if not access.is_encrypted:
-        return grpc.insecure_channel(access.target, options=options)
-    credentials = grpc.ssl_channel_credentials(root_certificates=access.authority)
-    return grpc.secure_channel(access.target, credentials, options=options)

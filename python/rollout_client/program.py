@@ -9,7 +9,7 @@ import subprocess
 from pathlib import Path
 
 from .access import Access
-from .errors import ProgramError, RefusedError, SettingsError
+from .errors import ProgramError, RefusedError
 
 NAME = "coordinator"
 
@@ -61,13 +61,3 @@ class Program:
                 " PATH, or name it in Client(program=…)"
             )
         return found
-
-
-def spec_text(spec: object) -> str:
-    """The JSON of a specification that is given as a file. Raises SettingsError."""
-    path = Path(str(spec))
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        why = getattr(error, "strerror", None) or "it is not UTF-8"
-        raise SettingsError(f"failed to read specification {path}: {why}") from error

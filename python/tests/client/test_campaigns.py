@@ -78,6 +78,16 @@ def test_a_forecast_counts_rollouts_of_each_suite_and_creates_nothing(client):
     assert len(client.campaigns()) == 0
 
 
+def test_a_forecast_counts_what_is_then_created_of_a_manifest_too(client):
+    design = specification("first", replicates=2)
+    text = client._program.run("manifest", "expand", "--spec", "-", text=json.dumps(design))
+    rows = [json.loads(line) for line in text.splitlines()]
+    keys = ("policy", "replicates")
+    manifest = {"name": "rows", "manifest": rows[:5], **{key: design[key] for key in keys}}
+    for spec, total in [(design, 16), (manifest, 10)]:
+        assert client.forecast(spec).total == client.create(spec).status().total == total
+
+
 def test_a_campaign_is_paused_resumed_and_cancelled(client):
     campaign = client.create(specification("first"))
     assert campaign.status().state == "running"

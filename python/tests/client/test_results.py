@@ -2,12 +2,15 @@
 outcomes."""
 
 import json
+from collections import Counter
 from pathlib import Path
 
 import pandas as pd
 import pytest
 
 from rollout_client.errors import NoSuchCampaignError, ProgramError, RefusedError
+
+from .conftest import specification
 
 PUBLISHED = Path(__file__).resolve().parents[3] / "examples" / "openvla_oft"
 
@@ -65,8 +68,6 @@ def test_a_report_has_a_row_per_configuration_with_its_outcomes(measured):
 
 
 def test_a_campaign_without_results_has_a_report_that_says_what_is_missing(client):
-    from .conftest import specification
-
     report = client.create(specification("first")).report()
     assert len(report.paired) == 0
     assert report.success["n"].sum() == 0
@@ -90,6 +91,43 @@ def test_emergent_and_compensated_configurations_are_as_many_as_the_paired_table
     for level, row in paired.iterrows():
         assert row["s_robot"] == json_rows[level]["s_axis"]["robot"]
         assert [row["r_e_ci95_low"], row["r_e_ci95_high"]] == json_rows[level]["r_e_ci95"]
+
+
+def published_rows():
+    text = (PUBLISHED / "rollouts.jsonl").read_text()
+    return [json.loads(line) for line in text.splitlines()]
+
+
+def test_successes_of_published_outcomes_are_those_of_their_file(connect):
+    counted = Counter()
+    for row in published_rows():
+        _, _, condition, level, _ = row["rollout_id"].split("/")
+        counted[level, condition, row["success"]] += 1
+    success = connect("http://127.0.0.1:1").report(PUBLISHED).success
+    cells = success[success["level"] != "L0"]
+    assert len(cells) == 3 * 7
+    for cell in cells.itertuples():
+        successes = counted[cell.level, cell.condition, True]
+        assert cell.successes == successes
+        assert cell.n == successes + counted[cell.level, cell.condition, False]
+        assert cell.rate == cell.successes / cell.n
+
+
+def test_the_first_of_two_that_are_compared_is_a(connect, tmp_path):
+    rows = published_rows()
+    solved = [row for row in rows if "/robot/L2/" in row["rollout_id"] and row["success"]]
+    for row in solved[:30]:
+        row["success"] = False
+    (tmp_path / "rollouts.jsonl").write_text("\n".join(map(json.dumps, rows)) + "\n")
+    comparison = connect("http://127.0.0.1:1").compare(PUBLISHED, tmp_path)
+    cells = comparison.cells.set_index(["level", "condition"])
+    cell = cells.loc["L2", "robot"]
+    assert (cell["n"], cell["a_only"], cell["b_only"]) == (400, 30, 0)
+    assert cell["difference"] == pytest.approx(30 / 400)
+    assert cell["s_a"] - cell["s_b"] == pytest.approx(30 / 400)
+    assert 0 < cell["difference_ci95_low"] < 30 / 400 < cell["difference_ci95_high"]
+    assert cells.loc["L1", "robot"]["a_only"] == 0
+    assert comparison.a != comparison.b
 
 
 def test_several_subjects_stand_beside_one_another(measured):
