@@ -8,6 +8,7 @@
 //! precision ([`rotation_of`]).
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+use scene::rotation::single_precision_matrix;
 
 use crate::error::SimError;
 use crate::mujoco::{Data, Model, ObjectKind};
@@ -108,8 +109,14 @@ impl Controller {
 
     /// Forgets everything since the reset.
     pub fn reset(&mut self) {
-        self.goal_orientation = self.reset_arm.orientation;
+        self.reset_arm();
         self.gripper = [0.0; 2];
+    }
+
+    /// Forgets everything since the reset but how far the gripper had closed,
+    /// which the original keeps where it keeps its model.
+    pub fn reset_arm(&mut self) {
+        self.goal_orientation = self.reset_arm.orientation;
         self.sees_reset_arm = true;
     }
 
@@ -266,26 +273,8 @@ fn rotation_of(vector: Vector3<f64>) -> Matrix3<f64> {
     let angle = vector.dot(&vector).sqrt();
     let axis = vector / angle;
     let (sin, cos) = ((angle / 2.0).sin(), (angle / 2.0).cos());
-    let mut q = [cos, axis.x * sin, axis.y * sin, axis.z * sin].map(|value| value as f32);
-    let square: f64 = q.iter().map(|value| f64::from(value * value)).sum();
-    let scale = (2.0 / f64::from(square as f32)).sqrt();
-    for value in &mut q {
-        *value = (f64::from(*value) * scale) as f32;
-    }
-    let product = |a: usize, b: usize| q[a] * q[b];
-    let diagonal = |a: usize, b: usize| 1.0 - f64::from(product(a, a)) - f64::from(product(b, b));
-    let sum = |a: f32, b: f32| f64::from(a + b);
-    Matrix3::new(
-        diagonal(2, 3),
-        sum(product(1, 2), -product(3, 0)),
-        sum(product(1, 3), product(2, 0)),
-        sum(product(1, 2), product(3, 0)),
-        diagonal(1, 3),
-        sum(product(2, 3), -product(1, 0)),
-        sum(product(1, 3), -product(2, 0)),
-        sum(product(2, 3), product(1, 0)),
-        diagonal(1, 2),
-    )
+    let rows = single_precision_matrix([cos, axis.x * sin, axis.y * sin, axis.z * sin]);
+    Matrix3::from_fn(|row, column| rows[row][column])
 }
 
 #[cfg(test)]

@@ -1,6 +1,8 @@
 //! One scene, ready to run: loading a state, control steps, success, readings
 //! and frames at the original's instants. Knows nothing of perturbations.
 
+mod reset;
+
 use scene::catalog::Articulation;
 use scene::{AssetPack, Scene, Sources};
 
@@ -10,6 +12,9 @@ use crate::mujoco::{self, Data, Model, ObjectKind, Segment};
 use crate::observation::{Frame, RobotState, axis_angle_of};
 use crate::predicates::Goal;
 use crate::render::{Canvas, Drawer, View};
+
+pub use reset::Reset;
+use reset::Resets;
 
 /// `mjDSBL_AUTORESET`: an unstable state is reported, not silently replaced.
 pub(crate) const DISABLE_AUTORESET: i32 = 1 << 16;
@@ -35,6 +40,7 @@ pub struct Environment {
     observed_is_posed: bool,
     observed_joints: JointReadings,
     pristine: Pristine,
+    resets: Resets,
     controller: Controller,
     goal: Goal,
     burners: Vec<Burner>,
@@ -50,8 +56,10 @@ struct JointReadings {
     vel: [f64; ARM_JOINTS + 2],
 }
 
-/// The model's arrays that a rollout may change.
+/// The model's arrays that a rollout may change, fixtures as campaigns place them.
 struct Pristine {
+    body_pos: Vec<f64>,
+    body_quat: Vec<f64>,
     cam_pos: Vec<f64>,
     cam_quat: Vec<f64>,
     light_pos: Vec<f64>,
@@ -78,6 +86,7 @@ impl Environment {
     pub fn new(scene: Scene, pack: &AssetPack, sources: &Sources) -> Result<Self, SimError> {
         let mut model = Model::compile(&scene.mjcf(pack, sources))?;
         model.disable(DISABLE_NATIVE_CCD | DISABLE_AUTORESET);
+        let resets = Resets::resolve(&scene, &model)?;
         for pose in &scene.fixture_poses {
             let body = model.id(ObjectKind::Body, &pose.root_body)?;
             model.body_pos_mut()[body * 3..][..3].copy_from_slice(&pose.pos);
@@ -92,6 +101,7 @@ impl Environment {
             goal: Goal::resolve(&scene, &model)?,
             burners: find_burners(&scene, &model)?,
             pristine: Pristine::of(&model),
+            resets,
             hand_body: model.id(ObjectKind::Body, HAND_BODY)?,
             grip_site: model.id(ObjectKind::Site, GRIP_SITE)?,
             observed: Data::new(&model)?,
@@ -131,7 +141,8 @@ impl Environment {
     }
 
     /// Starts over from a state vector (time, qpos, qvel) of the right width,
-    /// with a fresh controller and an unperturbed model.
+    /// with a fresh controller and an unperturbed model, fixtures where
+    /// campaigns have them.
     ///
     /// # Panics
     /// If the vector does not have 1 + nq + nv numbers; callers check that
@@ -376,6 +387,8 @@ impl Environment {
 impl Pristine {
     fn of(model: &Model) -> Self {
         Self {
+            body_pos: model.body_pos().to_vec(),
+            body_quat: model.body_quat().to_vec(),
             cam_pos: model.cam_pos().to_vec(),
             cam_quat: model.cam_quat().to_vec(),
             light_pos: model.light_pos().to_vec(),
@@ -388,6 +401,8 @@ impl Pristine {
     }
 
     fn restore(&self, model: &mut Model) {
+        model.body_pos_mut().copy_from_slice(&self.body_pos);
+        model.body_quat_mut().copy_from_slice(&self.body_quat);
         model.cam_pos_mut().copy_from_slice(&self.cam_pos);
         model.cam_quat_mut().copy_from_slice(&self.cam_quat);
         model.light_pos_mut().copy_from_slice(&self.light_pos);

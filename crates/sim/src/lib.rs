@@ -20,7 +20,7 @@ mod ready_scene;
 pub mod render;
 pub mod simulator;
 
-pub use environment::Environment;
+pub use environment::{Environment, Reset};
 pub use episode::{Digests, Episode};
 pub use error::SimError;
 pub use fingerprint::fingerprint;

@@ -269,6 +269,10 @@ impl Model {
         jnt_bodyid: i32 = njnt * 1;
         /// Joint ranges, m or rad.
         jnt_range: f64 = njnt * 2;
+        /// Body positions in their parents' frames, m.
+        body_pos: f64 = nbody * 3;
+        /// Body orientations in their parents' frames, w x y z.
+        body_quat: f64 = nbody * 4;
         /// Body of each geom.
         geom_bodyid: i32 = ngeom * 1;
         /// Bounding boxes in geom frames: centre, half extents, m.
