@@ -15,6 +15,7 @@ mod skipped;
 mod step;
 mod test;
 mod typescript;
+mod wheel;
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -45,6 +46,13 @@ enum Command {
         /// Passed on to the test runner, for example a name to filter by.
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         filters: Vec<String>,
+    },
+    /// Build the Python packages' wheels.
+    Wheel {
+        /// Folder to copy them into. [default: they stay in
+        /// target/wheels/release]
+        #[arg(long)]
+        output: Option<PathBuf>,
     },
     /// Take the pictures of the live page in docs/screenshots.
     Screenshots,
@@ -117,6 +125,7 @@ fn main() -> ExitCode {
         Command::Setup { gl } => set_up(gl),
         Command::Demo(options) => demo::run(&root(), &options),
         Command::Test { filters } => test::run(&root(), &filters),
+        Command::Wheel { output } => wheels(output.as_deref()),
         Command::Screenshots => test::screenshots(&root()),
         Command::Bench(Bench::Report { release }) => test::bench_report(&root(), release),
         Command::Bench(Bench::Sim { arguments }) => test::program(&root(), "bench_sim", &arguments),
@@ -147,6 +156,11 @@ fn set_up(gl: bool) -> anyhow::Result<()> {
         setup::opengl()?;
     }
     Ok(())
+}
+
+fn wheels(output: Option<&Path>) -> anyhow::Result<()> {
+    let cache = setup::run(&root())?;
+    wheel::run(&root(), &cache, output)
 }
 
 /// It needs no simulator, so nothing is set up for it. The queue's speed is that

@@ -14,6 +14,7 @@ use crate::setup;
 use crate::skipped;
 use crate::step::step;
 use crate::typescript;
+use crate::wheel;
 
 /// Sets up, builds and runs everything.
 pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
@@ -80,6 +81,14 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
                 .args(["-m", "pytest", "--quiet", "-rs", "-p", "no:cacheprovider"])
                 .arg(root.join("policies/tests"))
                 .env("POLICY_GATEWAY", programs.join("policy-gateway")),
+        )?;
+        println!("Testing the Python packages as wheels");
+        let mut pytest = Command::new(wheel::tested(root, &cache)?);
+        run_command(
+            pytest
+                .args(["-m", "pytest", "--quiet", "-rs", "-p", "no:cacheprovider"])
+                .arg(root.join("python/tests"))
+                .env("ROLLOUT_PROGRAMS", &programs),
         )?;
         println!("Testing the demo, with fewer rollouts");
         demo::check(root, &programs)?;
