@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from libero._absent import absent_attribute
+from libero.libero.envs._rotations import quaternions_of
 from libero.libero.envs._settings import OSC_POSE
 from libero.libero.envs._sim import MjSim
 from libero.libero.envs._simulation import Held
@@ -139,9 +140,9 @@ class Robot:
         return self.sim.data.get_body_xpos("robot0_base")
 
     @property
-    def base_ori(self) -> F64:
-        """The base's orientation x y z w."""
-        return self.sim.data.get_body_xquat("robot0_base")[[1, 2, 3, 0]]
+    def base_ori(self) -> NDArray[np.float32]:
+        """The base's orientation [4], x y z w."""
+        return quaternions_of(self.sim.data.get_body_xmat("robot0_base")[np.newaxis])[0]
 
     @property
     def action_limits(self) -> tuple[F64, F64]:

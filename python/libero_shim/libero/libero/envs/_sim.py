@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rollout_libero._native import Simulation
 
 from libero._absent import absent_attribute
 from libero.libero.envs._simulation import Held
@@ -29,18 +28,6 @@ _COUNTS = {
     "nsensor": "sensor_type",
 }
 _COORDINATES = {0: (7, 6), 1: (4, 3), 2: (1, 1), 3: (1, 1)}
-#: What a picture of the present shares with the simulation, besides its state.
-_LOOKS = (
-    "body_pos",
-    "body_quat",
-    "cam_pos",
-    "cam_quat",
-    "light_pos",
-    "light_dir",
-    "light_diffuse",
-    "light_specular",
-    "site_rgba",
-)
 _GEOM = 5
 
 
@@ -254,7 +241,6 @@ class MjSim:
         self._held = held
         self.model = MjModel(held)
         self.data = MjData(held, self.model)
-        self._studio: Simulation | None = None
 
     def get_state(self) -> MjSimState:
         """A copy of the state."""
@@ -302,12 +288,20 @@ class MjSim:
         if mode != "offscreen":
             raise ValueError("there is no window: leave mode at 'offscreen'")
         self.model.camera_name2id(camera_name)
-        studio = self._in_studio()
-        if segmentation:
-            picture: Any = studio.segmentation(camera_name, width, height)
-        else:
-            picture = studio.frame(camera_name, width, height)
-        return (picture, studio.depth(camera_name, width, height)) if depth else picture
+        simulation = self._held.get()
+        # Simulations draw what they observed last. To observe the present moves the instant
+        # at which later steps observe, so that is taken back.
+        before = simulation.snapshot()
+        simulation.observe_now()
+        try:
+            if segmentation:
+                return simulation.segmentation(camera_name, width, height)
+            picture = simulation.frame(camera_name, width, height)
+            if depth:
+                return picture, simulation.depth(camera_name, width, height)
+            return picture
+        finally:
+            simulation.restore(before)
 
     def __getattr__(self, name: str) -> Any:
         raise absent_attribute(
@@ -316,20 +310,6 @@ class MjSim:
             "it has get_state, set_state, set_state_from_flattened, forward, "
             "render, model and data; simulate with the environment's step",
         )
-
-    def _in_studio(self) -> Simulation:
-        """The present state in a simulation that is only drawn. Drawing in the environment's
-        own would show the instant of its last observation, or move that of the next ones."""
-        simulation = self._held.get()
-        if self._studio is None:
-            self._studio = Simulation(simulation.scene)
-        studio = self._studio
-        for name in _LOOKS:
-            studio.set_model_array(name, simulation.model_array(name))
-        studio.set_state(simulation.state())
-        studio.forward()
-        studio.observe_now()
-        return studio
 
 
 def shown_geoms(segmentation: NDArray[np.int32]) -> NDArray[np.int32]:

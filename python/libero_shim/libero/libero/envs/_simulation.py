@@ -1,59 +1,34 @@
-"""Compiled scenes, shared, and the simulation that an environment holds until it is closed."""
+"""The simulation that an environment holds until it is closed."""
 
 from __future__ import annotations
 
 import os
 import threading
-import weakref
 
 import numpy as np
-from rollout_libero import files
+from rollout_libero import ClosedError
 from rollout_libero._native import Scene, Simulation
+from rollout_libero.scenes import scene
 
 from libero.libero.paths import get_assets_path
 
+__all__ = ["ClosedError", "Held"]
 
-class ClosedError(RuntimeError):
-    """An environment is used after it was closed."""
-
-
-class CompiledScene:
-    """A scene that lives as long as an environment uses it."""
-
-    def __init__(self, scene: Scene) -> None:
-        self.scene = scene
-
-
-_compiled: weakref.WeakValueDictionary[tuple[str, int, str, str], CompiledScene] = (
-    weakref.WeakValueDictionary()
-)
-_compiling = threading.Lock()
 #: Resets take turns at NumPy's global generator.
 _drawing = threading.Lock()
 
 
-def compiled_scene(bddl_file: str) -> CompiledScene:
-    """The scene of a task's file, compiled once for all environments that use it.
+class Held:
+    """A simulation of a BDDL file's scene until it is closed. Environments of a scene share
+    what is compiled.
 
     Raises FileNotFoundError where assets are missing; the message has the remedy.
     """
-    assets, sources = get_assets_path(), str(files.sources())
-    path = os.path.realpath(bddl_file)
-    key = (path, os.stat(path).st_mtime_ns, assets, sources)
-    with _compiling:
-        compiled = _compiled.get(key)
-        if compiled is None:
-            compiled = CompiledScene(Scene(path, assets=assets, sources=sources))
-            _compiled[key] = compiled
-        return compiled
 
-
-class Held:
-    """A simulation until it is closed."""
-
-    def __init__(self, compiled: CompiledScene) -> None:
-        self._compiled: CompiledScene | None = compiled
-        self._simulation: Simulation | None = Simulation(compiled.scene)
+    def __init__(self, bddl_file: str) -> None:
+        self._simulation: Simulation | None = Simulation(
+            scene(os.path.realpath(bddl_file), get_assets_path())
+        )
 
     @property
     def scene(self) -> Scene:
@@ -70,12 +45,17 @@ class Held:
         return self._simulation
 
     def close(self) -> None:
-        """Lets go of the simulation."""
-        self._simulation = self._compiled = None
+        """Frees the simulation. Closing again does nothing."""
+        if self._simulation is not None:
+            self._simulation.close()
+            self._simulation = None
 
-    def start_over(self, model_loads: int) -> None:
-        """Places everything anew, drawing from NumPy's global generator as the original
-        does. `model_loads`: how often the original had loaded the model by now."""
+    def start_over(self, model_loads: int, *, hard: bool) -> int:
+        """Places everything anew, drawing from NumPy's global generator as the original does.
+
+        `model_loads`: how often the original had loaded its model by then. Returns how
+        often it has by now: more, where it placed things again for want of room.
+        """
         simulation = self.get()
         with _drawing:
             state = np.random.get_state()
@@ -84,4 +64,6 @@ class Held:
                     f"NumPy's global generator is {state[0]}: LIBERO draws from MT19937; set it "
                     "back with numpy.random.set_bit_generator(numpy.random.MT19937())"
                 )
-            np.random.set_state(simulation.reset(state, model_loads))
+            state, model_loads = simulation.reset(state, model_loads, hard=hard)
+            np.random.set_state(state)
+        return model_loads

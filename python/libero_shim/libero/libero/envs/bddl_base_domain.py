@@ -15,7 +15,7 @@ from libero.libero.envs._observation import Observation, Observer
 from libero.libero.envs._robot import Robot
 from libero.libero.envs._settings import Settings, existing_file
 from libero.libero.envs._sim import MjSim
-from libero.libero.envs._simulation import Held, compiled_scene
+from libero.libero.envs._simulation import Held
 
 F64 = NDArray[np.float64]
 
@@ -70,7 +70,7 @@ class BDDLBaseDomain:
         self.camera_heights = [camera.height for camera in settings.cameras]
         self.camera_widths = [camera.width for camera in settings.cameras]
 
-        self._held = Held(compiled_scene(self.bddl_file_name))
+        self._held = Held(self.bddl_file_name)
         self.sim = MjSim(self._held)
         for name in self.camera_names:
             self.sim.model.camera_name2id(name)
@@ -90,7 +90,7 @@ class BDDLBaseDomain:
         self.obj_of_interest: list[str] = self.parsed_problem["obj_of_interest"]
         self._observer = Observer(self._held, settings.cameras, self.model)
         self._model_loads = 1
-        self._start_over()
+        self._start_over(hard=True)
 
     def seed(self, seed: int | None) -> None:
         """Seeds NumPy's global generator, which resets draw from."""
@@ -105,7 +105,7 @@ class BDDLBaseDomain:
         """
         if self.hard_reset:
             self._model_loads += 1
-        self._start_over()
+        self._start_over(hard=self.hard_reset)
         return self._get_observations()
 
     def step(self, action: Any) -> tuple[Observation, float, bool, dict[str, Any]]:
@@ -244,8 +244,8 @@ class BDDLBaseDomain:
             type(self).__name__, name, "ask its sim, robots, get_object or parsed_problem"
         )
 
-    def _start_over(self) -> None:
-        self._held.start_over(self._model_loads)
+    def _start_over(self, *, hard: bool) -> None:
+        self._model_loads = self._held.start_over(self._model_loads, hard=hard)
         self._observer.expire()
         self.robots = [Robot(self._arm, self._held, self.sim, self._settings.use_delta)]
         self.timestep = 0

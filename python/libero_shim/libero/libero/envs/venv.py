@@ -154,7 +154,7 @@ def _serve(parent: Any, connection: Any, env_fn: CloudpickleWrapper, obs_bufs: N
     parent.close()
     try:
         env = env_fn.data()
-    except Exception as error:  # noqa: BLE001: it is raised where the environment is used
+    except Exception as error:  # noqa: BLE001
         connection.send(_Failure(error))
         return
     connection.send(None)
@@ -173,7 +173,7 @@ def _serve(parent: Any, connection: Any, env_fn: CloudpickleWrapper, obs_bufs: N
             return
         try:
             answer = commands.get(command, getattr(env, command, None))(data)
-        except Exception as error:  # noqa: BLE001: it is raised where the environment is used
+        except Exception as error:  # noqa: BLE001
             answer = _Failure(error)
         connection.send(answer)
         if command == "close":
