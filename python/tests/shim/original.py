@@ -1,0 +1,76 @@
+"""Runs a script of this folder with the shim, and with the original where it is installed.
+
+`ROLLOUT_ORIGINAL` names the Python of an environment with the original (hf-libero 0.1.4,
+robosuite 1.4.0, MuJoCo 3.3.7) and its assets.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+HERE = Path(__file__).resolve().parent
+MINUTES = 20
+
+
+def original_python() -> str:
+    """The original's Python, or the test is skipped."""
+    python = os.environ.get("ROLLOUT_ORIGINAL")
+    if not python or not Path(python).exists():
+        pytest.skip("the original is not installed: ROLLOUT_ORIGINAL names no Python")
+    return python
+
+
+def run(python: str, script: str, *arguments: str, **variables: str) -> Any:
+    """What a script of this folder has pickled into the file that is its last argument."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "out.pickle"
+        done = subprocess.run(
+            [python, str(HERE / script), *arguments, str(out)],
+            env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1", **variables},
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            timeout=MINUTES * 60,
+        )
+        assert done.returncode == 0, f"{script} {arguments} with {python}:\n{done.stderr[-4000:]}"
+        return pickle.loads(out.read_bytes())
+
+
+def run_original(script: str, *arguments: str, **variables: str) -> Any:
+    """The same with the original, which draws through OpenGL without a display."""
+    python = original_python()
+    packages = subprocess.run(
+        [python, "-c", "import site; print(site.getsitepackages()[0])"],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout.strip()
+    root = Path(packages) / "libero" / "libero"
+    # Without it the original asks on standard input.
+    with tempfile.TemporaryDirectory() as settings:
+        folders = {
+            "benchmark_root": root,
+            "bddl_files": root / "bddl_files",
+            "init_states": root / "init_files",
+            "datasets": root.parent / "datasets",
+            "assets": root / "assets",
+        }
+        Path(settings, "config.yaml").write_text(
+            "".join(f"{key}: {folder}\n" for key, folder in folders.items())
+        )
+        variables = {"LIBERO_CONFIG_PATH": settings, "MUJOCO_GL": "egl", **variables}
+        # The shim must not be found by it.
+        return run(python, script, *arguments, PYTHONPATH="", **variables)
+
+
+def run_shim(script: str, *arguments: str, **variables: str) -> Any:
+    """The same with the shim, in a process of its own as well."""
+    return run(sys.executable, script, *arguments, **variables)

@@ -1,0 +1,509 @@
+"""What the shim does by itself: folders, tables, misuse, several environments."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import subprocess
+import sys
+import threading
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rollout_libero
+from libero.libero import benchmark, get_libero_path, paths
+from libero.libero.benchmark.init_states import load_init_states
+from libero.libero.envs import (
+    TASK_MAPPING,
+    ControlEnv,
+    DummyVectorEnv,
+    OffScreenRenderEnv,
+    SegmentationRenderEnv,
+    SubprocVectorEnv,
+    bddl_utils,
+)
+
+NOTHING = [0.0] * 6 + [-1.0]
+
+
+@pytest.fixture
+def env(bddl_file: str) -> Any:
+    made = OffScreenRenderEnv(bddl_file_name=bddl_file, camera_heights=32, camera_widths=32)
+    made.seed(0)
+    made.reset()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def config_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    file = tmp_path / "config.yaml"
+    monkeypatch.setattr(paths, "config_file", str(file))
+    monkeypatch.setattr(paths, "libero_config_path", str(tmp_path))
+    return file
+
+
+# Folders.
+
+
+def test_importing_needs_no_standard_input_no_configuration_and_no_heavy_package(
+    tmp_path: Path,
+) -> None:
+    code = (
+        "import sys, libero.libero, libero.libero.benchmark, libero.libero.envs\n"
+        "print([m for m in ('torch', 'mujoco', 'robosuite', 'OpenGL') if m in sys.modules])"
+    )
+    settings = tmp_path / "settings"
+    done = subprocess.run(
+        [sys.executable, "-c", f"import os; os.close(0)\n{code}"],
+        env={**os.environ, "LIBERO_CONFIG_PATH": str(settings)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "[]\n", "")
+    assert not settings.exists()
+
+
+def test_folders_are_those_that_were_fetched_without_a_configuration(config_file: Path) -> None:
+    bddl_files = Path(get_libero_path("bddl_files"))
+    assert (bddl_files / "libero_goal" / "turn_on_the_stove.bddl").is_file()
+    init_states = Path(get_libero_path("init_states"))
+    assert (init_states / "libero_goal" / "turn_on_the_stove.pruned_init").is_file()
+    assert Path(get_libero_path("benchmark_root")) == bddl_files.parent
+    assert get_libero_path("assets") == paths.get_assets_path()
+    with pytest.raises(KeyError, match="ask for one of benchmark_root"):
+        get_libero_path("robots")
+
+
+def test_a_configured_folder_counts_where_it_has_files(config_file: Path, tmp_path: Path) -> None:
+    mine = tmp_path / "mine"
+    (mine / "libero_goal").mkdir(parents=True)
+    config_file.write_text(f"bddl_files: {mine}\ninit_states: {tmp_path / 'gone'}\n")
+    assert get_libero_path("bddl_files") == str(mine)
+    assert Path(get_libero_path("init_states"), "libero_goal").is_dir()
+
+
+def test_a_configuration_of_folders_inside_the_package_does_no_harm(config_file: Path) -> None:
+    # What torchrl writes before its first import of LIBERO.
+    import libero.libero
+
+    root = os.path.dirname(libero.libero.__file__)
+    folders = {
+        "benchmark_root": root,
+        "bddl_files": os.path.join(root, "bddl_files"),
+        "init_states": os.path.join(root, "init_files"),
+        "datasets": os.path.abspath(os.path.join(root, "..", "datasets")),
+        "assets": os.path.join(root, "assets"),
+    }
+    config_file.write_text("".join(f"{key}: '{value}'\n" for key, value in folders.items()))
+    for key in folders:
+        assert not get_libero_path(key).startswith(root), key
+
+
+def test_a_folder_is_set_and_unset(config_file: Path, tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="no task files"):
+        paths.set_libero_default_path(str(tmp_path / "nowhere"))
+    (tmp_path / "root" / "bddl_files" / "suite").mkdir(parents=True)
+    paths.set_libero_default_path(str(tmp_path / "root"))
+    assert get_libero_path("benchmark_root") == str(tmp_path / "root")
+    assert get_libero_path("bddl_files") == str(tmp_path / "root" / "bddl_files")
+    paths.set_libero_default_path()
+    assert not config_file.exists()
+    assert get_libero_path("benchmark_root") == paths.get_default_path_dict()["benchmark_root"]
+
+
+def test_a_configuration_that_is_not_yaml_is_named(config_file: Path) -> None:
+    config_file.write_text("bddl_files: [")
+    with pytest.raises(ValueError, match="correct or remove it"):
+        get_libero_path("bddl_files")
+
+
+# Suites.
+
+
+@pytest.mark.parametrize(
+    ("suite", "tasks"),
+    [
+        ("libero_spatial", 10),
+        ("libero_object", 10),
+        ("libero_goal", 10),
+        ("libero_10", 10),
+        ("libero_90", 90),
+    ],
+)
+def test_every_task_of_a_suite_has_its_files_and_its_instruction(suite: str, tasks: int) -> None:
+    made = benchmark.get_benchmark_dict()[suite]()
+    assert (made.name, made.n_tasks, made.get_num_tasks()) == (suite, tasks, tasks)
+    for i in range(tasks):
+        task = made.get_task(i)
+        assert task.problem_folder == suite
+        assert Path(made.get_task_bddl_file_path(i)).is_file()
+        assert Path(get_libero_path("init_states"), suite, task.init_states_file).is_file()
+        assert task.language and "SCENE" not in task.language and "_" not in task.language
+    assert len(set(made.get_task_names())) == tasks
+
+
+def test_instructions_leave_out_the_scene() -> None:
+    language = benchmark.grab_language_from_filename
+    assert language("KITCHEN_SCENE10_close_the_top_drawer.bddl") == "close the top drawer"
+    assert language("LIVING_ROOM_SCENE2_put_both_in_the_basket.bddl") == "put both in the basket"
+    assert language("open_the_middle_drawer.bddl") == "open the middle drawer"
+
+
+def test_orders_of_tasks() -> None:
+    own, other = (benchmark.get_benchmark("LIBERO_GOAL")(order) for order in (0, 1))
+    assert own.get_task_names()[4] == other.get_task_names()[0]
+    assert sorted(own.get_task_names()) == sorted(other.get_task_names())
+    with pytest.raises(ValueError, match="leave task_order_index at 0"):
+        benchmark.get_benchmark("libero_90")(1)
+
+
+def test_suites_that_are_not_there_are_named() -> None:
+    assert "libero_100" in benchmark.get_benchmark_dict()
+    with pytest.raises(KeyError, match="libero_90 and libero_10"):
+        benchmark.get_benchmark("libero_100")()
+    with pytest.raises(KeyError, match="choose one of libero_spatial"):
+        benchmark.get_benchmark("libero_space")
+
+
+def test_initial_states_are_an_array_and_need_no_torch() -> None:
+    states = benchmark.get_benchmark("libero_goal")().get_task_init_states(8)
+    assert type(states) is np.ndarray
+    assert states.dtype == np.float64
+    assert states.shape == (50, 79)
+    assert states.flags.writeable
+    assert (states[:, 0] == states[0, 0]).all()
+
+
+def test_a_file_of_initial_states_cannot_run_code(tmp_path: Path) -> None:
+    class Attack:
+        def __reduce__(self) -> Any:
+            return os.mkdir, (str(tmp_path / "ran"),)
+
+    file = tmp_path / "task.pruned_init"
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("archive/data.pkl", pickle.dumps(Attack()))
+    with pytest.raises(ValueError, match="fetch the file again"):
+        load_init_states(file)
+    assert not (tmp_path / "ran").exists()
+    file.write_text("<html>")
+    with pytest.raises(ValueError, match="holds no initial states"):
+        load_init_states(file)
+
+
+# BDDL.
+
+
+def test_a_problem_says_what_it_is(bddl_file: str) -> None:
+    assert bddl_utils.get_problem_info(bddl_file) == {
+        "problem_name": "libero_tabletop_manipulation",
+        "domain_name": "robosuite",
+        "language_instruction": "put the bowl on the plate",
+    }
+    with pytest.raises(ValueError, match="leaves a parenthesis open"):
+        bddl_utils.scan_tokens(string="(define (problem a)")
+    with pytest.raises(ValueError, match="never opened"):
+        bddl_utils.scan_tokens(string="(define))")
+
+
+# Environments.
+
+
+def test_what_only_the_original_has_is_refused_with_the_remedy(bddl_file: str) -> None:
+    for argument, value in {
+        "controller": "JOINT_POSITION",
+        "control_freq": 10,
+        "robots": ["Sawyer"],
+        "has_renderer": True,
+        "renderer": "nvisii",
+        "initialization_noise": "default",
+        "gripper_types": "RobotiqGripper",
+        "render_collision_mesh": True,
+        "scene_properties": {"floor_style": "wood"},
+    }.items():
+        with pytest.raises(NotImplementedError, match=f"{argument}=.*not supported.*: "):
+            ControlEnv(bddl_file, **{argument: value})
+    with pytest.raises(TypeError, match="no argument `camera_height`"):
+        OffScreenRenderEnv(bddl_file_name=bddl_file, camera_height=64)
+    with pytest.raises(ValueError, match="give use_camera_obs=False"):
+        ControlEnv(bddl_file, has_offscreen_renderer=False)
+    with pytest.raises(ValueError, match="no camera `topview`.*agentview"):
+        OffScreenRenderEnv(bddl_file_name=bddl_file, camera_names="topview")
+    with pytest.raises(ValueError, match="3 values for 2 cameras"):
+        OffScreenRenderEnv(bddl_file_name=bddl_file, camera_heights=[1, 2, 3])
+    with pytest.raises(ValueError, match="choose one of instance"):
+        OffScreenRenderEnv(bddl_file_name=bddl_file, camera_segmentations="pixel")
+
+
+def test_missing_files_are_named_with_the_remedy(
+    bddl_file: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    with pytest.raises(FileNotFoundError, match="get_task_bddl_file_path"):
+        OffScreenRenderEnv(bddl_file_name="nowhere.bddl")
+    monkeypatch.setenv("ROLLOUT_ASSETS", str(tmp_path))
+    with pytest.raises(FileNotFoundError, match="asset pack"):
+        OffScreenRenderEnv(bddl_file_name=bddl_file)
+
+
+def test_a_device_is_accepted_and_not_used(bddl_file: str) -> None:
+    env = OffScreenRenderEnv(
+        bddl_file_name=bddl_file,
+        render_gpu_device_id=3,
+        camera_names=["birdview"],
+        camera_heights=20,
+        camera_widths=30,
+    )
+    assert env.reset()["birdview_image"].shape == (20, 30, 3)
+    env.close()
+
+
+def test_actions_of_another_shape_are_refused(env: OffScreenRenderEnv) -> None:
+    for action in ([0.0] * 6, [[0.0] * 7], 0.0, [0.0] * 8):
+        with pytest.raises(ValueError, match="an action has 7 numbers"):
+            env.step(action)
+    assert env.env.timestep == 0
+    env.step(tuple(NOTHING))
+    env.step(np.zeros(7, dtype=np.float32))
+    assert env.env.timestep == 2
+
+
+def test_states_of_another_scene_are_refused(env: OffScreenRenderEnv) -> None:
+    with pytest.raises(ValueError, match="state of this task"):
+        env.set_init_state(np.zeros(71))
+
+
+def test_a_closed_environment_says_so(bddl_file: str) -> None:
+    env = OffScreenRenderEnv(bddl_file_name=bddl_file, use_camera_obs=False)
+    sim, domain = env.sim, env.env
+    controller = env.robots[0].controller
+    env.close()
+    env.close()
+    for use in (
+        env.reset,
+        lambda: env.step(NOTHING),
+        env.get_sim_state,
+        env.check_success,
+        lambda: env.env,
+        lambda: sim.data.qpos,
+        lambda: sim.model.nq,
+        lambda: controller.ee_pos,
+        domain.reset,
+    ):
+        with pytest.raises(rollout_libero.ClosedError, match="construct a new one"):
+            use()
+
+
+def test_two_threads_in_one_environment_are_told(env: OffScreenRenderEnv) -> None:
+    outcomes: list[Exception | None] = []
+
+    def work() -> None:
+        for _ in range(40):
+            try:
+                env.step(NOTHING)
+                outcomes.append(None)
+            except rollout_libero.BusyError as error:
+                outcomes.append(error)
+
+    threads = [threading.Thread(target=work) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(outcomes) == 160
+    errors = [error for error in outcomes if error is not None]
+    assert errors, "no two of the threads ever met"
+    assert all("thread" in str(error) for error in errors)
+    env.step(NOTHING)
+
+
+def test_the_end_of_an_episode_is_said_with_the_remedy(bddl_file: str) -> None:
+    env = OffScreenRenderEnv(bddl_file_name=bddl_file, use_camera_obs=False, horizon=1)
+    env.reset()
+    env.step(NOTHING)
+    with pytest.raises(ValueError, match="terminated episode.*call reset"):
+        env.step(NOTHING)
+    env.reset()
+    env.step(NOTHING)
+    env.close()
+
+
+def test_arrays_cannot_be_written_to_in_vain(env: OffScreenRenderEnv) -> None:
+    with pytest.raises(ValueError, match=r"sim.model.set\('cam_pos'"):
+        env.sim.model.cam_pos[0] = 0
+    with pytest.raises(ValueError, match="set_state_from_flattened"):
+        env.sim.data.qpos[3:5] = 0
+    with pytest.raises(AttributeError, match="sim.model.set"):
+        env.sim.model.body_pos = 0
+    with pytest.raises(AttributeError, match="set_state_from_flattened"):
+        env.sim.data.qpos = 0
+    own = env.sim.data.qpos + 1
+    own[0] = 3.0
+    assert own[0] == 3.0
+
+
+def test_a_camera_is_moved_in_one_environment_only(bddl_file: str) -> None:
+    arguments = {"bddl_file_name": bddl_file, "camera_heights": 48, "camera_widths": 48}
+    moved, other = (OffScreenRenderEnv(**arguments) for _ in range(2))
+    frames = []
+    for env in (moved, other):
+        env.seed(0)
+        frames.append(env.reset()["agentview_image"])
+    np.testing.assert_array_equal(*frames)
+    positions = moved.sim.model.cam_pos.copy()
+    positions[moved.sim.model.camera_name2id("agentview")] += [0.1, 0.2, 0.0]
+    moved.sim.model.set("cam_pos", positions)
+    np.testing.assert_array_equal(moved.sim.model.cam_pos, positions)
+    after = [env.step(NOTHING)[0]["agentview_image"] for env in (moved, other)]
+    assert (after[0] != after[1]).mean() > 0.2
+    for env in (moved, other):
+        env.close()
+
+
+def test_pictures_of_the_present_do_not_move_the_instant_of_observation(bddl_file: str) -> None:
+    def run(look: bool) -> list[Any]:
+        env = OffScreenRenderEnv(bddl_file_name=bddl_file, use_camera_obs=False)
+        env.seed(0)
+        env.reset()
+        seen = []
+        for i in range(4):
+            seen.append(env.step([0.5, 0.1 * i, -0.2, 0.3, 0, 0, 1])[0]["robot0_proprio-state"])
+            if look:
+                env.sim.render(camera_name="agentview", width=16, height=16)
+        env.close()
+        return seen
+
+    np.testing.assert_array_equal(run(look=True), run(look=False))
+
+
+def test_what_is_left_out_is_not_observed(env: OffScreenRenderEnv) -> None:
+    env.env.modify_observable("agentview_image", "enabled", False)
+    env.env.modify_observable("robot0_joint_vel", "active", False)
+    observation, *_ = env.step(NOTHING)
+    assert "agentview_image" not in observation
+    assert observation["robot0_proprio-state"].shape == (32,)
+    env.env.modify_observable("agentview_image", "enabled", True)
+    assert "agentview_image" in env.step(NOTHING)[0]
+    with pytest.raises(KeyError, match="nothing is observed as"):
+        env.env.modify_observable("sideview_image", "enabled", True)
+    with pytest.raises(NotImplementedError, match="corrupter"):
+        env.env.modify_observable("agentview_image", "corrupter", None)
+
+
+def test_what_is_left_out_of_the_package_is_named(env: OffScreenRenderEnv) -> None:
+    for module in ("libero.lifelong", "libero.libero.utils", "libero.libero.envs.objects"):
+        with pytest.raises(ImportError, match=f"{module} is not part of rollout-libero-shim: "):
+            __import__(f"{module}.more", fromlist=["x"])
+    with pytest.raises(ImportError, match="libero.libero.envs.objects is not part"):
+        from libero.libero.envs import objects  # noqa: F401
+    with pytest.raises(AttributeError, match="_model.*MuJoCo's own objects are not shown"):
+        _ = env.sim.model._model
+    with pytest.raises(AttributeError, match="`step` in rollout-libero-shim"):
+        env.sim.step()
+    with pytest.raises(NotImplementedError, match="BDDL file"):
+        env.reset_from_xml_string("<mujoco/>")
+    with pytest.raises(NotImplementedError, match="force=True"):
+        env._update_observables()
+    with pytest.raises(AttributeError, match="only use_delta can be set"):
+        env.robots[0].controller.kp = 10
+
+
+def test_a_problems_class_makes_the_environment_too(bddl_file: str) -> None:
+    problem = bddl_utils.get_problem_info(bddl_file)["problem_name"]
+    config = {"type": "OSC_POSE", "kp": 150, "control_delta": False}
+    arguments = {"robots": ["Panda"], "use_camera_obs": False, "reward_scale": 2.0}
+    env = TASK_MAPPING[problem](bddl_file, controller_configs=config, **arguments)
+    assert not env.robots[0].controller.use_delta
+    env.reset()
+    assert not env.robots[0].controller.use_delta
+    assert env.reward() == 0.0
+    assert env.language_instruction == "put the bowl on the plate"
+    env.close()
+    with pytest.raises(NotImplementedError, match=r"controller_configs\['kp'\]"):
+        TASK_MAPPING[problem](bddl_file, controller_configs={**config, "kp": 80}, **arguments)
+    with pytest.raises(ValueError, match="take the class from TASK_MAPPING"):
+        TASK_MAPPING["libero_floor_manipulation"](bddl_file, **arguments)
+
+
+def test_segments_are_taken_apart(bddl_file: str) -> None:
+    env = SegmentationRenderEnv(bddl_file_name=bddl_file, camera_names="agentview")
+    observation = env.reset()
+    segments = observation["agentview_segmentation_instance"]
+    parts = env.get_segmentation_instances(segments)
+    assert parts["robot"].any() and parts["plate_1"].any()
+    shown = {part for part in parts if parts[part].any()}
+    assert (
+        sum((parts[part] > 0).sum() for part in shown - {"MountedPanda0"}) == (segments > 0).sum()
+    )
+    interest = env.get_segmentation_of_interest(segments)
+    bowl = segments == env.instance_to_id["akita_black_bowl_1"]
+    assert bowl.any() and (interest[bowl] == 1).all() and (interest[segments == 0] == -1).all()
+    env.close()
+
+
+# Several environments.
+
+
+class Blind:
+    """A constructor of environments that can be sent to a process."""
+
+    def __init__(self, bddl_file: str) -> None:
+        self.bddl_file = bddl_file
+
+    def __call__(self) -> OffScreenRenderEnv:
+        return OffScreenRenderEnv(
+            bddl_file_name=self.bddl_file, camera_heights=16, camera_widths=16, horizon=5
+        )
+
+
+def seen(observations: Any) -> list[Any]:
+    return [observation["robot0_eef_pos"] for observation in observations]
+
+
+@pytest.mark.parametrize("kind", [DummyVectorEnv, SubprocVectorEnv])
+def test_several_environments_do_what_one_does(kind: Any, bddl_file: str) -> None:
+    state = benchmark.get_benchmark("libero_goal")().get_task_init_states(8)
+    envs = kind([lambda: Blind(bddl_file)() for _ in range(3)])
+    assert len(envs) == 3
+    envs.seed([5, 6, 7])
+    assert envs.reset().shape == (3,)
+    observations = envs.set_init_state(init_state=state[:3])
+    actions = np.array([[0.1 * i, 0.2, 0, 0, 0, 0, -1] for i in range(3)])
+    observations, rewards, dones, infos = envs.step(actions)
+    assert observations.shape == rewards.shape == dones.shape == infos.shape == (3,)
+    assert [info["env_id"] for info in infos] == [0, 1, 2]
+    assert envs.check_success() == [False] * 3
+    assert len(envs.get_env_attr("language_instruction")) == 3
+
+    one = Blind(bddl_file)()
+    one.seed(7)
+    one.reset()
+    one.set_init_state(state[2])
+    alone, *_ = one.step(actions[2])
+    np.testing.assert_array_equal(alone["agentview_image"].shape, (16, 16, 3))
+    np.testing.assert_allclose(alone["robot0_eef_pos"], observations[2]["robot0_eef_pos"], atol=0)
+    np.testing.assert_array_equal(one.get_sim_state(), envs.get_sim_state()[2])
+    one.close()
+
+    some, *_ = envs.step(actions[1:], id=[1, 2])
+    assert len(some) == 2
+    assert envs.reset(id=[1]).shape == (1,)
+    with pytest.raises(ValueError, match="give one each"):
+        envs.step(actions[:2])
+    with pytest.raises(ValueError, match="7 numbers"):
+        envs.step([[0.0]], id=[0])
+    envs.step(actions[:1], id=0)
+    envs.close()
+    with pytest.raises(RuntimeError, match="make new ones"):
+        envs.step(actions)
+
+
+def test_processes_that_cannot_construct_say_why(bddl_file: str) -> None:
+    envs = SubprocVectorEnv([Blind("nowhere.bddl")])
+    with pytest.raises(FileNotFoundError, match="nowhere.bddl"):
+        envs.reset()
+    with pytest.raises(NotImplementedError, match="leave wait_num"):
+        SubprocVectorEnv([Blind(bddl_file)] * 2, wait_num=1)
