@@ -16,8 +16,17 @@ const BUILT_WITH: [&str; 4] = [
     "setuptools>=77",
     "wheel",
 ];
-/// What their tests need beside what they ask for.
-const TESTED_WITH: [&str; 3] = ["gymnasium>=1.0", "pillow", "pytest>=7"];
+/// What they ask for, and what their tests need beside it: another MuJoCo, whose symbols
+/// must not come into the way of ours.
+const TESTED_WITH: [&str; 7] = [
+    "cloudpickle>=2",
+    "gymnasium>=1.0",
+    "mujoco>3.3.7",
+    "numpy>=1.24",
+    "pillow",
+    "pytest>=7",
+    "pyyaml>=5",
+];
 /// Largest wheel, bytes.
 const LARGEST: u64 = 25 * 1024 * 1024;
 /// Written into an environment once all is there; holds what was wanted.
