@@ -38,6 +38,10 @@ class Starts:
         if self._perturbed is not None:
             self.instruction = self._perturbed["language"]
 
+    def restart(self) -> None:
+        """Starts the turns over, as a seed does."""
+        self._turn = 0
+
     def next(
         self, generator: np.random.Generator, options: Mapping[str, Any]
     ) -> tuple[str, int | None]:

@@ -111,9 +111,12 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Begins a rollout, up to its policy's first action.
 
-        ``options`` may have ``init_state``: the number of a released initial state.
+        ``options`` may have ``init_state``: the number of a released initial state. A seed
+        also starts the turns of ``init_states`` over.
         """
         super().reset(seed=seed)
+        if seed is not None:
+            self.starts.restart()
         start, self._init_state = self.starts.next(self.np_random, options or {})
         none = np.empty((1, 0, ACTION_WIDTH))
         shown = self._batch.advance(none, [0], [start], self._cameras)

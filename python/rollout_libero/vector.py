@@ -126,6 +126,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         for at, number in enumerate(_seeds(seed, self.num_envs)):
             if number is not None and mask[at]:
                 self._generators[at] = seeding.np_random(number)[0]
+                self.starts[at].restart()
         chosen = np.broadcast_to(options.get("init_state"), self.num_envs)
         starts = self._starts(mask, [{"init_state": it} for it in chosen])
         shown = self._batch.advance(self._no_actions(), [0] * self.num_envs, starts, self._cameras)

@@ -4,6 +4,7 @@
 #![forbid(unsafe_code)]
 
 mod bench;
+mod bench_python;
 mod cargo;
 mod demo;
 mod original;
@@ -98,6 +99,8 @@ enum Bench {
     },
     /// The same rollout here and in the original LIBERO, in turn.
     Compare(bench::Compare),
+    /// Environments in Python, here and in the original, in turn.
+    Python(bench_python::Options),
     /// A whole machine: runs `worker bench`.
     Machine {
         /// Passed on: --assets PACK_OR_PATH [--task SUITE/N] [--execute K]
@@ -136,6 +139,7 @@ fn main() -> ExitCode {
             test::program(&root(), "bench_rollout", &arguments)
         }
         Command::Bench(Bench::Compare(options)) => bench::compare(&root(), &options),
+        Command::Bench(Bench::Python(options)) => bench_python::run(&root(), &options),
         Command::Bench(Bench::Machine { arguments }) => test::worker_bench(&root(), &arguments),
         Command::Bench(Bench::Queue { arguments }) => bench_queue(&arguments),
         Command::Bench(Bench::Gateway { arguments }) => bench_gateway(&arguments),

@@ -83,7 +83,7 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
                 .env("POLICY_GATEWAY", programs.join("policy-gateway")),
         )?;
         println!("Testing the Python packages as wheels");
-        let mut pytest = Command::new(wheel::tested(root, &cache)?);
+        let mut pytest = Command::new(wheel::installed(root, &cache)?);
         run_command(
             pytest
                 .args(["-m", "pytest", "--quiet", "-rs", "-p", "no:cacheprovider"])

@@ -116,7 +116,7 @@ pub(crate) fn run(root: &Path, cache: &Path, output: Option<&Path>) -> Result<()
 ///
 /// # Errors
 /// If it cannot be made.
-pub(crate) fn tested(root: &Path, cache: &Path) -> Result<PathBuf> {
+pub(crate) fn installed(root: &Path, cache: &Path) -> Result<PathBuf> {
     let wheels = build(root, cache, Profile::Dev)?;
     let dir = cache.join("wheel-venv");
     step("an environment with the wheels", || {

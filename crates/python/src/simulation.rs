@@ -8,7 +8,9 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use sim::mujoco::{Model, OwnArray, Values};
-use sim::{ActionFrame, Conditions, Drawer, Environment, Frame, ObjectKind, ReadyScene, Renderer, Reset};
+use sim::{
+    ActionFrame, Conditions, Drawer, Environment, Frame, ObjectKind, ReadyScene, Renderer, Reset,
+};
 
 use crate::action::{Numbers, WIDTH, actions};
 use crate::error::simulation;
@@ -148,7 +150,9 @@ impl Simulation {
         };
         let (rng, rounds) = self.state.with(py, move |state| {
             state.conditions = None;
-            let reset = state.environment.reset(&mut rng, kind, joint_sampler_rounds);
+            let reset = state
+                .environment
+                .reset(&mut rng, kind, joint_sampler_rounds);
             let rounds = reset.map_err(simulation)?;
             Ok((rng, rounds))
         })?;

@@ -18,7 +18,7 @@ def test_actions_of_a_wrong_shape_or_without_a_value(make, make_vector):
     for wrong in (np.zeros(6), np.zeros((1, 7)), []):
         with pytest.raises(ValueError, match="7 numbers"):
             environment.step(wrong)
-    with pytest.raises(ValueError, match=r"nan.*policy"):
+    with pytest.raises(ValueError, match=r"NaN.*policy"):
         environment.step([np.nan] * 7)
     with pytest.raises(ValueError, match=r"expected \(3, 7\)"):
         environments.step(np.zeros((2, 7)))
