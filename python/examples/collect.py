@@ -81,7 +81,7 @@ class Episode:
 
 
 def seen_by(observations: Observations, index: int) -> Observations:
-    """What one environment has seen, copied: the arrays are written anew with every step."""
+    """What one environment has seen, copied: a view would keep the frames of all."""
     return {key: values[index].copy() for key, values in observations.items()}
 
 

@@ -3,14 +3,18 @@
 import re
 import subprocess
 import sys
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
-np = pytest.importorskip("numpy")
-pytest.importorskip("rollout_libero._native", reason="rollout-libero is not installed")
+try:
+    version("rollout-libero")
+except PackageNotFoundError:
+    pytest.skip("rollout-libero is not installed", allow_module_level=True)
 
 
 def run(*words):
