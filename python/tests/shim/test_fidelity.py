@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +31,17 @@ NEAR = 1e-9
 pytestmark = pytest.mark.skipif(not RECORDED, reason=f"no recordings in {SHARED / 'oracle'}")
 
 
-def tasks() -> list[Any]:
-    return [pytest.param(task, id=f"{task.parent.name}-{task.name[:2]}") for task in RECORDED]
+@pytest.fixture(
+    scope="module",
+    params=RECORDED,
+    ids=[f"{task.parent.name}-{task.name[:2]}" for task in RECORDED],
+)
+def task(request: pytest.FixtureRequest, real_assets: Path) -> Iterator[Path]:
+    """A task's folder; its scene is compiled once for all of its tests."""
+    suite, i = suite_of(request.param)
+    kept = OffScreenRenderEnv(bddl_file_name=suite.get_task_bddl_file_path(i))
+    yield request.param
+    kept.close()
 
 
 def suite_of(task: Path) -> tuple[Any, int]:
@@ -56,9 +66,8 @@ def show_frames(env: OffScreenRenderEnv, shown: bool) -> None:
 
 
 @pytest.mark.parametrize("initial_state", [0, 1])
-@pytest.mark.parametrize("task", tasks())
 def test_smooth_steps_give_the_originals_readings_and_frames(
-    task: Path, initial_state: int, real_assets: Path
+    task: Path, initial_state: int
 ) -> None:
     recorded = np.load(task / f"traj_{initial_state}.npz")
     loaded = np.load(task / "init_dummy10.npz")
@@ -99,8 +108,7 @@ def test_smooth_steps_give_the_originals_readings_and_frames(
     env.close()
 
 
-@pytest.mark.parametrize("task", tasks())
-def test_grasping_gives_the_originals_success_flags(task: Path, real_assets: Path) -> None:
+def test_grasping_gives_the_originals_success_flags(task: Path) -> None:
     recorded = np.load(SHARED / "oracle" / "contact" / f"{task.parent.name}_{task.name[:2]}.npz")
     env = seeded(task)
     env.set_init_state(recorded["state"])

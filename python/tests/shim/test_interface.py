@@ -63,6 +63,7 @@ def test_importing_needs_no_standard_input_no_configuration_and_no_heavy_package
         capture_output=True,
         text=True,
         timeout=300,
+        check=False,
     )
     assert (done.returncode, done.stdout, done.stderr) == (0, "[]\n", "")
     assert not settings.exists()

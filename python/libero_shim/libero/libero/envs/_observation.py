@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from libero.libero.envs._models import TaskModel
 from libero.libero.envs._rotations import relative_poses
 from libero.libero.envs._settings import Camera
-from libero.libero.envs._sim import shown_geoms
 from libero.libero.envs._simulation import Held
 
 _ROBOT = "robot0"
+#: MuJoCo's number for geoms.
+_GEOM = 5
 _PROPRIOCEPTION = (
     "joint_pos",
     "joint_pos_cos",
@@ -141,10 +142,23 @@ class Observer:
             table[geom] = numbers[group]
 
         def draw() -> NDArray[np.int32]:
-            drawn = self._held.get().segmentation(camera.name, camera.width, camera.height)
-            geoms = shown_geoms(drawn)[..., np.newaxis]
+            geoms = self._visible_geoms(camera)[..., np.newaxis]
             if kind == "element":
                 return geoms
             return table[np.where(geoms < len(table) - 1, geoms, -1)]
 
         return draw
+
+    def _visible_geoms(self, camera: Camera) -> NDArray[np.int32]:
+        """Ids of the geoms that a camera sees, [h, w], -1 where none is. Sites hide nothing:
+        MuJoCo's segmentations show them even where frames do not."""
+        simulation = self._held.get()
+        colours = simulation.model_array("site_rgba")
+        transparent = colours.copy()
+        transparent[:, 3] = 0.0
+        simulation.set_model_array("site_rgba", transparent)
+        try:
+            drawn = simulation.segmentation(camera.name, camera.width, camera.height)
+        finally:
+            simulation.set_model_array("site_rgba", colours)
+        return np.where(drawn[..., 0] == _GEOM, drawn[..., 1], np.int32(-1))
