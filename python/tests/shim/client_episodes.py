@@ -6,6 +6,7 @@ to look for after this Python's own.
 
 from __future__ import annotations
 
+import asyncio
 import os
 import pickle
 import sys
@@ -26,19 +27,20 @@ def vla_eval(actions: np.ndarray) -> Episode:
     from vla_eval.benchmarks.libero import benchmark
 
     benchmark.LIBERO_ENV_RESOLUTION = SIZE
-    run = benchmark.LIBEROBenchmark(
-        suite=SUITE, seed=7, send_wrist_image=True, send_state=True, max_steps=len(actions)
-    )
-    task = run.get_tasks()[TASK]
-    raw = run.reset({**task, "episode_idx": 0})
-    episode = [run.make_obs(raw, task)]
-    for action in actions:
-        result = run.step({"actions": action})
-        done = run.check_done(result)
-        seen = run.make_obs(result.obs, task)
-        episode.append({**seen, **run.get_step_result(result), "reward": result.reward})
-        if done:
-            break
+    run = benchmark.LIBEROBenchmark(suite=SUITE, seed=7, send_wrist_image=True, send_state=True)
+
+    async def play() -> Episode:
+        await run.start_episode({**run.get_tasks()[TASK], "episode_idx": 0})
+        episode = [dict(await run.get_observation())]
+        for action in actions:
+            await run.apply_action({"actions": action})
+            result = await run.get_result()
+            episode.append({**await run.get_observation(), **result})
+            if await run.is_done():
+                break
+        return episode
+
+    episode = asyncio.run(play())
     run.cleanup()
     return episode
 

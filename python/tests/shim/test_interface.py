@@ -332,6 +332,20 @@ def test_the_end_of_an_episode_is_said_with_the_remedy(bddl_file: str) -> None:
     env.close()
 
 
+def test_another_global_generator_is_refused(env: OffScreenRenderEnv) -> None:
+    before = np.random.get_bit_generator()
+    np.random.set_bit_generator(np.random.PCG64(1))
+    try:
+        with (
+            pytest.warns(RuntimeWarning),
+            pytest.raises(RuntimeError, match="is PCG64.*set it back"),
+        ):
+            env.reset()
+    finally:
+        np.random.set_bit_generator(before)
+    env.reset()
+
+
 def test_arrays_cannot_be_written_to_in_vain(env: OffScreenRenderEnv) -> None:
     with pytest.raises(ValueError, match=r"sim.model.set\('cam_pos'"):
         env.sim.model.cam_pos[0] = 0
