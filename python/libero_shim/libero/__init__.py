@@ -4,4 +4,4 @@ import sys
 
 from libero._absent import AbsentModules
 
-sys.meta_path.append(AbsentModules)  # type: ignore[arg-type]
+sys.meta_path.append(AbsentModules)

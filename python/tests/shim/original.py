@@ -39,6 +39,7 @@ def run(python: str, script: str, *arguments: str, **variables: str) -> Any:
             capture_output=True,
             text=True,
             timeout=MINUTES * 60,
+            check=False,
         )
         assert done.returncode == 0, f"{script} {arguments} with {python}:\n{done.stderr[-4000:]}"
         return pickle.loads(out.read_bytes())

@@ -195,7 +195,7 @@ def segmentations() -> Log:
         log.append((f"{task} numbers", dict(env.segmentation_id_mapping)))
         log.append((f"{task} instances", list(env.env.model.instances_to_ids)))
         log.append((f"{task} classes", list(env.env.model.classes_to_ids)))
-        log.append((f"{task} of geoms", dict(env.env.model.geom_ids_to_instances)))
+        log.append((f"{task} of geoms", sorted(env.env.model.geom_ids_to_instances.items())))
         log.append((f"{task} of interest", list(env.obj_of_interest)))
         env.close()
     env = make("goal", camera_segmentations="element", camera_names="frontview")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -26,12 +28,25 @@ READINGS = (
 SEED = 20260904
 SETTLING = [0.0] * 6 + [-1.0]
 NEAR = 1e-9
+CALM = 1e-11
+SENSITIVITY = (
+    json.loads((SHARED / "oracle" / "sensitivity.json").read_text())["tasks"] if RECORDED else {}
+)
 
 pytestmark = pytest.mark.skipif(not RECORDED, reason=f"no recordings in {SHARED / 'oracle'}")
 
 
-def tasks() -> list[Any]:
-    return [pytest.param(task, id=f"{task.parent.name}-{task.name[:2]}") for task in RECORDED]
+@pytest.fixture(
+    scope="module",
+    params=RECORDED,
+    ids=[f"{task.parent.name}-{task.name[:2]}" for task in RECORDED],
+)
+def task(request: pytest.FixtureRequest, real_assets: Path) -> Iterator[Path]:
+    """A task's folder; its scene is compiled once for all of its tests."""
+    suite, i = suite_of(request.param)
+    kept = OffScreenRenderEnv(bddl_file_name=suite.get_task_bddl_file_path(i))
+    yield request.param
+    kept.close()
 
 
 def suite_of(task: Path) -> tuple[Any, int]:
@@ -56,9 +71,8 @@ def show_frames(env: OffScreenRenderEnv, shown: bool) -> None:
 
 
 @pytest.mark.parametrize("initial_state", [0, 1])
-@pytest.mark.parametrize("task", tasks())
 def test_smooth_steps_give_the_originals_readings_and_frames(
-    task: Path, initial_state: int, real_assets: Path
+    task: Path, initial_state: int
 ) -> None:
     recorded = np.load(task / f"traj_{initial_state}.npz")
     loaded = np.load(task / "init_dummy10.npz")
@@ -99,8 +113,9 @@ def test_smooth_steps_give_the_originals_readings_and_frames(
     env.close()
 
 
-@pytest.mark.parametrize("task", tasks())
-def test_grasping_gives_the_originals_success_flags(task: Path, real_assets: Path) -> None:
+def test_grasping_gives_the_originals_success_flags_and_positions_as_far_as_rounding_lets(
+    task: Path,
+) -> None:
     recorded = np.load(SHARED / "oracle" / "contact" / f"{task.parent.name}_{task.name[:2]}.npz")
     env = seeded(task)
     env.set_init_state(recorded["state"])
@@ -111,11 +126,21 @@ def test_grasping_gives_the_originals_success_flags(task: Path, real_assets: Pat
     for step, action in enumerate(recorded["actions"], start=1):
         _, _, done, _ = env.step(action)
         assert done == env.check_success() == recorded["success"][step]
-        # Before anything is touched, rounding has not grown.
-        if step <= 20:
-            qpos = env.get_sim_state()[1 : 1 + nq]
-            np.testing.assert_allclose(qpos, recorded["qpos"][step], atol=NEAR)
+        limit = rounding_grows_to(task, step)
+        qpos = env.get_sim_state()[1 : 1 + nq]
+        np.testing.assert_allclose(qpos, recorded["qpos"][step], rtol=0, atol=limit)
     env.close()
+
+
+def rounding_grows_to(task: Path, step: int) -> float:
+    """How far positions may be off at a step in contact: a hundred times what the original's
+    own response to noise of 1e-14 in its torques was, as docs/FIDELITY.md says."""
+    measured = SENSITIVITY.get(f"{task.parent.name}/{int(task.name[:2])}", {}).get("contact")
+    if measured is None:
+        return np.inf
+    # Measured at steps 20, 40, …
+    response = measured[min((step - 1) // 20, len(measured) - 1)]
+    return NEAR if response < CALM else 100 * response
 
 
 def check_readings(recorded: Any, step: int, observation: Any) -> None:

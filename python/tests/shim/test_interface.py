@@ -63,6 +63,7 @@ def test_importing_needs_no_standard_input_no_configuration_and_no_heavy_package
         capture_output=True,
         text=True,
         timeout=300,
+        check=False,
     )
     assert (done.returncode, done.stdout, done.stderr) == (0, "[]\n", "")
     assert not settings.exists()
@@ -329,6 +330,20 @@ def test_the_end_of_an_episode_is_said_with_the_remedy(bddl_file: str) -> None:
     env.reset()
     env.step(NOTHING)
     env.close()
+
+
+def test_another_global_generator_is_refused(env: OffScreenRenderEnv) -> None:
+    before = np.random.get_bit_generator()
+    np.random.set_bit_generator(np.random.PCG64(1))
+    try:
+        with (
+            pytest.warns(RuntimeWarning),
+            pytest.raises(RuntimeError, match="is PCG64.*set it back"),
+        ):
+            env.reset()
+    finally:
+        np.random.set_bit_generator(before)
+    env.reset()
 
 
 def test_arrays_cannot_be_written_to_in_vain(env: OffScreenRenderEnv) -> None:

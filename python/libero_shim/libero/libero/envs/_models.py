@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from rollout_libero._native import Scene
 
 from libero._absent import absent_attribute
@@ -40,6 +42,7 @@ class TaskModel:
 
     def __init__(self, scene: Scene, model: MjModel, arm: str, mount: str) -> None:
         trees = _Trees(model)
+        self._counts = {"geom": model.ngeom, "site": model.nsite}
         self.objects = {
             name: trees.object(name, category, scene.root_body(name), scene.joints(name))
             for name, category in scene.objects
@@ -73,6 +76,16 @@ class TaskModel:
                 group[kind] += ids[kind]
                 instances.update(dict.fromkeys(ids[kind], instance))
                 classes.update(dict.fromkeys(ids[kind], of_class))
+
+    def numbers(self, kind: str) -> dict[str, NDArray[np.int32]]:
+        """Numbers of geoms and sites, by id: from 1 on that of their `instance` or `class`,
+        whichever the kind is; 0 for the room's."""
+        groups = self.instances_to_ids if kind == "instance" else self.classes_to_ids
+        numbers = {what: np.zeros(count, dtype=np.int32) for what, count in self._counts.items()}
+        for i, ids in enumerate(groups.values()):
+            for what, of_id in numbers.items():
+                of_id[ids[what]] = i + 1
+        return numbers
 
     def __getattr__(self, name: str) -> Any:
         raise absent_attribute(

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from libero.libero.envs._models import TaskModel
 from libero.libero.envs._rotations import relative_poses
 from libero.libero.envs._settings import Camera
-from libero.libero.envs._sim import shown_geoms
 from libero.libero.envs._simulation import Held
 
 _ROBOT = "robot0"
+#: MuJoCo's numbers of types.
+_GEOM, _SITE = 5, 6
 _PROPRIOCEPTION = (
     "joint_pos",
     "joint_pos_cos",
@@ -130,21 +131,36 @@ class Observer:
     def _segmentation(
         self, camera: Camera, kind: str, model: TaskModel
     ) -> Callable[[], NDArray[np.int32]]:
-        if kind == "instance":
-            groups, of_geom = model.instances_to_ids, model.geom_ids_to_instances
-        else:
-            groups, of_geom = model.classes_to_ids, model.geom_ids_to_classes
-        # 0 is what belongs to none; the last row stands for id -1, where nothing is.
-        numbers = {group: i + 1 for i, group in enumerate(groups)}
-        table = np.zeros(max(of_geom, default=0) + 2, dtype=np.int32)
-        for geom, group in of_geom.items():
-            table[geom] = numbers[group]
+        if kind == "element":
+            return lambda: _geoms(self._segments(camera))
+        numbers = model.numbers(kind)
 
         def draw() -> NDArray[np.int32]:
-            drawn = self._held.get().segmentation(camera.name, camera.width, camera.height)
-            geoms = shown_geoms(drawn)[..., np.newaxis]
-            if kind == "element":
-                return geoms
-            return table[np.where(geoms < len(table) - 1, geoms, -1)]
+            segments = self._segments(camera)
+            shown = np.zeros((*segments.shape[:2], 1), dtype=np.int32)
+            for what, of_type in (("geom", _GEOM), ("site", _SITE)):
+                those = segments[..., 0] == of_type
+                shown[those, 0] = numbers[what][segments[those, 1]]
+            return shown
 
         return draw
+
+    def _segments(self, camera: Camera) -> NDArray[np.int32]:
+        """MuJoCo's type and id of what a camera sees, [h, w, 2]. Sites are transparent, as
+        in frames; MuJoCo's segmentations would show them. A burner is not: it is drawn as
+        it was when it was observed."""
+        simulation = self._held.get()
+        colours = simulation.model_array("site_rgba")
+        transparent = colours.copy()
+        transparent[:, 3] = 0.0
+        simulation.set_model_array("site_rgba", transparent)
+        try:
+            return simulation.segmentation(camera.name, camera.width, camera.height)
+        finally:
+            simulation.set_model_array("site_rgba", colours)
+
+
+def _geoms(segments: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Ids of geoms, [h, w, 1], -1 where none is."""
+    ids = np.where(segments[..., 0] == _GEOM, segments[..., 1], np.int32(-1))
+    return ids[..., np.newaxis]

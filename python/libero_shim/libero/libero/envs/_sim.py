@@ -28,7 +28,6 @@ _COUNTS = {
     "nsensor": "sensor_type",
 }
 _COORDINATES = {0: (7, 6), 1: (4, 3), 2: (1, 1), 3: (1, 1)}
-_GEOM = 5
 
 
 class ReadOnlyArray(np.ndarray):
@@ -310,11 +309,6 @@ class MjSim:
             "it has get_state, set_state, set_state_from_flattened, forward, "
             "render, model and data; simulate with the environment's step",
         )
-
-
-def shown_geoms(segmentation: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Ids of the geoms in a segmentation [h, w, 2]: [h, w], -1 where none is."""
-    return np.where(segmentation[..., 0] == _GEOM, segmentation[..., 1], np.int32(-1))
 
 
 def _slice(address: Any) -> Any:

@@ -59,10 +59,11 @@ class Held:
         simulation = self.get()
         with _drawing:
             state = np.random.get_state()
-            if state[0] != "MT19937":
-                raise RuntimeError(
-                    f"NumPy's global generator is {state[0]}: LIBERO draws from MT19937; set it "
-                    "back with numpy.random.set_bit_generator(numpy.random.MT19937())"
+            if isinstance(state, dict):  # of another generator than MT19937
+                raise RuntimeError(  # noqa: TRY004
+                    f"NumPy's global generator is {state['bit_generator']}: LIBERO draws from "
+                    "MT19937; set it back with "
+                    "numpy.random.set_bit_generator(numpy.random.MT19937())"
                 )
             state, model_loads = simulation.reset(state, model_loads, hard=hard)
             np.random.set_state(state)

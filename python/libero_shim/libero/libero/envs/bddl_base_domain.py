@@ -89,6 +89,9 @@ class BDDLBaseDomain:
         }
         self.obj_of_interest: list[str] = self.parsed_problem["obj_of_interest"]
         self._observer = Observer(self._held, settings.cameras, self.model)
+        #: Control steps since the reset, and whether the horizon has been reached.
+        self.timestep = 0
+        self.done = False
         self._model_loads = 1
         self._start_over(hard=True)
 

@@ -157,7 +157,7 @@ def _number(expression: str) -> float:
             case ast.UnaryOp(op=ast.USub(), operand=operand):
                 return -value(operand)
             case ast.BinOp(left=left, op=symbol, right=right) if type(symbol) in _OPERATORS:
-                return _OPERATORS[type(symbol)](value(left), value(right))
+                return float(_OPERATORS[type(symbol)](value(left), value(right)))
         raise ValueError(f"a rotation is no number: {expression}")
 
     return value(ast.parse(expression, mode="eval").body)

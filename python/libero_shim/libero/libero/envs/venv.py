@@ -15,6 +15,7 @@ from typing import Any
 
 import cloudpickle
 import numpy as np
+from numpy.typing import NDArray
 
 __all__ = [
     "BaseVectorEnv",
@@ -26,7 +27,7 @@ __all__ = [
     "SubprocVectorEnv",
 ]
 
-_Ids = "int | Sequence[int] | np.ndarray | None"
+_Ids = int | Sequence[int] | NDArray[np.integer] | None
 
 
 class CloudpickleWrapper:
@@ -36,7 +37,7 @@ class CloudpickleWrapper:
         self.data = data
 
     def __getstate__(self) -> bytes:
-        return cloudpickle.dumps(self.data)
+        return bytes(cloudpickle.dumps(self.data))
 
     def __setstate__(self, data: bytes) -> None:
         self.data = pickle.loads(data)
@@ -96,7 +97,7 @@ class EnvWorker(ABC):
 
     def check_success(self) -> bool:
         """Whether the goal holds."""
-        return self.call("check_success")
+        return bool(self.call("check_success"))
 
     def get_segmentation_of_interest(self, segmentation_image: Any) -> Any:
         """See `SegmentationRenderEnv`."""
@@ -172,7 +173,7 @@ def _serve(parent: Any, connection: Any, env_fn: CloudpickleWrapper, obs_bufs: N
         except (EOFError, KeyboardInterrupt):
             return
         try:
-            answer = commands.get(command, getattr(env, command, None))(data)
+            answer = (commands.get(command) or getattr(env, command))(data)
         except Exception as error:  # noqa: BLE001
             answer = _Failure(error)
         connection.send(answer)

@@ -1,0 +1,160 @@
+"""Clients of LIBERO as PyPI has them, unmodified, on the shim: an episode each, which picks
+something up, drops it into a basket, and succeeds. Where the original is installed, they give
+the same frames and success with it.
+
+`ROLLOUT_CLIENTS` names the Python of an environment with the clients, the packages of REQUIRED,
+and what `rollout-libero` and its shim need. Where `ROLLOUT_ORIGINAL` is of the same version of
+Python, it looks for the clients there too.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import libero
+import numpy as np
+import pytest
+import rollout_libero
+from frames import assert_close_frames
+from libero.libero import benchmark
+from libero.libero.envs import OffScreenRenderEnv
+from original import original_python, run, run_original
+
+#: What the clients are installed with. The last line goes without dependencies
+#: (`pip install --no-deps`): theirs are many, and these are all that an episode imports.
+REQUIRED = (
+    "torch==2.10.0 torchrl==0.14.1 tensordict==0.14.3 gymnasium==1.4.0 numpy==2.4.6",
+    "cloudpickle pyyaml pillow draccus==0.10.0 pyserial deepdiff tqdm accelerate datasets",
+    "av einops torchvision==0.25.0",
+    "vla-eval==0.8.0 lerobot==0.4.4",
+)
+CLIENTS = ["vla-eval", "lerobot", "torchrl"]
+SUITE, TASK = "libero_object", 0
+# Grasps amplify rounding; a frame later or sooner is not another outcome.
+LATER = 2
+
+
+@pytest.fixture(scope="module")
+def clients() -> str:
+    """The clients' Python."""
+    python = os.environ.get("ROLLOUT_CLIENTS")
+    if not python or not Path(python).exists():
+        pytest.skip("the clients are not installed: ROLLOUT_CLIENTS names no Python")
+    return python
+
+
+@pytest.fixture(scope="module")
+def actions(tmp_path_factory: pytest.TempPathFactory, real_assets: Path) -> Path:
+    """Actions [steps, 7] that put the task's object into the basket, found by a script that
+    knows where both are."""
+    suite = benchmark.get_benchmark_dict()[SUITE]()
+    env = OffScreenRenderEnv(
+        bddl_file_name=suite.get_task_bddl_file_path(TASK), use_camera_obs=False
+    )
+    env.seed(7)
+    env.reset()
+    env.set_init_state(suite.get_task_init_states(TASK)[0])
+    for _ in range(10):
+        observation, *_ = env.step([0.0] * 6 + [-1.0])
+    target = env.obj_of_interest[0]
+    at, basket = observation[f"{target}_pos"], observation["basket_1_pos"]
+    above, lifted = at + [0, 0, 0.12], at + [0, 0, 0.25]
+    open_, closed = -1.0, 1.0
+    plan = [
+        (22, above, open_),
+        (20, at, open_),
+        (8, at, closed),
+        (15, lifted, closed),
+        (30, basket + [0, 0, 0.3], closed),
+        (10, basket + [0, 0, 0.2], closed),
+        (35, basket + [0, 0, 0.2], open_),
+    ]
+    taken = []
+    for steps, goal, gripper in plan:
+        for _ in range(steps):
+            towards = np.clip((goal - observation["robot0_eef_pos"]) / 0.05, -1, 1)
+            # Clients hand single precision on.
+            taken.append(np.float32([*towards, 0, 0, 0, gripper]))
+            observation, _, done, _ = env.step(taken[-1])
+    assert done, "the script did not put the object into the basket"
+    env.close()
+    path = tmp_path_factory.mktemp("episode") / "actions.npy"
+    np.save(path, np.array(taken))
+    return path
+
+
+@pytest.fixture(scope="module")
+def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with nothing but the packages under test."""
+    folder = tmp_path_factory.mktemp("packages")
+    for package in (rollout_libero, libero):
+        (folder / package.__name__).symlink_to(Path(str(package.__file__)).parent)
+    return folder
+
+
+@pytest.mark.parametrize("client", CLIENTS)
+def test_a_client_runs_an_episode_and_sees_what_it_sees_with_the_original(
+    client: str, clients: str, actions: Path, shim: Path, tmp_path: Path
+) -> None:
+    # vla-eval and torchrl write or need a configuration; an empty folder is as new.
+    ours = run(
+        clients,
+        "client_episodes.py",
+        client,
+        str(actions),
+        PYTHONPATH=str(shim),
+        LIBERO_CONFIG_PATH=str(tmp_path / "settings"),
+    )
+    assert succeeded(ours[-1]) or succeeded(ours[-2])
+    assert not succeeded(ours[len(ours) // 2])
+    assert len(ours) > 90
+
+    if version(clients) != version(original_python()):
+        pytest.skip("the original and the clients are of different versions of Python")
+    theirs = run_original(
+        "client_episodes.py", client, str(actions), CLIENT_PACKAGES=packages(clients)
+    )
+    assert abs(len(ours) - len(theirs)) <= LATER
+    assert [list(step) for step in ours[:90]] == [list(step) for step in theirs[:90]]
+    # Until the gripper touches something, frames and readings are the same.
+    for i in range(42):
+        assert_same(ours[i], theirs[i], f"{client} step {i}")
+    assert succeeded(theirs[-1]) or succeeded(theirs[-2])
+
+
+def assert_same(our: Any, their: Any, what: str) -> None:
+    if isinstance(their, dict):
+        assert list(our) == list(their), what
+        for key in their:
+            assert_same(our[key], their[key], f"{what}: {key}")
+    elif isinstance(their, np.ndarray) and their.dtype == np.uint8:
+        channels_last = -1 if their.shape[-1] == 3 else 0
+        assert_close_frames(
+            np.moveaxis(our, channels_last, -1), np.moveaxis(their, channels_last, -1), what
+        )
+    elif isinstance(their, np.ndarray) and their.dtype.kind == "f":
+        assert our.dtype == their.dtype, what
+        near = 1e-9 if their.dtype == np.float64 else 1e-6
+        np.testing.assert_allclose(our, their, rtol=0, atol=near, err_msg=what)
+    else:
+        np.testing.assert_array_equal(our, their, err_msg=what)
+
+
+def succeeded(step: dict[str, Any]) -> bool:
+    return bool(np.any(step.get("success", step.get("is_success", False))))
+
+
+def version(python: str) -> str:
+    return ask(python, "import sys; print(sys.version_info[:2])")
+
+
+def packages(python: str) -> str:
+    return ask(python, "import site; print(site.getsitepackages()[0])")
+
+
+def ask(python: str, code: str) -> str:
+    done = subprocess.run([python, "-c", code], capture_output=True, text=True, check=True)
+    return done.stdout.strip()
