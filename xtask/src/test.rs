@@ -83,13 +83,7 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
                 .env("POLICY_GATEWAY", programs.join("policy-gateway")),
         )?;
         println!("Testing the Python packages as wheels");
-        let mut pytest = Command::new(wheel::installed(root, &cache)?);
-        run_command(
-            pytest
-                .args(["-m", "pytest", "--quiet", "-rs", "-p", "no:cacheprovider"])
-                .arg(root.join("python/tests"))
-                .env("ROLLOUT_PROGRAMS", &programs),
-        )?;
+        wheel::test(root, &cache, &programs)?;
         println!("Testing the demo, with fewer rollouts");
         demo::check(root, &programs)?;
     }

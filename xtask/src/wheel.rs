@@ -134,6 +134,30 @@ pub(crate) fn installed(root: &Path, cache: &Path) -> Result<PathBuf> {
     Ok(dir.join("bin/python"))
 }
 
+/// Tests the packages as they are installed.
+///
+/// # Errors
+/// If they cannot be built, or a test fails.
+pub(crate) fn test(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
+    let mut pytest = Command::new(installed(root, cache)?);
+    pytest
+        .args(["-m", "pytest", "--quiet", "-rs", "-p", "no:cacheprovider"])
+        .arg(root.join("python/tests"))
+        .env("ROLLOUT_PROGRAMS", programs);
+    // Beside the original, and with its clients, where they are installed: each takes
+    // gigabytes. What is set already stays.
+    for (variable, folder) in [
+        ("ROLLOUT_ORIGINAL", "original"),
+        ("ROLLOUT_CLIENTS", "clients"),
+    ] {
+        let python = cache.join(folder).join("bin/python");
+        if std::env::var_os(variable).is_none() && python.exists() {
+            pytest.env(variable, python);
+        }
+    }
+    run_command(&mut pytest)
+}
+
 /// A virtual environment with these packages.
 fn environment(dir: &Path, packages: &[&str]) -> Result<&'static str> {
     let wanted = packages.join("\n");
