@@ -6,6 +6,7 @@
 mod bench;
 mod bench_python;
 mod cargo;
+mod clients;
 mod demo;
 mod original;
 mod packages;

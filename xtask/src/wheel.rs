@@ -5,6 +5,7 @@ use std::process::Command;
 
 use anyhow::{Context, Result, ensure};
 
+use crate::clients;
 use crate::process::{capture, run as run_command};
 use crate::step::step;
 
@@ -144,16 +145,15 @@ pub(crate) fn test(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
         .args(["-m", "pytest", "--quiet", "-rs", "-p", "no:cacheprovider"])
         .arg(root.join("python/tests"))
         .env("ROLLOUT_PROGRAMS", programs);
-    // Beside the original, and with its clients, where they are installed: each takes
-    // gigabytes. What is set already stays.
-    for (variable, folder) in [
-        ("ROLLOUT_ORIGINAL", "original"),
-        ("ROLLOUT_CLIENTS", "clients"),
-    ] {
-        let python = cache.join(folder).join("bin/python");
-        if std::env::var_os(variable).is_none() && python.exists() {
-            pytest.env(variable, python);
-        }
+    // Beside the original where something else has installed it: it draws through OpenGL.
+    let original = cache.join("original/bin/python");
+    if std::env::var_os("ROLLOUT_ORIGINAL").is_none() && original.exists() {
+        pytest.env("ROLLOUT_ORIGINAL", original);
+    }
+    if std::env::var_os("ROLLOUT_CLIENTS").is_none()
+        && let Some(python) = clients::provide(root, cache)
+    {
+        pytest.env("ROLLOUT_CLIENTS", python);
     }
     run_command(&mut pytest)
 }
@@ -165,16 +165,26 @@ fn environment(dir: &Path, packages: &[&str]) -> Result<&'static str> {
     if std::fs::read_to_string(&stamp).is_ok_and(|installed| installed == wanted) {
         return Ok("already there");
     }
-    let mut venv = Command::new("python3");
-    capture(venv.args(["-m", "venv", "--clear"]).arg(dir))
-        .context("make a virtual environment (Debian: `apt-get install python3-venv`)")?;
+    new_environment(dir)?;
     capture(pip(dir).args(packages))
         .context("install Python packages (is the package index reachable?)")?;
     std::fs::write(&stamp, wanted).with_context(|| format!("write {}", stamp.display()))?;
     Ok("installed")
 }
 
-fn pip(dir: &Path) -> Command {
+/// An empty virtual environment, whatever was there.
+///
+/// # Errors
+/// If it cannot be made.
+pub(crate) fn new_environment(dir: &Path) -> Result<()> {
+    let mut venv = Command::new("python3");
+    capture(venv.args(["-m", "venv", "--clear"]).arg(dir))
+        .context("make a virtual environment (Debian: `apt-get install python3-venv`)")?;
+    Ok(())
+}
+
+/// Its pip, to install.
+pub(crate) fn pip(dir: &Path) -> Command {
     let mut pip = Command::new(dir.join("bin/python"));
     pip.args(["-m", "pip", "install", "--quiet"]);
     pip.arg("--disable-pip-version-check");

@@ -2,8 +2,8 @@
 something up, drops it into a basket, and succeeds. Where the original is installed, they give
 the same frames and success with it.
 
-`ROLLOUT_CLIENTS` names the Python of an environment with the clients, the packages of REQUIRED,
-and what `rollout-libero` and its shim need. Where `ROLLOUT_ORIGINAL` is of the same version of
+`ROLLOUT_CLIENTS` names the Python of an environment with the clients and the packages of
+clients.txt (`cargo xtask test` makes one where it can). Where `ROLLOUT_ORIGINAL` is of the same version of
 Python, it looks for the clients there too.
 """
 
@@ -23,14 +23,6 @@ from libero.libero import benchmark
 from libero.libero.envs import OffScreenRenderEnv
 from original import original_python, run, run_original
 
-#: What the clients are installed with. The last line goes without dependencies
-#: (`pip install --no-deps`): theirs are many, and these are all that an episode imports.
-REQUIRED = (
-    "torch==2.10.0 torchrl==0.14.1 tensordict==0.14.3 gymnasium==1.4.0 numpy==2.4.6",
-    "cloudpickle pyyaml pillow draccus==0.10.0 pyserial deepdiff tqdm accelerate datasets",
-    "av einops torchvision==0.25.0",
-    "vla-eval==0.8.0 lerobot==0.4.4",
-)
 CLIENTS = ["vla-eval", "lerobot", "torchrl"]
 SUITE, TASK = "libero_object", 0
 # Grasps amplify rounding; a frame later or sooner is not another outcome.

@@ -1,0 +1,57 @@
+//! Clients of LIBERO from the package index, unmodified, which the shim's tests run.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+
+use crate::process::capture;
+use crate::step::step;
+use crate::wheel::{new_environment, pip};
+
+/// PyTorch for processors. The package index has only builds with gigabytes of CUDA.
+const TORCH: [&str; 2] = ["torch==2.10.0", "torchvision==0.25.0"];
+const TORCH_INDEX: &str = "https://download.pytorch.org/whl/cpu";
+/// The clients. They ask for many packages that an episode does not import.
+const CLIENTS: [&str; 2] = ["vla-eval==0.8.0", "lerobot==0.4.4"];
+/// Written into the environment once all is there; holds what was wanted.
+const STAMP: &str = "installed.txt";
+
+/// The interpreter of an environment with the clients; none where it cannot be made, and
+/// the tests say so.
+pub(crate) fn provide(root: &Path, cache: &Path) -> Option<PathBuf> {
+    let dir = cache.join("clients");
+    let made = step("vla-eval, lerobot, torchrl", || {
+        let made = install(root, &dir);
+        Ok(made.unwrap_or_else(|error| format!("none: {error:#}")))
+    });
+    let python = dir.join("bin/python");
+    (made.is_ok() && dir.join(STAMP).exists()).then_some(python)
+}
+
+fn install(root: &Path, dir: &Path) -> Result<String> {
+    let list = root.join("python/tests/shim/clients.txt");
+    let others =
+        std::fs::read_to_string(&list).with_context(|| format!("read {}", list.display()))?;
+    let wanted = [&TORCH.join("\n"), &CLIENTS.join("\n"), &others]
+        .map(String::as_str)
+        .join("\n");
+    let stamp = dir.join(STAMP);
+    if std::fs::read_to_string(&stamp).is_ok_and(|there| there == wanted) {
+        return Ok("already there".to_owned());
+    }
+    new_environment(dir)?;
+    let mut torch = pip(dir);
+    torch.args([
+        "--retries",
+        "0",
+        "--timeout",
+        "10",
+        "--index-url",
+        TORCH_INDEX,
+    ]);
+    capture(torch.args(TORCH)).context("install PyTorch (is its index reachable?)")?;
+    capture(pip(dir).arg("--requirement").arg(&list))?;
+    capture(pip(dir).arg("--no-deps").args(CLIENTS))?;
+    std::fs::write(&stamp, wanted).with_context(|| format!("write {}", stamp.display()))?;
+    Ok("installed".to_owned())
+}
