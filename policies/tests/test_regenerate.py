@@ -1,4 +1,4 @@
-"""The kept generated files are those that policy.proto gives."""
+"""The kept generated files, of every package, are those that the .proto files give."""
 
 import pathlib
 import subprocess
@@ -7,7 +7,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 import pytest
 
-SCRIPT = pathlib.Path(__file__).resolve().parents[1] / "regenerate.py"
+SCRIPT = pathlib.Path(__file__).resolve().parents[2] / "proto" / "regenerate.py"
 
 
 def test_the_generated_files_are_current():

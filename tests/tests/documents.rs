@@ -32,6 +32,7 @@ pages! {
     commands_of_policies_work: "docs/POLICIES.md",
     commands_of_protocol_work: "docs/PROTOCOL.md",
     commands_of_reliability_work: "docs/RELIABILITY.md",
+    commands_of_python_work: "docs/PYTHON.md",
     commands_of_report_work: "docs/REPORT.md",
     commands_of_the_asset_pack_work: "assets/primitives/README.md",
     commands_of_the_examples_work: "examples/README.md",

@@ -158,7 +158,7 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
     let own_task = own_task(&arguments);
     let mut row = match (&own_task, arguments.id) {
         (Some(task), _) => task.row()?,
-        (None, Some(id)) => single::row_of(id)?,
+        (None, Some(id)) => protocol::row_of(id)?,
         (None, None) => unreachable!("clap asks for --id or --bddl"),
     };
     let mut actor: Box<dyn Actor> = match (&arguments.actions, &arguments.endpoint) {

@@ -9,7 +9,6 @@ mod capture;
 mod error;
 mod own_task;
 mod recorded;
-mod row;
 mod trace;
 
 use std::ops::ControlFlow;
@@ -33,7 +32,6 @@ pub use error::SingleError;
 use error::write_error;
 pub use own_task::OwnTask;
 pub use recorded::RecordedActions;
-pub use row::row_of;
 
 /// What to do, and what to keep of it.
 pub struct Request<'a> {

@@ -170,7 +170,7 @@ fn their_parts(report: &Value) -> Result<Parts> {
     })
 }
 
-fn number(value: &Value, name: &str) -> Result<f64> {
+pub(crate) fn number(value: &Value, name: &str) -> Result<f64> {
     let number = value.as_f64();
     number.with_context(|| format!("read the report: `{name}` is {value}, not a number"))
 }
@@ -205,7 +205,7 @@ fn print_ratios(what: &str, ours: &[Parts], theirs: &[Parts]) {
 }
 
 /// Median, smallest, largest.
-fn spread(values: &[f64]) -> (f64, f64, f64) {
+pub(crate) fn spread(values: &[f64]) -> (f64, f64, f64) {
     let mut values = values.to_vec();
     values.sort_by(f64::total_cmp);
     let at = |index: usize| values.get(index).copied().unwrap_or(f64::NAN);
@@ -233,7 +233,7 @@ impl std::fmt::Display for Told {
 }
 
 /// Runs a program that prints one JSON object last, and reads it.
-fn last_json(command: &mut Command) -> Result<Value> {
+pub(crate) fn last_json(command: &mut Command) -> Result<Value> {
     let printed = capture(command)?;
     let line = printed.lines().next_back().unwrap_or_default();
     serde_json::from_str(line).with_context(|| format!("read what `{}` printed", shown(command)))
@@ -245,7 +245,7 @@ fn cores() -> Result<u32> {
 }
 
 /// The processor and its cores, to be recorded beside the figures.
-fn machine() -> Result<String> {
+pub(crate) fn machine() -> Result<String> {
     let about = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let model = about
         .lines()

@@ -4,6 +4,7 @@
 #![forbid(unsafe_code)]
 
 mod bench;
+mod bench_python;
 mod cargo;
 mod demo;
 mod original;
@@ -15,6 +16,7 @@ mod skipped;
 mod step;
 mod test;
 mod typescript;
+mod wheel;
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -45,6 +47,13 @@ enum Command {
         /// Passed on to the test runner, for example a name to filter by.
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         filters: Vec<String>,
+    },
+    /// Build the Python packages' wheels.
+    Wheel {
+        /// Folder to copy them into. [default: they stay in
+        /// target/wheels/release]
+        #[arg(long)]
+        output: Option<PathBuf>,
     },
     /// Take the pictures of the live page in docs/screenshots.
     Screenshots,
@@ -90,6 +99,8 @@ enum Bench {
     },
     /// The same rollout here and in the original LIBERO, in turn.
     Compare(bench::Compare),
+    /// Environments in Python, here and in the original, in turn.
+    Python(bench_python::Options),
     /// A whole machine: runs `worker bench`.
     Machine {
         /// Passed on: --assets PACK_OR_PATH [--task SUITE/N] [--execute K]
@@ -117,6 +128,7 @@ fn main() -> ExitCode {
         Command::Setup { gl } => set_up(gl),
         Command::Demo(options) => demo::run(&root(), &options),
         Command::Test { filters } => test::run(&root(), &filters),
+        Command::Wheel { output } => wheels(output.as_deref()),
         Command::Screenshots => test::screenshots(&root()),
         Command::Bench(Bench::Report { release }) => test::bench_report(&root(), release),
         Command::Bench(Bench::Sim { arguments }) => test::program(&root(), "bench_sim", &arguments),
@@ -127,6 +139,7 @@ fn main() -> ExitCode {
             test::program(&root(), "bench_rollout", &arguments)
         }
         Command::Bench(Bench::Compare(options)) => bench::compare(&root(), &options),
+        Command::Bench(Bench::Python(options)) => bench_python::run(&root(), &options),
         Command::Bench(Bench::Machine { arguments }) => test::worker_bench(&root(), &arguments),
         Command::Bench(Bench::Queue { arguments }) => bench_queue(&arguments),
         Command::Bench(Bench::Gateway { arguments }) => bench_gateway(&arguments),
@@ -147,6 +160,11 @@ fn set_up(gl: bool) -> anyhow::Result<()> {
         setup::opengl()?;
     }
     Ok(())
+}
+
+fn wheels(output: Option<&Path>) -> anyhow::Result<()> {
+    let cache = setup::run(&root())?;
+    wheel::run(&root(), &cache, output)
 }
 
 /// It needs no simulator, so nothing is set up for it. The queue's speed is that

@@ -70,21 +70,29 @@ impl Original {
             Command::new(&python).args(["-c", "import site; print(site.getsitepackages()[0])"]),
         )?;
         let packages = PathBuf::from(packages);
-        link(&packages.join("libero/libero/assets"), &assets)?;
+        let package = packages.join("libero/libero");
+        link(&package.join("assets"), &assets)?;
+        let settings = dir.join("settings");
+        write_settings(&package, &settings)?;
         Ok(Self {
             python,
             // Scripts run in a folder of their own choice.
             tools: tools.canonicalize()?,
             packages,
-            settings: dir.join("settings"),
+            settings,
         })
     }
 
     /// One of the reference's scripts, to be given its arguments.
     pub(crate) fn command(&self, script: &str) -> Command {
+        self.script(&self.tools.join(script))
+    }
+
+    /// A script of one's own, to be given its arguments.
+    pub(crate) fn script(&self, script: &Path) -> Command {
         let mut command = Command::new(&self.python);
         command
-            .arg(self.tools.join(script))
+            .arg(script)
             .env("LIBERO_PACKAGE", &self.packages)
             .env("LIBERO_CONFIG_PATH", &self.settings)
             .env("MUJOCO_GL", "egl")
@@ -116,6 +124,22 @@ fn install(dir: &Path, python: &Path) -> Result<&'static str> {
     pip(&[&["--no-deps"], &ORIGINAL[..]].concat())?;
     std::fs::write(&stamp, wanted).with_context(|| format!("write {}", stamp.display()))?;
     Ok("installed")
+}
+
+/// Says where its files are, which it asks on standard input otherwise.
+fn write_settings(package: &Path, settings: &Path) -> Result<()> {
+    let folder = |key: &str, name: &str| format!("{key}: {}\n", package.join(name).display());
+    let all = [
+        folder("benchmark_root", ""),
+        folder("bddl_files", "bddl_files"),
+        folder("init_states", "init_files"),
+        folder("datasets", "../datasets"),
+        folder("assets", "assets"),
+    ];
+    let file = settings.join("config.yaml");
+    std::fs::create_dir_all(settings)
+        .and_then(|()| std::fs::write(&file, all.concat()))
+        .with_context(|| format!("write {}", file.display()))
 }
 
 /// Makes the package find the assets.

@@ -16,8 +16,10 @@ const COMPARED_WITH: [&str; 2] = ["openpi-client==0.1.2", "vla-eval==0.8.0"];
 /// What `pip install ./policies` builds the package with.
 const BUILT_WITH: &str = "setuptools>=61";
 
-/// Written into the folder of packages once all are there; holds the package's
-/// requirements.
+/// What `docs/PYTHON.md` installs beside what the package needs.
+const NOTEBOOKS_NEED: &str = "pandas>=2";
+
+/// Written into the folder of packages once all are there; holds what was wanted.
 const STAMP: &str = "requirements-of.toml";
 
 /// A virtual environment with the policies package, editable; returns its
@@ -37,21 +39,23 @@ pub(crate) fn environment(root: &Path, cache: &Path) -> Result<String> {
     Ok(python.display().to_string())
 }
 
-/// A folder with what `pip install ./policies` downloads, so that the commands of
-/// the documentation install without a network.
+/// A folder with what the documentation's `pip install` downloads, so that its
+/// commands work without a network.
 pub(crate) fn packages(root: &Path, cache: &Path) -> Result<PathBuf> {
     let folder = cache.join("python-packages");
-    step("packages for policies/README.md", || {
+    step("packages for policies/README.md and docs/PYTHON.md", || {
         let manifest = root.join("policies/pyproject.toml");
-        let wanted = std::fs::read_to_string(&manifest)
+        let requirements = std::fs::read_to_string(&manifest)
             .with_context(|| format!("read {}", manifest.display()))?;
+        let wanted = format!("{requirements}# {NOTEBOOKS_NEED}\n");
         let stamp = folder.join(STAMP);
         if std::fs::read_to_string(&stamp).is_ok_and(|there| there == wanted) {
             return Ok("already there");
         }
         let mut download = pip(Path::new("python3"), "download");
         download.arg("--dest").arg(&folder);
-        capture(download.arg(root.join("policies")).arg(BUILT_WITH))?;
+        download.arg(root.join("policies"));
+        capture(download.args([BUILT_WITH, NOTEBOOKS_NEED]))?;
         std::fs::write(&stamp, wanted).with_context(|| format!("write {}", stamp.display()))?;
         Ok("downloaded")
     })?;

@@ -14,6 +14,7 @@ use crate::setup;
 use crate::skipped;
 use crate::step::step;
 use crate::typescript;
+use crate::wheel;
 
 /// Sets up, builds and runs everything.
 pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
@@ -81,6 +82,8 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
                 .arg(root.join("policies/tests"))
                 .env("POLICY_GATEWAY", programs.join("policy-gateway")),
         )?;
+        println!("Testing the Python packages as wheels");
+        wheel::test(root, &cache, &programs)?;
         println!("Testing the demo, with fewer rollouts");
         demo::check(root, &programs)?;
     }

@@ -23,6 +23,7 @@ mod paraphrase;
 mod perturbation;
 mod rollout_id;
 mod row;
+mod row_of;
 mod suite;
 mod tasks;
 mod wanted;
@@ -41,6 +42,7 @@ pub use perturbation::{
 };
 pub use rollout_id::RolloutId;
 pub use row::{MAX_ROWS, ManifestRow, RowError};
+pub use row_of::{NoSuchRow, row_of};
 pub use suite::{INIT_STATES_PER_TASK, Suite, TASKS_PER_SUITE, TaskRef};
 pub use wanted::{RendererKind, Wanted};
 pub use wording::{JsonError, plain_words};

@@ -17,7 +17,7 @@ mod ziggurat;
 mod ziggurat_tables;
 
 pub use default_rng::DefaultRng;
-pub use legacy::LegacyRng;
+pub use legacy::{LegacyRng, LegacyState, STATE_WORDS};
 pub(crate) use ziggurat::standard_normal;
 
 /// A double in [0, 1) from the upper 53 bits of a 64-bit word.

@@ -12,6 +12,8 @@ pub use crate::expression::BddlError;
 pub struct Problem {
     /// Problem class, lower case: `libero_tabletop_manipulation`.
     pub name: String,
+    /// The file's own wording of the task, lower case; empty if it has none.
+    pub language: String,
     /// Fixtures, in file order.
     pub fixtures: Vec<Declaration>,
     /// Movable objects, in file order.
@@ -89,6 +91,7 @@ impl Problem {
         }
         let mut problem = Problem {
             name: String::new(),
+            language: String::new(),
             fixtures: Vec::new(),
             objects: Vec::new(),
             regions: Vec::new(),
@@ -138,7 +141,11 @@ impl Problem {
             }
             ":init" => self.init = rest.iter().map(read_predicate).collect::<Result<_, _>>()?,
             ":goal" => self.goal = read_goal(section, rest)?,
-            ":language" | ":requirements" | ":scene_properties" => {}
+            ":language" => {
+                let words = rest.iter().filter_map(|item| item.word("a word").ok());
+                self.language = words.collect::<Vec<_>>().join(" ");
+            }
+            ":requirements" | ":scene_properties" => {}
             other => return Err(section.error(format!("unknown section `{other}`"))),
         }
         Ok(())
@@ -157,8 +164,8 @@ impl fmt::Display for Problem {
         };
         writeln!(
             f,
-            "(define (problem {})\n  (:domain robosuite)\n  (:regions",
-            self.name
+            "(define (problem {})\n  (:domain robosuite)\n  (:language {})\n  (:regions",
+            self.name, self.language
         )?;
         for region in &self.regions {
             writeln!(f, "    {region}")?;

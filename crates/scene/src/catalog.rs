@@ -1,6 +1,11 @@
 //! What LIBERO knows about each category of object and fixture: its model
-//! file, how many rotations its sampler draws, and when it counts as open,
-//! closed, on or off. Facts of hf-libero 0.1.4, `envs/objects/*.py`.
+//! file, how it is turned when it is placed, where its joints start, and when it
+//! counts as open, closed, on or off. Facts of hf-libero 0.1.4,
+//! `envs/objects/*.py`.
+
+use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
+
+use crate::rotation::{Axis, Rotation};
 
 /// A category of objects or fixtures.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -9,13 +14,14 @@ pub struct Category {
     pub name: &'static str,
     /// Model file inside an asset pack.
     pub file: &'static str,
-    /// Random numbers drawn for one orientation of a movable object.
-    pub rotation_draws: u32,
-    /// Joint thresholds of articulated categories.
+    /// The orientation that is drawn for a movable object.
+    pub rotation: Rotation,
+    /// Joint positions of articulated categories.
     pub articulation: Articulation,
 }
 
-/// When a joint position `q` (m or rad) counts as open, closed, on or off.
+/// When a joint position `q` (m or rad) counts as open, closed, on or off, and
+/// the range that it is drawn from where a task starts so.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Articulation {
     /// Nothing to open or turn on.
@@ -26,6 +32,10 @@ pub enum Articulation {
         open: Threshold,
         /// Closed beyond this.
         close: Threshold,
+        /// Where it starts open.
+        open_range: [f64; 2],
+        /// Where it starts closed.
+        close_range: [f64; 2],
     },
     /// A stove: on at `q >= on`, off at `q < off`.
     OnOff {
@@ -33,6 +43,10 @@ pub enum Articulation {
         on: f64,
         /// rad.
         off: f64,
+        /// Where it starts on, rad.
+        on_range: [f64; 2],
+        /// Where it starts off, rad.
+        off_range: [f64; 2],
     },
 }
 
@@ -67,193 +81,285 @@ pub fn category_count() -> usize {
     CATEGORIES.len()
 }
 
-const fn rigid(name: &'static str, file: &'static str) -> Category {
-    Category {
-        name,
-        file,
-        rotation_draws: 1,
-        articulation: Articulation::None,
-    }
-}
-
-/// Categories whose sampler draws a rotation about x and one about z.
-const fn twice_rotated(name: &'static str, file: &'static str) -> Category {
-    Category {
-        name,
-        file,
-        rotation_draws: 2,
-        articulation: Articulation::None,
-    }
+const fn rigid(name: &'static str, file: &'static str, rotation: Rotation) -> Category {
+    articulated(name, file, rotation, Articulation::None)
 }
 
 const fn articulated(
     name: &'static str,
     file: &'static str,
+    rotation: Rotation,
     articulation: Articulation,
 ) -> Category {
     Category {
         name,
         file,
-        rotation_draws: 1,
+        rotation,
         articulation,
     }
 }
 
+const NOT_X: Rotation = Rotation::About(Axis::X, [0.0, 0.0]);
+const NOT_Y: Rotation = Rotation::About(Axis::Y, [0.0, 0.0]);
+const QUARTER_X: Rotation = Rotation::About(Axis::X, [FRAC_PI_2, FRAC_PI_2]);
+const QUARTER_Z: Rotation = Rotation::About(Axis::Z, [FRAC_PI_2, FRAC_PI_2]);
+const QUARTER_BACK: Rotation = Rotation::About(Axis::X, [-FRAC_PI_2, -FRAC_PI_2]);
+const SOME_BACK: Rotation = Rotation::About(Axis::X, [-FRAC_PI_2, -FRAC_PI_4]);
+const SOME: Rotation = Rotation::About(Axis::X, [FRAC_PI_4, FRAC_PI_2]);
+const QUARTER_X_THEN_Z: Rotation = Rotation::InTurn(&[
+    (Axis::X, [FRAC_PI_2, FRAC_PI_2]),
+    (Axis::Z, [FRAC_PI_2, FRAC_PI_2]),
+]);
+
 const CABINET: Articulation = Articulation::OpenClose {
     open: Threshold::Below(-0.14),
     close: Threshold::Above(0.0),
+    open_range: [-0.16, -0.14],
+    close_range: [0.0, 0.005],
 };
 
 const CATEGORIES: &[Category] = &[
     rigid(
         "akita_black_bowl",
         "stable_scanned_objects/akita_black_bowl/akita_black_bowl.xml",
+        QUARTER_X,
     ),
     rigid(
         "alphabet_soup",
         "stable_hope_objects/alphabet_soup/alphabet_soup.xml",
+        QUARTER_Z,
     ),
-    rigid("basin_faucet", "articulated_objects/basin_faucet.xml"),
-    rigid("basket", "stable_scanned_objects/basket/basket.xml"),
-    rigid("bbq_sauce", "stable_hope_objects/bbq_sauce/bbq_sauce.xml"),
-    rigid("black_book", "turbosquid_objects/black_book/black_book.xml"),
+    rigid("basin_faucet", "articulated_objects/basin_faucet.xml", SOME),
+    rigid(
+        "basket",
+        "stable_scanned_objects/basket/basket.xml",
+        QUARTER_X,
+    ),
+    rigid(
+        "bbq_sauce",
+        "stable_hope_objects/bbq_sauce/bbq_sauce.xml",
+        QUARTER_X,
+    ),
+    rigid(
+        "black_book",
+        "turbosquid_objects/black_book/black_book.xml",
+        SOME_BACK,
+    ),
     rigid(
         "bowl_drainer",
         "turbosquid_objects/bowl_drainer/bowl_drainer.xml",
+        NOT_X,
     ),
-    rigid("butter", "stable_hope_objects/butter/butter.xml"),
+    rigid("butter", "stable_hope_objects/butter/butter.xml", NOT_X),
     rigid(
         "chefmate_8_frypan",
         "stable_scanned_objects/chefmate_8_frypan/chefmate_8_frypan.xml",
+        QUARTER_X,
     ),
-    rigid("cherries", "stable_hope_objects/cherries/cherries.xml"),
+    rigid(
+        "cherries",
+        "stable_hope_objects/cherries/cherries.xml",
+        QUARTER_X,
+    ),
     rigid(
         "chocolate_pudding",
         "stable_hope_objects/chocolate_pudding/chocolate_pudding.xml",
+        NOT_X,
     ),
-    rigid("cookies", "stable_hope_objects/cookies/cookies.xml"),
-    rigid("corn", "stable_hope_objects/corn/corn.xml"),
+    rigid(
+        "cookies",
+        "stable_hope_objects/cookies/cookies.xml",
+        QUARTER_X,
+    ),
+    rigid("corn", "stable_hope_objects/corn/corn.xml", QUARTER_X),
     rigid(
         "cream_cheese",
         "stable_hope_objects/cream_cheese/cream_cheese.xml",
+        NOT_X,
     ),
-    rigid("desk_caddy", "turbosquid_objects/desk_caddy/desk_caddy.xml"),
+    rigid(
+        "desk_caddy",
+        "turbosquid_objects/desk_caddy/desk_caddy.xml",
+        NOT_X,
+    ),
     rigid(
         "dining_set_group",
         "turbosquid_objects/dining_set_group/dining_set_group.xml",
+        NOT_X,
     ),
-    rigid("faucet", "articulated_objects/faucet.xml"),
+    rigid("faucet", "articulated_objects/faucet.xml", SOME),
     articulated(
         "flat_stove",
         "articulated_objects/flat_stove.xml",
-        Articulation::OnOff { on: 0.5, off: 0.0 },
+        NOT_Y,
+        Articulation::OnOff {
+            on: 0.5,
+            off: 0.0,
+            on_range: [0.5, 2.1],
+            off_range: [-0.005, 0.0],
+        },
     ),
     rigid(
         "glazed_rim_porcelain_ramekin",
         "stable_scanned_objects/glazed_rim_porcelain_ramekin/glazed_rim_porcelain_ramekin.xml",
+        QUARTER_X,
     ),
-    twice_rotated("ketchup", "stable_hope_objects/ketchup/ketchup.xml"),
-    twice_rotated(
+    rigid(
+        "ketchup",
+        "stable_hope_objects/ketchup/ketchup.xml",
+        QUARTER_X_THEN_Z,
+    ),
+    rigid(
         "macaroni_and_cheese",
         "stable_hope_objects/macaroni_and_cheese/macaroni_and_cheese.xml",
+        QUARTER_X_THEN_Z,
     ),
-    twice_rotated("mayo", "stable_hope_objects/mayo/mayo.xml"),
+    rigid(
+        "mayo",
+        "stable_hope_objects/mayo/mayo.xml",
+        QUARTER_X_THEN_Z,
+    ),
     articulated(
         "microwave",
         "articulated_objects/microwave.xml",
+        SOME,
         Articulation::OpenClose {
             open: Threshold::Below(-1.3),
             close: Threshold::Above(-0.005),
+            open_range: [-2.094, -1.3],
+            close_range: [-0.005, 0.0],
         },
     ),
-    twice_rotated("milk", "stable_hope_objects/milk/milk.xml"),
-    rigid("moka_pot", "turbosquid_objects/moka_pot/moka_pot.xml"),
-    twice_rotated(
+    rigid(
+        "milk",
+        "stable_hope_objects/milk/milk.xml",
+        QUARTER_X_THEN_Z,
+    ),
+    rigid(
+        "moka_pot",
+        "turbosquid_objects/moka_pot/moka_pot.xml",
+        NOT_X,
+    ),
+    rigid(
         "new_salad_dressing",
         "stable_hope_objects/new_salad_dressing/new_salad_dressing.xml",
+        QUARTER_X_THEN_Z,
     ),
-    twice_rotated(
+    rigid(
         "orange_juice",
         "stable_hope_objects/orange_juice/orange_juice.xml",
+        QUARTER_X_THEN_Z,
     ),
-    rigid("plate", "stable_scanned_objects/plate/plate.xml"),
-    rigid("popcorn", "stable_hope_objects/popcorn/popcorn.xml"),
+    rigid("plate", "stable_scanned_objects/plate/plate.xml", QUARTER_X),
+    rigid("popcorn", "stable_hope_objects/popcorn/popcorn.xml", NOT_X),
     rigid(
         "porcelain_mug",
         "turbosquid_objects/porcelain_mug/porcelain_mug.xml",
+        QUARTER_BACK,
     ),
-    rigid("rack", "stable_scanned_objects/simple_rack/simple_rack.xml"),
+    rigid(
+        "rack",
+        "stable_scanned_objects/simple_rack/simple_rack.xml",
+        NOT_X,
+    ),
     rigid(
         "red_coffee_mug",
         "turbosquid_objects/red_coffee_mug/red_coffee_mug.xml",
+        QUARTER_BACK,
     ),
-    twice_rotated(
+    rigid(
         "salad_dressing",
         "stable_hope_objects/salad_dressing/salad_dressing.xml",
+        QUARTER_X_THEN_Z,
     ),
     articulated(
         "short_cabinet",
         "articulated_objects/short_cabinet.xml",
+        SOME,
         Articulation::OpenClose {
             open: Threshold::Above(0.10),
             close: Threshold::Below(0.0),
+            open_range: [0.10, 0.16],
+            close_range: [-0.005, 0.0],
         },
     ),
     articulated(
         "short_fridge",
         "articulated_objects/short_fridge.xml",
+        SOME,
         Articulation::OpenClose {
             open: Threshold::Above(2.0),
             close: Threshold::Below(0.0),
+            open_range: [2.0, 2.7],
+            close_range: [-0.005, 0.0],
         },
     ),
-    rigid("slide_cabinet", "articulated_objects/slide_cabinet.xml"),
+    rigid(
+        "slide_cabinet",
+        "articulated_objects/slide_cabinet.xml",
+        SOME,
+    ),
     rigid(
         "tomato_sauce",
         "stable_hope_objects/tomato_sauce/tomato_sauce.xml",
+        QUARTER_Z,
     ),
     rigid(
         "white_bowl",
         "stable_scanned_objects/white_bowl/white_bowl.xml",
+        QUARTER_X,
     ),
     articulated(
         "white_cabinet",
         "articulated_objects/white_cabinet.xml",
+        SOME,
         CABINET,
     ),
     rigid(
         "white_storage_box",
         "turbosquid_objects/white_storage_box/white_storage_box.xml",
+        NOT_Y,
     ),
     rigid(
         "white_yellow_mug",
         "turbosquid_objects/white_yellow_mug/white_yellow_mug.xml",
+        QUARTER_BACK,
     ),
-    rigid("window", "articulated_objects/window.xml"),
+    rigid("window", "articulated_objects/window.xml", SOME),
     rigid(
         "wine_bottle",
         "turbosquid_objects/wine_bottle/wine_bottle.xml",
+        NOT_X,
     ),
-    rigid("wine_rack", "turbosquid_objects/wine_rack/wine_rack.xml"),
+    rigid(
+        "wine_rack",
+        "turbosquid_objects/wine_rack/wine_rack.xml",
+        NOT_X,
+    ),
     articulated(
         "wooden_cabinet",
         "articulated_objects/wooden_cabinet.xml",
+        SOME,
         CABINET,
     ),
     rigid(
         "wooden_shelf",
         "turbosquid_objects/wooden_shelf/wooden_shelf.xml",
+        NOT_X,
     ),
     rigid(
         "wooden_tray",
         "turbosquid_objects/wooden_tray/wooden_tray.xml",
+        NOT_X,
     ),
     rigid(
         "wooden_two_layer_shelf",
         "turbosquid_objects/wooden_two_layer_shelf/wooden_two_layer_shelf.xml",
+        NOT_X,
     ),
     rigid(
         "yellow_book",
         "turbosquid_objects/yellow_book/yellow_book.xml",
+        SOME_BACK,
     ),
 ];

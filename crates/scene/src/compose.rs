@@ -13,7 +13,7 @@ use crate::instance::{Instance, InstanceKind, RegionSite};
 use crate::object::{ObjectPart, load_object};
 use crate::pack::AssetPack;
 use crate::part::{Part, recolor_collision_geoms};
-use crate::placement::{FixturePose, place_fixtures};
+use crate::placement::{FixturePose, Samplers};
 use crate::robot;
 use crate::sources::{Sources, locate_files};
 
@@ -34,8 +34,10 @@ pub struct Scene {
     pub regions: Vec<RegionSite>,
     /// What must hold for success.
     pub goal: Vec<Predicate>,
-    /// Poses of the placed fixtures, to be written over the model's.
+    /// Poses of the fixtures in campaigns, to be written over the model's.
     pub fixture_poses: Vec<FixturePose>,
+    /// What a reset without an initial state places.
+    pub samplers: Samplers,
 }
 
 impl Scene {
@@ -69,7 +71,7 @@ impl Scene {
     }
 }
 
-/// Composes a problem with a pack; fixtures are placed by `env_seed`.
+/// Composes a problem with a pack; `env_seed` places the fixtures of campaigns.
 pub fn compose(
     problem: &Problem,
     pack: &AssetPack,
@@ -97,9 +99,11 @@ pub fn compose(
         model.merge_assets(&part.part);
         model.worldbody_mut().children.push(part.body.clone());
     }
+    let samplers = Samplers::new(problem, arena, &parts, &regions)?;
     let scene = Scene {
         mjcf: model.root.write(),
-        fixture_poses: place_fixtures(problem, arena, &parts, env_seed)?,
+        fixture_poses: samplers.campaign_fixtures(env_seed)?,
+        samplers,
         instances: parts.into_iter().map(|part| part.instance).collect(),
         regions,
         goal: problem.goal.clone(),

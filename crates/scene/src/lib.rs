@@ -1,6 +1,6 @@
 //! LIBERO scenes as text and numbers: which files a task consists of, what its
 //! BDDL file says, the MJCF that robot, arena, fixtures, objects and region
-//! sites make together, where the placement sampler puts the fixtures, and the
+//! sites make together, where the placement samplers put things, and the
 //! released initial states.
 //!
 //! Pure: text in, MJCF out. Nothing here compiles a model or draws a frame;
@@ -27,6 +27,7 @@ mod part;
 mod pickle;
 pub mod placement;
 mod robot;
+pub mod rotation;
 pub mod sources;
 pub mod task;
 

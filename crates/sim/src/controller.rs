@@ -8,6 +8,7 @@
 //! precision ([`rotation_of`]).
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+use scene::rotation::single_precision_matrix;
 
 use crate::error::SimError;
 use crate::mujoco::{Data, Model, ObjectKind};
@@ -43,7 +44,18 @@ const GRIPPER_RAMP: f64 = 0.01;
 type ArmVector = SVector<f64, ARM_JOINTS>;
 type ArmMatrix = SMatrix<f64, ARM_JOINTS, ARM_JOINTS>;
 
+/// What the first six numbers of an action are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum ActionFrame {
+    /// A displacement, as a share of the largest: 0.05 m, 0.5 rad (`use_delta`).
+    #[default]
+    Relative,
+    /// A pose in the world: m, and axis times angle, rad.
+    Absolute,
+}
+
 /// Both controllers and what they remember between steps.
+#[derive(Clone)]
 pub struct Controller {
     site: usize,
     torque_limits: [[f64; 2]; ARM_JOINTS],
@@ -52,6 +64,7 @@ pub struct Controller {
     /// simulation step after an initial state has been loaded.
     reset_arm: ArmState,
     sees_reset_arm: bool,
+    last_pose: (Vector3<f64>, Matrix3<f64>),
     goal_pos: Vector3<f64>,
     goal_orientation: Matrix3<f64>,
     gripper: [f64; 2],
@@ -59,6 +72,7 @@ pub struct Controller {
 }
 
 /// Room for what MuJoCo computes over all degrees of freedom.
+#[derive(Clone)]
 struct Buffers {
     inertia: Vec<f64>,
     jacobian_pos: Vec<f64>,
@@ -98,6 +112,7 @@ impl Controller {
             torque_limits: std::array::from_fn(range),
             finger_range: [range(ARM_JOINTS), range(ARM_JOINTS + 1)],
             sees_reset_arm: true,
+            last_pose: (reset_arm.pos, reset_arm.orientation),
             goal_pos: reset_arm.pos,
             goal_orientation: reset_arm.orientation,
             gripper: [0.0; 2],
@@ -106,16 +121,40 @@ impl Controller {
         })
     }
 
+    /// The end-effector as it was last read: position, m, and matrix, row by row, in
+    /// the world frame.
+    pub fn last_pose(&self) -> ([f64; 3], [f64; 9]) {
+        let (pos, matrix) = &self.last_pose;
+        let row_by_row = std::array::from_fn(|index| matrix[(index / 3, index % 3)]);
+        ((*pos).into(), row_by_row)
+    }
+
     /// Forgets everything since the reset.
     pub fn reset(&mut self) {
-        self.goal_orientation = self.reset_arm.orientation;
+        self.reset_arm();
         self.gripper = [0.0; 2];
+    }
+
+    /// Forgets everything since the reset but how far the gripper had closed,
+    /// which the original keeps where it keeps its model.
+    pub fn reset_arm(&mut self) {
+        self.last_pose = (self.reset_arm.pos, self.reset_arm.orientation);
+        self.goal_orientation = self.reset_arm.orientation;
         self.sees_reset_arm = true;
     }
 
     /// Takes a new action; `data` is half a step in (positions and velocities
     /// are up to date).
-    pub fn set_goal(&mut self, model: &Model, data: &Data, action: &[f64; 7]) {
+    pub fn set_goal(&mut self, model: &Model, data: &Data, action: &[f64; 7], of: ActionFrame) {
+        if of == ActionFrame::Absolute {
+            let [x, y, z, turns @ ..] = *action;
+            self.goal_pos = Vector3::new(x, y, z);
+            self.goal_orientation = match Vector3::new(turns[0], turns[1], turns[2]) {
+                none if none == Vector3::zeros() => Matrix3::identity(),
+                rotation => rotation_of(rotation),
+            };
+            return;
+        }
         let delta: [f64; 6] = std::array::from_fn(|axis| {
             let scale = if axis < 3 {
                 TRANSLATION_SCALE
@@ -150,6 +189,7 @@ impl Controller {
         } else {
             self.buffers.read_arm(model, data, self.site)
         };
+        self.last_pose = (arm.pos, arm.orientation);
         let Some(torques) = self.torques(&arm) else {
             return false;
         };
@@ -266,26 +306,8 @@ fn rotation_of(vector: Vector3<f64>) -> Matrix3<f64> {
     let angle = vector.dot(&vector).sqrt();
     let axis = vector / angle;
     let (sin, cos) = ((angle / 2.0).sin(), (angle / 2.0).cos());
-    let mut q = [cos, axis.x * sin, axis.y * sin, axis.z * sin].map(|value| value as f32);
-    let square: f64 = q.iter().map(|value| f64::from(value * value)).sum();
-    let scale = (2.0 / f64::from(square as f32)).sqrt();
-    for value in &mut q {
-        *value = (f64::from(*value) * scale) as f32;
-    }
-    let product = |a: usize, b: usize| q[a] * q[b];
-    let diagonal = |a: usize, b: usize| 1.0 - f64::from(product(a, a)) - f64::from(product(b, b));
-    let sum = |a: f32, b: f32| f64::from(a + b);
-    Matrix3::new(
-        diagonal(2, 3),
-        sum(product(1, 2), -product(3, 0)),
-        sum(product(1, 3), product(2, 0)),
-        sum(product(1, 2), product(3, 0)),
-        diagonal(1, 3),
-        sum(product(2, 3), -product(1, 0)),
-        sum(product(1, 3), -product(2, 0)),
-        sum(product(2, 3), product(1, 0)),
-        diagonal(1, 2),
-    )
+    let rows = single_precision_matrix([cos, axis.x * sin, axis.y * sin, axis.z * sin]);
+    Matrix3::from_fn(|row, column| rows[row][column])
 }
 
 #[cfg(test)]

@@ -1,113 +1,84 @@
 //! One scene, ready to run: loading a state, control steps, success, readings
 //! and frames at the original's instants. Knows nothing of perturbations.
 
-use scene::catalog::Articulation;
+use std::sync::Arc;
+
 use scene::{AssetPack, Scene, Sources};
 
-use crate::controller::{ARM_JOINTS, Controller, GRIP_SITE, RESET_JOINTS, SUBSTEPS};
+use crate::compiled_scene::{Burner, CompiledScene};
+use crate::controller::{ARM_JOINTS, ActionFrame, Controller, RESET_JOINTS, SUBSTEPS};
 use crate::error::SimError;
 use crate::mujoco::{self, Data, Model, ObjectKind, Segment};
 use crate::observation::{Frame, RobotState, axis_angle_of};
-use crate::predicates::Goal;
 use crate::render::{Canvas, Drawer, View};
 
-/// `mjDSBL_AUTORESET`: an unstable state is reported, not silently replaced.
-pub(crate) const DISABLE_AUTORESET: i32 = 1 << 16;
-/// `mjDSBL_NATIVECCD`: with it, 3.3.7 collides as the benchmark's 2.3.7 does.
-pub(crate) const DISABLE_NATIVE_CCD: i32 = 1 << 17;
-/// The body whose orientation is the observed one.
-const HAND_BODY: &str = "robot0_right_hand";
 /// First position coordinate of the fingers.
 const FINGERS: usize = ARM_JOINTS;
-/// Kinematics shown by a step's observation are those of this substep.
+/// Kinematics shown by a step's observation are those of this substep, once a state
+/// has been loaded after a reset.
 const OBSERVED_SUBSTEP: usize = SUBSTEPS - 2;
 /// Buffers for pictures are at least this large, pixels.
 const CANVAS_SIZE: u32 = 256;
 
-/// A compiled scene and its state.
+/// A state of a compiled scene that moves on, with a model of its own.
 pub struct Environment {
-    scene: Scene,
+    pub(crate) compiled: Arc<CompiledScene>,
     canvas: Option<Canvas>,
-    model: Model,
-    data: Data,
+    pub(crate) model: Model,
+    pub(crate) data: Data,
     /// Positions only, at the instant that observations show.
-    observed: Data,
-    observed_is_posed: bool,
-    observed_joints: JointReadings,
-    pristine: Pristine,
-    controller: Controller,
-    goal: Goal,
-    burners: Vec<Burner>,
-    hand_body: usize,
-    grip_site: usize,
-    control_steps: u32,
+    pub(crate) observed: Data,
+    pub(crate) observed_is_posed: bool,
+    pub(crate) observed_joints: JointReadings,
+    /// The substep of a control step whose kinematics its observation shows.
+    pub(crate) observed_substep: usize,
+    pub(crate) controller: Controller,
+    pub(crate) burners: Vec<Burner>,
+    pub(crate) control_steps: u32,
 }
 
 /// Joint readings at the instant that observations show.
 #[derive(Clone, Copy, Default)]
-struct JointReadings {
+pub(crate) struct JointReadings {
     pos: [f64; ARM_JOINTS + 2],
     vel: [f64; ARM_JOINTS + 2],
 }
 
-/// The model's arrays that a rollout may change.
-struct Pristine {
-    cam_pos: Vec<f64>,
-    cam_quat: Vec<f64>,
-    light_pos: Vec<f64>,
-    light_dir: Vec<f64>,
-    light_diffuse: Vec<f32>,
-    light_specular: Vec<f32>,
-    headlight_ambient: [f32; 3],
-    site_rgba: Vec<f32>,
-}
-
-/// A site that glows while its stove is on.
-struct Burner {
-    site: usize,
-    /// Position coordinates of the stove's joints.
-    knobs: Vec<usize>,
-    on_at: f64,
-    /// Opacity as drawn, and as the last observation still shows it.
-    opacity: f32,
-    observed_opacity: f32,
-}
-
 impl Environment {
-    /// Compiles a scene.
+    /// A scene that is compiled for this environment alone.
     pub fn new(scene: Scene, pack: &AssetPack, sources: &Sources) -> Result<Self, SimError> {
-        let mut model = Model::compile(&scene.mjcf(pack, sources))?;
-        model.disable(DISABLE_NATIVE_CCD | DISABLE_AUTORESET);
-        for pose in &scene.fixture_poses {
-            let body = model.id(ObjectKind::Body, &pose.root_body)?;
-            model.body_pos_mut()[body * 3..][..3].copy_from_slice(&pose.pos);
-            model.body_quat_mut()[body * 4..][..4].copy_from_slice(&pose.quat);
-        }
-        hide_marker_sites(&scene, &mut model);
+        Self::of(Arc::new(CompiledScene::compile(scene, pack, sources)?))
+    }
+
+    /// An environment of a compiled scene, which further ones may share.
+    pub fn of(compiled: Arc<CompiledScene>) -> Result<Self, SimError> {
+        let model = compiled.model.share();
         let mut data = Data::new(&model)?;
         data.qpos_mut(&model)[..ARM_JOINTS].copy_from_slice(&RESET_JOINTS);
         data.forward(&model);
         Ok(Self {
             controller: Controller::new(&model, &data)?,
-            goal: Goal::resolve(&scene, &model)?,
-            burners: find_burners(&scene, &model)?,
-            pristine: Pristine::of(&model),
-            hand_body: model.id(ObjectKind::Body, HAND_BODY)?,
-            grip_site: model.id(ObjectKind::Site, GRIP_SITE)?,
+            burners: compiled.burners.clone(),
             observed: Data::new(&model)?,
             observed_is_posed: false,
             observed_joints: JointReadings::default(),
+            observed_substep: OBSERVED_SUBSTEP,
             canvas: None,
             control_steps: 0,
-            scene,
             model,
             data,
+            compiled,
         })
     }
 
     /// The scene.
     pub fn scene(&self) -> &Scene {
-        &self.scene
+        &self.compiled.scene
+    }
+
+    /// What it shares with others.
+    pub fn compiled(&self) -> &Arc<CompiledScene> {
+        &self.compiled
     }
 
     /// The compiled model.
@@ -139,7 +110,7 @@ impl Environment {
     pub fn load(&mut self, state: &[f64]) {
         let (nq, nv) = (self.model.nq(), self.model.nv());
         assert_eq!(state.len(), 1 + nq + nv, "a state of this scene");
-        self.pristine.restore(&mut self.model);
+        self.model.copy_own(&self.compiled.model);
         self.data.reset(&self.model);
         self.data.set_time_secs(state[0]);
         self.data
@@ -151,15 +122,10 @@ impl Environment {
         self.data.forward(&self.model);
         self.controller.reset();
         self.control_steps = 0;
-        for burner in &mut self.burners {
-            burner.opacity = self.pristine.site_rgba[burner.site * 4 + 3];
-        }
+        self.observed_substep = OBSERVED_SUBSTEP;
+        self.burners.clone_from(&self.compiled.burners);
         self.update_burners();
-        for burner in &mut self.burners {
-            burner.observed_opacity = burner.opacity;
-        }
-        self.record_positions();
-        self.record_joints();
+        self.record_all();
         // Earlier warnings belong to another rollout.
         mujoco::take_warnings();
     }
@@ -167,16 +133,22 @@ impl Environment {
     /// One control step: 50 ms in 25 simulation steps. True if the goal holds
     /// after it.
     pub fn step(&mut self, action: &[f64; 7]) -> Result<bool, SimError> {
+        self.step_in(action, ActionFrame::Relative)
+    }
+
+    /// The same with an action that may be a pose.
+    pub fn step_in(&mut self, action: &[f64; 7], of: ActionFrame) -> Result<bool, SimError> {
         for burner in &mut self.burners {
             burner.observed_opacity = burner.opacity;
         }
         for substep in 0..SUBSTEPS {
-            if substep == OBSERVED_SUBSTEP {
+            if substep == self.observed_substep {
                 self.record_positions();
             }
             self.data.step1(&self.model);
             if substep == 0 {
-                self.controller.set_goal(&self.model, &self.data, action);
+                self.controller
+                    .set_goal(&self.model, &self.data, action, of);
             }
             if !self.controller.run(&self.model, &mut self.data, action) {
                 return Err(SimError::Singular {
@@ -184,7 +156,7 @@ impl Environment {
                 });
             }
             self.data.step2(&self.model);
-            if substep == OBSERVED_SUBSTEP {
+            if substep == self.observed_substep {
                 self.record_joints();
             }
         }
@@ -201,24 +173,24 @@ impl Environment {
 
     /// Whether the goal holds now.
     pub fn succeeded(&self) -> bool {
-        self.goal.holds(&self.model, &self.data)
+        self.compiled.goal.holds(&self.model, &self.data)
     }
 
     /// Whether each predicate of the goal holds now.
     pub fn goal_truths(&self) -> Vec<bool> {
-        self.goal.truths(&self.model, &self.data)
+        self.compiled.goal.truths(&self.model, &self.data)
     }
 
     /// The robot's readings as the last step returned them.
     pub fn robot_state(&mut self) -> RobotState {
         self.pose_observed();
         let (model, observed) = (&self.model, &self.observed);
-        let quat = &observed.xquat(model)[self.hand_body * 4..][..4];
+        let quat = &observed.xquat(model)[self.compiled.hand_body * 4..][..4];
         let eef_quat_xyzw = [quat[1], quat[2], quat[3], quat[0]];
         let JointReadings { pos, vel } = self.observed_joints;
         RobotState {
             eef_pos: std::array::from_fn(|axis| {
-                observed.site_xpos(model)[self.grip_site * 3 + axis]
+                observed.site_xpos(model)[self.compiled.grip_site * 3 + axis]
             }),
             eef_quat_xyzw,
             eef_axis_angle: axis_angle_of(eef_quat_xyzw),
@@ -228,6 +200,21 @@ impl Environment {
             gripper_pos: [pos[FINGERS], pos[FINGERS + 1]],
             gripper_vel: [vel[FINGERS], vel[FINGERS + 1]],
         }
+    }
+
+    /// Where a body was at that instant: position, m, and orientation, x y z w, in the
+    /// world frame.
+    ///
+    /// # Panics
+    /// If the model has no body of this id.
+    pub fn observed_body(&mut self, body: usize) -> ([f64; 3], [f64; 4]) {
+        self.pose_observed();
+        let pos = &self.observed.xpos(&self.model)[body * 3..][..3];
+        let quat = &self.observed.xquat(&self.model)[body * 4..][..4];
+        (
+            std::array::from_fn(|axis| pos[axis]),
+            [quat[1], quat[2], quat[3], quat[0]],
+        )
     }
 
     /// Draws what a camera saw at the last step's instant of observation.
@@ -296,7 +283,12 @@ impl Environment {
             .is_none_or(|canvas| !canvas.suits(drawer, wide, high))
         {
             self.canvas = None;
-            self.canvas = Some(Canvas::new(drawer, &mut self.model, wide, high)?);
+            self.canvas = Some(Canvas::new(
+                drawer,
+                &mut self.model,
+                |_| self.compiled.prepared(),
+                [wide, high],
+            )?);
         }
         self.show_burners(|burner| burner.observed_opacity);
         let canvas = self.canvas.as_mut().expect("made above");
@@ -309,6 +301,15 @@ impl Environment {
         let drawn = draw(canvas, view);
         self.show_burners(|burner| burner.opacity);
         drawn
+    }
+
+    /// What is observed is what is now.
+    pub(crate) fn record_all(&mut self) {
+        for burner in &mut self.burners {
+            burner.observed_opacity = burner.opacity;
+        }
+        self.record_positions();
+        self.record_joints();
     }
 
     fn record_positions(&mut self) {
@@ -355,7 +356,7 @@ impl Environment {
 
     /// The original toggles a burner's opacity to 1 − itself when the knob and
     /// the opacity disagree.
-    fn update_burners(&mut self) {
+    pub(crate) fn update_burners(&mut self) {
         let qpos = self.data.qpos(&self.model);
         for burner in &mut self.burners {
             let on = burner.knobs.iter().any(|knob| qpos[*knob] >= burner.on_at);
@@ -371,88 +372,6 @@ impl Environment {
             self.model.site_rgba_mut()[burner.site * 4 + 3] = opacity(burner);
         }
     }
-}
-
-impl Pristine {
-    fn of(model: &Model) -> Self {
-        Self {
-            cam_pos: model.cam_pos().to_vec(),
-            cam_quat: model.cam_quat().to_vec(),
-            light_pos: model.light_pos().to_vec(),
-            light_dir: model.light_dir().to_vec(),
-            light_diffuse: model.light_diffuse().to_vec(),
-            light_specular: model.light_specular().to_vec(),
-            headlight_ambient: model.headlight_ambient(),
-            site_rgba: model.site_rgba().to_vec(),
-        }
-    }
-
-    fn restore(&self, model: &mut Model) {
-        model.cam_pos_mut().copy_from_slice(&self.cam_pos);
-        model.cam_quat_mut().copy_from_slice(&self.cam_quat);
-        model.light_pos_mut().copy_from_slice(&self.light_pos);
-        model.light_dir_mut().copy_from_slice(&self.light_dir);
-        model
-            .light_diffuse_mut()
-            .copy_from_slice(&self.light_diffuse);
-        model
-            .light_specular_mut()
-            .copy_from_slice(&self.light_specular);
-        model.set_headlight_ambient(self.headlight_ambient);
-        model.site_rgba_mut().copy_from_slice(&self.site_rgba);
-    }
-}
-
-/// The original hides the sites of the robot, the objects and the fixtures by
-/// negating their opacity; those of zones on the workspace stay.
-fn hide_marker_sites(scene: &Scene, model: &mut Model) {
-    let mut prefixes = vec![
-        "robot0_".to_owned(),
-        "mount0_".to_owned(),
-        "gripper0_".to_owned(),
-    ];
-    prefixes.extend(
-        scene
-            .instances
-            .iter()
-            .map(|instance| format!("{}_", instance.name)),
-    );
-    for site in 0..model.count(ObjectKind::Site) {
-        let name = model.name(ObjectKind::Site, site).unwrap_or_default();
-        if prefixes.iter().any(|prefix| name.starts_with(prefix)) {
-            let opacity = &mut model.site_rgba_mut()[site * 4 + 3];
-            *opacity = -opacity.abs();
-        }
-    }
-}
-
-fn find_burners(scene: &Scene, model: &Model) -> Result<Vec<Burner>, SimError> {
-    let mut burners = Vec::new();
-    for instance in &scene.instances {
-        let (Some(name), Articulation::OnOff { on, .. }) =
-            (&instance.burner_site, instance.category.articulation)
-        else {
-            continue;
-        };
-        let address = |name: &String| {
-            let joint = model.id(ObjectKind::Joint, name)?;
-            Ok::<_, SimError>(model.jnt_qposadr()[joint] as usize)
-        };
-        let knobs = instance
-            .joints
-            .iter()
-            .map(address)
-            .collect::<Result<_, _>>()?;
-        let site = model.id(ObjectKind::Site, name)?;
-        burners.push(Burner {
-            site,
-            knobs,
-            on_at: on,
-            opacity: 0.0,
-            observed_opacity: 0.0,
-        });
-    }
-    Ok(burners)
 }
 
 /// The matrix of a unit quaternion w x y z, row by row.

@@ -9,7 +9,7 @@ use protocol::{Axis, ManifestRow, Realisation, RobotShift};
 use crate::controller::{ARM_JOINTS, GRIP_SITE};
 use crate::error::SimError;
 use crate::mujoco::{Data, ObjectKind};
-use crate::observation::{Observation, ObservationRequest};
+use crate::observation::{Frame, Observation, ObservationRequest};
 use crate::perturb::{
     ActuationStage, ArmState, FrameSource, IkSolution, Jacobian, JointRange, Light, Lighting,
     SensorStage, shift_camera, shift_lighting, solve_shifted_pose,
@@ -33,10 +33,10 @@ pub struct Digests {
     pub init_state: String,
 }
 
-/// A rollout in hand.
-pub struct Episode<'a> {
-    ready: &'a mut ReadyScene,
-    drawer: &'a mut LazyDrawer,
+/// A configuration, as it acts on one rollout: what has become of the scene, and what
+/// becomes of each action and frame.
+#[derive(Clone)]
+pub struct Conditions {
     digests: Digests,
     realised: Realised,
     ik: Option<IkSolution>,
@@ -46,11 +46,21 @@ pub struct Episode<'a> {
     policy_steps: u32,
 }
 
-impl<'a> Episode<'a> {
-    /// Loads the initial state into the scene at hand and perturbs it.
-    pub(crate) fn begin(
-        ready: &'a mut ReadyScene,
-        drawer: &'a mut LazyDrawer,
+/// A rollout in hand.
+pub struct Episode<'a> {
+    environment: &'a mut Environment,
+    drawer: &'a mut LazyDrawer,
+    conditions: Conditions,
+}
+
+impl Conditions {
+    /// Loads a row's initial state into an environment of its scene, and perturbs it.
+    ///
+    /// # Errors
+    /// If the task has no such initial state.
+    pub fn begin(
+        ready: &ReadyScene,
+        environment: &mut Environment,
         row: &ManifestRow,
         realisation: Realisation,
     ) -> Result<Self, SimError> {
@@ -62,18 +72,19 @@ impl<'a> Episode<'a> {
         let mut state = ready.state(row.init_id)?.to_vec();
         let ik = perturbation
             .robot
-            .map(|shift| displaced_arm(&mut ready.environment, &state, &shift));
+            .map(|shift| displaced_arm(environment, &state, &shift));
         if let Some(ik) = &ik {
             // After the time come the positions, and the arm's come first.
             state[1..=ARM_JOINTS].copy_from_slice(ik.joints.as_slice());
             realise(Axis::Robot, ik.joints.as_slice().to_vec());
         }
-        ready.environment.load(&state);
+        environment.load(&state);
         if let Some(shift) = &perturbation.camera {
-            realise(Axis::Camera, apply_camera(ready, shift)?.to_vec());
+            let moved = apply_camera(ready, environment, shift)?;
+            realise(Axis::Camera, moved.to_vec());
         }
         if let Some(shift) = &perturbation.lighting {
-            realise(Axis::Lighting, apply_lighting(ready, shift));
+            realise(Axis::Lighting, apply_lighting(ready, environment, shift));
         }
         let randomness = |axis| Randomness::of(&row.id, axis, realisation);
         let sensor = perturbation.sensor.map(|corruption| {
@@ -93,8 +104,6 @@ impl<'a> Episode<'a> {
             init_state: ready.states.digest(init_id).expect("it was loaded"),
         };
         Ok(Self {
-            ready,
-            drawer,
             digests,
             realised,
             ik,
@@ -105,38 +114,83 @@ impl<'a> Episode<'a> {
         })
     }
 
+    /// Lets the scene come to rest: the released states float their objects.
+    ///
+    /// # Errors
+    /// As [`Environment::step`].
+    pub fn settle(&self, environment: &mut Environment) -> Result<(), SimError> {
+        for _ in 0..self.settle_steps {
+            environment.step(&NO_OP)?;
+        }
+        Ok(())
+    }
+
+    /// What becomes of the policy's action, in -1..1; counts the control step.
+    pub fn act(&mut self, action: &[f64; 7]) -> [f64; 7] {
+        self.policy_steps += 1;
+        match &mut self.actuation {
+            Some(stage) => stage.apply(action),
+            None => *action,
+        }
+    }
+
+    /// Corrupts a frame as its camera's sensor does; that of a camera which policies
+    /// do not have stays as it is. Of a camera and a size the pixels depend on the
+    /// control step alone.
+    pub fn see(&mut self, frame: &mut Frame) {
+        if let (Some(stage), Ok(source)) = (&mut self.sensor, frame_source(&frame.camera)) {
+            stage.apply(&mut perturb::Frame {
+                source,
+                step: self.policy_steps,
+                width: frame.width as usize,
+                height: frame.height as usize,
+                rgb: &mut frame.rgb,
+            });
+        }
+    }
+}
+
+impl<'a> Episode<'a> {
+    /// Loads the initial state into the scene at hand and perturbs it.
+    pub(crate) fn begin(
+        ready: &ReadyScene,
+        environment: &'a mut Environment,
+        drawer: &'a mut LazyDrawer,
+        row: &ManifestRow,
+        realisation: Realisation,
+    ) -> Result<Self, SimError> {
+        Ok(Self {
+            conditions: Conditions::begin(ready, environment, row, realisation)?,
+            environment,
+            drawer,
+        })
+    }
+
     /// What identifies the rollout's circumstances.
     pub fn digests(&self) -> &Digests {
-        &self.digests
+        &self.conditions.digests
     }
 
     /// The perturbed axes, with what became of their values.
     pub fn realised(&self) -> &Realised {
-        &self.realised
+        &self.conditions.realised
     }
 
     /// How the robot axis found its posture, where it is perturbed.
     pub fn ik(&self) -> Option<&IkSolution> {
-        self.ik.as_ref()
+        self.conditions.ik.as_ref()
     }
 
     /// Lets the scene come to rest: the released states float their objects.
     pub fn settle(&mut self) -> Result<(), SimError> {
-        for _ in 0..self.settle_steps {
-            self.environment().step(&NO_OP)?;
-        }
-        Ok(())
+        self.conditions.settle(self.environment)
     }
 
     /// One control step with the policy's action, in -1..1. True if the goal
     /// holds after it.
     pub fn step(&mut self, action: &[f64; 7]) -> Result<bool, SimError> {
-        let action = match &mut self.actuation {
-            Some(stage) => stage.apply(action),
-            None => *action,
-        };
-        self.policy_steps += 1;
-        self.environment().step(&action)
+        let action = self.conditions.act(action);
+        self.environment.step(&action)
     }
 
     /// What the policy sees now, every perturbation included. Draws only what is
@@ -145,38 +199,28 @@ impl<'a> Episode<'a> {
     pub fn observe(&mut self, request: &ObservationRequest) -> Result<Observation, SimError> {
         let mut frames = Vec::with_capacity(request.cameras.len());
         for camera in &request.cameras {
-            let source = frame_source(&camera.name)?;
+            frame_source(&camera.name)?;
             let drawer = self.drawer.open()?;
             let (width, height) = (camera.width, camera.height);
-            let drawn = &mut self.ready.environment;
-            let mut frame = drawn.draw(drawer, &camera.name, width, height)?;
-            if let Some(stage) = &mut self.sensor {
-                stage.apply(&mut perturb::Frame {
-                    source,
-                    step: self.policy_steps,
-                    width: frame.width as usize,
-                    height: frame.height as usize,
-                    rgb: &mut frame.rgb,
-                });
-            }
+            let mut frame = self.environment.draw(drawer, &camera.name, width, height)?;
+            self.conditions.see(&mut frame);
             frames.push(frame);
         }
-        let environment = self.environment();
         let privileged = if request.privileged {
-            Some(privileged::read(environment)?)
+            Some(privileged::read(self.environment)?)
         } else {
             None
         };
         Ok(Observation {
             frames,
-            robot: environment.robot_state(),
+            robot: self.environment.robot_state(),
             privileged,
         })
     }
 
     /// The scene's environment, to be looked at.
     pub fn environment(&mut self) -> &mut Environment {
-        &mut self.ready.environment
+        self.environment
     }
 }
 
@@ -190,11 +234,12 @@ fn frame_source(camera: &str) -> Result<FrameSource, SimError> {
 
 /// Moves the camera; returns what became of it.
 fn apply_camera(
-    ready: &mut ReadyScene,
+    ready: &ReadyScene,
+    environment: &mut Environment,
     shift: &protocol::CameraShift,
 ) -> Result<[f64; 7], SimError> {
     let pose = shift_camera(&ready.camera, ready.look_at, shift);
-    let model = ready.environment.model_mut();
+    let model = environment.model_mut();
     let camera = model.id(ObjectKind::Camera, PERTURBED_CAMERA)?;
     model.cam_pos_mut()[camera * 3..][..3].copy_from_slice(&pose.position);
     model.cam_quat_mut()[camera * 4..][..4].copy_from_slice(&pose.quat_wxyz);
@@ -203,9 +248,13 @@ fn apply_camera(
 }
 
 /// Changes the lights; returns what became of them.
-fn apply_lighting(ready: &mut ReadyScene, shift: &protocol::LightingShift) -> Vec<f64> {
+fn apply_lighting(
+    ready: &ReadyScene,
+    environment: &mut Environment,
+    shift: &protocol::LightingShift,
+) -> Vec<f64> {
     let look_at = ready.look_at;
-    let model = ready.environment.model_mut();
+    let model = environment.model_mut();
     let wide = |values: &[f32], light: usize| -> [f64; 3] {
         std::array::from_fn(|channel| f64::from(values[light * 3 + channel]))
     };

@@ -5,14 +5,15 @@
 //! the asset pack, and is no proof: what the scene does not exercise may differ.
 
 use std::hint::black_box;
+use std::sync::Arc;
 
 use nalgebra::SMatrix;
 use sha2::{Digest, Sha256};
 
-use crate::environment::{DISABLE_AUTORESET, DISABLE_NATIVE_CCD};
+use crate::compiled_scene::{DISABLE_AUTORESET, DISABLE_NATIVE_CCD};
 use crate::error::SimError;
 use crate::mujoco::{Data, Model, ObjectKind};
-use crate::render::{Canvas, Drawer, View};
+use crate::render::{Canvas, Drawer, Prepared, View};
 
 /// The scene: an arm of seven joints over things that it pushes.
 const SCENE: &str = include_str!("fingerprint.mjcf");
@@ -109,7 +110,8 @@ fn frames(drawer: &Drawer, model: &mut Model, data: &mut Data) -> Result<Vec<Vec
     let (width, height) = FRAMES.iter().fold((0, 0), |(wide, high), frame| {
         (frame.1.max(wide), frame.2.max(high))
     });
-    let mut canvas = Canvas::new(drawer, model, width, height)?;
+    let prepare = |model: &Model| Prepared::of(model).map(Arc::new);
+    let mut canvas = Canvas::new(drawer, model, prepare, [width, height])?;
     let frames = FRAMES.iter().map(|(camera, width, height)| {
         let camera = model.id(ObjectKind::Camera, camera)?;
         let size = [*width, *height];

@@ -5,6 +5,7 @@
 //! [`render`] where it calls OpenGL, behind safe types, with a reason at every
 //! block.
 
+mod compiled_scene;
 pub mod controller;
 pub mod environment;
 pub mod episode;
@@ -18,17 +19,24 @@ pub mod predicates;
 mod privileged;
 mod ready_scene;
 pub mod render;
+mod reset;
 pub mod simulator;
+mod state;
 
+pub use compiled_scene::CompiledScene;
+pub use controller::ActionFrame;
 pub use environment::Environment;
-pub use episode::{Digests, Episode};
+pub use episode::{Conditions, Digests, Episode};
 pub use error::SimError;
 pub use fingerprint::fingerprint;
-pub use mujoco::Segment;
+pub use mujoco::{ObjectKind, Segment};
 pub use observation::{
     CameraRequest, Entity, EntityKind, Frame, Observation, ObservationRequest, Privileged,
     RobotState,
 };
 pub use perturb::IkSolution;
+pub use ready_scene::ReadyScene;
 pub use render::{Drawer, GlDevice, Renderer};
+pub use reset::Reset;
 pub use simulator::{Simulator, SimulatorConfig};
+pub use state::Snapshot;

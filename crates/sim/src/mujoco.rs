@@ -5,6 +5,7 @@
 mod arrays;
 mod data;
 mod model;
+mod own;
 mod visual_scene;
 
 use std::cell::RefCell;
@@ -13,10 +14,11 @@ use std::sync::Once;
 
 use mujoco_rs::mujoco_c as c;
 
-pub use arrays::NamedArray;
+pub use arrays::{ModelArray, NamedArray, Values};
 pub use data::Data;
 pub(crate) use model::{MeshData, TextureData};
 pub use model::{Model, ObjectKind};
+pub use own::OwnArray;
 pub use visual_scene::Segment;
 pub(crate) use visual_scene::VisualScene;
 

@@ -1,8 +1,11 @@
-//! A compiled scene with what is computed once for it.
+//! A task, ready for its rollouts.
+
+use std::sync::Arc;
 
 use protocol::presets::ENV_SEED;
 use scene::{AssetPack, InitialStates, Sources, TaskFiles, compose};
 
+use crate::compiled_scene::CompiledScene;
 use crate::environment::Environment;
 use crate::error::SimError;
 use crate::mujoco::ObjectKind;
@@ -13,9 +16,10 @@ pub(crate) const PERTURBED_CAMERA: &str = "agentview";
 /// `mjJNT_FREE`.
 const FREE_JOINT: i32 = 0;
 
-/// A compiled scene with what is computed once for it.
-pub(crate) struct ReadyScene {
-    pub(crate) environment: Environment,
+/// A task's compiled scene with its initial states, and what is computed once for its
+/// rollouts. Environments share it.
+pub struct ReadyScene {
+    pub(crate) compiled: Arc<CompiledScene>,
     pub(crate) states: InitialStates,
     pub(crate) digest: String,
     /// Nominal pose of the perturbed camera, and the point it looks at.
@@ -26,7 +30,10 @@ pub(crate) struct ReadyScene {
 
 impl ReadyScene {
     /// Compiles the scene of a task's files.
-    pub(crate) fn compile(
+    ///
+    /// # Errors
+    /// If a file is missing or wrong, or MuJoCo refuses the scene.
+    pub fn compile(
         files: TaskFiles,
         pack: &AssetPack,
         sources: &Sources,
@@ -35,7 +42,8 @@ impl ReadyScene {
         let states = InitialStates::read(&files.init)?;
         let scene = compose(&problem, pack, sources, ENV_SEED)?;
         let digest = scene.digest();
-        let mut environment = Environment::new(scene, pack, sources)?;
+        let compiled = Arc::new(CompiledScene::compile(scene, pack, sources)?);
+        let mut environment = Environment::of(Arc::clone(&compiled))?;
         let needed = 1 + environment.model().nq() + environment.model().nv();
         if states.width() != needed {
             return Err(SimError::StateWidth {
@@ -49,13 +57,23 @@ impl ReadyScene {
         let camera = nominal_camera(&environment)?;
         let look_at = look_at_point(&camera, &movable_centres(&environment));
         Ok(Self {
-            environment,
+            compiled,
             states,
             digest,
             camera,
             look_at,
             files,
         })
+    }
+
+    /// What its environments share.
+    pub fn compiled(&self) -> &Arc<CompiledScene> {
+        &self.compiled
+    }
+
+    /// The task's released initial states.
+    pub fn states(&self) -> &InitialStates {
+        &self.states
     }
 
     /// An initial state of the task.

@@ -7,15 +7,23 @@ mod gl;
 mod gl_context;
 mod prepare;
 mod software;
+#[allow(
+    unsafe_code,
+    reason = "what a thread owns is carried, not used, by others"
+)]
+mod thread_bound;
 mod view;
 
 use std::fmt;
 use std::rc::Rc;
 use std::str::FromStr;
+use std::sync::Arc;
 
 use gl::GlCanvas;
 pub use gl_context::{GlContext, GlDevice};
+pub(crate) use prepare::Prepared;
 use software::SoftwareCanvas;
+use thread_bound::ThreadBound;
 pub(crate) use view::View;
 
 use crate::error::SimError;
@@ -66,7 +74,7 @@ impl FromStr for Renderer {
 /// std::thread::spawn(move || drop(drawer));
 /// ```
 ///
-/// What a scene keeps for drawing shares ownership of the OpenGL context, so a
+/// What an environment keeps for drawing shares ownership of the OpenGL context, so a
 /// drawer may be dropped at any time.
 pub enum Drawer {
     /// Our own.
@@ -123,21 +131,28 @@ impl LazyDrawer {
 /// What a renderer keeps to draw one scene.
 pub(crate) enum Canvas {
     Software(Box<SoftwareCanvas>),
-    Gl(GlCanvas),
+    /// On another thread than the one that made it, it suits no renderer.
+    Gl(ThreadBound<GlCanvas>),
 }
 
 impl Canvas {
-    /// Prepares a model's meshes and textures, for pictures up to this size,
-    /// pixels.
+    /// For a model, as it is prepared for our renderer, and pictures up to this
+    /// size, pixels.
     pub(crate) fn new(
         drawer: &Drawer,
         model: &mut Model,
-        width: u32,
-        height: u32,
+        prepared: impl FnOnce(&Model) -> Result<Arc<Prepared>, SimError>,
+        [width, height]: [u32; 2],
     ) -> Result<Self, SimError> {
         match drawer {
-            Drawer::Software => Ok(Self::Software(Box::new(SoftwareCanvas::new(model)?))),
-            Drawer::Gl(context) => GlCanvas::new(context, model, width, height).map(Self::Gl),
+            Drawer::Software => {
+                let canvas = SoftwareCanvas::new(model, prepared(model)?);
+                Ok(Self::Software(Box::new(canvas)))
+            }
+            Drawer::Gl(context) => {
+                let canvas = GlCanvas::new(context, model, width, height)?;
+                Ok(Self::Gl(ThreadBound::new(canvas)))
+            }
         }
     }
 
@@ -145,7 +160,9 @@ impl Canvas {
     pub(crate) fn suits(&self, drawer: &Drawer, width: u32, height: u32) -> bool {
         match (self, drawer) {
             (Self::Software(_), Drawer::Software) => true,
-            (Self::Gl(canvas), Drawer::Gl(context)) => canvas.suits(context, [width, height]),
+            (Self::Gl(canvas), Drawer::Gl(context)) => canvas
+                .get()
+                .is_some_and(|canvas| canvas.suits(context, [width, height])),
             _ => false,
         }
     }
@@ -154,7 +171,7 @@ impl Canvas {
     pub(crate) fn draw(&mut self, view: View<'_>) -> Result<Vec<u8>, SimError> {
         match self {
             Self::Software(canvas) => canvas.draw(view),
-            Self::Gl(canvas) => canvas.draw(view),
+            Self::Gl(canvas) => canvas.get_mut().draw(view),
         }
     }
 
@@ -163,7 +180,7 @@ impl Canvas {
     pub(crate) fn depth(&mut self, view: View<'_>) -> Result<Vec<f32>, SimError> {
         match self {
             Self::Software(canvas) => canvas.depth(view),
-            Self::Gl(canvas) => canvas.depth(view),
+            Self::Gl(canvas) => canvas.get_mut().depth(view),
         }
     }
 
@@ -175,7 +192,7 @@ impl Canvas {
     ) -> Result<Vec<Option<Segment>>, SimError> {
         match self {
             Self::Software(canvas) => canvas.segmentation(view),
-            Self::Gl(canvas) => canvas.segmentation(view),
+            Self::Gl(canvas) => canvas.get_mut().segmentation(view),
         }
     }
 }
@@ -188,6 +205,12 @@ mod tests {
     use crate::mujoco::{Data, ObjectKind};
 
     const SCENE: &str = include_str!("fingerprint.mjcf");
+
+    /// A canvas of 64 × 48 pixels.
+    fn canvas(drawer: &Drawer, model: &mut Model) -> Canvas {
+        let prepare = |model: &Model| Prepared::of(model).map(Arc::new);
+        Canvas::new(drawer, model, prepare, [64, 48]).expect("a canvas")
+    }
 
     /// A scene and its state, to be drawn.
     fn scene() -> (Model, Data) {
@@ -226,7 +249,7 @@ mod tests {
             return;
         };
         let (mut model, mut data) = scene();
-        let mut canvas = Canvas::new(&drawer, &mut model, 64, 48).expect("a canvas");
+        let mut canvas = canvas(&drawer, &mut model);
         let before = canvas.draw(view(&model, &mut data)).expect("a picture");
         assert!(before.iter().any(|channel| *channel != before[0]));
         drop(drawer);
@@ -242,9 +265,9 @@ mod tests {
             return;
         };
         let (mut model, mut data) = scene();
-        let mut first = Canvas::new(&one, &mut model, 64, 48).expect("a canvas");
+        let mut first = canvas(&one, &mut model);
         let picture = first.draw(view(&model, &mut data)).expect("a picture");
-        let mut second = Canvas::new(&other, &mut model, 64, 48).expect("a canvas");
+        let mut second = canvas(&other, &mut model);
         assert!(first.suits(&one, 64, 48) && !first.suits(&other, 64, 48));
         for _ in 0..2 {
             for canvas in [&mut first, &mut second] {
@@ -264,7 +287,7 @@ mod tests {
             return;
         };
         let (mut model, _) = scene();
-        let canvas = Canvas::new(&drawer, &mut model, 64, 48).expect("a canvas");
+        let canvas = canvas(&drawer, &mut model);
         for size in [4096, i32::MAX as u32 + 1, u32::MAX] {
             assert!(!canvas.suits(&drawer, size, 48), "{size} pixels wide");
         }
@@ -281,7 +304,7 @@ mod tests {
         for drawer in &drawers {
             let (mut own, mut data) = scene();
             let (other, mut foreign) = scene();
-            let mut canvas = Canvas::new(drawer, &mut own, 64, 48).expect("a canvas");
+            let mut canvas = canvas(drawer, &mut own);
             canvas.draw(view(&own, &mut data)).expect("a picture");
             let mut refused = |model: &Model, data: &mut Data| {
                 let drawn = AssertUnwindSafe(|| canvas.draw(view(model, data)));

@@ -1,9 +1,12 @@
 //! Everything that a slot needs to simulate rollouts: the compiled scenes it
 //! has met lately and, once it is asked for, an opened renderer.
 
+use std::sync::Arc;
+
 use protocol::{ManifestRow, Realisation};
 use scene::{AssetPack, Sources, TaskFiles};
 
+use crate::environment::Environment;
 use crate::episode::Episode;
 use crate::error::SimError;
 use crate::fingerprint::fingerprint;
@@ -28,7 +31,7 @@ pub struct SimulatorConfig {
 pub struct Simulator {
     config: SimulatorConfig,
     /// Latest first.
-    scenes: Vec<ReadyScene>,
+    scenes: Vec<(ReadyScene, Environment)>,
     drawer: LazyDrawer,
     fingerprint: Option<String>,
 }
@@ -84,12 +87,17 @@ impl Simulator {
         realisation: Realisation,
     ) -> Result<Episode<'_>, SimError> {
         self.make_ready(files)?;
-        Episode::begin(&mut self.scenes[0], &mut self.drawer, row, realisation)
+        let (ready, environment) = &mut self.scenes[0];
+        Episode::begin(ready, environment, &mut self.drawer, row, realisation)
     }
 
     /// Moves the files' scene to the front, compiling it if need be.
     fn make_ready(&mut self, files: TaskFiles) -> Result<(), SimError> {
-        if let Some(index) = self.scenes.iter().position(|scene| scene.files == files) {
+        if let Some(index) = self
+            .scenes
+            .iter()
+            .position(|(scene, _)| scene.files == files)
+        {
             self.scenes[..=index].rotate_right(1);
             return Ok(());
         }
@@ -97,7 +105,8 @@ impl Simulator {
         self.scenes
             .truncate(self.config.cached_scenes.saturating_sub(1));
         let scene = ReadyScene::compile(files, &self.config.pack, &self.config.sources)?;
-        self.scenes.insert(0, scene);
+        let environment = Environment::of(Arc::clone(scene.compiled()))?;
+        self.scenes.insert(0, (scene, environment));
         Ok(())
     }
 }

@@ -174,7 +174,7 @@ fn row_of(task: TaskRef, condition: &str) -> Result<protocol::ManifestRow> {
     let id: RolloutId = id.parse().with_context(|| {
         format!("read condition `{condition}` of --conditions: clean/i00, camera/L3/c07, …")
     })?;
-    Ok(worker::single::row_of(id)?)
+    Ok(protocol::row_of(id)?)
 }
 
 /// A square frame of one camera, `side` pixels wide.

@@ -303,7 +303,7 @@ fn run(arguments: &Arguments) -> Result<()> {
 fn motion(arguments: &Arguments, sources: &Sources) -> Result<(ManifestRow, Vec<Action>)> {
     let task = arguments.task;
     let id = format!("{}/t{}/clean/i00", task.suite().short_name(), task.index());
-    let mut row = worker::single::row_of(id.parse()?)?;
+    let mut row = protocol::row_of(id.parse()?)?;
     row.max_steps = arguments.steps;
     let Some(path) = &arguments.actions else {
         let actions = (0..arguments.steps as usize).map(smooth_action);

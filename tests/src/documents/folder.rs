@@ -28,7 +28,7 @@ const UNSET: [&str; 6] = [
 pub enum Thing {
     /// `reference data`: the folder `shared` beside the checkout.
     ReferenceData,
-    /// `Python packages`: what `pip install ./policies` would download.
+    /// `Python packages`: what the pages' `pip install` would download.
     PythonPackages,
     /// `TypeScript build`: what npm makes of `policies/typescript`.
     TypeScriptBuild,
@@ -64,7 +64,7 @@ impl Thing {
 /// What npm builds.
 const BUILT: &str = "policies/typescript/dist/src/main.js";
 
-/// Wheels for `pip install ./policies`, which a test never downloads.
+/// Wheels for the pages' `pip install`, which a test never downloads.
 fn python_packages() -> Option<PathBuf> {
     std::env::var_os("ROLLOUT_PYTHON_PACKAGES").map(PathBuf::from)
 }

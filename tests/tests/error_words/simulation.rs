@@ -1,5 +1,6 @@
 //! Errors of scenes, pictures and simulations, and of the worker.
 
+use protocol::NoSuchRow;
 use raster::{DrawError, ModelError};
 use scene::SceneError;
 use sim::SimError;
@@ -137,10 +138,10 @@ fn rollouts(messages: &mut Messages) {
         RolloutError::Abandoned => RolloutError::Abandoned,
     );
     variants!(messages, SingleError,
-        SingleError::Row { .. } => SingleError::Row {
+        SingleError::Row(_) => SingleError::Row(NoSuchRow {
             id: "object/t0/clean/i03".parse().expect("an id"),
             problem: "there are 50 initial states".to_owned(),
-        },
+        }),
         SingleError::Task(_) => SingleError::Task(no_scene()),
         SingleError::NoInstruction { .. } => SingleError::NoInstruction { bddl: path() },
         SingleError::Recorded { .. } => SingleError::Recorded {

@@ -3,7 +3,7 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use protocol::RolloutId;
+use protocol::NoSuchRow;
 use scene::SceneError;
 
 use crate::actor::PolicyError;
@@ -13,13 +13,8 @@ use crate::rollout::RolloutError;
 #[derive(Debug, thiserror::Error)]
 pub enum SingleError {
     /// The id names no rollout of the protocol.
-    #[error("make the manifest row of {id}: {problem}")]
-    Row {
-        /// The id.
-        id: RolloutId,
-        /// Why not.
-        problem: String,
-    },
+    #[error(transparent)]
+    Row(#[from] NoSuchRow),
     /// A task of one's own cannot be read.
     #[error(transparent)]
     Task(#[from] SceneError),

@@ -5,11 +5,10 @@
 use std::fs;
 use std::path::PathBuf;
 
-use protocol::{ManifestRow, RolloutId, Suite, TaskRef};
+use protocol::{ManifestRow, RolloutId, Suite, TaskRef, row_of};
 use scene::TaskFiles;
 
 use super::error::SingleError;
-use super::row::row_of;
 
 /// A task of one's own.
 #[derive(Debug)]

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use npyz::npz::NpzArchive;
 use proto::policy as wire;
-use protocol::{Axis, ManifestRow, Realisation};
+use protocol::{Axis, ManifestRow, Realisation, row_of};
 use scene::{AssetPack, Sources};
 use sim::{Renderer, SimulatorConfig};
 

@@ -119,7 +119,7 @@ async fn a_film_afterwards_is_that_of_the_slot_and_shows_the_sensors_corruption(
         return;
     }
     let row = |id: String| {
-        let row = worker::single::row_of(id.parse().expect("an id"));
+        let row = protocol::row_of(id.parse().expect("an id"));
         ManifestRow {
             max_steps: MAX_STEPS,
             ..row.expect("a row")

@@ -1,20 +1,41 @@
 //! `numpy.random.RandomState`: the Mersenne Twister MT19937 and the legacy
 //! distributions on top of it, whose order of draws NumPy has frozen.
 
-const STATE_WORDS: usize = 624;
+/// Words of the Mersenne Twister's state.
+pub const STATE_WORDS: usize = 624;
 const SHIFT_WORDS: usize = 397;
 
 /// NumPy's legacy generator. Equal seeds give equal sequences of calls the
 /// same values as `numpy.random.RandomState(seed)`.
-#[derive(Clone)]
-pub struct LegacyRng {
-    words: [u32; STATE_WORDS],
-    next: usize,
-    /// The second value of the last polar pair, which `randn` returns next.
-    cached_normal: Option<f64>,
+#[derive(Debug, Clone, PartialEq)]
+pub struct LegacyRng(LegacyState);
+
+/// What `numpy.random.get_state(legacy=True)` returns and `set_state` takes,
+/// without the generator's name, which is always `MT19937`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LegacyState {
+    /// The Mersenne Twister's words.
+    pub words: [u32; STATE_WORDS],
+    /// The word to be read next; [`STATE_WORDS`] once all have been.
+    pub position: usize,
+    /// Whether `randn` returns `gauss` next.
+    pub has_gauss: bool,
+    /// The second value of the last polar pair.
+    pub gauss: f64,
 }
 
 impl LegacyRng {
+    /// A generator in a given state, as after `set_state`. None if the position
+    /// is beyond [`STATE_WORDS`].
+    pub fn from_state(state: LegacyState) -> Option<Self> {
+        (state.position <= STATE_WORDS).then_some(Self(state))
+    }
+
+    /// The state that it is in, as `get_state(legacy=True)` returns it.
+    pub fn state(&self) -> &LegacyState {
+        &self.0
+    }
+
     /// `RandomState(seed)`, which is also `numpy.random.seed(seed)`.
     pub fn seed(seed: u32) -> Self {
         let mut words = [0; STATE_WORDS];
@@ -25,11 +46,12 @@ impl LegacyRng {
                 .wrapping_mul(previous ^ (previous >> 30))
                 .wrapping_add(i as u32);
         }
-        Self {
+        Self(LegacyState {
             words,
-            next: STATE_WORDS,
-            cached_normal: None,
-        }
+            position: STATE_WORDS,
+            has_gauss: false,
+            gauss: 0.0,
+        })
     }
 
     /// `random_sample()`: uniform in [0, 1), from two 32-bit words.
@@ -48,8 +70,8 @@ impl LegacyRng {
     /// `randn()`: a standard normal by Marsaglia's polar method. Every second
     /// call returns the other half of a pair and consumes nothing.
     pub fn randn(&mut self) -> f64 {
-        if let Some(cached) = self.cached_normal.take() {
-            return cached;
+        if std::mem::take(&mut self.0.has_gauss) {
+            return std::mem::take(&mut self.0.gauss);
         }
         loop {
             let x = 2.0 * self.random_sample() - 1.0;
@@ -57,7 +79,8 @@ impl LegacyRng {
             let squared_radius = x * x + y * y;
             if squared_radius < 1.0 && squared_radius != 0.0 {
                 let scale = (-2.0 * squared_radius.ln() / squared_radius).sqrt();
-                self.cached_normal = Some(scale * x);
+                self.0.has_gauss = true;
+                self.0.gauss = scale * x;
                 return scale * y;
             }
         }
@@ -84,11 +107,11 @@ impl LegacyRng {
     }
 
     fn next_u32(&mut self) -> u32 {
-        if self.next == STATE_WORDS {
+        if self.0.position == STATE_WORDS {
             self.refill();
         }
-        let mut word = self.words[self.next];
-        self.next += 1;
+        let mut word = self.0.words[self.0.position];
+        self.0.position += 1;
         word ^= word >> 11;
         word ^= (word << 7) & 0x9d2c_5680;
         word ^= (word << 15) & 0xefc6_0000;
@@ -96,13 +119,13 @@ impl LegacyRng {
     }
 
     fn refill(&mut self) {
+        let words = &mut self.0.words;
         for i in 0..STATE_WORDS {
-            let joined =
-                (self.words[i] & 0x8000_0000) | (self.words[(i + 1) % STATE_WORDS] & 0x7fff_ffff);
+            let joined = (words[i] & 0x8000_0000) | (words[(i + 1) % STATE_WORDS] & 0x7fff_ffff);
             let twisted = (joined >> 1) ^ if joined & 1 == 1 { 0x9908_b0df } else { 0 };
-            self.words[i] = self.words[(i + SHIFT_WORDS) % STATE_WORDS] ^ twisted;
+            words[i] = words[(i + SHIFT_WORDS) % STATE_WORDS] ^ twisted;
         }
-        self.next = 0;
+        self.0.position = 0;
     }
 }
 
@@ -156,5 +179,62 @@ mod tests {
         let mut without = with.clone();
         assert_eq!(with.randint(1), 0);
         assert_eq!(with.random_sample(), without.random_sample());
+    }
+
+    /// First, second, 397th and last word, sum of all, position, cached normal.
+    type Summary = ([u32; 4], u64, usize, bool, f64);
+
+    fn summary(rng: &LegacyRng) -> Summary {
+        let state = rng.state();
+        let words = [0, 1, 396, 623].map(|index| state.words[index]);
+        let sum = state.words.iter().map(|word| u64::from(*word)).sum();
+        (words, sum, state.position, state.has_gauss, state.gauss)
+    }
+
+    fn made_up(position: usize, has_gauss: bool, gauss: f64) -> LegacyState {
+        LegacyState {
+            words: std::array::from_fn(|index| (index as u32).wrapping_mul(2_654_435_761)),
+            position,
+            has_gauss,
+            gauss,
+        }
+    }
+
+    /// Values of NumPy 2.4.6's `get_state(legacy=True)`.
+    #[test]
+    fn the_state_is_the_one_that_numpy_gives() {
+        let mut rng = LegacyRng::seed(20_260_904);
+        let seeded = [20_260_904, 3_851_304_905, 396_305_077, 1_212_441_072];
+        assert_eq!(summary(&rng), (seeded, 1_309_321_831_312, 624, false, 0.0));
+        for _ in 0..7 {
+            rng.randn();
+        }
+        let words = [1_635_852_493, 1_952_434_285, 2_631_272_951, 891_169_102];
+        let (sum, gauss) = (1_368_315_099_196, 0.535_237_771_368_022_6);
+        assert_eq!(summary(&rng), (words, sum, 24, true, gauss));
+        for _ in 0..300 {
+            rng.random_sample();
+        }
+        assert_eq!(summary(&rng), (words, sum, 624, true, gauss));
+        assert_eq!(rng.randn(), gauss);
+        assert_eq!(summary(&rng), (words, sum, 624, false, 0.0));
+    }
+
+    /// Values of NumPy 2.4.6 after `set_state`. A normal that is marked as used
+    /// up stays in the state until the next pair, as in NumPy.
+    #[test]
+    fn a_generator_goes_on_from_the_state_that_it_was_given() {
+        let mut rng = LegacyRng::from_state(made_up(623, false, 1.25)).unwrap();
+        assert_eq!(rng.random_sample(), 0.662_176_810_485_979_8);
+        assert_eq!((rng.state().position, rng.state().gauss), (1, 1.25));
+        assert_eq!(rng.randn(), 0.195_226_206_183_389_73);
+        let words = [3_390_356_346, 2_752_006_303, 835_125_746, 349_002_831];
+        let gauss = 0.612_771_913_430_686_7;
+        assert_eq!(summary(&rng), (words, 1_418_623_342_209, 5, true, gauss));
+
+        let mut rng = LegacyRng::from_state(made_up(624, true, -0.5)).unwrap();
+        assert_eq!(rng.randn(), -0.5);
+        assert_eq!(*rng.state(), made_up(624, false, 0.0));
+        assert_eq!(LegacyRng::from_state(made_up(625, false, 0.0)), None);
     }
 }

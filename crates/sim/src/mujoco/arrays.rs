@@ -12,46 +12,99 @@ pub struct NamedArray {
     pub values: Vec<f64>,
 }
 
-/// Element types of `mjModel`'s arrays.
-trait Element: Copy {
-    fn widen(self) -> f64;
+/// One array, as MuJoCo keeps it.
+pub struct ModelArray {
+    /// Its length along the first axis: bodies, geoms, …
+    pub rows: usize,
+    /// In memory order.
+    pub values: Values,
 }
 
-macro_rules! element {
+/// Values of an array.
+pub enum Values {
+    /// Doubles.
+    Double(Vec<f64>),
+    /// Singles.
+    Single(Vec<f32>),
+    /// Ids, addresses, numbers, flags.
+    Integer(Vec<i32>),
+}
+
+impl Values {
+    fn widen(self) -> Vec<f64> {
+        match self {
+            Self::Double(values) => values,
+            Self::Single(values) => values.into_iter().map(f64::from).collect(),
+            Self::Integer(values) => values.into_iter().map(f64::from).collect(),
+        }
+    }
+}
+
+/// Element types of `mjModel`'s arrays.
+trait Element: Copy {
+    fn collect(values: &[Self]) -> Values;
+}
+
+impl Element for f64 {
+    fn collect(values: &[Self]) -> Values {
+        Values::Double(values.to_vec())
+    }
+}
+
+impl Element for f32 {
+    fn collect(values: &[Self]) -> Values {
+        Values::Single(values.to_vec())
+    }
+}
+
+macro_rules! integers {
     ($($kind:ty),*) => {$(
         impl Element for $kind {
-            fn widen(self) -> f64 {
-                f64::from(self)
+            fn collect(values: &[Self]) -> Values {
+                Values::Integer(values.iter().copied().map(i32::from).collect())
             }
         }
     )*};
 }
-element!(f64, f32, i32, u8, i8);
+integers!(i32, u8, i8);
 
-fn widen<T: Element>(pointer: *const T, count: usize) -> Vec<f64> {
+fn read<T: Element>(pointer: *const T, count: usize) -> Values {
     if count == 0 {
-        return Vec::new();
+        return T::collect(&[]);
     }
     // SAFETY: callers pass a field of a live model with the size that MuJoCo's
     // own table gives it.
-    let values = unsafe { std::slice::from_raw_parts(pointer, count) };
-    values.iter().map(|value| value.widen()).collect()
+    T::collect(unsafe { std::slice::from_raw_parts(pointer, count) })
 }
 
 macro_rules! arrays {
     ($($name:ident: $rows:ident x $columns:tt $(* $factor:literal)?,)*) => {
-        pub(super) fn collect(model: &mjModel) -> Vec<NamedArray> {
-            vec![$(
-                NamedArray {
-                    name: stringify!($name),
-                    values: widen(
-                        model.$name.cast_const(),
-                        model.$rows as usize * columns!(model, $columns) $(* $factor)?,
-                    ),
-                },
-            )*]
+        const NAMES: &[&str] = &[$(stringify!($name),)*];
+
+        /// The array of a name; none of a name that is not in the table.
+        pub(super) fn one(model: &mjModel, name: &str) -> Option<ModelArray> {
+            match name {
+                $(
+                    stringify!($name) => {
+                        let rows = model.$rows as usize;
+                        let columns = columns!(model, $columns) $(* $factor)?;
+                        let values = read(model.$name.cast_const(), rows * columns);
+                        Some(ModelArray { rows, values })
+                    }
+                )*
+                _ => None,
+            }
         }
     };
+}
+
+/// Every array.
+pub(super) fn all(model: &mjModel) -> Vec<NamedArray> {
+    let named = |name: &&'static str| NamedArray {
+        name,
+        values: one(model, name).expect("in the table").values.widen(),
+    };
+    NAMES.iter().map(named).collect()
 }
 
 macro_rules! columns {

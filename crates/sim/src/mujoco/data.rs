@@ -20,6 +20,11 @@ pub struct Data {
     model: u64,
 }
 
+// SAFETY: plain memory that no thread owns, written through `&mut self`.
+unsafe impl Send for Data {}
+// SAFETY: `&self` only reads.
+unsafe impl Sync for Data {}
+
 /// Two geoms in contact.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Contact {
@@ -205,6 +210,14 @@ impl Data {
         xquat = nbody * 4;
         /// Centres of mass of bodies, world frame, m.
         xipos = nbody * 3;
+        /// Body orientations, world frame, 3 × 3 row by row.
+        xmat = nbody * 9;
+        /// Camera positions, world frame, m.
+        cam_xpos = ncam * 3;
+        /// Camera orientations, world frame, 3 × 3 row by row.
+        cam_xmat = ncam * 9;
+        /// Readings of all sensors, one after the other.
+        sensordata = nsensordata * 1;
         /// Geom positions, world frame, m.
         geom_xpos = ngeom * 3;
         /// Geom orientations, world frame, 3 × 3 row by row.

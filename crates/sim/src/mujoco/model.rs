@@ -2,20 +2,43 @@
 
 use std::ffi::{CStr, CString, c_char};
 use std::ptr::NonNull;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use mujoco_rs::mujoco_c as c;
 
-use super::arrays::{NamedArray, collect};
+use super::arrays::{self, ModelArray, NamedArray};
+use super::own::OwnArrays;
 use crate::error::SimError;
 
-/// A compiled model, owned.
+/// A compiled model. What a rollout changes ([`own`](super::own)) belongs to it; all
+/// the rest (meshes, textures, whatever is computed from them) it shares with the
+/// other models of one compilation.
 pub struct Model {
+    /// MuJoCo's structure: the compilation's, but for where `own` lies.
+    raw: Box<c::mjModel>,
+    /// Pointed at by `raw`, and reached through it.
+    _own: OwnArrays,
+    compilation: Arc<Compilation>,
+}
+
+/// What MuJoCo compiled; nobody changes it.
+struct Compilation {
     raw: NonNull<c::mjModel>,
     /// Unique in the process. States and scenes have the sizes of the model that
     /// they were made for, and check by this number that they are used with it.
     serial: u64,
 }
+
+// SAFETY: plain memory that no thread owns, and that nobody writes to.
+unsafe impl Send for Compilation {}
+// SAFETY: as above.
+unsafe impl Sync for Compilation {}
+// SAFETY: plain memory that no thread owns; what is written to belongs to this model
+// alone, and is written through `&mut self`.
+unsafe impl Send for Model {}
+// SAFETY: as above; `&self` only reads.
+unsafe impl Sync for Model {}
 
 /// Kinds of named things in a model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -68,19 +91,6 @@ macro_rules! slices {
     )*};
 }
 
-macro_rules! slices_mut {
-    ($($(#[$doc:meta])* $method:ident: $name:ident: $kind:ty = $rows:ident * $columns:literal;)*) => {$(
-        $(#[$doc])*
-        pub fn $method(&mut self) -> &mut [$kind] {
-            // SAFETY: as for the shared slices; `&mut self` makes it exclusive.
-            unsafe {
-                let model = self.raw.as_mut();
-                std::slice::from_raw_parts_mut(model.$name, model.$rows as usize * $columns)
-            }
-        }
-    )*};
-}
-
 impl Model {
     /// Compiles MJCF.
     pub fn compile(mjcf: &str) -> Result<Self, SimError> {
@@ -111,29 +121,66 @@ impl Model {
             (model, text)
         };
         static COMPILED: AtomicU64 = AtomicU64::new(0);
-        Ok(Self {
-            raw: NonNull::new(model).ok_or(SimError::Compile(message))?,
+        let raw = NonNull::new(model).ok_or(SimError::Compile(message))?;
+        Ok(Self::of(Arc::new(Compilation {
+            raw,
             serial: COMPILED.fetch_add(1, Ordering::Relaxed),
-        })
+        })))
+    }
+
+    /// Another model of this one's compilation, with arrays of its own that are now
+    /// as this one's.
+    #[must_use]
+    pub fn share(&self) -> Self {
+        let mut other = Self::of(Arc::clone(&self.compilation));
+        other.copy_own(self);
+        other
+    }
+
+    fn of(compilation: Arc<Compilation>) -> Self {
+        // SAFETY: compiled, and alive for as long as the compilation is shared. The
+        // copy frees nothing.
+        let mut raw = Box::new(unsafe { compilation.raw.read() });
+        Self {
+            _own: OwnArrays::of(&mut raw),
+            raw,
+            compilation,
+        }
+    }
+
+    /// Takes over what may be changed of another model of the same compilation.
+    ///
+    /// # Panics
+    /// If the other is of another compilation.
+    pub fn copy_own(&mut self, other: &Self) {
+        assert!(
+            self.serial() == other.serial(),
+            "this is a model of another compilation"
+        );
+        self.copy_arrays(other);
+        self.raw.vis.clone_from(&other.raw.vis);
+        self.raw.opt.clone_from(&other.raw.opt);
     }
 
     pub(crate) fn raw(&self) -> &c::mjModel {
-        // SAFETY: owned and alive until drop.
-        unsafe { self.raw.as_ref() }
+        &self.raw
+    }
+
+    pub(super) fn raw_mut(&mut self) -> &mut c::mjModel {
+        &mut self.raw
     }
 
     pub(crate) fn as_ptr(&self) -> *const c::mjModel {
-        self.raw.as_ptr()
+        &raw const *self.raw
     }
 
     pub(super) fn serial(&self) -> u64 {
-        self.serial
+        self.compilation.serial
     }
 
     /// Sets flags of `option.disableflags`.
     pub fn disable(&mut self, flags: i32) {
-        // SAFETY: owned and alive; `&mut self` makes it exclusive.
-        unsafe { self.raw.as_mut() }.opt.disableflags |= flags;
+        self.raw.opt.disableflags |= flags;
     }
 
     /// Number of position coordinates.
@@ -196,7 +243,12 @@ impl Model {
 
     /// Every numeric array but the payload of meshes and textures.
     pub fn arrays(&self) -> Vec<NamedArray> {
-        collect(self.raw())
+        arrays::all(self.raw())
+    }
+
+    /// One of these arrays; none of that name.
+    pub fn array(&self, name: &str) -> Option<ModelArray> {
+        arrays::one(self.raw(), name)
     }
 
     /// The headlight's ambient colour.
@@ -206,14 +258,12 @@ impl Model {
 
     /// Sets the headlight's ambient colour.
     pub fn set_headlight_ambient(&mut self, rgb: [f32; 3]) {
-        // SAFETY: owned and alive; `&mut self` makes it exclusive.
-        unsafe { self.raw.as_mut() }.vis.headlight.ambient = rgb;
+        self.raw.vis.headlight.ambient = rgb;
     }
 
     /// Makes room for pictures of this size, pixels, in contexts made later.
     pub(crate) fn grow_offscreen_buffer(&mut self, width: u32, height: u32) {
-        // SAFETY: owned and alive; `&mut self` makes it exclusive.
-        let global = unsafe { &mut self.raw.as_mut().vis.global };
+        let global = &mut self.raw.vis.global;
         global.offwidth = global.offwidth.max(width as i32);
         global.offheight = global.offheight.max(height as i32);
     }
@@ -269,6 +319,10 @@ impl Model {
         jnt_bodyid: i32 = njnt * 1;
         /// Joint ranges, m or rad.
         jnt_range: f64 = njnt * 2;
+        /// Body positions in their parents' frames, m.
+        body_pos: f64 = nbody * 3;
+        /// Body orientations in their parents' frames, w x y z.
+        body_quat: f64 = nbody * 4;
         /// Body of each geom.
         geom_bodyid: i32 = ngeom * 1;
         /// Bounding boxes in geom frames: centre, half extents, m.
@@ -291,27 +345,6 @@ impl Model {
         site_size: f64 = nsite * 3;
         /// Actuator control ranges.
         actuator_ctrlrange: f64 = nu * 2;
-    }
-
-    slices_mut! {
-        /// As the shared slice, to be changed.
-        body_pos_mut: body_pos: f64 = nbody * 3;
-        /// As the shared slice, to be changed.
-        body_quat_mut: body_quat: f64 = nbody * 4;
-        /// As the shared slice, to be changed.
-        cam_pos_mut: cam_pos: f64 = ncam * 3;
-        /// As the shared slice, to be changed.
-        cam_quat_mut: cam_quat: f64 = ncam * 4;
-        /// As the shared slice, to be changed.
-        light_pos_mut: light_pos: f64 = nlight * 3;
-        /// As the shared slice, to be changed.
-        light_dir_mut: light_dir: f64 = nlight * 3;
-        /// As the shared slice, to be changed.
-        light_diffuse_mut: light_diffuse: f32 = nlight * 3;
-        /// As the shared slice, to be changed.
-        light_specular_mut: light_specular: f32 = nlight * 3;
-        /// As the shared slice, to be changed.
-        site_rgba_mut: site_rgba: f32 = nsite * 4;
     }
 }
 
@@ -401,9 +434,9 @@ pub(super) unsafe fn values<'a, T>(pointer: *const T, count: i32) -> &'a [T] {
     unsafe { std::slice::from_raw_parts(pointer, count as usize) }
 }
 
-impl Drop for Model {
+impl Drop for Compilation {
     fn drop(&mut self) {
-        // SAFETY: owned, freed once.
+        // SAFETY: owned, freed once, with the last model of it.
         unsafe { c::mj_deleteModel(self.raw.as_ptr()) }
     }
 }

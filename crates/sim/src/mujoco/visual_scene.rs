@@ -31,6 +31,9 @@ pub(crate) struct VisualScene {
     model: u64,
 }
 
+// SAFETY: plain memory that no thread owns, written through `&mut self`.
+unsafe impl Send for VisualScene {}
+
 impl VisualScene {
     /// An empty one.
     pub(crate) fn new(model: &Model) -> Self {

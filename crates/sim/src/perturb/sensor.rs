@@ -59,6 +59,7 @@ pub struct Frame<'a> {
 }
 
 /// Corrupts the pictures of one rollout.
+#[derive(Clone)]
 pub struct SensorStage {
     corruption: SensorCorruption,
     /// Direction of the motion blur, rad, in [0, π).
@@ -66,6 +67,7 @@ pub struct SensorStage {
     noise: FrameNoise,
 }
 
+#[derive(Clone)]
 enum FrameNoise {
     Matched(MatchedStream),
     Reference(NumpyFrames),
@@ -181,6 +183,7 @@ impl SensorStage {
 /// NumPy's one noise stream, at the beginning of every picture. Normals take a
 /// varying number of words, so that a picture is only reached through those
 /// before it; what has been passed is kept (32 bytes per picture).
+#[derive(Clone)]
 struct NumpyFrames {
     first: DefaultRng,
     starts: Vec<DefaultRng>,

@@ -20,10 +20,10 @@ const COLOUR_ROLE: usize = c::mjtTextureRole::mjTEXROLE_RGB as usize;
 
 /// What this process has prepared, by the digest of its source. The digest need
 /// only be fast: there is nothing to gain from a forged collision.
-type Prepared<T> = LazyLock<Mutex<HashMap<u128, Weak<T>>>>;
+type Known<T> = LazyLock<Mutex<HashMap<u128, Weak<T>>>>;
 
-static MESHES: Prepared<Mesh> = LazyLock::new(Mutex::default);
-static TEXTURES: Prepared<Texture> = LazyLock::new(Mutex::default);
+static MESHES: Known<Mesh> = LazyLock::new(Mutex::default);
+static TEXTURES: Known<Texture> = LazyLock::new(Mutex::default);
 
 /// The texture that colours a material, and how it repeats.
 #[derive(Clone, Copy)]
@@ -33,8 +33,31 @@ pub(super) struct Material {
     pub(super) uniform: bool,
 }
 
-/// Prepares what does not change: meshes, planes and textures.
-pub(super) fn prepare(model: &Model) -> Result<raster::Model, SimError> {
+/// What does not change of a model.
+pub(crate) struct Prepared {
+    pub(super) model: raster::Model,
+    pub(super) materials: Vec<Option<Material>>,
+    /// The first texture that is meant for the sky.
+    pub(super) sky: Option<usize>,
+}
+
+impl Prepared {
+    /// Prepares a model.
+    ///
+    /// # Errors
+    /// If it has what our renderer cannot draw.
+    pub(crate) fn of(model: &Model) -> Result<Self, SimError> {
+        let sky = c::mjtTexture::mjTEXTURE_SKYBOX as i32;
+        Ok(Self {
+            model: prepare(model)?,
+            materials: materials(model),
+            sky: model.textures().position(|texture| texture.kind == sky),
+        })
+    }
+}
+
+/// Prepares meshes, planes and textures.
+fn prepare(model: &Model) -> Result<raster::Model, SimError> {
     let raw = model.raw();
     let quality = &raw.vis.quality;
     let quality = Quality {
@@ -76,7 +99,7 @@ pub(super) fn prepare(model: &Model) -> Result<raster::Model, SimError> {
 
 /// Returns what was made from the same source if it is still in use, or makes it.
 fn shared<T>(
-    known: &Prepared<T>,
+    known: &Known<T>,
     digest: u128,
     make: impl FnOnce() -> Result<T, SimError>,
 ) -> Result<Arc<T>, SimError> {
@@ -162,7 +185,7 @@ fn mesh_of(mesh: &MeshData<'_>) -> Mesh {
     builder.build()
 }
 
-pub(super) fn materials(model: &Model) -> Vec<Option<Material>> {
+fn materials(model: &Model) -> Vec<Option<Material>> {
     let textures = model.mat_texid().chunks_exact(TEXTURE_ROLES);
     let repeats = model.mat_texrepeat().chunks_exact(2);
     let all = textures.zip(repeats).zip(model.mat_texuniform());
@@ -175,12 +198,6 @@ pub(super) fn materials(model: &Model) -> Vec<Option<Material>> {
         })
     })
     .collect()
-}
-
-/// The first texture that is meant for the sky.
-pub(super) fn sky(model: &Model) -> Option<usize> {
-    let sky = c::mjtTexture::mjTEXTURE_SKYBOX as i32;
-    model.textures().position(|texture| texture.kind == sky)
 }
 
 /// The error for what our renderer cannot draw.

@@ -2,11 +2,12 @@
 //! (`mjvScene`).
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use mujoco_rs::mujoco_c as c;
 use raster::{Camera, Geom, Light, LightKind, Scene, Shape, TextureUse};
 
-use super::prepare::{Material, graphics, materials, prepare, sky};
+use super::prepare::{Material, Prepared, graphics};
 use super::view::View;
 use crate::error::SimError;
 use crate::mujoco::{Model, Segment, VisualScene};
@@ -16,22 +17,18 @@ const PLANE: i32 = c::mjtGeom::mjGEOM_PLANE as i32;
 /// What our renderer keeps to draw one scene.
 pub(crate) struct SoftwareCanvas {
     visual_scene: VisualScene,
-    prepared: raster::Model,
-    materials: Vec<Option<Material>>,
-    sky: Option<usize>,
+    prepared: Arc<Prepared>,
     scene: Scene,
     /// By camera.
     canvases: BTreeMap<usize, raster::Canvas>,
 }
 
 impl SoftwareCanvas {
-    /// Prepares a model's meshes and textures.
-    pub(crate) fn new(model: &Model) -> Result<Self, SimError> {
-        Ok(Self {
+    /// For a model and what is prepared for it.
+    pub(crate) fn new(model: &Model, prepared: Arc<Prepared>) -> Self {
+        Self {
             visual_scene: VisualScene::new(model),
-            prepared: prepare(model)?,
-            materials: materials(model),
-            sky: sky(model),
+            prepared,
             scene: Scene {
                 geoms: Vec::new(),
                 lights: Vec::new(),
@@ -51,7 +48,7 @@ impl SoftwareCanvas {
                 reflections: true,
             },
             canvases: BTreeMap::new(),
-        })
+        }
     }
 
     /// Draws what a camera of the model sees; rows from bottom to top.
@@ -74,7 +71,7 @@ impl SoftwareCanvas {
     ) -> Result<Vec<Option<Segment>>, SimError> {
         let size = view.size.map(|side| side as usize);
         self.update(view)?;
-        let numbers = raster::segments(&self.prepared, &self.scene, size)
+        let numbers = raster::segments(&self.prepared.model, &self.scene, size)
             .map_err(|error| graphics(error.to_string()))?;
         let segments = self.visual_scene.segments();
         Ok(numbers
@@ -90,7 +87,7 @@ impl SoftwareCanvas {
         let canvas = self.canvases.entry(camera).or_default();
         let largest: Vec<&[u8]> = model.textures().map(|texture| texture.texels).collect();
         canvas
-            .draw(&self.prepared, &largest, &self.scene, size)
+            .draw(&self.prepared.model, &largest, &self.scene, size)
             .map_err(|error| graphics(error.to_string()))
     }
 
@@ -113,7 +110,10 @@ impl SoftwareCanvas {
             orthographic: eye.orthographic != 0,
         };
         self.scene.reflections = flag(c::mjtRndFlag::mjRND_REFLECTION);
-        self.scene.sky = self.sky.filter(|_| flag(c::mjtRndFlag::mjRND_SKYBOX));
+        self.scene.sky = self
+            .prepared
+            .sky
+            .filter(|_| flag(c::mjtRndFlag::mjRND_SKYBOX));
         let shadows = flag(c::mjtRndFlag::mjRND_SHADOW);
         self.scene.lights.clear();
         for light in &seen.lights[..seen.nlight as usize] {
@@ -127,7 +127,9 @@ impl SoftwareCanvas {
         }
         self.scene.geoms.clear();
         for geom in self.visual_scene.geoms() {
-            self.scene.geoms.push(read_geom(geom, &self.materials)?);
+            self.scene
+                .geoms
+                .push(read_geom(geom, &self.prepared.materials)?);
         }
         Ok(())
     }

@@ -1,1 +1,1 @@
-"""Generated from policy.proto by regenerate.py; not to be edited."""
+"""Generated from policy.proto by proto/regenerate.py; not to be edited."""

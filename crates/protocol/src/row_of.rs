@@ -1,8 +1,19 @@
 //! From a rollout's id to its manifest row.
 
-use protocol::{Axis, Condition, Design, ManifestRow, Nominal, RolloutId};
+use crate::condition::{Axis, Condition};
+use crate::design::{Design, Nominal};
+use crate::rollout_id::RolloutId;
+use crate::row::ManifestRow;
 
-use super::error::SingleError;
+/// An id that names no rollout of the protocol.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("make the manifest row of {id}: {problem}")]
+pub struct NoSuchRow {
+    /// The id.
+    pub id: RolloutId,
+    /// Why not.
+    pub problem: String,
+}
 
 /// The row of an id in LIBERO-CTRL v0.1, or beyond it in the design of seed 0.
 /// A combination combines all six axes, or at a radius of its own, for which
@@ -10,8 +21,8 @@ use super::error::SingleError;
 ///
 /// # Errors
 /// If there is no such configuration.
-pub fn row_of(id: RolloutId) -> Result<ManifestRow, SingleError> {
-    let problem = |problem: String| SingleError::Row { id, problem };
+pub fn row_of(id: RolloutId) -> Result<ManifestRow, NoSuchRow> {
+    let problem = |problem: String| NoSuchRow { id, problem };
     let mut design = Design {
         tasks: vec![id.task()],
         ..Design::v0_1()

@@ -1,0 +1,33 @@
+//! Actions as Python hands them over.
+
+use numpy::{AllowTypeChange, PyArrayLikeDyn, PyUntypedArrayMethods};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+
+/// Numbers of an action: translation, rotation, gripper.
+pub(crate) const WIDTH: usize = 7;
+
+/// Numbers of any type, in any container.
+pub(crate) type Numbers<'py> = PyArrayLikeDyn<'py, f64, AllowTypeChange>;
+
+/// Actions of this shape, whose last length is [`WIDTH`].
+///
+/// # Errors
+/// If the shape is another one, or a number is not finite.
+pub(crate) fn actions(given: &Numbers<'_>, shape: &[usize]) -> PyResult<Vec<[f64; WIDTH]>> {
+    if given.shape() != shape {
+        return Err(PyValueError::new_err(format!(
+            "read actions of shape {:?}: expected {shape:?}, whose last are three of translation, \
+             three of rotation and the gripper, each in -1..1",
+            given.shape()
+        )));
+    }
+    let numbers: Vec<f64> = given.as_array().iter().copied().collect();
+    if let Some(number) = numbers.iter().find(|number| !number.is_finite()) {
+        return Err(PyValueError::new_err(format!(
+            "read actions: one of the numbers is {number}; look for it in the policy"
+        )));
+    }
+    let (actions, _) = numbers.as_chunks::<WIDTH>();
+    Ok(actions.to_vec())
+}

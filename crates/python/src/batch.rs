@@ -1,0 +1,330 @@
+//! Several environments that move on together, on threads.
+
+use std::sync::Mutex;
+
+use numpy::PyUntypedArrayMethods;
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use sim::{ActionFrame, RobotState};
+
+use crate::action::{self, Numbers, WIDTH};
+use crate::guarded::{Guarded, closed};
+use crate::simulation::{Simulation, State, action_frame, picture_size, shaped};
+use crate::start::Start;
+
+/// Numbers of a reading: see [`READINGS`].
+const READING_WIDTH: usize = 28;
+/// The readings, in their order, and how many numbers each has.
+const READINGS: [(&str, usize); 7] = [
+    ("eef_pos", 3),
+    ("eef_quat", 4),
+    ("eef_axis_angle", 3),
+    ("joint_pos", 7),
+    ("joint_vel", 7),
+    ("gripper_pos", 2),
+    ("gripper_vel", 2),
+];
+
+/// Which control steps of a chunk are drawn.
+#[derive(Clone, Copy, PartialEq)]
+enum Render {
+    None,
+    Last,
+    All,
+}
+
+/// Environments that begin or move on together.
+#[pyclass(frozen, module = "rollout_libero._native")]
+pub(crate) struct Batch {
+    states: Vec<Guarded<State>>,
+    threads: usize,
+}
+
+/// A camera and its picture's size.
+struct Camera {
+    name: String,
+    size: [u32; 2],
+}
+
+/// What one environment does: it begins, or takes at most `limit` of its actions.
+struct Task<'a> {
+    state: &'a Guarded<State>,
+    start: Option<Start>,
+    actions: &'a [[f64; WIDTH]],
+    limit: usize,
+    done: Done<'a>,
+}
+
+/// Where what it did is written: the rows of one environment.
+struct Done<'a> {
+    steps: &'a mut u32,
+    success: &'a mut bool,
+    /// Of each drawn step.
+    readings: &'a mut [[f64; READING_WIDTH]],
+    /// Of each camera, the pictures of each drawn step.
+    frames: Vec<&'a mut [u8]>,
+}
+
+#[pymethods]
+impl Batch {
+    /// Environments, which stay usable one by one, and how many threads they share.
+    #[new]
+    fn new(simulations: Vec<Py<Simulation>>, threads: usize) -> PyResult<Self> {
+        if simulations.is_empty() || threads == 0 {
+            return Err(PyValueError::new_err(
+                "make a batch: it takes one environment at least, and one thread",
+            ));
+        }
+        // OpenGL belongs to a thread.
+        let threads = match simulations.iter().any(|it| it.get().draws_through_opengl()) {
+            true => 1,
+            false => threads.min(simulations.len()),
+        };
+        let states = simulations.iter().map(|it| it.get().state.clone());
+        Ok(Self {
+            states: states.collect(),
+            threads,
+        })
+    }
+
+    /// Has each environment begin a rollout where `starts` has a manifest's row for it,
+    /// JSON, and otherwise take its actions: at most `limits` of them, and none after the
+    /// one that succeeds. `actions` is [environments, steps, 7]; `render` says which
+    /// steps are drawn and read: `last`, `all` or `none`. Returns `steps` taken and
+    /// `success` of each environment, the readings by name, and the frames by camera,
+    /// with row 0 at the top.
+    #[pyo3(signature = (actions, limits, starts, cameras, *, render = "last", absolute = false))]
+    fn advance<'py>(
+        &self,
+        py: Python<'py>,
+        actions: Numbers<'py>,
+        limits: Vec<usize>,
+        starts: Vec<Option<String>>,
+        cameras: Vec<(String, u32, u32)>,
+        render: &str,
+        absolute: bool,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let count = self.states.len();
+        let chunk = actions_per_chunk(&actions, count)?;
+        let all = action::actions(&actions, &[count, chunk, WIDTH])?;
+        if limits.len() != count || starts.len() != count {
+            return Err(PyValueError::new_err(format!(
+                "advance {count} environments: {} limits and {} starts were given",
+                limits.len(),
+                starts.len()
+            )));
+        }
+        let render = match render {
+            "none" => Render::None,
+            "last" => Render::Last,
+            "all" => Render::All,
+            other => {
+                return Err(PyValueError::new_err(format!(
+                    "draw `{other}` steps of a chunk: choose `last`, `all` or `none`"
+                )));
+            }
+        };
+        let cameras = cameras
+            .into_iter()
+            .map(|(name, width, height)| {
+                picture_size(width, height).map(|size| Camera { name, size })
+            })
+            .collect::<PyResult<Vec<_>>>()?;
+        let starts = starts
+            .iter()
+            .map(|row| row.as_deref().map(Start::read).transpose());
+        let starts = starts.collect::<PyResult<Vec<_>>>()?;
+        let shown = match render {
+            Render::All => chunk.max(1),
+            Render::Last | Render::None => 1,
+        };
+        let mut steps = vec![0_u32; count];
+        let mut success = vec![false; count];
+        let mut readings = vec![[0.0; READING_WIDTH]; count * shown];
+        let drawn: &[Camera] = match render {
+            Render::None => &[],
+            Render::Last | Render::All => &cameras,
+        };
+        let mut frames: Vec<Vec<u8>> = drawn
+            .iter()
+            .map(|camera| vec![0; count * shown * bytes(camera.size)])
+            .collect();
+
+        let mut rows: Vec<_> = frames
+            .iter_mut()
+            .zip(drawn)
+            .map(|(frames, camera)| frames.chunks_exact_mut(shown * bytes(camera.size)))
+            .collect();
+        let mut tasks = Vec::with_capacity(count);
+        let places = steps
+            .iter_mut()
+            .zip(&mut success)
+            .zip(readings.chunks_exact_mut(shown));
+        for (((state, start), ((steps, success), readings)), (at, limit)) in self
+            .states
+            .iter()
+            .zip(starts)
+            .zip(places)
+            .zip(limits.into_iter().enumerate())
+        {
+            tasks.push(Task {
+                state,
+                start,
+                actions: &all[at * chunk..][..chunk],
+                limit,
+                done: Done {
+                    steps,
+                    success,
+                    readings,
+                    frames: rows
+                        .iter_mut()
+                        .map(|rows| rows.next().expect("one each"))
+                        .collect(),
+                },
+            });
+        }
+        let of = action_frame(absolute);
+        let threads = self.threads;
+        py.detach(|| run(tasks, threads, |task| task.run(drawn, render, of)))?;
+
+        let result = PyDict::new(py);
+        result.set_item("steps", shaped(py, steps, &[count])?)?;
+        result.set_item("success", shaped(py, success, &[count])?)?;
+        let lead = match render {
+            Render::All => vec![count, shown],
+            Render::Last | Render::None => vec![count],
+        };
+        let with = |tail: &[usize]| [&lead[..], tail].concat();
+        let packed = readings.into_iter().flatten().collect();
+        let packed = shaped(py, packed, &with(&[READING_WIDTH]))?;
+        let mut from = 0;
+        for (name, width) in READINGS {
+            let columns = pyo3::types::PySlice::new(py, from as isize, (from + width) as isize, 1);
+            let place = (py.Ellipsis(), columns);
+            result.set_item(name, packed.get_item(place)?)?;
+            from += width;
+        }
+        for (camera, frames) in drawn.iter().zip(frames) {
+            let [width, height] = camera.size.map(|side| side as usize);
+            result.set_item(
+                &camera.name,
+                shaped(py, frames, &with(&[height, width, 3]))?,
+            )?;
+        }
+        Ok(result)
+    }
+}
+
+impl Task<'_> {
+    fn run(self, cameras: &[Camera], render: Render, of: ActionFrame) -> PyResult<()> {
+        let Self {
+            state,
+            start,
+            actions,
+            limit,
+            mut done,
+        } = self;
+        let mut guard = state.hold()?;
+        let state = guard.as_mut().ok_or_else(|| closed("close was called"))?;
+        if let Some(start) = start {
+            state.begin(&start)?;
+            return done.show(state, 0, cameras);
+        }
+        for (step, action) in actions.iter().take(limit).enumerate() {
+            *done.success = state.step(action, of)?;
+            *done.steps += 1;
+            if render == Render::All {
+                done.show(state, step, cameras)?;
+            }
+            if *done.success {
+                break;
+            }
+        }
+        match render {
+            Render::All => Ok(()),
+            Render::Last | Render::None => done.show(state, 0, cameras),
+        }
+    }
+}
+
+impl Done<'_> {
+    /// Reads and draws the present instant.
+    fn show(&mut self, state: &mut State, step: usize, cameras: &[Camera]) -> PyResult<()> {
+        self.readings[step] = reading(&state.environment.robot_state());
+        for (camera, rows) in cameras.iter().zip(&mut self.frames) {
+            let frame = state.frame(&camera.name, camera.size)?;
+            let picture = &mut rows[step * bytes(camera.size)..][..bytes(camera.size)];
+            let row = camera.size[0] as usize * 3;
+            for (to, from) in picture
+                .chunks_exact_mut(row)
+                .zip(frame.rgb.chunks_exact(row).rev())
+            {
+                to.copy_from_slice(from);
+            }
+        }
+        Ok(())
+    }
+}
+
+fn reading(robot: &RobotState) -> [f64; READING_WIDTH] {
+    let parts: [&[f64]; 7] = [
+        &robot.eef_pos,
+        &robot.eef_quat_xyzw,
+        &robot.eef_axis_angle,
+        &robot.joint_pos,
+        &robot.joint_vel,
+        &robot.gripper_pos,
+        &robot.gripper_vel,
+    ];
+    let mut numbers = parts.into_iter().flatten();
+    std::array::from_fn(|_| *numbers.next().expect("as many as there are"))
+}
+
+fn bytes([width, height]: [u32; 2]) -> usize {
+    width as usize * height as usize * 3
+}
+
+/// Actions of one environment in a chunk of this shape.
+fn actions_per_chunk(actions: &Numbers<'_>, environments: usize) -> PyResult<usize> {
+    match *actions.shape() {
+        [given, chunk, WIDTH] if given == environments => Ok(chunk),
+        ref shape => Err(PyValueError::new_err(format!(
+            "read actions of shape {shape:?}: expected [{environments}, steps, {WIDTH}], whose last \
+             are three of translation, three of rotation and the gripper, each in -1..1"
+        ))),
+    }
+}
+
+/// Runs tasks on so many threads, this one among them; each takes the next that is left.
+/// The first error, in the tasks' order, is returned when all have ended.
+fn run<'a>(
+    tasks: Vec<Task<'a>>,
+    threads: usize,
+    execute: impl Fn(Task<'a>) -> PyResult<()> + Sync,
+) -> PyResult<()> {
+    let first_error = Mutex::new(None);
+    let left = Mutex::new(tasks.into_iter().enumerate());
+    let work = || {
+        loop {
+            let next = left.lock().expect("nobody panics with it").next();
+            let Some((at, task)) = next else { break };
+            if let Err(error) = execute(task) {
+                let mut first = first_error.lock().expect("nobody panics with it");
+                if first.as_ref().is_none_or(|(known, _)| at < *known) {
+                    *first = Some((at, error));
+                }
+            }
+        }
+    };
+    std::thread::scope(|scope| {
+        for _ in 1..threads {
+            scope.spawn(work);
+        }
+        work();
+    });
+    match first_error.into_inner().expect("nobody panics with it") {
+        Some((_, error)) => Err(error),
+        None => Ok(()),
+    }
+}

@@ -1,0 +1,70 @@
+//! Errors as Python exceptions.
+
+use std::error::Error;
+
+use pyo3::create_exception;
+use pyo3::exceptions::{PyFileNotFoundError, PyMemoryError, PyRuntimeError, PyValueError};
+use pyo3::prelude::*;
+use scene::SceneError;
+use sim::SimError;
+
+create_exception!(
+    rollout_libero,
+    SimulationError,
+    PyRuntimeError,
+    "The physics diverged, a scene is inconsistent, or nothing can be drawn."
+);
+create_exception!(
+    rollout_libero,
+    BusyError,
+    PyRuntimeError,
+    "Another thread is computing with this environment."
+);
+create_exception!(
+    rollout_libero,
+    ClosedError,
+    PyRuntimeError,
+    "The environment has been closed."
+);
+create_exception!(
+    rollout_libero,
+    FilesError,
+    PyFileNotFoundError,
+    "A file of a scene is missing or wrong."
+);
+
+/// An error with all its causes.
+fn words(error: &dyn Error) -> String {
+    let mut words = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        words.push_str(": ");
+        words.push_str(&error.to_string());
+        cause = error.source();
+    }
+    words
+}
+
+/// The exception for an error of the simulator.
+pub(crate) fn simulation(error: SimError) -> PyErr {
+    let words = words(&error);
+    match error {
+        SimError::Scene(error) => scene(error),
+        SimError::StateWidth { .. }
+        | SimError::NoSuchState { .. }
+        | SimError::Missing { .. }
+        | SimError::Camera(_) => PyValueError::new_err(words),
+        SimError::OutOfMemory(_) => PyMemoryError::new_err(words),
+        _ => SimulationError::new_err(words),
+    }
+}
+
+/// The exception for an error in a scene's files.
+pub(crate) fn scene(error: SceneError) -> PyErr {
+    FilesError::new_err(words(&error))
+}
+
+/// The exception for a value that the protocol does not know.
+pub(crate) fn value(error: impl Error) -> PyErr {
+    PyValueError::new_err(words(&error))
+}

@@ -1,0 +1,574 @@
+//! One environment.
+
+use std::cell::RefCell;
+use std::sync::Arc;
+
+use numpy::{PyArray1, PyArrayDyn, PyArrayMethods};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use sim::mujoco::{Model, OwnArray, Values};
+use sim::{
+    ActionFrame, Conditions, Drawer, Environment, Frame, ObjectKind, ReadyScene, Renderer, Reset,
+};
+
+use crate::action::{Numbers, WIDTH, actions};
+use crate::error::simulation;
+use crate::generator::{self, Generator};
+use crate::guarded::Guarded;
+use crate::scene::Scene;
+use crate::start::Start;
+
+/// Pixels of a picture's longest side.
+const LARGEST_SIDE: u32 = 4096;
+
+thread_local! {
+    /// OpenGL belongs to the thread that opened it.
+    static OPENGL: RefCell<Vec<(Renderer, Drawer)>> = const { RefCell::new(Vec::new()) };
+}
+
+/// One environment of a scene.
+#[pyclass(frozen, module = "rollout_libero._native")]
+pub(crate) struct Simulation {
+    #[pyo3(get)]
+    scene: Py<Scene>,
+    renderer: Renderer,
+    pub(crate) state: Guarded<State>,
+}
+
+/// What one thread at a time computes with.
+pub(crate) struct State {
+    pub(crate) environment: Environment,
+    /// Of the rollout, if it was begun as one.
+    pub(crate) conditions: Option<Conditions>,
+    pub(crate) ready: Option<Arc<ReadyScene>>,
+    pub(crate) renderer: Renderer,
+}
+
+impl State {
+    /// Draws a frame, its sensor's corruption included.
+    pub(crate) fn frame(&mut self, camera: &str, size: [u32; 2]) -> PyResult<Frame> {
+        let environment = &mut self.environment;
+        let mut frame = with_drawer(self.renderer, |drawer| {
+            environment.draw(drawer, camera, size[0], size[1])
+        })?;
+        if let Some(conditions) = &mut self.conditions {
+            conditions.see(&mut frame);
+        }
+        Ok(frame)
+    }
+
+    /// Begins a rollout.
+    pub(crate) fn begin(&mut self, start: &Start) -> PyResult<()> {
+        self.conditions = start.begin(self.ready.as_deref(), &mut self.environment)?;
+        Ok(())
+    }
+
+    /// One control step; true if the goal holds after it.
+    pub(crate) fn step(&mut self, action: &[f64; WIDTH], of: ActionFrame) -> PyResult<bool> {
+        let action = match &mut self.conditions {
+            Some(conditions) => conditions.act(action),
+            None => *action,
+        };
+        self.environment.step_in(&action, of).map_err(simulation)
+    }
+}
+
+/// Draws on this thread.
+fn with_drawer<T>(
+    renderer: Renderer,
+    draw: impl FnOnce(&Drawer) -> Result<T, sim::SimError>,
+) -> PyResult<T> {
+    if renderer == Renderer::Software {
+        return draw(&Drawer::Software).map_err(simulation);
+    }
+    OPENGL.with_borrow_mut(|opened| {
+        let at = match opened.iter().position(|(known, _)| *known == renderer) {
+            Some(at) => at,
+            None => {
+                let drawer = Drawer::open(renderer).map_err(simulation)?;
+                opened.push((renderer, drawer));
+                opened.len() - 1
+            }
+        };
+        draw(&opened[at].1).map_err(simulation)
+    })
+}
+
+#[pymethods]
+impl Simulation {
+    #[new]
+    #[pyo3(signature = (scene, *, renderer = "software"))]
+    fn new(py: Python<'_>, scene: Py<Scene>, renderer: &str) -> PyResult<Self> {
+        let renderer: Renderer = renderer.parse().map_err(|remedy| {
+            PyValueError::new_err(format!("choose renderer `{renderer}`: {remedy}"))
+        })?;
+        let compiled = Arc::clone(&scene.get().compiled);
+        let ready = scene.get().ready.clone();
+        let environment = py.detach(|| Environment::of(compiled).map_err(simulation))?;
+        let state = State {
+            environment,
+            conditions: None,
+            ready,
+            renderer,
+        };
+        Ok(Self {
+            scene,
+            renderer,
+            state: Guarded::new(state),
+        })
+    }
+
+    /// What draws.
+    #[getter]
+    fn renderer(&self) -> String {
+        self.renderer.to_string()
+    }
+
+    /// Frees everything; further calls raise `ClosedError`.
+    fn close(&self) -> PyResult<()> {
+        self.state.close()
+    }
+
+    /// Resets as robosuite does: places everything with LIBERO's samplers, which draw
+    /// from NumPy's legacy generator, and observes once. `joint_sampler_rounds` is how
+    /// often the original has loaded its model by then: once when it is constructed, and
+    /// once more with each hard reset. Returns the generator's state after it, and the
+    /// rounds that it came to: more than were given where it had to place things again.
+    #[pyo3(signature = (generator, joint_sampler_rounds, *, hard = true))]
+    fn reset<'py>(
+        &self,
+        py: Python<'py>,
+        generator: Generator<'py>,
+        joint_sampler_rounds: u32,
+        hard: bool,
+    ) -> PyResult<(Generator<'py>, u32)> {
+        let mut rng = generator::read(&generator)?;
+        let kind = match hard {
+            true => Reset::Hard,
+            false => Reset::Soft,
+        };
+        let (rng, rounds) = self.state.with(py, move |state| {
+            state.conditions = None;
+            let reset = state
+                .environment
+                .reset(&mut rng, kind, joint_sampler_rounds);
+            let rounds = reset.map_err(simulation)?;
+            Ok((rng, rounds))
+        })?;
+        Ok((generator::write(py, &rng), rounds))
+    }
+
+    /// Starts over at a state (time, qpos, qvel), as a campaign does.
+    fn load(&self, py: Python<'_>, state: Numbers<'_>) -> PyResult<()> {
+        let numbers = numbers(&state);
+        self.state.with(py, |state| {
+            check_width(state, &numbers)?;
+            state.conditions = None;
+            state.environment.load(&numbers);
+            Ok(())
+        })
+    }
+
+    /// Begins the rollout of a manifest's row, JSON, up to the policy's first action.
+    fn begin(&self, py: Python<'_>, row: &str) -> PyResult<()> {
+        let start = Start::read(row)?;
+        self.state.with(py, |state| state.begin(&start))
+    }
+
+    /// Time, qpos, qvel.
+    fn state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let state = self.state.with(py, |state| Ok(state.environment.state()))?;
+        Ok(PyArray1::from_vec(py, state))
+    }
+
+    /// Writes a state, and computes nothing.
+    fn set_state(&self, py: Python<'_>, state: Numbers<'_>) -> PyResult<()> {
+        let numbers = numbers(&state);
+        self.state.with(py, |state| {
+            check_width(state, &numbers)?;
+            state.environment.set_state(&numbers);
+            Ok(())
+        })
+    }
+
+    /// Everything that the next step depends on.
+    fn snapshot(&self, py: Python<'_>) -> PyResult<Snapshot> {
+        self.state.with(py, |state| {
+            Ok(Snapshot {
+                environment: state.environment.snapshot().map_err(simulation)?,
+                conditions: state.conditions.clone(),
+                compiled: Arc::as_ptr(state.environment.compiled()) as usize,
+            })
+        })
+    }
+
+    /// Goes back to a snapshot of an environment of the same scene.
+    fn restore(&self, py: Python<'_>, snapshot: &Snapshot) -> PyResult<()> {
+        self.state.with(py, |state| {
+            if Arc::as_ptr(state.environment.compiled()) as usize != snapshot.compiled {
+                return Err(PyValueError::new_err(
+                    "restore a snapshot: it is of another scene; take one of an environment of \
+                     the same task, assets and process",
+                ));
+            }
+            state.environment.restore(&snapshot.environment);
+            state.conditions.clone_from(&snapshot.conditions);
+            Ok(())
+        })
+    }
+
+    /// Computes what follows from the state.
+    fn forward(&self, py: Python<'_>) -> PyResult<()> {
+        self.state.with(py, |state| {
+            state.environment.forward();
+            Ok(())
+        })
+    }
+
+    /// Has a stove that is on glow.
+    fn post_process(&self, py: Python<'_>) -> PyResult<()> {
+        self.state.with(py, |state| {
+            state.environment.post_process();
+            Ok(())
+        })
+    }
+
+    /// Updates what is observed to the present instant.
+    fn observe_now(&self, py: Python<'_>) -> PyResult<()> {
+        self.state.with(py, |state| {
+            state.environment.observe_now();
+            Ok(())
+        })
+    }
+
+    /// One control step; true if the goal holds after it.
+    #[pyo3(signature = (action, *, absolute = false))]
+    fn step(&self, py: Python<'_>, action: Numbers<'_>, absolute: bool) -> PyResult<bool> {
+        let action = actions(&action, &[WIDTH])?[0];
+        let of = action_frame(absolute);
+        self.state.with(py, |state| state.step(&action, of))
+    }
+
+    /// Whether the goal holds.
+    fn success(&self, py: Python<'_>) -> PyResult<bool> {
+        self.state
+            .with(py, |state| Ok(state.environment.succeeded()))
+    }
+
+    /// The robot's readings, as they were last observed.
+    fn readings<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let robot = self
+            .state
+            .with(py, |state| Ok(state.environment.robot_state()))?;
+        let readings = PyDict::new(py);
+        for (name, values) in [
+            ("eef_pos", robot.eef_pos.as_slice()),
+            ("eef_quat", &robot.eef_quat_xyzw),
+            ("eef_axis_angle", &robot.eef_axis_angle),
+            ("joint_pos", &robot.joint_pos),
+            ("joint_vel", &robot.joint_vel),
+            ("gripper_qpos", &robot.gripper_pos),
+            ("gripper_qvel", &robot.gripper_vel),
+        ] {
+            readings.set_item(name, PyArray1::from_slice(py, values))?;
+        }
+        Ok(readings)
+    }
+
+    /// Position and quaternion (x y z w) of a body, as they were last observed.
+    fn body_pose<'py>(&self, py: Python<'py>, body: &str) -> PyResult<Pose<'py>> {
+        let (pos, quat) = self.state.with(py, |state| {
+            let environment = &mut state.environment;
+            let id = environment.model().id(ObjectKind::Body, body);
+            Ok(environment.observed_body(id.map_err(simulation)?))
+        })?;
+        Ok((
+            PyArray1::from_slice(py, &pos).to_dyn().clone(),
+            PyArray1::from_slice(py, &quat).to_dyn().clone(),
+        ))
+    }
+
+    /// A frame, [height, width, 3]; row 0 is the bottom.
+    fn frame<'py>(
+        &self,
+        py: Python<'py>,
+        camera: &str,
+        width: u32,
+        height: u32,
+    ) -> PyResult<Bound<'py, PyArrayDyn<u8>>> {
+        let size = picture_size(width, height)?;
+        let frame = self.state.with(py, |state| state.frame(camera, size))?;
+        shaped(py, frame.rgb, &[height as usize, width as usize, 3])
+    }
+
+    /// Depths as OpenGL keeps them, [height, width]; row 0 is the bottom.
+    fn depth<'py>(
+        &self,
+        py: Python<'py>,
+        camera: &str,
+        width: u32,
+        height: u32,
+    ) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        let size = picture_size(width, height)?;
+        let depths = self.state.with(py, |state| {
+            let environment = &mut state.environment;
+            with_drawer(state.renderer, |drawer| {
+                environment.depth(drawer, camera, size)
+            })
+        })?;
+        shaped(py, depths, &[height as usize, width as usize])
+    }
+
+    /// Kind (mjtObj) and id of what each pixel shows, [height, width, 2]; -1 where
+    /// nothing is; row 0 is the bottom.
+    fn segmentation<'py>(
+        &self,
+        py: Python<'py>,
+        camera: &str,
+        width: u32,
+        height: u32,
+    ) -> PyResult<Bound<'py, PyArrayDyn<i32>>> {
+        let size = picture_size(width, height)?;
+        let segments = self.state.with(py, |state| {
+            let environment = &mut state.environment;
+            with_drawer(state.renderer, |drawer| {
+                environment.segmentation(drawer, camera, size)
+            })
+        })?;
+        let pairs = segments
+            .into_iter()
+            .flat_map(|segment| segment.map_or([-1, -1], |segment| [segment.kind, segment.id]));
+        shaped(py, pairs.collect(), &[height as usize, width as usize, 2])
+    }
+
+    /// Position and matrix of the end-effector, as the controller last read them.
+    fn controller_pose<'py>(&self, py: Python<'py>) -> PyResult<Pose<'py>> {
+        let pose = self
+            .state
+            .with(py, |state| Ok(state.environment.controller_pose()))?;
+        Ok((
+            shaped(py, pose.0.to_vec(), &[3])?,
+            shaped(py, pose.1.to_vec(), &[3, 3])?,
+        ))
+    }
+
+    /// An array of the model, by MuJoCo's name.
+    fn model_array<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
+        let array = self.state.with(py, |state| {
+            state.environment.model().array(name).ok_or_else(|| {
+                PyValueError::new_err(format!(
+                    "read array `{name}` of the model: it has none of this name; names are those \
+                     of mjModel, and meshes and textures are left out"
+                ))
+            })
+        })?;
+        let rows = array.rows;
+        Ok(match array.values {
+            Values::Double(values) => by_rows(py, values, rows)?.into_any(),
+            Values::Single(values) => by_rows(py, values, rows)?.into_any(),
+            Values::Integer(values) => by_rows(py, values, rows)?.into_any(),
+        })
+    }
+
+    /// Writes an array of the model, of this simulation alone.
+    fn set_model_array(&self, py: Python<'_>, name: &str, values: Numbers<'_>) -> PyResult<()> {
+        let numbers = numbers(&values);
+        self.state.with(py, |state| {
+            let array = state.environment.model_mut().own_array_mut(name);
+            let array = array.ok_or_else(|| {
+                PyValueError::new_err(format!(
+                    "write array `{name}` of the model: those that can be written are {}",
+                    Model::OWN_ARRAYS.join(", ")
+                ))
+            })?;
+            let needed = match &array {
+                OwnArray::Double(values) => values.len(),
+                OwnArray::Single(values) => values.len(),
+            };
+            if numbers.len() != needed {
+                return Err(PyValueError::new_err(format!(
+                    "write array `{name}` of the model: {} numbers were given and it has {needed}",
+                    numbers.len()
+                )));
+            }
+            match array {
+                OwnArray::Double(values) => values.copy_from_slice(&numbers),
+                OwnArray::Single(values) => {
+                    for (value, number) in values.iter_mut().zip(numbers) {
+                        *value = number as f32;
+                    }
+                }
+            }
+            Ok(())
+        })
+    }
+
+    /// An array of the present instant, by MuJoCo's name.
+    fn data_array<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
+        let (values, rows) = self.state.with(py, |state| data_array(state, name))?;
+        Ok(by_rows(py, values, rows)?.into_any())
+    }
+
+    /// Names of the things of a kind, in id order.
+    fn names(&self, py: Python<'_>, kind: &str) -> PyResult<Vec<Option<String>>> {
+        let kind = object_kind(kind)?;
+        self.state.with(py, |state| {
+            let model = state.environment.model();
+            Ok((0..model.count(kind))
+                .map(|id| model.name(kind, id))
+                .collect())
+        })
+    }
+
+    /// Pairs of geoms in contact, [contacts, 2].
+    fn contacts<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<i32>>> {
+        let geoms: Vec<i32> = self.state.with(py, |state| {
+            let contacts = state.environment.data().contacts();
+            Ok(contacts.flat_map(|contact| contact.geoms).collect())
+        })?;
+        let pairs = geoms.len() / 2;
+        shaped(py, geoms, &[pairs, 2])
+    }
+}
+
+impl Simulation {
+    pub(crate) fn draws_through_opengl(&self) -> bool {
+        self.renderer != Renderer::Software
+    }
+}
+
+/// A state to go back to.
+#[pyclass(frozen, module = "rollout_libero._native")]
+pub(crate) struct Snapshot {
+    environment: sim::Snapshot,
+    conditions: Option<Conditions>,
+    /// Which scene it is of.
+    compiled: usize,
+}
+
+type Pose<'py> = (Bound<'py, PyArrayDyn<f64>>, Bound<'py, PyArrayDyn<f64>>);
+
+fn numbers(given: &Numbers<'_>) -> Vec<f64> {
+    given.as_array().iter().copied().collect()
+}
+
+fn check_width(state: &State, numbers: &[f64]) -> PyResult<()> {
+    let model = state.environment.model();
+    let needed = 1 + model.nq() + model.nv();
+    if numbers.len() == needed {
+        return Ok(());
+    }
+    Err(PyValueError::new_err(format!(
+        "load a state of {} numbers: this scene's have {needed} (time, {} of qpos, {} of qvel); is \
+         it of another task?",
+        numbers.len(),
+        model.nq(),
+        model.nv()
+    )))
+}
+
+/// The control that a flag means.
+pub(crate) fn action_frame(absolute: bool) -> ActionFrame {
+    match absolute {
+        true => ActionFrame::Absolute,
+        false => ActionFrame::Relative,
+    }
+}
+
+/// Checks a picture's size, pixels.
+pub(crate) fn picture_size(width: u32, height: u32) -> PyResult<[u32; 2]> {
+    match (1..=LARGEST_SIDE).contains(&width) && (1..=LARGEST_SIDE).contains(&height) {
+        true => Ok([width, height]),
+        false => Err(PyValueError::new_err(format!(
+            "draw {width} × {height} pixels: each side may have 1 to {LARGEST_SIDE}"
+        ))),
+    }
+}
+
+fn object_kind(name: &str) -> PyResult<ObjectKind> {
+    const KINDS: [(&str, ObjectKind); 8] = [
+        ("body", ObjectKind::Body),
+        ("joint", ObjectKind::Joint),
+        ("geom", ObjectKind::Geom),
+        ("site", ObjectKind::Site),
+        ("camera", ObjectKind::Camera),
+        ("light", ObjectKind::Light),
+        ("actuator", ObjectKind::Actuator),
+        ("sensor", ObjectKind::Sensor),
+    ];
+    let found = KINDS.iter().find(|(known, _)| *known == name);
+    found.map(|(_, kind)| *kind).ok_or_else(|| {
+        PyValueError::new_err(format!(
+            "list names of kind `{name}`: kinds are {}",
+            KINDS.map(|(known, _)| known).join(", ")
+        ))
+    })
+}
+
+/// An array of the state and its length along the first axis.
+fn data_array(state: &State, name: &str) -> PyResult<(Vec<f64>, usize)> {
+    let (model, data) = (state.environment.model(), state.environment.data());
+    let [bodies, geoms, sites, cameras] = [
+        ObjectKind::Body,
+        ObjectKind::Geom,
+        ObjectKind::Site,
+        ObjectKind::Camera,
+    ]
+    .map(|kind| model.count(kind));
+    let time = [data.time_secs()];
+    let (values, rows): (&[f64], usize) = match name {
+        "time" => (&time, 1),
+        "qpos" => (data.qpos(model), model.nq()),
+        "qvel" => (data.qvel(model), model.nv()),
+        "qacc" => (data.qacc(model), model.nv()),
+        "ctrl" => (data.ctrl(model), model.nu()),
+        "qfrc_bias" => (data.qfrc_bias(model), model.nv()),
+        "sensordata" => (data.sensordata(model), data.sensordata(model).len()),
+        "xpos" => (data.xpos(model), bodies),
+        "xquat" => (data.xquat(model), bodies),
+        "xmat" => (data.xmat(model), bodies),
+        "xipos" => (data.xipos(model), bodies),
+        "geom_xpos" => (data.geom_xpos(model), geoms),
+        "geom_xmat" => (data.geom_xmat(model), geoms),
+        "site_xpos" => (data.site_xpos(model), sites),
+        "site_xmat" => (data.site_xmat(model), sites),
+        "cam_xpos" => (data.cam_xpos(model), cameras),
+        "cam_xmat" => (data.cam_xmat(model), cameras),
+        _ => {
+            return Err(PyValueError::new_err(format!(
+                "read array `{name}` of the state: it has time, qpos, qvel, qacc, ctrl, qfrc_bias, \
+                 sensordata, xpos, xquat, xmat, xipos, geom_xpos, geom_xmat, site_xpos, site_xmat, \
+                 cam_xpos, cam_xmat"
+            )));
+        }
+    };
+    Ok((values.to_vec(), rows))
+}
+
+/// An array that takes the values over.
+pub(crate) fn shaped<'py, T: numpy::Element>(
+    py: Python<'py>,
+    values: Vec<T>,
+    shape: &[usize],
+) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
+    PyArray1::from_vec(py, values).reshape(shape)
+}
+
+/// A copy with so many rows. Nobody can write to it, so that nobody does so in vain.
+fn by_rows<'py, T: numpy::Element>(
+    py: Python<'py>,
+    values: Vec<T>,
+    rows: usize,
+) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
+    let columns = values.len().checked_div(rows).unwrap_or(1);
+    let shape = match columns {
+        1 => vec![rows],
+        _ => vec![rows, columns],
+    };
+    let array = shaped(py, values, &shape)?;
+    let flags = PyDict::new(py);
+    flags.set_item("write", false)?;
+    array.call_method("setflags", (), Some(&flags))?;
+    Ok(array)
+}

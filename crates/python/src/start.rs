@@ -1,0 +1,83 @@
+//! Where a rollout begins.
+
+use protocol::numpy::LegacyRng;
+use protocol::{ManifestRow, Realisation};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use serde::Deserialize;
+use sim::episode::NO_OP;
+use sim::{Conditions, Environment, ReadyScene, Reset};
+
+use crate::error::simulation;
+
+/// Where a rollout begins.
+pub(crate) enum Start {
+    /// As a row of a manifest says.
+    Row(Box<ManifestRow>),
+    /// Where LIBERO's samplers place everything.
+    Sampled(Sampled),
+}
+
+/// A placement of the benchmark's samplers.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Sampled {
+    /// Seed of NumPy's legacy generator.
+    sampled: u32,
+    /// Control steps without action.
+    settle_steps: u32,
+}
+
+/// What an environment that is constructed, seeded and reset has sampled of its joints.
+const JOINT_SAMPLER_ROUNDS: u32 = 2;
+
+impl Start {
+    /// From JSON: a row, or `{"sampled": SEED, "settle_steps": N}`.
+    ///
+    /// # Errors
+    /// If it is neither.
+    pub(crate) fn read(json: &str) -> PyResult<Self> {
+        if let Ok(sampled) = serde_json::from_str(json) {
+            return Ok(Self::Sampled(sampled));
+        }
+        let row = serde_json::from_str(json).map_err(|error| {
+            PyValueError::new_err(format!(
+                "read a configuration: {error}; it has the columns of a campaign's manifest"
+            ))
+        })?;
+        Ok(Self::Row(Box::new(row)))
+    }
+
+    /// Begins it in an environment of its scene, and lets that come to rest. Perturbations
+    /// are realised as LIBERO-CTRL matches them. Returns what becomes of actions and
+    /// frames; none where nothing does.
+    ///
+    /// # Errors
+    /// If the task has no such initial state, there is no room, or the physics diverges.
+    pub(crate) fn begin(
+        &self,
+        ready: Option<&ReadyScene>,
+        environment: &mut Environment,
+    ) -> PyResult<Option<Conditions>> {
+        match self {
+            Self::Row(row) => {
+                let ready = ready.ok_or_else(|| {
+                    PyValueError::new_err("begin at an initial state: give Scene its init_file")
+                })?;
+                let begun = Conditions::begin(ready, environment, row, Realisation::Matched);
+                let conditions = begun.map_err(simulation)?;
+                conditions.settle(environment).map_err(simulation)?;
+                Ok(Some(conditions))
+            }
+            Self::Sampled(it) => {
+                let mut rng = LegacyRng::seed(it.sampled);
+                let reset = environment.reset(&mut rng, Reset::Hard, JOINT_SAMPLER_ROUNDS);
+                reset.map_err(simulation)?;
+                for _ in 0..it.settle_steps {
+                    environment.step(&NO_OP).map_err(simulation)?;
+                }
+                Ok(None)
+            }
+        }
+    }
+}

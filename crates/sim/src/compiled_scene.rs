@@ -1,0 +1,145 @@
+//! A compiled scene: what its environments share.
+
+use std::sync::{Arc, OnceLock};
+
+use scene::catalog::Articulation;
+use scene::{AssetPack, Scene, Sources};
+
+use crate::controller::GRIP_SITE;
+use crate::error::SimError;
+use crate::mujoco::{Model, ObjectKind};
+use crate::predicates::Goal;
+use crate::render::Prepared;
+use crate::reset::Resets;
+
+/// `mjDSBL_AUTORESET`: an unstable state is reported, not silently replaced.
+pub(crate) const DISABLE_AUTORESET: i32 = 1 << 16;
+/// `mjDSBL_NATIVECCD`: with it, 3.3.7 collides as the benchmark's 2.3.7 does.
+pub(crate) const DISABLE_NATIVE_CCD: i32 = 1 << 17;
+/// The body whose orientation is the observed one.
+const HAND_BODY: &str = "robot0_right_hand";
+
+/// A scene's model, never perturbed, and what is looked up in it once.
+pub struct CompiledScene {
+    pub(crate) scene: Scene,
+    pub(crate) model: Model,
+    pub(crate) goal: Goal,
+    pub(crate) burners: Vec<Burner>,
+    pub(crate) resets: Resets,
+    pub(crate) hand_body: usize,
+    pub(crate) grip_site: usize,
+    /// For our renderer; made when it first draws the scene.
+    prepared: OnceLock<Arc<Prepared>>,
+}
+
+/// A site that glows while its stove is on.
+#[derive(Clone)]
+pub(crate) struct Burner {
+    pub(crate) site: usize,
+    /// Position coordinates of the stove's joints.
+    pub(crate) knobs: Vec<usize>,
+    pub(crate) on_at: f64,
+    /// Opacity as drawn, and as the last observation still shows it.
+    pub(crate) opacity: f32,
+    pub(crate) observed_opacity: f32,
+}
+
+impl CompiledScene {
+    /// Compiles a scene, its fixtures where the scene has them.
+    ///
+    /// # Errors
+    /// If MuJoCo refuses it, or it lacks what every LIBERO scene has.
+    pub fn compile(scene: Scene, pack: &AssetPack, sources: &Sources) -> Result<Self, SimError> {
+        let mut model = Model::compile(&scene.mjcf(pack, sources))?;
+        model.disable(DISABLE_NATIVE_CCD | DISABLE_AUTORESET);
+        let resets = Resets::resolve(&scene, &model)?;
+        for pose in &scene.fixture_poses {
+            let body = model.id(ObjectKind::Body, &pose.root_body)?;
+            model.body_pos_mut()[body * 3..][..3].copy_from_slice(&pose.pos);
+            model.body_quat_mut()[body * 4..][..4].copy_from_slice(&pose.quat);
+        }
+        hide_marker_sites(&scene, &mut model);
+        Ok(Self {
+            goal: Goal::resolve(&scene, &model)?,
+            burners: find_burners(&scene, &model)?,
+            resets,
+            hand_body: model.id(ObjectKind::Body, HAND_BODY)?,
+            grip_site: model.id(ObjectKind::Site, GRIP_SITE)?,
+            prepared: OnceLock::new(),
+            scene,
+            model,
+        })
+    }
+
+    /// The scene.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// The model, as every rollout finds it.
+    pub fn model(&self) -> &Model {
+        &self.model
+    }
+
+    /// Meshes and textures as our renderer draws them.
+    pub(crate) fn prepared(&self) -> Result<Arc<Prepared>, SimError> {
+        if let Some(prepared) = self.prepared.get() {
+            return Ok(Arc::clone(prepared));
+        }
+        let prepared = Arc::new(Prepared::of(&self.model)?);
+        // Another thread may have been faster.
+        Ok(Arc::clone(self.prepared.get_or_init(|| prepared)))
+    }
+}
+
+/// The original hides the sites of the robot, the objects and the fixtures by
+/// negating their opacity; those of zones on the workspace stay.
+pub(crate) fn hide_marker_sites(scene: &Scene, model: &mut Model) {
+    let mut prefixes = vec![
+        "robot0_".to_owned(),
+        "mount0_".to_owned(),
+        "gripper0_".to_owned(),
+    ];
+    prefixes.extend(
+        scene
+            .instances
+            .iter()
+            .map(|instance| format!("{}_", instance.name)),
+    );
+    for site in 0..model.count(ObjectKind::Site) {
+        let name = model.name(ObjectKind::Site, site).unwrap_or_default();
+        if prefixes.iter().any(|prefix| name.starts_with(prefix)) {
+            let opacity = &mut model.site_rgba_mut()[site * 4 + 3];
+            *opacity = -opacity.abs();
+        }
+    }
+}
+
+fn find_burners(scene: &Scene, model: &Model) -> Result<Vec<Burner>, SimError> {
+    let mut burners = Vec::new();
+    for instance in &scene.instances {
+        let (Some(name), Articulation::OnOff { on, .. }) =
+            (&instance.burner_site, instance.category.articulation)
+        else {
+            continue;
+        };
+        let address = |name: &String| {
+            let joint = model.id(ObjectKind::Joint, name)?;
+            Ok::<_, SimError>(model.jnt_qposadr()[joint] as usize)
+        };
+        let knobs = instance
+            .joints
+            .iter()
+            .map(address)
+            .collect::<Result<_, _>>()?;
+        let site = model.id(ObjectKind::Site, name)?;
+        burners.push(Burner {
+            site,
+            knobs,
+            on_at: on,
+            opacity: model.site_rgba()[site * 4 + 3],
+            observed_opacity: 0.0,
+        });
+    }
+    Ok(burners)
+}

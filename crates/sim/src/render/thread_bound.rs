@@ -1,0 +1,70 @@
+//! What may be used and freed only on the thread that made it, in something that
+//! moves between threads.
+
+use std::mem::ManuallyDrop;
+use std::thread::{self, ThreadId};
+
+/// A value that only the thread that made it can reach. If another thread drops it, it
+/// is never freed.
+pub(crate) struct ThreadBound<T> {
+    owner: ThreadId,
+    value: ManuallyDrop<T>,
+}
+
+// SAFETY: no other thread than the owner reaches the value, not even to drop it.
+unsafe impl<T> Send for ThreadBound<T> {}
+
+impl<T> ThreadBound<T> {
+    pub(crate) fn new(value: T) -> Self {
+        Self {
+            owner: thread::current().id(),
+            value: ManuallyDrop::new(value),
+        }
+    }
+
+    fn is_here(&self) -> bool {
+        self.owner == thread::current().id()
+    }
+
+    /// The value; none on another thread.
+    pub(crate) fn get(&self) -> Option<&T> {
+        self.is_here().then(|| &*self.value)
+    }
+
+    /// The value, to be used.
+    ///
+    /// # Panics
+    /// On another thread.
+    pub(crate) fn get_mut(&mut self) -> &mut T {
+        assert!(self.is_here(), "this belongs to another thread");
+        &mut self.value
+    }
+}
+
+impl<T> Drop for ThreadBound<T> {
+    fn drop(&mut self) {
+        if self.is_here() {
+            // SAFETY: dropped once, here.
+            unsafe { ManuallyDrop::drop(&mut self.value) }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::rc::Rc;
+
+    use super::*;
+
+    #[test]
+    fn another_thread_neither_reaches_nor_drops_it() {
+        let value = Rc::new(());
+        let [there, here] = [(); 2].map(|()| ThreadBound::new(Rc::clone(&value)));
+        assert!(here.get().is_some());
+        let unreachable = thread::spawn(move || there.get().is_none());
+        assert!(unreachable.join().expect("a thread that ends"));
+        assert_eq!(Rc::strong_count(&value), 3, "it was dropped there");
+        drop(here);
+        assert_eq!(Rc::strong_count(&value), 2);
+    }
+}

@@ -1,0 +1,189 @@
+"""Times environments of LIBERO: of the original or of the shim, whichever `libero` is
+installed, and of `rollout_libero`. Prints one line of JSON.
+
+usage: speed.py one|processes|threads TASK [--environments N] [--steps N]
+
+`one`: an environment's reset, its control step without frames, and with both frames.
+`processes`: environments that each have a process, as the original's users run them.
+`threads`: environments of rollout_libero in this process.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import sys
+import time
+import types
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+SIDE = 256
+#: Timed resets; the first of an environment is not timed.
+RESETS = 3
+#: Steps that are not timed.
+WARM_UP = 3
+
+
+def main() -> None:
+    """Does what the command line says."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("mode", choices=["one", "processes", "threads"])
+    parser.add_argument("task")
+    parser.add_argument("--environments", type=int, default=16)
+    parser.add_argument("--steps", type=int, default=30)
+    given = parser.parse_args()
+    measured = {"one": one, "processes": processes, "threads": threads}[given.mode](given)
+    print(json.dumps(measured))
+
+
+def actions(count: int) -> np.ndarray:
+    """Smooth motion in the air, [count, 7]: the same for all."""
+    phase = np.linspace(0, 3, count)[:, None] + np.arange(7)
+    return 0.3 * np.sin(phase)
+
+
+def files(task: str) -> tuple[str, np.ndarray]:
+    """The BDDL file and the initial states of a task."""
+    # The original imports it and calls nothing of it here.
+    sys.modules.setdefault("torch", types.ModuleType("torch"))
+    from libero.libero import benchmark
+
+    suite, index = task.split("/")
+    tasks = benchmark.get_benchmark_dict()[suite]()
+    return tasks.get_task_bddl_file_path(int(index)), init_states(tasks, int(index))
+
+
+def init_states(tasks, index: int) -> np.ndarray:
+    """The file is a pickled array; the original would load it with torch."""
+    import pickle
+    import zipfile
+
+    from libero.libero import get_libero_path
+
+    task = tasks.get_task(index)
+    path = Path(get_libero_path("init_states"), task.problem_folder, task.init_states_file)
+    with zipfile.ZipFile(path) as archive, archive.open("archive/data.pkl") as member:
+        return pickle.load(member)
+
+
+def environment(bddl: str, *, frames: bool):
+    """As scripts make it."""
+    from libero.libero.envs.env_wrapper import ControlEnv
+
+    return ControlEnv(
+        bddl_file_name=bddl,
+        camera_heights=SIDE,
+        camera_widths=SIDE,
+        use_camera_obs=frames,
+        has_offscreen_renderer=frames,
+        has_renderer=False,
+        ignore_done=True,
+    )
+
+
+def median_ms(work: Callable[[], object], times: int) -> float:
+    taken = []
+    for _ in range(times):
+        start = time.perf_counter()
+        work()
+        taken.append(time.perf_counter() - start)
+    return statistics.median(taken) * 1e3
+
+
+def one(given: argparse.Namespace) -> dict[str, float]:
+    """Milliseconds of one environment's calls."""
+    bddl, states = files(given.task)
+    measured = {}
+    for frames, name in ((False, "step_ms"), (True, "frames_ms")):
+        made = environment(bddl, frames=frames)
+        made.seed(0)
+        made.reset()
+        made.set_init_state(states[0])
+        chosen = iter(actions(given.steps + WARM_UP))
+        for _ in range(WARM_UP):
+            made.step(next(chosen))
+        measured[name] = median_ms(lambda chosen=chosen: made.step(next(chosen)), given.steps)
+        if frames:
+            # Without the frame that an observation has beside it.
+            made.close()
+            continue
+        measured["reset_ms"] = median_ms(made.reset, RESETS)
+        made.close()
+    return measured
+
+
+def processes(given: argparse.Namespace) -> dict[str, float]:
+    """Observations a second of environments in processes, and megabytes of each."""
+    import multiprocessing
+
+    from libero.libero.envs import SubprocVectorEnv
+
+    multiprocessing.set_start_method("spawn", force=True)
+    bddl, states = files(given.task)
+    count = given.environments
+    make = [_Maker(bddl)] * count
+    made = SubprocVectorEnv(make)
+    made.reset()
+    made.set_init_state([states[0]] * count)
+    rate = observations_per_second(made.step, given.steps, count)
+    memory = [pss_mb(worker.process.pid) for worker in made.workers]
+    made.close()
+    return {"observations_per_second": rate, "further_mb": statistics.median(memory)}
+
+
+class _Maker:
+    """Makes an environment in a process that is spawned."""
+
+    def __init__(self, bddl: str) -> None:
+        self.bddl = bddl
+
+    def __call__(self):
+        return environment(self.bddl, frames=True)
+
+
+def threads(given: argparse.Namespace) -> dict[str, float]:
+    """Observations a second of environments in this process, and megabytes of each."""
+    import rollout_libero
+
+    count = given.environments
+    options = {"height": SIDE, "width": SIDE, "max_steps": 10_000, "init_states": [0]}
+    single = rollout_libero.VectorEnvironment(given.task, 1, **options)
+    single.reset()
+    single.step(actions(1))
+    before = pss_mb(os.getpid())
+    made = rollout_libero.VectorEnvironment(given.task, count, **options)
+    made.reset()
+    made.step(np.repeat(actions(1), count, axis=0))
+    further = (pss_mb(os.getpid()) - before) / count
+    rate = observations_per_second(made.step, given.steps, count)
+    made.close()
+    single.close()
+    return {"observations_per_second": rate, "further_mb": further}
+
+
+def observations_per_second(step: Callable[[np.ndarray], object], steps: int, count: int) -> float:
+    """Of `count` environments that step together, after some steps that are not timed."""
+    chosen = np.repeat(actions(steps + WARM_UP)[:, None], count, axis=1)
+    for action in chosen[:WARM_UP]:
+        step(action)
+    start = time.perf_counter()
+    for action in chosen[WARM_UP:]:
+        step(action)
+    return steps * count / (time.perf_counter() - start)
+
+
+def pss_mb(process: int) -> float:
+    """Memory of a process, its share of what is shared included."""
+    for line in Path(f"/proc/{process}/smaps_rollup").read_text().splitlines():
+        if line.startswith("Pss:"):
+            return int(line.split()[1]) / 1024
+    raise OSError(f"read the memory of process {process}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,46 @@
+"""Parts of LIBERO that this package leaves out, and what to do without them."""
+
+from __future__ import annotations
+
+_USE = "install the original LIBERO in another environment for it"
+
+#: Modules of the original that are left out, and the remedy.
+_MODULES = {
+    "libero.configs": _USE,
+    "libero.lifelong": f"it trains policies; {_USE}",
+    "libero.libero.utils": "take folders from libero.libero.get_libero_path, videos from "
+    f"imageio; {_USE} otherwise",
+    "libero.libero.benchmark.mu_creation": f"it makes new tasks; {_USE}",
+    **{
+        f"libero.libero.envs.{module}": "ask the environment's sim, get_object and "
+        f"parsed_problem for what it simulates; {_USE} otherwise"
+        for module in (
+            "arenas",
+            "base_object",
+            "object_states",
+            "objects",
+            "predicates",
+            "problems",
+            "regions",
+            "robots",
+            "textures",
+            "utils",
+        )
+    },
+}
+
+
+class AbsentModules:
+    """Finder of modules, asked last: names the remedy for what is left out."""
+
+    @staticmethod
+    def find_spec(name: str, path: object = None, target: object = None) -> None:
+        """Raises ImportError for modules of the original that are not here."""
+        remedy = _MODULES.get(name)
+        if remedy is not None:
+            raise ImportError(f"{name} is not part of rollout-libero-shim: {remedy}", name=name)
+
+
+def absent_attribute(what: str, name: str, remedy: str) -> AttributeError:
+    """What to raise where an object of the original has more attributes than ours."""
+    return AttributeError(f"{what} has no `{name}` in rollout-libero-shim: {remedy}")

@@ -1,0 +1,19 @@
+"""Folders of LIBERO's files. Importing this asks nothing, fetches nothing and writes nothing."""
+
+from libero.libero.paths import (
+    config_file,
+    get_assets_path,
+    get_default_path_dict,
+    get_libero_path,
+    libero_config_path,
+    set_libero_default_path,
+)
+
+__all__ = [
+    "config_file",
+    "get_assets_path",
+    "get_default_path_dict",
+    "get_libero_path",
+    "libero_config_path",
+    "set_libero_default_path",
+]

@@ -1,0 +1,197 @@
+"""The suites: their tasks, the order of the tasks, and the initial states."""
+
+from __future__ import annotations
+
+import os
+import re
+from typing import Any, NamedTuple, TypeVar
+
+from libero.libero.benchmark.init_states import load_init_states
+from libero.libero.benchmark.libero_suite_task_map import libero_task_map, task_orders
+from libero.libero.paths import get_libero_path
+
+__all__ = [
+    "BENCHMARK_MAPPING",
+    "Benchmark",
+    "Task",
+    "get_benchmark",
+    "get_benchmark_dict",
+    "grab_language_from_filename",
+    "libero_suites",
+    "libero_task_map",
+    "print_benchmark",
+    "register_benchmark",
+    "task_maps",
+    "task_orders",
+]
+
+
+class Task(NamedTuple):
+    """A task of a suite. File names are relative to the suite's folder."""
+
+    name: str
+    language: str
+    problem: str
+    problem_folder: str
+    bddl_file: str
+    init_states_file: str
+
+
+def grab_language_from_filename(x: str) -> str:
+    """The instruction that a task's file name spells, without the scene before it."""
+    name = os.path.splitext(x)[0]
+    return re.sub(r"^[A-Z].*?SCENE\d+_", "", name).replace("_", " ")
+
+
+libero_suites = list(libero_task_map)
+#: Suite → name of the task → task, in the benchmark's own order.
+task_maps: dict[str, dict[str, Task]] = {
+    suite: {
+        name: Task(
+            name=name,
+            language=grab_language_from_filename(f"{name}.bddl"),
+            problem="Libero",
+            problem_folder=suite,
+            bddl_file=f"{name}.bddl",
+            init_states_file=f"{name}.pruned_init",
+        )
+        for name in names
+    }
+    for suite, names in libero_task_map.items()
+}
+
+
+class Benchmark:
+    """A suite. `task_order_index` chooses one of 21 orders of a suite of ten tasks."""
+
+    name: str
+    tasks: list[Task]
+    n_tasks: int
+
+    def __init__(self, task_order_index: int = 0) -> None:
+        self.task_embs: Any = None
+        self.task_order_index = task_order_index
+
+    def _make_benchmark(self) -> None:
+        tasks = list(task_maps[self.name].values())
+        if len(tasks) == 10:
+            tasks = [tasks[i] for i in task_orders[self.task_order_index]]
+        self.tasks = tasks
+        self.n_tasks = len(tasks)
+
+    def get_num_tasks(self) -> int:
+        """Number of tasks."""
+        return self.n_tasks
+
+    def get_task_names(self) -> list[str]:
+        """The tasks' names."""
+        return [task.name for task in self.tasks]
+
+    def get_task_problems(self) -> list[str]:
+        """The tasks' problems: the word `Libero`."""
+        return [task.problem for task in self.tasks]
+
+    def get_task_bddl_files(self) -> list[str]:
+        """The names of the tasks' BDDL files."""
+        return [task.bddl_file for task in self.tasks]
+
+    def get_task_bddl_file_path(self, i: int) -> str:
+        """Where a task's BDDL file lies."""
+        task = self.tasks[i]
+        return os.path.join(get_libero_path("bddl_files"), task.problem_folder, task.bddl_file)
+
+    def get_task_demonstration(self, i: int) -> str:
+        """Where a task's demonstrations lie, relative to the folder `datasets`."""
+        if not 0 <= i < self.n_tasks:
+            raise IndexError(f"{self.name} has no task {i}: its tasks are 0 to {self.n_tasks - 1}")
+        return f"{self.tasks[i].problem_folder}/{self.tasks[i].name}_demo.hdf5"
+
+    def get_task(self, i: int) -> Task:
+        """A task."""
+        return self.tasks[i]
+
+    def get_task_emb(self, i: int) -> Any:
+        """What `set_task_embs` was given for a task."""
+        return self.task_embs[i]
+
+    def get_task_init_states(self, i: int) -> Any:
+        """A task's initial states: a float64 array [states, 1 + nq + nv] of time, s, and
+        joint positions and velocities."""
+        task = self.tasks[i]
+        return load_init_states(
+            os.path.join(
+                get_libero_path("init_states"),
+                task.problem_folder,
+                task.init_states_file,
+            )
+        )
+
+    def set_task_embs(self, task_embs: Any) -> None:
+        """Keeps embeddings of the instructions, one a task."""
+        self.task_embs = task_embs
+
+
+BENCHMARK_MAPPING: dict[str, type[Benchmark]] = {}
+_Suite = TypeVar("_Suite", bound=type[Benchmark])
+
+
+def register_benchmark(target_class: _Suite) -> _Suite:
+    """Makes a suite known by its class's name, in lower case."""
+    BENCHMARK_MAPPING[target_class.__name__.lower()] = target_class
+    return target_class
+
+
+def get_benchmark_dict(help: bool = False) -> dict[str, type[Benchmark]]:
+    """All suites by name; with `help`, prints the names."""
+    if help:
+        print_benchmark()
+    return BENCHMARK_MAPPING
+
+
+def get_benchmark(benchmark_name: str) -> type[Benchmark]:
+    """A suite by its name, in capitals or not."""
+    try:
+        return BENCHMARK_MAPPING[benchmark_name.lower()]
+    except KeyError:
+        raise KeyError(
+            f"there is no suite `{benchmark_name}`: choose one of {', '.join(BENCHMARK_MAPPING)}"
+        ) from None
+
+
+def print_benchmark() -> None:
+    """Prints the suites' names."""
+    print("\n".join(BENCHMARK_MAPPING))
+
+
+def _suite(suite: str) -> type[Benchmark]:
+    class Suite(Benchmark):
+        def __init__(self, task_order_index: int = 0) -> None:
+            super().__init__(task_order_index)
+            self.name = suite
+            if suite == "libero_90" and task_order_index != 0:
+                raise ValueError(
+                    "libero_90 has one order of its tasks: leave task_order_index at 0"
+                )
+            self._make_benchmark()
+
+    Suite.__name__ = Suite.__qualname__ = suite.upper()
+    Suite.__doc__ = f"The suite {suite}."
+    return register_benchmark(Suite)
+
+
+LIBERO_SPATIAL = _suite("libero_spatial")
+LIBERO_OBJECT = _suite("libero_object")
+LIBERO_GOAL = _suite("libero_goal")
+LIBERO_90 = _suite("libero_90")
+LIBERO_10 = _suite("libero_10")
+
+
+@register_benchmark
+class LIBERO_100(Benchmark):
+    """LIBERO's name for libero_90 and libero_10 together. It has no files of its own, and
+    cannot be constructed in the original either."""
+
+    def __init__(self, task_order_index: int = 0) -> None:
+        raise KeyError(
+            "libero_100 has no task files: construct libero_90 and libero_10, which it consists of"
+        )

@@ -1,0 +1,321 @@
+"""The simulation as robosuite's `env.sim` shows it: state, names, arrays, pictures."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from libero._absent import absent_attribute
+from libero.libero.envs._simulation import Held
+
+F64 = NDArray[np.float64]
+
+_KINDS = ("body", "joint", "geom", "site", "camera", "light", "actuator", "sensor")
+#: MuJoCo's counts, by an array that has as many rows.
+_COUNTS = {
+    "nq": "qpos0",
+    "nv": "dof_bodyid",
+    "nu": "actuator_trntype",
+    "nbody": "body_parentid",
+    "njnt": "jnt_type",
+    "ngeom": "geom_type",
+    "nsite": "site_bodyid",
+    "ncam": "cam_fovy",
+    "nlight": "light_pos",
+    "nsensor": "sensor_type",
+}
+_COORDINATES = {0: (7, 6), 1: (4, 3), 2: (1, 1), 3: (1, 1)}
+_GEOM = 5
+
+
+class ReadOnlyArray(np.ndarray):
+    """A copy of an array of the simulation. Writing to it would change nothing, and raises."""
+
+    _remedy = ""
+
+    def __array_finalize__(self, parent: Any) -> None:
+        self._remedy = getattr(parent, "_remedy", "")
+
+    def __setitem__(self, key: Any, value: Any) -> None:
+        if not self.flags.writeable:
+            raise ValueError(
+                f"this is a copy of the simulation's array, which cannot be written to: {self._remedy}"
+            )
+        super().__setitem__(key, value)
+
+
+def _read_only(array: NDArray[Any], remedy: str) -> ReadOnlyArray:
+    shown = array.view(ReadOnlyArray)
+    shown._remedy = remedy
+    shown.flags.writeable = False
+    return shown
+
+
+class MjSimState:
+    """Time, s, and all joint positions and velocities."""
+
+    def __init__(self, time: float, qpos: F64, qvel: F64) -> None:
+        self.time = time
+        self.qpos = qpos
+        self.qvel = qvel
+
+    def flatten(self) -> F64:
+        """Time, positions and velocities in one vector [1 + nq + nv]."""
+        return np.concatenate([[self.time], self.qpos, self.qvel])
+
+
+class MjModel:
+    """The model's names and arrays, by MuJoCo's names. Arrays are copies."""
+
+    def __init__(self, held: Held) -> None:
+        simulation = held.get()
+        self._held = held
+        self._names = {kind: tuple(simulation.names(kind)) for kind in _KINDS}
+        self._ids = {
+            kind: {name: i for i, name in enumerate(names) if name is not None}
+            for kind, names in self._names.items()
+        }
+
+    def set(self, name: str, values: Any) -> None:
+        """Writes one of cam_pos, cam_quat, light_pos, light_dir, light_diffuse,
+        light_specular, site_rgba, body_pos and body_quat, in this environment alone.
+        Call `sim.forward()` after changes of bodies."""
+        self._held.get().set_model_array(name, np.asarray(values))
+
+    def get_joint_qpos_addr(self, name: str) -> Any:
+        """Where a joint's positions are: an index, or first and last + 1."""
+        return self._address("jnt_qposadr", name, 0)
+
+    def get_joint_qvel_addr(self, name: str) -> Any:
+        """Where a joint's velocities are: an index, or first and last + 1."""
+        return self._address("jnt_dofadr", name, 1)
+
+    def __getattr__(self, name: str) -> Any:
+        kind, _, what = name.partition("_")
+        kind = "camera" if kind == "cam" and what in ("names",) else kind
+        if kind in _KINDS and what == "names":
+            return self._names[kind]
+        if kind in _KINDS and what == "name2id":
+            return lambda key: self._id(kind, key)
+        if kind in _KINDS and what == "id2name":
+            return lambda i: self._name(kind, i)
+        if name in _COUNTS:
+            return len(self._held.get().model_array(_COUNTS[name]))
+        if name.startswith("_"):
+            raise absent_attribute("sim.model", name, "MuJoCo's own objects are not shown")
+        return self._array(name)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in ("_held", "_names", "_ids"):
+            super().__setattr__(name, value)
+        else:
+            raise AttributeError(
+                f"sim.model.{name} cannot be assigned to: call sim.model.set({name!r}, values)"
+            )
+
+    def _array(self, name: str) -> ReadOnlyArray:
+        try:
+            array = self._held.get().model_array(name)
+        except (KeyError, ValueError) as error:
+            raise absent_attribute("sim.model", name, str(error)) from error
+        return _read_only(array, f"call sim.model.set({name!r}, values)")
+
+    def _id(self, kind: str, name: str) -> int:
+        try:
+            return self._ids[kind][name]
+        except KeyError:
+            raise ValueError(
+                f"the model has no {kind} `{name}`: it has {', '.join(self._ids[kind])}"
+            ) from None
+
+    def _name(self, kind: str, i: int) -> str | None:
+        names = self._names[kind]
+        if not 0 <= i < len(names):
+            raise ValueError(f"the model has no {kind} {i}: it has {len(names)}")
+        return names[i]
+
+    def _address(self, array: str, joint: str, which: int) -> Any:
+        i = self._id("joint", joint)
+        start = int(self._array(array)[i])
+        width = _COORDINATES[int(self._array("jnt_type")[i])][which]
+        return start if width == 1 else (start, start + width)
+
+
+class MjData:
+    """The state's arrays, by MuJoCo's names, in the world frame, m and rad. They are copies
+    and show the present instant, which observations are a few milliseconds behind."""
+
+    def __init__(self, held: Held, model: MjModel) -> None:
+        self._held = held
+        self._model = model
+
+    @property
+    def time(self) -> float:
+        """Simulated time, s."""
+        return float(self._held.get().state()[0])
+
+    @property
+    def ncon(self) -> int:
+        """Number of contacts."""
+        return len(self._held.get().contacts())
+
+    @property
+    def contact(self) -> list[Any]:
+        """The contacts: geom1 and geom2 of each."""
+        return [
+            SimpleNamespace(geom1=int(first), geom2=int(second))
+            for first, second in self._held.get().contacts()
+        ]
+
+    def get_joint_qpos(self, name: str) -> Any:
+        """A joint's position, or positions."""
+        return self.qpos[_slice(self._model.get_joint_qpos_addr(name))]
+
+    def get_joint_qvel(self, name: str) -> Any:
+        """A joint's velocity, or velocities."""
+        return self.qvel[_slice(self._model.get_joint_qvel_addr(name))]
+
+    def set_joint_qpos(self, name: str, value: Any) -> None:
+        """Sets a joint's position, or positions. Call `sim.forward()` after the last one."""
+        self._write(1, self._model.get_joint_qpos_addr(name), value)
+
+    def set_joint_qvel(self, name: str, value: Any) -> None:
+        """Sets a joint's velocity, or velocities. Call `sim.forward()` after the last one."""
+        self._write(1 + self._model.nq, self._model.get_joint_qvel_addr(name), value)
+
+    def __getattr__(self, name: str) -> Any:
+        # get_body_xpos, get_site_xmat, get_geom_xpos, get_camera_xmat, …
+        parts = name.split("_")
+        if len(parts) == 3 and parts[0] == "get" and parts[2] in ("xpos", "xmat", "xquat"):
+            kind, what = parts[1:]
+            prefix = {"body": "", "camera": "cam_"}.get(kind, f"{kind}_")
+            return lambda key: self._pose(f"{prefix}{what}", kind, key)
+        # mujoco-py's names of the bodies' arrays.
+        if name in ("body_xpos", "body_xquat", "body_xmat"):
+            name = name.removeprefix("body_")
+        try:
+            array = self._held.get().data_array(name)
+        except (KeyError, ValueError) as error:
+            raise absent_attribute("sim.data", name, str(error)) from error
+        return _read_only(
+            array,
+            "write with sim.data.set_joint_qpos, sim.set_state or sim.set_state_from_flattened",
+        )
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in ("_held", "_model"):
+            super().__setattr__(name, value)
+        else:
+            raise AttributeError(
+                f"sim.data.{name} cannot be assigned to: write with sim.set_state_from_flattened"
+            )
+
+    def _pose(self, array: str, kind: str, key: str) -> Any:
+        value = getattr(self, array)[getattr(self._model, f"{kind}_name2id")(key)]
+        return value.reshape(3, 3) if array.endswith("xmat") else value
+
+    def _write(self, offset: int, address: Any, value: Any) -> None:
+        simulation = self._held.get()
+        state = np.array(simulation.state())
+        part = _slice(address)
+        if isinstance(part, slice):
+            part = slice(part.start + offset, part.stop + offset)
+            value = np.asarray(value, dtype=np.float64)
+            if value.shape != (part.stop - part.start,):
+                raise ValueError(
+                    f"the joint has {part.stop - part.start} coordinates, {value.shape} given"
+                )
+        else:
+            part += offset
+        state[part] = value
+        simulation.set_state(state)
+
+
+class MjSim:
+    """A simulation: `model`, `data`, its state as a vector, and pictures of it."""
+
+    def __init__(self, held: Held) -> None:
+        self._held = held
+        self.model = MjModel(held)
+        self.data = MjData(held, self.model)
+
+    def get_state(self) -> MjSimState:
+        """A copy of the state."""
+        state = self._held.get().state()
+        nq = self.model.nq
+        return MjSimState(float(state[0]), state[1 : 1 + nq], state[1 + nq :])
+
+    def set_state(self, value: MjSimState) -> None:
+        """Writes a state. Call `forward` before reading what follows from it."""
+        self.set_state_from_flattened(value.flatten())
+
+    def set_state_from_flattened(self, value: Any) -> None:
+        """Writes a state [1 + nq + nv]. Call `forward` before reading what follows from it.
+
+        Raises ValueError for a state of another scene.
+        """
+        simulation = self._held.get()
+        state = np.ascontiguousarray(value, dtype=np.float64)
+        expected = simulation.state().shape
+        if state.shape != expected:
+            raise ValueError(
+                f"the scene's states have the shape {expected}, not {state.shape}: give a "
+                "state of this task, as get_sim_state or get_task_init_states returns it"
+            )
+        simulation.set_state(state)
+
+    def forward(self) -> None:
+        """Computes what follows from the state: poses, contacts."""
+        self._held.get().forward()
+
+    def render(
+        self,
+        width: int,
+        height: int,
+        *,
+        camera_name: str,
+        depth: bool = False,
+        mode: str = "offscreen",
+        device_id: int = -1,
+        segmentation: bool = False,
+    ) -> Any:
+        """A picture of the present state, row 0 at the bottom: [height, width, 3] bytes; with
+        `depth` the depth buffer [height, width] too, float32 in 0…1; with `segmentation`
+        instead [height, width, 2] int32, MuJoCo's object type and id, -1 where nothing is."""
+        if mode != "offscreen":
+            raise ValueError("there is no window: leave mode at 'offscreen'")
+        self.model.camera_name2id(camera_name)
+        simulation = self._held.get()
+        # Simulations draw what they observed last. To observe the present moves the instant
+        # at which later steps observe, so that is taken back.
+        before = simulation.snapshot()
+        simulation.observe_now()
+        try:
+            if segmentation:
+                return simulation.segmentation(camera_name, width, height)
+            picture = simulation.frame(camera_name, width, height)
+            if depth:
+                return picture, simulation.depth(camera_name, width, height)
+            return picture
+        finally:
+            simulation.restore(before)
+
+    def __getattr__(self, name: str) -> Any:
+        raise absent_attribute(
+            "sim",
+            name,
+            "it has get_state, set_state, set_state_from_flattened, forward, "
+            "render, model and data; simulate with the environment's step",
+        )
+
+
+def shown_geoms(segmentation: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Ids of the geoms in a segmentation [h, w, 2]: [h, w], -1 where none is."""
+    return np.where(segmentation[..., 0] == _GEOM, segmentation[..., 1], np.int32(-1))
+
+
+def _slice(address: Any) -> Any:
+    return slice(*address) if isinstance(address, tuple) else address

@@ -1,0 +1,69 @@
+"""The simulation that an environment holds until it is closed."""
+
+from __future__ import annotations
+
+import os
+import threading
+
+import numpy as np
+from rollout_libero import ClosedError
+from rollout_libero._native import Scene, Simulation
+from rollout_libero.scenes import scene
+
+from libero.libero.paths import get_assets_path
+
+__all__ = ["ClosedError", "Held"]
+
+#: Resets take turns at NumPy's global generator.
+_drawing = threading.Lock()
+
+
+class Held:
+    """A simulation of a BDDL file's scene until it is closed. Environments of a scene share
+    what is compiled.
+
+    Raises FileNotFoundError where assets are missing; the message has the remedy.
+    """
+
+    def __init__(self, bddl_file: str) -> None:
+        self._simulation: Simulation | None = Simulation(
+            scene(os.path.realpath(bddl_file), get_assets_path())
+        )
+
+    @property
+    def scene(self) -> Scene:
+        """The compiled scene."""
+        return self.get().scene
+
+    def get(self) -> Simulation:
+        """The simulation.
+
+        Raises ClosedError.
+        """
+        if self._simulation is None:
+            raise ClosedError("the environment is closed: construct a new one to go on")
+        return self._simulation
+
+    def close(self) -> None:
+        """Frees the simulation. Closing again does nothing."""
+        if self._simulation is not None:
+            self._simulation.close()
+            self._simulation = None
+
+    def start_over(self, model_loads: int, *, hard: bool) -> int:
+        """Places everything anew, drawing from NumPy's global generator as the original does.
+
+        `model_loads`: how often the original had loaded its model by then. Returns how
+        often it has by now: more, where it placed things again for want of room.
+        """
+        simulation = self.get()
+        with _drawing:
+            state = np.random.get_state()
+            if state[0] != "MT19937":
+                raise RuntimeError(
+                    f"NumPy's global generator is {state[0]}: LIBERO draws from MT19937; set it "
+                    "back with numpy.random.set_bit_generator(numpy.random.MT19937())"
+                )
+            state, model_loads = simulation.reset(state, model_loads, hard=hard)
+            np.random.set_state(state)
+        return model_loads

@@ -1,0 +1,292 @@
+"""The task's simulation: what LIBERO's wrappers hold as `env.env`."""
+
+from __future__ import annotations
+
+import os
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from libero._absent import absent_attribute
+from libero.libero.envs import bddl_utils
+from libero.libero.envs._models import ObjectModel, TaskModel
+from libero.libero.envs._observation import Observation, Observer
+from libero.libero.envs._robot import Robot
+from libero.libero.envs._settings import Settings, existing_file
+from libero.libero.envs._sim import MjSim
+from libero.libero.envs._simulation import Held
+
+F64 = NDArray[np.float64]
+
+#: Problems by name: the classes that simulate them.
+TASK_MAPPING: dict[str, type[BDDLBaseDomain]] = {}
+
+
+class BDDLBaseDomain:
+    """A task of a BDDL file, in robosuite's interface."""
+
+    #: Whether the arm stands on a mount, or on the ground.
+    mounted: ClassVar[bool]
+
+    action_dim = 7
+    control_freq = 20
+    control_timestep = 0.05
+    model_timestep = 0.002
+    has_renderer = False
+    viewer = None
+
+    def __init__(
+        self,
+        bddl_file_name: str | os.PathLike[str],
+        robots: Any = ("Panda",),
+        **arguments: Any,
+    ) -> None:
+        """Takes robosuite's arguments; `Settings.check` says which have one value only.
+
+        Draws placements from NumPy's global generator, as the original does. Observations
+        begin with `reset`.
+
+        Raises FileNotFoundError for a missing file or missing assets, and what
+        `Settings.check` raises.
+        """
+        self.bddl_file_name = existing_file(bddl_file_name)
+        settings = Settings.check(robots=robots, **arguments)
+        self.parsed_problem = bddl_utils.robosuite_parse_problem(self.bddl_file_name)
+        problem = self.parsed_problem["problem_name"]
+        if problem != type(self).__name__.lower():
+            raise ValueError(
+                f"{self.bddl_file_name} is of the problem {problem}, not "
+                f"{type(self).__name__}: take the class from TASK_MAPPING[{problem!r}]"
+            )
+        self._settings = settings
+        self.horizon = settings.horizon
+        self.ignore_done = settings.ignore_done
+        self.hard_reset = settings.hard_reset
+        self.reward_scale = settings.reward_scale
+        self.has_offscreen_renderer = settings.has_offscreen_renderer
+        self.use_camera_obs = bool(settings.cameras)
+        self.camera_names = [camera.name for camera in settings.cameras]
+        self.camera_heights = [camera.height for camera in settings.cameras]
+        self.camera_widths = [camera.width for camera in settings.cameras]
+
+        self._held = Held(self.bddl_file_name)
+        self.sim = MjSim(self._held)
+        for name in self.camera_names:
+            self.sim.model.camera_name2id(name)
+        arm, mount = (
+            ("MountedPanda", "RethinkMount") if self.mounted else ("OnTheGroundPanda", "NullMount")
+        )
+        self._arm = arm
+        self.model = TaskModel(self._held.scene, self.sim.model, arm, mount)
+        self.objects_dict = self.model.objects
+        self.fixtures_dict = self.model.fixtures
+        self.objects = list(self.objects_dict.values())
+        self.fixtures = list(self.fixtures_dict.values())
+        self.obj_body_id = {
+            one.name: self.sim.model.body_name2id(one.root_body)
+            for one in self.model.mujoco_objects
+        }
+        self.obj_of_interest: list[str] = self.parsed_problem["obj_of_interest"]
+        self._observer = Observer(self._held, settings.cameras, self.model)
+        self._model_loads = 1
+        self._start_over(hard=True)
+
+    def seed(self, seed: int | None) -> None:
+        """Seeds NumPy's global generator, which resets draw from."""
+        np.random.seed(seed)
+
+    def reset(self) -> Observation:
+        """Places everything anew and returns the observation.
+
+        With `hard_reset` the original loads its model again, which makes its list of
+        samplers for doors and knobs longer. What is drawn follows from that, so it does
+        here, although nothing needs to be loaded.
+        """
+        if self.hard_reset:
+            self._model_loads += 1
+        self._start_over(hard=self.hard_reset)
+        return self._get_observations()
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, dict[str, Any]]:
+        """One control step of 50 ms with 7 numbers: pose, and gripper (−1 opens, 1 closes).
+
+        Returns the observation, the reward, whether the goal holds, and an empty
+        dictionary.
+
+        Raises ValueError for another action, or if the episode is over.
+        """
+        simulation = self._held.get()
+        if self.done:
+            raise ValueError(
+                f"executing action in terminated episode: it had {self.horizon} steps; call "
+                "reset, or construct the environment with a larger horizon or ignore_done=True"
+            )
+        absolute = not self.robots[0].controller.use_delta
+        success = simulation.step(_checked(action), absolute=absolute)
+        self._observer.expire()
+        self.timestep += 1
+        self.cur_time += self.control_timestep
+        self.done = self.timestep >= self.horizon and not self.ignore_done
+        return self._get_observations(), self._scaled(success), success, {}
+
+    def reward(self, action: Any = None) -> float:
+        """1 if the goal holds, else 0; times `reward_scale`."""
+        return self._scaled(self._check_success())
+
+    def close(self) -> None:
+        """Lets go of the simulation."""
+        self._held.close()
+
+    @property
+    def action_spec(self) -> tuple[F64, F64]:
+        """Least and largest actions [7]."""
+        return self.robots[0].action_limits
+
+    @property
+    def language_instruction(self) -> str:
+        """The instruction, in lower case."""
+        return " ".join(self.parsed_problem["language_instruction"])
+
+    @property
+    def observation_names(self) -> set[str]:
+        """All keys that can be observed."""
+        return set(self._observer.modalities)
+
+    @property
+    def observation_modalities(self) -> set[str]:
+        """The kinds of what can be observed."""
+        return set(self._observer.modalities.values())
+
+    @property
+    def active_observables(self) -> set[str]:
+        """The keys that are observed."""
+        return set(self._observer.names)
+
+    enabled_observables = active_observables
+
+    def observation_spec(self) -> Observation:
+        """An observation."""
+        return self._get_observations()
+
+    def modify_observable(self, observable_name: str, attribute: str, modifier: Any) -> None:
+        """Leaves a key out of observations, or puts it back: `attribute` is `active` or
+        `enabled`, `modifier` true or false. Frames that are left out are not drawn."""
+        if attribute not in ("active", "enabled"):
+            raise NotImplementedError(
+                f"the {attribute} of an observable cannot be modified: `active` and `enabled` can; "
+                "change what step returns instead"
+            )
+        self._observer.show(observable_name, bool(modifier))
+
+    def get_object(self, object_name: str) -> ObjectModel | None:
+        """An object or fixture by name; None if there is none."""
+        return self.fixtures_dict.get(object_name) or self.objects_dict.get(object_name)
+
+    def is_fixture(self, object_name: str) -> bool:
+        """Whether something of this name is a fixture."""
+        return object_name in self.fixtures_dict
+
+    def get_robot_state_vector(self, obs: Observation) -> F64:
+        """Fingers [2], end-effector's position [3] and quaternion x y z w [4] in one."""
+        return np.concatenate(
+            [obs["robot0_gripper_qpos"], obs["robot0_eef_pos"], obs["robot0_eef_quat"]]
+        )
+
+    def check_contact(self, geoms_1: Any, geoms_2: Any = None) -> bool:
+        """Whether geoms touch: names, lists of names, or objects. Without a second group,
+        whether the first touches anything."""
+        first = _geoms(geoms_1)
+        second = None if geoms_2 is None else _geoms(geoms_2)
+        names = self.sim.model.geom_names
+        for one, other in self._held.get().contacts():
+            for a, b in ((names[one], names[other]), (names[other], names[one])):
+                if a in first and (second is None or b in second):
+                    return True
+        return False
+
+    def reset_from_xml_string(self, xml_string: str) -> None:
+        """Not supported: raises NotImplementedError."""
+        raise NotImplementedError(
+            "a model cannot be loaded from MJCF: construct the environment from the task's "
+            "BDDL file and set its state, as in set_init_state(states[0])"
+        )
+
+    def _check_success(self) -> bool:
+        return self._held.get().success()
+
+    def _post_process(self) -> None:
+        self._held.get().post_process()
+
+    def _update_observables(self, force: bool = False) -> None:
+        if not force:
+            raise NotImplementedError(
+                "observables are updated by steps: give force=True to observe the present"
+            )
+        self._held.get().observe_now()
+        self._observer.expire()
+
+    def _get_observations(self, force_update: bool = False) -> Observation:
+        if force_update:
+            self._update_observables(force=True)
+        return self._observer.observe()
+
+    @property
+    def _eef_xpos(self) -> F64:
+        return self.sim.data.site_xpos[self.robots[0].eef_site_id]
+
+    @property
+    def _visualizations(self) -> set[str]:
+        return {"env", "robots", "grippers"}
+
+    def __getattr__(self, name: str) -> Any:
+        raise absent_attribute(
+            type(self).__name__, name, "ask its sim, robots, get_object or parsed_problem"
+        )
+
+    def _start_over(self, *, hard: bool) -> None:
+        self._model_loads = self._held.start_over(self._model_loads, hard=hard)
+        self._observer.expire()
+        self.robots = [Robot(self._arm, self._held, self.sim, self._settings.use_delta)]
+        self.timestep = 0
+        self.cur_time = 0.0
+        self.done = False
+
+    def _scaled(self, success: bool) -> float:
+        scale = 1.0 if self.reward_scale is None else self.reward_scale
+        return float(success) * scale
+
+
+def register_problem(target_class: type[BDDLBaseDomain]) -> type[BDDLBaseDomain]:
+    """Makes a problem known by its class's name, in lower case."""
+    TASK_MAPPING[target_class.__name__.lower()] = target_class
+    return target_class
+
+
+def _problem(name: str, *, mounted: bool) -> None:
+    members = {"mounted": mounted, "__module__": __name__, "__doc__": f"The problem {name}."}
+    register_problem(type(name, (BDDLBaseDomain,), members))
+
+
+_problem("Libero_Coffee_Table_Manipulation", mounted=False)
+_problem("Libero_Floor_Manipulation", mounted=False)
+_problem("Libero_Kitchen_Tabletop_Manipulation", mounted=True)
+_problem("Libero_Living_Room_Tabletop_Manipulation", mounted=False)
+_problem("Libero_Study_Tabletop_Manipulation", mounted=True)
+_problem("Libero_Tabletop_Manipulation", mounted=True)
+
+
+def _checked(action: Any) -> F64:
+    checked = np.ascontiguousarray(action, dtype=np.float64)
+    if checked.shape != (BDDLBaseDomain.action_dim,):
+        raise ValueError(
+            f"an action has 7 numbers, this one has the shape {checked.shape}: give three of "
+            "translation, three of rotation, and the gripper"
+        )
+    return checked
+
+
+def _geoms(given: Any) -> set[str]:
+    if isinstance(given, str):
+        return {given}
+    return set(getattr(given, "contact_geoms", given))

@@ -1,0 +1,389 @@
+"""Several environments behind one interface: one after another, or each in a process.
+
+Each environment of `SubprocVectorEnv` has NumPy's global generator to itself, as LIBERO's
+users expect. `rollout_libero.VectorEnvironment` needs less memory and time.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import pickle
+import traceback
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import cloudpickle
+import numpy as np
+
+__all__ = [
+    "BaseVectorEnv",
+    "CloudpickleWrapper",
+    "DummyEnvWorker",
+    "DummyVectorEnv",
+    "EnvWorker",
+    "SubprocEnvWorker",
+    "SubprocVectorEnv",
+]
+
+_Ids = "int | Sequence[int] | np.ndarray | None"
+
+
+class CloudpickleWrapper:
+    """What is sent to a process: lambdas and closures included."""
+
+    def __init__(self, data: Any) -> None:
+        self.data = data
+
+    def __getstate__(self) -> bytes:
+        return cloudpickle.dumps(self.data)
+
+    def __setstate__(self, data: bytes) -> None:
+        self.data = pickle.loads(data)
+
+
+class EnvWorker(ABC):
+    """One environment of several. `send` and `recv` are the two halves of a reset (no
+    action) or a step."""
+
+    def __init__(self, env_fn: Callable[[], Any]) -> None:
+        self._env_fn = env_fn
+        self.is_closed = False
+
+    @abstractmethod
+    def call(self, method: str, *arguments: Any) -> Any:
+        """Calls a method of the environment."""
+
+    @abstractmethod
+    def send(self, action: Any, **kwargs: Any) -> None:
+        """Begins a step, or without an action a reset."""
+
+    @abstractmethod
+    def recv(self) -> Any:
+        """What the step or reset returned."""
+
+    @abstractmethod
+    def get_env_attr(self, key: str) -> Any:
+        """An attribute of the environment; None if it has none of this name."""
+
+    @abstractmethod
+    def set_env_attr(self, key: str, value: Any) -> None:
+        """Sets an attribute of the environment."""
+
+    @abstractmethod
+    def close_env(self) -> None:
+        """Closes the environment."""
+
+    def close(self) -> None:
+        """Closes the environment, once."""
+        if not self.is_closed:
+            self.is_closed = True
+            self.close_env()
+
+    def reset(self, **kwargs: Any) -> Any:
+        """Resets the environment."""
+        self.send(None, **kwargs)
+        return self.recv()
+
+    def step(self, action: Any) -> Any:
+        """One control step."""
+        self.send(action)
+        return self.recv()
+
+    def seed(self, seed: int | None = None) -> Any:
+        """Seeds the environment."""
+        return self.call("seed", seed)
+
+    def check_success(self) -> bool:
+        """Whether the goal holds."""
+        return self.call("check_success")
+
+    def get_segmentation_of_interest(self, segmentation_image: Any) -> Any:
+        """See `SegmentationRenderEnv`."""
+        return self.call("get_segmentation_of_interest", segmentation_image)
+
+    def get_sim_state(self) -> Any:
+        """The state: time, positions and velocities."""
+        return self.call("get_sim_state")
+
+    def set_init_state(self, init_state: Any) -> Any:
+        """Sets the state; returns the observation."""
+        return self.call("set_init_state", init_state)
+
+
+class DummyEnvWorker(EnvWorker):
+    """An environment in this process."""
+
+    def __init__(self, env_fn: Callable[[], Any]) -> None:
+        self.env = env_fn()
+        self.result: Any = None
+        super().__init__(env_fn)
+
+    def call(self, method: str, *arguments: Any) -> Any:
+        return getattr(self.env, method)(*arguments)
+
+    def send(self, action: Any, **kwargs: Any) -> None:
+        self.result = self.env.reset(**kwargs) if action is None else self.env.step(action)
+
+    def recv(self) -> Any:
+        return self.result
+
+    def get_env_attr(self, key: str) -> Any:
+        return getattr(self.env, key, None)
+
+    def set_env_attr(self, key: str, value: Any) -> None:
+        setattr(self.env, key, value)
+
+    def close_env(self) -> None:
+        self.env.close()
+
+
+class _Failure:
+    """An exception on its way out of a process."""
+
+    def __init__(self, error: Exception) -> None:
+        self.error = error
+        self.trace = traceback.format_exc()
+
+    def reraise(self) -> None:
+        raise self.error from RuntimeError(f"in the environment's process:\n{self.trace}")
+
+
+def _serve(parent: Any, connection: Any, env_fn: CloudpickleWrapper, obs_bufs: None = None) -> None:
+    """Runs an environment: answers `[command, data]` until `close`."""
+    parent.close()
+    try:
+        env = env_fn.data()
+    except Exception as error:  # noqa: BLE001
+        connection.send(_Failure(error))
+        return
+    connection.send(None)
+    commands: dict[str, Callable[[Any], Any]] = {
+        "reset": lambda kwargs: env.reset(**kwargs),
+        "getattr": lambda key: getattr(env, key, None),
+        "setattr": lambda pair: setattr(env, pair["key"], pair["value"]),
+        "check_success": lambda _: env.check_success(),
+        "get_sim_state": lambda _: env.get_sim_state(),
+        "close": lambda _: env.close(),
+    }
+    while True:
+        try:
+            command, data = connection.recv()
+        except (EOFError, KeyboardInterrupt):
+            return
+        try:
+            answer = commands.get(command, getattr(env, command, None))(data)
+        except Exception as error:  # noqa: BLE001
+            answer = _Failure(error)
+        connection.send(answer)
+        if command == "close":
+            return
+
+
+class SubprocEnvWorker(EnvWorker):
+    """An environment in a process of its own, started as `multiprocessing` is set to."""
+
+    def __init__(self, env_fn: Callable[[], Any], share_memory: bool = False) -> None:
+        if share_memory:
+            raise NotImplementedError(
+                "observations are not shared through memory: leave share_memory at False, or "
+                "use rollout_libero.VectorEnvironment, which copies none"
+            )
+        self.parent_remote, self.child_remote = multiprocessing.Pipe()
+        self.share_memory = share_memory
+        self.process = multiprocessing.Process(
+            target=_serve,
+            args=(self.parent_remote, self.child_remote, CloudpickleWrapper(env_fn)),
+            daemon=True,
+        )
+        self.process.start()
+        self.child_remote.close()
+        self._is_starting = True
+        super().__init__(env_fn)
+
+    def call(self, method: str, *arguments: Any) -> Any:
+        self._send(method, arguments[0] if arguments else None)
+        return self.recv()
+
+    def send(self, action: Any, **kwargs: Any) -> None:
+        if action is None:
+            self._send("reset", kwargs)
+        else:
+            self._send("step", action)
+
+    def recv(self) -> Any:
+        try:
+            answer = self.parent_remote.recv()
+        except (EOFError, ConnectionError) as error:
+            self.process.join(timeout=1)
+            raise RuntimeError(
+                "the environment's process has ended "
+                f"(exit code {self.process.exitcode}): make new environments"
+            ) from error
+        if isinstance(answer, _Failure):
+            answer.reraise()
+        return answer
+
+    def get_env_attr(self, key: str) -> Any:
+        return self.call("getattr", key)
+
+    def set_env_attr(self, key: str, value: Any) -> None:
+        self.call("setattr", {"key": key, "value": value})
+
+    def close_env(self) -> None:
+        try:
+            self.call("close")
+            self.process.join()
+        except (RuntimeError, OSError):
+            pass
+        self.process.terminate()
+
+    def _send(self, command: str, data: Any) -> None:
+        # Environments are made side by side: none is waited for before it is needed.
+        if getattr(self, "_is_starting", False):
+            self._is_starting = False
+            self.recv()
+        self.parent_remote.send([command, data])
+
+
+class BaseVectorEnv:
+    """Several environments. `id` chooses some of them: a number, a list, or None for all."""
+
+    def __init__(
+        self,
+        env_fns: Sequence[Callable[[], Any]],
+        worker_fn: Callable[[Callable[[], Any]], Any],
+        wait_num: int | None = None,
+        timeout: float | None = None,
+    ) -> None:
+        if wait_num not in (None, len(env_fns)) or timeout is not None:
+            raise NotImplementedError(
+                "a step waits for all its environments: leave wait_num and timeout out, and "
+                "step some environments at a time with `id`"
+            )
+        self._env_fns = env_fns
+        self.workers = [worker_fn(env_fn) for env_fn in env_fns]
+        self.env_num = len(env_fns)
+        self.is_async = False
+        self.is_closed = False
+        self.waiting_id: list[int] = []
+        self.ready_id = list(range(self.env_num))
+
+    def __len__(self) -> int:
+        return self.env_num
+
+    def reset(self, id: _Ids = None, **kwargs: Any) -> Any:
+        """Resets environments; returns their observations in an array [n] of objects."""
+        chosen = self._choose(id)
+        for i in chosen:
+            self.workers[i].send(None, **kwargs)
+        return _stack([self.workers[i].recv() for i in chosen])
+
+    def step(self, action: Any, id: _Ids = None) -> tuple[Any, ...]:
+        """One control step each, with actions [n, 7]: observations, rewards, dones and
+        infos, [n] each; an info's `env_id` says whose it is."""
+        chosen = self._choose(id)
+        if len(action) != len(chosen):
+            raise ValueError(
+                f"{len(chosen)} environments were given {len(action)} actions: give one each"
+            )
+        for i, one in zip(chosen, action):
+            self.workers[i].send(one)
+        results = []
+        for i in chosen:
+            result = self.workers[i].recv()
+            result[-1]["env_id"] = i
+            results.append(result)
+        observations, *others = zip(*results)
+        return (_stack(observations), *map(np.stack, others))
+
+    def seed(self, seed: int | Sequence[int | None] | None = None) -> list[Any]:
+        """Seeds all environments: a list, or the first one's seed of consecutive ones."""
+        self._assert_is_not_closed()
+        if seed is None or isinstance(seed, (int, np.integer)):
+            seed = [None if seed is None else seed + i for i in range(self.env_num)]
+        return [worker.seed(one) for worker, one in zip(self.workers, seed)]
+
+    def check_success(self) -> list[bool]:
+        """Whether each environment's goal holds."""
+        self._assert_is_not_closed()
+        return [worker.check_success() for worker in self.workers]
+
+    def get_sim_state(self) -> list[Any]:
+        """Each environment's state."""
+        self._assert_is_not_closed()
+        return [worker.get_sim_state() for worker in self.workers]
+
+    def set_init_state(self, init_state: Any = None, id: _Ids = None) -> Any:
+        """Sets states; returns observations in an array [n] of objects."""
+        chosen = self._choose(id)
+        return _stack(
+            [self.workers[i].set_init_state(state) for i, state in zip(chosen, init_state)]
+        )
+
+    def get_segmentation_of_interest(self, segmentation_images: Any) -> list[Any]:
+        """See `SegmentationRenderEnv`."""
+        self._assert_is_not_closed()
+        return [
+            worker.get_segmentation_of_interest(image)
+            for worker, image in zip(self.workers, segmentation_images)
+        ]
+
+    def get_env_attr(self, key: str, id: _Ids = None) -> list[Any]:
+        """An attribute of environments."""
+        return [self.workers[i].get_env_attr(key) for i in self._choose(id)]
+
+    def set_env_attr(self, key: str, value: Any, id: _Ids = None) -> None:
+        """Sets an attribute of environments."""
+        for i in self._choose(id):
+            self.workers[i].set_env_attr(key, value)
+
+    def close(self) -> None:
+        """Closes all environments."""
+        self._assert_is_not_closed()
+        for worker in self.workers:
+            worker.close()
+        self.is_closed = True
+
+    def _choose(self, id: _Ids) -> Any:
+        self._assert_is_not_closed()
+        return self._wrap_id(id)
+
+    def _wrap_id(self, id: _Ids = None) -> Any:
+        if id is None:
+            return list(range(self.env_num))
+        return [id] if np.isscalar(id) else id
+
+    def _assert_id(self, id: Any) -> None:
+        unknown = [i for i in id if i not in self.ready_id]
+        if unknown:
+            raise IndexError(
+                f"there are no environments {unknown}: there are 0 to {self.env_num - 1}"
+            )
+
+    def _assert_is_not_closed(self) -> None:
+        if self.is_closed:
+            raise RuntimeError("the environments are closed: make new ones")
+
+
+class DummyVectorEnv(BaseVectorEnv):
+    """Environments in this process, one after another."""
+
+    def __init__(self, env_fns: Sequence[Callable[[], Any]], **kwargs: Any) -> None:
+        super().__init__(env_fns, DummyEnvWorker, **kwargs)
+
+
+class SubprocVectorEnv(BaseVectorEnv):
+    """Environments in a process each."""
+
+    def __init__(self, env_fns: Sequence[Callable[[], Any]], **kwargs: Any) -> None:
+        super().__init__(env_fns, SubprocEnvWorker, **kwargs)
+
+
+def _stack(observations: Sequence[Any]) -> np.ndarray:
+    try:
+        return np.stack(observations)
+    except ValueError:
+        array = np.empty(len(observations), dtype=object)
+        array[:] = observations
+        return array

@@ -1,0 +1,119 @@
+"""Where task files, initial states, demonstrations and assets lie."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import yaml
+from rollout_libero import files
+
+#: Folder of the optional configuration file.
+libero_config_path = os.environ.get("LIBERO_CONFIG_PATH", os.path.expanduser("~/.libero"))
+#: The optional configuration file: a folder for each key of `get_default_path_dict`.
+config_file = os.path.join(libero_config_path, "config.yaml")
+
+_KEYS = ("benchmark_root", "bddl_files", "init_states", "datasets", "assets")
+
+
+def get_libero_path(query_key: str) -> str:
+    """The folder of `benchmark_root`, `bddl_files`, `init_states`, `datasets` or `assets`.
+
+    The configuration file decides where the folder that it names has files in it; a
+    file that another installation has left behind thus does no harm. Otherwise it is the
+    default, whose files are fetched at first use.
+
+    Raises KeyError for another key, FileNotFoundError where files cannot be had.
+    """
+    configured = _configured()
+    if query_key not in _KEYS and query_key not in configured:
+        raise KeyError(
+            f"LIBERO has no folder `{query_key}`: ask for one of {', '.join(_KEYS)}, "
+            f"or name it in {config_file}"
+        )
+    folder = configured.get(query_key)
+    if folder is not None and (query_key not in _KEYS or _counts(query_key, folder)):
+        return folder
+    if query_key == "assets":
+        return files.assets(None)
+    return _folders(_default_root())[query_key]
+
+
+def get_default_path_dict(custom_location: str | None = None) -> dict[str, str]:
+    """The folders below `custom_location`, or those of the files that were fetched."""
+    if custom_location is None:
+        return _folders(_default_root())
+    return _folders(custom_location)
+
+
+def set_libero_default_path(custom_location: str | None = None) -> None:
+    """Writes the configuration file: LIBERO's files lie below this folder.
+
+    Without a folder, removes the file, so that the defaults count again.
+
+    Raises FileNotFoundError if the folder has no `bddl_files`, as it would not count.
+    """
+    if custom_location is None:
+        Path(config_file).unlink(missing_ok=True)
+        return
+    folders = _folders(os.path.abspath(custom_location))
+    if not _has_files(folders["bddl_files"]):
+        raise FileNotFoundError(
+            f"there are no task files in {folders['bddl_files']}: "
+            "name the folder that holds LIBERO's bddl_files"
+        )
+    os.makedirs(libero_config_path, exist_ok=True)
+    with open(config_file, "w", encoding="utf-8") as file:
+        yaml.safe_dump(folders, file)
+
+
+def get_assets_path() -> str:
+    """The asset pack: `$ROLLOUT_ASSETS`, or the configuration file's, or what was fetched.
+
+    Raises FileNotFoundError, with the remedy, where there is none.
+    """
+    if os.environ.get("ROLLOUT_ASSETS"):
+        return files.assets(None)
+    return get_libero_path("assets")
+
+
+def _default_root() -> str:
+    return str(files.sources() / "libero")
+
+
+def _folders(root: str) -> dict[str, str]:
+    return {
+        "benchmark_root": root,
+        "bddl_files": os.path.join(root, "bddl_files"),
+        "init_states": os.path.join(root, "init_files"),
+        "datasets": os.path.join(os.path.dirname(root), "datasets"),
+        "assets": os.path.join(root, "assets"),
+    }
+
+
+def _configured() -> dict[str, str]:
+    try:
+        with open(config_file, encoding="utf-8") as file:
+            config = yaml.safe_load(file)
+    except FileNotFoundError:
+        return {}
+    except yaml.YAMLError as error:
+        raise ValueError(f"{config_file} is not YAML ({error}): correct or remove it") from error
+    if not isinstance(config, dict):
+        return {}
+    return {str(key): str(folder) for key, folder in config.items()}
+
+
+def _counts(key: str, folder: str) -> bool:
+    """A root counts by what is needed from it: a package's own folder is not empty."""
+    if key == "benchmark_root":
+        return _has_files(os.path.join(folder, "bddl_files"))
+    return _has_files(folder)
+
+
+def _has_files(folder: str) -> bool:
+    try:
+        with os.scandir(folder) as entries:
+            return next(entries, None) is not None
+    except OSError:
+        return False

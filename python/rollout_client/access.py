@@ -1,0 +1,166 @@
+"""Where a coordinator is, and what a client brings along: the certificate authority that it
+trusts and the token that it shows. Files and variables are those of the command line."""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+import ssl
+from dataclasses import dataclass, field
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from .errors import SettingsError
+
+#: What the command line reads, too.
+URL_VARIABLE = "COORDINATOR_URL"
+TOKEN_FILE_VARIABLE = "ROLLOUT_TOKEN_FILE"
+TOKENS_VARIABLE = "ROLLOUT_TOKENS"
+CA_VARIABLE = "ROLLOUT_CA"
+DEFAULT_URL = "http://127.0.0.1:7411"
+#: Of these roles, a client shows the first that it has a token of: who may steer campaigns
+#: may read them too.
+ROLES = ("operator", "viewer")
+ALL_ROLES = ("worker", *ROLES)
+#: URL schemes, and whether each means TLS.
+SCHEMES = {"http": False, "grpc": False, "https": True, "grpcs": True}
+
+
+@dataclass(frozen=True)
+class Access:
+    """A coordinator's address, and a client's credentials."""
+
+    #: As given.
+    url: str
+    #: Without brackets.
+    host: str
+    port: int
+    is_encrypted: bool
+    #: Certificates of the authority that signed the coordinator's, PEM.
+    authority: bytes | None
+    #: Never printed.
+    token: str | None = field(repr=False)
+    #: The files that were named, for a program that reads them itself.
+    token_file: Path | None
+    ca: Path | None
+
+    @property
+    def target(self) -> str:
+        """The address as gRPC takes it."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{host}:{self.port}"
+
+    @property
+    def metadata(self) -> tuple[tuple[str, str], ...]:
+        """What goes with every call. A token goes over TLS, or to this machine; to anybody
+        else it is not shown."""
+        if self.token is None or not (self.is_encrypted or _is_this_machine(self.host)):
+            return ()
+        return (("authorization", f"Bearer {self.token}"),)
+
+
+def read(
+    url: str | None, token_file: str | os.PathLike[str] | None, ca: str | os.PathLike[str] | None
+) -> Access:
+    """Reads what the arguments name, or else the environment. Raises SettingsError."""
+    url = url or os.environ.get(URL_VARIABLE) or DEFAULT_URL
+    host, port, is_encrypted = _address(url)
+    token_path = _path(token_file, TOKEN_FILE_VARIABLE)
+    ca_path = _path(ca, CA_VARIABLE)
+    return Access(
+        url=url,
+        host=host,
+        port=port,
+        is_encrypted=is_encrypted,
+        authority=None if ca_path is None else _authority(ca_path),
+        token=_token(token_path),
+        token_file=token_path,
+        ca=ca_path,
+    )
+
+
+def _path(given: str | os.PathLike[str] | None, variable: str) -> Path | None:
+    path = given or os.environ.get(variable)
+    return Path(path) if path else None
+
+
+def _address(url: str) -> tuple[str, int, bool]:
+    try:
+        parts = urlsplit(url)
+        port = parts.port
+    except ValueError:
+        parts, port = urlsplit(""), None
+    is_bare = parts.path in ("", "/") and not (parts.query or parts.fragment or parts.username)
+    if parts.scheme not in SCHEMES or not parts.hostname or not is_bare:
+        raise SettingsError(
+            f"failed to read {url!r} as a coordinator's address: write http://HOST:PORT, and for"
+            " one over TLS https://HOST:PORT"
+        )
+    is_encrypted = SCHEMES[parts.scheme]
+    return parts.hostname, port or (443 if is_encrypted else 80), is_encrypted
+
+
+def _token(path: Path | None) -> str | None:
+    if path is not None:
+        try:
+            text = path.read_text(encoding="utf-8")
+        except UnicodeDecodeError:
+            raise SettingsError(f"failed to read token file {path}: it is not UTF-8") from None
+        except OSError as error:
+            raise SettingsError(f"failed to read token file {path}: {error.strerror}") from error
+        return _usable(text, f"token file {path}")
+    text = os.environ.get(TOKENS_VARIABLE, "")
+    return _usable(text, TOKENS_VARIABLE) if text else None
+
+
+def _usable(text: str, place: str) -> str:
+    """The token that this client shows, of the lines of a token file."""
+    tokens: dict[str, str] = {}
+    for number, line in enumerate(text.splitlines(), 1):
+        words = line.split()
+        if not words or words[0].startswith("#"):
+            continue
+        if len(words) != 2 or words[0] not in ALL_ROLES or not _is_visible(words[1]):
+            raise SettingsError(
+                f"failed to read line {number} of {place}: write one `ROLE TOKEN` per line, the"
+                " role being worker, operator or viewer, and the token visible ASCII characters"
+            )
+        tokens.setdefault(words[0], words[1])
+    for role in ROLES:
+        if role in tokens:
+            return tokens[role]
+    raise SettingsError(
+        f"failed to find a token of role {' or '.join(ROLES)} in {place}: add a line `ROLE TOKEN`"
+    )
+
+
+def _is_visible(token: str) -> bool:
+    return all("!" <= character <= "~" for character in token)
+
+
+def _authority(path: Path) -> bytes:
+    try:
+        pem = path.read_bytes()
+    except OSError as error:
+        raise SettingsError(
+            f"failed to read certificate authority {path}: {error.strerror}"
+        ) from error
+    try:
+        ssl.create_default_context(cadata=pem.decode("ascii"))
+    except (ssl.SSLError, UnicodeDecodeError, ValueError):
+        # gRPC would only log that it is none.
+        raise SettingsError(
+            f"failed to use {path} as a certificate authority: it must hold certificates as PEM"
+        ) from None
+    return pem
+
+
+def _is_this_machine(host: str) -> bool:
+    if host == "localhost":
+        return True
+    try:
+        address = ipaddress.ip_address(host)
+    except ValueError:
+        return False
+    mapped = getattr(address, "ipv4_mapped", None)
+    return (mapped or address).is_loopback

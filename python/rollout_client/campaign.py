@@ -1,0 +1,153 @@
+"""One campaign of a coordinator."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from . import frames
+from . import report as reports
+from .connection import Connection
+from .program import Program
+from .proto import coordinator_pb2 as wire
+from .report import Comparison, Report
+from .status import Status
+
+#: Jobs that are asked for at a time.
+PAGE = 1_000
+
+Change = wire.ChangeCampaignRequest
+
+
+class Campaign:
+    """A campaign by its name. Every method asks the coordinator anew."""
+
+    def __init__(self, name: str, connection: Connection, program: Program) -> None:
+        self._name = name
+        self._connection = connection
+        self._program = program
+
+    def __repr__(self) -> str:
+        return f"Campaign({self._name!r}, {self._connection.access.url!r})"
+
+    @property
+    def name(self) -> str:
+        """Its name, unique at its coordinator."""
+        return self._name
+
+    def status(self) -> Status:
+        """How it stands. Raises CoordinatorError, as all methods do."""
+        return Status.of(self._connection.campaign(self._name).status)
+
+    def spec(self) -> dict[str, Any]:
+        """Its specification, as `Client.create` takes it."""
+        spec: dict[str, Any] = json.loads(self._connection.campaign(self._name).spec)
+        return spec
+
+    def follow(self, every: float = 2.0) -> Iterator[Status]:
+        """How it stands, every so many seconds, until nothing more will happen by itself.
+
+        Ctrl-C (a notebook's interrupt) ends the iteration and leaves the campaign running.
+        """
+        try:
+            while True:
+                status = self.status()
+                yield status
+                if status.is_finished:
+                    return
+                time.sleep(every)
+        except KeyboardInterrupt:
+            return
+
+    def results(self) -> pd.DataFrame:
+        """A row per committed rollout, by rollout id and replicate. `axis` and `level` are the
+        condition: `clean` and `L0`, an axis, or `combination`. `config` is missing of nominal
+        rollouts, `ik_res_mm` unless the robot was displaced."""
+        request = wire.ExportRequest(campaign=self._name)
+        lines = self._connection.collect(self._connection.operator.Export, request)
+        rows = ({"replicate": 0, **json.loads(line.json)} for line in lines)
+        return frames.frame(rows, frames.RESULTS)
+
+    def jobs(
+        self,
+        *,
+        state: str | None = None,
+        outcome: str | None = None,
+        task: str | None = None,
+        condition: str | None = None,
+        level: str | None = None,
+    ) -> pd.DataFrame:
+        """A row per rollout, whatever became of it, in the order in which they are leased.
+
+        state: `queued`, `leased`, `committed`, `quarantined`. outcome: `success`, `failure`.
+        task: `libero_object/0`, or a suite. condition and level: as in rollout ids.
+        """
+        request = wire.ListJobsRequest(
+            campaign=self._name,
+            state=state or "",
+            outcome=outcome or "",
+            task=task or "",
+            condition=condition or "",
+            level=level or "",
+            limit=PAGE,
+        )
+        rows: list[dict[str, Any]] = []
+        while True:
+            page = self._connection.call(self._connection.operator.ListJobs, request).jobs
+            rows += map(_job, page)
+            if len(page) < PAGE:
+                return frames.frame(rows, frames.JOBS)
+            request.after_job_id = page[-1].job_id
+
+    def report(self) -> Report:
+        """Its report, as far as it has come. The program `coordinator` computes it."""
+        return reports.report(self._connection, self._program, (self._name,))
+
+    def compare(self, other: Campaign | str | os.PathLike[str]) -> Comparison:
+        """This campaign minus another (a Campaign, or its name), or minus a result file or its
+        folder (a Path). The program `coordinator` computes it."""
+        source: str | Path = Path(other) if isinstance(other, os.PathLike) else _name(other)
+        return reports.compare(self._connection, self._program, self._name, source)
+
+    def pause(self) -> Status:
+        """Leases nothing more; what is being run may still be committed."""
+        return self._change(Change.CHANGE_PAUSE)
+
+    def resume(self) -> Status:
+        """Goes on after a pause."""
+        return self._change(Change.CHANGE_RESUME)
+
+    def cancel(self) -> Status:
+        """Ends it for ever; its results stay."""
+        return self._change(Change.CHANGE_CANCEL)
+
+    def _change(self, change: wire.ChangeCampaignRequest.Change) -> Status:
+        request = wire.ChangeCampaignRequest(campaign=self._name, change=change)
+        self._connection.call(self._connection.operator.ChangeCampaign, request)
+        return self.status()
+
+
+def _name(campaign: Campaign | str) -> str:
+    return campaign.name if isinstance(campaign, Campaign) else campaign
+
+
+def _job(job: wire.Job) -> dict[str, Any]:
+    return {
+        "rollout_id": job.rollout_id,
+        "replicate": job.replicate,
+        "job_id": job.job_id,
+        "state": job.state,
+        "outcome": ("success" if job.success else "failure") if job.HasField("success") else None,
+        "steps": job.steps if job.HasField("steps") else None,
+        "attempts": job.attempt,
+        "charged_attempts": job.charged_attempts,
+        "attempt_id": job.attempt_id or None,
+        "worker_id": job.lease_owner or None,
+        "last_error": job.last_error or None,
+    }

@@ -1,0 +1,26 @@
+"""A connection of gRPC, as the command line makes it."""
+
+from __future__ import annotations
+
+import grpc
+
+from .access import Access
+
+
+def channel(access: Access) -> grpc.Channel:
+    """A connection that is made at the first call."""
+    options = [
+        # As the command line: large campaigns have long lists, and no proxy is asked.
+        ("grpc.max_receive_message_length", 32 << 20),
+        ("grpc.max_send_message_length", 32 << 20),
+        ("grpc.enable_http_proxy", 0),
+        ("grpc.initial_reconnect_backoff_ms", 250),
+        ("grpc.min_reconnect_backoff_ms", 5_000),
+        ("grpc.max_reconnect_backoff_ms", 4_000),
+        # A channel of its own, which has none of another's failures behind it.
+        ("grpc.use_local_subchannel_pool", 1),
+    ]
+    if not access.is_encrypted:
+        return grpc.insecure_channel(access.target, options=options)
+    credentials = grpc.ssl_channel_credentials(root_certificates=access.authority)
+    return grpc.secure_channel(access.target, credentials, options=options)

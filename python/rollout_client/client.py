@@ -1,0 +1,160 @@
+"""A coordinator, from Python."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from . import access, frames
+from . import report as reports
+from .campaign import Campaign
+from .connection import Connection
+from .errors import SettingsError
+from .program import Program
+from .proto import coordinator_pb2 as wire
+from .report import Comparison, Report
+from .status import CAMPAIGNS, Forecast, Status
+
+#: A specification (docs/PROTOCOL.md): its fields, or a file that holds them as JSON.
+Spec = Mapping[str, Any] | str | os.PathLike[str]
+
+
+class Client:
+    """The campaigns of a coordinator.
+
+    It connects when it is first asked something. All methods raise CoordinatorError.
+    """
+
+    def __init__(
+        self,
+        url: str | None = None,
+        *,
+        token_file: str | os.PathLike[str] | None = None,
+        ca: str | os.PathLike[str] | None = None,
+        retry_secs: float = 30.0,
+        program: str | os.PathLike[str] | None = None,
+    ) -> None:
+        """url: `http://HOST:PORT`, over TLS `https://HOST:PORT`; else COORDINATOR_URL, else
+        port 7411 of this machine. token_file: lines `ROLE TOKEN`, of an operator or a viewer;
+        else ROLLOUT_TOKEN_FILE, or such lines in ROLLOUT_TOKENS. ca: the certificate authority,
+        PEM; else ROLLOUT_CA. retry_secs: how long to keep trying while the coordinator does not
+        answer. program: the program `coordinator`, which computes reports; else that on PATH.
+        """
+        found = access.read(url, token_file, ca)
+        self._connection = Connection(found, retry_secs)
+        self._program = Program(program, found)
+
+    def __repr__(self) -> str:
+        return f"Client({self._connection.access.url!r})"
+
+    def __enter__(self) -> Client:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Ends the connection."""
+        self._connection.close()
+
+    def campaigns(self) -> pd.DataFrame:
+        """A row per campaign, oldest first, with the fields of Status."""
+        answer = self._connection.call(
+            self._connection.operator.ListCampaigns, wire.ListCampaignsRequest()
+        )
+        statuses = map(Status.of, answer.campaigns)
+        return frames.frame(map(asdict, statuses), CAMPAIGNS)
+
+    def campaign(self, name: str) -> Campaign:
+        """A campaign that is there."""
+        campaign = Campaign(name, self._connection, self._program)
+        campaign.status()
+        return campaign
+
+    def create(self, spec: Spec, *, priority: int = 0) -> Campaign:
+        """Creates a campaign. The same specification once more is the same campaign; another
+        one under its name is refused.
+
+        priority: from -100 to 100; the higher, the earlier its rollouts are leased.
+        """
+        text = _text(spec)
+        request = wire.CreateCampaignRequest(spec=text, priority=priority)
+        self._connection.call(self._connection.operator.CreateCampaign, request)
+        return Campaign(json.loads(text)["name"], self._connection, self._program)
+
+    def forecast(self, spec: Spec) -> Forecast:
+        """What `create` would make of a specification, and how long the workers that are
+        connected now would take. Creates nothing."""
+        text = _text(spec)
+        rows = self._program.run("manifest", "expand", "--spec", "-", text=text).splitlines()
+        suites = Counter(json.loads(row)["suite"] for row in rows)
+        fields = json.loads(text)
+        times = fields.get("replicates", 1)
+        rollouts = {suite: count * times for suite, count in sorted(suites.items())}
+        request = wire.ForecastRequest(
+            policy=fields["policy"]["name"],
+            rollouts=[
+                wire.SuiteRollouts(suite=suite, rollouts=count) for suite, count in rollouts.items()
+            ],
+        )
+        answer = self._connection.call(self._connection.operator.Forecast, request)
+        return Forecast.of(rollouts, answer)
+
+    def workers(self) -> pd.DataFrame:
+        """A row per worker, those that have gone too, latest calls first."""
+        answer = self._connection.call(
+            self._connection.operator.ListWorkers, wire.ListWorkersRequest()
+        )
+        return frames.frame(map(_worker, answer.workers), frames.WORKERS)
+
+    def report(self, *sources: str | os.PathLike[str]) -> Report:
+        """One report on several campaigns (names) and result files or their folders (paths),
+        beside one another."""
+        return reports.report(self._connection, self._program, tuple(map(_source, sources)))
+
+    def compare(self, a: str | os.PathLike[str], b: str | os.PathLike[str]) -> Comparison:
+        """A - B over the rollouts that both have, of campaigns (names) or result files or
+        their folders (paths)."""
+        return reports.compare(self._connection, self._program, _source(a), _source(b))
+
+
+def _source(source: str | os.PathLike[str]) -> str | Path:
+    return source if isinstance(source, str) else Path(source)
+
+
+def _text(spec: Spec) -> str:
+    """The JSON of a specification. Raises SettingsError."""
+    if isinstance(spec, Mapping):
+        return json.dumps(spec)
+    path = Path(spec)
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        why = getattr(error, "strerror", None) or "it is not UTF-8"
+        raise SettingsError(f"failed to read specification {path}: {why}") from error
+
+
+def _worker(worker: wire.WorkerStatus) -> dict[str, Any]:
+    return {
+        "worker_id": worker.worker_id,
+        "host": worker.host,
+        "slots": worker.slots,
+        "leases": worker.leases,
+        "asset_pack": worker.asset_pack,
+        "mujoco_version": worker.mujoco_version,
+        "renderer": worker.renderer,
+        "program_version": worker.program_version,
+        "is_alive": worker.alive,
+        "has_signed_off": worker.signed_off,
+        "failures_in_a_row": worker.charged_in_a_row,
+        "stopped_reason": worker.stopped_reason or None,
+        "registered_at": frames.instant(worker.registered_unix_ms),
+        "last_call_at": frames.instant(worker.last_seen_unix_ms),
+    }

@@ -1,0 +1,123 @@
+"""Calls of an operator: trying again while the coordinator cannot be reached, and telling a
+refusal from a failure."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Iterable
+from typing import Any, TypeVar
+
+import grpc
+
+from . import probe
+from .access import Access
+from .channel import channel
+from .errors import (
+    AccessDeniedError,
+    CoordinatorError,
+    NoSuchCampaignError,
+    RefusedError,
+    UnreachableError,
+)
+from .proto import coordinator_pb2 as wire
+from .proto.coordinator_pb2_grpc import OperatorServiceStub
+
+#: Pauses between tries, doubling, s.
+FIRST_PAUSE, LONGEST_PAUSE = 0.25, 4.0
+#: Longest wait for an answer of one message, s.
+PATIENCE = 60.0
+#: What a failed way to a server looks like; the others are always a server's answer.
+OF_THE_WAY = (
+    grpc.StatusCode.UNAVAILABLE,
+    grpc.StatusCode.UNIMPLEMENTED,
+    grpc.StatusCode.DEADLINE_EXCEEDED,
+    grpc.StatusCode.CANCELLED,
+    grpc.StatusCode.INTERNAL,
+    grpc.StatusCode.UNKNOWN,
+)
+
+log = logging.getLogger("rollout_client")
+
+T = TypeVar("T")
+
+
+class Connection:
+    """A connection to a coordinator, made when it is first needed. Threads may share it."""
+
+    def __init__(self, access: Access, retry_secs: float) -> None:
+        self.access = access
+        self.retry_secs = retry_secs
+        self._channel = channel(access)
+        #: The calls, for `call` and `collect`.
+        self.operator: Any = OperatorServiceStub(self._channel)  # type: ignore[no-untyped-call]
+
+    def close(self) -> None:
+        """Ends it. Calls then fail."""
+        self._channel.close()
+
+    def campaign(self, name: str) -> wire.GetCampaignResponse:
+        """How a campaign stands, and its specification."""
+        request = wire.GetCampaignRequest(campaign=name)
+        answer: wire.GetCampaignResponse = self.call(self.operator.GetCampaign, request)
+        return answer
+
+    def call(self, method: Callable[..., T], request: object) -> T:
+        """Calls until the coordinator answers or the time for trying is over. All of its
+        operator's calls may be repeated safely. Raises CoordinatorError."""
+        return self._patiently(
+            lambda: method(request, timeout=PATIENCE, metadata=self.access.metadata)
+        )
+
+    def collect(self, method: Callable[..., Iterable[T]], request: object) -> list[T]:
+        """Likewise, of a call whose answer comes in pieces."""
+        return self._patiently(lambda: list(method(request, metadata=self.access.metadata)))
+
+    def _patiently(self, send: Callable[[], T]) -> T:
+        deadline = time.monotonic() + self.retry_secs
+        pause = FIRST_PAUSE
+        was_told = False
+        while True:
+            try:
+                return send()
+            except grpc.RpcError as error:
+                found = self._found(error)
+                failure = _refusal(error) if found is None else self._unreachable(found)
+                may_pass = _is_outage(error) if found is None else not found.is_final
+            if not may_pass or time.monotonic() + pause > deadline:
+                raise failure
+            if not was_told:
+                was_told = True
+                log.warning("%s; trying again for %g s", failure, self.retry_secs)
+            time.sleep(pause)
+            pause = min(2 * pause, LONGEST_PAUSE)
+
+    def _found(self, error: grpc.RpcError) -> probe.Found | None:
+        """What is there in the coordinator's place; None if it answered."""
+        code, details = error.code(), error.details() or ""
+        is_of_web = details.startswith(probe.WEB_ANSWER)
+        # What comes from a server has headers.
+        has_answered = bool(error.trailing_metadata()) and not is_of_web
+        is_unknown_call = code is grpc.StatusCode.UNIMPLEMENTED
+        if not is_of_web and code not in OF_THE_WAY or has_answered and not is_unknown_call:
+            return None
+        found = probe.look(self.access)
+        return probe.OLDER if found is probe.BROKEN and is_unknown_call else found
+
+    def _unreachable(self, found: probe.Found) -> UnreachableError:
+        return UnreachableError(self.access.url, found.words, found.remedy)
+
+
+def _is_outage(error: grpc.RpcError) -> bool:
+    return error.code() is grpc.StatusCode.UNAVAILABLE
+
+
+def _refusal(error: grpc.RpcError) -> CoordinatorError:
+    """What a coordinator answered, in its words."""
+    code = error.code()
+    words = f"failed to {error.details() or f'do this: {code.name}, without a reason'}"
+    if code in (grpc.StatusCode.UNAUTHENTICATED, grpc.StatusCode.PERMISSION_DENIED):
+        return AccessDeniedError(f"{words} (in Python: `token_file`)")
+    if code is grpc.StatusCode.NOT_FOUND:
+        return NoSuchCampaignError(words)
+    return RefusedError(words)

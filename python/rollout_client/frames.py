@@ -1,0 +1,83 @@
+"""Rows to frames with typed columns: texts are `string`, outcomes `boolean`, instants UTC;
+what there is not is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from datetime import datetime, timedelta, timezone
+from typing import Any
+
+import pandas as pd
+
+TEXT, INTEGER, COUNT, OUTCOME = "string", "Int64", "int64", "boolean"
+FLAG, NUMBER, INSTANT = "bool", "float64", "datetime64[ms, UTC]"
+
+#: Rows of the reference's `rollouts.jsonl`, as `coordinator export` writes them.
+RESULTS = {
+    "rollout_id": TEXT,
+    "success": FLAG,
+    "steps": COUNT,
+    "axis": TEXT,
+    "level": TEXT,
+    "suite": TEXT,
+    "task_id": COUNT,
+    "init_id": COUNT,
+    "config": INTEGER,
+    "policy": TEXT,
+    "wall_s": NUMBER,
+    "ik_res_mm": NUMBER,
+    "replicate": COUNT,
+}
+
+#: As `coordinator jobs list --json` names them.
+JOBS = {
+    "rollout_id": TEXT,
+    "replicate": COUNT,
+    "job_id": COUNT,
+    "state": TEXT,
+    "outcome": TEXT,
+    "steps": INTEGER,
+    "attempts": COUNT,
+    "charged_attempts": COUNT,
+    "attempt_id": TEXT,
+    "worker_id": TEXT,
+    "last_error": TEXT,
+}
+
+#: As `coordinator workers --json` names them.
+WORKERS = {
+    "worker_id": TEXT,
+    "host": TEXT,
+    "slots": COUNT,
+    "leases": COUNT,
+    "asset_pack": TEXT,
+    "mujoco_version": TEXT,
+    "renderer": TEXT,
+    "program_version": TEXT,
+    "is_alive": FLAG,
+    "has_signed_off": FLAG,
+    "failures_in_a_row": COUNT,
+    "stopped_reason": TEXT,
+    "registered_at": INSTANT,
+    "last_call_at": INSTANT,
+}
+
+
+def frame(rows: Iterable[Mapping[str, Any]], columns: Mapping[str, str]) -> pd.DataFrame:
+    """A frame with these columns and types, whatever the rows lack or have beside them."""
+    listed = list(rows)
+    data = {name: _column([row.get(name) for row in listed], columns[name]) for name in columns}
+    made: pd.DataFrame = pd.DataFrame(data)
+    return made
+
+
+def instant(unix_ms: int) -> datetime:
+    """Milliseconds since the Unix epoch, as an instant in UTC."""
+    return datetime(1970, 1, 1, tzinfo=timezone.utc) + timedelta(milliseconds=unix_ms)
+
+
+def _column(values: list[Any], dtype: str) -> pd.Series[Any]:
+    # Made without a resolution, instants would take the one of the first.
+    given = pd.to_datetime(values, utc=True).as_unit("ms") if dtype == INSTANT else values
+    made: pd.Series[Any] = pd.Series(given, dtype=dtype)
+    return made

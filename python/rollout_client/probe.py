@@ -1,0 +1,233 @@
+"""What is there where a call failed. gRPC's own errors say only that something did not fit,
+so a client that got no answer connects again by hand, and listens."""
+
+from __future__ import annotations
+
+import socket
+import ssl
+from dataclasses import dataclass
+
+import grpc
+
+from .access import Access
+from .channel import channel
+
+#: Longest wait for each answer, s.
+PATIENCE = 3.0
+#: How a client of HTTP/2 begins: its preface, and settings that change nothing.
+PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0"
+#: Bytes of a frame's head in HTTP/2, and where its type is.
+FRAME_HEAD, FRAME_TYPE, SETTINGS_FRAME = 9, 3, 4
+#: Characters quoted of what a server says.
+QUOTED_CHARS = 60
+#: HTTP statuses of a proxy whose own server is away.
+PROXY_WAITING = ("502", "503", "504")
+#: Calls that change nothing whatever their argument, by which servers are told apart.
+COORDINATOR_CALL = "/rollout.coordinator.v1.OperatorService/ListCampaigns"
+POLICY_CALL = "/rollout.policy.v1.Policy/Describe"
+#: How gRPC begins to say that an answer is a web server's.
+WEB_ANSWER = "Received http2 header with status: "
+#: OpenSSL's numbers of what is wrong with a certificate.
+NOT_YET_VALID, EXPIRED = 9, 10
+UNTRUSTED = (2, 7, 18, 19, 20, 21)
+OTHER_NAME = (62, 64)
+
+NAME_ANOTHER = "give Client the address of the coordinator"
+
+
+@dataclass(frozen=True)
+class Found:
+    """What is there in a coordinator's place."""
+
+    words: str
+    remedy: str
+    #: Whether settings are wrong, so that trying again changes nothing.
+    is_final: bool
+
+
+#: The coordinator itself, now.
+BROKEN = Found(
+    "the connection ended before the answer came",
+    "try again; the coordinator's log says why, if it failed",
+    is_final=False,
+)
+OLDER = Found(
+    "the coordinator there does not have this call",
+    "use the same version of coordinator and rollout-libero",
+    is_final=True,
+)
+ENCRYPTED = Found(
+    "the server there speaks TLS",
+    "write https:// in place of http://, and name its certificate authority with `ca`",
+    is_final=True,
+)
+CLEAR = Found(
+    "the server there does not speak TLS",
+    "write http:// in place of https://, or start the coordinator with --tls-cert and --tls-key",
+    is_final=True,
+)
+MUTE = Found(
+    "what listens there hangs up or says nothing",
+    "check that the URL names the port of the coordinator",
+    is_final=False,
+)
+
+
+def look(access: Access) -> Found:
+    """Connects as the client does, and says what answers. Takes a few seconds at most."""
+    try:
+        connection = socket.create_connection((access.host, access.port), timeout=PATIENCE)
+    except OSError as error:
+        return _no_connection(access, error)
+    if access.is_encrypted:
+        with connection:
+            try:
+                found = _hear(_context(access).wrap_socket(connection, server_hostname=access.host))
+            except ssl.SSLCertVerificationError as error:
+                return _certificate(access, error)
+            except OSError:
+                # Not TLS, or none that both sides speak.
+                return _in_the_clear(access)
+        return found or _server_of_grpc(access)
+    with connection:
+        found = _hear(connection)
+    if found is MUTE and _speaks_tls(access):
+        return ENCRYPTED
+    return found or _server_of_grpc(access)
+
+
+def _no_connection(access: Access, error: OSError) -> Found:
+    if isinstance(error, socket.gaierror):
+        words = f"no address is known for the name `{access.host}`"
+        return Found(words, "correct the host's name in the URL", is_final=False)
+    if isinstance(error, ConnectionRefusedError):
+        remedy = f"start it with `coordinator serve`, or {NAME_ANOTHER}"
+        return Found("nothing listens there", remedy, is_final=False)
+    return Found(
+        f"the machine does not answer ({error.strerror or 'timed out'})",
+        f"check that it is up and that no firewall is between, or {NAME_ANOTHER}",
+        is_final=False,
+    )
+
+
+def _context(access: Access) -> ssl.SSLContext:
+    authority = access.authority
+    context = ssl.create_default_context(cadata=authority.decode("ascii") if authority else None)
+    # gRPC asks less of certificates than the newest Pythons do.
+    context.verify_flags &= ~ssl.VERIFY_X509_STRICT
+    context.set_alpn_protocols(["h2"])
+    return context
+
+
+def _certificate(access: Access, error: ssl.SSLCertVerificationError) -> Found:
+    if error.verify_code in UNTRUSTED:
+        words = "its certificate was signed by an authority that is not known here"
+        if access.ca is not None:
+            words = f"its certificate was not signed by the authority in {access.ca}"
+        remedy = "name the certificate of the authority that signed it with `ca`"
+    elif error.verify_code in OTHER_NAME:
+        words = f"its certificate is not for `{access.host}`"
+        remedy = (
+            "write a name that it is for in the URL, or start the coordinator with a certificate"
+            f" for `{access.host}`"
+        )
+    elif error.verify_code == EXPIRED:
+        words = "its certificate has expired"
+        remedy = "start the coordinator with a new one in --tls-cert"
+    elif error.verify_code == NOT_YET_VALID:
+        words = "its certificate is not valid yet"
+        remedy = "set the clocks of both machines right"
+    else:
+        words = f"its certificate cannot be used ({error.verify_message})"
+        remedy = "start the coordinator with one of its own, as docs/OPERATING.md says"
+    return Found(words, remedy, is_final=True)
+
+
+def _in_the_clear(access: Access) -> Found:
+    """What a server is that does not answer TLS."""
+    try:
+        with socket.create_connection((access.host, access.port), timeout=PATIENCE) as connection:
+            found = _hear(connection)
+    except OSError:
+        return MUTE
+    # HTTP of either kind, but without TLS.
+    return CLEAR if found is None or "web server" in found.words else found
+
+
+def _speaks_tls(access: Access) -> bool:
+    context = ssl.create_default_context()
+    context.check_hostname = False
+    context.verify_mode = ssl.CERT_NONE
+    try:
+        with socket.create_connection((access.host, access.port), timeout=PATIENCE) as connection:
+            context.wrap_socket(connection, server_hostname=access.host).close()
+    except OSError:
+        return False
+    return True
+
+
+def _hear(connection: socket.socket) -> Found | None:
+    """Says what a client of HTTP/2 says, and hears what comes back. None: HTTP/2."""
+    heard = b""
+    connection.settimeout(PATIENCE)
+    try:
+        # A server may speak first, and hang up because of what it reads.
+        connection.sendall(PREFACE)
+        while len(heard) < FRAME_HEAD and (more := connection.recv(128)):
+            heard += more
+    except OSError:
+        pass
+    return _kind(heard)
+
+
+def _kind(heard: bytes) -> Found | None:
+    line = heard.decode("utf-8", "replace").partition("\n")[0]
+    said = "".join(character for character in line if character.isprintable())[:QUOTED_CHARS]
+    if not heard:
+        return MUTE
+    if heard[:1] in (b"\x15", b"\x16") and heard[1:2] == b"\x03":
+        return ENCRYPTED
+    if heard.startswith(b"SSH-"):
+        return _other("an SSH server is there")
+    if heard.startswith((b"HTTP/", b"<")):
+        return _web(said)
+    if heard[:1] == b"\0" and heard[FRAME_TYPE : FRAME_TYPE + 1] == bytes([SETTINGS_FRAME]):
+        return None
+    return _other(f"a server of another kind is there, which says {said!r}")
+
+
+def _other(words: str) -> Found:
+    return Found(words, NAME_ANOTHER, is_final=True)
+
+
+def _web(said: str) -> Found:
+    if any(status in said.split() for status in PROXY_WAITING):
+        words = f"a proxy there cannot reach the server behind it ({said})"
+        return Found(words, "start it with `coordinator serve`", is_final=False)
+    return _other(f"a web server of another kind is there ({said})")
+
+
+def _server_of_grpc(access: Access) -> Found:
+    """Which server of HTTP/2 is there."""
+    with channel(access) as there:
+        found = _has_call(there, access, COORDINATOR_CALL)
+        if found is True:
+            return BROKEN
+        if isinstance(found, Found):
+            return found
+        if _has_call(there, access, POLICY_CALL) is True:
+            return _other("a policy server or policy-gateway is there, not a coordinator")
+    return _other("a gRPC server is there, and it is not a coordinator")
+
+
+def _has_call(there: grpc.Channel, access: Access, path: str) -> bool | Found:
+    """Whether a server has the call of a path; what it is, if no server of gRPC."""
+    call = there.unary_unary(path, request_serializer=None, response_deserializer=None)
+    try:
+        call(b"", timeout=PATIENCE, metadata=access.metadata)
+    except grpc.RpcError as error:
+        details = error.details() or ""
+        if details.startswith(WEB_ANSWER):
+            return _web(f"HTTP status {details.removeprefix(WEB_ANSWER)}")
+        return error.code() is not grpc.StatusCode.UNIMPLEMENTED
+    return True

@@ -1,0 +1,63 @@
+"""The program `coordinator` on this machine, which computes what needs the protocol or
+statistics: reports, comparisons, and what a specification expands to."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+from .access import Access
+from .errors import ProgramError, RefusedError
+
+NAME = "coordinator"
+
+
+class Program:
+    """The program, found when it is first needed."""
+
+    def __init__(self, given: str | os.PathLike[str] | None, access: Access) -> None:
+        self._given = given
+        self._access = access
+
+    def run(self, *words: str | Path, text: str | None = None) -> str:
+        """Runs a command with `text` as its input. Returns what it prints.
+
+        Raises ProgramError where there is no such program, and RefusedError, with its words,
+        if it fails.
+        """
+        command = [self._path(), *map(str, words)]
+        try:
+            done = subprocess.run(command, input=text, capture_output=True, text=True, check=False)
+        except OSError as error:
+            raise ProgramError(
+                f"failed to run {command[0]}: {error.strerror}; name the program in"
+                " Client(program=…)"
+            ) from error
+        if done.returncode != 0:
+            said = done.stderr.strip().removeprefix("error: ")
+            raise RefusedError(said or f"{' '.join(command)} ended with {done.returncode}")
+        return done.stdout
+
+    def connected(self, *words: str | Path) -> list[str | Path]:
+        """The words, and those that name this client's coordinator."""
+        access = self._access
+        names: list[str | Path] = ["--connect", access.url]
+        if access.token_file is not None:
+            names += ["--token-file", access.token_file]
+        if access.ca is not None:
+            names += ["--ca", access.ca]
+        return [*words, *names]
+
+    def _path(self) -> str:
+        if self._given is not None:
+            return str(Path(self._given).expanduser())
+        found = shutil.which(NAME)
+        if found is None:
+            raise ProgramError(
+                f"failed to find the program `{NAME}`, which computes reports and forecasts on"
+                " this machine: build it (`cargo build --bin coordinator`) and put its folder on"
+                " PATH, or name it in Client(program=…)"
+            )
+        return found

@@ -1,0 +1,760 @@
+from google.protobuf.internal import containers as _containers
+from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
+from google.protobuf import descriptor as _descriptor
+from google.protobuf import message as _message
+from typing import ClassVar as _ClassVar, Iterable as _Iterable, Mapping as _Mapping, Optional as _Optional, Union as _Union
+
+DESCRIPTOR: _descriptor.FileDescriptor
+
+class RegisterRequest(_message.Message):
+    __slots__ = ("protocol_version", "program_version", "worker_id", "host", "slots", "asset_pack", "asset_pack_digest", "mujoco_version", "renderer")
+    PROTOCOL_VERSION_FIELD_NUMBER: _ClassVar[int]
+    PROGRAM_VERSION_FIELD_NUMBER: _ClassVar[int]
+    WORKER_ID_FIELD_NUMBER: _ClassVar[int]
+    HOST_FIELD_NUMBER: _ClassVar[int]
+    SLOTS_FIELD_NUMBER: _ClassVar[int]
+    ASSET_PACK_FIELD_NUMBER: _ClassVar[int]
+    ASSET_PACK_DIGEST_FIELD_NUMBER: _ClassVar[int]
+    MUJOCO_VERSION_FIELD_NUMBER: _ClassVar[int]
+    RENDERER_FIELD_NUMBER: _ClassVar[int]
+    protocol_version: int
+    program_version: str
+    worker_id: str
+    host: str
+    slots: int
+    asset_pack: str
+    asset_pack_digest: str
+    mujoco_version: str
+    renderer: str
+    def __init__(self, protocol_version: _Optional[int] = ..., program_version: _Optional[str] = ..., worker_id: _Optional[str] = ..., host: _Optional[str] = ..., slots: _Optional[int] = ..., asset_pack: _Optional[str] = ..., asset_pack_digest: _Optional[str] = ..., mujoco_version: _Optional[str] = ..., renderer: _Optional[str] = ...) -> None: ...
+
+class RegisterResponse(_message.Message):
+    __slots__ = ("protocol_version", "program_version", "lease_secs", "heartbeat_secs", "progress_timeout_secs", "idle_reason")
+    PROTOCOL_VERSION_FIELD_NUMBER: _ClassVar[int]
+    PROGRAM_VERSION_FIELD_NUMBER: _ClassVar[int]
+    LEASE_SECS_FIELD_NUMBER: _ClassVar[int]
+    HEARTBEAT_SECS_FIELD_NUMBER: _ClassVar[int]
+    PROGRESS_TIMEOUT_SECS_FIELD_NUMBER: _ClassVar[int]
+    IDLE_REASON_FIELD_NUMBER: _ClassVar[int]
+    protocol_version: int
+    program_version: str
+    lease_secs: float
+    heartbeat_secs: float
+    progress_timeout_secs: float
+    idle_reason: str
+    def __init__(self, protocol_version: _Optional[int] = ..., program_version: _Optional[str] = ..., lease_secs: _Optional[float] = ..., heartbeat_secs: _Optional[float] = ..., progress_timeout_secs: _Optional[float] = ..., idle_reason: _Optional[str] = ...) -> None: ...
+
+class ClaimRequest(_message.Message):
+    __slots__ = ("worker_id", "claim_id", "wait_secs", "warm_task")
+    WORKER_ID_FIELD_NUMBER: _ClassVar[int]
+    CLAIM_ID_FIELD_NUMBER: _ClassVar[int]
+    WAIT_SECS_FIELD_NUMBER: _ClassVar[int]
+    WARM_TASK_FIELD_NUMBER: _ClassVar[int]
+    worker_id: str
+    claim_id: str
+    wait_secs: float
+    warm_task: str
+    def __init__(self, worker_id: _Optional[str] = ..., claim_id: _Optional[str] = ..., wait_secs: _Optional[float] = ..., warm_task: _Optional[str] = ...) -> None: ...
+
+class ClaimResponse(_message.Message):
+    __slots__ = ("lease", "idle_reason")
+    LEASE_FIELD_NUMBER: _ClassVar[int]
+    IDLE_REASON_FIELD_NUMBER: _ClassVar[int]
+    lease: Lease
+    idle_reason: str
+    def __init__(self, lease: _Optional[_Union[Lease, _Mapping]] = ..., idle_reason: _Optional[str] = ...) -> None: ...
+
+class Lease(_message.Message):
+    __slots__ = ("attempt_id", "job_id", "attempt", "campaign", "replicate", "manifest_row", "policy_seed", "policy", "policy_endpoint", "realisation", "record_video", "record_failures_only", "keep_actions")
+    ATTEMPT_ID_FIELD_NUMBER: _ClassVar[int]
+    JOB_ID_FIELD_NUMBER: _ClassVar[int]
+    ATTEMPT_FIELD_NUMBER: _ClassVar[int]
+    CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
+    REPLICATE_FIELD_NUMBER: _ClassVar[int]
+    MANIFEST_ROW_FIELD_NUMBER: _ClassVar[int]
+    POLICY_SEED_FIELD_NUMBER: _ClassVar[int]
+    POLICY_FIELD_NUMBER: _ClassVar[int]
+    POLICY_ENDPOINT_FIELD_NUMBER: _ClassVar[int]
+    REALISATION_FIELD_NUMBER: _ClassVar[int]
+    RECORD_VIDEO_FIELD_NUMBER: _ClassVar[int]
+    RECORD_FAILURES_ONLY_FIELD_NUMBER: _ClassVar[int]
+    KEEP_ACTIONS_FIELD_NUMBER: _ClassVar[int]
+    attempt_id: str
+    job_id: int
+    attempt: int
+    campaign: str
+    replicate: int
+    manifest_row: str
+    policy_seed: int
+    policy: str
+    policy_endpoint: str
+    realisation: str
+    record_video: bool
+    record_failures_only: bool
+    keep_actions: bool
+    def __init__(self, attempt_id: _Optional[str] = ..., job_id: _Optional[int] = ..., attempt: _Optional[int] = ..., campaign: _Optional[str] = ..., replicate: _Optional[int] = ..., manifest_row: _Optional[str] = ..., policy_seed: _Optional[int] = ..., policy: _Optional[str] = ..., policy_endpoint: _Optional[str] = ..., realisation: _Optional[str] = ..., record_video: bool = ..., record_failures_only: bool = ..., keep_actions: bool = ...) -> None: ...
+
+class HeartbeatRequest(_message.Message):
+    __slots__ = ("worker_id", "progress", "filming")
+    WORKER_ID_FIELD_NUMBER: _ClassVar[int]
+    PROGRESS_FIELD_NUMBER: _ClassVar[int]
+    FILMING_FIELD_NUMBER: _ClassVar[int]
+    worker_id: str
+    progress: _containers.RepeatedCompositeFieldContainer[Progress]
+    filming: int
+    def __init__(self, worker_id: _Optional[str] = ..., progress: _Optional[_Iterable[_Union[Progress, _Mapping]]] = ..., filming: _Optional[int] = ...) -> None: ...
+
+class Progress(_message.Message):
+    __slots__ = ("attempt_id", "control_steps")
+    ATTEMPT_ID_FIELD_NUMBER: _ClassVar[int]
+    CONTROL_STEPS_FIELD_NUMBER: _ClassVar[int]
+    attempt_id: str
+    control_steps: int
+    def __init__(self, attempt_id: _Optional[str] = ..., control_steps: _Optional[int] = ...) -> None: ...
+
+class HeartbeatResponse(_message.Message):
+    __slots__ = ("lost_attempts",)
+    LOST_ATTEMPTS_FIELD_NUMBER: _ClassVar[int]
+    lost_attempts: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, lost_attempts: _Optional[_Iterable[str]] = ...) -> None: ...
+
+class CommitRequest(_message.Message):
+    __slots__ = ("attempt_id", "result", "provenance", "motion")
+    ATTEMPT_ID_FIELD_NUMBER: _ClassVar[int]
+    RESULT_FIELD_NUMBER: _ClassVar[int]
+    PROVENANCE_FIELD_NUMBER: _ClassVar[int]
+    MOTION_FIELD_NUMBER: _ClassVar[int]
+    attempt_id: str
+    result: RolloutResult
+    provenance: Provenance
+    motion: Motion
+    def __init__(self, attempt_id: _Optional[str] = ..., result: _Optional[_Union[RolloutResult, _Mapping]] = ..., provenance: _Optional[_Union[Provenance, _Mapping]] = ..., motion: _Optional[_Union[Motion, _Mapping]] = ...) -> None: ...
+
+class Motion(_message.Message):
+    __slots__ = ("path", "actions")
+    PATH_FIELD_NUMBER: _ClassVar[int]
+    ACTIONS_FIELD_NUMBER: _ClassVar[int]
+    path: bytes
+    actions: bytes
+    def __init__(self, path: _Optional[bytes] = ..., actions: _Optional[bytes] = ...) -> None: ...
+
+class RolloutResult(_message.Message):
+    __slots__ = ("success", "steps", "wall_secs", "ik_residual_mm", "ik_residual_deg", "ik_clamped_joints", "clipped_actions", "policy_queries")
+    SUCCESS_FIELD_NUMBER: _ClassVar[int]
+    STEPS_FIELD_NUMBER: _ClassVar[int]
+    WALL_SECS_FIELD_NUMBER: _ClassVar[int]
+    IK_RESIDUAL_MM_FIELD_NUMBER: _ClassVar[int]
+    IK_RESIDUAL_DEG_FIELD_NUMBER: _ClassVar[int]
+    IK_CLAMPED_JOINTS_FIELD_NUMBER: _ClassVar[int]
+    CLIPPED_ACTIONS_FIELD_NUMBER: _ClassVar[int]
+    POLICY_QUERIES_FIELD_NUMBER: _ClassVar[int]
+    success: bool
+    steps: int
+    wall_secs: float
+    ik_residual_mm: float
+    ik_residual_deg: float
+    ik_clamped_joints: int
+    clipped_actions: int
+    policy_queries: int
+    def __init__(self, success: bool = ..., steps: _Optional[int] = ..., wall_secs: _Optional[float] = ..., ik_residual_mm: _Optional[float] = ..., ik_residual_deg: _Optional[float] = ..., ik_clamped_joints: _Optional[int] = ..., clipped_actions: _Optional[int] = ..., policy_queries: _Optional[int] = ...) -> None: ...
+
+class Provenance(_message.Message):
+    __slots__ = ("host", "renderer", "mujoco_version", "asset_pack", "asset_pack_digest", "scene_digest", "init_state_digest", "first_frame_digest", "realised", "realisation", "policy_name", "policy_checkpoint", "policy_checkpoint_digest", "policy_privileged", "batch_mode", "program_version", "policy_canonical_only", "fingerprint", "policy_settings")
+    class PolicySettingsEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: str
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[str] = ...) -> None: ...
+    HOST_FIELD_NUMBER: _ClassVar[int]
+    RENDERER_FIELD_NUMBER: _ClassVar[int]
+    MUJOCO_VERSION_FIELD_NUMBER: _ClassVar[int]
+    ASSET_PACK_FIELD_NUMBER: _ClassVar[int]
+    ASSET_PACK_DIGEST_FIELD_NUMBER: _ClassVar[int]
+    SCENE_DIGEST_FIELD_NUMBER: _ClassVar[int]
+    INIT_STATE_DIGEST_FIELD_NUMBER: _ClassVar[int]
+    FIRST_FRAME_DIGEST_FIELD_NUMBER: _ClassVar[int]
+    REALISED_FIELD_NUMBER: _ClassVar[int]
+    REALISATION_FIELD_NUMBER: _ClassVar[int]
+    POLICY_NAME_FIELD_NUMBER: _ClassVar[int]
+    POLICY_CHECKPOINT_FIELD_NUMBER: _ClassVar[int]
+    POLICY_CHECKPOINT_DIGEST_FIELD_NUMBER: _ClassVar[int]
+    POLICY_PRIVILEGED_FIELD_NUMBER: _ClassVar[int]
+    BATCH_MODE_FIELD_NUMBER: _ClassVar[int]
+    PROGRAM_VERSION_FIELD_NUMBER: _ClassVar[int]
+    POLICY_CANONICAL_ONLY_FIELD_NUMBER: _ClassVar[int]
+    FINGERPRINT_FIELD_NUMBER: _ClassVar[int]
+    POLICY_SETTINGS_FIELD_NUMBER: _ClassVar[int]
+    host: str
+    renderer: str
+    mujoco_version: str
+    asset_pack: str
+    asset_pack_digest: str
+    scene_digest: str
+    init_state_digest: str
+    first_frame_digest: str
+    realised: _containers.RepeatedCompositeFieldContainer[RealisedAxis]
+    realisation: str
+    policy_name: str
+    policy_checkpoint: str
+    policy_checkpoint_digest: str
+    policy_privileged: bool
+    batch_mode: str
+    program_version: str
+    policy_canonical_only: bool
+    fingerprint: str
+    policy_settings: _containers.ScalarMap[str, str]
+    def __init__(self, host: _Optional[str] = ..., renderer: _Optional[str] = ..., mujoco_version: _Optional[str] = ..., asset_pack: _Optional[str] = ..., asset_pack_digest: _Optional[str] = ..., scene_digest: _Optional[str] = ..., init_state_digest: _Optional[str] = ..., first_frame_digest: _Optional[str] = ..., realised: _Optional[_Iterable[_Union[RealisedAxis, _Mapping]]] = ..., realisation: _Optional[str] = ..., policy_name: _Optional[str] = ..., policy_checkpoint: _Optional[str] = ..., policy_checkpoint_digest: _Optional[str] = ..., policy_privileged: bool = ..., batch_mode: _Optional[str] = ..., program_version: _Optional[str] = ..., policy_canonical_only: bool = ..., fingerprint: _Optional[str] = ..., policy_settings: _Optional[_Mapping[str, str]] = ...) -> None: ...
+
+class RealisedAxis(_message.Message):
+    __slots__ = ("axis", "parameters", "elements")
+    AXIS_FIELD_NUMBER: _ClassVar[int]
+    PARAMETERS_FIELD_NUMBER: _ClassVar[int]
+    ELEMENTS_FIELD_NUMBER: _ClassVar[int]
+    axis: str
+    parameters: _containers.RepeatedScalarFieldContainer[float]
+    elements: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, axis: _Optional[str] = ..., parameters: _Optional[_Iterable[float]] = ..., elements: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class CommitResponse(_message.Message):
+    __slots__ = ("verdict", "detail")
+    class Verdict(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        VERDICT_UNSPECIFIED: _ClassVar[CommitResponse.Verdict]
+        VERDICT_ACCEPTED: _ClassVar[CommitResponse.Verdict]
+        VERDICT_DUPLICATE: _ClassVar[CommitResponse.Verdict]
+        VERDICT_STALE: _ClassVar[CommitResponse.Verdict]
+        VERDICT_DIVERGENT: _ClassVar[CommitResponse.Verdict]
+        VERDICT_UNPAIRED: _ClassVar[CommitResponse.Verdict]
+    VERDICT_UNSPECIFIED: CommitResponse.Verdict
+    VERDICT_ACCEPTED: CommitResponse.Verdict
+    VERDICT_DUPLICATE: CommitResponse.Verdict
+    VERDICT_STALE: CommitResponse.Verdict
+    VERDICT_DIVERGENT: CommitResponse.Verdict
+    VERDICT_UNPAIRED: CommitResponse.Verdict
+    VERDICT_FIELD_NUMBER: _ClassVar[int]
+    DETAIL_FIELD_NUMBER: _ClassVar[int]
+    verdict: CommitResponse.Verdict
+    detail: str
+    def __init__(self, verdict: _Optional[_Union[CommitResponse.Verdict, str]] = ..., detail: _Optional[str] = ...) -> None: ...
+
+class ReleaseRequest(_message.Message):
+    __slots__ = ("attempt_id", "reason", "error")
+    class Reason(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        REASON_UNSPECIFIED: _ClassVar[ReleaseRequest.Reason]
+        REASON_SIMULATOR_ERROR: _ClassVar[ReleaseRequest.Reason]
+        REASON_SLOT_CRASHED: _ClassVar[ReleaseRequest.Reason]
+        REASON_SLOT_STUCK: _ClassVar[ReleaseRequest.Reason]
+        REASON_MACHINE_ERROR: _ClassVar[ReleaseRequest.Reason]
+        REASON_POLICY_MISBEHAVED: _ClassVar[ReleaseRequest.Reason]
+        REASON_POLICY_UNAVAILABLE: _ClassVar[ReleaseRequest.Reason]
+        REASON_DRAINING: _ClassVar[ReleaseRequest.Reason]
+    REASON_UNSPECIFIED: ReleaseRequest.Reason
+    REASON_SIMULATOR_ERROR: ReleaseRequest.Reason
+    REASON_SLOT_CRASHED: ReleaseRequest.Reason
+    REASON_SLOT_STUCK: ReleaseRequest.Reason
+    REASON_MACHINE_ERROR: ReleaseRequest.Reason
+    REASON_POLICY_MISBEHAVED: ReleaseRequest.Reason
+    REASON_POLICY_UNAVAILABLE: ReleaseRequest.Reason
+    REASON_DRAINING: ReleaseRequest.Reason
+    ATTEMPT_ID_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    ERROR_FIELD_NUMBER: _ClassVar[int]
+    attempt_id: str
+    reason: ReleaseRequest.Reason
+    error: str
+    def __init__(self, attempt_id: _Optional[str] = ..., reason: _Optional[_Union[ReleaseRequest.Reason, str]] = ..., error: _Optional[str] = ...) -> None: ...
+
+class ReleaseResponse(_message.Message):
+    __slots__ = ("verdict", "backoff_secs", "stop_leasing")
+    class Verdict(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        VERDICT_UNSPECIFIED: _ClassVar[ReleaseResponse.Verdict]
+        VERDICT_REQUEUED: _ClassVar[ReleaseResponse.Verdict]
+        VERDICT_QUARANTINED: _ClassVar[ReleaseResponse.Verdict]
+        VERDICT_STALE: _ClassVar[ReleaseResponse.Verdict]
+    VERDICT_UNSPECIFIED: ReleaseResponse.Verdict
+    VERDICT_REQUEUED: ReleaseResponse.Verdict
+    VERDICT_QUARANTINED: ReleaseResponse.Verdict
+    VERDICT_STALE: ReleaseResponse.Verdict
+    VERDICT_FIELD_NUMBER: _ClassVar[int]
+    BACKOFF_SECS_FIELD_NUMBER: _ClassVar[int]
+    STOP_LEASING_FIELD_NUMBER: _ClassVar[int]
+    verdict: ReleaseResponse.Verdict
+    backoff_secs: float
+    stop_leasing: str
+    def __init__(self, verdict: _Optional[_Union[ReleaseResponse.Verdict, str]] = ..., backoff_secs: _Optional[float] = ..., stop_leasing: _Optional[str] = ...) -> None: ...
+
+class ArtifactChunk(_message.Message):
+    __slots__ = ("attempt_id", "name", "data")
+    ATTEMPT_ID_FIELD_NUMBER: _ClassVar[int]
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    DATA_FIELD_NUMBER: _ClassVar[int]
+    attempt_id: str
+    name: str
+    data: bytes
+    def __init__(self, attempt_id: _Optional[str] = ..., name: _Optional[str] = ..., data: _Optional[bytes] = ...) -> None: ...
+
+class NextFilmRequest(_message.Message):
+    __slots__ = ("asset_pack_digest", "mujoco_version")
+    ASSET_PACK_DIGEST_FIELD_NUMBER: _ClassVar[int]
+    MUJOCO_VERSION_FIELD_NUMBER: _ClassVar[int]
+    asset_pack_digest: str
+    mujoco_version: str
+    def __init__(self, asset_pack_digest: _Optional[str] = ..., mujoco_version: _Optional[str] = ...) -> None: ...
+
+class NextFilmResponse(_message.Message):
+    __slots__ = ("film", "left")
+    FILM_FIELD_NUMBER: _ClassVar[int]
+    LEFT_FIELD_NUMBER: _ClassVar[int]
+    film: Film
+    left: int
+    def __init__(self, film: _Optional[_Union[Film, _Mapping]] = ..., left: _Optional[int] = ...) -> None: ...
+
+class Film(_message.Message):
+    __slots__ = ("attempt_id", "campaign", "replicate", "manifest_row", "realisation", "actions", "success")
+    ATTEMPT_ID_FIELD_NUMBER: _ClassVar[int]
+    CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
+    REPLICATE_FIELD_NUMBER: _ClassVar[int]
+    MANIFEST_ROW_FIELD_NUMBER: _ClassVar[int]
+    REALISATION_FIELD_NUMBER: _ClassVar[int]
+    ACTIONS_FIELD_NUMBER: _ClassVar[int]
+    SUCCESS_FIELD_NUMBER: _ClassVar[int]
+    attempt_id: str
+    campaign: str
+    replicate: int
+    manifest_row: str
+    realisation: str
+    actions: bytes
+    success: bool
+    def __init__(self, attempt_id: _Optional[str] = ..., campaign: _Optional[str] = ..., replicate: _Optional[int] = ..., manifest_row: _Optional[str] = ..., realisation: _Optional[str] = ..., actions: _Optional[bytes] = ..., success: bool = ...) -> None: ...
+
+class PutArtifactResponse(_message.Message):
+    __slots__ = ("path",)
+    PATH_FIELD_NUMBER: _ClassVar[int]
+    path: str
+    def __init__(self, path: _Optional[str] = ...) -> None: ...
+
+class SignOffRequest(_message.Message):
+    __slots__ = ("worker_id",)
+    WORKER_ID_FIELD_NUMBER: _ClassVar[int]
+    worker_id: str
+    def __init__(self, worker_id: _Optional[str] = ...) -> None: ...
+
+class SignOffResponse(_message.Message):
+    __slots__ = ()
+    def __init__(self) -> None: ...
+
+class CreateCampaignRequest(_message.Message):
+    __slots__ = ("spec", "priority")
+    SPEC_FIELD_NUMBER: _ClassVar[int]
+    PRIORITY_FIELD_NUMBER: _ClassVar[int]
+    spec: str
+    priority: int
+    def __init__(self, spec: _Optional[str] = ..., priority: _Optional[int] = ...) -> None: ...
+
+class CreateCampaignResponse(_message.Message):
+    __slots__ = ("jobs_added", "jobs_total", "priority")
+    JOBS_ADDED_FIELD_NUMBER: _ClassVar[int]
+    JOBS_TOTAL_FIELD_NUMBER: _ClassVar[int]
+    PRIORITY_FIELD_NUMBER: _ClassVar[int]
+    jobs_added: int
+    jobs_total: int
+    priority: int
+    def __init__(self, jobs_added: _Optional[int] = ..., jobs_total: _Optional[int] = ..., priority: _Optional[int] = ...) -> None: ...
+
+class ListCampaignsRequest(_message.Message):
+    __slots__ = ()
+    def __init__(self) -> None: ...
+
+class ListCampaignsResponse(_message.Message):
+    __slots__ = ("campaigns",)
+    CAMPAIGNS_FIELD_NUMBER: _ClassVar[int]
+    campaigns: _containers.RepeatedCompositeFieldContainer[CampaignStatus]
+    def __init__(self, campaigns: _Optional[_Iterable[_Union[CampaignStatus, _Mapping]]] = ...) -> None: ...
+
+class GetCampaignRequest(_message.Message):
+    __slots__ = ("campaign",)
+    CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
+    campaign: str
+    def __init__(self, campaign: _Optional[str] = ...) -> None: ...
+
+class GetCampaignResponse(_message.Message):
+    __slots__ = ("status", "spec")
+    STATUS_FIELD_NUMBER: _ClassVar[int]
+    SPEC_FIELD_NUMBER: _ClassVar[int]
+    status: CampaignStatus
+    spec: str
+    def __init__(self, status: _Optional[_Union[CampaignStatus, _Mapping]] = ..., spec: _Optional[str] = ...) -> None: ...
+
+class CampaignStatus(_message.Message):
+    __slots__ = ("campaign", "policy", "total", "queued", "leased", "committed", "quarantined", "succeeded", "policy_paused", "policy_pause_reason", "rate_per_sec", "eta_secs", "live_workers", "waiting_reason", "state", "policy_endpoint", "mixed_fingerprints", "priority", "created_unix_ms")
+    class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        STATE_UNSPECIFIED: _ClassVar[CampaignStatus.State]
+        STATE_RUNNING: _ClassVar[CampaignStatus.State]
+        STATE_PAUSED: _ClassVar[CampaignStatus.State]
+        STATE_CANCELLED: _ClassVar[CampaignStatus.State]
+    STATE_UNSPECIFIED: CampaignStatus.State
+    STATE_RUNNING: CampaignStatus.State
+    STATE_PAUSED: CampaignStatus.State
+    STATE_CANCELLED: CampaignStatus.State
+    CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
+    POLICY_FIELD_NUMBER: _ClassVar[int]
+    TOTAL_FIELD_NUMBER: _ClassVar[int]
+    QUEUED_FIELD_NUMBER: _ClassVar[int]
+    LEASED_FIELD_NUMBER: _ClassVar[int]
+    COMMITTED_FIELD_NUMBER: _ClassVar[int]
+    QUARANTINED_FIELD_NUMBER: _ClassVar[int]
+    SUCCEEDED_FIELD_NUMBER: _ClassVar[int]
+    POLICY_PAUSED_FIELD_NUMBER: _ClassVar[int]
+    POLICY_PAUSE_REASON_FIELD_NUMBER: _ClassVar[int]
+    RATE_PER_SEC_FIELD_NUMBER: _ClassVar[int]
+    ETA_SECS_FIELD_NUMBER: _ClassVar[int]
+    LIVE_WORKERS_FIELD_NUMBER: _ClassVar[int]
+    WAITING_REASON_FIELD_NUMBER: _ClassVar[int]
+    STATE_FIELD_NUMBER: _ClassVar[int]
+    POLICY_ENDPOINT_FIELD_NUMBER: _ClassVar[int]
+    MIXED_FINGERPRINTS_FIELD_NUMBER: _ClassVar[int]
+    PRIORITY_FIELD_NUMBER: _ClassVar[int]
+    CREATED_UNIX_MS_FIELD_NUMBER: _ClassVar[int]
+    campaign: str
+    policy: str
+    total: int
+    queued: int
+    leased: int
+    committed: int
+    quarantined: int
+    succeeded: int
+    policy_paused: bool
+    policy_pause_reason: str
+    rate_per_sec: float
+    eta_secs: float
+    live_workers: int
+    waiting_reason: str
+    state: CampaignStatus.State
+    policy_endpoint: str
+    mixed_fingerprints: str
+    priority: int
+    created_unix_ms: int
+    def __init__(self, campaign: _Optional[str] = ..., policy: _Optional[str] = ..., total: _Optional[int] = ..., queued: _Optional[int] = ..., leased: _Optional[int] = ..., committed: _Optional[int] = ..., quarantined: _Optional[int] = ..., succeeded: _Optional[int] = ..., policy_paused: bool = ..., policy_pause_reason: _Optional[str] = ..., rate_per_sec: _Optional[float] = ..., eta_secs: _Optional[float] = ..., live_workers: _Optional[int] = ..., waiting_reason: _Optional[str] = ..., state: _Optional[_Union[CampaignStatus.State, str]] = ..., policy_endpoint: _Optional[str] = ..., mixed_fingerprints: _Optional[str] = ..., priority: _Optional[int] = ..., created_unix_ms: _Optional[int] = ...) -> None: ...
+
+class ChangeCampaignRequest(_message.Message):
+    __slots__ = ("campaign", "change")
+    class Change(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        CHANGE_UNSPECIFIED: _ClassVar[ChangeCampaignRequest.Change]
+        CHANGE_PAUSE: _ClassVar[ChangeCampaignRequest.Change]
+        CHANGE_RESUME: _ClassVar[ChangeCampaignRequest.Change]
+        CHANGE_CANCEL: _ClassVar[ChangeCampaignRequest.Change]
+    CHANGE_UNSPECIFIED: ChangeCampaignRequest.Change
+    CHANGE_PAUSE: ChangeCampaignRequest.Change
+    CHANGE_RESUME: ChangeCampaignRequest.Change
+    CHANGE_CANCEL: ChangeCampaignRequest.Change
+    CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
+    CHANGE_FIELD_NUMBER: _ClassVar[int]
+    campaign: str
+    change: ChangeCampaignRequest.Change
+    def __init__(self, campaign: _Optional[str] = ..., change: _Optional[_Union[ChangeCampaignRequest.Change, str]] = ...) -> None: ...
+
+class ChangeCampaignResponse(_message.Message):
+    __slots__ = ("state",)
+    STATE_FIELD_NUMBER: _ClassVar[int]
+    state: CampaignStatus.State
+    def __init__(self, state: _Optional[_Union[CampaignStatus.State, str]] = ...) -> None: ...
+
+class DeleteCampaignRequest(_message.Message):
+    __slots__ = ("campaign", "confirm")
+    CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
+    CONFIRM_FIELD_NUMBER: _ClassVar[int]
+    campaign: str
+    confirm: str
+    def __init__(self, campaign: _Optional[str] = ..., confirm: _Optional[str] = ...) -> None: ...
+
+class DeleteCampaignResponse(_message.Message):
+    __slots__ = ("jobs", "results")
+    JOBS_FIELD_NUMBER: _ClassVar[int]
+    RESULTS_FIELD_NUMBER: _ClassVar[int]
+    jobs: int
+    results: int
+    def __init__(self, jobs: _Optional[int] = ..., results: _Optional[int] = ...) -> None: ...
+
+class JobName(_message.Message):
+    __slots__ = ("rollout_id", "replicate")
+    ROLLOUT_ID_FIELD_NUMBER: _ClassVar[int]
+    REPLICATE_FIELD_NUMBER: _ClassVar[int]
+    rollout_id: str
+    replicate: int
+    def __init__(self, rollout_id: _Optional[str] = ..., replicate: _Optional[int] = ...) -> None: ...
+
+class ListJobsRequest(_message.Message):
+    __slots__ = ("campaign", "state", "after_job_id", "limit", "outcome", "task", "condition", "level")
+    CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
+    STATE_FIELD_NUMBER: _ClassVar[int]
+    AFTER_JOB_ID_FIELD_NUMBER: _ClassVar[int]
+    LIMIT_FIELD_NUMBER: _ClassVar[int]
+    OUTCOME_FIELD_NUMBER: _ClassVar[int]
+    TASK_FIELD_NUMBER: _ClassVar[int]
+    CONDITION_FIELD_NUMBER: _ClassVar[int]
+    LEVEL_FIELD_NUMBER: _ClassVar[int]
+    campaign: str
+    state: str
+    after_job_id: int
+    limit: int
+    outcome: str
+    task: str
+    condition: str
+    level: str
+    def __init__(self, campaign: _Optional[str] = ..., state: _Optional[str] = ..., after_job_id: _Optional[int] = ..., limit: _Optional[int] = ..., outcome: _Optional[str] = ..., task: _Optional[str] = ..., condition: _Optional[str] = ..., level: _Optional[str] = ...) -> None: ...
+
+class ListJobsResponse(_message.Message):
+    __slots__ = ("jobs",)
+    JOBS_FIELD_NUMBER: _ClassVar[int]
+    jobs: _containers.RepeatedCompositeFieldContainer[Job]
+    def __init__(self, jobs: _Optional[_Iterable[_Union[Job, _Mapping]]] = ...) -> None: ...
+
+class Job(_message.Message):
+    __slots__ = ("job_id", "rollout_id", "replicate", "state", "attempt", "charged_attempts", "attempt_id", "lease_owner", "lease_left_secs", "control_steps", "backoff_left_secs", "last_error", "success", "steps")
+    JOB_ID_FIELD_NUMBER: _ClassVar[int]
+    ROLLOUT_ID_FIELD_NUMBER: _ClassVar[int]
+    REPLICATE_FIELD_NUMBER: _ClassVar[int]
+    STATE_FIELD_NUMBER: _ClassVar[int]
+    ATTEMPT_FIELD_NUMBER: _ClassVar[int]
+    CHARGED_ATTEMPTS_FIELD_NUMBER: _ClassVar[int]
+    ATTEMPT_ID_FIELD_NUMBER: _ClassVar[int]
+    LEASE_OWNER_FIELD_NUMBER: _ClassVar[int]
+    LEASE_LEFT_SECS_FIELD_NUMBER: _ClassVar[int]
+    CONTROL_STEPS_FIELD_NUMBER: _ClassVar[int]
+    BACKOFF_LEFT_SECS_FIELD_NUMBER: _ClassVar[int]
+    LAST_ERROR_FIELD_NUMBER: _ClassVar[int]
+    SUCCESS_FIELD_NUMBER: _ClassVar[int]
+    STEPS_FIELD_NUMBER: _ClassVar[int]
+    job_id: int
+    rollout_id: str
+    replicate: int
+    state: str
+    attempt: int
+    charged_attempts: int
+    attempt_id: str
+    lease_owner: str
+    lease_left_secs: float
+    control_steps: int
+    backoff_left_secs: float
+    last_error: str
+    success: bool
+    steps: int
+    def __init__(self, job_id: _Optional[int] = ..., rollout_id: _Optional[str] = ..., replicate: _Optional[int] = ..., state: _Optional[str] = ..., attempt: _Optional[int] = ..., charged_attempts: _Optional[int] = ..., attempt_id: _Optional[str] = ..., lease_owner: _Optional[str] = ..., lease_left_secs: _Optional[float] = ..., control_steps: _Optional[int] = ..., backoff_left_secs: _Optional[float] = ..., last_error: _Optional[str] = ..., success: bool = ..., steps: _Optional[int] = ...) -> None: ...
+
+class GetJobRequest(_message.Message):
+    __slots__ = ("campaign", "job")
+    CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
+    JOB_FIELD_NUMBER: _ClassVar[int]
+    campaign: str
+    job: JobName
+    def __init__(self, campaign: _Optional[str] = ..., job: _Optional[_Union[JobName, _Mapping]] = ...) -> None: ...
+
+class GetJobResponse(_message.Message):
+    __slots__ = ("job", "manifest_row", "stale_reports", "failures", "result")
+    JOB_FIELD_NUMBER: _ClassVar[int]
+    MANIFEST_ROW_FIELD_NUMBER: _ClassVar[int]
+    STALE_REPORTS_FIELD_NUMBER: _ClassVar[int]
+    FAILURES_FIELD_NUMBER: _ClassVar[int]
+    RESULT_FIELD_NUMBER: _ClassVar[int]
+    job: Job
+    manifest_row: str
+    stale_reports: int
+    failures: _containers.RepeatedCompositeFieldContainer[Failure]
+    result: ResultOrigin
+    def __init__(self, job: _Optional[_Union[Job, _Mapping]] = ..., manifest_row: _Optional[str] = ..., stale_reports: _Optional[int] = ..., failures: _Optional[_Iterable[_Union[Failure, _Mapping]]] = ..., result: _Optional[_Union[ResultOrigin, _Mapping]] = ...) -> None: ...
+
+class Failure(_message.Message):
+    __slots__ = ("attempt", "worker_id", "ago_secs", "reason", "charged", "error", "failed_unix_ms")
+    ATTEMPT_FIELD_NUMBER: _ClassVar[int]
+    WORKER_ID_FIELD_NUMBER: _ClassVar[int]
+    AGO_SECS_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    CHARGED_FIELD_NUMBER: _ClassVar[int]
+    ERROR_FIELD_NUMBER: _ClassVar[int]
+    FAILED_UNIX_MS_FIELD_NUMBER: _ClassVar[int]
+    attempt: int
+    worker_id: str
+    ago_secs: float
+    reason: str
+    charged: bool
+    error: str
+    failed_unix_ms: int
+    def __init__(self, attempt: _Optional[int] = ..., worker_id: _Optional[str] = ..., ago_secs: _Optional[float] = ..., reason: _Optional[str] = ..., charged: bool = ..., error: _Optional[str] = ..., failed_unix_ms: _Optional[int] = ...) -> None: ...
+
+class ResultOrigin(_message.Message):
+    __slots__ = ("attempt", "worker_id", "ago_secs", "wall_secs", "host", "renderer", "divergences", "video", "committed_unix_ms")
+    ATTEMPT_FIELD_NUMBER: _ClassVar[int]
+    WORKER_ID_FIELD_NUMBER: _ClassVar[int]
+    AGO_SECS_FIELD_NUMBER: _ClassVar[int]
+    WALL_SECS_FIELD_NUMBER: _ClassVar[int]
+    HOST_FIELD_NUMBER: _ClassVar[int]
+    RENDERER_FIELD_NUMBER: _ClassVar[int]
+    DIVERGENCES_FIELD_NUMBER: _ClassVar[int]
+    VIDEO_FIELD_NUMBER: _ClassVar[int]
+    COMMITTED_UNIX_MS_FIELD_NUMBER: _ClassVar[int]
+    attempt: int
+    worker_id: str
+    ago_secs: float
+    wall_secs: float
+    host: str
+    renderer: str
+    divergences: int
+    video: str
+    committed_unix_ms: int
+    def __init__(self, attempt: _Optional[int] = ..., worker_id: _Optional[str] = ..., ago_secs: _Optional[float] = ..., wall_secs: _Optional[float] = ..., host: _Optional[str] = ..., renderer: _Optional[str] = ..., divergences: _Optional[int] = ..., video: _Optional[str] = ..., committed_unix_ms: _Optional[int] = ...) -> None: ...
+
+class RetryJobsRequest(_message.Message):
+    __slots__ = ("campaign", "jobs", "all")
+    CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
+    JOBS_FIELD_NUMBER: _ClassVar[int]
+    ALL_FIELD_NUMBER: _ClassVar[int]
+    campaign: str
+    jobs: _containers.RepeatedCompositeFieldContainer[JobName]
+    all: bool
+    def __init__(self, campaign: _Optional[str] = ..., jobs: _Optional[_Iterable[_Union[JobName, _Mapping]]] = ..., all: bool = ...) -> None: ...
+
+class RetryJobsResponse(_message.Message):
+    __slots__ = ("jobs",)
+    JOBS_FIELD_NUMBER: _ClassVar[int]
+    jobs: int
+    def __init__(self, jobs: _Optional[int] = ...) -> None: ...
+
+class ListWorkersRequest(_message.Message):
+    __slots__ = ()
+    def __init__(self) -> None: ...
+
+class ListWorkersResponse(_message.Message):
+    __slots__ = ("workers",)
+    WORKERS_FIELD_NUMBER: _ClassVar[int]
+    workers: _containers.RepeatedCompositeFieldContainer[WorkerStatus]
+    def __init__(self, workers: _Optional[_Iterable[_Union[WorkerStatus, _Mapping]]] = ...) -> None: ...
+
+class WorkerStatus(_message.Message):
+    __slots__ = ("worker_id", "host", "slots", "leases", "asset_pack", "mujoco_version", "renderer", "program_version", "silent_secs", "alive", "charged_in_a_row", "stopped_reason", "filming", "last_seen_unix_ms", "registered_unix_ms", "signed_off")
+    WORKER_ID_FIELD_NUMBER: _ClassVar[int]
+    HOST_FIELD_NUMBER: _ClassVar[int]
+    SLOTS_FIELD_NUMBER: _ClassVar[int]
+    LEASES_FIELD_NUMBER: _ClassVar[int]
+    ASSET_PACK_FIELD_NUMBER: _ClassVar[int]
+    MUJOCO_VERSION_FIELD_NUMBER: _ClassVar[int]
+    RENDERER_FIELD_NUMBER: _ClassVar[int]
+    PROGRAM_VERSION_FIELD_NUMBER: _ClassVar[int]
+    SILENT_SECS_FIELD_NUMBER: _ClassVar[int]
+    ALIVE_FIELD_NUMBER: _ClassVar[int]
+    CHARGED_IN_A_ROW_FIELD_NUMBER: _ClassVar[int]
+    STOPPED_REASON_FIELD_NUMBER: _ClassVar[int]
+    FILMING_FIELD_NUMBER: _ClassVar[int]
+    LAST_SEEN_UNIX_MS_FIELD_NUMBER: _ClassVar[int]
+    REGISTERED_UNIX_MS_FIELD_NUMBER: _ClassVar[int]
+    SIGNED_OFF_FIELD_NUMBER: _ClassVar[int]
+    worker_id: str
+    host: str
+    slots: int
+    leases: int
+    asset_pack: str
+    mujoco_version: str
+    renderer: str
+    program_version: str
+    silent_secs: float
+    alive: bool
+    charged_in_a_row: int
+    stopped_reason: str
+    filming: int
+    last_seen_unix_ms: int
+    registered_unix_ms: int
+    signed_off: bool
+    def __init__(self, worker_id: _Optional[str] = ..., host: _Optional[str] = ..., slots: _Optional[int] = ..., leases: _Optional[int] = ..., asset_pack: _Optional[str] = ..., mujoco_version: _Optional[str] = ..., renderer: _Optional[str] = ..., program_version: _Optional[str] = ..., silent_secs: _Optional[float] = ..., alive: bool = ..., charged_in_a_row: _Optional[int] = ..., stopped_reason: _Optional[str] = ..., filming: _Optional[int] = ..., last_seen_unix_ms: _Optional[int] = ..., registered_unix_ms: _Optional[int] = ..., signed_off: bool = ...) -> None: ...
+
+class BackupRequest(_message.Message):
+    __slots__ = ()
+    def __init__(self) -> None: ...
+
+class BackupChunk(_message.Message):
+    __slots__ = ("data",)
+    DATA_FIELD_NUMBER: _ClassVar[int]
+    data: bytes
+    def __init__(self, data: _Optional[bytes] = ...) -> None: ...
+
+class ReportRequest(_message.Message):
+    __slots__ = ("campaign",)
+    CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
+    campaign: str
+    def __init__(self, campaign: _Optional[str] = ...) -> None: ...
+
+class ReportPart(_message.Message):
+    __slots__ = ("json",)
+    JSON_FIELD_NUMBER: _ClassVar[int]
+    json: bytes
+    def __init__(self, json: _Optional[bytes] = ...) -> None: ...
+
+class ExportRequest(_message.Message):
+    __slots__ = ("campaign",)
+    CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
+    campaign: str
+    def __init__(self, campaign: _Optional[str] = ...) -> None: ...
+
+class ExportLine(_message.Message):
+    __slots__ = ("json",)
+    JSON_FIELD_NUMBER: _ClassVar[int]
+    json: str
+    def __init__(self, json: _Optional[str] = ...) -> None: ...
+
+class AlterCampaignRequest(_message.Message):
+    __slots__ = ("campaign", "priority", "policy_endpoint", "policy", "name")
+    CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
+    PRIORITY_FIELD_NUMBER: _ClassVar[int]
+    POLICY_ENDPOINT_FIELD_NUMBER: _ClassVar[int]
+    POLICY_FIELD_NUMBER: _ClassVar[int]
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    campaign: str
+    priority: int
+    policy_endpoint: str
+    policy: str
+    name: str
+    def __init__(self, campaign: _Optional[str] = ..., priority: _Optional[int] = ..., policy_endpoint: _Optional[str] = ..., policy: _Optional[str] = ..., name: _Optional[str] = ...) -> None: ...
+
+class AlterCampaignResponse(_message.Message):
+    __slots__ = ("status", "taken_back")
+    STATUS_FIELD_NUMBER: _ClassVar[int]
+    TAKEN_BACK_FIELD_NUMBER: _ClassVar[int]
+    status: CampaignStatus
+    taken_back: int
+    def __init__(self, status: _Optional[_Union[CampaignStatus, _Mapping]] = ..., taken_back: _Optional[int] = ...) -> None: ...
+
+class ForecastRequest(_message.Message):
+    __slots__ = ("policy", "rollouts")
+    POLICY_FIELD_NUMBER: _ClassVar[int]
+    ROLLOUTS_FIELD_NUMBER: _ClassVar[int]
+    policy: str
+    rollouts: _containers.RepeatedCompositeFieldContainer[SuiteRollouts]
+    def __init__(self, policy: _Optional[str] = ..., rollouts: _Optional[_Iterable[_Union[SuiteRollouts, _Mapping]]] = ...) -> None: ...
+
+class SuiteRollouts(_message.Message):
+    __slots__ = ("suite", "rollouts")
+    SUITE_FIELD_NUMBER: _ClassVar[int]
+    ROLLOUTS_FIELD_NUMBER: _ClassVar[int]
+    suite: str
+    rollouts: int
+    def __init__(self, suite: _Optional[str] = ..., rollouts: _Optional[int] = ...) -> None: ...
+
+class ForecastResponse(_message.Message):
+    __slots__ = ("workers", "slots", "secs", "results", "is_of_policy", "unmeasured_suites")
+    WORKERS_FIELD_NUMBER: _ClassVar[int]
+    SLOTS_FIELD_NUMBER: _ClassVar[int]
+    SECS_FIELD_NUMBER: _ClassVar[int]
+    RESULTS_FIELD_NUMBER: _ClassVar[int]
+    IS_OF_POLICY_FIELD_NUMBER: _ClassVar[int]
+    UNMEASURED_SUITES_FIELD_NUMBER: _ClassVar[int]
+    workers: int
+    slots: int
+    secs: float
+    results: int
+    is_of_policy: bool
+    unmeasured_suites: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, workers: _Optional[int] = ..., slots: _Optional[int] = ..., secs: _Optional[float] = ..., results: _Optional[int] = ..., is_of_policy: bool = ..., unmeasured_suites: _Optional[_Iterable[str]] = ...) -> None: ...

@@ -1,0 +1,268 @@
+"""Reports and comparisons as frames. The program `coordinator` computes them; here, their
+JSON and their table are only laid out (docs/REPORT.md says what each figure is)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import pandas as pd
+
+from . import frames
+from .connection import Connection
+from .frames import COUNT, INTEGER, NUMBER, OUTCOME, TEXT
+from .program import Program
+
+AXES = ("camera", "lighting", "robot", "sensor", "actuation", "language")
+INTERVALS = ("d", "i", "r_e", "r_c", "r_d")
+#: Conditions as rollout ids have them: no perturbation, and all at once.
+CLEAN, COMBINATION = "clean", "combination"
+
+SUCCESS = {
+    "policy": TEXT,
+    "replicate": COUNT,
+    "level": TEXT,
+    "condition": TEXT,
+    "successes": COUNT,
+    "n": COUNT,
+    "rate": NUMBER,
+    "missing": COUNT,
+    "quarantined": COUNT,
+}
+
+PAIRED = {
+    "policy": TEXT,
+    "replicate": COUNT,
+    "level": TEXT,
+    "n": COUNT,
+    "tasks": COUNT,
+    **{f"s_{axis}": NUMBER for axis in AXES},
+    "s_indep": NUMBER,
+    "s_conj": NUMBER,
+    "s_sim": NUMBER,
+    **{
+        column: NUMBER
+        for name in INTERVALS
+        for column in (name, f"{name}_ci95_low", f"{name}_ci95_high")
+    },
+    "b": COUNT,
+    "c": COUNT,
+    "emergent_share": NUMBER,
+    "mcnemar_p": NUMBER,
+    "no_interval": TEXT,
+}
+
+#: Columns of `coordinator report --table`, with the types of its Parquet files.
+CONFIGURATIONS = {
+    "policy": TEXT,
+    "origin": TEXT,
+    "replicate": COUNT,
+    "level": TEXT,
+    "suite": TEXT,
+    "task": COUNT,
+    "config": COUNT,
+    "init_id": COUNT,
+    "nominal": OUTCOME,
+    **{axis: OUTCOME for axis in AXES},
+    "conjunction": OUTCOME,
+    "combination": OUTCOME,
+    "transition": TEXT,
+    "unresolved": TEXT,
+}
+
+CELLS = {
+    "replicate": COUNT,
+    "level": TEXT,
+    "condition": TEXT,
+    "shared": COUNT,
+    "missing": COUNT,
+    "quarantined": COUNT,
+    "n": INTEGER,
+    "tasks": INTEGER,
+    "s_a": NUMBER,
+    "s_b": NUMBER,
+    "difference": NUMBER,
+    "difference_ci95_low": NUMBER,
+    "difference_ci95_high": NUMBER,
+    "no_interval": TEXT,
+    "both": INTEGER,
+    "a_only": INTEGER,
+    "b_only": INTEGER,
+    "neither": INTEGER,
+    "mcnemar_p": NUMBER,
+    "difference_worst": NUMBER,
+    "difference_best": NUMBER,
+}
+
+
+@dataclass(frozen=True)
+class Report:
+    """What campaigns and result files have shown, as far as they have come.
+
+    Rates are fractions. `policy` is the report's label of a policy: its name, and its
+    campaign's where several campaigns have it.
+    """
+
+    #: Everything, as `coordinator report --json` prints it.
+    json: Mapping[str, Any] = field(repr=False)
+    #: What to know before believing a figure.
+    warnings: tuple[str, ...]
+    #: A row per policy, replicate, level and condition (`clean` at L0, each axis alone,
+    #: `combination`): successes of n rollouts; those without an outcome.
+    success: pd.DataFrame = field(repr=False)
+    #: A row per policy, replicate and level: the protocol's paired measures with the ends of
+    #: their 95 % intervals.
+    paired: pd.DataFrame = field(repr=False)
+    #: A row per policy, replicate, level and configuration, with all its outcomes.
+    configurations: pd.DataFrame = field(repr=False)
+
+    @property
+    def emergent(self) -> pd.DataFrame:
+        """Configurations that every axis alone leaves solved, and that fail under all."""
+        return self._of_transition("emergent")
+
+    @property
+    def compensated(self) -> pd.DataFrame:
+        """Configurations that fail under some axis alone, and are solved under all."""
+        return self._of_transition("compensated")
+
+    def _of_transition(self, name: str) -> pd.DataFrame:
+        is_it = self.configurations["transition"].eq(name).fillna(False)
+        rows: pd.DataFrame = self.configurations.loc[is_it].reset_index(drop=True)
+        return rows
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two policies over the rollouts that both have. Differences are A - B."""
+
+    #: Everything, as `coordinator compare --json` prints it.
+    json: Mapping[str, Any] = field(repr=False)
+    #: The labels of the two.
+    a: str
+    b: str
+    #: What to know of comparing them, and of either of them.
+    warnings: tuple[str, ...]
+    notes: tuple[str, ...]
+    #: A row per replicate, level and condition (`clean` at L0, each axis, `combination`).
+    #: `difference_worst` and `_best`: whatever quarantined rollouts would have come to.
+    cells: pd.DataFrame = field(repr=False)
+    #: Rollouts that were not the same for both, by reason.
+    unpaired: Mapping[str, tuple[str, ...]]
+
+
+def report(connection: Connection, program: Program, sources: tuple[str | Path, ...]) -> Report:
+    """A report on campaigns (names) and result files (paths). Raises CoordinatorError."""
+    _look_for(connection, sources)
+    names = [source for source in sources if isinstance(source, str)]
+    files = [word for path in sources if isinstance(path, Path) for word in ("--from", path)]
+    types: dict[Any, Any] = dict(CONFIGURATIONS)
+    with TemporaryDirectory(prefix="rollout-") as folder:
+        table = Path(folder) / "configurations.csv"
+        command = ("report", *names, "--json", *files, "--table", table)
+        text = program.run(*program.connected(*command))
+        # A policy may be called NA.
+        rows = pd.read_csv(table, dtype=types, keep_default_na=False, na_values=[""])
+    document = json.loads(text)
+    return Report(
+        json=document,
+        warnings=tuple(document["warnings"]),
+        success=frames.frame(_success(document), SUCCESS),
+        paired=frames.frame(_paired(document), PAIRED),
+        configurations=rows,
+    )
+
+
+def compare(connection: Connection, program: Program, a: str | Path, b: str | Path) -> Comparison:
+    """A - B, of campaigns (names) or result files (paths). Raises CoordinatorError."""
+    _look_for(connection, (a, b))
+    words = [w for source in (a, b) for w in _source(source)]
+    text = program.run(*program.connected("compare", *words, "--json"))
+    document = json.loads(text)
+    return Comparison(
+        json=document,
+        a=document["a"]["label"],
+        b=document["b"]["label"],
+        warnings=tuple(document["warnings"]),
+        notes=tuple(document["notes"]),
+        cells=frames.frame(map(_cell, document["cells"]), CELLS),
+        unpaired={reason: tuple(ids) for reason, ids in document["unpaired"].items()},
+    )
+
+
+def _look_for(connection: Connection, sources: tuple[str | Path, ...]) -> None:
+    """Asks for the campaigns once: the coordinator's errors have types, the program's have
+    only words."""
+    for source in sources:
+        if isinstance(source, str):
+            connection.campaign(source)
+
+
+def _source(source: str | Path) -> tuple[str | Path, ...]:
+    return ("--from", source) if isinstance(source, Path) else (source,)
+
+
+def _success(document: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    for subject in document["reports"]:
+        for nominal in subject["nominal"]:
+            place = {"replicate": nominal["replicate"], "level": "L0"}
+            counts = _counts(nominal["count"], nominal["gap"])
+            yield {"policy": subject["label"], **place, "condition": CLEAN, **counts}
+        for cell in subject["cells"]:
+            place = {"replicate": cell["replicate"], "level": cell["level"]}
+            gaps = cell["completeness"]["gaps"]
+            conditions = {axis: alone["count"] for axis, alone in cell["alone"].items()}
+            if cell["simultaneous"] is not None:
+                conditions[COMBINATION] = cell["simultaneous"]
+            for condition, count in conditions.items():
+                counts = _counts(count, gaps.get(condition))
+                yield {"policy": subject["label"], **place, "condition": condition, **counts}
+
+
+def _counts(count: Mapping[str, int], gap: Mapping[str, int] | None) -> dict[str, Any]:
+    n = count["n"]
+    gap = gap or {}
+    return {
+        **count,
+        "rate": count["successes"] / n if n else None,
+        "missing": gap.get("missing", 0),
+        "quarantined": gap.get("quarantined", 0),
+    }
+
+
+def _paired(document: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    for subject in document["reports"]:
+        for cell in subject["cells"]:
+            measures = cell["paired"]
+            if measures is None:
+                continue
+            yield {
+                "policy": subject["label"],
+                "replicate": cell["replicate"],
+                "level": cell["level"],
+                **measures,
+                **{f"s_{axis}": rate for axis, rate in measures["s_axis"].items()},
+                **{end: it for name in INTERVALS for end, it in _ends(measures, name).items()},
+            }
+
+
+def _cell(cell: Mapping[str, Any]) -> dict[str, Any]:
+    difference = cell["difference"] or {}
+    worst, best = (cell["bounds"] or {}).get("difference", (None, None))
+    return {
+        **cell,
+        "difference": None,
+        **difference,
+        **_ends(difference, "difference"),
+        "difference_worst": worst,
+        "difference_best": best,
+    }
+
+
+def _ends(measures: Mapping[str, Any], name: str) -> dict[str, float | None]:
+    low, high = measures.get(f"{name}_ci95") or (None, None)
+    return {f"{name}_ci95_low": low, f"{name}_ci95_high": high}

@@ -1,0 +1,29 @@
+"""LIBERO without OpenGL: many environments in one process, faithful to the original.
+
+``Environment`` and ``VectorEnvironment`` are gymnasium's interfaces to LIBERO's tasks.
+"""
+
+from rollout_libero._library import native as _native
+from rollout_libero.environment import Environment
+from rollout_libero.files import MissingAssetsError
+from rollout_libero.tasks import Task, tasks
+from rollout_libero.vector import VectorEnvironment
+
+BusyError = _native.BusyError
+ClosedError = _native.ClosedError
+FilesError = _native.FilesError
+SimulationError = _native.SimulationError
+Snapshot = _native.Snapshot
+
+__all__ = [
+    "BusyError",
+    "ClosedError",
+    "Environment",
+    "FilesError",
+    "MissingAssetsError",
+    "SimulationError",
+    "Snapshot",
+    "Task",
+    "VectorEnvironment",
+    "tasks",
+]

@@ -1,0 +1,32 @@
+"""Loads the extension so that it uses its own MuJoCo.
+
+The ``mujoco`` package offers its library's symbols to the whole process. If it is of
+another version, and was imported first, the extension would call that one: physically
+another benchmark. So the extension looks its symbols up in its own libraries first.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+
+MUJOCO = "3.3.7"
+
+
+def _load():  # noqa: ANN202 - a module
+    deep = getattr(os, "RTLD_DEEPBIND", 0)
+    before = sys.getdlopenflags()
+    sys.setdlopenflags(os.RTLD_NOW | os.RTLD_LOCAL | deep)
+    try:
+        from rollout_libero import _native
+    finally:
+        sys.setdlopenflags(before)
+    if _native.mujoco_version() != MUJOCO:
+        raise ImportError(
+            f"load MuJoCo {MUJOCO}: this process has {_native.mujoco_version()} in its place; "
+            "import rollout_libero before mujoco"
+        )
+    return _native
+
+
+native = _load()

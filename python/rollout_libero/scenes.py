@@ -1,0 +1,48 @@
+"""Compiled scenes: one of a task and an asset pack in a process, shared by all of its
+environments."""
+
+from __future__ import annotations
+
+import threading
+import weakref
+from os import PathLike
+
+from rollout_libero import files
+from rollout_libero._library import native
+from rollout_libero.tasks import Task
+
+_scenes: weakref.WeakValueDictionary[tuple[str, str, str], native.Scene] = (
+    weakref.WeakValueDictionary()
+)
+_lock = threading.Lock()
+
+
+def scene_of_task(task: Task, assets: str | PathLike[str] | None) -> native.Scene:
+    """The compiled scene of a task with its initial states.
+
+    Raises:
+        FileNotFoundError: if files are missing.
+    """
+    libero = files.sources() / "libero"
+    bddl = libero / "bddl_files" / task.suite / f"{task.file}.bddl"
+    init = libero / "init_files" / task.suite / f"{task.file}.pruned_init"
+    return scene(str(bddl), assets, init_file=str(init))
+
+
+def scene(
+    bddl_file: str, assets: str | PathLike[str] | None, *, init_file: str | None = None
+) -> native.Scene:
+    """The compiled scene of a BDDL file.
+
+    Raises:
+        FileNotFoundError: if files are missing.
+    """
+    sources, pack = str(files.sources()), files.assets(assets)
+    key = (bddl_file, pack, init_file or "")
+    # Compiling takes a second; two threads that want the same wait for one.
+    with _lock:
+        found = _scenes.get(key)
+        if found is None:
+            found = native.Scene(bddl_file, assets=pack, sources=sources, init_file=init_file)
+            _scenes[key] = found
+        return found

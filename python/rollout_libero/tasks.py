@@ -1,0 +1,43 @@
+"""The forty evaluation tasks."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from rollout_libero._library import native
+
+SUITES = ("libero_spatial", "libero_object", "libero_goal", "libero_10")
+TASKS_PER_SUITE = 10
+
+
+class Task(NamedTuple):
+    """A task of the benchmark."""
+
+    name: str
+    """``libero_goal/3``: its suite, and its place there in the benchmark's order."""
+    file: str
+    """Stem of its BDDL file and of its initial states."""
+    suite: str
+    instruction: str
+    max_steps: int
+    """Control steps that a policy has for it in LIBERO-CTRL."""
+
+    @classmethod
+    def of(cls, name: str) -> Task:
+        """The task of a name.
+
+        Raises:
+            ValueError: if there is none; it says which there are.
+        """
+        suite, index, file, instruction, max_steps = native.task(name)
+        return cls(f"{suite}/{index}", file, suite, instruction, max_steps)
+
+
+def tasks(suite: str | None = None) -> list[Task]:
+    """The tasks of a suite, or all forty.
+
+    Raises:
+        ValueError: if there is no such suite.
+    """
+    suites = SUITES if suite is None else (suite,)
+    return [Task.of(f"{suite}/{index}") for suite in suites for index in range(TASKS_PER_SUITE)]

@@ -1,0 +1,199 @@
+"""Who is let in, and what is said of what is not a coordinator."""
+
+import http.server
+import logging
+import socket
+import threading
+
+import pytest
+
+from rollout_client import Client
+from rollout_client.errors import (
+    AccessDeniedError,
+    CoordinatorError,
+    SettingsError,
+    UnreachableError,
+)
+
+from .conftest import specification
+
+TOKENS = {"operator": "a" * 32, "viewer": "b" * 32, "worker": "c" * 32}
+
+
+def token_file(folder, *lines):
+    path = folder / "tokens"
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+@pytest.fixture(scope="module")
+def guarded(serve, certificates, tmp_path_factory):
+    """The URL of a coordinator with TLS and tokens."""
+    lines = [f"{role} {token}" for role, token in TOKENS.items()]
+    tokens = token_file(tmp_path_factory.mktemp("tokens"), *lines)
+    server = serve(
+        "--tls-cert", certificates / "cert.pem", "--tls-key", certificates / "key.pem",
+        "--token-file", tokens,
+    )  # fmt: skip
+    return f"https://localhost:{server.port}"
+
+
+def test_an_operator_steers_a_guarded_coordinator_and_its_program_too(
+    guarded, certificates, connect, tmp_path
+):
+    # Of a whole file, the operator's line is shown.
+    tokens = token_file(tmp_path, "# mine", *(f"{r} {t}" for r, t in sorted(TOKENS.items())[::-1]))
+    client = connect(guarded, ca=certificates / "ca.pem", token_file=tokens)
+    campaign = client.create(specification("guarded"))
+    assert campaign.report().success["missing"].sum() == 8
+    assert client.forecast(specification("more")).total == 8
+
+
+def test_credentials_come_from_the_environment_as_those_of_the_command_line(
+    guarded, certificates, connect, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("COORDINATOR_URL", guarded)
+    monkeypatch.setenv("ROLLOUT_CA", str(certificates / "ca.pem"))
+    monkeypatch.setenv("ROLLOUT_TOKENS", f"viewer {TOKENS['viewer']}")
+    assert connect(None).campaigns() is not None
+    lines = token_file(tmp_path, f"operator {'d' * 32}")
+    monkeypatch.setenv("ROLLOUT_TOKEN_FILE", str(lines))
+    with pytest.raises(AccessDeniedError):
+        connect(None).campaigns()
+
+
+def test_who_may_not_is_told_which_token_it_takes(guarded, certificates, connect, tmp_path):
+    ca = certificates / "ca.pem"
+    with pytest.raises(AccessDeniedError, match="without a token.*token_file"):
+        connect(guarded, ca=ca).campaigns()
+    with pytest.raises(AccessDeniedError, match="none that this server knows"):
+        connect(guarded, ca=ca, token_file=token_file(tmp_path, f"viewer {'d' * 32}")).campaigns()
+    viewer = token_file(tmp_path, f"viewer {TOKENS['viewer']}")
+    client = connect(guarded, ca=ca, token_file=viewer)
+    assert client.campaigns() is not None
+    with pytest.raises(AccessDeniedError, match="operator") as denied:
+        client.create(specification("mine"))
+    assert TOKENS["viewer"] not in str(denied.value)
+    assert TOKENS["viewer"] not in repr(client._connection.access)
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        (["operator"], "line 1 .*ROLE TOKEN"),
+        (["", "king 0123456789abcdef"], "line 2 .*ROLE TOKEN"),
+        ([f"worker {TOKENS['worker']}"], "token of role operator or viewer"),
+        (["# nothing"], "token of role operator or viewer"),
+    ],
+)
+def test_a_token_file_that_is_no_use_is_named_with_the_line(tmp_path, lines, said):
+    with pytest.raises(SettingsError, match=said) as wrong:
+        Client(token_file=token_file(tmp_path, *lines))
+    assert TOKENS["worker"] not in str(wrong.value)
+
+
+def test_files_and_addresses_that_are_none_are_named(tmp_path):
+    (tmp_path / "text").write_text("no certificate")
+    with pytest.raises(SettingsError, match="absent"):
+        Client(token_file=tmp_path / "absent")
+    with pytest.raises(SettingsError, match="certificates as PEM"):
+        Client(ca=tmp_path / "text")
+    for url in ("keeper:7411", "ftp://keeper", "http://", "http://keeper:7411/page", "http://h:x"):
+        with pytest.raises(SettingsError, match="http://HOST:PORT"):
+            Client(url)
+
+
+def test_a_token_is_never_sent_in_the_clear_to_another_machine(tmp_path):
+    tokens = token_file(tmp_path, f"viewer {TOKENS['viewer']}")
+
+    def shown(url):
+        return bool(Client(url, token_file=tokens)._connection.access.metadata)
+
+    urls = ("https://h:1", "http://127.0.0.1:1", "http://[::1]:1", "http://localhost:1")
+    assert all(map(shown, urls))
+    urls = ("http://h:1", "http://10.0.0.7:1", "http://localhost.evil:1", "grpc://h:1")
+    assert not any(map(shown, urls))
+
+
+def unreachable(client):
+    with pytest.raises(UnreachableError) as failed:
+        client.campaigns()
+    assert failed.value.found in str(failed.value)
+    assert failed.value.remedy in str(failed.value)
+    assert isinstance(failed.value, ConnectionError)
+    return failed.value
+
+
+def test_where_nothing_is_the_error_says_so_and_how_to_start_one(connect):
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    error = unreachable(connect(f"http://127.0.0.1:{port}"))
+    assert error.found == "nothing listens there"
+    assert "coordinator serve" in error.remedy
+    error = unreachable(connect("http://nowhere.invalid:7411"))
+    assert "no address is known for the name `nowhere.invalid`" in error.found
+
+
+def test_servers_of_other_kinds_are_named(connect, gateway, listening):
+    error = unreachable(connect(f"http://{gateway.address}"))
+    assert error.found == "a policy server or policy-gateway is there, not a coordinator"
+    ssh = listening(b"SSH-2.0-OpenSSH_9.6\r\n")
+    assert unreachable(connect(f"http://127.0.0.1:{ssh}")).found == "an SSH server is there"
+    assert unreachable(connect(f"https://127.0.0.1:{ssh}")).found == "an SSH server is there"
+    mail = listening(b"220 mail ESMTP\r\n")
+    assert "220 mail ESMTP" in unreachable(connect(f"http://127.0.0.1:{mail}")).found
+    mute = listening(b"")
+    assert "hangs up or says nothing" in unreachable(connect(f"http://127.0.0.1:{mute}")).found
+    proxy = listening(b"HTTP/1.1 502 Bad Gateway\r\n\r\n")
+    assert "a proxy there" in unreachable(connect(f"http://127.0.0.1:{proxy}")).found
+
+
+def test_a_web_server_is_named(connect):
+    handler = http.server.SimpleHTTPRequestHandler
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        error = unreachable(connect(f"http://127.0.0.1:{server.server_port}"))
+        server.shutdown()
+    assert "a web server of another kind is there" in error.found
+
+
+def test_tls_where_there_is_none_and_the_other_way_round(guarded, certificates, connect, serve):
+    plain = serve()
+    error = unreachable(connect(f"https://{plain.address}", ca=certificates / "ca.pem"))
+    assert error.found == "the server there does not speak TLS"
+    error = unreachable(connect(guarded.replace("https", "http")))
+    assert error.found == "the server there speaks TLS"
+    assert "https://" in error.remedy
+
+
+def test_certificates_that_are_not_to_be_trusted_are_named(guarded, certificates, connect):
+    other = certificates / "other.pem"
+    error = unreachable(connect(guarded, ca=other))
+    assert error.found == f"its certificate was not signed by the authority in {other}"
+    assert "authority that is not known here" in unreachable(connect(guarded)).found
+    by_number = guarded.replace("localhost", "127.0.0.1")
+    error = unreachable(connect(by_number, ca=certificates / "ca.pem"))
+    assert error.found == "its certificate is not for `127.0.0.1`"
+
+
+def test_a_coordinator_that_comes_up_while_a_client_waits_answers_it(
+    serve, connect, caplog, tmp_path
+):
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    client = connect(f"http://127.0.0.1:{port}", retry_secs=60)
+    answers = []
+    with caplog.at_level(logging.WARNING, "rollout_client"):
+        waiting = threading.Thread(target=lambda: answers.append(client.campaigns()))
+        waiting.start()
+        while not caplog.records and waiting.is_alive():
+            waiting.join(0.05)
+        serve(listen=f"127.0.0.1:{port}")
+        waiting.join(60)
+    assert len(answers) == 1
+    assert "nothing listens there" in caplog.text and "trying again for 60 s" in caplog.text
+
+
+def test_every_error_is_a_coordinator_error():
+    kinds = (AccessDeniedError, SettingsError, UnreachableError)
+    assert all(issubclass(kind, CoordinatorError) for kind in kinds)

@@ -1,0 +1,176 @@
+"""Results, reports and comparisons of a campaign that a real worker has run, and of published
+outcomes."""
+
+import json
+from collections import Counter
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from rollout_client.errors import NoSuchCampaignError, ProgramError, RefusedError
+
+from .conftest import specification
+
+PUBLISHED = Path(__file__).resolve().parents[3] / "examples" / "openvla_oft"
+
+
+def test_results_are_the_exported_rows_with_types(measured):
+    results = measured.campaign("measured").results()
+    program = measured._program
+    exported = program.run(*program.connected("export", "measured", "--format", "jsonl"))
+    rows = [json.loads(line) for line in exported.splitlines()]
+    assert len(results) == len(rows) == 8
+    for key in rows[0]:
+        expected = [row[key] for row in rows]
+        assert [None if pd.isna(it) else it for it in results[key]] == expected, key
+    assert set(results["axis"]) == {"clean", "camera", "actuation", "combination"}
+    assert results["success"].dtype == "bool"
+    assert results["config"].dtype == "Int64"
+    assert (results["replicate"] == 0).all()
+    assert (results["wall_s"] > 0).all()
+
+
+def test_a_finished_campaign_says_so_and_its_worker_is_listed(measured):
+    status = measured.campaign("measured").status()
+    assert status.is_finished and status.committed == status.total == 8
+    results = measured.campaign("measured").results()
+    assert status.succeeded == results["success"].sum()
+    workers = measured.workers()
+    assert list(workers["slots"]) == [2]
+    assert list(workers["asset_pack"]) == ["primitives"]
+    assert list(workers["has_signed_off"]) == [True]
+
+
+def test_rates_of_a_report_are_those_of_the_results(measured):
+    campaign = measured.campaign("measured")
+    results, success = campaign.results(), campaign.report().success
+    of_results = results.groupby(["level", "axis"])["success"].agg(["sum", "count"])
+    of_report = success.set_index(["level", "condition"])
+    assert set(of_report.index) == set(of_results.index)
+    for place, row in of_report.iterrows():
+        assert row["successes"] == of_results.loc[place, "sum"]
+        assert row["n"] == of_results.loc[place, "count"]
+    assert (success["missing"] == 0).all()
+
+
+def test_a_report_has_a_row_per_configuration_with_its_outcomes(measured):
+    report = measured.campaign("measured").report()
+    assert len(report.configurations) == 2
+    results = measured.campaign("measured").results()
+    camera = results[results["axis"] == "camera"].set_index("config")["success"]
+    for row in report.configurations.itertuples():
+        assert row.camera == camera[row.config]
+        assert row.conjunction == (row.camera and row.actuation)
+    assert report.configurations["lighting"].isna().all()
+    assert report.paired.loc[0, "no_interval"] == "too_few_tasks"
+    assert pd.isna(report.paired.loc[0, "i_ci95_low"])
+
+
+def test_a_campaign_without_results_has_a_report_that_says_what_is_missing(client):
+    report = client.create(specification("first")).report()
+    assert len(report.paired) == 0
+    assert report.success["n"].sum() == 0
+    assert report.success["rate"].isna().all()
+    assert report.success["missing"].sum() == 8
+    assert (report.configurations["transition"].isna()).all()
+    assert len(report.emergent) == len(report.compensated) == 0
+
+
+def test_emergent_and_compensated_configurations_are_as_many_as_the_paired_table_counts(connect):
+    # Files need no coordinator.
+    report = connect("http://127.0.0.1:1").report(PUBLISHED)
+    paired = report.paired.set_index("level")
+    assert list(paired.index) == ["L1", "L2", "L3"]
+    assert dict(report.emergent.groupby("level").size()) == dict(paired["b"])
+    assert dict(report.compensated.groupby("level").size()) == dict(paired["c"])
+    assert report.emergent["conjunction"].all() and not report.emergent["combination"].any()
+    assert (paired["i_ci95_low"] <= paired["i"]).all()
+    assert (paired["i"] <= paired["i_ci95_high"]).all()
+    json_rows = report.json["paired"]["OpenVLA-OFT"]
+    for level, row in paired.iterrows():
+        assert row["s_robot"] == json_rows[level]["s_axis"]["robot"]
+        assert [row["r_e_ci95_low"], row["r_e_ci95_high"]] == json_rows[level]["r_e_ci95"]
+
+
+def published_rows():
+    text = (PUBLISHED / "rollouts.jsonl").read_text()
+    return [json.loads(line) for line in text.splitlines()]
+
+
+def test_successes_of_published_outcomes_are_those_of_their_file(connect):
+    counted = Counter()
+    for row in published_rows():
+        _, _, condition, level, _ = row["rollout_id"].split("/")
+        counted[level, condition, row["success"]] += 1
+    success = connect("http://127.0.0.1:1").report(PUBLISHED).success
+    cells = success[success["level"] != "L0"]
+    assert len(cells) == 3 * 7
+    for cell in cells.itertuples():
+        successes = counted[cell.level, cell.condition, True]
+        assert cell.successes == successes
+        assert cell.n == successes + counted[cell.level, cell.condition, False]
+        assert cell.rate == cell.successes / cell.n
+
+
+def test_the_first_of_two_that_are_compared_is_a(connect, tmp_path):
+    rows = published_rows()
+    solved = [row for row in rows if "/robot/L2/" in row["rollout_id"] and row["success"]]
+    for row in solved[:30]:
+        row["success"] = False
+    (tmp_path / "rollouts.jsonl").write_text("\n".join(map(json.dumps, rows)) + "\n")
+    comparison = connect("http://127.0.0.1:1").compare(PUBLISHED, tmp_path)
+    cells = comparison.cells.set_index(["level", "condition"])
+    cell = cells.loc["L2", "robot"]
+    assert (cell["n"], cell["a_only"], cell["b_only"]) == (400, 30, 0)
+    assert cell["difference"] == pytest.approx(30 / 400)
+    assert cell["s_a"] - cell["s_b"] == pytest.approx(30 / 400)
+    assert 0 < cell["difference_ci95_low"] < 30 / 400 < cell["difference_ci95_high"]
+    assert cells.loc["L1", "robot"]["a_only"] == 0
+    assert comparison.a != comparison.b
+
+
+def test_several_subjects_stand_beside_one_another(measured):
+    report = measured.report("measured", PUBLISHED)
+    assert set(report.success["policy"]) == {"expert", "OpenVLA-OFT"}
+    assert set(report.configurations["policy"]) == {"expert", "OpenVLA-OFT"}
+
+
+def test_a_campaign_compared_with_itself_differs_in_nothing(measured):
+    campaign = measured.campaign("measured")
+    comparison = campaign.compare(campaign)
+    cells = comparison.cells.set_index(["level", "condition"])
+    assert set(cells.index) == {
+        ("L0", "clean"),
+        ("L1", "camera"),
+        ("L1", "actuation"),
+        ("L1", "combination"),
+    }
+    assert (cells["n"] == 2).all()
+    assert (cells["difference"] == 0).all()
+    assert (cells["a_only"] + cells["b_only"] == 0).all()
+    assert (cells["no_interval"] == "too_few_tasks").all()
+    assert not comparison.unpaired
+
+
+def test_what_cannot_be_compared_is_refused_in_the_programs_words(measured, tmp_path):
+    campaign = measured.campaign("measured")
+    with pytest.raises(RefusedError, match="realisation"):
+        campaign.compare(PUBLISHED)
+    with pytest.raises(RefusedError, match="absent"):
+        measured.compare("measured", tmp_path / "absent")
+    with pytest.raises(NoSuchCampaignError, match="`nope`"):
+        campaign.compare("nope")
+
+
+def test_without_its_program_a_client_says_what_to_do_and_reads_results_all_the_same(
+    measured, connect, monkeypatch, tmp_path
+):
+    url = measured._connection.access.url
+    monkeypatch.setenv("PATH", str(tmp_path))
+    for program, said in [(None, "put its folder on PATH"), (tmp_path / "none", "tmp|none")]:
+        campaign = connect(url, program=program).campaign("measured")
+        with pytest.raises(ProgramError, match=said) as failed:
+            campaign.report()
+        assert "Client(program=" in str(failed.value)
+        assert len(campaign.results()) == 8

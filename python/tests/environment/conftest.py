@@ -1,0 +1,50 @@
+"""Environments of the built-in assets, small enough to be quick."""
+
+import pytest
+
+pytest.importorskip("rollout_libero", reason="rollout-libero is not installed")
+
+import rollout_libero
+
+TASK = "libero_goal/0"
+
+
+@pytest.fixture
+def make():
+    """Makes environments, and closes them after the test."""
+    made = []
+
+    def make(task=TASK, **options):
+        small = {"assets": "primitives", "height": 64, "width": 80, "settle_steps": 2}
+        environment = rollout_libero.Environment(task, **{**small, **options})
+        made.append(environment)
+        return environment
+
+    yield make
+    for environment in made:
+        environment.close()
+
+
+@pytest.fixture
+def make_vector():
+    """The same for several at once."""
+    made = []
+
+    def make(tasks=TASK, num_envs=3, **options):
+        small = {"assets": "primitives", "height": 64, "width": 80, "settle_steps": 2}
+        environments = rollout_libero.VectorEnvironment(tasks, num_envs, **{**small, **options})
+        made.append(environments)
+        return environments
+
+    yield make
+    for environments in made:
+        environments.close()
+
+
+def open_the_drawer(simulation):
+    """Has the goal of TASK hold from the next control step on."""
+    state = simulation.state().copy()
+    names = simulation.names("joint")
+    drawer = names.index("wooden_cabinet_1_middle_level")
+    state[1 + simulation.model_array("jnt_qposadr")[drawer]] = -0.15
+    simulation.set_state(state)

@@ -1,0 +1,188 @@
+"""One environment."""
+
+import subprocess
+import sys
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import rollout_libero
+
+from .conftest import TASK, open_the_drawer
+
+
+def actions(count, seed=0):
+    return np.random.default_rng(seed).uniform(-0.6, 0.6, (count, 7))
+
+
+def assert_same(one, other):
+    assert one.keys() == other.keys()
+    for name, values in one.items():
+        np.testing.assert_array_equal(values, other[name], err_msg=name)
+
+
+def test_gymnasium_finds_nothing_wrong(make):
+    check_env(make(), skip_render_check=True)
+
+
+def test_equal_seeds_and_actions_give_equal_bits(make):
+    runs = []
+    for _ in range(2):
+        environment = make(init_states="random")
+        environment.reset(seed=7)
+        runs.append([environment.step(action)[0] for action in actions(5)])
+    for one, other in zip(*runs, strict=True):
+        assert_same(one, other)
+
+
+def test_a_chunk_is_its_steps(make):
+    single, chunked = make(), make()
+    single.reset(seed=0)
+    chunked.reset(seed=0)
+    before = chunked.snapshot()
+    steps = [single.step(action) for action in actions(4)]
+    shown = {}
+    for render in ("all", "last", "none"):
+        chunked.restore(before)
+        shown[render], reward, terminated, truncated, info = chunked.step_chunk(actions(4), render)
+        assert (reward, terminated, truncated, info["steps"]) == (0.0, False, False, 4)
+    for at, (observation, *_) in enumerate(steps):
+        assert_same({name: values[at] for name, values in shown["all"].items()}, observation)
+    assert_same(shown["last"], steps[-1][0])
+    cameras = {"agentview", "robot0_eye_in_hand"}
+    assert cameras <= shown["last"].keys() and not cameras & shown["none"].keys()
+
+
+def test_a_snapshot_leads_back_to_the_same_bits_here_and_in_another_environment(make):
+    one, other = make(), make()
+    one.reset(seed=3)
+    one.step_chunk(actions(3))
+    snapshot = one.snapshot()
+    ends = []
+    for environment in (one, one, other):
+        environment.restore(snapshot)
+        ends.append(environment.step_chunk(actions(5, seed=1), "all")[0])
+    assert_same(ends[0], ends[1])
+    assert_same(ends[0], ends[2])
+
+
+def test_a_snapshot_of_another_scene_is_refused(make):
+    one, other = make(), make("libero_object/0")
+    one.reset()
+    with pytest.raises(ValueError, match="of another scene"):
+        other.restore(one.snapshot())
+
+
+def test_success_ends_a_rollout_and_the_rest_of_its_chunk(make):
+    environment = make()
+    environment.reset()
+    open_the_drawer(environment.simulation)
+    observation, reward, terminated, truncated, info = environment.step_chunk(actions(4), "all")
+    assert (reward, terminated, truncated) == (1.0, True, False)
+    assert info["success"] and info["steps"] == 1
+    assert len(observation["agentview"]) == 1
+    with pytest.raises(gymnasium.error.ResetNeeded, match="call reset"):
+        environment.step(np.zeros(7))
+
+
+def test_the_budget_truncates(make):
+    environment = make(max_steps=3)
+    environment.reset()
+    *_, terminated, truncated, info = environment.step_chunk(actions(5))
+    assert (terminated, truncated, info["steps"]) == (False, True, 3)
+
+
+def test_a_configuration_brings_its_instruction_and_its_perturbations(make):
+    nominal = make()
+    perturbed = make(perturbation="combination/L2/c03")
+    whole = make(perturbation="goal/t0/combination/L2/c03")
+    observation, info = perturbed.reset()
+    assert info["instruction"] == whole.instruction != nominal.instruction
+    same, _ = nominal.reset(options={"init_state": info["init_state"]})
+    for name in ("agentview", "robot0_eye_in_hand", "joint_pos"):
+        assert not np.array_equal(observation[name], same[name]), name
+    assert_same(observation, whole.reset()[0])
+    with pytest.raises(ValueError, match="libero_goal/1"):
+        make(perturbation="goal/t1/combination/L2/c03")
+
+
+def test_sampled_placements_differ_by_seed_alone(make):
+    environment = make(init_states="sampled")
+    first, second, again = (environment.reset(seed=seed)[0] for seed in (1, 2, 1))
+    assert_same(first, again)
+    assert not np.array_equal(first["agentview"], second["agentview"])
+
+
+def test_initial_states_come_in_turn_or_as_asked(make):
+    environment = make(init_states=[4, 2])
+    seen = [environment.reset()[1]["init_state"] for _ in range(3)]
+    assert seen == [4, 2, 4]
+    assert environment.reset(options={"init_state": 9})[1]["init_state"] == 9
+
+
+def axis_angle(matrix):
+    """Of a rotation of nearly half a turn: the axis is what it leaves as it is."""
+    values, vectors = np.linalg.eig(matrix)
+    axis = np.real(vectors[:, np.argmin(np.abs(values - 1.0))])
+    return axis * np.arccos((np.trace(matrix) - 1.0) / 2.0)
+
+
+def test_absolute_control_holds_the_pose_that_is_commanded(make):
+    environment = make(control="absolute", max_steps=100)
+    observation, _ = environment.reset()
+    pos, matrix = environment.simulation.controller_pose()
+    target = pos + [0.03, 0.02, -0.02]
+    command = np.concatenate([target, axis_angle(matrix), [-1.0]])
+    for _ in range(20):
+        observation, *_ = environment.step(command)
+    np.testing.assert_allclose(observation["eef_pos"], target, atol=5e-3)
+
+
+def test_frames_are_upright_and_rendered_as_they_are_observed(make):
+    environment = make(render_mode="rgb_array")
+    observation, _ = environment.reset()
+    np.testing.assert_array_equal(environment.render(), observation["agentview"])
+    bottom_first = environment.simulation.frame("agentview", 80, 64)
+    np.testing.assert_array_equal(bottom_first[::-1], observation["agentview"])
+
+
+def python(program):
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_a_frame_is_drawn_without_any_library_of_opengl():
+    loaded = python(
+        "import rollout_libero\n"
+        f"environment = rollout_libero.Environment({TASK!r}, 'primitives', height=32, width=32)\n"
+        "environment.reset()\n"
+        "print(open('/proc/self/maps').read())\n"
+    )
+    assert "libmujoco" in loaded
+    for library in ("libEGL", "libGL.", "libOpenGL", "libOSMesa", "libGLX"):
+        assert library not in loaded, library
+
+
+def test_another_mujoco_in_the_process_is_not_called():
+    pytest.importorskip("mujoco", reason="no other MuJoCo is installed")
+    printed = python(
+        "import mujoco, rollout_libero\n"
+        "from rollout_libero._library import native\n"
+        "environment = rollout_libero.Environment('libero_goal/0', 'primitives')\n"
+        "environment.reset()\n"
+        "print(mujoco.mj_versionString(), native.mujoco_version())\n"
+    )
+    other, ours = printed.split()
+    assert ours == "3.3.7" != other
+
+
+def test_every_task_has_a_name_an_instruction_and_a_budget():
+    tasks = rollout_libero.tasks()
+    assert len({task.name for task in tasks}) == 40
+    assert all(task.instruction and task.max_steps > 200 for task in tasks)
+    assert [task.suite for task in rollout_libero.tasks("libero_10")] == ["libero_10"] * 10

