@@ -1,9 +1,9 @@
 //! One scene, ready to run: loading a state, control steps, success, readings
 //! and frames at the original's instants. Knows nothing of perturbations.
 
-mod reset;
-
+use protocol::numpy::LegacyRng;
 use scene::catalog::Articulation;
+use scene::placement::MAX_DRAWS;
 use scene::{AssetPack, Scene, Sources};
 
 use crate::controller::{ARM_JOINTS, Controller, GRIP_SITE, RESET_JOINTS, SUBSTEPS};
@@ -12,9 +12,7 @@ use crate::mujoco::{self, Data, Model, ObjectKind, Segment};
 use crate::observation::{Frame, RobotState, axis_angle_of};
 use crate::predicates::Goal;
 use crate::render::{Canvas, Drawer, View};
-
-pub use reset::Reset;
-use reset::Resets;
+use crate::reset::{Reset, Resets};
 
 /// `mjDSBL_AUTORESET`: an unstable state is reported, not silently replaced.
 pub(crate) const DISABLE_AUTORESET: i32 = 1 << 16;
@@ -86,7 +84,7 @@ impl Environment {
     pub fn new(scene: Scene, pack: &AssetPack, sources: &Sources) -> Result<Self, SimError> {
         let mut model = Model::compile(&scene.mjcf(pack, sources))?;
         model.disable(DISABLE_NATIVE_CCD | DISABLE_AUTORESET);
-        let resets = Resets::resolve(&scene, &model)?;
+        let resets = Resets::resolve(&scene.samplers, &model)?;
         for pose in &scene.fixture_poses {
             let body = model.id(ObjectKind::Body, &pose.root_body)?;
             model.body_pos_mut()[body * 3..][..3].copy_from_slice(&pose.pos);
@@ -173,6 +171,60 @@ impl Environment {
         self.record_joints();
         // Earlier warnings belong to another rollout.
         mujoco::take_warnings();
+    }
+
+    /// Starts over without an initial state: draws where everything is from
+    /// NumPy's legacy generator, in the original's order, the arm at home, fresh
+    /// controllers, time 0; then observes.
+    ///
+    /// `joint_sampler_rounds` is how often the original has loaded its model by
+    /// then: 1 at construction, one more with each hard reset. Its list of
+    /// samplers of what starts open, closed, on or off grows by that.
+    ///
+    /// Where a thing finds no room, everything is drawn again, as the original's
+    /// wrapper does, which counts as another hard reset if this is one. Returns
+    /// the rounds that it came to: what the next reset's count goes on from.
+    ///
+    /// # Errors
+    /// [`NoRoom`](scene::SceneError::NoRoom) if that fails a thousand times.
+    pub fn reset(
+        &mut self,
+        rng: &mut LegacyRng,
+        reset: Reset,
+        joint_sampler_rounds: u32,
+    ) -> Result<u32, SimError> {
+        if reset == Reset::Hard {
+            self.pristine.restore(&mut self.model);
+            self.resets.put_fixtures_back(&mut self.model);
+        }
+        let (model, data) = (&mut self.model, &mut self.data);
+        let samplers = &self.scene.samplers;
+        let mut rounds = joint_sampler_rounds;
+        let mut attempts = 1;
+        while let Err(error) = self.resets.place(samplers, model, data, rng, rounds) {
+            if attempts == MAX_DRAWS {
+                return Err(error.into());
+            }
+            attempts += 1;
+            rounds += u32::from(reset == Reset::Hard);
+        }
+        self.data.forward(&self.model);
+        match reset {
+            Reset::Hard => self.controller.reset(),
+            Reset::Soft => self.controller.reset_arm(),
+        }
+        self.control_steps = 0;
+        // A burner that is on glows from the first step on, not before.
+        hide_marker_sites(&self.scene, &mut self.model);
+        for burner in &mut self.burners {
+            burner.opacity = self.model.site_rgba()[burner.site * 4 + 3];
+            burner.observed_opacity = burner.opacity;
+        }
+        self.record_positions();
+        self.record_joints();
+        // Earlier warnings belong to another rollout.
+        mujoco::take_warnings();
+        Ok(rounds)
     }
 
     /// One control step: 50 ms in 25 simulation steps. True if the goal holds

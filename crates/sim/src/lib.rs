@@ -18,9 +18,10 @@ pub mod predicates;
 mod privileged;
 mod ready_scene;
 pub mod render;
+mod reset;
 pub mod simulator;
 
-pub use environment::{Environment, Reset};
+pub use environment::Environment;
 pub use episode::{Digests, Episode};
 pub use error::SimError;
 pub use fingerprint::fingerprint;
@@ -31,4 +32,5 @@ pub use observation::{
 };
 pub use perturb::IkSolution;
 pub use render::{Drawer, GlDevice, Renderer};
+pub use reset::Reset;
 pub use simulator::{Simulator, SimulatorConfig};
