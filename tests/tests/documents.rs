@@ -38,6 +38,8 @@ pages! {
     commands_of_the_examples_work: "examples/README.md",
     commands_of_fuzzing_work: "fuzz/README.md",
     commands_of_the_python_package_work: "policies/README.md",
+    commands_of_the_wheels_work: "python/README.md",
+    commands_of_the_shim_work: "python/libero_shim/README.md",
     commands_of_the_typescript_server_work: "policies/typescript/README.md",
 }
 

@@ -52,7 +52,7 @@ impl CompiledScene {
     pub fn compile(scene: Scene, pack: &AssetPack, sources: &Sources) -> Result<Self, SimError> {
         let mut model = Model::compile(&scene.mjcf(pack, sources))?;
         model.disable(DISABLE_NATIVE_CCD | DISABLE_AUTORESET);
-        let resets = Resets::resolve(&scene, &model)?;
+        let resets = Resets::resolve(&scene.samplers, &model)?;
         for pose in &scene.fixture_poses {
             let body = model.id(ObjectKind::Body, &pose.root_body)?;
             model.body_pos_mut()[body * 3..][..3].copy_from_slice(&pose.pos);

@@ -1,11 +1,16 @@
-//! The state of an environment as robosuite's users handle it: read and written as one
-//! vector, observed when asked; and snapshots, which leave nothing out.
+//! The state of an environment as robosuite's users handle it: reset without an initial
+//! state, read and written as one vector, observed when asked; and snapshots, which leave
+//! nothing out.
 
-use crate::compiled_scene::Burner;
+use protocol::numpy::LegacyRng;
+use scene::placement::MAX_DRAWS;
+
+use crate::compiled_scene::{Burner, hide_marker_sites};
 use crate::controller::{Controller, SUBSTEPS};
 use crate::environment::{Environment, JointReadings};
 use crate::error::SimError;
-use crate::mujoco::{Data, Model};
+use crate::mujoco::{self, Data, Model};
+use crate::reset::Reset;
 
 /// Everything that an environment's next step depends on. Environments of one compiled
 /// scene take each other's.
@@ -21,6 +26,64 @@ pub struct Snapshot {
 }
 
 impl Environment {
+    /// Starts over without an initial state: draws where everything is from
+    /// NumPy's legacy generator, in the original's order, the arm at home, fresh
+    /// controllers, time 0; then observes once.
+    ///
+    /// `joint_sampler_rounds` is how often the original has loaded its model by
+    /// then: 1 at construction, one more with each hard reset. Its list of
+    /// samplers of what starts open, closed, on or off grows by that.
+    ///
+    /// Where a thing finds no room, everything is drawn again, as the original's
+    /// wrapper does, which counts as another hard reset if this is one. Returns
+    /// the rounds that it came to: what the next reset's count goes on from.
+    ///
+    /// # Errors
+    /// [`NoRoom`](scene::SceneError::NoRoom) if that fails a thousand times.
+    pub fn reset(
+        &mut self,
+        rng: &mut LegacyRng,
+        reset: Reset,
+        joint_sampler_rounds: u32,
+    ) -> Result<u32, SimError> {
+        let Self {
+            compiled,
+            model,
+            data,
+            ..
+        } = self;
+        if reset == Reset::Hard {
+            model.copy_own(&compiled.model);
+            compiled.resets.put_fixtures_back(model);
+        }
+        let samplers = &compiled.scene.samplers;
+        let mut rounds = joint_sampler_rounds;
+        let mut attempts = 1;
+        while let Err(error) = compiled.resets.place(samplers, model, data, rng, rounds) {
+            if attempts == MAX_DRAWS {
+                return Err(error.into());
+            }
+            attempts += 1;
+            rounds += u32::from(reset == Reset::Hard);
+        }
+        data.forward(model);
+        // A burner that is on glows from the first step on, not before.
+        hide_marker_sites(&compiled.scene, model);
+        for burner in &mut self.burners {
+            burner.opacity = model.site_rgba()[burner.site * 4 + 3];
+        }
+        match reset {
+            Reset::Hard => self.controller.reset(),
+            Reset::Soft => self.controller.reset_arm(),
+        }
+        self.control_steps = 0;
+        self.observed_substep = SUBSTEPS;
+        self.observe_now();
+        // Earlier warnings belong to another rollout.
+        mujoco::take_warnings();
+        Ok(rounds)
+    }
+
     /// Time, positions and velocities in one vector.
     pub fn state(&self) -> Vec<f64> {
         let (model, data) = (&self.model, &self.data);
