@@ -17,11 +17,12 @@ from typing import Any
 import libero
 import numpy as np
 import pytest
-import rollout_libero
 from frames import assert_close_frames
 from libero.libero import benchmark
 from libero.libero.envs import OffScreenRenderEnv
 from original import original_python, run, run_original
+
+import rollout_libero
 
 #: What the clients are installed with. The last line goes without dependencies
 #: (`pip install --no-deps`): theirs are many, and these are all that an episode imports.
