@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 import os
+import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-SHARED = Path(__file__).resolve().parents[4] / "shared"
-ASSETS = SHARED / "libero-assets"
-
+# The scripts and helpers of this folder, however pytest imports the tests.
+sys.path.insert(0, str(Path(__file__).resolve().parent))
 # Before anything imports the shim: no configuration of whoever runs the tests counts.
 os.environ["LIBERO_CONFIG_PATH"] = tempfile.mkdtemp(prefix="libero-config-")
-if ASSETS.is_dir():
-    os.environ["ROLLOUT_ASSETS"] = str(ASSETS)
-else:
-    os.environ.setdefault("ROLLOUT_ASSETS", "primitives")
+
+pytest.importorskip("libero._absent", reason="rollout-libero-shim is not installed")
+
+from reference import ASSETS
+
+
+@pytest.fixture(scope="module", autouse=True)
+def assets() -> Iterator[None]:
+    """Tests draw with LIBERO's assets where they are, otherwise with simple shapes."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROLLOUT_ASSETS", str(ASSETS) if ASSETS.is_dir() else "primitives")
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import SHARED
 from frames import assert_close_frames
 from libero.libero import benchmark
 from libero.libero.envs import OffScreenRenderEnv
 from PIL import Image
+from reference import SHARED
 
 RECORDED = sorted((SHARED / "oracle" / "tasks").glob("*/*"))
 CAMERAS = ("agentview", "robot0_eye_in_hand")

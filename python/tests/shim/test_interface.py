@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import rollout_libero
 from libero.libero import benchmark, get_libero_path, paths
 from libero.libero.benchmark.init_states import load_init_states
 from libero.libero.envs import (
@@ -25,6 +24,8 @@ from libero.libero.envs import (
     SubprocVectorEnv,
     bddl_utils,
 )
+
+import rollout_libero
 
 NOTHING = [0.0] * 6 + [-1.0]
 

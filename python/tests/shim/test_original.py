@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import ASSETS
 from frames import assert_close_frames
 from original import original_python, run_original, run_shim
+from reference import ASSETS
 
 SCENARIOS = [
     *(
