@@ -76,6 +76,18 @@ fn crates_use_one_another_in_the_agreed_directions_only() {
             "attempt",
             &["scene", "sim", "paired", "proto", "tokio", "sqlx", "maud"],
         ),
+        (
+            "assets",
+            &[
+                "scene",
+                "sim",
+                "proto",
+                "transport",
+                "terminal",
+                "tokio",
+                "clap",
+            ],
+        ),
         ("scene", &["sim", "proto", "tokio", "mujoco-rs"]),
         (
             "raster",

@@ -5,15 +5,13 @@ use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::str::FromStr;
 
+use assets::{HUB, hub_url};
 use clap::error::ErrorKind;
 use clap::{ArgGroup, Args, CommandFactory, Parser, Subcommand};
 use protocol::{Level, Realisation, RolloutId, Suite, TaskRef};
 use sim::Renderer;
 use terminal::{number, number_from, seconds};
 use transport::{ClientArguments, EndpointError, parse_endpoint};
-
-/// Where LIBERO's assets are published: the hub that hf-libero 0.1.4 asks.
-pub const HUB: &str = "https://huggingface.co";
 
 /// Simulates the rollouts of a coordinator's campaigns.
 ///
@@ -385,16 +383,6 @@ pub struct PreviewArguments {
 fn server_url(text: &str) -> Result<String, &'static str> {
     let read = parse_endpoint(text).map(|_| text.to_owned());
     read.map_err(|_| EndpointError::REMEDY)
-}
-
-fn hub_url(text: &str) -> Result<String, String> {
-    let rest = text.split_once("://");
-    match rest {
-        Some(("http" | "https", host)) if !host.is_empty() => {
-            Ok(text.trim_end_matches('/').to_owned())
-        }
-        _ => Err("write https://HOST, or http://HOST:PORT for a local mirror".to_owned()),
-    }
 }
 
 fn slots(text: &str) -> Result<NonZeroUsize, &'static str> {

@@ -2,37 +2,34 @@
 //! prints; what packs are for is crate `scene`'s business.
 
 mod coverage;
-mod download;
 mod error;
-mod fetch;
-mod hub;
-mod manifest;
-mod progress;
 
-use std::fs;
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::thread;
 
+use assets::{Bar, Fetch, Hub, Manifest, Program, fetched_pack, size_in_words};
 use scene::pack::PRIMITIVES;
 use scene::{AssetPack, Sources};
 
 use crate::args::{AssetsArguments, AssetsCommand};
 
 use coverage::Coverage;
-pub use error::AssetsError;
-use fetch::Fetch;
-use hub::Hub;
-use manifest::Manifest;
-use progress::Bar;
+pub use error::PackError;
 
 /// Names of files that a message spells out; the rest are counted.
 const MAX_NAMED: usize = 20;
+/// What messages of a fetch say of this program.
+const PROGRAM: Program = Program {
+    occupied: "see `worker assets verify` whether it is whole, or move it away and fetch again",
+    assets: "--assets",
+};
 
 /// Does what the command line says.
 ///
 /// # Errors
 /// If a pack cannot be read or fetched, or is not what it should be.
-pub fn run(arguments: &AssetsArguments) -> Result<(), AssetsError> {
+pub fn run(arguments: &AssetsArguments) -> Result<(), PackError> {
     let dir = arguments.sources.clone();
     let dir = dir.unwrap_or_else(Sources::default_dir);
     match &arguments.command {
@@ -77,17 +74,12 @@ fn known_packs(sources: &Path) -> Vec<String> {
     [PRIMITIVES.to_owned()].into_iter().chain(fetched).collect()
 }
 
-/// Where `fetch` puts LIBERO's assets by default.
-fn fetched_pack(sources: &Path) -> PathBuf {
-    sources.join("packs/libero")
-}
-
-fn describe(pack: &AssetPack, sources: &Sources) -> Result<String, AssetsError> {
+fn describe(pack: &AssetPack, sources: &Sources) -> Result<String, PackError> {
     let coverage = Coverage::of(pack, sources)?;
     describe_with(pack, &coverage)
 }
 
-fn describe_with(pack: &AssetPack, coverage: &Coverage) -> Result<String, AssetsError> {
+fn describe_with(pack: &AssetPack, coverage: &Coverage) -> Result<String, PackError> {
     let files = Manifest::of_folder(pack.dir())?;
     Ok(format!(
         "{}\n  folder      {}\n  digest      {}\n  files       {}, {}\n{coverage}",
@@ -95,11 +87,11 @@ fn describe_with(pack: &AssetPack, coverage: &Coverage) -> Result<String, Assets
         pack.dir().display(),
         pack.digest(),
         files.count(),
-        progress::in_words(files.total_bytes()),
+        size_in_words(files.total_bytes()),
     ))
 }
 
-fn verify(pack: &str, manifest: Option<&Path>, sources: &Path) -> Result<(), AssetsError> {
+fn verify(pack: &str, manifest: Option<&Path>, sources: &Path) -> Result<(), PackError> {
     let folder = if pack == PRIMITIVES {
         let pack = AssetPack::open(PRIMITIVES, &Sources::open(sources)?)?;
         pack.dir().to_owned()
@@ -112,21 +104,14 @@ fn verify(pack: &str, manifest: Option<&Path>, sources: &Path) -> Result<(), Ass
     let file = match manifest {
         Some(file) => file.to_owned(),
         None => {
-            let fetched = manifest::beside(&folder);
+            let fetched = Manifest::beside(&folder);
             if !fetched.exists() {
                 return verify_without_manifest(&folder, sources);
             }
             fetched
         }
     };
-    let text = fs::read_to_string(&file).map_err(|source| AssetsError::Read {
-        path: file.clone(),
-        source,
-    })?;
-    let expected: Manifest = text.parse().map_err(|problem| AssetsError::Manifest {
-        path: file.clone(),
-        problem,
-    })?;
+    let expected = Manifest::read(&file)?;
     let mut differences = expected.compare(&Manifest::of_folder(&folder)?);
     if !differences.is_empty() {
         let count = differences.len();
@@ -134,7 +119,7 @@ fn verify(pack: &str, manifest: Option<&Path>, sources: &Path) -> Result<(), Ass
             differences.truncate(MAX_NAMED);
             differences.push(format!("and {} more", count - MAX_NAMED));
         }
-        return Err(AssetsError::Differs {
+        return Err(PackError::Differs {
             folder,
             manifest: file,
             count,
@@ -150,14 +135,14 @@ fn verify(pack: &str, manifest: Option<&Path>, sources: &Path) -> Result<(), Ass
 
 /// Of a pack that was not fetched, what can be said is whether all tasks can be
 /// shown with it.
-fn verify_without_manifest(folder: &Path, sources: &Path) -> Result<(), AssetsError> {
+fn verify_without_manifest(folder: &Path, sources: &Path) -> Result<(), PackError> {
     let sources = Sources::open(sources)?;
     let pack = AssetPack::open(&folder.to_string_lossy(), &sources)?;
     let coverage = Coverage::of(&pack, &sources)?;
     let description = describe_with(&pack, &coverage)?;
     if !coverage.is_whole() {
         let folder = folder.to_owned();
-        return Err(AssetsError::Incomplete {
+        return Err(PackError::Incomplete {
             folder,
             description,
         });
@@ -173,13 +158,13 @@ fn verify_without_manifest(folder: &Path, sources: &Path) -> Result<(), AssetsEr
 }
 
 /// The built-in pack knows its own digest; the folder must have the same.
-fn verify_primitives(folder: &Path, sources: &Path) -> Result<(), AssetsError> {
+fn verify_primitives(folder: &Path, sources: &Path) -> Result<(), PackError> {
     let sources = Sources::open(sources)?;
     let built_in = AssetPack::open(PRIMITIVES, &sources)?;
     let unpacked = AssetPack::open(&folder.to_string_lossy(), &sources)?;
     if built_in.digest() != unpacked.digest() {
         let folder = folder.to_owned();
-        return Err(AssetsError::Primitives { folder });
+        return Err(PackError::Primitives { folder });
     }
     print(&format!(
         "{}: all files are as they should be\n",
@@ -187,14 +172,17 @@ fn verify_primitives(folder: &Path, sources: &Path) -> Result<(), AssetsError> {
     ))
 }
 
-fn fetch(hub: &str, into: &Path) -> Result<(), AssetsError> {
-    let hub = Hub::new(hub);
-    let mut bar = Bar::new();
+fn fetch(hub: &str, into: &Path) -> Result<(), PackError> {
+    let hub = Hub::new(hub, PROGRAM);
+    let mut bar = Bar::default();
     let mut fetch = Fetch {
         hub: &hub,
         into,
         pause: &mut thread::sleep,
-        progress: &mut |progress| bar.show(progress),
+        progress: &mut |progress| {
+            bar.show(progress);
+            ControlFlow::Continue(())
+        },
     };
     let fetched = fetch.run();
     bar.finish();
@@ -203,11 +191,11 @@ fn fetch(hub: &str, into: &Path) -> Result<(), AssetsError> {
         "{}: {} files, {}; give it as --assets {}\n",
         into.display(),
         manifest.count(),
-        progress::in_words(manifest.total_bytes()),
+        size_in_words(manifest.total_bytes()),
         into.display()
     ))
 }
 
-fn print(text: &str) -> Result<(), AssetsError> {
-    terminal::print(text).map_err(AssetsError::Print)
+fn print(text: &str) -> Result<(), PackError> {
+    terminal::print(text).map_err(PackError::Print)
 }

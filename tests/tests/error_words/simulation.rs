@@ -1,5 +1,6 @@
 //! Errors of scenes, pictures and simulations, and of the worker.
 
+use assets::AssetsError;
 use protocol::NoSuchRow;
 use raster::{DrawError, ModelError};
 use scene::SceneError;
@@ -8,7 +9,7 @@ use sim::mujoco::ObjectKind;
 use tonic::Status;
 use transport::{AccessError, EndpointError};
 use worker::actor::PolicyError;
-use worker::assets::AssetsError;
+use worker::assets::PackError;
 use worker::film::FilmError;
 use worker::measure::MeasureError;
 use worker::preview::PreviewError;
@@ -207,26 +208,35 @@ fn supervision(messages: &mut Messages) {
 
 fn assets(messages: &mut Messages) {
     let url = || "https://hub.example/api".to_owned();
-    variants!(messages, AssetsError,
-        AssetsError::Scene(_) => AssetsError::Scene(no_scene()),
-        AssetsError::Read { .. } => AssetsError::Read { path: path(), source: io_error() },
-        AssetsError::Incomplete { .. } => AssetsError::Incomplete {
+    variants!(messages, PackError,
+        PackError::Scene(_) => PackError::Scene(no_scene()),
+        PackError::Assets(_) => PackError::Assets(AssetsError::Interrupted),
+        PackError::Incomplete { .. } => PackError::Incomplete {
             folder: path(), description: "lacks the arena of libero_goal".to_owned(),
         },
+        PackError::Differs { .. } => PackError::Differs {
+            folder: path(), manifest: path(), count: 1, named: "missing a.xml".to_owned(),
+        },
+        PackError::Primitives { .. } => PackError::Primitives { folder: path() },
+        PackError::Print(_) => PackError::Print(io_error()),
+    );
+    variants!(messages, AssetsError,
+        AssetsError::Read { .. } => AssetsError::Read { path: path(), source: io_error() },
         AssetsError::Manifest { .. } => AssetsError::Manifest {
             path: path(), problem: "line 1 has no digest".to_owned(),
         },
-        AssetsError::Differs { .. } => AssetsError::Differs {
-            folder: path(), manifest: path(), count: 1, named: "missing a.xml".to_owned(),
-        },
-        AssetsError::Primitives { .. } => AssetsError::Primitives { folder: path() },
         AssetsError::Write { .. } => AssetsError::Write { path: path(), source: io_error() },
-        AssetsError::Print(_) => AssetsError::Print(io_error()),
-        AssetsError::Occupied { .. } => AssetsError::Occupied { folder: path() },
-        AssetsError::Unreachable { .. } => AssetsError::Unreachable {
-            url: url(), problem: "nothing listens there".to_owned(), tries: 5,
+        AssetsError::Occupied { .. } => AssetsError::Occupied {
+            folder: path(), remedy: "move it away and fetch again",
         },
-        AssetsError::Refused { .. } => AssetsError::Refused { url: url(), status: 404 },
+        AssetsError::Busy { .. } => AssetsError::Busy { folder: path() },
+        AssetsError::Interrupted => AssetsError::Interrupted,
+        AssetsError::Unreachable { .. } => AssetsError::Unreachable {
+            url: url(), problem: "nothing listens there".to_owned(), tries: 5, assets: "--assets",
+        },
+        AssetsError::Refused { .. } => AssetsError::Refused {
+            url: url(), status: 404, assets: "--assets",
+        },
         AssetsError::Answer { .. } => AssetsError::Answer {
             url: url(), problem: crate::json_error().to_string(),
         },

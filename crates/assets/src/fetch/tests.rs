@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
 use super::*;
+use crate::hub::Program;
 use test_hub::{COMMIT, Fault, LARGE, SMALL, TestHub, content};
 
 /// What a fetch did.
@@ -18,14 +19,29 @@ struct Fetched {
     last: Option<Progress>,
 }
 
+const PROGRAM: Program = Program {
+    occupied: "look whether it is whole",
+    assets: "--assets",
+};
+
 fn fetch(hub: &str, into: &Path) -> Fetched {
+    fetch_while(hub, into, |_| true)
+}
+
+fn fetch_while(hub: &str, into: &Path, mut goes_on: impl FnMut(Progress) -> bool) -> Fetched {
     let (mut pauses, mut last) = (0, None);
-    let hub = Hub::new(hub);
+    let hub = Hub::new(hub, PROGRAM);
     let mut fetch = Fetch {
         hub: &hub,
         into,
         pause: &mut |_| pauses += 1,
-        progress: &mut |progress| last = Some(progress),
+        progress: &mut |progress| {
+            last = Some(progress);
+            match goes_on(progress) {
+                true => ControlFlow::Continue(()),
+                false => ControlFlow::Break(()),
+            }
+        },
     };
     let outcome = fetch.run();
     Fetched {
@@ -48,7 +64,7 @@ fn check_whole(into: &Path) {
     }
     let entries = fs::read_dir(into.join("scenes")).expect("a folder");
     assert_eq!(entries.count(), 2, "nothing is left over");
-    let recorded = fs::read_to_string(manifest::beside(into)).expect("is there");
+    let recorded = fs::read_to_string(Manifest::beside(into)).expect("is there");
     let recorded: Manifest = recorded.parse().expect("a manifest");
     let found = Manifest::of_folder(into).expect("reads");
     assert_eq!(recorded.compare(&found), Vec::<String>::new());
@@ -70,7 +86,10 @@ fn a_pack_is_fetched_whole_with_its_manifest_beside_it() {
     assert_eq!((last.files, last.bytes), (2, last.of_bytes));
     check_whole(&into);
     let again = error_of(fetch(&hub.url(), &into));
-    assert!(again.contains("there already"), "{again}");
+    assert!(
+        again.ends_with("there already; look whether it is whole"),
+        "{again}"
+    );
 }
 
 #[test]
@@ -120,6 +139,40 @@ fn an_interrupted_fetch_goes_on_with_what_is_there() {
         "{seen:?}"
     );
     assert!(!seen.iter().any(|path| path.ends_with(SMALL)), "{seen:?}");
+}
+
+#[test]
+fn a_fetch_that_is_stopped_keeps_what_has_arrived_for_the_next_one() {
+    let (_folder, into) = place();
+    let hub = TestHub::start(Fault::None);
+    let mut arrived = 0;
+    let stopped = fetch_while(&hub.url(), &into, |progress| {
+        arrived = progress.bytes;
+        arrived < 100_000
+    });
+    let error = stopped.outcome.expect_err("stopped");
+    assert!(matches!(error, AssetsError::Interrupted), "{error}");
+    assert!(!into.exists());
+    fetch(&hub.url(), &into).outcome.expect("a pack");
+    check_whole(&into);
+    let seen = hub.seen();
+    let rest = format!("/store/large from {arrived}");
+    assert!(seen.contains(&rest), "{arrived}: {seen:?}");
+}
+
+#[test]
+fn two_fetches_into_one_folder_do_not_mix_their_bytes() {
+    let (_folder, into) = place();
+    let hub = TestHub::start(Fault::None);
+    let mut second = None;
+    let first = fetch_while(&hub.url(), &into, |_| {
+        second.get_or_insert_with(|| error_of(fetch(&hub.url(), &into)));
+        true
+    });
+    first.outcome.expect("a pack");
+    let second = second.expect("was tried");
+    assert!(second.contains("under way"), "{second}");
+    check_whole(&into);
 }
 
 #[test]

@@ -8,7 +8,7 @@ use std::thread;
 
 use sha2::{Digest, Sha256};
 
-use crate::digest::hex;
+use crate::manifest::hex;
 
 /// The commit that it has.
 pub(super) const COMMIT: &str = "0123456789abcdef0123456789abcdef01234567";

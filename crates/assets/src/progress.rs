@@ -9,11 +9,15 @@ const QUIET_STEP_PERCENT: u64 = 10;
 
 /// How far a fetch is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Progress {
-    pub(super) files: usize,
-    pub(super) of_files: usize,
-    pub(super) bytes: u64,
-    pub(super) of_bytes: u64,
+pub struct Progress {
+    /// Files that are whole.
+    pub files: usize,
+    /// Files of the pack.
+    pub of_files: usize,
+    /// Bytes that are there.
+    pub bytes: u64,
+    /// Bytes of the pack.
+    pub of_bytes: u64,
 }
 
 impl Progress {
@@ -28,29 +32,34 @@ impl Progress {
             "#".repeat(filled),
             ".".repeat(CELLS as usize - filled),
             self.percent(),
-            in_words(self.bytes),
-            in_words(self.of_bytes),
+            size_in_words(self.bytes),
+            size_in_words(self.of_bytes),
             self.files,
             self.of_files
         )
     }
 }
 
-/// Draws progress where a person sees it, and only what has changed.
-pub(super) struct Bar {
+/// Draws progress on standard error, and only what has changed: one line where that is a
+/// terminal, else a line now and then.
+#[derive(Debug)]
+pub struct Bar {
     is_terminal: bool,
     last: Option<String>,
 }
 
-impl Bar {
-    pub(super) fn new() -> Self {
+impl Default for Bar {
+    fn default() -> Self {
         Self {
             is_terminal: io::stderr().is_terminal(),
             last: None,
         }
     }
+}
 
-    pub(super) fn show(&mut self, progress: Progress) {
+impl Bar {
+    /// Draws how far it is.
+    pub fn show(&mut self, progress: Progress) {
         let (key, text) = if self.is_terminal {
             let line = progress.line();
             (line.clone(), format!("\r{line}  "))
@@ -67,7 +76,7 @@ impl Bar {
     }
 
     /// Leaves the line.
-    pub(super) fn finish(&self) {
+    pub fn finish(&self) {
         if self.is_terminal && self.last.is_some() {
             eprintln!();
         }
@@ -75,7 +84,7 @@ impl Bar {
 }
 
 /// A size as people read it.
-pub(super) fn in_words(bytes: u64) -> String {
+pub fn size_in_words(bytes: u64) -> String {
     match bytes {
         0..1_000 => format!("{bytes} bytes"),
         1_000..1_000_000 => format!("{:.1} kB", bytes as f64 / 1e3),

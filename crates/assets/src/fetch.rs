@@ -2,44 +2,52 @@
 //! are for, so that half a pack is never taken for one; the last step gives it
 //! its name. A fetch that was interrupted goes on with what is there.
 
-use std::fs;
+use std::fs::{self, File, TryLockError};
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use super::download::{Download, persistently, write_error};
-use super::error::AssetsError;
-use super::hub::{Hub, Listing, RemoteFile};
-use super::manifest::{self, Manifest};
-use super::progress::Progress;
+use crate::download::{Download, persistently, write_error};
+use crate::error::AssetsError;
+use crate::hub::{Hub, Listing, RemoteFile};
+use crate::manifest::Manifest;
+use crate::progress::Progress;
 
 /// Figures of a commit that tell it from others.
 const SHORT_COMMIT: usize = 12;
 
 /// A fetch to do.
-pub(super) struct Fetch<'a> {
-    pub(super) hub: &'a Hub,
+pub struct Fetch<'a> {
+    /// Where from.
+    pub hub: &'a Hub,
     /// The pack's folder; not there yet.
-    pub(super) into: &'a Path,
+    pub into: &'a Path,
     /// Waits.
-    pub(super) pause: &'a mut dyn FnMut(Duration),
-    /// Told how it is coming on.
-    pub(super) progress: &'a mut dyn FnMut(Progress),
+    pub pause: &'a mut dyn FnMut(Duration),
+    /// Told how it is coming on; says whether to go on.
+    pub progress: &'a mut dyn FnMut(Progress) -> ControlFlow<()>,
 }
 
 impl Fetch<'_> {
     /// Fetches; what the pack holds is also recorded beside it.
-    pub(super) fn run(&mut self) -> Result<Manifest, AssetsError> {
+    ///
+    /// # Errors
+    /// If the pack is there, or its files cannot be had or written. What has
+    /// arrived is kept; the next fetch goes on with it.
+    pub fn run(&mut self) -> Result<Manifest, AssetsError> {
         if self.into.exists() {
             let folder = self.into.to_owned();
-            return Err(AssetsError::Occupied { folder });
+            let remedy = self.hub.program().occupied;
+            return Err(AssetsError::Occupied { folder, remedy });
         }
         let hub = self.hub;
-        let commit = persistently(self.pause, || hub.latest_commit())?;
+        let commit = persistently(hub, self.pause, || hub.latest_commit())?;
         let listing = self.list(&commit)?;
         let gathering = self.gathering(&commit);
+        let _alone = self.alone_in(&gathering)?;
         self.gather(&commit, &listing.files, &gathering)?;
         let manifest = Manifest::of_folder(&gathering)?;
-        let record = manifest::beside(self.into);
+        let record = Manifest::beside(self.into);
         let written = fs::write(&record, manifest.to_string());
         written.map_err(|source| write_error(&record, source))?;
         let renamed = fs::rename(&gathering, self.into);
@@ -50,7 +58,7 @@ impl Fetch<'_> {
     fn list(&mut self, commit: &str) -> Result<Listing, AssetsError> {
         let hub = self.hub;
         let mut listing = hub.listing(commit);
-        while persistently(self.pause, || hub.list_more(&mut listing))? {}
+        while persistently(hub, self.pause, || hub.list_more(&mut listing))? {}
         if listing.files.is_empty() {
             return Err(AssetsError::Answer {
                 url: format!("the listing of {commit}"),
@@ -68,6 +76,21 @@ impl Fetch<'_> {
         self.into.with_file_name(name)
     }
 
+    /// Makes the folder, and keeps other fetches out of it for as long as what is
+    /// returned lives: two would mix their bytes.
+    fn alone_in(&self, gathering: &Path) -> Result<File, AssetsError> {
+        let made = fs::create_dir_all(gathering).and_then(|()| File::open(gathering));
+        let folder = made.map_err(|source| write_error(gathering, source))?;
+        match folder.try_lock() {
+            Err(TryLockError::WouldBlock) => {
+                let folder = self.into.to_owned();
+                Err(AssetsError::Busy { folder })
+            }
+            // Not every network file system locks folders.
+            Ok(()) | Err(TryLockError::Error(_)) => Ok(folder),
+        }
+    }
+
     fn gather(
         &mut self,
         commit: &str,
@@ -80,7 +103,7 @@ impl Fetch<'_> {
             bytes: 0,
             of_bytes: files.iter().map(|file| file.bytes).sum(),
         };
-        (self.progress)(progress);
+        self.tell(progress)?;
         for file in files {
             let target = folder.join(&file.path);
             let before = progress.bytes;
@@ -95,14 +118,21 @@ impl Fetch<'_> {
                 let show = &mut *self.progress;
                 download.run(self.pause, &mut |arrived| {
                     let bytes = before + arrived;
-                    show(Progress { bytes, ..progress });
+                    show(Progress { bytes, ..progress })
                 })?;
             }
             progress.files += 1;
             progress.bytes = before + file.bytes;
-            (self.progress)(progress);
+            self.tell(progress)?;
         }
         Ok(())
+    }
+
+    fn tell(&mut self, progress: Progress) -> Result<(), AssetsError> {
+        match (self.progress)(progress) {
+            ControlFlow::Continue(()) => Ok(()),
+            ControlFlow::Break(()) => Err(AssetsError::Interrupted),
+        }
     }
 }
 

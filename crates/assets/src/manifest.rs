@@ -11,8 +11,7 @@ use std::str::FromStr;
 
 use sha2::{Digest, Sha256};
 
-use super::error::AssetsError;
-use crate::digest::hex;
+use crate::error::AssetsError;
 
 /// The first line of a manifest as text.
 const HEADING: &str = "# Asset manifest 1: SHA-256, bytes, path";
@@ -23,7 +22,7 @@ const BLOCK_BYTES: usize = 1 << 16;
 
 /// Files by their path in the folder, with `/`.
 #[derive(Debug, Default, PartialEq, Eq)]
-pub(super) struct Manifest {
+pub struct Manifest {
     files: BTreeMap<String, FileFacts>,
 }
 
@@ -35,7 +34,10 @@ struct FileFacts {
 
 impl Manifest {
     /// Reads a whole folder.
-    pub(super) fn of_folder(folder: &Path) -> Result<Self, AssetsError> {
+    ///
+    /// # Errors
+    /// If a file or folder cannot be read.
+    pub fn of_folder(folder: &Path) -> Result<Self, AssetsError> {
         let mut files = BTreeMap::new();
         let mut folders = vec![(folder.to_owned(), 0)];
         while let Some((inner, depth)) = folders.pop() {
@@ -58,18 +60,38 @@ impl Manifest {
         Ok(Self { files })
     }
 
+    /// Reads a manifest that was written as text.
+    ///
+    /// # Errors
+    /// If the file cannot be read, or is no manifest.
+    pub fn read(file: &Path) -> Result<Self, AssetsError> {
+        let text = fs::read_to_string(file).map_err(|source| read_error(file, source))?;
+        text.parse().map_err(|problem| AssetsError::Manifest {
+            path: file.to_owned(),
+            problem,
+        })
+    }
+
+    /// Where the manifest of a fetched pack is: beside its folder, because a file
+    /// inside would be part of the pack's digest.
+    pub fn beside(folder: &Path) -> PathBuf {
+        let mut name = folder.file_name().unwrap_or_default().to_owned();
+        name.push(".manifest.txt");
+        folder.with_file_name(name)
+    }
+
     /// How many files there are.
-    pub(super) fn count(&self) -> usize {
+    pub fn count(&self) -> usize {
         self.files.len()
     }
 
     /// Their sizes' sum.
-    pub(super) fn total_bytes(&self) -> u64 {
+    pub fn total_bytes(&self) -> u64 {
         self.files.values().map(|facts| facts.bytes).sum()
     }
 
     /// What is otherwise in `found`, one file each.
-    pub(super) fn compare(&self, found: &Self) -> Vec<String> {
+    pub fn compare(&self, found: &Self) -> Vec<String> {
         let mut differences = Vec::new();
         for (name, expected) in &self.files {
             match found.files.get(name) {
@@ -91,16 +113,8 @@ impl Manifest {
     }
 }
 
-/// Where the manifest of a fetched pack is: beside its folder, because a file
-/// inside would be part of the pack's digest.
-pub(super) fn beside(folder: &Path) -> PathBuf {
-    let mut name = folder.file_name().unwrap_or_default().to_owned();
-    name.push(".manifest.txt");
-    folder.with_file_name(name)
-}
-
 /// SHA-256 of a file, hex.
-pub(super) fn sha256_of(path: &Path) -> io::Result<String> {
+pub(crate) fn sha256_of(path: &Path) -> io::Result<String> {
     let mut file = File::open(path)?;
     let mut hash = Sha256::new();
     let mut block = vec![0; BLOCK_BYTES];
@@ -110,6 +124,11 @@ pub(super) fn sha256_of(path: &Path) -> io::Result<String> {
             read => hash.update(&block[..read]),
         }
     }
+}
+
+/// Lower-case hexadecimal.
+pub(crate) fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 fn read_error(path: &Path, source: io::Error) -> AssetsError {

@@ -10,13 +10,15 @@ use serde::de::DeserializeOwned;
 use ureq::http::Response;
 use ureq::{Agent, Body};
 
-use super::error::AssetsError;
+use crate::error::AssetsError;
 
 /// The data set that hf-libero 0.1.4 takes its assets from
 /// (`HF_ASSETS_REPO_ID` in `utils/download_utils.py`), and the branch that it
 /// takes by default.
 const REPOSITORY: &str = "lerobot/libero-assets";
 const BRANCH: &str = "main";
+/// The hub that hf-libero 0.1.4 asks.
+pub const HUB: &str = "https://huggingface.co";
 /// Longest wait for a connection.
 const CONNECT_DEADLINE: Duration = Duration::from_secs(10);
 /// Longest wait for an answer, and for the next bytes of one.
@@ -28,7 +30,7 @@ const MAX_PAGES: usize = 50;
 
 /// Why one request failed.
 #[derive(Debug)]
-pub(super) enum RequestError {
+pub(crate) enum RequestError {
     /// Another one may succeed.
     Passing {
         /// What was asked for.
@@ -40,20 +42,30 @@ pub(super) enum RequestError {
     Final(AssetsError),
 }
 
+/// What messages tell users of the program that fetches.
+#[derive(Clone, Copy, Debug)]
+pub struct Program {
+    /// What to do where a pack is already, as an imperative.
+    pub occupied: &'static str,
+    /// What a pack is given with: an option or a variable.
+    pub assets: &'static str,
+}
+
 /// A hub.
-pub(super) struct Hub {
+pub struct Hub {
     base: String,
+    program: Program,
     agent: Agent,
 }
 
 /// A file on the hub.
 #[derive(Debug, PartialEq, Eq)]
-pub(super) struct RemoteFile {
+pub(crate) struct RemoteFile {
     /// In the pack's folder, with `/`; never leads out of it.
-    pub(super) path: String,
-    pub(super) bytes: u64,
+    pub(crate) path: String,
+    pub(crate) bytes: u64,
     /// Hex; the hub knows it of large files only.
-    pub(super) sha256: Option<String>,
+    pub(crate) sha256: Option<String>,
 }
 
 #[derive(Deserialize)]
@@ -76,8 +88,8 @@ struct Lfs {
 }
 
 impl Hub {
-    /// The hub at a base URL without a slash at its end.
-    pub(super) fn new(base: &str) -> Self {
+    /// The hub at a base URL, as [`hub_url`] returns it.
+    pub fn new(base: &str, program: Program) -> Self {
         let config = Agent::config_builder()
             .timeout_connect(Some(CONNECT_DEADLINE))
             .timeout_recv_response(Some(READ_DEADLINE))
@@ -86,12 +98,18 @@ impl Hub {
             .build();
         Self {
             base: base.to_owned(),
+            program,
             agent: config.into(),
         }
     }
 
+    /// Who asks.
+    pub(crate) fn program(&self) -> Program {
+        self.program
+    }
+
     /// The latest commit, so that all files are of one.
-    pub(super) fn latest_commit(&self) -> Result<String, RequestError> {
+    pub(crate) fn latest_commit(&self) -> Result<String, RequestError> {
         let url = format!("{}/api/datasets/{REPOSITORY}/revision/{BRANCH}", self.base);
         let (revision, _) = self.json::<Revision>(&url)?;
         let is_hash = revision.sha.bytes().all(|byte| byte.is_ascii_hexdigit());
@@ -103,7 +121,7 @@ impl Hub {
     }
 
     /// The first page of a commit's listing.
-    pub(super) fn listing(&self, commit: &str) -> Listing {
+    pub(crate) fn listing(&self, commit: &str) -> Listing {
         Listing {
             next: Some(format!(
                 "{}/api/datasets/{REPOSITORY}/tree/{commit}?recursive=true",
@@ -115,7 +133,7 @@ impl Hub {
     }
 
     /// Adds the next page to a listing; false after the last one.
-    pub(super) fn list_more(&self, listing: &mut Listing) -> Result<bool, RequestError> {
+    pub(crate) fn list_more(&self, listing: &mut Listing) -> Result<bool, RequestError> {
         let Some(url) = listing.next.clone() else {
             return Ok(false);
         };
@@ -150,7 +168,7 @@ impl Hub {
     }
 
     /// Where a file of a commit is.
-    pub(super) fn file_url(&self, commit: &str, file: &RemoteFile) -> String {
+    pub(crate) fn file_url(&self, commit: &str, file: &RemoteFile) -> String {
         let path = in_url(&file.path);
         format!(
             "{}/datasets/{REPOSITORY}/resolve/{commit}/{path}",
@@ -160,7 +178,7 @@ impl Hub {
 
     /// The contents from a byte on, or from the first where the hub knows no
     /// ranges: the status says which. Fails at any status but 200, 206 and 416.
-    pub(super) fn get(&self, url: &str, from: u64) -> Result<Response<Body>, RequestError> {
+    pub(crate) fn get(&self, url: &str, from: u64) -> Result<Response<Body>, RequestError> {
         let mut request = self.agent.get(url);
         if from > 0 {
             request = request.header("Range", format!("bytes={from}-"));
@@ -182,6 +200,7 @@ impl Hub {
             status => Err(RequestError::Final(AssetsError::Refused {
                 url: url.to_owned(),
                 status,
+                assets: self.program.assets,
             })),
         }
     }
@@ -208,6 +227,19 @@ impl Hub {
     }
 }
 
+/// The base URL of a hub, without slashes at its end.
+///
+/// # Errors
+/// What to write instead, where it is none.
+pub fn hub_url(text: &str) -> Result<String, &'static str> {
+    match text.split_once("://") {
+        Some(("http" | "https", host)) if !host.is_empty() => {
+            Ok(text.trim_end_matches('/').to_owned())
+        }
+        _ => Err("write https://HOST, or http://HOST:PORT for a local mirror"),
+    }
+}
+
 /// What keeps a hub from answering.
 fn in_words(error: &ureq::Error) -> String {
     match error {
@@ -219,8 +251,8 @@ fn in_words(error: &ureq::Error) -> String {
 }
 
 /// The files of a commit, as far as they are known.
-pub(super) struct Listing {
-    pub(super) files: Vec<RemoteFile>,
+pub(crate) struct Listing {
+    pub(crate) files: Vec<RemoteFile>,
     next: Option<String>,
     pages: usize,
 }

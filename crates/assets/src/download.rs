@@ -3,17 +3,18 @@
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Write};
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use attempt::{Backoff, Waits};
 
-use super::error::AssetsError;
-use super::hub::{Hub, RemoteFile, RequestError};
-use super::manifest::sha256_of;
+use crate::error::AssetsError;
+use crate::hub::{Hub, RemoteFile, RequestError};
+use crate::manifest::sha256_of;
 
 /// How often something is tried in vain before it is given up.
-pub(super) const MAX_TRIES: u32 = 5;
+pub(crate) const MAX_TRIES: u32 = 5;
 /// A try that gained less than this was in vain.
 const GAIN_BYTES: u64 = 1 << 20;
 /// Bytes that are written at a time.
@@ -21,7 +22,8 @@ const BLOCK_BYTES: usize = 1 << 16;
 
 /// Repeats a request until it succeeds, in vain for [`MAX_TRIES`] times, or
 /// fails for good.
-pub(super) fn persistently<T>(
+pub(crate) fn persistently<T>(
+    hub: &Hub,
     pause: &mut dyn FnMut(Duration),
     mut request: impl FnMut() -> Result<T, RequestError>,
 ) -> Result<T, AssetsError> {
@@ -39,6 +41,7 @@ pub(super) fn persistently<T>(
                 url,
                 problem,
                 tries,
+                assets: hub.program().assets,
             });
         }
         pause(wait);
@@ -46,20 +49,21 @@ pub(super) fn persistently<T>(
 }
 
 /// A file on its way.
-pub(super) struct Download<'a> {
-    pub(super) hub: &'a Hub,
-    pub(super) url: String,
-    pub(super) file: &'a RemoteFile,
+pub(crate) struct Download<'a> {
+    pub(crate) hub: &'a Hub,
+    pub(crate) url: String,
+    pub(crate) file: &'a RemoteFile,
     /// Where it goes; beside it, with `.part` at the end, is what has arrived.
-    pub(super) target: PathBuf,
+    pub(crate) target: PathBuf,
 }
 
 impl Download<'_> {
-    /// Gets it; tells how many bytes are there as they come.
-    pub(super) fn run(
+    /// Gets it; tells how many bytes are there as they come, until it hears that
+    /// nobody waits for more.
+    pub(crate) fn run(
         &self,
         pause: &mut dyn FnMut(Duration),
-        arrived: &mut dyn FnMut(u64),
+        arrived: &mut dyn FnMut(u64) -> ControlFlow<()>,
     ) -> Result<(), AssetsError> {
         let part = self.part();
         let folder = part.parent().expect("in the pack's folder");
@@ -94,11 +98,11 @@ impl Download<'_> {
         &self,
         part: &Path,
         pause: &mut dyn FnMut(Duration),
-        arrived: &mut dyn FnMut(u64),
+        arrived: &mut dyn FnMut(u64) -> ControlFlow<()>,
     ) -> Result<(), AssetsError> {
         loop {
             let before = size(part);
-            let outcome = persistently(pause, || {
+            let outcome = persistently(self.hub, pause, || {
                 let had = size(part);
                 match self.get_more(part, arrived) {
                     // A try that gained much starts the count anew.
@@ -116,7 +120,11 @@ impl Download<'_> {
     }
 
     /// One request for what is missing.
-    fn get_more(&self, part: &Path, arrived: &mut dyn FnMut(u64)) -> Result<(), RequestError> {
+    fn get_more(
+        &self,
+        part: &Path,
+        arrived: &mut dyn FnMut(u64) -> ControlFlow<()>,
+    ) -> Result<(), RequestError> {
         let failed = |source| RequestError::Final(write_error(part, source));
         let passing = |problem: String| RequestError::Passing {
             url: self.url.clone(),
@@ -162,7 +170,9 @@ impl Download<'_> {
             };
             file.write_all(&block[..read]).map_err(failed)?;
             have += read as u64;
-            arrived(have);
+            if arrived(have).is_break() {
+                return Err(RequestError::Final(AssetsError::Interrupted));
+            }
         }
         match have.cmp(&self.file.bytes) {
             std::cmp::Ordering::Equal => Ok(()),
@@ -199,7 +209,7 @@ fn size(path: &Path) -> u64 {
     fs::metadata(path).map_or(0, |facts| facts.len())
 }
 
-pub(super) fn write_error(path: &Path, source: io::Error) -> AssetsError {
+pub(crate) fn write_error(path: &Path, source: io::Error) -> AssetsError {
     AssetsError::Write {
         path: path.to_owned(),
         source,
