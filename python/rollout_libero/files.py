@@ -81,6 +81,11 @@ def sources_folder() -> Path:
     return (Path(cache) if cache else Path.home() / ".cache") / "rollout" / "sources"
 
 
+def fetched_assets_folder() -> Path:
+    """Where ``python -m rollout_libero fetch`` and the ``worker`` program put LIBERO's assets."""
+    return sources_folder() / "packs" / "libero"
+
+
 def sources() -> Path:
     """The folder of the sources, which are fetched if they are not there.
 
@@ -114,7 +119,7 @@ def assets(name_or_path: str | os.PathLike[str] | None = None) -> str:
         MissingAssetsError: if there is none.
     """
     given = name_or_path or os.environ.get("ROLLOUT_ASSETS")
-    fetched = sources_folder() / "packs" / "libero"
+    fetched = fetched_assets_folder()
     if not given:
         if fetched.is_dir():
             return str(fetched)

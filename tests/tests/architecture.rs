@@ -122,6 +122,7 @@ fn crates_use_one_another_in_the_agreed_directions_only() {
             "policy-gateway",
             &["sqlx", "scene", "sim", "coordinator", "worker"],
         ),
+        ("python", &["worker", "proto", "transport", "tokio", "sqlx"]),
         ("xtask", &["scene", "sim", "tokio"]),
     ];
     for (package, others) in forbidden {

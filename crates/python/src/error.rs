@@ -2,6 +2,7 @@
 
 use std::error::Error;
 
+use assets::AssetsError;
 use pyo3::create_exception;
 use pyo3::exceptions::{PyFileNotFoundError, PyMemoryError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
@@ -30,7 +31,7 @@ create_exception!(
     rollout_libero,
     FilesError,
     PyFileNotFoundError,
-    "A file of a scene is missing or wrong."
+    "A file of a scene is missing or wrong, or cannot be fetched."
 );
 
 /// An error with all its causes.
@@ -61,6 +62,11 @@ pub(crate) fn simulation(error: SimError) -> PyErr {
 
 /// The exception for an error in a scene's files.
 pub(crate) fn scene(error: SceneError) -> PyErr {
+    FilesError::new_err(words(&error))
+}
+
+/// The exception for assets that cannot be fetched.
+pub(crate) fn assets(error: AssetsError) -> PyErr {
     FilesError::new_err(words(&error))
 }
 

@@ -7,6 +7,7 @@
 mod action;
 mod batch;
 mod error;
+mod fetch;
 mod generator;
 mod guarded;
 mod scene;
@@ -22,6 +23,8 @@ mod _native {
     use super::batch::Batch;
     #[pymodule_export]
     use super::error::{BusyError, ClosedError, FilesError, SimulationError};
+    #[pymodule_export]
+    use super::fetch::fetch_assets;
     #[pymodule_export]
     use super::scene::Scene;
     #[pymodule_export]
