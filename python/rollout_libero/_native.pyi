@@ -35,6 +35,11 @@ def configuration_row(id: str) -> str:
 def nominal_row(task: str, initial_state: int) -> str:
     """The manifest row, JSON, of a task's nominal rollout from an initial state."""
 
+def fetch_assets(into: str | PathLike[str], hub: str | None = None) -> None:
+    """Fetches LIBERO's assets from the hub, or a mirror, into a folder that is not there
+    yet, and checks them; shows on standard error how far it is. What has arrived is kept,
+    and the next fetch goes on with it."""
+
 class Scene:
     """A compiled scene, shared by all its simulations."""
 
