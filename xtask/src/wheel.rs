@@ -145,11 +145,6 @@ pub(crate) fn test(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
         .args(["-m", "pytest", "--quiet", "-rs", "-p", "no:cacheprovider"])
         .arg(root.join("python/tests"))
         .env("ROLLOUT_PROGRAMS", programs);
-    // Beside the original where something else has installed it: it draws through OpenGL.
-    let original = cache.join("original/bin/python");
-    if std::env::var_os("ROLLOUT_ORIGINAL").is_none() && original.exists() {
-        pytest.env("ROLLOUT_ORIGINAL", original);
-    }
     if std::env::var_os("ROLLOUT_CLIENTS").is_none()
         && let Some(python) = clients::provide(root, cache)
     {

@@ -94,6 +94,7 @@ impl Batch {
     /// steps are drawn and read: `last`, `all` or `none`. Returns `steps` taken and
     /// `success` of each environment, the readings by name, and the frames by camera,
     /// with row 0 at the top.
+    #[expect(clippy::too_many_arguments, reason = "they are Python's keywords")]
     #[pyo3(signature = (actions, limits, starts, cameras, *, render = "last", absolute = false))]
     fn advance<'py>(
         &self,

@@ -134,19 +134,6 @@ impl Scene {
         })
     }
 
-    /// The scene with its initial states.
-    ///
-    /// # Errors
-    /// If there are none.
-    pub(crate) fn ready(&self) -> PyResult<&Arc<ReadyScene>> {
-        self.ready.as_ref().ok_or_else(|| {
-            PyValueError::new_err(format!(
-                "begin at a released initial state of {}: give Scene the file of them as init_file",
-                self.bddl_file.display()
-            ))
-        })
-    }
-
     fn instances(&self, kind: InstanceKind) -> Instances {
         let instances = self.compiled.scene().instances.iter();
         instances
