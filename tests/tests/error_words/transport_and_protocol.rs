@@ -2,7 +2,8 @@
 
 use protocol::manifest::{LineProblem, ManifestErrors};
 use protocol::{
-    Condition, DesignError, Level, PerturbError, RolloutId, RowError, SpecError, UnknownName,
+    Condition, DesignError, Level, NoSuchRow, PerturbError, RolloutId, RowError, SpecError,
+    UnknownName,
 };
 use transport::{
     AccessError, CertificateFault, EndpointError, Found, SecurityError, ServerKind, Settings,
@@ -68,6 +69,13 @@ fn protocol(messages: &mut Messages) {
             kind: "axis",
             given: String::new(),
             valid: "camera".to_owned(),
+        },
+    );
+    messages.add(
+        "NoSuchRow",
+        NoSuchRow {
+            id: id(),
+            problem: "there are 50 initial states".to_owned(),
         },
     );
     let refused = protocol::manifest::parse("{}\n[]\nx").expect_err("no manifest");

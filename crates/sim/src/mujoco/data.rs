@@ -4,7 +4,8 @@ use std::ptr::NonNull;
 
 use mujoco_rs::mujoco_c as c;
 
-use super::model::{Model, values};
+use super::model::Model;
+use super::slices::values;
 use crate::error::SimError;
 
 /// Simulation state of a model, owned.

@@ -9,6 +9,7 @@ use mujoco_rs::mujoco_c as c;
 
 use super::arrays::{self, ModelArray, NamedArray};
 use super::own::OwnArrays;
+use super::slices::values;
 use crate::error::SimError;
 
 /// A compiled model. What a rollout changes ([`own`](super::own)) belongs to it; all
@@ -419,19 +420,6 @@ impl<'a> Meshes<'a> {
             }
         }
     }
-}
-
-/// A slice of `count` values; empty for a null pointer, which arrays without
-/// elements may have.
-///
-/// # Safety
-/// The pointer is null, or points at `count` values that outlive `'a`.
-pub(super) unsafe fn values<'a, T>(pointer: *const T, count: i32) -> &'a [T] {
-    if pointer.is_null() || count <= 0 {
-        return &[];
-    }
-    // SAFETY: what the caller promises.
-    unsafe { std::slice::from_raw_parts(pointer, count as usize) }
 }
 
 impl Drop for Compilation {

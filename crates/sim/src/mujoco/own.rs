@@ -3,29 +3,28 @@
 
 use mujoco_rs::mujoco_c::mjModel;
 
-use super::model::{Model, values};
+use super::slices::values;
 
-/// One of them, to be changed.
-pub enum OwnArray<'a> {
-    /// Doubles.
-    Double(&'a mut [f64]),
-    /// Singles.
-    Single(&'a mut [f32]),
+/// Calls a macro with each array: the method that gives it to be changed, MuJoCo's name,
+/// its values and their number.
+macro_rules! each_own_array {
+    ($use:ident) => {
+        $use! {
+            body_pos_mut: body_pos: f64 = nbody * 3;
+            body_quat_mut: body_quat: f64 = nbody * 4;
+            cam_pos_mut: cam_pos: f64 = ncam * 3;
+            cam_quat_mut: cam_quat: f64 = ncam * 4;
+            light_pos_mut: light_pos: f64 = nlight * 3;
+            light_dir_mut: light_dir: f64 = nlight * 3;
+            light_diffuse_mut: light_diffuse: f32 = nlight * 3;
+            light_specular_mut: light_specular: f32 = nlight * 3;
+            site_rgba_mut: site_rgba: f32 = nsite * 4;
+        }
+    };
 }
+pub(super) use each_own_array;
 
-impl<'a> From<&'a mut [f64]> for OwnArray<'a> {
-    fn from(values: &'a mut [f64]) -> Self {
-        Self::Double(values)
-    }
-}
-
-impl<'a> From<&'a mut [f32]> for OwnArray<'a> {
-    fn from(values: &'a mut [f32]) -> Self {
-        Self::Single(values)
-    }
-}
-
-macro_rules! own_arrays {
+macro_rules! keep {
     ($($method:ident: $name:ident: $kind:ty = $rows:ident * $columns:literal;)*) => {
         /// Keeps the arrays alive.
         #[expect(dead_code, reason = "they are reached through the model")]
@@ -46,100 +45,8 @@ macro_rules! own_arrays {
                 )*
                 Self { $($name,)* }
             }
-
-            /// Their names.
-            pub(super) const NAMES: &[&str] = &[$(stringify!($name),)*];
-        }
-
-        impl Model {
-            $(
-                /// As the shared slice, to be changed.
-                pub fn $method(&mut self) -> &mut [$kind] {
-                    let model = self.raw_mut();
-                    // SAFETY: it leads to this model's own copy, of this length;
-                    // `&mut self` makes it exclusive.
-                    unsafe {
-                        std::slice::from_raw_parts_mut(
-                            model.$name,
-                            model.$rows as usize * $columns,
-                        )
-                    }
-                }
-            )*
-
-            /// An array that may be changed, by MuJoCo's name; none of another name.
-            pub fn own_array_mut(&mut self, name: &str) -> Option<OwnArray<'_>> {
-                match name {
-                    $(stringify!($name) => Some(self.$method().into()),)*
-                    _ => None,
-                }
-            }
-
-            pub(super) fn copy_arrays(&mut self, other: &Self) {
-                $(self.$method().copy_from_slice(other.$name());)*
-            }
         }
     };
 }
 
-own_arrays! {
-    body_pos_mut: body_pos: f64 = nbody * 3;
-    body_quat_mut: body_quat: f64 = nbody * 4;
-    cam_pos_mut: cam_pos: f64 = ncam * 3;
-    cam_quat_mut: cam_quat: f64 = ncam * 4;
-    light_pos_mut: light_pos: f64 = nlight * 3;
-    light_dir_mut: light_dir: f64 = nlight * 3;
-    light_diffuse_mut: light_diffuse: f32 = nlight * 3;
-    light_specular_mut: light_specular: f32 = nlight * 3;
-    site_rgba_mut: site_rgba: f32 = nsite * 4;
-}
-
-impl Model {
-    /// Names of the arrays that may be changed.
-    pub const OWN_ARRAYS: &[&str] = OwnArrays::NAMES;
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::mujoco::{Data, ObjectKind};
-
-    const SCENE: &str = r#"<mujoco><worldbody>
-        <light name="lamp" pos="0 0 3"/><camera name="front" pos="1 0 0"/>
-        <body name="block"><freejoint/><geom size="0.1"/><site name="mark"/></body>
-    </worldbody></mujoco>"#;
-
-    #[test]
-    fn what_a_model_changes_is_its_own() {
-        let mut first = Model::compile(SCENE).expect("a model");
-        let before = first.cam_pos().to_vec();
-        let mut second = first.share();
-        for name in Model::OWN_ARRAYS {
-            match second.own_array_mut(name).expect("one of them") {
-                OwnArray::Double(values) => values.fill(7.0),
-                OwnArray::Single(values) => values.fill(7.0),
-            }
-        }
-        second.set_headlight_ambient([0.5; 3]);
-        assert_eq!(first.cam_pos(), before);
-        assert!(second.cam_pos().iter().all(|value| *value == 7.0));
-        assert_ne!(first.headlight_ambient(), second.headlight_ambient());
-        assert!(first.own_array_mut("geom_pos").is_none());
-        // It outlives the model that it was made from, with names and states.
-        let state = Data::new(&first).expect("a state");
-        drop(first);
-        assert_eq!(state.qpos(&second).len(), 7);
-        assert_eq!(second.id(ObjectKind::Site, "mark").expect("a site"), 0);
-        let third = second.share();
-        assert_eq!(third.light_pos(), second.light_pos());
-        second.copy_own(&Model::share(&third));
-        assert_eq!(second.cam_pos(), third.cam_pos());
-    }
-
-    #[test]
-    #[should_panic(expected = "another compilation")]
-    fn a_model_takes_nothing_over_from_another_compilation() {
-        let [mut one, other] = [SCENE; 2].map(|scene| Model::compile(scene).expect("a model"));
-        one.copy_own(&other);
-    }
-}
+each_own_array!(keep);

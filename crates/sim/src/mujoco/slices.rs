@@ -1,0 +1,14 @@
+//! MuJoCo's arrays as slices.
+
+/// A slice of `count` values; empty for a null pointer, which arrays without
+/// elements may have.
+///
+/// # Safety
+/// The pointer is null, or points at `count` values that outlive `'a`.
+pub(super) unsafe fn values<'a, T>(pointer: *const T, count: i32) -> &'a [T] {
+    if pointer.is_null() || count <= 0 {
+        return &[];
+    }
+    // SAFETY: what the caller promises.
+    unsafe { std::slice::from_raw_parts(pointer, count as usize) }
+}

@@ -1,0 +1,47 @@
+//! Python environments of our own.
+
+use std::path::Path;
+use std::process::Command;
+
+use anyhow::{Context, Result};
+
+use crate::process::capture;
+
+/// Written into an environment once all is there; holds what was wanted.
+const STAMP: &str = "installed.txt";
+
+/// A virtual environment with these packages, made unless it is there.
+///
+/// # Errors
+/// If they cannot be had.
+pub(crate) fn environment(dir: &Path, packages: &[&str]) -> Result<&'static str> {
+    let wanted = packages.join("\n");
+    let stamp = dir.join(STAMP);
+    if std::fs::read_to_string(&stamp).is_ok_and(|installed| installed == wanted) {
+        return Ok("already there");
+    }
+    new_environment(dir)?;
+    capture(pip(dir).args(packages))
+        .context("install Python packages (is the package index reachable?)")?;
+    std::fs::write(&stamp, wanted).with_context(|| format!("write {}", stamp.display()))?;
+    Ok("installed")
+}
+
+/// An empty virtual environment, whatever was there.
+///
+/// # Errors
+/// If it cannot be made.
+pub(crate) fn new_environment(dir: &Path) -> Result<()> {
+    let mut venv = Command::new("python3");
+    capture(venv.args(["-m", "venv", "--clear"]).arg(dir))
+        .context("make a virtual environment (Debian: `apt-get install python3-venv`)")?;
+    Ok(())
+}
+
+/// Its pip, to install.
+pub(crate) fn pip(dir: &Path) -> Command {
+    let mut pip = Command::new(dir.join("bin/python"));
+    pip.args(["-m", "pip", "install", "--quiet"]);
+    pip.arg("--disable-pip-version-check");
+    pip
+}
