@@ -151,7 +151,8 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
 
         With ``render="last"`` an environment's observation is that after its last step; with
         ``"all"`` arrays are [environments, steps, …], and zero beyond the steps taken, which
-        ``info["taken"]`` counts; with ``"none"`` there are no frames.
+        ``info["taken"]`` counts (where a rollout begins, none, and the first observation is
+        in the first place); with ``"none"`` there are no frames.
         """
         actions = np.asarray(actions, dtype=np.float64)
         if not self._begun.all():
