@@ -160,7 +160,6 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     );
     let mut rounds = Vec::new();
     for number in 1..=options.rounds {
-        println!("round {number}");
         let without_python = {
             let mut command = Command::new(&program);
             command.args(["--task", &options.task, "--environments", &count]);
@@ -174,8 +173,11 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
             theirs: theirs("one")?,
             processes: theirs("processes")?,
         });
+        // A round takes minutes; whoever interrupts keeps what has been measured.
+        println!("after round {number}");
+        print(&rounds)?;
     }
-    print(&rounds)
+    Ok(())
 }
 
 fn print(rounds: &[Round]) -> Result<()> {

@@ -69,6 +69,8 @@ fn build(root: &Path, cache: &Path, profile: Profile) -> Result<Vec<PathBuf>> {
         .env("LD_LIBRARY_PATH", cache.join("mujoco-3.3.7"));
     run_command(&mut maturin)?;
     step("the wheel of rollout-libero-shim", || {
+        // setuptools would put what it finds there into the wheel, removed modules too.
+        let _ = std::fs::remove_dir_all(root.join("python/libero_shim/build"));
         let mut pip = Command::new(programs.join("python"));
         pip.args(["-m", "pip", "wheel", "--quiet", "--no-deps"])
             .args(["--no-build-isolation", "--disable-pip-version-check"])
