@@ -2,7 +2,8 @@
 //! changed here: neither orientation nor units nor frames.
 
 use proto::policy as wire;
-use sim::{Entity, EntityKind, Frame, Observation, Privileged, RobotState};
+use protocol::{Entity, EntityKind, Predicate, Privileged};
+use sim::{Frame, Observation, RobotState};
 use wire::StateField;
 
 /// An observation with the readings that the policy wants, in its order.
@@ -47,7 +48,7 @@ fn reading(robot: &RobotState, field: StateField) -> Vec<f64> {
 
 fn privileged(state: Privileged) -> wire::PrivilegedState {
     let joint = |(name, position)| wire::JointReading { name, position };
-    let predicate = |predicate: scene::Predicate| wire::GoalPredicate {
+    let predicate = |predicate: Predicate| wire::GoalPredicate {
         predicate: predicate.name,
         arguments: predicate.arguments,
     };

@@ -21,6 +21,7 @@ mod level;
 mod names;
 mod paraphrase;
 mod perturbation;
+mod privileged;
 mod rollout_id;
 mod row;
 mod row_of;
@@ -40,6 +41,7 @@ pub use perturbation::{
     ActuationDistortion, CameraShift, LightingShift, PerturbError, Perturbation, RobotShift,
     SensorCorruption,
 };
+pub use privileged::{Entity, EntityKind, Predicate, Privileged};
 pub use rollout_id::RolloutId;
 pub use row::{MAX_ROWS, ManifestRow, RowError};
 pub use row_of::{NoSuchRow, row_of};

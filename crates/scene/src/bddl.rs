@@ -3,6 +3,8 @@
 
 use std::fmt;
 
+use protocol::Predicate;
+
 use crate::expression::{Expression, Kind, read_expression};
 
 pub use crate::expression::BddlError;
@@ -59,21 +61,6 @@ pub struct Rectangle {
     pub x: [f64; 2],
     /// First and second y.
     pub y: [f64; 2],
-}
-
-/// A predicate over names: `(On a b)`.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Predicate {
-    /// Lower case: `on`, `in`, `open`, `close`, `turnon`, `turnoff`.
-    pub name: String,
-    /// One or two names.
-    pub arguments: Vec<String>,
-}
-
-impl fmt::Display for Predicate {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "({} {})", self.name, self.arguments.join(" "))
-    }
 }
 
 impl Problem {

@@ -2,10 +2,11 @@
 //! objects, fixtures and region sites, in the original's element order and
 //! with its names.
 
+use protocol::Predicate;
 use sha2::{Digest, Sha256};
 
 use crate::arena::{Arena, arena, known_problems};
-use crate::bddl::{Predicate, Problem};
+use crate::bddl::Problem;
 use crate::catalog::{category, category_count};
 use crate::element::{Element, numbers};
 use crate::error::SceneError;

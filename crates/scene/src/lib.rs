@@ -31,7 +31,7 @@ pub mod rotation;
 pub mod sources;
 pub mod task;
 
-pub use bddl::{Predicate, Problem};
+pub use bddl::Problem;
 pub use compose::{Scene, compose};
 pub use error::SceneError;
 pub use initial_states::InitialStates;

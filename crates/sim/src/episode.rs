@@ -14,7 +14,6 @@ use crate::perturb::{
     ActuationStage, ArmState, FrameSource, IkSolution, Jacobian, JointRange, Light, Lighting,
     SensorStage, shift_camera, shift_lighting, solve_shifted_pose,
 };
-use crate::privileged;
 use crate::ready_scene::{PERTURBED_CAMERA, ReadyScene};
 use crate::render::LazyDrawer;
 use crate::{Environment, perturb};
@@ -37,7 +36,6 @@ pub struct Digests {
 /// becomes of each action and frame.
 #[derive(Clone)]
 pub struct Conditions {
-    digests: Digests,
     realised: Realised,
     ik: Option<IkSolution>,
     sensor: Option<SensorStage>,
@@ -50,6 +48,7 @@ pub struct Conditions {
 pub struct Episode<'a> {
     environment: &'a mut Environment,
     drawer: &'a mut LazyDrawer,
+    digests: Digests,
     conditions: Conditions,
 }
 
@@ -64,12 +63,27 @@ impl Conditions {
         row: &ManifestRow,
         realisation: Realisation,
     ) -> Result<Self, SimError> {
+        let state = ready.state(row.init_id)?.to_vec();
+        Self::begin_at(state, ready, environment, row, realisation)
+    }
+
+    /// The same at any state of the scene, time, qpos and qvel: the row's own is not
+    /// looked at.
+    ///
+    /// # Errors
+    /// If the scene lacks what is perturbed.
+    pub fn begin_at(
+        mut state: Vec<f64>,
+        ready: &ReadyScene,
+        environment: &mut Environment,
+        row: &ManifestRow,
+        realisation: Realisation,
+    ) -> Result<Self, SimError> {
         let perturbation = &row.perturbation;
         let mut realised = Realised::default();
         let mut realise = |axis, elements| {
             realised.add(axis, perturbation.values(axis), elements);
         };
-        let mut state = ready.state(row.init_id)?.to_vec();
         let ik = perturbation
             .robot
             .map(|shift| displaced_arm(environment, &state, &shift));
@@ -98,13 +112,7 @@ impl Conditions {
             realise(Axis::Actuation, stage.realised());
             stage
         });
-        let init_id = usize::from(row.init_id);
-        let digests = Digests {
-            scene: ready.digest.clone(),
-            init_state: ready.states.digest(init_id).expect("it was loaded"),
-        };
         Ok(Self {
-            digests,
             realised,
             ik,
             sensor,
@@ -159,16 +167,23 @@ impl<'a> Episode<'a> {
         row: &ManifestRow,
         realisation: Realisation,
     ) -> Result<Self, SimError> {
+        let conditions = Conditions::begin(ready, environment, row, realisation)?;
+        let init_id = usize::from(row.init_id);
+        let digests = Digests {
+            scene: ready.digest.clone(),
+            init_state: ready.states.digest(init_id).expect("it was loaded"),
+        };
         Ok(Self {
-            conditions: Conditions::begin(ready, environment, row, realisation)?,
             environment,
             drawer,
+            digests,
+            conditions,
         })
     }
 
     /// What identifies the rollout's circumstances.
     pub fn digests(&self) -> &Digests {
-        &self.conditions.digests
+        &self.digests
     }
 
     /// The perturbed axes, with what became of their values.
@@ -207,7 +222,7 @@ impl<'a> Episode<'a> {
             frames.push(frame);
         }
         let privileged = if request.privileged {
-            Some(privileged::read(self.environment)?)
+            Some(self.environment.privileged()?)
         } else {
             None
         };

@@ -30,10 +30,7 @@ pub use episode::{Conditions, Digests, Episode};
 pub use error::SimError;
 pub use fingerprint::fingerprint;
 pub use mujoco::{ObjectKind, Segment};
-pub use observation::{
-    CameraRequest, Entity, EntityKind, Frame, Observation, ObservationRequest, Privileged,
-    RobotState,
-};
+pub use observation::{CameraRequest, Frame, Observation, ObservationRequest, RobotState};
 pub use perturb::IkSolution;
 pub use ready_scene::ReadyScene;
 pub use render::{Drawer, GlDevice, Renderer};

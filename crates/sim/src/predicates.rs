@@ -5,8 +5,9 @@
 //! left them and at joint positions after its integration, as the original
 //! does.
 
+use protocol::Predicate;
 use scene::catalog::{Articulation, Threshold};
-use scene::{Instance, Predicate, RegionSite, Scene};
+use scene::{Instance, RegionSite, Scene};
 
 use crate::error::SimError;
 use crate::mujoco::{Data, Model, ObjectKind};

@@ -1,37 +1,42 @@
 //! The simulator's own state, for scripted experts and debugging.
 
+use protocol::{Entity, EntityKind, Privileged};
 use scene::{Instance, InstanceKind, RegionSite};
 
 use crate::controller::{ARM_JOINTS, GRIP_SITE};
 use crate::environment::Environment;
 use crate::error::SimError;
 use crate::mujoco::{Data, Model, ObjectKind};
-use crate::observation::{Entity, EntityKind, Privileged};
 
 /// `mjJNT_FREE`.
 const FREE_JOINT: i32 = 0;
 
-/// Reads everything.
-pub(crate) fn read(environment: &Environment) -> Result<Privileged, SimError> {
-    let (scene, model, data) = (environment.scene(), environment.model(), environment.data());
-    let instances = scene
-        .instances
-        .iter()
-        .map(|instance| instance_entity(model, data, instance));
-    let regions = scene
-        .regions
-        .iter()
-        .map(|region| region_entity(model, data, region));
-    let grip = model.id(ObjectKind::Site, GRIP_SITE)?;
-    let qpos = data.qpos(model);
-    Ok(Privileged {
-        entities: instances.chain(regions).collect::<Result<_, _>>()?,
-        joints: joints(environment)?,
-        goal: scene.goal.clone(),
-        grip_pos: triple(data.site_xpos(model), grip),
-        grip_quat_wxyz: site_quat(model, data, grip),
-        gripper_opening: qpos[ARM_JOINTS] - qpos[ARM_JOINTS + 1],
-    })
+impl Environment {
+    /// Where everything is, for scripted experts.
+    ///
+    /// # Errors
+    /// If the model lacks what its scene names.
+    pub fn privileged(&self) -> Result<Privileged, SimError> {
+        let (scene, model, data) = (self.scene(), self.model(), self.data());
+        let instances = scene
+            .instances
+            .iter()
+            .map(|instance| instance_entity(model, data, instance));
+        let regions = scene
+            .regions
+            .iter()
+            .map(|region| region_entity(model, data, region));
+        let grip = model.id(ObjectKind::Site, GRIP_SITE)?;
+        let qpos = data.qpos(model);
+        Ok(Privileged {
+            entities: instances.chain(regions).collect::<Result<_, _>>()?,
+            joints: joints(self)?,
+            goal: scene.goal.clone(),
+            grip_pos: triple(data.site_xpos(model), grip),
+            grip_quat_wxyz: site_quat(model, data, grip),
+            gripper_opening: qpos[ARM_JOINTS] - qpos[ARM_JOINTS + 1],
+        })
+    }
 }
 
 fn joints(environment: &Environment) -> Result<Vec<(String, f64)>, SimError> {

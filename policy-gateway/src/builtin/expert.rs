@@ -1,30 +1,10 @@
-//! `builtin:expert`: a scripted manipulator for LIBERO's tasks, deterministic,
-//! that looks at no camera and asks for the simulator's own state instead. It
-//! exists to exercise the whole service with rollouts that mostly succeed, and
-//! every result of it is marked privileged: it is no baseline for policies
-//! that see. Skills live in the rooms below; this file only runs them one
-//! after the other.
+//! `builtin:expert`: the scripted manipulator behind the policy protocol. It asks
+//! for the simulator's own state, so that every result of it is marked privileged.
 
-mod geometry;
-mod goal;
-mod grasp;
-#[cfg(test)]
-mod kinematic_scene;
-mod motion;
-mod place;
-mod routine;
-mod transfer;
-mod world;
-
-use std::collections::VecDeque;
-
-use proto::policy::{DescribeResponse, Language, Observation, ResetRequest};
+use proto::policy::{self as wire, DescribeResponse, Language, Observation, entity::Kind};
+use protocol::{Entity, EntityKind, Predicate, Privileged};
 
 use super::instance::{Action, BuiltinPolicy};
-use geometry::Vec3;
-use goal::Skill;
-use motion::{Command, Fingers, HandPose, Motion};
-use world::World;
 
 /// What the expert declares: no cameras, no robot readings, privileged state,
 /// one action per query.
@@ -42,55 +22,7 @@ pub fn describe() -> DescribeResponse {
     }
 }
 
-/// One episode.
-#[derive(Debug)]
-pub struct Expert {
-    /// What is left to do; none before the first observation.
-    plan: Option<VecDeque<Skill>>,
-    motion: Motion,
-    /// As seen in the first observation, when the hand is at rest.
-    shoulder: Option<Vec3>,
-}
-
-impl Expert {
-    /// A fresh episode. The goal comes with the observations, not with the
-    /// instruction, so the request is not looked at.
-    pub fn new(_reset: &ResetRequest) -> Self {
-        Self {
-            plan: None,
-            motion: Motion::default(),
-            shoulder: None,
-        }
-    }
-
-    /// The next skill's command; a plan that has run out is made anew, since
-    /// an episode that goes on has not reached its goal.
-    fn command(&mut self, world: &World) -> Result<Command, String> {
-        let mut plan = match self.plan.take() {
-            Some(plan) => plan,
-            None => goal::plan(world)?.into(),
-        };
-        let mut wanted = None;
-        while let (None, Some(skill)) = (wanted, plan.front_mut()) {
-            wanted = skill.step(world, &self.motion)?;
-            if wanted.is_none() {
-                plan.pop_front();
-            }
-        }
-        self.plan = (!plan.is_empty()).then_some(plan);
-        let here = HandPose {
-            pos: world.grip,
-            quat: world.grip_quat,
-        };
-        Ok(wanted.unwrap_or(Command {
-            hand: here,
-            fingers: Fingers::Open,
-            pace: 1.0,
-        }))
-    }
-}
-
-impl BuiltinPolicy for Expert {
+impl BuiltinPolicy for expert::Expert {
     fn infer(
         &mut self,
         _query_index: u32,
@@ -99,86 +31,86 @@ impl BuiltinPolicy for Expert {
         let state = observation.privileged.as_ref();
         let state = state
             .ok_or("the observation carries no privileged state, which the expert asks for")?;
-        let mut world = World::read(state)?;
-        world.shoulder = *self.shoulder.get_or_insert(world.shoulder);
-        self.motion.observe(&world);
-        let command = self.command(&world)?;
-        Ok(vec![motion::servo(&world, &self.motion, &command)])
+        self.act(&read(state)?).map(|action| vec![action])
     }
+}
+
+/// # Errors
+/// Names the field that is of the wrong width.
+fn read(state: &wire::PrivilegedState) -> Result<Privileged, String> {
+    let joint = |joint: &wire::JointReading| (joint.name.clone(), joint.position);
+    let predicate = |goal: &wire::GoalPredicate| Predicate {
+        name: goal.predicate.clone(),
+        arguments: goal.arguments.clone(),
+    };
+    Ok(Privileged {
+        entities: state
+            .entities
+            .iter()
+            .map(entity)
+            .collect::<Result<_, _>>()?,
+        joints: state.joints.iter().map(joint).collect(),
+        goal: state.goal.iter().map(predicate).collect(),
+        grip_pos: numbers(&state.grip_pos, "gripper", "grip_pos")?,
+        grip_quat_wxyz: numbers(&state.grip_quat, "gripper", "grip_quat")?,
+        gripper_opening: state.gripper_opening,
+    })
+}
+
+fn entity(entity: &wire::Entity) -> Result<Entity, String> {
+    Ok(Entity {
+        name: entity.name.clone(),
+        kind: match entity.kind() {
+            Kind::Object => EntityKind::Object,
+            Kind::Fixture => EntityKind::Fixture,
+            Kind::Site => EntityKind::Site,
+            Kind::Unspecified => return Err(format!("'{}' is of no kind", entity.name)),
+        },
+        category: entity.category.clone(),
+        pos: numbers(&entity.pos, &entity.name, "pos")?,
+        quat_wxyz: numbers(&entity.quat, &entity.name, "quat")?,
+        half_extents: numbers(&entity.half_extents, &entity.name, "half_extents")?,
+        centre: numbers(&entity.centre, &entity.name, "centre")?,
+    })
+}
+
+fn numbers<const N: usize>(values: &[f64], owner: &str, field: &str) -> Result<[f64; N], String> {
+    values
+        .try_into()
+        .map_err(|_| format!("{field} of '{owner}' has {} numbers, not {N}", values.len()))
 }
 
 #[cfg(test)]
 mod tests {
-    use super::kinematic_scene::KinematicScene;
+    use expert::Expert;
+
     use super::*;
-
-    fn scene() -> KinematicScene {
-        KinematicScene::new("on", &["bowl_1", "plate_1"])
-            .object("bowl_1", [-0.1, -0.1, 0.025], [0.054, 0.054, 0.025])
-            .object("plate_1", [0.05, 0.2, 0.01], [0.069, 0.069, 0.01])
-    }
-
-    /// Every action of an episode of `steps` steps.
-    fn episode(steps: u32) -> Vec<Action> {
-        let (mut scene, mut expert) = (scene(), Expert::new(&ResetRequest::default()));
-        let mut actions = Vec::new();
-        for query_index in 0..steps {
-            let observation = Observation {
-                privileged: Some(scene.state.clone()),
-                ..Observation::default()
-            };
-            let answer = expert.infer(query_index, &observation).expect("an answer");
-            scene.apply(answer[0]);
-            actions.extend(answer);
-        }
-        actions
-    }
-
-    #[test]
-    fn an_episode_is_the_same_twice_and_every_action_is_in_range() {
-        let actions = episode(250);
-        assert_eq!(actions, episode(250));
-        assert_eq!(actions.len(), 250);
-        assert!(actions.iter().flatten().all(|v| (-1.0..=1.0).contains(v)));
-    }
 
     #[test]
     fn an_observation_without_privileged_state_is_refused() {
-        let mut expert = Expert::new(&ResetRequest::default());
-        let refusal = expert.infer(0, &Observation::default()).unwrap_err();
+        let refusal = Expert::default()
+            .infer(0, &Observation::default())
+            .unwrap_err();
         assert!(refusal.contains("privileged"), "{refusal}");
     }
 
     #[test]
     fn an_entity_of_the_wrong_width_is_refused_by_name() {
-        let mut state = scene().state;
-        state.entities[0].pos.pop();
+        let bowl = wire::Entity {
+            name: "bowl_1".to_owned(),
+            kind: Kind::Object.into(),
+            pos: vec![0.0; 2],
+            ..wire::Entity::default()
+        };
         let observation = Observation {
-            privileged: Some(state),
+            privileged: Some(wire::PrivilegedState {
+                entities: vec![bowl],
+                ..wire::PrivilegedState::default()
+            }),
             ..Observation::default()
         };
-        let mut expert = Expert::new(&ResetRequest::default());
-        let refusal = expert.infer(0, &observation).unwrap_err();
-        assert!(
-            refusal.contains("bowl_1") && refusal.contains("pos"),
-            "{refusal}"
-        );
-    }
-
-    #[test]
-    fn a_number_as_in_no_scene_is_refused_by_name() {
-        for number in [1e256, -101.0, f64::NAN, f64::INFINITY] {
-            let mut state = scene().state;
-            state.grip_pos[1] = number;
-            let observation = Observation {
-                privileged: Some(state),
-                ..Observation::default()
-            };
-            let mut expert = Expert::new(&ResetRequest::default());
-            let refusal = expert.infer(0, &observation).unwrap_err();
-            let expected = format!("grip_pos of 'gripper' holds {number}");
-            assert!(refusal.contains(&expected), "{refusal}");
-        }
+        let refusal = Expert::default().infer(0, &observation).unwrap_err();
+        assert_eq!(refusal, "pos of 'bowl_1' has 2 numbers, not 3");
     }
 
     #[test]

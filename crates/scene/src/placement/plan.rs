@@ -1,9 +1,11 @@
 //! From a problem's `:init` to samplers, in the original's order: joints as they
 //! are named, then what stands on the workspace, on sites, in sites, on objects.
 
+use protocol::Predicate;
+
 use super::{Base, JointSampler, PoseSampler, PoseTarget, Samplers};
 use crate::arena::Arena;
-use crate::bddl::{Predicate, Problem, Rectangle, Region};
+use crate::bddl::{Problem, Rectangle, Region};
 use crate::catalog::Articulation;
 use crate::error::SceneError;
 use crate::instance::{InstanceKind, RegionSite};

@@ -7,29 +7,29 @@ use std::ops::{Add, Mul, Sub};
 
 /// A point or a direction.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Vec3 {
-    pub(super) x: f64,
-    pub(super) y: f64,
-    pub(super) z: f64,
+pub(crate) struct Vec3 {
+    pub(crate) x: f64,
+    pub(crate) y: f64,
+    pub(crate) z: f64,
 }
 
 impl Vec3 {
-    pub(super) const UP: Self = Self::new(0.0, 0.0, 1.0);
+    pub(crate) const UP: Self = Self::new(0.0, 0.0, 1.0);
 
-    pub(super) const fn new(x: f64, y: f64, z: f64) -> Self {
+    pub(crate) const fn new(x: f64, y: f64, z: f64) -> Self {
         Self { x, y, z }
     }
 
     /// The horizontal unit vector at `angle` from the x axis.
-    pub(super) fn heading(angle: f64) -> Self {
+    pub(crate) fn heading(angle: f64) -> Self {
         Self::new(angle.cos(), angle.sin(), 0.0)
     }
 
-    pub(super) fn dot(self, other: Self) -> f64 {
+    pub(crate) fn dot(self, other: Self) -> f64 {
         self.x * other.x + self.y * other.y + self.z * other.z
     }
 
-    pub(super) fn cross(self, other: Self) -> Self {
+    pub(crate) fn cross(self, other: Self) -> Self {
         Self::new(
             self.y * other.z - self.z * other.y,
             self.z * other.x - self.x * other.z,
@@ -37,31 +37,31 @@ impl Vec3 {
         )
     }
 
-    pub(super) fn norm(self) -> f64 {
+    pub(crate) fn norm(self) -> f64 {
         self.dot(self).sqrt()
     }
 
     /// Length of the shadow on the floor.
-    pub(super) fn horizontal_norm(self) -> f64 {
+    pub(crate) fn horizontal_norm(self) -> f64 {
         self.x.hypot(self.y)
     }
 
     /// The same point at another height.
-    pub(super) fn at_height(self, z: f64) -> Self {
+    pub(crate) fn at_height(self, z: f64) -> Self {
         Self { z, ..self }
     }
 
-    pub(super) fn abs(self) -> Self {
+    pub(crate) fn abs(self) -> Self {
         Self::new(self.x.abs(), self.y.abs(), self.z.abs())
     }
 
     /// The largest coordinate, signs kept.
-    pub(super) fn max_coordinate(self) -> f64 {
+    pub(crate) fn max_coordinate(self) -> f64 {
         self.x.max(self.y).max(self.z)
     }
 
     /// The largest coordinate by magnitude.
-    pub(super) fn max_abs(self) -> f64 {
+    pub(crate) fn max_abs(self) -> f64 {
         self.x.abs().max(self.y.abs()).max(self.z.abs())
     }
 }
@@ -91,26 +91,26 @@ const AXES: [Vec3; 3] = [Vec3::new(1.0, 0.0, 0.0), Vec3::new(0.0, 1.0, 0.0), Vec
 
 /// A rotation as a unit quaternion.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Quat {
-    pub(super) w: f64,
-    pub(super) v: Vec3,
+pub(crate) struct Quat {
+    pub(crate) w: f64,
+    pub(crate) v: Vec3,
 }
 
 impl Quat {
-    pub(super) const IDENTITY: Self = Self {
+    pub(crate) const IDENTITY: Self = Self {
         w: 1.0,
         v: Vec3::new(0.0, 0.0, 0.0),
     };
 
     /// A turn by `angle` about the unit vector `axis`.
-    pub(super) fn turn(axis: Vec3, angle: f64) -> Self {
+    pub(crate) fn turn(axis: Vec3, angle: f64) -> Self {
         Self {
             w: (angle / 2.0).cos(),
             v: axis * (angle / 2.0).sin(),
         }
     }
 
-    pub(super) fn inverse(self) -> Self {
+    pub(crate) fn inverse(self) -> Self {
         Self {
             w: self.w,
             v: self.v * -1.0,
@@ -118,21 +118,21 @@ impl Quat {
     }
 
     /// This turn after `first`.
-    pub(super) fn after(self, first: Self) -> Self {
+    pub(crate) fn after(self, first: Self) -> Self {
         Self {
             w: self.w * first.w - self.v.dot(first.v),
             v: first.v * self.w + self.v * first.w + self.v.cross(first.v),
         }
     }
 
-    pub(super) fn rotate(self, p: Vec3) -> Vec3 {
+    pub(crate) fn rotate(self, p: Vec3) -> Vec3 {
         let t = self.v.cross(p) * 2.0;
         p + t * self.w + self.v.cross(t)
     }
 
     /// Axis times angle of the shorter way round, so that its length is at
     /// most pi.
-    pub(super) fn rotation_vector(self) -> Vec3 {
+    pub(crate) fn rotation_vector(self) -> Vec3 {
         let q = if self.w < 0.0 {
             Self {
                 w: -self.w,
@@ -152,7 +152,7 @@ impl Quat {
 
 /// `angle` brought into (-pi/2, pi/2] by half turns: where a two-fingered
 /// hand, or a line, looks the same.
-pub(super) fn half_turn(angle: f64) -> f64 {
+pub(crate) fn half_turn(angle: f64) -> f64 {
     let a = angle.rem_euclid(2.0 * FRAC_PI_2);
     if a > FRAC_PI_2 {
         a - 2.0 * FRAC_PI_2
@@ -163,12 +163,12 @@ pub(super) fn half_turn(angle: f64) -> f64 {
 
 /// A body's footprint as a rectangle along its own horizontal axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Footprint {
+pub(crate) struct Footprint {
     /// Direction of the narrower side, rad from the x axis, in (-pi/2, pi/2].
-    pub(super) narrow_angle: f64,
+    pub(crate) narrow_angle: f64,
     /// Half extents, m, `narrow <= wide`.
-    pub(super) narrow: f64,
-    pub(super) wide: f64,
+    pub(crate) narrow: f64,
+    pub(crate) wide: f64,
 }
 
 /// Recovers a rectangle from its world-aligned bounding box (`half`) and the
@@ -176,7 +176,7 @@ pub(super) struct Footprint {
 /// a·|cos t| + b·|sin t| by a·|sin t| + b·|cos t|, which is solved for a and
 /// b. Near 45° the two equations say the same, and near-round bodies have no
 /// sides: both are taken as they stand, along the world's axes or the body's.
-pub(super) fn footprint(quat: Quat, half: Vec3) -> Footprint {
+pub(crate) fn footprint(quat: Quat, half: Vec3) -> Footprint {
     let t = horizontal_axis_angle(quat);
     let (c, s) = (t.cos().abs(), t.sin().abs());
     let det = c * c - s * s;
@@ -208,7 +208,7 @@ pub(super) fn footprint(quat: Quat, half: Vec3) -> Footprint {
 
 /// The horizontal part of the body axis that points up: none where the body
 /// stands or lies square, towards its low side where it is tilted.
-pub(super) fn lean(quat: Quat) -> Vec3 {
+pub(crate) fn lean(quat: Quat) -> Vec3 {
     let most_upright = AXES
         .map(|axis| quat.rotate(axis))
         .into_iter()

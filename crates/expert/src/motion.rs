@@ -9,9 +9,12 @@
 
 use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2};
 
-use super::geometry::{Quat, Vec3, half_turn};
-use super::world::{Entity, Solid, World};
-use crate::builtin::instance::Action;
+use crate::geometry::{Quat, Vec3, half_turn};
+use crate::world::{Entity, Solid, World};
+
+/// One control step's action: end-effector translation (3) and rotation (3),
+/// gripper (-1 open, 1 closed), each in -1..1.
+pub type Action = [f32; 7];
 
 /// What one unit of action asks for: m and rad (LIBERO's OSC_POSE settings).
 const UNIT_M: f64 = 0.05;
@@ -24,7 +27,7 @@ const POSITION_GAIN: f64 = 2.0;
 const LOOKAHEAD_STEPS: f64 = 1.5;
 /// From the point between the fingertips to their lower end, m (Panda hand
 /// of robosuite 1.4.0).
-pub(super) const FINGERTIP_M: f64 = 0.0095;
+pub(crate) const FINGERTIP_M: f64 = 0.0095;
 /// Room kept between what the hand carries and what it passes over, m.
 const CLEARANCE_M: f64 = 0.02;
 /// Half the width of what passes over: fingers and what they hold, m.
@@ -37,13 +40,13 @@ const STILL_M: f64 = 0.0008;
 /// A pose of the hand: the point between the fingertips, and its orientation
 /// (x: closing direction, z: where the fingers point).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct HandPose {
-    pub(super) pos: Vec3,
-    pub(super) quat: Quat,
+pub(crate) struct HandPose {
+    pub(crate) pos: Vec3,
+    pub(crate) quat: Quat,
 }
 
 impl HandPose {
-    pub(super) fn moved(self, by: Vec3) -> Self {
+    pub(crate) fn moved(self, by: Vec3) -> Self {
         Self {
             pos: self.pos + by,
             ..self
@@ -51,7 +54,7 @@ impl HandPose {
     }
 
     /// Whether the hand is there, up to so many metres and radians.
-    pub(super) fn is_near(self, world: &World, near_m: f64, near_rad: f64) -> bool {
+    pub(crate) fn is_near(self, world: &World, near_m: f64, near_rad: f64) -> bool {
         let turn = self.quat.after(world.grip_quat.inverse()).rotation_vector();
         (self.pos - world.grip).norm() < near_m && turn.norm() < near_rad
     }
@@ -61,7 +64,7 @@ impl HandPose {
 /// the two poses that look alike, the one nearer to the robot's rest pose,
 /// which closes along the world's y: a quarter turn either way stays inside
 /// the last joint's range.
-pub(super) fn pointing_down(angle: f64) -> Quat {
+pub(crate) fn pointing_down(angle: f64) -> Quat {
     let rest = Quat {
         w: 0.0,
         v: Vec3::new(FRAC_1_SQRT_2, FRAC_1_SQRT_2, 0.0),
@@ -71,29 +74,29 @@ pub(super) fn pointing_down(angle: f64) -> Quat {
 
 /// `quat`, a hand pointing down, tilted by `angle` so that the fingers point
 /// more and more along the horizontal direction `ahead`.
-pub(super) fn tilted(quat: Quat, ahead: Vec3, angle: f64) -> Quat {
+pub(crate) fn tilted(quat: Quat, ahead: Vec3, angle: f64) -> Quat {
     let down = Vec3::UP * -1.0;
     Quat::turn(down.cross(ahead), angle).after(quat)
 }
 
 /// What the fingers should do.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Fingers {
+pub(crate) enum Fingers {
     Open,
     Close,
 }
 
 /// What a skill wants now.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Command {
-    pub(super) hand: HandPose,
-    pub(super) fingers: Fingers,
+pub(crate) struct Command {
+    pub(crate) hand: HandPose,
+    pub(crate) fingers: Fingers,
     /// Largest vertical action component, 0..1.
-    pub(super) pace: f64,
+    pub(crate) pace: f64,
 }
 
 /// The action that serves `command`: seven numbers in [-1, 1].
-pub(super) fn servo(world: &World, motion: &Motion, command: &Command) -> Action {
+pub(crate) fn servo(world: &World, motion: &Motion, command: &Command) -> Action {
     let foretold = world.grip + motion.per_step() * LOOKAHEAD_STEPS;
     let shift = (command.hand.pos - foretold) * (POSITION_GAIN / UNIT_M);
     let turn = command
@@ -125,7 +128,7 @@ fn saturate(v: Vec3, limit: f64) -> Vec3 {
 
 /// What the hand takes along, or goes for, on its way.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Errand<'a> {
+pub(crate) enum Errand<'a> {
     /// Nothing; its own lowest part is that far below the grip point, m.
     Empty(f64),
     /// Goes for this object, which is no obstacle.
@@ -155,7 +158,7 @@ impl Errand<'_> {
 /// Where to steer now in order to reach `goal` without running into anything:
 /// out from under what is overhead, straight up until everything on the way is
 /// cleared, then across, then down.
-pub(super) fn detour(world: &World, goal: Vec3, errand: Errand) -> Vec3 {
+pub(crate) fn detour(world: &World, goal: Vec3, errand: Errand) -> Vec3 {
     if (goal - world.grip).horizontal_norm() < ARRIVAL_M {
         return goal;
     }
@@ -215,7 +218,7 @@ fn way_from_under(world: &World, errand: Errand) -> Option<Vec3> {
 /// Watches the hand from step to step: how fast it is, and whether something
 /// stopped it.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Motion {
+pub(crate) struct Motion {
     last: Option<(Vec3, f64)>,
     per_step: Vec3,
     still_steps: u32,
@@ -223,7 +226,7 @@ pub(super) struct Motion {
 }
 
 impl Motion {
-    pub(super) fn observe(&mut self, world: &World) {
+    pub(crate) fn observe(&mut self, world: &World) {
         if let Some((grip, opening)) = self.last {
             self.per_step = world.grip - grip;
             let still = self.per_step.norm() < STILL_M;
@@ -239,25 +242,25 @@ impl Motion {
     }
 
     /// How far the hand moved in the last step, m.
-    pub(super) fn per_step(&self) -> Vec3 {
+    pub(crate) fn per_step(&self) -> Vec3 {
         self.per_step
     }
 
     /// For how many steps the hand has not moved.
-    pub(super) fn still_steps(&self) -> u32 {
+    pub(crate) fn still_steps(&self) -> u32 {
         self.still_steps
     }
 
     /// For how many steps the fingers have not moved against each other.
-    pub(super) fn finger_still_steps(&self) -> u32 {
+    pub(crate) fn finger_still_steps(&self) -> u32 {
         self.finger_still_steps
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::kinematic_scene::KinematicScene;
     use super::*;
+    use crate::kinematic_scene::KinematicScene;
 
     fn scene() -> KinematicScene {
         KinematicScene::new("on", &["a", "b"])

@@ -2,11 +2,11 @@
 //! is observed at every step. A grasp that missed, or an object lost on the
 //! way, starts the next attempt with the next grasp.
 
-use super::geometry::{Quat, Vec3};
-use super::grasp::{self, Grasp, Purpose};
-use super::motion::{Command, Errand, Fingers, HandPose, Motion, detour, pointing_down};
-use super::place::{Place, Spot};
-use super::world::{Entity, World};
+use crate::geometry::{Quat, Vec3};
+use crate::grasp::{self, Grasp, Purpose};
+use crate::motion::{Command, Errand, Fingers, HandPose, Motion, detour, pointing_down};
+use crate::place::{Place, Spot};
+use crate::world::{Entity, World};
 
 /// The hand waits this far above a grasp before it comes down, m.
 const HOVER_M: f64 = 0.04;
@@ -36,7 +36,7 @@ const GENTLE: f64 = 0.4;
 
 /// The skill.
 #[derive(Debug)]
-pub(super) struct Transfer {
+pub(crate) struct Transfer {
     object: String,
     place: Place,
     phase: Phase,
@@ -86,7 +86,7 @@ enum Next {
 }
 
 impl Transfer {
-    pub(super) fn new(object: String, place: Place) -> Self {
+    pub(crate) fn new(object: String, place: Place) -> Self {
         Self {
             object,
             place,
@@ -101,7 +101,7 @@ impl Transfer {
     ///
     /// # Errors
     /// Names an object or region that the scene lacks.
-    pub(super) fn step(
+    pub(crate) fn step(
         &mut self,
         world: &World,
         motion: &Motion,
@@ -298,10 +298,10 @@ fn hold_to(pos: Vec3, hold: Hold, pace: f64) -> Next {
 
 #[cfg(test)]
 mod tests {
-    use super::super::kinematic_scene::KinematicScene;
-    use super::super::motion::servo;
-    use super::super::place::Relation;
     use super::*;
+    use crate::kinematic_scene::KinematicScene;
+    use crate::motion::servo;
+    use crate::place::Relation;
 
     const BASKET: &str = "basket_1_contain_region";
 

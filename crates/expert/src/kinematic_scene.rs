@@ -3,11 +3,10 @@
 //! hold what is between them; what is let go drops to the floor. Physics is
 //! not its business: for that there are tests on the real simulator.
 
-use proto::policy::entity::Kind;
-use proto::policy::{Entity, GoalPredicate, JointReading, PrivilegedState};
+use protocol::{Entity, EntityKind, Predicate, Privileged};
 
-use super::geometry::{Quat, Vec3};
-use super::world::World;
+use crate::geometry::{Quat, Vec3};
+use crate::world::World;
 
 /// The controller's spring (OSC_POSE of LIBERO: kp 150, critically damped),
 /// its goal per unit of action, and the simulator's step.
@@ -22,23 +21,23 @@ const FINGER_STEP_M: f64 = 0.01;
 /// Objects nearer than this to the grip point can be held, m.
 const REACH_M: f64 = 0.08;
 
-pub(super) struct KinematicScene {
-    pub(super) state: PrivilegedState,
+pub(crate) struct KinematicScene {
+    pub(crate) state: Privileged,
     /// How many times the fingers close without getting hold of anything.
-    pub(super) slippery: u32,
+    pub(crate) slippery: u32,
     held: Option<usize>,
     velocity: [f64; 3],
 }
 
 impl KinematicScene {
     /// A hand at rest, 0.3 m above the origin, over a floor at height 0.
-    pub(super) fn new(goal: &str, arguments: &[&str]) -> Self {
-        let state = PrivilegedState {
+    pub(crate) fn new(goal: &str, arguments: &[&str]) -> Self {
+        let state = Privileged {
             goal: vec![predicate(goal, arguments)],
-            grip_pos: vec![0.0, 0.0, 0.3],
-            grip_quat: vec![0.0, 0.5_f64.sqrt(), 0.5_f64.sqrt(), 0.0],
+            grip_pos: [0.0, 0.0, 0.3],
+            grip_quat_wxyz: [0.0, 0.5_f64.sqrt(), 0.5_f64.sqrt(), 0.0],
             gripper_opening: 0.08,
-            ..PrivilegedState::default()
+            ..Privileged::default()
         };
         Self {
             state,
@@ -48,35 +47,32 @@ impl KinematicScene {
         }
     }
 
-    pub(super) fn goal(mut self, name: &str, arguments: &[&str]) -> Self {
+    pub(crate) fn goal(mut self, name: &str, arguments: &[&str]) -> Self {
         self.state.goal.push(predicate(name, arguments));
         self
     }
 
-    pub(super) fn joint(mut self, name: &str, position: f64) -> Self {
-        self.state.joints.push(JointReading {
-            name: name.to_owned(),
-            position,
-        });
+    pub(crate) fn joint(mut self, name: &str, position: f64) -> Self {
+        self.state.joints.push((name.to_owned(), position));
         self
     }
 
     /// An object standing on the floor, or, with `centre`'s third number, in
     /// the air.
-    pub(super) fn object(self, name: &str, centre: [f64; 3], half: [f64; 3]) -> Self {
+    pub(crate) fn object(self, name: &str, centre: [f64; 3], half: [f64; 3]) -> Self {
         self.entity(
             name,
-            Kind::Object,
+            EntityKind::Object,
             name.trim_end_matches("_1"),
             centre,
             half,
         )
     }
 
-    pub(super) fn fixture(self, name: &str, centre: [f64; 3], half: [f64; 3]) -> Self {
+    pub(crate) fn fixture(self, name: &str, centre: [f64; 3], half: [f64; 3]) -> Self {
         self.entity(
             name,
-            Kind::Fixture,
+            EntityKind::Fixture,
             name.trim_end_matches("_1"),
             centre,
             half,
@@ -84,36 +80,36 @@ impl KinematicScene {
     }
 
     /// A region on or in `parent`.
-    pub(super) fn region(self, name: &str, parent: &str, centre: [f64; 3], half: [f64; 3]) -> Self {
-        self.entity(name, Kind::Site, parent, centre, half)
+    pub(crate) fn region(self, name: &str, parent: &str, centre: [f64; 3], half: [f64; 3]) -> Self {
+        self.entity(name, EntityKind::Site, parent, centre, half)
     }
 
     fn entity(
         mut self,
         name: &str,
-        kind: Kind,
+        kind: EntityKind,
         category: &str,
         centre: [f64; 3],
         half: [f64; 3],
     ) -> Self {
         self.state.entities.push(Entity {
             name: name.to_owned(),
-            kind: kind.into(),
+            kind,
             category: category.to_owned(),
-            pos: centre.to_vec(),
-            quat: vec![1.0, 0.0, 0.0, 0.0],
-            half_extents: half.to_vec(),
-            centre: centre.to_vec(),
+            pos: centre,
+            quat_wxyz: [1.0, 0.0, 0.0, 0.0],
+            half_extents: half,
+            centre,
         });
         self
     }
 
-    pub(super) fn world(&self) -> World {
+    pub(crate) fn world(&self) -> World {
         World::read(&self.state).expect("a scene of the right widths")
     }
 
     /// One control step.
-    pub(super) fn apply(&mut self, action: [f32; 7]) {
+    pub(crate) fn apply(&mut self, action: [f32; 7]) {
         let a = action.map(f64::from);
         let shift = self.pull_hand([a[0], a[1], a[2]]);
         self.shift_hand(shift);
@@ -121,7 +117,7 @@ impl KinematicScene {
         if turn.norm() > 1e-6 {
             let turned = Quat::turn(turn * (1.0 / turn.norm()), turn.norm() * STEP_RAD);
             let q = turned.after(self.world().grip_quat);
-            self.state.grip_quat = vec![q.w, q.v.x, q.v.y, q.v.z];
+            self.state.grip_quat_wxyz = [q.w, q.v.x, q.v.y, q.v.z];
         }
         if a[6] > 0.0 {
             self.close()
@@ -131,7 +127,7 @@ impl KinematicScene {
     }
 
     /// Takes the held object out of the hand.
-    pub(super) fn knock_out_of_hand(&mut self) {
+    pub(crate) fn knock_out_of_hand(&mut self) {
         if let Some(held) = self.held.take() {
             drop_to_floor(&mut self.state.entities[held]);
         }
@@ -182,16 +178,17 @@ impl KinematicScene {
     fn between_fingers(&self) -> Option<usize> {
         let near = |e: &Entity| {
             let gaps = (0..3).map(|i| self.state.grip_pos[i] - e.centre[i]);
-            e.kind() == Kind::Object && gaps.map(|gap| gap * gap).sum::<f64>() < REACH_M * REACH_M
+            e.kind == EntityKind::Object
+                && gaps.map(|gap| gap * gap).sum::<f64>() < REACH_M * REACH_M
         };
         self.state.entities.iter().position(near)
     }
 }
 
-fn predicate(name: &str, arguments: &[&str]) -> GoalPredicate {
+fn predicate(name: &str, arguments: &[&str]) -> Predicate {
     let arguments = arguments.iter().map(|a| (*a).to_owned()).collect();
-    GoalPredicate {
-        predicate: name.to_owned(),
+    Predicate {
+        name: name.to_owned(),
         arguments,
     }
 }

@@ -4,9 +4,9 @@
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
-use super::geometry::{Footprint, Vec3, footprint, half_turn, lean};
-use super::motion::FINGERTIP_M;
-use super::world::{Entity, Solid, World};
+use crate::geometry::{Footprint, Vec3, footprint, half_turn, lean};
+use crate::motion::FINGERTIP_M;
+use crate::world::{Entity, Solid, World};
 
 /// Widest body that is pinched whole, m: the hand opens to 0.08 m, less a
 /// margin on both sides.
@@ -86,18 +86,18 @@ const HANDLE_DEPTH_M: f64 = 0.042;
 
 /// A way to hold an object.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Grasp {
+pub(crate) struct Grasp {
     /// Grip point from the centre of the object's box, world axes, m.
-    pub(super) offset: Vec3,
+    pub(crate) offset: Vec3,
     /// Closing direction, rad from the world's x axis.
-    pub(super) closing: f64,
+    pub(crate) closing: f64,
     /// What is wrong with it wherever the object is: its share of the rank.
     strain: f64,
 }
 
 /// What the place that an object is taken to asks of the grasp.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Wish {
+pub(crate) enum Wish {
     Any,
     /// The closing direction is across this horizontal one.
     Across(Vec3),
@@ -107,19 +107,19 @@ pub(super) enum Wish {
 
 /// What a grasp is for.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Purpose<'a> {
-    pub(super) wish: Wish,
+pub(crate) struct Purpose<'a> {
+    pub(crate) wish: Wish,
     /// Where the object's origin is taken to, seen from above, and its lowest
     /// point.
-    pub(super) destination: Vec3,
+    pub(crate) destination: Vec3,
     /// The object or fixture that is there, which the hand may touch.
-    pub(super) owner: &'a str,
+    pub(crate) owner: &'a str,
 }
 
 /// All ways to hold `object`, best first: little turning of the hand, no
 /// finger in a neighbour, room beside the rim, and within the arm's reach here
 /// and there.
-pub(super) fn choices(world: &World, object: &Entity, purpose: Purpose<'_>) -> Vec<Grasp> {
+pub(crate) fn choices(world: &World, object: &Entity, purpose: Purpose<'_>) -> Vec<Grasp> {
     let shape = footprint(object.quat, object.half);
     let handle = HANDLES.iter().find(|h| h.0 == object.category);
     let mut all = if let (Wish::Handle, Some((_, way))) = (purpose.wish, handle) {
@@ -251,9 +251,9 @@ fn into_wall(world: &World, object: &Entity, grasp: &Grasp) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::geometry::Quat;
-    use super::super::kinematic_scene::KinematicScene;
     use super::*;
+    use crate::geometry::Quat;
+    use crate::kinematic_scene::KinematicScene;
 
     const BOX: [f64; 3] = [0.04, 0.02, 0.03];
     const BOWL: [f64; 3] = [0.054, 0.054, 0.025];
@@ -362,7 +362,7 @@ mod tests {
     fn a_tilted_bowl_is_held_at_the_high_side_of_its_rim() {
         let mut scene = scene().object("thing", [0.0, 0.0, 0.03], BOWL);
         let tilt = Quat::turn(Vec3::new(1.0, 0.0, 0.0), 0.3);
-        scene.state.entities[0].quat = vec![tilt.w, tilt.v.x, tilt.v.y, tilt.v.z];
+        scene.state.entities[0].quat_wxyz = [tilt.w, tilt.v.x, tilt.v.y, tilt.v.z];
         // Turned about x, the side at +y has gone up.
         let grasp = best(&scene, Wish::Any);
         assert!(grasp.offset.y > 0.03, "{grasp:?}");

@@ -1,41 +1,41 @@
-//! The privileged observation as the expert reads it: checked once, then
+//! The simulator's state as the expert reads it: checked once, then
 //! looked up by name. Not responsible for deciding anything.
 
-use proto::policy::{PrivilegedState, entity::Kind};
+use protocol::{EntityKind, Predicate, Privileged};
 
-use super::geometry::{Quat, Vec3};
+use crate::geometry::{Quat, Vec3};
 
 /// An object, a fixture or a region.
 #[derive(Clone, Debug)]
-pub(super) struct Entity {
-    pub(super) name: String,
-    pub(super) kind: Kind,
+pub(crate) struct Entity {
+    pub(crate) name: String,
+    pub(crate) kind: EntityKind,
     /// Category of an object or fixture; of a region, the instance it is on.
-    pub(super) category: String,
+    pub(crate) category: String,
     /// Origin of the body, which is what goal predicates measure.
-    pub(super) pos: Vec3,
-    pub(super) quat: Quat,
+    pub(crate) pos: Vec3,
+    pub(crate) quat: Quat,
     /// World-aligned box of the collision geometry; of a region, its size
     /// along its own axes.
-    pub(super) centre: Vec3,
-    pub(super) half: Vec3,
+    pub(crate) centre: Vec3,
+    pub(crate) half: Vec3,
 }
 
 impl Entity {
-    pub(super) fn top(&self) -> f64 {
+    pub(crate) fn top(&self) -> f64 {
         self.centre.z + self.half.z
     }
 
-    pub(super) fn bottom(&self) -> f64 {
+    pub(crate) fn bottom(&self) -> f64 {
         self.centre.z - self.half.z
     }
 
-    pub(super) fn is_region(&self) -> bool {
-        self.kind == Kind::Site
+    pub(crate) fn is_region(&self) -> bool {
+        self.kind == EntityKind::Site
     }
 
     /// Half extent along the world direction `way`.
-    pub(super) fn extent_along(&self, way: Vec3) -> f64 {
+    pub(crate) fn extent_along(&self, way: Vec3) -> f64 {
         if self.is_region() {
             self.quat.inverse().rotate(way).abs().dot(self.half)
         } else {
@@ -44,32 +44,32 @@ impl Entity {
     }
 
     /// Half height, whichever of its axes points up.
-    pub(super) fn upright_half_height(&self) -> f64 {
+    pub(crate) fn upright_half_height(&self) -> f64 {
         self.extent_along(Vec3::UP)
     }
 
     /// `p` in a region's own axes, from its centre.
-    pub(super) fn local(&self, p: Vec3) -> Vec3 {
+    pub(crate) fn local(&self, p: Vec3) -> Vec3 {
         self.quat.inverse().rotate(p - self.pos)
     }
 }
 
 /// One instant of the simulation.
 #[derive(Clone, Debug)]
-pub(super) struct World {
+pub(crate) struct World {
     entities: Vec<Entity>,
     joints: Vec<(String, f64)>,
     solids: Vec<Solid>,
-    pub(super) goal: Vec<Predicate>,
+    pub(crate) goal: Vec<Predicate>,
     /// Point between the fingertips.
-    pub(super) grip: Vec3,
+    pub(crate) grip: Vec3,
     /// x: closing direction, z: where the fingers point.
-    pub(super) grip_quat: Quat,
+    pub(crate) grip_quat: Quat,
     /// Distance between the fingers, m.
-    pub(super) opening: f64,
+    pub(crate) opening: f64,
     /// The arm's shoulder, if the hand is at rest. The robot's base is not
     /// observed: the expert keeps the first one of an episode.
-    pub(super) shoulder: Vec3,
+    pub(crate) shoulder: Vec3,
 }
 
 /// The shoulder from the grip point at rest: LIBERO's robots face the world's
@@ -91,20 +91,12 @@ const LARGEST_OF_UNIT: f64 = 1.001;
 /// Most objects, fixtures and regions: LIBERO's scenes have some dozens.
 const MAX_ENTITIES: usize = 1_000;
 
-/// One goal predicate, arguments as the task file names them.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct Predicate {
-    pub(super) name: String,
-    pub(super) arguments: Vec<String>,
-}
-
 impl World {
-    /// Reads the message.
+    /// Reads the state.
     ///
     /// # Errors
-    /// Names the field that is missing, of the wrong width, or that holds a number
-    /// that no scene has.
-    pub(super) fn read(state: &PrivilegedState) -> Result<Self, String> {
+    /// Names the field that holds a number that no scene has.
+    pub(crate) fn read(state: &Privileged) -> Result<Self, String> {
         if state.entities.len() > MAX_ENTITIES {
             return Err(format!(
                 "the scene has {} objects, fixtures and regions; at most {MAX_ENTITIES} are looked at",
@@ -115,33 +107,23 @@ impl World {
         for e in &state.entities {
             entities.push(Entity {
                 name: e.name.clone(),
-                kind: e.kind(),
+                kind: e.kind,
                 category: e.category.clone(),
                 pos: vec3(&e.pos, &e.name, "pos")?,
-                quat: quat(&e.quat, &e.name)?,
+                quat: quat(&e.quat_wxyz, &e.name)?,
                 centre: vec3(&e.centre, &e.name, "centre")?,
                 half: vec3(&e.half_extents, &e.name, "half_extents")?,
             });
         }
-        let goal = state.goal.iter();
         let grip = vec3(&state.grip_pos, "gripper", "grip_pos")?;
         let mut world = Self {
             entities,
             solids: Vec::new(),
-            joints: state
-                .joints
-                .iter()
-                .map(|j| (j.name.clone(), j.position))
-                .collect(),
-            goal: goal
-                .map(|g| Predicate {
-                    name: g.predicate.clone(),
-                    arguments: g.arguments.clone(),
-                })
-                .collect(),
+            joints: state.joints.clone(),
+            goal: state.goal.clone(),
             grip,
             shoulder: grip + SHOULDER_FROM_REST,
-            grip_quat: quat(&state.grip_quat, "gripper")?,
+            grip_quat: quat(&state.grip_quat_wxyz, "gripper")?,
             opening: state.gripper_opening,
         };
         world.solids = solids(&world);
@@ -152,7 +134,7 @@ impl World {
     ///
     /// # Errors
     /// Names what is not in the scene.
-    pub(super) fn entity(&self, name: &str) -> Result<&Entity, String> {
+    pub(crate) fn entity(&self, name: &str) -> Result<&Entity, String> {
         let found = self.entities.iter().find(|e| e.name == name);
         found.ok_or_else(|| format!("the scene has no object, fixture or region named '{name}'"))
     }
@@ -161,7 +143,7 @@ impl World {
     ///
     /// # Errors
     /// Names what is not in the scene.
-    pub(super) fn joint(&self, name: &str) -> Result<f64, String> {
+    pub(crate) fn joint(&self, name: &str) -> Result<f64, String> {
         let found = self.joints.iter().find(|(n, _)| n == name);
         found
             .map(|j| j.1)
@@ -169,7 +151,7 @@ impl World {
     }
 
     /// Names of the joints of the instance `owner`.
-    pub(super) fn joints_of(&self, owner: &str) -> impl Iterator<Item = &str> {
+    pub(crate) fn joints_of(&self, owner: &str) -> impl Iterator<Item = &str> {
         let prefix = format!("{owner}_");
         self.joints
             .iter()
@@ -179,7 +161,7 @@ impl World {
 
     /// How far beyond its comfortable reach the arm is with the hand pointing
     /// down at `grip`, m; 0 within.
-    pub(super) fn overstretch(&self, grip: Vec3) -> f64 {
+    pub(crate) fn overstretch(&self, grip: Vec3) -> f64 {
         let from_shoulder = grip - self.shoulder;
         let across = from_shoulder.horizontal_norm() - WRIST_BACK_M;
         let reach = across.hypot(from_shoulder.z + WRIST_UP_M);
@@ -187,17 +169,17 @@ impl World {
     }
 
     /// Everything that can be run into.
-    pub(super) fn solids(&self) -> &[Solid] {
+    pub(crate) fn solids(&self) -> &[Solid] {
         &self.solids
     }
 
     /// All regions.
-    pub(super) fn regions(&self) -> impl Iterator<Item = &Entity> {
+    pub(crate) fn regions(&self) -> impl Iterator<Item = &Entity> {
         self.entities.iter().filter(|e| e.is_region())
     }
 
     /// If `region` is in a drawer: out of the cabinet's front, horizontal.
-    pub(super) fn front_of_drawer(&self, region: &Entity) -> Option<Vec3> {
+    pub(crate) fn front_of_drawer(&self, region: &Entity) -> Option<Vec3> {
         let joint = drawer_joint(&region.name)?;
         self.joint(&joint).ok()?;
         Some(front(self.entity(&region.category).ok()?))
@@ -205,7 +187,7 @@ impl World {
 
     /// If something of its own fixture is above `region`, so that only the
     /// open front leads in: out of that front, horizontal.
-    pub(super) fn front_of_cover(&self, region: &Entity) -> Option<Vec3> {
+    pub(crate) fn front_of_cover(&self, region: &Entity) -> Option<Vec3> {
         let cover = self.entity(&top_side(&region.category)).ok()?;
         let beneath = cover.local(region.pos.at_height(cover.pos.z)).abs() - cover.half;
         let covered = beneath.max_coordinate() < 0.0 && region.pos.z < cover.pos.z;
@@ -215,7 +197,7 @@ impl World {
 }
 
 /// The joint of the drawer that has `region` in it, by LIBERO's naming.
-pub(super) fn drawer_joint(region: &str) -> Option<String> {
+pub(crate) fn drawer_joint(region: &str) -> Option<String> {
     region
         .strip_suffix("_region")
         .map(|drawer| format!("{drawer}_level"))
@@ -236,27 +218,27 @@ const DRAWER_WALL_M: f64 = 0.01;
 /// A drawer's handle bar from the centre of its region, out of the cabinet's
 /// front and up, and its half extents across the bar and along it, m (LIBERO's
 /// two cabinets agree on them).
-pub(super) const HANDLE_OUT_M: f64 = 0.113;
-pub(super) const HANDLE_UP_M: f64 = -0.0045;
+pub(crate) const HANDLE_OUT_M: f64 = 0.113;
+pub(crate) const HANDLE_UP_M: f64 = -0.0045;
 const HANDLE_HALF_M: (f64, f64) = (0.012, 0.048);
 
 /// A box that can be run into.
 #[derive(Clone, Debug)]
-pub(super) struct Solid {
+pub(crate) struct Solid {
     /// Name of the object or fixture that it is, or is part of.
-    pub(super) owner: String,
-    pub(super) centre: Vec3,
-    pub(super) quat: Quat,
+    pub(crate) owner: String,
+    pub(crate) centre: Vec3,
+    pub(crate) quat: Quat,
     /// Half extents along its own axes.
-    pub(super) half: Vec3,
+    pub(crate) half: Vec3,
 }
 
 impl Solid {
-    pub(super) fn top(&self) -> f64 {
+    pub(crate) fn top(&self) -> f64 {
         self.centre.z + self.half_height()
     }
 
-    pub(super) fn bottom(&self) -> f64 {
+    pub(crate) fn bottom(&self) -> f64 {
         self.centre.z - self.half_height()
     }
 
@@ -266,20 +248,20 @@ impl Solid {
 
     /// How far `p` is outside, along the axis along which it is furthest
     /// outside; negative within.
-    pub(super) fn gap(&self, p: Vec3) -> f64 {
+    pub(crate) fn gap(&self, p: Vec3) -> f64 {
         let offset = self.quat.inverse().rotate(p - self.centre);
         (offset.abs() - self.half).max_coordinate()
     }
 
     /// The same, seen from above.
-    pub(super) fn gap_from_above(&self, p: Vec3) -> f64 {
+    pub(crate) fn gap_from_above(&self, p: Vec3) -> f64 {
         self.gap(p.at_height(self.centre.z))
     }
 
     /// Whether, seen from above, it overlaps the rectangle around `p` that
     /// reaches out by these two horizontal vectors, which are at right angles:
     /// no axis of either separates the two.
-    pub(super) fn overlaps_from_above(&self, p: Vec3, reach: [Vec3; 2]) -> bool {
+    pub(crate) fn overlaps_from_above(&self, p: Vec3, reach: [Vec3; 2]) -> bool {
         let inward = self.quat.inverse();
         let offset = inward.rotate((p - self.centre).at_height(0.0));
         let [a, b] = reach.map(|r| inward.rotate(r));
@@ -357,27 +339,15 @@ fn within(values: &[f64], largest: f64, owner: &str, field: &str) -> Result<(), 
     }
 }
 
-fn vec3(values: &[f64], owner: &str, field: &str) -> Result<Vec3, String> {
+fn vec3(values: &[f64; 3], owner: &str, field: &str) -> Result<Vec3, String> {
     within(values, LARGEST_M, owner, field)?;
-    match *values {
-        [x, y, z] => Ok(Vec3::new(x, y, z)),
-        _ => Err(format!(
-            "{field} of '{owner}' has {} numbers, not 3",
-            values.len()
-        )),
-    }
+    let [x, y, z] = *values;
+    Ok(Vec3::new(x, y, z))
 }
 
-fn quat(values: &[f64], owner: &str) -> Result<Quat, String> {
+fn quat(values: &[f64; 4], owner: &str) -> Result<Quat, String> {
     within(values, LARGEST_OF_UNIT, owner, "quat")?;
-    match *values {
-        [w, x, y, z] => Ok(Quat {
-            w,
-            v: Vec3::new(x, y, z),
-        }),
-        _ => Err(format!(
-            "quat of '{owner}' has {} numbers, not 4",
-            values.len()
-        )),
-    }
+    let [w, x, y, z] = *values;
+    let v = Vec3::new(x, y, z);
+    Ok(Quat { w, v })
 }

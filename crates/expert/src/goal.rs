@@ -1,15 +1,17 @@
 //! From goal predicates to skills, in an order in which they do not undo one
 //! another. Not responsible for how a skill is carried out.
 
-use super::motion::{Command, Motion};
-use super::place::{Place, Relation};
-use super::routine::{self, Deed, Routine};
-use super::transfer::Transfer;
-use super::world::{Predicate, World, drawer_joint};
+use protocol::Predicate;
+
+use crate::motion::{Command, Motion};
+use crate::place::{Place, Relation};
+use crate::routine::{self, Deed, Routine};
+use crate::transfer::Transfer;
+use crate::world::{World, drawer_joint};
 
 /// A skill at work.
 #[derive(Debug)]
-pub(super) enum Skill {
+pub(crate) enum Skill {
     Transfer(Transfer),
     Routine(Routine),
 }
@@ -19,7 +21,7 @@ impl Skill {
     ///
     /// # Errors
     /// Names an entity or joint that the scene lacks.
-    pub(super) fn step(
+    pub(crate) fn step(
         &mut self,
         world: &World,
         motion: &Motion,
@@ -38,7 +40,7 @@ impl Skill {
 /// # Errors
 /// Names a predicate that the expert has no skill for, or an argument that the
 /// scene lacks.
-pub(super) fn plan(world: &World) -> Result<Vec<Skill>, String> {
+pub(crate) fn plan(world: &World) -> Result<Vec<Skill>, String> {
     let (mut before, mut between, mut after) = (Vec::new(), Vec::new(), Vec::new());
     for predicate in &world.goal {
         let arguments: Vec<&str> = predicate.arguments.iter().map(String::as_str).collect();
@@ -164,8 +166,8 @@ fn transfer(world: &World, object: &str, place: Place) -> Result<Option<Skill>, 
 
 #[cfg(test)]
 mod tests {
-    use super::super::kinematic_scene::KinematicScene;
     use super::*;
+    use crate::kinematic_scene::KinematicScene;
 
     const MUG: [f64; 3] = [0.03, 0.03, 0.05];
     const DRAWER: &str = "cabinet_1_top_region";

@@ -1,10 +1,10 @@
 //! Where an object belongs: what a goal predicate's target means for the hand
 //! that carries something there. Not responsible for how it gets there.
 
-use super::geometry::{Vec3, footprint};
-use super::grasp::Wish;
-use super::motion::FINGERTIP_M;
-use super::world::{Entity, World};
+use crate::geometry::{Vec3, footprint};
+use crate::grasp::Wish;
+use crate::motion::FINGERTIP_M;
+use crate::world::{Entity, World};
 
 /// An object is carried this far above its destination's brim, m.
 const CARRY_M: f64 = 0.02;
@@ -29,17 +29,17 @@ const ON_REGION_M: f64 = 0.1;
 
 /// A goal for one object.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Place {
-    pub(super) relation: Relation,
+pub(crate) struct Place {
+    pub(crate) relation: Relation,
     /// Object or region.
-    pub(super) target: String,
+    pub(crate) target: String,
     /// Which side of the target's middle, where two objects share it: -1, 0
     /// for the middle itself, 1.
-    pub(super) slot: f64,
+    pub(crate) slot: f64,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Relation {
+pub(crate) enum Relation {
     On,
     In,
 }
@@ -47,11 +47,11 @@ pub(super) enum Relation {
 /// A place, resolved to where things are now. Points are where the object's
 /// origin belongs, seen from above; heights are those of its lowest point.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Spot {
+pub(crate) struct Spot {
     /// Where the way in begins.
-    pub(super) gate: Vec3,
+    pub(crate) gate: Vec3,
     /// Where it ends.
-    pub(super) rest: Vec3,
+    pub(crate) rest: Vec3,
     entry: Entry,
     floor: f64,
     brim: f64,
@@ -71,7 +71,7 @@ enum Entry {
 impl Place {
     /// # Errors
     /// Names a target that the scene lacks.
-    pub(super) fn spot(&self, world: &World, object: &Entity) -> Result<Spot, String> {
+    pub(crate) fn spot(&self, world: &World, object: &Entity) -> Result<Spot, String> {
         let target = world.entity(&self.target)?;
         let half_height = target.upright_half_height();
         let shape = footprint(object.quat, object.half);
@@ -119,7 +119,7 @@ impl Place {
     ///
     /// # Errors
     /// Names a target that the scene lacks.
-    pub(super) fn holds(&self, world: &World, object: &Entity) -> Result<bool, String> {
+    pub(crate) fn holds(&self, world: &World, object: &Entity) -> Result<bool, String> {
         let target = world.entity(&self.target)?;
         let inside = target.local(object.pos).abs() - target.half;
         Ok(match self.relation {
@@ -140,7 +140,7 @@ impl Place {
     ///
     /// # Errors
     /// Names a target that the scene lacks.
-    pub(super) fn owner<'a>(&self, world: &'a World) -> Result<&'a str, String> {
+    pub(crate) fn owner<'a>(&self, world: &'a World) -> Result<&'a str, String> {
         let target = world.entity(&self.target)?;
         Ok(if target.is_region() {
             &target.category
@@ -153,7 +153,7 @@ impl Place {
     ///
     /// # Errors
     /// Names a target that the scene lacks.
-    pub(super) fn wish(&self, world: &World) -> Result<Wish, String> {
+    pub(crate) fn wish(&self, world: &World) -> Result<Wish, String> {
         let target = world.entity(&self.target)?;
         if self.relation == Relation::On {
             return Ok(Wish::Any);
@@ -172,13 +172,13 @@ impl Place {
 
 impl Spot {
     /// Where the grip point must be for the held object to be at `point`.
-    pub(super) fn hand_for(world: &World, object: &Entity, point: Vec3) -> Vec3 {
+    pub(crate) fn hand_for(world: &World, object: &Entity, point: Vec3) -> Vec3 {
         let up = point.z - object.bottom();
         (world.grip + point - object.pos).at_height(world.grip.z + up)
     }
 
     /// Whether the way in can begin, the hand having `left` to go to the gate.
-    pub(super) fn at_gate(&self, left: Vec3) -> bool {
+    pub(crate) fn at_gate(&self, left: Vec3) -> bool {
         let sunk = match self.entry {
             Entry::Onto | Entry::Into => true,
             Entry::Through(_) => left.z.abs() < 2.0 * THERE_M,
@@ -187,7 +187,7 @@ impl Spot {
     }
 
     /// Whether the held object can be let go.
-    pub(super) fn reached(&self, world: &World, object: &Entity) -> bool {
+    pub(crate) fn reached(&self, world: &World, object: &Entity) -> bool {
         match self.entry {
             Entry::Onto => object.bottom() < self.floor + THERE_M,
             Entry::Into => {
@@ -199,7 +199,7 @@ impl Spot {
     }
 
     /// Which way the hand leaves.
-    pub(super) fn way_out(&self) -> Vec3 {
+    pub(crate) fn way_out(&self) -> Vec3 {
         match self.entry {
             Entry::Onto | Entry::Into => Vec3::UP,
             Entry::Through(out) => out,
@@ -209,8 +209,8 @@ impl Spot {
 
 #[cfg(test)]
 mod tests {
-    use super::super::kinematic_scene::KinematicScene;
     use super::*;
+    use crate::kinematic_scene::KinematicScene;
 
     const MUG: [f64; 3] = [0.03, 0.03, 0.05];
 

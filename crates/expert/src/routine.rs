@@ -6,18 +6,18 @@
 
 use std::f64::consts::FRAC_PI_2;
 
-use super::geometry::{Quat, Vec3};
-use super::motion::{
+use crate::geometry::{Quat, Vec3};
+use crate::motion::{
     Command, Errand, FINGERTIP_M, Fingers, HandPose, Motion, detour, pointing_down, tilted,
 };
-use super::world::{Entity, HANDLE_OUT_M, HANDLE_UP_M, World, drawer_joint};
+use crate::world::{Entity, HANDLE_OUT_M, HANDLE_UP_M, World, drawer_joint};
 
 /// A drawer counts as open beyond this.
-pub(super) const OPEN_M: f64 = -0.14;
+pub(crate) const OPEN_M: f64 = -0.14;
 /// Where a drawer is let go when it is to count as open, and where when it only has to take something in: less far, to leave room for
 /// the hand beneath. It runs on a little.
-pub(super) const DRAWER_OPEN_M: f64 = -0.155;
-pub(super) const DRAWER_AJAR_M: f64 = -0.118;
+pub(crate) const DRAWER_OPEN_M: f64 = -0.155;
+pub(crate) const DRAWER_AJAR_M: f64 = -0.118;
 /// A drawer counts as closed above 0: a position that is safely so.
 const DRAWER_CLOSED_M: f64 = 0.003;
 /// Tilt of the hand that reaches for a handle from the front, and of the one
@@ -63,7 +63,7 @@ const DRAG_LEAD_M: f64 = 0.05;
 
 /// What to do.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum Deed {
+pub(crate) enum Deed {
     /// Open the drawer that has this region in it, to this position, m.
     PullDrawer { region: String, to: f64 },
     /// Close it.
@@ -78,7 +78,7 @@ pub(super) enum Deed {
 
 /// The skill.
 #[derive(Debug)]
-pub(super) struct Routine {
+pub(crate) struct Routine {
     deed: Deed,
     stage: u32,
     /// Steps spent in this stage.
@@ -104,7 +104,7 @@ enum Until {
 }
 
 impl Routine {
-    pub(super) fn new(deed: Deed) -> Self {
+    pub(crate) fn new(deed: Deed) -> Self {
         Self {
             deed,
             stage: 0,
@@ -116,7 +116,7 @@ impl Routine {
     ///
     /// # Errors
     /// Names an entity or joint that the scene lacks.
-    pub(super) fn step(
+    pub(crate) fn step(
         &mut self,
         world: &World,
         motion: &Motion,
@@ -169,17 +169,17 @@ impl Deed {
 }
 
 /// Whether a drawer is shut far enough to count.
-pub(super) fn drawer_is_closed(position: f64) -> bool {
+pub(crate) fn drawer_is_closed(position: f64) -> bool {
     position > 0.0
 }
 
 /// Whether a microwave's door is shut far enough to count.
-pub(super) fn door_is_closed(position: f64) -> bool {
+pub(crate) fn door_is_closed(position: f64) -> bool {
     position > -0.005
 }
 
 /// Whether a stove's knob is turned far enough to count.
-pub(super) fn knob_is_on(position: f64) -> bool {
+pub(crate) fn knob_is_on(position: f64) -> bool {
     position >= 0.5
 }
 
@@ -356,7 +356,7 @@ fn drag(number: u32, world: &World, object: &str, region: &str) -> Result<Option
 }
 
 /// Position of the one joint of `fixture`.
-pub(super) fn only_joint(world: &World, fixture: &str) -> Result<f64, String> {
+pub(crate) fn only_joint(world: &World, fixture: &str) -> Result<f64, String> {
     let name = world.joints_of(fixture).next();
     name.map_or_else(
         || Err(format!("'{fixture}' has no joint")),
@@ -365,7 +365,7 @@ pub(super) fn only_joint(world: &World, fixture: &str) -> Result<f64, String> {
 }
 
 /// Whether `object` is too flat and too wide for the hand to lift.
-pub(super) fn must_be_dragged(object: &Entity) -> bool {
+pub(crate) fn must_be_dragged(object: &Entity) -> bool {
     let widest = object.half.x.min(object.half.y);
     widest > 0.04 && object.half.z < 0.25 * widest
 }

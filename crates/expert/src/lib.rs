@@ -1,0 +1,122 @@
+//! A scripted manipulator for LIBERO's tasks, deterministic, that looks at no
+//! camera and is given the simulator's own state instead. It exercises the whole
+//! service with rollouts that mostly succeed, and teaches policies that see; it is
+//! no baseline for them. Skills live in the rooms below; this file only runs them
+//! one after the other.
+
+mod geometry;
+mod goal;
+mod grasp;
+#[cfg(test)]
+mod kinematic_scene;
+mod motion;
+mod place;
+mod routine;
+mod transfer;
+mod world;
+
+use std::collections::VecDeque;
+
+use protocol::Privileged;
+
+use geometry::Vec3;
+use goal::Skill;
+use motion::{Command, Fingers, HandPose, Motion};
+use world::World;
+
+pub use motion::Action;
+
+/// One rollout of one.
+#[derive(Debug, Default)]
+pub struct Expert {
+    /// What is left to do; none before the first observation.
+    plan: Option<VecDeque<Skill>>,
+    motion: Motion,
+    /// As seen in the first observation, when the hand is at rest.
+    shoulder: Option<Vec3>,
+}
+
+impl Expert {
+    /// The action for the state at hand. To be asked at every control step, in order,
+    /// also where something else drives the robot: it remembers what it has done and how
+    /// the hand moves.
+    ///
+    /// # Errors
+    /// In words, where the state is of no scene that it can read.
+    pub fn act(&mut self, state: &Privileged) -> Result<Action, String> {
+        let mut world = World::read(state)?;
+        world.shoulder = *self.shoulder.get_or_insert(world.shoulder);
+        self.motion.observe(&world);
+        let command = self.command(&world)?;
+        Ok(motion::servo(&world, &self.motion, &command))
+    }
+
+    /// The next skill's command; a plan that has run out is made anew, since
+    /// an episode that goes on has not reached its goal.
+    fn command(&mut self, world: &World) -> Result<Command, String> {
+        let mut plan = match self.plan.take() {
+            Some(plan) => plan,
+            None => goal::plan(world)?.into(),
+        };
+        let mut wanted = None;
+        while let (None, Some(skill)) = (wanted, plan.front_mut()) {
+            wanted = skill.step(world, &self.motion)?;
+            if wanted.is_none() {
+                plan.pop_front();
+            }
+        }
+        self.plan = (!plan.is_empty()).then_some(plan);
+        let here = HandPose {
+            pos: world.grip,
+            quat: world.grip_quat,
+        };
+        Ok(wanted.unwrap_or(Command {
+            hand: here,
+            fingers: Fingers::Open,
+            pace: 1.0,
+        }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::kinematic_scene::KinematicScene;
+    use super::*;
+
+    fn scene() -> KinematicScene {
+        KinematicScene::new("on", &["bowl_1", "plate_1"])
+            .object("bowl_1", [-0.1, -0.1, 0.025], [0.054, 0.054, 0.025])
+            .object("plate_1", [0.05, 0.2, 0.01], [0.069, 0.069, 0.01])
+    }
+
+    /// Every action of an episode of `steps` steps.
+    fn episode(steps: u32) -> Vec<Action> {
+        let (mut scene, mut expert) = (scene(), Expert::default());
+        let mut actions = Vec::new();
+        for _ in 0..steps {
+            let action = expert.act(&scene.state).expect("an action");
+            scene.apply(action);
+            actions.push(action);
+        }
+        actions
+    }
+
+    #[test]
+    fn an_episode_is_the_same_twice_and_every_action_is_in_range() {
+        let actions = episode(250);
+        assert_eq!(actions, episode(250));
+        assert_eq!(actions.len(), 250);
+        assert!(actions.iter().flatten().all(|v| (-1.0..=1.0).contains(v)));
+    }
+
+    #[test]
+    fn a_number_as_in_no_scene_is_refused_by_name() {
+        for number in [1e256, -101.0, f64::NAN, f64::INFINITY] {
+            let mut state = scene().state;
+            state.grip_pos[1] = number;
+            let refusal = Expert::default().act(&state).unwrap_err();
+            let expected = format!("grip_pos of 'gripper' holds {number}");
+            assert!(refusal.contains(&expected), "{refusal}");
+        }
+    }
+}

@@ -1,0 +1,67 @@
+//! The simulator's own state, as scripted experts see it. Not responsible for reading it from
+//! a simulator, nor for sending it.
+
+use std::fmt;
+
+/// Where everything is: true at the end of the control step, without lag.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Privileged {
+    /// Objects, fixtures, and region sites.
+    pub entities: Vec<Entity>,
+    /// Joints of objects and fixtures, free joints left out: name, m or rad.
+    pub joints: Vec<(String, f64)>,
+    /// What must hold.
+    pub goal: Vec<Predicate>,
+    /// Site between the fingertips, world frame, m.
+    pub grip_pos: [f64; 3],
+    /// Its orientation, w x y z.
+    pub grip_quat_wxyz: [f64; 4],
+    /// Between the finger joints, m; 0 is closed, 0.08 open.
+    pub gripper_opening: f64,
+}
+
+/// A thing in the scene.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Entity {
+    /// Instance name, or the site's.
+    pub name: String,
+    /// What it is.
+    pub kind: EntityKind,
+    /// Category; of a site, the instance that carries it.
+    pub category: String,
+    /// World frame, m.
+    pub pos: [f64; 3],
+    /// World frame, w x y z.
+    pub quat_wxyz: [f64; 4],
+    /// Half extents along the world's axes of its collision geometry, m; of a
+    /// site, its own.
+    pub half_extents: [f64; 3],
+    /// Centre of that box, world frame, m.
+    pub centre: [f64; 3],
+}
+
+/// Kinds of entities.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum EntityKind {
+    /// Moves freely.
+    Object,
+    /// Stands still.
+    Fixture,
+    /// A region.
+    Site,
+}
+
+/// A predicate over names: `(On a b)`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Predicate {
+    /// Lower case: `on`, `in`, `open`, `close`, `turnon`, `turnoff`.
+    pub name: String,
+    /// One or two names.
+    pub arguments: Vec<String>,
+}
+
+impl fmt::Display for Predicate {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "({} {})", self.name, self.arguments.join(" "))
+    }
+}
