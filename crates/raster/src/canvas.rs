@@ -1,6 +1,8 @@
 //! A frame from beginning to end, in the order of MuJoCo's renderer: everything
 //! opaque and the sky, what a mirror shows, and what one can see through.
 
+use std::cell::RefCell;
+
 use crate::backdrop::{Backdrop, Start};
 use crate::error::DrawError;
 use crate::instance::{self, View};
@@ -21,12 +23,22 @@ const MAX_SIDE: usize = 4096;
 #[derive(Default)]
 pub struct Canvas {
     picture: Picture,
-    reflection: Picture,
     backdrop: Backdrop,
-    work: Workspace,
     /// Where the last frame differs from the backdrop.
     dirty: Option<Window>,
     rgb: Vec<u8>,
+}
+
+/// What no frame keeps for the next: a thread has one for all its canvases, so that
+/// many cameras need little memory.
+#[derive(Default)]
+struct Scratch {
+    reflection: Picture,
+    work: Workspace,
+}
+
+thread_local! {
+    static SCRATCH: RefCell<Scratch> = RefCell::default();
 }
 
 impl Canvas {
@@ -69,8 +81,11 @@ impl Canvas {
             window: Window::whole(width, height),
         };
         let before = self.dirty.take();
-        let start = self.draw_opaque(pass, scene, [width, height], before);
-        self.draw_special(pass, scene);
+        let start = SCRATCH.with_borrow_mut(|Scratch { reflection, work }| {
+            let start = self.draw_opaque(pass, scene, [width, height], before, work);
+            self.draw_special(pass, scene, reflection, work);
+            start
+        });
         let resolved = match start {
             Start::Kept => Window::around(before, self.dirty),
             Start::Anew | Start::Keep => Some(pass.window),
@@ -105,12 +120,10 @@ impl Canvas {
         scene: &Scene,
         size: [usize; 2],
         before: Option<Window>,
+        work: &mut Workspace,
     ) -> Start {
         let Self {
-            picture,
-            backdrop,
-            work,
-            ..
+            picture, backdrop, ..
         } = self;
         let glassy = glass::see_through(scene, pass.view);
         let add = |picture: &mut Picture, wanted: &dyn Fn(usize) -> bool| {
@@ -156,13 +169,14 @@ impl Canvas {
     }
 
     /// Adds what is not opaque: reflections, and what one can see through.
-    fn draw_special(&mut self, pass: Pass<'_>, scene: &Scene) {
-        let Self {
-            picture,
-            reflection,
-            work,
-            ..
-        } = self;
+    fn draw_special(
+        &mut self,
+        pass: Pass<'_>,
+        scene: &Scene,
+        reflection: &mut Picture,
+        work: &mut Workspace,
+    ) {
+        let picture = &mut self.picture;
         let glassy = glass::see_through(scene, pass.view);
         if let Some(mirror) = mirror::find(scene, pass.view, &glassy) {
             let of = (mirror, glassy.as_slice());
