@@ -170,10 +170,13 @@ class Batch:
         *,
         render: str = "last",
         absolute: bool = False,
+        expert: NDArray[np.bool_] | None = None,
     ) -> dict[str, NDArray[Any]]:
         """Each begins a rollout where `starts` has a manifest's row for it, JSON (or
-        `{"sampled": SEED, "settle_steps": N}`), and otherwise takes its actions, [simulations,
+        `{"sampled": SEED, "settle_steps": N, "perturbed": ROW}`), and otherwise takes its actions, [simulations,
         steps, 7]: at most `limits` of them, and none after the one that succeeds. `render`
         says which steps are drawn and read: "last", "all" or "none". Returns the `steps`
         taken and `success` of each, the readings by name, and the frames by camera, with
-        row 0 at the top."""
+        row 0 at the top. `expert` has the scripted expert asked at every step, whose actions
+        are returned as `expert_action`; where it is true the expert drives, and the action
+        is added to its own."""

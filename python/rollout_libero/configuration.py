@@ -33,8 +33,12 @@ class Starts:
         self._chosen = _chosen(init_states, count)
         self._settle_steps = settle_steps
         self._turn = 0
-        self._perturbed = None if perturbation is None else _row(task, perturbation)
-        self.instruction = task.instruction
+        self.perturb(perturbation)
+
+    def perturb(self, perturbation: str | Mapping[str, Any] | None) -> None:
+        """Has the next rollouts perturbed so."""
+        self._perturbed = None if perturbation is None else _row(self._task, perturbation)
+        self.instruction = self._task.instruction
         if self._perturbed is not None:
             self.instruction = self._perturbed["language"]
 
@@ -47,15 +51,16 @@ class Starts:
     ) -> tuple[str, int | None]:
         """The next start, and its initial state; none if objects are placed anew."""
         wanted = options.get("init_state")
+        if wanted is None and self._chosen == "sampled":
+            seed = int(generator.integers(2**32, dtype=np.uint32))
+            start = {"sampled": seed, "settle_steps": self._settle_steps}
+            return json.dumps(start | {"perturbed": self._perturbed}), None
         if self._perturbed is not None:
             row = dict(self._perturbed)
             if wanted is not None:
                 row["init_id"] = self._checked(wanted)
             row["num_steps_wait"] = self._settle_steps
             return json.dumps(row), row["init_id"]
-        if wanted is None and self._chosen == "sampled":
-            seed = int(generator.integers(2**32, dtype=np.uint32))
-            return json.dumps({"sampled": seed, "settle_steps": self._settle_steps}), None
         if wanted is not None:
             init_state = self._checked(wanted)
         elif self._chosen == "random":

@@ -48,7 +48,8 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         max_steps: control steps after which a rollout is truncated; by default those of
             LIBERO-CTRL for the suite.
         perturbation: a configuration of LIBERO-CTRL, ``combination/L2/c03``, or a row of a
-            manifest. It brings its initial state and its instruction.
+            manifest. It brings its instruction and, unless ``init_states="sampled"``, its
+            initial state.
         control: ``"relative"`` (displacements, -1..1) or ``"absolute"`` (poses in the world:
             m, and axis times angle, rad).
         renderer: ``"software"``; ``"gl"`` or ``"gl:N"`` for OpenGL, which ties the

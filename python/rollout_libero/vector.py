@@ -145,7 +145,11 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         return self.step_chunk(actions[:, np.newaxis])
 
     def step_chunk(
-        self, actions: ArrayLike, render: Render = "last"
+        self,
+        actions: ArrayLike,
+        render: Render = "last",
+        *,
+        expert: ArrayLike | None = None,
     ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
         """Control steps with actions [environments, steps, 7], each rollout as far as it goes.
 
@@ -153,6 +157,11 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         ``"all"`` arrays are [environments, steps, …], and zero beyond the steps taken, which
         ``info["taken"]`` counts (where a rollout begins, none, and the first observation is
         in the first place); with ``"none"`` there are no frames.
+
+        ``expert``, [environments, steps], has a scripted expert asked at every step, which
+        looks at the simulator's state: ``info["expert_action"]``, [environments, steps, 7],
+        is what it would do there, NaN beyond the steps taken. Where ``expert`` is true it
+        drives, and ``actions`` are added to its own.
         """
         actions = np.asarray(actions, dtype=np.float64)
         if not self._begun.all():
@@ -172,6 +181,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
             self._cameras,
             render=render,
             absolute=self._absolute,
+            expert=None if expert is None else np.asarray(expert, dtype=bool),
         )
         taken, success = shown["steps"].astype(np.int64), shown["success"]
         self._steps += taken
@@ -180,9 +190,15 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         ended = self._ended.copy()
         observation, infos = self._observation(shown), self._infos(success)
         infos["taken"] = taken
+        if expert is not None:
+            infos["expert_action"] = shown["expert_action"]
         if self.autoreset_mode == AutoresetMode.SAME_STEP and ended.any():
             self._begin_at_once(ended, observation, infos)
         return observation, success.astype(np.float64), success, truncated, infos
+
+    def set_perturbation(self, index: int, perturbation: str | Mapping[str, Any] | None) -> None:
+        """Perturbs an environment otherwise, from its next rollout on."""
+        self.starts[index].perturb(perturbation)
 
     def snapshot(self) -> VectorSnapshot:
         """All that the next step depends on; the generators that seed resets are left out."""

@@ -2,7 +2,7 @@
 
 use std::sync::Mutex;
 
-use numpy::PyUntypedArrayMethods;
+use numpy::{PyReadonlyArrayDyn, PyUntypedArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -53,6 +53,9 @@ struct Task<'a> {
     start: Option<Start>,
     actions: &'a [[f64; WIDTH]],
     limit: usize,
+    /// Of each step, whether the expert drives and the action is added to its own; none
+    /// where it is not asked.
+    expert: Option<&'a [bool]>,
     done: Done<'a>,
 }
 
@@ -60,6 +63,8 @@ struct Task<'a> {
 struct Done<'a> {
     steps: &'a mut u32,
     success: &'a mut bool,
+    /// Of each step, where the expert is asked.
+    expert_actions: &'a mut [[f64; WIDTH]],
     /// Of each drawn step.
     readings: &'a mut [[f64; READING_WIDTH]],
     /// Of each camera, the pictures of each drawn step.
@@ -93,9 +98,11 @@ impl Batch {
     /// one that succeeds. `actions` is [environments, steps, 7]; `render` says which
     /// steps are drawn and read: `last`, `all` or `none`. Returns `steps` taken and
     /// `success` of each environment, the readings by name, and the frames by camera,
-    /// with row 0 at the top.
+    /// with row 0 at the top. `expert`, [environments, steps], has the scripted expert asked
+    /// at every step, whose actions are returned as `expert_action`; where it is true the
+    /// expert drives, and the action is added to its own.
     #[expect(clippy::too_many_arguments, reason = "they are Python's keywords")]
-    #[pyo3(signature = (actions, limits, starts, cameras, *, render = "last", absolute = false))]
+    #[pyo3(signature = (actions, limits, starts, cameras, *, render = "last", absolute = false, expert = None))]
     fn advance<'py>(
         &self,
         py: Python<'py>,
@@ -105,10 +112,14 @@ impl Batch {
         cameras: Vec<(String, u32, u32)>,
         render: &str,
         absolute: bool,
+        expert: Option<PyReadonlyArrayDyn<'py, bool>>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let count = self.states.len();
         let chunk = actions_per_chunk(&actions, count)?;
         let all = action::actions(&actions, &[count, chunk, WIDTH])?;
+        let expert = expert
+            .map(|drives| expert_drives(&drives, [count, chunk], absolute))
+            .transpose()?;
         if limits.len() != count || starts.len() != count {
             return Err(PyValueError::new_err(format!(
                 "advance {count} environments: {} limits and {} starts were given",
@@ -142,6 +153,8 @@ impl Batch {
         };
         let mut steps = vec![0_u32; count];
         let mut success = vec![false; count];
+        let asked = if expert.is_some() { chunk } else { 0 };
+        let mut expert_actions = vec![[f64::NAN; WIDTH]; count * asked];
         let mut readings = vec![[0.0; READING_WIDTH]; count * shown];
         let drawn: &[Camera] = match render {
             Render::None => &[],
@@ -158,6 +171,7 @@ impl Batch {
             .map(|(frames, camera)| frames.chunks_exact_mut(shown * bytes(camera.size)))
             .collect();
         let mut tasks = Vec::with_capacity(count);
+        let mut expert_rows = expert_actions.chunks_exact_mut(asked.max(1));
         let places = steps
             .iter_mut()
             .zip(&mut success)
@@ -174,9 +188,11 @@ impl Batch {
                 start,
                 actions: &all[at * chunk..][..chunk],
                 limit,
+                expert: expert.as_ref().map(|drives| &drives[at * chunk..][..chunk]),
                 done: Done {
                     steps,
                     success,
+                    expert_actions: expert_rows.next().unwrap_or_default(),
                     readings,
                     frames: rows
                         .iter_mut()
@@ -192,6 +208,10 @@ impl Batch {
         let result = PyDict::new(py);
         result.set_item("steps", shaped(py, steps, &[count])?)?;
         result.set_item("success", shaped(py, success, &[count])?)?;
+        if expert.is_some() {
+            let labels = expert_actions.into_flattened();
+            result.set_item("expert_action", shaped(py, labels, &[count, chunk, WIDTH])?)?;
+        }
         let lead = match render {
             Render::All => vec![count, shown],
             Render::Last | Render::None => vec![count],
@@ -224,6 +244,7 @@ impl Task<'_> {
             start,
             actions,
             limit,
+            expert,
             mut done,
         } = self;
         let mut guard = state.hold()?;
@@ -233,7 +254,15 @@ impl Task<'_> {
             return done.show(state, 0, cameras);
         }
         for (step, action) in actions.iter().take(limit).enumerate() {
-            *done.success = state.step(action, of)?;
+            let mut action = *action;
+            if let Some(drives) = expert {
+                let own = state.expert_action()?;
+                done.expert_actions[step] = own;
+                if drives[step] {
+                    action = followed(own, action);
+                }
+            }
+            *done.success = state.step(&action, of)?;
             *done.steps += 1;
             if render == Render::All {
                 done.show(state, step, cameras)?;
@@ -280,6 +309,35 @@ fn reading(robot: &RobotState) -> [f64; READING_WIDTH] {
     ];
     let mut numbers = parts.into_iter().flatten();
     std::array::from_fn(|_| *numbers.next().expect("as many as there are"))
+}
+
+/// The expert's action with something added to its arm's, in range.
+fn followed(own: [f64; WIDTH], added: [f64; WIDTH]) -> [f64; WIDTH] {
+    const GRIPPER: usize = WIDTH - 1;
+    std::array::from_fn(|at| match at {
+        GRIPPER => own[at],
+        _ => (own[at] + added[at]).clamp(-1.0, 1.0),
+    })
+}
+
+/// At which steps the expert drives, row by row.
+fn expert_drives(
+    drives: &PyReadonlyArrayDyn<'_, bool>,
+    shape: [usize; 2],
+    absolute: bool,
+) -> PyResult<Vec<bool>> {
+    if absolute {
+        return Err(PyValueError::new_err(
+            "ask the expert: its actions are displacements; use control=\"relative\"",
+        ));
+    }
+    if drives.shape() != shape {
+        return Err(PyValueError::new_err(format!(
+            "ask the expert: `expert` has shape {:?}; expected [environments, steps], {shape:?}",
+            drives.shape()
+        )));
+    }
+    Ok(drives.as_array().iter().copied().collect())
 }
 
 fn bytes([width, height]: [u32; 2]) -> usize {

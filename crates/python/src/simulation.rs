@@ -3,6 +3,7 @@
 use std::cell::RefCell;
 use std::sync::Arc;
 
+use expert::Expert;
 use numpy::{PyArray1, PyArrayDyn, PyArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -41,6 +42,8 @@ pub(crate) struct State {
     pub(crate) environment: Environment,
     /// Of the rollout, if it was begun as one.
     pub(crate) conditions: Option<Conditions>,
+    /// Asked at every step since the rollout began, if it is asked at all.
+    expert: Expert,
     pub(crate) ready: Option<Arc<ReadyScene>>,
     pub(crate) renderer: Renderer,
 }
@@ -61,7 +64,19 @@ impl State {
     /// Begins a rollout.
     pub(crate) fn begin(&mut self, start: &Start) -> PyResult<()> {
         self.conditions = start.begin(self.ready.as_deref(), &mut self.environment)?;
+        self.expert = Expert::default();
         Ok(())
+    }
+
+    /// What the scripted expert would do now. It remembers its queries of a rollout, and
+    /// answers well if it is asked at every control step.
+    pub(crate) fn expert_action(&mut self) -> PyResult<[f64; WIDTH]> {
+        let seen = self.environment.privileged().map_err(simulation)?;
+        let action = self
+            .expert
+            .act(&seen)
+            .map_err(|problem| PyValueError::new_err(format!("ask the expert: {problem}")))?;
+        Ok(action.map(f64::from))
     }
 
     /// One control step; true if the goal holds after it.
@@ -109,6 +124,7 @@ impl Simulation {
         let state = State {
             environment,
             conditions: None,
+            expert: Expert::default(),
             ready,
             renderer,
         };

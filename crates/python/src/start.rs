@@ -26,26 +26,34 @@ pub(crate) struct Sampled {
     sampled: u32,
     /// Control steps without action.
     settle_steps: u32,
+    /// Whose perturbations act; its initial state does not, and fixtures stay where
+    /// campaigns have them.
+    #[serde(default)]
+    perturbed: Option<Box<ManifestRow>>,
 }
 
 /// What an environment that is constructed, seeded and reset has sampled of its joints.
 const JOINT_SAMPLER_ROUNDS: u32 = 2;
 
 impl Start {
-    /// From JSON: a row, or `{"sampled": SEED, "settle_steps": N}`.
+    /// From JSON: a row, or `{"sampled": SEED, "settle_steps": N, "perturbed": ROW}`, whose
+    /// row may be missing.
     ///
     /// # Errors
     /// If it is neither.
     pub(crate) fn read(json: &str) -> PyResult<Self> {
-        if let Ok(sampled) = serde_json::from_str(json) {
-            return Ok(Self::Sampled(sampled));
-        }
-        let row = serde_json::from_str(json).map_err(|error| {
+        let read = || {
+            let value: serde_json::Value = serde_json::from_str(json)?;
+            match value.get("sampled") {
+                Some(_) => serde_json::from_value(value).map(Self::Sampled),
+                None => serde_json::from_value(value).map(|row| Self::Row(Box::new(row))),
+            }
+        };
+        read().map_err(|error| {
             PyValueError::new_err(format!(
                 "read a configuration: {error}; it has the columns of a campaign's manifest"
             ))
-        })?;
-        Ok(Self::Row(Box::new(row)))
+        })
     }
 
     /// Begins it in an environment of its scene, and lets that come to rest. Perturbations
@@ -61,9 +69,7 @@ impl Start {
     ) -> PyResult<Option<Conditions>> {
         match self {
             Self::Row(row) => {
-                let ready = ready.ok_or_else(|| {
-                    PyValueError::new_err("begin at an initial state: give Scene its init_file")
-                })?;
+                let ready = complete(ready)?;
                 let begun = Conditions::begin(ready, environment, row, Realisation::Matched);
                 let conditions = begun.map_err(simulation)?;
                 conditions.settle(environment).map_err(simulation)?;
@@ -73,11 +79,25 @@ impl Start {
                 let mut rng = LegacyRng::seed(it.sampled);
                 let reset = environment.reset(&mut rng, Reset::Hard, JOINT_SAMPLER_ROUNDS);
                 reset.map_err(simulation)?;
+                let conditions = match &it.perturbed {
+                    Some(row) => {
+                        let (state, ready) = (environment.state(), complete(ready)?);
+                        let how = Realisation::Matched;
+                        let begun = Conditions::begin_at(state, ready, environment, row, how);
+                        Some(begun.map_err(simulation)?)
+                    }
+                    None => None,
+                };
                 for _ in 0..it.settle_steps {
                     environment.step(&NO_OP).map_err(simulation)?;
                 }
-                Ok(None)
+                Ok(conditions)
             }
         }
     }
+}
+
+fn complete(ready: Option<&ReadyScene>) -> PyResult<&ReadyScene> {
+    ready
+        .ok_or_else(|| PyValueError::new_err("begin at an initial state: give Scene its init_file"))
 }

@@ -77,6 +77,9 @@ class MjModel:
             kind: {name: i for i, name in enumerate(names) if name is not None}
             for kind, names in self._names.items()
         }
+        # Asked for at every reset, and the same as long as the model lives.
+        columns = (simulation.model_array(it) for it in ("jnt_qposadr", "jnt_dofadr", "jnt_type"))
+        self._joints = list(zip(*(column.tolist() for column in columns)))
 
     def set(self, name: str, values: Any) -> None:
         """Writes one of cam_pos, cam_quat, light_pos, light_dir, light_diffuse,
@@ -86,11 +89,11 @@ class MjModel:
 
     def get_joint_qpos_addr(self, name: str) -> Any:
         """Where a joint's positions are: an index, or first and last + 1."""
-        return self._address("jnt_qposadr", name, 0)
+        return self._address(name, 0)
 
     def get_joint_qvel_addr(self, name: str) -> Any:
         """Where a joint's velocities are: an index, or first and last + 1."""
-        return self._address("jnt_dofadr", name, 1)
+        return self._address(name, 1)
 
     def __getattr__(self, name: str) -> Any:
         kind, _, what = name.partition("_")
@@ -108,7 +111,7 @@ class MjModel:
         return self._array(name)
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if name in ("_held", "_names", "_ids"):
+        if name in ("_held", "_names", "_ids", "_joints"):
             super().__setattr__(name, value)
         else:
             raise AttributeError(
@@ -136,10 +139,9 @@ class MjModel:
             raise ValueError(f"the model has no {kind} {i}: it has {len(names)}")
         return names[i]
 
-    def _address(self, array: str, joint: str, which: int) -> Any:
-        i = self._id("joint", joint)
-        start = int(self._array(array)[i])
-        width = _COORDINATES[int(self._array("jnt_type")[i])][which]
+    def _address(self, joint: str, which: int) -> Any:
+        *starts, kind = self._joints[self._id("joint", joint)]
+        start, width = starts[which], _COORDINATES[kind][which]
         return start if width == 1 else (start, start + width)
 
 

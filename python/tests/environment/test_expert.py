@@ -1,0 +1,74 @@
+"""The scripted expert beside environments: demonstrations and labels."""
+
+import numpy as np
+import pytest
+
+TASK = "libero_object/0"
+
+
+def test_the_expert_solves_scenes_that_no_released_state_has(make_vector):
+    environments = make_vector(TASK, 1, init_states="sampled", cameras=[])
+    environments.reset(seed=1)
+    whole = environments.max_steps[0]
+    nothing, drives = np.zeros((1, whole, 7)), np.ones((1, whole), bool)
+    *_, terminated, _, infos = environments.step_chunk(nothing, "none", expert=drives)
+    assert terminated.all() and 50 < infos["taken"][0] < whole
+
+
+def test_labels_are_what_the_expert_would_do_whoever_drives(make_vector):
+    environments = make_vector(TASK, 2, init_states=[0], cameras=[])
+    environments.reset()
+    drives = np.array([[True] * 5, [False] * 5])
+    given = np.zeros((2, 5, 7))
+    *_, infos = environments.step_chunk(given, "none", expert=drives)
+    labels = infos["expert_action"]
+    # Both begin alike; then one follows the expert and the other stands still.
+    np.testing.assert_array_equal(labels[0, 0], labels[1, 0])
+    assert np.abs(labels[0] - labels[1]).max() > 0.0
+    assert np.abs(labels).max() <= 1.0
+    given = np.repeat(labels[:1], 2, axis=0)
+    environments.reset(seed=0)
+    *_, infos = environments.step_chunk(given, "none", expert=np.zeros((2, 5), bool))
+    np.testing.assert_allclose(infos["expert_action"], given, atol=1e-12)
+
+
+def test_noise_is_added_to_what_the_expert_does(make_vector):
+    environments = make_vector(TASK, 2, init_states=[0], cameras=[])
+    environments.reset()
+    noise = np.zeros((2, 4, 7))
+    noise[1, :, 0] = 0.7
+    observation, *_ = environments.step_chunk(noise, "none", expert=np.ones((2, 4), bool))
+    assert observation["eef_pos"][1, 0] > observation["eef_pos"][0, 0] + 0.02
+
+
+def test_labels_end_with_the_rollout(make_vector):
+    environments = make_vector(TASK, 1, init_states=[0], cameras=[], max_steps=3)
+    environments.reset()
+    *_, infos = environments.step_chunk(np.zeros((1, 5, 7)), "none", expert=np.ones((1, 5), bool))
+    assert infos["taken"].tolist() == [3]
+    assert np.isfinite(infos["expert_action"][0, :3]).all()
+    assert np.isnan(infos["expert_action"][0, 3:]).all()
+
+
+def test_sampled_scenes_may_be_perturbed(make_vector):
+    environments = make_vector(TASK, 2, init_states="sampled")
+    environments.set_perturbation(1, "camera/L3/c12")
+    observation, infos = environments.reset(seed=[7, 7])
+    assert infos["init_state"].tolist() == [None, None]
+    # Only the camera was moved.
+    np.testing.assert_allclose(observation["eef_pos"][0], observation["eef_pos"][1], atol=1e-9)
+    assert (observation["agentview"][0] != observation["agentview"][1]).mean() > 0.1
+    environments.set_perturbation(1, None)
+    observation, _ = environments.reset(seed=[7, 7])
+    assert (observation["agentview"][0] != observation["agentview"][1]).mean() < 0.02
+
+
+def test_misuse_names_what_is_wrong(make_vector):
+    environments = make_vector(TASK, 2, cameras=[])
+    environments.reset()
+    with pytest.raises(ValueError, match=r"`expert` has shape \[2\]; expected .*\[2, 4\]"):
+        environments.step_chunk(np.zeros((2, 4, 7)), expert=[True, True])
+    absolute = make_vector(TASK, 1, cameras=[], control="absolute")
+    absolute.reset()
+    with pytest.raises(ValueError, match="displacements"):
+        absolute.step_chunk(np.zeros((1, 1, 7)), expert=[[True]])
