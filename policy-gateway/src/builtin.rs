@@ -1,17 +1,20 @@
-//! The policies that run inside the gateway, by name. Responsible for what
-//! they are and for starting one per session; sessions themselves, retries and
-//! the checks of their answers are the gateway's.
+//! The policies that run inside the gateway. Responsible for what they are and for
+//! starting one per session; sessions themselves, retries and the checks of their
+//! answers are the gateway's.
 
-use std::{fmt, str::FromStr};
+use std::{fmt, str::FromStr, sync::Arc};
 
-use proto::policy::{DescribeResponse, ResetRequest};
 use thiserror::Error;
 
 pub mod expert;
 pub(crate) mod instance;
 pub mod noop;
+pub mod student;
+
+pub(crate) use instance::Policy;
 
 pub use instance::{Action, BuiltinPolicy};
+pub use student::Weights;
 
 /// Which built-in policy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -20,33 +23,43 @@ pub enum Builtin {
     Noop,
     /// Picks and places, by looking at the simulator's state: see [`expert`].
     Expert,
+    /// Looks, reads and acts as it has learned: see [`student`].
+    Student(Weights),
 }
 
 impl Builtin {
     /// Every built-in policy.
-    pub const ALL: [Self; 2] = [Self::Noop, Self::Expert];
+    pub const ALL: [Self; 4] = [
+        Self::Noop,
+        Self::Expert,
+        Self::Student(Weights::Plain),
+        Self::Student(Weights::Randomised),
+    ];
 
     /// The name after `builtin:`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Noop => "noop",
             Self::Expert => "expert",
+            Self::Student(weights) => weights.name(),
         }
     }
 
-    /// What the policy is and wants to see.
-    pub fn describe(self) -> DescribeResponse {
+    /// The policy itself.
+    pub(crate) fn policy(self) -> Policy {
         match self {
-            Self::Noop => noop::describe(),
-            Self::Expert => expert::describe(),
-        }
-    }
-
-    /// Starts an episode.
-    pub fn start(self, reset: &ResetRequest) -> Box<dyn BuiltinPolicy> {
-        match self {
-            Self::Noop => Box::new(noop::Noop),
-            Self::Expert => Box::new(expert::Expert::new(reset)),
+            Self::Noop => Policy {
+                described: noop::describe(),
+                start: Box::new(|_| Box::new(noop::Noop)),
+            },
+            Self::Expert => Policy {
+                described: expert::describe(),
+                start: Box::new(|_| Box::new(::expert::Expert::default())),
+            },
+            Self::Student(weights) => {
+                let checkpoint = format!("{self} {}", env!("CARGO_PKG_VERSION"));
+                student::policy(Arc::clone(weights.network()), checkpoint)
+            }
         }
     }
 }
@@ -72,7 +85,7 @@ impl FromStr for Builtin {
 
 /// A built-in policy that does not exist.
 #[derive(Debug, Error)]
-#[error("find the built-in policy {name:?}: there are {}", Builtin::ALL.map(Builtin::name).join(" and "))]
+#[error("find the built-in policy {name:?}: there are {}", Builtin::ALL.map(Builtin::name).join(", "))]
 pub struct UnknownBuiltin {
     /// The name asked for.
     pub name: String,

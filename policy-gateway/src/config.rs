@@ -14,7 +14,7 @@ use crate::{
         recorder::RecordInto,
         vla_eval::{VlaEvalAddress, VlaEvalAddressError},
     },
-    builtin::Builtin,
+    builtin::{Builtin, student::WeightsFileError},
     recording::RecordingError,
 };
 
@@ -111,6 +111,9 @@ pub enum UnusableBackend {
     /// Recordings that are no use.
     #[error(transparent)]
     Recording(#[from] RecordingError),
+    /// Weights that are no use.
+    #[error(transparent)]
+    Weights(#[from] WeightsFileError),
     /// An address that is none.
     #[error(transparent)]
     Address(#[from] AddressError),
@@ -225,11 +228,14 @@ impl FromStr for RouteSpec {
 
 /// What answers for a route: `builtin:NAME`, `grpc://HOST:PORT[/POLICY]`, the
 /// same with `https://` over TLS, `ws://HOST:PORT` (`wss://` over TLS),
-/// `vla-eval://HOST:PORT` (`vla-evals://` over TLS), or `replay:FOLDER`.
+/// `vla-eval://HOST:PORT` (`vla-evals://` over TLS), `student:FILE`, or
+/// `replay:FOLDER`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum BackendSpec {
     /// A policy inside the gateway.
     Builtin(Builtin),
+    /// The built-in student with the weights of a file.
+    Student(PathBuf),
     /// A policy server elsewhere.
     Grpc(GrpcAddress),
     /// A policy server of openpi's.
@@ -243,7 +249,7 @@ pub enum BackendSpec {
 impl BackendSpec {
     fn is_encrypted(&self) -> bool {
         match self {
-            Self::Builtin(_) | Self::Replay(_) => false,
+            Self::Builtin(_) | Self::Student(_) | Self::Replay(_) => false,
             Self::Grpc(address) => address.encrypted,
             Self::Openpi(address) => address.place.encrypted,
             Self::VlaEval(address) => address.place.encrypted,
@@ -260,6 +266,7 @@ impl FromStr for BackendSpec {
             Some(("grpc" | "https", _)) => Ok(Self::Grpc(text.parse()?)),
             Some(("ws" | "wss", _)) => Ok(Self::Openpi(text.parse()?)),
             Some(("vla-eval" | "vla-evals", _)) => Ok(Self::VlaEval(text.parse()?)),
+            Some(("student", file)) if !file.is_empty() => Ok(Self::Student(file.into())),
             Some(("replay", folder)) if !folder.is_empty() => Ok(Self::Replay(folder.into())),
             _ => Err(ConfigError::Backend {
                 text: text.to_owned(),
@@ -275,6 +282,7 @@ impl fmt::Display for BackendSpec {
             Self::Grpc(address) => address.fmt(f),
             Self::Openpi(address) => address.fmt(f),
             Self::VlaEval(address) => address.fmt(f),
+            Self::Student(file) => write!(f, "student:{}", file.display()),
             Self::Replay(folder) => write!(f, "replay:{}", folder.display()),
         }
     }
@@ -295,7 +303,10 @@ mod tests {
         check("expert", "NAME=BACKEND");
         check("=builtin:noop", "letters, digits");
         check("a b=builtin:noop", "letters, digits");
-        check("x=builtin:nope", "noop and expert");
+        check(
+            "x=builtin:nope",
+            "noop, expert, student, student-randomised",
+        );
         check("x=http://host:1", "grpc://HOST:PORT");
         check("x=ws://host", "ws://HOST:PORT");
         check("x=vla-eval://host", "vla-eval://HOST:PORT");

@@ -7,18 +7,20 @@ use std::{
 };
 
 use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
+use tokio::task::spawn_blocking;
 
 use super::{Backend, BackendError};
 use crate::{
-    builtin::{Builtin, BuiltinPolicy},
+    builtin::{BuiltinPolicy, Policy},
     check::ACTION_WIDTH,
     sessions::{MAX_SESSIONS, SessionTable},
 };
 
 /// A built-in policy and its sessions.
 pub struct BuiltinBackend {
-    builtin: Builtin,
-    described: DescribeResponse,
+    /// As its route names it.
+    name: String,
+    policy: Policy,
     sessions: Mutex<SessionTable<Arc<Mutex<Instance>>>>,
 }
 
@@ -28,12 +30,42 @@ struct Instance {
     next_query: u32,
 }
 
+impl Instance {
+    fn answer(
+        &mut self,
+        stateful: bool,
+        request: InferRequest,
+    ) -> Result<InferResponse, BackendError> {
+        if stateful && request.query_index != self.next_query {
+            return Err(BackendError::OutOfOrder {
+                expected: self.next_query,
+            });
+        }
+        let observation = request.observation.unwrap_or_default();
+        let actions = self
+            .policy
+            .infer(request.query_index, &observation)
+            .map_err(|message| BackendError::Policy { message })?;
+        self.next_query = request.query_index.saturating_add(1);
+        Ok(InferResponse {
+            actions: actions.into_flattened(),
+            action_width: ACTION_WIDTH,
+        })
+    }
+}
+
+fn panicked(when: &str) -> BackendError {
+    BackendError::Policy {
+        message: format!("it panicked {when} of this session"),
+    }
+}
+
 impl BuiltinBackend {
     /// A back-end without sessions.
-    pub fn new(builtin: Builtin) -> Self {
+    pub(crate) fn new(name: String, policy: Policy) -> Self {
         Self {
-            builtin,
-            described: builtin.describe(),
+            name,
+            policy,
             sessions: Mutex::new(SessionTable::new(MAX_SESSIONS)),
         }
     }
@@ -47,12 +79,12 @@ impl BuiltinBackend {
 #[tonic::async_trait]
 impl Backend for BuiltinBackend {
     async fn describe(&self, _suite: &str) -> Result<DescribeResponse, BackendError> {
-        Ok(self.described.clone())
+        Ok(self.policy.described.clone())
     }
 
     async fn reset(&self, request: ResetRequest) -> Result<(), BackendError> {
         let episode = Instance {
-            policy: self.builtin.start(&request),
+            policy: (self.policy.start)(&request),
             next_query: 0,
         };
         let mut sessions = self.sessions.lock().unwrap_or_else(PoisonError::into_inner);
@@ -64,31 +96,23 @@ impl Backend for BuiltinBackend {
         let episode = self
             .episode(&request.session)
             .ok_or(BackendError::SessionLost)?;
-        // Only a panic inside the policy poisons the lock, and then what the
-        // instance remembers is not to be trusted.
-        let mut episode = episode.lock().map_err(|_| BackendError::Policy {
-            message: "it panicked at an earlier query of this session".to_owned(),
-        })?;
-        if self.described.stateful && request.query_index != episode.next_query {
-            return Err(BackendError::OutOfOrder {
-                expected: episode.next_query,
-            });
-        }
-        let observation = request.observation.unwrap_or_default();
-        let actions = episode
-            .policy
-            .infer(request.query_index, &observation)
-            .map_err(|message| BackendError::Policy { message })?;
-        episode.next_query = request.query_index.saturating_add(1);
-        Ok(InferResponse {
-            actions: actions.into_flattened(),
-            action_width: ACTION_WIDTH,
-        })
+        let stateful = self.policy.described.stateful;
+        let answered = spawn_blocking(move || {
+            // Only a panic inside the policy poisons the lock, and then what the
+            // instance remembers is not to be trusted.
+            let mut episode = episode
+                .lock()
+                .map_err(|_| panicked("at an earlier query"))?;
+            episode.answer(stateful, request)
+        });
+        answered
+            .await
+            .unwrap_or_else(|_| Err(panicked("at this query")))
     }
 }
 
 impl fmt::Display for BuiltinBackend {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.builtin.fmt(f)
+        self.name.fmt(f)
     }
 }

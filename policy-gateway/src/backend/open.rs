@@ -8,7 +8,10 @@ use super::{
     Backend, builtin::BuiltinBackend, grpc::GrpcBackend, openpi::OpenpiBackend, replay::Replay,
     vla_eval::VlaEvalBackend,
 };
-use crate::config::{BackendSpec, UnusableBackend};
+use crate::{
+    builtin::student,
+    config::{BackendSpec, UnusableBackend},
+};
 
 /// The back-end that a specification names. Nothing is connected yet.
 ///
@@ -16,7 +19,13 @@ use crate::config::{BackendSpec, UnusableBackend};
 /// See [`UnusableBackend`].
 pub fn open(spec: &BackendSpec, access: &Access) -> Result<Arc<dyn Backend>, UnusableBackend> {
     Ok(match spec {
-        BackendSpec::Builtin(builtin) => Arc::new(BuiltinBackend::new(*builtin)),
+        BackendSpec::Builtin(builtin) => {
+            Arc::new(BuiltinBackend::new(spec.to_string(), builtin.policy()))
+        }
+        BackendSpec::Student(weights) => {
+            let policy = student::read(weights)?;
+            Arc::new(BuiltinBackend::new(spec.to_string(), policy))
+        }
         BackendSpec::Grpc(address) => {
             let endpoint = address.endpoint()?;
             Arc::new(GrpcBackend::new(address.clone(), endpoint, access)?)

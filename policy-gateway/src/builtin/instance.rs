@@ -1,15 +1,25 @@
 //! What every built-in policy is to the gateway.
 
-use proto::policy::Observation;
+use proto::policy::{DescribeResponse, Observation, ResetRequest};
 
 /// One control step's action: end-effector translation (3) and rotation (3),
 /// gripper (-1 open, 1 closed), each in -1..1.
 pub type Action = [f32; 7];
 
-/// A policy that runs inside the gateway. One instance per session.
+/// A policy that runs inside the gateway.
+pub(crate) struct Policy {
+    /// What it is and wants to see.
+    pub(crate) described: DescribeResponse,
+    pub(crate) start: Start,
+}
+
+/// Starts an episode.
+type Start = Box<dyn Fn(&ResetRequest) -> Box<dyn BuiltinPolicy> + Send + Sync>;
+
+/// One session of it.
 ///
-/// It runs on the gateway's own threads, so an answer should take well under a
-/// millisecond.
+/// It runs aside from the gateway's own threads: an answer may take some
+/// milliseconds.
 pub trait BuiltinPolicy: Send {
     /// Answers one observation. Called once per query index: the gateway
     /// answers retries itself. With a policy that declares itself stateful,

@@ -100,7 +100,7 @@ pub enum ConfigError {
     #[error(
         "read back-end {text:?}: write grpc://HOST:PORT, or https:// for one over TLS, or \
          ws://HOST:PORT for an openpi server, or vla-eval://HOST:PORT for a model server of \
-         vla-eval, or builtin:NAME, or replay:FOLDER"
+         vla-eval, or builtin:NAME, or student:FILE, or replay:FOLDER"
     )]
     Backend {
         /// As written.

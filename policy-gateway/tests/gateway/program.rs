@@ -96,7 +96,7 @@ fn usage_errors_exit_with_2_and_say_what_to_write() {
     let cases: [(&[&str], &str); 5] = [
         (&[], "--route"),
         (&["--route", "x"], "NAME=BACKEND"),
-        (&["--route", "x=builtin:nope"], "noop and expert"),
+        (&["--route", "x=builtin:nope"], "noop, expert, student"),
         (
             &["--route", "x=builtin:noop", "--route", "x=builtin:expert"],
             "two routes named x",

@@ -9,7 +9,7 @@ use policy_gateway::backend::numpy::ArrayError;
 use policy_gateway::backend::openpi::OpenpiAddress;
 use policy_gateway::backend::openpi::codec::AnswerError;
 use policy_gateway::backend::vla_eval::{AnswerError as VlaEvalAnswerError, VlaEvalAddress};
-use policy_gateway::builtin::Builtin;
+use policy_gateway::builtin::{Builtin, student::WeightsFileError};
 use policy_gateway::check::{ActionFault, DescriptionFault};
 use policy_gateway::config::{BackendSpec, ConfigError, RouteName, RouteSpec, UnusableBackend};
 use policy_gateway::conformance::ConformanceError;
@@ -105,6 +105,9 @@ fn configuration(messages: &mut Messages) {
         UnusableBackend::Recording(_) => {
             UnusableBackend::Recording(RecordingError::None { folder: path() })
         },
+        UnusableBackend::Weights(_) => UnusableBackend::Weights(WeightsFileError::Unreadable {
+            path: path(), source: io_error(),
+        }),
         UnusableBackend::Address(_) => UnusableBackend::Address(no_address()),
         UnusableBackend::Openpi(_) => UnusableBackend::Openpi(no_openpi()),
         UnusableBackend::VlaEval(_) => UnusableBackend::VlaEval(no_vla_eval()),

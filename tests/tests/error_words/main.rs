@@ -6,6 +6,7 @@
 mod gateway;
 mod simulation;
 mod storage;
+mod student;
 mod transport_and_protocol;
 
 use std::collections::BTreeSet;
@@ -20,7 +21,7 @@ use tests::phrases::raw_phrase;
 const PRIVATE: [&str; 4] = ["FilmingError", "TextError", "Outer", "Missing"];
 
 /// Errors that are sentences of their own; the others read after "failed to …".
-const SENTENCES: [&str; 7] = [
+const SENTENCES: [&str; 9] = [
     "Trouble",
     "BackendError",
     "ActionFault",
@@ -28,6 +29,8 @@ const SENTENCES: [&str; 7] = [
     "AnswerError",
     "RouteError",
     "LineProblem",
+    "WeightsError",
+    "QueryError",
 ];
 
 /// The messages of errors, and whose they are.
@@ -105,6 +108,7 @@ fn all() -> Messages {
     simulation::add(&mut messages);
     storage::add(&mut messages);
     gateway::add(&mut messages);
+    student::add(&mut messages);
     messages
 }
 

@@ -1,0 +1,79 @@
+//! How long a query takes, on one core: `cargo run --release -p student --example
+//! speed [weights file]`. Without a file the weights are random.
+
+#[path = "../tests/support/mod.rs"]
+mod support;
+
+use std::time::Instant;
+
+use rustix::time::{ClockId, clock_gettime};
+use student::{Network, Query};
+use support::{Moment, Weights};
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let bytes = match std::env::args_os().nth(1) {
+        Some(path) => std::fs::read(path)?,
+        None => Weights::random(1).bytes(),
+    };
+    let network = Network::from_safetensors(&bytes)?;
+    println!(
+        "{}: {} parameters, products: {:?}",
+        network.name(),
+        network.parameters(),
+        network.products()
+    );
+    let moments: Vec<Moment> = (0..8).map(Moment::random).collect();
+    let queries: Vec<Query<'_>> = moments.iter().map(Moment::query).collect();
+    for batch in [1, 2, 8] {
+        measure(&network, &queries[..batch], 200)?;
+    }
+    measure(&network.with_plain_products(), &queries[..1], 5)?;
+    Ok(())
+}
+
+/// Prints the time a query takes in batches of this size, over so many calls: by the
+/// processor's clock, which stands still while other programs compute, and by the
+/// wall's.
+fn measure(
+    network: &Network,
+    queries: &[Query<'_>],
+    calls: usize,
+) -> Result<(), student::QueryError> {
+    // Caches and the allocator are warm from the second call on.
+    network.act(queries)?;
+    let (mut computed, mut passed) = (Vec::new(), Vec::new());
+    let share = 1e3 / queries.len() as f64;
+    for _ in 0..calls {
+        let (start, wall) = (processor_seconds(), Instant::now());
+        network.act(queries)?;
+        passed.push(wall.elapsed().as_secs_f64() * share);
+        computed.push((processor_seconds() - start) * share);
+    }
+    println!(
+        "{:?} products, batch of {}, ms a query: {}; by the wall's clock: {}",
+        network.products(),
+        queries.len(),
+        spread(computed),
+        spread(passed)
+    );
+    Ok(())
+}
+
+/// What this thread has computed.
+fn processor_seconds() -> f64 {
+    let time = clock_gettime(ClockId::ThreadCPUTime);
+    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
+}
+
+fn spread(mut times: Vec<f64>) -> String {
+    times.sort_by(f64::total_cmp);
+    let at = |share: f64| times[((times.len() - 1) as f64 * share) as usize];
+    format!(
+        "median {:.2} (least {:.2}, 5 % {:.2}, 95 % {:.2}, most {:.2})",
+        at(0.5),
+        at(0.0),
+        at(0.05),
+        at(0.95),
+        at(1.0)
+    )
+}

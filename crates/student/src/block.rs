@@ -1,0 +1,104 @@
+//! A residual block that the text modulates.
+
+use crate::columns::{self, Planes, Room};
+use crate::convolution::Convolution;
+use crate::error::WeightsError;
+use crate::linear::Linear;
+use crate::norm::{Film, GroupNorm};
+use crate::product::Products;
+use crate::weights::Tensors;
+
+/// Two convolutions of 3 x 3 and a shortcut of 1 x 1 around them.
+#[derive(Debug)]
+pub(crate) struct Block {
+    stride: usize,
+    conv1: Convolution,
+    norm1: GroupNorm,
+    /// From the text to what it says about channels.
+    pub(crate) film: Linear,
+    conv2: Convolution,
+    norm2: GroupNorm,
+    skip: Convolution,
+}
+
+/// Room for what is worked out on the way, used again from block to block.
+#[derive(Debug, Default)]
+pub(crate) struct Workspace {
+    pub(crate) room: Room,
+    hidden: Vec<f32>,
+    skipped: Vec<f32>,
+}
+
+/// What a block is made like.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Shape {
+    /// Channels that go in.
+    pub(crate) inputs: usize,
+    /// Channels that come out.
+    pub(crate) outputs: usize,
+    /// 2 halves the sides, 1 keeps them.
+    pub(crate) stride: usize,
+}
+
+impl Block {
+    /// Takes the tensors whose names start with `name`. `text` is the width of what
+    /// modulates.
+    pub(crate) fn read(
+        tensors: &mut Tensors<'_>,
+        name: &str,
+        shape: Shape,
+        text: usize,
+    ) -> Result<Self, WeightsError> {
+        let Shape {
+            inputs,
+            outputs,
+            stride,
+        } = shape;
+        let part = |part: &str| format!("{name}.{part}");
+        Ok(Self {
+            stride,
+            conv1: Convolution::read_3x3(tensors, &part("conv1"), inputs, outputs)?,
+            norm1: GroupNorm::read(tensors, &part("norm1"), outputs)?,
+            film: Linear::read(tensors, &part("film"), text, 2 * outputs)?,
+            conv2: Convolution::read_3x3(tensors, &part("conv2"), outputs, outputs)?,
+            norm2: GroupNorm::read(tensors, &part("norm2"), outputs)?,
+            skip: Convolution::read_1x1(tensors, &part("skip"), inputs, outputs)?,
+        })
+    }
+
+    /// Fills `output` with the block's planes for `input`.
+    pub(crate) fn apply(
+        &self,
+        products: Products,
+        input: Planes<'_>,
+        film: Film<'_>,
+        work: &mut Workspace,
+        output: &mut Vec<f32>,
+    ) {
+        let side = input.side / self.stride;
+        let size = self.conv1.outputs() * side * side;
+        zeros(&mut work.hidden, size);
+        zeros(&mut work.skipped, size);
+        columns::each_part(input, self.stride, &mut work.room, |part| {
+            let (hidden, skipped) = (&mut work.hidden, &mut work.skipped);
+            self.conv1.add(products, part.windows(), hidden);
+            self.skip.add(products, part.middles(), skipped);
+        });
+        self.norm1.film_relu(&mut work.hidden, film);
+        zeros(output, size);
+        let hidden = Planes {
+            values: &work.hidden,
+            side,
+        };
+        columns::each_part(hidden, 1, &mut work.room, |part| {
+            self.conv2.add(products, part.windows(), output);
+        });
+        self.norm2.add_relu(output, &work.skipped);
+    }
+}
+
+/// Makes `values` so many zeros.
+pub(crate) fn zeros(values: &mut Vec<f32>, size: usize) {
+    values.clear();
+    values.resize(size, 0.0);
+}

@@ -1,0 +1,263 @@
+//! What a convolution looks at, one column per place of its result: a convolution
+//! becomes a matrix product.
+
+use std::ops::Range;
+
+use crate::product::Matrix;
+
+/// Square planes of numbers, one per channel.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Planes<'a> {
+    /// Channel after channel, row after row.
+    pub(crate) values: &'a [f32],
+    /// Places along a side.
+    pub(crate) side: usize,
+}
+
+/// Rows of the matrix that each channel fills: the places of a 3 x 3 window.
+pub(crate) const WINDOW: usize = 9;
+/// The window's row that is its middle.
+const MIDDLE: usize = 4;
+/// Places that are gathered at a time.
+const PLACES: usize = 256;
+/// Channels that are gathered at a time: with [`PLACES`] few enough for columns to
+/// stay in a cache of the second level. The bits depend on it, as each time is a
+/// product's run.
+const CHANNELS: usize = 16;
+
+/// Columns of some places of a convolution's result, for some of its channels.
+#[derive(Debug)]
+pub(crate) struct Part<'a> {
+    columns: &'a [f32],
+    channels: Range<usize>,
+    places: Range<usize>,
+}
+
+/// Rows of columns, for a convolution to add up.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Rows<'a> {
+    pub(crate) columns: Matrix<'a>,
+    /// Which of the convolution's inputs the first row is.
+    pub(crate) input: usize,
+    /// Which of the result's places the first column is.
+    pub(crate) place: usize,
+}
+
+impl Part<'_> {
+    /// What windows of 3 x 3 see: a row for each channel and place of the window.
+    pub(crate) fn windows(&self) -> Rows<'_> {
+        let inputs = self.channels.len() * WINDOW;
+        Rows {
+            columns: Matrix::new(self.columns, inputs, self.places.len()),
+            input: self.channels.start * WINDOW,
+            place: self.places.start,
+        }
+    }
+
+    /// What windows of 1 x 1 see, which are the others' middles: a row for each
+    /// channel.
+    pub(crate) fn middles(&self) -> Rows<'_> {
+        let places = self.places.len();
+        let middles = &self.columns[MIDDLE * places..];
+        let size = [self.channels.len(), places];
+        Rows {
+            columns: Matrix::with_strides(middles, size, [WINDOW * places, 1]),
+            input: self.channels.start,
+            place: self.places.start,
+        }
+    }
+}
+
+/// Room to gather columns in, used again from convolution to convolution.
+#[derive(Debug, Default)]
+pub(crate) struct Room {
+    columns: Vec<f32>,
+    phases: Vec<f32>,
+}
+
+/// Hands out the columns of a convolution's whole result, part by part: of each place
+/// the channels from the first to the last.
+pub(crate) fn each_part(
+    planes: Planes<'_>,
+    stride: usize,
+    room: &mut Room,
+    mut each: impl FnMut(Part<'_>),
+) {
+    let side = planes.side / stride;
+    if stride > 1 {
+        split(planes, stride, &mut room.phases);
+    }
+    let phases = Phases {
+        values: if stride > 1 {
+            &room.phases
+        } else {
+            planes.values
+        },
+        side,
+        stride,
+    };
+    for rows in ranges(side, (PLACES / side).max(1)) {
+        for channels in ranges(phases.channels(), CHANNELS) {
+            gather(phases, channels.clone(), rows.clone(), &mut room.columns);
+            each(Part {
+                columns: &room.columns,
+                channels,
+                places: rows.start * side..rows.end * side,
+            });
+        }
+    }
+}
+
+/// All numbers below `end`, so many at a time.
+fn ranges(end: usize, step: usize) -> impl Iterator<Item = Range<usize>> {
+    let range = move |first| first..end.min(first + step);
+    (0..end).step_by(step).map(range)
+}
+
+/// Planes, each taken apart into as many as a window moves past in a step: of
+/// stride 2, those of even rows and even columns, of even rows and odd columns, of
+/// odd rows and even columns, and of odd rows and odd columns. What one place of a
+/// moving window sees is then one of them, moved by a row or a column at most.
+#[derive(Debug, Clone, Copy)]
+struct Phases<'a> {
+    values: &'a [f32],
+    /// Of each phase, which is the result's.
+    side: usize,
+    stride: usize,
+}
+
+impl<'a> Phases<'a> {
+    fn channels(&self) -> usize {
+        self.values.len() / (self.side * self.side * self.stride * self.stride)
+    }
+
+    /// What the window's row `y` and column `x` see of a channel: which phase, how
+    /// many rows further down, and how many columns further right.
+    fn seen(&self, channel: usize, y: usize, x: usize) -> (&'a [f32], isize, isize) {
+        let stride = self.stride;
+        let divide = |at: usize| {
+            // The window's first row and column lie one before its middle.
+            let at = at as isize - 1;
+            let phase = at.rem_euclid(stride as isize) as usize;
+            (phase, at.div_euclid(stride as isize))
+        };
+        let ((row, down), (column, right)) = (divide(y), divide(x));
+        let phase = (channel * stride + row) * stride + column;
+        let size = self.side * self.side;
+        (&self.values[phase * size..][..size], down, right)
+    }
+}
+
+/// Takes `planes` apart into phases.
+fn split(planes: Planes<'_>, stride: usize, phases: &mut Vec<f32>) {
+    let side = planes.side / stride;
+    let size = side * side;
+    phases.resize(planes.values.len(), 0.0);
+    let channels = phases.chunks_exact_mut(size * stride * stride);
+    let planes = planes.values.chunks_exact(planes.side * planes.side);
+    for (plane, phases) in planes.zip(channels) {
+        for (row, line) in plane.chunks_exact(side * stride).enumerate() {
+            for column in 0..stride {
+                let phase = row % stride * stride + column;
+                let to = &mut phases[phase * size + row / stride * side..][..side];
+                for (value, from) in to.iter_mut().zip(line.chunks_exact(stride)) {
+                    *value = from[column];
+                }
+            }
+        }
+    }
+}
+
+/// Fills `columns` for some channels and the places in `rows` of the result, each of a
+/// side's width. Of each channel nine rows, `3 * y + x`, hold place after place what
+/// the window's row `y` and column `x` see; beyond the border that is zero.
+fn gather(phases: Phases<'_>, channels: Range<usize>, rows: Range<usize>, columns: &mut Vec<f32>) {
+    let places = rows.len() * phases.side;
+    columns.resize(channels.len() * WINDOW * places, 0.0);
+    for (channel, window) in channels.zip(columns.chunks_exact_mut(WINDOW * places)) {
+        for (offset, seen) in window.chunks_exact_mut(places).enumerate() {
+            let (phase, down, right) = phases.seen(channel, offset / 3, offset % 3);
+            shift(phase, phases.side, rows.start, down, right, seen);
+        }
+    }
+}
+
+/// Fills `seen` with the rows of `phase` from `first + down` on, moved to the left by
+/// `right` columns; zeros come in from beyond the border.
+fn shift(phase: &[f32], side: usize, first: usize, down: isize, right: isize, seen: &mut [f32]) {
+    // All rows at once. At an edge, this sees a place of the next row or of the
+    // one before, or none.
+    let from = (first as isize + down) * side as isize + right;
+    let before = usize::try_from(-from).unwrap_or(0).min(seen.len());
+    let from = usize::try_from(from).unwrap_or(0).min(phase.len());
+    let count = (seen.len() - before).min(phase.len() - from);
+    seen[..before].fill(0.0);
+    seen[before..before + count].copy_from_slice(&phase[from..from + count]);
+    seen[before + count..].fill(0.0);
+    let edge = match right {
+        -1 => 0,
+        0 => return,
+        _ => side - 1,
+    };
+    for line in seen.chunks_exact_mut(side) {
+        line[edge] = 0.0;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// By the definition: with a border of zeros all around.
+    fn expected(planes: Planes<'_>, channels: usize, stride: usize) -> Vec<f32> {
+        let (side, out) = (planes.side as isize, planes.side / stride);
+        let mut columns = Vec::new();
+        for channel in 0..channels {
+            for offset in 0..9 {
+                for place in 0..out * out {
+                    let y = (place / out * stride + offset / 3) as isize - 1;
+                    let x = (place % out * stride + offset % 3) as isize - 1;
+                    let inside = (0..side).contains(&y) && (0..side).contains(&x);
+                    let at = channel as isize * side * side + y * side + x;
+                    columns.push(if inside {
+                        planes.values[at as usize]
+                    } else {
+                        0.0
+                    });
+                }
+            }
+        }
+        columns
+    }
+
+    #[test]
+    fn columns_hold_what_windows_see() {
+        let values: Vec<f32> = (1..=3 * 8 * 8).map(|value| value as f32).collect();
+        let planes = Planes {
+            values: &values,
+            side: 8,
+        };
+        for stride in [1, 2] {
+            let side = 8 / stride;
+            let whole = expected(planes, 3, stride);
+            let mut split_planes = Vec::new();
+            split(planes, stride, &mut split_planes);
+            let phases = Phases {
+                values: &split_planes,
+                side,
+                stride,
+            };
+            // Left over from something else.
+            let mut found = vec![9.0; 1000];
+            gather(phases, 0..3, 0..side, &mut found);
+            assert_eq!(found, whole, "stride {stride}");
+            for rows in [0..1, 1..3, side - 1..side] {
+                gather(phases, 1..3, rows.clone(), &mut found);
+                let lines = whole.chunks(side * side).skip(WINDOW);
+                let part = |line: &[f32]| line[rows.start * side..rows.end * side].to_vec();
+                let part: Vec<f32> = lines.flat_map(part).collect();
+                assert_eq!(found, part, "stride {stride}, rows {rows:?}");
+            }
+        }
+    }
+}

@@ -1,0 +1,72 @@
+//! Convolutions: 3 x 3 with a border of zeros, and 1 x 1.
+
+use crate::columns::{Rows, WINDOW};
+use crate::error::WeightsError;
+use crate::linear::transposed;
+use crate::product::{Matrix, MatrixMut, Products};
+use crate::weights::Tensors;
+
+/// A convolution as a matrix; what it looks at comes as columns.
+#[derive(Debug)]
+pub(crate) struct Convolution {
+    /// Inputs x outputs: as products read it fastest. The inputs of a 3 x 3
+    /// convolution are channel after channel, row after row of the window.
+    weight: Vec<f32>,
+    outputs: usize,
+}
+
+impl Convolution {
+    /// Takes `name.weight`, a convolution of 3 x 3.
+    pub(crate) fn read_3x3(
+        tensors: &mut Tensors<'_>,
+        name: &str,
+        channels: usize,
+        outputs: usize,
+    ) -> Result<Self, WeightsError> {
+        let shape = [outputs, channels, 3, 3];
+        Self::read(tensors, name, &shape, channels * WINDOW)
+    }
+
+    /// Takes `name.weight`, a convolution of 1 x 1.
+    pub(crate) fn read_1x1(
+        tensors: &mut Tensors<'_>,
+        name: &str,
+        channels: usize,
+        outputs: usize,
+    ) -> Result<Self, WeightsError> {
+        Self::read(tensors, name, &[outputs, channels, 1, 1], channels)
+    }
+
+    fn read(
+        tensors: &mut Tensors<'_>,
+        name: &str,
+        shape: &[usize; 4],
+        inputs: usize,
+    ) -> Result<Self, WeightsError> {
+        let weight = tensors.half(&format!("{name}.weight"), shape)?;
+        Ok(Self {
+            weight: transposed(&weight, shape[0], inputs),
+            outputs: shape[0],
+        })
+    }
+
+    /// Channels of the result.
+    pub(crate) fn outputs(&self) -> usize {
+        self.outputs
+    }
+
+    /// Adds what `rows` give to `planes`, which has a plane for each output.
+    pub(crate) fn add(&self, products: Products, rows: Rows<'_>, planes: &mut [f32]) {
+        let Rows {
+            columns,
+            input,
+            place,
+        } = rows;
+        let weight = &self.weight[input * self.outputs..];
+        let weight = Matrix::new(weight, columns.rows(), self.outputs).transposed();
+        let stride = planes.len() / self.outputs;
+        let size = [self.outputs, columns.columns()];
+        let mut sums = MatrixMut::with_stride(&mut planes[place..], size, stride);
+        products.add(weight, columns, &mut sums);
+    }
+}

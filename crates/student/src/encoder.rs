@@ -1,0 +1,151 @@
+//! From a picture to 320 numbers, with the text's say in it.
+
+use crate::block::{Block, Shape, Workspace, zeros};
+use crate::columns::{self, Planes, Rows};
+use crate::convolution::Convolution;
+use crate::error::WeightsError;
+use crate::lanes;
+use crate::norm::{Film, GroupNorm};
+use crate::picture;
+use crate::points::{self, POINTS};
+use crate::product::{Matrix, Products};
+use crate::weights::Tensors;
+
+const STEM: usize = 32;
+const BLOCKS: [Shape; 3] = [
+    Shape {
+        inputs: STEM,
+        outputs: 48,
+        stride: 2,
+    },
+    Shape {
+        inputs: 48,
+        outputs: 96,
+        stride: 2,
+    },
+    Shape {
+        inputs: 96,
+        outputs: FEATURES,
+        stride: 1,
+    },
+];
+/// Channels of the last block.
+const FEATURES: usize = 128;
+/// Numbers that a picture becomes.
+pub(crate) const WIDTH: usize = 3 * POINTS + FEATURES;
+
+/// What looks at one camera's pictures.
+#[derive(Debug)]
+pub(crate) struct Encoder {
+    stem: Convolution,
+    stem_norm: GroupNorm,
+    blocks: [Block; 3],
+    points: Convolution,
+    points_bias: Vec<f32>,
+}
+
+/// What the texts of some queries say to each block: a row per query.
+#[derive(Debug)]
+pub(crate) struct Films([Vec<f32>; 3]);
+
+/// Room for a picture and what becomes of it, used again from query to query.
+#[derive(Debug, Default)]
+pub(crate) struct Scratch {
+    picture: Vec<f32>,
+    planes: [Vec<f32>; 2],
+    work: Workspace,
+}
+
+impl Encoder {
+    /// Takes the tensors whose names start with `camera`. `text` is the text's
+    /// width.
+    pub(crate) fn read(
+        tensors: &mut Tensors<'_>,
+        camera: &str,
+        text: usize,
+    ) -> Result<Self, WeightsError> {
+        let part = |part: &str| format!("{camera}.{part}");
+        let mut block = |index: usize| {
+            let name = part(&format!("block{}", index + 1));
+            Block::read(tensors, &name, BLOCKS[index], text)
+        };
+        Ok(Self {
+            blocks: [block(0)?, block(1)?, block(2)?],
+            stem: Convolution::read_3x3(tensors, &part("stem.conv"), 3, STEM)?,
+            stem_norm: GroupNorm::read(tensors, &part("stem.norm"), STEM)?,
+            points: Convolution::read_1x1(tensors, &part("points"), FEATURES, POINTS)?,
+            points_bias: tensors.half(&part("points.bias"), &[POINTS])?,
+        })
+    }
+
+    /// What texts (a row per query) say to this encoder.
+    pub(crate) fn films(&self, products: Products, texts: &[f32]) -> Films {
+        let films = |block: &Block| block.film.apply(products, texts);
+        Films(self.blocks.each_ref().map(films))
+    }
+
+    /// Fills `encoded` for the picture `rgb` of the query numbered `query`: expected
+    /// columns, expected rows and peaks of the points, means of the features.
+    pub(crate) fn encode(
+        &self,
+        products: Products,
+        rgb: &[u8],
+        (films, query): (&Films, usize),
+        scratch: &mut Scratch,
+        encoded: &mut [f32],
+    ) {
+        let Scratch {
+            picture,
+            planes: [planes, next],
+            work,
+        } = scratch;
+        picture::planes(rgb, picture);
+        let seen = Planes {
+            values: picture,
+            side: picture::SIDE,
+        };
+        let mut side = picture::SIDE / 2;
+        zeros(planes, STEM * side * side);
+        columns::each_part(seen, 2, &mut work.room, |part| {
+            self.stem.add(products, part.windows(), planes);
+        });
+        self.stem_norm.relu(planes);
+        for (block, (films, shape)) in self.blocks.iter().zip(films.0.iter().zip(BLOCKS)) {
+            let input = Planes {
+                values: planes,
+                side,
+            };
+            let film = Film(&films[query * 2 * shape.outputs..][..2 * shape.outputs]);
+            block.apply(products, input, film, work, next);
+            std::mem::swap(planes, next);
+            side /= shape.stride;
+        }
+        let (located, means) = encoded.split_at_mut(3 * POINTS);
+        self.locate(products, planes, next, located);
+        for (plane, mean) in planes.chunks_exact(side * side).zip(means) {
+            *mean = lanes::mean(plane);
+        }
+    }
+
+    /// Where the points are, by the `features`' planes; `scores` is room.
+    fn locate(
+        &self,
+        products: Products,
+        features: &[f32],
+        scores: &mut Vec<f32>,
+        located: &mut [f32],
+    ) {
+        let places = features.len() / FEATURES;
+        scores.clear();
+        for bias in &self.points_bias {
+            scores.extend(std::iter::repeat_n(bias, places));
+        }
+        let features = Rows {
+            columns: Matrix::new(features, FEATURES, places),
+            input: 0,
+            place: 0,
+        };
+        self.points.add(products, features, scores);
+        points::locate(scores, located);
+    }
+}

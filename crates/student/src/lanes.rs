@@ -1,0 +1,55 @@
+//! Sums in sixteen lanes: an order that is the same for every vector width.
+
+const LANES: usize = 16;
+
+/// The sum of `of(value)` over all values. Lane `j` sums places `j`, `j + 16`, …
+/// from the first on; the lanes are then added in halves. The number of values is a
+/// multiple of sixteen.
+#[inline]
+pub(crate) fn sum(values: &[f32], of: impl Fn(f32) -> f32) -> f32 {
+    let (rows, rest) = values.as_chunks::<LANES>();
+    assert!(
+        rest.is_empty(),
+        "{} values are not whole rows",
+        values.len()
+    );
+    let mut lanes = [0.0; LANES];
+    for row in rows {
+        for (lane, value) in lanes.iter_mut().zip(row) {
+            *lane += of(*value);
+        }
+    }
+    let mut width = LANES / 2;
+    while width > 0 {
+        for j in 0..width {
+            lanes[j] += lanes[j + width];
+        }
+        width /= 2;
+    }
+    lanes[0]
+}
+
+/// The arithmetic mean.
+pub(crate) fn mean(values: &[f32]) -> f32 {
+    sum(values, |value| value) / values.len() as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lanes_are_summed_down_and_then_in_halves() {
+        // A large number in lane 0 swallows the small one that is added to it
+        // first, and not the one of another lane.
+        let mut values = [0.0; 32];
+        values[0] = 1.0e8;
+        values[16] = 1.0;
+        assert_eq!(sum(&values, |value| value), 1.0e8);
+        values[16] = 0.0;
+        values[1] = 3.0;
+        values[17] = 3.0;
+        assert_eq!(sum(&values, |value| value), 1.0e8 + 8.0);
+        assert_eq!(mean(&[2.0; 48]), 2.0);
+    }
+}

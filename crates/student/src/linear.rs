@@ -1,0 +1,66 @@
+//! Layers that connect everything with everything.
+
+use crate::error::WeightsError;
+use crate::product::{Matrix, MatrixMut, Products};
+use crate::weights::Tensors;
+
+/// `y = W x + b`.
+#[derive(Debug)]
+pub(crate) struct Linear {
+    /// Inputs x outputs: as products read it fastest.
+    weight: Vec<f32>,
+    bias: Vec<f32>,
+    inputs: usize,
+    outputs: usize,
+}
+
+impl Linear {
+    /// Takes `name.weight` and `name.bias`.
+    pub(crate) fn read(
+        tensors: &mut Tensors<'_>,
+        name: &str,
+        inputs: usize,
+        outputs: usize,
+    ) -> Result<Self, WeightsError> {
+        let weight = tensors.half(&format!("{name}.weight"), &[outputs, inputs])?;
+        Ok(Self {
+            weight: transposed(&weight, outputs, inputs),
+            bias: tensors.half(&format!("{name}.bias"), &[outputs])?,
+            inputs,
+            outputs,
+        })
+    }
+
+    /// Of each row of `inputs` (as many rows as queries) a row of outputs.
+    pub(crate) fn apply(&self, products: Products, inputs: &[f32]) -> Vec<f32> {
+        let rows = inputs.len() / self.inputs;
+        let mut outputs = self.bias.repeat(rows);
+        products.add(
+            Matrix::new(inputs, rows, self.inputs),
+            Matrix::new(&self.weight, self.inputs, self.outputs),
+            &mut MatrixMut::new(&mut outputs, rows, self.outputs),
+        );
+        outputs
+    }
+
+    /// As `apply`, and negative numbers become zero.
+    pub(crate) fn apply_relu(&self, products: Products, inputs: &[f32]) -> Vec<f32> {
+        let mut outputs = self.apply(products, inputs);
+        for value in &mut outputs {
+            *value = relu(*value);
+        }
+        outputs
+    }
+}
+
+/// Zero for what is below zero. NaN stays, so that an answer shows it.
+#[inline]
+pub(crate) fn relu(value: f32) -> f32 {
+    if value < 0.0 { 0.0 } else { value }
+}
+
+/// A matrix of `rows` x `columns`, column after column.
+pub(crate) fn transposed(values: &[f32], rows: usize, columns: usize) -> Vec<f32> {
+    let column = |j: usize| (0..rows).map(move |i| values[i * columns + j]);
+    (0..columns).flat_map(column).collect()
+}

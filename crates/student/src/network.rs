@@ -1,0 +1,203 @@
+//! The whole network.
+
+use sha2::{Digest, Sha256};
+
+use crate::encoder::{self, Encoder, Scratch};
+use crate::error::{QueryError, WeightsError};
+use crate::linear::Linear;
+use crate::product::Products;
+use crate::query::{ACTIONS, ARM, Chunk, Output, Query, STATE};
+use crate::text;
+use crate::weights::Tensors;
+
+/// Numbers that an instruction becomes.
+const TEXT: usize = 128;
+/// Numbers that the robot's state becomes.
+const STATE_WIDTH: usize = 64;
+/// Numbers that the head decides by.
+const WIDTH: usize = 2 * encoder::WIDTH + STATE_WIDTH + TEXT;
+const HEAD: usize = 384;
+
+/// A student with its weights, ready to be asked. It keeps nothing from one query
+/// to the next, and may be asked from several threads at once.
+#[derive(Debug)]
+pub struct Network {
+    name: String,
+    digest: String,
+    parameters: usize,
+    products: Products,
+    words: Vec<f32>,
+    text1: Linear,
+    text2: Linear,
+    agentview: Encoder,
+    wrist: Encoder,
+    state_mean: Vec<f32>,
+    state_std: Vec<f32>,
+    state1: Linear,
+    head1: Linear,
+    head2: Linear,
+    arm: Linear,
+    gripper: Linear,
+}
+
+impl Network {
+    /// Reads a weights file: safetensors of the format `rollout-student/1`.
+    ///
+    /// # Errors
+    ///
+    /// If the file is not whole, is of another format, or has other tensors than this
+    /// network, or if a number in it cannot be computed with.
+    pub fn from_safetensors(bytes: &[u8]) -> Result<Self, WeightsError> {
+        let mut tensors = Tensors::open(bytes)?;
+        let file = &mut tensors;
+        let state_std = file.single("state_std", &[STATE])?;
+        if let Some(place) = state_std.iter().position(|spread| *spread <= 0.0) {
+            return Err(WeightsError::NotPositive {
+                tensor: "state_std".to_owned(),
+                place,
+                value: state_std[place].to_string(),
+            });
+        }
+        let network = Self {
+            words: file.half("words.weight", &[text::BUCKETS, text::WIDTH])?,
+            text1: Linear::read(file, "text1", text::WIDTH, TEXT)?,
+            text2: Linear::read(file, "text2", TEXT, TEXT)?,
+            agentview: Encoder::read(file, "agentview", TEXT)?,
+            wrist: Encoder::read(file, "wrist", TEXT)?,
+            state_mean: file.single("state_mean", &[STATE])?,
+            state_std,
+            state1: Linear::read(file, "state1", STATE, STATE_WIDTH)?,
+            head1: Linear::read(file, "head1", WIDTH, HEAD)?,
+            head2: Linear::read(file, "head2", HEAD, HEAD)?,
+            arm: Linear::read(file, "arm", HEAD, ACTIONS * ARM)?,
+            gripper: Linear::read(file, "gripper", HEAD, ACTIONS)?,
+            name: file.name().to_owned(),
+            parameters: file.parameters(),
+            digest: hex(&Sha256::digest(bytes)),
+            products: Products::of_this_machine(),
+        };
+        tensors.finish()?;
+        Ok(network)
+    }
+
+    /// What the weights are called, by their file.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// SHA-256 of the weights file, 64 hexadecimal digits.
+    pub fn digest(&self) -> &str {
+        &self.digest
+    }
+
+    /// How many numbers were trained.
+    pub fn parameters(&self) -> usize {
+        self.parameters
+    }
+
+    /// Who computes this network's products on this machine.
+    pub fn products(&self) -> Products {
+        self.products
+    }
+
+    /// The same network with plain products, as on machines without fused
+    /// multiply-adds. It gives the same bits, which is what it is for.
+    pub fn with_plain_products(self) -> Self {
+        Self {
+            products: Products::Plain,
+            ..self
+        }
+    }
+
+    /// A chunk of actions for each query. What a query is answered does not depend on
+    /// the others. One thread computes; memory is a few megabytes, and a few kilobytes
+    /// for each query.
+    ///
+    /// # Errors
+    ///
+    /// If a picture has another size than [`PICTURE_BYTES`](crate::PICTURE_BYTES), or
+    /// if a reading or an answer is not finite. Then no query is answered.
+    pub fn act(&self, queries: &[Query<'_>]) -> Result<Vec<Chunk>, QueryError> {
+        let outputs = self.outputs(queries)?;
+        Ok(outputs.iter().map(Output::chunk).collect())
+    }
+
+    /// As [`Self::act`], before numbers become actions.
+    ///
+    /// # Errors
+    ///
+    /// As [`Self::act`].
+    pub fn outputs(&self, queries: &[Query<'_>]) -> Result<Vec<Output>, QueryError> {
+        for (index, query) in queries.iter().enumerate() {
+            query.check(index)?;
+        }
+        if queries.is_empty() {
+            return Ok(Vec::new());
+        }
+        let outputs = self.decide(&self.sense(queries));
+        match outputs.iter().position(|output| !output.is_finite()) {
+            Some(query) => Err(QueryError::Answer { query }),
+            None => Ok(outputs),
+        }
+    }
+
+    /// All that the head decides by: a row for each query.
+    fn sense(&self, queries: &[Query<'_>]) -> Vec<f32> {
+        let texts = self.texts(queries);
+        let states = self.states(queries);
+        let cameras = [&self.agentview, &self.wrist];
+        let films = cameras.map(|camera| camera.films(self.products, &texts));
+        let mut scratch = Scratch::default();
+        let mut senses = vec![0.0; queries.len() * WIDTH];
+        for (index, row) in senses.chunks_exact_mut(WIDTH).enumerate() {
+            let (pictures, rest) = row.split_at_mut(2 * encoder::WIDTH);
+            let (state, text) = rest.split_at_mut(STATE_WIDTH);
+            let rgb = [queries[index].agentview, queries[index].wrist];
+            let encoded = pictures.chunks_exact_mut(encoder::WIDTH);
+            for (at, encoded) in encoded.enumerate() {
+                let films = (&films[at], index);
+                cameras[at].encode(self.products, rgb[at], films, &mut scratch, encoded);
+            }
+            state.copy_from_slice(&states[index * STATE_WIDTH..][..STATE_WIDTH]);
+            text.copy_from_slice(&texts[index * TEXT..][..TEXT]);
+        }
+        senses
+    }
+
+    fn texts(&self, queries: &[Query<'_>]) -> Vec<f32> {
+        let embed = |query: &Query<'_>| text::embed(&self.words, query.instruction);
+        let vectors: Vec<f32> = queries.iter().flat_map(embed).collect();
+        let hidden = self.text1.apply_relu(self.products, &vectors);
+        self.text2.apply_relu(self.products, &hidden)
+    }
+
+    fn states(&self, queries: &[Query<'_>]) -> Vec<f32> {
+        let mut states: Vec<f32> = queries.iter().flat_map(Query::state).collect();
+        for state in states.chunks_exact_mut(STATE) {
+            let usual = self.state_mean.iter().zip(&self.state_std);
+            for (value, (mean, spread)) in state.iter_mut().zip(usual) {
+                *value = (*value - mean) / spread;
+            }
+        }
+        self.state1.apply_relu(self.products, &states)
+    }
+
+    fn decide(&self, senses: &[f32]) -> Vec<Output> {
+        let hidden = self.head1.apply_relu(self.products, senses);
+        let hidden = self.head2.apply_relu(self.products, &hidden);
+        let arms = self.arm.apply(self.products, &hidden);
+        let logits = self.gripper.apply(self.products, &hidden);
+        let (moves, _) = arms.as_chunks::<ARM>();
+        let (arms, _) = moves.as_chunks::<ACTIONS>();
+        let (logits, _) = logits.as_chunks::<ACTIONS>();
+        let output = |(arm, gripper_logits): (&_, &_)| Output {
+            arm: *arm,
+            gripper_logits: *gripper_logits,
+        };
+        arms.iter().zip(logits).map(output).collect()
+    }
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}

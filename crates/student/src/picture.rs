@@ -1,0 +1,82 @@
+//! A picture as the network sees it: half as large, three planes of numbers.
+
+use crate::query::PICTURE_SIDE;
+
+/// Pixels along a side of what the network sees.
+pub(crate) const SIDE: usize = PICTURE_SIDE / 2;
+
+/// What each byte stands for: -1 for 0, 1 for 255.
+const VALUES: [f32; 256] = {
+    let mut values = [0.0; 256];
+    let mut byte = 0;
+    while byte < values.len() {
+        values[byte] = byte as f32 / 127.5 - 1.0;
+        byte += 1;
+    }
+    values
+};
+
+/// Turns `rgb` (256 x 256 pixels, row 0 at the bottom) into red, green and blue
+/// planes of 128 x 128 numbers, row 0 at the top. Each byte is the rounded mean of
+/// four.
+pub(crate) fn planes(rgb: &[u8], planes: &mut Vec<f32>) {
+    const WIDTH: usize = PICTURE_SIDE * 3;
+    planes.resize(3 * SIDE * SIDE, 0.0);
+    let (red, rest) = planes.split_at_mut(SIDE * SIDE);
+    let (green, blue) = rest.split_at_mut(SIDE * SIDE);
+    for row in 0..SIDE {
+        let (upper, lower) = (PICTURE_SIDE - 1 - 2 * row, PICTURE_SIDE - 2 - 2 * row);
+        let (upper, _) = rgb[upper * WIDTH..][..WIDTH].as_chunks::<6>();
+        let (lower, _) = rgb[lower * WIDTH..][..WIDTH].as_chunks::<6>();
+        for (column, (upper, lower)) in upper.iter().zip(lower).enumerate() {
+            let value = |channel: usize| {
+                let four = [
+                    upper[channel],
+                    upper[channel + 3],
+                    lower[channel],
+                    lower[channel + 3],
+                ];
+                let sum: u16 = four.into_iter().map(u16::from).sum();
+                VALUES[usize::from((sum + 2) / 4)]
+            };
+            let at = row * SIDE + column;
+            red[at] = value(0);
+            green[at] = value(1);
+            blue[at] = value(2);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::query::PICTURE_BYTES;
+
+    #[test]
+    fn the_top_row_comes_first_and_four_bytes_make_one() {
+        let mut rgb = vec![0; PICTURE_BYTES];
+        // The picture's upper right corner: the last row on the wire, its last
+        // two pixels; and the row below.
+        let pixel = |x: usize, y: usize| (y * PICTURE_SIDE + x) * 3;
+        for (at, byte) in [
+            (pixel(254, 255), 255),
+            (pixel(255, 255), 1),
+            (pixel(254, 254), 1),
+            (pixel(255, 254), 1),
+        ] {
+            // Green.
+            rgb[at + 1] = byte;
+        }
+        let mut found = Vec::new();
+        planes(&rgb, &mut found);
+        // (255 + 1 + 1 + 1 + 2) / 4 = 65
+        assert_eq!(found[SIDE * SIDE + SIDE - 1], 65.0 / 127.5 - 1.0);
+        let others = found.iter().filter(|value| **value != -1.0).count();
+        assert_eq!(others, 1);
+    }
+
+    #[test]
+    fn bytes_span_minus_one_to_one() {
+        assert_eq!((VALUES[0], VALUES[255]), (-1.0, 1.0));
+    }
+}

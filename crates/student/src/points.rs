@@ -1,0 +1,68 @@
+//! Spatial softmax: where in the picture each channel looks, and how strongly.
+
+/// Channels that look for a point.
+pub(crate) const POINTS: usize = 64;
+/// Places along a side of the scores.
+pub(crate) const SIDE: usize = 16;
+const PLACES: usize = SIDE * SIDE;
+
+/// Writes of each channel of `scores` (planes of 16 x 16) the expected column, the
+/// expected row, from -1 to 1, and the highest score: first all columns, then
+/// all rows, then all scores.
+pub(crate) fn locate(scores: &[f32], found: &mut [f32]) {
+    let (columns, rest) = found.split_at_mut(POINTS);
+    let (rows, peaks) = rest.split_at_mut(POINTS);
+    let (scores, _) = scores.as_chunks::<PLACES>();
+    for (channel, scores) in scores.iter().enumerate() {
+        let peak = scores.iter().copied().fold(f32::NEG_INFINITY, higher);
+        let mut in_column = [0.0; SIDE];
+        let mut in_row = [0.0; SIDE];
+        let (lines, _) = scores.as_chunks::<SIDE>();
+        for (line, in_row) in lines.iter().zip(&mut in_row) {
+            for (score, in_column) in line.iter().zip(&mut in_column) {
+                let weight = libm::expf(score - peak);
+                *in_column += weight;
+                *in_row += weight;
+            }
+        }
+        let total: f32 = in_row.iter().fold(0.0, |sum, weight| sum + weight);
+        columns[channel] = centre(&in_column) / total;
+        rows[channel] = centre(&in_row) / total;
+        peaks[channel] = peak;
+    }
+}
+
+/// The higher of two scores; of zeros of either sign the first.
+fn higher(one: f32, other: f32) -> f32 {
+    if other > one { other } else { one }
+}
+
+/// The sum of weights times coordinates.
+fn centre(weights: &[f32; SIDE]) -> f32 {
+    let mut sum = 0.0;
+    for (place, weight) in weights.iter().enumerate() {
+        sum += weight * (-1.0 + 2.0 * place as f32 / (SIDE - 1) as f32);
+    }
+    sum
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_lone_peak_is_located_and_equal_scores_lie_in_the_middle() {
+        let mut scores = vec![0.0; POINTS * PLACES];
+        scores[5 * PLACES + 2 * SIDE + 15] = 80.0;
+        let mut found = vec![0.0; 3 * POINTS];
+        locate(&scores, &mut found);
+        let at = |channel: usize| [0, 1, 2].map(|what| found[what * POINTS + channel]);
+        let [column, row, peak] = at(5);
+        assert!((column - 1.0).abs() < 1e-6, "{column}");
+        assert!((row - (-1.0 + 4.0 / 15.0)).abs() < 1e-6, "{row}");
+        assert_eq!(peak, 80.0);
+        let [column, row, peak] = at(6);
+        assert!(column.abs() < 1e-6 && row.abs() < 1e-6, "{column} {row}");
+        assert_eq!(peak, 0.0);
+    }
+}

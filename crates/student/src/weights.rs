@@ -1,0 +1,134 @@
+//! The weights file: which tensors it has, and that they are the network's.
+
+use std::collections::BTreeSet;
+
+use half::f16;
+use safetensors::{Dtype, SafeTensors};
+
+use crate::error::WeightsError;
+
+/// What the metadata has as `format`.
+const FORMAT: &str = "rollout-student/1";
+
+/// A file's tensors, each of which some layer takes.
+#[derive(Debug)]
+pub(crate) struct Tensors<'a> {
+    file: SafeTensors<'a>,
+    name: String,
+    /// Names of those that no layer has taken.
+    left: BTreeSet<String>,
+    parameters: usize,
+}
+
+impl<'a> Tensors<'a> {
+    /// Reads what the file has, and checks its format.
+    pub(crate) fn open(bytes: &'a [u8]) -> Result<Self, WeightsError> {
+        let unreadable = |_| WeightsError::Unreadable { bytes: bytes.len() };
+        let (_, header) = SafeTensors::read_metadata(bytes).map_err(unreadable)?;
+        let file = SafeTensors::deserialize(bytes).map_err(unreadable)?;
+        let entry = |key: &str| header.metadata().as_ref()?.get(key).cloned();
+        let found = entry("format");
+        if found.as_deref() != Some(FORMAT) {
+            return Err(WeightsError::Format {
+                found,
+                expected: FORMAT,
+            });
+        }
+        let name = entry("name").filter(|name| !name.is_empty());
+        Ok(Self {
+            name: name.ok_or(WeightsError::Name)?,
+            left: file.names().into_iter().map(str::to_owned).collect(),
+            file,
+            parameters: 0,
+        })
+    }
+
+    /// What the weights are called.
+    pub(crate) fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// How many numbers [`Self::half`] has handed out.
+    pub(crate) fn parameters(&self) -> usize {
+        self.parameters
+    }
+
+    /// Takes a trained tensor, which is stored in halves.
+    pub(crate) fn half(&mut self, tensor: &str, shape: &[usize]) -> Result<Vec<f32>, WeightsError> {
+        let data = self.take(tensor, shape, Dtype::F16, "F16")?;
+        let (halves, _) = data.as_chunks();
+        let values = halves.iter().map(|half| f16::from_le_bytes(*half).to_f32());
+        let values = finite(tensor, values)?;
+        self.parameters += values.len();
+        Ok(values)
+    }
+
+    /// Takes a tensor that is stored in single precision.
+    pub(crate) fn single(
+        &mut self,
+        tensor: &str,
+        shape: &[usize],
+    ) -> Result<Vec<f32>, WeightsError> {
+        let data = self.take(tensor, shape, Dtype::F32, "F32")?;
+        let (singles, _) = data.as_chunks();
+        finite(tensor, singles.iter().copied().map(f32::from_le_bytes))
+    }
+
+    /// Fails if a tensor is left.
+    pub(crate) fn finish(self) -> Result<(), WeightsError> {
+        match self.left.into_iter().next() {
+            Some(tensor) => Err(WeightsError::Unknown { tensor }),
+            None => Ok(()),
+        }
+    }
+
+    fn take(
+        &mut self,
+        tensor: &str,
+        shape: &[usize],
+        dtype: Dtype,
+        kind: &'static str,
+    ) -> Result<&'a [u8], WeightsError> {
+        let view = self.file.tensor(tensor);
+        let view = view.map_err(|_| WeightsError::Missing {
+            tensor: tensor.to_owned(),
+            expected: shape.to_vec(),
+            kind,
+        })?;
+        if view.shape() != shape {
+            return Err(WeightsError::Shape {
+                tensor: tensor.to_owned(),
+                found: view.shape().to_vec(),
+                expected: shape.to_vec(),
+            });
+        }
+        if view.dtype() != dtype {
+            return Err(WeightsError::Type {
+                tensor: tensor.to_owned(),
+                found: view.dtype().to_string(),
+                expected: kind,
+            });
+        }
+        self.left.remove(tensor);
+        Ok(view.data())
+    }
+}
+
+/// All values, if they are finite. -0 becomes +0, which products start from.
+fn finite(
+    tensor: &str,
+    values: impl ExactSizeIterator<Item = f32>,
+) -> Result<Vec<f32>, WeightsError> {
+    let mut found = Vec::with_capacity(values.len());
+    for (place, value) in values.enumerate() {
+        if !value.is_finite() {
+            return Err(WeightsError::NotFinite {
+                tensor: tensor.to_owned(),
+                place,
+                value: value.to_string(),
+            });
+        }
+        found.push(value + 0.0);
+    }
+    Ok(found)
+}

@@ -1,0 +1,92 @@
+//! The same bits on every machine, in every batch.
+
+mod support;
+
+use sha2::{Digest, Sha256};
+use student::{Network, Output, Products};
+use support::{Moment, Weights};
+
+fn network() -> Network {
+    Network::from_safetensors(&Weights::random(1).bytes()).expect("weights")
+}
+
+fn moments() -> Vec<Moment> {
+    (0..5).map(Moment::random).collect()
+}
+
+/// SHA-256 of all numbers' bits.
+fn digest(outputs: &[Output]) -> String {
+    let mut hash = Sha256::new();
+    for output in outputs {
+        for number in output
+            .arm
+            .as_flattened()
+            .iter()
+            .chain(&output.gripper_logits)
+        {
+            hash.update(number.to_bits().to_le_bytes());
+        }
+    }
+    let digest = hash.finalize();
+    digest.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// Of five answers. It changes with the network's definition and with nothing else: not
+/// with the processor, not with the instructions that this is compiled for, not with
+/// versions of libraries.
+const GOLDEN: &str = "b0814112ff3d36c7a1a3bbd1e909e5c638806e17facb6116dfaceec49371f682";
+
+#[test]
+fn golden_answers_have_the_same_bits_on_every_machine() {
+    let moments = moments();
+    let queries: Vec<_> = moments.iter().map(Moment::query).collect();
+    let outputs = network().outputs(&queries).expect("answers");
+    assert_eq!(digest(&outputs), GOLDEN);
+    let distinct = |numbers: Vec<f32>| numbers.windows(2).any(|pair| pair[0] != pair[1]);
+    assert!(distinct(
+        outputs.iter().map(|output| output.arm[3][2]).collect()
+    ));
+}
+
+/// What machines without fused multiply-adds compute.
+#[test]
+fn plain_products_give_the_same_bits() {
+    let moment = Moment::random(1);
+    let network = network();
+    let wanted = network.outputs(&[moment.query()]).expect("an answer");
+    let plain = network.with_plain_products();
+    assert_eq!(plain.products(), Products::Plain);
+    let found = plain.outputs(&[moment.query()]).expect("an answer");
+    assert_eq!(digest(&found), digest(&wanted));
+}
+
+#[test]
+fn a_batch_changes_no_bit() {
+    let (network, moments) = (network(), moments());
+    let queries: Vec<_> = moments.iter().map(Moment::query).collect();
+    let together = network.outputs(&queries).expect("answers");
+    let mut apart = Vec::new();
+    for query in &queries {
+        apart.extend(network.outputs(&[*query]).expect("an answer"));
+    }
+    assert_eq!(digest(&together), digest(&apart));
+    // More than the kernels' tiles of 16 rows, in another order.
+    let many: Vec<_> = (0..37).map(|index| queries[index * 3 % 5]).collect();
+    for (index, output) in network.outputs(&many).expect("answers").iter().enumerate() {
+        let alone = &together[index * 3 % 5];
+        assert_eq!(digest(&[*output]), digest(&[*alone]), "query {index}");
+    }
+}
+
+#[test]
+fn threads_share_a_network() {
+    let (network, moments) = (network(), moments());
+    let wanted = digest(&network.outputs(&[moments[0].query()]).expect("an answer"));
+    std::thread::scope(|scope| {
+        let ask = || digest(&network.outputs(&[moments[0].query()]).expect("an answer"));
+        let threads = [scope.spawn(ask), scope.spawn(ask)];
+        for thread in threads {
+            assert_eq!(thread.join().expect("an end"), wanted);
+        }
+    });
+}

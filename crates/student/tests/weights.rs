@@ -1,0 +1,173 @@
+//! Which files are weights, and how others are refused.
+
+mod support;
+
+use safetensors::Dtype;
+use student::{Network, WeightsError};
+use support::{Random, Weights};
+
+fn refusal(weights: &Weights) -> WeightsError {
+    Network::from_safetensors(&weights.bytes()).expect_err("a refusal")
+}
+
+/// The refusal of weights that `change` has spoilt.
+fn spoilt(change: impl FnOnce(&mut Weights)) -> WeightsError {
+    let mut weights = Weights::random(3);
+    change(&mut weights);
+    refusal(&weights)
+}
+
+#[test]
+fn weights_say_what_they_are() {
+    let bytes = Weights::random(3).bytes();
+    let network = Network::from_safetensors(&bytes).expect("weights");
+    assert_eq!(network.name(), "student");
+    assert_eq!(network.parameters(), 1_741_432);
+    assert_eq!(network.digest().len(), 64);
+    let mut other = bytes.clone();
+    *other.last_mut().expect("a byte") ^= 1;
+    let other = Network::from_safetensors(&other).expect("weights");
+    assert_ne!(network.digest(), other.digest());
+}
+
+#[test]
+fn a_tensor_that_is_missing_is_named() {
+    for tensor in Weights::random(3).tensors.keys() {
+        let refusal = spoilt(|weights| {
+            weights.tensors.remove(tensor);
+        });
+        let named = matches!(&refusal, WeightsError::Missing { tensor: missing, .. }
+            if missing == tensor);
+        assert!(named, "{tensor}: {refusal}");
+    }
+    let refusal = spoilt(|weights| {
+        weights.tensors.remove("wrist.block2.conv1.weight");
+    });
+    assert_eq!(
+        refusal.to_string(),
+        "the weights file has no tensor wrist.block2.conv1.weight, which must be [96, 48, 3, 3] \
+         of F16: export the whole network"
+    );
+}
+
+#[test]
+fn a_tensor_of_another_shape_is_named() {
+    let refusal = spoilt(|weights| {
+        let tensor = weights.tensors.get_mut("head1.weight").expect("a tensor");
+        tensor.shape = vec![832, 384];
+    });
+    assert_eq!(
+        refusal.to_string(),
+        "tensor head1.weight of the weights file has the shape [832, 384]; expected is [384, 832]: \
+         give weights of this network"
+    );
+}
+
+#[test]
+fn a_tensor_of_another_type_is_named() {
+    for (tensor, dtype, wanted) in [
+        (
+            "arm.bias",
+            Dtype::BF16,
+            "tensor arm.bias of the weights file is of type BF16; expected is F16",
+        ),
+        (
+            "state_mean",
+            Dtype::I32,
+            "tensor state_mean of the weights file is of type I32; expected is F32",
+        ),
+    ] {
+        let refusal = spoilt(|weights| {
+            weights.tensors.get_mut(tensor).expect("a tensor").dtype = dtype;
+        });
+        assert!(refusal.to_string().starts_with(wanted), "{refusal}");
+    }
+}
+
+#[test]
+fn numbers_that_cannot_be_computed_with_are_named() {
+    let refusal = spoilt(|weights| {
+        let tensor = weights.tensors.get_mut("text2.bias").expect("a tensor");
+        tensor.bytes[10..12].copy_from_slice(&half::f16::NAN.to_le_bytes());
+    });
+    let wanted =
+        "tensor text2.bias of the weights file holds NaN at place 5, where a finite number";
+    assert!(refusal.to_string().starts_with(wanted), "{refusal}");
+    let refusal = spoilt(|weights| {
+        let tensor = weights.tensors.get_mut("state_mean").expect("a tensor");
+        tensor.bytes[..4].copy_from_slice(&f32::NEG_INFINITY.to_le_bytes());
+    });
+    assert!(
+        refusal.to_string().contains("holds -inf at place 0"),
+        "{refusal}"
+    );
+    let refusal = spoilt(|weights| {
+        let tensor = weights.tensors.get_mut("state_std").expect("a tensor");
+        tensor.bytes[52..].copy_from_slice(&0.0_f32.to_le_bytes());
+    });
+    let wanted = "tensor state_std of the weights file holds 0 at place 13, where a number above 0";
+    assert!(refusal.to_string().starts_with(wanted), "{refusal}");
+}
+
+#[test]
+fn a_tensor_too_many_is_named() {
+    let refusal = spoilt(|weights| {
+        let tensor = weights.tensors["gripper.bias"].clone();
+        weights.tensors.insert("value.bias".to_owned(), tensor);
+    });
+    let wanted = "the weights file has a tensor value.bias, which this network does not: give \
+                  weights of this network";
+    assert_eq!(refusal.to_string(), wanted);
+}
+
+#[test]
+fn another_format_is_named() {
+    let refusal = spoilt(|weights| {
+        let format = "rollout-student/2".to_owned();
+        weights.metadata.insert("format".to_owned(), format);
+    });
+    assert_eq!(
+        refusal.to_string(),
+        "the weights file's metadata gives \"rollout-student/2\" as its format; this program reads \
+         \"rollout-student/1\": give weights that were exported for it"
+    );
+    let refusal = spoilt(|weights| weights.metadata.clear());
+    assert!(
+        refusal.to_string().contains("gives nothing as its format"),
+        "{refusal}"
+    );
+    let refusal = spoilt(|weights| {
+        weights.metadata.remove("name");
+    });
+    assert_eq!(refusal, WeightsError::Name);
+}
+
+#[test]
+fn a_file_that_is_cut_or_of_another_kind_is_refused() {
+    let bytes = Weights::random(3).bytes();
+    for length in [0, 7, 8, 100, bytes.len() / 2, bytes.len() - 1] {
+        let refusal = Network::from_safetensors(&bytes[..length]).expect_err("a refusal");
+        assert_eq!(refusal, WeightsError::Unreadable { bytes: length });
+    }
+    let text = b"version https://example.org/pointer\n".repeat(4);
+    let refusal = Network::from_safetensors(&text).expect_err("a refusal");
+    assert_eq!(
+        refusal.to_string(),
+        "the weights file, 144 bytes, is no safetensors file or is not whole: export it or copy \
+         it again"
+    );
+}
+
+#[test]
+fn a_damaged_header_never_panics() {
+    let bytes = Weights::random(3).bytes();
+    let header = 8 + u64::from_le_bytes(bytes[..8].try_into().expect("eight bytes")) as usize;
+    let mut random = Random(4);
+    for _ in 0..300 {
+        let mut damaged = bytes.clone();
+        for _ in 0..=random.next() % 3 {
+            damaged[random.next() as usize % header] = random.next() as u8;
+        }
+        let _ = Network::from_safetensors(&damaged);
+    }
+}

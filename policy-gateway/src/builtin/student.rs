@@ -1,0 +1,264 @@
+//! `builtin:student`: a small learned policy that looks through both cameras and reads
+//! its instruction, so that every part of an evaluation can be seen at work without
+//! a checkpoint or a GPU. Not responsible for the network: that is the crate `student`.
+
+use std::{
+    path::{Path, PathBuf},
+    sync::{Arc, LazyLock},
+};
+
+use proto::policy::{CameraRequest, DescribeResponse, Language, Observation, StateField};
+use student::{ACTIONS, Network, PICTURE_SIDE, Query, WeightsError};
+use thiserror::Error;
+
+use super::instance::{Action, BuiltinPolicy, Policy};
+
+/// Its cameras, in the order in which it asks for them.
+const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
+/// What it reads of the robot, in this order.
+const STATE: [StateField; 3] = [
+    StateField::EefPos,
+    StateField::EefRotation,
+    StateField::GripperPos,
+];
+
+/// The weights that the program brings.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Weights {
+    /// Taught in unperturbed scenes.
+    Plain,
+    /// Taught in randomly perturbed scenes.
+    Randomised,
+}
+
+impl Weights {
+    /// The policy's name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Plain => "student",
+            Self::Randomised => "student-randomised",
+        }
+    }
+
+    /// The network with them, which is made once.
+    pub(crate) fn network(self) -> &'static Arc<Network> {
+        static PLAIN: LazyLock<Arc<Network>> = LazyLock::new(|| shipped(student::PLAIN));
+        static RANDOMISED: LazyLock<Arc<Network>> = LazyLock::new(|| shipped(student::RANDOMISED));
+        match self {
+            Self::Plain => &PLAIN,
+            Self::Randomised => &RANDOMISED,
+        }
+    }
+}
+
+fn shipped(weights: &[u8]) -> Arc<Network> {
+    Arc::new(Network::from_safetensors(weights).expect("what is shipped was tested"))
+}
+
+/// Weights of one's own that cannot be used. Reads after "failed to …".
+#[derive(Debug, Error)]
+pub enum WeightsFileError {
+    /// Nothing to read.
+    #[error("read {path:?}: give the path of weights that training/export.py wrote")]
+    Unreadable {
+        /// Which.
+        path: PathBuf,
+        /// Why not.
+        source: std::io::Error,
+    },
+    /// Something else than weights of this network.
+    #[error("use {path:?}")]
+    Wrong {
+        /// Which.
+        path: PathBuf,
+        /// What is wrong.
+        source: WeightsError,
+    },
+}
+
+/// A student with weights of one's own.
+///
+/// # Errors
+/// If the file cannot be read, or holds no weights of this network.
+pub(crate) fn read(path: &Path) -> Result<Policy, WeightsFileError> {
+    let bytes = std::fs::read(path).map_err(|source| WeightsFileError::Unreadable {
+        path: path.to_owned(),
+        source,
+    })?;
+    let network = Network::from_safetensors(&bytes).map_err(|source| WeightsFileError::Wrong {
+        path: path.to_owned(),
+        source,
+    })?;
+    let file = path.file_name().unwrap_or_default().to_string_lossy();
+    let checkpoint = format!("student:{file}");
+    Ok(policy(Arc::new(network), checkpoint))
+}
+
+/// The policy that a network is.
+pub(crate) fn policy(network: Arc<Network>, checkpoint: String) -> Policy {
+    Policy {
+        described: describe(&network, checkpoint),
+        start: Box::new(move |reset| {
+            Box::new(Student {
+                network: Arc::clone(&network),
+                instruction: reset.instruction.clone(),
+            })
+        }),
+    }
+}
+
+fn describe(network: &Network, checkpoint: String) -> DescribeResponse {
+    let side = PICTURE_SIDE as u32;
+    DescribeResponse {
+        protocol_version: proto::PROTOCOL_VERSION,
+        name: network.name().to_owned(),
+        checkpoint,
+        checkpoint_digest: network.digest().to_owned(),
+        parameters: network.parameters() as u64,
+        cameras: CAMERAS
+            .map(|name| CameraRequest {
+                name: name.to_owned(),
+                width: side,
+                height: side,
+            })
+            .into(),
+        state: STATE.map(Into::into).into(),
+        horizon: ACTIONS as u32,
+        execute: ACTIONS as u32,
+        language: Language::FreeForm.into(),
+        ..DescribeResponse::default()
+    }
+}
+
+/// One episode. It keeps nothing but the instruction.
+struct Student {
+    network: Arc<Network>,
+    instruction: String,
+}
+
+impl BuiltinPolicy for Student {
+    fn infer(
+        &mut self,
+        _query_index: u32,
+        observation: &Observation,
+    ) -> Result<Vec<Action>, String> {
+        let query = Query {
+            agentview: picture(observation, 0)?,
+            wrist: picture(observation, 1)?,
+            eef_pos: reading(observation, 0)?,
+            eef_rotation: reading(observation, 1)?,
+            gripper_pos: reading(observation, 2)?,
+            instruction: &self.instruction,
+        };
+        let chunks = self.network.act(&[query]);
+        let chunks = chunks.map_err(|error| error.to_string())?;
+        Ok(chunks.into_iter().flatten().collect())
+    }
+}
+
+/// The picture at a place of [`CAMERAS`], row 0 at the bottom.
+fn picture(observation: &Observation, at: usize) -> Result<&[u8], String> {
+    let camera = CAMERAS[at];
+    let found = observation.images.get(at);
+    let found = found.filter(|image| image.camera == camera);
+    found.map(|image| &*image.rgb).ok_or_else(|| {
+        format!("picture {at} of the observation is not `{camera}`'s, which the student asks for")
+    })
+}
+
+/// The reading at a place of [`STATE`].
+fn reading<const N: usize>(observation: &Observation, at: usize) -> Result<[f64; N], String> {
+    let found = observation.state.get(at);
+    let values = found.and_then(|reading| reading.values.as_slice().try_into().ok());
+    values.ok_or_else(|| {
+        format!(
+            "reading {at} of the observation is not {} with {N} numbers, which the student asks for",
+            STATE[at].as_str_name()
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use proto::policy::{Image, ResetRequest, StateReading};
+
+    use super::*;
+
+    /// A grey scene with the hand above the table, as the description asks for it.
+    fn observation(described: &DescribeResponse) -> Observation {
+        let image = |camera: &CameraRequest| Image {
+            camera: camera.name.clone(),
+            width: camera.width,
+            height: camera.height,
+            rgb: vec![128; (camera.width * camera.height * 3) as usize].into(),
+        };
+        let values = [
+            vec![-0.2, 0.0, 1.1],
+            vec![1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0],
+            vec![0.02, -0.02],
+        ];
+        let reading = |(field, values): (&i32, Vec<f64>)| StateReading {
+            field: *field,
+            values,
+        };
+        Observation {
+            images: described.cameras.iter().map(image).collect(),
+            state: described.state.iter().zip(values).map(reading).collect(),
+            privileged: None,
+        }
+    }
+
+    fn session(instruction: &str) -> (DescribeResponse, Box<dyn BuiltinPolicy>) {
+        let network = Arc::clone(Weights::Plain.network());
+        let policy = policy(network, "builtin:student".to_owned());
+        let reset = ResetRequest {
+            instruction: instruction.to_owned(),
+            ..ResetRequest::default()
+        };
+        (policy.described, (policy.start)(&reset))
+    }
+
+    #[test]
+    fn it_answers_what_it_asks_for_and_listens_to_the_instruction() {
+        let (described, mut plate) = session("put the bowl on the plate");
+        let (_, mut stove) = session("turn on the stove");
+        let seen = observation(&described);
+        let actions = plate.infer(0, &seen).expect("a chunk");
+        assert_eq!(actions.len(), described.horizon as usize);
+        assert!(actions.iter().flatten().all(|v| (-1.0..=1.0).contains(v)));
+        assert_eq!(actions, plate.infer(5, &seen).expect("the same"));
+        assert_ne!(actions, stove.infer(0, &seen).expect("another"));
+        assert_eq!(described.checkpoint_digest.len(), 64);
+        assert!(described.parameters < 2_000_000 && !described.privileged);
+    }
+
+    #[test]
+    fn an_observation_of_something_else_is_refused_by_name() {
+        let (described, mut student) = session("put the bowl on the plate");
+        let refused = |student: &mut Box<dyn BuiltinPolicy>, change: &dyn Fn(&mut Observation)| {
+            let mut seen = observation(&described);
+            change(&mut seen);
+            student.infer(0, &seen).expect_err("nothing to look at")
+        };
+        let swapped = refused(&mut student, &|seen| seen.images.swap(0, 1));
+        assert!(swapped.contains("not `agentview`'s"), "{swapped}");
+        let lost = refused(&mut student, &|seen| drop(seen.state.pop()));
+        assert!(
+            lost.contains("STATE_FIELD_GRIPPER_POS with 2 numbers"),
+            "{lost}"
+        );
+        let small = refused(&mut student, &|seen| {
+            seen.images[1].rgb = vec![0; 3].into();
+        });
+        assert!(small.contains("picture of wrist has 3 bytes"), "{small}");
+    }
+
+    #[test]
+    fn both_sets_of_weights_are_networks_with_names_of_their_own() {
+        let both = [Weights::Plain, Weights::Randomised];
+        for weights in both {
+            assert_eq!(weights.network().name(), weights.name());
+        }
+        assert_ne!(both[0].network().digest(), both[1].network().digest());
+    }
+}
