@@ -1,0 +1,145 @@
+"""Changes to pictures and instructions that should not change what the student does.
+
+All of it is drawn and computed where the batch is, on the GPU.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from training.network import PICTURE
+from training.text import features
+from training.wordings import TASK_NAMES, draw
+
+MOST_SHIFT = 4
+"""Pixels of 128, in each direction."""
+GAIN = 0.12
+TINT = 0.06
+LIFT = 0.08
+"""Standard deviations of a picture's contrast, of each colour's, and of its brightness."""
+MOST_NOISE = 0.04
+"""Greatest standard deviation of the noise on pixels; a picture's range is 2."""
+
+CANONICAL_SHARE = 0.2
+"""Share of the instructions in the benchmark's own words."""
+MOST_WORDS_LOST = 0.25
+MOST_PAIRS_LOST = 0.6
+"""Greatest share of the words, and of the pairs left, that an instruction loses: as if they
+were words that training has never seen."""
+
+
+class PictureChange(NamedTuple):
+    """What happens to the two pictures of n frames."""
+
+    shift: Tensor
+    """[n, 2, 2] int64: rows and columns, pixels."""
+    gain: Tensor
+    """[n, 2, 1, 1, 3]"""
+    lift: Tensor
+    """[n, 2, 1, 1, 1]"""
+    noise: Tensor
+    """[n, 2, 1, 1, 1]: standard deviation."""
+
+
+def draw_changes(n: int, device: torch.device) -> PictureChange:
+    """Changes for n frames."""
+    shift = torch.randint(-MOST_SHIFT, MOST_SHIFT + 1, (n, 2, 2), device=device)
+    contrast = GAIN * torch.randn(n, 2, 1, 1, 1, device=device)
+    tint = TINT * torch.randn(n, 2, 1, 1, 3, device=device)
+    lift = LIFT * torch.randn(n, 2, 1, 1, 1, device=device)
+    noise = MOST_NOISE * torch.rand(n, 2, 1, 1, 1, device=device).square()
+    return PictureChange(shift, (contrast + tint).exp(), lift, noise)
+
+
+def changed(pictures: Tensor, change: PictureChange) -> tuple[Tensor, Tensor]:
+    """Both cameras' pictures as the network takes them.
+
+    Args:
+        pictures: uint8 [n, 2, 128, 128, 3].
+
+    Returns:
+        Twice [n, 3, 128, 128], channels last in memory. Where a shift uncovers an edge, the
+        picture's own edge is repeated.
+    """
+    n, device = len(pictures), pictures.device
+    places = torch.arange(PICTURE, device=device)
+    where = (places + change.shift[:, :, :, None]).clamp(0, PICTURE - 1)
+    frame = torch.arange(n, device=device)[:, None, None, None]
+    camera = torch.arange(2, device=device)[None, :, None, None]
+    shifted = pictures[frame, camera, where[:, :, 0, :, None], where[:, :, 1, None, :]]
+    x = (shifted.float() / 127.5 - 1.0) * change.gain + change.lift
+    x = (x + torch.randn_like(x) * change.noise).clamp(-1.0, 1.0).permute(0, 1, 4, 2, 3)
+    return x[:, 0], x[:, 1]
+
+
+class Wordings:
+    """Many wordings of each task, as features, where the batch is."""
+
+    def __init__(self, per_task: int, seed: int, device: torch.device, processes: int = 1) -> None:
+        found = _all_features(per_task, seed, processes)
+        longest = max(len(singles) for task in found for singles, _ in task)
+        words = np.zeros((len(found), per_task, longest), np.int16)
+        pairs = np.zeros((len(found), per_task, longest - 1), np.int16)
+        lengths = np.zeros((len(found), per_task), np.int16)
+        for at, task in enumerate(found):
+            for number, (singles, doubles) in enumerate(task):
+                words[at, number, : len(singles)] = singles
+                pairs[at, number, : len(doubles)] = doubles
+                lengths[at, number] = len(singles)
+        self._words = torch.from_numpy(words).to(device)
+        self._pairs = torch.from_numpy(pairs).to(device)
+        self._lengths = torch.from_numpy(lengths).to(device)
+        self._per_task = per_task
+
+    def draw(self, task: Tensor) -> tuple[Tensor, Tensor]:
+        """A wording for each of n samples of tasks [n], some with words missing.
+
+        Returns:
+            Rows [n, w] int64, and 1 where there is a feature [n, w].
+        """
+        n, device = len(task), task.device
+        number = torch.randint(self._per_task, (n,), device=device)
+        canonical = torch.rand(n, device=device) < CANONICAL_SHARE
+        number = torch.where(canonical, 0, number)
+        words, pairs = self._words[task, number], self._pairs[task, number]
+        there = torch.arange(words.shape[1], device=device) < self._lengths[task, number, None]
+        kept = there & _kept(words, MOST_WORDS_LOST, canonical)
+        both = kept[:, 1:] & kept[:, :-1] & _kept(pairs, MOST_PAIRS_LOST, canonical)
+        return torch.cat([words, pairs], dim=1).long(), torch.cat([kept, both], dim=1).float()
+
+    def canonical(self, task: Tensor) -> tuple[Tensor, Tensor]:
+        """The benchmark's own instructions, as ``draw`` gives them."""
+        words, pairs = self._words[task, 0], self._pairs[task, 0]
+        there = torch.arange(words.shape[1], device=task.device) < self._lengths[task, 0, None]
+        both = there[:, 1:] & there[:, :-1]
+        return torch.cat([words, pairs], dim=1).long(), torch.cat([there, both], dim=1).float()
+
+
+def _kept(features_of: Tensor, most_lost: float, whole: Tensor) -> Tensor:
+    """Which features stay: all where ``whole``, and in half of the other rows."""
+    n, device = len(features_of), features_of.device
+    lost = most_lost * torch.rand(n, 1, device=device)
+    lost = torch.where(whole[:, None] | (torch.rand(n, 1, device=device) < 0.5), 0.0, lost)
+    return torch.rand(features_of.shape, device=device) >= lost
+
+
+Features = Sequence[tuple[list[int], list[int]]]
+
+
+def _all_features(per_task: int, seed: int, processes: int) -> Sequence[Features]:
+    work = partial(_features_of_task, per_task, seed)
+    if processes == 1:
+        return [work(task) for task in TASK_NAMES]
+    with ProcessPoolExecutor(processes) as pool:
+        return list(pool.map(work, TASK_NAMES))
+
+
+def _features_of_task(per_task: int, seed: int, task: str) -> Features:
+    return [features(text) for text in draw(task, per_task, seed)]

@@ -1,0 +1,426 @@
+"""Collects what the scripted expert would do, seen by the cameras.
+
+    python -m training.collect --into data/plain --seconds 300
+    python -m training.collect --into data/driven --seconds 300 --driver student \\
+        --weights runs/first/student.safetensors
+
+Objects are placed anew in every episode; the released initial states of the benchmark are
+never used. What was collected stays: a further run adds shards, with other seeds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rollout_libero
+import torch
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+
+from training.drivers import ExpertDrives, InTurns, Orders
+from training.network import PICTURE, STATE
+from training.observations import RENDERED, frames, robot_state
+from training.shards import Driver, Episode, Outcome, Writer, next_number
+from training.student import Student
+from training.wordings import TASK_NAMES, draw
+
+STEPS_PER_FRAME = {"expert": 3, "student": 4}
+"""Control steps from frame to frame. The student's divide its eight actions."""
+SEVERAL = 2
+"""Environments of one task of libero_10 for each of another's: its episodes are longer, and
+a step there is seldom seen twice."""
+REPORT_SECONDS = 10.0
+WORDINGS = 200
+"""Of each task, that the student is told."""
+
+SINGLE_AXES = ("camera", "lighting", "robot", "sensor", "actuation")
+COMBINATION_SHARE = 0.5
+"""Share of the perturbed episodes that are perturbed on all five axes."""
+RADII = (0.5, 8.0)
+"""Least and greatest radius; the benchmark's L3 is 8."""
+CONFIGURATIONS = (10, 999)
+"""First and last; 0 to 9 are the benchmark's own directions."""
+
+
+class Tally:
+    """Counts, for lines of progress. Safe to use from several threads."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._begun = time.monotonic()
+        self.steps = 0
+        self.frames = 0
+        self._ended: list[tuple[str, Driver, bool]] = []
+
+    def add_steps(self, steps: int, frames: int) -> None:
+        """Counts what was done."""
+        with self._lock:
+            self.steps += steps
+            self.frames += frames
+
+    def add_episode(self, task: int, driver: Driver, success: bool) -> None:
+        """Counts an episode that has ended."""
+        with self._lock:
+            self._ended.append((TASK_NAMES[task].split("/")[0], driver, success))
+
+    def line(self) -> str:
+        """How far it is."""
+        with self._lock:
+            seconds = time.monotonic() - self._begun
+            ended = list(self._ended)
+        alone = [it for it in ended if it[1] == Driver.STUDENT]
+        guided = [it for it in ended if it[1] != Driver.STUDENT]
+        parts = [
+            f"{seconds:4.0f} s",
+            f"{self.steps:,} steps ({self.steps / seconds:,.0f}/s)",
+            f"{self.frames:,} frames ({self.frames / seconds:,.0f}/s)",
+            f"{len(ended):,} episodes",
+            "success % " + _rates(guided),
+        ]
+        if alone:
+            parts.append("student alone % " + _rates(alone))
+        return "  ".join(parts)
+
+
+def _rates(ended: Sequence[tuple[str, Driver, bool]]) -> str:
+    """Per cent of success by suite: ``spatial 99 object 100``."""
+    shown = []
+    for suite in dict.fromkeys(name.split("/")[0] for name in TASK_NAMES):
+        own = [success for of, _, success in ended if of == suite]
+        if own:
+            shown.append(f"{suite.removeprefix('libero_')} {100 * sum(own) / len(own):.0f}")
+    return " ".join(shown) or "-"
+
+
+class Pilot:
+    """The student's weights, from a file that may change or not be there yet."""
+
+    def __init__(self, file: Path | None, device: torch.device) -> None:
+        self._file = file
+        self._device = device
+        self._stamp = 0
+        self._student: Student | None = None
+        self._lock = threading.Lock()
+
+    def student(self) -> Student | None:
+        """The newest student, if there is one."""
+        if self._file is None:
+            return None
+        with self._lock:
+            stamp = self._file.stat().st_mtime_ns if self._file.exists() else 0
+            if stamp != self._stamp:
+                self._student, self._stamp = Student(self._file, self._device), stamp
+                print(f"the student drives with {self._file}", flush=True)
+            return self._student
+
+
+class Group:
+    """Environments that step together, and the episodes that run in them.
+
+    Two groups take turns with the processor's cores: while one group's environments step,
+    the other's frames are shrunk and filed.
+    """
+
+    def __init__(
+        self,
+        tasks: Sequence[int],
+        writer: Writer,
+        tally: Tally,
+        pilot: Pilot,
+        wordings: Sequence[Sequence[str]],
+        *,
+        steps_per_frame: int,
+        perturbed: float,
+        threads: int,
+        seed: Sequence[int],
+        device: torch.device,
+    ) -> None:
+        n = len(tasks)
+        self._tasks = np.array(tasks)
+        self._writer, self._tally, self._pilot = writer, tally, pilot
+        self._wordings = wordings
+        self._k = steps_per_frame
+        self._perturbed = perturbed
+        self._device = device
+        self._rng = np.random.default_rng(seed)
+        self._env = rollout_libero.VectorEnvironment(
+            [TASK_NAMES[task] for task in tasks],
+            n,
+            "primitives",
+            threads=threads,
+            height=RENDERED,
+            width=RENDERED,
+            init_states="sampled",
+            autoreset_mode=AutoresetMode.NEXT_STEP,
+        )
+        self._by_expert = ExpertDrives(n, self._rng)
+        self._in_turns = InTurns(n, self._rng)
+        # Once a student is there, it takes part in the episodes that begin from then on.
+        self._takes_part = np.zeros(n, bool)
+        self._perturbations = [""] * n
+        self._instructions = [""] * n
+
+        most_steps = int(self._env.max_steps.max())
+        most_frames = -(-most_steps // self._k)
+        self._frame_count = np.zeros(n, np.int64)
+        self._step_count = np.zeros(n, np.int64)
+        # Pages of these are only taken once they are written to.
+        self._frames = np.empty((n, most_frames, 2, PICTURE, PICTURE, 3), np.uint8)
+        self._state = np.empty((n, most_frames, STATE), np.float32)
+        self._frame_step = np.empty((n, most_frames), np.int32)
+        self._label = np.empty((n, most_steps, 7), np.float32)
+        self._executed = np.empty((n, most_steps, 7), np.float32)
+        self._source = np.empty((n, most_steps), np.uint8)
+
+    def run(self, until: float) -> None:
+        """Collects until a time of the monotonic clock."""
+        try:
+            while time.monotonic() < until:
+                try:
+                    self._run(until)
+                except rollout_libero.SimulationError as error:
+                    # Rare: a push that the physics did not survive. Nobody knows which.
+                    print(f"begin {len(self._tasks)} episodes anew: {error}", flush=True)
+        finally:
+            self._env.close()
+
+    def _run(self, until: float) -> None:
+        n = len(self._tasks)
+        for index in range(n):
+            self._perturb(index)
+        seeds = [int(it) for it in self._rng.integers(2**31, size=n)]
+        observation, _ = self._env.reset(seed=seeds)
+        self._begin(np.arange(n))
+        begins = np.zeros(n, bool)
+        seen, state = self._look(observation)
+        while time.monotonic() < until:
+            acting = np.flatnonzero(~begins)
+            self._file_frames(acting, seen.cpu().numpy(), state)
+            orders = self._orders(seen, state)
+            observation, _, terminated, truncated, info = self._env.step_chunk(
+                orders.actions, "last", expert=orders.expert
+            )
+            self._file_steps(orders, info["taken"], info["expert_action"])
+            self._tally.add_steps(int(info["taken"].sum()), len(acting))
+            # Environments whose rollout had ended have begun the next one in this call.
+            if begins.any():
+                self._begin(np.flatnonzero(begins))
+            begins = terminated | truncated
+            for index in np.flatnonzero(begins).tolist():
+                self._end(index, Outcome.SUCCESS if terminated[index] else Outcome.FAILURE)
+                self._perturb(index)
+            seen, state = self._look(observation)
+        for index in np.flatnonzero(self._frame_count > 0).tolist():
+            self._end(index, Outcome.UNFINISHED)
+
+    def _look(
+        self, observation: dict[str, NDArray[Any]]
+    ) -> tuple[torch.Tensor, NDArray[np.float32]]:
+        return frames(observation, self._device), robot_state(observation)
+
+    def _orders(self, seen: torch.Tensor, state: NDArray[np.float32]) -> Orders:
+        """What the environments do next, whoever drives them."""
+        by_expert = self._by_expert.next(self._k)
+        student = self._pilot.student()
+        if student is None or not self._takes_part.any():
+            return by_expert
+        asking = self._in_turns.asks() & self._takes_part
+        if asking.any():
+            which = np.flatnonzero(asking)
+            answers = student.act_on(
+                seen[torch.from_numpy(which).to(self._device)],
+                torch.from_numpy(state[which]).to(self._device),
+                [self._instructions[index] for index in which],
+            )
+            self._in_turns.answer(asking, answers)
+        in_turns = self._in_turns.next(self._k)
+        part = self._takes_part[:, np.newaxis]
+        return Orders(
+            np.where(part[:, :, np.newaxis], in_turns.actions, by_expert.actions),
+            np.where(part, in_turns.expert, by_expert.expert),
+            np.where(part, in_turns.source, by_expert.source),
+        )
+
+    def _begin(self, which: NDArray[np.int64]) -> None:
+        """Begins episodes, whose first frame is seen next."""
+        self._by_expert.begin(which)
+        self._in_turns.begin(which)
+        self._takes_part[which] = self._pilot.student() is not None
+        self._frame_count[which] = self._step_count[which] = 0
+        for index in which:
+            wordings = self._wordings[self._tasks[index]]
+            # Half of the episodes in the benchmark's own words.
+            at = 0 if self._rng.random() < 0.5 else int(self._rng.integers(len(wordings)))
+            self._instructions[index] = wordings[at]
+
+    def _perturb(self, index: int) -> None:
+        """Chooses what the environment's next rollout is perturbed by."""
+        chosen = ""
+        if self._rng.random() < self._perturbed:
+            chosen = perturbation(self._rng)
+        if chosen or self._perturbations[index]:
+            self._env.set_perturbation(index, chosen or None)
+        self._perturbations[index] = chosen
+
+    def _file_frames(
+        self, which: NDArray[np.int64], seen: NDArray[np.uint8], state: NDArray[np.float32]
+    ) -> None:
+        at = self._frame_count[which]
+        self._frames[which, at] = seen[which]
+        self._state[which, at] = state[which]
+        self._frame_step[which, at] = self._step_count[which]
+        self._frame_count[which] += 1
+
+    def _file_steps(
+        self, orders: Orders, taken: NDArray[np.int64], label: NDArray[np.float64]
+    ) -> None:
+        rows, steps = np.nonzero(np.arange(self._k) < taken[:, np.newaxis])
+        at = self._step_count[rows] + steps
+        labels, actions = label[rows, steps], orders.actions[rows, steps]
+        if not np.isfinite(labels).all():
+            bad = TASK_NAMES[self._tasks[rows[~np.isfinite(labels).all(axis=1)][0]]]
+            raise RuntimeError(f"the expert has no action in {bad}: report it with the task's name")
+        by_expert = orders.expert[rows, steps, np.newaxis]
+        self._label[rows, at] = labels
+        self._executed[rows, at] = np.where(
+            by_expert, np.clip(labels + actions, -1.0, 1.0), actions
+        )
+        self._source[rows, at] = orders.source[rows, steps]
+        self._step_count += taken
+
+    def _end(self, index: int, outcome: Outcome) -> None:
+        """Files an episode."""
+        seen, steps = self._frame_count[index], self._step_count[index]
+        self._frame_count[index] = 0
+        drives = self._in_turns if self._takes_part[index] else self._by_expert
+        driver = Driver(drives.driver[index])
+        task = int(self._tasks[index])
+        if outcome != Outcome.UNFINISHED:
+            self._tally.add_episode(task, driver, outcome == Outcome.SUCCESS)
+        if steps == 0:
+            return
+        self._writer.add(
+            Episode(
+                task,
+                outcome,
+                driver,
+                self._perturbations[index],
+                self._frames[index, :seen].copy(),
+                self._state[index, :seen].copy(),
+                self._frame_step[index, :seen].copy(),
+                self._label[index, :steps].copy(),
+                self._executed[index, :steps].copy(),
+                self._source[index, :steps].copy(),
+            )
+        )
+
+
+def perturbation(rng: np.random.Generator) -> str:
+    """A configuration of the benchmark's axes, in none of the benchmark's directions."""
+    combined = rng.random() < COMBINATION_SHARE
+    axis = "combination" if combined else SINGLE_AXES[rng.integers(len(SINGLE_AXES))]
+    first, last = CONFIGURATIONS
+    return f"{axis}/r{rng.uniform(*RADII):.3f}/c{rng.integers(first, last + 1):02}"
+
+
+def tasks_of_environments(count: int, suites: Sequence[str]) -> list[int]:
+    """The tasks of so many environments: each in turn, those of libero_10 more often."""
+    cycle = []
+    for number, name in enumerate(TASK_NAMES):
+        suite = name.split("/")[0]
+        if suite in suites:
+            cycle += [number] * (SEVERAL if suite == "libero_10" else 1)
+    if count >= len(cycle):
+        return [cycle[at % len(cycle)] for at in range(count)]
+    return [cycle[at * len(cycle) // count] for at in range(count)]
+
+
+def collect(arguments: argparse.Namespace) -> None:
+    """Runs the groups until the time is over."""
+    if arguments.driver == "student" and arguments.weights is None:
+        raise SystemExit("collect with --driver student: name the student's file with --weights")
+    device = torch.device(arguments.device)
+    if device.type == "cpu":
+        torch.set_num_threads(1)
+    tally = Tally()
+    pilot = Pilot(arguments.weights if arguments.driver == "student" else None, device)
+    wordings = [draw(task, WORDINGS, arguments.seed) for task in TASK_NAMES]
+    # A run that goes on must not see the scenes of the last one again.
+    run = next_number(arguments.into)
+    groups_of = tasks_of_environments(arguments.envs, arguments.suites)
+    count = min(arguments.groups, len(groups_of))
+    writer = Writer(arguments.into)
+    until = time.monotonic() + arguments.seconds
+    errors: list[BaseException] = []
+    try:
+        groups = [
+            Group(
+                groups_of[at::count],
+                writer,
+                tally,
+                pilot,
+                wordings,
+                steps_per_frame=STEPS_PER_FRAME[arguments.driver],
+                perturbed=arguments.perturbed,
+                threads=arguments.threads,
+                seed=[arguments.seed, run, at],
+                device=device,
+            )
+            for at in range(count)
+        ]
+        print(
+            f"{len(groups_of)} environments in {count} groups on {arguments.threads} threads, into "
+            f"{arguments.into} from shard {run} on",
+            flush=True,
+        )
+
+        def work(group: Group) -> None:
+            try:
+                group.run(until)
+            except BaseException as error:
+                errors.append(error)
+
+        workers = [threading.Thread(target=work, args=(group,)) for group in groups]
+        for worker in workers:
+            worker.start()
+        for worker in workers:
+            while worker.is_alive():
+                worker.join(REPORT_SECONDS)
+                print(tally.line(), flush=True)
+    finally:
+        writer.close()
+    if errors:
+        raise errors[0]
+    print(f"wrote shards {run} to {next_number(arguments.into) - 1}", flush=True)
+
+
+def main() -> None:
+    suites = list(dict.fromkeys(name.split("/")[0] for name in TASK_NAMES))
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--into", type=Path, required=True, help="folder of shards")
+    parser.add_argument("--seconds", type=float, default=300.0, help="how long, start included")
+    parser.add_argument("--driver", choices=list(STEPS_PER_FRAME), default="expert")
+    parser.add_argument(
+        "--weights", type=Path,
+        help="the student's, read again when they change; the expert drives until there are any",
+    )  # fmt: skip
+    parser.add_argument(
+        "--perturbed", type=float, default=0.0, metavar="SHARE", help="of the episodes, 0 to 1"
+    )
+    parser.add_argument("--envs", type=int, default=100, help="environments in all")
+    parser.add_argument("--groups", type=int, default=2, help="of environments, which take turns")
+    parser.add_argument("--threads", type=int, default=16, help="of each group")
+    parser.add_argument("--suites", nargs="+", choices=suites, default=suites)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
+    collect(parser.parse_args())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,195 @@
+"""Who drives: the expert, the expert disturbed, or the student in turns with the expert.
+
+All of it is arithmetic on n environments at once, with a random generator.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from training.network import ARM, CHUNK
+from training.shards import Driver, Source
+
+WIDTH = ARM + 1
+
+CLEAN_SHARE = 0.2
+"""Share of the expert's episodes that nothing disturbs."""
+NOISE = (0.05, 0.4)
+"""Least and greatest standard deviation of the noise on the arm's numbers."""
+QUIET_SHARE = 0.25
+"""Share of the stretches without noise in a disturbed episode."""
+NOISE_STEPS = (10, 60)
+"""Least and most steps of a stretch with one standard deviation."""
+PUSH_CHANCE = 1 / 120
+"""Of a push to begin, in a step of a disturbed episode."""
+PUSH_STEPS = (3, 10)
+PUSH_SIZE = (0.5, 1.5)
+"""Largest of a push's numbers of translation, which are added to the expert's. From 2 on,
+nothing would be left of those."""
+PUSH_ROTATION = 0.4
+"""How much smaller a push's numbers of rotation are."""
+
+ALONE_SHARE = 0.2
+"""Share of the episodes that the student drives to their end."""
+DISTURBED_SHARE = 0.5
+"""Share of the episodes in turns where the expert's own turns are disturbed."""
+STUDENT_STEPS = (16, 160)
+EXPERT_STEPS = (12, 60)
+"""Least and most steps of a turn."""
+HORIZONS = (CHUNK, CHUNK, CHUNK // 2)
+"""How many actions of an answer the student does before it is asked again; one is drawn for
+each turn."""
+
+
+class Orders(NamedTuple):
+    """What n environments do in their next k steps."""
+
+    actions: NDArray[np.float64]
+    """[n, k, 7]: added to the expert's where it drives, done as they are elsewhere."""
+    expert: NDArray[np.bool_]
+    """[n, k]: where the expert drives."""
+    source: NDArray[np.uint8]
+    """[n, k]"""
+
+
+class Disturbance:
+    """Noise in stretches, and pushes, in some of n environments."""
+
+    def __init__(self, n: int, rng: np.random.Generator) -> None:
+        self._rng = rng
+        self._disturbed = np.zeros(n, bool)
+        self._sigma = np.zeros(n)
+        self._noise_left = np.zeros(n, np.int64)
+        self._push = np.zeros((n, ARM))
+        self._push_left = np.zeros(n, np.int64)
+
+    def begin(self, which: NDArray[np.int64], disturbed: NDArray[np.bool_]) -> None:
+        """Begins episodes in environments ``which``."""
+        self._disturbed[which] = disturbed
+        self._noise_left[which] = 0
+        self._push_left[which] = 0
+
+    def next(self, steps: int) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+        """What to add to the arm in the next steps, [n, steps, 6], and sources [n, steps]."""
+        done = [self._step() for _ in range(steps)]
+        added, source = zip(*done, strict=True)
+        return np.stack(added, axis=1), np.stack(source, axis=1)
+
+    def _step(self) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+        rng, n = self._rng, len(self._disturbed)
+        over = self._disturbed & (self._noise_left == 0)
+        sigma = rng.uniform(*NOISE, n) * (rng.random(n) >= QUIET_SHARE)
+        self._sigma = np.where(over, sigma, self._sigma)
+        self._noise_left = np.where(over, _between(rng, NOISE_STEPS, n), self._noise_left)
+        self._noise_left = np.maximum(self._noise_left - 1, 0)
+
+        starts = self._disturbed & (self._push_left == 0) & (rng.random(n) < PUSH_CHANCE)
+        self._push[starts] = self._directions(int(starts.sum()))
+        self._push_left = np.where(starts, _between(rng, PUSH_STEPS, n), self._push_left)
+        pushed = self._push_left > 0
+        self._push_left = np.maximum(self._push_left - 1, 0)
+
+        sigma = np.where(self._disturbed, self._sigma, 0.0)
+        added = rng.normal(size=(n, ARM)) * sigma[:, np.newaxis]
+        added = np.where(pushed[:, np.newaxis], self._push, added)
+        source = np.where(sigma > 0, Source.NOISE, Source.EXPERT)
+        return added, np.where(pushed, Source.PUSH, source).astype(np.uint8)
+
+    def _directions(self, count: int) -> NDArray[np.float64]:
+        """Pushes in random directions, [count, 6]."""
+        push = self._rng.normal(size=(count, ARM))
+        push /= np.abs(push[:, :3]).max(axis=1, keepdims=True)
+        push[:, 3:] = np.clip(PUSH_ROTATION * push[:, 3:], -1.0, 1.0)
+        return push * self._rng.uniform(*PUSH_SIZE, (count, 1))
+
+
+class ExpertDrives:
+    """The expert drives n environments, and is disturbed in most episodes."""
+
+    def __init__(self, n: int, rng: np.random.Generator) -> None:
+        self._rng = rng
+        self._disturbance = Disturbance(n, rng)
+        self.driver = np.full(n, Driver.CLEAN, np.uint8)
+
+    def begin(self, which: NDArray[np.int64]) -> None:
+        """Begins episodes in environments ``which``."""
+        disturbed = self._rng.random(len(which)) >= CLEAN_SHARE
+        self._disturbance.begin(which, disturbed)
+        self.driver[which] = np.where(disturbed, Driver.DISTURBED, Driver.CLEAN)
+
+    def next(self, steps: int) -> Orders:
+        """What happens in the next steps."""
+        added, source = self._disturbance.next(steps)
+        return Orders(_with_gripper(added), np.ones(source.shape, bool), source)
+
+
+class InTurns:
+    """Student and expert drive n environments in turns; in some episodes the student alone.
+
+    A chunk of steps is done by one of them: turns begin and end between chunks.
+    """
+
+    def __init__(self, n: int, rng: np.random.Generator) -> None:
+        self._rng = rng
+        self._disturbance = Disturbance(n, rng)
+        self._student = np.zeros(n, bool)
+        self._turn_left = np.zeros(n, np.int64)
+        self._horizon = np.full(n, CHUNK)
+        self._answers = np.zeros((n, CHUNK, WIDTH))
+        self._used = np.full(n, CHUNK)
+        self.driver = np.full(n, Driver.IN_TURNS, np.uint8)
+
+    def begin(self, which: NDArray[np.int64]) -> None:
+        """Begins episodes in environments ``which``."""
+        rng, count = self._rng, len(which)
+        alone = rng.random(count) < ALONE_SHARE
+        self._disturbance.begin(which, rng.random(count) < DISTURBED_SHARE)
+        self.driver[which] = np.where(alone, Driver.STUDENT, Driver.IN_TURNS)
+        # The next call of `asks` begins a turn of the other one.
+        self._student[which] = rng.random(count) < 0.5
+        self._turn_left[which] = 0
+
+    def asks(self) -> NDArray[np.bool_]:
+        """Which environments need an answer of the student for their next steps, [n].
+
+        Call it once before each ``next``.
+        """
+        rng, n = self._rng, len(self._student)
+        over = self._turn_left <= 0
+        alone = self.driver == Driver.STUDENT
+        self._student = np.where(over, ~self._student | alone, self._student)
+        turns = np.where(
+            self._student, _between(rng, STUDENT_STEPS, n), _between(rng, EXPERT_STEPS, n)
+        )
+        self._turn_left = np.where(over, turns, self._turn_left)
+        self._horizon = np.where(over, rng.choice(HORIZONS, n), self._horizon)
+        return self._student & (over | (self._used >= self._horizon))
+
+    def answer(self, which: NDArray[np.bool_], answers: NDArray[np.float64]) -> None:
+        """The student's answers, [m, 8, 7], for the m environments that ask."""
+        self._answers[which] = answers
+        self._used[which] = 0
+
+    def next(self, steps: int) -> Orders:
+        """What happens in the next steps, which must divide the horizons."""
+        added, source = self._disturbance.next(steps)
+        places = np.minimum(self._used[:, np.newaxis] + np.arange(steps), CHUNK - 1)
+        answers = np.take_along_axis(self._answers, places[:, :, np.newaxis], axis=1)
+        student = self._student[:, np.newaxis]
+        actions = np.where(student[:, :, np.newaxis], answers, _with_gripper(added))
+        self._used += steps
+        self._turn_left -= steps
+        source = np.where(student, np.uint8(Source.STUDENT), source)
+        return Orders(actions, np.broadcast_to(~student, source.shape), source)
+
+
+def _between(rng: np.random.Generator, limits: tuple[int, int], n: int) -> NDArray[np.int64]:
+    return rng.integers(limits[0], limits[1] + 1, n)
+
+
+def _with_gripper(arm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Adds a gripper's zero to the arm's numbers, which are added to the expert's."""
+    return np.concatenate([arm, np.zeros((*arm.shape[:-1], 1))], axis=-1)

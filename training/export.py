@@ -1,0 +1,104 @@
+"""Writes a run's weights as the product ships them, and answers to check them by.
+
+    python -m training.export --run runs/second --name student --into student.safetensors \\
+        --reference queries.safetensors
+
+The reference has four queries of scenes placed anew and the answers of the rounded weights,
+computed in single precision on the processor.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+import torch
+from safetensors.torch import save_file
+
+from training.observations import RENDERED, frames, instruction_rows, robot_state, rotation, scaled
+from training.student import load_network, save_weights
+from training.train import CHECKPOINT
+from training.wordings import canonical, draw
+
+REFERENCE_TASKS = ("libero_spatial/0", "libero_object/3", "libero_goal/5", "libero_10/9")
+REFERENCE_SEED = 2_000_003
+REFERENCE_STEPS = 24
+"""Steps of the expert's before the queries, so that the arm is somewhere else in each."""
+
+
+def export(run: Path, name: str, into: Path) -> None:
+    """Rounds the running mean of a run's weights to half precision and writes it."""
+    state = torch.load(run / CHECKPOINT, map_location="cpu", weights_only=True)
+    save_weights(state["mean"], into, name)
+    print(f"{into}: {into.stat().st_size:,} bytes, step {state['step']:,}")
+
+
+def write_reference(weights: Path, into: Path) -> None:
+    """Queries, and what the weights answer."""
+    import rollout_libero
+    from gymnasium.vector import AutoresetMode
+
+    env = rollout_libero.VectorEnvironment(
+        REFERENCE_TASKS,
+        len(REFERENCE_TASKS),
+        "primitives",
+        height=RENDERED,
+        width=RENDERED,
+        init_states="sampled",
+        autoreset_mode=AutoresetMode.DISABLED,
+    )
+    n = len(REFERENCE_TASKS)
+    env.reset(seed=[REFERENCE_SEED + at for at in range(n)])
+    # Each a little further than the one before it.
+    sizes = np.linspace(0.0, 1.0, n)[:, np.newaxis, np.newaxis]
+    nothing = np.zeros((n, REFERENCE_STEPS, 7))
+    _, _, _, _, info = env.step_chunk(nothing, "none", expert=np.ones((n, REFERENCE_STEPS), bool))
+    small = np.nan_to_num(info["expert_action"][:, -8:]) * sizes
+    observation, *_ = env.step_chunk(small)
+    env.close()
+    instructions = [
+        canonical(task) if at == 0 else draw(task, 2, REFERENCE_SEED)[1]
+        for at, task in enumerate(REFERENCE_TASKS)
+    ]
+
+    cpu = torch.device("cpu")
+    network = load_network(weights, cpu)
+    pictures = frames(observation, cpu)
+    rows, present = (torch.from_numpy(it) for it in instruction_rows(instructions))
+    state = torch.from_numpy(robot_state(observation))
+    with torch.inference_mode():
+        said = network(scaled(pictures[:, 0]), scaled(pictures[:, 1]), state, rows, present)
+    matrix = rotation(np.asarray(observation["eef_quat"], np.float64)).astype(np.float32)
+    save_file(
+        {
+            "agentview": torch.from_numpy(observation["agentview"]).contiguous(),
+            "wrist": torch.from_numpy(observation["robot0_eye_in_hand"]).contiguous(),
+            "eef_pos": torch.from_numpy(observation["eef_pos"].astype(np.float32)),
+            "eef_rotation": torch.from_numpy(matrix),
+            "gripper_pos": torch.from_numpy(observation["gripper_pos"].astype(np.float32)),
+            "arm": said.arm.clamp(-1.0, 1.0).contiguous(),
+            "gripper_logits": said.gripper.contiguous(),
+        },
+        into,
+        metadata={"instructions": json.dumps(instructions), "weights": weights.name},
+    )
+    into.chmod(0o644)
+    print(f"{into}: {n} queries, arm after clamping to -1..1")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--run", type=Path, required=True)
+    parser.add_argument("--name", default="student", help="student or student-randomised")
+    parser.add_argument("--into", type=Path, required=True, help="the weights file")
+    parser.add_argument("--reference", type=Path, help="file for queries and answers")
+    arguments = parser.parse_args()
+    export(arguments.run, arguments.name, arguments.into)
+    if arguments.reference:
+        write_reference(arguments.into, arguments.reference)
+
+
+if __name__ == "__main__":
+    main()

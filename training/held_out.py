@@ -1,0 +1,40 @@
+"""Writes the digests of the evaluation's wordings, so that no training sees them.
+
+python -m training.held_out
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from training.wordings import TASK_NAMES, canonical, digest
+
+LEVELS = ("L1", "L2", "L3")
+PRESETS = 10
+
+
+def evaluation_sentences() -> list[str]:
+    """What the language axis and the combination say in the benchmark's configurations."""
+    from rollout_libero._library import native
+
+    found = set()
+    for task in TASK_NAMES:
+        suite, index = task.split("/")
+        for level in LEVELS:
+            for config in range(PRESETS):
+                for axis in ("language", "combination"):
+                    name = f"{suite}/t{index}/{axis}/{level}/c{config:02}"
+                    found.add(str(json.loads(native.configuration_row(name))["language"]))
+    return sorted(found - {canonical(task) for task in TASK_NAMES})
+
+
+def main() -> None:
+    file = Path(__file__).parent / "data" / "held_out.txt"
+    digests = sorted({digest(text) for text in evaluation_sentences()})
+    file.write_text("\n".join(digests) + "\n")
+    print(f"{len(digests)} digests in {file}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,154 @@
+"""The network: two pictures, the robot's state and an instruction in, eight actions out.
+
+It keeps nothing between queries. Its parameters' names are those of the weights file.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from training.text import BUCKETS
+
+CHUNK = 8
+"""Actions of one query."""
+ARM = 6
+"""Numbers of an action that move the arm; a seventh moves the gripper."""
+STATE = 14
+"""Numbers of the robot's state: position (3), rotation matrix (9), fingers (2)."""
+PICTURE = 128
+"""Height and width of a picture, pixels."""
+
+WORD_WIDTH = 48
+TEXT_WIDTH = 128
+POINTS = 64
+GRID = 16
+"""Height and width of the last feature map."""
+GROUPS = 8
+
+
+class Actions(NamedTuple):
+    """What the network says, before it is cut to what a robot takes."""
+
+    arm: Tensor
+    """[n, 8, 6]"""
+    gripper: Tensor
+    """[n, 8]: positive closes."""
+
+
+class Stem(nn.Module):
+    """From 128 × 128 pixels to 32 channels of 64 × 64."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.conv = nn.Conv2d(3, 32, 3, stride=2, padding=1, bias=False)
+        self.norm = nn.GroupNorm(GROUPS, 32)
+
+    def forward(self, x: Tensor) -> Tensor:
+        return functional.relu(self.norm(self.conv(x)))
+
+
+class Block(nn.Module):
+    """A residual block that the instruction scales and shifts."""
+
+    def __init__(self, channels: int, out: int, stride: int) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(channels, out, 3, stride=stride, padding=1, bias=False)
+        self.norm1 = nn.GroupNorm(GROUPS, out)
+        self.film = nn.Linear(TEXT_WIDTH, 2 * out)
+        self.conv2 = nn.Conv2d(out, out, 3, padding=1, bias=False)
+        self.norm2 = nn.GroupNorm(GROUPS, out)
+        self.skip = nn.Conv2d(channels, out, 1, stride=stride, bias=False)
+
+    def forward(self, x: Tensor, text: Tensor) -> Tensor:
+        gamma, beta = self.film(text)[:, :, None, None].chunk(2, dim=1)
+        h = self.norm1(self.conv1(x))
+        h = functional.relu((1 + gamma) * h + beta)
+        h = self.norm2(self.conv2(h))
+        return functional.relu(h + self.skip(x))
+
+
+class Encoder(nn.Module):
+    """One camera: a picture [n, 3, 128, 128] to [n, 320].
+
+    The 320 are, of 64 learned points, the columns, the rows and the peaks, and the means of
+    128 channels.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stem = Stem()
+        self.block1 = Block(32, 48, stride=2)
+        self.block2 = Block(48, 96, stride=2)
+        self.block3 = Block(96, 128, stride=1)
+        self.points = nn.Conv2d(128, POINTS, 1)
+
+    def forward(self, picture: Tensor, text: Tensor) -> Tensor:
+        x = self.block1(self.stem(picture), text)
+        x = self.block3(self.block2(x, text), text)
+        # Exponentials and coordinates in single precision, whatever the rest is computed in.
+        scores = self.points(x).flatten(2).float()
+        chance = scores.softmax(dim=2).unflatten(2, (GRID, GRID))
+        places = torch.linspace(-1.0, 1.0, GRID, device=x.device)
+        columns = (chance.sum(dim=2) * places).sum(dim=2)
+        rows = (chance.sum(dim=3) * places).sum(dim=2)
+        return torch.cat([columns, rows, scores.amax(dim=2), x.float().mean(dim=(2, 3))], dim=1)
+
+
+class Network(nn.Module):
+    """The student."""
+
+    state_mean: Tensor
+    state_std: Tensor
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.words = nn.Embedding(BUCKETS, WORD_WIDTH)
+        self.text1 = nn.Linear(WORD_WIDTH, TEXT_WIDTH)
+        self.text2 = nn.Linear(TEXT_WIDTH, TEXT_WIDTH)
+        self.agentview = Encoder()
+        self.wrist = Encoder()
+        self.state1 = nn.Linear(STATE, 64)
+        encoded = 3 * POINTS + 128
+        self.head1 = nn.Linear(2 * encoded + 64 + TEXT_WIDTH, 384)
+        self.head2 = nn.Linear(384, 384)
+        self.arm = nn.Linear(384, CHUNK * ARM)
+        self.gripper = nn.Linear(384, CHUNK)
+        self.register_buffer("state_mean", torch.zeros(STATE))
+        self.register_buffer("state_std", torch.ones(STATE))
+        # So that words which training never sees add nothing.
+        nn.init.zeros_(self.words.weight)
+
+    def forward(
+        self, agentview: Tensor, wrist: Tensor, state: Tensor, rows: Tensor, present: Tensor
+    ) -> Actions:
+        """Actions for n queries.
+
+        Args:
+            agentview, wrist: [n, 3, 128, 128], from -1 to 1.
+            state: [n, 14], as it is read: m, and numbers of a rotation matrix.
+            rows: [n, w] int64: the instruction's features, padded.
+            present: [n, w]: 1 where there is a feature, 0 where there is padding.
+        """
+        text = (self.words(rows) * present[:, :, None]).sum(dim=1)
+        text = functional.relu(self.text2(functional.relu(self.text1(text))))
+        robot = functional.relu(self.state1((state - self.state_mean) / self.state_std))
+        x = torch.cat(
+            [self.agentview(agentview, text), self.wrist(wrist, text), robot, text], dim=1
+        )
+        x = functional.relu(self.head2(functional.relu(self.head1(x))))
+        return Actions(self.arm(x).float().unflatten(1, (CHUNK, ARM)), self.gripper(x).float())
+
+
+def parameters(network: nn.Module) -> int:
+    """How many numbers training may change."""
+    return sum(it.numel() for it in network.parameters())
+
+
+def to_actions(said: Actions) -> Tensor:
+    """As a robot takes them, [n, 8, 7]: the arm from -1 to 1, the gripper 1 or -1."""
+    gripper = torch.where(said.gripper > 0, 1.0, -1.0)
+    return torch.cat([said.arm.clamp(-1.0, 1.0), gripper[:, :, None]], dim=2)

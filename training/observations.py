@@ -1,0 +1,83 @@
+"""What an environment shows, as the network takes it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from training.network import STATE
+from training.text import features
+
+Observation = Mapping[str, NDArray[Any]]
+"""As ``rollout_libero`` gives it: n rows under each name."""
+
+CAMERAS = ("agentview", "robot0_eye_in_hand")
+"""In the order of a frame's pictures."""
+RENDERED = 256
+"""Height and width that pictures are drawn at. Noise and blur are defined there."""
+
+
+def shrink(pictures: Tensor) -> Tensor:
+    """Half the height and width, by integer area mean.
+
+    Args:
+        pictures: uint8 [..., 2h, 2w, channels].
+
+    Returns:
+        uint8 [..., h, w, channels]: (a + b + c + d + 2) / 4 of each 2 × 2 block.
+    """
+    height, width, channels = pictures.shape[-3:]
+    blocks = pictures.view(*pictures.shape[:-3], height // 2, 2, width // 2, 2, channels)
+    rows = blocks[..., 0, :, :, :].short() + blocks[..., 1, :, :, :]
+    total = rows[..., 0, :] + rows[..., 1, :]
+    return (total + 2).div_(4, rounding_mode="floor").byte()
+
+
+def frames(observation: Observation, device: torch.device) -> Tensor:
+    """Both cameras' pictures, uint8 [n, 2, 128, 128, 3] on the device, row 0 at the top."""
+    views = [shrink(torch.from_numpy(observation[camera]).to(device)) for camera in CAMERAS]
+    return torch.stack(views, dim=1)
+
+
+def rotation(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotation matrices [n, 9], row by row, of quaternions [n, 4], x y z w."""
+    x, y, z, w = (quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)).T
+    return np.stack(
+        [
+            1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w),
+            2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w),
+            2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y),
+        ],
+        axis=1,
+    )  # fmt: skip
+
+
+def robot_state(observation: Observation) -> NDArray[np.float32]:
+    """The robot's state [n, 14]: position, rotation matrix of the hand, fingers."""
+    position, fingers = observation["eef_pos"], observation["gripper_pos"]
+    matrix = rotation(observation["eef_quat"])
+    state = np.concatenate([position, matrix, fingers], axis=1, dtype=np.float32)
+    assert state.shape[1] == STATE
+    return state
+
+
+def scaled(picture: Tensor) -> Tensor:
+    """Bytes [n, h, w, 3] to numbers from -1 to 1, [n, 3, h, w], channels last in memory."""
+    return picture.permute(0, 3, 1, 2).float() / 127.5 - 1.0
+
+
+def instruction_rows(texts: Sequence[str]) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """Features of n instructions, padded to the longest: rows [n, w], and where there are any."""
+    found = [[*singles, *pairs] for singles, pairs in map(features, texts)]
+    longest = max(1, *map(len, found))
+    rows = np.zeros((len(found), longest), np.int64)
+    present = np.zeros((len(found), longest), np.float32)
+    for at, own in enumerate(found):
+        rows[at, : len(own)] = own
+        present[at, : len(own)] = 1.0
+    return rows, present

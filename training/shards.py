@@ -1,0 +1,257 @@
+"""What was collected, on disk: folders of shards, each of some dozens of episodes.
+
+A shard has F frames, S control steps and E episodes. Frames are seen before every few
+steps; labels are of every step.
+
+    frames.npy       uint8   [F, 2, 128, 128, 3]  both cameras, row 0 at the top
+    table.npz:
+      state          float32 [F, 14]  of the robot, at the frame
+      frame_step     int32   [F]      the step that follows the frame, counted in the shard
+      label          float32 [S, 7]   what the expert would have done
+      executed       float32 [S, 7]   what was done
+      source         uint8   [S]      who did it
+      frames, steps  int32   [E]      how many of each an episode has
+      task           int16   [E]      its place in ``wordings.TASK_NAMES``
+      outcome        uint8   [E]
+      driver         uint8   [E]
+      perturbation   str     [E]      "" where nothing was perturbed
+"""
+
+from __future__ import annotations
+
+import os
+import queue
+import shutil
+import threading
+from enum import IntEnum
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from training.network import CHUNK
+
+FRAMES_PER_SHARD = 2_000
+PREFIX = "shard_"
+MOST_DRIFT = 0.5
+"""Within a chunk, the student's actions may differ from the expert's by this much in their
+sum, along any axis (0.025 m), before the expert's later labels no longer count."""
+
+
+class Source(IntEnum):
+    """Who did a step."""
+
+    EXPERT = 0
+    NOISE = 1
+    """The expert, with Gaussian noise."""
+    PUSH = 2
+    """The expert, pushed aside."""
+    STUDENT = 3
+
+
+class Outcome(IntEnum):
+    """How an episode ended."""
+
+    FAILURE = 0
+    SUCCESS = 1
+    UNFINISHED = 2
+    """The collection was over before it was."""
+
+
+class Driver(IntEnum):
+    """Who drove in an episode."""
+
+    CLEAN = 0
+    """The expert, undisturbed."""
+    DISTURBED = 1
+    """The expert, with noise and pushes."""
+    IN_TURNS = 2
+    """Student and expert."""
+    STUDENT = 3
+    """The student alone."""
+
+
+class Episode(NamedTuple):
+    """One rollout; ``frame_step`` counts from its first step."""
+
+    task: int
+    outcome: Outcome
+    driver: Driver
+    perturbation: str
+    frames: NDArray[np.uint8]
+    state: NDArray[np.float32]
+    frame_step: NDArray[np.int32]
+    label: NDArray[np.float32]
+    executed: NDArray[np.float32]
+    source: NDArray[np.uint8]
+
+
+class Shard(NamedTuple):
+    """A shard as it is read."""
+
+    frames: NDArray[np.uint8]
+    state: NDArray[np.float32]
+    frame_step: NDArray[np.int32]
+    label: NDArray[np.float32]
+    executed: NDArray[np.float32]
+    source: NDArray[np.uint8]
+    episode_frames: NDArray[np.int32]
+    episode_steps: NDArray[np.int32]
+    task: NDArray[np.int16]
+    outcome: NDArray[np.uint8]
+    driver: NDArray[np.uint8]
+    perturbation: NDArray[np.str_]
+
+    def of_frames(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Values of episodes, [E], repeated for each of their frames, [F]."""
+        return np.repeat(values, self.episode_frames)
+
+
+class Targets(NamedTuple):
+    """What the network should say at each of F frames."""
+
+    actions: NDArray[np.float32]
+    """[F, 8, 7]: the expert's."""
+    valid: NDArray[np.bool_]
+    """[F, 8]: whether the action counts."""
+
+
+def targets(shard: Shard) -> Targets:
+    """The expert's next eight actions at each frame, and which of them count.
+
+    An action counts up to the episode's end, and while the robot has done what the expert
+    would have: not after a step in which it was pushed, nor after the student has closed or
+    opened the gripper otherwise or gone elsewhere. Noise does not matter: its mean is zero.
+    """
+    first = shard.frame_step[:, np.newaxis]
+    steps = first + np.arange(CHUNK)
+    end = shard.of_frames(np.cumsum(shard.episode_steps))[:, np.newaxis]
+    pushed = _before(shard.source == Source.PUSH)
+    by_student = shard.source == Source.STUDENT
+    off = (shard.executed - shard.label).astype(np.float64) * by_student[:, np.newaxis]
+    gripped = _before(np.abs(off[:, 6]) > 0.5)
+    drift = _before(off[:, :3])
+    until = np.minimum(steps, len(shard.label) - 1)
+    valid = (
+        (steps < end)
+        & (pushed[until] == pushed[first])
+        & (gripped[until] == gripped[first])
+        & (np.abs(drift[until] - drift[first]).max(axis=2) <= MOST_DRIFT)
+    )
+    return Targets(shard.label[np.minimum(steps, end - 1)], valid)
+
+
+def _before(values: NDArray[Any]) -> NDArray[Any]:
+    """The sum of the values of all earlier steps."""
+    total = np.cumsum(values, axis=0)
+    return np.concatenate([np.zeros_like(total[:1]), total[:-1]])
+
+
+def worth_learning(shard: Shard) -> NDArray[np.bool_]:
+    """Which episodes, [E], training takes: not those in which the expert itself failed."""
+    by_expert = (shard.driver == Driver.CLEAN) | (shard.driver == Driver.DISTURBED)
+    return np.asarray(~(by_expert & (shard.outcome == Outcome.FAILURE)), bool)
+
+
+def shard_folders(folder: Path) -> list[Path]:
+    """The shards of a folder, in order."""
+    return sorted(it for it in folder.glob(f"{PREFIX}*") if not it.name.endswith(".part"))
+
+
+def next_number(folder: Path) -> int:
+    """The number of the shard to be written next."""
+    return max((int(it.name.removeprefix(PREFIX)) + 1 for it in shard_folders(folder)), default=0)
+
+
+def write(folder: Path, number: int, episodes: list[Episode]) -> Path:
+    """Writes a shard, which appears whole or not at all."""
+    steps = np.array([len(it.label) for it in episodes], np.int32)
+    begun = np.cumsum(steps, dtype=np.int32) - steps
+    table: dict[str, Any] = {
+        "state": np.concatenate([it.state for it in episodes]),
+        "frame_step": np.concatenate(
+            [it.frame_step + at for it, at in zip(episodes, begun, strict=True)]
+        ).astype(np.int32),
+        "label": np.concatenate([it.label for it in episodes]),
+        "executed": np.concatenate([it.executed for it in episodes]),
+        "source": np.concatenate([it.source for it in episodes]),
+        "frames": np.array([len(it.frames) for it in episodes], np.int32),
+        "steps": steps,
+        "task": np.array([it.task for it in episodes], np.int16),
+        "outcome": np.array([it.outcome for it in episodes], np.uint8),
+        "driver": np.array([it.driver for it in episodes], np.uint8),
+        "perturbation": np.array([it.perturbation for it in episodes], np.str_),
+    }
+    done = folder / f"{PREFIX}{number:05}"
+    part = done.with_name(done.name + ".part")
+    shutil.rmtree(part, ignore_errors=True)
+    part.mkdir(parents=True)
+    np.savez(part / "table.npz", **table)
+    np.save(part / "frames.npy", np.concatenate([it.frames for it in episodes]))
+    os.replace(part, done)
+    return done
+
+
+def read(folder: Path) -> Shard:
+    """Reads one shard's folder."""
+    with np.load(folder / "table.npz") as table:
+        return Shard(
+            np.load(folder / "frames.npy"),
+            table["state"], table["frame_step"], table["label"], table["executed"], table["source"],
+            table["frames"], table["steps"], table["task"], table["outcome"], table["driver"],
+            table["perturbation"],
+        )  # fmt: skip
+
+
+class Writer:
+    """Gathers episodes into shards and writes them on a thread of its own."""
+
+    def __init__(self, folder: Path, frames_per_shard: int = FRAMES_PER_SHARD) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self._folder = folder
+        self._frames_per_shard = frames_per_shard
+        self._number = next_number(folder)
+        self._gathered: list[Episode] = []
+        self._frames = 0
+        self._lock = threading.Lock()
+        # Short, so that a slow disk slows the collection instead of filling the memory.
+        self._full: queue.Queue[list[Episode] | None] = queue.Queue(maxsize=4)
+        self._error: Exception | None = None
+        self._thread = threading.Thread(target=self._write_all)
+        self._thread.start()
+
+    def add(self, episode: Episode) -> None:
+        """Takes an episode, from any thread."""
+        full = None
+        with self._lock:
+            self._gathered.append(episode)
+            self._frames += len(episode.frames)
+            if self._frames >= self._frames_per_shard:
+                full, self._gathered, self._frames = self._gathered, [], 0
+        if full:
+            self._hand_over(full)
+
+    def close(self) -> None:
+        """Writes what is left."""
+        if self._gathered:
+            self._hand_over(self._gathered)
+            self._gathered = []
+        self._full.put(None)
+        self._thread.join()
+        if self._error:
+            raise self._error
+
+    def _hand_over(self, episodes: list[Episode]) -> None:
+        if self._error:
+            raise self._error
+        self._full.put(episodes)
+
+    def _write_all(self) -> None:
+        while (episodes := self._full.get()) is not None:
+            if self._error is None:
+                try:
+                    write(self._folder, self._number, episodes)
+                except OSError as error:
+                    self._error = error
+                self._number += 1

@@ -1,0 +1,149 @@
+"""Frames and targets in the memory of the device that trains."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from training.network import ARM, CHUNK, PICTURE, STATE
+from training.shards import Shard, read, shard_folders, targets, worth_learning
+from training.wordings import TASK_NAMES
+
+FRAME_BYTES = 2 * PICTURE * PICTURE * 3
+WORD = 8
+"""Bytes that a frame is copied by at a time."""
+READERS = 8
+"""Threads that read shards."""
+HELD_OUT = 50
+"""Every so many episodes, one is kept for validation."""
+
+
+class Batch(NamedTuple):
+    """n samples."""
+
+    pictures: Tensor
+    """uint8 [n, 2, 128, 128, 3]"""
+    state: Tensor
+    """[n, 14]"""
+    task: Tensor
+    """int64 [n]"""
+    targets: Tensor
+    """[n, 8, 7]"""
+    valid: Tensor
+    """[n, 8]"""
+
+
+class Store:
+    """Samples with room for more, and a weight for each."""
+
+    def __init__(self, capacity: int, device: torch.device) -> None:
+        self.count = 0
+        self.capacity = capacity
+        # Rows of long words: a byte each would make a gather eight times as slow.
+        self._frames = torch.empty(capacity, FRAME_BYTES // WORD, dtype=torch.int64, device=device)
+        self._state = torch.empty(capacity, STATE, device=device)
+        self._task = torch.empty(capacity, dtype=torch.int64, device=device)
+        self._targets = torch.empty(capacity, CHUNK, ARM + 1, device=device)
+        self._valid = torch.empty(capacity, CHUNK, device=device)
+        self._weight = torch.empty(capacity, dtype=torch.float64, device=device)
+        self._chances = torch.empty(0, dtype=torch.float64, device=device)
+
+    def add(self, shard: Shard, which: NDArray[np.int64], suite_weights: Tensor) -> int:
+        """Copies frames ``which`` of a shard, as far as there is room. Returns how many."""
+        which = which[: self.capacity - self.count]
+        if not len(which):
+            return 0
+        at = slice(self.count, self.count + len(which))
+        wanted = targets(shard)
+        task = torch.from_numpy(shard.of_frames(shard.task)[which].astype(np.int64))
+        device = self._frames.device
+        frames = torch.from_numpy(shard.frames).view(-1, FRAME_BYTES).view(torch.int64).to(device)
+        self._frames[at] = frames[torch.from_numpy(which).to(device)]
+        self._state[at] = torch.from_numpy(shard.state[which]).to(self._state.device)
+        self._task[at] = task.to(self._task.device)
+        self._targets[at] = torch.from_numpy(wanted.actions[which]).to(self._targets.device)
+        self._valid[at] = torch.from_numpy(wanted.valid[which]).to(self._valid.device).float()
+        self._weight[at] = suite_weights[task // 10].to(self._weight.device)
+        self.count += len(which)
+        self._chances = self._weight[: self.count].cumsum(0)
+        return len(which)
+
+    def draw(self, n: int) -> Batch:
+        """n samples, with replacement, by their weights."""
+        at = torch.rand(n, dtype=torch.float64, device=self._chances.device) * self._chances[-1]
+        return self.batch(torch.searchsorted(self._chances, at).clamp(max=self.count - 1))
+
+    def batch(self, which: Tensor) -> Batch:
+        """The samples of these places, [n]."""
+        frames = self._frames.index_select(0, which).view(torch.uint8)
+        return Batch(
+            frames.view(len(which), 2, PICTURE, PICTURE, 3),
+            self._state[which],
+            self._task[which],
+            self._targets[which],
+            self._valid[which],
+        )
+
+    def state_scale(self) -> tuple[Tensor, Tensor]:
+        """Mean and standard deviation of the robot's state, [14] each."""
+        state = self._state[: self.count]
+        # A number that hardly changes must not become one that changes wildly.
+        return state.mean(0), state.std(0).clamp(min=0.01)
+
+
+class Library:
+    """The shards of some folders, in stores for training and for validation."""
+
+    def __init__(
+        self,
+        folders: list[Path],
+        capacity: int,
+        held_out_capacity: int,
+        suite_weights: list[float],
+        device: torch.device,
+    ) -> None:
+        self._folders = folders
+        self._weights = torch.tensor(suite_weights, dtype=torch.float64)
+        self._known: set[Path] = set()
+        self._is_full = False
+        self.training = Store(capacity, device)
+        self.held_out = Store(held_out_capacity, device)
+        self.by_suite = np.zeros(4, np.int64)
+
+    def refresh(self) -> int:
+        """Loads the shards that are new. Returns how many frames that were."""
+        before = self.training.count + self.held_out.count
+        paths = [path for folder in self._folders for path in shard_folders(folder)]
+        new = [path for path in paths if path not in self._known]
+        self._known.update(new)
+        with ThreadPoolExecutor(READERS) as readers:
+            # Not all at once: what is read but not on the device yet fills the host's memory.
+            for first in range(0, len(new), READERS):
+                some = new[first : first + READERS]
+                for path, shard in zip(some, readers.map(read, some), strict=True):
+                    self._add(shard, path)
+        return self.training.count + self.held_out.count - before
+
+    def _add(self, shard: Shard, path: Path) -> None:
+        held_out = _held_out(path, len(shard.task))
+        good = worth_learning(shard)
+        train = np.flatnonzero(shard.of_frames(good & ~held_out))
+        added = self.training.add(shard, train, self._weights)
+        self.held_out.add(shard, np.flatnonzero(shard.of_frames(good & held_out)), self._weights)
+        suite = shard.of_frames(shard.task)[train[:added]] // 10
+        self.by_suite += np.bincount(suite, minlength=len(TASK_NAMES) // 10)
+        if added < len(train) and not self._is_full:
+            self._is_full = True
+            print(f"the device is full at {self.training.count:,} frames; later ones are left out")
+
+
+def _held_out(path: Path, episodes: int) -> NDArray[np.bool_]:
+    """Which of a shard's episodes are for validation, the same whenever it is read."""
+    number = int(path.name.split("_")[1])
+    return np.equal(np.arange(episodes) % HELD_OUT, (7 * number) % HELD_OUT)

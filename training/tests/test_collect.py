@@ -1,0 +1,158 @@
+"""Collection from an environment that is made up: what was seen, done and filed agree."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch", reason="PyTorch is not installed")
+libero = pytest.importorskip("rollout_libero", reason="rollout_libero is not installed")
+
+from training import collect
+from training.shards import Driver, Outcome, Shard, read, shard_folders
+from training.wordings import TASK_NAMES
+
+LENGTHS = (7, 10)
+"""Steps after which an episode of an even and of an odd environment succeeds."""
+
+
+class MadeUp:
+    """Environments whose pictures show the step, and whose expert says it."""
+
+    max_steps = np.array([20, 20])
+
+    def __init__(self, tasks: list[str], n: int, *_: Any, **given: Any) -> None:
+        assert given["init_states"] == "sampled"
+        self.n = n
+        self.step = np.zeros(n, np.int64)
+        self.ended = np.zeros(n, bool)
+        self.length = np.array([LENGTHS[at % 2] for at in range(n)])
+        self.perturbed: list[Any] = [None] * n
+        self.perturbed_next: list[Any] = [None] * n
+
+    def reset(self, *, seed: list[int]) -> tuple[dict[str, Any], dict[str, Any]]:
+        assert len(set(seed)) == self.n
+        self.perturbed = list(self.perturbed_next)
+        return self.observation(), {}
+
+    def set_perturbation(self, index: int, chosen: str | None) -> None:
+        self.perturbed_next[index] = chosen
+
+    def step_chunk(self, actions: Any, _render: str, *, expert: Any) -> tuple[Any, ...]:
+        begins, k = self.ended.copy(), actions.shape[1]
+        for index in np.flatnonzero(begins):
+            self.step[index], self.perturbed[index] = 0, self.perturbed_next[index]
+        taken = np.where(begins, 0, np.minimum(k, self.length - self.step))
+        said = np.full((self.n, k, 7), np.nan)
+        for index in range(self.n):
+            said[index, : taken[index]] = 0.0
+            said[index, : taken[index], 0] = (self.step[index] + np.arange(taken[index])) / 100
+        self.step += taken
+        self.ended = ~begins & (self.step == self.length)
+        info = {"taken": taken, "expert_action": said}
+        return self.observation(), None, self.ended, np.zeros(self.n, bool), info
+
+    def observation(self) -> dict[str, Any]:
+        picture = (
+            np.zeros((self.n, 256, 256, 3), np.uint8)
+            + self.step.astype(np.uint8)[:, None, None, None]
+        )
+        quaternion = np.tile([0.0, 0.0, 0.0, 1.0], (self.n, 1))
+        position = np.tile(self.step[:, None] / 10.0, (1, 3))
+        return {
+            "agentview": picture, "robot0_eye_in_hand": picture, "eef_pos": position,
+            "eef_quat": quaternion, "gripper_pos": np.zeros((self.n, 2)),
+        }  # fmt: skip
+
+    def close(self) -> None:
+        pass
+
+
+def shards_of(folder: Path, monkeypatch: pytest.MonkeyPatch, **given: Any) -> list[Shard]:
+    monkeypatch.setattr(libero, "VectorEnvironment", MadeUp)
+    monkeypatch.setattr(collect, "WORDINGS", 2)
+    usual: dict[str, Any] = {
+        "into": folder, "seconds": 2.5, "driver": "expert", "weights": None, "perturbed": 0.0,
+        "envs": 4, "groups": 2, "threads": 1, "suites": ["libero_goal"], "seed": 0, "device": "cpu",
+    }  # fmt: skip
+    collect.collect(argparse.Namespace(**(usual | given)))
+    return [read(it) for it in shard_folders(folder)]
+
+
+def test_frames_labels_and_episodes_agree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shards = shards_of(tmp_path, monkeypatch)
+    assert shards
+    for shard in shards:
+        ends = np.cumsum(shard.episode_steps)
+        begun = ends - shard.episode_steps
+        in_episode = np.arange(len(shard.label)) - np.repeat(begun, shard.episode_steps)
+        np.testing.assert_allclose(shard.label[:, 0], in_episode / 100, rtol=1e-6)
+        step = shard.frame_step - shard.of_frames(begun)
+        assert (step % 3 == 0).all()
+        assert (shard.frames == step[:, None, None, None, None]).all()
+        np.testing.assert_allclose(shard.state[:, 0], step / 10, rtol=1e-6)
+        whole = shard.outcome == Outcome.SUCCESS
+        assert set(shard.episode_steps[whole]) <= set(LENGTHS)
+        assert (shard.episode_frames[whole] == -(-shard.episode_steps[whole] // 3)).all()
+        clean = np.repeat(shard.driver == Driver.CLEAN, shard.episode_steps)
+        assert clean.any() and not clean.all()
+        np.testing.assert_array_equal(shard.executed[clean], shard.label[clean])
+        assert (shard.executed[~clean] != shard.label[~clean]).any()
+
+
+def test_a_second_run_adds_shards(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = len(shards_of(tmp_path, monkeypatch, seconds=1.5))
+    assert len(shards_of(tmp_path, monkeypatch, seconds=1.5)) > first
+
+
+def test_perturbations_are_none_of_the_benchmarks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = np.concatenate(
+        [it.perturbation for it in shards_of(tmp_path, monkeypatch, perturbed=0.7)]
+    )
+    assert 0.5 < (names != "").mean() < 0.9
+    for name in names[names != ""]:
+        axis, radius, config = name.split("/")
+        assert axis in (*collect.SINGLE_AXES, "combination")
+        assert 0.5 <= float(radius[1:]) <= 8
+        assert 10 <= int(config[1:]) <= 999
+
+
+def test_four_of_ten_environments_are_of_libero_10() -> None:
+    suites = list(dict.fromkeys(name.split("/")[0] for name in TASK_NAMES))
+    tasks = collect.tasks_of_environments(100, suites)
+    assert len(tasks) == 100
+    assert sum(TASK_NAMES[task].startswith("libero_10") for task in tasks) == 40
+    assert set(tasks) == set(range(40))
+    # Each of two groups has every task.
+    assert set(tasks[::2]) | set(tasks[1::2]) == set(range(40))
+
+
+def test_the_student_needs_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(SystemExit, match="--weights"):
+        shards_of(tmp_path, monkeypatch, driver="student")
+
+
+def test_the_student_takes_part_once_it_is_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import torch
+
+    from training.network import Network
+    from training.student import save_weights
+
+    torch.manual_seed(0)
+    save_weights(Network().state_dict(), tmp_path / "weights", "student")
+    shards = shards_of(
+        tmp_path / "data", monkeypatch, driver="student", weights=tmp_path / "weights", seconds=5.0
+    )
+    drivers = np.concatenate([it.driver for it in shards])
+    assert set(drivers) <= {Driver.IN_TURNS, Driver.STUDENT} and len(drivers)
+    for shard in shards:
+        begun = np.cumsum(shard.episode_steps) - shard.episode_steps
+        step = shard.frame_step - shard.of_frames(begun)
+        assert (step % 4 == 0).all()
+        assert (shard.frames == step[:, None, None, None, None]).all()

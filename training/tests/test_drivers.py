@@ -1,0 +1,82 @@
+"""Who drives, and what it adds to the expert's actions."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch", reason="PyTorch is not installed")
+
+from training.drivers import ExpertDrives, InTurns
+from training.shards import Driver, Source
+
+N = 200
+
+
+def test_a_fifth_of_the_experts_episodes_is_clean() -> None:
+    drives = ExpertDrives(N, np.random.default_rng(0))
+    drives.begin(np.arange(N))
+    orders = [drives.next(3) for _ in range(100)]
+    actions = np.concatenate([it.actions for it in orders], axis=1)
+    source = np.concatenate([it.source for it in orders], axis=1)
+    assert actions.shape == (N, 300, 7) and all(it.expert.all() for it in orders)
+    clean = drives.driver == Driver.CLEAN
+    assert 0.1 < clean.mean() < 0.3
+    assert not actions[clean].any() and (source[clean] == Source.EXPERT).all()
+    assert not actions[..., 6].any(), "the gripper is the expert's"
+    for kind in (Source.EXPERT, Source.NOISE, Source.PUSH):
+        assert (source[~clean] == kind).mean() > 0.02
+    assert not actions[source == Source.EXPERT].any()
+
+
+def test_a_push_is_one_direction_for_three_to_ten_steps() -> None:
+    drives = ExpertDrives(N, np.random.default_rng(1))
+    drives.begin(np.arange(N))
+    orders = [drives.next(3) for _ in range(60)]
+    actions = np.concatenate([it.actions for it in orders], axis=1)
+    pushed = np.concatenate([it.source for it in orders], axis=1) == Source.PUSH
+    assert np.abs(actions[pushed][:, :3]).max(axis=1).min() >= 0.49
+    for of_one, where in zip(actions, pushed, strict=True):
+        starts = np.flatnonzero(np.diff(of_one[:, 0] * where, prepend=0.0) * where)
+        for start in starts:
+            same = (of_one[start:, :6] == of_one[start, :6]).all(axis=1)
+            steps = len(same) if same.all() else int(np.argmin(same))
+            assert 3 <= steps <= 10 or start + steps == len(of_one)
+
+
+def test_the_student_is_asked_when_its_actions_are_used_up() -> None:
+    drives = InTurns(N, np.random.default_rng(2))
+    drives.begin(np.arange(N))
+    drives.driver[:] = Driver.STUDENT
+    answered = np.zeros((N, 8, 7))
+    since = np.zeros(N)
+    for _ in range(100):
+        asks = drives.asks()
+        assert ((since >= 4) | (since == 0))[asks].all() and (since[~asks] < 8).all()
+        answers = np.random.default_rng(3).uniform(-1, 1, (int(asks.sum()), 8, 7))
+        drives.answer(asks, answers)
+        answered[asks] = answers
+        since[asks] = 0
+        orders = drives.next(4)
+        assert not orders.expert.any() and (orders.source == Source.STUDENT).all()
+        first = since.astype(int)
+        for at in (0, N - 1):
+            np.testing.assert_array_equal(
+                orders.actions[at], answered[at, first[at] : first[at] + 4]
+            )
+        since += 4
+
+
+def test_student_and_expert_take_turns() -> None:
+    drives = InTurns(N, np.random.default_rng(4))
+    drives.begin(np.arange(N))
+    by_student = []
+    for _ in range(100):
+        asks = drives.asks()
+        drives.answer(asks, np.ones((int(asks.sum()), 8, 7)))
+        orders = drives.next(4)
+        by_student.append(orders.source[:, 0] == Source.STUDENT)
+        assert (orders.expert == (orders.source != Source.STUDENT)).all()
+    turns = np.array(by_student)
+    alone = drives.driver == Driver.STUDENT
+    assert 0.1 < alone.mean() < 0.3 and turns[:, alone].all()
+    assert 0.5 < turns[:, ~alone].mean() < 0.9
+    assert (np.diff(turns[:, ~alone].astype(int), axis=0) != 0).any(axis=0).all()

@@ -1,0 +1,117 @@
+"""The network's shape, and what goes into it."""
+
+import pytest
+
+torch = pytest.importorskip("torch", reason="PyTorch is not installed")
+
+import numpy as np
+
+from training.network import Network, parameters, to_actions
+from training.observations import instruction_rows, rotation, scaled, shrink
+
+
+@pytest.fixture(scope="module")
+def network() -> Network:
+    torch.manual_seed(0)
+    network = Network().eval()
+    torch.nn.init.normal_(network.words.weight)
+    return network
+
+
+def queries(n: int) -> tuple[torch.Tensor, ...]:
+    generator = torch.Generator().manual_seed(1)
+    pictures = torch.rand(2, n, 3, 128, 128, generator=generator) * 2 - 1
+    state = torch.randn(n, 14, generator=generator)
+    rows, present = instruction_rows(["turn on the stove", "put the bowl on the plate", "stop"][:n])
+    return pictures[0], pictures[1], state, torch.from_numpy(rows), torch.from_numpy(present)
+
+
+def test_it_has_fewer_than_two_million_parameters(network: Network) -> None:
+    assert parameters(network) == 1_741_432
+
+
+def test_its_tensors_are_those_of_the_weights_file(network: Network) -> None:
+    shapes = {name: tuple(it.shape) for name, it in network.state_dict().items()}
+    assert shapes["words.weight"] == (4096, 48)
+    assert shapes["wrist.stem.conv.weight"] == (32, 3, 3, 3)
+    assert shapes["agentview.block2.film.weight"] == (192, 128)
+    assert shapes["agentview.block3.skip.weight"] == (128, 96, 1, 1)
+    assert shapes["agentview.points.bias"] == (64,)
+    assert shapes["head1.weight"] == (384, 832)
+    assert shapes["arm.weight"] == (48, 384) and shapes["gripper.weight"] == (8, 384)
+    assert shapes["state_mean"] == shapes["state_std"] == (14,)
+    assert len(shapes) == 81
+
+
+def test_a_query_is_answered_alike_in_any_company(network: Network) -> None:
+    inputs = queries(3)
+    together = network(*inputs)
+    assert together.arm.shape == (3, 8, 6) and together.gripper.shape == (3, 8)
+    order = torch.tensor([2, 0, 1])
+    permuted = network(*(it[order] for it in inputs))
+    torch.testing.assert_close(permuted.arm, together.arm[order], rtol=1e-4, atol=1e-5)
+    alone = network(*(it[1:2] for it in inputs))
+    torch.testing.assert_close(alone.gripper, together.gripper[1:2], rtol=1e-4, atol=1e-5)
+
+
+def test_words_never_trained_on_add_nothing() -> None:
+    network = Network().eval()
+    *views, _, _ = queries(2)
+    heard = [
+        network(*views, *(torch.from_numpy(it) for it in instruction_rows(texts))).arm
+        for texts in (["", ""], ["open it", "shut the microwave"])
+    ]
+    torch.testing.assert_close(heard[0], heard[1])
+
+
+def test_actions_are_what_a_robot_takes(network: Network) -> None:
+    actions = to_actions(network(*queries(2)))
+    assert actions.shape == (2, 8, 7)
+    assert actions[..., :6].abs().max() <= 1
+    assert set(actions[..., 6].unique().tolist()) <= {-1.0, 1.0}
+
+
+def test_a_point_of_a_clear_peak_is_where_the_peak_is() -> None:
+    """Column and row from -1 to 1, the picture's top left being (-1, -1)."""
+    encoder = Network().agentview.eval()
+    seen: list[torch.Tensor] = []
+
+    class Peak(torch.nn.Module):
+        def forward(self, x: torch.Tensor) -> torch.Tensor:
+            seen.append(x)
+            scores = torch.zeros(len(x), 64, 16, 16)
+            scores[:, :, 3, 12] = 100.0
+            return scores
+
+    encoder.points = Peak()
+    out = encoder(torch.zeros(1, 3, 128, 128), torch.zeros(1, 128))[0]
+    torch.testing.assert_close(out[:64], torch.full((64,), -1 + 2 * 12 / 15))
+    torch.testing.assert_close(out[64:128], torch.full((64,), -1 + 2 * 3 / 15))
+    torch.testing.assert_close(out[128:192], torch.full((64,), 100.0))
+    torch.testing.assert_close(out[192:], seen[0].mean(dim=(2, 3))[0])
+
+
+def test_pictures_shrink_by_the_area_mean() -> None:
+    pictures = torch.randint(0, 256, (2, 3, 8, 12, 3), dtype=torch.uint8)
+    wide = pictures.numpy().astype(np.int64)
+    total = (
+        wide[..., ::2, ::2, :]
+        + wide[..., 1::2, ::2, :]
+        + wide[..., ::2, 1::2, :]
+        + wide[..., 1::2, 1::2, :]
+    )
+    assert np.array_equal(shrink(pictures).numpy(), (total + 2) // 4)
+    assert shrink(torch.full((2, 2, 3), 255, dtype=torch.uint8)).tolist() == [[[255] * 3]]
+
+
+def test_bytes_become_numbers_from_minus_one_to_one() -> None:
+    picture = torch.zeros(1, 4, 4, 3, dtype=torch.uint8)
+    picture[0, 1, 2, 0] = 255
+    x = scaled(picture)
+    assert x.shape == (1, 3, 4, 4) and x[0, 0, 1, 2] == 1 and x.sum() == 1 - 47
+
+
+def test_a_quaternions_matrix_is_written_row_by_row() -> None:
+    quarter = np.array([[0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)]])  # about z, from x to y
+    expected = [[0, -1, 0, 1, 0, 0, 0, 0, 1]]
+    np.testing.assert_allclose(rotation(quarter), expected, atol=1e-12)

@@ -1,0 +1,158 @@
+"""Samples, their changes, and a run that goes on after an interruption."""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="PyTorch is not installed")
+
+from training import augment
+from training.augment import PictureChange, Wordings, changed
+from training.observations import instruction_rows, scaled
+from training.shards import Driver, Episode, Outcome, write
+from training.store import Library
+from training.student import load_network
+from training.text import BUCKETS
+from training.train import CHECKPOINT, WEIGHTS, train
+from training.wordings import TASK_NAMES, canonical
+
+CPU = torch.device("cpu")
+
+
+def fill(folder: Path, shards: int, *, first: int = 0, task: int = 0) -> None:
+    """Shards of a few small episodes; a frame's bytes say which episode it is of."""
+    rng = np.random.default_rng(0)
+    for number in range(first, shards):
+        episodes = []
+        for at in range(3):
+            label = rng.uniform(-1, 1, (12, 7)).astype(np.float32)
+            frames = np.full((4, 2, 128, 128, 3), 10 * number + at, np.uint8)
+            state = rng.normal(size=(4, 14)).astype(np.float32)
+            steps = np.arange(0, 12, 3, dtype=np.int32)
+            episodes.append(
+                Episode(task, Outcome.SUCCESS, Driver.CLEAN, "", frames, state, steps, label,
+                        label, np.zeros(12, np.uint8))
+            )  # fmt: skip
+        write(folder, number, episodes)
+
+
+def arguments(folder: Path, **given: object) -> argparse.Namespace:
+    usual: dict[str, object] = {
+        "data": [folder / "data"], "run": folder / "run", "seconds": 0.5, "watch": False,
+        "start_from": None, "name": "student", "batch": 2, "learning_rate": 1e-3,
+        "weight_decay": 1e-3, "wordings": 3, "suite_weights": [1.0] * 4, "capacity": 200,
+        "processes": 1, "compile": False, "seed": 0, "device": "cpu",
+    }  # fmt: skip
+    return argparse.Namespace(**(usual | given))
+
+
+def test_a_library_keeps_episodes_apart_and_finds_new_shards(tmp_path: Path) -> None:
+    fill(tmp_path, 2)
+    library = Library([tmp_path], 100, 100, [1.0] * 4, CPU)
+    # Of shard 0 the first episode is held out; of shard 1 it would be the eighth.
+    assert library.refresh() == 24
+    assert library.held_out.count == 4 and library.training.count == 20
+    assert library.refresh() == 0
+    fill(tmp_path, 3, first=2)
+    assert library.refresh() == 12
+    batch = library.training.batch(torch.arange(library.training.count))
+    assert sorted(batch.pictures[:, 0, 0, 0, 0].unique().tolist()) == [1, 2, 10, 11, 12, 20, 21, 22]
+    assert library.by_suite.tolist() == [32, 0, 0, 0]
+
+
+def test_a_full_device_takes_no_more(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fill(tmp_path, 2)
+    library = Library([tmp_path], 10, 100, [1.0] * 4, CPU)
+    library.refresh()
+    assert library.training.count == 10
+    assert "full at 10 frames" in capsys.readouterr().out
+
+
+def test_suites_are_drawn_by_their_weights(tmp_path: Path) -> None:
+    fill(tmp_path / "spatial", 1, task=0)
+    fill(tmp_path / "long", 1, task=39)
+    folders = [tmp_path / "spatial", tmp_path / "long"]
+    library = Library(folders, 100, 100, [1.0, 1.0, 1.0, 3.0], CPU)
+    library.refresh()
+    torch.manual_seed(0)
+    long = (library.training.draw(2_000).task == 39).float().mean()
+    assert 0.7 < long < 0.8
+
+
+def test_a_shift_repeats_the_edge() -> None:
+    picture = torch.arange(128, dtype=torch.uint8).expand(1, 2, 3, 128, 128).permute(0, 1, 3, 4, 2)
+    shift = torch.tensor([[[0, 3], [-2, -4]]])
+    still = PictureChange(shift, torch.ones(1, 2, 1, 1, 3), torch.zeros(1, 2, 1, 1, 1),
+                          torch.zeros(1, 2, 1, 1, 1))  # fmt: skip
+    left, right = changed(picture.contiguous(), still)
+    columns = (left[0, 0, 5] + 1) * 127.5
+    assert columns.round().tolist() == [*range(3, 128), 127, 127, 127]
+    assert ((right[0, 2, 9] + 1) * 127.5).round().tolist() == [0] * 4 + [*range(124)]
+
+
+def test_no_change_is_what_the_network_is_given_later() -> None:
+    pictures = torch.randint(0, 256, (2, 2, 128, 128, 3), dtype=torch.uint8)
+    none = PictureChange(torch.zeros(2, 2, 2, dtype=torch.int64), torch.ones(2, 2, 1, 1, 3),
+                         torch.zeros(2, 2, 1, 1, 1), torch.zeros(2, 2, 1, 1, 1))  # fmt: skip
+    for camera, view in enumerate(changed(pictures, none)):
+        torch.testing.assert_close(view, scaled(pictures[:, camera]))
+
+
+def test_instructions_in_training_have_the_features_of_their_words() -> None:
+    wordings = Wordings(3, 0, CPU)
+    rows, present = wordings.canonical(torch.tensor([0, 27]))
+    for at, task in enumerate((0, 27)):
+        own, there = instruction_rows([canonical(TASK_NAMES[task])])
+        mine = np.bincount(rows[at][present[at] > 0], minlength=BUCKETS)
+        assert np.array_equal(mine, np.bincount(own[0][there[0] > 0], minlength=BUCKETS))
+
+
+def test_a_word_that_is_lost_takes_its_pairs_along(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(augment, "CANONICAL_SHARE", 0.0)
+    monkeypatch.setattr(augment, "MOST_PAIRS_LOST", 0.0)
+    torch.manual_seed(1)
+    _, present = Wordings(3, 0, CPU).draw(torch.zeros(64, dtype=torch.int64))
+    words = (present.shape[1] + 1) // 2
+    kept, pairs = present[:, :words], present[:, words:]
+    assert torch.equal(pairs, kept[:, 1:] * kept[:, :-1])
+    assert (kept.sum(dim=1).unique().numel()) > 3
+
+
+def test_a_run_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fill(tmp_path / "data", 2)
+    train(arguments(tmp_path))
+    state = torch.load(tmp_path / "run" / CHECKPOINT, weights_only=True)
+    assert state["finished"] and state["step"] > 0
+    with pytest.raises(SystemExit, match="has finished"):
+        train(arguments(tmp_path))
+
+    torch.save(state | {"finished": False}, tmp_path / "run" / CHECKPOINT)
+    train(arguments(tmp_path, seconds=state["trained_seconds"] + 2.0))
+    assert f"goes on at step {state['step']}" in capsys.readouterr().out
+    later = torch.load(tmp_path / "run" / CHECKPOINT, weights_only=True)
+    assert later["step"] > state["step"] and later["trained_seconds"] > state["trained_seconds"]
+
+    train(arguments(tmp_path, run=tmp_path / "second", start_from=tmp_path / "run"))
+    assert "begins with the weights of" in capsys.readouterr().out
+
+
+def test_weights_are_halves_but_for_the_states_scale(tmp_path: Path) -> None:
+    from safetensors import safe_open
+
+    fill(tmp_path / "data", 1)
+    train(arguments(tmp_path))
+    file = tmp_path / "run" / WEIGHTS
+    with safe_open(file, "pt") as opened:
+        assert opened.metadata() == {"format": "rollout-student/1", "name": "student"}
+        types = {name: opened.get_tensor(name).dtype for name in opened.keys()}
+    single = {name for name, dtype in types.items() if dtype != torch.float16}
+    assert single == {"state_mean", "state_std"}
+    assert file.stat().st_size < 4_000_000
+    assert load_network(file, CPU).state_std.min() >= 0.009
+
+
+def test_nothing_to_train_on_is_said(tmp_path: Path) -> None:
+    with pytest.raises(SystemExit, match="run training.collect first"):
+        train(arguments(tmp_path))

@@ -1,0 +1,40 @@
+"""An instruction as the network reads it: hashed words and pairs of neighbouring words."""
+
+from __future__ import annotations
+
+import re
+from functools import lru_cache
+from itertools import pairwise
+
+BUCKETS = 4096
+"""Rows of the table that words and pairs are hashed into."""
+
+_WORD = re.compile(r"[a-z0-9]+")
+
+
+def words(text: str) -> list[str]:
+    """The words of a text: lower-cased, longest runs of a–z and 0–9."""
+    # Only ASCII letters are lowered: str.lower would make an ASCII "k" of the Kelvin sign.
+    lowered = "".join(it.lower() if it.isascii() else it for it in text)
+    return _WORD.findall(lowered)
+
+
+def fnv1a(text: str) -> int:
+    """The 32-bit FNV-1a hash of a text's UTF-8 bytes."""
+    value = 0x811C9DC5
+    for byte in text.encode():
+        value = ((value ^ byte) * 0x01000193) & 0xFFFFFFFF
+    return value
+
+
+@lru_cache(maxsize=1 << 18)
+def bucket(feature: str) -> int:
+    """The row of the table for a word, or for two joined by one space."""
+    return fnv1a(feature) % BUCKETS
+
+
+def features(text: str) -> tuple[list[int], list[int]]:
+    """Rows of the n words of a text, and of its n - 1 pairs of neighbours."""
+    found = words(text)
+    pairs = [f"{a} {b}" for a, b in pairwise(found)]
+    return [bucket(word) for word in found], [bucket(pair) for pair in pairs]

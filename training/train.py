@@ -1,0 +1,340 @@
+"""Trains a student on what was collected.
+
+    python -m training.train --data data/plain --run runs/first --seconds 300
+    python -m training.train --data data/plain data/driven --run runs/second --seconds 300 \\
+        --start-from runs/first
+
+A run that was interrupted goes on where its last checkpoint is, with the same command.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import math
+import os
+import time
+from collections.abc import Callable
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from training.augment import PictureChange, Wordings, changed, draw_changes
+from training.network import ARM, Network, parameters
+from training.observations import scaled
+from training.store import FRAME_BYTES, Batch, Library
+from training.student import save_weights
+
+CHECKPOINT = "checkpoint.pt"
+WEIGHTS = "student.safetensors"
+GRIPPER_WEIGHT = 0.1
+WARM_UP = 200
+"""Steps in which the learning rate rises."""
+EMA = 0.999
+MOST_GRADIENT = 1.0
+REPORT_SECONDS = 20.0
+CHECKPOINT_SECONDS = 30.0
+WATCH_SECONDS = 10.0
+HELD_OUT_FRAMES = 4_096
+GPU_SHARE = 0.7
+"""Share of the free memory of a GPU that frames may take."""
+
+
+class Losses(nn.Module):
+    """The network with what it is trained by, so that both are compiled as one."""
+
+    def __init__(self, network: Network) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, batch: Batch, change: PictureChange, rows: Tensor, present: Tensor) -> Tensor:
+        """The loss of a batch: L1 of the arm, and a little cross-entropy of the gripper."""
+        views = changed(batch.pictures, change)
+        said = self.network(*views, batch.state, rows, present)
+        valid = batch.valid
+        total = valid.sum().clamp(min=1.0)
+        arm = (said.arm - batch.targets[:, :, :ARM]).abs().mean(dim=2)
+        closes = (batch.targets[:, :, ARM] > 0).float()
+        gripper = functional.binary_cross_entropy_with_logits(
+            said.gripper, closes, reduction="none"
+        )
+        loss: Tensor = ((arm + GRIPPER_WEIGHT * gripper) * valid).sum() / total
+        return loss
+
+
+class Trainer:
+    """One run: a network, its running mean, an optimizer and a clock."""
+
+    def __init__(self, arguments: argparse.Namespace) -> None:
+        self._arguments = arguments
+        self._device = torch.device(arguments.device)
+        self._run: Path = arguments.run
+        self.step = 0
+        self.trained_seconds = 0.0
+        self._network = Network().to(self._device)
+        self._network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self._mean = copy.deepcopy(self._network).requires_grad_(False).eval()
+        self._optimizer = self._make_optimizer()
+        self._losses: Callable[..., Any] = Losses(self._network)
+        self._is_compiled = False
+        self._knows_scale = False
+        self._load()
+
+    def prepare(self, library: Library) -> None:
+        """Takes the state's scale from the data, unless an earlier run has."""
+        if not self._knows_scale:
+            mean, deviation = library.training.state_scale()
+            for network in (self._network, self._mean):
+                network.state_mean.copy_(mean)
+                network.state_std.copy_(deviation)
+            self._knows_scale = True
+        if self._arguments.compile:
+            self._losses = torch.compile(self._losses, dynamic=False)
+            self._is_compiled = True
+
+    def train_step(self, library: Library, wordings: Wordings, fraction: float) -> Tensor:
+        """One step of the optimizer; ``fraction`` of the time is over. Returns the loss."""
+        rate = self._arguments.learning_rate * _schedule(self.step, fraction)
+        for group in self._optimizer.param_groups:
+            group["lr"] = rate
+        batch = library.training.draw(self._arguments.batch)
+        change = draw_changes(len(batch.task), self._device)
+        rows, present = wordings.draw(batch.task)
+        loss = self._loss(batch, change, rows, present)
+        self._optimizer.zero_grad(set_to_none=True)
+        torch.autograd.backward(loss)
+        nn.utils.clip_grad_norm_(self._network.parameters(), MOST_GRADIENT)
+        self._optimizer.step()
+        self.step += 1
+        self._follow()
+        return loss.detach()
+
+    @torch.inference_mode()
+    def validate(self, library: Library, wordings: Wordings) -> tuple[float, float]:
+        """L1 of the arm, and the gripper's share of right answers, on episodes held out."""
+        store = library.held_out
+        distance = right = total = torch.zeros((), device=self._device)
+        for first in range(0, store.count, 512):
+            last = min(first + 512, store.count)
+            batch = store.batch(torch.arange(first, last, device=self._device))
+            views = scaled(batch.pictures[:, 0]), scaled(batch.pictures[:, 1])
+            with self._precision():
+                said = self._mean(*views, batch.state, *wordings.canonical(batch.task))
+            arm = (said.arm.clamp(-1, 1) - batch.targets[:, :, :ARM]).abs().mean(dim=2)
+            agrees = (said.gripper > 0) == (batch.targets[:, :, ARM] > 0)
+            distance = distance + (arm * batch.valid).sum()
+            right = right + (agrees * batch.valid).sum()
+            total = total + batch.valid.sum()
+        return (distance / total).item(), (right / total).item()
+
+    def save(self, *, finished: bool = False) -> None:
+        """Writes the checkpoint, and the running mean as weights that a student can act by."""
+        self._run.mkdir(parents=True, exist_ok=True)
+        state = {
+            "network": self._network.state_dict(),
+            "mean": self._mean.state_dict(),
+            "optimizer": self._optimizer.state_dict(),
+            "step": self.step,
+            "trained_seconds": self.trained_seconds,
+            "finished": finished,
+        }
+        part = self._run / (CHECKPOINT + ".part")
+        torch.save(state, part)
+        os.replace(part, self._run / CHECKPOINT)
+        save_weights(self._mean.state_dict(), self._run / WEIGHTS, self._arguments.name)
+
+    def _load(self) -> None:
+        """Goes on from the run's own checkpoint, or begins at another run's weights."""
+        own = self._run / CHECKPOINT
+        if own.exists():
+            state = self._read(own)
+            if state["finished"]:
+                raise SystemExit(
+                    f"{self._run} has finished; name another --run, and this one with --start-from "
+                    "to train on"
+                )
+            self._network.load_state_dict(state["network"])
+            self._mean.load_state_dict(state["mean"])
+            self._optimizer.load_state_dict(state["optimizer"])
+            self.step, self.trained_seconds = state["step"], state["trained_seconds"]
+            print(f"goes on at step {self.step:,}, after {self.trained_seconds:.0f} s")
+        elif self._arguments.start_from is not None:
+            mean = self._read(self._arguments.start_from / CHECKPOINT)["mean"]
+            self._network.load_state_dict(mean)
+            self._mean.load_state_dict(mean)
+            print(f"begins with the weights of {self._arguments.start_from}")
+        else:
+            return
+        self._knows_scale = True
+
+    def _read(self, file: Path) -> dict[str, Any]:
+        state: dict[str, Any] = torch.load(file, map_location=self._device, weights_only=True)
+        return state
+
+    def _make_optimizer(self) -> torch.optim.AdamW:
+        """AdamW that lets norms, biases and words be: a word never seen has to stay at zero."""
+        matrices: list[nn.Parameter] = []
+        others: list[nn.Parameter] = []
+        for name, parameter in self._network.named_parameters():
+            of_words = name == "words.weight"
+            (others if parameter.ndim < 2 or of_words else matrices).append(parameter)
+        return torch.optim.AdamW(
+            [
+                {"params": matrices, "weight_decay": self._arguments.weight_decay},
+                {"params": others, "weight_decay": 0.0},
+            ],
+            lr=self._arguments.learning_rate,
+            fused=self._device.type == "cuda",
+        )
+
+    def _loss(self, *inputs: Any) -> Tensor:
+        try:
+            return self._computed(*inputs)
+        except Exception as error:
+            if not self._is_compiled or self.step > 0:
+                raise
+            # Any failure of the compiler: training is slower without it, and no worse.
+            print(f"trains without torch.compile: {type(error).__name__}: {str(error)[:300]}")
+            self._losses, self._is_compiled = Losses(self._network), False
+            return self._computed(*inputs)
+
+    def _computed(self, *inputs: Any) -> Tensor:
+        with self._precision():
+            loss: Tensor = self._losses(*inputs)
+        return loss
+
+    def _precision(self) -> Any:
+        if self._device.type == "cuda":
+            return torch.autocast("cuda", dtype=torch.bfloat16)
+        return nullcontext()
+
+    @torch.no_grad()
+    def _follow(self) -> None:
+        """Moves the running mean towards the network: quickly in the first steps."""
+        keep = min(EMA, (1 + self.step) / (10 + self.step))
+        torch._foreach_lerp_(
+            list(self._mean.parameters()), list(self._network.parameters()), 1 - keep
+        )
+
+
+def _schedule(step: int, fraction: float) -> float:
+    """The learning rate's factor: up in the first steps, then down a cosine over the time."""
+    return min(1.0, (step + 1) / WARM_UP) * 0.5 * (1 + math.cos(math.pi * min(1.0, fraction)))
+
+
+def _capacity(arguments: argparse.Namespace, device: torch.device) -> int:
+    """How many frames the device is to have room for."""
+    if arguments.capacity:
+        return int(arguments.capacity)
+    if device.type == "cuda":
+        free, _ = torch.cuda.mem_get_info(device)
+        return int(GPU_SHARE * free) // FRAME_BYTES
+    return 20_000
+
+
+def train(arguments: argparse.Namespace) -> None:
+    """Trains until the time is over."""
+    begun, seconds = time.monotonic(), arguments.seconds
+    device = torch.device(arguments.device)
+    torch.manual_seed(arguments.seed)
+    # Before anything is on the GPU: the processes that draw are copies of this one.
+    wordings = Wordings(arguments.wordings, arguments.seed, device, arguments.processes)
+    trainer = Trainer(arguments)
+    held_out = min(HELD_OUT_FRAMES, arguments.capacity or HELD_OUT_FRAMES)
+    library = Library(
+        arguments.data, _capacity(arguments, device), held_out, arguments.suite_weights, device
+    )
+    library.refresh()
+    while arguments.watch and not library.training.count and time.monotonic() - begun < seconds:
+        time.sleep(1.0)
+        library.refresh()
+    if not library.training.count:
+        folders = ", ".join(map(str, arguments.data))
+        raise SystemExit(f"nothing to train on in {folders}: run training.collect first")
+    print(
+        f"{parameters(Network()):,} parameters; {library.training.count:,} frames "
+        f"({library.training.count * FRAME_BYTES / 1e9:.1f} GB), by suite "
+        f"{library.by_suite.tolist()}, "
+        f"{library.held_out.count:,} held out, room for {library.training.capacity:,}",
+        flush=True,
+    )
+    trainer.prepare(library)
+    # The time that loading has taken counts, so that a stage ends when it was said to.
+    earlier = trainer.trained_seconds
+    length = max(seconds - (time.monotonic() - begun) - earlier, 1.0)
+    first = reported = saved = watched = time.monotonic()
+    reported_step = trainer.step
+    loss = torch.zeros((), device=device)
+    while (now := time.monotonic()) - first < length:
+        fraction = (earlier + now - first) / (earlier + length)
+        loss = trainer.train_step(library, wordings, fraction)
+        trainer.trained_seconds = earlier + now - first
+        if arguments.watch and now - watched > WATCH_SECONDS:
+            library.refresh()
+            watched = time.monotonic()
+        if now - reported > REPORT_SECONDS:
+            value = loss.item()
+            if not math.isfinite(value):
+                raise SystemExit(
+                    f"the loss is {value} at step {trainer.step}; lower --learning-rate, and "
+                    f"remove {arguments.run} or name another --run"
+                )
+            speed = (trainer.step - reported_step) / (time.monotonic() - reported)
+            report(trainer, library, wordings, value, speed)
+            reported, reported_step = time.monotonic(), trainer.step
+        if now - saved > CHECKPOINT_SECONDS:
+            trainer.save()
+            saved = time.monotonic()
+    trainer.save(finished=True)
+    report(trainer, library, wordings, loss.item(), trainer.step / max(trainer.trained_seconds, 1))
+
+
+def report(
+    trainer: Trainer, library: Library, wordings: Wordings, loss: float, speed: float
+) -> None:
+    """Prints how far it is."""
+    distance, right = (
+        trainer.validate(library, wordings) if library.held_out.count else (np.nan,) * 2
+    )
+    print(
+        f"{trainer.trained_seconds:4.0f} s  step {trainer.step:,} ({speed:.1f}/s)  "
+        f"loss {loss:.4f}  held out: arm {distance:.4f}, gripper {100 * right:.2f} %  "
+        f"{library.training.count:,} frames",
+        flush=True,
+    )
+
+
+def main() -> None:
+    cuda = torch.cuda.is_available()
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--data", type=Path, nargs="+", required=True, help="folders of shards")
+    parser.add_argument("--run", type=Path, required=True, help="folder of checkpoint and weights")
+    parser.add_argument("--seconds", type=float, default=300.0, help="how long, start included")
+    parser.add_argument(
+        "--watch", action="store_true", help="wait for shards, and load those that appear meanwhile"
+    )
+    parser.add_argument("--start-from", type=Path, metavar="RUN", help="begin with its weights")
+    parser.add_argument("--name", default="student", help="written into the weights")
+    parser.add_argument("--batch", type=int, default=1024)
+    parser.add_argument("--learning-rate", type=float, default=1e-3)
+    parser.add_argument("--weight-decay", type=float, default=1e-3)
+    parser.add_argument("--wordings", type=int, default=4_000, help="of each task")
+    parser.add_argument(
+        "--suite-weights", type=float, nargs=4, default=[1.0, 1.0, 1.0, 1.0],
+        metavar=("SPATIAL", "OBJECT", "GOAL", "LIBERO_10"), help="of each suite's frames",
+    )  # fmt: skip
+    parser.add_argument("--capacity", type=int, help="frames; by default what the GPU has room for")
+    parser.add_argument("--processes", type=int, default=min(8, len(os.sched_getaffinity(0))))
+    parser.add_argument("--compile", action=argparse.BooleanOptionalAction, default=cuda)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--device", default="cuda" if cuda else "cpu")
+    train(parser.parse_args())
+
+
+if __name__ == "__main__":
+    main()

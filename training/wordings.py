@@ -1,0 +1,108 @@
+"""Many ways to ask for each of the forty tasks, drawn from ``grammar``.
+
+The sentences of the evaluation's language axis are not among them: ``data/held_out.txt``
+has their digests, and a sentence with the same words is drawn again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import random
+import re
+from functools import cache
+from pathlib import Path
+
+from training.grammar import FRAMES, TASKS, Grammar, Templates
+from training.text import words
+
+TASK_NAMES: tuple[str, ...] = tuple(TASKS)
+"""``libero_spatial/0`` to ``libero_10/9``; a task's place here is its number in shards."""
+
+UNFRAMED = 0.45
+"""Share of the imperatives that stand alone, without "please" or "your task is to"."""
+MOST_PLAIN = 0.8
+"""Greatest share of a sentence's slots that take their first option for sure."""
+KINDS = {"do": 0.6, "doing": 0.1, "must": 0.18, "is": 0.12}
+"""How often which kind of clause is drawn."""
+
+_HELD_OUT = Path(__file__).parent / "data" / "held_out.txt"
+_INNERMOST_CHOICE = re.compile(r"\[([^\[\]]*)\]")
+_SLOT = re.compile(r"\{([^{}]+)\}")
+
+
+def canonical(task: str) -> str:
+    """The benchmark's own instruction for a task."""
+    return TASKS[task][0]
+
+
+def draw(task: str, count: int, seed: int) -> list[str]:
+    """``count`` different wordings of a task; the first is the canonical one.
+
+    Raises:
+        ValueError: if the grammar does not have as many.
+    """
+    rng = random.Random(f"{seed} {task}")
+    held_out = held_out_digests()
+    found = {digest(canonical(task)): canonical(task)}
+    tries = 0
+    while len(found) < count:
+        text = sentence(task, rng)
+        key = digest(text)
+        if key not in held_out:
+            found.setdefault(key, text)
+        tries += 1
+        if tries > 20 * count + 1_000:
+            raise ValueError(
+                f"draw {count} wordings of {task}: the grammar gave {len(found)} in {tries} tries; "
+                "ask for fewer, or give it more words"
+            )
+    return list(found.values())
+
+
+def sentence(task: str, rng: random.Random) -> str:
+    """One wording of a task."""
+    own = TASKS[task][1]
+    kind = rng.choices(list(KINDS), list(KINDS.values()))[0]
+    frame = "{do}" if kind == "do" and rng.random() < UNFRAMED else rng.choice(FRAMES[kind])
+    # From sentences nearly in the benchmark's words to sentences with hardly one of them.
+    plain = rng.uniform(0.0, MOST_PLAIN)
+    return _tidy(_expand(_chosen(frame, rng), own, rng, plain))
+
+
+def digest(text: str) -> str:
+    """The same for two texts if, and nearly only if, they have the same words in order."""
+    return hashlib.sha256(" ".join(words(text)).encode()).hexdigest()[:16]
+
+
+@cache
+def held_out_digests() -> frozenset[str]:
+    """Digests of the sentences that no training may see."""
+    return frozenset(_HELD_OUT.read_text().split())
+
+
+def _expand(template: str, grammar: Grammar, rng: random.Random, plain: float) -> str:
+    """Fills slots until there are none, with the first option where the draw is plain."""
+    while slot := _SLOT.search(template):
+        options: Templates = grammar[slot[1]]
+        option = options[0] if rng.random() < plain else rng.choice(options)
+        filled = _chosen(option, rng)
+        template = template[: slot.start()] + filled + template[slot.end() :]
+    return template
+
+
+def _chosen(template: str, rng: random.Random) -> str:
+    """Takes one of the options in each pair of brackets, the innermost first."""
+    while choice := _INNERMOST_CHOICE.search(template):
+        option = rng.choice(choice[1].split("|"))
+        template = template[: choice.start()] + option + template[choice.end() :]
+    return template
+
+
+def _tidy(text: str) -> str:
+    """Closes the gaps that empty options leave."""
+    text = re.sub(r"\s+", " ", text)
+    text = re.sub(r" ([,.;:?])", r"\1", text)
+    text = re.sub(r"[,;]+([.,;:?])", r"\1", text)
+    text = re.sub(r"([:;.]),", r"\1", text)
+    text = re.sub(r"\ba (?=[aeio])", "an ", text)
+    return text.strip(" ,;")
