@@ -118,13 +118,19 @@ impl Browser {
     /// # Panics
     /// If it throws.
     pub fn value(&mut self, expression: &str) -> Value {
+        let value = self.try_value(expression);
+        value.unwrap_or_else(|error| panic!("{expression}: {error}"))
+    }
+
+    /// The same, or what became of the page meanwhile.
+    fn try_value(&mut self, expression: &str) -> Result<Value, Value> {
         let parameters = json!({
             "expression": expression, "awaitPromise": true, "returnByValue": true,
         });
-        let mut answer = self.order("Runtime.evaluate", &parameters);
+        let mut answer = self.try_order("Runtime.evaluate", &parameters)?;
         let thrown = &answer["exceptionDetails"];
         assert_eq!(thrown, &Value::Null, "{expression}: {thrown}");
-        answer["result"]["value"].take()
+        Ok(answer["result"]["value"].take())
     }
 
     /// Waits until an expression is true.
@@ -133,7 +139,8 @@ impl Browser {
     /// If that takes longer than anybody should wait.
     pub fn wait_for(&mut self, expression: &str) {
         let start = Instant::now();
-        while self.value(&format!("Boolean({expression})")) != true {
+        // While the browser goes to another page there is nobody to answer.
+        while self.try_value(&format!("Boolean({expression})")) != Ok(true.into()) {
             if start.elapsed() > PATIENCE {
                 let page = self.value("document.body.innerText");
                 panic!("never: {expression}\n{}", page.as_str().unwrap_or_default());
@@ -219,6 +226,11 @@ impl Browser {
     /// Gives an order and waits for its answer; what the page tells meanwhile
     /// is noted.
     fn order(&mut self, method: &str, parameters: &Value) -> Value {
+        let answer = self.try_order(method, parameters);
+        answer.unwrap_or_else(|error| panic!("{method}: {error}"))
+    }
+
+    fn try_order(&mut self, method: &str, parameters: &Value) -> Result<Value, Value> {
         self.last_order += 1;
         let id = self.last_order;
         let mut order = json!({ "id": id, "method": method, "params": parameters });
@@ -235,8 +247,10 @@ impl Browser {
                 Err(RecvTimeoutError::Disconnected) => panic!("the browser ended"),
             };
             if message["id"] == id {
-                assert_eq!(message["error"], Value::Null, "{method}");
-                return message["result"].take();
+                return match message["error"].take() {
+                    Value::Null => Ok(message["result"].take()),
+                    error => Err(error),
+                };
             }
             self.note(&message);
         }

@@ -122,7 +122,7 @@ impl Drop for Process {
 pub struct Campaigns {
     /// The coordinator.
     pub coordinator: Process,
-    /// The gateway, with routes `expert` and `noop`.
+    /// The gateway, with routes `expert`, `noop` and `student`.
     pub gateway: Process,
 }
 
@@ -131,12 +131,9 @@ impl Campaigns {
     pub fn start(data: &Path) -> Self {
         let mut gateway = Command::new(program("policy-gateway"));
         gateway.args(["--listen", "127.0.0.1:0"]);
-        gateway.args([
-            "--route",
-            "expert=builtin:expert",
-            "--route",
-            "noop=builtin:noop",
-        ]);
+        for name in ["expert", "noop", "student"] {
+            gateway.arg("--route").arg(format!("{name}=builtin:{name}"));
+        }
         Self {
             coordinator: serve(data, "127.0.0.1:0"),
             gateway: Process::serve(&mut gateway),

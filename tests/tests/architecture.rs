@@ -93,6 +93,8 @@ fn crates_use_one_another_in_the_agreed_directions_only() {
             "raster",
             &["protocol", "scene", "proto", "tokio", "mujoco-rs"],
         ),
+        ("expert", &["scene", "sim", "proto", "tokio"]),
+        ("student", &["protocol", "scene", "sim", "proto", "tokio"]),
         ("sim", &["proto", "tokio", "sqlx", "paired"]),
         (
             "queue",

@@ -34,6 +34,7 @@ pages! {
     commands_of_reliability_work: "docs/RELIABILITY.md",
     commands_of_python_work: "docs/PYTHON.md",
     commands_of_report_work: "docs/REPORT.md",
+    commands_of_the_student_work: "docs/STUDENT.md",
     commands_of_the_asset_pack_work: "assets/primitives/README.md",
     commands_of_the_examples_work: "examples/README.md",
     commands_of_fuzzing_work: "fuzz/README.md",
@@ -41,6 +42,7 @@ pages! {
     commands_of_the_wheels_work: "python/README.md",
     commands_of_the_shim_work: "python/libero_shim/README.md",
     commands_of_the_typescript_server_work: "policies/typescript/README.md",
+    commands_of_training_work: "training/README.md",
 }
 
 #[test]

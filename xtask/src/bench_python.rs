@@ -8,10 +8,10 @@ use anyhow::Result;
 use serde_json::Value;
 
 use crate::bench::{last_json, machine, number, spread};
-use crate::cargo::build_program;
+use crate::cargo::build_released_program;
 use crate::original::Original;
 use crate::setup;
-use crate::wheel;
+use crate::wheel::{self, Profile};
 
 /// What Python's share is measured against.
 const WITHOUT_PYTHON: &str = "bench_environments";
@@ -126,8 +126,8 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
             return Ok(());
         }
     };
-    let python = wheel::installed(root, &cache)?;
-    let program = build_program(root, WITHOUT_PYTHON)?;
+    let python = wheel::installed(root, &cache, Profile::Release)?;
+    let program = build_released_program(root, WITHOUT_PYTHON)?;
     let script = root.join("python/bench/speed.py");
     let [count, steps] = [options.environments, options.steps].map(|it| it.to_string());
     let with = |mut command: Command, mode: &str| {

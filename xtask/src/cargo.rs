@@ -28,6 +28,12 @@ pub(crate) fn build_program(root: &Path, name: &str) -> Result<PathBuf> {
     Ok(programs.join(name))
 }
 
+/// The same as it would be handed out.
+pub(crate) fn build_released_program(root: &Path, name: &str) -> Result<PathBuf> {
+    let programs = build(root, &["--quiet", "--release", "--bin", name])?;
+    Ok(programs.with_file_name("release").join(name))
+}
+
 fn build(root: &Path, what: &[&str]) -> Result<PathBuf> {
     run(cargo(root)
         .args(["build", "--workspace", "--exclude", "xtask"])

@@ -1,6 +1,7 @@
 //! A small campaign from end to end, with the real programs: a coordinator, a
-//! gateway with the scripted expert, a worker with several slots, and at the
-//! end the paired table, the report as a page, the results and a video.
+//! gateway with the student, a worker with several slots, and at the end the
+//! paired table, the report as a page, the results, and films of the configurations
+//! whose outcome simultaneous perturbation changes.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader};
@@ -9,6 +10,8 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
+use paired::{Outcome, Record, Records, Transition};
+use protocol::{Condition, RolloutId};
 
 use crate::cargo::build_programs;
 use crate::process::{capture, run as run_command};
@@ -17,10 +20,12 @@ use crate::step::step;
 
 /// What the demo's campaign is called.
 const CAMPAIGN: &str = "demo";
-/// Two tasks of each of two suites.
-const TASKS: &str = "libero_object/0,libero_object/4,libero_spatial/0,libero_spatial/2";
-/// The rollout that is filmed: everything perturbed at once.
-const FILMED: &str = "object/t0/combination/L2/c00";
+/// Tasks of two suites. They were chosen by what happens in them, so that the table has
+/// both kinds of transition: how often there are any is in docs/STUDENT.md.
+const TASKS: &str =
+    "libero_object/1,libero_object/3,libero_object/4,libero_object/7,libero_spatial/3";
+/// The one whose success is compensated.
+const COMPENSATED_TASK: &str = "libero_object/7";
 /// Where the live page is, once the demo's data is served again.
 const PAGE_ADDRESS: &str = "127.0.0.1:7411";
 /// How long a program may take to say that it listens.
@@ -37,8 +42,11 @@ pub(crate) struct Options {
     /// `primitives`, or a LIBERO assets folder.
     #[arg(long, default_value = "primitives")]
     assets: String,
+    /// Tasks, with commas between.
+    #[arg(long, default_value = TASKS)]
+    tasks: String,
     /// Configurations of each task, condition by condition.
-    #[arg(long, default_value = "0-3")]
+    #[arg(long, default_value = "1")]
     configs: String,
 }
 
@@ -64,7 +72,8 @@ pub(crate) fn check(root: &Path, programs: &Path) -> Result<()> {
     let options = Options {
         slots: 2,
         assets: "primitives".to_owned(),
-        configs: "0".to_owned(),
+        tasks: COMPENSATED_TASK.to_owned(),
+        configs: "1".to_owned(),
     };
     let dir = fresh_folder(&root.join("demo-data"))?;
     campaign(programs, &dir, &options)?;
@@ -88,7 +97,7 @@ fn campaign(programs: &Path, dir: &Path, options: &Options) -> Result<()> {
             "--listen",
             "127.0.0.1:0",
             "--route",
-            "expert=builtin:expert",
+            "student=builtin:student",
         ],
     )?;
     let call = |arguments: &[&str]| {
@@ -112,9 +121,9 @@ fn campaign(programs: &Path, dir: &Path, options: &Options) -> Result<()> {
     )?;
     #[rustfmt::skip]
     run_command(&mut call(&[
-        "campaign", "create", "--name", CAMPAIGN, "--policy", "expert", "--endpoint", &gateway.url,
-        "--tasks", TASKS, "--axes", "metric", "--levels", "L2", "--configs", &options.configs,
-        "--nominal", "eval",
+        "campaign", "create", "--name", CAMPAIGN, "--policy", "student", "--endpoint", &gateway.url,
+        "--tasks", &options.tasks, "--axes", "all", "--levels", "L2", "--configs", &options.configs,
+        "--nominal", "eval", "--record", "transitions",
     ]))?;
     println!();
     run_command(&mut call(&["campaign", "status", CAMPAIGN, "--watch"]))?;
@@ -134,15 +143,21 @@ fn campaign(programs: &Path, dir: &Path, options: &Options) -> Result<()> {
         "--output",
         &results_arg,
     ]))?;
-    let video = step("one video", || film(programs, &gateway, options, dir))?;
+    let transitions = transitions(&results)?;
+    step("films of transitions", || {
+        film(programs, &coordinator, options).map(|()| "made")
+    })?;
     println!();
     println!("report    {}", page.display());
     println!("page      http://{PAGE_ADDRESS}/ as soon as this runs:");
     println!("          {}", serve_again(programs, &data));
     println!("results   {}", results.display());
     println!("database  {}", data.display());
-    println!("video     {video}");
     println!("logs      {}", dir.display());
+    for (transition, id) in transitions {
+        let address = format!("http://{PAGE_ADDRESS}/campaigns/{CAMPAIGN}/configurations/{id}");
+        println!("{:<12} {address}", transition.name());
+    }
     Ok(())
 }
 
@@ -170,34 +185,58 @@ fn fresh_folder(parent: &Path) -> Result<PathBuf> {
     unreachable!("there is always a larger number")
 }
 
-/// Runs one rollout again, with a camera on it.
-fn film(programs: &Path, gateway: &Running, options: &Options, dir: &Path) -> Result<String> {
-    let mut worker = Command::new(programs.join("worker"));
-    worker.args(["rollout", "--id", FILMED, "--assets", &options.assets]);
-    worker
-        .args(["--policy", "expert", "--endpoint", &gateway.url, "--output"])
-        .arg(dir);
-    capture(&mut worker)?;
-    let found = walk(dir)?
-        .into_iter()
-        .find(|path| path.extension().is_some_and(|e| e == "mp4"));
-    Ok(found
-        .context("find the video that the worker wrote")?
-        .display()
-        .to_string())
+/// Films what the campaign wants filmed; as many at once as rollouts ran.
+fn film(programs: &Path, coordinator: &Running, options: &Options) -> Result<()> {
+    let film = || {
+        let mut worker = Command::new(programs.join("worker"));
+        worker.args(["film", "--assets", &options.assets]);
+        capture(worker.args(["--connect", &coordinator.url]))
+    };
+    std::thread::scope(|scope| {
+        let films: Vec<_> = (0..options.slots).map(|_| scope.spawn(film)).collect();
+        films.into_iter().try_for_each(|film| {
+            let ended = film.join().expect("it does not panic");
+            ended.map(drop)
+        })
+    })
 }
 
-fn walk(dir: &Path) -> Result<Vec<PathBuf>> {
-    let mut files = Vec::new();
-    for entry in std::fs::read_dir(dir).with_context(|| format!("read {}", dir.display()))? {
-        let path = entry?.path();
-        if path.is_dir() {
-            files.extend(walk(&path)?);
-        } else {
-            files.push(path);
-        }
+/// The simultaneous rollouts of configurations whose outcome simultaneity changes.
+fn transitions(results: &Path) -> Result<Vec<(Transition, RolloutId)>> {
+    let text =
+        std::fs::read_to_string(results).with_context(|| format!("read {}", results.display()))?;
+    let record = |line: &str| {
+        let row: ResultRow = serde_json::from_str(line)?;
+        Ok(Record {
+            id: row.rollout_id,
+            replicate: 0,
+            init_id: row.init_id,
+            outcome: match row.success {
+                true => Outcome::Success,
+                false => Outcome::Failure,
+            },
+        })
+    };
+    let records: Result<Vec<_>, serde_json::Error> = text.lines().map(record).collect();
+    let records = Records::new(&records.context("read the results")?)?;
+    let mut changed = Vec::new();
+    for unit in records.configurations() {
+        let Some(transition @ (Transition::Emergent | Transition::Compensated)) = unit.transition()
+        else {
+            continue;
+        };
+        let id = RolloutId::perturbed(unit.task, Condition::Combination, unit.level, unit.config);
+        changed.push((transition, id.context("name a configuration")?));
     }
-    Ok(files)
+    Ok(changed)
+}
+
+/// What a line of the results says of a rollout.
+#[derive(serde::Deserialize)]
+struct ResultRow {
+    rollout_id: RolloutId,
+    init_id: u16,
+    success: bool,
 }
 
 /// A program that runs beside this one and is ended with it.

@@ -118,8 +118,8 @@ pub(crate) fn run(root: &Path, cache: &Path, output: Option<&Path>) -> Result<()
 ///
 /// # Errors
 /// If it cannot be made.
-pub(crate) fn installed(root: &Path, cache: &Path) -> Result<PathBuf> {
-    let wheels = build(root, cache, Profile::Dev)?;
+pub(crate) fn installed(root: &Path, cache: &Path, profile: Profile) -> Result<PathBuf> {
+    let wheels = build(root, cache, profile)?;
     let dir = cache.join("wheel-venv");
     step("an environment with the wheels", || {
         let asked = std::fs::read_to_string(root.join("python/pyproject.toml"))?;
@@ -141,7 +141,8 @@ pub(crate) fn installed(root: &Path, cache: &Path) -> Result<PathBuf> {
 /// # Errors
 /// If they cannot be built, or a test fails.
 pub(crate) fn test(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
-    let mut pytest = Command::new(installed(root, cache)?);
+    let python = installed(root, cache, Profile::Dev)?;
+    let mut pytest = Command::new(&python);
     pytest
         .args(["-m", "pytest", "--quiet", "-rs", "-p", "no:cacheprovider"])
         .arg(root.join("python/tests"))
@@ -151,5 +152,12 @@ pub(crate) fn test(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
     {
         pytest.env("ROLLOUT_CLIENTS", python);
     }
+    run_command(&mut pytest)?;
+    println!("Testing the student's lessons");
+    let mut pytest = Command::new(&python);
+    pytest
+        .current_dir(root)
+        .args(["-m", "pytest", "--quiet", "-rs", "-p", "no:cacheprovider"])
+        .arg("training/tests");
     run_command(&mut pytest)
 }

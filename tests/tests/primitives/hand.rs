@@ -2,11 +2,12 @@
 //! put where the goal wants them, just free of whatever lies there, and let go.
 //! Everything is computed from the goal and the scene.
 
+use protocol::{Entity, Predicate};
 use scene::catalog::{Articulation, Threshold};
-use scene::{Instance, Predicate, Scene};
+use scene::{Instance, Scene};
 use sim::episode::NO_OP;
 use sim::mujoco::ObjectKind;
-use sim::{Entity, Environment, Episode};
+use sim::{Environment, Episode};
 
 use crate::table::{MAX_OVERLAP, deepest_overlap, entities};
 

@@ -1,10 +1,11 @@
 //! How objects lie: what overlaps, what has moved, what has fallen.
 
+use protocol::{Entity, EntityKind, Predicate};
 use scene::arena::arena;
-use scene::{InstanceKind, Predicate, Problem};
+use scene::{InstanceKind, Problem};
 use sim::mujoco::ObjectKind;
 use sim::predicates::Goal;
-use sim::{Entity, EntityKind, Environment, Episode, ObservationRequest};
+use sim::{Environment, Episode, ObservationRequest};
 
 /// Movable objects may overlap with anything by this much at rest, m.
 pub(crate) const MAX_OVERLAP: f64 = 0.005;

@@ -100,10 +100,12 @@ async fn a_worker_that_chooses_its_slots_registers_them_and_says_why() {
     worker.signal("TERM");
     let (status, said) = worker.wait();
     assert!(status.success(), "{said}");
+    // On a busy machine it is one.
+    let plural = if slots == 1 { "" } else { "s" };
     for words in [
         format!("--slots auto: {slots}, the fewest that reach 95 %"),
         format!("{cores} cores"),
-        format!("{slots} slots, assets primitives"),
+        format!("{slots} slot{plural}, assets primitives"),
     ] {
         assert!(said.contains(&words), "{words}: {said}");
     }
