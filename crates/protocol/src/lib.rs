@@ -12,6 +12,7 @@ pub mod presets;
 pub mod seeds;
 pub mod streams;
 
+mod axis_set;
 mod campaign;
 mod condition;
 mod design;
@@ -30,6 +31,7 @@ mod tasks;
 mod wanted;
 mod wording;
 
+pub use axis_set::AxisSet;
 pub use campaign::{CampaignSpec, MAX_REPLICATES, PolicyRoute, Record, Rollouts, SpecError};
 pub use condition::{Axis, Condition, Realisation};
 pub use design::{Design, DesignError, DesignVersion, Nominal, select_tasks};

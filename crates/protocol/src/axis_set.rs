@@ -1,0 +1,162 @@
+//! Sets of axes: what is perturbed together.
+
+use std::fmt;
+use std::str::FromStr;
+
+use crate::condition::Axis;
+use crate::names::{UnknownName, serde_as_text};
+
+/// A set of axes, written in the protocol's order: `camera+robot`. The empty set
+/// is written `none`.
+///
+/// Sets are ordered by size, then by their axes in the protocol's order, so that
+/// every set stands behind its subsets.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct AxisSet(u8);
+
+impl AxisSet {
+    /// No axis.
+    pub const EMPTY: Self = Self(0);
+    /// All six.
+    pub const ALL: Self = Self((1 << Axis::ALL.len()) - 1);
+
+    /// The set of one axis.
+    pub const fn of(axis: Axis) -> Self {
+        Self(1 << axis as u8)
+    }
+
+    /// How many axes it has.
+    pub const fn len(self) -> usize {
+        self.0.count_ones() as usize
+    }
+
+    /// Whether it has none.
+    pub const fn is_empty(self) -> bool {
+        self.0 == 0
+    }
+
+    /// Whether an axis is in it.
+    pub const fn contains(self, axis: Axis) -> bool {
+        self.0 & (1 << axis as u8) != 0
+    }
+
+    /// Whether all its axes are in another set; every set is a subset of itself.
+    pub const fn is_subset(self, of: Self) -> bool {
+        self.0 & of.0 == self.0
+    }
+
+    /// Axes of either.
+    pub const fn union(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+
+    /// Axes that are not in another set.
+    pub const fn without(self, other: Self) -> Self {
+        Self(self.0 & !other.0)
+    }
+
+    /// Its axes, in the protocol's order.
+    pub fn axes(self) -> impl Iterator<Item = Axis> + Clone {
+        Axis::ALL
+            .into_iter()
+            .filter(move |&axis| self.contains(axis))
+    }
+
+    /// All its subsets in order, from the empty one to itself.
+    pub fn subsets(self) -> Vec<Self> {
+        let mut subsets: Vec<Self> = (0..=Self::ALL.0)
+            .map(Self)
+            .filter(|set| set.is_subset(self))
+            .collect();
+        subsets.sort();
+        subsets
+    }
+}
+
+impl FromIterator<Axis> for AxisSet {
+    fn from_iter<I: IntoIterator<Item = Axis>>(axes: I) -> Self {
+        axes.into_iter()
+            .fold(Self::EMPTY, |set, axis| set.union(Self::of(axis)))
+    }
+}
+
+impl Ord for AxisSet {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        // Of two sets of one size, the one with the earliest axis that only one of them has
+        // is first; that axis is the lowest bit.
+        let by_axes = || other.0.reverse_bits().cmp(&self.0.reverse_bits());
+        self.len().cmp(&other.len()).then_with(by_axes)
+    }
+}
+
+impl PartialOrd for AxisSet {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+const EMPTY: &str = "none";
+
+impl fmt::Display for AxisSet {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let names: Vec<&str> = self.axes().map(Axis::name).collect();
+        match names.is_empty() {
+            true => f.pad(EMPTY),
+            false => f.pad(&names.join("+")),
+        }
+    }
+}
+
+impl FromStr for AxisSet {
+    type Err = UnknownName;
+
+    /// Reads axes in any order, each once.
+    fn from_str(text: &str) -> Result<Self, UnknownName> {
+        if text == EMPTY {
+            return Ok(Self::EMPTY);
+        }
+        let mut set = Self::EMPTY;
+        for name in text.split('+') {
+            let axis = name.parse()?;
+            if set.contains(axis) {
+                let valid = ["axes with + between, each once, such as camera+robot"];
+                return Err(UnknownName::new("set of axes", text, &valid));
+            }
+            set = set.union(Self::of(axis));
+        }
+        Ok(set)
+    }
+}
+
+serde_as_text!(AxisSet);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn all_64_sets_read_back_from_their_text_and_stand_behind_their_subsets() {
+        let sets = AxisSet::ALL.subsets();
+        assert_eq!(sets.len(), 64);
+        for (i, &set) in sets.iter().enumerate() {
+            assert_eq!(set.to_string().parse(), Ok(set));
+            assert_eq!(set.axes().collect::<AxisSet>(), set);
+            assert!(sets[..i].iter().all(|earlier| !set.is_subset(*earlier)));
+        }
+        let names: Vec<String> = sets[7..10].iter().map(AxisSet::to_string).collect();
+        assert_eq!(
+            names,
+            ["camera+lighting", "camera+robot", "camera+sensor"],
+            "pairs in the protocol's order"
+        );
+    }
+
+    #[test]
+    fn axes_may_come_in_any_order_and_only_once() {
+        let set: AxisSet = "robot+camera".parse().expect("a set");
+        assert_eq!(set.to_string(), "camera+robot");
+        for text in ["camera+camera", "camera+", "camera robot", ""] {
+            assert!(text.parse::<AxisSet>().is_err(), "{text}");
+        }
+    }
+}
