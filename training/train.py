@@ -2,7 +2,7 @@
 
     python -m training.train --data data/plain --run runs/first --seconds 300
     python -m training.train --data data/plain data/driven --run runs/second --seconds 300 \\
-        --start-from runs/first
+        --start-from runs/first/student.safetensors
 
 A run that was interrupted goes on where its last checkpoint is, with the same command.
 """
@@ -28,7 +28,7 @@ from training.augment import PictureChange, Wordings, changed, draw_changes
 from training.network import ARM, Network, parameters
 from training.observations import scaled
 from training.store import FRAME_BYTES, Batch, Library
-from training.student import save_weights
+from training.student import load_network, save_weights
 
 CHECKPOINT = "checkpoint.pt"
 WEIGHTS = "student.safetensors"
@@ -152,11 +152,11 @@ class Trainer:
         """Goes on from the run's own checkpoint, or begins at another run's weights."""
         own = self._run / CHECKPOINT
         if own.exists():
-            state = self._read(own)
+            state = torch.load(own, map_location=self._device, weights_only=True)
             if state["finished"]:
                 raise SystemExit(
-                    f"{self._run} has finished; name another --run, and this one with --start-from "
-                    "to train on"
+                    f"{self._run} has finished; to train on, name another --run, and with "
+                    f"--start-from {self._run / WEIGHTS}"
                 )
             self._network.load_state_dict(state["network"])
             self._mean.load_state_dict(state["mean"])
@@ -164,17 +164,13 @@ class Trainer:
             self.step, self.trained_seconds = state["step"], state["trained_seconds"]
             print(f"goes on at step {self.step:,}, after {self.trained_seconds:.0f} s")
         elif self._arguments.start_from is not None:
-            mean = self._read(self._arguments.start_from / CHECKPOINT)["mean"]
-            self._network.load_state_dict(mean)
-            self._mean.load_state_dict(mean)
-            print(f"begins with the weights of {self._arguments.start_from}")
+            weights = load_network(self._arguments.start_from, self._device).state_dict()
+            self._network.load_state_dict(weights)
+            self._mean.load_state_dict(weights)
+            print(f"begins with {self._arguments.start_from}")
         else:
             return
         self._knows_scale = True
-
-    def _read(self, file: Path) -> dict[str, Any]:
-        state: dict[str, Any] = torch.load(file, map_location=self._device, weights_only=True)
-        return state
 
     def _make_optimizer(self) -> torch.optim.AdamW:
         """AdamW that lets norms, biases and words be: a word never seen has to stay at zero."""
@@ -318,7 +314,9 @@ def main() -> None:
     parser.add_argument(
         "--watch", action="store_true", help="wait for shards, and load those that appear meanwhile"
     )
-    parser.add_argument("--start-from", type=Path, metavar="RUN", help="begin with its weights")
+    parser.add_argument(
+        "--start-from", type=Path, metavar="WEIGHTS", help="begin with the weights of this file"
+    )
     parser.add_argument("--name", default="student", help="written into the weights")
     parser.add_argument("--batch", type=int, default=1024)
     parser.add_argument("--learning-rate", type=float, default=1e-3)

@@ -134,8 +134,9 @@ def test_a_run_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFixtur
     later = torch.load(tmp_path / "run" / CHECKPOINT, weights_only=True)
     assert later["step"] > state["step"] and later["trained_seconds"] > state["trained_seconds"]
 
-    train(arguments(tmp_path, run=tmp_path / "second", start_from=tmp_path / "run"))
-    assert "begins with the weights of" in capsys.readouterr().out
+    weights = tmp_path / "run" / WEIGHTS
+    train(arguments(tmp_path, run=tmp_path / "second", start_from=weights))
+    assert f"begins with {weights}" in capsys.readouterr().out
 
 
 def test_weights_are_halves_but_for_the_states_scale(tmp_path: Path) -> None:

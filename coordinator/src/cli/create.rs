@@ -11,7 +11,7 @@ use coordinator::client::Service;
 use coordinator::video_estimate;
 use proto::coordinator::CreateCampaignRequest;
 use protocol::{
-    Axis, CampaignSpec, Design, Level, MAX_CONFIGS, MAX_REPLICATES, Nominal, PolicyRoute,
+    Axis, AxisSet, CampaignSpec, Design, Level, MAX_CONFIGS, MAX_REPLICATES, Nominal, PolicyRoute,
     Realisation, Record, RendererKind, Rollouts, TaskRef, UnknownName, Wanted, select_tasks,
 };
 use queue::expand::NewCampaign;
@@ -25,7 +25,10 @@ use super::forecast;
 
 /// The flags that say what a manifest says, and the others that say what a
 /// specification says: an error names those of them that were given.
-const DESIGN_FLAGS: [&str; 5] = ["axes", "levels", "configs", "nominal", "design_seed"];
+#[rustfmt::skip]
+const DESIGN_FLAGS: [&str; 6] = [
+    "axes", "subsets", "levels", "configs", "nominal", "design_seed",
+];
 #[rustfmt::skip]
 const SPEC_FLAGS: [&str; 9] = [
     "policy", "endpoint", "tasks", "manifest", "realisation", "replicates", "record", "assets",
@@ -108,6 +111,10 @@ struct DesignFlags {
     /// `all`, or `none`.
     #[arg(long, value_delimiter = ',', default_value = "metric")]
     axes: Vec<String>,
+    /// Further conditions: several axes with + between, such as `camera+robot`;
+    /// `pairs`; or `all`, every subset of the axes.
+    #[arg(long, value_delimiter = ',')]
+    subsets: Vec<String>,
     /// Levels: L1, L2, L3, or any radius: `r2.5`.
     #[arg(long, value_delimiter = ',', default_value = "L2")]
     levels: Vec<String>,
@@ -202,15 +209,28 @@ fn design_of_flags(arguments: &CreateArguments) -> anyhow::Result<Design> {
         true => Vec::new(),
         false => parsed(&arguments.design.levels)?,
     };
+    let subsets = subsets(&arguments.design.subsets, axes.iter().copied().collect())?;
     let design = Design {
         tasks: tasks(&arguments.flags.tasks)?,
         axes,
+        subsets,
         levels,
         configs: configs(&arguments.design.configs)?,
         nominal: arguments.design.nominal,
         seed: arguments.design.design_seed,
     };
     Ok(design.in_order())
+}
+
+/// Sets of axes, of `axes` where they are not named one by one.
+fn subsets(given: &[String], axes: AxisSet) -> Result<Vec<AxisSet>, UnknownName> {
+    let several = |set: &AxisSet| set.len() > 1 && *set != axes;
+    let all = axes.subsets().into_iter().filter(several);
+    match given.join(",").as_str() {
+        "all" => Ok(all.collect()),
+        "pairs" => Ok(all.filter(|set| set.len() == 2).collect()),
+        _ => parsed(given),
+    }
 }
 
 /// Tasks as [`select_tasks`] reads them, and ranges of a suite's tasks.

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use maud::{Markup, html};
 use paired::{Matched, Outcome, Record};
-use protocol::{Axis, Condition, Level, RolloutId};
+use protocol::{Condition, Level, RolloutId};
 use queue::read::Counts;
 
 use super::bar::bar;
@@ -79,11 +79,9 @@ fn by_condition<'a>(records: impl Iterator<Item = &'a Record>, campaign: &str) -
     let levels: BTreeSet<Level> = tallies.keys().map(|(_, level)| *level).collect();
     let perturbed = levels.into_iter().filter(|level| *level != Level::L0);
     let perturbed: Vec<Level> = perturbed.collect();
-    let singles = Axis::ALL.into_iter().map(Condition::Single);
-    let rows: Vec<Condition> = singles
-        .chain([Condition::Combination])
-        .filter(|row| tallies.keys().any(|(condition, _)| condition == row))
-        .collect();
+    let conditions: BTreeSet<Condition> = tallies.keys().map(|(condition, _)| *condition).collect();
+    let perturbs = |condition: &Condition| *condition != Condition::Clean;
+    let rows = conditions.into_iter().filter(perturbs);
     let nominal = tallies.get(&(Condition::Clean, Level::L0));
     let rows = html! {
         @if let Some(nominal) = nominal {

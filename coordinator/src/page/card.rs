@@ -2,7 +2,7 @@
 //! video, and where it all came from.
 
 use maud::{Markup, html};
-use protocol::{Axis, Condition, ManifestRow, RolloutId, seeds};
+use protocol::{Axis, ManifestRow, RolloutId, seeds};
 use queue::read::{FailureLine, ResultLine, RolloutLine};
 
 use super::perturbation;
@@ -119,15 +119,10 @@ fn video(campaign: &str, shown: &Shown, replicate: u32, bytes: u64) -> Markup {
 
 /// What was perturbed, in words.
 fn perturbed(shown: &Shown) -> Markup {
-    let axes: Vec<Axis> = match shown.id.condition() {
-        Condition::Clean => Vec::new(),
-        Condition::Single(axis) => vec![axis],
-        Condition::Combination => {
-            let mut axes = shown.row.perturbation.axes();
-            axes.extend(shown.row.variant_id.is_some().then_some(Axis::Language));
-            axes
-        }
-    };
+    let mut combined = shown.row.perturbation.axes();
+    combined.extend(shown.row.variant_id.is_some().then_some(Axis::Language));
+    let axes = shown.id.condition().axes(combined.into_iter().collect());
+    let axes: Vec<Axis> = axes.axes().collect();
     let is_told = shown.row.instruction != shown.id.task().instruction();
     let values = |axis| {
         let lines = perturbation::lines(&shown.row, axis);

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use attempt::Motion;
 use maud::{Markup, html};
 use paired::{Matched, Outcome, Record, Records, Transition};
-use protocol::{Axis, Condition, ManifestRow, RolloutId};
+use protocol::{AxisSet, Condition, ManifestRow, RolloutId};
 use queue::ids::{JobId, shortened};
 use queue::read::{Campaign, FailureLine, ResultLine, RolloutLine, View};
 
@@ -133,9 +133,9 @@ fn siblings(asked: RolloutId) -> Vec<String> {
     let Some(config) = asked.config() else {
         return vec![asked.to_string()];
     };
-    let singles = Axis::ALL.into_iter().map(Condition::Single);
-    // Beside the nominal rollout, which it is looked at together with most.
-    let conditions = [Condition::Combination].into_iter().chain(singles);
+    // The simultaneous one beside the nominal, which it is looked at together with most.
+    let several = AxisSet::ALL.subsets().into_iter().map(Condition::of);
+    let conditions = [Condition::Combination].into_iter().chain(several);
     let id = |condition| RolloutId::perturbed(asked.task(), condition, asked.level(), config);
     let ids = conditions.filter_map(|condition| id(condition).ok());
     ids.map(|id| id.to_string()).collect()

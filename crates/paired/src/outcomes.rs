@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use protocol::{Axis, Condition, Level, RolloutId, TaskRef};
+use protocol::{Axis, AxisSet, Condition, Level, RolloutId, TaskRef};
 use serde::{Deserialize, Serialize};
 
 use crate::measures::Configuration;
@@ -85,6 +85,8 @@ pub struct Matched {
     pub nominal: Outcome,
     /// Under each axis alone, all axes of the campaign.
     pub alone: BTreeMap<Axis, Outcome>,
+    /// Under several axes but not all, what is among the records.
+    pub subsets: BTreeMap<AxisSet, Outcome>,
     /// Under simultaneous perturbation; missing too where the campaign has none.
     pub simultaneous: Outcome,
 }
@@ -155,6 +157,7 @@ impl Matched {
         match condition {
             Condition::Clean => self.nominal,
             Condition::Single(axis) => self.alone.get(&axis).copied().unwrap_or_default(),
+            Condition::Subset(axes) => self.subsets.get(&axes).copied().unwrap_or_default(),
             Condition::Combination => self.simultaneous,
         }
     }
@@ -183,7 +186,7 @@ impl Records {
                 return Err(DuplicateRecord { id, replicate });
             }
             match id.condition() {
-                Condition::Clean => {}
+                Condition::Clean | Condition::Subset(_) => {}
                 Condition::Single(axis) => {
                     matching.axes.insert(axis);
                 }
@@ -230,11 +233,15 @@ impl Records {
                 init_id,
                 nominal: self.outcome(replicate, RolloutId::clean(id.task(), init_id)),
                 alone: self.axes().map(|axis| (axis, Outcome::Missing)).collect(),
+                subsets: BTreeMap::new(),
                 simultaneous: Outcome::Missing,
             });
             match id.condition() {
                 Condition::Single(axis) => {
                     entry.alone.insert(axis, outcome);
+                }
+                Condition::Subset(axes) => {
+                    entry.subsets.insert(axes, outcome);
                 }
                 Condition::Combination => entry.simultaneous = outcome,
                 Condition::Clean => {}

@@ -3,7 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use protocol::{Axis, Condition, Level};
+use protocol::{Axis, AxisSet, Condition, Level};
 use serde::{Deserialize, Serialize};
 
 use crate::bootstrap::Bootstrap;
@@ -84,6 +84,10 @@ pub struct Cell {
     /// Success of each axis alone over all its results, complete configuration
     /// or not.
     pub alone: BTreeMap<Axis, SingleAxis>,
+    /// Success under several axes but not all, over all results; empty where the
+    /// campaign has none.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub subsets: BTreeMap<AxisSet, Count>,
     /// Success of the simultaneous rollouts over all their results; absent where
     /// the campaign has none.
     pub simultaneous: Option<Count>,
@@ -242,6 +246,7 @@ fn cell(records: &Records, matched: &[Matched], clean: Option<f64>, bootstrap: &
         replicate: matched[0].replicate,
         level: matched[0].level,
         alone: alone.collect(),
+        subsets: subsets(matched),
         simultaneous: counts.get(&Condition::Combination).copied(),
         completeness: Completeness {
             complete: complete.len() as u64,
@@ -254,6 +259,15 @@ fn cell(records: &Records, matched: &[Matched], clean: Option<f64>, bootstrap: &
         task_correlation,
         minimum_detectable_i,
     }
+}
+
+/// Subsets are run where they are asked for, so that each has a number of its own.
+fn subsets(matched: &[Matched]) -> BTreeMap<AxisSet, Count> {
+    let mut counts: BTreeMap<AxisSet, Count> = BTreeMap::new();
+    for (&axes, &outcome) in matched.iter().flat_map(|matched| &matched.subsets) {
+        counts.entry(axes).or_default().add(outcome);
+    }
+    counts
 }
 
 fn quarantined(records: &Records) -> Vec<String> {

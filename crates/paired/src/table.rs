@@ -1,9 +1,10 @@
 //! A report as text for a terminal of 80 columns: what to know first, success
 //! rates with their counts, the paired measures, and what is missing.
 
+use std::collections::BTreeSet;
 use std::fmt::Write;
 
-use protocol::Condition;
+use protocol::{AxisSet, Condition};
 
 use crate::bounds::Bounds;
 use crate::count::Count;
@@ -49,6 +50,7 @@ pub fn table(report: &Report) -> String {
             .collect();
         let of = of_replicate(replicate, report);
         push_rates(&mut text, report, &cells, &of);
+        push_subsets(&mut text, &cells, &of);
         if cells.iter().any(|cell| cell.simultaneous.is_some()) {
             for cells in cells.chunks(PAIRED_CELLS) {
                 push_paired(&mut text, cells, &of);
@@ -159,6 +161,44 @@ fn push_rates(text: &mut String, report: &Report, cells: &[&Cell], of: &str) {
         }
     }
     push_columns(text, &rows);
+}
+
+/// Success under several axes, one line for each set of them.
+fn push_subsets(text: &mut String, cells: &[&Cell], of: &str) {
+    let sets: BTreeSet<AxisSet> = cells
+        .iter()
+        .flat_map(|cell| cell.subsets.keys().copied())
+        .collect();
+    if sets.is_empty() {
+        return;
+    }
+    separate(text);
+    let _ = writeln!(text, "success under several axes, and its counts, %{of}");
+    for cells in cells.chunks(PAIRED_CELLS) {
+        let levels = cells.iter().map(|cell| cell.level.to_string());
+        push_row(text, PAIRED_LABEL, PAIRED_COLUMN, "", levels);
+        for set in &sets {
+            let success = cells.iter().map(|cell| match cell.subsets.get(set) {
+                Some(count) => format!(
+                    "{} ({}/{})",
+                    percent(count.rate()),
+                    count.successes,
+                    count.n
+                ),
+                None => NOTHING.to_owned(),
+            });
+            // A long name has a line of its own.
+            let name = set.name();
+            let label = match name.len() < PAIRED_LABEL {
+                true => name,
+                false => {
+                    let _ = writeln!(text, "{name}");
+                    ""
+                }
+            };
+            push_row(text, PAIRED_LABEL, PAIRED_COLUMN, label, success);
+        }
+    }
 }
 
 /// One line of the paired block.

@@ -2,6 +2,7 @@
 
 use std::fmt;
 use std::str::FromStr;
+use std::sync::LazyLock;
 
 use crate::condition::Axis;
 use crate::names::{UnknownName, serde_as_text};
@@ -55,6 +56,11 @@ impl AxisSet {
         Self(self.0 & !other.0)
     }
 
+    /// Its axes' names with `+` between, or `none`.
+    pub fn name(self) -> &'static str {
+        &NAMES[usize::from(self.0)]
+    }
+
     /// Its axes, in the protocol's order.
     pub fn axes(self) -> impl Iterator<Item = Axis> + Clone {
         Axis::ALL
@@ -97,13 +103,20 @@ impl PartialOrd for AxisSet {
 
 const EMPTY: &str = "none";
 
+/// The names of all sets, by their bits.
+static NAMES: LazyLock<[String; 64]> = LazyLock::new(|| {
+    std::array::from_fn(|bits| {
+        let names: Vec<&str> = AxisSet(bits as u8).axes().map(Axis::name).collect();
+        match names.is_empty() {
+            true => EMPTY.to_owned(),
+            false => names.join("+"),
+        }
+    })
+});
+
 impl fmt::Display for AxisSet {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let names: Vec<&str> = self.axes().map(Axis::name).collect();
-        match names.is_empty() {
-            true => f.pad(EMPTY),
-            false => f.pad(&names.join("+")),
-        }
+        f.pad(self.name())
     }
 }
 

@@ -4,6 +4,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::axis_set::AxisSet;
 use crate::condition::{Axis, Realisation};
 use crate::design::{Design, DesignError, DesignVersion, Nominal, select_tasks};
 use crate::level::Level;
@@ -21,7 +22,7 @@ pub const MAX_REPLICATES: u32 = 100;
 /// The specification of a campaign, as people and tools write it in JSON.
 ///
 /// The fields of its [`Rollouts`] stand beside the others: `tasks`, `axes`,
-/// `levels` and, optional, `configs`, `nominal` and `design_seed`; or
+/// `levels` and, optional, `subsets`, `configs`, `nominal` and `design_seed`; or
 /// `manifest` instead of all these. Tasks are written as `libero_goal/3`,
 /// `libero_goal` (its ten tasks) or `all`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -197,6 +198,8 @@ struct SpecText {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     axes: Option<Vec<Axis>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    subsets: Option<Vec<AxisSet>>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     levels: Option<Vec<Level>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     configs: Option<Vec<u16>>,
@@ -264,6 +267,7 @@ impl From<CampaignSpec> for SpecText {
             policy: spec.policy,
             tasks: None,
             axes: None,
+            subsets: None,
             levels: None,
             configs: None,
             nominal: None,
@@ -280,6 +284,7 @@ impl From<CampaignSpec> for SpecText {
             Rollouts::Design(design) => {
                 text.tasks = Some(design.tasks.iter().map(TaskRef::to_string).collect());
                 text.axes = Some(design.axes);
+                text.subsets = Some(design.subsets).filter(|subsets| !subsets.is_empty());
                 text.levels = Some(design.levels);
                 text.configs = Some(design.configs);
                 text.nominal = Some(design.nominal);
@@ -294,6 +299,7 @@ fn no_design(text: &SpecText) -> Result<(), TextError> {
     let written = [
         ("tasks", text.tasks.is_some()),
         ("axes", text.axes.is_some()),
+        ("subsets", text.subsets.is_some()),
         ("levels", text.levels.is_some()),
         ("configs", text.configs.is_some()),
         ("nominal", text.nominal.is_some()),
@@ -314,6 +320,7 @@ fn design(text: &mut SpecText) -> Result<Design, TextError> {
     let design = Design {
         tasks,
         axes: text.axes.take().ok_or(TextError::Missing("axes"))?,
+        subsets: text.subsets.take().unwrap_or_default(),
         levels: text.levels.take().ok_or(TextError::Missing("levels"))?,
         configs: text
             .configs

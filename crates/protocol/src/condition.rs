@@ -4,6 +4,7 @@
 use std::fmt;
 use std::str::FromStr;
 
+use crate::axis_set::AxisSet;
 use crate::names::{UnknownName, serde_as_text};
 
 /// One kind of perturbation.
@@ -82,27 +83,53 @@ pub enum Condition {
     Clean,
     /// One axis alone.
     Single(Axis),
+    /// Several axes, but not all six: two to five. [`Self::of`] makes it.
+    Subset(AxisSet),
     /// Simultaneous: all axes of the campaign at once. Ids call it
     /// `combination`, as the published ones do.
     Combination,
 }
 
 impl Condition {
+    /// The condition that perturbs these axes and no other. All six are
+    /// [`Self::Combination`].
+    pub fn of(axes: AxisSet) -> Self {
+        let mut each = axes.axes();
+        match (each.next(), each.next()) {
+            (None, _) => Self::Clean,
+            (Some(axis), None) => Self::Single(axis),
+            _ if axes == AxisSet::ALL => Self::Combination,
+            _ => Self::Subset(axes),
+        }
+    }
+
+    /// What it perturbs in a campaign of these axes.
+    pub const fn axes(self, campaign: AxisSet) -> AxisSet {
+        match self {
+            Self::Clean => AxisSet::EMPTY,
+            Self::Single(axis) => AxisSet::of(axis),
+            Self::Subset(axes) => axes,
+            Self::Combination => campaign,
+        }
+    }
+
     /// Name in rollout ids and manifests.
-    pub const fn name(self) -> &'static str {
+    pub fn name(self) -> &'static str {
         match self {
             Self::Clean => "clean",
             Self::Single(axis) => axis.name(),
+            Self::Subset(axes) => axes.name(),
             Self::Combination => "combination",
         }
     }
 
-    /// What people read: `nominal`, an axis's name, or the paper's
+    /// What people read: `nominal`, the axes' names, or the paper's
     /// `simultaneous`.
-    pub const fn label(self) -> &'static str {
+    pub fn label(self) -> &'static str {
         match self {
             Self::Clean => "nominal",
             Self::Single(axis) => axis.name(),
+            Self::Subset(axes) => axes.name(),
             Self::Combination => "simultaneous",
         }
     }
@@ -121,11 +148,15 @@ impl FromStr for Condition {
         match text {
             "clean" => Ok(Self::Clean),
             "combination" => Ok(Self::Combination),
-            axis => axis.parse().map(Self::Single).map_err(|_| {
-                let mut valid = vec!["clean", "combination"];
-                valid.extend(Axis::ALL.map(Axis::name));
-                UnknownName::new("condition", text, &valid)
-            }),
+            axes => match axes.parse() {
+                Ok(axes) if axes != AxisSet::EMPTY => Ok(Self::of(axes)),
+                _ => {
+                    let mut valid = vec!["clean", "combination"];
+                    valid.extend(Axis::ALL.map(Axis::name));
+                    valid.push("several axes such as camera+robot");
+                    Err(UnknownName::new("condition", text, &valid))
+                }
+            },
         }
     }
 }
@@ -179,13 +210,32 @@ mod tests {
 
     #[test]
     fn conditions_read_back_from_their_text() {
-        let singles = Axis::ALL.map(Condition::Single);
-        for condition in [Condition::Clean, Condition::Combination]
+        let conditions: Vec<Condition> = AxisSet::ALL
+            .subsets()
             .into_iter()
-            .chain(singles)
-        {
+            .map(Condition::of)
+            .collect();
+        for &condition in &conditions {
             assert_eq!(condition.to_string().parse(), Ok(condition));
         }
+        let distinct: std::collections::BTreeSet<&str> = conditions
+            .iter()
+            .map(|condition| condition.name())
+            .collect();
+        assert_eq!(distinct.len(), 64);
+        assert!(distinct.contains("camera+robot"));
+        assert!("none".parse::<Condition>().is_err());
+    }
+
+    #[test]
+    fn a_combination_perturbs_what_its_campaign_does() {
+        let campaign = AxisSet::from_iter([Axis::Camera, Axis::Robot]);
+        assert_eq!(Condition::Combination.axes(campaign), campaign);
+        assert_eq!(
+            Condition::Single(Axis::Sensor).axes(campaign),
+            AxisSet::of(Axis::Sensor)
+        );
+        assert_eq!(Condition::of(campaign).axes(AxisSet::ALL), campaign);
     }
 
     #[test]

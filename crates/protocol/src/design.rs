@@ -3,6 +3,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::axis_set::AxisSet;
 use crate::condition::{Axis, Condition};
 use crate::directions::MAX_CONFIGS;
 use crate::level::Level;
@@ -19,6 +20,8 @@ pub struct Design {
     pub tasks: Vec<TaskRef>,
     /// Axes: each is perturbed alone, and two or more simultaneously.
     pub axes: Vec<Axis>,
+    /// Further conditions: several of the axes, but not all of them.
+    pub subsets: Vec<AxisSet>,
     /// Levels of every axis.
     pub levels: Vec<Level>,
     /// Configurations: 0 to 9 are the protocol's presets, others are drawn.
@@ -63,6 +66,17 @@ pub enum DesignError {
         /// Its range.
         valid: String,
     },
+    /// A subset that is none of several axes.
+    #[error(
+        "`subsets` has {given}, valid are sets of two axes or more of {axes}, but not all of them: \
+         single axes and all at once are there anyway"
+    )]
+    Subset {
+        /// The set.
+        given: AxisSet,
+        /// The design's axes.
+        axes: AxisSet,
+    },
     /// The language axis where there are no paraphrases.
     #[error(
         "axis `language` has paraphrases at L1, L2 and L3 and not at {level}: \
@@ -86,6 +100,7 @@ impl Design {
         Self {
             tasks: TaskRef::all().collect(),
             axes: Axis::ALL.to_vec(),
+            subsets: Vec::new(),
             levels: Level::PERTURBED.to_vec(),
             configs: (0..PRESETS).collect(),
             nominal: Nominal::All,
@@ -99,6 +114,7 @@ impl Design {
         Self {
             tasks: in_order(self.tasks),
             axes: in_order(self.axes),
+            subsets: in_order(self.subsets),
             levels: in_order(self.levels),
             configs: in_order(self.configs),
             ..self
@@ -127,6 +143,11 @@ impl Design {
         if self.axes.is_empty() && self.nominal == Nominal::None {
             return empty("axes", "and no nominal rollouts are asked for either");
         }
+        let axes = self.axis_set();
+        let is_one = |set: AxisSet| set.len() > 1 && set.is_subset(axes) && set != axes;
+        if let Some(&given) = self.subsets.iter().find(|&&set| !is_one(set)) {
+            return Err(DesignError::Subset { given, axes });
+        }
         if self.configs.is_empty() {
             return empty("configs", "write some of 0 to 9");
         }
@@ -154,12 +175,18 @@ impl Design {
         }
     }
 
-    /// The perturbed conditions: each axis alone, then, of two axes or more,
-    /// their combination.
+    /// All its axes.
+    pub fn axis_set(&self) -> AxisSet {
+        self.axes.iter().copied().collect()
+    }
+
+    /// The perturbed conditions: each axis alone, the subsets, then, of two axes
+    /// or more, their combination.
     pub fn conditions(&self) -> Vec<Condition> {
         let mut conditions: Vec<Condition> =
             self.axes.iter().copied().map(Condition::Single).collect();
-        if conditions.len() > 1 {
+        conditions.extend(self.subsets.iter().copied().map(Condition::of));
+        if self.axes.len() > 1 {
             conditions.push(Condition::Combination);
         }
         conditions
@@ -178,7 +205,11 @@ impl Design {
             self.nominal,
             self.effective_seed(),
         ));
-        let text = text.expect("names and numbers serialise");
+        let mut text = text.expect("names and numbers serialise");
+        // Designs without subsets are older than these, and keep their names.
+        for subset in &self.subsets {
+            text.push_str(subset.name());
+        }
         DesignVersion(format!("{CUSTOM}{:08x}", crc32fast::hash(text.as_bytes())))
     }
 
@@ -291,6 +322,7 @@ mod tests {
         Design {
             tasks: select_tasks("libero_goal/3").expect("a task"),
             axes: vec![Axis::Camera, Axis::Robot],
+            subsets: Vec::new(),
             levels: vec![Level::L2],
             configs: vec![4],
             nominal: Nominal::Eval,
@@ -328,6 +360,8 @@ mod tests {
         add(|design| {
             design.axes.pop();
         });
+        add(|design| design.subsets = vec!["camera+robot".parse().expect("a set")]);
+        add(|design| design.subsets = vec!["camera+sensor".parse().expect("a set")]);
         add(|design| {
             design.axes.pop();
             design.levels.push("r2.5".parse().expect("a level"));
@@ -347,6 +381,28 @@ mod tests {
         assert_eq!(changed.to_string().parse(), Ok(changed.clone()));
         rows.pop();
         assert_ne!(DesignVersion::of_manifest(&rows), changed);
+    }
+
+    #[test]
+    fn a_subset_is_of_several_axes_of_the_design_and_not_of_all() {
+        let check = |text: &str, axes: &[Axis]| {
+            let design = Design {
+                axes: axes.to_vec(),
+                subsets: vec![text.parse().expect("a set")],
+                ..small()
+            };
+            design.check().map_err(|error| error.to_string())
+        };
+        assert_eq!(check("camera+robot", &Axis::METRIC), Ok(()));
+        for (text, axes) in [
+            ("camera", &Axis::METRIC[..]),
+            ("none", &Axis::METRIC),
+            ("camera+language", &Axis::METRIC),
+            ("camera+robot", &[Axis::Camera, Axis::Robot]),
+        ] {
+            let error = check(text, axes).expect_err(text);
+            assert!(error.contains(&format!("`subsets` has {text}")), "{error}");
+        }
     }
 
     #[test]

@@ -64,20 +64,17 @@ impl Design {
         Ok(rows)
     }
 
-    fn perturbed_row(
+    /// The row of one perturbed rollout of a checked design.
+    pub(crate) fn perturbed_row(
         &self,
         task: TaskRef,
         condition: Condition,
         level: Level,
         config: u16,
     ) -> ManifestRow {
-        let axes = match condition {
-            Condition::Single(axis) => vec![axis],
-            Condition::Combination => self.axes.clone(),
-            Condition::Clean => Vec::new(),
-        };
+        let axes = condition.axes(self.axis_set());
         let mut perturbation = Perturbation::default();
-        for &axis in &axes {
+        for axis in axes.axes() {
             let direction = direction(axis, config, self.seed);
             apply_direction(&mut perturbation, axis, level, &direction);
         }
@@ -85,7 +82,7 @@ impl Design {
             .expect("a checked design perturbs at a level above L0");
         let init_id = init_id(task, config, self.seed);
         let mut row = ManifestRow::new(id, config, init_id, perturbation);
-        if axes.contains(&Axis::Language) {
+        if axes.contains(Axis::Language) {
             // There are ten variants; configurations beyond them speak them again.
             let paraphrase = paraphrase(task, level, config % PRESETS);
             row.instruction = paraphrase.text;
@@ -95,7 +92,8 @@ impl Design {
     }
 }
 
-fn clean_row(task: TaskRef, init_id: u16) -> ManifestRow {
+/// The row of a nominal rollout.
+pub(crate) fn clean_row(task: TaskRef, init_id: u16) -> ManifestRow {
     let id = RolloutId::clean(task, init_id);
     ManifestRow::new(id, init_id, init_id, Perturbation::default())
 }
@@ -183,6 +181,43 @@ mod tests {
         assert_eq!(rows[2].perturbation.camera, rows[0].perturbation.camera);
         assert_eq!(rows[2].perturbation.robot, rows[1].perturbation.robot);
         assert_eq!(rows[2].perturbation.axes(), [Axis::Camera, Axis::Robot]);
+    }
+
+    #[test]
+    fn a_subset_perturbs_as_its_axes_do_elsewhere() {
+        let whole = Design {
+            nominal: Nominal::None,
+            levels: vec![Level::L2],
+            tasks: select("libero_goal/3"),
+            configs: vec![4],
+            ..Design::v0_1()
+        };
+        let design = Design {
+            subsets: ["camera+language", "lighting+robot+sensor"]
+                .map(|set| set.parse().expect("a set"))
+                .to_vec(),
+            ..whole.clone()
+        };
+        let rows = design.expand().expect("rows");
+        let row = |condition: &str| {
+            let id = format!("goal/t3/{condition}/L2/c04").parse();
+            let id: RolloutId = id.expect("an id");
+            rows.iter().find(|row| row.id == id).expect(condition)
+        };
+        let (pair, all) = (row("camera+language"), row("combination"));
+        assert_eq!(pair.perturbation.camera, all.perturbation.camera);
+        assert_eq!(pair.perturbation.axes(), [Axis::Camera]);
+        assert_eq!(pair.instruction, row("language").instruction);
+        let triple = row("lighting+robot+sensor");
+        assert_eq!(triple.perturbation.robot, row("robot").perturbation.robot);
+        assert_eq!(triple.instruction, row("camera").instruction);
+        // The others are as they are without subsets.
+        let others = rows
+            .iter()
+            .filter(|row| !matches!(row.id.condition(), Condition::Subset(_)));
+        assert!(others.eq(whole.expand().expect("rows").iter()));
+        let text = crate::manifest::to_text(&rows);
+        assert_eq!(crate::manifest::parse(&text), Ok(rows));
     }
 
     #[test]

@@ -6,6 +6,7 @@
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
+use crate::axis_set::AxisSet;
 use crate::condition::{Axis, Condition};
 use crate::wording::JsonError;
 
@@ -180,8 +181,8 @@ impl Perturbation {
         .unwrap_or_default()
     }
 
-    /// As the `perturb` object of a manifest row: nested by axis for a
-    /// combination, flat for one axis alone, empty where nothing is perturbed.
+    /// As the `perturb` object of a manifest row: nested by axis for several
+    /// axes, flat for one axis alone, empty where nothing is perturbed.
     pub fn to_manifest(&self, condition: Condition) -> Map<String, Value> {
         let nested = match serde_json::to_value(self) {
             Ok(Value::Object(nested)) => nested,
@@ -192,7 +193,7 @@ impl Perturbation {
                 Some(Value::Object(flat)) => flat.clone(),
                 _ => Map::new(),
             },
-            Condition::Clean | Condition::Combination => nested,
+            Condition::Clean | Condition::Subset(_) | Condition::Combination => nested,
         }
     }
 
@@ -213,12 +214,22 @@ impl Perturbation {
             Condition::Single(axis) => {
                 Map::from_iter([(axis.name().to_owned(), Value::Object(perturb))])
             }
-            Condition::Combination => perturb,
+            Condition::Subset(_) | Condition::Combination => perturb,
         };
-        serde_json::from_value(Value::Object(nested)).map_err(|source| PerturbError::Parameters {
-            condition,
-            problem: JsonError::from(source).problem().to_owned(),
-        })
+        let perturbation: Self =
+            serde_json::from_value(Value::Object(nested)).map_err(|source| {
+                PerturbError::Parameters {
+                    condition,
+                    problem: JsonError::from(source).problem().to_owned(),
+                }
+            })?;
+        let given: AxisSet = perturbation.axes().into_iter().collect();
+        match condition {
+            Condition::Subset(axes) if given != axes.without(AxisSet::of(Axis::Language)) => {
+                Err(PerturbError::OtherAxes { condition, given })
+            }
+            _ => Ok(perturbation),
+        }
     }
 }
 
@@ -230,6 +241,14 @@ pub enum PerturbError {
     NotEmpty {
         /// The row's condition.
         condition: Condition,
+    },
+    /// Parameters of other axes than the condition's.
+    #[error("read `perturb` of condition {condition}: it has parameters of {given}")]
+    OtherAxes {
+        /// The row's condition.
+        condition: Condition,
+        /// What there are parameters of.
+        given: AxisSet,
     },
     /// An unknown, missing or non-numeric parameter.
     #[error("read `perturb` of condition {condition}: {problem}")]

@@ -126,7 +126,7 @@ struct FlatRow {
 fn split(condition: Condition) -> &'static str {
     match condition {
         Condition::Clean => "clean",
-        Condition::Single(_) | Condition::Combination => "eval",
+        Condition::Single(_) | Condition::Subset(_) | Condition::Combination => "eval",
     }
 }
 

@@ -1,9 +1,12 @@
 //! From a rollout's id to its manifest row.
 
-use crate::condition::{Axis, Condition};
+use crate::axis_set::AxisSet;
+use crate::condition::Axis;
 use crate::design::{Design, Nominal};
+use crate::expansion::clean_row;
 use crate::rollout_id::RolloutId;
 use crate::row::ManifestRow;
+use crate::suite::INIT_STATES_PER_TASK;
 
 /// An id that names no rollout of the protocol.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -23,23 +26,24 @@ pub struct NoSuchRow {
 /// If there is no such configuration.
 pub fn row_of(id: RolloutId) -> Result<ManifestRow, NoSuchRow> {
     let problem = |problem: String| NoSuchRow { id, problem };
-    let mut design = Design {
+    let Some(config) = id.config() else {
+        return match id.number() {
+            state if state < INIT_STATES_PER_TASK => Ok(clean_row(id.task(), state)),
+            _ => Err(problem("the task has no such initial state".to_owned())),
+        };
+    };
+    let combined = match id.level().is_named() {
+        true => AxisSet::ALL,
+        false => AxisSet::from_iter(Axis::METRIC),
+    };
+    let design = Design {
         tasks: vec![id.task()],
+        axes: id.condition().axes(combined).axes().collect(),
+        levels: vec![id.level()],
+        configs: vec![config],
+        nominal: Nominal::None,
         ..Design::v0_1()
     };
-    if let Some(config) = id.config() {
-        design.axes = match id.condition() {
-            Condition::Single(axis) => vec![axis],
-            _ if id.level().is_named() => Axis::ALL.to_vec(),
-            _ => Axis::METRIC.to_vec(),
-        };
-        design.levels = vec![id.level()];
-        design.configs = vec![config];
-        design.nominal = Nominal::None;
-    }
-    let rows = design
-        .expand()
-        .map_err(|error| problem(error.to_string()))?;
-    let row = rows.into_iter().find(|row| row.id == id);
-    row.ok_or_else(|| problem("the protocol has no such configuration".to_owned()))
+    design.check().map_err(|error| problem(error.to_string()))?;
+    Ok(design.perturbed_row(id.task(), id.condition(), id.level(), config))
 }

@@ -21,10 +21,12 @@ pub fn policy_seed(id: &RolloutId, replicate: u32) -> u64 {
 
 /// Seed of an axis in the `reference` realisation: `default_rng(seed)` draws
 /// the parts that are fixed for the rollout, `default_rng(seed + 1)` the noise
-/// of each step. In a combination, part k of the metric axes adds 1000·k.
+/// of each step. With several axes, part k of the metric axes adds 1000·k.
 pub fn reference_seed(id: &RolloutId, axis: Axis) -> u64 {
     let part = match id.condition() {
-        Condition::Combination => Axis::METRIC.iter().position(|&other| other == axis),
+        Condition::Subset(_) | Condition::Combination => {
+            Axis::METRIC.iter().position(|&other| other == axis)
+        }
         Condition::Clean | Condition::Single(_) => None,
     };
     u64::from(rollout_seed(id)) + 1000 * part.unwrap_or(0) as u64

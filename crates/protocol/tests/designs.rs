@@ -41,7 +41,7 @@ prop_compose! {
         seed in any::<u64>(),
     ) -> Design {
         let (levels, configs) = (levels.into_iter().collect(), configs.into_iter().collect());
-        Design { tasks, axes, levels, configs, nominal, seed }
+        Design { tasks, axes, subsets: Vec::new(), levels, configs, nominal, seed }
     }
 }
 
@@ -51,6 +51,7 @@ fn single(axis: Axis, level: Level, config: u16, seed: u64) -> ManifestRow {
         axes: vec![axis],
         levels: vec![level],
         configs: vec![config],
+        subsets: Vec::new(),
         nominal: Nominal::None,
         seed,
     };
@@ -193,6 +194,7 @@ fn more_configurations_pair_with_all_initial_states_before_one_repeats() {
         axes: vec![Axis::Camera],
         levels: vec![Level::L1],
         configs: (0..60).collect(),
+        subsets: Vec::new(),
         nominal: Nominal::All,
         seed: 0,
     };
@@ -214,6 +216,7 @@ fn a_configuration_beyond_the_variants_speaks_one_of_them_again() {
         axes: vec![Axis::Camera, Axis::Language],
         levels: vec![Level::L2],
         configs: vec![4, 14],
+        subsets: Vec::new(),
         nominal: Nominal::None,
         seed: 0,
     };

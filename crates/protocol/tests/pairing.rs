@@ -13,6 +13,7 @@ fn design(axes: Vec<Axis>, task: TaskRef, level: Level, config: u16) -> Design {
         tasks: vec![task],
         levels: vec![level],
         configs: vec![config],
+        subsets: Vec::new(),
         nominal: Nominal::Eval,
         seed: 7,
     }

@@ -184,9 +184,13 @@ prop_compose! {
         config in prop_oneof![0..10_u16, 0..MAX_CONFIGS],
         seed in any::<u64>(),
     ) -> Design {
+        // A pair of three axes or more.
+        let pair = axes[..2].iter().copied().collect();
+        let subsets = if axes.len() > 2 { vec![pair] } else { Vec::new() };
         Design {
             tasks: vec![task],
             axes,
+            subsets,
             levels: vec![level],
             configs: vec![config],
             nominal: Nominal::None,
@@ -195,7 +199,7 @@ prop_compose! {
     }
 }
 
-/// Calls `compare` with every axis, alone and in the combination.
+/// Calls `compare` with every axis, alone or in a pair, and in the combination.
 fn each_axis(
     design: &Design,
     mode: Realisation,
@@ -206,7 +210,7 @@ fn each_axis(
     assert_eq!(combined.id.condition(), Condition::Combination);
     let combined = realise(combined, mode);
     for row in alone {
-        if let Condition::Single(axis) = row.id.condition() {
+        for axis in row.id.condition().axes(design.axis_set()).axes() {
             compare(axis, realise(row, mode), &combined);
         }
     }
@@ -228,7 +232,7 @@ proptest! {
             assert_eq!(alone.kept.of(axis), combined.kept.of(axis), "{axis}");
             compared += 1;
         });
-        prop_assert_eq!(compared, design.axes.len());
+        prop_assert_eq!(compared, design.axes.len() + 2 * design.subsets.len());
     }
 
     /// What `matched` is there for: the streams of the reference differ between
@@ -243,6 +247,7 @@ proptest! {
             axes: Axis::METRIC.to_vec(),
             levels: vec![Level::L3],
             configs: vec![config],
+            subsets: Vec::new(),
             nominal: Nominal::None,
             seed: 0,
         };

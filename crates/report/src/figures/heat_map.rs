@@ -86,7 +86,7 @@ pub fn heat_map(document: &Document, level: Level) -> Option<Figure> {
 /// The results under a condition; none where the campaign has it not.
 fn count(cell: &Cell, condition: Condition) -> Option<Count> {
     match condition {
-        Condition::Clean => None,
+        Condition::Clean | Condition::Subset(_) => None,
         Condition::Single(axis) => cell.alone.get(&axis).map(|alone| alone.count),
         Condition::Combination => cell.simultaneous,
     }

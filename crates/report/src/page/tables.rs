@@ -213,6 +213,29 @@ pub(super) fn single_axes(document: &Document) -> Markup {
     }
 }
 
+/// Success under several axes but not all, where a campaign has that.
+pub(super) fn subsets(document: &Document) -> Markup {
+    let of_cell = |Row { policy, cell }: Row| {
+        let subsets = cell.subsets.iter();
+        let subsets = subsets.map(|(axes, count)| {
+            vec![
+                plain(policy),
+                plain(cell.level),
+                plain(axes),
+                or_dash(count.rate().map(percent)),
+                plain(format!("{}/{}", count.successes, count.n)),
+            ]
+        });
+        subsets.collect::<Vec<_>>()
+    };
+    let heads = ["policy", "level", "axes.", "success %", "counts"];
+    table(
+        "Several axes",
+        &heads,
+        rows(document).flat_map(of_cell).collect(),
+    )
+}
+
 fn success(cell: &Cell, condition: Condition, count: Option<Count>, loss: Option<f64>) -> Markup {
     let Gap {
         missing,
