@@ -29,5 +29,6 @@ mod reports;
 mod schema;
 mod seeds;
 mod standing;
+mod subsets;
 mod together;
 mod upgrade;

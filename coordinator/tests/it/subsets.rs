@@ -1,0 +1,86 @@
+//! Conditions of several axes, from the command line to table and page.
+
+use proto::coordinator::commit_response::Verdict;
+
+use crate::harness::rollout_id;
+use crate::page::ask;
+use crate::process::{Serve, text};
+
+const CREATE: [&str; 16] = [
+    "campaign",
+    "create",
+    "--name",
+    "pairs",
+    "--policy",
+    "p",
+    "--endpoint",
+    "http://127.0.0.1:50051",
+    "--tasks",
+    "libero_object",
+    "--levels",
+    "L1",
+    "--configs",
+    "0",
+    "--axes",
+    "camera,robot,sensor",
+];
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_pair_that_fails_where_its_axes_alone_succeed_is_seen() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    let created = serve.command(&[&CREATE[..], &["--subsets", "pairs"]].concat());
+    let said = text(&created.stdout);
+    assert!(said.contains("80 rollouts"), "{said}");
+
+    let mut worker = serve.worker("w").await;
+    loop {
+        let leases = worker.claim(16).await;
+        if leases.is_empty() {
+            break;
+        }
+        for lease in leases {
+            let id = rollout_id(&lease);
+            let fails = id.contains("camera+robot") || id.contains("combination");
+            assert_eq!(worker.commit(&lease, !fails).await, Verdict::Accepted);
+        }
+    }
+
+    let report = serve.command(&["report", "pairs"]);
+    let table = text(&report.stdout);
+    let words = table.split_whitespace().collect::<Vec<_>>().join(" ");
+    for line in [
+        "camera+robot 0.0 (0/10)",
+        "camera+sensor 100.0 (10/10)",
+        "robot+sensor 100.0 (10/10)",
+        "b emergent 10",
+    ] {
+        assert!(words.contains(line), "{line}: {table}");
+    }
+    let rows = ask(&serve.url, "GET /campaigns/pairs").await.text();
+    assert!(rows.contains("camera+robot"), "{rows}");
+    let configuration = "GET /campaigns/pairs/configurations/object/t0/combination/L1/c00";
+    let cards = ask(&serve.url, configuration).await.text();
+    assert!(cards.contains("camera+robot"), "{cards}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_set_that_is_no_condition_of_its_own_is_refused() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    for (sets, words) in [
+        (
+            "camera",
+            "valid are sets of two axes or more of camera+robot+sensor",
+        ),
+        ("camera+robot+sensor", "but not all of them"),
+        ("camera+lighting", "`subsets` has camera+lighting"),
+        ("camera+camera", "each once, such as camera+robot"),
+        ("camera+robto", "read axis `robto`"),
+    ] {
+        let refused = serve.command(&[&CREATE[..], &["--subsets", sets]].concat());
+        assert_eq!(refused.status.code(), Some(2), "{sets}");
+        let error = text(&refused.stderr);
+        assert!(error.contains(words), "{sets}: {error}");
+    }
+}
