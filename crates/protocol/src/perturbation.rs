@@ -243,7 +243,9 @@ pub enum PerturbError {
         condition: Condition,
     },
     /// Parameters of other axes than the condition's.
-    #[error("read `perturb` of condition {condition}: it has parameters of {given}")]
+    #[error(
+        "read `perturb` of condition {condition}: it has parameters of {given}, give those of its own axes"
+    )]
     OtherAxes {
         /// The row's condition.
         condition: Condition,

@@ -2,8 +2,8 @@
 
 use protocol::manifest::{LineProblem, ManifestErrors};
 use protocol::{
-    Condition, DesignError, Level, NoSuchRow, PerturbError, RolloutId, RowError, SpecError,
-    UnknownName,
+    AxisSet, Condition, DesignError, Level, NoSuchRow, PerturbError, RolloutId, RowError,
+    SpecError, UnknownName,
 };
 use transport::{
     AccessError, CertificateFault, EndpointError, Found, SecurityError, ServerKind, Settings,
@@ -58,6 +58,7 @@ fn tokens_and_certificates(messages: &mut Messages) {
 
 fn protocol(messages: &mut Messages) {
     let id = || -> RolloutId { "object/t0/clean/i03".parse().expect("an id") };
+    let pair = || "camera+robot".parse::<AxisSet>().expect("a pair");
     let no_design = || DesignError::TooLarge { rows: 1_000_000 };
     messages.add(
         "UnknownName",
@@ -84,6 +85,7 @@ fn protocol(messages: &mut Messages) {
         DesignError::Empty { .. } => DesignError::Empty {
             field: "tasks", remedy: "name at least one",
         },
+        DesignError::Subset { .. } => DesignError::Subset { given: AxisSet::ALL, axes: pair() },
         DesignError::OutOfRange { .. } => DesignError::OutOfRange {
             field: "configs", given: 1_000, valid: "0 to 999".to_owned(),
         },
@@ -121,6 +123,9 @@ fn protocol(messages: &mut Messages) {
     );
     variants!(messages, PerturbError,
         PerturbError::NotEmpty { .. } => PerturbError::NotEmpty { condition: Condition::Clean },
+        PerturbError::OtherAxes { .. } => PerturbError::OtherAxes {
+            condition: Condition::of(pair()), given: AxisSet::ALL,
+        },
         PerturbError::Parameters { .. } => PerturbError::Parameters {
             condition: Condition::Combination, problem: "the field `x` is not there".to_owned(),
         },
