@@ -432,11 +432,11 @@ fn realised(row: &Value) -> Vec<wire::RealisedAxis> {
     let names = ["camera", "lighting", "robot", "sensor", "actuation"];
     match row["axis"].as_str().expect("a condition") {
         "clean" | "language" => Vec::new(),
-        "combination" => names
+        name if names.contains(&name) => vec![axis(name, parameters)],
+        _ => names
             .iter()
             .filter_map(|name| Some(axis(name, parameters.get(name)?)))
             .collect(),
-        name => vec![axis(name, parameters)],
     }
 }
 

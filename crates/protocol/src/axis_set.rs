@@ -4,7 +4,7 @@ use std::fmt;
 use std::str::FromStr;
 use std::sync::LazyLock;
 
-use crate::condition::Axis;
+use crate::axis::Axis;
 use crate::names::{UnknownName, serde_as_text};
 
 /// A set of axes, written in the protocol's order: `camera+robot`. The empty set

@@ -4,8 +4,9 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::axis::Axis;
 use crate::axis_set::AxisSet;
-use crate::condition::{Axis, Realisation};
+use crate::condition::Realisation;
 use crate::design::{Design, DesignError, DesignVersion, Nominal, select_tasks};
 use crate::level::Level;
 use crate::manifest::{self, ManifestErrors};

@@ -3,8 +3,9 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::axis::Axis;
 use crate::axis_set::AxisSet;
-use crate::condition::{Axis, Condition};
+use crate::condition::Condition;
 use crate::directions::MAX_CONFIGS;
 use crate::level::Level;
 use crate::manifest;

@@ -2,7 +2,7 @@
 //! initial states, drawn from the seed of a design. Configurations 0 to 9 are
 //! the protocol's in every design.
 
-use crate::condition::Axis;
+use crate::axis::Axis;
 use crate::presets::{PRESETS, half_space, preset_direction, unit};
 use crate::streams::{MatchedRng, MatchedStream};
 use crate::suite::{INIT_STATES_PER_TASK, TaskRef};

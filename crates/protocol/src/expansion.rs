@@ -3,8 +3,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use crate::axis::Axis;
 use crate::campaign::{CampaignSpec, Rollouts, SpecError};
-use crate::condition::{Axis, Condition};
+use crate::condition::Condition;
 use crate::design::{Design, DesignError, Nominal};
 use crate::directions::{direction, init_id};
 use crate::level::Level;

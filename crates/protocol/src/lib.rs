@@ -12,6 +12,7 @@ pub mod presets;
 pub mod seeds;
 pub mod streams;
 
+mod axis;
 mod axis_set;
 mod campaign;
 mod condition;
@@ -31,9 +32,10 @@ mod tasks;
 mod wanted;
 mod wording;
 
+pub use axis::Axis;
 pub use axis_set::AxisSet;
 pub use campaign::{CampaignSpec, MAX_REPLICATES, PolicyRoute, Record, Rollouts, SpecError};
-pub use condition::{Axis, Condition, Realisation};
+pub use condition::{Condition, Realisation};
 pub use design::{Design, DesignError, DesignVersion, Nominal, select_tasks};
 pub use directions::MAX_CONFIGS;
 pub use level::Level;

@@ -10,7 +10,7 @@ use std::fmt::{self, Write};
 
 use serde_json::Value;
 
-use crate::condition::Axis;
+use crate::axis::Axis;
 use crate::level::Level;
 use crate::presets::unit;
 use crate::rollout_id::RolloutId;

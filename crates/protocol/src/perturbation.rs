@@ -6,8 +6,9 @@
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
+use crate::axis::Axis;
 use crate::axis_set::AxisSet;
-use crate::condition::{Axis, Condition};
+use crate::condition::Condition;
 use crate::wording::JsonError;
 
 /// Declares the parameters of one axis: a struct whose serialised names are the

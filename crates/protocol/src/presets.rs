@@ -10,7 +10,7 @@ use std::sync::LazyLock;
 
 use serde::Deserialize;
 
-use crate::condition::Axis;
+use crate::axis::Axis;
 use crate::level::Level;
 use crate::perturbation::{
     ActuationDistortion, CameraShift, LightingShift, Perturbation, RobotShift, SensorCorruption,

@@ -142,7 +142,7 @@ fn unknown(given: &str) -> UnknownName {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::condition::Axis;
+    use crate::axis::Axis;
 
     fn check(text: &str, canonical: &str) {
         let id: RolloutId = text.parse().expect("an id");

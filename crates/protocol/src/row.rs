@@ -215,7 +215,7 @@ fn agree<T: PartialEq + ToString>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::condition::Axis;
+    use crate::axis::Axis;
     use crate::presets::apply_preset;
     use serde_json::json;
 

@@ -1,7 +1,7 @@
 //! From a rollout's id to its manifest row.
 
+use crate::axis::Axis;
 use crate::axis_set::AxisSet;
-use crate::condition::Axis;
 use crate::design::{Design, Nominal};
 use crate::expansion::clean_row;
 use crate::rollout_id::RolloutId;

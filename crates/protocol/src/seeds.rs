@@ -1,7 +1,8 @@
 //! The seeds that follow from a rollout's id. Section 5 of the protocol; the
 //! matched realisation does not use them, see `streams`.
 
-use crate::condition::{Axis, Condition};
+use crate::axis::Axis;
+use crate::condition::Condition;
 use crate::rollout_id::RolloutId;
 
 /// CRC-32 (zlib) of the id's UTF-8 bytes.

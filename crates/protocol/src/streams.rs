@@ -13,7 +13,8 @@ use rand_chacha::ChaCha12Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use sha2::{Digest, Sha256};
 
-use crate::condition::{Axis, Realisation};
+use crate::axis::Axis;
+use crate::condition::Realisation;
 use crate::level::Level;
 use crate::numpy::{standard_normal, unit_from_bits};
 use crate::rollout_id::RolloutId;
