@@ -138,7 +138,7 @@ fn print_coverage(replayed: &[[Replayed; 3]; 3]) {
     let measures = Measure::OF_ONE_POLICY.map(Measure::name).join(", ");
     println!("OpenVLA-OFT's 400 configurations per level, in random orders");
     println!("\n{measures}: all intervals hold at all looks");
-    println!("{:<18}{:>16}{:>18}{:>18}", "", "L1", "L2", "L3");
+    println!("{:<16}{:>20}{:>20}{:>20}", "", "L1", "L2", "L3");
     for ((name, ..), levels) in DESIGNS.iter().zip(replayed) {
         let coverage = levels.each_ref().map(|level| {
             let Replayed { orders, held, .. } = *level;
@@ -146,7 +146,7 @@ fn print_coverage(replayed: &[[Replayed; 3]; 3]) {
             format!("{held}/{orders} {share:>6} %")
         });
         let [l1, l2, l3] = coverage;
-        println!("{name:<16}{l1:>18}{l2:>18}{l3:>18}");
+        println!("{name:<16}{l1:>20}{l2:>20}{l3:>20}");
     }
 }
 

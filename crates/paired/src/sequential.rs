@@ -34,6 +34,13 @@
 //!
 //! The five measures share α = 5 % equally (Bonferroni).
 //!
+//! # Which strata
+//! Strata must be chosen before anything is known of the outcomes. The fewer they
+//! are, the less the minimum over their totals costs, and the shorter the rounds
+//! are. So strata of suites give narrower intervals than strata of tasks unless
+//! tasks of a suite differ very much, and keep the sample balanced over suites.
+//! `cargo run --release -p paired --example sequential` compares them.
+//!
 //! # Sources
 //! I. Waudby-Smith and A. Ramdas, Confidence sequences for sampling without
 //! replacement, NeurIPS 2020 (conditional expectations, running intersection);

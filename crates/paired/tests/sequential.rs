@@ -270,6 +270,28 @@ proptest! {
 }
 
 #[test]
+fn the_five_measures_share_alpha_equally() {
+    let population = Population::published(Level::L1);
+    let order = population.order(2, Design::Tasks);
+    let mut measures = SequentialMeasures::new(&order, 0.5);
+    // A difference of +1 where simultaneity compensates, −1 where failures emerge.
+    let mut of_i = SequentialDifference::new(&order, 0.5 / 5.0);
+    for unit in order.units() {
+        let transition = population.transition(unit);
+        measures
+            .complete(unit, &[transition])
+            .expect("in the order");
+        let a = Outcome::from(transition == Transition::Compensated);
+        let b = Outcome::from(transition == Transition::Emergent);
+        of_i.complete(unit, a, b).expect("in the order");
+        assert_eq!(
+            measures.look().intervals[&Measure::I],
+            of_i.look().intervals[&Measure::Difference]
+        );
+    }
+}
+
+#[test]
 fn a_rollout_without_an_outcome_of_both_policies_is_a_gap() {
     let order = small_order(1);
     let units: Vec<Small> = order.units().copied().collect();
@@ -321,7 +343,7 @@ fn a_configuration_counts_once_and_only_if_it_is_in_the_order() {
 fn what_is_in_quarantine_leaves_every_value_that_it_could_have_led_to() {
     let order = small_order(4);
     for quarantined in order.units() {
-        let mut sequential = SequentialMeasures::new(&order, 0.5);
+        let mut sequential = SequentialMeasures::new(&order, ALPHA);
         let mut known: Vec<Transition> = Vec::new();
         for unit in order.units() {
             let transition = [Transition::ALL[(unit.0 + unit.1) % 4]];
