@@ -155,7 +155,9 @@ impl DifferenceBounds {
     pub fn of(pairs: &[Pair]) -> Option<Self> {
         let (mut n, mut affected, mut lowest, mut highest) = (0_u64, 0_u64, 0_i64, 0_i64);
         for Pair { a, b, .. } in pairs {
-            let (Some([a_low, a_high]), Some([b_low, b_high])) = (fates(*a), fates(*b)) else {
+            let (Some([a_low, a_high]), Some([b_low, b_high])) =
+                (a.possible_successes(), b.possible_successes())
+            else {
                 continue;
             };
             n += 1;
@@ -168,17 +170,6 @@ impl DifferenceBounds {
             affected,
             difference: [lowest, highest].map(|sum| sum as f64 / n as f64),
         })
-    }
-}
-
-/// Fewest and most successes that a rollout can turn out to be; none while it
-/// is missing.
-fn fates(outcome: Outcome) -> Option<[i64; 2]> {
-    match outcome {
-        Outcome::Missing => None,
-        Outcome::Quarantined => Some([0, 1]),
-        Outcome::Success => Some([1, 1]),
-        Outcome::Failure => Some([0, 0]),
     }
 }
 

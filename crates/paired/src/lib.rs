@@ -1,7 +1,8 @@
 //! Matched-outcome statistics: what happened to the same configurations under
 //! each axis alone and under all of them at once, how often simultaneous
 //! perturbation changed an outcome, in which direction, and how sure that is;
-//! and how two policies differ over the same rollouts.
+//! and how two policies differ over the same rollouts. Intervals for a campaign
+//! that may end early are in the file `sequential`.
 //!
 //! Pure: records go in, a [`Report`] comes out, the same for the same records
 //! in any order. The caller knows where records come from, and passes warnings about
@@ -25,6 +26,7 @@ mod measures;
 mod outcomes;
 mod replication;
 mod report;
+mod sequential;
 mod table;
 mod text;
 
@@ -44,6 +46,10 @@ pub use outcomes::{DuplicateRecord, Matched, Outcome, Record, Records, Transitio
 pub use replication::{Change, Flips, Replication};
 pub use report::{
     Cell, Completeness, Gap, Nominal, NominalSource, Options, Report, SingleAxis, report, report_of,
+};
+pub use sequential::{
+    Clause, Drawn, Look, Measure, NotInOrder, Order, RateInterval, SequentialDifference,
+    SequentialMeasures, StopRule,
 };
 pub use table::table;
 pub use text::push_wrapped;

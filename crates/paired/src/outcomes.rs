@@ -31,6 +31,17 @@ impl Outcome {
             Self::Missing | Self::Quarantined => None,
         }
     }
+
+    /// Fewest and most successes that a rollout can turn out to be; none while it
+    /// is missing.
+    pub(crate) const fn possible_successes(self) -> Option<[i64; 2]> {
+        match self {
+            Self::Missing => None,
+            Self::Quarantined => Some([0, 1]),
+            Self::Success => Some([1, 1]),
+            Self::Failure => Some([0, 0]),
+        }
+    }
 }
 
 impl From<bool> for Outcome {
@@ -108,6 +119,14 @@ pub enum Transition {
 }
 
 impl Transition {
+    /// All.
+    pub const ALL: [Self; 4] = [
+        Self::StillSucceeds,
+        Self::StillFails,
+        Self::Emergent,
+        Self::Compensated,
+    ];
+
     /// The transition from the conjunction of the axes' successes to the
     /// success of the simultaneous rollout.
     pub const fn between(conjunction: bool, simultaneous: bool) -> Self {
@@ -150,6 +169,26 @@ impl Matched {
         let configuration = self.configuration()?;
         let conjunction = configuration.conjunction();
         Some(Transition::between(conjunction, configuration.simultaneous))
+    }
+
+    /// Every transition over the outcomes that quarantined rollouts could have
+    /// had; none while a rollout is missing. One where nothing is in quarantine.
+    pub fn possible_transitions(&self) -> Option<Vec<Transition>> {
+        let mut conjunction = [1, 1];
+        for outcome in self.alone.values() {
+            let [fewest, most] = outcome.possible_successes()?;
+            conjunction = [conjunction[0] * fewest, conjunction[1] * most];
+        }
+        let simultaneous = self.simultaneous.possible_successes()?;
+        let is_possible =
+            |success: bool, [fewest, most]: [i64; 2]| (fewest..=most).contains(&i64::from(success));
+        let mut possible = Vec::new();
+        for (alone, together) in [(true, true), (false, false), (true, false), (false, true)] {
+            if is_possible(alone, conjunction) && is_possible(together, simultaneous) {
+                possible.push(Transition::between(alone, together));
+            }
+        }
+        Some(possible)
     }
 
     /// The outcome under one of the campaign's conditions.

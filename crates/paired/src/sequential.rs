@@ -1,0 +1,68 @@
+//! Confidence sequences: intervals for a campaign that one looks at while it
+//! runs, and that one may end as soon as they are narrow enough.
+//!
+//! # What is estimated
+//! The configurations of one level are a finite population of N units in strata
+//! (tasks). Units are drawn without replacement, one of every stratum in each
+//! round ([`Order`]). An interval is about the value over *all* N units, drawn or
+//! not, so that it is a point once all are seen.
+//!
+//! # What holds
+//! With probability 95 % over the order that was drawn, *every* interval of a
+//! [`SequentialMeasures`] holds at *every* look. So one may look as often as one
+//! likes, stop for any reason, and read any of the five intervals. Intervals of
+//! a fixed sample size, such as a bootstrap's, do not allow that.
+//!
+//! # Why
+//! Let stratum k have m_k units, of which r_k remain, with values x and the
+//! total T_k. A unit that is drawn next has the expectation
+//! p_k(T_k) = (T_k − what was seen of stratum k) / r_k. For numbers s (a bet) and
+//! c (a centre) that depend on the past alone, the factor
+//! (1 + s·(x − c)) / (1 + s·(p_k(T_k) − c)) has the expectation 1. The product
+//! of the factors of all draws, M(T_1, …, T_K), is therefore a nonnegative
+//! martingale, and so is its average over several sizes of bets.
+//!
+//! The totals of the strata are not known, and of no interest. A candidate θ for
+//! the population's total is as well supported as the best totals of strata
+//! that add up to it: E(θ) = min {M(T_1, …, T_K): Σ T_k = θ}. At the true total,
+//! E is at most the martingale at the true totals of strata. By Ville's
+//! inequality it ever reaches 1/α with a probability of at most α, so that
+//! {θ: E(θ) < 1/α} holds the true total at all looks at once with a probability
+//! of at least 1 − α. For each bet, −log of the denominators is convex in each
+//! T_k, so that the minimum is found exactly, one unit of θ after the other
+//! (the file `e_process`).
+//!
+//! The five measures share α = 5 % equally (Bonferroni).
+//!
+//! # Which strata
+//! Strata must be chosen before anything is known of the outcomes. The fewer they
+//! are, the less the minimum over their totals costs, and the shorter the rounds
+//! are. So strata of suites give narrower intervals than strata of tasks unless
+//! tasks of a suite differ very much, and keep the sample balanced over suites.
+//! `cargo run --release -p paired --example sequential` compares them.
+//!
+//! # Sources
+//! I. Waudby-Smith and A. Ramdas, Confidence sequences for sampling without
+//! replacement, NeurIPS 2020 (conditional expectations, running intersection);
+//! the same, Estimating means of bounded random variables by betting, JRSS B 86
+//! (2024), 1–27 (bets); J. V. Spertus, M. Sridhar and P. B. Stark, Sequential
+//! stratified inference for the mean, arXiv 2409.06680 (strata's means as
+//! nuisance parameters, over which one minimises); J. Ville, Étude critique de
+//! la notion de collectif (1939).
+
+mod difference;
+mod e_process;
+mod look;
+mod measures;
+mod order;
+mod prefix;
+mod sequence;
+mod stop;
+mod together;
+
+pub use difference::SequentialDifference;
+pub use look::{Look, Measure, RateInterval};
+pub use measures::SequentialMeasures;
+pub use order::{Drawn, Order};
+pub use prefix::NotInOrder;
+pub use stop::{Clause, StopRule};

@@ -1,0 +1,78 @@
+//! From units that complete in any order to the drawn order without gaps.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use crate::sequential::order::{Drawn, Order};
+
+/// A unit that is not among those of the order.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("take the outcome of {unit}: it is not in the drawn order of {units} configurations")]
+pub struct NotInOrder {
+    /// What was given.
+    pub unit: String,
+    /// How many units the order has.
+    pub units: usize,
+}
+
+/// Values of units, used as far as the drawn order has no gap.
+#[derive(Clone, Debug)]
+pub(crate) struct Prefix<U, V> {
+    order: Vec<Drawn<U>>,
+    /// Where each unit stands in the order.
+    places: BTreeMap<U, usize>,
+    values: Vec<Option<V>>,
+    used: usize,
+    arrived: usize,
+}
+
+impl<U: Ord + Clone + fmt::Debug, V: Copy> Prefix<U, V> {
+    pub(crate) fn new(order: &Order<U>) -> Self {
+        let order: Vec<Drawn<U>> = order.rounds().iter().flatten().cloned().collect();
+        let places = order.iter().enumerate();
+        Self {
+            places: places.map(|(i, it)| (it.unit.clone(), i)).collect(),
+            values: vec![None; order.len()],
+            order,
+            used: 0,
+            arrived: 0,
+        }
+    }
+
+    /// Takes the value of a unit. The first value of a unit stays.
+    pub(crate) fn arrive(&mut self, unit: &U, value: V) -> Result<(), NotInOrder> {
+        let place = self.places.get(unit).ok_or_else(|| NotInOrder {
+            unit: format!("{unit:?}"),
+            units: self.order.len(),
+        })?;
+        let slot = &mut self.values[*place];
+        if slot.is_none() {
+            *slot = Some(value);
+            self.arrived += 1;
+        }
+        Ok(())
+    }
+
+    /// The stratum and value of the next unit of the drawn order, once it is
+    /// there.
+    pub(crate) fn next(&mut self) -> Option<(usize, V)> {
+        let value = (*self.values.get(self.used)?)?;
+        self.used += 1;
+        Some((self.order[self.used - 1].stratum, value))
+    }
+
+    /// Units that were used.
+    pub(crate) fn used(&self) -> usize {
+        self.used
+    }
+
+    /// Units that have arrived and wait for an earlier one.
+    pub(crate) fn waiting(&self) -> usize {
+        self.arrived - self.used
+    }
+
+    /// Units of the order.
+    pub(crate) fn units(&self) -> usize {
+        self.order.len()
+    }
+}

@@ -1,0 +1,307 @@
+//! When a campaign may end: `width(I) < 0.08 and S_sim excludes 0.5`.
+
+use std::fmt;
+use std::str::FromStr;
+
+use protocol::UnknownName;
+use serde::{Deserialize, Serialize};
+
+use crate::sequential::look::{Look, Measure};
+
+/// Between two clauses.
+const AND: &str = " and ";
+
+const VALID: &str = "width(M) < X with X above 0 and up to 2, M excludes X with X from -1 to 1, \
+                     or several of them with ` and ` between";
+
+/// A rule by which a campaign ends early: all its clauses hold at one look.
+///
+/// Confidence sequences hold at all looks, so that intervals stay valid
+/// whichever rule ends the campaign.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(into = "String", try_from = "String")]
+pub struct StopRule {
+    clauses: Vec<Clause>,
+}
+
+/// A condition on one interval.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Clause {
+    /// `width(M) < X`: the interval of M is narrower than X, a fraction.
+    Width(Measure, f64),
+    /// `M excludes X`: X is outside the interval of M.
+    Excludes(Measure, f64),
+}
+
+impl StopRule {
+    /// Whether all clauses hold. An interval that the look does not have meets
+    /// none: see [`Self::check`].
+    pub fn is_met(&self, look: &Look) -> bool {
+        self.clauses.iter().all(|clause| clause.is_met(look))
+    }
+
+    /// Checks that a campaign or comparison has every measure that the rule is
+    /// about. One that has not would never be ended by it.
+    ///
+    /// # Errors
+    /// The first measure that it has not.
+    pub fn check(&self, measures: &[Measure]) -> Result<(), UnknownName> {
+        let mut needed = self.clauses.iter().map(|clause| clause.measure());
+        match needed.find(|measure| !measures.contains(measure)) {
+            None => Ok(()),
+            Some(measure) => Err(UnknownName {
+                kind: "measure of a stop rule",
+                given: measure.to_string(),
+                valid: listed(measures),
+            }),
+        }
+    }
+
+    /// The clauses, as written.
+    pub fn clauses(&self) -> &[Clause] {
+        &self.clauses
+    }
+}
+
+impl Clause {
+    /// What it is about.
+    pub const fn measure(&self) -> Measure {
+        match *self {
+            Self::Width(measure, _) | Self::Excludes(measure, _) => measure,
+        }
+    }
+
+    /// Whether it holds at a look.
+    pub fn is_met(&self, look: &Look) -> bool {
+        let interval = look.intervals.get(&self.measure());
+        interval.is_some_and(|interval| match *self {
+            Self::Width(_, width) => interval.width() < width,
+            Self::Excludes(_, value) => interval.excludes(value),
+        })
+    }
+}
+
+impl fmt::Display for Clause {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Width(measure, width) => write!(f, "width({measure}) < {width}"),
+            Self::Excludes(measure, value) => write!(f, "{measure} excludes {value}"),
+        }
+    }
+}
+
+impl FromStr for Clause {
+    type Err = UnknownName;
+
+    /// Reads a clause; blanks may be left out where nothing runs together.
+    fn from_str(text: &str) -> Result<Self, UnknownName> {
+        let unknown = || unknown(text);
+        if let Some(width) = text.trim().strip_prefix("width(") {
+            let (measure, limit) = width.split_once(')').ok_or_else(unknown)?;
+            let limit = limit.trim().strip_prefix('<').and_then(number);
+            let limit = limit.filter(|&limit| limit > 0.0 && limit <= 2.0);
+            return Ok(Self::Width(
+                measure.trim().parse()?,
+                limit.ok_or_else(unknown)?,
+            ));
+        }
+        let (measure, value) = text.split_once(" excludes ").ok_or_else(unknown)?;
+        let value = number(value).filter(|value| (-1.0..=1.0).contains(value));
+        Ok(Self::Excludes(
+            measure.trim().parse()?,
+            value.ok_or_else(unknown)?,
+        ))
+    }
+}
+
+impl fmt::Display for StopRule {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let clauses: Vec<String> = self.clauses.iter().map(Clause::to_string).collect();
+        f.pad(&clauses.join(AND))
+    }
+}
+
+impl FromStr for StopRule {
+    type Err = UnknownName;
+
+    fn from_str(text: &str) -> Result<Self, UnknownName> {
+        let clauses: Result<_, _> = text.split(AND).map(str::parse).collect();
+        clauses.map(|clauses| Self { clauses })
+    }
+}
+
+impl From<StopRule> for String {
+    fn from(rule: StopRule) -> Self {
+        rule.to_string()
+    }
+}
+
+impl TryFrom<String> for StopRule {
+    type Error = UnknownName;
+
+    fn try_from(text: String) -> Result<Self, UnknownName> {
+        text.parse()
+    }
+}
+
+/// A finite number; never −0, which would be written so.
+fn number(text: &str) -> Option<f64> {
+    let number: f64 = text.trim().parse().ok()?;
+    number.is_finite().then_some(number + 0.0)
+}
+
+fn unknown(given: &str) -> UnknownName {
+    UnknownName {
+        kind: "stop rule",
+        given: given.to_owned(),
+        valid: format!("{VALID}; M is one of {}", listed(&Measure::ALL)),
+    }
+}
+
+fn listed(measures: &[Measure]) -> String {
+    let names: Vec<&str> = measures.iter().map(|it| it.name()).collect();
+    names.join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sequential::look::RateInterval;
+    use proptest::prelude::*;
+
+    fn rule(text: &str) -> StopRule {
+        text.parse().expect(text)
+    }
+
+    fn refusal(text: &str) -> String {
+        text.parse::<StopRule>().expect_err(text).to_string()
+    }
+
+    /// A look at intervals of 400 units.
+    fn look(intervals: &[(Measure, [i64; 2])]) -> Look {
+        let interval = |&(measure, [least, greatest]): &(Measure, [i64; 2])| {
+            let interval = RateInterval {
+                least,
+                greatest,
+                units: 400,
+            };
+            (measure, interval)
+        };
+        Look {
+            used: 200,
+            waiting: 0,
+            units: 400,
+            intervals: intervals.iter().map(interval).collect(),
+        }
+    }
+
+    fn clause() -> impl Strategy<Value = Clause> {
+        let measure = prop::sample::select(Measure::ALL.to_vec());
+        (measure, 1e-6..=1.0_f64, any::<bool>()).prop_map(|(measure, value, width)| match width {
+            true => Clause::Width(measure, 2.0 * value),
+            false => Clause::Excludes(measure, 2.0 * value - 1.0),
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn a_rule_reads_back_from_its_text_and_from_json(
+            clauses in proptest::collection::vec(clause(), 1..4),
+        ) {
+            let rule = StopRule { clauses };
+            prop_assert_eq!(rule.to_string().parse(), Ok(rule.clone()));
+            let json = serde_json::to_string(&rule).expect("JSON");
+            prop_assert_eq!(serde_json::from_str::<StopRule>(&json).expect("a rule"), rule);
+        }
+
+        #[test]
+        fn no_text_makes_the_parser_panic(text: String) {
+            let _ = text.parse::<StopRule>();
+        }
+    }
+
+    #[test]
+    fn a_rule_has_one_spelling() {
+        for text in [
+            "width(I) < 0.08 and S_sim excludes 0.5",
+            "width( I )<0.080 and  S_sim  excludes  5e-1",
+            " width(I)  < 8e-2 and S_sim excludes +0.5 ",
+        ] {
+            assert_eq!(
+                rule(text).to_string(),
+                "width(I) < 0.08 and S_sim excludes 0.5"
+            );
+        }
+        assert_eq!(rule("I excludes -0").to_string(), "I excludes 0");
+    }
+
+    #[test]
+    fn what_is_no_rule_is_refused_with_what_is_one() {
+        for text in [
+            "",
+            "I",
+            "width(I)",
+            "width I < 0.1",
+            "width(I) <= 0.1",
+            "width(I) < 0",
+            "width(I) < -0.1",
+            "width(I) < 3",
+            "width(I) < nan",
+            "width(I) < 0.1 and",
+            "width(I) < 0.1 or I excludes 0",
+            "I excludes",
+            "I excludes inf",
+            "I excludes 1.5",
+        ] {
+            assert!(refusal(text).contains("valid are width(M) < X"), "{text}");
+        }
+        assert!(refusal("width(I) < 0.1 and and I excludes 0").contains("`and I`"));
+        assert_eq!(
+            refusal("width(S_conj) < 0.1"),
+            "read measure `S_conj`: valid are S_sim, R_e, R_c, R_d, I, difference"
+        );
+    }
+
+    #[test]
+    fn a_width_is_compared_without_rounding() {
+        // 32 of 400 is 0.08: 0.12 − 0.04 in floating point is less.
+        let look = |greatest| look(&[(Measure::I, [16, greatest])]);
+        assert!(!rule("width(I) < 0.08").is_met(&look(48)));
+        assert!(rule("width(I) < 0.08").is_met(&look(47)));
+    }
+
+    #[test]
+    fn the_ends_of_an_interval_are_not_excluded() {
+        let look = look(&[(Measure::I, [0, 40])]);
+        for (value, excluded) in [
+            ("0", false),
+            ("0.1", false),
+            ("-0.001", true),
+            ("0.101", true),
+        ] {
+            let rule = rule(&format!("I excludes {value}"));
+            assert_eq!(rule.is_met(&look), excluded, "{value}");
+        }
+    }
+
+    #[test]
+    fn all_clauses_must_hold() {
+        let rule = rule("I excludes 0 and width(S_sim) < 0.1");
+        let look = |i, s_sim| look(&[(Measure::I, i), (Measure::SSim, s_sim)]);
+        assert!(rule.is_met(&look([1, 90], [0, 39])));
+        assert!(!rule.is_met(&look([0, 90], [0, 39])));
+        assert!(!rule.is_met(&look([1, 90], [0, 40])));
+    }
+
+    #[test]
+    fn a_rule_about_a_measure_that_a_campaign_has_not_is_refused() {
+        let rule = rule("width(difference) < 0.1");
+        assert_eq!(rule.check(&[Measure::Difference]), Ok(()));
+        let error = rule.check(&Measure::OF_ONE_POLICY).expect_err("one policy");
+        assert_eq!(
+            error.to_string(),
+            "read measure of a stop rule `difference`: valid are S_sim, R_e, R_c, R_d, I"
+        );
+        assert!(!rule.is_met(&look(&[(Measure::I, [0, 0])])));
+    }
+}
