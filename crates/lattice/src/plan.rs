@@ -231,6 +231,26 @@ mod tests {
     }
 
     #[test]
+    fn what_is_under_way_is_finished_before_later_transitions_are_begun() {
+        for seed in 0..10 {
+            let sample = sample(60, seed);
+            let mut all = transitions(1);
+            let (name, batch) = plan(&all, &sample).remove(0);
+            let name = *name;
+            for Request { set, .. } in batch {
+                let known = all.get_mut(&name).expect("it was passed");
+                known.record(set, outcome(set)).expect("a subset");
+            }
+            for (later, known) in transitions(30) {
+                all.entry(later).or_insert(known);
+            }
+            let planned = plan(&all, &sample);
+            assert_eq!(planned.len(), 1, "45 rollouts are left, and 41 reserved");
+            assert_eq!(planned[0].0, &name, "seed {seed}");
+        }
+    }
+
+    #[test]
     fn another_seed_picks_other_configurations() {
         let picked = |seed| {
             let mut all = transitions(30);
