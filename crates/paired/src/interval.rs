@@ -73,6 +73,21 @@ pub(crate) fn intervals<const N: usize>(
     (shown.map(Result::ok), why)
 }
 
+/// Intervals of as many statistics as one likes, each of them or why it is
+/// withheld: `statistics` writes the values for tasks drawn so often, as for
+/// [`Bootstrap::intervals_of_many`].
+pub fn intervals_of_many(
+    bootstrap: &Bootstrap,
+    tasks: usize,
+    count: usize,
+    statistics: impl Fn(&[u32], &mut [f64]) + Sync,
+) -> Vec<Result<Interval, NoInterval>> {
+    let made = (tasks >= MIN_TASKS).then(|| bootstrap.intervals_of_many(tasks, count, statistics));
+    let made = made.flatten();
+    let each = (0..count).map(|i| made.as_ref().map(|all| all[i]));
+    each.map(|interval| shown(tasks, interval)).collect()
+}
+
 /// An interval if it may be shown.
 pub(crate) fn shown(tasks: usize, interval: Option<Interval>) -> Result<Interval, NoInterval> {
     if tasks < MIN_TASKS {
@@ -107,6 +122,31 @@ mod tests {
         let [low, high] = interval.expect("ten tasks");
         assert!(low < 4.5 && 4.5 < high, "{low} {high}");
         assert_eq!(why, None);
+    }
+
+    #[test]
+    fn each_of_many_has_the_interval_and_the_reason_that_it_has_alone() {
+        let columns: [Vec<f64>; 2] = [(0..12).map(f64::from).collect(), vec![1.0; 12]];
+        for tasks in [9, 12] {
+            let mean = |draws: &[u32], column: &[f64]| {
+                let sum: f64 = draws
+                    .iter()
+                    .zip(column)
+                    .map(|(&d, v)| f64::from(d) * v)
+                    .sum();
+                sum / tasks as f64
+            };
+            let many = intervals_of_many(&Bootstrap::default(), tasks, 2, |draws, values| {
+                for (value, column) in values.iter_mut().zip(&columns) {
+                    *value = mean(draws, column);
+                }
+            });
+            for (column, found) in columns.iter().zip(many) {
+                let (interval, why) = of(&column[..tasks]);
+                assert_eq!(found.ok(), interval);
+                assert_eq!(found.err(), why);
+            }
+        }
     }
 
     #[test]

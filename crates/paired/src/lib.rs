@@ -38,7 +38,7 @@ pub use count::Count;
 pub use design::{PairedDesign, minimum_detectable_effect, task_correlation};
 pub use difference::{Difference, DifferenceBounds, Pair};
 pub use gate::{GATE_ROLLOUTS, GATE_TOLERANCE, Gate, GateVerdict};
-pub use interval::{MIN_TASKS, NoInterval};
+pub use interval::{MIN_TASKS, NoInterval, intervals_of_many};
 pub use legend::legend;
 pub use mcnemar::mcnemar_exact;
 pub use measures::{Configuration, Measures};

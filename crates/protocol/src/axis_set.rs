@@ -46,6 +46,11 @@ impl AxisSet {
         self.0 & of.0 == self.0
     }
 
+    /// Whether it is a subset of another set, and not that set itself.
+    pub const fn is_proper_subset(self, of: Self) -> bool {
+        self.is_subset(of) && self.0 != of.0
+    }
+
     /// Axes of either.
     pub const fn union(self, other: Self) -> Self {
         Self(self.0 | other.0)
@@ -155,6 +160,7 @@ mod tests {
             assert_eq!(set.to_string().parse(), Ok(set));
             assert_eq!(set.axes().collect::<AxisSet>(), set);
             assert!(sets[..i].iter().all(|earlier| !set.is_subset(*earlier)));
+            assert!(set.is_subset(set) && !set.is_proper_subset(set));
         }
         let names: Vec<String> = sets[7..10].iter().map(AxisSet::to_string).collect();
         assert_eq!(
