@@ -8,6 +8,7 @@ mod command;
 mod compare;
 mod completions;
 mod create;
+mod explain;
 mod export;
 mod files;
 mod forecast;
@@ -64,6 +65,9 @@ enum Command {
     /// Compare two policies over the rollouts that both have: campaigns, or
     /// result files.
     Compare(compare::CompareArguments),
+    /// Find out which axes it takes to change an outcome: the minimal subsets behind
+    /// emergent failures and compensated successes.
+    Explain(explain::ExplainArguments),
     /// Write the committed results of a campaign.
     Export(export::ExportArguments),
     /// Print a script that completes this program's commands in a shell.
@@ -127,6 +131,7 @@ async fn execute(command: Command) -> Result<(), CommandError> {
         Command::Manifest(command) => manifest::manifest(command),
         Command::Report(arguments) => report::report(arguments).await,
         Command::Compare(arguments) => compare::compare(arguments).await,
+        Command::Explain(arguments) => explain::explain(arguments).await,
         Command::Export(arguments) => export::export(arguments).await,
         Command::Completions(arguments) => {
             completions::completions(arguments, Arguments::command())

@@ -24,7 +24,7 @@ import numpy as np
 
 SIDE = 256
 #: Timed resets; the first of an environment is not timed.
-RESETS = 3
+RESETS = 11
 #: Steps that are not timed.
 WARM_UP = 3
 

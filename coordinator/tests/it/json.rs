@@ -11,7 +11,7 @@ use crate::process::{CREATE, Serve, text};
 
 /// The keys of one command in the document: those that its table's rows begin
 /// with.
-fn documented(command: &str) -> BTreeSet<String> {
+pub(crate) fn documented(command: &str) -> BTreeSet<String> {
     let page = include_str!("../../../docs/JSON.md");
     let title = format!("## `{command}`");
     let section = page.split("\n## ").find(|part| {
@@ -25,7 +25,7 @@ fn documented(command: &str) -> BTreeSet<String> {
 
 /// The keys of a value, with those of what is in it: `campaigns[].rollouts.total`.
 /// What a manifest row has is its own business.
-fn keys(value: &Value, at: &str, found: &mut BTreeSet<String>) {
+pub(crate) fn keys(value: &Value, at: &str, found: &mut BTreeSet<String>) {
     match value {
         Value::Object(fields) if at != "manifest_row" => {
             for (name, field) in fields {

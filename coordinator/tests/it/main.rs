@@ -9,6 +9,7 @@ mod campaigns;
 mod claims;
 mod compare;
 mod disk;
+mod explain;
 mod failpoints;
 mod faults;
 mod films;

@@ -131,6 +131,16 @@ impl Default for Repeats {
 }
 
 impl Repeats {
+    /// As usual, with at most so many rollouts.
+    pub fn up_to(most: u32) -> Self {
+        let usual = Self::default();
+        Self {
+            batch: usual.batch.min(most),
+            most,
+            ..usual
+        }
+    }
+
     /// The level of a single test.
     pub fn error_per_test(&self) -> f64 {
         self.error / f64::from(self.most.div_ceil(self.batch.max(1)).max(1))

@@ -17,6 +17,7 @@
 
 pub mod explain;
 
+mod campaign;
 mod evidence;
 mod interactions;
 mod known;
@@ -26,11 +27,12 @@ mod plan;
 mod proportion;
 mod summary;
 
+pub use campaign::configurations;
 pub use evidence::{Evidence, Repeats, Tally, Verdict};
 pub use explain::{Answer, Explanation, MinimalSubset, NonMonotone, Unexplained, explain};
 pub use interactions::{CompleteLattice, Estimate, IncompleteLattice, Interactions};
 pub use known::{Known, KnownError};
-pub use next::{Decision, Request, Strategy, UnknownStrategy, next};
+pub use next::{Decision, Request, Strategy, next};
 pub use plan::{Sample, plan};
 pub use proportion::clopper_pearson;
 pub use summary::{Explained, Occurrence, SubsetOutcome, occurrences};

@@ -5,7 +5,6 @@
 //! for is known as pending, and is not asked for again.
 
 use std::collections::BTreeSet;
-use std::str::FromStr;
 
 use protocol::AxisSet;
 use serde::{Deserialize, Serialize};
@@ -67,29 +66,13 @@ impl Strategy {
     /// All strategies.
     pub const ALL: [Self; 3] = [Self::Adaptive, Self::TopDown, Self::Exhaustive];
 
-    /// Name on the command line: `adaptive`, `top-down`, `exhaustive`.
+    /// Name in tables: `adaptive`, `top-down`, `exhaustive`.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Adaptive => "adaptive",
             Self::TopDown => "top-down",
             Self::Exhaustive => "exhaustive",
         }
-    }
-}
-
-/// No strategy has this name.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("read strategy `{0}`: valid are adaptive, top-down, exhaustive")]
-pub struct UnknownStrategy(String);
-
-impl FromStr for Strategy {
-    type Err = UnknownStrategy;
-
-    fn from_str(text: &str) -> Result<Self, UnknownStrategy> {
-        let named = Self::ALL
-            .into_iter()
-            .find(|strategy| strategy.name() == text);
-        named.ok_or_else(|| UnknownStrategy(text.to_owned()))
     }
 }
 

@@ -399,6 +399,7 @@ fn matched(camera: Outcome, robot: Outcome, simultaneous: Outcome) -> Matched {
         init_id: 0,
         nominal: Outcome::Missing,
         alone: [(Axis::Camera, camera), (Axis::Robot, robot)].into(),
+        subsets: BTreeMap::new(),
         simultaneous,
     }
 }

@@ -8,6 +8,7 @@ use crate::axis::Axis;
 use crate::axis_set::AxisSet;
 use crate::condition::Realisation;
 use crate::design::{Design, DesignError, DesignVersion, Nominal, select_tasks};
+use crate::explanation::Explanation;
 use crate::level::Level;
 use crate::manifest::{self, ManifestErrors};
 use crate::names::UnknownName;
@@ -24,7 +25,7 @@ pub const MAX_REPLICATES: u32 = 100;
 ///
 /// The fields of its [`Rollouts`] stand beside the others: `tasks`, `axes`,
 /// `levels` and, optional, `subsets`, `configs`, `nominal` and `design_seed`; or
-/// `manifest` instead of all these. Tasks are written as `libero_goal/3`,
+/// `manifest`, or `explains`, instead of all these. Tasks are written as `libero_goal/3`,
 /// `libero_goal` (its ten tasks) or `all`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "SpecText", into = "SpecText")]
@@ -54,6 +55,8 @@ pub enum Rollouts {
     Design(Design),
     /// From a manifest: the rows as they stand, instructions included.
     Manifest(Vec<ManifestRow>),
+    /// From the outcomes of another campaign.
+    Explanation(Explanation),
 }
 
 /// A policy and where it answers.
@@ -126,6 +129,12 @@ pub enum SpecError {
         /// What it says.
         given: String,
     },
+    /// Another realisation than `matched`, in a campaign that explains.
+    #[error(
+        "read campaign specification: `explains` with `realisation` reference, in which an axis \
+         is another perturbation in each condition: write matched"
+    )]
+    Unmatched,
     /// A design that cannot be run.
     #[error("read campaign specification: {0}")]
     Design(#[from] DesignError),
@@ -175,6 +184,14 @@ impl CampaignSpec {
         match &self.rollouts {
             Rollouts::Design(design) => design.check()?,
             Rollouts::Manifest(rows) => manifest::check(rows)?,
+            Rollouts::Explanation(explanation) => {
+                if explanation.campaign.is_empty() {
+                    return empty("explains.campaign", "name the campaign to explain");
+                }
+                if self.realisation != Realisation::Matched {
+                    return Err(SpecError::Unmatched);
+                }
+            }
         }
         Ok(())
     }
@@ -184,6 +201,7 @@ impl CampaignSpec {
         match &self.rollouts {
             Rollouts::Design(design) => design.version(),
             Rollouts::Manifest(rows) => DesignVersion::of_manifest(rows),
+            Rollouts::Explanation(explanation) => DesignVersion::of_explanation(explanation),
         }
     }
 }
@@ -210,6 +228,8 @@ struct SpecText {
     design_seed: Option<u64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     manifest: Option<Vec<ManifestRow>>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    explains: Option<Explanation>,
     #[serde(default)]
     realisation: Realisation,
     #[serde(default = "one")]
@@ -226,11 +246,15 @@ struct SpecText {
 #[derive(Debug, thiserror::Error)]
 enum TextError {
     #[error(
-        "the field `{0}` is not there: a campaign has `tasks`, `axes` and `levels`, or a `manifest`"
+        "the field `{0}` is not there: a campaign has `tasks`, `axes` and `levels`, or a \
+         `manifest`, or `explains` another"
     )]
     Missing(&'static str),
-    #[error("`{0}` beside `manifest`: the manifest itself says what is run, take one of them out")]
-    BesideManifest(&'static str),
+    #[error("`{other}` beside `{field}`, which says what is run by itself: take one of them out")]
+    Beside {
+        other: &'static str,
+        field: &'static str,
+    },
     #[error(transparent)]
     Task(#[from] UnknownName),
 }
@@ -239,12 +263,20 @@ impl TryFrom<SpecText> for CampaignSpec {
     type Error = TextError;
 
     fn try_from(mut text: SpecText) -> Result<Self, TextError> {
-        let rollouts = match text.manifest.take() {
-            Some(rows) => {
-                no_design(&text)?;
+        let rollouts = match (text.manifest.take(), text.explains.take()) {
+            (Some(_), Some(_)) => {
+                let (other, field) = ("explains", "manifest");
+                return Err(TextError::Beside { other, field });
+            }
+            (Some(rows), None) => {
+                no_design(&text, "manifest")?;
                 Rollouts::Manifest(rows)
             }
-            None => Rollouts::Design(design(&mut text)?),
+            (None, Some(explanation)) => {
+                no_design(&text, "explains")?;
+                Rollouts::Explanation(explanation)
+            }
+            (None, None) => Rollouts::Design(design(&mut text)?),
         };
         Ok(Self {
             name: text.name,
@@ -274,6 +306,7 @@ impl From<CampaignSpec> for SpecText {
             nominal: None,
             design_seed: None,
             manifest: None,
+            explains: None,
             realisation: spec.realisation,
             replicates: spec.replicates,
             record: spec.record,
@@ -282,6 +315,7 @@ impl From<CampaignSpec> for SpecText {
         };
         match spec.rollouts {
             Rollouts::Manifest(rows) => text.manifest = Some(rows),
+            Rollouts::Explanation(explanation) => text.explains = Some(explanation),
             Rollouts::Design(design) => {
                 text.tasks = Some(design.tasks.iter().map(TaskRef::to_string).collect());
                 text.axes = Some(design.axes);
@@ -296,7 +330,8 @@ impl From<CampaignSpec> for SpecText {
     }
 }
 
-fn no_design(text: &SpecText) -> Result<(), TextError> {
+/// Refuses what a design has beside a field that stands instead of it.
+fn no_design(text: &SpecText, field: &'static str) -> Result<(), TextError> {
     let written = [
         ("tasks", text.tasks.is_some()),
         ("axes", text.axes.is_some()),
@@ -307,7 +342,7 @@ fn no_design(text: &SpecText) -> Result<(), TextError> {
         ("design_seed", text.design_seed.is_some()),
     ];
     match written.iter().find(|(_, written)| *written) {
-        Some((field, _)) => Err(TextError::BesideManifest(field)),
+        Some((other, _)) => Err(TextError::Beside { other, field }),
         None => Ok(()),
     }
 }
@@ -370,7 +405,7 @@ mod tests {
     fn design(spec: &CampaignSpec) -> &Design {
         match &spec.rollouts {
             Rollouts::Design(design) => design,
-            Rollouts::Manifest(_) => panic!("{spec:?}"),
+            Rollouts::Manifest(_) | Rollouts::Explanation(_) => panic!("{spec:?}"),
         }
     }
 
@@ -392,6 +427,30 @@ mod tests {
         let error = CampaignSpec::from_json(&json.to_string()).expect_err("both");
         assert!(
             error.to_string().contains("`configs` beside `manifest`"),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn an_explanation_stands_in_place_of_a_design_and_has_no_rows_of_its_own() {
+        let mut json = serde_json::json!({
+            "name": "why",
+            "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
+            "explains": {"campaign": "first", "budget": 200},
+        });
+        let spec = CampaignSpec::from_json(&json.to_string()).expect("a specification");
+        assert_eq!(spec.expand(), Ok(Vec::new()));
+        assert!(spec.version().as_str().starts_with("explains-"));
+        let text = serde_json::to_string(&spec).expect("JSON");
+        assert_eq!(CampaignSpec::from_json(&text).expect("reads back"), spec);
+
+        json["realisation"] = "reference".into();
+        let error = CampaignSpec::from_json(&json.to_string()).expect_err("unmatched");
+        assert!(error.to_string().contains("write matched"), "{error}");
+        json["levels"] = serde_json::json!(["L2"]);
+        let error = CampaignSpec::from_json(&json.to_string()).expect_err("both");
+        assert!(
+            error.to_string().contains("`levels` beside `explains`"),
             "{error}"
         );
     }

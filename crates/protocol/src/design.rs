@@ -7,6 +7,7 @@ use crate::axis::Axis;
 use crate::axis_set::AxisSet;
 use crate::condition::Condition;
 use crate::directions::MAX_CONFIGS;
+use crate::explanation::Explanation;
 use crate::level::Level;
 use crate::manifest;
 use crate::names::{UnknownName, serde_as_text};
@@ -237,8 +238,8 @@ impl Design {
 }
 
 /// Which design results belong to: `v0.1` exactly for LIBERO-CTRL v0.1, else
-/// `custom-` and a checksum of the design, or `manifest-` and a checksum of the
-/// imported rows. Results of different designs are never pooled.
+/// `custom-` and a checksum of the design, `manifest-` and a checksum of the
+/// imported rows, or `explains-` and a checksum of what is explained. Results of different designs are never pooled.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct DesignVersion(String);
 
@@ -263,6 +264,15 @@ impl DesignVersion {
         ))
     }
 
+    /// The version of a campaign that explains another.
+    pub fn of_explanation(explanation: &Explanation) -> Self {
+        let text = serde_json::to_string(explanation).expect("names and numbers serialise");
+        Self(format!(
+            "{EXPLAINS}{:08x}",
+            crc32fast::hash(text.as_bytes())
+        ))
+    }
+
     /// The text.
     pub fn as_str(&self) -> &str {
         &self.0
@@ -279,10 +289,16 @@ impl std::str::FromStr for DesignVersion {
     type Err = UnknownName;
 
     fn from_str(text: &str) -> Result<Self, UnknownName> {
-        match text == V0_1 || text.starts_with(CUSTOM) || text.starts_with(MANIFEST) {
+        let prefixes = [CUSTOM, MANIFEST, EXPLAINS];
+        match text == V0_1 || prefixes.iter().any(|prefix| text.starts_with(prefix)) {
             true => Ok(Self(text.to_owned())),
             false => {
-                let valid = [V0_1, "custom-CHECKSUM", "manifest-CHECKSUM"];
+                let valid = [
+                    V0_1,
+                    "custom-CHECKSUM",
+                    "manifest-CHECKSUM",
+                    "explains-CHECKSUM",
+                ];
                 Err(UnknownName::new("design", text, &valid))
             }
         }
@@ -294,6 +310,7 @@ serde_as_text!(DesignVersion);
 const V0_1: &str = "v0.1";
 const CUSTOM: &str = "custom-";
 const MANIFEST: &str = "manifest-";
+const EXPLAINS: &str = "explains-";
 
 /// The tasks that a text names: `all`, a suite, or one task.
 ///

@@ -27,6 +27,8 @@ impl CampaignSpec {
         Ok(match &self.rollouts {
             Rollouts::Design(design) => design.expand()?,
             Rollouts::Manifest(rows) => paired_units_first(rows.clone()),
+            // They follow from outcomes.
+            Rollouts::Explanation(_) => Vec::new(),
         })
     }
 }
@@ -121,6 +123,7 @@ fn paired_units_first(mut rows: Vec<ManifestRow>) -> Vec<ManifestRow> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::axis_set::AxisSet;
 
     fn metric_design() -> Design {
         Design {
@@ -212,6 +215,15 @@ mod tests {
         let triple = row("lighting+robot+sensor");
         assert_eq!(triple.perturbation.robot, row("robot").perturbation.robot);
         assert_eq!(triple.instruction, row("camera").instruction);
+        assert_eq!(
+            all.only(AxisSet::from_iter([Axis::Camera, Axis::Language])),
+            Ok(pair.clone())
+        );
+        assert_eq!(
+            all.only("lighting+robot+sensor".parse().expect("a set")),
+            Ok(triple.clone())
+        );
+        assert_eq!(all.axes(), AxisSet::ALL);
         // The others are as they are without subsets.
         let others = rows
             .iter()

@@ -19,6 +19,7 @@ mod condition;
 mod design;
 mod directions;
 mod expansion;
+mod explanation;
 mod level;
 mod names;
 mod paraphrase;
@@ -38,6 +39,7 @@ pub use campaign::{CampaignSpec, MAX_REPLICATES, PolicyRoute, Record, Rollouts, 
 pub use condition::{Condition, Realisation};
 pub use design::{Design, DesignError, DesignVersion, Nominal, select_tasks};
 pub use directions::MAX_CONFIGS;
+pub use explanation::Explanation;
 pub use level::Level;
 pub use names::UnknownName;
 pub use paraphrase::{Paraphrase, paraphrase};

@@ -166,6 +166,17 @@ impl Perturbation {
         axes.filter_map(|(axis, set)| set.then_some(axis)).collect()
     }
 
+    /// The same of some axes only.
+    pub fn only(&self, axes: AxisSet) -> Self {
+        Self {
+            camera: self.camera.filter(|_| axes.contains(Axis::Camera)),
+            lighting: self.lighting.filter(|_| axes.contains(Axis::Lighting)),
+            robot: self.robot.filter(|_| axes.contains(Axis::Robot)),
+            sensor: self.sensor.filter(|_| axes.contains(Axis::Sensor)),
+            actuation: self.actuation.filter(|_| axes.contains(Axis::Actuation)),
+        }
+    }
+
     /// The values of one axis, in the order of its keys; empty where it is not
     /// perturbed.
     pub fn values(&self, axis: Axis) -> Vec<f64> {

@@ -5,8 +5,11 @@
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
+use crate::axis::Axis;
+use crate::axis_set::AxisSet;
 use crate::condition::Condition;
 use crate::level::Level;
+use crate::names::UnknownName;
 use crate::perturbation::{PerturbError, Perturbation};
 use crate::presets::SETTLE_STEPS;
 use crate::rollout_id::RolloutId;
@@ -55,6 +58,36 @@ impl ManifestRow {
             settle_steps: SETTLE_STEPS,
             perturbation,
         }
+    }
+
+    /// The axes that it perturbs.
+    pub fn axes(&self) -> AxisSet {
+        let metric: AxisSet = self.perturbation.axes().into_iter().collect();
+        match self.variant_id {
+            Some(_) => metric.union(AxisSet::of(Axis::Language)),
+            None => metric,
+        }
+    }
+
+    /// The same configuration under some of its axes only, each perturbed as in
+    /// this row.
+    ///
+    /// # Errors
+    /// If no axis is named, or the row is not perturbed.
+    pub fn only(&self, axes: AxisSet) -> Result<Self, UnknownName> {
+        let id = self.id;
+        let config = id.number();
+        let id = RolloutId::perturbed(id.task(), Condition::of(axes), id.level(), config)?;
+        let mut row = Self {
+            id,
+            perturbation: self.perturbation.only(axes),
+            ..self.clone()
+        };
+        if !axes.contains(Axis::Language) {
+            row.instruction = id.task().instruction();
+            row.variant_id = None;
+        }
+        Ok(row)
     }
 }
 
@@ -215,7 +248,6 @@ fn agree<T: PartialEq + ToString>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::axis::Axis;
     use crate::presets::apply_preset;
     use serde_json::json;
 

@@ -5,7 +5,9 @@
 use std::collections::BTreeSet;
 
 use protocol::seeds::policy_seed;
-use protocol::{CampaignSpec, JsonError, Record, SpecError, Wanted};
+use protocol::{
+    CampaignSpec, Explanation, JsonError, ManifestRow, Record, Rollouts, SpecError, Wanted,
+};
 use serde_json::{Map, Value};
 use sha2::{Digest, Sha256};
 
@@ -30,6 +32,8 @@ pub struct NewCampaign {
     pub record: &'static str,
     /// What it asks of its workers.
     pub wanted: Wanted,
+    /// What it explains, if it does; its jobs then follow from outcomes.
+    pub explains: Option<Explanation>,
     /// Its jobs, in paired-unit order.
     pub jobs: Vec<NewJob>,
     /// Control steps of all its rollouts, if none reaches its goal.
@@ -56,6 +60,28 @@ pub struct NewJob {
     pub manifest_row: String,
     /// Seed for the policy.
     pub policy_seed: u64,
+}
+
+impl NewJob {
+    /// The job of a row, at a place in paired-unit order.
+    ///
+    /// # Errors
+    /// If the row cannot be written as JSON.
+    pub(crate) fn new(
+        row: &ManifestRow,
+        replicate: u32,
+        unit_order: i64,
+    ) -> Result<Self, JsonError> {
+        Ok(Self {
+            rollout_id: row.id.to_string(),
+            replicate,
+            task: row.id.task().to_string(),
+            init_id: row.init_id,
+            unit_order,
+            manifest_row: serde_json::to_string(row).map_err(JsonError::from)?,
+            policy_seed: policy_seed(&row.id, replicate),
+        })
+    }
 }
 
 /// A specification of which no campaign can be made.
@@ -94,15 +120,7 @@ impl NewCampaign {
         let mut jobs = Vec::with_capacity(rows.len() * spec.replicates as usize);
         for replicate in 0..spec.replicates {
             for row in &rows {
-                jobs.push(NewJob {
-                    rollout_id: row.id.to_string(),
-                    replicate,
-                    task: row.id.task().to_string(),
-                    init_id: row.init_id,
-                    unit_order: jobs.len() as i64,
-                    manifest_row: serde_json::to_string(row).map_err(JsonError::from)?,
-                    policy_seed: policy_seed(&row.id, replicate),
-                });
+                jobs.push(NewJob::new(row, replicate, jobs.len() as i64)?);
             }
         }
         let text = serde_json::to_string(spec).map_err(JsonError::from)?;
@@ -114,6 +132,10 @@ impl NewCampaign {
             policy_endpoint: spec.policy.endpoint.clone(),
             realisation: spec.realisation.to_string(),
             wanted: spec.wanted.clone(),
+            explains: match &spec.rollouts {
+                Rollouts::Explanation(explanation) => Some(explanation.clone()),
+                Rollouts::Design(_) | Rollouts::Manifest(_) => None,
+            },
             record: match spec.record {
                 Record::None => "none",
                 Record::Failures => "failures",

@@ -10,6 +10,7 @@ pub(crate) mod claim;
 pub(crate) mod commit;
 pub(crate) mod context;
 pub(crate) mod error;
+pub(crate) mod explain;
 pub(crate) mod filming;
 pub(crate) mod films;
 pub(crate) mod heartbeat;

@@ -2,6 +2,7 @@
 
 pub mod campaign;
 pub mod choice;
+pub(crate) mod explanation;
 pub mod lease;
 pub mod outage;
 pub(crate) mod pairing;

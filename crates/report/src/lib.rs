@@ -12,6 +12,7 @@
 mod analysis;
 mod comparison;
 mod document;
+mod explanation;
 pub mod figures;
 mod import;
 mod page;
@@ -23,6 +24,7 @@ mod words;
 pub use analysis::Analysis;
 pub use comparison::{Comparison, Side, Unpairable};
 pub use document::{Document, DocumentError};
+pub use explanation::Findings;
 pub use import::{BadLine, ImportError, import};
 pub use page::{STYLE, comparison as page_comparison, page, sections, warnings as page_warnings};
 pub use subject::{BeyondRange, Origin, Quarantined, Setups, Subject, rollout_name};

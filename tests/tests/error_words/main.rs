@@ -21,7 +21,7 @@ use tests::phrases::raw_phrase;
 const PRIVATE: [&str; 4] = ["FilmingError", "TextError", "Outer", "Missing"];
 
 /// Errors that are sentences of their own; the others read after "failed to …".
-const SENTENCES: [&str; 9] = [
+const SENTENCES: [&str; 10] = [
     "Trouble",
     "BackendError",
     "ActionFault",
@@ -29,6 +29,7 @@ const SENTENCES: [&str; 9] = [
     "AnswerError",
     "RouteError",
     "LineProblem",
+    "Unexplained",
     "WeightsError",
     "QueryError",
 ];

@@ -5,8 +5,9 @@ use std::sync::Arc;
 use coordinator::ServeError;
 use coordinator::client::ClientError;
 use coordinator::reading::ReadError;
-use paired::DuplicateRecord;
-use protocol::{RolloutId, SpecError};
+use lattice::{IncompleteLattice, KnownError, Unexplained};
+use paired::{DuplicateRecord, NotInOrder, Transition};
+use protocol::{Axis, AxisSet, RolloutId, SpecError};
 use queue::expand::ExpandError;
 use queue::ids::{CampaignName, JobName, NameError, WorkerId};
 use queue::invariants::CheckError;
@@ -95,6 +96,13 @@ fn queue(messages: &mut Messages) {
         QueueError::CampaignInUse { .. } => QueueError::CampaignInUse {
             campaign: campaign(), leased: 1,
         },
+        QueueError::Explained { .. } => QueueError::Explained {
+            campaign: campaign(), by: campaign(),
+        },
+        QueueError::Unmatched { .. } => QueueError::Unmatched { campaign: campaign() },
+        QueueError::OtherPolicy { .. } => QueueError::OtherPolicy {
+            campaign: campaign(), policy: text(), endpoint: text(),
+        },
         QueueError::UnknownRollout { .. } => QueueError::UnknownRollout {
             campaign: campaign(), job: job(),
         },
@@ -122,6 +130,30 @@ fn reports(messages: &mut Messages) {
     let id: RolloutId = "object/t0/clean/i03".parse().expect("an id");
     let twice = DuplicateRecord { id, replicate: 0 };
     messages.add("DuplicateRecord", twice);
+    let axes = AxisSet::ALL;
+    messages.add(
+        "NotInOrder",
+        NotInOrder {
+            unit: text(),
+            units: 400,
+        },
+    );
+    messages.add(
+        "IncompleteLattice",
+        IncompleteLattice {
+            full: axes,
+            set: axes,
+        },
+    );
+    variants!(messages, KnownError,
+        KnownError::TooFewAxes(_) => KnownError::TooFewAxes(AxisSet::of(Axis::Camera)),
+        KnownError::OtherAxes { .. } => KnownError::OtherAxes { set: axes, full: axes },
+    );
+    variants!(messages, Unexplained,
+        Unexplained::Incomplete => Unexplained::Incomplete,
+        Unexplained::Unchanged(_) => Unexplained::Unchanged(Transition::StillFails),
+        Unexplained::NominalFails => Unexplained::NominalFails,
+    );
     variants!(messages, DocumentError,
         DocumentError::Duplicate { .. } => DocumentError::Duplicate {
             policy: text(), source: twice,

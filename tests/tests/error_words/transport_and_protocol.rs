@@ -102,6 +102,7 @@ fn protocol(messages: &mut Messages) {
         SpecError::Replicates { .. } => SpecError::Replicates { given: 0 },
         SpecError::Endpoint { .. } => SpecError::Endpoint { given: text() },
         SpecError::Assets { .. } => SpecError::Assets { given: text() },
+        SpecError::Unmatched => SpecError::Unmatched,
         SpecError::Design(_) => SpecError::Design(no_design()),
         SpecError::Manifest(_) => SpecError::Manifest(ManifestErrors::clone(&refused)),
     );

@@ -1,6 +1,8 @@
 //! Altering a campaign that is there: its priority, its policy, its name. All
 //! that is asked for is done, or nothing.
 
+use protocol::Rollouts;
+
 use super::context::Context;
 use super::error::QueueError;
 use crate::expand::altered;
@@ -10,7 +12,7 @@ use crate::read::Counts;
 use crate::rules::campaign::CampaignState;
 use crate::store::campaigns::Campaign;
 use crate::store::failpoint::Step;
-use crate::store::{campaigns, policies};
+use crate::store::{campaigns, explanations, policies};
 
 /// What becomes of a campaign; what is `None` stays.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -117,7 +119,19 @@ impl Context<'_> {
             })
             .await?;
         campaigns::set_spec(&mut self.tx, campaign.id, &spec, &digest).await?;
-        Ok(campaigns::rename(&mut self.tx, campaign, name).await?)
+        campaigns::rename(&mut self.tx, campaign, name).await?;
+        for explaining in explanations::of(&mut self.tx, campaign.id).await? {
+            let explaining = self.campaign_named(&explaining).await?;
+            let (spec, digest) = self
+                .altered_spec(&explaining, |spec| {
+                    if let Rollouts::Explanation(explanation) = &mut spec.rollouts {
+                        name.as_str().clone_into(&mut explanation.campaign);
+                    }
+                })
+                .await?;
+            campaigns::set_spec(&mut self.tx, explaining.id, &spec, &digest).await?;
+        }
+        Ok(())
     }
 
     async fn altered_spec(

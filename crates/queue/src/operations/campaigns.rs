@@ -1,5 +1,7 @@
 //! Creating, pausing, resuming, cancelling and deleting campaigns.
 
+use protocol::Realisation;
+
 use super::context::Context;
 use super::error::{QueueError, unknown_campaign};
 use super::{artifacts, removals};
@@ -12,7 +14,7 @@ use crate::rules::lease::{FailureReason, JobState};
 use crate::store::campaigns::Campaign;
 use crate::store::failpoint::Step;
 use crate::store::removals as pending;
-use crate::store::{StoreError, campaigns, jobs, policies};
+use crate::store::{StoreError, campaigns, explanations, jobs, policies};
 
 /// What creating a campaign did.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -30,7 +32,8 @@ impl Queue {
     /// nothing.
     ///
     /// # Errors
-    /// When another specification has the name, or the database fails.
+    /// When another specification has the name, it explains a campaign that is not
+    /// there or measures another policy, or the database fails.
     pub async fn create_campaign(&self, new: &NewCampaign) -> Result<Created, QueueError> {
         let _alone = self.campaigns.lock().await;
         let shared = &*self.shared;
@@ -51,7 +54,12 @@ impl Queue {
             });
         }
         let folder = campaigns::free_folder(&mut context.tx, &new.name).await?;
-        campaigns::insert(&mut context.tx, new, &folder, context.now).await?;
+        let explained = context.explained_by(new).await?;
+        let id = campaigns::insert(&mut context.tx, new, &folder, context.now).await?;
+        if let Some(explained) = explained {
+            explanations::insert(&mut context.tx, id, explained).await?;
+            context.settles = true;
+        }
         // Files that could not be removed with a deleted campaign of this folder
         // stay now, rather than to take the new one's with them.
         pending::done(&mut context.tx, &artifacts::campaign_folder(&folder)).await?;
@@ -101,8 +109,8 @@ impl Queue {
     /// there were.
     ///
     /// # Errors
-    /// When there is no such campaign, some of its rollouts are leased, or the
-    /// database fails. Files that cannot be removed now are removed at the next
+    /// When there is no such campaign, some of its rollouts are leased, another
+    /// campaign explains it, or the database fails. Files that cannot be removed now are removed at the next
     /// start.
     pub async fn delete_campaign(&self, name: &CampaignName) -> Result<Counts, QueueError> {
         let _alone = self.campaigns.lock().await;
@@ -114,6 +122,13 @@ impl Queue {
             return Err(QueueError::CampaignInUse {
                 campaign: name.clone(),
                 leased: counts.leased,
+            });
+        }
+        let explaining = explanations::of(&mut context.tx, campaign.id).await?;
+        if let Some(by) = explaining.first() {
+            return Err(QueueError::Explained {
+                campaign: name.clone(),
+                by: by.clone(),
             });
         }
         let folder = artifacts::campaign_folder(&campaign.folder);
@@ -130,6 +145,33 @@ impl Queue {
 }
 
 impl Context<'_> {
+    /// The campaign that a new one explains, if it does.
+    async fn explained_by(&mut self, new: &NewCampaign) -> Result<Option<CampaignId>, QueueError> {
+        let Some(explanation) = &new.explains else {
+            return Ok(None);
+        };
+        let explained = CampaignName::parse(&explanation.campaign).map_err(|error| {
+            QueueError::Unspecified {
+                campaign: new.name.clone(),
+                problem: error.to_string(),
+            }
+        })?;
+        let explained = self.campaign_named(&explained).await?;
+        if explained.mode()? != Realisation::Matched {
+            return Err(QueueError::Unmatched {
+                campaign: explained.name,
+            });
+        }
+        if (&explained.policy, &explained.endpoint) != (&new.policy, &new.policy_endpoint) {
+            return Err(QueueError::OtherPolicy {
+                campaign: explained.name,
+                policy: explained.policy,
+                endpoint: explained.endpoint,
+            });
+        }
+        Ok(Some(explained.id))
+    }
+
     pub(super) async fn campaign_named(
         &mut self,
         name: &CampaignName,

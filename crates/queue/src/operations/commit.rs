@@ -88,6 +88,7 @@ impl Context<'_> {
             jobs::mark_committed(&mut self.tx, &attempts).await?;
             let reporters: Vec<_> = accepted.iter().map(|new| &new.worker).collect();
             workers::succeeded(&mut self.tx, &reporters, self.now).await?;
+            self.settles = true;
         }
         Ok(replies)
     }

@@ -25,6 +25,8 @@ pub(crate) struct Context<'a> {
     pub(super) tx: Tx<'a>,
     pub(super) cache: MutexGuard<'a, Cache>,
     pub(super) now: UnixMillis,
+    /// Whether it settles a job: what is explained may go on then.
+    pub(super) settles: bool,
 }
 
 /// How an attempt without a result ended.
@@ -49,6 +51,7 @@ impl<'a> Context<'a> {
             tx,
             cache,
             now: shared.now(),
+            settles: false,
             shared,
         })
     }
@@ -57,6 +60,9 @@ impl<'a> Context<'a> {
     pub(super) async fn commit(mut self) -> Result<(), StoreError> {
         self.tx.commit().await?;
         self.cache.committed();
+        if self.settles {
+            self.shared.outcomes.notify_one();
+        }
         Ok(())
     }
 
@@ -91,6 +97,7 @@ impl<'a> Context<'a> {
             .decide(|rng| job.after_failure(reason, suspicion, now, rng));
         jobs::fail(&mut self.tx, job, lease, reason, error, then, now).await?;
         if then == AfterFailure::Quarantine {
+            self.settles = true;
             tracing::error!(job = %job.id, "quarantined after its last attempt: {error}");
         } else if !reason.is_charged() {
             // It may be leased again at once.

@@ -101,6 +101,34 @@ pub enum QueueError {
         /// How many.
         leased: u64,
     },
+    /// A campaign was to be deleted that another one explains.
+    #[error("delete campaign `{campaign}`: campaign `{by}` explains it; delete that one first")]
+    Explained {
+        /// Which.
+        campaign: CampaignName,
+        /// The other one.
+        by: CampaignName,
+    },
+    /// A campaign of the reference's realisation was to be explained.
+    #[error(
+        "explain campaign `{campaign}`: its realisation is reference, in which an axis is another perturbation in each condition; explain a campaign with matched"
+    )]
+    Unmatched {
+        /// Which.
+        campaign: CampaignName,
+    },
+    /// A campaign was to be explained with another policy.
+    #[error(
+        "explain campaign `{campaign}`: it measures policy `{policy}` at {endpoint}; name the same one"
+    )]
+    OtherPolicy {
+        /// Which.
+        campaign: CampaignName,
+        /// The policy that it measures.
+        policy: String,
+        /// Where that is.
+        endpoint: String,
+    },
     /// There is no such rollout in the campaign.
     #[error(
         "find `{job}`: campaign `{campaign}` has no such rollout; `coordinator jobs list {campaign}` shows what it has"

@@ -23,6 +23,8 @@ pub(crate) struct Shared {
     pub(super) cache: tokio::sync::Mutex<Cache>,
     /// Rung when jobs may have become leasable.
     pub(crate) work: Notify,
+    /// Rung when something may be explained further.
+    pub(crate) outcomes: Notify,
     pub(crate) draining: watch::Sender<bool>,
     /// Why nothing is leased at the moment; none while jobs are leased.
     pub(crate) hold: watch::Sender<Option<String>>,
@@ -42,6 +44,7 @@ impl Shared {
             timing,
             cache: tokio::sync::Mutex::default(),
             work: Notify::new(),
+            outcomes: Notify::new(),
             draining: watch::Sender::new(false),
             hold: watch::Sender::new(None),
         }

@@ -57,7 +57,7 @@ impl View {
         let alive_since = self.now.minus(self.timing.worker_alive);
         let workers: Vec<(Json<Pin>, u32)> = sqlx::query_as(concat!(
             "SELECT ",
-            pin!(),
+            pin!("worker"),
             ", slots FROM worker WHERE last_seen_ms >= ? AND stopped_reason IS NULL
                  AND signed_off_ms IS NULL"
         ))

@@ -55,7 +55,8 @@ pub struct Campaign {
     pub(crate) folder: String,
     /// When its first result came.
     pub pinned_ms: Option<UnixMillis>,
-    /// What it is pinned to since then.
+    /// What it is pinned to since then; before, what the campaign is pinned to that
+    /// it explains.
     #[sqlx(json(nullable))]
     pub pin: Option<Pin>,
 }
@@ -69,9 +70,8 @@ impl Campaign {
 
     /// Whether a result has decided everything that it is pinned to.
     pub(crate) fn is_pinned(&self) -> bool {
-        self.pin
-            .as_ref()
-            .is_some_and(|pin| !pin.renderer.is_empty())
+        let pin = self.pin.as_ref().filter(|_| self.pinned_ms.is_some());
+        pin.is_some_and(|pin| !pin.renderer.is_empty())
     }
 
     /// Whether it takes results of a worker that runs on `worker`.
@@ -98,11 +98,13 @@ macro_rules! campaigns_where {
                  c.realisation, c.record, c.wanted, c.priority, c.created_ms,
                  coalesce(c.folder, c.name) AS folder, c.pinned_ms,
                  json_object('is', c.state, 'since', c.state_since_ms) AS state,
-                 iif(c.asset_pack IS NULL, NULL, ",
-            pin!(),
+                 iif(k.asset_pack IS NULL, NULL, ",
+            pin!("k"),
             ") AS pin, ",
             health!(),
-            " FROM campaign c JOIN policy p ON p.id = c.policy_id WHERE ",
+            " FROM campaign c JOIN policy p ON p.id = c.policy_id
+             LEFT JOIN explanation e ON e.campaign_id = c.id AND c.pinned_ms IS NULL
+             JOIN campaign k ON k.id = coalesce(e.explained_id, c.id) WHERE ",
             $condition,
             " ORDER BY c.id"
         )
@@ -189,7 +191,7 @@ pub(crate) async fn insert(
     campaign: &NewCampaign,
     folder: &str,
     now: UnixMillis,
-) -> Result<(), StoreError> {
+) -> Result<CampaignId, StoreError> {
     take_name(tx, &campaign.name).await?;
     let policy =
         policies::find_or_insert(tx, &campaign.policy_endpoint, &campaign.policy, now).await?;
@@ -220,13 +222,23 @@ pub(crate) async fn insert(
             .await
             .doing("store a campaign's tasks")?;
     }
-    for jobs in campaign.jobs.chunks(JOBS_PER_INSERT) {
-        insert_jobs(tx, id, jobs).await?;
+    insert_jobs(tx, id, &campaign.jobs).await?;
+    Ok(id)
+}
+
+/// Stores a campaign's jobs.
+pub(crate) async fn insert_jobs(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+    jobs: &[NewJob],
+) -> Result<(), StoreError> {
+    for jobs in jobs.chunks(JOBS_PER_INSERT) {
+        insert_some_jobs(&mut *tx, campaign, jobs).await?;
     }
     Ok(())
 }
 
-async fn insert_jobs(
+async fn insert_some_jobs(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
     jobs: &[NewJob],

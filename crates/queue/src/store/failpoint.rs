@@ -34,6 +34,8 @@ pub enum Step {
     FinishRemoval,
     /// Jobs are taken out of quarantine.
     RetryJobs,
+    /// Jobs are added to a campaign that explains another.
+    Explain,
 }
 
 /// The variable that names the failpoint to die at, a [`Side`] and a [`Step`]:
@@ -59,7 +61,7 @@ pub enum Side {
 
 impl Step {
     /// All of them.
-    pub const ALL: [Step; 13] = [
+    pub const ALL: [Step; 14] = [
         Step::Start,
         Step::Register,
         Step::Claim,
@@ -73,6 +75,7 @@ impl Step {
         Step::DeleteCampaign,
         Step::FinishRemoval,
         Step::RetryJobs,
+        Step::Explain,
     ];
 }
 

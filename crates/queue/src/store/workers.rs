@@ -43,9 +43,18 @@ pub(crate) struct Standing {
 
 /// The [`Pin`] of a worker or a campaign, as JSON.
 macro_rules! pin {
-    () => {
-        "json_object('asset_pack', asset_pack, 'asset_pack_digest', asset_pack_digest,
-             'mujoco_version', mujoco_version, 'renderer', coalesce(renderer, ''))"
+    ($of:literal) => {
+        concat!(
+            "json_object('asset_pack', ",
+            $of,
+            ".asset_pack, 'asset_pack_digest', ",
+            $of,
+            ".asset_pack_digest, 'mujoco_version', ",
+            $of,
+            ".mujoco_version, 'renderer', coalesce(",
+            $of,
+            ".renderer, ''))"
+        )
     };
 }
 pub(crate) use pin;
@@ -93,7 +102,7 @@ pub(crate) async fn standings(
 ) -> Result<BTreeMap<WorkerId, Standing>, StoreError> {
     let standings: Vec<Standing> = sqlx::query_as(concat!(
         "SELECT id, last_seen_ms, charged_in_a_row, stopped_reason, ",
-        pin!(),
+        pin!("worker"),
         " AS pin FROM worker WHERE id IN (SELECT value FROM json_each(?))",
     ))
     .bind(each_once(ids))
@@ -185,7 +194,7 @@ pub(crate) async fn live_pins(
 ) -> Result<Vec<Pin>, StoreError> {
     let pins: Vec<Json<Pin>> = sqlx::query_scalar(concat!(
         "SELECT ",
-        pin!(),
+        pin!("worker"),
         " FROM worker WHERE last_seen_ms >= ? AND stopped_reason IS NULL
              AND signed_off_ms IS NULL",
     ))

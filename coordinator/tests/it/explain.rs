@@ -1,0 +1,293 @@
+//! Which axes it takes: planted rules of failure are found again, whatever dies on the
+//! way.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use paired::Outcome;
+use proto::coordinator::CreateCampaignRequest;
+use proto::coordinator::commit_response::Verdict;
+use proto::coordinator::operator_service_client::OperatorServiceClient;
+use protocol::{AxisSet, RolloutId};
+use queue::{FAILPOINT_VARIABLE, Side, Step, invariants};
+use serde_json::{Value, json};
+
+use crate::harness::{Worker, rollout_id};
+use crate::json::{documented, keys};
+use crate::process::{Serve, text};
+
+/// How long a planted campaign may take.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+fn set(text: &str) -> AxisSet {
+    text.parse().expect("a set of axes")
+}
+
+/// What is planted into the tasks of one suite: which axes it takes to fail.
+fn outcome(id: &RolloutId) -> Outcome {
+    let axes = id.condition().axes(AxisSet::ALL);
+    let has = |text| set(text).is_subset(axes);
+    let fails = match id.task().index() {
+        0 | 1 => has("camera+robot"),
+        2 => has("camera+lighting+sensor"),
+        3 => has("robot+language") || has("camera+sensor"),
+        // Robot alone fails, and the camera makes up for it.
+        4 => has("robot") && !has("camera"),
+        // A pair fails, unless a third axis is there; and all together.
+        5 => has("lighting+actuation") && !has("lighting+actuation+sensor") || axes == AxisSet::ALL,
+        _ => false,
+    };
+    Outcome::from(!fails)
+}
+
+/// What has to be found, task by task: where the search starts, and what is minimal.
+const FOUND: [(&str, &str, &[&str]); 6] = [
+    ("object/t0", "none", &["camera+robot"]),
+    ("object/t1", "none", &["camera+robot"]),
+    ("object/t2", "none", &["camera+lighting+sensor"]),
+    ("object/t3", "none", &["camera+sensor", "robot+language"]),
+    ("object/t4", "robot", &["camera+robot"]),
+    ("object/t5", "none", &["lighting+actuation"]),
+];
+
+fn create(serve: &Serve) {
+    #[rustfmt::skip]
+    let created = serve.command(&[
+        "campaign", "create", "--name", "first", "--policy", "p",
+        "--endpoint", "http://127.0.0.1:50051", "--tasks", "libero_object", "--axes", "all",
+        "--levels", "L2", "--configs", "0",
+    ]);
+    assert!(created.status.success(), "{}", text(&created.stderr));
+}
+
+/// Runs what waits, as planted. Returns how much that was.
+async fn run(worker: &mut Worker) -> usize {
+    let leases = worker.claim(64).await;
+    for lease in &leases {
+        let id = rollout_id(lease).parse().expect("an id");
+        let success = outcome(&id) == Outcome::Success;
+        assert_eq!(worker.commit(lease, success).await, Verdict::Accepted);
+    }
+    leases.len()
+}
+
+fn findings(serve: &Serve, arguments: &[&str]) -> Value {
+    let output = serve.command(&[&["explain", "first", "--json"], arguments].concat());
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    serde_json::from_slice(&output.stdout).expect("JSON")
+}
+
+/// Runs everything that follows, to the end.
+async fn explained(serve: &Serve, arguments: &[&str]) -> Value {
+    let mut worker = serve.worker("w").await;
+    let began = Instant::now();
+    loop {
+        while run(&mut worker).await > 0 {}
+        let found = findings(serve, arguments);
+        if found["complete"] == json!(true) {
+            return found;
+        }
+        let left = &found["waiting"];
+        assert!(began.elapsed() < PATIENCE, "{left} rollouts still wait");
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn planted_rules_are_found_again() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    create(&serve);
+    // It may be asked for before the campaign is through.
+    let output = serve.command(&["explain", "first"]);
+    let said = text(&output.stderr);
+    assert!(said.contains("80 rollouts without an outcome"), "{said}");
+
+    let found = explained(&serve, &[]).await;
+    assert_eq!(found["transitions"], 6);
+    assert_eq!(found["explained"], 6);
+    let configurations = found["configurations"].as_array().expect("a list");
+    for (configuration, (task, start, minimal)) in configurations.iter().zip(FOUND) {
+        let name = configuration["configuration"].as_str().expect("a name");
+        assert!(name.starts_with(task), "{name}");
+        let answer = &configuration["explanation"]["answers"][0];
+        assert_eq!(answer["start"], start, "{name}");
+        let sets = answer["minimal"].as_array().expect("a list").iter();
+        let sets: Vec<&Value> = sets.map(|it| &it["set"]).collect();
+        assert_eq!(sets, minimal, "{name}");
+        let open = answer["minimal"][0]["open"].as_array();
+        assert_eq!(open.map(Vec::len), Some(0), "{name} is established");
+    }
+    // A third of the lattices at most.
+    let rollouts = found["rollouts"].as_u64().expect("a number");
+    assert!(rollouts < 6 * 57 / 3, "{rollouts} rollouts");
+
+    // The whole lattices show what else there is.
+    let whole = ["--exhaustive", "--name", "whole"];
+    let all = explained(&serve, &whole).await;
+    let mut printed = BTreeSet::new();
+    keys(&all, "", &mut printed);
+    assert_eq!(printed, documented("explain"));
+    let masked = &all["configurations"][5]["explanation"]["answers"][0]["non_monotone"];
+    let pair = json!({
+        "minimal": "lighting+actuation", "superset": "lighting+sensor+actuation",
+    });
+    assert_eq!(masked, &json!([pair]));
+
+    // The same again adds nothing; in words it is the same.
+    assert_eq!(findings(&serve, &[]), found);
+    let output = serve.command(&["explain", "first"]);
+    let words = text(&output.stdout);
+    for line in [
+        "first-explained explains first: 6 of 6 transitions explained",
+        "camera+robot                                                      2            2",
+        "robot with camera",
+        "still succeeds: ",
+    ] {
+        assert!(words.contains(line), "{line}: {words}");
+    }
+    assert!(
+        words.lines().all(|line| line.chars().count() <= 80),
+        "{words}"
+    );
+    let violations = invariants::check(folder.path()).await.expect("a database");
+    assert_eq!(violations, []);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_an_explanation_rests_on_stays() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    create(&serve);
+    let refused = |arguments: &[&str], words: &str| {
+        let output = serve.command(arguments);
+        let error = text(&output.stderr);
+        assert!(!output.status.success(), "{arguments:?}");
+        assert!(error.contains(words), "{arguments:?}: {error}");
+    };
+    refused(&["explain", "second"], "no such campaign");
+    refused(&["explain", "first", "--budget", "0"], "--budget");
+    assert!(serve.command(&["explain", "first"]).status.success());
+    refused(
+        &["explain", "first", "--budget", "20"],
+        "they differ in `explains`",
+    );
+    let delete = ["campaign", "delete", "first", "--confirm", "first"];
+    refused(&delete, "campaign `first-explained` explains it");
+
+    let renamed = serve.command(&["campaign", "rename", "first", "final"]);
+    assert!(renamed.status.success(), "{}", text(&renamed.stderr));
+    let again = serve.command(&["explain", "final", "--name", "first-explained"]);
+    assert!(again.status.success(), "{}", text(&again.stderr));
+
+    let spec = json!({
+        "name": "other", "explains": {"campaign": "final"},
+        "policy": {"name": "q", "endpoint": "http://127.0.0.1:50051"},
+    });
+    let file = folder.path().join("spec.json");
+    std::fs::write(&file, spec.to_string()).expect("written");
+    let file = file.to_string_lossy();
+    refused(
+        &["campaign", "create", "--spec", &file],
+        "it measures policy `p` at http://127.0.0.1:50051",
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_budget_is_kept_and_what_is_begun_is_finished() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    create(&serve);
+    let mut worker = serve.worker("w").await;
+    while run(&mut worker).await > 0 {}
+    let found = explained(&serve, &["--budget", "60", "--seed", "3"]).await;
+    assert!(found["rollouts"].as_u64() <= Some(60), "{found}");
+    let explained = found["explained"].as_u64().expect("a number");
+    assert!((1..6).contains(&explained), "{explained}");
+}
+
+/// Serves a folder until it dies at the point, while a worker runs what it gets.
+async fn die_at(folder: &Path, point: &str) {
+    let child = Command::new(env!("CARGO_BIN_EXE_coordinator"))
+        .args([
+            "serve",
+            "--listen",
+            "127.0.0.1:0",
+            "--lease-secs",
+            "3",
+            "--data",
+        ])
+        .arg(folder)
+        .env(FAILPOINT_VARIABLE, point)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("starts");
+    let mut serve = Serve::of(child);
+    let began = Instant::now();
+    if serve.is_ready() {
+        // Not by the command, which would go on trying while nobody answers.
+        let spec = json!({
+            "name": "first-explained", "explains": {"campaign": "first"},
+            "policy": {"name": "p", "endpoint": "http://127.0.0.1:50051"},
+        });
+        let request = CreateCampaignRequest {
+            spec: spec.to_string(),
+            priority: 0,
+        };
+        if let Ok(mut operator) = OperatorServiceClient::connect(serve.url.clone()).await {
+            let _ = operator.create_campaign(request).await;
+        }
+        let Ok(mut worker) = serve.try_worker("dying").await else {
+            return;
+        };
+        while serve.ended().is_none() {
+            assert!(began.elapsed() < PATIENCE, "{point} was never reached");
+            let Ok(claim) = worker.try_claim(0.05, "").await else {
+                continue;
+            };
+            if let Some(lease) = claim.lease {
+                let id = rollout_id(&lease).parse().expect("an id");
+                let success = outcome(&id) == Outcome::Success;
+                let _ = worker.try_commit(&lease, success).await;
+            }
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_death_around_any_transaction_leaves_the_same_explanation() {
+    let undisturbed = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(undisturbed.path());
+    create(&serve);
+    let expected = explained(&serve, &[]).await;
+    drop(serve);
+
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    create(&serve);
+    let mut worker = serve.worker("first").await;
+    while run(&mut worker).await > 0 {}
+    drop(serve);
+    // One life after the other: each goes on where the one before it died.
+    for (side, step, times) in [
+        (Side::Before, Step::CreateCampaign, 1),
+        (Side::Before, Step::Explain, 1),
+        (Side::After, Step::Explain, 1),
+        (Side::Before, Step::Claim, 5),
+        (Side::After, Step::Claim, 5),
+        (Side::Before, Step::Commit, 9),
+        (Side::After, Step::Commit, 9),
+        (Side::Before, Step::Explain, 2),
+        (Side::After, Step::Explain, 2),
+    ] {
+        die_at(folder.path(), &format!("{side:?}:{step:?}:{times}")).await;
+        let violations = invariants::check(folder.path()).await.expect("a database");
+        assert_eq!(violations, [], "{side:?} {step:?}");
+    }
+    let serve = Serve::start_with(folder.path(), &["--lease-secs", "3"], Stdio::null());
+    let found = explained(&serve, &[]).await;
+    assert_eq!(found, expected);
+}
