@@ -137,6 +137,8 @@ async fn begin(
         wanted: Wanted::default(),
     };
     spec.check().map_err(usage)?;
+    let campaign = client.report(&arguments.campaign).await?;
+    Findings::can_be_of(&campaign, &explanation).map_err(usage)?;
     let request = CreateCampaignRequest {
         spec: serde_json::to_string(&spec).map_err(anyhow::Error::from)?,
         priority: explained.priority,

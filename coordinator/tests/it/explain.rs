@@ -169,6 +169,17 @@ async fn what_an_explanation_rests_on_stays() {
     };
     refused(&["explain", "second"], "no such campaign");
     refused(&["explain", "first", "--budget", "0"], "--budget");
+    #[rustfmt::skip]
+    let created = serve.command(&[
+        "campaign", "create", "--name", "alone", "--policy", "p",
+        "--endpoint", "http://127.0.0.1:50051", "--tasks", "libero_object/0", "--axes", "camera",
+    ]);
+    assert!(created.status.success(), "{}", text(&created.stderr));
+    refused(&["explain", "alone"], "two axes at least can act together");
+    refused(
+        &["campaign", "status", "alone-explained"],
+        "no such campaign",
+    );
     assert!(serve.command(&["explain", "first"]).status.success());
     refused(
         &["explain", "first", "--budget", "20"],

@@ -45,6 +45,14 @@ pub struct Findings {
 }
 
 impl Findings {
+    /// Checks that a campaign has what can be explained.
+    ///
+    /// # Errors
+    /// If it perturbs one axis only.
+    pub fn can_be_of(campaign: &Subject, explanation: &Explanation) -> Result<(), KnownError> {
+        configurations(&campaign.records, &[], explanation).map(drop)
+    }
+
     /// Puts together what both campaigns know.
     ///
     /// # Errors
