@@ -104,6 +104,7 @@ async fn planted_rules_are_found_again() {
     let output = serve.command(&["explain", "first"]);
     let said = text(&output.stderr);
     assert!(said.contains("80 rollouts without an outcome"), "{said}");
+    assert_eq!(findings(&serve, &[])["complete"], json!(false));
 
     let found = explained(&serve, &[]).await;
     assert_eq!(found["transitions"], 6);

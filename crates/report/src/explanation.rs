@@ -8,7 +8,7 @@ use lattice::{
     Answer, Decision, Explained, KnownError, Occurrence, Sample, Unexplained, Verdict,
     configurations, next, occurrences, plan,
 };
-use paired::{Transition, push_wrapped};
+use paired::{Outcome, Record, Transition, push_wrapped};
 use protocol::{AxisSet, Explanation, JsonError};
 use serde::Serialize;
 
@@ -68,7 +68,8 @@ impl Findings {
             campaign: campaign.origin_name().to_owned(),
             explained_by: by.origin_name().to_owned(),
             policy: campaign.policy.clone(),
-            complete: plan(&known, &sample).is_empty(),
+            // While an outcome is missing, there may be further transitions.
+            complete: campaign.records.iter().all(is_settled) && plan(&known, &sample).is_empty(),
             transitions: 0,
             explained: 0,
             nominal_fails: 0,
@@ -161,6 +162,10 @@ impl Findings {
         }
         words
     }
+}
+
+fn is_settled(record: &Record) -> bool {
+    record.outcome != Outcome::Missing
 }
 
 /// How often each minimal subset occurs.
