@@ -47,9 +47,9 @@ fn build(root: &Path, cache: &Path, profile: Profile) -> Result<Vec<PathBuf>> {
     step("what wheels are built with", || {
         environment(&tools, &BUILT_WITH)
     })?;
-    let profile = match profile {
-        Profile::Release => "release",
-        Profile::Dev => "dev",
+    let (profile, compiled) = match profile {
+        Profile::Release => ("release", "release"),
+        Profile::Dev => ("dev", "debug"),
     };
     let into = root.join("target/wheels").join(profile);
     // One of each is to be there.
@@ -67,6 +67,13 @@ fn build(root: &Path, cache: &Path, profile: Profile) -> Result<Vec<PathBuf>> {
         .arg(&into)
         .env("PATH", &path)
         .env("LD_LIBRARY_PATH", cache.join("mujoco-3.3.7"));
+    // maturin has the extension look for the wheel's libmujoco, in the very file that cargo
+    // keeps: the next build would take that one for its own.
+    let library = root
+        .join("target")
+        .join(compiled)
+        .join("deps/lib_native.so");
+    let _ = std::fs::remove_file(library);
     run_command(&mut maturin)?;
     step("the wheel of rollout-libero-shim", || {
         // setuptools would put what it finds there into the wheel, removed modules too.
