@@ -15,6 +15,9 @@ use crate::wheel::{self, Profile};
 
 /// What Python's share is measured against.
 const WITHOUT_PYTHON: &str = "bench_environments";
+/// How often a round runs both, in turn: they differ by less than a shared machine does
+/// from one minute to the next.
+const PAIRS: usize = 5;
 
 /// How environments are compared with the original's.
 #[derive(clap::Args)]
@@ -51,8 +54,13 @@ struct Row {
 struct Round {
     ours: Value,
     theirs: Value,
-    threads: Value,
     processes: Value,
+    pairs: Vec<Pair>,
+}
+
+/// The same environments stepped from Python and from Rust.
+struct Pair {
+    threads: Value,
     without_python: Value,
 }
 
@@ -80,7 +88,8 @@ const ROWS: [Row; 6] = [
         target: ">= 8",
         unit: "obs/s",
         of: |round| {
-            let [ours, theirs] = rates(&round.threads, &round.processes)?;
+            let ours = median(round, |pair| rate(&pair.threads))?;
+            let theirs = rate(&round.processes)?;
             Ok([ours, theirs, ours / theirs])
         },
     },
@@ -88,15 +97,20 @@ const ROWS: [Row; 6] = [
         what: "memory of a further one",
         target: "<= 15 MB",
         unit: "MB",
-        of: |round| faster(&round.processes, &round.threads, "further_mb"),
+        of: |round| faster(&round.processes, &round.pairs[0].threads, "further_mb"),
     },
     Row {
         what: "the same without Python",
         target: ">= 0.95",
         unit: "obs/s",
         of: |round| {
-            let [ours, bare] = rates(&round.threads, &round.without_python)?;
-            Ok([ours, bare, ours / bare])
+            Ok([
+                median(round, |pair| rate(&pair.threads))?,
+                median(round, |pair| rate(&pair.without_python))?,
+                median(round, |pair| {
+                    Ok(rate(&pair.threads)? / rate(&pair.without_python)?)
+                })?,
+            ])
         },
     },
 ];
@@ -107,9 +121,15 @@ fn faster(theirs: &Value, ours: &Value, name: &str) -> Result<[f64; 3]> {
     Ok([ours, theirs, theirs / ours])
 }
 
-fn rates(one: &Value, other: &Value) -> Result<[f64; 2]> {
+fn rate(run: &Value) -> Result<f64> {
     const RATE: &str = "observations_per_second";
-    Ok([number(&one[RATE], RATE)?, number(&other[RATE], RATE)?])
+    number(&run[RATE], RATE)
+}
+
+/// Over the pairs of a round.
+fn median(round: &Round, of: impl Fn(&Pair) -> Result<f64>) -> Result<f64> {
+    let values = round.pairs.iter().map(of).collect::<Result<Vec<_>>>()?;
+    Ok(spread(&values).0)
 }
 
 /// Runs everything in turn and prints the table.
@@ -160,15 +180,19 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     );
     let mut rounds = Vec::new();
     for number in 1..=options.rounds {
-        let without_python = {
+        let pair = |_| {
+            let threads = ours("threads")?;
             let mut command = Command::new(&program);
             command.args(["--task", &options.task, "--environments", &count]);
             command.args(["--steps", &steps, "--assets"]).arg(&assets);
-            last_json(&mut command)?
+            let without_python = last_json(&mut command)?;
+            Ok(Pair {
+                threads,
+                without_python,
+            })
         };
         rounds.push(Round {
-            threads: ours("threads")?,
-            without_python,
+            pairs: (0..PAIRS).map(pair).collect::<Result<_>>()?,
             ours: ours("one")?,
             theirs: theirs("one")?,
             processes: theirs("processes")?,
