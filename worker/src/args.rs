@@ -81,6 +81,9 @@ pub enum Command {
     /// Simulates one rollout with a policy, without a coordinator, and writes
     /// what came of it to a folder
     Rollout(Box<RolloutArguments>),
+    /// Finds out until when a failing rollout could still have been saved:
+    /// lifts its perturbations at steps of it, and lets the policy go on
+    Rescue(Box<RescueArguments>),
     /// Shows what the perturbations of a configuration look like, without any
     /// policy
     Preview(PreviewArguments),
@@ -273,6 +276,37 @@ pub struct RolloutArguments {
     /// step; with --actions no renderer is opened at all
     #[arg(long)]
     pub no_video: bool,
+    /// How to get in at the policy.
+    #[command(flatten)]
+    pub access: ClientArguments,
+    /// What simulates.
+    #[command(flatten)]
+    pub simulator: SimulatorArguments,
+}
+
+/// Which failing rollout, and what acts in it.
+#[derive(Debug, Args)]
+pub struct RescueArguments {
+    /// The rollout, perturbed, for example spatial/t0/combination/L2/c00
+    #[arg(long, value_name = "ID")]
+    pub id: RolloutId,
+    /// URL of the policy, or of a gateway
+    #[arg(long, value_name = "URL", value_parser = server_url)]
+    pub endpoint: String,
+    /// Which of the policies there [default: the only one; where there are
+    /// several, one must be named]
+    #[arg(long, value_name = "NAME")]
+    pub policy: Option<String>,
+    /// A folder for rescue.json and rescue.mp4
+    #[arg(long, value_name = "DIR")]
+    pub output: PathBuf,
+    /// Which repetition: it changes the policy's seed
+    #[arg(long, value_name = "K", default_value = "0", value_parser = number_from(0_u32, ""))]
+    pub replicate: u32,
+    /// Where random elements of perturbations come from: `matched` or
+    /// `reference`
+    #[arg(long, value_name = "MODE", default_value = "matched")]
+    pub realisation: Realisation,
     /// How to get in at the policy.
     #[command(flatten)]
     pub access: ClientArguments,

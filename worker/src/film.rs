@@ -126,6 +126,7 @@ fn film_rollout(simulator: &mut Simulator, rollout: &Filmable, file: &Path) -> R
         row: &rollout.row,
         realisation: rollout.realisation,
         actions: &rollout.actions,
+        lifted_after: None,
         success: rollout.success,
     };
     let mut stage = Stage::of_the_protocol(simulator);

@@ -52,6 +52,8 @@ pub(crate) struct Replay<'a> {
     pub(crate) realisation: Realisation,
     /// The actions that the robot executed.
     pub(crate) actions: &'a [Action],
+    /// After how many of them perturbations were lifted, if they were.
+    pub(crate) lifted_after: Option<usize>,
     /// Whether the goal was reached.
     pub(crate) success: bool,
 }
@@ -73,6 +75,7 @@ pub(crate) fn film(
         row: &assignment.row,
         realisation: assignment.realisation,
         actions: &simulated.actions,
+        lifted_after: None,
         success: result.success,
     };
     film_again(stage, replay, &video.file, progress)?;
@@ -115,7 +118,10 @@ pub(crate) fn watch_again(
     episode.settle()?;
     show(observe_both(&mut episode)?)?;
     let mut success = false;
-    for action in replay.actions {
+    for (step, action) in replay.actions.iter().enumerate() {
+        if replay.lifted_after == Some(step) {
+            episode.lift();
+        }
         success = episode.step(action)?;
         show(observe_both(&mut episode)?)?;
     }

@@ -24,6 +24,7 @@ mod observation;
 pub mod parent;
 pub mod policy;
 pub mod preview;
+pub mod rescue;
 pub mod rollout;
 pub mod single;
 pub mod slot;

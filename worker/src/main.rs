@@ -18,8 +18,8 @@ use transport::{ClientArguments, Role};
 use worker::actor::Actor;
 use worker::args::{
     Arguments, BenchArguments, BenchSlotArguments, Command, FilmArguments, LoadArguments,
-    PreviewArguments, RolloutArguments, ServeArguments, SimulatorArguments, SlotArguments,
-    SlotCount,
+    PreviewArguments, RescueArguments, RolloutArguments, ServeArguments, SimulatorArguments,
+    SlotArguments, SlotCount,
 };
 use worker::child::SlotProgram;
 use worker::ids::{WorkerId, host_name, random_id, random_number};
@@ -27,7 +27,7 @@ use worker::message::{Assignment, Session, VideoOf, VideoRequest};
 use worker::policy::{OF_ONE_ROLLOUT, POLICY_CALL_DEADLINE, PolicyClient};
 use worker::single::{OwnTask, RecordedActions};
 use worker::supervise::{self, Config, Identity};
-use worker::{assets, film, measure, preview, single, slot};
+use worker::{assets, film, measure, preview, rescue, single, slot};
 
 /// Compiled scenes that a slot keeps. Jobs of one task come together, so two
 /// are enough; each takes some hundred MB with the real assets.
@@ -43,6 +43,7 @@ fn main() -> ExitCode {
         (Some(Command::BenchSlot(slot)), ..) => run_bench_slot(&slot),
         (Some(Command::Bench(arguments)), ..) => run_bench(&arguments),
         (Some(Command::Rollout(rollout)), ..) => run_rollout(*rollout),
+        (Some(Command::Rescue(rescue)), ..) => run_rescue(*rescue),
         (Some(Command::Preview(preview)), ..) => run_preview(&preview),
         (Some(Command::Film(arguments)), ..) => run_film(arguments),
         (Some(Command::Completions { shell }), ..) => print_completions(shell),
@@ -210,6 +211,46 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
         arguments.output.display()
     ))?;
     Ok(())
+}
+
+fn run_rescue(arguments: RescueArguments) -> anyhow::Result<()> {
+    let row = protocol::row_of(arguments.id)?;
+    let access = arguments.access.access(&[Role::Worker, Role::Operator])?;
+    let mut actor = PolicyClient::new(&arguments.endpoint, &access, OF_ONE_ROLLOUT)?;
+    let mut simulator = Simulator::new(open(&arguments.simulator)?);
+    let attempt = random_id();
+    let assignment = Assignment {
+        attempt,
+        session: Session::new(&row.id, arguments.replicate, attempt),
+        policy_seed: protocol::seeds::policy_seed(&row.id, arguments.replicate),
+        row,
+        realisation: arguments.realisation,
+        policy: arguments.policy.unwrap_or_default(),
+        policy_endpoint: arguments.endpoint,
+        policy_deadline: POLICY_CALL_DEADLINE,
+        video: None,
+        keep_actions: false,
+    };
+    let rescued = rescue::run(&mut simulator, &mut actor, &assignment, &arguments.output)?;
+    let what = match (rescued.saved_until, rescued.lost_from) {
+        (None, _) => "not saved wherever its perturbations end".to_owned(),
+        (Some(step), None) => {
+            format!("saved if its perturbations end at step {step}, the last look")
+        }
+        (Some(saved), Some(lost)) => {
+            format!("saved if its perturbations end at step {saved}, lost from step {lost} on")
+        }
+    };
+    let but = match rescued.is_monotone {
+        true => "",
+        false => ", though lost at some step before",
+    };
+    say(&format!(
+        "{}: {what}{but} ({} tried); see {}",
+        rescued.rollout_id,
+        counted(rescued.tried.len() as u64, "step"),
+        arguments.output.display()
+    ))
 }
 
 fn own_task(arguments: &RolloutArguments) -> Option<OwnTask> {

@@ -4,6 +4,7 @@
 //! policy will look at it. Knows no coordinator: the caller says what a rollout
 //! is for, what acts in it and what becomes of its result.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::time::Instant;
@@ -106,11 +107,28 @@ pub fn run(
     assignment: &Assignment,
     watcher: &mut dyn Watcher,
 ) -> Result<Simulated, RolloutError> {
+    run_after(None, stage, actor, assignment, watcher)
+}
+
+/// The same from the state that the robot's commands so far, if any, have led to. There
+/// the perturbations are lifted, and the policy is reset and told the canonical
+/// instruction. Of the budget it has what they have left.
+///
+/// # Errors
+/// As [`run`].
+pub(crate) fn run_after(
+    commands: Option<&[Action]>,
+    stage: &mut Stage<'_>,
+    actor: &mut dyn Actor,
+    assignment: &Assignment,
+    watcher: &mut dyn Watcher,
+) -> Result<Simulated, RolloutError> {
     // Asked every time: a policy that was replaced since the last rollout must
     // not go into the results under its predecessor's digest.
     let description = actor.describe(assignment.policy_session())?;
     let mut run = Run {
         assignment,
+        commands,
         title: stage.title(&assignment.row),
         description: &description,
         actor,
@@ -160,6 +178,8 @@ pub fn run(
 /// A rollout under way.
 struct Run<'a> {
     assignment: &'a Assignment,
+    /// What is done before perturbations are lifted; none if they are not.
+    commands: Option<&'a [Action]>,
     /// What messages call it.
     title: String,
     description: &'a Description,
@@ -184,7 +204,10 @@ impl Run<'_> {
             row, realisation, ..
         } = self.assignment;
         let started = Instant::now();
-        let instruction = stage.instruction(row, self.description);
+        let instruction = match self.commands {
+            None => stage.instruction(row, self.description),
+            Some(_) => Cow::Owned(row.id.task().instruction()),
+        };
         let mut episode = stage
             .begin(row, *realisation)
             .map_err(|source| self.simulator_failed(source))?;
@@ -195,6 +218,12 @@ impl Run<'_> {
         carry_on(self.watcher.progress(row.settle_steps))?;
         self.path.push(whereabouts(&mut episode));
         self.watcher.moved(None, &mut episode);
+        if let Some(commands) = self.commands {
+            for &command in commands {
+                self.step(&mut episode, command, command)?;
+            }
+            episode.lift();
+        }
         let suite = row.id.task().suite();
         self.actor.reset(
             self.assignment.policy_session(),
@@ -234,19 +263,30 @@ impl Run<'_> {
             for sent in actions.into_iter().take(self.description.execute.min(room)) {
                 let executed = command(sent, self.assignment.realisation);
                 self.clipped_actions += u32::from(clip(sent) != sent);
-                let success = episode
-                    .step(&executed)
-                    .map_err(|source| self.simulator_failed(source))?;
-                self.executed.push(executed);
-                self.path.push(whereabouts(episode));
-                self.watcher.moved(Some(&Step { sent, executed }), episode);
-                carry_on(self.watcher.progress(row.settle_steps + self.steps()))?;
-                if success {
+                if self.step(episode, sent, executed)? {
                     return Ok(true);
                 }
             }
         }
         Ok(false)
+    }
+
+    /// One control step. True if the goal holds after it.
+    fn step(
+        &mut self,
+        episode: &mut Episode<'_>,
+        sent: Action,
+        executed: Action,
+    ) -> Result<bool, RolloutError> {
+        let success = episode
+            .step(&executed)
+            .map_err(|source| self.simulator_failed(source))?;
+        self.executed.push(executed);
+        self.path.push(whereabouts(episode));
+        self.watcher.moved(Some(&Step { sent, executed }), episode);
+        let settled = self.assignment.row.settle_steps;
+        carry_on(self.watcher.progress(settled + self.steps()))?;
+        Ok(success)
     }
 
     /// Shows the policy the scene and gets its next actions.

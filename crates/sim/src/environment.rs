@@ -130,6 +130,15 @@ impl Environment {
         mujoco::take_warnings();
     }
 
+    /// Puts cameras and lights back to where the scene has them; what moves stays where
+    /// it is.
+    pub(crate) fn restore_appearance(&mut self) {
+        let glow = self.model.site_rgba().to_vec();
+        self.model.copy_own(&self.compiled.model);
+        self.model.site_rgba_mut().copy_from_slice(&glow);
+        self.observed_is_posed = false;
+    }
+
     /// One control step: 50 ms in 25 simulation steps. True if the goal holds
     /// after it.
     pub fn step(&mut self, action: &[f64; 7]) -> Result<bool, SimError> {

@@ -208,6 +208,15 @@ impl<'a> Episode<'a> {
         self.environment.step(&action)
     }
 
+    /// Lifts the perturbations: from now on the policy sees the nominal scene, and its
+    /// actions reach the robot as they are. What they have led to stays, a displaced
+    /// arm included.
+    pub fn lift(&mut self) {
+        self.environment.restore_appearance();
+        self.conditions.sensor = None;
+        self.conditions.actuation = None;
+    }
+
     /// What the policy sees now, every perturbation included. Draws only what is
     /// asked for. Of a camera and a size the pixels depend on the control step
     /// alone, however often and at whatever sizes the scene was looked at before.

@@ -51,7 +51,7 @@ fn drawer_task(sources: &Sources) -> OwnTask {
     }
 }
 
-fn sources(test: &str) -> Option<Sources> {
+pub(crate) fn sources(test: &str) -> Option<Sources> {
     let opened = Sources::open(&Sources::default_dir());
     if let Err(error) = &opened {
         println!("skipped {test}: failed to {error}");
@@ -59,7 +59,7 @@ fn sources(test: &str) -> Option<Sources> {
     opened.ok()
 }
 
-fn simulator(sources: Sources) -> Simulator {
+pub(crate) fn simulator(sources: Sources) -> Simulator {
     Simulator::new(SimulatorConfig {
         pack: AssetPack::open("primitives", &sources).expect("built in"),
         sources,
@@ -68,7 +68,7 @@ fn simulator(sources: Sources) -> Simulator {
     })
 }
 
-fn assignment(row: ManifestRow, video: Option<&Path>) -> Assignment {
+pub(crate) fn assignment(row: ManifestRow, video: Option<&Path>) -> Assignment {
     let attempt = random_id();
     Assignment {
         attempt,
@@ -230,9 +230,11 @@ fn both_cameras_first_and_last_pictures_are_kept_though_nobody_looked() {
 }
 
 /// Looks at both cameras before every action, and remembers what it saw.
-struct Looking {
-    side: u32,
-    seen: Vec<wire::Observation>,
+pub(crate) struct Looking {
+    pub(crate) side: u32,
+    pub(crate) seen: Vec<wire::Observation>,
+    /// What it was told, one a reset.
+    pub(crate) instructions: Vec<String>,
 }
 
 impl Actor for Looking {
@@ -251,6 +253,17 @@ impl Actor for Looking {
             horizon: 1,
             execute: 1,
         })
+    }
+
+    fn reset(
+        &mut self,
+        _session: PolicySession<'_>,
+        _suite: &str,
+        instruction: &str,
+        _seed: u64,
+    ) -> Result<(), PolicyError> {
+        self.instructions.push(instruction.to_owned());
+        Ok(())
     }
 
     fn infer(
@@ -284,6 +297,7 @@ fn look(simulator: &mut Simulator, row: &ManifestRow, realisation: Realisation, 
     let mut actor = Looking {
         side,
         seen: Vec::new(),
+        instructions: Vec::new(),
     };
     let request = Request {
         assignment: &assignment,
@@ -301,6 +315,7 @@ fn look(simulator: &mut Simulator, row: &ManifestRow, realisation: Realisation, 
         row,
         realisation,
         actions: &actions,
+        lifted_after: None,
         success: finished.result.success,
     };
     let mut in_film = Vec::new();

@@ -1,0 +1,247 @@
+//! `worker rescue`: until when a failing rollout could still have been saved. The scene
+//! is brought back to a step of the failing rollout by its own commands, the perturbations
+//! are lifted there, and the policy goes on in the nominal scene; the last look of the
+//! policy from which it still succeeds is searched for. Writes `rescue.json`, and
+//! `rescue.mp4`: to the left the rollout as it failed, to the right as it was saved.
+
+mod search;
+#[cfg(test)]
+mod tests;
+
+use std::fs;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+
+use protocol::{Condition, RolloutId};
+use serde::Serialize;
+use sim::{Episode, Observation, Simulator};
+
+use crate::actor::{Action, Actor};
+use crate::filming::{FilmingError, Replay, watch_again};
+use crate::message::Assignment;
+use crate::rollout::{self, RolloutError, Simulated, Step, Watcher};
+use crate::stage::Stage;
+use crate::video::VideoEncoder;
+
+use search::{Found, Search};
+
+/// Why nothing was found out.
+#[derive(Debug, thiserror::Error)]
+pub enum RescueError {
+    /// There is nothing to lift.
+    #[error("rescue {0}: it is not perturbed; name a failing rollout that is")]
+    NotPerturbed(RolloutId),
+    /// There is nothing to save.
+    #[error(
+        "rescue {id}: it succeeds here after {steps} control steps; name a rollout that fails, \
+         with the policy and the assets with which it does"
+    )]
+    Succeeds {
+        /// The rollout.
+        id: RolloutId,
+        /// When the goal held.
+        steps: u32,
+    },
+    /// A rollout has no outcome.
+    #[error(transparent)]
+    Rollout(#[from] RolloutError),
+    /// The film cannot be made.
+    #[error("film the rescue")]
+    Film(#[source] Box<dyn std::error::Error + Send + Sync>),
+    /// A file cannot be written.
+    #[error("write {}", path.display())]
+    Write {
+        /// Which.
+        path: PathBuf,
+        /// What happened.
+        #[source]
+        source: std::io::Error,
+    },
+}
+
+/// What `rescue.json` holds. Steps are control steps of the policy, from 0.
+#[derive(Debug, Serialize)]
+pub struct Rescue {
+    /// The rollout that fails.
+    pub rollout_id: RolloutId,
+    /// The policy, by its own name.
+    pub policy: String,
+    /// SHA-256 of its checkpoint, if it says.
+    pub policy_checkpoint_digest: String,
+    /// Control steps that the policy has.
+    pub max_steps: u32,
+    /// The steps at which it looked and could have been saved.
+    pub looks: Vec<u32>,
+    /// What was tried, by step.
+    pub tried: Vec<Tried>,
+    /// The last step at which lifting the perturbations saves it; none if nothing that
+    /// was tried does.
+    pub saved_until: Option<u32>,
+    /// The next look, from which it is lost; none if it is saved at the last look.
+    pub lost_from: Option<u32>,
+    /// Whether it is saved wherever it was tried before `saved_until`.
+    pub is_monotone: bool,
+}
+
+/// One attempt to save it.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Tried {
+    /// Where the perturbations were lifted.
+    pub lifted_at: u32,
+    /// Whether the policy then reached the goal.
+    pub success: bool,
+    /// Control steps in all.
+    pub steps: u32,
+}
+
+/// Finds the last look from which a failing rollout is saved, and writes what it found to
+/// the folder `output`.
+///
+/// The policy is reset where the perturbations are lifted: one with a memory begins anew.
+///
+/// # Errors
+/// If the rollout is not perturbed or succeeds, a rollout has no outcome, or a file
+/// cannot be written.
+pub fn run(
+    simulator: &mut Simulator,
+    actor: &mut dyn Actor,
+    assignment: &Assignment,
+    output: &Path,
+) -> Result<Rescue, RescueError> {
+    let id = assignment.row.id;
+    if id.condition() == Condition::Clean {
+        return Err(RescueError::NotPerturbed(id));
+    }
+    let write = |path: &Path, source| RescueError::Write {
+        path: path.to_owned(),
+        source,
+    };
+    fs::create_dir_all(output).map_err(|source| write(output, source))?;
+    let mut stage = Stage::of_the_protocol(simulator);
+    let mut looks = Looks::default();
+    let failed = rollout::run(&mut stage, actor, assignment, &mut looks)?;
+    if failed.finished.result.success {
+        let steps = failed.finished.result.steps;
+        return Err(RescueError::Succeeds { id, steps });
+    }
+    let looks = looks.at;
+    let mut search = Search::new(looks.len());
+    let mut tried = Vec::new();
+    let mut saved: Option<(usize, Simulated)> = None;
+    while let Some(look) = search.next() {
+        let before = looks[look] as usize;
+        let commands = Some(&failed.actions[..before]);
+        let simulated = rollout::run_after(
+            commands,
+            &mut stage,
+            actor,
+            assignment,
+            &mut Looks::default(),
+        )?;
+        let result = &simulated.finished.result;
+        tracing::info!(
+            "{id} lifted at step {before}: {}",
+            if result.success { "success" } else { "failure" }
+        );
+        search.record(look, result.success);
+        tried.push(Tried {
+            lifted_at: looks[look],
+            success: result.success,
+            steps: result.steps,
+        });
+        if result.success && saved.as_ref().is_none_or(|(best, _)| *best < before) {
+            saved = Some((before, simulated));
+        }
+    }
+    tried.sort_by_key(|it| it.lifted_at);
+    if let Some((before, simulated)) = &saved {
+        let film = side_by_side(&mut stage, assignment, &failed.actions, *before, simulated);
+        let film = film.map_err(|error| RescueError::Film(Box::new(error)))?;
+        let path = output.join("rescue.mp4");
+        fs::write(&path, film).map_err(|source| write(&path, source))?;
+    }
+    let found = search.found();
+    let (saved, is_monotone) = match found {
+        Found::NeverSaved => (None, true),
+        Found::SavedUntil { saved, monotone } => (Some(saved), monotone),
+    };
+    let evidence = failed.finished.evidence;
+    let rescue = Rescue {
+        rollout_id: id,
+        policy: evidence.policy_name,
+        policy_checkpoint_digest: evidence.policy_checkpoint_digest,
+        max_steps: assignment.row.max_steps,
+        saved_until: saved.map(|look| looks[look]),
+        lost_from: match saved {
+            None => looks.first().copied(),
+            Some(look) => looks.get(look + 1).copied(),
+        },
+        looks,
+        tried,
+        is_monotone,
+    };
+    let path = output.join("rescue.json");
+    let text = serde_json::to_vec_pretty(&rescue).expect("plain data");
+    fs::write(&path, text).map_err(|source| write(&path, source))?;
+    Ok(rescue)
+}
+
+/// The control steps at which the policy looks.
+#[derive(Default)]
+struct Looks {
+    at: Vec<u32>,
+    steps: u32,
+}
+
+impl Watcher for Looks {
+    fn progress(&mut self, _control_steps: u32) -> ControlFlow<()> {
+        ControlFlow::Continue(())
+    }
+
+    fn observed(&mut self, _query_index: u32, _observation: &Observation) {
+        self.at.push(self.steps);
+    }
+
+    fn moved(&mut self, step: Option<&Step>, _episode: &mut Episode<'_>) {
+        self.steps += u32::from(step.is_some());
+    }
+}
+
+/// A film of both rollouts through the first camera, as the policy sees it; the one that
+/// ends first stands still.
+fn side_by_side(
+    stage: &mut Stage<'_>,
+    assignment: &Assignment,
+    failed: &[Action],
+    lifted_after: usize,
+    saved: &Simulated,
+) -> Result<Vec<u8>, FilmingError> {
+    let mut pictures = |replay: Replay<'_>| {
+        let mut pictures = Vec::new();
+        watch_again(stage, replay, &mut |[front, _]| {
+            pictures.push(front.rgb);
+            Ok(())
+        })?;
+        Ok::<_, FilmingError>(pictures)
+    };
+    let replay = Replay {
+        row: &assignment.row,
+        realisation: assignment.realisation,
+        actions: failed,
+        lifted_after: None,
+        success: false,
+    };
+    let left = pictures(replay)?;
+    let right = pictures(Replay {
+        actions: &saved.actions,
+        lifted_after: Some(lifted_after),
+        success: true,
+        ..replay
+    })?;
+    let mut encoder = VideoEncoder::new()?;
+    for step in 0..left.len().max(right.len()) {
+        let at = |pictures: &'_ [Vec<u8>]| pictures.len().min(step + 1) - 1;
+        encoder.add([&left[at(&left)], &right[at(&right)]])?;
+    }
+    Ok(encoder.finish()?)
+}

@@ -1,0 +1,90 @@
+//! Lifting perturbations, on the built-in assets where `cargo xtask setup` has been run.
+
+use protocol::{ManifestRow, row_of};
+
+use super::*;
+use crate::single::tests::{Looking, assignment, simulator, sources};
+
+const SIDE: u32 = 64;
+const STEPS: u32 = 12;
+
+/// What a policy saw, and where the hand was.
+struct Seen {
+    pictures: Vec<[Vec<u8>; 2]>,
+    instruction_is_canonical: bool,
+    path: Vec<[i16; 3]>,
+    actions: Vec<Action>,
+}
+
+fn row(id: &str) -> ManifestRow {
+    let mut row = row_of(id.parse().expect("an id")).expect("a row");
+    row.max_steps = STEPS;
+    row
+}
+
+fn look(simulator: &mut Simulator, row: ManifestRow, commands: Option<&[Action]>) -> Seen {
+    let mut actor = Looking {
+        side: SIDE,
+        seen: Vec::new(),
+        instructions: Vec::new(),
+    };
+    let canonical = row.id.task().instruction();
+    let assignment = assignment(row, None);
+    let mut stage = Stage::of_the_protocol(simulator);
+    let mut watcher = Looks::default();
+    let simulated = rollout::run_after(commands, &mut stage, &mut actor, &assignment, &mut watcher)
+        .expect("an outcome");
+    let both = |camera| [0, 1].map(|at: usize| camera_of(&actor.seen[camera], at));
+    Seen {
+        pictures: (0..actor.seen.len()).map(both).collect(),
+        instruction_is_canonical: actor.instructions == [canonical],
+        path: simulated.finished.motion.path(),
+        actions: simulated.actions,
+    }
+}
+
+fn camera_of(observation: &proto::policy::Observation, at: usize) -> Vec<u8> {
+    observation.images[at].rgb.to_vec()
+}
+
+#[test]
+fn what_is_lifted_before_the_first_look_leaves_the_nominal_rollout() {
+    let test = "what_is_lifted_before_the_first_look_leaves_the_nominal_rollout";
+    let Some(sources) = sources(test) else {
+        return;
+    };
+    let mut simulator = simulator(sources);
+    // All axes but the robot's, whose displaced arm stays.
+    let perturbed = row("object/t0/camera+lighting+sensor+actuation+language/L2/c00");
+    let nominal = row(&format!("object/t0/clean/i{:02}", perturbed.init_id));
+    let nominal = look(&mut simulator, nominal, None);
+    let lifted = look(&mut simulator, perturbed.clone(), Some(&[]));
+    assert!(lifted.pictures == nominal.pictures, "the pictures differ");
+    assert_eq!(lifted.path, nominal.path);
+    assert!(lifted.instruction_is_canonical && nominal.instruction_is_canonical);
+
+    let perturbed = look(&mut simulator, perturbed, None);
+    assert!(!perturbed.instruction_is_canonical);
+    for (ours, nominal) in perturbed.pictures[0].iter().zip(&nominal.pictures[0]) {
+        assert!(ours != nominal, "the perturbation is not to be seen");
+    }
+}
+
+#[test]
+fn a_rollout_is_brought_back_to_the_step_at_which_it_goes_on() {
+    let test = "a_rollout_is_brought_back_to_the_step_at_which_it_goes_on";
+    let Some(sources) = sources(test) else {
+        return;
+    };
+    let mut simulator = simulator(sources);
+    let perturbed = row("object/t0/combination/L2/c00");
+    let whole = look(&mut simulator, perturbed.clone(), None);
+    let before = 5;
+    let resumed = look(&mut simulator, perturbed, Some(&whole.actions[..before]));
+    assert_eq!(resumed.path[..=before], whole.path[..=before]);
+    assert_eq!(resumed.path.len(), whole.path.len());
+    assert_eq!(resumed.pictures.len(), STEPS as usize - before);
+    // The camera is back, and the actions are no longer distorted.
+    assert!(resumed.pictures[0] != whole.pictures[before]);
+    assert_ne!(resumed.path[STEPS as usize], whole.path[STEPS as usize]);
+}
