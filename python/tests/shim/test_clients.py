@@ -18,7 +18,7 @@ import libero
 import numpy as np
 import pytest
 import rollout_libero
-from frames import assert_close_frames
+from frames import DRAWN_HERE, assert_close_frames
 from libero.libero import benchmark
 from libero.libero.envs import OffScreenRenderEnv
 from original import original_python, run, run_original
@@ -129,9 +129,8 @@ def assert_same(our: Any, their: Any, what: str) -> None:
             assert_same(our[key], their[key], f"{what}: {key}")
     elif isinstance(their, np.ndarray) and their.dtype == np.uint8:
         channels_last = -1 if their.shape[-1] == 3 else 0
-        assert_close_frames(
-            np.moveaxis(our, channels_last, -1), np.moveaxis(their, channels_last, -1), what
-        )
+        our, their = (np.moveaxis(it, channels_last, -1) for it in (our, their))
+        assert_close_frames(our, their, what, DRAWN_HERE)
     elif isinstance(their, np.ndarray) and their.dtype.kind == "f":
         assert our.dtype == their.dtype, what
         near = 1e-9 if their.dtype == np.float64 else 1e-6
