@@ -7,6 +7,6 @@ mod fleet;
 mod schedule;
 mod wire;
 
-pub use fleet::{Fleet, LEASE, SlotKind};
+pub use fleet::{Fleet, LEASE, Plan, SlotKind};
 pub use schedule::{Fault, Schedule, Way};
 pub use wire::Wire;

@@ -37,10 +37,27 @@ pub enum SlotKind {
     Real,
 }
 
+/// What a system runs.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    /// What the slots are.
+    pub slots: SlotKind,
+    /// Workers, and the slots of each.
+    pub workers: usize,
+    /// Slots of each worker.
+    pub slots_each: u32,
+    /// The campaign's design: flags of `campaign create`.
+    pub design: Vec<String>,
+    /// Longest time that the campaign takes after the last fault.
+    pub patience: Duration,
+    /// The coordinator's program, until it is upgraded.
+    pub coordinator: PathBuf,
+}
+
 /// A running system.
 pub struct Fleet {
     folder: tempfile::TempDir,
-    slots: SlotKind,
+    plan: Plan,
     to_coordinator: Wire,
     to_gateway: Wire,
     to_policy: Wire,
@@ -48,21 +65,54 @@ pub struct Fleet {
     gateway: Option<Process>,
     policy: Option<Process>,
     workers: Vec<Process>,
+    /// What shows the coordinator another wall clock, and how far it is off.
+    clock: Option<(PathBuf, &'static str)>,
+}
+
+impl Plan {
+    /// Two workers with a slot each, and a small campaign.
+    pub fn small(slots: SlotKind) -> Self {
+        let (tasks, configs) = match slots {
+            SlotKind::Simulated => ("libero_object/0,libero_spatial/0", "0-1"),
+            SlotKind::Real => ("libero_object/0", "0"),
+        };
+        #[rustfmt::skip]
+        let design = [
+            "--tasks", tasks, "--axes", "metric", "--levels", "L3", "--configs", configs,
+            "--nominal", "eval",
+        ];
+        Self {
+            slots,
+            workers: 2,
+            slots_each: 1,
+            design: design.map(str::to_owned).into(),
+            patience: PATIENCE,
+            coordinator: program("coordinator"),
+        }
+    }
 }
 
 impl Fleet {
-    /// Starts everything, and a campaign.
+    /// Starts everything, and a small campaign.
     ///
     /// # Panics
     /// If something does not start.
     pub fn start(slots: SlotKind) -> Self {
+        Self::start_with(Plan::small(slots))
+    }
+
+    /// Starts everything, and a campaign.
+    ///
+    /// # Panics
+    /// If something does not start.
+    pub fn start_with(plan: Plan) -> Self {
         let folder = tempfile::tempdir().expect("a temporary folder");
         // Another user must be able to look, for the read-only database.
         let mode = std::fs::Permissions::from_mode(0o755);
         std::fs::set_permissions(folder.path(), mode).expect("its own folder");
         let mut fleet = Self {
             folder,
-            slots,
+            plan,
             to_coordinator: Wire::new(),
             to_gateway: Wire::new(),
             to_policy: Wire::new(),
@@ -70,22 +120,20 @@ impl Fleet {
             gateway: None,
             policy: None,
             workers: Vec::new(),
+            clock: None,
         };
         fleet.start_policy();
         fleet.start_gateway();
         fleet.start_coordinator();
-        let (tasks, configs) = match slots {
-            SlotKind::Simulated => ("libero_object/0,libero_spatial/0", "0-1"),
-            SlotKind::Real => ("libero_object/0", "0"),
-        };
         #[rustfmt::skip]
-        fleet.ask(&[
+        let campaign = [
             "campaign", "create", "--name", CAMPAIGN, "--policy", "chaos", "--endpoint", ENDPOINT,
-            "--tasks", tasks, "--axes", "metric", "--levels", "L3", "--configs", configs,
-            "--nominal", "eval",
-        ]);
-        fleet.start_worker();
-        fleet.start_worker();
+        ];
+        let design = fleet.plan.design.iter().map(String::as_str);
+        fleet.ask(&campaign.into_iter().chain(design).collect::<Vec<_>>());
+        for _ in 0..fleet.plan.workers {
+            fleet.start_worker();
+        }
         fleet
     }
 
@@ -109,12 +157,10 @@ impl Fleet {
     /// If it does not finish, or its database is not in order.
     pub fn outcome(&mut self) -> String {
         let start = Instant::now();
-        loop {
+        while !self.is_finished() {
             let status = self.ask(&["campaign", "status", CAMPAIGN]);
-            if status.contains("finished") {
-                break;
-            }
-            assert!(start.elapsed() < PATIENCE, "it does not finish: {status}");
+            let waited = start.elapsed();
+            assert!(waited < self.plan.patience, "it does not finish: {status}");
             sleep(Duration::from_millis(300));
         }
         let report = self.ask(&["report", CAMPAIGN]);
@@ -125,6 +171,24 @@ impl Fleet {
         self.stop();
         self.check();
         format!("{report}\n{json}\n{}", rows.join("\n"))
+    }
+
+    /// Whether nothing more happens by itself.
+    ///
+    /// # Panics
+    /// If the coordinator does not say.
+    pub fn is_finished(&self) -> bool {
+        self.status()["is_finished"] == true
+    }
+
+    /// The campaign as `campaign status --json` has it.
+    ///
+    /// # Panics
+    /// If the coordinator does not say.
+    pub fn status(&self) -> serde_json::Value {
+        let status = self.ask(&["campaign", "status", CAMPAIGN, "--json"]);
+        let status: serde_json::Value = serde_json::from_str(&status).expect("JSON");
+        status["campaigns"][0].clone()
     }
 
     /// Waits until so many rollouts are committed.
@@ -195,6 +259,12 @@ impl Fleet {
                 victim.signal("-KILL");
                 self.start_worker();
             }
+            Fault::DrainWorker => {
+                let mut victim = self.workers.remove(0);
+                victim.signal("-TERM");
+                self.start_worker();
+                victim.wait();
+            }
             Fault::KillSlot => {
                 for slot in children(self.workers[0].id()) {
                     // It may have ended between the look and the shot.
@@ -249,6 +319,61 @@ impl Fleet {
         }
     }
 
+    /// Ends the coordinator in good order and starts the newest program on its data.
+    ///
+    /// # Panics
+    /// If it does not end well, or does not come back.
+    pub fn upgrade(&mut self) {
+        self.end_coordinator();
+        self.plan.coordinator = program("coordinator");
+        self.start_coordinator();
+    }
+
+    /// Has every rollout in quarantine tried again.
+    ///
+    /// # Panics
+    /// If it is refused.
+    pub fn retry_quarantined(&self) {
+        self.ask(&["jobs", "retry", CAMPAIGN, "--all"]);
+    }
+
+    /// Copies the database while the coordinator runs.
+    ///
+    /// # Panics
+    /// If it is refused.
+    pub fn back_up(&self) -> PathBuf {
+        let copy = self.folder.path().join("backup.sqlite");
+        self.ask(&["backup", "--output", &copy.to_string_lossy()]);
+        copy
+    }
+
+    /// Loses the data folder, and goes on from a copy of the database.
+    ///
+    /// # Panics
+    /// If the coordinator does not come back.
+    pub fn restore(&mut self, copy: &Path) {
+        self.kill_coordinator();
+        std::fs::remove_dir_all(self.data()).expect("its own folder");
+        std::fs::create_dir(self.data()).expect("its own folder");
+        std::fs::copy(copy, self.data().join("coordinator.sqlite")).expect("its own file");
+        self.start_coordinator();
+    }
+
+    /// Starts the coordinator anew at another wall clock, `by` as libfaketime reads it:
+    /// `+1d`. False where that library is not installed.
+    ///
+    /// # Panics
+    /// If the coordinator does not come back.
+    pub fn jump_clock(&mut self, by: &'static str) -> bool {
+        let Some(library) = faketime() else {
+            return false;
+        };
+        self.end_coordinator();
+        self.clock = Some((library, by));
+        self.start_coordinator();
+        true
+    }
+
     fn wire(&self, way: Way) -> &Wire {
         match way {
             Way::ToCoordinator => &self.to_coordinator,
@@ -268,9 +393,13 @@ impl Fleet {
     /// killing: a full disk does not kill either.
     fn coordinator_command(&self) -> Command {
         let mut command = Command::new("sh");
+        command.args(["-c", "trap '' XFSZ; exec \"$0\" \"$@\""]);
+        if let Some((library, by)) = &self.clock {
+            command.env("LD_PRELOAD", library).env("FAKETIME", by);
+            command.env("DONT_FAKE_MONOTONIC", "1");
+        }
         command
-            .args(["-c", "trap '' XFSZ; exec \"$0\" \"$@\""])
-            .arg(program("coordinator"))
+            .arg(&self.plan.coordinator)
             .args(["serve", "--listen", "127.0.0.1:0", "--lease-secs"])
             .arg(LEASE.as_secs().to_string())
             .arg("--data")
@@ -308,8 +437,9 @@ impl Fleet {
         let mut command = Command::new(program("worker"));
         command.args(["--connect", &self.to_coordinator.url()]);
         command.args(["--policy-endpoint", &self.to_gateway.url()]);
-        command.args(["--assets", "primitives"]);
-        if self.slots == SlotKind::Simulated {
+        command.args(["--assets", "primitives", "--slots"]);
+        command.arg(self.plan.slots_each.to_string());
+        if self.plan.slots == SlotKind::Simulated {
             command.arg("--slot-program").arg(program("simulated_slot"));
         }
         let worker = Process::start(command.stderr(self.log()));
@@ -321,6 +451,11 @@ impl Fleet {
         self.workers.clear();
         self.gateway = None;
         self.policy = None;
+        self.end_coordinator();
+    }
+
+    fn end_coordinator(&mut self) {
+        self.to_coordinator.lead_to(None);
         if let Some(mut coordinator) = self.coordinator.take() {
             coordinator.signal("-TERM");
             coordinator.wait();
@@ -370,6 +505,13 @@ impl Fleet {
             .expect("a log");
         file.into()
     }
+}
+
+/// Debian's libfaketime, wherever its libraries are.
+fn faketime() -> Option<PathBuf> {
+    let folders = std::fs::read_dir("/usr/lib").ok()?.flatten();
+    let mut libraries = folders.map(|it| it.path().join("faketime/libfaketimeMT.so.1"));
+    libraries.find(|library| library.is_file())
 }
 
 /// A command that runs another one without the right to write in a folder.

@@ -35,6 +35,8 @@ pub enum Fault {
     KillCoordinator(Duration),
     /// `kill -9` of a worker's parent process; another one is started.
     KillWorker,
+    /// SIGTERM of a worker; another one is started. Not drawn: it breaks nothing.
+    DrainWorker,
     /// `kill -9` of a slot's process.
     KillSlot,
     /// `kill -9`, and started again after so long.

@@ -1,0 +1,241 @@
+//! A week of a lab, in compressed time: every rollout of a policy and one replication on
+//! slots that come and go, with a policy outage, an upgrade of the coordinator, a full
+//! disk, clocks that jump and a restored backup on the way. Real processes, except that
+//! slots are simulated. The report and the results must be those of the same campaign
+//! undisturbed, byte for byte. Exits with 1 if they are not.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use clap::Parser;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use tests::chaos::{Fault, Fleet, Plan, SlotKind, Way};
+use tests::programs::program;
+
+/// Between two looks at how far the campaign is.
+const LOOK: Duration = Duration::from_millis(500);
+/// Between two faults of the churn, milliseconds.
+const CALM_MILLIS: (u64, u64) = (1_000, 4_000);
+
+/// What happens once, and after what share of the rollouts.
+const EVENTS: [(f64, Event); 7] = [
+    (0.10, Event::PolicyOutage),
+    (0.25, Event::Upgrade),
+    (0.40, Event::FullDisk),
+    (0.50, Event::ClockJump("+1d")),
+    (0.60, Event::ClockJump("-1d")),
+    (0.65, Event::Backup),
+    (0.80, Event::Restore),
+];
+
+/// Run a campaign twice, undisturbed and disturbed, and compare.
+#[derive(Parser)]
+struct Arguments {
+    /// Tasks of the campaign.
+    #[arg(long, default_value = "all")]
+    tasks: String,
+    /// Times that every rollout runs.
+    #[arg(long, default_value_t = 2)]
+    replicates: u32,
+    /// Workers at a time.
+    #[arg(long, default_value_t = 5)]
+    workers: usize,
+    /// Slots of each.
+    #[arg(long, default_value_t = 10)]
+    slots: u32,
+    /// What the churn is drawn from.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Seconds for which policy and disk are out.
+    #[arg(long, default_value_t = 15)]
+    outage_secs: u64,
+    /// The coordinator of an earlier release, which begins the campaign [default: the
+    /// same program]
+    #[arg(long, value_name = "PROGRAM")]
+    earlier: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Event {
+    PolicyOutage,
+    Upgrade,
+    FullDisk,
+    ClockJump(&'static str),
+    Backup,
+    Restore,
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    let plan = plan(&arguments);
+    let started = Instant::now();
+    let mut fleet = Fleet::start_with(plan.clone());
+    let total = fleet.status()["rollouts"]["total"].clone();
+    println!(
+        "{total} rollouts on {} simulated slots",
+        arguments.workers * arguments.slots as usize
+    );
+    let expected = fleet.outcome();
+    drop(fleet);
+    println!("undisturbed: {:.0} s", started.elapsed().as_secs_f64());
+
+    let started = Instant::now();
+    let mut fleet = Fleet::start_with(Plan {
+        coordinator: arguments.earlier.unwrap_or_else(|| program("coordinator")),
+        ..plan
+    });
+    let mut rehearsal = Rehearsal {
+        fleet: &mut fleet,
+        happened: BTreeMap::new(),
+        rng: ChaCha8Rng::seed_from_u64(arguments.seed),
+        outage: Duration::from_secs(arguments.outage_secs),
+        retried: 0,
+    };
+    rehearsal.run();
+    let Rehearsal {
+        happened, retried, ..
+    } = rehearsal;
+    let outcome = fleet.outcome();
+    println!("disturbed: {:.0} s", started.elapsed().as_secs_f64());
+    for (what, times) in happened {
+        println!("  {times:4} {what}");
+    }
+    println!("quarantined rollouts that the operator had tried again: {retried}");
+    match outcome == expected {
+        true => {
+            println!("report and results: the same, {} bytes", outcome.len());
+            ExitCode::SUCCESS
+        }
+        false => {
+            let mut pairs = expected.lines().zip(outcome.lines());
+            let (ours, theirs) = pairs.find(|(one, other)| one != other).unwrap_or_default();
+            println!("report and results differ:\n  undisturbed {ours}\n  disturbed   {theirs}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn plan(arguments: &Arguments) -> Plan {
+    let replicates = arguments.replicates.to_string();
+    #[rustfmt::skip]
+    let design = [
+        "--tasks", &arguments.tasks, "--axes", "all", "--levels", "L1,L2,L3", "--configs", "0-9",
+        "--nominal", "all", "--replicates", &replicates,
+    ];
+    Plan {
+        workers: arguments.workers,
+        slots_each: arguments.slots,
+        design: design.map(str::to_owned).into(),
+        patience: Duration::from_secs(3_600),
+        ..Plan::small(SlotKind::Simulated)
+    }
+}
+
+/// A campaign that is disturbed.
+struct Rehearsal<'a> {
+    fleet: &'a mut Fleet,
+    /// What happened how often.
+    happened: BTreeMap<String, u32>,
+    rng: ChaCha8Rng,
+    /// How long policy and disk are out.
+    outage: Duration,
+    /// Rollouts that were taken out of quarantine.
+    retried: u64,
+}
+
+impl Rehearsal<'_> {
+    /// Until the campaign is finished.
+    fn run(&mut self) {
+        let mut events = EVENTS.into_iter().peekable();
+        let mut backup = None;
+        let mut next_fault = Instant::now();
+        loop {
+            let status = self.fleet.status();
+            let of = |name: &str| status["rollouts"][name].as_u64().unwrap_or_default();
+            if status["is_finished"] == true {
+                if of("quarantined") == 0 {
+                    return;
+                }
+                // As an operator does who has read why.
+                self.retried += of("quarantined");
+                self.fleet.retry_quarantined();
+            }
+            let share = of("committed") as f64 / of("total").max(1) as f64;
+            if let Some((_, event)) = events.next_if(|(at, _)| share >= *at) {
+                self.happen(event, &mut backup);
+            } else if Instant::now() >= next_fault {
+                let fault = self.draw();
+                self.fleet.suffer_one(fault);
+                self.count(name(fault));
+                let (least, most) = CALM_MILLIS;
+                let calm = least + self.rng.next_u64() % (most - least);
+                next_fault = Instant::now() + Duration::from_millis(calm);
+            } else {
+                sleep(LOOK);
+            }
+        }
+    }
+
+    fn happen(&mut self, event: Event, backup: &mut Option<PathBuf>) {
+        let what = match event {
+            Event::PolicyOutage => {
+                self.fleet.suffer_one(Fault::KillPolicy(self.outage));
+                "outage of the policy"
+            }
+            Event::Upgrade => {
+                self.fleet.upgrade();
+                "upgrade of the coordinator"
+            }
+            Event::FullDisk => {
+                self.fleet.suffer_one(Fault::FullDisk(self.outage));
+                "full disk of the coordinator"
+            }
+            Event::ClockJump(by) => match self.fleet.jump_clock(by) {
+                true => "jump of the coordinator's clock, by a day",
+                false => "SKIPPED: the clock does not jump without libfaketime",
+            },
+            Event::Backup => {
+                *backup = Some(self.fleet.back_up());
+                "backup of the database"
+            }
+            Event::Restore => {
+                self.fleet
+                    .restore(backup.as_ref().expect("it was made before"));
+                "loss of the data folder, the backup restored"
+            }
+        };
+        self.count(what);
+    }
+
+    fn count(&mut self, what: &str) {
+        *self.happened.entry(what.to_owned()).or_default() += 1;
+    }
+
+    /// Workers come and go most of the time.
+    fn draw(&mut self) -> Fault {
+        match self.rng.next_u64() % 10 {
+            0..=2 => Fault::KillWorker,
+            3..=5 => Fault::DrainWorker,
+            6 => Fault::KillSlot,
+            7 => Fault::KillCoordinator(LOOK),
+            8 => Fault::KillGateway(LOOK),
+            _ => Fault::Cut(Way::ToCoordinator),
+        }
+    }
+}
+
+fn name(fault: Fault) -> &'static str {
+    match fault {
+        Fault::KillWorker => "workers killed, and others started",
+        Fault::DrainWorker => "workers drained, and others started",
+        Fault::KillSlot => "times all slots of a worker killed",
+        Fault::KillCoordinator(_) => "times the coordinator killed",
+        Fault::KillGateway(_) => "times the gateway killed",
+        Fault::Cut(_) => "times every connection to the coordinator cut",
+        _ => "other faults",
+    }
+}
