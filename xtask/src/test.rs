@@ -42,6 +42,7 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
         )
         .map(|_| "yes")
     })?;
+    step("dependencies as deny.toml wants", || deny(root))?;
     let schemas = deploy::schemas(&cache);
     println!("Testing");
     let nextest = capture(cargo(root).args(["nextest", "--version"])).is_ok();
@@ -96,6 +97,15 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
         demo::check(root, &programs)?;
     }
     Ok(())
+}
+
+/// Licences, sources and bans of what is depended on, where the tool for it is installed.
+fn deny(root: &Path) -> Result<String> {
+    if capture(cargo(root).args(["deny", "--version"])).is_err() {
+        return Ok("skipped: no cargo-deny (`cargo install --locked cargo-deny`)".to_owned());
+    }
+    let check = ["deny", "--offline", "check", "bans", "licenses", "sources"];
+    capture(cargo(root).args(check)).map(|_| "yes".to_owned())
 }
 
 /// Builds and runs `worker bench`.

@@ -13,7 +13,7 @@ use super::archive::{self, Archive};
 use super::bare_root::{BareRoot, DATA, PREFIX};
 use super::{PROGRAMS, VERSION, bill, crates, image, stage};
 
-/// A campaign of three rollouts that the expert solves.
+/// A campaign of two rollouts, which the expert solves: nominal, and with another camera.
 const CAMPAIGN: [&str; 8] = [
     "--tasks",
     "libero_object/1",

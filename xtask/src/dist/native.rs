@@ -109,11 +109,13 @@ fn installed(library: &str) -> Result<PathBuf> {
     let mut cc = Command::new("cc");
     let found = capture(cc.arg(format!("-print-file-name={library}")))?;
     let found = PathBuf::from(found);
-    ensure!(found.is_absolute(), "find {library} on this machine");
+    let folder = found.parent().filter(|_| found.is_absolute());
+    // By the name that programs know it by, in a folder without `..`.
+    let folder = folder.and_then(|folder| folder.canonicalize().ok());
+    let found = folder.map(|folder| folder.join(library));
     found
-        .canonicalize()
-        .map(|_| found.clone())
-        .with_context(|| format!("find {}", found.display()))
+        .filter(|file| file.is_file())
+        .with_context(|| format!("find {library} on this machine"))
 }
 
 /// The oldest glibc that has what these files use, as (2, minor).

@@ -96,6 +96,7 @@ fn install(cache: &Path, programs: &Path, to: (&Path, &Path), elf: &Elf) -> Resu
     let libraries = elf.provide_libraries(&needed, lib)?;
     let mut files: Vec<PathBuf> = PROGRAMS.iter().map(|name| bin.join(name)).collect();
     files.push(lib.join(MUJOCO));
+    files.extend(libraries.iter().map(|name| lib.join("fallback").join(name)));
     Ok(Needed(libraries, oldest_glibc(&files)?))
 }
 
