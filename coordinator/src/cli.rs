@@ -23,6 +23,7 @@ mod status;
 mod watch;
 mod workers;
 
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use anyhow::Context;
@@ -35,7 +36,7 @@ use command::CommandError;
 /// The campaign's memory: creates campaigns, leases their rollouts to workers,
 /// keeps the results and reports them.
 #[derive(Debug, Parser)]
-#[command(name = "coordinator", version)]
+#[command(name = "coordinator", version = version::version!())]
 pub(crate) struct Arguments {
     #[command(subcommand)]
     command: Command,
@@ -72,6 +73,12 @@ enum Command {
     Export(export::ExportArguments),
     /// Print a script that completes this program's commands in a shell.
     Completions(completions::CompletionsArguments),
+    /// Write this program's manual pages.
+    #[command(hide = true)]
+    Manual {
+        /// Into this folder.
+        folder: PathBuf,
+    },
 }
 
 #[derive(Debug, Subcommand)]
@@ -135,6 +142,10 @@ async fn execute(command: Command) -> Result<(), CommandError> {
         Command::Export(arguments) => export::export(arguments).await,
         Command::Completions(arguments) => {
             completions::completions(arguments, Arguments::command())
+        }
+        Command::Manual { folder } => {
+            let written = terminal::write_manual(Arguments::command(), &folder);
+            Ok(written.with_context(|| format!("write manual pages into {}", folder.display()))?)
         }
     }
 }

@@ -37,7 +37,7 @@ const SUITES: [&str; 4] = {
 /// Serves policies to workers: each route is a name and what answers for it.
 #[derive(Debug, Parser)]
 #[command(
-    version,
+    version = version::version!(),
     args_conflicts_with_subcommands = true,
     subcommand_negates_reqs = true
 )]
@@ -151,6 +151,12 @@ enum Command {
         /// The shell
         shell: clap_complete::Shell,
     },
+    /// Writes this program's manual pages
+    #[command(hide = true)]
+    Manual {
+        /// Into this folder
+        folder: PathBuf,
+    },
 }
 
 fn main() -> ExitCode {
@@ -195,6 +201,7 @@ fn main() -> ExitCode {
             serve_routes(vec![route], &listen)
         }
         Some(Command::Completions { shell }) => print_completions(shell),
+        Some(Command::Manual { folder }) => manual(&folder),
         None => {
             let Serve {
                 routes,
@@ -221,6 +228,12 @@ fn print_completions(shell: clap_complete::Shell) -> anyhow::Result<ExitCode> {
     clap_complete::generate(shell, &mut command, "policy-gateway", &mut script);
     let written = stdout().write_all(&script);
     written.context("print to standard output")?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn manual(folder: &Path) -> anyhow::Result<ExitCode> {
+    let written = terminal::write_manual(Arguments::command(), folder);
+    written.with_context(|| format!("write manual pages into {}", folder.display()))?;
     Ok(ExitCode::SUCCESS)
 }
 

@@ -7,7 +7,7 @@ use std::str::FromStr;
 
 use assets::{HUB, hub_url};
 use clap::error::ErrorKind;
-use clap::{ArgGroup, Args, CommandFactory, Parser, Subcommand};
+use clap::{ArgGroup, Args, CommandFactory, FromArgMatches, Parser, Subcommand};
 use protocol::{Level, Realisation, RolloutId, Suite, TaskRef};
 use sim::Renderer;
 use terminal::{number, number_from, seconds};
@@ -19,7 +19,6 @@ use transport::{ClientArguments, EndpointError, parse_endpoint};
 /// second one gives them back.
 #[derive(Debug, Parser)]
 #[command(
-    version,
     args_conflicts_with_subcommands = true,
     subcommand_negates_reqs = true,
     override_usage = "worker --connect URL --assets PACK [OPTIONS]\n       \
@@ -50,17 +49,25 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// Reads a command line, its program's name included, and the environment.
+    /// The command line of a program of this version.
+    pub fn of(version: &'static str) -> clap::Command {
+        Self::command().version(version)
+    }
+
+    /// Reads a command line, its program's name included, and the environment, for a
+    /// program of this version.
     ///
     /// # Errors
     /// If it asks for nothing that a worker can do, or for help. The coordinator's
     /// address is looked at only where one is called: `COORDINATOR_URL` may hold
     /// anything for the others, and for slots.
-    pub fn read<I>(words: I) -> Result<Self, clap::Error>
+    pub fn read<I>(version: &'static str, words: I) -> Result<Self, clap::Error>
     where
         I: IntoIterator<Item: Into<OsString> + Clone>,
     {
-        let read = Self::try_parse_from(words)?;
+        let matches = Self::of(version).try_get_matches_from(words)?;
+        let read = Self::from_arg_matches(&matches)
+            .map_err(|error| error.format(&mut Self::of(version)))?;
         let coordinator = match (&read.command, &read.serve) {
             (Some(Command::Film(film)), _) => Some(&film.connect),
             (None, Some(serve)) => Some(&serve.connect),
@@ -100,6 +107,12 @@ pub enum Command {
     Completions {
         /// The shell
         shell: clap_complete::Shell,
+    },
+    /// Writes this program's manual pages
+    #[command(hide = true)]
+    Manual {
+        /// Into this folder
+        folder: PathBuf,
     },
     /// The process of one slot, started by a worker
     #[command(hide = true)]
@@ -224,9 +237,9 @@ pub struct SimulatorArguments {
     /// assets folder
     #[arg(long, value_name = "PACK_OR_PATH")]
     pub assets: String,
-    /// Robot models, task files and initial states, as `cargo xtask setup`
-    /// unpacks them [default: $ROLLOUT_SOURCES, else rollout/sources in the
-    /// user's cache folder]
+    /// Robot models, task files and initial states [default: $ROLLOUT_SOURCES,
+    /// else those of the release archive that this program is part of, else
+    /// what `cargo xtask setup` put into the user's cache folder]
     #[arg(long, value_name = "DIR")]
     pub sources: Option<PathBuf>,
     /// What draws: `software` (the same pictures on every machine), or `gl`
@@ -342,9 +355,9 @@ pub struct AssetsArguments {
     /// Which of it.
     #[command(subcommand)]
     pub command: AssetsCommand,
-    /// Robot models, task files and initial states, as `cargo xtask setup`
-    /// unpacks them [default: $ROLLOUT_SOURCES, else rollout/sources in the
-    /// user's cache folder]
+    /// Robot models, task files and initial states [default: $ROLLOUT_SOURCES,
+    /// else those of the release archive that this program is part of, else
+    /// what `cargo xtask setup` put into the user's cache folder]
     #[arg(long, value_name = "DIR", global = true)]
     pub sources: Option<PathBuf>,
 }
@@ -431,7 +444,7 @@ mod tests {
     use super::*;
 
     fn parse(line: &str) -> Result<Arguments, clap::Error> {
-        Arguments::read(line.split_whitespace())
+        Arguments::read("0", line.split_whitespace())
     }
 
     #[test]

@@ -7,7 +7,6 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::Context;
-use clap::CommandFactory;
 use protocol::TaskRef;
 use scene::{AssetPack, Sources};
 use sim::{Simulator, SimulatorConfig};
@@ -34,9 +33,12 @@ use worker::{assets, film, measure, preview, rescue, single, slot};
 const CACHED_SCENES: usize = 2;
 /// Requests to end that wait for the supervisor: the third changes nothing.
 const SHUTDOWN_QUEUE: usize = 2;
+/// Release and commit.
+const VERSION: &str = version::version!();
 
 fn main() -> ExitCode {
-    let arguments = Arguments::read(std::env::args_os()).unwrap_or_else(|error| error.exit());
+    let arguments = Arguments::read(VERSION, std::env::args_os());
+    let arguments = arguments.unwrap_or_else(|error| error.exit());
     terminal::log("info");
     let result = match (arguments.command, arguments.serve, arguments.simulator) {
         (Some(Command::Slot(slot)), ..) => run_slot(&slot),
@@ -47,6 +49,7 @@ fn main() -> ExitCode {
         (Some(Command::Preview(preview)), ..) => run_preview(&preview),
         (Some(Command::Film(arguments)), ..) => run_film(arguments),
         (Some(Command::Completions { shell }), ..) => print_completions(shell),
+        (Some(Command::Manual { folder }), ..) => manual(&folder),
         (Some(Command::Assets(arguments)), ..) => {
             assets::run(&arguments).map_err(anyhow::Error::from)
         }
@@ -70,8 +73,13 @@ fn say(line: &str) -> anyhow::Result<()> {
 
 fn print_completions(shell: clap_complete::Shell) -> anyhow::Result<()> {
     let mut script = Vec::new();
-    clap_complete::generate(shell, &mut Arguments::command(), "worker", &mut script);
+    clap_complete::generate(shell, &mut Arguments::of(VERSION), "worker", &mut script);
     terminal::print(&String::from_utf8_lossy(&script)).context("print to standard output")
+}
+
+fn manual(folder: &Path) -> anyhow::Result<()> {
+    let written = terminal::write_manual(Arguments::of(VERSION), folder);
+    written.with_context(|| format!("write manual pages into {}", folder.display()))
 }
 
 fn open(arguments: &SimulatorArguments) -> anyhow::Result<SimulatorConfig> {

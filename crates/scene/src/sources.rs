@@ -38,16 +38,27 @@ impl Sources {
         Ok(sources)
     }
 
-    /// Where `cargo xtask setup` puts the sources: `$ROLLOUT_SOURCES`, else
-    /// `rollout/sources` in the user's cache folder.
+    /// `$ROLLOUT_SOURCES`, else what a release archive has beside its programs,
+    /// else where `cargo xtask setup` puts the sources: `rollout/sources` in the
+    /// user's cache folder.
     pub fn default_dir() -> PathBuf {
         if let Some(dir) = std::env::var_os("ROLLOUT_SOURCES") {
             return PathBuf::from(dir);
+        }
+        if let Some(dir) = Self::of_release() {
+            return dir;
         }
         let cache = std::env::var_os("XDG_CACHE_HOME")
             .map(PathBuf::from)
             .or_else(|| std::env::var_os("HOME").map(|home| Path::new(&home).join(".cache")));
         cache.unwrap_or_default().join("rollout/sources")
+    }
+
+    /// `share/rollout/sources` beside the `bin` that this program lies in.
+    fn of_release() -> Option<PathBuf> {
+        let program = std::env::current_exe().ok()?.canonicalize().ok()?;
+        let dir = program.parent()?.with_file_name("share/rollout/sources");
+        dir.is_dir().then_some(dir)
     }
 
     /// The folder itself.

@@ -1,0 +1,105 @@
+//! What `--version` prints: the release, and the commit that a program was built from.
+//!
+//! A macro, because only what calls it is compiled again after a commit: the three
+//! programs. A build script would have their libraries compiled again too, and all
+//! tests with them.
+
+#![forbid(unsafe_code)]
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use proc_macro::TokenStream;
+
+/// Git as it is set up by the folder alone: in a hook, these name another repository.
+const UNSET: [&str; 3] = ["GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE"];
+
+/// `"0.1.0 (807e12a, 2026-11-23)"`: the calling package's version, the commit and the
+/// day of it. Outside of git, the version alone. Changes that are not committed are
+/// not mentioned.
+#[proc_macro]
+pub fn version(_: TokenStream) -> TokenStream {
+    let of_package = |name| std::env::var(name).expect("cargo describes the package");
+    let version = of_package("CARGO_PKG_VERSION");
+    let code = match Commit::of(Path::new(&of_package("CARGO_MANIFEST_DIR"))) {
+        // The compiler notices a change of what it includes, so a commit is noticed.
+        Some(Commit { name, log }) => {
+            format!("{{ const _: &[u8] = include_bytes!({log:?}); \"{version} ({name})\" }}")
+        }
+        None => format!("{version:?}"),
+    };
+    code.parse().expect("Rust")
+}
+
+/// What a folder's files were checked out from.
+#[derive(Debug, PartialEq)]
+struct Commit {
+    /// `807e12a, 2026-11-23`.
+    name: String,
+    /// A file of git that every commit and every checkout changes.
+    log: PathBuf,
+}
+
+impl Commit {
+    /// Of the package in a folder; none if git does not know the package, which may
+    /// lie unpacked in somebody's own repository.
+    fn of(package: &Path) -> Option<Self> {
+        let git = |words: &[&str]| {
+            let mut git = Command::new("git");
+            UNSET.iter().for_each(|name| _ = git.env_remove(name));
+            let output = git.arg("-C").arg(package).args(words).output().ok()?;
+            let text = String::from_utf8(output.stdout).ok()?;
+            output.status.success().then(|| text.trim().to_owned())
+        };
+        git(&["ls-files", "--error-unmatch", "Cargo.toml"])?;
+        let name = git(&["log", "-1", "--format=%h, %cs"])?;
+        let log = ["logs/HEAD", "HEAD"].into_iter().find_map(|file| {
+            let path = git(&["rev-parse", "--path-format=absolute", "--git-path", file])?;
+            Some(PathBuf::from(path)).filter(|path| path.is_file())
+        })?;
+        Some(Self { name, log })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn git(folder: &Path, words: &str) -> String {
+        let mut git = Command::new("git");
+        UNSET.iter().for_each(|name| _ = git.env_remove(name));
+        git.args(["-c", "user.name=A", "-c", "user.email=a@example.org"]);
+        let output = git.arg("-C").arg(folder).args(words.split(' ')).output();
+        let output = output.expect("git runs");
+        assert!(output.status.success(), "git {words}: {output:?}");
+        String::from_utf8(output.stdout).expect("UTF-8")
+    }
+
+    #[test]
+    fn a_package_is_of_the_commit_that_it_is_checked_out_from() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let package = folder.path().join("package");
+        std::fs::create_dir(&package).expect("a package");
+        std::fs::write(package.join("Cargo.toml"), "").expect("its manifest");
+        assert_eq!(Commit::of(&package), None, "without git");
+
+        git(folder.path(), "init --quiet");
+        git(folder.path(), "commit --quiet --allow-empty -m somebody's");
+        assert_eq!(Commit::of(&package), None, "in another's repository");
+
+        git(folder.path(), "add .");
+        git(folder.path(), "commit --quiet -m ours");
+        let first = Commit::of(&package).expect("a commit");
+        let hash = git(folder.path(), "rev-parse HEAD");
+        let (short, day) = first.name.split_once(", ").expect("hash and day");
+        assert!(hash.starts_with(short) && short.len() >= 7, "{first:?}");
+        let digits = day.split('-').map(str::len);
+        assert_eq!(digits.collect::<Vec<_>>(), [4, 2, 2], "{day}");
+
+        let logged = std::fs::read(&first.log).expect("git's log");
+        git(folder.path(), "commit --quiet --allow-empty -m next");
+        let second = Commit::of(&package).expect("a commit");
+        assert_ne!(first.name, second.name);
+        assert_ne!(logged, std::fs::read(&second.log).expect("git's log"));
+    }
+}

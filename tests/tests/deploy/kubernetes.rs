@@ -1,0 +1,142 @@
+//! The manifests.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use super::{folder, runs, unknown_flags};
+
+/// Files that say what there is; the others are instructions to kustomize.
+const BASE: [&str; 5] = ["namespace", "coordinator", "gateway", "workers", "network"];
+
+/// Folders that a cluster is given.
+const FOLDERS: [&str; 3] = ["base", "keda", "job"];
+
+/// An interpreter that has `kubernetes-validate`, unless there is none; then the test is
+/// said to be skipped.
+fn python(test: &str) -> Option<PathBuf> {
+    let python = std::env::var_os("ROLLOUT_DEPLOY_PYTHON").map(PathBuf::from);
+    if python.is_none() {
+        println!("skipped {test}: `cargo xtask test` installs kubernetes-validate, where it can");
+    }
+    python
+}
+
+fn base() -> Vec<PathBuf> {
+    let base = BASE
+        .iter()
+        .map(|name| folder("kubernetes/base").join(format!("{name}.yaml")));
+    base.chain([secrets()]).collect()
+}
+
+fn secrets() -> PathBuf {
+    folder("kubernetes").join("secrets.example.yaml")
+}
+
+/// Whether manifests are in order, and what is said about them.
+fn check(python: &Path, files: &[PathBuf]) -> (bool, String) {
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/deploy/manifests.py");
+    let output = Command::new(python)
+        .arg(script)
+        .args(files)
+        .output()
+        .expect("Python runs");
+    let said = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    let text = said(&output.stdout) + &said(&output.stderr);
+    (output.status.success(), text)
+}
+
+/// Checks manifests, and the command lines in them; returns the kinds without a schema.
+fn assert_in_order(python: &Path, files: &[PathBuf]) -> serde_json::Value {
+    let (in_order, said) = check(python, files);
+    assert!(in_order, "{said}");
+    let (commands, last) = said.trim_end().rsplit_once('\n').expect("some lines");
+    assert_eq!(commands.lines().count(), 3, "{commands}");
+    for line in commands.lines() {
+        let words: Vec<String> = serde_json::from_str(line).expect("a command line");
+        assert_eq!(unknown_flags(&words), [""; 0], "{line}");
+    }
+    let summary: serde_json::Value = serde_json::from_str(last).expect("a summary");
+    assert!(
+        summary["checked"].as_u64().expect("a number") > 10,
+        "{summary}"
+    );
+    summary["no schema"].clone()
+}
+
+#[test]
+fn manifests_are_what_kubernetes_takes_and_name_what_there_is() {
+    let Some(python) = python("manifests_are_what_kubernetes_takes_and_name_what_there_is") else {
+        return;
+    };
+    assert_eq!(assert_in_order(&python, &base()), serde_json::json!([]));
+}
+
+#[test]
+fn what_is_wrong_with_a_manifest_is_named() {
+    let Some(python) = python("what_is_wrong_with_a_manifest_is_named") else {
+        return;
+    };
+    let folder = tempfile::tempdir().expect("a folder");
+    let broken = folder.path().join("workers.yaml");
+    let mut files = base();
+    let text = fs::read_to_string(&files[3]).expect("a manifest");
+    files[3] = broken.clone();
+    for (from, to, named) in [
+        ("  replicas: 2", "  replica: 2", "replica"),
+        (
+            "secretName: rollout-worker",
+            "secretName: worker",
+            "no secret worker",
+        ),
+        (
+            "https://coordinator:7411",
+            "https://coordinator:7412",
+            "coordinator:7412",
+        ),
+        (
+            "runAsNonRoot: true",
+            "runAsNonRoot: false",
+            "may run as root",
+        ),
+        (
+            "/etc/rollout/token",
+            "/etc/rollout/tokens",
+            "no secret of it has tokens",
+        ),
+    ] {
+        assert!(text.contains(from), "{from}");
+        fs::write(&broken, text.replace(from, to)).expect("a manifest");
+        let (in_order, said) = check(&python, &files);
+        assert!(!in_order && said.contains(named), "{to}: {said}");
+    }
+}
+
+#[test]
+fn kustomize_makes_manifests_in_order_of_every_folder() {
+    let test = "kustomize_makes_manifests_in_order_of_every_folder";
+    let Some(python) = python(test) else { return };
+    if !runs("kubectl", "version") {
+        println!("skipped {test}: no kubectl");
+        return;
+    }
+    let made = tempfile::tempdir().expect("a folder");
+    for name in FOLDERS {
+        let mut kustomize = Command::new("kubectl");
+        let output = kustomize
+            .arg("kustomize")
+            .arg(folder("kubernetes").join(name));
+        let output = output.output().expect("kubectl runs");
+        let complaint = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{name}: {complaint}");
+        let file = made.path().join(format!("{name}.yaml"));
+        fs::write(&file, output.stdout).expect("manifests");
+        let foreign = assert_in_order(&python, &[file, secrets()]);
+        let expected = if name == "keda" {
+            &["ScaledObject"][..]
+        } else {
+            &[]
+        };
+        assert_eq!(foreign, serde_json::json!(expected), "{name}");
+    }
+}

@@ -1,0 +1,48 @@
+//! What `deploy` says to systemd and Kubernetes is understood by them, and by the programs.
+
+mod kubernetes;
+mod systemd;
+
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+use std::process::Command;
+
+use tests::documents::folder::checkout;
+use tests::programs::program;
+
+/// A folder of `deploy`.
+fn folder(name: &str) -> PathBuf {
+    checkout().join("deploy").join(name)
+}
+
+/// Whether a tool runs here.
+fn runs(tool: &str, argument: &str) -> bool {
+    Command::new(tool).arg(argument).output().is_ok()
+}
+
+/// Flags of a command line that its program does not have. The first word is the program;
+/// a second one without dashes is its command.
+fn unknown_flags(words: &[String]) -> Vec<String> {
+    let (name, arguments) = words.split_first().expect("a program");
+    let mut help = Command::new(program(name));
+    help.env_clear();
+    let command = arguments.first().filter(|it| !it.starts_with('-'));
+    let output = help.args(command).arg("--help").output().expect("help");
+    let help = String::from_utf8_lossy(&output.stdout);
+    let known: BTreeSet<&str> = help
+        .split(|it: char| !it.is_ascii_alphanumeric() && it != '-')
+        .filter(|word| word.starts_with("--"))
+        .collect();
+    assert!(known.contains("--help"), "{name}: {help}");
+    let flags = arguments.iter().filter(|word| word.starts_with("--"));
+    let flags = flags.map(|word| word.split_once('=').map_or(word.as_str(), |(flag, _)| flag));
+    let unknown = flags.filter(|flag| !known.contains(flag));
+    unknown.map(|flag| format!("{name}: {flag}")).collect()
+}
+
+#[test]
+fn a_flag_that_a_program_has_not_is_named() {
+    let words = ["coordinator", "serve", "--data=here", "--port", "7411"];
+    let words = words.map(str::to_owned);
+    assert_eq!(unknown_flags(&words), ["coordinator: --port"]);
+}

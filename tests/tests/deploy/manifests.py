@@ -1,0 +1,162 @@
+"""Holds Kubernetes manifests against the API's schemas, and against each other.
+
+`manifests.py FILE…` prints what is wrong, a line each, and ends with status 1 if there is
+anything; else it prints each container's command line as JSON, and then the kinds that have
+no schema.
+"""
+
+import json
+import sys
+from pathlib import Path
+
+import kubernetes_validate
+import yaml
+
+# The oldest that is still served by large providers, and the newest.
+VERSIONS = ("1.31", kubernetes_validate.latest_version())
+# Kinds of others than Kubernetes.
+FOREIGN = ("keda.sh/",)
+ACCESS = "/etc/rollout/"
+
+
+def matches(selector: dict, labels: dict) -> bool:
+    return selector.items() <= labels.items()
+
+
+def template(document: dict) -> dict | None:
+    return document.get("spec", {}).get("template")
+
+
+class Manifests:
+    def __init__(self, documents: list[dict]) -> None:
+        self.documents = documents
+        self.wrong: list[str] = []
+
+    def of(self, kind: str) -> dict[str, dict]:
+        found = (it for it in self.documents if it["kind"] == kind)
+        return {it["metadata"]["name"]: it for it in found}
+
+    def say(self, document: dict, what: str) -> None:
+        self.wrong.append(f"{document['kind']} {document['metadata']['name']}: {what}")
+
+    def schemas(self) -> set[str]:
+        foreign = set()
+        for document in self.documents:
+            if document["apiVersion"].startswith(FOREIGN):
+                foreign.add(document["kind"])
+                continue
+            for version in VERSIONS:
+                try:
+                    kubernetes_validate.validate(document, version, strict=True)
+                except (
+                    kubernetes_validate.ValidationError,
+                    kubernetes_validate.SchemaNotFoundError,
+                ) as error:
+                    self.say(document, f"in {version}: {error}".splitlines()[0])
+        return foreign
+
+    def pods(self) -> list[tuple[dict, dict]]:
+        return [(it, template(it)) for it in self.documents if template(it)]
+
+    def references(self) -> None:
+        for document, pod in self.pods():
+            self.pod(document, pod["spec"])
+            selector = document["spec"].get("selector")
+            labels = pod["metadata"]["labels"]
+            if selector and not matches(selector["matchLabels"], labels):
+                self.say(document, "its selector does not match its own pods")
+        for kind in ("Service", "PodDisruptionBudget", "NetworkPolicy"):
+            for document in self.of(kind).values():
+                spec = document["spec"]
+                selector = spec.get("podSelector", spec.get("selector"))
+                self.selected(document, selector.get("matchLabels", selector))
+        for policy in self.of("NetworkPolicy").values():
+            self.policy(policy)
+        for service in self.of("Service").values():
+            pods = self.selected(service, service["spec"]["selector"])
+            for port in service["spec"]["ports"]:
+                self.port(service, pods, port["targetPort"])
+        for scaled in self.of("ScaledObject").values():
+            target = scaled["spec"]["scaleTargetRef"]["name"]
+            if target not in self.of("Deployment"):
+                self.say(scaled, f"there is no Deployment {target}")
+
+    def selected(self, document: dict, labels: dict) -> list[dict]:
+        found = [pod for _, pod in self.pods() if matches(labels, pod["metadata"]["labels"])]
+        if not found:
+            self.say(document, f"no pod has the labels {labels}")
+        return [pod["spec"] for pod in found]
+
+    def port(self, document: dict, pods: list[dict], name: object) -> None:
+        for pod in pods:
+            ports = [port["name"] for it in pod["containers"] for port in it.get("ports", [])]
+            if name not in ports:
+                self.say(document, f"no container has a port {name}")
+
+    def policy(self, policy: dict) -> None:
+        own = self.selected(policy, policy["spec"]["podSelector"]["matchLabels"])
+        for direction, peers in (("ingress", "from"), ("egress", "to")):
+            for rule in policy["spec"].get(direction, []):
+                others: list[dict] = []
+                for peer in rule[peers]:
+                    if "podSelector" in peer:
+                        others += self.selected(policy, peer["podSelector"]["matchLabels"])
+                for port in rule["ports"]:
+                    if isinstance(port["port"], str):
+                        self.port(policy, own if direction == "ingress" else others, port["port"])
+
+    def pod(self, document: dict, pod: dict) -> None:
+        if not pod["securityContext"].get("runAsNonRoot"):
+            self.say(document, "it may run as root")
+        volumes = {volume["name"]: volume for volume in pod.get("volumes", [])}
+        claims = document["spec"].get("volumeClaimTemplates", [])
+        claimed = {claim["metadata"]["name"] for claim in claims}
+        files: set[str] = set()
+        for volume in volumes.values():
+            if "secret" in volume:
+                name = volume["secret"]["secretName"]
+                files |= set(self.of("Secret").get(name, {}).get("stringData", {}))
+                if name not in self.of("Secret"):
+                    self.say(document, f"there is no secret {name}")
+            if "configMap" in volume and volume["configMap"]["name"] not in self.of("ConfigMap"):
+                self.say(document, f"there is no ConfigMap {volume['configMap']['name']}")
+        for container in pod["containers"]:
+            if not container["securityContext"].get("readOnlyRootFilesystem"):
+                self.say(document, "its root is writable")
+            for mount in container.get("volumeMounts", []):
+                if mount["name"] not in volumes.keys() | claimed:
+                    self.say(document, f"there is no volume {mount['name']}")
+            for argument in container["args"]:
+                value = argument.partition("=")[2]
+                if value.startswith(ACCESS) and value.removeprefix(ACCESS) not in files:
+                    self.say(document, f"no secret of it has {value.removeprefix(ACCESS)}")
+                if value.startswith("https://"):
+                    self.address(document, value.removeprefix("https://"))
+
+    def address(self, document: dict, address: str) -> None:
+        host, _, port = address.partition(":")
+        service = self.of("Service").get(host)
+        ports = [str(it["port"]) for it in service["spec"]["ports"]] if service else []
+        if port not in ports:
+            self.say(document, f"no service listens on {address}")
+
+
+def main() -> int:
+    documents = []
+    for path in sys.argv[1:]:
+        documents += [it for it in yaml.safe_load_all(Path(path).read_text()) if it]
+    manifests = Manifests(documents)
+    foreign = manifests.schemas()
+    manifests.references()
+    if manifests.wrong:
+        print("\n".join(manifests.wrong))
+        return 1
+    for _, pod in manifests.pods():
+        for container in pod["spec"]["containers"]:
+            print(json.dumps(container["command"] + container["args"]))
+    print(json.dumps({"no schema": sorted(foreign), "checked": len(documents)}))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,80 @@
+//! The units.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use tests::programs::program;
+
+use super::{folder, runs, unknown_flags};
+
+const UNITS: [(&str, &str); 3] = [
+    ("rollout-coordinator.service", "coordinator"),
+    ("rollout-gateway.service", "policy-gateway"),
+    ("rollout-worker.service", "worker"),
+];
+
+fn unit(name: &str) -> String {
+    fs::read_to_string(folder("systemd").join(name)).expect("a unit")
+}
+
+/// What systemd complains about in units of these texts.
+fn complaints(units: &[(&str, String)]) -> String {
+    let folder = tempfile::tempdir().expect("a folder");
+    let paths = units.iter().map(|(name, text)| {
+        let path = folder.path().join(name);
+        fs::write(&path, text).expect("a unit");
+        path
+    });
+    let mut verify = Command::new("systemd-analyze");
+    verify.args(["verify", "--man=no"]).args(paths);
+    let output = verify.output().expect("systemd-analyze runs");
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    // Of this machine's own units it may say something, too.
+    said.lines()
+        .filter(|line| line.contains("rollout-"))
+        .collect()
+}
+
+/// The unit with its program where the tests have it.
+fn here(name: &str, of: &str) -> String {
+    let installed = format!("/usr/local/bin/{of} ");
+    let text = unit(name);
+    assert_eq!(text.matches(&installed).count(), 1, "{name}");
+    text.replace(&installed, &format!("{} ", program(of).display()))
+}
+
+#[test]
+fn systemd_accepts_the_units() {
+    if !runs("systemd-analyze", "--version") {
+        println!("skipped systemd_accepts_the_units: no systemd-analyze");
+        return;
+    }
+    let units = UNITS.map(|(name, of)| (name, here(name, of)));
+    assert_eq!(complaints(&units), "");
+    // It notices what it does not know.
+    let (name, of) = UNITS[2];
+    let wrong = here(name, of).replace("KillMode", "KilMode");
+    assert!(complaints(&[(name, wrong)]).contains("KilMode"));
+}
+
+#[test]
+fn units_give_programs_flags_that_they_have() {
+    for (name, of) in UNITS {
+        let text = unit(name);
+        let settings = ["ExecStart=", "Environment=\"ROUTES="];
+        let values = text
+            .lines()
+            .filter_map(|line| settings.iter().find_map(|it| line.strip_prefix(it)));
+        let words = values.flat_map(|value| value.trim_matches('"').split_whitespace());
+        let mut words: Vec<String> = words.map(str::to_owned).collect();
+        // What a worker calls stands in its environment.
+        let at = words
+            .iter()
+            .position(|word| Path::new(word).ends_with(of))
+            .expect("the program");
+        words[at] = of.to_owned();
+        words.swap(0, at);
+        assert_eq!(unknown_flags(&words), [""; 0], "{name}");
+    }
+}

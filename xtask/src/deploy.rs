@@ -1,0 +1,23 @@
+//! What the tests of `deploy` and of releases hold files against: the schemas of Kubernetes
+//! and CycloneDX.
+
+use std::path::{Path, PathBuf};
+
+use crate::step::step;
+use crate::venv::environment;
+
+const PACKAGES: [&str; 2] = [
+    "kubernetes-validate==1.37.0",
+    "cyclonedx-python-lib[json-validation]==11.12.0",
+];
+
+/// An interpreter that has them; none where they cannot be had, and the tests say so.
+pub(crate) fn schemas(cache: &Path) -> Option<PathBuf> {
+    let dir = cache.join("deploy-venv");
+    let made = step("schemas of deploy/", || {
+        let made = environment(&dir, &PACKAGES).map(str::to_owned);
+        Ok(made.unwrap_or_else(|error| format!("none: {error:#}")))
+    });
+    let there = made.is_ok_and(|said| !said.starts_with("none"));
+    there.then(|| dir.join("bin/python"))
+}

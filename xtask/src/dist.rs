@@ -1,0 +1,96 @@
+//! What is handed out: an archive of the programs and all that they need but glibc, and
+//! an image for containers made of it.
+
+mod archive;
+mod bare_root;
+mod bill;
+mod check;
+mod components;
+mod crates;
+mod image;
+mod licences;
+mod native;
+mod stage;
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, Result, bail};
+
+use crate::cargo::{build_programs, build_released_programs};
+use crate::deploy;
+use crate::process::capture;
+use crate::setup;
+
+pub(crate) use check::test;
+
+/// How the release is made.
+#[derive(clap::Args)]
+pub(crate) struct Options {
+    /// `dev` packs what tests and daily work compile, to try the packing itself.
+    #[arg(long, default_value = "release")]
+    profile: Profile,
+    /// Makes an image for containers too; needs Debian's `buildah`.
+    #[arg(long)]
+    image: bool,
+    /// Folder for what is made. [default: target/dist]
+    #[arg(long)]
+    output: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy, PartialEq, clap::ValueEnum)]
+enum Profile {
+    Release,
+    Dev,
+}
+
+/// The programs, all of which start with nothing but glibc installed.
+const PROGRAMS: [&str; 3] = ["coordinator", "policy-gateway", "worker"];
+
+/// The version of the workspace.
+const VERSION: &str = env!("CARGO_PKG_VERSION");
+
+/// Makes it, tries it in a bare root, and says where it is.
+///
+/// # Errors
+/// If a part cannot be had, something would be missing from the archive, or what is
+/// handed out does not run.
+pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
+    let cache = setup::run(root)?;
+    if options.profile == Profile::Release {
+        refuse_what_is_not_committed(root)?;
+    }
+    let programs = match options.profile {
+        Profile::Release => build_released_programs(root, &PROGRAMS)?,
+        Profile::Dev => build_programs(root)?,
+    };
+    let output = options.output.clone();
+    let output = output.unwrap_or_else(|| root.join("target/dist"));
+    let archive = archive::make(root, &cache, &programs, &output)?;
+    check::archive(root, &archive, deploy::schemas(&cache).as_deref())?;
+    archive::describe(&archive.file)?;
+    if options.image {
+        let image = image::make(root, &archive)?;
+        archive::describe(&image)?;
+    }
+    Ok(())
+}
+
+/// A release says which commit it is, which has to be true.
+fn refuse_what_is_not_committed(root: &Path) -> Result<()> {
+    let mut git = Command::new("git");
+    git.current_dir(root).args(["status", "--porcelain"]);
+    let changes = capture(&mut git).context("ask git what is not committed")?;
+    if let Some(first) = changes.lines().next() {
+        bail!("make a release: {first:?} is not committed; commit it, or use `--profile dev`");
+    }
+    Ok(())
+}
+
+/// When the commit was made, in seconds since 1970: the time of all files, so that the
+/// same commit makes the same archive.
+fn commit_time(root: &Path) -> String {
+    let mut git = Command::new("git");
+    git.current_dir(root).args(["log", "-1", "--format=%ct"]);
+    capture(&mut git).unwrap_or_else(|_| "0".to_owned())
+}

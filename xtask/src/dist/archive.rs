@@ -1,0 +1,79 @@
+//! The archive: what was staged, in one file, with its checksum beside it.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, Result};
+use sha2::{Digest, Sha256};
+
+use crate::process::capture;
+use crate::step::step;
+
+use super::{VERSION, commit_time, native, stage};
+
+/// Names and digests of all files in it.
+pub(super) const SUMS: &str = "SHA256SUMS";
+
+/// A release archive.
+pub(super) struct Archive {
+    /// The file.
+    pub(super) file: PathBuf,
+    /// The one folder in it.
+    pub(super) name: String,
+    /// What reads and writes ELF files.
+    pub(super) elf: native::Elf,
+}
+
+/// Makes the archive of these programs.
+pub(super) fn make(root: &Path, cache: &Path, programs: &Path, output: &Path) -> Result<Archive> {
+    let elf = native::Elf::provide(cache)?;
+    println!("Packing");
+    let name = format!("rollout-{VERSION}-{}-linux", std::env::consts::ARCH);
+    let folder = output.join(&name);
+    let _ = std::fs::remove_dir_all(&folder);
+    stage::fill(root, cache, programs, &folder, &elf)?;
+    step("checksums", || {
+        let files = stage::files(&folder)?;
+        let mut sums = String::new();
+        for file in &files {
+            let _ = writeln!(sums, "{}  {}", digest(&folder.join(file))?, file.display());
+        }
+        std::fs::write(folder.join(SUMS), sums)?;
+        Ok(format!("of {} files", files.len()))
+    })?;
+    let file = output.join(format!("{name}.tar.gz"));
+    step("archive", || {
+        let mut tar = Command::new("tar");
+        tar.args(["--create", "--gzip", "--sort=name", "--format=gnu"])
+            .args(["--owner=0", "--group=0", "--numeric-owner"])
+            .args(["--mode=u+rw,go-w,a+rX", "--mtime"])
+            .arg(format!("@{}", commit_time(root)))
+            .arg("--directory")
+            .arg(output)
+            .arg("--file")
+            .args([&file, Path::new(&name)]);
+        capture(&mut tar).map(|_| "packed")
+    })?;
+    Ok(Archive { file, name, elf })
+}
+
+/// Prints a file's path, size and digest, and writes the digest beside it.
+pub(super) fn describe(file: &Path) -> Result<()> {
+    let digest = digest(file)?;
+    let name = file.file_name().unwrap_or_default().to_string_lossy();
+    let beside = file.with_file_name(format!("{name}.sha256"));
+    std::fs::write(&beside, format!("{digest}  {name}\n"))
+        .with_context(|| format!("write {}", beside.display()))?;
+    let megabytes = file.metadata()?.len() as f64 / 1e6;
+    println!("{} ({megabytes:.1} MB)", file.display());
+    println!("SHA-256 {digest}");
+    Ok(())
+}
+
+/// SHA-256 of a file, in hexadecimal digits.
+pub(super) fn digest(path: &Path) -> Result<String> {
+    let bytes = std::fs::read(path).with_context(|| format!("read {}", path.display()))?;
+    let digest = Sha256::digest(bytes);
+    Ok(digest.iter().map(|byte| format!("{byte:02x}")).collect())
+}

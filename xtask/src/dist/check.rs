@@ -1,0 +1,203 @@
+//! Whether the archive is whole, and runs where there is nothing but glibc.
+
+use std::path::Path;
+use std::process::Command;
+
+use anyhow::{Context, Result, ensure};
+
+use crate::process::capture;
+use crate::running::Running;
+use crate::step::step;
+
+use super::archive::{self, Archive};
+use super::bare_root::{BareRoot, DATA, PREFIX};
+use super::{PROGRAMS, VERSION, bill, crates, image, stage};
+
+/// A campaign of two rollouts, which the expert solves: nominal, and with another camera.
+const CAMPAIGN: [&str; 8] = [
+    "--tasks",
+    "libero_object/1",
+    "--axes",
+    "camera",
+    "--levels",
+    "L1",
+    "--configs",
+    "1",
+];
+
+/// Packs the programs that tests use, and tries the archive. The image is made where
+/// `buildah` is.
+///
+/// # Errors
+/// If it cannot be packed, or does not run.
+pub(crate) fn test(
+    root: &Path,
+    cache: &Path,
+    programs: &Path,
+    schemas: Option<&Path>,
+) -> Result<()> {
+    let output = tempfile::tempdir().context("make a folder")?;
+    let packed = archive::make(root, cache, programs, output.path())?;
+    archive(root, &packed, schemas)?;
+    match image::tool() {
+        Ok(()) => image::make(root, &packed).map(drop),
+        Err(error) => {
+            println!("  skipped the image for containers: {error:#}");
+            Ok(())
+        }
+    }
+}
+
+/// Tries an archive; its bill of materials with an interpreter that has the schema.
+pub(super) fn archive(root: &Path, archive: &Archive, schemas: Option<&Path>) -> Result<()> {
+    println!("Trying {}", archive.file.display());
+    let folder = tempfile::tempdir().context("make a folder")?;
+    let bare = BareRoot::make(&folder.path().join("root"), archive)?;
+    bare.add_data()?;
+    let unpacked = bare.dir().join(PREFIX.trim_start_matches('/'));
+    step("all files as they were packed", || whole(&unpacked))?;
+    step("documents", || documents(root, &unpacked))?;
+    step("bill of materials as CycloneDX", || match schemas {
+        Some(python) => valid(python, &unpacked.join(stage::DOCUMENTS).join(stage::BILL)),
+        None => Ok("skipped: no schema"),
+    })?;
+    if let Some(why) = bare.closed() {
+        println!("  skipped the programs in a bare root: {why}");
+        return Ok(());
+    }
+    step("versions in a bare root", || versions(root, &bare))?;
+    step("a campaign in a bare root", || {
+        campaign(&bare, folder.path())
+    })?;
+    step("what was unpacked", || {
+        whole(&unpacked).map(|_| "as it was")
+    })?;
+    Ok(())
+}
+
+fn whole(unpacked: &Path) -> Result<String> {
+    let mut sums = Command::new("sha256sum");
+    sums.current_dir(unpacked)
+        .args(["--check", "--strict", "--quiet", archive::SUMS]);
+    capture(&mut sums)?;
+    let listed = std::fs::read_to_string(unpacked.join(archive::SUMS))?
+        .lines()
+        .count();
+    let there = stage::files(unpacked)?.len();
+    // The list itself is not in it.
+    ensure!(
+        there == listed + 1,
+        "find {listed} files: there are {there}"
+    );
+    Ok(format!("{listed} files"))
+}
+
+fn documents(root: &Path, unpacked: &Path) -> Result<&'static str> {
+    for page in [
+        "worker.1",
+        "coordinator-campaign-create.1",
+        "policy-gateway-doctor.1",
+    ] {
+        let text = std::fs::read_to_string(unpacked.join("share/man/man1").join(page))?;
+        ensure!(
+            text.contains(".SH OPTIONS"),
+            "read {page}: it names no option"
+        );
+    }
+    let documents = unpacked.join(stage::DOCUMENTS);
+    let licences = std::fs::read_to_string(documents.join(stage::LICENCES))?;
+    let bill: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(documents.join(stage::BILL))?)?;
+    let listed: Vec<&str> = bill::names(&bill);
+    let crates = crates::shipped(root)?;
+    let crates = crates.iter().map(|it| it.name.as_str());
+    for name in crates.chain(["mujoco", "robosuite", "hf-libero"]) {
+        ensure!(
+            licences.contains(&format!("\n{name} ")),
+            "name the licence of {name}"
+        );
+        ensure!(
+            listed.contains(&name),
+            "find {name} in the bill of materials"
+        );
+    }
+    Ok("whole")
+}
+
+/// Holds the bill against the schema.
+fn valid(python: &Path, bill: &Path) -> Result<&'static str> {
+    let mut validate = Command::new(python);
+    capture(validate.args(["-c", VALIDATE]).arg(bill)).map(|_| "valid")
+}
+
+const VALIDATE: &str = "\
+import pathlib, sys
+from cyclonedx.schema import SchemaVersion
+from cyclonedx.validation.json import JsonStrictValidator
+text = pathlib.Path(sys.argv[1]).read_text()
+sys.exit(JsonStrictValidator(SchemaVersion.V1_5).validate_str(text) and 'not as the schema wants it')
+";
+
+fn versions(root: &Path, bare: &BareRoot) -> Result<String> {
+    let mut git = Command::new("git");
+    git.current_dir(root)
+        .args(["log", "-1", "--format=%h, %cs"]);
+    let expected = match capture(&mut git) {
+        Ok(commit) => format!("{VERSION} ({commit})"),
+        Err(_) => VERSION.to_owned(),
+    };
+    for name in PROGRAMS {
+        let said = capture(bare.program(name).arg("--version"))?;
+        ensure!(
+            said == format!("{name} {expected}"),
+            "expect {expected}: {name} is {said:?}"
+        );
+    }
+    Ok(expected)
+}
+
+/// All three programs at work.
+fn campaign(bare: &BareRoot, logs: &Path) -> Result<String> {
+    let start = |name: &str, arguments: &[&str]| {
+        Running::start(name, bare.program(name).args(arguments), logs)
+    };
+    let data = format!("{DATA}/campaigns");
+    let coordinator = start(
+        "coordinator",
+        &["serve", "--data", &data, "--listen", "127.0.0.1:0"],
+    )?;
+    let route = ["--route", "expert=builtin:expert"];
+    let gateway = start(
+        "policy-gateway",
+        &[&["--listen", "127.0.0.1:0"], &route[..]].concat(),
+    )?;
+    let connect = ["--connect", coordinator.url.as_str()];
+    let _worker = start(
+        "worker",
+        &[&connect[..], &["--assets", "primitives"]].concat(),
+    )?;
+    let call =
+        |arguments: &[&str]| capture(bare.program("coordinator").args(arguments).args(connect));
+    let policy = ["--policy", "expert", "--endpoint", &gateway.url];
+    call(
+        &[
+            &["campaign", "create", "--name", "bare"],
+            &policy[..],
+            &CAMPAIGN,
+        ]
+        .concat(),
+    )?;
+    call(&["campaign", "status", "bare", "--watch"])?;
+    let results = call(&["export", "bare", "--format", "jsonl"])?;
+    let successes = results
+        .lines()
+        .filter(|row| row.contains("\"success\":true"))
+        .count();
+    let rollouts = results.lines().count();
+    ensure!(
+        rollouts > 0 && successes == rollouts,
+        "see the expert succeed:\n{results}"
+    );
+    call(&["report", "bare"])?;
+    Ok(format!("{successes} of {rollouts} rollouts successful"))
+}

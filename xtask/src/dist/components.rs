@@ -1,0 +1,78 @@
+//! What is in the archive beside our own files and crates.
+
+use std::path::Path;
+use std::process::Command;
+
+use anyhow::{Context, Result};
+
+use crate::packages::WHEELS;
+use crate::process::capture;
+
+/// Something from elsewhere.
+pub(super) struct Component {
+    pub(super) name: String,
+    pub(super) version: String,
+    /// SPDX expression.
+    pub(super) licence: &'static str,
+    /// What its authors want to go with it.
+    pub(super) texts: Vec<String>,
+}
+
+/// Licences of [`WHEELS`], in their order, as the packages' texts have them.
+const OF_WHEELS: [&str; 3] = ["Apache-2.0", "MIT", "MIT"];
+
+/// MuJoCo, the robot's models and LIBERO's task files, as PyPI has them.
+pub(super) fn of_wheels(cache: &Path) -> Result<Vec<Component>> {
+    let described = WHEELS.iter().zip(OF_WHEELS);
+    let described = described.map(|(wheel, licence)| {
+        let (name, version) = wheel
+            .requirement
+            .split_once("==")
+            .context("read a version")?;
+        Ok(Component {
+            name: name.to_owned(),
+            version: version.to_owned(),
+            licence,
+            texts: wheel.licences(cache)?,
+        })
+    });
+    described.collect()
+}
+
+/// The compiler's libraries.
+pub(super) fn of_compiler(libraries: &[&str]) -> Result<Vec<Component>> {
+    if libraries.is_empty() {
+        return Ok(Vec::new());
+    }
+    let version = capture(Command::new("cc").arg("-dumpfullversion"))?;
+    let found = libraries.iter().map(|library| Component {
+        name: (*library).to_owned(),
+        version: version.clone(),
+        licence: "GPL-3.0-or-later WITH GCC-exception-3.1",
+        texts: vec![
+            "Part of GCC, by the Free Software Foundation, unaltered as this system has it. The \
+             GCC Runtime Library Exception 3.1 lets programs of any licence be handed out with \
+             it. The texts: https://www.gnu.org/licenses/gpl-3.0.txt and \
+             https://www.gnu.org/licenses/gcc-exception-3.1.txt. The source: \
+             https://gcc.gnu.org."
+                .to_owned(),
+        ],
+    });
+    Ok(found.collect())
+}
+
+/// The C library, which an image has and an archive has not.
+pub(super) fn glibc() -> Result<Component> {
+    let told = capture(Command::new("ldd").arg("--version"))?;
+    let first = told.lines().next().unwrap_or_default();
+    let version = first.split_whitespace().last().unwrap_or_default();
+    Ok(Component {
+        name: "glibc".to_owned(),
+        version: version.to_owned(),
+        licence: "LGPL-2.1-or-later",
+        texts: vec![format!(
+            "{first}, unaltered. Text: https://www.gnu.org/licenses/lgpl-2.1.txt. Source: \
+             https://sourceware.org/glibc, or of this system's package."
+        )],
+    })
+}

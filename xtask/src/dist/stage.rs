@@ -1,0 +1,191 @@
+//! The folder that becomes the archive. It can be unpacked anywhere, or over a prefix such
+//! as `/usr/local`.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, Result};
+
+use crate::process::capture;
+use crate::step::step;
+
+use super::native::{Elf, oldest_glibc};
+use super::{PROGRAMS, bill, components, crates, licences};
+
+/// The library that simulates.
+const MUJOCO: &str = "libmujoco.so.3.3.7";
+
+/// Shells, the folder below `share` where each looks for completions, and what its files
+/// are called around a program's name.
+const SHELLS: [(&str, &str, &str, &str); 3] = [
+    ("bash", "bash-completion/completions", "", ""),
+    ("zsh", "zsh/site-functions", "_", ""),
+    ("fish", "fish/vendor_completions.d", "", ".fish"),
+];
+
+/// Endings of the files that a scene is made from. The robot's models come with others,
+/// which nothing reads, of twice their size.
+const OF_SCENES: [&str; 5] = ["bddl", "obj", "pruned_init", "stl", "xml"];
+
+/// Where the archive keeps documents, and what scenes are made from.
+pub(super) const DOCUMENTS: &str = "share/doc/rollout";
+const SOURCES: &str = "share/rollout/sources";
+
+/// The licences of all parts, and the bill of materials.
+pub(super) const LICENCES: &str = "THIRD-PARTY-LICENSES.txt";
+pub(super) const BILL: &str = "sbom.cdx.json";
+
+/// Fills the folder.
+pub(super) fn fill(
+    root: &Path,
+    cache: &Path,
+    programs: &Path,
+    folder: &Path,
+    elf: &Elf,
+) -> Result<()> {
+    let compilers = step("programs, libraries", || {
+        let (bin, lib) = (folder.join("bin"), folder.join("lib"));
+        install(cache, programs, (&bin, &lib), elf)
+    })?;
+    step("manual pages, completions", || shell_files(folder))?;
+    step("what scenes are made from", || scenes(cache, folder))?;
+    step("documents, licences, bill", || {
+        let mut parts = components::of_wheels(cache)?;
+        parts.extend(components::of_compiler(&compilers.0)?);
+        let crates = crates::shipped(root)?;
+        let to = folder.join(DOCUMENTS);
+        documents(root, folder, &to)?;
+        std::fs::write(to.join(LICENCES), licences::text(root, &crates, &parts)?)?;
+        let bill = serde_json::to_string_pretty(&bill::of(&crates, &parts))?;
+        std::fs::write(to.join(BILL), bill + "\n")?;
+        Ok(format!(
+            "of {} crates, {} others",
+            crates.len(),
+            parts.len()
+        ))
+    })?;
+    Ok(())
+}
+
+/// Libraries of the compiler that are in the archive, and the oldest glibc it runs on.
+struct Needed(Vec<&'static str>, (u32, u32));
+
+impl std::fmt::Display for Needed {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self(libraries, (major, minor)) = self;
+        write!(
+            f,
+            "with {}, for glibc {major}.{minor} or newer",
+            libraries.join(", ")
+        )
+    }
+}
+
+fn install(cache: &Path, programs: &Path, to: (&Path, &Path), elf: &Elf) -> Result<Needed> {
+    let (bin, lib) = to;
+    std::fs::create_dir_all(bin)?;
+    std::fs::create_dir_all(lib)?;
+    let mujoco = cache.join("mujoco-3.3.7").join(MUJOCO);
+    std::fs::copy(&mujoco, lib.join(MUJOCO))
+        .with_context(|| format!("copy {}", mujoco.display()))?;
+    let mut needed = BTreeSet::new();
+    for name in PROGRAMS {
+        needed.append(&mut elf.install(&programs.join(name), &bin.join(name))?);
+    }
+    let libraries = elf.provide_libraries(&needed, lib)?;
+    let mut files: Vec<PathBuf> = PROGRAMS.iter().map(|name| bin.join(name)).collect();
+    files.push(lib.join(MUJOCO));
+    files.extend(libraries.iter().map(|name| lib.join("fallback").join(name)));
+    Ok(Needed(libraries, oldest_glibc(&files)?))
+}
+
+/// One of the archive's programs, with a newcomer's environment.
+fn program(folder: &Path, name: &str) -> Command {
+    let mut program = Command::new(folder.join("bin").join(name));
+    program.env_clear();
+    program
+}
+
+fn shell_files(folder: &Path) -> Result<String> {
+    let pages = folder.join("share/man/man1");
+    for name in PROGRAMS {
+        capture(program(folder, name).arg("manual").arg(&pages))?;
+        for (shell, place, before, after) in SHELLS {
+            let place = folder.join("share").join(place);
+            std::fs::create_dir_all(&place)?;
+            let script = capture(program(folder, name).args(["completions", shell]))?;
+            std::fs::write(place.join(format!("{before}{name}{after}")), script + "\n")?;
+        }
+    }
+    let pages = std::fs::read_dir(&pages)?.count();
+    Ok(format!("{pages} pages, {} shells", SHELLS.len()))
+}
+
+/// Copies the robot's models and the task files, and has the worker unpack its built-in
+/// pack beside them: who runs it may not write there.
+fn scenes(cache: &Path, folder: &Path) -> Result<String> {
+    let to = folder.join(SOURCES);
+    for part in ["robosuite", "libero"] {
+        let from = cache.join("sources").join(part);
+        for file in files(&from)? {
+            let ending = file
+                .extension()
+                .and_then(|it| it.to_str())
+                .unwrap_or_default();
+            if OF_SCENES.contains(&ending) {
+                copy(&from.join(&file), &to.join(part).join(&file))?;
+            }
+        }
+    }
+    let mut worker = program(folder, "worker");
+    capture(worker.args(["assets", "list", "primitives"]))?;
+    Ok(format!("{} files", files(&to)?.len()))
+}
+
+fn documents(root: &Path, folder: &Path, to: &Path) -> Result<()> {
+    for name in ["README.md", "CHANGELOG.md", "LICENSE-APACHE", "LICENSE-MIT"] {
+        copy(&root.join(name), &to.join(name))?;
+    }
+    let pages = root.join("docs");
+    for page in files(&pages)? {
+        if page.extension().is_some_and(|it| it == "md") {
+            copy(&pages.join(&page), &to.join("docs").join(&page))?;
+        }
+    }
+    let deploy = root.join("deploy");
+    for file in files(&deploy)? {
+        copy(
+            &deploy.join(&file),
+            &folder.join("share/rollout/deploy").join(&file),
+        )?;
+    }
+    Ok(())
+}
+
+fn copy(from: &Path, to: &Path) -> Result<()> {
+    let folder = to.parent().context("name a file")?;
+    std::fs::create_dir_all(folder)?;
+    std::fs::copy(from, to).with_context(|| format!("copy {}", from.display()))?;
+    Ok(())
+}
+
+/// All files below a folder, by their paths in it, sorted.
+pub(super) fn files(folder: &Path) -> Result<Vec<PathBuf>> {
+    let mut found = Vec::new();
+    let mut open = vec![PathBuf::new()];
+    while let Some(inside) = open.pop() {
+        let path = folder.join(&inside);
+        let entries = std::fs::read_dir(&path);
+        for entry in entries.with_context(|| format!("read {}", path.display()))? {
+            let entry = entry?;
+            let inside = inside.join(entry.file_name());
+            match entry.file_type()?.is_dir() {
+                true => open.push(inside),
+                false => found.push(inside),
+            }
+        }
+    }
+    found.sort();
+    Ok(found)
+}

@@ -1,0 +1,101 @@
+//! Programs that run beside this one.
+
+use std::fs::File;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail};
+
+/// How long a program may take to say that it listens.
+const START_LIMIT: Duration = Duration::from_secs(30);
+/// How long a program may take to end when asked to.
+const END_LIMIT: Duration = Duration::from_secs(20);
+
+/// A program that runs beside this one and is ended with it.
+pub(crate) struct Running {
+    child: Child,
+    /// Where it listens, if it does.
+    pub(crate) url: String,
+}
+
+impl Running {
+    /// Starts a program with its output in a log file in `dir`, and waits until it
+    /// says where it listens or, for a worker, that it runs.
+    pub(crate) fn start(name: &str, command: &mut Command, dir: &Path) -> Result<Self> {
+        let log = dir.join(format!("{name}.log"));
+        let file = File::create(&log).with_context(|| format!("write {}", log.display()))?;
+        let child = command
+            .stdin(Stdio::null())
+            .stdout(file.try_clone()?)
+            .stderr(file)
+            .spawn()
+            .with_context(|| format!("start {name}"))?;
+        let mut running = Self {
+            child,
+            url: String::new(),
+        };
+        let start = Instant::now();
+        loop {
+            if let Some(url) = announced(&log, name)? {
+                running.url = url;
+                return Ok(running);
+            }
+            if let Some(status) = running.child.try_wait()? {
+                let said = std::fs::read_to_string(&log).unwrap_or_default();
+                bail!("start {name}: {status}\n{}", said.trim_end());
+            }
+            if start.elapsed() > START_LIMIT {
+                bail!("start {name}: it does not answer; see {}", log.display());
+            }
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    }
+}
+
+impl std::fmt::Display for Running {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(if self.url.is_empty() {
+            "started"
+        } else {
+            &self.url
+        })
+    }
+}
+
+/// The address that a program's log gives. A worker listens nowhere and
+/// is up as soon as it says anything.
+fn announced(log: &Path, name: &str) -> Result<Option<String>> {
+    for line in BufReader::new(File::open(log)?).lines() {
+        let line = line?;
+        if name == "worker" {
+            return Ok(Some(String::new()));
+        }
+        if let Some((_, address)) = line.split_once("listening on ") {
+            let address = address.split([' ', ',']).next().unwrap_or_default();
+            let bare = address.strip_prefix("http://").unwrap_or(address);
+            return Ok(Some(format!("http://{bare}")));
+        }
+    }
+    Ok(None)
+}
+
+impl Drop for Running {
+    /// Asks the program to end, as an operator would, and insists if it does
+    /// not.
+    fn drop(&mut self) {
+        let _ = Command::new("kill")
+            .arg(self.child.id().to_string())
+            .status();
+        let start = Instant::now();
+        while start.elapsed() < END_LIMIT {
+            if matches!(self.child.try_wait(), Ok(Some(_)) | Err(_)) {
+                return;
+            }
+            std::thread::sleep(Duration::from_millis(50));
+        }
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
