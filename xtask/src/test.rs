@@ -31,6 +31,11 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
         let found = setup::browser().map(str::to_owned);
         Ok(found.unwrap_or_else(|error| format!("none: {error:#}")))
     })?;
+    step("Slurm for the tests of deploy/", || {
+        // As with the browser.
+        let found = setup::slurm().map(str::to_owned);
+        Ok(found.unwrap_or_else(|error| format!("none: {error:#}")))
+    })?;
     step("built-in pack as generated", || {
         let mut generator = Command::new("python3");
         capture(
