@@ -22,6 +22,8 @@ macro_rules! pages {
 pages! {
     commands_of_the_readme_work: "README.md",
     commands_of_architecture_work: "docs/ARCHITECTURE.md",
+    commands_of_cluster_work: "docs/CLUSTER.md",
+    commands_of_deploying_work: "deploy/README.md",
     commands_of_expert_work: "docs/EXPERT.md",
     commands_of_fidelity_work: "docs/FIDELITY.md",
     commands_of_json_work: "docs/JSON.md",
