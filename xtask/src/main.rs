@@ -12,6 +12,7 @@ mod original;
 mod packages;
 mod process;
 mod python;
+mod ray;
 mod setup;
 mod skipped;
 mod step;

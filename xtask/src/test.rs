@@ -10,6 +10,7 @@ use crate::cargo::{build_program, build_programs, cargo};
 use crate::demo;
 use crate::process::{capture, run as run_command};
 use crate::python;
+use crate::ray;
 use crate::setup;
 use crate::skipped;
 use crate::step::step;
@@ -89,6 +90,8 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
         )?;
         println!("Testing the Python packages as wheels");
         wheel::test(root, &cache, &programs)?;
+        println!("Testing the launcher on Ray");
+        ray::test(root, &cache, &programs)?;
         println!("Testing the demo, with fewer rollouts");
         demo::check(root, &programs)?;
     }

@@ -2,6 +2,8 @@
 //! server, for a coordinator. The scripts are `deploy`'s, with what was asked for
 //! filled in.
 
+mod checked;
+mod scripts;
 mod slurm;
 mod template;
 mod time_limit;

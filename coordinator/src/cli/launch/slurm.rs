@@ -1,16 +1,16 @@
 //! `coordinator launch slurm`.
 
 use std::net::SocketAddr;
-use std::path::{Path, PathBuf, absolute};
-use std::process::Command;
+use std::path::{Path, PathBuf};
 
-use anyhow::{Context, anyhow, ensure};
+use anyhow::{Context, anyhow};
 use clap::Args;
 use terminal::number;
 use transport::{SecurityError, ServerArguments, parse_endpoint};
 
 use super::super::command::{CommandError, failure, print, print_line, usage};
-use super::super::files::write_whole;
+use super::checked::{line, options, text, whole, word};
+use super::scripts::{Script, submit, write};
 use super::template::{Values, fill, for_shell};
 use super::time_limit::TimeLimit;
 
@@ -137,12 +137,6 @@ struct GatewayArguments {
         requires = "policy"
     )]
     gateway_sbatch: Vec<String>,
-}
-
-/// A script, filled in.
-struct Script {
-    path: PathBuf,
-    text: String,
 }
 
 /// Shows, writes or submits the scripts.
@@ -349,91 +343,4 @@ impl GatewayArguments {
         }
         line("--policy", route.clone()).map(Some)
     }
-}
-
-/// Writes what is not there; nothing if one of them is there and differs.
-fn write(scripts: &[Script]) -> anyhow::Result<()> {
-    for Script { path, text } in scripts {
-        let there = std::fs::read(path);
-        ensure!(
-            !path.exists() || there.is_ok_and(|there| there == text.as_bytes()),
-            "write {}: there is one that differs, perhaps edited; remove it, or name another \
-             folder",
-            path.display()
-        );
-    }
-    for Script { path, text } in scripts {
-        let folder = path.parent().unwrap_or(path);
-        std::fs::create_dir_all(folder).with_context(|| format!("make {}", folder.display()))?;
-        write_whole(path, text.as_bytes())?;
-    }
-    Ok(())
-}
-
-/// Submits all but the coordinator, in order: workers have no work before their
-/// gateway's job has begun.
-fn submit(scripts: &[Script]) -> anyhow::Result<()> {
-    let mut before: Option<String> = None;
-    for Script { path, .. } in scripts.iter().skip(1) {
-        let mut sbatch = Command::new("sbatch");
-        sbatch.arg("--parsable");
-        sbatch.args(before.map(|job| format!("--dependency=after:{job}")));
-        let output = sbatch.arg(path).output();
-        let output = output.context("run sbatch: call this where Slurm's commands are")?;
-        let complaint = String::from_utf8_lossy(&output.stderr);
-        ensure!(
-            output.status.success(),
-            "submit {}: {}",
-            path.display(),
-            complaint.trim()
-        );
-        let told = String::from_utf8_lossy(&output.stdout);
-        // The cluster's name follows where there are several.
-        let job = told.trim().split(';').next().unwrap_or_default().to_owned();
-        print_line(&format!("submitted {} as job {job}", path.display()))?;
-        before = Some(job);
-    }
-    Ok(())
-}
-
-/// A path from the root: the jobs run in a folder of their own.
-fn whole(path: &Path) -> Result<PathBuf, CommandError> {
-    let whole = absolute(path).with_context(|| format!("find {}", path.display()));
-    whole.map_err(usage)
-}
-
-fn text(path: &Path) -> Result<String, CommandError> {
-    let text = path.to_str().map(str::to_owned);
-    text.ok_or_else(|| usage(anyhow!("use {}: its name is no UTF-8", path.display())))
-}
-
-/// A value that stays in its line of the script.
-fn line(flag: &str, value: String) -> Result<String, CommandError> {
-    match value.chars().any(char::is_control) {
-        true => Err(usage(anyhow!("use {flag} {value:?}: write it in one line"))),
-        false => Ok(value),
-    }
-}
-
-/// A name or a number of Slurm's.
-fn word(flag: &str, value: Option<&String>) -> Result<Option<String>, CommandError> {
-    let Some(value) = value else { return Ok(None) };
-    let plain = |c: char| c.is_alphanumeric() || "_-+.,:=@/".contains(c);
-    match !value.is_empty() && value.chars().all(plain) {
-        true => Ok(Some(value.clone())),
-        false => Err(usage(anyhow!(
-            "use {flag} {value:?}: write letters, digits, or one of _-+.,:=@/"
-        ))),
-    }
-}
-
-/// More options of sbatch.
-fn options(flag: &str, given: &[String]) -> Result<Vec<String>, CommandError> {
-    let option = |option: &String| match option.starts_with('-') {
-        true => line(flag, option.clone()),
-        false => Err(usage(anyhow!(
-            "use {flag} {option:?}: write an option of sbatch, {flag}=--constraint=avx2"
-        ))),
-    };
-    given.iter().map(option).collect()
 }
