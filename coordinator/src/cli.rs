@@ -14,6 +14,7 @@ mod files;
 mod forecast;
 mod jobs;
 mod json;
+mod launch;
 mod line;
 mod manifest;
 mod operate;
@@ -71,6 +72,9 @@ enum Command {
     Explain(explain::ExplainArguments),
     /// Write the committed results of a campaign.
     Export(export::ExportArguments),
+    /// Show, write or submit what runs workers and policies on a cluster.
+    #[command(subcommand)]
+    Launch(launch::LaunchCommand),
     /// Print a script that completes this program's commands in a shell.
     Completions(completions::CompletionsArguments),
     /// Write this program's manual pages.
@@ -99,6 +103,8 @@ enum CampaignCommand {
     SetPriority(alter::PriorityArguments),
     /// Say where a campaign's policy is from now on.
     SetEndpoint(alter::EndpointArguments),
+    /// Say where every campaign's policy is from now on that was at one endpoint.
+    MoveEndpoint(alter::MoveArguments),
     /// Give a campaign another name.
     Rename(alter::RenameArguments),
     /// Remove a campaign with its results and files.
@@ -140,6 +146,7 @@ async fn execute(command: Command) -> Result<(), CommandError> {
         Command::Compare(arguments) => compare::compare(arguments).await,
         Command::Explain(arguments) => explain::explain(arguments).await,
         Command::Export(arguments) => export::export(arguments).await,
+        Command::Launch(command) => launch::launch(command),
         Command::Completions(arguments) => {
             completions::completions(arguments, Arguments::command())
         }
@@ -160,6 +167,7 @@ async fn campaign(command: CampaignCommand) -> Result<(), CommandError> {
         CampaignCommand::Cancel(arguments) => operate::change(arguments, Change::Cancel).await,
         CampaignCommand::SetPriority(arguments) => alter::set_priority(arguments).await,
         CampaignCommand::SetEndpoint(arguments) => alter::set_endpoint(arguments).await,
+        CampaignCommand::MoveEndpoint(arguments) => alter::move_endpoint(arguments).await,
         CampaignCommand::Rename(arguments) => alter::rename(arguments).await,
         CampaignCommand::Delete(arguments) => operate::delete(arguments).await,
     }

@@ -11,3 +11,4 @@ pub mod files;
 pub mod measure;
 pub mod phrases;
 pub mod programs;
+pub mod slurm;

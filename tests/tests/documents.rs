@@ -23,6 +23,7 @@ pages! {
     commands_of_the_readme_work: "README.md",
     commands_of_architecture_work: "docs/ARCHITECTURE.md",
     commands_of_the_changelog_work: "CHANGELOG.md",
+    commands_of_cluster_work: "docs/CLUSTER.md",
     commands_of_deploying_work: "deploy/README.md",
     commands_of_containers_work: "deploy/container/README.md",
     commands_of_kubernetes_work: "deploy/kubernetes/README.md",

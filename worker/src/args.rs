@@ -134,6 +134,15 @@ pub struct ServeArguments {
     /// registers, with no more slots than cores and than fit into memory
     #[arg(long, value_name = "N|auto", default_value = "1")]
     pub slots: SlotCount,
+    /// How long rollouts in flight may take once the worker is asked to end;
+    /// then they are given back, as at a second signal [default: as long as they
+    /// take]
+    #[arg(long, value_name = "SECS", value_parser = seconds(0.0..=86_400.0))]
+    pub drain_secs: Option<f64>,
+    /// Ends the worker after so long without work, if the coordinator answers
+    /// [default: it waits for more]
+    #[arg(long, value_name = "SECS", value_parser = seconds(0.1..=604_800.0))]
+    pub idle_secs: Option<f64>,
     /// Asks policies here instead of where the campaign says
     #[arg(long, value_name = "URL", value_parser = server_url)]
     pub policy_endpoint: Option<String>,

@@ -5,6 +5,7 @@
 use std::convert::Infallible;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::time::Duration;
 
 use anyhow::Context;
 use protocol::TaskRef;
@@ -328,6 +329,8 @@ fn run_worker(
             simulator.sources.dir(),
         ),
         policy_endpoint: arguments.policy_endpoint,
+        drain: arguments.drain_secs.map(Duration::from_secs_f64),
+        idle: arguments.idle_secs.map(Duration::from_secs_f64),
         scratch: scratch.path().to_owned(),
         seed,
     };

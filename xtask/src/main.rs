@@ -14,6 +14,7 @@ mod original;
 mod packages;
 mod process;
 mod python;
+mod ray;
 mod running;
 mod setup;
 mod skipped;

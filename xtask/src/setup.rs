@@ -1,5 +1,6 @@
 //! Everything that must be on a machine before the workspace can be built, and
-//! what drawing through OpenGL and pictures of the live page need beside it.
+//! what drawing through OpenGL, pictures of the live page and tests of clusters
+//! need beside it.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -27,6 +28,10 @@ const GLES_LIBRARY: &str = "libGLESv2.so.2";
 
 /// The browser, a Debian package and a program of one name.
 const BROWSER_PACKAGE: &str = "chromium";
+
+/// The scheduler: Debian packages, and what is looked for.
+const SLURM_PACKAGES: [&str; 4] = ["slurmctld", "slurmd", "slurm-client", "munge"];
+const SLURM_DAEMONS: [&str; 3] = ["slurmctld", "slurmd", "munged"];
 
 /// Sets the machine up; every step is skipped that has been done before.
 /// Returns the folder for whatever outlasts a build.
@@ -71,6 +76,22 @@ pub(crate) fn browser() -> Result<&'static str> {
         return Ok("already there");
     }
     install(&[BROWSER_PACKAGE])?;
+    Ok("installed")
+}
+
+/// Installs the scheduler whose jobs the scripts of `deploy/slurm` are tested as.
+///
+/// # Errors
+/// When it is missing and cannot be installed.
+pub(crate) fn slurm() -> Result<&'static str> {
+    let there = |program: &str| {
+        let daemon = Path::new("/usr/sbin").join(program);
+        daemon.is_file() || capture(Command::new("which").arg(program)).is_ok()
+    };
+    if SLURM_DAEMONS.into_iter().all(there) {
+        return Ok("already there");
+    }
+    install(&SLURM_PACKAGES)?;
     Ok("installed")
 }
 

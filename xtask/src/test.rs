@@ -12,6 +12,7 @@ use crate::deploy;
 use crate::dist;
 use crate::process::{capture, run as run_command};
 use crate::python;
+use crate::ray;
 use crate::setup;
 use crate::skipped;
 use crate::step::step;
@@ -31,6 +32,11 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
     step("browser for the live page's tests", || {
         // Without it these tests are skipped, and said to be.
         let found = setup::browser().map(str::to_owned);
+        Ok(found.unwrap_or_else(|error| format!("none: {error:#}")))
+    })?;
+    step("Slurm for the tests of deploy/", || {
+        // As with the browser.
+        let found = setup::slurm().map(str::to_owned);
         Ok(found.unwrap_or_else(|error| format!("none: {error:#}")))
     })?;
     step("built-in pack as generated", || {
@@ -93,6 +99,8 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
         dist::test(root, &cache, &programs, schemas.as_deref())?;
         println!("Testing the Python packages as wheels");
         wheel::test(root, &cache, &programs)?;
+        println!("Testing the launcher on Ray");
+        ray::test(root, &cache, &programs)?;
         println!("Testing the demo, with fewer rollouts");
         demo::check(root, &programs)?;
     }

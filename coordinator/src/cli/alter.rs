@@ -1,12 +1,13 @@
-//! `coordinator campaign set-priority|set-endpoint|rename`.
+//! `coordinator campaign set-priority|set-endpoint|move-endpoint|rename`.
 
 use clap::Args;
 use coordinator::client::Service;
-use proto::coordinator::{AlterCampaignRequest, AlterCampaignResponse};
+use proto::coordinator::{AlterCampaignRequest, AlterCampaignResponse, CampaignStatus};
 use queue::rules::campaign::PRIORITIES;
 use terminal::{counted, number};
 
 use super::command::{CommandError, Connection, print_line};
+use super::line::is_finished;
 
 #[derive(Args, Debug)]
 pub(super) struct PriorityArguments {
@@ -30,6 +31,16 @@ pub(super) struct EndpointArguments {
     /// result.
     #[arg(long)]
     policy: Option<String>,
+    #[command(flatten)]
+    connection: Connection,
+}
+
+#[derive(Args, Debug)]
+pub(super) struct MoveArguments {
+    /// URL at which policies were, as their campaigns have it.
+    from: String,
+    /// URL of the gateway, or of the policy itself, from now on.
+    to: String,
     #[command(flatten)]
     connection: Connection,
 }
@@ -65,10 +76,38 @@ pub(super) async fn set_endpoint(arguments: EndpointArguments) -> Result<(), Com
         ..AlterCampaignRequest::default()
     };
     let altered = alter(&arguments.connection, request).await?;
+    tell_endpoint(&arguments.campaign, altered)
+}
+
+/// Campaigns that are finished stay as they are.
+pub(super) async fn move_endpoint(arguments: MoveArguments) -> Result<(), CommandError> {
+    let client = arguments.connection.client()?;
+    let campaigns = client.list_campaigns().await?;
+    let moves = |it: &&CampaignStatus| it.policy_endpoint == arguments.from && !is_finished(it);
+    let moved: Vec<&CampaignStatus> = campaigns.iter().filter(moves).collect();
+    if moved.is_empty() {
+        return Ok(print_line(&format!(
+            "no campaign measures a policy at {}",
+            arguments.from
+        ))?);
+    }
+    for status in moved {
+        let request = AlterCampaignRequest {
+            campaign: status.campaign.clone(),
+            policy_endpoint: Some(arguments.to.clone()),
+            ..AlterCampaignRequest::default()
+        };
+        let altered = client.call(request, Service::alter_campaign).await?;
+        tell_endpoint(&status.campaign, altered)?;
+    }
+    Ok(())
+}
+
+fn tell_endpoint(campaign: &str, altered: AlterCampaignResponse) -> Result<(), CommandError> {
     let status = altered.status.unwrap_or_default();
     let mut lines = vec![format!(
-        "campaign {} measures {} at {}",
-        arguments.campaign, status.policy, status.policy_endpoint
+        "campaign {campaign} measures {} at {}",
+        status.policy, status.policy_endpoint
     )];
     if altered.taken_back > 0 {
         lines.push(format!(

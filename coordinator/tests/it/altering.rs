@@ -297,6 +297,15 @@ async fn an_operator_alters_a_campaign_from_the_command_line() {
     run(&set("set-endpoint", "localhost"), 2, "http://");
     run(&set("set-endpoint", ELSEWHERE), 0, "1 rollout taken back");
     run(&["campaign", "status", "demo"], 0, ELSEWHERE);
+    let moved = "http://127.0.0.1:50053";
+    let move_from = |from| ["campaign", "move-endpoint", from, moved];
+    run(&move_from("http://127.0.0.1:1"), 0, "no campaign measures");
+    run(
+        &move_from(ELSEWHERE),
+        0,
+        &format!("demo measures expert at {moved}"),
+    );
+    run(&["campaign", "status", "demo"], 0, moved);
     run(&set("rename", "final"), 0, "demo is called final");
     run(&["campaign", "status", "demo"], 1, "is called `final`");
     run(&["campaign", "status", "final"], 0, "final ░");

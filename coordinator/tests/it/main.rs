@@ -17,6 +17,7 @@ mod fingerprints;
 mod harness;
 mod invariants;
 mod json;
+mod launch;
 mod manifests;
 mod operating;
 mod outages;

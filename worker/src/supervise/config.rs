@@ -25,6 +25,10 @@ pub struct Config {
     pub slot_program: SlotProgram,
     /// Where policies are, whatever the leases say.
     pub policy_endpoint: Option<String>,
+    /// How long rollouts in flight may take once the worker is asked to end.
+    pub drain: Option<Duration>,
+    /// How long the worker waits for work before it ends.
+    pub idle: Option<Duration>,
     /// A folder for videos on their way to the coordinator.
     pub scratch: PathBuf,
     /// Seed of the jitter in waits.

@@ -293,6 +293,11 @@ impl Link {
         }
     }
 
+    /// Whether the coordinator did not answer the last call.
+    pub(crate) fn is_down(&self) -> bool {
+        self.lock_outage().is_some()
+    }
+
     fn lock_outage(&self) -> std::sync::MutexGuard<'_, Option<Instant>> {
         // Nothing panics while it holds the lock.
         let outage = self.state.outage.lock();

@@ -69,6 +69,8 @@ pub(super) struct Supervisor {
     drain: watch::Sender<bool>,
     /// When the first request to end came.
     told_to_end_at: Option<Instant>,
+    /// Since when there has been no work, as far as the coordinator could say so.
+    idle_since: Instant,
     /// Why the worker ends, if not on request.
     fault: Option<SuperviseError>,
     heartbeat_under_way: bool,
@@ -110,6 +112,7 @@ impl Supervisor {
             mode: Mode::Serving,
             drain,
             told_to_end_at: None,
+            idle_since: now,
             fault: None,
             heartbeat_under_way: false,
             has_news: false,
@@ -234,6 +237,7 @@ impl Supervisor {
                 if self.has_news {
                     self.send_heartbeat();
                 }
+                self.end_in_time(now);
             }
             Event::Registered(answer) => self.registered(answer),
             Event::HeartbeatDue => self.send_heartbeat(),
@@ -578,6 +582,36 @@ impl Supervisor {
         }
     }
 
+    /// Ends what has had its time: a drain, or waiting for work.
+    fn end_in_time(&mut self, now: Instant) {
+        let is_over = |since: Instant, limit: Option<Duration>| {
+            limit.filter(|limit| now.duration_since(since) >= *limit)
+        };
+        if self.mode == Mode::Draining
+            && let Some(since) = self.told_to_end_at
+            && let Some(limit) = is_over(since, self.config.drain)
+        {
+            tracing::info!(
+                "giving the rollouts in flight back: they were not finished within {} s",
+                limit.as_secs_f64()
+            );
+            self.give_up(now);
+        }
+        let waits = |slot: &Slot| {
+            slot.state.process == ProcessState::Up && slot.state.work == Work::Claiming
+        };
+        // Nobody knows of no work while the coordinator cannot be asked.
+        if !self.is_registered || self.link.is_down() || !self.slots.iter().all(waits) {
+            self.idle_since = now;
+        }
+        if self.mode == Mode::Serving
+            && let Some(limit) = is_over(self.idle_since, self.config.idle)
+        {
+            tracing::info!("ending: no work for {} s", limit.as_secs_f64());
+            self.start_to_drain();
+        }
+    }
+
     /// Whether a request to end is the one before, heard twice: some that end
     /// programs signal the process and its group.
     fn is_duplicate(&self, now: Instant) -> bool {
@@ -658,6 +692,8 @@ mod tests {
                 arguments: Vec::new(),
             },
             policy_endpoint: None,
+            drain: None,
+            idle: None,
             scratch: std::env::temp_dir(),
             seed: 1,
         };

@@ -10,6 +10,12 @@ use crate::worker_process::{WorkerProcess, lease, ready, signal, wait_for_the_en
 
 /// A worker in the middle of a rollout of some seconds.
 async fn busy_worker() -> (WorkerProcess, ScriptedCoordinator, ScriptedPolicy) {
+    busy_worker_with(&[]).await
+}
+
+async fn busy_worker_with(
+    arguments: &[&str],
+) -> (WorkerProcess, ScriptedCoordinator, ScriptedPolicy) {
     let policy = ScriptedPolicy::start().await;
     let coordinator = ScriptedCoordinator::start().await;
     let mut long = lease(1, "slow", &policy.url());
@@ -17,7 +23,7 @@ async fn busy_worker() -> (WorkerProcess, ScriptedCoordinator, ScriptedPolicy) {
         .manifest_row
         .replace("\"max_steps\":24", "\"max_steps\":80");
     coordinator.lease(long);
-    let worker = WorkerProcess::start(&coordinator.url());
+    let worker = WorkerProcess::start_with(&coordinator.url(), arguments);
     coordinator.progressed(1, 10).await;
     (worker, coordinator, policy)
 }
@@ -60,6 +66,34 @@ async fn a_second_request_to_end_gives_the_rollout_back() {
     let (status, said) = worker.wait();
     assert!(status.success(), "{said}");
     assert_eq!(coordinator.everything_told().len(), 2);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_drain_that_takes_too_long_gives_the_rollout_back() {
+    if !ready("a_drain_that_takes_too_long_gives_the_rollout_back") {
+        return;
+    }
+    let (worker, coordinator, _policy) = busy_worker_with(&["--drain-secs", "0"]).await;
+    worker.signal("TERM");
+    coordinator.told(1).await.release(Reason::Draining);
+    let (status, said) = worker.wait();
+    assert!(status.success(), "{said}");
+    assert!(said.contains("not finished within 0 s"), "{said}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_worker_without_work_for_long_enough_ends_and_a_busy_one_does_not() {
+    if !ready("a_worker_without_work_for_long_enough_ends_and_a_busy_one_does_not") {
+        return;
+    }
+    let idle = ["--idle-secs", "1"];
+    let (worker, coordinator, _policy) = busy_worker_with(&idle).await;
+    let result = coordinator.told(1).await.commit().result;
+    assert_eq!(result.expect("a result").steps, 80);
+    let (status, said) = worker.wait();
+    assert!(status.success(), "{said}");
+    assert!(said.contains("no work for 1 s"), "{said}");
+    assert_eq!(coordinator.signed_off().len(), 1, "it says good-bye");
 }
 
 /// A worker that was told to end leased once more and gave the job back, which

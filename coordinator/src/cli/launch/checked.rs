@@ -1,0 +1,49 @@
+//! Values that may stand in a script, or a complaint that names the flag.
+
+use std::path::{Path, PathBuf, absolute};
+
+use anyhow::{Context, anyhow};
+
+use super::super::command::{CommandError, usage};
+
+/// A path from the root: the jobs run in a folder of their own.
+pub(super) fn whole(path: &Path) -> Result<PathBuf, CommandError> {
+    let whole = absolute(path).with_context(|| format!("find {}", path.display()));
+    whole.map_err(usage)
+}
+
+pub(super) fn text(path: &Path) -> Result<String, CommandError> {
+    let text = path.to_str().map(str::to_owned);
+    text.ok_or_else(|| usage(anyhow!("use {}: its name is no UTF-8", path.display())))
+}
+
+/// A value that stays in its line of the script.
+pub(super) fn line(flag: &str, value: String) -> Result<String, CommandError> {
+    match value.chars().any(char::is_control) {
+        true => Err(usage(anyhow!("use {flag} {value:?}: write it in one line"))),
+        false => Ok(value),
+    }
+}
+
+/// A name or a number of Slurm's.
+pub(super) fn word(flag: &str, value: Option<&String>) -> Result<Option<String>, CommandError> {
+    let Some(value) = value else { return Ok(None) };
+    let plain = |c: char| c.is_alphanumeric() || "_-+.,:=@/".contains(c);
+    match !value.is_empty() && value.chars().all(plain) {
+        true => Ok(Some(value.clone())),
+        false => Err(usage(anyhow!(
+            "use {flag} {value:?}: write letters, digits, or one of _-+.,:=@/"
+        ))),
+    }
+}
+
+/// More options of sbatch.
+pub(super) fn options(flag: &str, given: &[String]) -> Result<Vec<String>, CommandError> {
+    let option = |option: &String| match option.starts_with('-') {
+        true => line(flag, option.clone()),
+        false => Err(usage(anyhow!(
+            "use {flag} {option:?}: write an option of sbatch, {flag}=--constraint=avx2"
+        ))),
+    };
+    given.iter().map(option).collect()
+}

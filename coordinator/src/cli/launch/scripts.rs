@@ -1,0 +1,60 @@
+//! Scripts on the disk, and in Slurm's queue.
+
+use std::path::PathBuf;
+use std::process::Command;
+
+use anyhow::{Context, ensure};
+
+use super::super::command::print_line;
+use super::super::files::write_whole;
+
+/// A script, filled in.
+pub(super) struct Script {
+    pub(super) path: PathBuf,
+    pub(super) text: String,
+}
+
+/// Writes what is not there; nothing if one of them is there and differs.
+pub(super) fn write(scripts: &[Script]) -> anyhow::Result<()> {
+    for Script { path, text } in scripts {
+        let there = std::fs::read(path);
+        ensure!(
+            !path.exists() || there.is_ok_and(|there| there == text.as_bytes()),
+            "write {}: there is one that differs, perhaps edited; remove it, or name another \
+             folder",
+            path.display()
+        );
+    }
+    for Script { path, text } in scripts {
+        let folder = path.parent().unwrap_or(path);
+        std::fs::create_dir_all(folder).with_context(|| format!("make {}", folder.display()))?;
+        write_whole(path, text.as_bytes())?;
+    }
+    Ok(())
+}
+
+/// Submits all but the coordinator, in order: workers have no work before their
+/// gateway's job has begun.
+pub(super) fn submit(scripts: &[Script]) -> anyhow::Result<()> {
+    let mut before: Option<String> = None;
+    for Script { path, .. } in scripts.iter().skip(1) {
+        let mut sbatch = Command::new("sbatch");
+        sbatch.arg("--parsable");
+        sbatch.args(before.map(|job| format!("--dependency=after:{job}")));
+        let output = sbatch.arg(path).output();
+        let output = output.context("run sbatch: call this where Slurm's commands are")?;
+        let complaint = String::from_utf8_lossy(&output.stderr);
+        ensure!(
+            output.status.success(),
+            "submit {}: {}",
+            path.display(),
+            complaint.trim()
+        );
+        let told = String::from_utf8_lossy(&output.stdout);
+        // The cluster's name follows where there are several.
+        let job = told.trim().split(';').next().unwrap_or_default().to_owned();
+        print_line(&format!("submitted {} as job {job}", path.display()))?;
+        before = Some(job);
+    }
+    Ok(())
+}

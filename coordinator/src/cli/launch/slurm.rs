@@ -1,0 +1,346 @@
+//! `coordinator launch slurm`.
+
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, anyhow};
+use clap::Args;
+use terminal::number;
+use transport::{SecurityError, ServerArguments, parse_endpoint};
+
+use super::super::command::{CommandError, failure, print, print_line, usage};
+use super::checked::{line, options, text, whole, word};
+use super::scripts::{Script, submit, write};
+use super::template::{Values, fill, for_shell};
+use super::time_limit::TimeLimit;
+
+/// The built-in asset pack; any other is a folder.
+const PRIMITIVES: &str = "primitives";
+
+const COORDINATOR: (&str, &str) = (
+    "coordinator.sh",
+    include_str!("../../../../deploy/slurm/coordinator.sh"),
+);
+const GATEWAY: (&str, &str) = (
+    "gateway.sbatch",
+    include_str!("../../../../deploy/slurm/gateway.sbatch"),
+);
+const WORKERS: (&str, &str) = (
+    "workers.sbatch",
+    include_str!("../../../../deploy/slurm/workers.sbatch"),
+);
+
+#[derive(Args, Debug)]
+pub(in crate::cli) struct SlurmArguments {
+    /// URL under which the nodes reach the coordinator: the name of the machine on
+    /// which coordinator.sh will run, and a port.
+    #[arg(long, value_name = "URL", env = "COORDINATOR_URL")]
+    connect: String,
+    /// Folder to write the scripts into; the jobs run and log there. It must be one
+    /// that all nodes share. Without it, the scripts are only shown.
+    #[arg(long, value_name = "DIR")]
+    into: Option<PathBuf>,
+    /// Submit what is written.
+    #[arg(long, requires = "into")]
+    submit: bool,
+    /// Folder of the programs, on all nodes. [default: this program's]
+    #[arg(long, value_name = "DIR")]
+    programs: Option<PathBuf>,
+    /// Folder of the coordinator's database and artifacts, on a disk of its machine.
+    #[arg(long, value_name = "DIR", default_value = "campaigns")]
+    data: PathBuf,
+    /// Partition of the jobs. [default: the cluster's]
+    #[arg(long, value_name = "NAME")]
+    partition: Option<String>,
+    /// Account that the jobs count for.
+    #[arg(long, value_name = "NAME")]
+    account: Option<String>,
+    /// Time limit of a job, as Slurm writes it: 4:00:00. Jobs that reach it are queued
+    /// again. [default: the partition's]
+    #[arg(long, value_name = "TIME")]
+    time: Option<TimeLimit>,
+    /// Seconds before its time limit at which a job is asked to end; Slurm may be a
+    /// minute early.
+    #[arg(long, value_name = "SECS", default_value_t = 60,
+        value_parser = number(1..=65_535_u32, "seconds"))]
+    ahead_secs: u32,
+    #[command(flatten)]
+    workers: WorkerArguments,
+    #[command(flatten)]
+    gateway: GatewayArguments,
+    /// Certificate authority of the servers, PEM, for https:// addresses.
+    #[arg(long, value_name = "FILE", env = "ROLLOUT_CA")]
+    ca: Option<PathBuf>,
+    #[command(flatten)]
+    security: ServerArguments,
+}
+
+#[derive(Args, Debug)]
+struct WorkerArguments {
+    /// Models of objects and rooms: `primitives`, or the path of a LIBERO assets
+    /// folder that all nodes share.
+    #[arg(long, value_name = "PACK_OR_PATH")]
+    assets: String,
+    /// Workers, which are tasks of the array.
+    #[arg(long, value_name = "N", default_value_t = 4,
+        value_parser = number(1..=100_000_u32, "workers"))]
+    workers: u32,
+    /// Slots of a worker, with one core each.
+    #[arg(long, value_name = "N", default_value_t = 4,
+        value_parser = number(1..=1_024_u32, "slots"))]
+    slots: u32,
+    /// Memory of a slot.
+    #[arg(long, value_name = "SIZE", default_value = "2G")]
+    slot_memory: String,
+    /// Seconds that a worker has to finish its rollouts when it is asked to end; then
+    /// it gives them back, for which it needs ten more. Both must fit into Slurm's
+    /// KillWait.
+    #[arg(long, value_name = "SECS", default_value_t = 15,
+        value_parser = number(0..=86_400_u32, "seconds"))]
+    drain_secs: u32,
+    /// Seconds without work after which a worker ends.
+    #[arg(long, value_name = "SECS", default_value_t = 600,
+        value_parser = number(1..=604_800_u32, "seconds"))]
+    idle_secs: u32,
+    /// Another option of sbatch for the workers, `--worker-sbatch=--constraint=avx2`.
+    /// (repeatable)
+    #[arg(long, value_name = "OPTION", allow_hyphen_values = true)]
+    worker_sbatch: Vec<String>,
+}
+
+#[derive(Args, Debug)]
+struct GatewayArguments {
+    /// The policy's name and what answers for it, as `policy-gateway --route` has it:
+    /// `NAME=grpc://127.0.0.1:5000` beside a policy server on that port. Without it,
+    /// no gateway is run.
+    #[arg(long, value_name = "NAME=BACKEND")]
+    policy: Option<String>,
+    /// Command line that starts the policy's server on the gateway's node.
+    #[arg(long, value_name = "COMMAND", requires = "policy")]
+    policy_server: Option<String>,
+    /// GPUs of the policy server, as sbatch takes them: 1, or a100:2.
+    #[arg(long, value_name = "GPUS", requires = "policy")]
+    gpus: Option<String>,
+    /// Partition of the gateway. [default: --partition]
+    #[arg(long, value_name = "NAME", requires = "policy")]
+    gateway_partition: Option<String>,
+    /// Port of the gateway.
+    #[arg(long, value_name = "PORT", default_value_t = 7412,
+        value_parser = number(1..=65_535_u16, ""))]
+    gateway_port: u16,
+    /// Another option of sbatch for the gateway, `--gateway-sbatch=--mem=64G`.
+    /// (repeatable)
+    #[arg(
+        long,
+        value_name = "OPTION",
+        allow_hyphen_values = true,
+        requires = "policy"
+    )]
+    gateway_sbatch: Vec<String>,
+}
+
+/// Shows, writes or submits the scripts.
+pub(super) fn slurm(arguments: &SlurmArguments) -> Result<(), CommandError> {
+    let scripts = arguments.scripts()?;
+    if arguments.into.is_none() {
+        for script in &scripts {
+            print(&format!(
+                "==> {} <==\n{}\n",
+                script.path.display(),
+                script.text
+            ))?;
+        }
+        return Ok(print_line(
+            "Nothing was written. --into DIR writes the scripts, --submit submits them.",
+        )?);
+    }
+    write(&scripts)?;
+    for script in &scripts {
+        print_line(&format!("wrote {}", script.path.display()))?;
+    }
+    match arguments.submit {
+        true => submit(&scripts)?,
+        false => print_line("To submit them, repeat this with --submit.")?,
+    }
+    let [coordinator, ..] = scripts.as_slice() else {
+        unreachable!("there are always two scripts");
+    };
+    let path = for_shell(&coordinator.path.display().to_string());
+    Ok(print_line(&format!(
+        "The coordinator is run by `bash {path}` on its machine; workers wait for it."
+    ))?)
+}
+
+impl SlurmArguments {
+    /// The scripts, the coordinator's first, in the order in which they are submitted.
+    fn scripts(&self) -> Result<Vec<Script>, CommandError> {
+        let values = self.values()?;
+        let folder = whole(self.into.as_deref().unwrap_or(Path::new(".")))?;
+        let mut templates = vec![COORDINATOR];
+        templates.extend(self.gateway.policy.is_some().then_some(GATEWAY));
+        templates.push(WORKERS);
+        let script = |(name, template): (&str, &str)| Script {
+            path: folder.join(name),
+            text: fill(template, &values),
+        };
+        Ok(templates.into_iter().map(script).collect())
+    }
+
+    fn values(&self) -> Result<Values, CommandError> {
+        self.check_times()?;
+        let (workers, gateway) = (&self.workers, &self.gateway);
+        let mut values = Values::default();
+        self.set_servers(&mut values)?;
+        let folder = whole(self.into.as_deref().unwrap_or(Path::new(".")))?;
+        values.set("folder", line("--into", text(&folder)?)?);
+        values.set("data", line("--data", text(&whole(&self.data)?)?)?);
+        let partition = word("--partition", self.partition.as_ref())?;
+        let own = word("--gateway-partition", gateway.gateway_partition.as_ref())?;
+        values.set_all("gateway_partition", own.or_else(|| partition.clone()));
+        values.set_all("partition", partition);
+        values.set_all("account", word("--account", self.account.as_ref())?);
+        values.set_all("time", self.time.as_ref().map(TimeLimit::to_string));
+        values.set("ahead_secs", self.ahead_secs);
+
+        let assets = match workers.assets.as_str() {
+            PRIMITIVES => PRIMITIVES.to_owned(),
+            path => text(&whole(Path::new(path))?)?,
+        };
+        values.set("assets", line("--assets", assets)?);
+        values.set("workers", workers.workers);
+        values.set("slots", workers.slots);
+        let memory = word("--slot-memory", Some(&workers.slot_memory))?;
+        values.set_all("slot_memory", memory);
+        values.set("drain_secs", workers.drain_secs);
+        values.set("idle_secs", workers.idle_secs);
+        let more = options("--worker-sbatch", &workers.worker_sbatch)?;
+        values.set_all("worker_options", more);
+
+        values.set_all("route", gateway.route()?);
+        let server = gateway.policy_server.clone();
+        let server = server.map(|it| line("--policy-server", it)).transpose()?;
+        values.set_all("policy_server", server);
+        values.set_all("gpus", word("--gpus", gateway.gpus.as_ref())?);
+        let more = options("--gateway-sbatch", &gateway.gateway_sbatch)?;
+        values.set_all("gateway_options", more);
+
+        let mut programs = vec![("worker", "worker"), ("coordinator", "coordinator")];
+        programs.extend(
+            gateway
+                .policy
+                .is_some()
+                .then_some(("gateway", "policy-gateway")),
+        );
+        let folder = self.programs_folder()?;
+        for (name, program) in programs {
+            let path = folder.join(program);
+            if !path.is_file() {
+                return Err(usage(anyhow!(
+                    "find {}: name the folder of the programs with --programs",
+                    path.display()
+                )));
+            }
+            values.set(name, line("--programs", text(&path)?)?);
+        }
+        Ok(values)
+    }
+
+    /// Where the servers listen, and who is let in.
+    fn set_servers(&self, values: &mut Values) -> Result<(), CommandError> {
+        let endpoint = parse_endpoint(&self.connect).context("use --connect");
+        let endpoint = endpoint.map_err(usage)?;
+        let host = endpoint.uri().host().unwrap_or_default();
+        let Some(port) = endpoint.uri().port_u16() else {
+            return Err(usage(anyhow!(
+                "use --connect {}: write the port, too, such as {}:7411",
+                self.connect,
+                self.connect.trim_end_matches('/')
+            )));
+        };
+        if host == "localhost" || host.starts_with("127.") || host == "[::1]" {
+            return Err(usage(anyhow!(
+                "use --connect {}: no other machine reaches that; write the name of the machine \
+                 on which coordinator.sh will run",
+                self.connect
+            )));
+        }
+        let everywhere = SocketAddr::from(([0, 0, 0, 0], port));
+        let security = self.security.security(everywhere);
+        let security = security.map_err(|error| match error {
+            SecurityError::Unguarded { .. } => usage(error),
+            error => failure(error),
+        })?;
+        let scheme = endpoint.uri().scheme_str().unwrap_or_default();
+        let expected = match security.is_encrypted() {
+            true => "https",
+            false => "http",
+        };
+        if scheme != expected {
+            return Err(usage(anyhow!(
+                "use --connect {}: with --tls-cert and --tls-key it begins with https://, and \
+                 without them with http://",
+                self.connect
+            )));
+        }
+        values.set("connect", &self.connect);
+        values.set("scheme", scheme);
+        values.set("coordinator_port", port);
+        values.set("gateway_port", self.gateway.gateway_port);
+        let mut guard = Vec::new();
+        for (flag, file) in [
+            ("--tls-cert", &self.security.tls_cert),
+            ("--tls-key", &self.security.tls_key),
+        ] {
+            if let Some(file) = file {
+                guard.extend([flag.to_owned(), line(flag, text(&whole(file)?)?)?]);
+            }
+        }
+        guard.extend(self.security.insecure.then(|| "--insecure".to_owned()));
+        values.set_all("guard", guard);
+        for (name, flag, file) in [
+            ("token_file", "--token-file", &self.security.token_file),
+            ("ca", "--ca", &self.ca),
+        ] {
+            let path = file.as_deref().map(whole).transpose()?;
+            let path = path.map(|path| text(&path)).transpose()?;
+            values.set_all(name, path.map(|path| line(flag, path)).transpose()?);
+        }
+        Ok(())
+    }
+
+    fn check_times(&self) -> Result<(), CommandError> {
+        let limit = self.time.as_ref().and_then(TimeLimit::secs);
+        match limit {
+            Some(limit) if limit <= self.ahead_secs.into() => Err(usage(anyhow!(
+                "use --time {limit} s: jobs are asked to end {} s before; give more time, or \
+                 lower --ahead-secs",
+                self.ahead_secs
+            ))),
+            _ => Ok(()),
+        }
+    }
+
+    fn programs_folder(&self) -> Result<PathBuf, CommandError> {
+        if let Some(folder) = &self.programs {
+            return whole(folder);
+        }
+        let own = std::env::current_exe().context("find this program's own file")?;
+        Ok(own.parent().unwrap_or(Path::new("/")).to_owned())
+    }
+}
+
+impl GatewayArguments {
+    fn route(&self) -> Result<Option<String>, CommandError> {
+        let Some(route) = &self.policy else {
+            return Ok(None);
+        };
+        let named = |(name, backend): (&str, &str)| !name.is_empty() && !backend.is_empty();
+        if !route.split_once('=').is_some_and(named) {
+            return Err(usage(anyhow!(
+                "use --policy {route}: write NAME=BACKEND, such as \
+                 openvla=grpc://127.0.0.1:5000"
+            )));
+        }
+        line("--policy", route.clone()).map(Some)
+    }
+}

@@ -1,0 +1,142 @@
+//! Scripts with `{{NAME}}` where a value goes.
+//!
+//! A line whose placeholder has no value is left out. Values are quoted for who reads
+//! the line: Slurm if it begins with `#SBATCH`, else the shell. Several values repeat
+//! a line of Slurm's, and are several words of the shell's.
+
+/// What the placeholders stand for.
+#[derive(Default)]
+pub(super) struct Values(Vec<(&'static str, Vec<String>)>);
+
+impl Values {
+    /// Sets one value.
+    pub(super) fn set(&mut self, name: &'static str, value: impl ToString) {
+        self.set_all(name, [value.to_string()]);
+    }
+
+    /// Sets none, one or several values.
+    pub(super) fn set_all(&mut self, name: &'static str, values: impl IntoIterator<Item = String>) {
+        self.0.push((name, values.into_iter().collect()));
+    }
+
+    fn of(&self, name: &str) -> &[String] {
+        let found = self.0.iter().find(|(known, _)| *known == name);
+        &found
+            .unwrap_or_else(|| panic!("nothing sets {{{{{name}}}}}, which a template names"))
+            .1
+    }
+}
+
+/// Fills a template in.
+///
+/// # Panics
+/// If it names what was never set.
+pub(super) fn fill(template: &str, values: &Values) -> String {
+    let lines = template.lines().flat_map(|line| {
+        let names = placeholders(line);
+        if names.iter().any(|name| values.of(name).is_empty()) {
+            return Vec::new();
+        }
+        if !line.starts_with("#SBATCH") {
+            let words = |name: &str| {
+                let words = values.of(name).iter().map(|value| for_shell(value));
+                words.collect::<Vec<_>>().join(" ")
+            };
+            return vec![replace(line, &words)];
+        }
+        let times = names.iter().map(|name| values.of(name).len()).max();
+        let repeat = |time: usize| {
+            replace(line, &|name| {
+                let values = values.of(name);
+                for_slurm(&values[time.min(values.len() - 1)])
+            })
+        };
+        (0..times.unwrap_or(1)).map(repeat).collect()
+    });
+    lines.map(|line| line + "\n").collect()
+}
+
+fn placeholders(line: &str) -> Vec<&str> {
+    let parts = line.split("{{").skip(1);
+    parts
+        .filter_map(|part| part.split_once("}}").map(|(name, _)| name))
+        .collect()
+}
+
+fn replace(line: &str, value: &dyn Fn(&str) -> String) -> String {
+    let mut parts = line.split("{{");
+    let mut filled = parts.next().unwrap_or_default().to_owned();
+    for part in parts {
+        match part.split_once("}}") {
+            Some((name, rest)) => {
+                filled.push_str(&value(name));
+                filled.push_str(rest);
+            }
+            None => filled.push_str(part),
+        }
+    }
+    filled
+}
+
+/// A word of the shell's.
+pub(super) fn for_shell(value: &str) -> String {
+    match is_plain(value) {
+        true => value.to_owned(),
+        false => format!("'{}'", value.replace('\'', r"'\''")),
+    }
+}
+
+/// A word of an `#SBATCH` line, in which a backslash stands before what is meant
+/// literally, between quotation marks too.
+fn for_slurm(value: &str) -> String {
+    match is_plain(value) {
+        true => value.to_owned(),
+        false => format!("\"{}\"", value.replace('\\', r"\\").replace('"', "\\\"")),
+    }
+}
+
+/// Whether it means itself to both.
+fn is_plain(value: &str) -> bool {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "_-+=:,./@%".contains(c);
+    !value.is_empty() && value.chars().all(plain)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn values() -> Values {
+        let mut values = Values::default();
+        values.set("folder", "/home/me/a \"b\" 'c'\\d");
+        values.set_all(
+            "options",
+            ["--qos=x".to_owned(), "--comment=a b".to_owned()],
+        );
+        values.set_all("nothing", []);
+        values.set("number", 7);
+        values
+    }
+
+    #[test]
+    fn values_are_quoted_for_who_reads_the_line() {
+        let template = "#SBATCH --chdir={{folder}}\ncd {{folder}} && sleep {{number}}\n";
+        let expected = "#SBATCH --chdir=\"/home/me/a \\\"b\\\" 'c'\\\\d\"\n\
+                        cd '/home/me/a \"b\" '\\''c'\\''\\d' && sleep 7\n";
+        assert_eq!(fill(template, &values()), expected);
+    }
+
+    #[test]
+    fn a_line_without_its_value_is_left_out_and_several_values_repeat_slurms() {
+        let template = "#SBATCH {{options}}\n#SBATCH --x={{nothing}}\nrun {{options}} # all\n\
+                        run {{number}} {{nothing}}\n";
+        let expected = "#SBATCH --qos=x\n#SBATCH \"--comment=a b\"\n\
+                        run --qos=x '--comment=a b' # all\n";
+        assert_eq!(fill(template, &values()), expected);
+    }
+
+    #[test]
+    #[should_panic(expected = "nothing sets {{nmae}}")]
+    fn a_template_that_names_what_nobody_sets_is_a_defect() {
+        fill("{{nmae}}\n", &values());
+    }
+}

@@ -1,0 +1,190 @@
+//! `coordinator launch slurm`: what is shown, what is written, and what is refused.
+//! That the scripts work on a cluster is tested with a real one, in `tests`.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use crate::process::{coordinator, text};
+
+const SCRIPTS: [&str; 3] = ["coordinator.sh", "gateway.sbatch", "workers.sbatch"];
+
+/// A folder with files that are called as the programs are.
+fn programs() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    for name in ["coordinator", "worker", "policy-gateway"] {
+        std::fs::write(folder.path().join(name), "").expect("a file");
+    }
+    folder
+}
+
+fn launch(programs: &Path, arguments: &[&str]) -> Output {
+    let programs = programs.to_str().expect("UTF-8");
+    let usual = [
+        "launch",
+        "slurm",
+        "--assets",
+        "primitives",
+        "--programs",
+        programs,
+    ];
+    coordinator(&[&usual, arguments].concat())
+}
+
+const INSECURE: [&str; 3] = ["--connect", "http://login1:7411", "--insecure"];
+
+#[test]
+fn scripts_are_shown_and_nothing_is_written_unless_asked_for() {
+    let programs = programs();
+    let output = launch(programs.path(), &INSECURE);
+    let said = text(&output.stdout);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    for words in [
+        "serve --data",
+        "--listen 0.0.0.0:7411 --insecure",
+        "#SBATCH --array=1-4\n",
+        "#SBATCH --signal=B:USR1@60\n",
+        "COORDINATOR_URL=http://login1:7411\n",
+        "Nothing was written",
+    ] {
+        assert!(said.contains(words), "no {words:?} in {said}");
+    }
+    // What was not given is no line; without a policy there is no gateway.
+    for words in [
+        "{{",
+        "--partition",
+        "--time",
+        "ROLLOUT_TOKEN_FILE",
+        "gateway",
+    ] {
+        assert!(!said.contains(words), "{words:?} in {said}");
+    }
+}
+
+#[test]
+fn what_is_written_is_whole_bash_whatever_the_values_hold() {
+    let (programs, folder) = (programs(), tempfile::tempdir().expect("a folder"));
+    let into = folder.path().join("a \"lab's\" $(cluster) #1");
+    let into = into.to_str().expect("UTF-8");
+    let server = "serve 'a b' && echo \"$HOME\"; # done";
+    #[rustfmt::skip]
+    let more = [
+        "--into", into, "--partition", "low,high", "--account", "me", "--time", "4:00:00",
+        "--workers", "7", "--slots", "2", "--policy", "mine=grpc://127.0.0.1:5000",
+        "--policy-server", server, "--gpus", "a100:1", "--gateway-partition", "gpu",
+        "--worker-sbatch=--constraint=avx2&ib", "--worker-sbatch=--exclude=n[1-3]",
+    ];
+    let arguments = [&INSECURE[..], &more].concat();
+    for _ in ["written", "found as it is"] {
+        let output = launch(programs.path(), &arguments);
+        assert!(output.status.success(), "{}", text(&output.stderr));
+    }
+    let read = |name: &str| std::fs::read_to_string(Path::new(into).join(name)).expect(name);
+    for name in SCRIPTS {
+        let path = Path::new(into).join(name);
+        let check = Command::new("bash").arg("-n").arg(path).output();
+        let check = check.expect("bash runs");
+        assert!(check.status.success(), "{name}: {}", text(&check.stderr));
+    }
+    let gateway = read("gateway.sbatch");
+    for words in [
+        "#SBATCH --gpus=a100:1\n",
+        "#SBATCH --partition=gpu\n",
+        "bash -c 'serve '\\''a b'\\'' && echo \"$HOME\"; # done' &\n",
+    ] {
+        assert!(gateway.contains(words), "no {words:?} in {gateway}");
+    }
+    let workers = read("workers.sbatch");
+    for words in [
+        "#SBATCH --array=1-7\n",
+        "#SBATCH --partition=low,high\n",
+        "#SBATCH \"--constraint=avx2&ib\"\n#SBATCH \"--exclude=n[1-3]\"\n",
+        "a \\\"lab's\\\" $(cluster) #1\"\n",
+    ] {
+        assert!(workers.contains(words), "no {words:?} in {workers}");
+    }
+
+    // An edited script is nobody's to overwrite.
+    let edited = Path::new(into).join("workers.sbatch");
+    std::fs::write(&edited, "mine").expect("edited");
+    let output = launch(programs.path(), &arguments);
+    assert_eq!(output.status.code(), Some(1));
+    let complaint = text(&output.stderr);
+    assert!(
+        complaint.contains("workers.sbatch: there is one that differs"),
+        "{complaint}"
+    );
+    assert_eq!(read("workers.sbatch"), "mine");
+}
+
+#[test]
+fn tokens_are_named_by_their_file_and_never_written_out() {
+    let (programs, folder) = (programs(), tempfile::tempdir().expect("a folder"));
+    let file = |name: &str, holds: &str| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, holds).expect("a file");
+        path.to_str().expect("UTF-8").to_owned()
+    };
+    let secret = "0123456789abcdef0123456789abcdef";
+    let tokens = file("tokens", &format!("worker {secret}\noperator {secret}0\n"));
+    let pem = file("cert.pem", "");
+    #[rustfmt::skip]
+    let output = launch(programs.path(), &[
+        "--connect", "https://login1:7411", "--token-file", &tokens, "--tls-cert", &pem,
+        "--tls-key", &pem, "--ca", &pem, "--policy", "mine=builtin:student",
+    ]);
+    let said = text(&output.stdout);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    assert!(
+        said.contains(&format!("ROLLOUT_TOKEN_FILE={tokens}\n")),
+        "{said}"
+    );
+    assert!(said.contains(&format!("ROLLOUT_CA={pem}\n")), "{said}");
+    assert!(
+        said.contains(&format!("--tls-cert {pem} --tls-key {pem}")),
+        "{said}"
+    );
+    assert!(
+        !said.contains(secret) && !said.contains("--insecure"),
+        "{said}"
+    );
+}
+
+#[test]
+fn wrong_flags_are_refused_with_the_remedy() {
+    let programs = programs();
+    let refused = |arguments: &[&str], words: &str| {
+        let output = launch(programs.path(), arguments);
+        let complaint = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {complaint}");
+        assert!(complaint.contains(words), "{arguments:?}: {complaint}");
+        assert!(output.stdout.is_empty());
+    };
+    refused(
+        &["--connect", "http://login1:7411"],
+        "--insecure if only trusted",
+    );
+    refused(&["--connect", "http://login1", "--insecure"], "login1:7411");
+    refused(&["--connect", "https://login1:1", "--insecure"], "http://");
+    refused(
+        &["--connect", "http://127.0.0.1:7411", "--insecure"],
+        "no other machine",
+    );
+    let more = |arguments: &[&'static str], words: &str| {
+        refused(&[&INSECURE[..], arguments].concat(), words);
+    };
+    more(&["--time", "4h"], "4:00:00");
+    more(&["--time", "1"], "lower --ahead-secs");
+    more(&["--partition", "a b"], "--partition");
+    more(&["--gpus", "1"], "--policy");
+    more(&["--policy", "mine"], "NAME=BACKEND");
+    more(
+        &["--policy", "a=b", "--policy-server", "a\nb"],
+        "in one line",
+    );
+    more(
+        &["--worker-sbatch", "avx2"],
+        "--worker-sbatch=--constraint=avx2",
+    );
+    more(&["--submit"], "--into");
+    more(&["--programs", "/nowhere"], "--programs");
+}

@@ -1,0 +1,227 @@
+"""Keeps workers running on a Ray cluster, as many as a coordinator has work for.
+
+    python launch.py --connect http://login1:7411 --assets primitives --max-workers 16
+
+A worker is an actor with a `sim` resource and a CPU for each slot, so that it runs on
+the nodes that were started with `ray start --resources '{"sim": N}'`, N at a time. The
+number of actors that are asked for follows the coordinator's queue; Ray's autoscaler
+adds nodes for those that find no room. Workers that have had no work for a while end by
+themselves. A node that goes takes its workers with it, and others are asked for.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import ray
+from ray.actor import ActorHandle
+from ray.exceptions import RayActorError, RayTaskError
+
+log = logging.getLogger("launch")
+
+# Workers that fail one after the other before the launcher gives up: what is wrong
+# with one is wrong with all.
+FAILURES_IN_A_ROW = 5
+# A worker needs so long to give back what it does not finish, seconds.
+GIVE_BACK = 15.0
+# Ray kills with SIGKILL what its actors started, unless it is told not to: a worker
+# could give nothing back.
+CHILDREN_LIVE = {"RAY_kill_child_processes_on_worker_exit": "0"}
+# What a worker reads from its environment: names of files, on every node.
+ENVIRONMENT = ("ROLLOUT_TOKEN_FILE", "ROLLOUT_CA", "ROLLOUT_SOURCES", "RUST_LOG")
+
+
+@ray.remote
+class SimWorker:
+    """A worker process, for as long as the actor lives."""
+
+    def __init__(self, command: list[str]) -> None:
+        self.command = command
+        self.process: subprocess.Popen[bytes] | None = None
+
+    def node(self) -> str:
+        """Where it is. It is answered once the actor has found room."""
+        return ray.get_runtime_context().get_node_id()
+
+    def run(self) -> int:
+        """Starts the worker, and returns its exit code when it ends."""
+        # A node that goes kills its actors and their process groups. Outside of them, and
+        # told to end when the actor is gone, the worker gives its rollouts back.
+        guarded = ["setpriv", "--pdeathsig", "TERM", "--", *self.command]
+        self.process = subprocess.Popen(guarded, start_new_session=True)
+        return self.process.wait()
+
+    def stop(self) -> None:
+        """Asks the worker to end: it finishes its rollouts, or gives them back."""
+        if self.process is not None and self.process.poll() is None:
+            self.process.send_signal(signal.SIGTERM)
+
+
+@dataclass
+class Placed:
+    """An actor that was asked for."""
+
+    actor: ActorHandle[Any]
+    # Resolves once the actor has found room, and once its worker has ended.
+    node: ray.ObjectRef[str]
+    end: ray.ObjectRef[int]
+
+
+class TooManyFailures(Exception):
+    """No worker can run."""
+
+
+class Fleet:
+    """The actors, and what became of them."""
+
+    def __init__(self, command: list[str], slots: int) -> None:
+        self.command = command
+        self.slots = slots
+        self.placed: list[Placed] = []
+        self.failures = 0
+
+    def look(self, wait: float) -> None:
+        """Takes note of workers that have ended, waiting so long for one."""
+        if not self.placed:
+            time.sleep(wait)
+            return
+        ends = [it.end for it in self.placed]
+        ended, _ = ray.wait(ends, num_returns=1, timeout=wait)
+        ended += ray.wait(ends, num_returns=len(ends), timeout=0)[0]
+        for it in [it for it in self.placed if it.end in ended]:
+            self.placed.remove(it)
+            self._ended(it)
+
+    def _ended(self, it: Placed) -> None:
+        try:
+            code = ray.get(it.end)
+        except RayActorError as error:
+            # No failure of the worker's: another takes its place.
+            log.warning("a worker is gone with its node: %s", str(error).splitlines()[0])
+            return
+        except RayTaskError as error:
+            code, why = 1, f"could not be started: {error}"
+        else:
+            why = f"ended with code {code}; its log is above"
+        ray.kill(it.actor)
+        if code == 0:
+            log.info("a worker ended")
+            self.failures = 0
+            return
+        self.failures += 1
+        log.error("a worker %s", why)
+        if self.failures >= FAILURES_IN_A_ROW:
+            raise TooManyFailures(f"{self.failures} workers failed one after the other")
+
+    def grow_to(self, wanted: int) -> None:
+        """Asks for more workers, or for fewer of those that have found no room yet."""
+        while len(self.placed) < wanted:
+            self.placed.append(self._start())
+        waiting = [it for it in self.placed if not ray.wait([it.node], timeout=0)[0]]
+        for it in waiting[: max(0, len(self.placed) - wanted)]:
+            ray.kill(it.actor)
+            self.placed.remove(it)
+
+    def _start(self) -> Placed:
+        environment = {name: os.environ[name] for name in ENVIRONMENT if name in os.environ}
+        environment |= CHILDREN_LIVE
+        actor = SimWorker.options(  # type: ignore[attr-defined]
+            resources={"sim": 1},
+            num_cpus=self.slots,
+            max_concurrency=2,
+            scheduling_strategy="SPREAD",
+            runtime_env={"env_vars": environment},
+        ).remote(self.command)
+        return Placed(actor, actor.node.remote(), actor.run.remote())
+
+    def stop(self, patience: float) -> None:
+        """Ends all workers; those that do not end in time are killed."""
+        for it in self.placed:
+            it.actor.stop.remote()
+        if self.placed:
+            ends = [it.end for it in self.placed]
+            ray.wait(ends, num_returns=len(ends), timeout=patience)
+        for it in self.placed:
+            ray.kill(it.actor)
+        self.placed.clear()
+
+
+def depth(coordinator: str, connect: str) -> int | None:
+    """Rollouts that wait or are being run; none if the coordinator does not say."""
+    command = [coordinator, "campaign", "status", "--json", "--connect", connect]
+    told = subprocess.run(command, check=False, capture_output=True, text=True)
+    if told.returncode != 0:
+        log.warning("how much work there is, is not known: %s", told.stderr.strip())
+        return None
+    campaigns = json.loads(told.stdout)["campaigns"]
+    running = [it["rollouts"] for it in campaigns if it["state"] == "running"]
+    return sum(int(it["queued"]) + int(it["leased"]) for it in running)
+
+
+def arguments(words: list[str] | None = None) -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    add = parser.add_argument
+    add("--address", default="auto", help="the Ray cluster (default: the one of this machine)")
+    add("--connect", required=True, help="URL of the coordinator, as the nodes reach it")
+    add("--assets", required=True, help="`primitives`, or a LIBERO assets folder on every node")
+    add("--programs", default="", help="folder of the programs on every node (default: the path)")
+    add("--max-workers", type=int, required=True, help="most workers at a time")
+    add("--slots", type=int, default=1, help="slots of a worker, with one CPU each")
+    add("--drain-secs", type=float, default=15, help="as `worker` has it")
+    add("--idle-secs", type=float, default=60, help="as `worker` has it")
+    add("--look-secs", type=float, default=5, help="between two looks at the queue")
+    add("--until-done", action="store_true", help="end when no work and no worker is left")
+    return parser.parse_args(words)
+
+
+def run(given: argparse.Namespace) -> None:
+    """Keeps workers running until it is told to end, or nothing is left to do."""
+    worker, coordinator = (os.path.join(given.programs, it) for it in ("worker", "coordinator"))
+    command = [worker, "--connect", given.connect, "--assets", given.assets]
+    command += ["--slots", str(given.slots), "--drain-secs", str(given.drain_secs)]
+    command += ["--idle-secs", str(given.idle_secs)]
+    fleet = Fleet(command, given.slots)
+    try:
+        while True:
+            work = depth(coordinator, given.connect)
+            if work is not None:
+                wanted = min(given.max_workers, math.ceil(work / given.slots))
+                if given.until_done and work == 0 and not fleet.placed:
+                    return
+                fleet.grow_to(wanted)
+            fleet.look(given.look_secs)
+    finally:
+        fleet.stop(given.drain_secs + GIVE_BACK)
+
+
+def main() -> int:
+    """Runs the command line; 1 if no worker can run."""
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
+    given = arguments()
+    ray.init(address=given.address, log_to_driver=True)
+    # SIGTERM ends it as Ctrl-C does: the workers are told first. Ray has a handler of
+    # its own until here.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        run(given)
+    except TooManyFailures as error:
+        log.error("%s", error)
+        return 1
+    except KeyboardInterrupt:
+        log.info("ended")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,146 @@
+"""The launcher on a Ray cluster of several nodes in this machine, with real programs."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("ray", reason="Ray is not installed")
+if "ROLLOUT_PROGRAMS" not in os.environ:
+    pytest.skip("`cargo xtask test` names the programs", allow_module_level=True)
+
+from ray.cluster_utils import Cluster
+
+PROGRAMS = Path(os.environ["ROLLOUT_PROGRAMS"])
+LAUNCH = Path(__file__).parents[1] / "launch.py"
+PATIENCE = 240.0
+
+
+class Lab:
+    """A coordinator, a gateway and a campaign."""
+
+    def __init__(self, data: Path) -> None:
+        self.processes: list[subprocess.Popen[str]] = []
+        self.url = self.serve("coordinator", "serve", "--data", str(data))
+        self.gateway = self.serve("policy-gateway", "--route", "expert=builtin:expert")
+
+    def serve(self, program: str, *words: str) -> str:
+        command = [str(PROGRAMS / program), *words, "--listen", "127.0.0.1:0"]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        self.processes.append(process)
+        assert process.stdout is not None
+        said = process.stdout.readline()
+        return "http://" + said.removeprefix("listening on ").split()[0].strip(",")
+
+    def ask(self, *words: str) -> str:
+        command = [str(PROGRAMS / "coordinator"), *words, "--connect", self.url]
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+    def create(self, name: str) -> None:
+        self.ask(
+            *("campaign", "create", "--name", name, "--policy", "expert"),
+            *("--endpoint", self.gateway, "--tasks", "libero_object/0-1", "--axes", "metric"),
+            *("--levels", "L2", "--configs", "0-9", "--nominal", "eval"),
+        )
+
+    def rollouts(self, name: str) -> dict[str, int]:
+        return json.loads(self.ask("campaign", "status", name, "--json"))["campaigns"][0][
+            "rollouts"
+        ]
+
+    def workers(self) -> int:
+        return len(json.loads(self.ask("workers", "--json"))["workers"])
+
+    def stop(self) -> None:
+        for process in self.processes:
+            process.kill()
+            process.wait()
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Iterator[Lab]:
+    lab = Lab(tmp_path)
+    yield lab
+    lab.stop()
+
+
+@pytest.fixture
+def cluster() -> Iterator[Cluster]:
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0})
+    yield cluster
+    cluster.shutdown()
+
+
+def until(what: str, is_so: Callable[[], bool]) -> None:
+    start = time.monotonic()
+    while not is_so():
+        assert time.monotonic() - start < PATIENCE, f"{what}: not yet"
+        time.sleep(0.25)
+
+
+def launch(cluster: Cluster, lab: Lab, *words: str) -> subprocess.Popen[bytes]:
+    command = [sys.executable, str(LAUNCH), "--address", cluster.address, "--connect", lab.url]
+    command += ["--assets", "primitives", "--programs", str(PROGRAMS), "--look-secs", "1"]
+    return subprocess.Popen([*command, "--drain-secs", "0", "--idle-secs", "5", *words])
+
+
+def test_a_node_that_goes_while_it_runs_loses_nothing(cluster: Cluster, lab: Lab) -> None:
+    nodes = [cluster.add_node(num_cpus=1, resources={"sim": 1}) for _ in range(2)]
+    lab.create("ray")
+    launcher = launch(cluster, lab, "--max-workers", "3", "--until-done")
+    try:
+        until("a worker on each node", lambda: lab.workers() == 2)
+        until("some rollouts are committed", lambda: lab.rollouts("ray")["committed"] >= 4)
+        cluster.remove_node(nodes[0])
+        until("its worker is gone", lambda: lab.workers() == 1)
+        cluster.add_node(num_cpus=1, resources={"sim": 1})
+        until("another has taken its place", lambda: lab.workers() == 2)
+        assert launcher.wait(timeout=PATIENCE) == 0
+    finally:
+        launcher.kill()
+        launcher.wait()
+    rollouts = lab.rollouts("ray")
+    assert rollouts["committed"] == rollouts["total"] == 140
+    jobs = json.loads(lab.ask("jobs", "list", "ray", "--limit", "1000", "--json"))["jobs"]
+    charged = {job["rollout_id"]: job["charged_attempts"] for job in jobs}
+    assert not any(charged.values()), charged
+    assert lab.workers() == 0
+
+
+def test_workers_follow_the_queue_and_end_when_they_are_told_to(cluster: Cluster, lab: Lab) -> None:
+    cluster.add_node(num_cpus=2, resources={"sim": 2})
+    launcher = launch(cluster, lab, "--max-workers", "2")
+    try:
+        time.sleep(5)
+        assert lab.workers() == 0, "there is no work"
+        lab.create("ray")
+        until("there is work for two", lambda: lab.workers() == 2)
+        lab.ask("campaign", "pause", "ray")
+        until("there is no work", lambda: lab.workers() == 0)
+        lab.ask("campaign", "resume", "ray")
+        until("there is work again", lambda: lab.workers() == 2)
+        launcher.terminate()
+        assert launcher.wait(timeout=60) == 0
+    finally:
+        launcher.kill()
+        launcher.wait()
+    assert lab.workers() == 0, "they said good-bye"
+    assert lab.rollouts("ray")["leased"] == 0, "they gave back what they had"
+
+
+def test_workers_that_cannot_run_are_not_started_for_ever(cluster: Cluster, lab: Lab) -> None:
+    cluster.add_node(num_cpus=1, resources={"sim": 1})
+    lab.create("ray")
+    launcher = launch(cluster, lab, "--max-workers", "1", "--assets", "/nowhere")
+    try:
+        assert launcher.wait(timeout=120) == 1
+    finally:
+        launcher.kill()
+        launcher.wait()

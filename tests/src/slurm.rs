@@ -1,0 +1,346 @@
+//! A Slurm cluster of two nodes on this machine: munge, a controller and two node
+//! daemons as processes of the test, in a folder and on ports of their own.
+
+use std::net::{TcpListener, ToSocketAddrs};
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+/// The cluster's nodes. The first one has a GPU, which is none.
+pub const NODES: [&str; 2] = ["n1", "n2"];
+/// Partitions: jobs of the second preempt jobs of the first.
+pub const PARTITIONS: [&str; 2] = ["low", "high"];
+/// Slurm's programs that are used here, and munge's.
+const PROGRAMS: [&str; 8] = [
+    "munged",
+    "slurmctld",
+    "slurmd",
+    "sbatch",
+    "scancel",
+    "scontrol",
+    "sinfo",
+    "squeue",
+];
+/// Where Debian keeps daemons, which are not on everybody's path.
+const DAEMONS: &str = "/usr/sbin";
+/// Longest that the cluster takes to do what it is told.
+const PATIENCE: Duration = Duration::from_secs(300);
+/// Longest that its jobs take to end.
+const END: Duration = Duration::from_secs(40);
+
+/// A running cluster; its jobs and daemons end when it goes out of scope.
+pub struct Cluster {
+    folder: tempfile::TempDir,
+    daemons: Vec<Child>,
+}
+
+/// A job, or a task of an array, as Slurm shows it.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Job {
+    /// `RUNNING`, `PENDING`, …
+    pub state: String,
+    /// The node that it runs on.
+    pub node: String,
+    /// How often it was queued again.
+    pub restarts: u32,
+}
+
+impl Cluster {
+    /// Starts one.
+    ///
+    /// # Errors
+    /// Says what this machine lacks.
+    ///
+    /// # Panics
+    /// If what is installed does not work.
+    pub fn start() -> Result<Self, String> {
+        for program in PROGRAMS {
+            if find(program).is_none() {
+                return Err(format!("no {program} (Debian: slurm-wlm and munge)"));
+            }
+        }
+        let host = host_name();
+        let known = (host.as_str(), 0).to_socket_addrs().is_ok();
+        if !known {
+            return Err(format!("this machine's name, {host}, has no address"));
+        }
+        let mut cluster = Self {
+            folder: tempfile::tempdir().expect("a folder"),
+            daemons: Vec::new(),
+        };
+        cluster.configure(&host);
+        cluster.start_daemons();
+        cluster.wait_for("both nodes are idle", |it| {
+            it.ask(
+                "sinfo",
+                &["--noheader", "--Node", "--format=%N %T", "--partition=low"],
+            )
+            .lines()
+            .filter(|line| line.ends_with(" idle"))
+            .count()
+                == NODES.len()
+        });
+        Ok(cluster)
+    }
+
+    fn configure(&self, host: &str) {
+        // munged wants everybody to reach its socket, and nobody else its key.
+        set_mode(self.folder.path(), 0o755);
+        let key: Vec<u8> = (0..=255).cycle().take(1024).collect();
+        self.write("munge.key", &key);
+        set_mode(&self.path("munge.key"), 0o600);
+        std::fs::create_dir(self.path("state")).expect("a folder");
+        self.write(
+            "gres.conf",
+            b"NodeName=n1 Name=gpu Count=1 File=/dev/null\n",
+        );
+        let me = Command::new("id").arg("-un").output().expect("id runs");
+        let me = String::from_utf8_lossy(&me.stdout).trim().to_owned();
+        let here = self.folder.path().display();
+        let [controller, ports @ ..] = free_ports::<3>();
+        let mut text = format!(
+            "ClusterName=test\n\
+             SlurmctldHost={host}(127.0.0.1)\n\
+             SlurmctldPort={controller}\n\
+             SlurmUser={me}\n\
+             SlurmdUser={me}\n\
+             AuthType=auth/munge\n\
+             CryptoType=crypto/munge\n\
+             AuthInfo=socket={here}/munge.socket,cred_expire=5\n\
+             StateSaveLocation={here}/state\n\
+             SlurmdSpoolDir={here}/spool-%n\n\
+             SlurmctldPidFile={here}/slurmctld.pid\n\
+             SlurmdPidFile={here}/slurmd-%n.pid\n\
+             SlurmctldLogFile={here}/slurmctld.log\n\
+             SlurmdLogFile={here}/slurmd-%n.log\n\
+             ProctrackType=proctrack/linuxproc\n\
+             TaskPlugin=task/none\n\
+             JobAcctGatherType=jobacct_gather/none\n\
+             MpiDefault=none\n\
+             SelectType=select/cons_tres\n\
+             SelectTypeParameters=CR_Core\n\
+             GresTypes=gpu\n\
+             ReturnToService=2\n\
+             SlurmdParameters=config_overrides\n\
+             SchedulerParameters=bf_interval=1\n\
+             PreemptType=preempt/partition_prio\n\
+             PreemptMode=REQUEUE\n"
+        );
+        for (node, port) in NODES.iter().zip(ports) {
+            std::fs::create_dir(self.path(&format!("spool-{node}"))).expect("a folder");
+            // Room for a gateway and a worker, and for a worker.
+            let has = match *node == NODES[0] {
+                true => "CPUs=2 Gres=gpu:1",
+                false => "CPUs=1",
+            };
+            text += &format!(
+                "NodeName={node} NodeHostname={host} NodeAddr=127.0.0.1 Port={port} \
+                 RealMemory=8000 {has}\n"
+            );
+        }
+        let nodes = NODES.join(",");
+        for (partition, priority) in PARTITIONS.iter().zip([1, 10]) {
+            text += &format!("PartitionName={partition} Nodes={nodes} PriorityTier={priority}\n");
+        }
+        self.write("slurm.conf", text.as_bytes());
+    }
+
+    fn start_daemons(&mut self) {
+        let file = |name: &str| self.path(name).display().to_string();
+        let munge = [
+            format!("--socket={}", file("munge.socket")),
+            format!("--key-file={}", file("munge.key")),
+            format!("--pid-file={}", file("munged.pid")),
+            format!("--seed-file={}", file("munged.seed")),
+            format!("--log-file={}", file("munged.log")),
+            "--foreground".to_owned(),
+        ];
+        let munge: Vec<&str> = munge.iter().map(String::as_str).collect();
+        self.start_daemon("munged", &munge);
+        let socket = self.path("munge.socket");
+        self.wait_for("munged listens", |_| socket.exists());
+        self.start_daemon("slurmctld", &["-D"]);
+        for node in NODES {
+            self.start_daemon("slurmd", &["-D", "-N", node]);
+        }
+    }
+
+    fn start_daemon(&mut self, name: &str, arguments: &[&str]) {
+        let mut daemon = self.command(name);
+        daemon.args(arguments).stdin(Stdio::null());
+        daemon.stdout(Stdio::null()).stderr(Stdio::null());
+        let daemon = daemon
+            .spawn()
+            .unwrap_or_else(|error| panic!("{name}: {error}"));
+        self.daemons.push(daemon);
+    }
+
+    /// A file of the cluster's.
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn write(&self, name: &str, bytes: &[u8]) {
+        std::fs::write(self.path(name), bytes).expect("a file");
+    }
+
+    /// One of Slurm's commands, or of our programs, on this cluster.
+    pub fn command(&self, program: &str) -> Command {
+        let path = match PROGRAMS.contains(&program) {
+            true => find(program).unwrap_or_else(|| program.into()),
+            false => crate::programs::program(program),
+        };
+        let mut command = Command::new(path);
+        command.env("SLURM_CONF", self.path("slurm.conf"));
+        command
+    }
+
+    /// What a command says that must succeed.
+    ///
+    /// # Panics
+    /// If it does not.
+    pub fn ask(&self, program: &str, arguments: &[&str]) -> String {
+        succeeded(
+            self.command(program)
+                .args(arguments)
+                .output()
+                .expect(program),
+        )
+    }
+
+    /// Submits a command of the shell's with some of sbatch's options; returns its job.
+    ///
+    /// # Panics
+    /// If it is refused.
+    pub fn submit(&self, options: &[&str], command: &str) -> String {
+        let log = format!("--output={}", self.path("jobs.log").display());
+        let wrapped = format!("--wrap={command}");
+        let more = ["--parsable", "--open-mode=append", &log, &wrapped];
+        self.ask("sbatch", &[options, &more].concat())
+            .trim()
+            .to_owned()
+    }
+
+    /// How a job stands, `12` or `12_1`.
+    pub fn job(&self, id: &str) -> Job {
+        let output = self
+            .command("scontrol")
+            .args(["show", "job", "-o", id])
+            .output();
+        let told = output.expect("scontrol runs");
+        let told = String::from_utf8_lossy(&told.stdout).into_owned();
+        let line = told.lines().next().unwrap_or_default();
+        let field = |name: &str| {
+            let mut words = line.split_whitespace();
+            let value = words.find_map(|word| word.strip_prefix(name));
+            value.unwrap_or_default().to_owned()
+        };
+        Job {
+            state: field("JobState="),
+            node: field("NodeList=").replace("(null)", ""),
+            restarts: field("Restarts=").parse().unwrap_or_default(),
+        }
+    }
+
+    /// Waits until something is so.
+    ///
+    /// # Panics
+    /// If that takes longer than anybody should wait.
+    pub fn wait_for(&self, what: &str, is_so: impl Fn(&Self) -> bool) {
+        let start = Instant::now();
+        while !is_so(self) {
+            assert!(
+                start.elapsed() < PATIENCE,
+                "{what}: not yet\n{}",
+                self.state()
+            );
+            sleep(Duration::from_millis(250));
+        }
+    }
+
+    /// What the cluster and its jobs say, for a test that failed.
+    pub fn state(&self) -> String {
+        let queue = self.command("squeue").args(["--all", "--array"]).output();
+        let queue = queue.map(|it| String::from_utf8_lossy(&it.stdout).into_owned());
+        let log = std::fs::read_to_string(self.path("slurmctld.log")).unwrap_or_default();
+        let lines: Vec<&str> = log.lines().collect();
+        let end = lines[lines.len().saturating_sub(40)..].join("\n");
+        format!("{}\n{end}", queue.unwrap_or_default())
+    }
+
+    fn ends_its_jobs(&self) -> bool {
+        let quiet = |program: &str, arguments: &[&str]| {
+            let output = self.command(program).args(arguments).output();
+            output.is_ok_and(|it| it.status.success() && it.stdout.trim_ascii().is_empty())
+        };
+        for state in ["PENDING", "RUNNING", "SUSPENDED"] {
+            quiet("scancel", &["--state", state, "--partition=low"]);
+            quiet("scancel", &["--state", state, "--partition=high"]);
+        }
+        quiet("squeue", &["--noheader", "--all"])
+    }
+}
+
+impl Drop for Cluster {
+    fn drop(&mut self) {
+        // Jobs outlive the daemons that started them.
+        let start = Instant::now();
+        while !self.ends_its_jobs() && start.elapsed() < END {
+            sleep(Duration::from_millis(500));
+        }
+        for daemon in self.daemons.iter_mut().rev() {
+            let id = daemon.id().to_string();
+            let _ = Command::new("kill").args(["-TERM", &id]).status();
+            let start = Instant::now();
+            while matches!(daemon.try_wait(), Ok(None)) && start.elapsed() < Duration::from_secs(5)
+            {
+                sleep(Duration::from_millis(50));
+            }
+            let _ = daemon.kill();
+            let _ = daemon.wait();
+        }
+    }
+}
+
+/// What a program printed that must have succeeded.
+///
+/// # Panics
+/// If it did not.
+pub fn succeeded(output: Output) -> String {
+    let complaint = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{complaint}");
+    String::from_utf8(output.stdout).expect("UTF-8")
+}
+
+/// This machine's name, as the scripts find it.
+///
+/// # Panics
+/// If it has none.
+pub fn host_name() -> String {
+    let output = Command::new("hostname").arg("-s").output();
+    let name = succeeded(output.expect("hostname runs"));
+    name.trim().to_owned()
+}
+
+/// Ports that nobody listens on.
+///
+/// # Panics
+/// If there are none.
+pub fn free_ports<const N: usize>() -> [u16; N] {
+    let listeners = [(); N].map(|()| TcpListener::bind("127.0.0.1:0").expect("a port"));
+    listeners.map(|it| it.local_addr().expect("its address").port())
+}
+
+fn find(program: &str) -> Option<PathBuf> {
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let folders = std::env::split_paths(&path).chain([PathBuf::from(DAEMONS)]);
+    let mut paths = folders.map(|folder| folder.join(program));
+    paths.find(|path| path.is_file())
+}
+
+fn set_mode(path: &Path, mode: u32) {
+    let mode = std::fs::Permissions::from_mode(mode);
+    std::fs::set_permissions(path, mode).expect("its own file");
+}

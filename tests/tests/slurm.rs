@@ -1,0 +1,262 @@
+//! The scripts of `coordinator launch slurm` on a real cluster of two nodes, with
+//! what happens to jobs there.
+
+use std::path::PathBuf;
+use std::process::Command;
+use std::thread::sleep;
+use std::time::Duration;
+
+use serde_json::Value;
+use tests::programs::{Campaigns, Process, program};
+use tests::slurm::{Cluster, NODES, free_ports, host_name, succeeded};
+
+const NAME: &str = "a_campaign_on_a_real_cluster_loses_nothing_and_charges_nobody";
+const CAMPAIGN: &str = "cluster";
+/// How attempts may end without an outcome here: nobody is charged for it.
+const UNCHARGED: [&str; 3] = ["draining", "policy_unavailable", "never_acknowledged"];
+
+#[test]
+fn a_campaign_on_a_real_cluster_loses_nothing_and_charges_nobody() {
+    let cluster = match Cluster::start() {
+        Ok(cluster) => cluster,
+        Err(lacking) => return println!("skipped {NAME}: {lacking}"),
+    };
+    let lab = Lab::open(cluster);
+
+    // An array over two nodes, and the gateway on the one with the GPU.
+    let gateway = lab.job_called("rollout-gateway");
+    let array = lab.job_called("rollout-workers");
+    let tasks = [1, 2].map(|task| format!("{array}_{task}"));
+    lab.wait_until("both workers run", |lab| lab.live_workers() == 2);
+    let node = |job: &str| lab.cluster.job(job).node;
+    assert_eq!(node(&gateway), NODES[0]);
+    let [on_first, on_second] = match node(&tasks[0]) == NODES[0] {
+        true => tasks,
+        false => {
+            let [one, two] = tasks;
+            [two, one]
+        }
+    };
+    assert_eq!([node(&on_first), node(&on_second)], NODES);
+    lab.wait_until("some rollouts are committed", |lab| lab.committed() >= 4);
+
+    lab.is_preempted(&on_second);
+    lab.loses_its_node(&on_second);
+    for job in [&on_first, &gateway] {
+        lab.wait_until("a job whose time was up is back", |lab| lab.is_back(job, 1));
+    }
+    // Each time, it was a worker of its own.
+    for (task, times) in [(&on_first, 2), (&on_second, 3)] {
+        let index = task.rsplit('_').next().unwrap_or_default();
+        let log = lab.scripts.join(format!("worker-{array}-{index}.log"));
+        let log = std::fs::read_to_string(log).expect("a log");
+        let registered = log.matches("registered with the coordinator").count();
+        assert!(registered >= times, "{registered} of {times} times:\n{log}");
+    }
+
+    lab.wait_until("the campaign is finished", |lab| {
+        let status = lab.ask(&["campaign", "status", CAMPAIGN]);
+        status.contains("finished")
+    });
+    lab.charged_nobody();
+    let told = lab.report();
+    let endpoint = lab.endpoint.clone();
+    lab.close();
+    assert_eq!(told, report_of_one_machine(&endpoint));
+}
+
+/// The campaign, whoever runs it.
+fn create(endpoint: &str) -> Vec<&str> {
+    #[rustfmt::skip]
+    let create = vec![
+        "campaign", "create", "--name", CAMPAIGN, "--policy", "expert", "--endpoint", endpoint,
+        "--tasks", "libero_object/0-1", "--axes", "metric", "--levels", "L2",
+        "--configs", "0-9", "--nominal", "eval",
+    ];
+    create
+}
+
+/// What a worker beside its coordinator comes to.
+fn report_of_one_machine(endpoint: &str) -> String {
+    let data = tempfile::tempdir().expect("a folder");
+    let campaigns = Campaigns::start(data.path());
+    campaigns.succeed(&create(endpoint));
+    let mut worker = Command::new(program("worker"));
+    worker.args(["--connect", &campaigns.coordinator.url, "--slots", "2"]);
+    worker.args(["--assets", "primitives", "--policy-endpoint"]);
+    let _worker = Process::start(worker.arg(&campaigns.gateway.url));
+    campaigns.wait_for_commits(CAMPAIGN, None);
+    let report = campaigns.succeed(&["report", CAMPAIGN]);
+    report + &campaigns.succeed(&["report", CAMPAIGN, "--json"])
+}
+
+/// A campaign on a cluster, its coordinator beside it.
+struct Lab {
+    // The first to go: its jobs call the coordinator.
+    cluster: Cluster,
+    coordinator: Process,
+    scripts: PathBuf,
+    url: String,
+    endpoint: String,
+}
+
+impl Lab {
+    /// What a user does: writes the scripts, starts the coordinator, submits, and
+    /// creates a campaign.
+    fn open(cluster: Cluster) -> Self {
+        let scripts = cluster.path("a lab's \"scripts\"");
+        let [own, gateway] = free_ports().map(|port| port.to_string());
+        let url = format!("http://{}:{own}", host_name());
+        let launch = |more: &[&str]| {
+            let mut launch = cluster.command("coordinator");
+            launch.args(["launch", "slurm", "--connect", &url, "--insecure"]);
+            launch.arg("--into").arg(&scripts);
+            launch.arg("--data").arg(cluster.path("campaigns"));
+            #[rustfmt::skip]
+            launch.args([
+                "--assets", "primitives", "--partition", "low", "--time", "1", "--ahead-secs", "10",
+                "--workers", "2", "--slots", "1", "--drain-secs", "0",
+                "--policy", "expert=builtin:expert", "--gpus", "1", "--gateway-port", &gateway,
+            ]);
+            succeeded(launch.args(more).output().expect("the command runs"))
+        };
+        launch(&[]);
+        let coordinator = Process::serve(Command::new("bash").arg(scripts.join("coordinator.sh")));
+        launch(&["--submit"]);
+        let found = scripts.join("gateway.url");
+        cluster.wait_for("the gateway says where it is", |_| found.exists());
+        let endpoint = std::fs::read_to_string(found).expect("a line");
+        let lab = Self {
+            cluster,
+            coordinator,
+            scripts,
+            url,
+            endpoint: endpoint.trim().to_owned(),
+        };
+        lab.ask(&create(&lab.endpoint));
+        lab
+    }
+
+    /// A partition of higher priority takes a worker's node.
+    fn is_preempted(&self, task: &str) {
+        let restarts = self.cluster.job(task).restarts;
+        // A task whose time is up just then is no victim, and another try is made.
+        let is_told = || {
+            let log = std::fs::read_to_string(self.cluster.path("slurmctld.log"));
+            log.is_ok_and(|log| log.contains(&format!("preempted JobId={task}(")))
+        };
+        while !is_told() {
+            self.wait_until("the worker runs", |lab| lab.is_back(task, 0));
+            let node = format!("--nodelist={}", self.cluster.job(task).node);
+            let options = ["--partition=high", &node, "--exclusive"];
+            let urgent = self.cluster.submit(&options, "sleep 3");
+            self.wait_until("the urgent job has run", |lab| {
+                lab.cluster.job(&urgent).state == "COMPLETED"
+            });
+        }
+        self.wait_until("the preempted worker is back", |lab| {
+            lab.is_back(task, restarts + 1)
+        });
+    }
+
+    /// A worker's node is drained, and its job queued again.
+    fn loses_its_node(&self, task: &str) {
+        let before = self.cluster.job(task);
+        let name = format!("NodeName={}", before.node);
+        let scontrol = |arguments: &[&str]| self.cluster.ask("scontrol", arguments);
+        scontrol(&["update", &name, "State=DRAIN", "Reason=a test"]);
+        scontrol(&["requeue", task]);
+        self.wait_until("the worker has left the drained node", |lab| {
+            lab.cluster.job(task).restarts > before.restarts
+        });
+        // As long as a job that is queued again waits, and longer.
+        sleep(Duration::from_secs(8));
+        let now = self.cluster.job(task);
+        assert!(now.state != "RUNNING" || now.node != before.node, "{now:?}");
+        scontrol(&["update", &name, "State=RESUME"]);
+        self.wait_until("the worker is back", |lab| {
+            lab.is_back(task, before.restarts + 1)
+        });
+    }
+
+    /// Whether a job runs that was queued again so often.
+    fn is_back(&self, job: &str, restarts: u32) -> bool {
+        let job = self.cluster.job(job);
+        job.state == "RUNNING" && job.restarts >= restarts
+    }
+
+    /// No attempt of a rollout counts against it, and those that gave it back did so
+    /// for a reason of the cluster's.
+    fn charged_nobody(&self) {
+        let jobs = self.json(&["jobs", "list", CAMPAIGN, "--limit", "10000"]);
+        let jobs = jobs["jobs"].as_array().expect("a list");
+        let mut endings = Vec::new();
+        for job in jobs {
+            assert_eq!(job["state"], "committed", "{job}");
+            assert_eq!(job["charged_attempts"], 0, "{job}");
+            if job["attempts"] != 1 {
+                let id = job["rollout_id"].as_str().expect("an id");
+                let shown = self.json(&["jobs", "show", CAMPAIGN, id]);
+                let failures = shown["failures"].as_array().expect("a list");
+                let reasons = failures.iter().map(|it| it["reason"].as_str());
+                endings.extend(reasons.map(|it| it.unwrap_or_default().to_owned()));
+            }
+        }
+        let known = |it: &String| UNCHARGED.contains(&it.as_str());
+        assert!(endings.iter().all(known), "{endings:?}");
+        let given_back = endings.iter().filter(|it| *it == "draining").count();
+        assert!(
+            given_back > 0,
+            "no worker was told to end in a rollout: {endings:?}"
+        );
+    }
+
+    fn report(&self) -> String {
+        self.ask(&["report", CAMPAIGN]) + &self.ask(&["report", CAMPAIGN, "--json"])
+    }
+
+    /// Ends everything, and looks at what it left.
+    fn close(mut self) {
+        let data = self.cluster.path("campaigns");
+        self.coordinator.signal("-TERM");
+        self.coordinator.wait();
+        let mut check = Command::new(program("coordinator"));
+        succeeded(check.arg("check").arg(data).output().expect("it runs"));
+    }
+
+    fn job_called(&self, name: &str) -> String {
+        let name = format!("--name={name}");
+        let told = self
+            .cluster
+            .ask("squeue", &["--noheader", "--format=%F", &name]);
+        told.lines().next().expect("a job").trim().to_owned()
+    }
+
+    fn live_workers(&self) -> usize {
+        self.json(&["workers"])["workers"]
+            .as_array()
+            .map_or(0, Vec::len)
+    }
+
+    fn committed(&self) -> u64 {
+        let status = self.json(&["campaign", "status", CAMPAIGN]);
+        let committed = &status["campaigns"][0]["rollouts"]["committed"];
+        committed.as_u64().expect("a number")
+    }
+
+    fn json(&self, arguments: &[&str]) -> Value {
+        let told = self.ask(&[arguments, &["--json"]].concat());
+        serde_json::from_str(&told).expect("JSON")
+    }
+
+    /// Asks something of the coordinator.
+    fn ask(&self, arguments: &[&str]) -> String {
+        let mut command = Command::new(program("coordinator"));
+        command.args(arguments).args(["--connect", &self.url]);
+        succeeded(command.output().expect("the command runs"))
+    }
+
+    fn wait_until(&self, what: &str, is_so: impl Fn(&Self) -> bool) {
+        self.cluster.wait_for(what, |_| is_so(self));
+    }
+}

@@ -1,0 +1,37 @@
+//! The launcher of `deploy/ray`, tested on Ray itself.
+
+use std::path::Path;
+use std::process::Command;
+
+use anyhow::Result;
+
+use crate::process::run as run_command;
+use crate::step::step;
+use crate::venv::environment;
+
+/// What is installed, in an environment of its own.
+const TESTED_WITH: [&str; 2] = ["ray==2.60.0", "pytest>=7"];
+
+/// Runs its tests, where Ray can be had.
+///
+/// # Errors
+/// If one fails.
+pub(crate) fn test(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
+    let dir = cache.join("ray");
+    let mut lacking = None;
+    step("Ray for the tests of deploy/ray", || {
+        // Without it these tests are skipped, and said to be.
+        let made = environment(&dir, &TESTED_WITH).map(str::to_owned);
+        Ok(made.unwrap_or_else(|error| lacking.insert(format!("none: {error:#}")).clone()))
+    })?;
+    if lacking.is_some() {
+        println!("  skipped deploy/ray/tests: no Ray");
+        return Ok(());
+    }
+    let mut pytest = Command::new(dir.join("bin/python"));
+    pytest
+        .args(["-m", "pytest", "--quiet", "-rs", "-p", "no:cacheprovider"])
+        .arg(root.join("deploy/ray/tests"))
+        .env("ROLLOUT_PROGRAMS", programs);
+    run_command(&mut pytest)
+}
