@@ -8,6 +8,7 @@ mod command;
 mod compare;
 mod completions;
 mod create;
+mod derived;
 mod explain;
 mod export;
 mod files;
@@ -21,6 +22,7 @@ mod operate;
 mod report;
 mod serve;
 mod status;
+mod thresholds;
 mod watch;
 mod workers;
 
@@ -70,6 +72,9 @@ enum Command {
     /// Find out which axes it takes to change an outcome: the minimal subsets behind
     /// emergent failures and compensated successes.
     Explain(explain::ExplainArguments),
+    /// Find out how far each configuration may be perturbed before success turns to
+    /// failure, and at which radius half of them fail.
+    Thresholds(thresholds::ThresholdsArguments),
     /// Write the committed results of a campaign.
     Export(export::ExportArguments),
     /// Show, write or submit what runs workers and policies on a cluster.
@@ -145,6 +150,7 @@ async fn execute(command: Command) -> Result<(), CommandError> {
         Command::Report(arguments) => report::report(arguments).await,
         Command::Compare(arguments) => compare::compare(arguments).await,
         Command::Explain(arguments) => explain::explain(arguments).await,
+        Command::Thresholds(arguments) => thresholds::thresholds(arguments).await,
         Command::Export(arguments) => export::export(arguments).await,
         Command::Launch(command) => launch::launch(command),
         Command::Completions(arguments) => {

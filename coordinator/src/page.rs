@@ -14,6 +14,7 @@ mod card;
 mod changes;
 mod compare;
 mod configuration;
+mod how_far;
 mod kept;
 mod layout;
 mod log_in;

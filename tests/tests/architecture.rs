@@ -110,6 +110,10 @@ fn crates_use_one_another_in_the_agreed_directions_only() {
         ),
         ("paired", &["scene", "sim", "proto", "tokio", "sqlx"]),
         ("lattice", &["scene", "sim", "proto", "tokio", "sqlx"]),
+        (
+            "thresholds",
+            &["lattice", "scene", "sim", "proto", "tokio", "sqlx"],
+        ),
         ("report", &["scene", "sim", "proto", "tokio", "sqlx"]),
         ("proto", &["protocol", "scene", "sim", "paired"]),
         (

@@ -1,18 +1,14 @@
 //! `coordinator explain`: which axes it takes to change an outcome.
 
-use std::time::Duration;
-
 use clap::Args;
-use coordinator::client::{Client, Service};
-use proto::coordinator::{CreateCampaignRequest, GetCampaignRequest};
-use protocol::{CampaignSpec, Explanation, PolicyRoute, Realisation, Record, Rollouts, Wanted};
+use coordinator::client::Client;
+use protocol::{Explanation, Rollouts};
 use report::Findings;
 use terminal::{number, number_from};
 
 use super::command::{CommandError, Connection, print_line, usage};
+use super::derived;
 
-/// Between two looks at what was found.
-const LOOK_AGAIN: Duration = Duration::from_secs(2);
 /// Most replicates of one subset.
 const MAX_REPEATS: u32 = 1_000;
 
@@ -52,34 +48,26 @@ pub(super) async fn explain(arguments: ExplainArguments) -> Result<(), CommandEr
     let client = arguments.connection.client()?;
     let usual = || format!("{}-explained", arguments.campaign);
     let name = arguments.name.clone().unwrap_or_else(usual);
-    let found = match arguments.asks_for_something() {
+    let there = match arguments.asks_for_something() {
         true => None,
         false => there(&client, &arguments.campaign, &name).await?,
     };
-    let explanation = match found {
+    let explanation = match there {
         Some(explanation) => explanation,
         None => begin(&client, &arguments, &name).await?,
     };
-    let mut told = String::new();
-    loop {
+    let found = async || {
         let campaign = client.report(&arguments.campaign).await?;
         let by = client.report(&name).await?;
-        let findings = Findings::of(&campaign, &by, &explanation).map_err(usage)?;
-        if !arguments.watch || findings.complete {
-            let text = match arguments.json {
-                true => findings.json().map_err(anyhow::Error::from)?,
-                false => findings.text(),
-            };
-            return Ok(print_line(text.trim_end())?);
-        }
-        let text = findings.text();
-        let standing = text.lines().next().unwrap_or_default();
-        if standing != told {
-            eprintln!("{standing}");
-            standing.clone_into(&mut told);
-        }
-        tokio::time::sleep(LOOK_AGAIN).await;
-    }
+        Findings::of(&campaign, &by, &explanation).map_err(usage)
+    };
+    let is_complete = |found: &Findings| found.complete;
+    let found = derived::look(arguments.watch, found, is_complete, Findings::text).await?;
+    let text = match arguments.json {
+        true => found.json().map_err(anyhow::Error::from)?,
+        false => found.text(),
+    };
+    Ok(print_line(text.trim_end())?)
 }
 
 impl ExplainArguments {
@@ -95,17 +83,8 @@ async fn there(
     campaign: &str,
     name: &str,
 ) -> Result<Option<Explanation>, CommandError> {
-    let all = client.list_campaigns().await?;
-    if !all.iter().any(|status| status.campaign == name) {
-        return Ok(None);
-    }
-    let request = GetCampaignRequest {
-        campaign: name.to_owned(),
-    };
-    let answer = client.call(request, Service::get_campaign).await?;
-    let spec = CampaignSpec::from_json(&answer.spec).map_err(usage)?;
-    Ok(match spec.rollouts {
-        Rollouts::Explanation(explanation) if explanation.campaign == campaign => Some(explanation),
+    Ok(match derived::rollouts(client, name).await? {
+        Some(Rollouts::Explanation(there)) if there.campaign == campaign => Some(there),
         _ => None,
     })
 }
@@ -116,7 +95,7 @@ async fn begin(
     arguments: &ExplainArguments,
     name: &str,
 ) -> Result<Explanation, CommandError> {
-    let explained = client.campaign_status(&arguments.campaign).await?;
+    let source = client.campaign_status(&arguments.campaign).await?;
     let explanation = Explanation {
         campaign: arguments.campaign.clone(),
         budget: arguments.budget,
@@ -124,33 +103,9 @@ async fn begin(
         exhaustive: arguments.exhaustive,
         repeats: arguments.repeats,
     };
-    let spec = CampaignSpec {
-        name: name.to_owned(),
-        policy: PolicyRoute {
-            name: explained.policy,
-            endpoint: explained.policy_endpoint,
-        },
-        rollouts: Rollouts::Explanation(explanation.clone()),
-        realisation: Realisation::Matched,
-        replicates: 1,
-        record: Record::None,
-        wanted: Wanted::default(),
-    };
-    spec.check().map_err(usage)?;
     let campaign = client.report(&arguments.campaign).await?;
     Findings::can_be_of(&campaign, &explanation).map_err(usage)?;
-    let request = CreateCampaignRequest {
-        spec: serde_json::to_string(&spec).map_err(anyhow::Error::from)?,
-        priority: explained.priority,
-    };
-    client.call(request, Service::create_campaign).await?;
-    if explained.queued + explained.leased > 0 {
-        eprintln!(
-            "campaign {} has {} rollouts without an outcome; its transitions are explained once \
-             it is through",
-            arguments.campaign,
-            explained.queued + explained.leased
-        );
-    }
+    let rollouts = Rollouts::Explanation(explanation.clone());
+    derived::create(client, source, name, rollouts).await?;
     Ok(explanation)
 }

@@ -7,6 +7,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use protocol::{CampaignSpec, ManifestRow, manifest};
+use report::figures::Figure;
+use terminal::counted;
 
 use super::command::{CommandError, usage};
 
@@ -61,6 +63,18 @@ pub(super) fn write_whole(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     let written = file.writer().write_all(bytes);
     written.with_context(|| format!("write {}", path.display()))?;
     file.finish()
+}
+
+/// Writes figures as SVG files into a folder, which is made if it is not there.
+pub(super) fn write_figures(figures: &[Figure], folder: &Path) -> anyhow::Result<()> {
+    std::fs::create_dir_all(folder).with_context(|| format!("make {}", folder.display()))?;
+    for figure in figures {
+        let path = folder.join(format!("{}.svg", figure.name));
+        write_whole(&path, figure.standalone().as_bytes())?;
+    }
+    let count = counted(figures.len() as u64, "figure");
+    eprintln!("wrote {count} to {}", folder.display());
+    Ok(())
 }
 
 /// A file under another name until it is whole; nothing is left of one that is

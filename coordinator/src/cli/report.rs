@@ -7,10 +7,9 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, anyhow};
 use clap::Args;
 use report::{Document, Subject, write_csv, write_parquet};
-use terminal::counted;
 
 use super::command::{CommandError, Connection, print_line, usage};
-use super::files::{WholeFile, write_whole};
+use super::files::{WholeFile, write_figures, write_whole};
 
 #[derive(Args, Debug)]
 pub(super) struct ReportArguments {
@@ -65,7 +64,7 @@ pub(super) async fn report(arguments: ReportArguments) -> Result<(), CommandErro
         write_table(&document, path, *form)?;
     }
     if let Some(folder) = &arguments.figures {
-        write_figures(&document, folder)?;
+        write_figures(&report::figures::all(&document), folder)?;
     }
     if let Some(path) = &arguments.html {
         write_whole(path, report::page(&document).as_bytes())?;
@@ -123,17 +122,5 @@ fn write_table(document: &Document, path: &Path, form: TableForm) -> anyhow::Res
     written.with_context(|| format!("write {}", path.display()))?;
     file.finish()?;
     eprintln!("wrote the table to {}", path.display());
-    Ok(())
-}
-
-fn write_figures(document: &Document, folder: &Path) -> anyhow::Result<()> {
-    std::fs::create_dir_all(folder).with_context(|| format!("make {}", folder.display()))?;
-    let figures = report::figures::all(document);
-    for figure in &figures {
-        let path = folder.join(format!("{}.svg", figure.name));
-        write_whole(&path, figure.standalone().as_bytes())?;
-    }
-    let count = counted(figures.len() as u64, "figure");
-    eprintln!("wrote {count} to {}", folder.display());
     Ok(())
 }

@@ -34,13 +34,14 @@ fn code(error: &QueueError) -> Code {
         QueueError::WorkerStopped { .. }
         | QueueError::Cancelled { .. }
         | QueueError::CampaignInUse { .. }
-        | QueueError::Explained { .. }
+        | QueueError::GoneOnWith { .. }
         | QueueError::PolicyMeasured { .. }
         | QueueError::NotQuarantined { .. } => Code::FailedPrecondition,
         QueueError::BackupInHand => Code::ResourceExhausted,
         QueueError::CampaignDiffers { .. } | QueueError::NameTaken { .. } => Code::AlreadyExists,
         QueueError::Unspecified { .. }
         | QueueError::Unmatched { .. }
+        | QueueError::NoThresholds { .. }
         | QueueError::OtherPolicy { .. } => Code::InvalidArgument,
         QueueError::ShuttingDown | QueueError::Store(_) => Code::Unavailable,
     }

@@ -18,6 +18,7 @@ use super::state::Page;
 pub(super) async fn sheet(page: &Page, name: &str) -> Result<Sheet, Problem> {
     let (campaign, mut view) = page.campaign(name).await?;
     let document = page.document(&campaign, &mut view).await?;
+    let how_far = page.how_far(&campaign, &mut view).await?;
     let status = view.status(campaign).await?;
     let name = &status.campaign.name;
     let records = document.analyses.iter().flat_map(|a| &a.subject.records);
@@ -28,7 +29,11 @@ pub(super) async fn sheet(page: &Page, name: &str) -> Result<Sheet, Problem> {
         (progress(&status))
         (::report::page_warnings(&document))
         (by_condition(records, name.as_str()))
-        (::report::sections(&document, Some(&link)))
+        @match how_far {
+            // Its radii are those of brackets: there are no configurations to be paired.
+            Some(found) => (::report::page_how_far(&found)),
+            None => (::report::sections(&document, Some(&link))),
+        }
     };
     Ok(Sheet::new(Place::Campaigns, name.to_string(), main))
 }

@@ -5,7 +5,7 @@ use std::future::Future;
 use std::sync::Arc;
 use std::time::Duration;
 
-use ::report::{Comparison, Document, Unpairable};
+use ::report::{Comparison, Document, HowFar, Unpairable};
 use axum::http::{HeaderMap, Uri};
 use axum::response::{IntoResponse, Redirect, Response};
 use queue::Queue;
@@ -34,6 +34,9 @@ const MAX_DOCUMENTS: usize = 16;
 /// core.
 const DOCUMENT_AGE_PER_COST: u32 = 20;
 
+/// What was found out about thresholds, and from which results.
+pub(super) type Found = ([Edition; 2], Arc<HowFar>);
+
 /// Two campaigns, compared if they can be.
 pub(super) type Compared = Result<Comparison, Unpairable>;
 
@@ -50,7 +53,13 @@ pub(crate) struct Page {
     pages: Kept<Arc<Rendered>>,
     documents: Kept<(Edition, Arc<Document>)>,
     comparisons: Kept<([Edition; 2], Arc<Compared>)>,
+    pub(super) found: Kept<Found>,
     pub(super) metrics: Kept<Arc<str>>,
+}
+
+/// How long statistics are shown again that took so long.
+pub(super) fn patience(cost: Duration) -> Duration {
+    (cost * DOCUMENT_AGE_PER_COST).max(PAGE_AGE)
 }
 
 impl Page {
@@ -64,6 +73,7 @@ impl Page {
             pages: Kept::new(MAX_PAGES),
             documents: Kept::new(MAX_DOCUMENTS),
             comparisons: Kept::new(MAX_DOCUMENTS),
+            found: Kept::new(MAX_DOCUMENTS),
             metrics: Kept::new(1),
         })
     }
@@ -118,9 +128,9 @@ impl Page {
     ) -> Result<Arc<Document>, Problem> {
         let edition = view.edition(campaign.id).await?;
         let is_fresh = |made: &Made<(Edition, Arc<Document>)>| {
-            let patience = (made.cost * DOCUMENT_AGE_PER_COST).max(PAGE_AGE);
             made.value.0 == edition
-                || (made.value.0.is_of_same_campaign(&edition) && made.at.elapsed() < patience)
+                || (made.value.0.is_of_same_campaign(&edition)
+                    && made.at.elapsed() < patience(made.cost))
         };
         let wanted = edition.clone();
         let make = async {
@@ -147,11 +157,10 @@ impl Page {
     ) -> Result<Arc<Compared>, Problem> {
         let editions = [view.edition(a.id).await?, view.edition(b.id).await?];
         let is_fresh = |made: &Made<([Edition; 2], Arc<Compared>)>| {
-            let patience = (made.cost * DOCUMENT_AGE_PER_COST).max(PAGE_AGE);
             let mut both = made.value.0.iter().zip(&editions);
             made.value.0 == editions
                 || (both.all(|(made, now)| made.is_of_same_campaign(now))
-                    && made.at.elapsed() < patience)
+                    && made.at.elapsed() < patience(made.cost))
         };
         let wanted = editions.clone();
         let make = async {

@@ -2,24 +2,17 @@
 //! way.
 
 use std::collections::BTreeSet;
-use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 use paired::Outcome;
-use proto::coordinator::CreateCampaignRequest;
-use proto::coordinator::commit_response::Verdict;
-use proto::coordinator::operator_service_client::OperatorServiceClient;
 use protocol::{AxisSet, RolloutId};
-use queue::{FAILPOINT_VARIABLE, Side, Step, invariants};
+use queue::{Side, Step, invariants};
 use serde_json::{Value, json};
 
-use crate::harness::{Worker, rollout_id};
+use crate::derived::{PATIENCE, die_at, run_all};
 use crate::json::{documented, keys};
 use crate::process::{Serve, text};
-
-/// How long a planted campaign may take.
-const PATIENCE: Duration = Duration::from_secs(60);
 
 fn set(text: &str) -> AxisSet {
     text.parse().expect("a set of axes")
@@ -62,17 +55,6 @@ fn create(serve: &Serve) {
     assert!(created.status.success(), "{}", text(&created.stderr));
 }
 
-/// Runs what waits, as planted. Returns how much that was.
-async fn run(worker: &mut Worker) -> usize {
-    let leases = worker.claim(64).await;
-    for lease in &leases {
-        let id = rollout_id(lease).parse().expect("an id");
-        let success = outcome(&id) == Outcome::Success;
-        assert_eq!(worker.commit(lease, success).await, Verdict::Accepted);
-    }
-    leases.len()
-}
-
 fn findings(serve: &Serve, arguments: &[&str]) -> Value {
     let output = serve.command(&[&["explain", "first", "--json"], arguments].concat());
     assert!(output.status.success(), "{}", text(&output.stderr));
@@ -84,7 +66,7 @@ async fn explained(serve: &Serve, arguments: &[&str]) -> Value {
     let mut worker = serve.worker("w").await;
     let began = Instant::now();
     loop {
-        while run(&mut worker).await > 0 {}
+        run_all(&mut worker, outcome).await;
         let found = findings(serve, arguments);
         if found["complete"] == json!(true) {
             return found;
@@ -187,7 +169,7 @@ async fn what_an_explanation_rests_on_stays() {
         "they differ in `explains`",
     );
     let delete = ["campaign", "delete", "first", "--confirm", "first"];
-    refused(&delete, "campaign `first-explained` explains it");
+    refused(&delete, "campaign `first-explained` follows from it");
 
     let renamed = serve.command(&["campaign", "rename", "first", "final"]);
     assert!(renamed.status.success(), "{}", text(&renamed.stderr));
@@ -213,60 +195,11 @@ async fn a_budget_is_kept_and_what_is_begun_is_finished() {
     let serve = Serve::start(folder.path());
     create(&serve);
     let mut worker = serve.worker("w").await;
-    while run(&mut worker).await > 0 {}
+    run_all(&mut worker, outcome).await;
     let found = explained(&serve, &["--budget", "60", "--seed", "3"]).await;
     assert!(found["rollouts"].as_u64() <= Some(60), "{found}");
     let explained = found["explained"].as_u64().expect("a number");
     assert!((1..6).contains(&explained), "{explained}");
-}
-
-/// Serves a folder until it dies at the point, while a worker runs what it gets.
-async fn die_at(folder: &Path, point: &str) {
-    let child = Command::new(env!("CARGO_BIN_EXE_coordinator"))
-        .args([
-            "serve",
-            "--listen",
-            "127.0.0.1:0",
-            "--lease-secs",
-            "3",
-            "--data",
-        ])
-        .arg(folder)
-        .env(FAILPOINT_VARIABLE, point)
-        .stdout(Stdio::piped())
-        .stderr(Stdio::null())
-        .spawn()
-        .expect("starts");
-    let mut serve = Serve::of(child);
-    let began = Instant::now();
-    if serve.is_ready() {
-        // Not by the command, which would go on trying while nobody answers.
-        let spec = json!({
-            "name": "first-explained", "explains": {"campaign": "first"},
-            "policy": {"name": "p", "endpoint": "http://127.0.0.1:50051"},
-        });
-        let request = CreateCampaignRequest {
-            spec: spec.to_string(),
-            priority: 0,
-        };
-        if let Ok(mut operator) = OperatorServiceClient::connect(serve.url.clone()).await {
-            let _ = operator.create_campaign(request).await;
-        }
-        let Ok(mut worker) = serve.try_worker("dying").await else {
-            return;
-        };
-        while serve.ended().is_none() {
-            assert!(began.elapsed() < PATIENCE, "{point} was never reached");
-            let Ok(claim) = worker.try_claim(0.05, "").await else {
-                continue;
-            };
-            if let Some(lease) = claim.lease {
-                let id = rollout_id(&lease).parse().expect("an id");
-                let success = outcome(&id) == Outcome::Success;
-                let _ = worker.try_commit(&lease, success).await;
-            }
-        }
-    }
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -281,21 +214,26 @@ async fn a_death_around_any_transaction_leaves_the_same_explanation() {
     let serve = Serve::start(folder.path());
     create(&serve);
     let mut worker = serve.worker("first").await;
-    while run(&mut worker).await > 0 {}
+    run_all(&mut worker, outcome).await;
     drop(serve);
+    let spec = json!({
+        "name": "first-explained", "explains": {"campaign": "first"},
+        "policy": {"name": "p", "endpoint": "http://127.0.0.1:50051"},
+    });
     // One life after the other: each goes on where the one before it died.
     for (side, step, times) in [
         (Side::Before, Step::CreateCampaign, 1),
-        (Side::Before, Step::Explain, 1),
-        (Side::After, Step::Explain, 1),
+        (Side::Before, Step::Derive, 1),
+        (Side::After, Step::Derive, 1),
         (Side::Before, Step::Claim, 5),
         (Side::After, Step::Claim, 5),
         (Side::Before, Step::Commit, 9),
         (Side::After, Step::Commit, 9),
-        (Side::Before, Step::Explain, 2),
-        (Side::After, Step::Explain, 2),
+        (Side::Before, Step::Derive, 2),
+        (Side::After, Step::Derive, 2),
     ] {
-        die_at(folder.path(), &format!("{side:?}:{step:?}:{times}")).await;
+        let point = format!("{side:?}:{step:?}:{times}");
+        die_at(folder.path(), &point, &spec, outcome).await;
         let violations = invariants::check(folder.path()).await.expect("a database");
         assert_eq!(violations, [], "{side:?} {step:?}");
     }

@@ -15,6 +15,7 @@ use crate::names::UnknownName;
 use crate::presets::PRESETS;
 use crate::row::ManifestRow;
 use crate::suite::TaskRef;
+use crate::thresholds::Thresholds;
 use crate::wanted::{MIN_DIGEST_DIGITS, RendererKind, Wanted};
 use crate::wording::JsonError;
 
@@ -25,7 +26,7 @@ pub const MAX_REPLICATES: u32 = 100;
 ///
 /// The fields of its [`Rollouts`] stand beside the others: `tasks`, `axes`,
 /// `levels` and, optional, `subsets`, `configs`, `nominal` and `design_seed`; or
-/// `manifest`, or `explains`, instead of all these. Tasks are written as `libero_goal/3`,
+/// `manifest`, `explains` or `thresholds`, instead of all these. Tasks are written as `libero_goal/3`,
 /// `libero_goal` (its ten tasks) or `all`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "SpecText", into = "SpecText")]
@@ -55,8 +56,30 @@ pub enum Rollouts {
     Design(Design),
     /// From a manifest: the rows as they stand, instructions included.
     Manifest(Vec<ManifestRow>),
-    /// From the outcomes of another campaign.
+    /// From the outcomes of another campaign: subsets of its axes.
     Explanation(Explanation),
+    /// From the outcomes of another campaign: further radii.
+    Thresholds(Thresholds),
+}
+
+impl Rollouts {
+    /// The campaign from whose outcomes they follow, if they do.
+    pub fn source(&self) -> Option<&str> {
+        match self {
+            Self::Design(_) | Self::Manifest(_) => None,
+            Self::Explanation(Explanation { campaign, .. })
+            | Self::Thresholds(Thresholds { campaign, .. }) => Some(campaign),
+        }
+    }
+
+    /// Says how the campaign is called from whose outcomes they follow.
+    pub fn set_source(&mut self, name: &str) {
+        match self {
+            Self::Design(_) | Self::Manifest(_) => {}
+            Self::Explanation(Explanation { campaign, .. })
+            | Self::Thresholds(Thresholds { campaign, .. }) => name.clone_into(campaign),
+        }
+    }
 }
 
 /// A policy and where it answers.
@@ -129,12 +152,27 @@ pub enum SpecError {
         /// What it says.
         given: String,
     },
-    /// Another realisation than `matched`, in a campaign that explains.
+    /// Another realisation than `matched`, in a campaign that follows from outcomes.
     #[error(
-        "read campaign specification: `explains` with `realisation` reference, in which an axis \
+        "read campaign specification: `{field}` with `realisation` reference, in which an axis \
          is another perturbation in each condition: write matched"
     )]
-    Unmatched,
+    Unmatched {
+        /// The field that says what it follows from.
+        field: &'static str,
+    },
+    /// A radius outside its range.
+    #[error(
+        "read campaign specification: `{field}` is {given}, valid are {} to {}", valid[0], valid[1]
+    )]
+    Radius {
+        /// The field.
+        field: &'static str,
+        /// What it says.
+        given: f64,
+        /// Its range.
+        valid: [f64; 2],
+    },
     /// A design that cannot be run.
     #[error("read campaign specification: {0}")]
     Design(#[from] DesignError),
@@ -188,12 +226,30 @@ impl CampaignSpec {
                 if explanation.campaign.is_empty() {
                     return empty("explains.campaign", "name the campaign to explain");
                 }
-                if self.realisation != Realisation::Matched {
-                    return Err(SpecError::Unmatched);
+                self.check_matched("explains")?;
+            }
+            Rollouts::Thresholds(thresholds) => {
+                if thresholds.campaign.is_empty() {
+                    return empty("thresholds.campaign", "name the campaign to go on with");
                 }
+                if let Some((field, given, valid)) = thresholds.out_of_range() {
+                    return Err(SpecError::Radius {
+                        field,
+                        given,
+                        valid,
+                    });
+                }
+                self.check_matched("thresholds")?;
             }
         }
         Ok(())
+    }
+
+    fn check_matched(&self, field: &'static str) -> Result<(), SpecError> {
+        match self.realisation {
+            Realisation::Matched => Ok(()),
+            Realisation::Reference => Err(SpecError::Unmatched { field }),
+        }
     }
 
     /// Which design this is.
@@ -202,6 +258,7 @@ impl CampaignSpec {
             Rollouts::Design(design) => design.version(),
             Rollouts::Manifest(rows) => DesignVersion::of_manifest(rows),
             Rollouts::Explanation(explanation) => DesignVersion::of_explanation(explanation),
+            Rollouts::Thresholds(thresholds) => DesignVersion::of_thresholds(thresholds),
         }
     }
 }
@@ -230,6 +287,8 @@ struct SpecText {
     manifest: Option<Vec<ManifestRow>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     explains: Option<Explanation>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    thresholds: Option<Thresholds>,
     #[serde(default)]
     realisation: Realisation,
     #[serde(default = "one")]
@@ -247,7 +306,7 @@ struct SpecText {
 enum TextError {
     #[error(
         "the field `{0}` is not there: a campaign has `tasks`, `axes` and `levels`, or a \
-         `manifest`, or `explains` another"
+         `manifest`, or `explains` another, or measures `thresholds` of another"
     )]
     Missing(&'static str),
     #[error("`{other}` beside `{field}`, which says what is run by itself: take one of them out")]
@@ -263,20 +322,15 @@ impl TryFrom<SpecText> for CampaignSpec {
     type Error = TextError;
 
     fn try_from(mut text: SpecText) -> Result<Self, TextError> {
-        let rollouts = match (text.manifest.take(), text.explains.take()) {
-            (Some(_), Some(_)) => {
-                let (other, field) = ("explains", "manifest");
-                return Err(TextError::Beside { other, field });
-            }
-            (Some(rows), None) => {
-                no_design(&text, "manifest")?;
-                Rollouts::Manifest(rows)
-            }
-            (None, Some(explanation)) => {
-                no_design(&text, "explains")?;
-                Rollouts::Explanation(explanation)
-            }
-            (None, None) => Rollouts::Design(design(&mut text)?),
+        no_two_sources(&text)?;
+        let rollouts = if let Some(rows) = text.manifest.take() {
+            Rollouts::Manifest(rows)
+        } else if let Some(explanation) = text.explains.take() {
+            Rollouts::Explanation(explanation)
+        } else if let Some(thresholds) = text.thresholds.take() {
+            Rollouts::Thresholds(thresholds)
+        } else {
+            Rollouts::Design(design(&mut text)?)
         };
         Ok(Self {
             name: text.name,
@@ -307,6 +361,7 @@ impl From<CampaignSpec> for SpecText {
             design_seed: None,
             manifest: None,
             explains: None,
+            thresholds: None,
             realisation: spec.realisation,
             replicates: spec.replicates,
             record: spec.record,
@@ -316,6 +371,7 @@ impl From<CampaignSpec> for SpecText {
         match spec.rollouts {
             Rollouts::Manifest(rows) => text.manifest = Some(rows),
             Rollouts::Explanation(explanation) => text.explains = Some(explanation),
+            Rollouts::Thresholds(thresholds) => text.thresholds = Some(thresholds),
             Rollouts::Design(design) => {
                 text.tasks = Some(design.tasks.iter().map(TaskRef::to_string).collect());
                 text.axes = Some(design.axes);
@@ -330,9 +386,12 @@ impl From<CampaignSpec> for SpecText {
     }
 }
 
-/// Refuses what a design has beside a field that stands instead of it.
-fn no_design(text: &SpecText, field: &'static str) -> Result<(), TextError> {
+/// Refuses whatever else says what is run beside a field that does so by itself.
+fn no_two_sources(text: &SpecText) -> Result<(), TextError> {
     let written = [
+        ("manifest", text.manifest.is_some()),
+        ("explains", text.explains.is_some()),
+        ("thresholds", text.thresholds.is_some()),
         ("tasks", text.tasks.is_some()),
         ("axes", text.axes.is_some()),
         ("subsets", text.subsets.is_some()),
@@ -341,8 +400,13 @@ fn no_design(text: &SpecText, field: &'static str) -> Result<(), TextError> {
         ("nominal", text.nominal.is_some()),
         ("design_seed", text.design_seed.is_some()),
     ];
-    match written.iter().find(|(_, written)| *written) {
-        Some((other, _)) => Err(TextError::Beside { other, field }),
+    let by_themselves = &written[..3];
+    let Some(&(field, _)) = by_themselves.iter().find(|(_, written)| *written) else {
+        return Ok(());
+    };
+    let is_other = |(name, written): &&(&str, bool)| *written && *name != field;
+    match written.iter().find(is_other) {
+        Some(&(other, _)) => Err(TextError::Beside { other, field }),
         None => Ok(()),
     }
 }
@@ -405,7 +469,7 @@ mod tests {
     fn design(spec: &CampaignSpec) -> &Design {
         match &spec.rollouts {
             Rollouts::Design(design) => design,
-            Rollouts::Manifest(_) | Rollouts::Explanation(_) => panic!("{spec:?}"),
+            _ => panic!("{spec:?}"),
         }
     }
 
@@ -451,6 +515,40 @@ mod tests {
         let error = CampaignSpec::from_json(&json.to_string()).expect_err("both");
         assert!(
             error.to_string().contains("`levels` beside `explains`"),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn thresholds_stand_in_place_of_a_design_and_have_defaults() {
+        let mut json = serde_json::json!({
+            "name": "far",
+            "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
+            "thresholds": {"campaign": "first", "conditions": ["camera", "combination"]},
+        });
+        let spec = CampaignSpec::from_json(&json.to_string()).expect("a specification");
+        assert_eq!(spec.expand(), Ok(Vec::new()));
+        assert_eq!(spec.rollouts.source(), Some("first"));
+        assert!(spec.version().as_str().starts_with("thresholds-"));
+        let text = serde_json::to_string(&spec).expect("JSON");
+        assert_eq!(CampaignSpec::from_json(&text).expect("reads back"), spec);
+        assert!(
+            text.contains(r#""tolerance":0.5,"max_radius":16.0"#),
+            "{text}"
+        );
+
+        let check = |field: &str, value: f64, expected: &str| {
+            let mut json = json.clone();
+            json["thresholds"][field] = value.into();
+            let error = CampaignSpec::from_json(&json.to_string()).expect_err(field);
+            assert!(error.to_string().contains(expected), "{error}");
+        };
+        check("tolerance", 0.0, "tolerance` is 0, valid are 0.01 to 100");
+        check("max_radius", 101.0, "is 101, valid are 2 to 100");
+        json["explains"] = serde_json::json!({"campaign": "first"});
+        let error = CampaignSpec::from_json(&json.to_string()).expect_err("both");
+        assert!(
+            error.to_string().contains("`thresholds` beside `explains`"),
             "{error}"
         );
     }

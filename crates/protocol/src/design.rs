@@ -14,6 +14,7 @@ use crate::names::{UnknownName, serde_as_text};
 use crate::presets::PRESETS;
 use crate::row::{MAX_ROWS, ManifestRow};
 use crate::suite::{INIT_STATES_PER_TASK, Suite, TaskRef};
+use crate::thresholds::Thresholds;
 
 /// Tasks × configurations × levels × conditions, and nominal rollouts.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -239,7 +240,8 @@ impl Design {
 
 /// Which design results belong to: `v0.1` exactly for LIBERO-CTRL v0.1, else
 /// `custom-` and a checksum of the design, `manifest-` and a checksum of the
-/// imported rows, or `explains-` and a checksum of what is explained. Results of different designs are never pooled.
+/// imported rows, or `explains-` or `thresholds-` and a checksum of what is found out.
+/// Results of different designs are never pooled.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct DesignVersion(String);
 
@@ -266,11 +268,17 @@ impl DesignVersion {
 
     /// The version of a campaign that explains another.
     pub fn of_explanation(explanation: &Explanation) -> Self {
-        let text = serde_json::to_string(explanation).expect("names and numbers serialise");
-        Self(format!(
-            "{EXPLAINS}{:08x}",
-            crc32fast::hash(text.as_bytes())
-        ))
+        Self::of_derived(EXPLAINS, explanation)
+    }
+
+    /// The version of a campaign that measures another one's thresholds.
+    pub fn of_thresholds(thresholds: &Thresholds) -> Self {
+        Self::of_derived(THRESHOLDS, thresholds)
+    }
+
+    fn of_derived(prefix: &str, from: &impl Serialize) -> Self {
+        let text = serde_json::to_string(from).expect("names and numbers serialise");
+        Self(format!("{prefix}{:08x}", crc32fast::hash(text.as_bytes())))
     }
 
     /// The text.
@@ -289,7 +297,7 @@ impl std::str::FromStr for DesignVersion {
     type Err = UnknownName;
 
     fn from_str(text: &str) -> Result<Self, UnknownName> {
-        let prefixes = [CUSTOM, MANIFEST, EXPLAINS];
+        let prefixes = [CUSTOM, MANIFEST, EXPLAINS, THRESHOLDS];
         match text == V0_1 || prefixes.iter().any(|prefix| text.starts_with(prefix)) {
             true => Ok(Self(text.to_owned())),
             false => {
@@ -298,6 +306,7 @@ impl std::str::FromStr for DesignVersion {
                     "custom-CHECKSUM",
                     "manifest-CHECKSUM",
                     "explains-CHECKSUM",
+                    "thresholds-CHECKSUM",
                 ];
                 Err(UnknownName::new("design", text, &valid))
             }
@@ -311,6 +320,7 @@ const V0_1: &str = "v0.1";
 const CUSTOM: &str = "custom-";
 const MANIFEST: &str = "manifest-";
 const EXPLAINS: &str = "explains-";
+const THRESHOLDS: &str = "thresholds-";
 
 /// The tasks that a text names: `all`, a suite, or one task.
 ///

@@ -28,7 +28,7 @@ impl CampaignSpec {
             Rollouts::Design(design) => design.expand()?,
             Rollouts::Manifest(rows) => paired_units_first(rows.clone()),
             // They follow from outcomes.
-            Rollouts::Explanation(_) => Vec::new(),
+            Rollouts::Explanation(_) | Rollouts::Thresholds(_) => Vec::new(),
         })
     }
 }
@@ -65,6 +65,30 @@ impl Design {
             }
         }
         Ok(rows)
+    }
+
+    /// The row of a configuration of this design under one of its conditions, at any
+    /// level: its direction is the same at all of them.
+    ///
+    /// # Errors
+    /// If the condition perturbs language, and there are no paraphrases at the level.
+    pub fn row_at(
+        &self,
+        task: TaskRef,
+        condition: Condition,
+        level: Level,
+        config: u16,
+    ) -> Result<ManifestRow, DesignError> {
+        let of_one = Self {
+            tasks: vec![task],
+            axes: condition.axes(self.axis_set()).axes().collect(),
+            subsets: Vec::new(),
+            levels: vec![level],
+            configs: vec![config],
+            ..self.clone()
+        };
+        of_one.check()?;
+        Ok(self.perturbed_row(task, condition, level, config))
     }
 
     /// The row of one perturbed rollout of a checked design.
@@ -231,6 +255,37 @@ mod tests {
         assert!(others.eq(whole.expand().expect("rows").iter()));
         let text = crate::manifest::to_text(&rows);
         assert_eq!(crate::manifest::parse(&text), Ok(rows));
+    }
+
+    #[test]
+    fn a_configuration_is_itself_at_every_radius() {
+        let design = Design {
+            axes: vec![Axis::Camera, Axis::Robot],
+            configs: vec![4, 17],
+            tasks: select("libero_goal/3"),
+            seed: 9,
+            ..metric_design()
+        };
+        for row in design.expand().expect("rows") {
+            let id = row.id;
+            let Some(config) = id.config() else { continue };
+            let at = |level: Level| design.row_at(id.task(), id.condition(), level, config);
+            assert_eq!(at(id.level()), Ok(row.clone()));
+            let farther = at("r12".parse().expect("a level")).expect("a row");
+            assert_eq!(farther.init_id, row.init_id);
+            for axis in row.perturbation.axes() {
+                let pairs = farther.perturbation.values(axis).into_iter();
+                for (far, near) in pairs.zip(row.perturbation.values(axis)) {
+                    let expected = near * 12.0 / id.level().radius();
+                    assert!((far - expected).abs() < 1e-5, "{id}: {far} {near}");
+                }
+            }
+        }
+        let task = "libero_goal/3".parse().expect("a task");
+        let between = "r3".parse().expect("a level");
+        let all = Condition::Combination;
+        let spoken = Design::v0_1().row_at(task, all, between, 4);
+        assert_eq!(spoken, Err(DesignError::NoParaphrase { level: between }));
     }
 
     #[test]

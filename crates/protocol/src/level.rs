@@ -31,6 +31,16 @@ impl Level {
     /// The protocol's levels at which something is perturbed.
     pub const PERTURBED: [Self; 3] = [Self::L1, Self::L2, Self::L3];
 
+    /// The level of a radius, rounded to the six decimals that a radius has; none
+    /// where a level cannot be, see [`Self::from_str`].
+    pub fn of_radius(radius: f64) -> Option<Self> {
+        let radius_micros = (radius * f64::from(MICROS)).round();
+        let valid = f64::from(LEAST_MICROS)..=f64::from(MOST_MICROS);
+        valid.contains(&radius_micros).then_some(Self {
+            radius_micros: radius_micros as u32,
+        })
+    }
+
     /// The radius.
     pub fn radius(self) -> f64 {
         f64::from(self.radius_micros) / f64::from(MICROS)
@@ -126,6 +136,18 @@ mod tests {
         check("r100", 100.0);
         check("L0", 0.0);
         check("L3", 8.0);
+    }
+
+    #[test]
+    fn a_radius_is_rounded_to_the_level_that_is_written_so() {
+        for text in ["r0.001", "r0.1", "r2.675", "L2", "r99.999999", "r100"] {
+            let level: Level = text.parse().expect("a level");
+            assert_eq!(Level::of_radius(level.radius()), Some(level), "{text}");
+        }
+        assert_eq!(Level::of_radius(1.0 / 3.0), "r0.333333".parse().ok());
+        for radius in [0.0, 0.0004, -2.0, 100.1, f64::NAN, f64::INFINITY] {
+            assert_eq!(Level::of_radius(radius), None, "{radius}");
+        }
     }
 
     #[test]

@@ -5,9 +5,7 @@
 use std::collections::BTreeSet;
 
 use protocol::seeds::policy_seed;
-use protocol::{
-    CampaignSpec, Explanation, JsonError, ManifestRow, Record, Rollouts, SpecError, Wanted,
-};
+use protocol::{CampaignSpec, JsonError, ManifestRow, Record, Rollouts, SpecError, Wanted};
 use serde_json::{Map, Value};
 use sha2::{Digest, Sha256};
 
@@ -32,9 +30,9 @@ pub struct NewCampaign {
     pub record: &'static str,
     /// What it asks of its workers.
     pub wanted: Wanted,
-    /// What it explains, if it does; its jobs then follow from outcomes.
-    pub explains: Option<Explanation>,
-    /// Its jobs, in paired-unit order.
+    /// What its jobs follow from, if they follow from another campaign's outcomes.
+    pub derived: Option<Rollouts>,
+    /// Its jobs, in paired-unit order; none yet where they follow from outcomes.
     pub jobs: Vec<NewJob>,
     /// Control steps of all its rollouts, if none reaches its goal.
     pub step_budget: u64,
@@ -132,9 +130,9 @@ impl NewCampaign {
             policy_endpoint: spec.policy.endpoint.clone(),
             realisation: spec.realisation.to_string(),
             wanted: spec.wanted.clone(),
-            explains: match &spec.rollouts {
-                Rollouts::Explanation(explanation) => Some(explanation.clone()),
+            derived: match &spec.rollouts {
                 Rollouts::Design(_) | Rollouts::Manifest(_) => None,
+                derived => Some(derived.clone()),
             },
             record: match spec.record {
                 Record::None => "none",

@@ -15,8 +15,8 @@ use crate::clock::{Clock, UnixMillis};
 use crate::ids::WorkerId;
 use crate::operations::claim::{ClaimRequest, Claimed, MAX_CLAIM_WAIT};
 use crate::operations::commit::{CommitReply, CommitReport, CommitVerdict};
+use crate::operations::derive;
 use crate::operations::error::QueueError;
-use crate::operations::explain;
 use crate::operations::filming::Filming;
 use crate::operations::heartbeat::Heartbeat;
 use crate::operations::in_flight::InFlight;
@@ -80,7 +80,7 @@ impl Queue {
         let mut tasks = JoinSet::new();
         tasks.spawn(writer::run(shared.clone(), asked));
         tasks.spawn(keep_log_short(shared.clone()));
-        tasks.spawn(explain::run(shared.clone()));
+        tasks.spawn(derive::run(shared.clone()));
         Ok(Arc::new(Queue {
             last_sweep: AtomicI64::new(shared.now().0),
             shared,

@@ -6,3 +6,4 @@ pub(crate) mod explanation;
 pub mod lease;
 pub mod outage;
 pub(crate) mod pairing;
+pub(crate) mod thresholds;

@@ -11,7 +11,7 @@ pub(crate) mod artifacts;
 pub(crate) mod backup;
 pub(crate) mod campaigns;
 pub(crate) mod claims;
-pub(crate) mod explanations;
+pub(crate) mod derivations;
 pub(crate) mod failpoint;
 pub(crate) mod films;
 pub(crate) mod jobs;

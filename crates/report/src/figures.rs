@@ -14,6 +14,7 @@ mod gate;
 mod heat_map;
 mod matrix;
 mod replication;
+mod survival;
 mod svg;
 
 use std::collections::BTreeSet;
@@ -32,6 +33,7 @@ pub use gate::gate;
 pub use heat_map::heat_map;
 pub use matrix::matrix;
 pub use replication::{flips, replicates};
+pub use survival::survival;
 pub use svg::WIDTH;
 
 /// The style that the panels need; a page includes it once.

@@ -14,6 +14,7 @@ mod comparison;
 mod document;
 mod explanation;
 pub mod figures;
+mod how_far;
 mod import;
 mod page;
 mod subject;
@@ -25,8 +26,12 @@ pub use analysis::Analysis;
 pub use comparison::{Comparison, Side, Unpairable};
 pub use document::{Document, DocumentError};
 pub use explanation::Findings;
+pub use how_far::{AtRadius, BudgetTooSmall, HowFar, Kind, Measured};
 pub use import::{BadLine, ImportError, import};
-pub use page::{STYLE, comparison as page_comparison, page, sections, warnings as page_warnings};
+pub use page::{
+    STYLE, comparison as page_comparison, how_far as page_how_far, page, sections,
+    warnings as page_warnings,
+};
 pub use subject::{BeyondRange, Origin, Quarantined, Setups, Subject, rollout_name};
 pub use table::{TableError, write_csv, write_parquet};
 pub use warnings::fingerprints_in_words;

@@ -3,6 +3,7 @@
 
 mod differences;
 mod findings;
+mod how_far;
 mod methods;
 mod panels;
 mod tables;
@@ -13,6 +14,7 @@ use crate::analysis::Analysis;
 use crate::comparison::Comparison;
 use crate::document::Document;
 use crate::figures::{self, Figure, Link, levels};
+use crate::how_far::HowFar;
 use panels::figure;
 
 /// The page's style, with that of its figures.
@@ -104,6 +106,11 @@ pub fn sections(document: &Document, link: Option<Link>) -> Markup {
 /// A comparison of two policies, for another page that includes [`STYLE`].
 pub fn comparison(comparison: &Comparison) -> Markup {
     differences::of_one(comparison)
+}
+
+/// What was found out about thresholds, for another page that includes [`STYLE`].
+pub fn how_far(found: &HowFar) -> Markup {
+    how_far::section(found)
 }
 
 fn title(document: &Document) -> String {

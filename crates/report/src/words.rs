@@ -4,6 +4,7 @@
 use std::collections::BTreeSet;
 
 use paired::{Interval, NoInterval};
+use thresholds::{Curve, HalfSuccess};
 
 /// A rate, or a loss, in percent: `87.5`, `−0.3`.
 pub(crate) fn percent(rate: f64) -> String {
@@ -60,5 +61,25 @@ pub(crate) fn p_value(p: f64) -> String {
     match p < 1e-3 {
         true => format!("{p:.0e}").replace('-', "−"),
         false => format!("{p:.3}"),
+    }
+}
+
+/// Where half of the configurations survive, as it is printed: `4.25`, `> 16`, or
+/// `none` where fewer than half succeed nominally.
+pub(crate) fn half_success(curve: &Curve) -> String {
+    let begins = curve.points.first().map_or(0.0, |point| point.survival);
+    match curve.half_success.radius {
+        Some(radius) => format!("{radius:.2}"),
+        None if begins < 0.5 => "none".to_owned(),
+        None => format!("> {}", curve.largest_radius),
+    }
+}
+
+/// The interval of a half-success radius, or why there is none.
+pub(crate) fn half_success_interval(half: &HalfSuccess) -> String {
+    match (half.ci95, half.no_interval) {
+        (Some([low, high]), _) => format!("[{low:.2}, {high:.2}]"),
+        (None, Some(why)) => why.name().to_owned(),
+        (None, None) => String::new(),
     }
 }

@@ -21,7 +21,7 @@ use tests::phrases::raw_phrase;
 const PRIVATE: [&str; 4] = ["FilmingError", "TextError", "Outer", "Missing"];
 
 /// Errors that are sentences of their own; the others read after "failed to …".
-const SENTENCES: [&str; 10] = [
+const SENTENCES: [&str; 11] = [
     "Trouble",
     "BackendError",
     "ActionFault",
@@ -30,6 +30,7 @@ const SENTENCES: [&str; 10] = [
     "RouteError",
     "LineProblem",
     "Unexplained",
+    "NotMeasurable",
     "WeightsError",
     "QueryError",
 ];

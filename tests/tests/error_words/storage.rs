@@ -7,12 +7,12 @@ use coordinator::client::ClientError;
 use coordinator::reading::ReadError;
 use lattice::{IncompleteLattice, KnownError, Unexplained};
 use paired::{DuplicateRecord, NotInOrder, Transition};
-use protocol::{Axis, AxisSet, RolloutId, SpecError};
+use protocol::{Axis, AxisSet, NotMeasurable, RolloutId, SpecError};
 use queue::expand::ExpandError;
 use queue::ids::{CampaignName, JobName, NameError, WorkerId};
 use queue::invariants::CheckError;
 use queue::{ArtifactError, OpenError, QueueError, StoreError};
-use report::{BadLine, DocumentError, ImportError, TableError, Unpairable};
+use report::{BadLine, BudgetTooSmall, DocumentError, ImportError, TableError, Unpairable};
 use transport::{AccessError, EndpointError, Found, SecurityError, ServerKind, Settings, Trouble};
 
 use crate::{Messages, io_error, json_error, path, text, variants};
@@ -96,8 +96,11 @@ fn queue(messages: &mut Messages) {
         QueueError::CampaignInUse { .. } => QueueError::CampaignInUse {
             campaign: campaign(), leased: 1,
         },
-        QueueError::Explained { .. } => QueueError::Explained {
-            campaign: campaign(), by: campaign(),
+        QueueError::GoneOnWith { .. } => QueueError::GoneOnWith {
+            campaign: campaign(), derived: campaign(),
+        },
+        QueueError::NoThresholds { .. } => QueueError::NoThresholds {
+            campaign: campaign(), problem: NotMeasurable::NoNominal,
         },
         QueueError::Unmatched { .. } => QueueError::Unmatched { campaign: campaign() },
         QueueError::OtherPolicy { .. } => QueueError::OtherPolicy {
@@ -148,6 +151,21 @@ fn reports(messages: &mut Messages) {
     variants!(messages, KnownError,
         KnownError::TooFewAxes(_) => KnownError::TooFewAxes(AxisSet::of(Axis::Camera)),
         KnownError::OtherAxes { .. } => KnownError::OtherAxes { set: axes, full: axes },
+    );
+    messages.add(
+        "BudgetTooSmall",
+        BudgetTooSmall {
+            budget: 3,
+            most: 42,
+        },
+    );
+    variants!(messages, NotMeasurable,
+        NotMeasurable::NoDesign => NotMeasurable::NoDesign,
+        NotMeasurable::NoNominal => NotMeasurable::NoNominal,
+        NotMeasurable::NoCondition => NotMeasurable::NoCondition,
+        NotMeasurable::OtherCondition { .. } => NotMeasurable::OtherCondition {
+            given: "sensor", valid: "camera, robot".to_owned(),
+        },
     );
     variants!(messages, Unexplained,
         Unexplained::Incomplete => Unexplained::Incomplete,

@@ -102,7 +102,10 @@ fn protocol(messages: &mut Messages) {
         SpecError::Replicates { .. } => SpecError::Replicates { given: 0 },
         SpecError::Endpoint { .. } => SpecError::Endpoint { given: text() },
         SpecError::Assets { .. } => SpecError::Assets { given: text() },
-        SpecError::Unmatched => SpecError::Unmatched,
+        SpecError::Unmatched { .. } => SpecError::Unmatched { field: "explains" },
+        SpecError::Radius { .. } => SpecError::Radius {
+            field: "thresholds.tolerance", given: 0.0, valid: [0.01, 100.0],
+        },
         SpecError::Design(_) => SpecError::Design(no_design()),
         SpecError::Manifest(_) => SpecError::Manifest(ManifestErrors::clone(&refused)),
     );

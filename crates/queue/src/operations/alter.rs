@@ -1,8 +1,6 @@
 //! Altering a campaign that is there: its priority, its policy, its name. All
 //! that is asked for is done, or nothing.
 
-use protocol::Rollouts;
-
 use super::context::Context;
 use super::error::QueueError;
 use crate::expand::altered;
@@ -12,7 +10,7 @@ use crate::read::Counts;
 use crate::rules::campaign::CampaignState;
 use crate::store::campaigns::Campaign;
 use crate::store::failpoint::Step;
-use crate::store::{campaigns, explanations, policies};
+use crate::store::{campaigns, derivations, policies};
 
 /// What becomes of a campaign; what is `None` stays.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -120,16 +118,12 @@ impl Context<'_> {
             .await?;
         campaigns::set_spec(&mut self.tx, campaign.id, &spec, &digest).await?;
         campaigns::rename(&mut self.tx, campaign, name).await?;
-        for explaining in explanations::of(&mut self.tx, campaign.id).await? {
-            let explaining = self.campaign_named(&explaining).await?;
+        for derived in derivations::of(&mut self.tx, campaign.id).await? {
+            let derived = self.campaign_named(&derived).await?;
             let (spec, digest) = self
-                .altered_spec(&explaining, |spec| {
-                    if let Rollouts::Explanation(explanation) = &mut spec.rollouts {
-                        name.as_str().clone_into(&mut explanation.campaign);
-                    }
-                })
+                .altered_spec(&derived, |spec| spec.rollouts.set_source(name.as_str()))
                 .await?;
-            campaigns::set_spec(&mut self.tx, explaining.id, &spec, &digest).await?;
+            campaigns::set_spec(&mut self.tx, derived.id, &spec, &digest).await?;
         }
         Ok(())
     }

@@ -1,6 +1,6 @@
 //! Creating, pausing, resuming, cancelling and deleting campaigns.
 
-use protocol::Realisation;
+use protocol::{CampaignSpec, Realisation, Rollouts};
 
 use super::context::Context;
 use super::error::{QueueError, unknown_campaign};
@@ -14,7 +14,7 @@ use crate::rules::lease::{FailureReason, JobState};
 use crate::store::campaigns::Campaign;
 use crate::store::failpoint::Step;
 use crate::store::removals as pending;
-use crate::store::{StoreError, campaigns, explanations, jobs, policies};
+use crate::store::{Doing, StoreError, campaigns, derivations, jobs, policies, undecodable};
 
 /// What creating a campaign did.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,8 +32,8 @@ impl Queue {
     /// nothing.
     ///
     /// # Errors
-    /// When another specification has the name, it explains a campaign that is not
-    /// there or measures another policy, or the database fails.
+    /// When another specification has the name, it follows from a campaign that is not
+    /// there, measures another policy or cannot be gone on with so, or the database fails.
     pub async fn create_campaign(&self, new: &NewCampaign) -> Result<Created, QueueError> {
         let _alone = self.campaigns.lock().await;
         let shared = &*self.shared;
@@ -54,10 +54,10 @@ impl Queue {
             });
         }
         let folder = campaigns::free_folder(&mut context.tx, &new.name).await?;
-        let explained = context.explained_by(new).await?;
+        let source = context.source_of(new).await?;
         let id = campaigns::insert(&mut context.tx, new, &folder, context.now).await?;
-        if let Some(explained) = explained {
-            explanations::insert(&mut context.tx, id, explained).await?;
+        if let Some(source) = source {
+            derivations::insert(&mut context.tx, id, source).await?;
             context.settles = true;
         }
         // Files that could not be removed with a deleted campaign of this folder
@@ -110,8 +110,8 @@ impl Queue {
     ///
     /// # Errors
     /// When there is no such campaign, some of its rollouts are leased, another
-    /// campaign explains it, or the database fails. Files that cannot be removed now are removed at the next
-    /// start.
+    /// campaign follows from it, or the database fails. Files that cannot be removed now
+    /// are removed at the next start.
     pub async fn delete_campaign(&self, name: &CampaignName) -> Result<Counts, QueueError> {
         let _alone = self.campaigns.lock().await;
         let shared = &*self.shared;
@@ -124,11 +124,11 @@ impl Queue {
                 leased: counts.leased,
             });
         }
-        let explaining = explanations::of(&mut context.tx, campaign.id).await?;
-        if let Some(by) = explaining.first() {
-            return Err(QueueError::Explained {
+        let derived = derivations::of(&mut context.tx, campaign.id).await?;
+        if let Some(derived) = derived.first() {
+            return Err(QueueError::GoneOnWith {
                 campaign: name.clone(),
-                by: by.clone(),
+                derived: derived.clone(),
             });
         }
         let folder = artifacts::campaign_folder(&campaign.folder);
@@ -145,31 +145,40 @@ impl Queue {
 }
 
 impl Context<'_> {
-    /// The campaign that a new one explains, if it does.
-    async fn explained_by(&mut self, new: &NewCampaign) -> Result<Option<CampaignId>, QueueError> {
-        let Some(explanation) = &new.explains else {
+    /// The campaign that a new one follows from, if it does.
+    async fn source_of(&mut self, new: &NewCampaign) -> Result<Option<CampaignId>, QueueError> {
+        let Some(derived) = &new.derived else {
             return Ok(None);
         };
-        let explained = CampaignName::parse(&explanation.campaign).map_err(|error| {
-            QueueError::Unspecified {
-                campaign: new.name.clone(),
-                problem: error.to_string(),
-            }
+        let name = derived.source().unwrap_or_default();
+        let name = CampaignName::parse(name).map_err(|error| QueueError::Unspecified {
+            campaign: new.name.clone(),
+            problem: error.to_string(),
         })?;
-        let explained = self.campaign_named(&explained).await?;
-        if explained.mode()? != Realisation::Matched {
+        let source = self.campaign_named(&name).await?;
+        if source.mode()? != Realisation::Matched {
             return Err(QueueError::Unmatched {
-                campaign: explained.name,
+                campaign: source.name,
             });
         }
-        if (&explained.policy, &explained.endpoint) != (&new.policy, &new.policy_endpoint) {
+        if (&source.policy, &source.endpoint) != (&new.policy, &new.policy_endpoint) {
             return Err(QueueError::OtherPolicy {
-                campaign: explained.name,
-                policy: explained.policy,
-                endpoint: explained.endpoint,
+                campaign: source.name,
+                policy: source.policy,
+                endpoint: source.endpoint,
             });
         }
-        Ok(Some(explained.id))
+        if let Rollouts::Thresholds(thresholds) = derived {
+            let spec = campaigns::spec(&mut self.tx, source.id).await?;
+            let spec = CampaignSpec::from_json(&spec).map_err(undecodable);
+            let spec = spec.doing("read what the campaign follows from")?;
+            let possible = thresholds.can_be_of(&spec.rollouts);
+            possible.map_err(|problem| QueueError::NoThresholds {
+                campaign: source.name,
+                problem,
+            })?;
+        }
+        Ok(Some(source.id))
     }
 
     pub(super) async fn campaign_named(

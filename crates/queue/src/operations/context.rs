@@ -25,7 +25,7 @@ pub(crate) struct Context<'a> {
     pub(super) tx: Tx<'a>,
     pub(super) cache: MutexGuard<'a, Cache>,
     pub(super) now: UnixMillis,
-    /// Whether it settles a job: what is explained may go on then.
+    /// Whether it settles a job: campaigns that follow from others may go on then.
     pub(super) settles: bool,
 }
 

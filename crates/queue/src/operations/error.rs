@@ -1,6 +1,7 @@
 //! Why a request is not met.
 
 use attempt::AttemptId;
+use protocol::NotMeasurable;
 use sqlx::SqliteConnection;
 
 use crate::ids::{CampaignName, JobName, WorkerId};
@@ -101,25 +102,27 @@ pub enum QueueError {
         /// How many.
         leased: u64,
     },
-    /// A campaign was to be deleted that another one explains.
-    #[error("delete campaign `{campaign}`: campaign `{by}` explains it; delete that one first")]
-    Explained {
+    /// A campaign was to be deleted that another one follows from.
+    #[error(
+        "delete campaign `{campaign}`: campaign `{derived}` follows from it; delete that one first"
+    )]
+    GoneOnWith {
         /// Which.
         campaign: CampaignName,
         /// The other one.
-        by: CampaignName,
+        derived: CampaignName,
     },
-    /// A campaign of the reference's realisation was to be explained.
+    /// Another campaign was to follow from one of the reference's realisation.
     #[error(
-        "explain campaign `{campaign}`: its realisation is reference, in which an axis is another perturbation in each condition; explain a campaign with matched"
+        "go on with campaign `{campaign}`: its realisation is reference, in which an axis is another perturbation in each condition; name a campaign with matched"
     )]
     Unmatched {
         /// Which.
         campaign: CampaignName,
     },
-    /// A campaign was to be explained with another policy.
+    /// A campaign was to be gone on with and another policy.
     #[error(
-        "explain campaign `{campaign}`: it measures policy `{policy}` at {endpoint}; name the same one"
+        "go on with campaign `{campaign}`: it measures policy `{policy}` at {endpoint}; name the same one"
     )]
     OtherPolicy {
         /// Which.
@@ -128,6 +131,14 @@ pub enum QueueError {
         policy: String,
         /// Where that is.
         endpoint: String,
+    },
+    /// Thresholds were to be measured of a campaign that has none.
+    #[error("measure the thresholds of campaign `{campaign}`: {problem}")]
+    NoThresholds {
+        /// Which.
+        campaign: CampaignName,
+        /// Why not. Part of the message, because callers are sent nothing else.
+        problem: NotMeasurable,
     },
     /// There is no such rollout in the campaign.
     #[error(

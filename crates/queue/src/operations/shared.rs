@@ -23,7 +23,7 @@ pub(crate) struct Shared {
     pub(super) cache: tokio::sync::Mutex<Cache>,
     /// Rung when jobs may have become leasable.
     pub(crate) work: Notify,
-    /// Rung when something may be explained further.
+    /// Rung when something may follow from outcomes.
     pub(crate) outcomes: Notify,
     pub(crate) draining: watch::Sender<bool>,
     /// Why nothing is leased at the moment; none while jobs are leased.

@@ -55,8 +55,8 @@ pub struct Campaign {
     pub(crate) folder: String,
     /// When its first result came.
     pub pinned_ms: Option<UnixMillis>,
-    /// What it is pinned to since then; before, what the campaign is pinned to that
-    /// it explains.
+    /// What it is pinned to since then; before, what its source is pinned to, if
+    /// it follows from another campaign.
     #[sqlx(json(nullable))]
     pub pin: Option<Pin>,
 }
@@ -103,8 +103,8 @@ macro_rules! campaigns_where {
             ") AS pin, ",
             health!(),
             " FROM campaign c JOIN policy p ON p.id = c.policy_id
-             LEFT JOIN explanation e ON e.campaign_id = c.id AND c.pinned_ms IS NULL
-             JOIN campaign k ON k.id = coalesce(e.explained_id, c.id) WHERE ",
+             LEFT JOIN derivation d ON d.campaign_id = c.id AND c.pinned_ms IS NULL
+             JOIN campaign k ON k.id = coalesce(d.source_id, c.id) WHERE ",
             $condition,
             " ORDER BY c.id"
         )

@@ -34,8 +34,8 @@ pub enum Step {
     FinishRemoval,
     /// Jobs are taken out of quarantine.
     RetryJobs,
-    /// Jobs are added to a campaign that explains another.
-    Explain,
+    /// Jobs are added to a campaign that follows from another.
+    Derive,
 }
 
 /// The variable that names the failpoint to die at, a [`Side`] and a [`Step`]:
@@ -75,7 +75,7 @@ impl Step {
         Step::DeleteCampaign,
         Step::FinishRemoval,
         Step::RetryJobs,
-        Step::Explain,
+        Step::Derive,
     ];
 }
 

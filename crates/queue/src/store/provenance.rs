@@ -42,7 +42,7 @@ pub(crate) async fn of_suite(
          JOIN provenance v ON v.id = r.provenance_id
          JOIN job j ON j.id = r.job_id
          WHERE r.campaign_id IN
-                 (SELECT ?1 UNION SELECT explained_id FROM explanation WHERE campaign_id = ?1)
+                 (SELECT ?1 UNION SELECT source_id FROM derivation WHERE campaign_id = ?1)
              AND v.policy_settings <> '{}' AND j.task GLOB ?2 || '/*'
          LIMIT 1",
     ))

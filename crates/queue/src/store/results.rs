@@ -119,8 +119,7 @@ pub(crate) async fn insert_divergence(
 }
 
 /// The committed rollouts of an initial state, in the campaign and in the one that
-/// it explains. Of replicates that see alike, the
-/// first stands for the others.
+/// it follows from. Of replicates that see alike, the first stands for the others.
 pub(crate) async fn siblings(
     tx: &mut SqliteConnection,
     of: &InitialState,
@@ -143,7 +142,7 @@ pub(crate) async fn siblings(
          JOIN result r ON r.job_id = s.id
          JOIN provenance v ON v.id = r.provenance_id
          WHERE s.campaign_id IN
-                 (SELECT ?1 UNION SELECT explained_id FROM explanation WHERE campaign_id = ?1)
+                 (SELECT ?1 UNION SELECT source_id FROM derivation WHERE campaign_id = ?1)
              AND s.task = ?2 AND s.init_id = ?3 AND s.state = 'committed'
          GROUP BY s.rollout_id, r.first_frame_digest = '', v.renderer, v.fingerprint,
              v.policy_name, v.policy_checkpoint, v.policy_checkpoint_digest

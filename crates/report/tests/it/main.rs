@@ -2,6 +2,7 @@
 
 mod comparisons;
 mod forms;
+mod how_far;
 mod import;
 mod subjects;
 mod tables;

@@ -1,4 +1,4 @@
-//! Statements on `explanation`: campaigns that explain others, and what their next
+//! Statements on `derivation`: campaigns that follow from others, and what their next
 //! jobs follow from.
 
 use sqlx::SqliteConnection;
@@ -8,16 +8,17 @@ use crate::expand::NewJob;
 use crate::ids::{CampaignId, CampaignName};
 use crate::store::campaigns;
 
-/// A campaign that explains another.
+/// A campaign that follows from another.
 #[derive(Clone, Debug, sqlx::FromRow)]
-pub(crate) struct Explaining {
+pub(crate) struct Derived {
     pub(crate) campaign: CampaignId,
-    pub(crate) explained: CampaignId,
+    /// The campaign that it follows from.
+    pub(crate) source: CampaignId,
     /// Its specification, JSON.
     pub(crate) spec: String,
     /// Its jobs so far.
     pub(crate) jobs: i64,
-    /// Jobs without an outcome of the campaign that it explains.
+    /// Jobs of its source without an outcome.
     pub(crate) unsettled: i64,
 }
 
@@ -31,48 +32,48 @@ pub(crate) struct OutcomeRow {
     pub(crate) success: Option<bool>,
 }
 
-/// Notes that a campaign explains another.
+/// Notes that a campaign follows from another.
 pub(crate) async fn insert(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
-    explained: CampaignId,
+    source: CampaignId,
 ) -> Result<(), StoreError> {
-    sqlx::query("INSERT INTO explanation (campaign_id, explained_id) VALUES (?, ?)")
+    sqlx::query("INSERT INTO derivation (campaign_id, source_id) VALUES (?, ?)")
         .bind(campaign)
-        .bind(explained)
+        .bind(source)
         .execute(tx)
         .await
-        .doing("store which campaign is explained")
+        .doing("store which campaign another follows from")
         .map(drop)
 }
 
-/// The campaigns that explain others and are not cancelled.
-pub(crate) async fn explaining(tx: &mut SqliteConnection) -> Result<Vec<Explaining>, StoreError> {
+/// The campaigns that follow from others and are not cancelled.
+pub(crate) async fn all(tx: &mut SqliteConnection) -> Result<Vec<Derived>, StoreError> {
     sqlx::query_as(
-        "SELECT e.campaign_id AS campaign, e.explained_id AS explained, c.spec, c.jobs,
-             (SELECT count(*) FROM job j WHERE j.campaign_id = e.explained_id
+        "SELECT d.campaign_id AS campaign, d.source_id AS source, c.spec, c.jobs,
+             (SELECT count(*) FROM job j WHERE j.campaign_id = d.source_id
               AND j.state IN ('queued', 'leased')) AS unsettled
-         FROM explanation e JOIN campaign c ON c.id = e.campaign_id
-         WHERE c.state <> 'cancelled' ORDER BY e.campaign_id",
+         FROM derivation d JOIN campaign c ON c.id = d.campaign_id
+         WHERE c.state <> 'cancelled' ORDER BY d.campaign_id",
     )
     .fetch_all(tx)
     .await
-    .doing("list campaigns that explain others")
+    .doing("list campaigns that follow from others")
 }
 
-/// The names of the campaigns that explain one.
+/// The names of the campaigns that follow from one.
 pub(crate) async fn of(
     tx: &mut SqliteConnection,
-    explained: CampaignId,
+    source: CampaignId,
 ) -> Result<Vec<CampaignName>, StoreError> {
     sqlx::query_scalar(
-        "SELECT c.name FROM explanation e JOIN campaign c ON c.id = e.campaign_id
-         WHERE e.explained_id = ? ORDER BY c.id",
+        "SELECT c.name FROM derivation d JOIN campaign c ON c.id = d.campaign_id
+         WHERE d.source_id = ? ORDER BY c.id",
     )
-    .bind(explained)
+    .bind(source)
     .fetch_all(tx)
     .await
-    .doing("list the campaigns that explain one")
+    .doing("list the campaigns that follow from one")
 }
 
 /// What is known of a campaign's jobs.
@@ -89,7 +90,7 @@ pub(crate) async fn outcomes(
     .bind(campaign)
     .fetch_all(tx)
     .await
-    .doing("read the outcomes that an explanation follows from")
+    .doing("read the outcomes that a campaign follows from")
 }
 
 /// The manifest rows of a campaign's rollouts, JSON.

@@ -1,4 +1,4 @@
-//! Campaigns that explain others: as outcomes come, the jobs that follow from them
+//! Campaigns that follow from others: as outcomes come, the jobs that follow from them
 //! are added.
 //!
 //! What follows is a pure function of the outcomes, and jobs are only ever added.
@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use paired::{Outcome, Record};
-use protocol::{CampaignSpec, ManifestRow, Rollouts};
+use protocol::{CampaignSpec, Explanation, ManifestRow, Rollouts, Thresholds};
 use sqlx::SqliteConnection;
 
 use super::context::Context;
@@ -17,7 +17,9 @@ use super::shared::Shared;
 use crate::expand::NewJob;
 use crate::ids::CampaignId;
 use crate::rules::explanation::{self, Wanted};
-use crate::store::explanations::{self, Explaining, OutcomeRow};
+use crate::rules::thresholds;
+use crate::store::campaigns;
+use crate::store::derivations::{self, Derived, OutcomeRow};
 use crate::store::failpoint::Step;
 use crate::store::{Doing, StoreError, undecodable};
 
@@ -43,13 +45,14 @@ pub(crate) async fn run(shared: std::sync::Arc<Shared>) {
     }
 }
 
-/// Adds to every campaign that explains another what follows from the outcomes that
+/// Adds to every campaign that follows from another what follows from the outcomes that
 /// there are.
 async fn look(shared: &Shared) -> Result<(), StoreError> {
     let mut view = shared.store.read().await?;
     let mut found = Vec::new();
-    for campaign in explanations::explaining(&mut view).await? {
-        // Which configurations have a transition is known when all have an outcome.
+    for campaign in derivations::all(&mut view).await? {
+        // Which transitions there are, and which radii are known, is clear when all
+        // rollouts of the source have an outcome.
         if campaign.unsettled == 0 {
             let jobs = following(&mut view, &campaign).await?;
             found.extend((!jobs.is_empty()).then_some((campaign.campaign, jobs)));
@@ -57,8 +60,8 @@ async fn look(shared: &Shared) -> Result<(), StoreError> {
     }
     drop(view);
     for (campaign, jobs) in found {
-        let mut context = Context::begin(shared, vec![Step::Explain]).await?;
-        explanations::append(&mut context.tx, campaign, &jobs).await?;
+        let mut context = Context::begin(shared, vec![Step::Derive]).await?;
+        derivations::append(&mut context.tx, campaign, &jobs).await?;
         let name = context.campaign(campaign).await?.name.clone();
         context.cache.forget_campaigns();
         context.commit().await?;
@@ -68,34 +71,52 @@ async fn look(shared: &Shared) -> Result<(), StoreError> {
     Ok(())
 }
 
+/// A rollout that follows: its row, and which replicate.
+type Rollout = (ManifestRow, u32);
+
 /// The jobs that follow from what is known.
 async fn following(
     tx: &mut SqliteConnection,
-    campaign: &Explaining,
+    campaign: &Derived,
 ) -> Result<Vec<NewJob>, StoreError> {
-    let spec = CampaignSpec::from_json(&campaign.spec);
-    let spec = spec
-        .map_err(undecodable)
-        .doing("read what is to be explained")?;
-    let Rollouts::Explanation(explanation) = &spec.rollouts else {
-        return Ok(Vec::new());
+    let rollouts = match specification(&campaign.spec)?.rollouts {
+        Rollouts::Explanation(explanation) => subsets(tx, campaign, &explanation).await?,
+        Rollouts::Thresholds(thresholds) => radii(tx, campaign, &thresholds).await?,
+        Rollouts::Design(_) | Rollouts::Manifest(_) => Vec::new(),
     };
-    let explained = records(tx, campaign.explained).await?;
+    let jobs = (campaign.jobs..).zip(rollouts);
+    let jobs = jobs.map(|(place, (row, replicate))| NewJob::new(&row, replicate, place));
+    let jobs: Result<_, _> = jobs.collect();
+    jobs.map_err(undecodable).doing("write a rollout's row")
+}
+
+fn specification(text: &str) -> Result<CampaignSpec, StoreError> {
+    let spec = CampaignSpec::from_json(text).map_err(undecodable);
+    spec.doing("read the specification of what follows from outcomes")
+}
+
+/// The subsets of axes that explain a transition.
+async fn subsets(
+    tx: &mut SqliteConnection,
+    campaign: &Derived,
+    explanation: &Explanation,
+) -> Result<Vec<Rollout>, StoreError> {
+    let source = records(tx, campaign.source).await?;
     let own = records(tx, campaign.campaign).await?;
-    let wanted = explanation::wanted(&explained, &own, explanation);
+    let wanted = explanation::wanted(&source, &own, explanation);
     let ids: BTreeSet<String> = wanted
         .iter()
         .map(|it| it.simultaneous.to_string())
         .collect();
     let ids: Vec<String> = ids.into_iter().collect();
-    let rows = explanations::rows(tx, campaign.explained, &ids).await?;
+    let rows = derivations::rows(tx, campaign.source, &ids).await?;
     let rows: Result<Vec<ManifestRow>, _> =
         rows.iter().map(|row| serde_json::from_str(row)).collect();
     let rows = rows
         .map_err(undecodable)
         .doing("read the rollouts to explain")?;
     let rows: BTreeMap<_, _> = rows.iter().map(|row| (row.id, row)).collect();
-    let mut jobs = Vec::new();
+    let mut rollouts = Vec::new();
     for Wanted {
         simultaneous,
         axes,
@@ -113,13 +134,28 @@ async fn following(
                 .map_err(undecodable)
                 .doing("perturb some axes only")?,
         };
-        for replicate in replicates {
-            let place = campaign.jobs + jobs.len() as i64;
-            let job = NewJob::new(&row, replicate, place);
-            jobs.push(job.map_err(undecodable).doing("write a rollout's row")?);
-        }
+        rollouts.extend(replicates.map(|replicate| (row.clone(), replicate)));
     }
-    Ok(jobs)
+    Ok(rollouts)
+}
+
+/// The radii at which thresholds are looked for.
+async fn radii(
+    tx: &mut SqliteConnection,
+    campaign: &Derived,
+    thresholds: &Thresholds,
+) -> Result<Vec<Rollout>, StoreError> {
+    let spec = campaigns::spec(tx, campaign.source).await?;
+    let Rollouts::Design(design) = specification(&spec)?.rollouts else {
+        return Ok(Vec::new());
+    };
+    let source = records(tx, campaign.source).await?;
+    let own = records(tx, campaign.campaign).await?;
+    let rows = thresholds::wanted(&design, &source, &own, thresholds);
+    let rows = rows
+        .map_err(undecodable)
+        .doing("perturb at another radius")?;
+    Ok(rows.into_iter().map(|row| (row, 0)).collect())
 }
 
 /// What is known of a campaign's rollouts.
@@ -139,7 +175,7 @@ async fn records(
             },
         })
     };
-    let rows = explanations::outcomes(tx, campaign).await?;
+    let rows = derivations::outcomes(tx, campaign).await?;
     let records: Result<_, sqlx::Error> = rows.into_iter().map(record).collect();
-    records.doing("read the outcomes that an explanation follows from")
+    records.doing("read the outcomes that a campaign follows from")
 }

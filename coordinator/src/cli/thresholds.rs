@@ -1,0 +1,145 @@
+//! `coordinator thresholds`: how far a policy goes before success turns to failure.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use coordinator::client::Client;
+use protocol::{Condition, MAX_RADII, Rollouts, TOLERANCES, Thresholds};
+use report::HowFar;
+use terminal::{number, number_from};
+
+use super::command::{CommandError, Connection, print_line, usage};
+use super::derived;
+use super::files::write_figures;
+
+#[derive(Args, Debug)]
+pub(super) struct ThresholdsArguments {
+    /// Campaign whose configurations are run at further radii, once it is through.
+    campaign: String,
+    /// Name of the campaign that runs them. [default: CAMPAIGN-thresholds]
+    #[arg(long)]
+    name: Option<String>,
+    /// Axes, each alone, and `simultaneous` for all at once. [default: all that the
+    /// campaign has]
+    #[arg(long, value_name = "AXES", value_delimiter = ',', value_parser = condition)]
+    axes: Vec<Condition>,
+    /// How narrow the bracket between success and failure has to be, radius. [default:
+    /// 0.5]
+    #[arg(long, value_name = "R", value_parser = radius(TOLERANCES))]
+    tolerance: Option<f64>,
+    /// The largest radius that is run. [default: 16]
+    #[arg(long, value_name = "R", value_parser = radius(MAX_RADII))]
+    max_radius: Option<f64>,
+    /// Most rollouts, spent on configurations in random order; without it, every
+    /// configuration is measured.
+    #[arg(long, value_name = "N", value_parser = number(1..=u32::MAX, "rollouts"))]
+    budget: Option<u32>,
+    /// What that order is drawn from.
+    #[arg(long, value_parser = number_from(0_u64, ""))]
+    seed: Option<u64>,
+    /// Follow until every threshold is found.
+    #[arg(long)]
+    watch: bool,
+    /// Print JSON, as docs/JSON.md describes it.
+    #[arg(long)]
+    json: bool,
+    /// Write the survival curves as SVG files into a folder.
+    #[arg(long, value_name = "DIR")]
+    figures: Option<PathBuf>,
+    #[command(flatten)]
+    connection: Connection,
+}
+
+pub(super) async fn thresholds(arguments: ThresholdsArguments) -> Result<(), CommandError> {
+    let client = arguments.connection.client()?;
+    let usual = || format!("{}-thresholds", arguments.campaign);
+    let name = arguments.name.clone().unwrap_or_else(usual);
+    let there = match arguments.asks_for_something() {
+        true => None,
+        false => there(&client, &arguments.campaign, &name).await?,
+    };
+    let thresholds = match there {
+        Some(thresholds) => thresholds,
+        None => begin(&client, &arguments, &name).await?,
+    };
+    let found = async || {
+        let campaign = client.report(&arguments.campaign).await?;
+        let by = client.report(&name).await?;
+        Ok(HowFar::of(&campaign, &by, &thresholds))
+    };
+    let is_complete = |found: &HowFar| found.complete;
+    let found = derived::look(arguments.watch, found, is_complete, HowFar::text).await?;
+    if let Some(folder) = &arguments.figures {
+        write_figures(&found.figures(), folder)?;
+    }
+    let text = match arguments.json {
+        true => found.json().map_err(anyhow::Error::from)?,
+        false => found.text(),
+    };
+    Ok(print_line(text.trim_end())?)
+}
+
+impl ThresholdsArguments {
+    /// Whether it says how to measure, and not only what.
+    fn asks_for_something(&self) -> bool {
+        let measures = self.tolerance.or(self.max_radius).is_some();
+        measures || !self.axes.is_empty() || self.budget.is_some() || self.seed.is_some()
+    }
+}
+
+/// What a campaign of this name that measures the other is to find out, if there is one.
+async fn there(
+    client: &Client,
+    campaign: &str,
+    name: &str,
+) -> Result<Option<Thresholds>, CommandError> {
+    Ok(match derived::rollouts(client, name).await? {
+        Some(Rollouts::Thresholds(there)) if there.campaign == campaign => Some(there),
+        _ => None,
+    })
+}
+
+async fn begin(
+    client: &Client,
+    arguments: &ThresholdsArguments,
+    name: &str,
+) -> Result<Thresholds, CommandError> {
+    let source = client.campaign_status(&arguments.campaign).await?;
+    let mut conditions = arguments.axes.clone();
+    conditions.sort();
+    conditions.dedup();
+    let thresholds = Thresholds {
+        campaign: arguments.campaign.clone(),
+        conditions,
+        tolerance: arguments.tolerance.unwrap_or(Thresholds::DEFAULT_TOLERANCE),
+        max_radius: arguments
+            .max_radius
+            .unwrap_or(Thresholds::DEFAULT_MAX_RADIUS),
+        budget: arguments.budget,
+        seed: arguments.seed.unwrap_or_default(),
+    };
+    let campaign = client.report(&arguments.campaign).await?;
+    HowFar::is_affordable(&campaign, &thresholds).map_err(usage)?;
+    let rollouts = Rollouts::Thresholds(thresholds.clone());
+    derived::create(client, source, name, rollouts).await?;
+    Ok(thresholds)
+}
+
+fn condition(text: &str) -> Result<Condition, &'static str> {
+    let condition = match text {
+        "simultaneous" => Ok(Condition::Combination),
+        axes => axes.parse(),
+    };
+    match condition {
+        Ok(Condition::Clean) | Err(_) => Err("write axes such as camera,robot, or simultaneous"),
+        Ok(condition) => Ok(condition),
+    }
+}
+
+/// A reader of radii in a range.
+fn radius([low, high]: [f64; 2]) -> impl Fn(&str) -> Result<f64, String> + Clone {
+    move |text| match text.parse() {
+        Ok(radius) if (low..=high).contains(&radius) => Ok(radius),
+        _ => Err(format!("write a radius, {low} to {high}")),
+    }
+}

@@ -1,0 +1,84 @@
+//! What tests of campaigns share that follow from others: workers that run what waits as
+//! it is planted, and coordinators that die.
+
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use paired::Outcome;
+use proto::coordinator::CreateCampaignRequest;
+use proto::coordinator::commit_response::Verdict;
+use proto::coordinator::operator_service_client::OperatorServiceClient;
+use protocol::RolloutId;
+use queue::FAILPOINT_VARIABLE;
+use serde_json::Value;
+
+use crate::harness::{Worker, rollout_id};
+use crate::process::Serve;
+
+/// How long a planted campaign may take.
+pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
+
+/// How a rollout ends: what is planted.
+pub(crate) type Planted = fn(&RolloutId) -> Outcome;
+
+/// Runs what waits, until nothing does.
+pub(crate) async fn run_all(worker: &mut Worker, planted: Planted) {
+    loop {
+        let leases = worker.claim(64).await;
+        if leases.is_empty() {
+            return;
+        }
+        for lease in &leases {
+            let id = rollout_id(lease).parse().expect("an id");
+            let success = planted(&id) == Outcome::Success;
+            assert_eq!(worker.commit(lease, success).await, Verdict::Accepted);
+        }
+    }
+}
+
+/// Serves a folder until it dies at the point, while a campaign is created of the
+/// specification, and a worker runs what it gets.
+pub(crate) async fn die_at(folder: &Path, point: &str, spec: &Value, planted: Planted) {
+    let child = Command::new(env!("CARGO_BIN_EXE_coordinator"))
+        .args([
+            "serve",
+            "--listen",
+            "127.0.0.1:0",
+            "--lease-secs",
+            "3",
+            "--data",
+        ])
+        .arg(folder)
+        .env(FAILPOINT_VARIABLE, point)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("starts");
+    let mut serve = Serve::of(child);
+    let began = Instant::now();
+    if serve.is_ready() {
+        // Not by the command, which would go on trying while nobody answers.
+        let request = CreateCampaignRequest {
+            spec: spec.to_string(),
+            priority: 0,
+        };
+        if let Ok(mut operator) = OperatorServiceClient::connect(serve.url.clone()).await {
+            let _ = operator.create_campaign(request).await;
+        }
+        let Ok(mut worker) = serve.try_worker("dying").await else {
+            return;
+        };
+        while serve.ended().is_none() {
+            assert!(began.elapsed() < PATIENCE, "{point} was never reached");
+            let Ok(claim) = worker.try_claim(0.05, "").await else {
+                continue;
+            };
+            if let Some(lease) = claim.lease {
+                let id = rollout_id(&lease).parse().expect("an id");
+                let success = planted(&id) == Outcome::Success;
+                let _ = worker.try_commit(&lease, success).await;
+            }
+        }
+    }
+}

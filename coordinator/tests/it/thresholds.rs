@@ -1,0 +1,320 @@
+//! How far: planted thresholds are found again, whatever dies on the way.
+
+use std::collections::BTreeSet;
+use std::process::Stdio;
+use std::time::{Duration, Instant};
+
+use paired::Outcome;
+use protocol::{Condition, RolloutId};
+use queue::{Side, Step, invariants};
+use serde_json::{Value, json};
+
+use crate::derived::{PATIENCE, die_at, run_all};
+use crate::json::{documented, keys};
+use crate::page::ask;
+use crate::process::{Serve, text};
+
+/// The radius from which on a rollout of one suite fails.
+fn fails_from(id: &RolloutId) -> f64 {
+    let task = f64::from(id.task().index());
+    match (id.condition(), id.task().index()) {
+        // Nominally.
+        (_, 9) => 0.0,
+        // At no radius that is run.
+        (Condition::Single(protocol::Axis::Robot), 0) => 50.0,
+        (Condition::Combination, _) => 0.7 + task / 2.0,
+        _ => 1.3 + task,
+    }
+}
+
+fn outcome(id: &RolloutId) -> Outcome {
+    let (radius, from) = (id.level().radius(), fails_from(id));
+    // The robot's first task but one recovers at a larger radius.
+    let robot = Condition::Single(protocol::Axis::Robot);
+    let recovers = id.condition() == robot && id.task().index() == 1 && radius == 8.0;
+    match id.condition() {
+        Condition::Clean => Outcome::from(from > 0.0),
+        _ => Outcome::from(radius < from || recovers),
+    }
+}
+
+#[rustfmt::skip]
+const CREATE: [&str; 14] = [
+    "campaign", "create", "--name", "first", "--policy", "p",
+    "--endpoint", "http://127.0.0.1:50051", "--tasks", "libero_object", "--levels", "L2",
+    "--configs", "0",
+];
+
+fn create(serve: &Serve) {
+    let created = serve.command(&[&CREATE[..], &["--axes", "camera,robot"]].concat());
+    assert!(created.status.success(), "{}", text(&created.stderr));
+}
+
+fn found(serve: &Serve, arguments: &[&str]) -> Value {
+    let output = serve.command(&[&["thresholds", "first", "--json"], arguments].concat());
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    serde_json::from_slice(&output.stdout).expect("JSON")
+}
+
+/// Runs everything that follows, to the end.
+async fn measured(serve: &Serve, arguments: &[&str]) -> Value {
+    let mut worker = serve.worker("w").await;
+    let began = Instant::now();
+    loop {
+        run_all(&mut worker, outcome).await;
+        let found = found(serve, arguments);
+        if found["complete"] == json!(true) {
+            return found;
+        }
+        let left = &found["waiting"];
+        assert!(began.elapsed() < PATIENCE, "{left} rollouts still wait");
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+}
+
+fn list<'a>(value: &'a Value, key: &str) -> &'a [Value] {
+    value[key].as_array().expect("a list")
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn planted_thresholds_are_found_again() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    create(&serve);
+    // It may be asked for before the campaign is through.
+    let output = serve.command(&["thresholds", "first"]);
+    let said = text(&output.stderr);
+    assert!(said.contains("rollouts without an outcome"), "{said}");
+    assert_eq!(found(&serve, &[])["complete"], json!(false));
+
+    let found = measured(&serve, &[]).await;
+    let mut printed = BTreeSet::new();
+    keys(&found, "", &mut printed);
+    assert_eq!(printed, documented("thresholds"));
+    assert_eq!([&found["looked_for"], &found["found"]], [30, 30]);
+    for threshold in list(&found, "thresholds") {
+        let of = |key: &str| threshold[key].as_f64();
+        let [condition, task] = ["condition", "task"].map(|key| threshold[key].as_str());
+        let (condition, task) = (condition.expect("a name"), task.expect("a name"));
+        let suite = task.replace("libero_object/", "object/t");
+        let id = format!("{suite}/{condition}/L2/c00")
+            .parse()
+            .expect("an id");
+        let from = fails_from(&id);
+        let is_robot = condition == "robot";
+        let recovers = is_robot && task == "libero_object/1";
+        assert_eq!(!list(threshold, "recovers_at").is_empty(), recovers, "{id}");
+        let kind = threshold["threshold"].as_str().expect("a kind");
+        match kind {
+            "nominal_fails" => assert_eq!((from, of("fails_at")), (0.0, Some(0.0))),
+            "beyond" => assert_eq!((from, of("succeeds_at")), (50.0, Some(16.0))),
+            _ => {
+                assert_eq!(kind, "between", "{id}");
+                let [low, high] = ["succeeds_at", "fails_at"].map(|key| of(key).expect("a radius"));
+                assert!(
+                    low < from && from <= high,
+                    "{id}: {low} to {high} for {from}"
+                );
+                assert!(high - low <= 0.5, "{id}: {low} to {high}");
+            }
+        }
+    }
+    for curve in list(&found, "curves") {
+        assert_eq!([&curve["n"], &curve["nominal_fails"]], [10, 1]);
+        assert_eq!(curve["points"][0]["survival"], json!(0.9));
+        let half = &curve["half_success"];
+        let radius = half["radius"].as_f64().expect("half of them fail");
+        // The fifth threshold and the sixth of ten, of which one is 0.
+        let median = match curve["condition"].as_str() {
+            Some("combination") => 2.45,
+            Some("camera") => 4.8,
+            _ => 5.8,
+        };
+        assert!((radius - median).abs() <= 0.75, "{curve}");
+        assert!(half["ci95"].is_array(), "{half}");
+    }
+    // The campaign's own outcomes were not run again, nor what fails nominally.
+    let jobs = serve.command(&["jobs", "list", "first-thresholds", "--json"]);
+    let jobs: Value = serde_json::from_slice(&jobs.stdout).expect("JSON");
+    let ids = list(&jobs, "jobs").iter();
+    let ids: BTreeSet<&str> = ids
+        .map(|job| job["rollout_id"].as_str().expect("an id"))
+        .collect();
+    assert_eq!(ids.len(), list(&jobs, "jobs").len());
+    assert!(
+        ids.iter()
+            .all(|id| !id.contains("/L2/") && !id.contains("t9"))
+    );
+    assert!(ids.contains("object/t0/camera/L1/c00"), "{ids:?}");
+
+    // The same again adds nothing; in words and figures it is the same.
+    assert_eq!(self::found(&serve, &[]), found);
+    let figures = folder.path().join("figures");
+    let figures = figures.to_string_lossy();
+    let output = serve.command(&["thresholds", "first", "--figures", &figures]);
+    let words = text(&output.stdout);
+    for line in [
+        "first-thresholds measures how far first goes: 30 of 30 thresholds found",
+        "                   n     0    L1    L2    L3    16",
+        "camera            10  90.0",
+        "libero_object/1 robot c00: succeeds at 0, 2, 8; fails at",
+    ] {
+        assert!(words.contains(line), "{line}: {words}");
+    }
+    assert!(
+        words.lines().all(|line| line.chars().count() <= 80),
+        "{words}"
+    );
+    for name in ["camera", "robot", "simultaneous"] {
+        let figure = folder.path().join(format!("figures/survival-{name}.svg"));
+        let figure = std::fs::read_to_string(figure).expect("written");
+        assert!(figure.contains("still succeed, by radius"), "{figure}");
+    }
+    let page = ask(&serve.url, "GET /campaigns/first-thresholds").await;
+    let page = page.text();
+    for words in [
+        "How far",
+        "30 of 30 thresholds found",
+        "libero_object/1",
+        "class=\"curve\"",
+    ] {
+        assert!(page.contains(words), "{words}");
+    }
+    let violations = invariants::check(folder.path()).await.expect("a database");
+    assert_eq!(violations, []);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn language_is_measured_at_its_own_levels_only() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    #[rustfmt::skip]
+    let created = serve.command(&[
+        "campaign", "create", "--name", "first", "--policy", "p", "--nominal", "eval",
+        "--endpoint", "http://127.0.0.1:50051", "--tasks", "libero_object/4",
+        "--levels", "L2", "--configs", "0", "--axes", "camera,language",
+    ]);
+    assert!(created.status.success(), "{}", text(&created.stderr));
+    let found = measured(
+        &serve,
+        &["--axes", "language,simultaneous", "--tolerance", "0.1"],
+    )
+    .await;
+    assert_eq!(found["rollouts"], 4);
+    let jobs = serve.command(&["jobs", "list", "first-thresholds"]);
+    for level in ["L1", "L3"] {
+        for condition in ["language", "combination"] {
+            let id = format!("object/t4/{condition}/{level}/c00");
+            assert!(text(&jobs.stdout).contains(&id), "{id}");
+        }
+    }
+    let words = serve.command(&["thresholds", "first"]);
+    let words = text(&words.stdout);
+    assert!(
+        words.contains("there are wordings at L1, L2 and L3"),
+        "{words}"
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_cannot_be_measured_is_refused_before_anything_is_created() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    create(&serve);
+    let refused = |arguments: &[&str], words: &str| {
+        let output = serve.command(arguments);
+        let error = text(&output.stderr);
+        assert!(!output.status.success(), "{arguments:?}");
+        assert!(error.contains(words), "{arguments:?}: {error}");
+        let there = serve.command(&["campaign", "status", "first-thresholds"]);
+        assert!(!there.status.success(), "{arguments:?}");
+    };
+    let first = |flags: &[&'static str]| [&["thresholds", "first"][..], flags].concat();
+    refused(&["thresholds", "second"], "no such campaign");
+    refused(&first(&["--tolerance", "0"]), "write a radius, 0.01 to 100");
+    refused(&first(&["--max-radius", "far"]), "write a radius, 2 to 100");
+    for wrong in ["camrea", "clean", ""] {
+        refused(
+            &first(&["--axes", wrong]),
+            "write axes such as camera,robot",
+        );
+    }
+    let others = "it does not run the condition sensor; its own are camera, robot, simultaneous";
+    refused(&first(&["--axes", "sensor"]), others);
+    refused(&first(&["--budget", "20"]), "may take 24 rollouts");
+    #[rustfmt::skip]
+    let bare = [&CREATE[..3], &["bare"], &CREATE[4..], &[
+        "--axes", "camera", "--nominal", "none",
+    ]].concat();
+    let created = serve.command(&bare);
+    assert!(created.status.success(), "{}", text(&created.stderr));
+    refused(&["thresholds", "bare"], "it has no nominal rollouts");
+
+    assert!(serve.command(&["thresholds", "first"]).status.success());
+    let delete = ["campaign", "delete", "first", "--confirm", "first"];
+    let deleted = serve.command(&delete);
+    let error = text(&deleted.stderr);
+    assert!(
+        error.contains("`first-thresholds` follows from it"),
+        "{error}"
+    );
+    let output = serve.command(&first(&["--tolerance", "2"]));
+    let error = text(&output.stderr);
+    assert!(error.contains("they differ in `thresholds`"), "{error}");
+    let renamed = serve.command(&["campaign", "rename", "first", "final"]);
+    assert!(renamed.status.success(), "{}", text(&renamed.stderr));
+    let again = serve.command(&["thresholds", "final", "--name", "first-thresholds"]);
+    assert!(again.status.success(), "{}", text(&again.stderr));
+    let of_derived = serve.command(&["thresholds", "first-thresholds"]);
+    let error = text(&of_derived.stderr);
+    assert!(error.contains("its rows come from no design"), "{error}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_budget_is_kept() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    create(&serve);
+    let found = measured(&serve, &["--budget", "100", "--seed", "3"]).await;
+    assert!(found["rollouts"].as_u64() <= Some(100), "{found}");
+    // Four configurations of three conditions, 24 rollouts each at most.
+    assert_eq!([&found["found"], &found["beyond_budget"]], [12, 18]);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_death_around_any_transaction_leaves_the_same_thresholds() {
+    let undisturbed = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(undisturbed.path());
+    create(&serve);
+    let expected = measured(&serve, &[]).await;
+    drop(serve);
+
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    create(&serve);
+    let mut worker = serve.worker("first").await;
+    run_all(&mut worker, outcome).await;
+    drop(serve);
+    let spec = json!({
+        "name": "first-thresholds", "thresholds": {"campaign": "first"},
+        "policy": {"name": "p", "endpoint": "http://127.0.0.1:50051"},
+    });
+    // One life after the other: each goes on where the one before it died.
+    for (side, step, times) in [
+        (Side::Before, Step::CreateCampaign, 1),
+        (Side::Before, Step::Derive, 1),
+        (Side::After, Step::Derive, 1),
+        (Side::Before, Step::Claim, 5),
+        (Side::After, Step::Commit, 9),
+        (Side::Before, Step::Derive, 2),
+        (Side::After, Step::Derive, 2),
+    ] {
+        let point = format!("{side:?}:{step:?}:{times}");
+        die_at(folder.path(), &point, &spec, outcome).await;
+        let violations = invariants::check(folder.path()).await.expect("a database");
+        assert_eq!(violations, [], "{side:?} {step:?}");
+    }
+    let serve = Serve::start_with(folder.path(), &["--lease-secs", "3"], Stdio::null());
+    let found = measured(&serve, &[]).await;
+    assert_eq!(found, expected);
+}

@@ -1,0 +1,112 @@
+//! Of which campaigns thresholds can be measured.
+
+use crate::campaign::Rollouts;
+use crate::design::Nominal;
+use crate::thresholds::Thresholds;
+
+/// A campaign whose thresholds cannot be measured, and what to do about it.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum NotMeasurable {
+    /// Its rows are imported, or follow from outcomes.
+    #[error(
+        "its rows come from no design, so that nothing says what they are at another radius; \
+         create a campaign with `tasks`, `axes` and `levels`"
+    )]
+    NoDesign,
+    /// It has no nominal rollouts, where every threshold begins.
+    #[error(
+        "it has no nominal rollouts, from which a threshold is counted; create it with `nominal` \
+         eval"
+    )]
+    NoNominal,
+    /// It perturbs nothing.
+    #[error("it perturbs nothing; create a campaign with axes and levels")]
+    NoCondition,
+    /// A condition that it does not run.
+    #[error("it does not run the condition {given}; its own are {valid}")]
+    OtherCondition {
+        /// The condition that was asked for.
+        given: &'static str,
+        /// Those that there are.
+        valid: String,
+    },
+}
+
+impl Thresholds {
+    /// Checks that a campaign of these rollouts has thresholds to be measured.
+    ///
+    /// # Errors
+    /// Says why not, and what to do.
+    pub fn can_be_of(&self, rollouts: &Rollouts) -> Result<(), NotMeasurable> {
+        let Rollouts::Design(design) = rollouts else {
+            return Err(NotMeasurable::NoDesign);
+        };
+        if design.nominal == Nominal::None {
+            return Err(NotMeasurable::NoNominal);
+        }
+        let valid = design.conditions();
+        if valid.is_empty() {
+            return Err(NotMeasurable::NoCondition);
+        }
+        let other = self.conditions.iter().find(|it| !valid.contains(it));
+        match other {
+            None => Ok(()),
+            Some(given) => Err(NotMeasurable::OtherCondition {
+                given: given.label(),
+                valid: valid
+                    .iter()
+                    .map(|it| it.label())
+                    .collect::<Vec<_>>()
+                    .join(", "),
+            }),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::axis::Axis;
+    use crate::axis_set::AxisSet;
+    use crate::condition::Condition;
+    use crate::design::Design;
+
+    fn under(conditions: &[Condition]) -> Thresholds {
+        Thresholds {
+            campaign: "first".to_owned(),
+            conditions: conditions.to_vec(),
+            tolerance: Thresholds::DEFAULT_TOLERANCE,
+            max_radius: Thresholds::DEFAULT_MAX_RADIUS,
+            budget: None,
+            seed: 0,
+        }
+    }
+
+    #[test]
+    fn what_a_campaign_cannot_be_asked_for_is_said_with_what_can() {
+        let design = Design {
+            axes: vec![Axis::Camera, Axis::Robot],
+            ..Design::v0_1()
+        };
+        let of = |change: fn(&mut Design), conditions: &[Condition]| {
+            let mut design = design.clone();
+            change(&mut design);
+            under(conditions).can_be_of(&Rollouts::Design(design))
+        };
+        let both = [Condition::Single(Axis::Camera), Condition::Combination];
+        assert_eq!(of(|_| (), &both), Ok(()));
+        assert_eq!(of(|_| (), &[]), Ok(()));
+        let subset = Condition::of(AxisSet::from_iter([Axis::Camera, Axis::Sensor]));
+        for other in [Condition::Single(Axis::Sensor), Condition::Clean, subset] {
+            let error = of(|_| (), &[other]).expect_err("no condition of it");
+            let valid = "its own are camera, robot, simultaneous";
+            assert!(error.to_string().contains(valid), "{error}");
+        }
+        let nothing = of(|design| design.nominal = Nominal::None, &[]);
+        assert_eq!(nothing, Err(NotMeasurable::NoNominal));
+        let nothing = of(|design| design.axes.clear(), &[]);
+        assert_eq!(nothing, Err(NotMeasurable::NoCondition));
+        let imported = under(&[]).can_be_of(&Rollouts::Manifest(Vec::new()));
+        assert_eq!(imported, Err(NotMeasurable::NoDesign));
+    }
+}

@@ -1,0 +1,99 @@
+//! What a campaign is to find out that measures how far another one's policy goes.
+
+use serde::{Deserialize, Serialize};
+
+use crate::condition::Condition;
+use crate::level::Level;
+
+/// Narrowest and widest brackets that can be asked for, radius.
+pub const TOLERANCES: [f64; 2] = [0.01, 100.0];
+/// Smallest and largest of the radii up to which thresholds can be measured.
+pub const MAX_RADII: [f64; 2] = [2.0, 100.0];
+
+/// A campaign that measures the thresholds of another one runs its configurations at
+/// further radii. At which follows from the outcomes of both campaigns, so that it
+/// has no rows of its own to begin with.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Thresholds {
+    /// The campaign whose configurations are run at further radii.
+    pub campaign: String,
+    /// Under which of that campaign's conditions; empty for all of them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub conditions: Vec<Condition>,
+    /// How narrow a bracket between success and failure has to be, radius.
+    #[serde(default = "default_tolerance")]
+    pub tolerance: f64,
+    /// The largest radius that is run.
+    #[serde(default = "default_max_radius")]
+    pub max_radius: f64,
+    /// Most rollouts; without it, every configuration is measured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub budget: Option<u32>,
+    /// What the order is drawn from in which configurations are measured.
+    #[serde(default)]
+    pub seed: u64,
+}
+
+impl Thresholds {
+    /// The tolerance unless another is asked for, radius.
+    pub const DEFAULT_TOLERANCE: f64 = 0.5;
+    /// The largest radius unless another is asked for: twice that of L3.
+    pub const DEFAULT_MAX_RADIUS: f64 = 16.0;
+
+    /// The radii that are run in any case: the protocol's levels, on with twice the
+    /// radius each time, up to the largest, and that one.
+    pub fn grid(&self) -> Vec<Level> {
+        let doubled = (0..).map(|k| Level::L1.radius() * f64::from(1 << k));
+        let mut radii: Vec<f64> = doubled.take_while(|&r| r < self.max_radius).collect();
+        radii.push(self.max_radius);
+        radii.into_iter().filter_map(Level::of_radius).collect()
+    }
+
+    /// The first field that is out of its range, what it says, and the range.
+    pub(crate) fn out_of_range(&self) -> Option<(&'static str, f64, [f64; 2])> {
+        let fields = [
+            ("thresholds.tolerance", self.tolerance, TOLERANCES),
+            ("thresholds.max_radius", self.max_radius, MAX_RADII),
+        ];
+        let is_outside =
+            |(_, given, [low, high]): &(&str, f64, [f64; 2])| !(*low..=*high).contains(given);
+        fields.into_iter().find(is_outside)
+    }
+}
+
+fn default_tolerance() -> f64 {
+    Thresholds::DEFAULT_TOLERANCE
+}
+
+fn default_max_radius() -> f64 {
+    Thresholds::DEFAULT_MAX_RADIUS
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn up_to(max_radius: f64) -> Thresholds {
+        Thresholds {
+            campaign: "first".to_owned(),
+            conditions: Vec::new(),
+            tolerance: Thresholds::DEFAULT_TOLERANCE,
+            max_radius,
+            budget: None,
+            seed: 0,
+        }
+    }
+
+    #[test]
+    fn the_grid_is_the_protocols_levels_and_goes_on() {
+        let grid = |max_radius| -> Vec<String> {
+            let grid = up_to(max_radius).grid();
+            grid.iter().map(Level::to_string).collect()
+        };
+        assert_eq!(grid(16.0), ["L1", "L2", "L3", "r16"]);
+        assert_eq!(grid(2.0), ["L1"]);
+        assert_eq!(grid(5.5), ["L1", "L2", "r5.5"]);
+        assert_eq!(grid(100.0), ["L1", "L2", "L3", "r16", "r32", "r64", "r100"]);
+    }
+}

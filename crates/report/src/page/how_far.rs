@@ -1,0 +1,82 @@
+//! How far: the survival curves of a campaign that measures thresholds, and what they are
+//! over.
+
+use maud::{Markup, html};
+use thresholds::Curve;
+
+use super::panels::figure;
+use super::tables::{plain, table, with};
+use crate::how_far::{HowFar, Measured};
+use crate::words;
+
+/// The section.
+pub(super) fn section(found: &HowFar) -> Markup {
+    html! {
+        section {
+            h2 { "How far" }
+            p { (found.standing()) "." }
+            (figure("Which share of the configurations still succeeds, by radius: nominally and at \
+                every smaller radius that was run. L1, L2 and L3 are the paper's levels. The diamond \
+                is where half of all configurations still succeed, the whisker its 95 % interval.",
+                found.figures()))
+            (half_success(&found.curves))
+            (not_monotone(&found.thresholds))
+        }
+    }
+}
+
+fn half_success(curves: &[Curve]) -> Markup {
+    let heads = [
+        "condition.",
+        "n",
+        "half still succeed at radius",
+        "nominal fails",
+        "beyond the largest radius",
+        "not monotone",
+        "left out",
+    ];
+    let row = |curve: &Curve| {
+        vec![
+            plain(curve.condition.label()),
+            plain(curve.n),
+            with(
+                words::half_success(curve),
+                &words::half_success_interval(&curve.half_success),
+            ),
+            plain(curve.nominal_fails),
+            plain(curve.beyond),
+            plain(curve.not_monotone),
+            plain(curve.left_out),
+        ]
+    };
+    let known = curves.iter().filter(|curve| curve.n > 0);
+    table("Half-success radius", &heads, known.map(row).collect())
+}
+
+/// Those that succeed again beyond a failure, by name.
+fn not_monotone(thresholds: &[Measured]) -> Markup {
+    let heads = [
+        "task.",
+        "condition.",
+        "configuration",
+        "succeeds at.",
+        "fails at.",
+    ];
+    let row = |it: &Measured| {
+        vec![
+            plain(it.task),
+            plain(it.condition.label()),
+            plain(it.config),
+            plain(it.radii(true)),
+            plain(it.radii(false)),
+        ]
+    };
+    let not_monotone = thresholds.iter().filter(|it| !it.recovers_at.is_empty());
+    let rows: Vec<Vec<Markup>> = not_monotone.map(row).collect();
+    html! {
+        @if !rows.is_empty() {
+            h3 { "Not monotone: they succeed again beyond a failure" }
+            (table("Not monotone", &heads, rows))
+        }
+    }
+}

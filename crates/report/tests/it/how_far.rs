@@ -1,0 +1,139 @@
+//! What a measurement of thresholds says: on a terminal, as JSON and as figures.
+
+use std::collections::BTreeSet;
+
+use paired::{Outcome, Record};
+use protocol::{Condition, Level, RolloutId, Thresholds};
+use report::{HowFar, Subject};
+use serde_json::Value;
+
+use crate::subjects::{document, example};
+
+/// The example's outcomes, of which nothing is known nominally, as if every nominal
+/// rollout had succeeded.
+fn nominal() -> Subject {
+    let mut subject = example();
+    let states = subject.records.iter().map(|it| (it.id.task(), it.init_id));
+    let states: BTreeSet<_> = states.collect();
+    subject
+        .records
+        .retain(|it| it.id.condition() != Condition::Clean);
+    let clean = |(task, init_id)| Record {
+        id: RolloutId::clean(task, init_id),
+        init_id,
+        replicate: 0,
+        outcome: Outcome::Success,
+    };
+    subject.records.extend(states.into_iter().map(clean));
+    subject
+}
+
+fn thresholds(max_radius: f64) -> Thresholds {
+    Thresholds {
+        campaign: "first".to_owned(),
+        conditions: Vec::new(),
+        tolerance: 0.5,
+        max_radius,
+        budget: None,
+        seed: 0,
+    }
+}
+
+/// What the published levels alone say.
+fn at_levels() -> HowFar {
+    let by = Subject {
+        records: Vec::new(),
+        ..nominal()
+    };
+    HowFar::of(&nominal(), &by, &thresholds(8.0))
+}
+
+#[test]
+fn a_curve_is_the_reports_rate_less_those_that_recover() {
+    let found = at_levels();
+    let document = document(vec![nominal()]);
+    assert_eq!(found.curves.len(), 7);
+    assert!(
+        !found.complete,
+        "brackets are as wide as the levels are apart"
+    );
+    for curve in &found.curves {
+        assert_eq!((curve.n, curve.tasks), (400, 40));
+        for level in Level::PERTURBED {
+            let survival = curve.at(level.radius()).expect("a point").survival;
+            let cell = document.analyses[0].cell(level).expect("a level");
+            let rate = match curve.condition {
+                Condition::Single(axis) => cell.alone[&axis].count.rate(),
+                _ => cell.simultaneous.and_then(|count| count.rate()),
+            };
+            let rate = rate.expect("outcomes");
+            let recovers = |it: &&report::Measured| {
+                it.condition == curve.condition && it.recovers_at.contains(&level.radius())
+            };
+            let recover = found.thresholds.iter().filter(recovers).count() as f64;
+            let expected = rate - recover / 400.0;
+            assert!(
+                (survival - expected).abs() < 1e-12,
+                "{level}: {survival} {expected}"
+            );
+        }
+    }
+}
+
+#[test]
+fn the_text_fits_a_terminal_and_says_what_is_left() {
+    let text = at_levels().text();
+    for line in text.lines() {
+        assert!(line.chars().count() <= 80, "{line}");
+    }
+    assert!(
+        text.contains("there are wordings at L1, L2 and L3"),
+        "{text}"
+    );
+    assert!(text.contains("not monotone: they succeed again beyond a failure"));
+    let far = HowFar::of(&nominal(), &nominal(), &thresholds(100.0)).text();
+    for line in far.lines() {
+        assert!(line.chars().count() <= 80, "{line}");
+    }
+}
+
+#[test]
+fn every_condition_has_a_figure_that_stands_alone() {
+    let found = at_levels();
+    let figures = found.figures();
+    let names: Vec<&str> = figures.iter().map(|it| it.name.as_str()).collect();
+    assert_eq!(names.len(), 7);
+    assert_eq!(
+        (names[0], names[6]),
+        ("survival-camera", "survival-simultaneous")
+    );
+    for figure in &figures {
+        let svg = figure.standalone();
+        let parsed = roxmltree::Document::parse(&svg).expect("XML");
+        let texts = parsed.descendants().filter(|it| it.has_tag_name("text"));
+        let texts: Vec<&str> = texts.filter_map(|it| it.text()).collect();
+        for text in ["L1", "L2", "L3", "n = 400", "radius"] {
+            assert!(texts.contains(&text), "{}: {texts:?}", figure.name);
+        }
+        assert!(
+            !svg.contains("NaN") && !svg.contains("inf"),
+            "{}",
+            figure.name
+        );
+    }
+    let json: Value = serde_json::from_str(&found.json().expect("written")).expect("JSON");
+    assert_eq!(json["curves"][0]["points"][1]["level"], "L1");
+    assert_eq!(json["thresholds"].as_array().map(Vec::len), Some(2800));
+}
+
+#[test]
+fn without_outcomes_there_is_no_curve() {
+    let mut subject = nominal();
+    for record in &mut subject.records {
+        record.outcome = Outcome::Missing;
+    }
+    let found = HowFar::of(&subject, &subject, &thresholds(16.0));
+    assert!(found.figures().is_empty() && !found.complete);
+    assert_eq!(found.text().lines().count(), 2);
+    assert!(!found.json().expect("written").contains("NaN"));
+}

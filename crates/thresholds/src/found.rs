@@ -1,0 +1,81 @@
+//! What was found out about one ray.
+
+use paired::Outcome;
+use protocol::Level;
+
+use crate::ray::Known;
+use crate::search::Search;
+
+/// Where success turns to failure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Threshold {
+    /// The nominal rollout fails: there is no success that could turn.
+    NominalFails,
+    /// The nominal rollout has no outcome.
+    NominalUnknown,
+    /// Between these radii: the smallest at which it fails, and the largest below at
+    /// which it succeeds.
+    Between {
+        /// It succeeds here; L0 is the nominal rollout.
+        succeeds_at: Level,
+        /// It fails here.
+        fails_at: Level,
+    },
+    /// Beyond the largest radius that is run, where it succeeds: the threshold is
+    /// censored on the right.
+    Beyond,
+    /// No radius is known to fail, and the largest has no outcome.
+    Open,
+}
+
+/// What is known of a ray's threshold.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Found {
+    /// Where success turns to failure for the first time.
+    pub threshold: Threshold,
+    /// Larger radii at which it succeeds nevertheless: the ray is not monotone.
+    pub recovers_at: Vec<Level>,
+    /// Whether no outcome of the grid is missing. Before, failures can turn up at
+    /// smaller radii.
+    pub is_on_grid: bool,
+}
+
+/// Says what is known of a ray's threshold.
+pub fn found(known: &Known, search: &Search) -> Found {
+    let largest = search.largest().unwrap_or(Level::L0);
+    let fails_at = known.levels(false).find(|level| *level <= largest);
+    let threshold = match (known.nominal(), fails_at) {
+        (Outcome::Failure, _) => Threshold::NominalFails,
+        (Outcome::Missing | Outcome::Quarantined, _) => Threshold::NominalUnknown,
+        (Outcome::Success, Some(fails_at)) => {
+            let mut below = known.levels(true).rev().filter(|level| *level < fails_at);
+            Threshold::Between {
+                succeeds_at: below.next().unwrap_or(Level::L0),
+                fails_at,
+            }
+        }
+        (Outcome::Success, None) => match known.at(largest).and_then(Outcome::success) {
+            Some(_) => Threshold::Beyond,
+            None => Threshold::Open,
+        },
+    };
+    let first_failure = match threshold {
+        Threshold::NominalFails => Some(Level::L0),
+        Threshold::Between { fails_at, .. } => Some(fails_at),
+        _ => None,
+    };
+    let recovers_at = first_failure.map(|failure| {
+        let levels = known.levels(true).filter(|level| *level <= largest);
+        levels.filter(|level| *level > failure).collect()
+    });
+    let is_missing = |level: &Level| known.at(*level).unwrap_or_default() == Outcome::Missing;
+    Found {
+        threshold,
+        recovers_at: recovers_at.unwrap_or_default(),
+        is_on_grid: match threshold {
+            Threshold::NominalFails => true,
+            Threshold::NominalUnknown => false,
+            _ => !search.grid.iter().any(is_missing),
+        },
+    }
+}
