@@ -252,7 +252,7 @@ fn run_rescue(arguments: RescueArguments) -> anyhow::Result<()> {
     };
     let but = match rescued.is_monotone {
         true => "",
-        false => ", though lost at some step before",
+        false => ", and lost at an earlier one that was tried, too",
     };
     say(&format!(
         "{}: {what}{but} ({} tried); see {}",

@@ -10,6 +10,7 @@ mod crates;
 mod image;
 mod licences;
 mod native;
+mod release;
 mod stage;
 
 use std::path::{Path, PathBuf};
@@ -23,6 +24,7 @@ use crate::process::capture;
 use crate::setup;
 
 pub(crate) use check::test;
+use release::PROGRAMS;
 
 /// How the release is made.
 #[derive(clap::Args)]
@@ -43,12 +45,6 @@ enum Profile {
     Release,
     Dev,
 }
-
-/// The programs, all of which start with nothing but glibc installed.
-const PROGRAMS: [&str; 3] = ["coordinator", "policy-gateway", "worker"];
-
-/// The version of the workspace.
-const VERSION: &str = env!("CARGO_PKG_VERSION");
 
 /// Makes it, tries it in a bare root, and says where it is.
 ///
@@ -85,12 +81,4 @@ fn refuse_what_is_not_committed(root: &Path) -> Result<()> {
         bail!("make a release: {first:?} is not committed; commit it, or use `--profile dev`");
     }
     Ok(())
-}
-
-/// When the commit was made, in seconds since 1970: the time of all files, so that the
-/// same commit makes the same archive.
-fn commit_time(root: &Path) -> String {
-    let mut git = Command::new("git");
-    git.current_dir(root).args(["log", "-1", "--format=%ct"]);
-    capture(&mut git).unwrap_or_else(|_| "0".to_owned())
 }

@@ -13,6 +13,7 @@ use worker::assets::PackError;
 use worker::film::FilmError;
 use worker::measure::MeasureError;
 use worker::preview::PreviewError;
+use worker::rescue::RescueError;
 use worker::rollout::RolloutError;
 use worker::single::SingleError;
 use worker::slot::SlotError;
@@ -151,6 +152,14 @@ fn rollouts(messages: &mut Messages) {
         SingleError::Policy(_) => SingleError::Policy(no_policy()),
         SingleError::Rollout(_) => SingleError::Rollout(RolloutError::Abandoned),
         SingleError::Write { .. } => SingleError::Write { path: path(), source: io_error() },
+    );
+    let failing = || "object/t0/combination/L2/c00".parse().expect("an id");
+    variants!(messages, RescueError,
+        RescueError::NotPerturbed(_) => RescueError::NotPerturbed(failing()),
+        RescueError::Succeeds { .. } => RescueError::Succeeds { id: failing(), steps: 86 },
+        RescueError::Rollout(_) => RescueError::Rollout(RolloutError::Abandoned),
+        RescueError::Film(_) => RescueError::Film(Box::new(io_error())),
+        RescueError::Write { .. } => RescueError::Write { path: path(), source: io_error() },
     );
     variants!(messages, PreviewError,
         PreviewError::Simulate(_) => PreviewError::Simulate(SimError::OutOfMemory("a state")),

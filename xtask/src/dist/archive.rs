@@ -10,7 +10,8 @@ use sha2::{Digest, Sha256};
 use crate::process::capture;
 use crate::step::step;
 
-use super::{VERSION, commit_time, native, stage};
+use super::release::{VERSION, commit_time};
+use super::{native, stage};
 
 /// Names and digests of all files in it.
 pub(super) const SUMS: &str = "SHA256SUMS";

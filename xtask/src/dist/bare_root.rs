@@ -10,9 +10,9 @@ use anyhow::{Context, Result};
 
 use crate::process::capture;
 
-use super::PROGRAMS;
 use super::archive::Archive;
 use super::native;
+use super::release::PROGRAMS;
 
 /// Where the archive lies in it.
 pub(super) const PREFIX: &str = "/opt/rollout";

@@ -2,9 +2,9 @@
 
 use serde_json::{Value, json};
 
-use super::VERSION;
 use super::components::Component;
 use super::crates::Crate;
+use super::release::VERSION;
 
 /// Everything in the archive that others made, with version, licence and, where it is
 /// known, the SHA-256 of the file that it came in. It names no time and no serial number,

@@ -11,7 +11,8 @@ use crate::step::step;
 
 use super::archive::{self, Archive};
 use super::bare_root::{BareRoot, DATA, PREFIX};
-use super::{PROGRAMS, VERSION, bill, crates, image, stage};
+use super::release::{PROGRAMS, VERSION};
+use super::{bill, crates, image, stage};
 
 /// A campaign of two rollouts, which the expert solves: nominal, and with another camera.
 const CAMPAIGN: [&str; 8] = [

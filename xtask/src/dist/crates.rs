@@ -9,7 +9,7 @@ use serde::Deserialize;
 use crate::cargo::cargo;
 use crate::process::capture;
 
-use super::PROGRAMS;
+use super::release::PROGRAMS;
 
 /// A crate whose code is in a program.
 pub(super) struct Crate {

@@ -10,7 +10,8 @@ use crate::step::step;
 
 use super::archive::Archive;
 use super::bare_root::{BareRoot, PREFIX, USER};
-use super::{VERSION, bill, commit_time, components, stage};
+use super::release::{VERSION, commit_time};
+use super::{bill, components, stage};
 
 /// Largest image, compressed, bytes.
 const LARGEST: u64 = 80_000_000;

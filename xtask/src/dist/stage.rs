@@ -11,7 +11,8 @@ use crate::process::capture;
 use crate::step::step;
 
 use super::native::{Elf, oldest_glibc};
-use super::{PROGRAMS, bill, components, crates, licences};
+use super::release::PROGRAMS;
+use super::{bill, components, crates, licences};
 
 /// The library that simulates.
 const MUJOCO: &str = "libmujoco.so.3.3.7";

@@ -31,7 +31,7 @@ const WORKERS: (&str, &str) = (
 );
 
 #[derive(Args, Debug)]
-pub(in crate::cli) struct SlurmArguments {
+pub(crate) struct SlurmArguments {
     /// URL under which the nodes reach the coordinator: the name of the machine on
     /// which coordinator.sh will run, and a port.
     #[arg(long, value_name = "URL", env = "COORDINATOR_URL")]
