@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use clap::Args;
 use coordinator::client::{Client, Service};
+use proto::coordinator::campaign_status::State;
 use proto::coordinator::{CreateCampaignRequest, GetCampaignRequest};
 use protocol::{CampaignSpec, Explanation, PolicyRoute, Realisation, Record, Rollouts, Wanted};
 use report::Findings;
@@ -135,6 +136,7 @@ async fn begin(
         replicates: 1,
         record: Record::None,
         wanted: Wanted::default(),
+        stop: None,
     };
     spec.check().map_err(usage)?;
     let campaign = client.report(&arguments.campaign).await?;
@@ -144,7 +146,7 @@ async fn begin(
         priority: explained.priority,
     };
     client.call(request, Service::create_campaign).await?;
-    if explained.queued + explained.leased > 0 {
+    if explained.state() != State::Stopped && explained.queued + explained.leased > 0 {
         eprintln!(
             "campaign {} has {} rollouts without an outcome; its transitions are explained once \
              it is through",

@@ -9,6 +9,7 @@ use axum::extract::State;
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use queue::read::{CampaignStatus, PolicyLine};
+use queue::rules::campaign::CampaignState;
 use queue::rules::outage::PolicyState;
 
 use super::problem::Problem;
@@ -106,6 +107,15 @@ fn of_campaigns(text: &mut Exposition, campaigns: &[CampaignStatus]) {
             let labels = [("campaign", name), ("state", state)];
             text.sample(jobs, &labels, count as f64);
         }
+    }
+    let saved = "rollout_jobs_saved";
+    let help = "Rollouts of a campaign that are not run because it stopped early.";
+    text.family(saved, GAUGE, help);
+    let is_stopped =
+        |status: &&CampaignStatus| matches!(status.campaign.state, CampaignState::Stopped { .. });
+    for status in shown.iter().filter(is_stopped) {
+        let labels = [("campaign", status.campaign.name.as_str())];
+        text.sample(saved, &labels, status.counts.queued as f64);
     }
     let commits = "rollout_commits_total";
     text.family(commits, COUNTER, "Committed outcomes of a campaign.");

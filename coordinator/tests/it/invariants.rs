@@ -74,6 +74,11 @@ const BROKEN: [(&str, &str, &str); 16] = [
         "campaign sound is cancelled",
     ),
     (
+        "stopped_leases_nothing",
+        "INSERT INTO stop SELECT id, 2, 1, 0 FROM campaign",
+        "campaign sound has stopped",
+    ),
+    (
         "probe_is_out",
         "UPDATE policy SET state = 'probing', outages = 1, pause_reason = 'down',
              probe_attempt_id = hex(zeroblob(16))",

@@ -30,6 +30,7 @@ mod reports;
 mod schema;
 mod seeds;
 mod standing;
+mod stops;
 mod subsets;
 mod together;
 mod upgrade;

@@ -14,6 +14,7 @@ use crate::manifest::{self, ManifestErrors};
 use crate::names::UnknownName;
 use crate::presets::PRESETS;
 use crate::row::ManifestRow;
+use crate::stop::{self, Stop, StopError};
 use crate::suite::TaskRef;
 use crate::wanted::{MIN_DIGEST_DIGITS, RendererKind, Wanted};
 use crate::wording::JsonError;
@@ -25,8 +26,8 @@ pub const MAX_REPLICATES: u32 = 100;
 ///
 /// The fields of its [`Rollouts`] stand beside the others: `tasks`, `axes`,
 /// `levels` and, optional, `subsets`, `configs`, `nominal` and `design_seed`; or
-/// `manifest`, or `explains`, instead of all these. Tasks are written as `libero_goal/3`,
-/// `libero_goal` (its ten tasks) or `all`.
+/// `manifest`, or `explains`, instead of all these. Tasks are written as
+/// `libero_goal/3`, `libero_goal` (its ten tasks) or `all`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "SpecText", into = "SpecText")]
 pub struct CampaignSpec {
@@ -45,6 +46,8 @@ pub struct CampaignSpec {
     /// What its workers must run on, where that matters before the first result
     /// decides it.
     pub wanted: Wanted,
+    /// When it ends early; without it, it runs to its end.
+    pub stop: Option<Stop>,
 }
 
 /// Where the rows of a campaign come from.
@@ -135,6 +138,9 @@ pub enum SpecError {
          is another perturbation in each condition: write matched"
     )]
     Unmatched,
+    /// A rule that cannot end the campaign.
+    #[error("read campaign specification: {0}")]
+    Stop(#[from] StopError),
     /// A design that cannot be run.
     #[error("read campaign specification: {0}")]
     Design(#[from] DesignError),
@@ -193,6 +199,17 @@ impl CampaignSpec {
                 }
             }
         }
+        if let Some(stop) = &self.stop {
+            stop.check(self.replicates)?;
+            match &self.rollouts {
+                Rollouts::Design(design) if design.axes.len() < 2 => {
+                    return Err(StopError::NotSimultaneous.into());
+                }
+                Rollouts::Design(_) => {}
+                Rollouts::Manifest(rows) => stop::check_rows(rows)?,
+                Rollouts::Explanation(_) => return Err(StopError::Explains.into()),
+            }
+        }
         Ok(())
     }
 
@@ -240,6 +257,8 @@ struct SpecText {
     assets: Option<String>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     renderer: Option<RendererKind>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    stop: Option<Stop>,
 }
 
 /// Fields that do not go together, or a task that is none.
@@ -289,6 +308,7 @@ impl TryFrom<SpecText> for CampaignSpec {
                 assets: text.assets,
                 renderer: text.renderer,
             },
+            stop: text.stop,
         })
     }
 }
@@ -312,6 +332,7 @@ impl From<CampaignSpec> for SpecText {
             record: spec.record,
             assets: spec.wanted.assets,
             renderer: spec.wanted.renderer,
+            stop: spec.stop,
         };
         match spec.rollouts {
             Rollouts::Manifest(rows) => text.manifest = Some(rows),

@@ -69,7 +69,8 @@ impl Findings {
             explained_by: by.origin_name().to_owned(),
             policy: campaign.policy.clone(),
             // While an outcome is missing, there may be further transitions.
-            complete: campaign.records.iter().all(is_settled) && plan(&known, &sample).is_empty(),
+            complete: (campaign.has_stopped() || campaign.records.iter().all(is_settled))
+                && plan(&known, &sample).is_empty(),
             transitions: 0,
             explained: 0,
             nominal_fails: 0,

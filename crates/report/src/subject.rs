@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use attempt::{Fingerprints, Provenance};
 use paired::{Count, Record};
-use protocol::{Realisation, RolloutId};
+use protocol::{Realisation, RolloutId, Stop};
 use serde::{Deserialize, Serialize};
 
 /// One policy's outcomes under one set of circumstances.
@@ -41,6 +41,18 @@ pub struct Subject {
     /// What the policy was given to do; empty where that is not known.
     #[serde(default)]
     pub setups: Setups,
+    /// How its campaign may end early, or did; none of one that runs to its end.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub early_stop: Option<EarlyStop>,
+}
+
+/// How a campaign may end early.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EarlyStop {
+    /// The rule, and what its order is drawn from.
+    pub stop: Stop,
+    /// Whether it did.
+    pub has_stopped: bool,
 }
 
 /// What the rollouts of a subject were, beyond their names: two subjects can
@@ -108,6 +120,12 @@ pub fn rollout_name(rollout_id: &str, replicate: u32) -> String {
 }
 
 impl Subject {
+    /// Whether its campaign stopped early: what has no outcome gets none.
+    pub fn has_stopped(&self) -> bool {
+        let early = self.early_stop.as_ref();
+        early.is_some_and(|early| early.has_stopped)
+    }
+
     /// The campaign's or the file's name.
     pub fn origin_name(&self) -> &str {
         match &self.origin {

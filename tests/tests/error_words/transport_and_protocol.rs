@@ -3,7 +3,7 @@
 use protocol::manifest::{LineProblem, ManifestErrors};
 use protocol::{
     AxisSet, Condition, DesignError, Level, NoSuchRow, PerturbError, RolloutId, RowError,
-    SpecError, UnknownName,
+    SpecError, StopError, UnknownName,
 };
 use transport::{
     AccessError, CertificateFault, EndpointError, Found, SecurityError, ServerKind, Settings,
@@ -103,8 +103,18 @@ fn protocol(messages: &mut Messages) {
         SpecError::Endpoint { .. } => SpecError::Endpoint { given: text() },
         SpecError::Assets { .. } => SpecError::Assets { given: text() },
         SpecError::Unmatched => SpecError::Unmatched,
+        SpecError::Stop(_) => SpecError::Stop(StopError::Explains),
         SpecError::Design(_) => SpecError::Design(no_design()),
         SpecError::Manifest(_) => SpecError::Manifest(ManifestErrors::clone(&refused)),
+    );
+    variants!(messages, StopError,
+        StopError::Measure(_) => {
+            StopError::Measure("purple".parse::<Level>().expect_err("no level"))
+        },
+        StopError::NotSimultaneous => StopError::NotSimultaneous,
+        StopError::Replicates { .. } => StopError::Replicates { given: 2 },
+        StopError::Explains => StopError::Explains,
+        StopError::Missing { .. } => StopError::Missing { rollout: id() },
     );
     variants!(messages, LineProblem,
         LineProblem::Row(_) => LineProblem::Row("the field `suite` is not there".to_owned()),

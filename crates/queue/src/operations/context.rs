@@ -25,7 +25,8 @@ pub(crate) struct Context<'a> {
     pub(super) tx: Tx<'a>,
     pub(super) cache: MutexGuard<'a, Cache>,
     pub(super) now: UnixMillis,
-    /// Whether it settles a job: what is explained may go on then.
+    /// Whether it settles a job: what is explained may go on then, and a campaign
+    /// may end early.
     pub(super) settles: bool,
 }
 
@@ -62,6 +63,7 @@ impl<'a> Context<'a> {
         self.cache.committed();
         if self.settles {
             self.shared.outcomes.notify_one();
+            self.shared.settled.notify_one();
         }
         Ok(())
     }

@@ -123,7 +123,7 @@ async fn following(
 }
 
 /// What is known of a campaign's rollouts.
-async fn records(
+pub(super) async fn records(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
 ) -> Result<Vec<Record>, StoreError> {

@@ -25,6 +25,8 @@ pub(crate) struct Shared {
     pub(crate) work: Notify,
     /// Rung when something may be explained further.
     pub(crate) outcomes: Notify,
+    /// Rung when a campaign's rule may be met.
+    pub(crate) settled: Notify,
     pub(crate) draining: watch::Sender<bool>,
     /// Why nothing is leased at the moment; none while jobs are leased.
     pub(crate) hold: watch::Sender<Option<String>>,
@@ -45,6 +47,7 @@ impl Shared {
             cache: tokio::sync::Mutex::default(),
             work: Notify::new(),
             outcomes: Notify::new(),
+            settled: Notify::new(),
             draining: watch::Sender::new(false),
             hold: watch::Sender::new(None),
         }

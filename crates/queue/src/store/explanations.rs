@@ -17,7 +17,8 @@ pub(crate) struct Explaining {
     pub(crate) spec: String,
     /// Its jobs so far.
     pub(crate) jobs: i64,
-    /// Jobs without an outcome of the campaign that it explains.
+    /// Jobs without an outcome of the campaign that it explains, unless that one is
+    /// stopped.
     pub(crate) unsettled: i64,
 }
 
@@ -51,7 +52,9 @@ pub(crate) async fn explaining(tx: &mut SqliteConnection) -> Result<Vec<Explaini
     sqlx::query_as(
         "SELECT e.campaign_id AS campaign, e.explained_id AS explained, c.spec, c.jobs,
              (SELECT count(*) FROM job j WHERE j.campaign_id = e.explained_id
-              AND j.state IN ('queued', 'leased')) AS unsettled
+              AND j.state IN ('queued', 'leased') AND NOT EXISTS
+                  (SELECT 1 FROM stop s WHERE s.campaign_id = e.explained_id
+                   AND s.stopped_ms IS NOT NULL)) AS unsettled
          FROM explanation e JOIN campaign c ON c.id = e.campaign_id
          WHERE c.state <> 'cancelled' ORDER BY e.campaign_id",
     )

@@ -3,6 +3,7 @@
 mod comparisons;
 mod forms;
 mod import;
+mod stops;
 mod subjects;
 mod tables;
 mod words;
