@@ -30,8 +30,7 @@ impl Analysis {
     /// Measures a subject.
     pub(crate) fn new(label: String, subject: Subject) -> Result<Self, DuplicateRecord> {
         let sequential = Sequential::of(&subject)?;
-        let counted = counted(sequential.as_ref(), &subject.records);
-        let records = Records::new(&counted)?;
+        let records = Records::new(&counted(sequential.as_ref(), &subject.records))?;
         let mut notes = warnings::of_subject(&subject);
         if let Some(warning) = sequential.as_ref().and_then(Sequential::warning) {
             notes.insert(0, warning);
