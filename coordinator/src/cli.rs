@@ -12,6 +12,7 @@ mod explain;
 mod export;
 mod files;
 mod forecast;
+mod interactions;
 mod jobs;
 mod json;
 mod line;
@@ -68,6 +69,9 @@ enum Command {
     /// Find out which axes it takes to change an outcome: the minimal subsets behind
     /// emergent failures and compensated successes.
     Explain(explain::ExplainArguments),
+    /// Say what the axes do alone and together, where every subset of them was run:
+    /// success by subset, interactions, and each axis's share.
+    Interactions(interactions::InteractionsArguments),
     /// Write the committed results of a campaign.
     Export(export::ExportArguments),
     /// Print a script that completes this program's commands in a shell.
@@ -132,6 +136,7 @@ async fn execute(command: Command) -> Result<(), CommandError> {
         Command::Report(arguments) => report::report(arguments).await,
         Command::Compare(arguments) => compare::compare(arguments).await,
         Command::Explain(arguments) => explain::explain(arguments).await,
+        Command::Interactions(arguments) => interactions::interactions(arguments).await,
         Command::Export(arguments) => export::export(arguments).await,
         Command::Completions(arguments) => {
             completions::completions(arguments, Arguments::command())

@@ -4,9 +4,9 @@
 //! attempts they took.
 
 use paired::{Outcome, Record};
-use protocol::{CampaignSpec, ManifestRow, RolloutId, UnknownName};
+use protocol::{CampaignSpec, ManifestRow, RolloutId, Rollouts, UnknownName};
 use queue::read::{Campaign, RecordRow, SetupRow, View};
-use report::{BeyondRange, Origin, Quarantined, Setups, Subject, rollout_name};
+use report::{BeyondRange, Explains, Origin, Quarantined, Setups, Subject, rollout_name};
 use sha2::{Digest, Sha256};
 
 use crate::reading::ReadError;
@@ -60,7 +60,29 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
         published_nominal: None,
         reported_nominal: None,
         setups: Setups::default(),
+        explains: explains(view, campaign, &spec).await?,
     })
+}
+
+/// What a campaign is to find out that explains another, and what is known of that one.
+async fn explains(
+    view: &mut View,
+    campaign: &Campaign,
+    spec: &CampaignSpec,
+) -> Result<Option<Explains>, ReadError> {
+    let Rollouts::Explanation(explanation) = &spec.rollouts else {
+        return Ok(None);
+    };
+    let Some(explained) = view.explained(campaign.id).await? else {
+        return Ok(None);
+    };
+    let own = explained.realisation.as_str();
+    let rows = view.records(explained.id).await?;
+    let records: Result<Vec<Record>, _> = rows.iter().map(|row| read_record(row, own)).collect();
+    Ok(Some(Explains {
+        explanation: explanation.clone(),
+        records: records?,
+    }))
 }
 
 async fn beyond_range(view: &mut View, campaign: &Campaign) -> Result<BeyondRange, ReadError> {

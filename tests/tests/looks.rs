@@ -3,7 +3,9 @@
 //! every page on every screen are left in `target/looks`, to be looked at.
 
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
+use protocol::{AxisSet, Condition, Level, RolloutId, Suite, TaskRef};
 use tests::browser::{self, Browser, Screen};
 use tests::programs::Campaigns;
 
@@ -53,6 +55,77 @@ fn create(campaigns: &Campaigns, name: &str, levels: &str) {
     ]);
 }
 
+/// Longest that an explanation may take.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// What is planted into the tasks of one suite: which axes it takes to fail.
+fn is_planted_to_fail(task: usize, config: u16, axes: AxisSet) -> bool {
+    let has = |text: &str| text.parse::<AxisSet>().unwrap().is_subset(axes);
+    match (task + usize::from(config)) % 7 {
+        0 | 1 => has("camera+robot"),
+        2 => has("camera+lighting+sensor"),
+        3 => has("robot+language") || has("camera+sensor"),
+        4 => has("robot") && !has("camera"),
+        5 => has("lighting+actuation") && !has("lighting+actuation+sensor") || axes == AxisSet::ALL,
+        _ => has("sensor") && task.is_multiple_of(2),
+    }
+}
+
+/// Result rows of every subset of the axes, as planted.
+fn planted_outcomes() -> String {
+    let mut rows = String::new();
+    let suite = TaskRef::all().filter(|task| task.suite() == Suite::Object);
+    for (index, task) in suite.enumerate() {
+        let nominal = (0..50).map(|state| (RolloutId::clean(task, state), true));
+        let conditions = AxisSet::ALL.subsets().into_iter().skip(1);
+        let perturbed = conditions.flat_map(|axes| {
+            (0..2).map(move |config| {
+                let condition = Condition::of(axes);
+                let id = RolloutId::perturbed(task, condition, Level::L2, config).unwrap();
+                (id, !is_planted_to_fail(index, config, axes))
+            })
+        });
+        for (id, success) in nominal.chain(perturbed) {
+            rows.push_str(&format!(
+                "{{\"rollout_id\":\"{id}\",\"success\":{success}}}\n"
+            ));
+        }
+    }
+    rows
+}
+
+/// A campaign of one suite that is explained, and one of its whole lattices.
+fn explain(campaigns: &Campaigns, outcomes: &Path) {
+    let endpoint = &campaigns.gateway.url;
+    for (name, further) in [
+        ("planted", ["--configs", "0-1"].as_slice()),
+        ("lattices", &["--configs", "0", "--subsets", "all"]),
+    ] {
+        #[rustfmt::skip]
+        let arguments = [
+            "campaign", "create", "--name", name, "--policy", "noop", "--endpoint", endpoint,
+            "--tasks", "libero_object", "--axes", "all", "--levels", "L2",
+        ];
+        campaigns.succeed(&[&arguments[..], further].concat());
+    }
+    std::fs::write(outcomes, planted_outcomes()).unwrap();
+    let environment = [
+        ("SIMULATED_SLOT_OUTCOMES", outcomes.to_str().unwrap()),
+        ("SIMULATED_SLOT_STEP_MILLIS", "0"),
+    ];
+    let _worker = campaigns.simulated_worker(2, &environment);
+    campaigns.wait_for_commits("lattices", None);
+    let began = Instant::now();
+    loop {
+        let found = campaigns.succeed(&["explain", "planted", "--json"]);
+        if found.contains("\"complete\": true") {
+            return;
+        }
+        assert!(began.elapsed() < PATIENCE, "{found}");
+        std::thread::sleep(Duration::from_millis(200));
+    }
+}
+
 /// A picture of the whole page.
 fn take(browser: &mut Browser, screen: Screen, path: &Path) {
     let height = browser.value("document.documentElement.scrollHeight");
@@ -79,6 +152,7 @@ fn on_every_screen_nothing_is_cut_off_or_too_small_and_figures_use_the_width() {
     campaigns.wait_for_commits("one-level", None);
     campaigns.wait_for_commits("three-levels", None);
     drop(worker);
+    explain(&campaigns, &folder.path().join("outcomes.jsonl"));
     create(&campaigns, "no-result", "L1,L2,L3");
     let pages = [
         ("campaigns", "/"),
@@ -89,6 +163,16 @@ fn on_every_screen_nothing_is_cut_off_or_too_small_and_figures_use_the_width() {
             "configuration",
             "/campaigns/one-level/configurations/object/t0/combination/L2/c00",
         ),
+        ("explanation", "/campaigns/planted-explained"),
+        (
+            "explained-configuration",
+            "/campaigns/planted/configurations/object/t2/combination/L2/c00",
+        ),
+        (
+            "explaining-configuration",
+            "/campaigns/planted-explained/configurations/object/t5/lighting+actuation/L2/c00",
+        ),
+        ("interactions", "/campaigns/lattices"),
         ("rollouts", "/campaigns/one-level/rollouts"),
         ("workers", "/workers"),
     ];

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use anyhow::anyhow;
 use clap::Args;
 use coordinator::client::{Client, Service};
 use proto::coordinator::{CreateCampaignRequest, GetCampaignRequest};
@@ -10,6 +11,7 @@ use report::Findings;
 use terminal::{number, number_from};
 
 use super::command::{CommandError, Connection, print_line, usage};
+use super::create::{RECORDS, one_of};
 
 /// Between two looks at what was found.
 const LOOK_AGAIN: Duration = Duration::from_secs(2);
@@ -38,6 +40,10 @@ pub(super) struct ExplainArguments {
     /// subset succeeds. Without it, one rollout decides.
     #[arg(long, value_name = "N", value_parser = number(2..=MAX_REPEATS, "replicates"))]
     repeats: Option<u32>,
+    /// Subsets that are filmed: `none`; `transitions`, those that show the explanation,
+    /// afterwards, by `worker film`; `failures`; or `all`. [default: as CAMPAIGN]
+    #[arg(long, value_parser = one_of::<Record>(RECORDS))]
+    record: Option<Record>,
     /// Follow until everything is explained.
     #[arg(long)]
     watch: bool,
@@ -52,19 +58,19 @@ pub(super) async fn explain(arguments: ExplainArguments) -> Result<(), CommandEr
     let client = arguments.connection.client()?;
     let usual = || format!("{}-explained", arguments.campaign);
     let name = arguments.name.clone().unwrap_or_else(usual);
-    let found = match arguments.asks_for_something() {
-        true => None,
-        false => there(&client, &arguments.campaign, &name).await?,
+    let is_there = match arguments.asks_for_something() {
+        true => false,
+        false => is_there(&client, &arguments.campaign, &name).await?,
     };
-    let explanation = match found {
-        Some(explanation) => explanation,
-        None => begin(&client, &arguments, &name).await?,
-    };
+    if !is_there {
+        begin(&client, &arguments, &name).await?;
+    }
     let mut told = String::new();
     loop {
-        let campaign = client.report(&arguments.campaign).await?;
         let by = client.report(&name).await?;
-        let findings = Findings::of(&campaign, &by, &explanation).map_err(usage)?;
+        let findings = Findings::of(&by).map_err(usage)?;
+        let findings = findings
+            .ok_or_else(|| anyhow!("show what `{name}` explains: it explains no campaign"))?;
         if !arguments.watch || findings.complete {
             let text = match arguments.json {
                 true => findings.json().map_err(anyhow::Error::from)?,
@@ -85,29 +91,32 @@ pub(super) async fn explain(arguments: ExplainArguments) -> Result<(), CommandEr
 impl ExplainArguments {
     /// Whether it says how to explain, and not only what.
     fn asks_for_something(&self) -> bool {
-        self.budget.is_some() || self.seed.is_some() || self.exhaustive || self.repeats.is_some()
+        self.budget.is_some()
+            || self.seed.is_some()
+            || self.exhaustive
+            || self.repeats.is_some()
+            || self.record.is_some()
     }
 }
 
-/// What a campaign of this name that explains the other is to find out, if there is one.
-async fn there(
-    client: &Client,
-    campaign: &str,
-    name: &str,
-) -> Result<Option<Explanation>, CommandError> {
+/// Whether there is a campaign of this name, and it explains the other.
+async fn is_there(client: &Client, campaign: &str, name: &str) -> Result<bool, CommandError> {
     let all = client.list_campaigns().await?;
     if !all.iter().any(|status| status.campaign == name) {
-        return Ok(None);
+        return Ok(false);
     }
+    Ok(match spec(client, name).await?.rollouts {
+        Rollouts::Explanation(explanation) => explanation.campaign == campaign,
+        Rollouts::Design(_) | Rollouts::Manifest(_) => false,
+    })
+}
+
+async fn spec(client: &Client, name: &str) -> Result<CampaignSpec, CommandError> {
     let request = GetCampaignRequest {
         campaign: name.to_owned(),
     };
     let answer = client.call(request, Service::get_campaign).await?;
-    let spec = CampaignSpec::from_json(&answer.spec).map_err(usage)?;
-    Ok(match spec.rollouts {
-        Rollouts::Explanation(explanation) if explanation.campaign == campaign => Some(explanation),
-        _ => None,
-    })
+    CampaignSpec::from_json(&answer.spec).map_err(usage)
 }
 
 /// Creates the campaign, unless it is there as it would be created.
@@ -115,7 +124,7 @@ async fn begin(
     client: &Client,
     arguments: &ExplainArguments,
     name: &str,
-) -> Result<Explanation, CommandError> {
+) -> Result<(), CommandError> {
     let explained = client.campaign_status(&arguments.campaign).await?;
     let explanation = Explanation {
         campaign: arguments.campaign.clone(),
@@ -123,6 +132,10 @@ async fn begin(
         seed: arguments.seed.unwrap_or_default(),
         exhaustive: arguments.exhaustive,
         repeats: arguments.repeats,
+    };
+    let record = match arguments.record {
+        Some(record) => record,
+        None => spec(client, &arguments.campaign).await?.record,
     };
     let spec = CampaignSpec {
         name: name.to_owned(),
@@ -133,7 +146,7 @@ async fn begin(
         rollouts: Rollouts::Explanation(explanation.clone()),
         realisation: Realisation::Matched,
         replicates: 1,
-        record: Record::None,
+        record,
         wanted: Wanted::default(),
     };
     spec.check().map_err(usage)?;
@@ -152,5 +165,5 @@ async fn begin(
             explained.queued + explained.leased
         );
     }
-    Ok(explanation)
+    Ok(())
 }

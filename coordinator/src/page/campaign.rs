@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use maud::{Markup, html};
-use paired::{Matched, Outcome, Record};
+use paired::{Outcome, Record};
 use protocol::{Condition, Level, RolloutId};
 use queue::read::Counts;
 
@@ -21,14 +21,19 @@ pub(super) async fn sheet(page: &Page, name: &str) -> Result<Sheet, Problem> {
     let status = view.status(campaign).await?;
     let name = &status.campaign.name;
     let records = document.analyses.iter().flat_map(|a| &a.subject.records);
-    let link = |matched: &Matched| address(name.as_str(), shown_first(matched), matched.replicate);
+    // Configurations whose transition is explained are shown where that was measured.
+    let explained = document.analyses.iter().find_map(|it| it.findings.as_ref());
+    let of = explained.map_or(name.as_str(), |findings| findings.campaign.as_str());
+    let link = |id: RolloutId, replicate: u32| address(of, id, replicate);
+    let progress_by_condition = by_condition(records, name.as_str());
     let main = html! {
         p.crumbs { a href="/" { "Campaigns" } }
         h1 { (name) }
         (progress(&status))
         (::report::page_warnings(&document))
-        (by_condition(records, name.as_str()))
+        @if explained.is_none() { (progress_by_condition) }
         (::report::sections(&document, Some(&link)))
+        @if explained.is_some() { (progress_by_condition) }
     };
     Ok(Sheet::new(Place::Campaigns, name.to_string(), main))
 }
@@ -50,17 +55,6 @@ pub(super) fn rollout(campaign: &str, id: &str, replicate: u32) -> Markup {
             Err(_) => code { (name) },
         }
     }
-}
-
-/// The rollout that a configuration is called by: the simultaneous one.
-fn shown_first(matched: &Matched) -> RolloutId {
-    RolloutId::perturbed(
-        matched.task,
-        Condition::Combination,
-        matched.level,
-        matched.config,
-    )
-    .unwrap_or_else(|_| RolloutId::clean(matched.task, matched.init_id))
 }
 
 /// A table of conditions × levels with what is there of each.

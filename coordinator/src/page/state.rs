@@ -37,6 +37,9 @@ const DOCUMENT_AGE_PER_COST: u32 = 20;
 /// Two campaigns, compared if they can be.
 pub(super) type Compared = Result<Comparison, Unpairable>;
 
+/// What a campaign's statistics depend on: itself, and the campaign that it explains.
+type Editions = (Edition, Option<Edition>);
+
 /// The address that a browser asks for, and its headers.
 pub(super) type Asked = (Uri, HeaderMap);
 
@@ -48,7 +51,7 @@ pub(crate) struct Page {
     pub(super) gauges: Arc<Gauges>,
     pub(super) changes: Changes,
     pages: Kept<Arc<Rendered>>,
-    documents: Kept<(Edition, Arc<Document>)>,
+    documents: Kept<(Editions, Arc<Document>)>,
     comparisons: Kept<([Edition; 2], Arc<Compared>)>,
     pub(super) metrics: Kept<Arc<str>>,
 }
@@ -116,13 +119,17 @@ impl Page {
         campaign: &Campaign,
         view: &mut View,
     ) -> Result<Arc<Document>, Problem> {
-        let edition = view.edition(campaign.id).await?;
-        let is_fresh = |made: &Made<(Edition, Arc<Document>)>| {
-            let patience = (made.cost * DOCUMENT_AGE_PER_COST).max(PAGE_AGE);
-            made.value.0 == edition
-                || (made.value.0.is_of_same_campaign(&edition) && made.at.elapsed() < patience)
+        let explained = match view.explained(campaign.id).await? {
+            Some(explained) => Some(view.edition(explained.id).await?),
+            None => None,
         };
-        let wanted = edition.clone();
+        let editions = (view.edition(campaign.id).await?, explained);
+        let is_fresh = |made: &Made<(Editions, Arc<Document>)>| {
+            let patience = (made.cost * DOCUMENT_AGE_PER_COST).max(PAGE_AGE);
+            made.value.0 == editions
+                || (made.value.0.0.is_of_same_campaign(&editions.0) && made.at.elapsed() < patience)
+        };
+        let wanted = editions.clone();
         let make = async {
             let subject = report::subject(view, campaign).await?;
             // Thousands of resamplings: not on a thread that answers others.

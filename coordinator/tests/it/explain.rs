@@ -53,17 +53,23 @@ const FOUND: [(&str, &str, &[&str]); 6] = [
 ];
 
 fn create(serve: &Serve) {
+    create_with(serve, &[]);
+}
+
+/// Creates the campaign `first`, with further flags.
+pub(crate) fn create_with(serve: &Serve, further: &[&str]) {
     #[rustfmt::skip]
-    let created = serve.command(&[
+    let arguments = [
         "campaign", "create", "--name", "first", "--policy", "p",
         "--endpoint", "http://127.0.0.1:50051", "--tasks", "libero_object", "--axes", "all",
         "--levels", "L2", "--configs", "0",
-    ]);
+    ];
+    let created = serve.command(&[&arguments[..], further].concat());
     assert!(created.status.success(), "{}", text(&created.stderr));
 }
 
 /// Runs what waits, as planted. Returns how much that was.
-async fn run(worker: &mut Worker) -> usize {
+pub(crate) async fn run(worker: &mut Worker) -> usize {
     let leases = worker.claim(64).await;
     for lease in &leases {
         let id = rollout_id(lease).parse().expect("an id");
@@ -80,7 +86,7 @@ fn findings(serve: &Serve, arguments: &[&str]) -> Value {
 }
 
 /// Runs everything that follows, to the end.
-async fn explained(serve: &Serve, arguments: &[&str]) -> Value {
+pub(crate) async fn explained(serve: &Serve, arguments: &[&str]) -> Value {
     let mut worker = serve.worker("w").await;
     let began = Instant::now();
     loop {

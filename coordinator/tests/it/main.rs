@@ -10,6 +10,7 @@ mod claims;
 mod compare;
 mod disk;
 mod explain;
+mod explained;
 mod failpoints;
 mod faults;
 mod films;

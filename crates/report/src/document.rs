@@ -9,6 +9,8 @@ use serde::Serialize;
 
 use crate::analysis::Analysis;
 use crate::comparison::{Comparison, Unpairable};
+use crate::explanation::Findings;
+use crate::interactions;
 use crate::subject::{Origin, Quarantined, Subject};
 use crate::warnings;
 
@@ -59,6 +61,10 @@ struct JsonReport<'a> {
     errors: &'a [Quarantined],
     #[serde(flatten)]
     report: &'a Report,
+    /// What `explain --json` prints.
+    explanation: Option<&'a Findings>,
+    /// What `interactions --json` prints.
+    interactions: Option<interactions::JsonForm<'a>>,
 }
 
 impl Document {
@@ -120,6 +126,8 @@ impl Document {
             realisation: analysis.subject.realisation.map(|r| r.name()),
             errors: &analysis.subject.errors,
             report: &analysis.report,
+            explanation: analysis.findings.as_ref(),
+            interactions: analysis.interactions.as_ref().map(|it| it.form()),
         });
         let text = serde_json::to_string_pretty(&JsonForm {
             warnings: &self.warnings,
@@ -141,10 +149,14 @@ impl Document {
             }
             text.push_str(&head(&analysis.subject));
             text.push('\n');
-            text.push_str(&paired::table(&analysis.report));
+            match &analysis.findings {
+                Some(findings) => push_findings(&mut text, analysis, findings),
+                None => text.push_str(&paired::table(&analysis.report)),
+            }
             text.push_str(&tail(&analysis.subject));
         }
-        let reports: Vec<&Report> = self.analyses.iter().map(|it| &it.report).collect();
+        let measured = self.analyses.iter().filter(|it| it.findings.is_none());
+        let reports: Vec<&Report> = measured.map(|it| &it.report).collect();
         let legend = paired::legend(&reports);
         if !legend.is_empty() {
             text.push('\n');
@@ -208,6 +220,17 @@ fn head(subject: &Subject) -> String {
             head
         }
     }
+}
+
+/// What a campaign that explains another has found, its warnings first.
+fn push_findings(text: &mut String, analysis: &Analysis, findings: &Findings) {
+    for note in &analysis.report.notes {
+        push_wrapped(text, "! ", note);
+    }
+    if !analysis.report.notes.is_empty() {
+        text.push('\n');
+    }
+    text.push_str(&findings.text());
 }
 
 /// The last error of each quarantined rollout, one per line.

@@ -2,6 +2,7 @@
 //! phone and on paper. What is written in its sections is in the modules below.
 
 mod differences;
+mod explanation;
 mod findings;
 mod methods;
 mod panels;
@@ -62,11 +63,15 @@ pub fn sections(document: &Document, link: Option<Link>) -> Markup {
         let panels = levels.iter().filter_map(|&level| panel(document, level));
         panels.collect::<Vec<_>>()
     };
+    let measured = document.analyses.iter().any(|it| it.findings.is_none());
     html! {
+        (explanation::findings(document, link))
         (findings::in_words(document))
-        section {
-            h2 { "Paired outcomes" }
-            (tables::paired(document))
+        @if measured {
+            section {
+                h2 { "Paired outcomes" }
+                (tables::paired(document))
+            }
         }
         (figure("Success under each axis alone, and under simultaneous perturbation by all of them.",
             per_level(figures::heat_map)))
@@ -82,15 +87,18 @@ pub fn sections(document: &Document, link: Option<Link>) -> Markup {
         (figure(matrix_caption(link), document.analyses.iter().flat_map(|analysis| {
             levels.iter().filter_map(move |&level| figures::matrix(analysis, level, link))
         }).collect()))
-        section {
-            h2 { "Nominal success and single axes" }
-            (tables::nominal(document))
-            (figure("The reproduction gate: a policy that does not reach its published nominal \
-                success within 5 points is not set up as its authors had it, and its robustness is \
-                not to be interpreted.", figures::gate(document).into_iter().collect()))
-            (tables::single_axes(document))
-            (tables::subsets(document))
+        @if measured {
+            section {
+                h2 { "Nominal success and single axes" }
+                (tables::nominal(document))
+                (figure("The reproduction gate: a policy that does not reach its published nominal \
+                    success within 5 points is not set up as its authors had it, and its robustness \
+                    is not to be interpreted.", figures::gate(document).into_iter().collect()))
+                (tables::single_axes(document))
+                (tables::subsets(document))
+            }
         }
+        (explanation::interactions(document))
         (replication(document))
         @let pairs = document.comparisons();
         @if !pairs.is_empty() { (differences::of_pairs(&pairs)) }
@@ -108,6 +116,7 @@ pub fn comparison(comparison: &Comparison) -> Markup {
 
 fn title(document: &Document) -> String {
     match document.analyses.as_slice() {
+        [one] if one.findings.is_some() => format!("Why outcomes of {} change", one.label),
         [one] => format!("Robustness of {}", one.label),
         several => format!("Robustness of {} policies", several.len()),
     }

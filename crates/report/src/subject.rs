@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use attempt::{Fingerprints, Provenance};
 use paired::{Count, Record};
-use protocol::{Realisation, RolloutId};
+use protocol::{Explanation, Realisation, RolloutId};
 use serde::{Deserialize, Serialize};
 
 /// One policy's outcomes under one set of circumstances.
@@ -41,6 +41,18 @@ pub struct Subject {
     /// What the policy was given to do; empty where that is not known.
     #[serde(default)]
     pub setups: Setups,
+    /// What it is to find out, if it explains another campaign.
+    #[serde(default)]
+    pub explains: Option<Explains>,
+}
+
+/// What a campaign is to find out that explains another one.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Explains {
+    /// Which campaign it explains, and how.
+    pub explanation: Explanation,
+    /// Every rollout of that campaign, with or without an outcome.
+    pub records: Vec<Record>,
 }
 
 /// What the rollouts of a subject were, beyond their names: two subjects can

@@ -1,16 +1,16 @@
-//! The table of configurations: one row per policy, replicate, level, task and
-//! configuration, with all its outcomes, for people's own analyses. As CSV and
-//! as Parquet, with the same columns.
+//! Tables for people's own analyses, as CSV and as Parquet, with the same columns: of
+//! configurations with all their outcomes, or, of campaigns that explain others, of the
+//! minimal subsets that were found.
 //!
-//! An outcome is true, false, or empty where there is none: `unresolved` says
-//! whether it is missing or quarantined. Parquet's columns have types: outcomes
-//! are booleans, numbers integers, names and enumerations strings. No column is
-//! an instant: the same outcomes give the same bytes.
+//! Parquet's columns have types: booleans, integers, and strings for names and
+//! enumerations. No column is an instant: the same outcomes give the same bytes.
+
+mod configurations;
+mod explanations;
 
 use std::io::Write;
 use std::sync::Arc;
 
-use paired::{Matched, Outcome};
 use parquet::basic::{LogicalType, Repetition, Type as Physical};
 use parquet::column::writer::ColumnWriter;
 use parquet::data_type::ByteArray;
@@ -19,10 +19,8 @@ use parquet::file::metadata::KeyValue;
 use parquet::file::properties::WriterProperties;
 use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::types::Type;
-use protocol::{Axis, Condition};
 use serde_json::{Value as Json, json};
 
-use crate::analysis::Analysis;
 use crate::document::Document;
 
 /// A table that cannot be written.
@@ -47,133 +45,117 @@ enum Value {
     Bool(Option<bool>),
 }
 
-type Column = (&'static str, fn(&Analysis, &Matched) -> Value);
+/// What a column holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    Number,
+    Text,
+    Bool,
+}
 
-const COLUMNS: [Column; 19] = [
-    ("policy", |a, _| text(&a.label)),
-    ("origin", |a, _| text(a.subject.origin_name())),
-    ("replicate", |_, m| Value::Number(m.replicate.into())),
-    ("level", |_, m| text(&m.level.to_string())),
-    ("suite", |_, m| text(m.task.suite().name())),
-    ("task", |_, m| Value::Number(m.task.index().into())),
-    ("config", |_, m| Value::Number(m.config.into())),
-    ("init_id", |_, m| Value::Number(m.init_id.into())),
-    ("nominal", |_, m| Value::Bool(m.nominal.success())),
-    ("camera", |_, m| alone(m, Axis::Camera)),
-    ("lighting", |_, m| alone(m, Axis::Lighting)),
-    ("robot", |_, m| alone(m, Axis::Robot)),
-    ("sensor", |_, m| alone(m, Axis::Sensor)),
-    ("actuation", |_, m| alone(m, Axis::Actuation)),
-    ("language", |_, m| alone(m, Axis::Language)),
-    ("conjunction", |_, m| {
-        Value::Bool(m.configuration().map(|c| c.conjunction()))
-    }),
-    ("combination", |_, m| Value::Bool(m.simultaneous.success())),
-    ("transition", |_, m| {
-        Value::Text(
-            m.transition()
-                .map(|transition| transition.name().to_owned()),
-        )
-    }),
-    ("unresolved", |_, m| unresolved(m)),
-];
+/// A column: its name, what it holds, and the value of a row.
+type Column<R> = (&'static str, Kind, fn(&R) -> Value);
 
-/// Writes the table as CSV, with a line of column names.
+/// A table: the name of its rows, its columns and its rows.
+struct Table<R> {
+    of: &'static str,
+    columns: Vec<Column<R>>,
+    rows: Vec<R>,
+}
+
+/// Writes the table as CSV, with a line of column names: minimal subsets if every
+/// subject explains another campaign, configurations otherwise.
 ///
 /// # Errors
 /// When `out` fails.
 pub fn write_csv(document: &Document, out: impl Write) -> Result<(), TableError> {
-    let mut csv = csv::Writer::from_writer(out);
-    csv.write_record(COLUMNS.map(|(name, _)| name))?;
-    for (analysis, matched) in rows(document) {
-        csv.write_record(COLUMNS.map(|(_, value)| value(analysis, matched).into_text()))?;
+    match explains(document) {
+        true => explanations::table(document).csv(out),
+        false => configurations::table(document).csv(out),
     }
-    Ok(csv.flush()?)
 }
 
-/// Writes the table as Parquet: one row group, no compression. The footer also
+/// Writes the same table as Parquet: one row group, no compression. The footer also
 /// has what pandas needs to read nullable columns as what they are, see
 /// [`for_pandas`].
 ///
 /// # Errors
 /// When `out` fails.
 pub fn write_parquet(document: &Document, out: impl Write + Send) -> Result<(), TableError> {
-    let rows: Vec<(&Analysis, &Matched)> = rows(document).collect();
-    let columns = COLUMNS.map(|(_, value)| -> Vec<Value> {
-        rows.iter()
-            .map(|(analysis, matched)| value(analysis, matched))
-            .collect()
-    });
-    let fields: Result<Vec<_>, _> = COLUMNS
-        .iter()
-        .map(|(name, _)| field(name).map(Arc::new))
-        .collect();
-    let schema = Type::group_type_builder("configurations").with_fields(fields?);
-    let about = KeyValue::new("pandas".to_owned(), for_pandas().to_string());
-    let properties = WriterProperties::builder().set_key_value_metadata(Some(vec![about]));
-    let properties = Arc::new(properties.build());
-    let mut file = SerializedFileWriter::new(out, Arc::new(schema.build()?), properties)?;
-    let mut group = file.next_row_group()?;
-    for values in columns {
-        let mut column = group.next_column()?.expect("as many columns as fields");
-        match column.untyped() {
-            ColumnWriter::ByteArrayColumnWriter(writer) => {
-                let texts = values.iter().map(Value::as_text);
-                let levels: Vec<i16> = texts.clone().map(|t| i16::from(t.is_some())).collect();
-                let texts: Vec<ByteArray> = texts.flatten().map(ByteArray::from).collect();
-                writer.write_batch(&texts, Some(&levels), None)?;
-            }
-            ColumnWriter::BoolColumnWriter(writer) => {
-                let bools = values.iter().map(Value::as_bool);
-                let levels: Vec<i16> = bools.clone().map(|b| i16::from(b.is_some())).collect();
-                let bools: Vec<bool> = bools.flatten().collect();
-                writer.write_batch(&bools, Some(&levels), None)?;
-            }
-            ColumnWriter::Int64ColumnWriter(writer) => {
-                let numbers: Vec<i64> = values.iter().map(Value::as_number).collect();
-                writer.write_batch(&numbers, None, None)?;
-            }
-            _ => unreachable!("columns are texts, booleans and integers"),
-        }
-        column.close()?;
+    match explains(document) {
+        true => explanations::table(document).parquet(out),
+        false => configurations::table(document).parquet(out),
     }
-    group.close()?;
-    file.close()?;
-    Ok(())
 }
 
-fn rows(document: &Document) -> impl Iterator<Item = (&Analysis, &Matched)> {
-    document.analyses.iter().flat_map(|analysis| {
-        let configurations = analysis.records.configurations().iter();
-        configurations.map(move |matched| (analysis, matched))
-    })
+fn explains(document: &Document) -> bool {
+    let mut analyses = document.analyses.iter();
+    !document.analyses.is_empty() && analyses.all(|analysis| analysis.findings.is_some())
 }
 
-/// What a column holds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Kind {
-    Number,
-    Text,
-    Outcome,
-}
+impl<R> Table<R> {
+    fn csv(&self, out: impl Write) -> Result<(), TableError> {
+        let mut csv = csv::Writer::from_writer(out);
+        csv.write_record(self.columns.iter().map(|(name, ..)| name))?;
+        for row in &self.rows {
+            let values = self
+                .columns
+                .iter()
+                .map(|(.., value)| value(row).into_text());
+            csv.write_record(values)?;
+        }
+        Ok(csv.flush()?)
+    }
 
-fn kind(name: &str) -> Kind {
-    match name {
-        "replicate" | "task" | "config" | "init_id" => Kind::Number,
-        "policy" | "origin" | "level" | "suite" | "transition" | "unresolved" => Kind::Text,
-        _ => Kind::Outcome,
+    fn parquet(&self, out: impl Write + Send) -> Result<(), TableError> {
+        let fields = self.columns.iter();
+        let fields = fields.map(|(name, kind, _)| field(name, *kind).map(Arc::new));
+        let fields: Result<Vec<_>, _> = fields.collect();
+        let schema = Type::group_type_builder(self.of).with_fields(fields?);
+        let about = KeyValue::new("pandas".to_owned(), for_pandas(&self.columns).to_string());
+        let properties = WriterProperties::builder().set_key_value_metadata(Some(vec![about]));
+        let properties = Arc::new(properties.build());
+        let mut file = SerializedFileWriter::new(out, Arc::new(schema.build()?), properties)?;
+        let mut group = file.next_row_group()?;
+        for (.., value) in &self.columns {
+            let values: Vec<Value> = self.rows.iter().map(value).collect();
+            let mut column = group.next_column()?.expect("as many columns as fields");
+            match column.untyped() {
+                ColumnWriter::ByteArrayColumnWriter(writer) => {
+                    let texts = values.iter().map(Value::as_text);
+                    let levels: Vec<i16> = texts.clone().map(|t| i16::from(t.is_some())).collect();
+                    let texts: Vec<ByteArray> = texts.flatten().map(ByteArray::from).collect();
+                    writer.write_batch(&texts, Some(&levels), None)?;
+                }
+                ColumnWriter::BoolColumnWriter(writer) => {
+                    let bools = values.iter().map(Value::as_bool);
+                    let levels: Vec<i16> = bools.clone().map(|b| i16::from(b.is_some())).collect();
+                    let bools: Vec<bool> = bools.flatten().collect();
+                    writer.write_batch(&bools, Some(&levels), None)?;
+                }
+                ColumnWriter::Int64ColumnWriter(writer) => {
+                    let numbers: Vec<i64> = values.iter().map(Value::as_number).collect();
+                    writer.write_batch(&numbers, None, None)?;
+                }
+                _ => unreachable!("columns are texts, booleans and integers"),
+            }
+            column.close()?;
+        }
+        group.close()?;
+        file.close()?;
+        Ok(())
     }
 }
 
 /// The footer's entry `pandas`: without it, pandas makes a column of booleans or
 /// texts with gaps a column of `object`, in which `None` stands between them.
 /// Its form: <https://pandas.pydata.org/docs/development/developer.html>.
-fn for_pandas() -> Json {
-    let column = |(name, _): &Column| {
-        let (pandas_type, numpy_type) = match kind(name) {
+fn for_pandas<R>(columns: &[Column<R>]) -> Json {
+    let column = |(name, kind, _): &Column<R>| {
+        let (pandas_type, numpy_type) = match kind {
             Kind::Number => ("int64", "int64"),
             Kind::Text => ("unicode", "string"),
-            Kind::Outcome => ("bool", "boolean"),
+            Kind::Bool => ("bool", "boolean"),
         };
         json!({
             "name": name,
@@ -186,22 +168,22 @@ fn for_pandas() -> Json {
     json!({
         "index_columns": [],
         "column_indexes": [],
-        "columns": COLUMNS.iter().map(column).collect::<Vec<_>>(),
+        "columns": columns.iter().map(column).collect::<Vec<_>>(),
         "creator": {"library": "rollout", "version": env!("CARGO_PKG_VERSION")},
         "pandas_version": "1.0.0",
     })
 }
 
-/// The schema of a column: texts and outcomes may be absent.
-fn field(name: &str) -> Result<Type, ParquetError> {
-    let (physical, repetition, logical) = match kind(name) {
+/// The schema of a column: texts and booleans may be absent.
+fn field(name: &str, kind: Kind) -> Result<Type, ParquetError> {
+    let (physical, repetition, logical) = match kind {
         Kind::Number => (Physical::INT64, Repetition::REQUIRED, None),
         Kind::Text => (
             Physical::BYTE_ARRAY,
             Repetition::OPTIONAL,
             Some(LogicalType::String),
         ),
-        Kind::Outcome => (Physical::BOOLEAN, Repetition::OPTIONAL, None),
+        Kind::Bool => (Physical::BOOLEAN, Repetition::OPTIONAL, None),
     };
     let field = Type::primitive_type_builder(name, physical).with_repetition(repetition);
     field.with_logical_type(logical).build()
@@ -209,24 +191,6 @@ fn field(name: &str) -> Result<Type, ParquetError> {
 
 fn text(text: &str) -> Value {
     Value::Text(Some(text.to_owned()))
-}
-
-fn alone(matched: &Matched, axis: Axis) -> Value {
-    Value::Bool(matched.outcome(Condition::Single(axis)).success())
-}
-
-/// The conditions without an outcome, of those that the campaign has.
-fn unresolved(matched: &Matched) -> Value {
-    let alone = matched.alone.keys().copied().map(Condition::Single);
-    let named = alone
-        .chain([Condition::Combination])
-        .filter_map(|condition| match matched.outcome(condition) {
-            Outcome::Missing => Some(format!("{condition} missing")),
-            Outcome::Quarantined => Some(format!("{condition} quarantined")),
-            Outcome::Success | Outcome::Failure => None,
-        });
-    let named: Vec<String> = named.collect();
-    Value::Text((!named.is_empty()).then(|| named.join(", ")))
 }
 
 impl Value {

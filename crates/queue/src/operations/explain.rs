@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use paired::{Outcome, Record};
-use protocol::{CampaignSpec, ManifestRow, Rollouts};
+use protocol::{CampaignSpec, Explanation, ManifestRow, Rollouts};
 use sqlx::SqliteConnection;
 
 use super::context::Context;
@@ -73,16 +73,12 @@ async fn following(
     tx: &mut SqliteConnection,
     campaign: &Explaining,
 ) -> Result<Vec<NewJob>, StoreError> {
-    let spec = CampaignSpec::from_json(&campaign.spec);
-    let spec = spec
-        .map_err(undecodable)
-        .doing("read what is to be explained")?;
-    let Rollouts::Explanation(explanation) = &spec.rollouts else {
+    let Some(explanation) = to_explain(&campaign.spec)? else {
         return Ok(Vec::new());
     };
     let explained = records(tx, campaign.explained).await?;
     let own = records(tx, campaign.campaign).await?;
-    let wanted = explanation::wanted(&explained, &own, explanation);
+    let wanted = explanation::wanted(&explained, &own, &explanation);
     let ids: BTreeSet<String> = wanted
         .iter()
         .map(|it| it.simultaneous.to_string())
@@ -122,8 +118,18 @@ async fn following(
     Ok(jobs)
 }
 
+/// What a campaign of this specification is to explain.
+pub(super) fn to_explain(spec: &str) -> Result<Option<Explanation>, StoreError> {
+    let spec = CampaignSpec::from_json(spec).map_err(undecodable);
+    let spec = spec.doing("read what is to be explained")?;
+    Ok(match spec.rollouts {
+        Rollouts::Explanation(explanation) => Some(explanation),
+        Rollouts::Design(_) | Rollouts::Manifest(_) => None,
+    })
+}
+
 /// What is known of a campaign's rollouts.
-async fn records(
+pub(super) async fn records(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
 ) -> Result<Vec<Record>, StoreError> {

@@ -60,6 +60,18 @@ pub(crate) async fn explaining(tx: &mut SqliteConnection) -> Result<Vec<Explaini
     .doing("list campaigns that explain others")
 }
 
+/// The campaign that one explains, if it explains one.
+pub(crate) async fn explained(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+) -> Result<Option<CampaignId>, StoreError> {
+    sqlx::query_scalar("SELECT explained_id FROM explanation WHERE campaign_id = ?")
+        .bind(campaign)
+        .fetch_optional(tx)
+        .await
+        .doing("look which campaign one explains")
+}
+
 /// The names of the campaigns that explain one.
 pub(crate) async fn of(
     tx: &mut SqliteConnection,
