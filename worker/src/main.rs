@@ -8,7 +8,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use anyhow::Context;
-use protocol::TaskRef;
+use protocol::{ManifestRow, Realisation, TaskRef};
 use scene::{AssetPack, Sources};
 use sim::{Simulator, SimulatorConfig};
 use terminal::counted;
@@ -185,21 +185,14 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
         (None, None) => unreachable!("clap asks for --endpoint or --actions"),
     };
     let mut simulator = Simulator::new(open(&arguments.simulator)?);
-    let attempt = random_id();
     let assignment = Assignment {
-        attempt,
-        session: Session::new(&row.id, arguments.replicate, attempt),
-        policy_seed: protocol::seeds::policy_seed(&row.id, arguments.replicate),
-        row,
-        realisation: arguments.realisation,
         policy: arguments.policy.unwrap_or_default(),
         policy_endpoint: arguments.endpoint.unwrap_or_default(),
-        policy_deadline: POLICY_CALL_DEADLINE,
         video: (!arguments.no_video).then(|| VideoRequest {
             file: arguments.output.join("video.mp4"),
             of: VideoOf::Everything,
         }),
-        keep_actions: false,
+        ..of_no_campaign(row, arguments.replicate, arguments.realisation)
     };
     let request = single::Request {
         assignment: &assignment,
@@ -222,23 +215,32 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// A rollout that no coordinator asks for, of which nothing is kept.
+fn of_no_campaign(row: ManifestRow, replicate: u32, realisation: Realisation) -> Assignment {
+    let attempt = random_id();
+    Assignment {
+        attempt,
+        session: Session::new(&row.id, replicate, attempt),
+        policy_seed: protocol::seeds::policy_seed(&row.id, replicate),
+        row,
+        realisation,
+        policy: String::new(),
+        policy_endpoint: String::new(),
+        policy_deadline: POLICY_CALL_DEADLINE,
+        video: None,
+        keep_actions: false,
+    }
+}
+
 fn run_rescue(arguments: RescueArguments) -> anyhow::Result<()> {
     let row = protocol::row_of(arguments.id)?;
     let access = arguments.access.access(&[Role::Worker, Role::Operator])?;
     let mut actor = PolicyClient::new(&arguments.endpoint, &access, OF_ONE_ROLLOUT)?;
     let mut simulator = Simulator::new(open(&arguments.simulator)?);
-    let attempt = random_id();
     let assignment = Assignment {
-        attempt,
-        session: Session::new(&row.id, arguments.replicate, attempt),
-        policy_seed: protocol::seeds::policy_seed(&row.id, arguments.replicate),
-        row,
-        realisation: arguments.realisation,
         policy: arguments.policy.unwrap_or_default(),
         policy_endpoint: arguments.endpoint,
-        policy_deadline: POLICY_CALL_DEADLINE,
-        video: None,
-        keep_actions: false,
+        ..of_no_campaign(row, arguments.replicate, arguments.realisation)
     };
     let rescued = rescue::run(&mut simulator, &mut actor, &assignment, &arguments.output)?;
     let what = match (rescued.saved_until, rescued.lost_from) {

@@ -10,7 +10,7 @@ use proto::coordinator::CreateCampaignRequest;
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::operator_service_client::OperatorServiceClient;
 use protocol::RolloutId;
-use queue::FAILPOINT_VARIABLE;
+use queue::{FAILPOINT_VARIABLE, Side, Step, invariants};
 use serde_json::Value;
 
 use crate::harness::{Worker, rollout_id};
@@ -37,9 +37,31 @@ pub(crate) async fn run_all(worker: &mut Worker, planted: Planted) {
     }
 }
 
+/// Kills the coordinator of a folder around every transaction that a campaign of the
+/// specification takes, one life after the other: each goes on where the one before it
+/// died. Every invariant holds after each.
+pub(crate) async fn die_everywhere(folder: &Path, spec: &Value, planted: Planted) {
+    for (side, step, times) in [
+        (Side::Before, Step::CreateCampaign, 1),
+        (Side::Before, Step::Derive, 1),
+        (Side::After, Step::Derive, 1),
+        (Side::Before, Step::Claim, 5),
+        (Side::After, Step::Claim, 5),
+        (Side::Before, Step::Commit, 9),
+        (Side::After, Step::Commit, 9),
+        (Side::Before, Step::Derive, 2),
+        (Side::After, Step::Derive, 2),
+    ] {
+        let point = format!("{side:?}:{step:?}:{times}");
+        die_at(folder, &point, spec, planted).await;
+        let violations = invariants::check(folder).await.expect("a database");
+        assert_eq!(violations, [], "{point}");
+    }
+}
+
 /// Serves a folder until it dies at the point, while a campaign is created of the
 /// specification, and a worker runs what it gets.
-pub(crate) async fn die_at(folder: &Path, point: &str, spec: &Value, planted: Planted) {
+async fn die_at(folder: &Path, point: &str, spec: &Value, planted: Planted) {
     let child = Command::new(env!("CARGO_BIN_EXE_coordinator"))
         .args([
             "serve",

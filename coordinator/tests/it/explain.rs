@@ -7,10 +7,10 @@ use std::time::{Duration, Instant};
 
 use paired::Outcome;
 use protocol::{AxisSet, RolloutId};
-use queue::{Side, Step, invariants};
+use queue::invariants;
 use serde_json::{Value, json};
 
-use crate::derived::{PATIENCE, die_at, run_all};
+use crate::derived::{PATIENCE, die_everywhere, run_all};
 use crate::json::{documented, keys};
 use crate::process::{Serve, text};
 
@@ -220,23 +220,7 @@ async fn a_death_around_any_transaction_leaves_the_same_explanation() {
         "name": "first-explained", "explains": {"campaign": "first"},
         "policy": {"name": "p", "endpoint": "http://127.0.0.1:50051"},
     });
-    // One life after the other: each goes on where the one before it died.
-    for (side, step, times) in [
-        (Side::Before, Step::CreateCampaign, 1),
-        (Side::Before, Step::Derive, 1),
-        (Side::After, Step::Derive, 1),
-        (Side::Before, Step::Claim, 5),
-        (Side::After, Step::Claim, 5),
-        (Side::Before, Step::Commit, 9),
-        (Side::After, Step::Commit, 9),
-        (Side::Before, Step::Derive, 2),
-        (Side::After, Step::Derive, 2),
-    ] {
-        let point = format!("{side:?}:{step:?}:{times}");
-        die_at(folder.path(), &point, &spec, outcome).await;
-        let violations = invariants::check(folder.path()).await.expect("a database");
-        assert_eq!(violations, [], "{side:?} {step:?}");
-    }
+    die_everywhere(folder.path(), &spec, outcome).await;
     let serve = Serve::start_with(folder.path(), &["--lease-secs", "3"], Stdio::null());
     let found = explained(&serve, &[]).await;
     assert_eq!(found, expected);

@@ -59,9 +59,9 @@ pub struct Store {
     writer: SqlitePool,
     readers: SqlitePool,
     failpoints: Failpoints,
-    /// Held for as long as the store lives; the kernel lets go of it whichever
-    /// way the process ends.
-    _lock: File,
+    /// Held until the store is closed; the kernel lets go of it whichever way the
+    /// process ends.
+    lock: File,
 }
 
 /// A data folder that cannot be used.
@@ -244,7 +244,7 @@ impl Store {
             writer,
             readers,
             failpoints: Failpoints::from_environment(),
-            _lock: lock,
+            lock,
         })
     }
 
@@ -294,8 +294,8 @@ impl Store {
             .map(drop)
     }
 
-    /// Moves everything from the write-ahead log into the database and closes
-    /// it.
+    /// Moves everything from the write-ahead log into the database, closes it and
+    /// unlocks the data folder.
     ///
     /// # Errors
     /// When the log cannot be moved; nothing is lost then, the next start reads
@@ -308,7 +308,9 @@ impl Store {
             .await
             .doing("checkpoint the write-ahead log")?;
         self.writer.close().await;
-        Ok(())
+        // Tasks that are being ended may still hold the store for a moment.
+        let unlocked = self.lock.unlock().map_err(sqlx::Error::Io);
+        unlocked.doing("unlock the data folder")
     }
 }
 

@@ -2,6 +2,7 @@
 //! carries out what `slot_state` decides.
 
 mod claiming;
+mod ending;
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -34,10 +35,6 @@ use crate::message::{Assignment, Failure, FailureKind, RolloutEvent, SlotCommand
 /// How often timeouts are looked at, and leases that were just taken are
 /// acknowledged.
 const TICK: Duration = Duration::from_millis(250);
-/// A second request to end within so short a time is the first one, heard twice.
-const DUPLICATE_REQUEST: Duration = Duration::from_millis(500);
-/// How long an abandoning worker tries to give its jobs back.
-const GIVE_BACK_DEADLINE: Duration = Duration::from_secs(10);
 /// How long a worker that is otherwise done waits for videos on their way.
 const UPLOAD_GRACE: Duration = Duration::from_secs(15);
 /// How long slots may take to end once nothing is wanted of them.
@@ -552,91 +549,6 @@ impl Supervisor {
             attempt: lost,
             deadline: now + ABANDON_DEADLINE,
         };
-    }
-
-    /// Takes on no more work because of a fault.
-    fn stop(&mut self, fault: SuperviseError) {
-        if self.mode == Mode::Serving {
-            self.start_to_drain();
-            self.fault = Some(fault);
-        }
-    }
-
-    fn start_to_drain(&mut self) {
-        self.mode = Mode::Draining;
-        self.drain.send_replace(true);
-    }
-
-    fn shut_down(&mut self, now: Instant) {
-        if self.mode == Mode::Serving {
-            self.start_to_drain();
-            self.told_to_end_at = Some(now);
-            let running = self.slots.iter().filter_map(|it| it.state.progress());
-            tracing::info!(
-                "draining: {} in flight to be finished; a second signal gives them back instead",
-                counted(running.count() as u64, "rollout")
-            );
-        } else if self.mode == Mode::Draining && !self.is_duplicate(now) {
-            tracing::info!("giving the rollouts in flight back");
-            self.give_up(now);
-        }
-    }
-
-    /// Ends what has had its time: a drain, or waiting for work.
-    fn end_in_time(&mut self, now: Instant) {
-        let is_over = |since: Instant, limit: Option<Duration>| {
-            limit.filter(|limit| now.duration_since(since) >= *limit)
-        };
-        if self.mode == Mode::Draining
-            && let Some(since) = self.told_to_end_at
-            && let Some(limit) = is_over(since, self.config.drain)
-        {
-            tracing::info!(
-                "giving the rollouts in flight back: they were not finished within {} s",
-                limit.as_secs_f64()
-            );
-            self.give_up(now);
-        }
-        let waits = |slot: &Slot| {
-            slot.state.process == ProcessState::Up && slot.state.work == Work::Claiming
-        };
-        // Nobody knows of no work while the coordinator cannot be asked.
-        if !self.is_registered || self.link.is_down() || !self.slots.iter().all(waits) {
-            self.idle_since = now;
-        }
-        if self.mode == Mode::Serving
-            && let Some(limit) = is_over(self.idle_since, self.config.idle)
-        {
-            tracing::info!("ending: no work for {} s", limit.as_secs_f64());
-            self.start_to_drain();
-        }
-    }
-
-    /// Whether a request to end is the one before, heard twice: some that end
-    /// programs signal the process and its group.
-    fn is_duplicate(&self, now: Instant) -> bool {
-        self.told_to_end_at
-            .is_some_and(|first| now.duration_since(first) < DUPLICATE_REQUEST)
-    }
-
-    /// Gives the rollouts in flight back, and ends soon.
-    fn give_up(&mut self, now: Instant) {
-        self.mode = Mode::Abandoning {
-            until: now + GIVE_BACK_DEADLINE,
-        };
-        for slot in 0..self.slots.len() {
-            let given_back = self.slots[slot].state.give_up();
-            if let Some(process) = &self.slots[slot].process {
-                process.kill();
-            }
-            if let Some(attempt) = given_back {
-                let error = "finish the rollout: the worker was asked to end at once".to_owned();
-                let kind = FailureKind::Draining;
-                let label = self.label(slot);
-                let ending = Ending::Failed(Failure { kind, error });
-                self.send_delivery(slot, attempt, label, ending);
-            }
-        }
     }
 
     /// A slot's task that panicked is the end of the slot's process, which is

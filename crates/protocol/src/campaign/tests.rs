@@ -1,0 +1,193 @@
+//! What a specification says, and what is refused.
+
+use super::*;
+
+fn spec(changes: &[(&str, serde_json::Value)]) -> Result<CampaignSpec, SpecError> {
+    let mut json = serde_json::json!({
+        "name": "demo",
+        "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
+        "tasks": ["libero_object/1", "libero_object/0", "libero_object/1"],
+        "axes": ["sensor", "camera"],
+        "levels": ["L1"],
+        "nominal": "eval",
+    });
+    for (field, value) in changes {
+        json[field] = value.clone();
+    }
+    CampaignSpec::from_json(&json.to_string())
+}
+
+#[test]
+fn a_specification_reads_back_and_is_in_order() {
+    let spec = spec(&[]).expect("a specification");
+    let design = design(&spec);
+    assert_eq!(design.tasks.len(), 2);
+    assert_eq!(design.axes, [Axis::Camera, Axis::Sensor]);
+    assert_eq!(design.configs, (0..10).collect::<Vec<_>>());
+    let text = serde_json::to_string(&spec).expect("JSON");
+    assert_eq!(CampaignSpec::from_json(&text).expect("reads back"), spec);
+}
+
+fn design(spec: &CampaignSpec) -> &Design {
+    match &spec.rollouts {
+        Rollouts::Design(design) => design,
+        _ => panic!("{spec:?}"),
+    }
+}
+
+#[test]
+fn a_manifest_stands_in_place_of_a_design() {
+    let rows = Design::v0_1().expand().expect("rows");
+    let row = &rows[..1];
+    let mut json = serde_json::json!({
+        "name": "imported",
+        "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
+        "manifest": row,
+    });
+    let spec = CampaignSpec::from_json(&json.to_string()).expect("a specification");
+    assert_eq!(spec.rollouts, Rollouts::Manifest(row.to_vec()));
+    let text = serde_json::to_string(&spec).expect("JSON");
+    assert_eq!(CampaignSpec::from_json(&text).expect("reads back"), spec);
+
+    json["configs"] = serde_json::json!([0]);
+    let error = CampaignSpec::from_json(&json.to_string()).expect_err("both");
+    assert!(
+        error.to_string().contains("`configs` beside `manifest`"),
+        "{error}"
+    );
+}
+
+#[test]
+fn an_explanation_stands_in_place_of_a_design_and_has_no_rows_of_its_own() {
+    let mut json = serde_json::json!({
+        "name": "why",
+        "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
+        "explains": {"campaign": "first", "budget": 200},
+    });
+    let spec = CampaignSpec::from_json(&json.to_string()).expect("a specification");
+    assert_eq!(spec.expand(), Ok(Vec::new()));
+    assert!(spec.version().as_str().starts_with("explains-"));
+    let text = serde_json::to_string(&spec).expect("JSON");
+    assert_eq!(CampaignSpec::from_json(&text).expect("reads back"), spec);
+
+    json["realisation"] = "reference".into();
+    let error = CampaignSpec::from_json(&json.to_string()).expect_err("unmatched");
+    assert!(error.to_string().contains("write matched"), "{error}");
+    json["levels"] = serde_json::json!(["L2"]);
+    let error = CampaignSpec::from_json(&json.to_string()).expect_err("both");
+    assert!(
+        error.to_string().contains("`levels` beside `explains`"),
+        "{error}"
+    );
+}
+
+#[test]
+fn thresholds_stand_in_place_of_a_design_and_have_defaults() {
+    let mut json = serde_json::json!({
+        "name": "far",
+        "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
+        "thresholds": {"campaign": "first", "conditions": ["camera", "combination"]},
+    });
+    let spec = CampaignSpec::from_json(&json.to_string()).expect("a specification");
+    assert_eq!(spec.expand(), Ok(Vec::new()));
+    assert_eq!(spec.rollouts.source(), Some("first"));
+    assert!(spec.version().as_str().starts_with("thresholds-"));
+    let text = serde_json::to_string(&spec).expect("JSON");
+    assert_eq!(CampaignSpec::from_json(&text).expect("reads back"), spec);
+    assert!(
+        text.contains(r#""tolerance":0.5,"max_radius":16.0"#),
+        "{text}"
+    );
+
+    let check = |field: &str, value: f64, expected: &str| {
+        let mut json = json.clone();
+        json["thresholds"][field] = value.into();
+        let error = CampaignSpec::from_json(&json.to_string()).expect_err(field);
+        assert!(error.to_string().contains(expected), "{error}");
+    };
+    check("tolerance", 0.0, "tolerance` is 0, valid are 0.01 to 100");
+    check("max_radius", 101.0, "is 101, valid are 2 to 100");
+    json["explains"] = serde_json::json!({"campaign": "first"});
+    let error = CampaignSpec::from_json(&json.to_string()).expect_err("both");
+    assert!(
+        error.to_string().contains("`thresholds` beside `explains`"),
+        "{error}"
+    );
+}
+
+#[test]
+fn imported_rows_are_checked_like_those_of_a_file() {
+    let check = |rows: &[ManifestRow], expected: &str| {
+        let json = serde_json::json!({
+            "name": "imported",
+            "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
+            "manifest": rows,
+        });
+        let error = CampaignSpec::from_json(&json.to_string()).expect_err(expected);
+        assert!(error.to_string().contains(expected), "{error}");
+    };
+    let rows = Design::v0_1().expand().expect("rows");
+    check(&[], "it has no rows");
+    check(
+        &[rows[0].clone(), rows[0].clone()],
+        "line 2: spatial/t0/clean/i43 is already",
+    );
+    let mut weaker = rows[1].clone();
+    weaker.perturbation = rows[8].perturbation;
+    check(&[weaker], "have radius");
+}
+
+#[test]
+fn bad_names_and_numbers_are_named_with_the_valid_ones() {
+    let check = |field: &str, value: serde_json::Value, expected: &str| {
+        let error = spec(&[(field, value)]).expect_err(field).to_string();
+        assert!(error.contains(expected), "{error}");
+    };
+    let json = |text: &str| serde_json::from_str(text).expect("JSON");
+    check(
+        "tasks",
+        json(r#"["libero_goat"]"#),
+        "suite `libero_goat`: valid are libero_spatial",
+    );
+    check(
+        "tasks",
+        json(r#"["libero_goal/10"]"#),
+        "libero_goal/0 to libero_goal/9",
+    );
+    check("tasks", json("[]"), "`tasks` is empty");
+    check(
+        "axes",
+        json(r#"["camrea"]"#),
+        "axis `camrea`: valid are camera",
+    );
+    check("axes", json("[]"), "go together");
+    check(
+        "levels",
+        json(r#"["L4"]"#),
+        "level `L4`: valid are L1, L2, L3",
+    );
+    check("levels", json(r#"["L0"]"#), "valid are L1, L2, L3");
+    check("levels", json("null"), "the field `levels` is not there");
+    check(
+        "configs",
+        json("[1000]"),
+        "`configs` has 1000, valid are 0 to 999",
+    );
+    check("nominal", json(r#""some""#), "`some` has no meaning; write");
+    check(
+        "replicates",
+        json("0"),
+        "`replicates` has 0, valid are 1 to 100",
+    );
+    check("colour", json("1"), "there is no field `colour`");
+    check(
+        "policy",
+        json(r#"{"name": "p", "endpoint": "here"}"#),
+        "is `here`",
+    );
+    check(
+        "realisation",
+        json(r#""matchd""#),
+        "valid are matched, reference",
+    );
+}

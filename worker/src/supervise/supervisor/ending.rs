@@ -1,0 +1,105 @@
+//! From a worker that serves to one that ends: asked to, after a fault, or because there
+//! is no work.
+
+use std::time::Duration;
+
+use terminal::counted;
+use tokio::time::Instant;
+
+use super::{Slot, Supervisor};
+use crate::message::{Failure, FailureKind};
+use crate::supervise::deliver::Ending;
+use crate::supervise::error::SuperviseError;
+use crate::supervise::slot_state::{Mode, ProcessState, Work};
+
+/// A second request to end within so short a time is the first one, heard twice.
+const DUPLICATE_REQUEST: Duration = Duration::from_millis(500);
+/// How long an abandoning worker tries to give its jobs back.
+const GIVE_BACK_DEADLINE: Duration = Duration::from_secs(10);
+
+impl Supervisor {
+    /// Takes on no more work because of a fault.
+    pub(super) fn stop(&mut self, fault: SuperviseError) {
+        if self.mode == Mode::Serving {
+            self.start_to_drain();
+            self.fault = Some(fault);
+        }
+    }
+
+    pub(super) fn start_to_drain(&mut self) {
+        self.mode = Mode::Draining;
+        self.drain.send_replace(true);
+    }
+
+    pub(super) fn shut_down(&mut self, now: Instant) {
+        if self.mode == Mode::Serving {
+            self.start_to_drain();
+            self.told_to_end_at = Some(now);
+            let running = self.slots.iter().filter_map(|it| it.state.progress());
+            tracing::info!(
+                "draining: {} in flight to be finished; a second signal gives them back instead",
+                counted(running.count() as u64, "rollout")
+            );
+        } else if self.mode == Mode::Draining && !self.is_duplicate(now) {
+            tracing::info!("giving the rollouts in flight back");
+            self.give_up(now);
+        }
+    }
+
+    /// Ends what has had its time: a drain, or waiting for work.
+    pub(super) fn end_in_time(&mut self, now: Instant) {
+        let is_over = |since: Instant, limit: Option<Duration>| {
+            limit.filter(|limit| now.duration_since(since) >= *limit)
+        };
+        if self.mode == Mode::Draining
+            && let Some(since) = self.told_to_end_at
+            && let Some(limit) = is_over(since, self.config.drain)
+        {
+            tracing::info!(
+                "giving the rollouts in flight back: they were not finished within {} s",
+                limit.as_secs_f64()
+            );
+            self.give_up(now);
+        }
+        let waits = |slot: &Slot| {
+            slot.state.process == ProcessState::Up && slot.state.work == Work::Claiming
+        };
+        // While the coordinator cannot be asked, the worker cannot know that there is no work.
+        if !self.is_registered || self.link.is_down() || !self.slots.iter().all(waits) {
+            self.idle_since = now;
+        }
+        if self.mode == Mode::Serving
+            && let Some(limit) = is_over(self.idle_since, self.config.idle)
+        {
+            tracing::info!("ending: no work for {} s", limit.as_secs_f64());
+            self.start_to_drain();
+        }
+    }
+
+    /// Whether a request to end is the one before, heard twice: some that end
+    /// programs signal the process and its group.
+    fn is_duplicate(&self, now: Instant) -> bool {
+        self.told_to_end_at
+            .is_some_and(|first| now.duration_since(first) < DUPLICATE_REQUEST)
+    }
+
+    /// Gives the rollouts in flight back, and ends soon.
+    pub(super) fn give_up(&mut self, now: Instant) {
+        self.mode = Mode::Abandoning {
+            until: now + GIVE_BACK_DEADLINE,
+        };
+        for slot in 0..self.slots.len() {
+            let given_back = self.slots[slot].state.give_up();
+            if let Some(process) = &self.slots[slot].process {
+                process.kill();
+            }
+            if let Some(attempt) = given_back {
+                let error = "finish the rollout: the worker was asked to end at once".to_owned();
+                let kind = FailureKind::Draining;
+                let label = self.label(slot);
+                let ending = Ending::Failed(Failure { kind, error });
+                self.send_delivery(slot, attempt, label, ending);
+            }
+        }
+    }
+}
