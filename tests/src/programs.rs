@@ -13,20 +13,21 @@ const PATIENCE: Duration = Duration::from_secs(300);
 /// # Panics
 /// If it has not been built.
 pub fn program(name: &str) -> PathBuf {
-    let dir = std::env::var_os("ROLLOUT_PROGRAMS")
-        .map(PathBuf::from)
-        .unwrap_or_else(|| {
-            // Beside the test's own folder `deps`.
-            let own = std::env::current_exe().expect("this test's path");
-            own.ancestors().nth(2).expect("the build folder").to_owned()
-        });
-    let path = dir.join(name);
-    assert!(
-        path.is_file(),
-        "no {}; `cargo xtask test` builds the programs, or run `cargo build --workspace --bins`",
-        path.display()
-    );
-    path
+    let own = std::env::current_exe().expect("this program's path");
+    let given = std::env::var_os("ROLLOUT_PROGRAMS").map(PathBuf::from);
+    // Beside this program, or beside a test's own folder `deps`.
+    let folders = match &given {
+        Some(given) => vec![given.as_path()],
+        None => own.ancestors().skip(1).take(2).collect(),
+    };
+    let mut paths = folders.iter().map(|folder| folder.join(name));
+    paths.find(|path| path.is_file()).unwrap_or_else(|| {
+        panic!(
+            "no {name} in {}; `cargo xtask test` builds the programs, or run \
+             `cargo build --workspace --bins`",
+            folders[0].display()
+        )
+    })
 }
 
 /// A program that runs beside the test; killed when it goes out of scope.

@@ -5,9 +5,9 @@
 use std::io::{Read, Write};
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex};
-use std::thread;
+use std::sync::{Arc, Mutex, Weak};
 use std::time::Duration;
+use std::{slice, thread};
 
 /// Bytes that are forwarded at a time.
 const PIECE_BYTES: usize = 16 << 10;
@@ -22,8 +22,8 @@ pub struct Wire {
 struct State {
     /// Where it leads; none: to nobody.
     target: Mutex<Option<SocketAddr>>,
-    /// Every connection that is open, both ends.
-    open: Mutex<Vec<TcpStream>>,
+    /// Every connection that is open, both ends; those that ended go with the next.
+    open: Mutex<Vec<Weak<TcpStream>>>,
     /// Before each piece that is forwarded.
     delay_ms: AtomicU64,
     /// Whether what is said on new connections is said twice.
@@ -51,7 +51,7 @@ impl Wire {
                     return;
                 }
                 let state = Arc::clone(&state);
-                thread::spawn(move || state.forward(&caller));
+                thread::spawn(move || state.forward(caller));
             }
         });
         wire
@@ -73,7 +73,8 @@ impl Wire {
 
     /// Cuts every connection that is open.
     pub fn cut(&self) {
-        for stream in self.state.open.lock().expect("no panic").drain(..) {
+        let mut open = self.state.open.lock().expect("no panic");
+        for stream in open.drain(..).filter_map(|stream| stream.upgrade()) {
             // The other end may have closed it already.
             let _ = stream.shutdown(Shutdown::Both);
         }
@@ -119,40 +120,43 @@ impl Drop for Wire {
 }
 
 impl State {
-    fn forward(self: &Arc<Self>, caller: &TcpStream) {
+    fn forward(&self, caller: TcpStream) {
         let target = *self.target.lock().expect("no panic");
-        let Some(server) = target.and_then(|target| TcpStream::connect(target).ok()) else {
-            return;
-        };
-        let second = match (self.duplicates.load(Ordering::Relaxed), target) {
-            (true, Some(target)) => TcpStream::connect(target).ok(),
-            _ => None,
-        };
-        for stream in [Some(caller), Some(&server), second.as_ref()] {
-            let Some(stream) = stream else { continue };
-            // A stream that cannot be set up is about to fail anyway.
-            let _ = stream.set_nodelay(true);
-            if let Ok(stream) = stream.try_clone() {
-                self.open.lock().expect("no panic").push(stream);
-            }
-        }
+        let connect = || target.and_then(|target| TcpStream::connect(target).ok());
+        let Some(server) = connect() else { return };
+        let second = self.duplicates.load(Ordering::Relaxed).then(connect);
+        let mut servers = vec![Arc::new(server)];
+        servers.extend(second.flatten().map(Arc::new));
+        let caller = Arc::new(caller);
+        self.keep([&caller].into_iter().chain(&servers));
         thread::scope(|threads| {
             let lost = &self.loses_answers;
-            threads.spawn(|| self.copy(&server, &[caller], lost));
-            if let Some(second) = &second {
-                threads.spawn(|| self.copy(second, &[], lost));
+            for (place, server) in servers.iter().enumerate() {
+                // Nobody hears the second one's answers.
+                let hears = if place == 0 {
+                    slice::from_ref(&caller)
+                } else {
+                    &[]
+                };
+                threads.spawn(move || self.copy(server, hears, lost));
             }
-            let servers: Vec<&TcpStream> = [Some(&server), second.as_ref()]
-                .into_iter()
-                .flatten()
-                .collect();
-            self.copy(caller, &servers, &AtomicBool::new(false));
+            self.copy(&caller, &servers, &AtomicBool::new(false));
         });
+    }
+
+    fn keep<'a>(&self, streams: impl Iterator<Item = &'a Arc<TcpStream>>) {
+        let mut open = self.open.lock().expect("no panic");
+        open.retain(|stream| stream.strong_count() > 0);
+        for stream in streams {
+            // A stream that cannot be set up is about to fail anyway.
+            let _ = stream.set_nodelay(true);
+            open.push(Arc::downgrade(stream));
+        }
     }
 
     /// Until either end closes; then both are closed. What is read while it is
     /// `lost` goes nowhere.
-    fn copy(&self, mut from: &TcpStream, to: &[&TcpStream], lost: &AtomicBool) {
+    fn copy(&self, mut from: &TcpStream, to: &[Arc<TcpStream>], lost: &AtomicBool) {
         let mut piece = vec![0; PIECE_BYTES];
         while let Ok(count @ 1..) = from.read(&mut piece) {
             let delay = self.delay_ms.load(Ordering::Relaxed);
@@ -162,11 +166,11 @@ impl State {
             if lost.load(Ordering::Relaxed) {
                 continue;
             }
-            let sent = |(place, mut stream): (usize, &TcpStream)| {
+            let sent = |(place, stream): (usize, &Arc<TcpStream>)| {
                 // The second conversation may end when it likes.
-                stream.write_all(&piece[..count]).is_ok() || place > 0
+                (&**stream).write_all(&piece[..count]).is_ok() || place > 0
             };
-            if !to.iter().copied().enumerate().all(sent) {
+            if !to.iter().enumerate().all(sent) {
                 break;
             }
         }
