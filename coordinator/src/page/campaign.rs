@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use maud::{Markup, html};
-use paired::{Matched, Outcome, Record};
+use paired::{Outcome, Record};
 use protocol::{Condition, Level, RolloutId};
 use queue::read::Counts;
 
@@ -18,22 +18,23 @@ use super::state::Page;
 pub(super) async fn sheet(page: &Page, name: &str) -> Result<Sheet, Problem> {
     let (campaign, mut view) = page.campaign(name).await?;
     let document = page.document(&campaign, &mut view).await?;
-    let how_far = page.how_far(&campaign, &mut view).await?;
     let status = view.status(campaign).await?;
     let name = &status.campaign.name;
     let records = document.analyses.iter().flat_map(|a| &a.subject.records);
-    let link = |matched: &Matched| address(name.as_str(), shown_first(matched), matched.replicate);
+    // Configurations whose transition is explained are shown where that was measured.
+    let explained = document.analyses.iter().find_map(|it| it.findings.as_ref());
+    let of = explained.map_or(name.as_str(), |findings| findings.campaign.as_str());
+    let link = |id: RolloutId, replicate: u32| address(of, id, replicate);
+    let is_paired = document.analyses.iter().all(|it| it.is_paired());
+    let progress_by_condition = by_condition(records, name.as_str());
     let main = html! {
         p.crumbs { a href="/" { "Campaigns" } }
         h1 { (name) }
         (progress(&status))
         (::report::page_warnings(&document))
-        (by_condition(records, name.as_str()))
-        @match how_far {
-            // Its radii are those of brackets: there are no configurations to be paired.
-            Some(found) => (::report::page_how_far(&found)),
-            None => (::report::sections(&document, Some(&link))),
-        }
+        @if is_paired { (progress_by_condition) }
+        (::report::sections(&document, Some(&link)))
+        @if !is_paired { (progress_by_condition) }
     };
     Ok(Sheet::new(Place::Campaigns, name.to_string(), main))
 }
@@ -55,17 +56,6 @@ pub(super) fn rollout(campaign: &str, id: &str, replicate: u32) -> Markup {
             Err(_) => code { (name) },
         }
     }
-}
-
-/// The rollout that a configuration is called by: the simultaneous one.
-fn shown_first(matched: &Matched) -> RolloutId {
-    RolloutId::perturbed(
-        matched.task,
-        Condition::Combination,
-        matched.level,
-        matched.config,
-    )
-    .unwrap_or_else(|_| RolloutId::clean(matched.task, matched.init_id))
 }
 
 /// A table of conditions × levels with what is there of each.

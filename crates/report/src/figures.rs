@@ -12,35 +12,43 @@ mod differences;
 mod directions;
 mod gate;
 mod heat_map;
+mod interactions;
+mod lattice;
 mod matrix;
 mod replication;
 mod survival;
 mod svg;
+mod upset;
 
 use std::collections::BTreeSet;
 
 use maud::{Markup, PreEscaped, html};
-use paired::Matched;
-use protocol::Level;
+use paired::Transition;
+use protocol::{Level, RolloutId};
 
 use crate::analysis::Analysis;
 use crate::document::Document;
+use crate::how_far::HowFar;
 
+pub use self::lattice::{SubsetLink, lattice};
 pub use decomposition::decomposition;
 pub use differences::differences;
 pub use directions::directions;
 pub use gate::gate;
 pub use heat_map::heat_map;
+pub use interactions::{additive, interaction_matrix};
 pub use matrix::matrix;
 pub use replication::{flips, replicates};
 pub use survival::survival;
 pub use svg::WIDTH;
+pub use upset::upset;
 
 /// The style that the panels need; a page includes it once.
 pub const STYLE: &str = include_str!("figures/style.css");
 
-/// Where a configuration is shown rollout by rollout: an address.
-pub type Link<'a> = &'a dyn Fn(&Matched) -> String;
+/// Where a configuration is shown rollout by rollout, named by its simultaneous rollout
+/// and its replicate: an address.
+pub type Link<'a> = &'a dyn Fn(RolloutId, u32) -> String;
 
 /// One panel.
 #[derive(Clone, Debug)]
@@ -50,6 +58,7 @@ pub struct Figure {
     /// What it shows, for those who cannot see it.
     pub title: String,
     has_links: bool,
+    is_wide: bool,
     height: f64,
     body: Markup,
 }
@@ -64,8 +73,17 @@ impl Figure {
             name: name.chars().map(plain).collect(),
             title,
             has_links: false,
+            is_wide: false,
             height,
             body,
+        }
+    }
+
+    /// As wide as a page, for which a narrow page needs a box that scrolls.
+    fn wide(self) -> Self {
+        Self {
+            is_wide: true,
+            ..self
         }
     }
 
@@ -88,11 +106,15 @@ impl Figure {
     }
 
     fn svg(&self, style: Markup) -> Markup {
-        let (width, height) = (svg::number(WIDTH), svg::number(self.height));
+        let (width, class) = match self.is_wide {
+            true => (svg::WIDE, "panel wide"),
+            false => (WIDTH, "panel"),
+        };
+        let (width, height) = (svg::number(width), svg::number(self.height));
         // Screen readers do not reach links inside an element of role `img`.
         let role = if self.has_links { "group" } else { "img" };
         html! {
-            svg xmlns="http://www.w3.org/2000/svg" class="panel" role=(role)
+            svg xmlns="http://www.w3.org/2000/svg" class=(class) role=(role)
                 viewBox={ "0 0 " (width) " " (height) } width=(width) height=(height) {
                 title { (self.title) }
                 (style)
@@ -107,6 +129,11 @@ pub fn levels(document: &Document) -> Vec<Level> {
     let cells = document.analyses.iter().flat_map(Analysis::cells);
     let levels: BTreeSet<Level> = cells.map(|cell| cell.level).collect();
     levels.into_iter().collect()
+}
+
+/// The survival curves of a campaign that measures thresholds.
+pub fn of_thresholds(found: &HowFar) -> Vec<Figure> {
+    found.curves.iter().filter_map(survival).collect()
 }
 
 /// All figures of a document, in the page's order.
@@ -130,6 +157,17 @@ pub fn all(document: &Document) -> Vec<Figure> {
         figures.extend(matrices.flatten());
     }
     for analysis in &document.analyses {
+        if let Some(findings) = &analysis.findings {
+            let transitions = [Transition::Emergent, Transition::Compensated];
+            figures.extend(transitions.iter().filter_map(|it| upset(findings, *it)));
+        }
+        figures.extend(analysis.how_far.iter().flat_map(of_thresholds));
+        for level in analysis.interactions.iter().flat_map(|it| &it.levels) {
+            figures.extend([
+                interaction_matrix(analysis, level),
+                additive(analysis, level),
+            ]);
+        }
         figures.extend(replicates(analysis));
         figures.extend(flips(analysis));
     }

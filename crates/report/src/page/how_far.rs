@@ -6,11 +6,19 @@ use thresholds::Curve;
 
 use super::panels::figure;
 use super::tables::{plain, table, with};
+use crate::document::Document;
+use crate::figures;
 use crate::how_far::{HowFar, Measured};
 use crate::words;
 
-/// The section.
-pub(super) fn section(found: &HowFar) -> Markup {
+/// What every subject has found out that measures thresholds.
+pub(super) fn sections(document: &Document) -> Markup {
+    let found = document.analyses.iter();
+    let found = found.filter_map(|analysis| analysis.how_far.as_ref());
+    html! { @for found in found { (section(found)) } }
+}
+
+fn section(found: &HowFar) -> Markup {
     html! {
         section {
             h2 { "How far" }
@@ -18,7 +26,7 @@ pub(super) fn section(found: &HowFar) -> Markup {
             (figure("Which share of the configurations still succeeds, by radius: nominally and at \
                 every smaller radius that was run. L1, L2 and L3 are the paper's levels. The diamond \
                 is where half of all configurations still succeed, the whisker its 95 % interval.",
-                found.figures()))
+                figures::of_thresholds(found)))
             (half_success(&found.curves))
             (not_monotone(&found.thresholds))
         }
