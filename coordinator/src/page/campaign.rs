@@ -10,7 +10,7 @@ use queue::read::Counts;
 
 use super::bar::bar;
 use super::campaigns::progress;
-use super::layout::{Place, Sheet, table};
+use super::layout::{Place, Sheet, breakable, table};
 use super::problem::Problem;
 use super::state::Page;
 
@@ -76,8 +76,27 @@ fn by_condition<'a>(records: impl Iterator<Item = &'a Record>, campaign: &str) -
     let perturbed: Vec<Level> = perturbed.collect();
     let conditions: BTreeSet<Condition> = tallies.keys().map(|(condition, _)| *condition).collect();
     let perturbs = |condition: &Condition| *condition != Condition::Clean;
-    let rows = conditions.into_iter().filter(perturbs);
+    let perturbing = conditions.into_iter().filter(perturbs);
+    let is_subset = |condition: &Condition| matches!(condition, Condition::Subset(_));
+    let (subsets, few): (Vec<Condition>, Vec<Condition>) = perturbing.partition(is_subset);
     let nominal = tallies.get(&(Condition::Clean, Level::L0));
+    let of = |conditions: &[Condition]| {
+        html! {
+            @for row in conditions {
+                tr {
+                    th scope="row" { (breakable(row.label())) }
+                    @for level in &perturbed {
+                        td.tally {
+                            @match tallies.get(&(*row, *level)) {
+                                Some(found) => (tally(found)),
+                                None => span.muted { "–" },
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    };
     let rows = html! {
         @if let Some(nominal) = nominal {
             tr {
@@ -85,19 +104,7 @@ fn by_condition<'a>(records: impl Iterator<Item = &'a Record>, campaign: &str) -
                 td.tally colspan=(perturbed.len().max(1)) { (tally(nominal)) }
             }
         }
-        @for row in rows {
-            tr {
-                th scope="row" { (row.label()) }
-                @for level in &perturbed {
-                    td.tally {
-                        @match tallies.get(&(row, *level)) {
-                            Some(found) => (tally(found)),
-                            None => span.muted { "–" },
-                        }
-                    }
-                }
-            }
-        }
+        (of(&few))
     };
     let mut columns = vec!["condition".to_owned()];
     columns.extend(perturbed.iter().map(Level::to_string));
@@ -108,6 +115,12 @@ fn by_condition<'a>(records: impl Iterator<Item = &'a Record>, campaign: &str) -
         section {
             h2 { "Progress by condition" }
             (table("Progress by condition", &columns, &rows))
+            @if !subsets.is_empty() {
+                details {
+                    summary { "Under several axes but not all: " (subsets.len()) " subsets" }
+                    (table("Progress by subset", &columns, &of(&subsets)))
+                }
+            }
             p { a href={ "/campaigns/" (campaign) "/rollouts" } { "All rollouts, one by one" } }
         }
     }

@@ -5,6 +5,7 @@ use maud::{Markup, html};
 use protocol::{Axis, ManifestRow, RolloutId, seeds};
 use queue::read::{FailureLine, ResultLine, RolloutLine};
 
+use super::layout::breakable;
 use super::perturbation;
 use super::trace::Path;
 use crate::words::{duration_text, size_text, utc_text};
@@ -34,7 +35,7 @@ pub(super) fn card(campaign: &str, shown: &Shown, replicate: u32, trace: Option<
     let (class, word, detail) = standing(shown);
     html! {
         article.rollout id=(shown.id.condition()) aria-label=(title) {
-            h2 { (title) }
+            h2 { (breakable(title)) }
             p.outcome {
                 span class={ "badge " (class) } { (word) }
                 " " (detail)

@@ -8,6 +8,7 @@ use protocol::{AxisSet, RolloutId};
 
 use super::card::player;
 use super::known::{Lattice, Source};
+use super::layout::breakable;
 
 /// Films side by side.
 #[derive(Default)]
@@ -22,13 +23,18 @@ pub(super) fn in_words(answer: &Answer, transition: Transition) -> Markup {
     html! {
         @for it in &answer.minimal {
             li {
-                @if !answer.start.is_empty() { (named(answer.start)) " fails alone. " }
-                "It " (does) " under " strong { (named(it.set)) } ", and " (does_not) " under "
-                (list(&it.below))
+                @if !answer.start.is_empty() { "Under " (named(answer.start)) " it fails. " }
+                "Under " strong { (named(it.set)) } " it " (does)
+                // Of a start it is said that it fails.
+                @if answer.start.is_empty() || it.below != [answer.start] {
+                    ", and " (does_not) " under " (list(&it.below))
+                }
                 @if it.is_established() {
                     ": all of these axes are needed."
                 } @else {
-                    "; " (it.open.len()) " smaller subsets were not run, so that fewer axes might do."
+                    @let open = it.open.len();
+                    "; " (open) @if open == 1 { " smaller subset was" } @else { " smaller subsets were" }
+                    " not run, so that fewer axes might do."
                 }
             }
         }
@@ -89,7 +95,7 @@ fn side_by_side(
                 " it " (does) "; beside it, under " (list(&below)) ", it " (does_not) "."
             }
         }
-        @if !filmed.is_empty() { div.rollouts { @for film in &filmed { (card(film)) } } }
+        @if !filmed.is_empty() { div.rollouts.films { @for film in &filmed { (card(film)) } } }
         (remedies(lattice, &shown))
     };
     (filmed.len(), markup)
@@ -130,7 +136,7 @@ fn card(film: &Film) -> Markup {
     let campaign = film.source.campaign.name.as_str();
     html! {
         article.rollout aria-label={ "Film: " (title) } {
-            h2 { (title) }
+            h2 { (breakable(title)) }
             p.outcome { span class={ "badge " (class) } { (word) } }
             (player(campaign, film.id, film.replicate))
         }

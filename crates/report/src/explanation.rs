@@ -114,7 +114,11 @@ impl Findings {
     /// As text for a terminal of 80 columns.
     pub fn text(&self) -> String {
         let mut text = String::new();
-        push_wrapped(&mut text, "", &self.standing());
+        push_wrapped(
+            &mut text,
+            "",
+            &format!("{} {}", self.explained_by, self.standing()),
+        );
         let emergent = |it: &&Occurrence| it.transition == Transition::Emergent;
         let (emergent, compensated): (Vec<&Occurrence>, Vec<&Occurrence>) =
             self.subsets.iter().partition(emergent);
@@ -137,7 +141,7 @@ impl Findings {
         text
     }
 
-    /// How far it is, in a sentence without its stop.
+    /// How far it is, in a sentence without its subject and its stop.
     pub(crate) fn standing(&self) -> String {
         let Self {
             transitions,
@@ -147,9 +151,8 @@ impl Findings {
             ..
         } = self;
         let mut words = format!(
-            "{} explains {}: {explained} of {transitions} transitions explained in {rollouts} \
-             rollouts",
-            self.explained_by, self.campaign
+            "explains {}: {explained} of {transitions} transitions explained in {rollouts} rollouts",
+            self.campaign
         );
         if *waiting > 0 {
             let _ = write!(words, ", of which {waiting} have no outcome yet");

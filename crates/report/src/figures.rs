@@ -50,6 +50,9 @@ pub const STYLE: &str = include_str!("figures/style.css");
 /// and its replicate: an address.
 pub type Link<'a> = &'a dyn Fn(RolloutId, u32) -> String;
 
+/// Around the panel in a file of its own.
+const PADDING: f64 = 14.0;
+
 /// One panel.
 #[derive(Clone, Debug)]
 pub struct Figure {
@@ -89,7 +92,7 @@ impl Figure {
 
     /// For a page that includes [`STYLE`].
     pub fn inline(&self) -> Markup {
-        self.svg(html! {})
+        self.svg(html! {}, 0.0)
     }
 
     /// For a file of its own.
@@ -97,25 +100,28 @@ impl Figure {
         // A viewer's own background may be of the other scheme than the text.
         let style = html! {
             style { (PreEscaped(STYLE)) }
-            rect class="ground" width="100%" height="100%" {}
+            rect class="ground" x=(svg::number(-PADDING)) y=(svg::number(-PADDING))
+                width="100%" height="100%" {}
         };
         format!(
             "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n{}\n",
-            self.svg(style).0
+            self.svg(style, PADDING).0
         )
     }
 
-    fn svg(&self, style: Markup) -> Markup {
+    fn svg(&self, style: Markup, padding: f64) -> Markup {
         let (width, class) = match self.is_wide {
             true => (svg::WIDE, "panel wide"),
             false => (WIDTH, "panel"),
         };
-        let (width, height) = (svg::number(width), svg::number(self.height));
+        let from = svg::number(0.0 - padding);
+        let (width, height) = (width + 2.0 * padding, self.height + 2.0 * padding);
+        let (width, height) = (svg::number(width), svg::number(height));
         // Screen readers do not reach links inside an element of role `img`.
         let role = if self.has_links { "group" } else { "img" };
         html! {
             svg xmlns="http://www.w3.org/2000/svg" class=(class) role=(role)
-                viewBox={ "0 0 " (width) " " (height) } width=(width) height=(height) {
+                viewBox={ (from) " " (from) " " (width) " " (height) } width=(width) height=(height) {
                 title { (self.title) }
                 (style)
                 (self.body)

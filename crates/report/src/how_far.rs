@@ -182,7 +182,11 @@ impl HowFar {
     /// As text for a terminal of 80 columns.
     pub fn text(&self) -> String {
         let mut text = String::new();
-        push_wrapped(&mut text, "", &self.standing());
+        push_wrapped(
+            &mut text,
+            "",
+            &format!("{} {}", self.measured_by, self.standing()),
+        );
         let curves: Vec<&Curve> = self.curves.iter().filter(|it| it.n > 0).collect();
         if !curves.is_empty() {
             push_survival(&mut text, &curves);
@@ -201,11 +205,11 @@ impl HowFar {
         text
     }
 
-    /// How far the measurement is, in a sentence.
+    /// How far the measurement is, in a sentence without its subject and its stop.
     pub(crate) fn standing(&self) -> String {
         let mut words = format!(
-            "{} measures how far {} goes: {} of {} thresholds found in {} rollouts",
-            self.measured_by, self.campaign, self.found, self.looked_for, self.rollouts
+            "measures how far {} goes: {} of {} thresholds found in {} rollouts",
+            self.campaign, self.found, self.looked_for, self.rollouts
         );
         if self.waiting > 0 {
             let _ = write!(words, ", of which {} have no outcome yet", self.waiting);

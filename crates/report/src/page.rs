@@ -89,6 +89,7 @@ pub fn sections(document: &Document, link: Option<Link>) -> Markup {
         (figure(matrix_caption(link), document.analyses.iter().flat_map(|analysis| {
             levels.iter().filter_map(move |&level| figures::matrix(analysis, level, link))
         }).collect()))
+        (explanation::interactions(document))
         @if paired {
             section {
                 h2 { "Nominal success and single axes" }
@@ -100,7 +101,6 @@ pub fn sections(document: &Document, link: Option<Link>) -> Markup {
                 (tables::subsets(document))
             }
         }
-        (explanation::interactions(document))
         (replication(document))
         @let pairs = document.comparisons();
         @if !pairs.is_empty() { (differences::of_pairs(&pairs)) }

@@ -12,12 +12,16 @@ use crate::interactions::LevelInteractions;
 use crate::words::{percent, points, points_interval};
 
 const LABELS: f64 = 78.0;
+/// Height of the heading, with what is shown below it.
+const TOP: f64 = HEAD + 22.0;
 const ROW: f64 = 32.0;
 /// Height of the slanted names below the columns.
 const NAMES: f64 = 66.0;
 /// Share of a cell's colour above which its number is white.
 const DARK_ABOVE: f64 = 0.6;
 const STEP_LABELS: f64 = 132.0;
+/// Width of the column of numbers.
+const NUMBERS: f64 = 58.0;
 const STEP: f64 = 26.0;
 
 /// Each axis's share on the diagonal, and below it what each pair does together.
@@ -27,9 +31,8 @@ pub fn interaction_matrix(analysis: &Analysis, level: &LevelInteractions) -> Fig
     let all = found.shapley.values().chain(found.pairs.values());
     let largest = all.map(|it| it.value.abs()).fold(0.01, f64::max);
     let side = (WIDTH - LABELS) / axes.len().max(1) as f64;
-    let bottom = HEAD + ROW * axes.len() as f64;
-    let place =
-        |row: usize, column: usize| [LABELS + side * column as f64, HEAD + ROW * row as f64];
+    let bottom = TOP + ROW * axes.len() as f64;
+    let place = |row: usize, column: usize| [LABELS + side * column as f64, TOP + ROW * row as f64];
     let pair = |row: usize, column: usize| {
         let set: AxisSet = [axes[row], axes[column]].into_iter().collect();
         html! {
@@ -41,8 +44,9 @@ pub fn interaction_matrix(analysis: &Analysis, level: &LevelInteractions) -> Fig
     let body = html! {
         (text(0.0, 15.0, "head", &heading(analysis, level)))
         (text(WIDTH, 15.0, "small muted end", &format!("n = {}", found.n)))
+        (text(0.0, 34.0, "small muted", "shares of the axes (framed), and pairs: points of success"))
         @for (row, axis) in axes.iter().enumerate() {
-            (text(0.0, HEAD + ROW * row as f64 + 20.5, "small", axis.name()))
+            (text(0.0, TOP + ROW * row as f64 + 20.5, "small", axis.name()))
             @for column in 0..row { (pair(row, column)) }
             @if let Some(estimate) = found.shapley.get(axis) {
                 (cell(axis.name(), estimate, largest, place(row, row), side))
@@ -54,16 +58,18 @@ pub fn interaction_matrix(analysis: &Analysis, level: &LevelInteractions) -> Fig
                 number(LABELS + side * (column as f64 + 0.6)), number(bottom + 12.0));
             text class="small end" transform=(turned) { (axis.name()) }
         }
-        (text(0.0, bottom + NAMES + 4.0, "small muted",
-            "points of success; framed: shares of the axes"))
-        (text(0.0, bottom + NAMES + 20.0, "small muted", "bold: the 95 % interval excludes nought"))
+        (rect(0.0, bottom + NAMES + 8.0, 10.0, 10.0, "emergent"))
+        (text(16.0, bottom + NAMES + 17.0, "small", "lowers success"))
+        (rect(130.0, bottom + NAMES + 8.0, 10.0, 10.0, "compensated"))
+        (text(146.0, bottom + NAMES + 17.0, "small", "raises it"))
+        (text(0.0, bottom + NAMES + 36.0, "small muted", "bold: the 95 % interval excludes nought"))
     };
     let title = format!(
         "{}, {}: share of each axis, and interaction of each pair",
         analysis.label, level.level
     );
     let name = format!("interactions-{}-{}", analysis.label, level.level);
-    Figure::new(&name, title, bottom + NAMES + 28.0, body)
+    Figure::new(&name, title, bottom + NAMES + 44.0, body)
 }
 
 fn heading(analysis: &Analysis, level: &LevelInteractions) -> String {
@@ -130,24 +136,24 @@ pub fn additive(analysis: &Analysis, level: &LevelInteractions) -> Figure {
         (low / grain + 1e-9).floor() * grain,
         (high / grain - 1e-9).ceil() * grain,
     ];
-    let scale = Scale::between(domain, [STEP_LABELS, WIDTH - 14.0]);
+    let scale = Scale::between(domain, [STEP_LABELS, WIDTH - NUMBERS]);
     let rows = steps.len() + 2;
-    let bottom = HEAD + STEP * rows as f64;
-    let y = |row: usize| HEAD + STEP * row as f64;
+    let bottom = TOP + STEP * rows as f64;
+    let y = |row: usize| TOP + STEP * row as f64;
     let end = |name: &str, it: &Estimate, row: usize| {
         html! {
             (text(0.0, y(row) + 17.0, "small name", name))
             (rect(scale.at(0.0), y(row) + 6.0, scale.at(it.value) - scale.at(0.0), 14.0, "bar"))
             @if let Some(interval) = it.ci95 { (whisker(&scale, interval, y(row) + 13.0)) }
-            (beside(&scale, it.value, y(row) + 17.0, &percent(it.value)))
+            (text(WIDTH, y(row) + 17.0, "small name end", &percent(it.value)))
         }
     };
     let body = html! {
         (text(0.0, 15.0, "head", &heading(analysis, level)))
         (text(WIDTH, 15.0, "small muted end", &format!("n = {}", found.n)))
-        (scale.axis([HEAD, bottom], &percent_ticks(domain, grain, domain[0] < 0.0),
-            "success, % of configurations"))
-        (line("zero", [scale.at(0.0), HEAD], [scale.at(0.0), bottom]))
+        (text(0.0, 34.0, "small muted", "from nominal to simultaneous success"))
+        (scale.axis([TOP, bottom], &ticks(domain, grain), "success, % of configurations"))
+        (line("zero", [scale.at(0.0), TOP], [scale.at(0.0), bottom]))
         (end("nominal", nominal, 0))
         @for (index, (axes, estimate, [from, to])) in steps.iter().enumerate() {
             @let row = index + 1;
@@ -161,7 +167,7 @@ pub fn additive(analysis: &Analysis, level: &LevelInteractions) -> Figure {
                 (text(0.0, y(row) + 17.0, "small", &step_name(*axes)))
                 (rect(left, y(row) + 6.0, (right - left).max(1.0), 14.0, class))
                 (line("zero", [scale.at(*from), y(row) - 6.0], [scale.at(*from), y(row) + 20.0]))
-                (beside(&scale, from.max(*to), y(row) + 17.0, &points(estimate.value)))
+                (text(WIDTH, y(row) + 17.0, "small end", &points(estimate.value)))
             }
         }
         (end("simultaneous", simultaneous, rows - 1))
@@ -179,15 +185,16 @@ fn step_name(axes: usize) -> String {
         1 => "each axis alone".to_owned(),
         2 => "+ pairs".to_owned(),
         3 => "+ triples".to_owned(),
-        axes => format!("+ {axes} axes together"),
+        axes => format!("+ sets of {axes} axes"),
     }
 }
 
-/// A number right of a place, or left of it where there is no room.
-fn beside(scale: &Scale, value: f64, y: f64, words: &str) -> Markup {
-    let x = scale.at(value);
-    match x > WIDTH - 62.0 {
-        true => text(x - 5.0, y, "tiny end", words),
-        false => text(x + 5.0, y, "tiny", words),
-    }
+/// Ticks in percent. Sums on the way can be below nought, and above one.
+fn ticks(domain: [f64; 2], grain: f64) -> Vec<(f64, String)> {
+    let ticks = percent_ticks(domain, grain, false).into_iter();
+    let signed = |(value, label): (f64, String)| match value < 0.0 {
+        true => (value, format!("−{label}")),
+        false => (value, label),
+    };
+    ticks.map(signed).collect()
 }

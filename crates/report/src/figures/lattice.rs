@@ -12,7 +12,7 @@ use super::svg::{HEAD, WIDE, diamond, line, number, square, text};
 
 const LABELS: f64 = 64.0;
 const LAYER: f64 = 76.0;
-const LEGEND: f64 = 64.0;
+const LEGEND: f64 = 86.0;
 /// Where the shape of an outcome is drawn.
 const RING: f64 = 11.0;
 /// From a node to the words below it.
@@ -170,13 +170,13 @@ fn legend(top: f64, has_minimal: bool) -> Markup {
     let names = Axis::ALL.map(|axis| format!("{} {axis}", short(axis)));
     html! {
         @for (index, (verdict, meaning)) in entries.into_iter().enumerate() {
-            @let x = LABELS + [0.0, 110.0, 190.0, 350.0][index];
+            @let x = LABELS + [0.0, 120.0, 220.0, 400.0][index];
             (shape(verdict, [x + 6.0, top + 5.0]))
             (text(x + 20.0, top + 9.0, "small", meaning))
         }
         @if has_minimal {
-            circle class="ring" cx=(number(LABELS + 546.0)) cy=(number(top + 5.0)) r=(number(RING)) {}
-            (text(LABELS + 564.0, top + 9.0, "small",
+            circle class="ring" cx=(number(LABELS + 6.0)) cy=(number(top + 58.0)) r=(number(RING)) {}
+            (text(LABELS + 24.0, top + 62.0, "small",
                 "minimal: it changes the outcome, and no smaller subset that was run does"))
         }
         (text(LABELS, top + 34.0, "small muted", &names.join(", ")))

@@ -81,12 +81,12 @@ fn legend(top: f64) -> Markup {
     let entries = [
         (0.0, 0.0, Some(Transition::Emergent), "emergent failure"),
         (
-            120.0,
+            130.0,
             0.0,
             Some(Transition::Compensated),
             "compensated success",
         ),
-        (288.0, 0.0, None, "incomplete"),
+        (292.0, 0.0, None, "incomplete"),
         (
             0.0,
             22.0,

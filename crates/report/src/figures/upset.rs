@@ -12,7 +12,7 @@ use super::svg::{HEAD, line, number, rect, text};
 use super::{Figure, WIDTH};
 use crate::explanation::{Findings, subset};
 
-const LABELS: f64 = 76.0;
+const LABELS: f64 = 100.0;
 const COLUMN: f64 = 23.0;
 const ROW: f64 = 22.0;
 /// Height of the tallest bar, and what its number needs above it.
@@ -49,7 +49,7 @@ pub fn upset(findings: &Findings, transition: Transition) -> Option<Figure> {
     let body = html! {
         (text(0.0, 15.0, "head", heading))
         (text(WIDTH, 15.0, "small muted end", &format!("n = {n}")))
-        (text(0.0, base - 4.0, "tiny muted", "found in"))
+        (text(4.0, base - 4.0, "tiny muted", "configurations"))
         @for (row, axis) in axes.iter().enumerate() {
             @let y = rows + ROW * row as f64;
             @if row % 2 == 0 { (rect(0.0, y, WIDTH, ROW, "band")) }

@@ -30,7 +30,7 @@ fn of_campaign(found: &Findings, link: Option<Link>) -> Markup {
     html! {
         section {
             h2 { "Which axes it takes" }
-            p { (capital(&found.standing())) "." }
+            p { code { (found.explained_by) } " " (found.standing()) "." }
             ul.findings {
                 @for transition in transitions { (in_words(found, transition)) }
                 (non_monotone(found))
@@ -231,11 +231,4 @@ fn of_level(analysis: &Analysis, level: &LevelInteractions) -> Markup {
             (table("Every subset", &["axes", "success %", "beyond smaller, points"], rows))
         }
     }
-}
-
-/// With a capital letter.
-fn capital(words: &str) -> String {
-    let mut letters = words.chars();
-    let first = letters.next().map(|c| c.to_uppercase().to_string());
-    first.unwrap_or_default() + letters.as_str()
 }

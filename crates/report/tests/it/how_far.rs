@@ -128,9 +128,11 @@ fn every_condition_has_a_figure_that_stands_alone() {
         let parsed = roxmltree::Document::parse(&svg).expect("XML");
         let texts = parsed.descendants().filter(|it| it.has_tag_name("text"));
         let texts: Vec<&str> = texts.filter_map(|it| it.text()).collect();
-        for text in ["L1", "L2", "L3", "n = 400", "radius"] {
+        for text in ["L1", "L2", "L3", "100 %", "radius of the perturbation"] {
             assert!(texts.contains(&text), "{}: {texts:?}", figure.name);
         }
+        let says = |end: &str| texts.iter().any(|text| text.ends_with(end));
+        assert!(says(", n = 400"), "{}: {texts:?}", figure.name);
         assert!(
             !svg.contains("NaN") && !svg.contains("inf"),
             "{}",
