@@ -13,6 +13,7 @@ mod explain;
 mod export;
 mod files;
 mod forecast;
+mod interactions;
 mod jobs;
 mod json;
 mod launch;
@@ -75,6 +76,9 @@ enum Command {
     /// Find out how far each configuration may be perturbed before success turns to
     /// failure, and at which radius half of them fail.
     Thresholds(thresholds::ThresholdsArguments),
+    /// Say what the axes do alone and together, where every subset of them was run:
+    /// success by subset, interactions, and each axis's share.
+    Interactions(interactions::InteractionsArguments),
     /// Write the committed results of a campaign.
     Export(export::ExportArguments),
     /// Show, write or submit what runs workers and policies on a cluster.
@@ -151,6 +155,7 @@ async fn execute(command: Command) -> Result<(), CommandError> {
         Command::Compare(arguments) => compare::compare(arguments).await,
         Command::Explain(arguments) => explain::explain(arguments).await,
         Command::Thresholds(arguments) => thresholds::thresholds(arguments).await,
+        Command::Interactions(arguments) => interactions::interactions(arguments).await,
         Command::Export(arguments) => export::export(arguments).await,
         Command::Launch(command) => launch::launch(command),
         Command::Completions(arguments) => {

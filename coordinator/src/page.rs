@@ -14,8 +14,9 @@ mod card;
 mod changes;
 mod compare;
 mod configuration;
-mod how_far;
+mod films;
 mod kept;
+mod known;
 mod layout;
 mod log_in;
 mod metrics;
@@ -24,6 +25,7 @@ mod problem;
 mod rollouts;
 mod standing;
 mod state;
+mod subsets;
 mod trace;
 mod video;
 

@@ -4,9 +4,9 @@
 //! attempts they took.
 
 use paired::{Outcome, Record};
-use protocol::{CampaignSpec, ManifestRow, RolloutId, UnknownName};
+use protocol::{CampaignSpec, ManifestRow, RolloutId, Rollouts, UnknownName};
 use queue::read::{Campaign, RecordRow, SetupRow, View};
-use report::{BeyondRange, Origin, Quarantined, Setups, Subject, rollout_name};
+use report::{BeyondRange, Derived, Origin, Purpose, Quarantined, Setups, Subject, rollout_name};
 use sha2::{Digest, Sha256};
 
 use crate::reading::ReadError;
@@ -60,7 +60,32 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
         published_nominal: None,
         reported_nominal: None,
         setups: Setups::default(),
+        derived: derived(view, campaign, spec.rollouts).await?,
     })
+}
+
+/// What a campaign is to find out that follows from another, and what is known of that
+/// one.
+async fn derived(
+    view: &mut View,
+    campaign: &Campaign,
+    rollouts: Rollouts,
+) -> Result<Option<Derived>, ReadError> {
+    let purpose = match rollouts {
+        Rollouts::Explanation(explanation) => Purpose::Explanation(explanation),
+        Rollouts::Thresholds(thresholds) => Purpose::Thresholds(thresholds),
+        Rollouts::Design(_) | Rollouts::Manifest(_) => return Ok(None),
+    };
+    let Some(source) = view.source(campaign.id).await? else {
+        return Ok(None);
+    };
+    let own = source.realisation.as_str();
+    let rows = view.records(source.id).await?;
+    let records: Result<Vec<Record>, _> = rows.iter().map(|row| read_record(row, own)).collect();
+    Ok(Some(Derived {
+        purpose,
+        records: records?,
+    }))
 }
 
 async fn beyond_range(view: &mut View, campaign: &Campaign) -> Result<BeyondRange, ReadError> {

@@ -3,9 +3,11 @@
 //! every page on every screen are left in `target/looks`, to be looked at.
 
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
+use protocol::{Axis, AxisSet, Condition, Level, RolloutId, Suite, TaskRef};
 use tests::browser::{self, Browser, Screen};
-use tests::programs::Campaigns;
+use tests::programs::{Campaigns, Process};
 
 /// A phone, a tablet, a laptop, a desk.
 const WIDTHS: [u32; 4] = [390, 768, 1280, 1920];
@@ -53,6 +55,149 @@ fn create(campaigns: &Campaigns, name: &str, levels: &str) {
     ]);
 }
 
+/// Longest that what follows from a campaign may take.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// What is planted into the tasks of one suite: which axes it takes to fail.
+fn is_planted_to_fail(task: usize, config: u16, axes: AxisSet) -> bool {
+    let has = |text: &str| text.parse::<AxisSet>().unwrap().is_subset(axes);
+    match (task + usize::from(config)) % 7 {
+        0 | 1 => has("camera+robot"),
+        2 => has("camera+lighting+sensor"),
+        3 => has("robot+language") || has("camera+sensor"),
+        4 => has("robot") && !has("camera"),
+        5 => has("lighting+actuation") && !has("lighting+actuation+sensor") || axes == AxisSet::ALL,
+        _ => has("sensor") && task.is_multiple_of(2),
+    }
+}
+
+/// Result rows of every subset of the axes, as planted.
+fn planted_outcomes() -> String {
+    let mut rows = String::new();
+    let suite = TaskRef::all().filter(|task| task.suite() == Suite::Object);
+    for (index, task) in suite.enumerate() {
+        let nominal = (0..50).map(|state| (RolloutId::clean(task, state), true));
+        let conditions = AxisSet::ALL.subsets().into_iter().skip(1);
+        let perturbed = conditions.flat_map(|axes| {
+            (0..2).map(move |config| {
+                let condition = Condition::of(axes);
+                let id = RolloutId::perturbed(task, condition, Level::L2, config).unwrap();
+                (id, !is_planted_to_fail(index, config, axes))
+            })
+        });
+        for (id, success) in nominal.chain(perturbed) {
+            rows.push_str(&format!(
+                "{{\"rollout_id\":\"{id}\",\"success\":{success}}}\n"
+            ));
+        }
+    }
+    rows
+}
+
+/// A campaign of one suite that is explained, and one of its whole lattices.
+fn explain(campaigns: &Campaigns, outcomes: &Path) {
+    let endpoint = &campaigns.gateway.url;
+    for (name, further) in [
+        ("planted", ["--configs", "0-1"].as_slice()),
+        ("lattices", &["--configs", "0", "--subsets", "all"]),
+    ] {
+        #[rustfmt::skip]
+        let arguments = [
+            "campaign", "create", "--name", name, "--policy", "noop", "--endpoint", endpoint,
+            "--tasks", "libero_object", "--axes", "all", "--levels", "L2",
+        ];
+        campaigns.succeed(&[&arguments[..], further].concat());
+    }
+    std::fs::write(outcomes, planted_outcomes()).unwrap();
+    let _worker = planted_worker(campaigns, outcomes);
+    campaigns.wait_for_commits("lattices", None);
+    finish(campaigns, "explain", "planted");
+}
+
+/// Radii at which thresholds may be looked for: halvings of the grid.
+const RADII: [f64; 2] = [0.5, 16.0];
+
+/// From which radius on a rollout fails: the further the later the task, and the
+/// farthest for the robot alone.
+fn fails_from(task: usize, config: u16, condition: Condition) -> f64 {
+    let scale = match condition {
+        Condition::Combination => 0.6,
+        Condition::Single(Axis::Camera) => 1.1,
+        Condition::Single(Axis::Robot) => 3.0,
+        _ => 0.9,
+    };
+    let task = if task == 7 { 0.0 } else { 1.0 + task as f64 };
+    scale * (task + 0.7 * f64::from(config))
+}
+
+/// Result rows at every radius that may be run; some succeed again beyond a failure.
+fn outcomes_by_radius() -> String {
+    let mut rows = String::new();
+    let suite = TaskRef::all().filter(|task| task.suite() == Suite::Object);
+    let [step, most] = RADII;
+    let conditions = [Axis::Camera, Axis::Robot, Axis::Language].map(Condition::Single);
+    for (index, task) in suite.enumerate() {
+        let nominal = (0..50).map(|state| (RolloutId::clean(task, state), index != 7));
+        let mut all: Vec<(RolloutId, bool)> = nominal.collect();
+        for condition in conditions.into_iter().chain([Condition::Combination]) {
+            for config in 0..2 {
+                let from = fails_from(index, config, condition);
+                let recovers = condition == conditions[0] && index == 2;
+                for radius in (1..)
+                    .map(|k| step * f64::from(k))
+                    .take_while(|it| *it <= most)
+                {
+                    let level = Level::of_radius(radius).unwrap();
+                    let id = RolloutId::perturbed(task, condition, level, config).unwrap();
+                    all.push((id, radius < from || recovers && radius == 8.0));
+                }
+            }
+        }
+        for (id, success) in all {
+            rows.push_str(&format!(
+                "{{\"rollout_id\":\"{id}\",\"success\":{success}}}\n"
+            ));
+        }
+    }
+    rows
+}
+
+/// A campaign of one suite whose thresholds are measured.
+fn measure(campaigns: &Campaigns, outcomes: &Path) {
+    let endpoint = &campaigns.gateway.url;
+    #[rustfmt::skip]
+    campaigns.succeed(&[
+        "campaign", "create", "--name", "radii", "--policy", "noop", "--endpoint", endpoint,
+        "--tasks", "libero_object", "--axes", "camera,robot,language", "--levels", "L1,L2,L3",
+        "--configs", "0-1",
+    ]);
+    std::fs::write(outcomes, outcomes_by_radius()).unwrap();
+    let _worker = planted_worker(campaigns, outcomes);
+    finish(campaigns, "thresholds", "radii");
+}
+
+/// A worker whose rollouts end as these rows say.
+fn planted_worker(campaigns: &Campaigns, outcomes: &Path) -> Process {
+    let environment = [
+        ("SIMULATED_SLOT_OUTCOMES", outcomes.to_str().unwrap()),
+        ("SIMULATED_SLOT_STEP_MILLIS", "0"),
+    ];
+    campaigns.simulated_worker(2, &environment)
+}
+
+/// Asks a command until nothing remains to be run of what it finds out.
+fn finish(campaigns: &Campaigns, command: &str, campaign: &str) {
+    let began = Instant::now();
+    loop {
+        let found = campaigns.succeed(&[command, campaign, "--json"]);
+        if found.contains("\"complete\": true") {
+            return;
+        }
+        assert!(began.elapsed() < PATIENCE, "{found}");
+        std::thread::sleep(Duration::from_millis(200));
+    }
+}
+
 /// A picture of the whole page.
 fn take(browser: &mut Browser, screen: Screen, path: &Path) {
     let height = browser.value("document.documentElement.scrollHeight");
@@ -79,6 +224,8 @@ fn on_every_screen_nothing_is_cut_off_or_too_small_and_figures_use_the_width() {
     campaigns.wait_for_commits("one-level", None);
     campaigns.wait_for_commits("three-levels", None);
     drop(worker);
+    explain(&campaigns, &folder.path().join("subsets.jsonl"));
+    measure(&campaigns, &folder.path().join("radii.jsonl"));
     create(&campaigns, "no-result", "L1,L2,L3");
     let pages = [
         ("campaigns", "/"),
@@ -89,6 +236,17 @@ fn on_every_screen_nothing_is_cut_off_or_too_small_and_figures_use_the_width() {
             "configuration",
             "/campaigns/one-level/configurations/object/t0/combination/L2/c00",
         ),
+        ("explanation", "/campaigns/planted-explained"),
+        (
+            "explained-configuration",
+            "/campaigns/planted/configurations/object/t2/combination/L2/c00",
+        ),
+        (
+            "explaining-configuration",
+            "/campaigns/planted-explained/configurations/object/t5/lighting+actuation/L2/c00",
+        ),
+        ("interactions", "/campaigns/lattices"),
+        ("thresholds", "/campaigns/radii-thresholds"),
         ("rollouts", "/campaigns/one-level/rollouts"),
         ("workers", "/workers"),
     ];

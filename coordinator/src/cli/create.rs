@@ -35,7 +35,7 @@ const SPEC_FLAGS: [&str; 9] = [
     "renderer",
 ];
 /// Names of what is filmed, of nominal rollouts and of what draws.
-const RECORDS: [&str; 4] = ["none", "failures", "transitions", "all"];
+pub(super) const RECORDS: [&str; 4] = ["none", "failures", "transitions", "all"];
 const NOMINALS: [&str; 3] = ["eval", "all", "none"];
 const RENDERERS: [&str; 2] = ["software", "gl"];
 
@@ -270,7 +270,7 @@ fn range(text: &str) -> Option<(u16, u16)> {
 }
 
 /// A value by its name in a specification, one of these.
-fn one_of<T>(names: impl Into<PossibleValuesParser>) -> impl TypedValueParser<Value = T>
+pub(super) fn one_of<T>(names: impl Into<PossibleValuesParser>) -> impl TypedValueParser<Value = T>
 where
     T: DeserializeOwned + Clone + Send + Sync + 'static,
 {

@@ -21,12 +21,16 @@ pub(super) async fn rollouts(
     if !all.iter().any(|status| status.campaign == name) {
         return Ok(None);
     }
+    Ok(Some(spec(client, name).await?.rollouts))
+}
+
+/// The specification of a campaign.
+pub(super) async fn spec(client: &Client, name: &str) -> Result<CampaignSpec, CommandError> {
     let request = GetCampaignRequest {
         campaign: name.to_owned(),
     };
     let answer = client.call(request, Service::get_campaign).await?;
-    let spec = CampaignSpec::from_json(&answer.spec).map_err(usage)?;
-    Ok(Some(spec.rollouts))
+    CampaignSpec::from_json(&answer.spec).map_err(usage)
 }
 
 /// Creates a campaign whose rollouts follow from those of `source`, unless it is there as
@@ -36,6 +40,7 @@ pub(super) async fn create(
     source: CampaignStatus,
     name: &str,
     rollouts: Rollouts,
+    record: Record,
 ) -> Result<(), CommandError> {
     let spec = CampaignSpec {
         name: name.to_owned(),
@@ -46,7 +51,7 @@ pub(super) async fn create(
         rollouts,
         realisation: Realisation::Matched,
         replicates: 1,
-        record: Record::None,
+        record,
         wanted: Wanted::default(),
     };
     spec.check().map_err(usage)?;

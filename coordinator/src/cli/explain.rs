@@ -1,12 +1,14 @@
 //! `coordinator explain`: which axes it takes to change an outcome.
 
+use anyhow::anyhow;
 use clap::Args;
 use coordinator::client::Client;
-use protocol::{Explanation, Rollouts};
+use protocol::{Explanation, Record, Rollouts};
 use report::Findings;
 use terminal::{number, number_from};
 
 use super::command::{CommandError, Connection, print_line, usage};
+use super::create::{RECORDS, one_of};
 use super::derived;
 
 /// Most replicates of one subset.
@@ -34,6 +36,10 @@ pub(super) struct ExplainArguments {
     /// subset succeeds. Without it, one rollout decides.
     #[arg(long, value_name = "N", value_parser = number(2..=MAX_REPEATS, "replicates"))]
     repeats: Option<u32>,
+    /// Subsets that are filmed: `none`; `transitions`, those that show the explanation,
+    /// afterwards, by `worker film`; `failures`; or `all`. [default: as CAMPAIGN]
+    #[arg(long, value_parser = one_of::<Record>(RECORDS))]
+    record: Option<Record>,
     /// Follow until everything is explained.
     #[arg(long)]
     watch: bool,
@@ -48,18 +54,16 @@ pub(super) async fn explain(arguments: ExplainArguments) -> Result<(), CommandEr
     let client = arguments.connection.client()?;
     let usual = || format!("{}-explained", arguments.campaign);
     let name = arguments.name.clone().unwrap_or_else(usual);
-    let there = match arguments.asks_for_something() {
-        true => None,
-        false => there(&client, &arguments.campaign, &name).await?,
-    };
-    let explanation = match there {
-        Some(explanation) => explanation,
-        None => begin(&client, &arguments, &name).await?,
-    };
+    let is_there =
+        !arguments.asks_for_something() && is_there(&client, &arguments.campaign, &name).await?;
+    if !is_there {
+        begin(&client, &arguments, &name).await?;
+    }
     let found = async || {
-        let campaign = client.report(&arguments.campaign).await?;
         let by = client.report(&name).await?;
-        Findings::of(&campaign, &by, &explanation).map_err(usage)
+        let found = Findings::of(&by).map_err(usage)?;
+        let nothing = || anyhow!("show what `{name}` explains: it explains no campaign");
+        Ok(found.ok_or_else(nothing)?)
     };
     let is_complete = |found: &Findings| found.complete;
     let found = derived::look(arguments.watch, found, is_complete, Findings::text).await?;
@@ -73,20 +77,18 @@ pub(super) async fn explain(arguments: ExplainArguments) -> Result<(), CommandEr
 impl ExplainArguments {
     /// Whether it says how to explain, and not only what.
     fn asks_for_something(&self) -> bool {
-        self.budget.is_some() || self.seed.is_some() || self.exhaustive || self.repeats.is_some()
+        self.budget.is_some()
+            || self.seed.is_some()
+            || self.exhaustive
+            || self.repeats.is_some()
+            || self.record.is_some()
     }
 }
 
-/// What a campaign of this name that explains the other is to find out, if there is one.
-async fn there(
-    client: &Client,
-    campaign: &str,
-    name: &str,
-) -> Result<Option<Explanation>, CommandError> {
-    Ok(match derived::rollouts(client, name).await? {
-        Some(Rollouts::Explanation(there)) if there.campaign == campaign => Some(there),
-        _ => None,
-    })
+/// Whether there is a campaign of this name, and it explains the other.
+async fn is_there(client: &Client, campaign: &str, name: &str) -> Result<bool, CommandError> {
+    let rollouts = derived::rollouts(client, name).await?;
+    Ok(matches!(rollouts, Some(Rollouts::Explanation(there)) if there.campaign == campaign))
 }
 
 /// Creates the campaign, unless it is there as it would be created.
@@ -94,7 +96,7 @@ async fn begin(
     client: &Client,
     arguments: &ExplainArguments,
     name: &str,
-) -> Result<Explanation, CommandError> {
+) -> Result<(), CommandError> {
     let source = client.campaign_status(&arguments.campaign).await?;
     let explanation = Explanation {
         campaign: arguments.campaign.clone(),
@@ -105,7 +107,10 @@ async fn begin(
     };
     let campaign = client.report(&arguments.campaign).await?;
     Findings::can_be_of(&campaign, &explanation).map_err(usage)?;
-    let rollouts = Rollouts::Explanation(explanation.clone());
-    derived::create(client, source, name, rollouts).await?;
-    Ok(explanation)
+    let rollouts = Rollouts::Explanation(explanation);
+    let record = match arguments.record {
+        Some(record) => record,
+        None => derived::spec(client, &arguments.campaign).await?.record,
+    };
+    derived::create(client, source, name, rollouts, record).await
 }

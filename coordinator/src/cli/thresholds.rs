@@ -2,10 +2,11 @@
 
 use std::path::PathBuf;
 
+use anyhow::anyhow;
 use clap::Args;
 use coordinator::client::Client;
-use protocol::{Condition, MAX_RADII, Rollouts, TOLERANCES, Thresholds};
-use report::HowFar;
+use protocol::{Condition, MAX_RADII, Record, Rollouts, TOLERANCES, Thresholds};
+use report::{HowFar, figures};
 use terminal::{number, number_from};
 
 use super::command::{CommandError, Connection, print_line, usage};
@@ -54,23 +55,20 @@ pub(super) async fn thresholds(arguments: ThresholdsArguments) -> Result<(), Com
     let client = arguments.connection.client()?;
     let usual = || format!("{}-thresholds", arguments.campaign);
     let name = arguments.name.clone().unwrap_or_else(usual);
-    let there = match arguments.asks_for_something() {
-        true => None,
-        false => there(&client, &arguments.campaign, &name).await?,
-    };
-    let thresholds = match there {
-        Some(thresholds) => thresholds,
-        None => begin(&client, &arguments, &name).await?,
-    };
+    let is_there =
+        !arguments.asks_for_something() && is_there(&client, &arguments.campaign, &name).await?;
+    if !is_there {
+        begin(&client, &arguments, &name).await?;
+    }
     let found = async || {
-        let campaign = client.report(&arguments.campaign).await?;
-        let by = client.report(&name).await?;
-        Ok(HowFar::of(&campaign, &by, &thresholds))
+        let found = HowFar::of(&client.report(&name).await?);
+        let nothing = || anyhow!("show what `{name}` measures: it measures no thresholds");
+        Ok(found.ok_or_else(nothing)?)
     };
     let is_complete = |found: &HowFar| found.complete;
     let found = derived::look(arguments.watch, found, is_complete, HowFar::text).await?;
     if let Some(folder) = &arguments.figures {
-        write_figures(&found.figures(), folder)?;
+        write_figures(&figures::of_thresholds(&found), folder)?;
     }
     let text = match arguments.json {
         true => found.json().map_err(anyhow::Error::from)?,
@@ -87,23 +85,17 @@ impl ThresholdsArguments {
     }
 }
 
-/// What a campaign of this name that measures the other is to find out, if there is one.
-async fn there(
-    client: &Client,
-    campaign: &str,
-    name: &str,
-) -> Result<Option<Thresholds>, CommandError> {
-    Ok(match derived::rollouts(client, name).await? {
-        Some(Rollouts::Thresholds(there)) if there.campaign == campaign => Some(there),
-        _ => None,
-    })
+/// Whether there is a campaign of this name, and it measures the other.
+async fn is_there(client: &Client, campaign: &str, name: &str) -> Result<bool, CommandError> {
+    let rollouts = derived::rollouts(client, name).await?;
+    Ok(matches!(rollouts, Some(Rollouts::Thresholds(there)) if there.campaign == campaign))
 }
 
 async fn begin(
     client: &Client,
     arguments: &ThresholdsArguments,
     name: &str,
-) -> Result<Thresholds, CommandError> {
+) -> Result<(), CommandError> {
     let source = client.campaign_status(&arguments.campaign).await?;
     let mut conditions = arguments.axes.clone();
     conditions.sort();
@@ -120,9 +112,8 @@ async fn begin(
     };
     let campaign = client.report(&arguments.campaign).await?;
     HowFar::is_affordable(&campaign, &thresholds).map_err(usage)?;
-    let rollouts = Rollouts::Thresholds(thresholds.clone());
-    derived::create(client, source, name, rollouts).await?;
-    Ok(thresholds)
+    let rollouts = Rollouts::Thresholds(thresholds);
+    derived::create(client, source, name, rollouts, Record::None).await
 }
 
 fn condition(text: &str) -> Result<Condition, &'static str> {

@@ -4,13 +4,13 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use maud::{Markup, html};
-use paired::{Matched, Outcome, Record};
+use paired::{Outcome, Record};
 use protocol::{Condition, Level, RolloutId};
 use queue::read::Counts;
 
 use super::bar::bar;
 use super::campaigns::progress;
-use super::layout::{Place, Sheet, table};
+use super::layout::{Place, Sheet, breakable, table};
 use super::problem::Problem;
 use super::state::Page;
 
@@ -18,22 +18,23 @@ use super::state::Page;
 pub(super) async fn sheet(page: &Page, name: &str) -> Result<Sheet, Problem> {
     let (campaign, mut view) = page.campaign(name).await?;
     let document = page.document(&campaign, &mut view).await?;
-    let how_far = page.how_far(&campaign, &mut view).await?;
     let status = view.status(campaign).await?;
     let name = &status.campaign.name;
     let records = document.analyses.iter().flat_map(|a| &a.subject.records);
-    let link = |matched: &Matched| address(name.as_str(), shown_first(matched), matched.replicate);
+    // Configurations whose transition is explained are shown where that was measured.
+    let explained = document.analyses.iter().find_map(|it| it.findings.as_ref());
+    let of = explained.map_or(name.as_str(), |findings| findings.campaign.as_str());
+    let link = |id: RolloutId, replicate: u32| address(of, id, replicate);
+    let is_paired = document.analyses.iter().all(|it| it.is_paired());
+    let progress_by_condition = by_condition(records, name.as_str());
     let main = html! {
         p.crumbs { a href="/" { "Campaigns" } }
         h1 { (name) }
         (progress(&status))
         (::report::page_warnings(&document))
-        (by_condition(records, name.as_str()))
-        @match how_far {
-            // Its radii are those of brackets: there are no configurations to be paired.
-            Some(found) => (::report::page_how_far(&found)),
-            None => (::report::sections(&document, Some(&link))),
-        }
+        @if is_paired { (progress_by_condition) }
+        (::report::sections(&document, Some(&link)))
+        @if !is_paired { (progress_by_condition) }
     };
     Ok(Sheet::new(Place::Campaigns, name.to_string(), main))
 }
@@ -57,17 +58,6 @@ pub(super) fn rollout(campaign: &str, id: &str, replicate: u32) -> Markup {
     }
 }
 
-/// The rollout that a configuration is called by: the simultaneous one.
-fn shown_first(matched: &Matched) -> RolloutId {
-    RolloutId::perturbed(
-        matched.task,
-        Condition::Combination,
-        matched.level,
-        matched.config,
-    )
-    .unwrap_or_else(|_| RolloutId::clean(matched.task, matched.init_id))
-}
-
 /// A table of conditions × levels with what is there of each.
 fn by_condition<'a>(records: impl Iterator<Item = &'a Record>, campaign: &str) -> Markup {
     let mut tallies: BTreeMap<(Condition, Level), Counts> = BTreeMap::new();
@@ -86,8 +76,27 @@ fn by_condition<'a>(records: impl Iterator<Item = &'a Record>, campaign: &str) -
     let perturbed: Vec<Level> = perturbed.collect();
     let conditions: BTreeSet<Condition> = tallies.keys().map(|(condition, _)| *condition).collect();
     let perturbs = |condition: &Condition| *condition != Condition::Clean;
-    let rows = conditions.into_iter().filter(perturbs);
+    let perturbing = conditions.into_iter().filter(perturbs);
+    let is_subset = |condition: &Condition| matches!(condition, Condition::Subset(_));
+    let (subsets, few): (Vec<Condition>, Vec<Condition>) = perturbing.partition(is_subset);
     let nominal = tallies.get(&(Condition::Clean, Level::L0));
+    let of = |conditions: &[Condition]| {
+        html! {
+            @for row in conditions {
+                tr {
+                    th scope="row" { (breakable(row.label())) }
+                    @for level in &perturbed {
+                        td.tally {
+                            @match tallies.get(&(*row, *level)) {
+                                Some(found) => (tally(found)),
+                                None => span.muted { "–" },
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    };
     let rows = html! {
         @if let Some(nominal) = nominal {
             tr {
@@ -95,19 +104,7 @@ fn by_condition<'a>(records: impl Iterator<Item = &'a Record>, campaign: &str) -
                 td.tally colspan=(perturbed.len().max(1)) { (tally(nominal)) }
             }
         }
-        @for row in rows {
-            tr {
-                th scope="row" { (row.label()) }
-                @for level in &perturbed {
-                    td.tally {
-                        @match tallies.get(&(row, *level)) {
-                            Some(found) => (tally(found)),
-                            None => span.muted { "–" },
-                        }
-                    }
-                }
-            }
-        }
+        (of(&few))
     };
     let mut columns = vec!["condition".to_owned()];
     columns.extend(perturbed.iter().map(Level::to_string));
@@ -118,6 +115,12 @@ fn by_condition<'a>(records: impl Iterator<Item = &'a Record>, campaign: &str) -
         section {
             h2 { "Progress by condition" }
             (table("Progress by condition", &columns, &rows))
+            @if !subsets.is_empty() {
+                details {
+                    summary { "Under several axes but not all: " (subsets.len()) " subsets" }
+                    (table("Progress by subset", &columns, &of(&subsets)))
+                }
+            }
             p { a href={ "/campaigns/" (campaign) "/rollouts" } { "All rollouts, one by one" } }
         }
     }

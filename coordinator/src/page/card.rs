@@ -5,6 +5,7 @@ use maud::{Markup, html};
 use protocol::{Axis, ManifestRow, RolloutId, seeds};
 use queue::read::{FailureLine, ResultLine, RolloutLine};
 
+use super::layout::breakable;
 use super::perturbation;
 use super::trace::Path;
 use crate::words::{duration_text, size_text, utc_text};
@@ -33,8 +34,8 @@ pub(super) fn card(campaign: &str, shown: &Shown, replicate: u32, trace: Option<
     let title = shown.id.condition().label();
     let (class, word, detail) = standing(shown);
     html! {
-        article.rollout aria-label=(title) {
-            h2 { (title) }
+        article.rollout id=(shown.id.condition()) aria-label=(title) {
+            h2 { (breakable(title)) }
             p.outcome {
                 span class={ "badge " (class) } { (word) }
                 " " (detail)
@@ -103,18 +104,27 @@ fn standing(shown: &Shown) -> (&'static str, &'static str, String) {
 }
 
 fn video(campaign: &str, shown: &Shown, replicate: u32, bytes: u64) -> Markup {
-    let address = format!(
-        "/campaigns/{campaign}/videos/{}?replicate={replicate}",
-        shown.id
-    );
+    let address = video_address(campaign, shown.id, replicate);
     html! {
-        video data-keep controls muted playsinline preload="auto" src=(address)
-            aria-label={ "Video of the rollout, " (shown.id.condition().label()) } {}
+        (player(campaign, shown.id, replicate))
         p.muted.small {
             "Both cameras as a policy sees them. " a href=(address) download { "MP4" }
             ", " (size_text(bytes))
         }
     }
+}
+
+/// The video of a rollout.
+pub(super) fn player(campaign: &str, id: RolloutId, replicate: u32) -> Markup {
+    html! {
+        video data-keep controls muted playsinline preload="auto"
+            src=(video_address(campaign, id, replicate))
+            aria-label={ "Video of the rollout, " (id.condition().label()) } {}
+    }
+}
+
+fn video_address(campaign: &str, id: RolloutId, replicate: u32) -> String {
+    format!("/campaigns/{campaign}/videos/{id}?replicate={replicate}")
 }
 
 /// What was perturbed, in words.

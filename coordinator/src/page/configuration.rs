@@ -15,6 +15,7 @@ use super::card::{self, Shown};
 use super::layout::{Place, Sheet, crumbs};
 use super::problem::Problem;
 use super::state::Page;
+use super::subsets;
 use super::trace::{self, Extent};
 
 /// The page.
@@ -41,6 +42,9 @@ pub(super) async fn sheet(
         return Err(unknown());
     };
     let neighbours = neighbours(&mut view, &campaign, asked).await?;
+    let subsets = subsets::section(&mut view, &campaign, asked).await?;
+    let of_cards = shown.iter().filter(|shown| shown.video_bytes().is_some());
+    let videos = of_cards.count() + subsets.films;
     let campaign = name.as_str();
     let extent = Extent::of(shown.iter().map(|shown| &shown.path));
     let is_nominal = |shown: &&Shown| shown.id.condition() == Condition::Clean;
@@ -60,9 +64,9 @@ pub(super) async fn sheet(
             @if let Some(said) = transition(&shown, replicate) { ". " strong { (said) } }
         }
         (ways(campaign, asked, replicate, &replicates, &neighbours))
-        @if shown.iter().filter(|shown| shown.video_bytes().is_some()).count() > 1 {
-            (card::video_controls())
-        }
+        @if videos > 1 { (card::video_controls()) }
+        (subsets.markup)
+        @if !subsets.is_empty() { h2 { "Each rollout" } }
         div.rollouts {
             @for rollout in &shown {
                 (card::card(campaign, rollout, replicate, trace(rollout)))

@@ -65,6 +65,15 @@ pub(super) fn still(title: &str, main: &Markup) -> Markup {
     frame(title, false, top, main)
 }
 
+/// A name such as `camera+robot`, that may be broken behind each axis.
+pub(super) fn breakable(name: &str) -> Markup {
+    let mut axes = name.split('+');
+    html! {
+        (axes.next().unwrap_or_default())
+        @for axis in axes { "+" wbr; (axis) }
+    }
+}
+
 /// A table that scrolls by itself where it is too wide: what it is called, its
 /// columns, those of words beginning with a `.`, and its rows.
 pub(super) fn table(name: &str, columns: &[impl AsRef<str>], rows: &Markup) -> Markup {

@@ -5,7 +5,7 @@ use std::future::Future;
 use std::sync::Arc;
 use std::time::Duration;
 
-use ::report::{Comparison, Document, HowFar, Unpairable};
+use ::report::{Comparison, Document, Unpairable};
 use axum::http::{HeaderMap, Uri};
 use axum::response::{IntoResponse, Redirect, Response};
 use queue::Queue;
@@ -34,11 +34,11 @@ const MAX_DOCUMENTS: usize = 16;
 /// core.
 const DOCUMENT_AGE_PER_COST: u32 = 20;
 
-/// What was found out about thresholds, and from which results.
-pub(super) type Found = ([Edition; 2], Arc<HowFar>);
-
 /// Two campaigns, compared if they can be.
 pub(super) type Compared = Result<Comparison, Unpairable>;
+
+/// What a campaign's statistics depend on: itself, and the campaign that it follows from.
+type Editions = (Edition, Option<Edition>);
 
 /// The address that a browser asks for, and its headers.
 pub(super) type Asked = (Uri, HeaderMap);
@@ -51,14 +51,13 @@ pub(crate) struct Page {
     pub(super) gauges: Arc<Gauges>,
     pub(super) changes: Changes,
     pages: Kept<Arc<Rendered>>,
-    documents: Kept<(Edition, Arc<Document>)>,
+    documents: Kept<(Editions, Arc<Document>)>,
     comparisons: Kept<([Edition; 2], Arc<Compared>)>,
-    pub(super) found: Kept<Found>,
     pub(super) metrics: Kept<Arc<str>>,
 }
 
 /// How long statistics are shown again that took so long.
-pub(super) fn patience(cost: Duration) -> Duration {
+fn patience(cost: Duration) -> Duration {
     (cost * DOCUMENT_AGE_PER_COST).max(PAGE_AGE)
 }
 
@@ -73,7 +72,6 @@ impl Page {
             pages: Kept::new(MAX_PAGES),
             documents: Kept::new(MAX_DOCUMENTS),
             comparisons: Kept::new(MAX_DOCUMENTS),
-            found: Kept::new(MAX_DOCUMENTS),
             metrics: Kept::new(1),
         })
     }
@@ -126,13 +124,17 @@ impl Page {
         campaign: &Campaign,
         view: &mut View,
     ) -> Result<Arc<Document>, Problem> {
-        let edition = view.edition(campaign.id).await?;
-        let is_fresh = |made: &Made<(Edition, Arc<Document>)>| {
-            made.value.0 == edition
-                || (made.value.0.is_of_same_campaign(&edition)
+        let source = match view.source(campaign.id).await? {
+            Some(source) => Some(view.edition(source.id).await?),
+            None => None,
+        };
+        let editions = (view.edition(campaign.id).await?, source);
+        let is_fresh = |made: &Made<(Editions, Arc<Document>)>| {
+            made.value.0 == editions
+                || (made.value.0.0.is_of_same_campaign(&editions.0)
                     && made.at.elapsed() < patience(made.cost))
         };
-        let wanted = edition.clone();
+        let wanted = editions.clone();
         let make = async {
             let subject = report::subject(view, campaign).await?;
             // Thousands of resamplings: not on a thread that answers others.

@@ -19,7 +19,7 @@ fn set(text: &str) -> AxisSet {
 }
 
 /// What is planted into the tasks of one suite: which axes it takes to fail.
-fn outcome(id: &RolloutId) -> Outcome {
+pub(crate) fn outcome(id: &RolloutId) -> Outcome {
     let axes = id.condition().axes(AxisSet::ALL);
     let has = |text| set(text).is_subset(axes);
     let fails = match id.task().index() {
@@ -46,12 +46,18 @@ const FOUND: [(&str, &str, &[&str]); 6] = [
 ];
 
 fn create(serve: &Serve) {
+    create_with(serve, &[]);
+}
+
+/// Creates the campaign `first`, with further flags.
+pub(crate) fn create_with(serve: &Serve, further: &[&str]) {
     #[rustfmt::skip]
-    let created = serve.command(&[
+    let arguments = [
         "campaign", "create", "--name", "first", "--policy", "p",
         "--endpoint", "http://127.0.0.1:50051", "--tasks", "libero_object", "--axes", "all",
         "--levels", "L2", "--configs", "0",
-    ]);
+    ];
+    let created = serve.command(&[&arguments[..], further].concat());
     assert!(created.status.success(), "{}", text(&created.stderr));
 }
 
@@ -62,7 +68,7 @@ fn findings(serve: &Serve, arguments: &[&str]) -> Value {
 }
 
 /// Runs everything that follows, to the end.
-async fn explained(serve: &Serve, arguments: &[&str]) -> Value {
+pub(crate) async fn explained(serve: &Serve, arguments: &[&str]) -> Value {
     let mut worker = serve.worker("w").await;
     let began = Instant::now();
     loop {

@@ -39,7 +39,7 @@ async fn next_film(worker: &mut Worker, pack: &str) -> wire::NextFilmResponse {
 }
 
 /// Takes films until none is left; their jobs.
-async fn films(worker: &mut Worker) -> Vec<wire::Film> {
+pub(crate) async fn films(worker: &mut Worker) -> Vec<wire::Film> {
     let mut films = Vec::new();
     while let Some(film) = next_film(worker, "primitives").await.film {
         films.push(film);
@@ -47,7 +47,7 @@ async fn films(worker: &mut Worker) -> Vec<wire::Film> {
     films
 }
 
-async fn upload(worker: &mut Worker, attempt_id: &str) {
+pub(crate) async fn upload(worker: &mut Worker, attempt_id: &str) {
     let chunk = wire::ArtifactChunk {
         attempt_id: attempt_id.to_owned(),
         name: "video.mp4".to_owned(),

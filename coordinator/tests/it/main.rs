@@ -11,6 +11,7 @@ mod compare;
 mod derived;
 mod disk;
 mod explain;
+mod explained;
 mod failpoints;
 mod faults;
 mod films;

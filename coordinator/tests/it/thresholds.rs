@@ -170,6 +170,17 @@ async fn planted_thresholds_are_found_again() {
         let figure = std::fs::read_to_string(figure).expect("written");
         assert!(figure.contains("still succeed, by radius"), "{figure}");
     }
+    // The campaign's report is what it found.
+    let path = folder.path().join("thresholds.csv");
+    let csv = path.to_string_lossy();
+    let report = serve.command(&["report", "first-thresholds", "--table", &csv]);
+    assert!(text(&report.stdout).contains(words.trim()), "{report:?}");
+    let csv = std::fs::read_to_string(&path).expect("written");
+    assert_eq!(csv.lines().count(), 1 + 30, "{csv}");
+    assert!(
+        csv.contains("robot,libero_object,0,0,beyond,16,,false,true"),
+        "{csv}"
+    );
     let page = ask(&serve.url, "GET /campaigns/first-thresholds").await;
     let page = page.text();
     for words in [

@@ -57,6 +57,26 @@ pub fn configurations(
     Ok(known)
 }
 
+/// The configurations of a campaign that runs subsets of the axes itself, and what is
+/// known of each in replicate 0.
+///
+/// # Errors
+/// If the campaign perturbs one axis only.
+pub fn own_configurations(records: &[Record]) -> Result<BTreeMap<RolloutId, Known>, KnownError> {
+    let is_subset = |record: &&Record| matches!(record.id.condition(), Condition::Subset(_));
+    let first = records.iter().filter(|record| record.replicate == 0);
+    let (subsets, others): (Vec<&Record>, Vec<&Record>) = first.partition(is_subset);
+    let owned = |records: Vec<&Record>| records.into_iter().copied().collect::<Vec<_>>();
+    let once = Explanation {
+        campaign: String::new(),
+        budget: None,
+        seed: 0,
+        exhaustive: true,
+        repeats: None,
+    };
+    configurations(&owned(others), &owned(subsets), &once)
+}
+
 impl Sample {
     /// What a campaign that explains another one spends on it, whose records are
     /// `explained`.

@@ -65,6 +65,9 @@ pub struct MinimalSubset {
     /// The subsets strictly between the start and this one without a verdict:
     /// any of them might turn out to flip the outcome.
     pub open: Vec<AxisSet>,
+    /// Its largest proper subsets that were run and do not flip the outcome; the
+    /// start where there is no other. Beside them one sees what each axis adds.
+    pub below: Vec<AxisSet>,
 }
 
 impl MinimalSubset {
@@ -183,11 +186,20 @@ impl Search {
             let open = self.open.iter().copied();
             open.filter(|open| open.is_subset(set)).collect()
         };
+        let largest_below = |set: AxisSet| {
+            let unflipped = self.unflipped.iter().copied();
+            let below: Vec<AxisSet> = unflipped.filter(|it| it.is_proper_subset(set)).collect();
+            match below.is_empty() {
+                true => vec![self.start],
+                false => maximal(&below),
+            }
+        };
         let minimal = minimal(&self.flipping).into_iter();
         minimal
             .map(|set| MinimalSubset {
                 set,
                 open: open_below(set),
+                below: largest_below(set),
             })
             .collect()
     }

@@ -92,6 +92,10 @@ pub struct Interactions {
     /// cooperative game, International Economic Review 4 (1963), 194–220
     /// (*dividends*).
     pub moebius: BTreeMap<AxisSet, Estimate>,
+    /// For each number of axes, the sum of m over the subsets of that size, over
+    /// `n`: what single axes do, what pairs add to that, what triples add, and so on.
+    /// v(∅) and these add up to v(full), too.
+    pub sizes: BTreeMap<usize, Estimate>,
     /// The Shapley value of each axis, over 60·`n`: its effect, averaged over all
     /// orders in which the axes can be added; equally Σ_{A∋i} m(A) / |A|. They sum
     /// to v(full) − v(∅), simultaneous less nominal success.
@@ -152,6 +156,7 @@ impl Interactions {
         let success = subsets.iter().copied().zip(estimates.by_ref()).collect();
         let not_empty = subsets.iter().copied().filter(|set| !set.is_empty());
         let moebius = not_empty.zip(estimates.by_ref()).collect();
+        let sizes = (1..=full.len()).zip(estimates.by_ref()).collect();
         let shapley = full.axes().zip(estimates.by_ref()).collect();
         let pairs = subsets.iter().copied().filter(|set| set.len() == 2);
         let pairs = pairs.zip(estimates.by_ref()).collect();
@@ -161,6 +166,7 @@ impl Interactions {
             tasks: clusters.len() as u64,
             success,
             moebius,
+            sizes,
             shapley,
             pairs,
         })
@@ -218,6 +224,7 @@ impl Tally {
 struct Numerators {
     success: Vec<i64>,
     moebius: Vec<i64>,
+    sizes: Vec<i64>,
     /// Of 60ths.
     shapley: Vec<i64>,
     /// Of 60ths.
@@ -250,8 +257,14 @@ impl Numerators {
             shares.sum()
         };
         let of_size = |axes: usize| subsets.iter().filter(move |set| set.len() == axes);
+        let most = subsets.last().map_or(0, |full| full.len());
+        let sum = |axes: usize| -> i64 {
+            let of_size = moebius.iter().filter(|(set, _)| set.len() == axes);
+            of_size.map(|(_, coefficient)| coefficient).sum()
+        };
         Self {
             success: successes.to_vec(),
+            sizes: (1..=most).map(sum).collect(),
             shapley: of_size(1).map(|&set| index(set)).collect(),
             pairs: of_size(2).map(|&set| index(set)).collect(),
             moebius: moebius
@@ -264,7 +277,7 @@ impl Numerators {
     /// All of them in order, each with its denominator if there is one
     /// configuration.
     fn all(&self) -> impl Iterator<Item = (i64, i64)> {
-        let rates = self.success.iter().chain(&self.moebius);
+        let rates = self.success.iter().chain(&self.moebius).chain(&self.sizes);
         let sixtieths = self.shapley.iter().chain(&self.pairs);
         rates
             .map(|&numerator| (numerator, 1))

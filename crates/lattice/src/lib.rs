@@ -27,7 +27,7 @@ mod plan;
 mod proportion;
 mod summary;
 
-pub use campaign::configurations;
+pub use campaign::{configurations, own_configurations};
 pub use evidence::{Evidence, Repeats, Tally, Verdict};
 pub use explain::{Answer, Explanation, MinimalSubset, NonMonotone, Unexplained, explain};
 pub use interactions::{CompleteLattice, Estimate, IncompleteLattice, Interactions};
@@ -35,4 +35,4 @@ pub use known::{Known, KnownError};
 pub use next::{Decision, Request, Strategy, next};
 pub use plan::{Sample, plan};
 pub use proportion::clopper_pearson;
-pub use summary::{Explained, Occurrence, SubsetOutcome, occurrences};
+pub use summary::{Explained, Occurrence, SubsetOutcome, occurrences, outcomes};

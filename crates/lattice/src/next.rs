@@ -200,7 +200,7 @@ const VERIFIED_AXES: usize = 3;
 /// The subsets that have to be run to verify the minimal subsets found: all of
 /// a small one, those that lack one axis of a large one.
 fn verification(search: &Search, not_run: &[AxisSet]) -> Vec<AxisSet> {
-    let of_one = |MinimalSubset { set, open }: MinimalSubset| {
+    let of_one = |MinimalSubset { set, open, .. }: MinimalSubset| {
         let small = set.len() <= VERIFIED_AXES;
         let needed = move |open: &AxisSet| small || open.len() + 1 == set.len();
         open.into_iter().filter(needed)

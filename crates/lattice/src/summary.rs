@@ -54,27 +54,32 @@ impl Explained {
     /// If it has no transition to be explained.
     pub fn of(configuration: RolloutId, known: &Known) -> Result<Self, Unexplained> {
         let explanation = explain(known)?;
-        let evidence = known.evidence();
-        let outcome = |(set, tally): (AxisSet, Tally)| SubsetOutcome {
-            set,
-            verdict: evidence.verdict(&tally),
-            tally,
-            interval: match evidence {
-                Evidence::Once => None,
-                Evidence::Repeated(repeats) => {
-                    clopper_pearson(tally.count(), 1.0 - repeats.error_per_test())
-                }
-            },
-        };
         Ok(Self {
             configuration,
             full: known.full(),
-            evidence,
+            evidence: known.evidence(),
             explanation,
-            outcomes: known.tallies().map(outcome).collect(),
+            outcomes: outcomes(known),
             rollouts: known.further_rollouts(),
         })
     }
+}
+
+/// What is known under every subset of which a rollout was asked for, in order.
+pub fn outcomes(known: &Known) -> Vec<SubsetOutcome> {
+    let evidence = known.evidence();
+    let outcome = |(set, tally): (AxisSet, Tally)| SubsetOutcome {
+        set,
+        verdict: evidence.verdict(&tally),
+        tally,
+        interval: match evidence {
+            Evidence::Once => None,
+            Evidence::Repeated(repeats) => {
+                clopper_pearson(tally.count(), 1.0 - repeats.error_per_test())
+            }
+        },
+    };
+    known.tallies().map(outcome).collect()
 }
 
 /// How often a minimal subset occurs: a bar of an UpSet plot.

@@ -54,6 +54,7 @@ proptest! {
         let all = Interactions::of(&configurations, &FEW).expect("configurations");
         let (full, nominal) = (&all.success[&full(axes)], &all.success[&AxisSet::EMPTY]);
         prop_assert_eq!(nominal.numerator + sum(all.moebius.values()), full.numerator);
+        prop_assert_eq!(nominal.numerator + sum(all.sizes.values()), full.numerator);
         let shapley = sum(all.shapley.values());
         prop_assert_eq!(shapley, 60 * (full.numerator - nominal.numerator));
         let n = configurations.len() as i64;

@@ -13,6 +13,7 @@ macro_rules! policy_steps {
 mod campaigns;
 mod changes;
 mod configurations;
+mod derivations;
 mod forecast;
 mod jobs;
 mod results;
@@ -32,6 +33,7 @@ pub use crate::store::campaigns::Campaign;
 pub use campaigns::{CampaignStatus, Counts, RATE_WINDOW};
 pub use changes::{Changes, Sizes};
 pub use configurations::{ResultLine, RolloutLine};
+pub use derivations::SubsetRow;
 pub use forecast::Forecast;
 pub use jobs::{FailureLine, JobDetails, JobFilter, JobLine, MAX_JOBS_LISTED};
 pub use results::{Edition, ExportedRow, RecordRow, SetupRow};

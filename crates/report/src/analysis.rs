@@ -1,8 +1,12 @@
-//! One policy, measured: its subject, its records matched, its statistics.
+//! One policy, measured: its subject, its records matched, its statistics; or what a
+//! campaign that follows from another has found out.
 
 use paired::{Cell, DuplicateRecord, Options, Records, Report};
 use protocol::Level;
 
+use crate::explanation::Findings;
+use crate::how_far::HowFar;
+use crate::interactions::AxisInteractions;
 use crate::subject::Subject;
 use crate::warnings;
 
@@ -15,29 +19,61 @@ pub struct Analysis {
     pub subject: Subject,
     /// Its outcomes, matched.
     pub records: Records,
-    /// The statistics.
+    /// The statistics; without figures if it follows from another campaign, whose
+    /// configurations it has only parts of.
     pub report: Report,
+    /// What it has found out of the campaign that it explains, if it explains one.
+    pub findings: Option<Findings>,
+    /// What it has found out about the thresholds of another campaign, if it measures
+    /// them.
+    pub how_far: Option<HowFar>,
+    /// How the axes interact, where configurations have their whole lattice.
+    pub interactions: Option<AxisInteractions>,
 }
 
 impl Analysis {
     /// Measures a subject.
     pub(crate) fn new(label: String, subject: Subject) -> Result<Self, DuplicateRecord> {
-        let records = Records::new(&subject.records)?;
-        let report = paired::report_of(
+        let mut records = Records::new(&subject.records)?;
+        let mut notes = warnings::of_subject(&subject);
+        let findings = Findings::of(&subject).unwrap_or_else(|error| {
+            notes.push(error.to_string());
+            None
+        });
+        let mut report = paired::report_of(
             &records,
             &Options {
-                notes: warnings::of_subject(&subject),
+                notes,
                 published_nominal: subject.published_nominal,
                 reported_nominal: subject.reported_nominal,
                 ..Options::default()
             },
         );
+        if subject.derived.is_some() {
+            records = Records::default();
+            report = Report {
+                axes: Vec::new(),
+                nominal: Vec::new(),
+                cells: Vec::new(),
+                replication: Vec::new(),
+                ..report
+            };
+        }
         Ok(Self {
             label,
+            interactions: AxisInteractions::of(&subject).ok(),
+            how_far: HowFar::of(&subject),
             subject,
             records,
             report,
+            findings,
         })
+    }
+
+    /// Whether it has configurations to be paired: not if it follows from another
+    /// campaign.
+    pub fn is_paired(&self) -> bool {
+        self.subject.derived.is_none()
     }
 
     /// The cells of replicate 0, by level.

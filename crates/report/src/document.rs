@@ -9,6 +9,9 @@ use serde::Serialize;
 
 use crate::analysis::Analysis;
 use crate::comparison::{Comparison, Unpairable};
+use crate::explanation::Findings;
+use crate::how_far::HowFar;
+use crate::interactions;
 use crate::subject::{Origin, Quarantined, Subject};
 use crate::warnings;
 
@@ -59,6 +62,12 @@ struct JsonReport<'a> {
     errors: &'a [Quarantined],
     #[serde(flatten)]
     report: &'a Report,
+    /// What `explain --json` prints.
+    explanation: Option<&'a Findings>,
+    /// What `thresholds --json` prints.
+    thresholds: Option<&'a HowFar>,
+    /// What `interactions --json` prints.
+    interactions: Option<interactions::JsonForm<'a>>,
 }
 
 impl Document {
@@ -120,6 +129,9 @@ impl Document {
             realisation: analysis.subject.realisation.map(|r| r.name()),
             errors: &analysis.subject.errors,
             report: &analysis.report,
+            explanation: analysis.findings.as_ref(),
+            thresholds: analysis.how_far.as_ref(),
+            interactions: analysis.interactions.as_ref().map(|it| it.form()),
         });
         let text = serde_json::to_string_pretty(&JsonForm {
             warnings: &self.warnings,
@@ -141,10 +153,14 @@ impl Document {
             }
             text.push_str(&head(&analysis.subject));
             text.push('\n');
-            text.push_str(&paired::table(&analysis.report));
+            match analysis.is_paired() {
+                true => text.push_str(&paired::table(&analysis.report)),
+                false => push_found(&mut text, analysis),
+            }
             text.push_str(&tail(&analysis.subject));
         }
-        let reports: Vec<&Report> = self.analyses.iter().map(|it| &it.report).collect();
+        let measured = self.analyses.iter().filter(|it| it.is_paired());
+        let reports: Vec<&Report> = measured.map(|it| &it.report).collect();
         let legend = paired::legend(&reports);
         if !legend.is_empty() {
             text.push('\n');
@@ -207,6 +223,22 @@ fn head(subject: &Subject) -> String {
             head.push_str(&format!("SHA-256 {digest}…, realisation {realisation}\n"));
             head
         }
+    }
+}
+
+/// What a campaign that follows from another has found out, its warnings first.
+fn push_found(text: &mut String, analysis: &Analysis) {
+    for note in &analysis.report.notes {
+        push_wrapped(text, "! ", note);
+    }
+    if !analysis.report.notes.is_empty() {
+        text.push('\n');
+    }
+    if let Some(findings) = &analysis.findings {
+        text.push_str(&findings.text());
+    }
+    if let Some(far) = &analysis.how_far {
+        text.push_str(&far.text());
     }
 }
 

@@ -53,23 +53,23 @@ impl Findings {
         configurations(&campaign.records, &[], explanation).map(drop)
     }
 
-    /// Puts together what both campaigns know.
+    /// Puts together what a campaign that explains another knows and what that one
+    /// does; none of a campaign that explains nothing.
     ///
     /// # Errors
     /// If the campaign that is explained perturbs one axis only.
-    pub fn of(
-        campaign: &Subject,
-        by: &Subject,
-        explanation: &Explanation,
-    ) -> Result<Self, KnownError> {
-        let known = configurations(&campaign.records, &by.records, explanation)?;
-        let sample = Sample::of(explanation, &campaign.records);
+    pub fn of(by: &Subject) -> Result<Option<Self>, KnownError> {
+        let Some((explanation, records)) = by.explains() else {
+            return Ok(None);
+        };
+        let known = configurations(records, &by.records, explanation)?;
+        let sample = Sample::of(explanation, records);
         let mut findings = Self {
-            campaign: campaign.origin_name().to_owned(),
+            campaign: explanation.campaign.clone(),
             explained_by: by.origin_name().to_owned(),
-            policy: campaign.policy.clone(),
+            policy: by.policy.clone(),
             // While an outcome is missing, there may be further transitions.
-            complete: campaign.records.iter().all(is_settled) && plan(&known, &sample).is_empty(),
+            complete: records.iter().all(is_settled) && plan(&known, &sample).is_empty(),
             transitions: 0,
             explained: 0,
             nominal_fails: 0,
@@ -100,7 +100,7 @@ impl Findings {
         }
         findings.complete &= findings.waiting == 0;
         findings.subsets = occurrences(&findings.configurations);
-        Ok(findings)
+        Ok(Some(findings))
     }
 
     /// As JSON, several lines.
@@ -114,7 +114,11 @@ impl Findings {
     /// As text for a terminal of 80 columns.
     pub fn text(&self) -> String {
         let mut text = String::new();
-        push_wrapped(&mut text, "", &self.standing());
+        push_wrapped(
+            &mut text,
+            "",
+            &format!("{} {}", self.explained_by, self.standing()),
+        );
         let emergent = |it: &&Occurrence| it.transition == Transition::Emergent;
         let (emergent, compensated): (Vec<&Occurrence>, Vec<&Occurrence>) =
             self.subsets.iter().partition(emergent);
@@ -137,7 +141,8 @@ impl Findings {
         text
     }
 
-    fn standing(&self) -> String {
+    /// How far it is, in a sentence without its subject and its stop.
+    pub(crate) fn standing(&self) -> String {
         let Self {
             transitions,
             explained,
@@ -146,9 +151,8 @@ impl Findings {
             ..
         } = self;
         let mut words = format!(
-            "{} explains {}: {explained} of {transitions} transitions explained in {rollouts} \
-             rollouts",
-            self.explained_by, self.campaign
+            "explains {}: {explained} of {transitions} transitions explained in {rollouts} rollouts",
+            self.campaign
         );
         if *waiting > 0 {
             let _ = write!(words, ", of which {waiting} have no outcome yet");
@@ -192,7 +196,7 @@ fn push_subsets(text: &mut String, title: &str, occurrences: &[&Occurrence]) {
 }
 
 /// `camera+robot`, or `robot with camera` where the search started at robot.
-fn subset(start: AxisSet, set: AxisSet) -> String {
+pub(crate) fn subset(start: AxisSet, set: AxisSet) -> String {
     match start.is_empty() {
         true => set.to_string(),
         false => format!("{start} with {}", set.without(start)),

@@ -12,35 +12,46 @@ mod differences;
 mod directions;
 mod gate;
 mod heat_map;
+mod interactions;
+mod lattice;
 mod matrix;
 mod replication;
 mod survival;
 mod svg;
+mod upset;
 
 use std::collections::BTreeSet;
 
 use maud::{Markup, PreEscaped, html};
-use paired::Matched;
-use protocol::Level;
+use paired::Transition;
+use protocol::{Level, RolloutId};
 
 use crate::analysis::Analysis;
 use crate::document::Document;
+use crate::how_far::HowFar;
 
+pub use self::lattice::{SubsetLink, lattice};
 pub use decomposition::decomposition;
 pub use differences::differences;
 pub use directions::directions;
 pub use gate::gate;
 pub use heat_map::heat_map;
+pub use interactions::{additive, interaction_matrix};
 pub use matrix::matrix;
 pub use replication::{flips, replicates};
 pub use survival::survival;
 pub use svg::WIDTH;
+pub use upset::upset;
 
 /// The style that the panels need; a page includes it once.
 pub const STYLE: &str = include_str!("figures/style.css");
 
-/// Where a configuration is shown rollout by rollout: an address.
-pub type Link<'a> = &'a dyn Fn(&Matched) -> String;
+/// Where a configuration is shown rollout by rollout, named by its simultaneous rollout
+/// and its replicate: an address.
+pub type Link<'a> = &'a dyn Fn(RolloutId, u32) -> String;
+
+/// Around the panel in a file of its own.
+const PADDING: f64 = 14.0;
 
 /// One panel.
 #[derive(Clone, Debug)]
@@ -50,6 +61,7 @@ pub struct Figure {
     /// What it shows, for those who cannot see it.
     pub title: String,
     has_links: bool,
+    is_wide: bool,
     height: f64,
     body: Markup,
 }
@@ -64,14 +76,23 @@ impl Figure {
             name: name.chars().map(plain).collect(),
             title,
             has_links: false,
+            is_wide: false,
             height,
             body,
         }
     }
 
+    /// As wide as a page, for which a narrow page needs a box that scrolls.
+    fn wide(self) -> Self {
+        Self {
+            is_wide: true,
+            ..self
+        }
+    }
+
     /// For a page that includes [`STYLE`].
     pub fn inline(&self) -> Markup {
-        self.svg(html! {})
+        self.svg(html! {}, 0.0)
     }
 
     /// For a file of its own.
@@ -79,21 +100,28 @@ impl Figure {
         // A viewer's own background may be of the other scheme than the text.
         let style = html! {
             style { (PreEscaped(STYLE)) }
-            rect class="ground" width="100%" height="100%" {}
+            rect class="ground" x=(svg::number(-PADDING)) y=(svg::number(-PADDING))
+                width="100%" height="100%" {}
         };
         format!(
             "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n{}\n",
-            self.svg(style).0
+            self.svg(style, PADDING).0
         )
     }
 
-    fn svg(&self, style: Markup) -> Markup {
-        let (width, height) = (svg::number(WIDTH), svg::number(self.height));
+    fn svg(&self, style: Markup, padding: f64) -> Markup {
+        let (width, class) = match self.is_wide {
+            true => (svg::WIDE, "panel wide"),
+            false => (WIDTH, "panel"),
+        };
+        let from = svg::number(0.0 - padding);
+        let (width, height) = (width + 2.0 * padding, self.height + 2.0 * padding);
+        let (width, height) = (svg::number(width), svg::number(height));
         // Screen readers do not reach links inside an element of role `img`.
         let role = if self.has_links { "group" } else { "img" };
         html! {
-            svg xmlns="http://www.w3.org/2000/svg" class="panel" role=(role)
-                viewBox={ "0 0 " (width) " " (height) } width=(width) height=(height) {
+            svg xmlns="http://www.w3.org/2000/svg" class=(class) role=(role)
+                viewBox={ (from) " " (from) " " (width) " " (height) } width=(width) height=(height) {
                 title { (self.title) }
                 (style)
                 (self.body)
@@ -107,6 +135,11 @@ pub fn levels(document: &Document) -> Vec<Level> {
     let cells = document.analyses.iter().flat_map(Analysis::cells);
     let levels: BTreeSet<Level> = cells.map(|cell| cell.level).collect();
     levels.into_iter().collect()
+}
+
+/// The survival curves of a campaign that measures thresholds.
+pub fn of_thresholds(found: &HowFar) -> Vec<Figure> {
+    found.curves.iter().filter_map(survival).collect()
 }
 
 /// All figures of a document, in the page's order.
@@ -130,6 +163,17 @@ pub fn all(document: &Document) -> Vec<Figure> {
         figures.extend(matrices.flatten());
     }
     for analysis in &document.analyses {
+        if let Some(findings) = &analysis.findings {
+            let transitions = [Transition::Emergent, Transition::Compensated];
+            figures.extend(transitions.iter().filter_map(|it| upset(findings, *it)));
+        }
+        figures.extend(analysis.how_far.iter().flat_map(of_thresholds));
+        for level in analysis.interactions.iter().flat_map(|it| &it.levels) {
+            figures.extend([
+                interaction_matrix(analysis, level),
+                additive(analysis, level),
+            ]);
+        }
         figures.extend(replicates(analysis));
         figures.extend(flips(analysis));
     }

@@ -9,7 +9,6 @@ use protocol::{Condition, JsonError, Level, TaskRef, Thresholds};
 use serde::Serialize;
 use thresholds::{Curve, Decision, Known, Measurement, Ray, Threshold};
 
-use crate::figures::{Figure, survival};
 use crate::subject::Subject;
 use crate::words;
 
@@ -87,6 +86,19 @@ pub enum Kind {
     Open,
 }
 
+impl Kind {
+    /// Its name, as JSON and tables have it.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::NominalFails => "nominal_fails",
+            Self::NominalUnknown => "nominal_unknown",
+            Self::Between => "between",
+            Self::Beyond => "beyond",
+            Self::Open => "open",
+        }
+    }
+}
+
 /// How the rollout at a radius ended.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct AtRadius {
@@ -129,22 +141,24 @@ impl HowFar {
         }
     }
 
-    /// Puts together what both campaigns know.
-    pub fn of(campaign: &Subject, by: &Subject, thresholds: &Thresholds) -> Self {
-        let measurement = Measurement::of(&campaign.records, &by.records, thresholds);
+    /// Puts together what a campaign that measures another one's thresholds knows and
+    /// what that one does; none of a campaign that measures no thresholds.
+    pub fn of(by: &Subject) -> Option<Self> {
+        let (thresholds, records) = by.measures()?;
+        let measurement = Measurement::of(records, &by.records, thresholds);
         let is_settled = |record: &Record| record.outcome != Outcome::Missing;
         let waiting = by.records.iter().filter(|it| !is_settled(it)).count();
         let rays = measurement.rays();
         let measured: Vec<Measured> = rays
             .map(|(ray, known)| Measured::of(&measurement, ray, known))
             .collect();
-        Self {
-            campaign: campaign.origin_name().to_owned(),
+        Some(Self {
+            campaign: thresholds.campaign.clone(),
             measured_by: by.origin_name().to_owned(),
-            policy: campaign.policy.clone(),
+            policy: by.policy.clone(),
             tolerance: thresholds.tolerance,
             max_radius: thresholds.max_radius,
-            complete: campaign.records.iter().all(is_settled)
+            complete: records.iter().all(is_settled)
                 && waiting == 0
                 && measurement.plan().is_empty(),
             looked_for: measured.len() as u64,
@@ -154,12 +168,7 @@ impl HowFar {
             waiting: waiting as u64,
             curves: measurement.curves(&Bootstrap::default()),
             thresholds: measured,
-        }
-    }
-
-    /// The curves, as figures.
-    pub fn figures(&self) -> Vec<Figure> {
-        self.curves.iter().filter_map(survival).collect()
+        })
     }
 
     /// As JSON, several lines.
@@ -173,7 +182,11 @@ impl HowFar {
     /// As text for a terminal of 80 columns.
     pub fn text(&self) -> String {
         let mut text = String::new();
-        push_wrapped(&mut text, "", &self.standing());
+        push_wrapped(
+            &mut text,
+            "",
+            &format!("{} {}", self.measured_by, self.standing()),
+        );
         let curves: Vec<&Curve> = self.curves.iter().filter(|it| it.n > 0).collect();
         if !curves.is_empty() {
             push_survival(&mut text, &curves);
@@ -192,11 +205,11 @@ impl HowFar {
         text
     }
 
-    /// How far the measurement is, in a sentence.
+    /// How far the measurement is, in a sentence without its subject and its stop.
     pub(crate) fn standing(&self) -> String {
         let mut words = format!(
-            "{} measures how far {} goes: {} of {} thresholds found in {} rollouts",
-            self.measured_by, self.campaign, self.found, self.looked_for, self.rollouts
+            "measures how far {} goes: {} of {} thresholds found in {} rollouts",
+            self.campaign, self.found, self.looked_for, self.rollouts
         );
         if self.waiting > 0 {
             let _ = write!(words, ", of which {} have no outcome yet", self.waiting);

@@ -16,6 +16,7 @@ mod explanation;
 pub mod figures;
 mod how_far;
 mod import;
+mod interactions;
 mod page;
 mod subject;
 mod table;
@@ -28,10 +29,10 @@ pub use document::{Document, DocumentError};
 pub use explanation::Findings;
 pub use how_far::{AtRadius, BudgetTooSmall, HowFar, Kind, Measured};
 pub use import::{BadLine, ImportError, import};
-pub use page::{
-    STYLE, comparison as page_comparison, how_far as page_how_far, page, sections,
-    warnings as page_warnings,
+pub use interactions::{AxisInteractions, LevelInteractions, NoInteractions};
+pub use page::{STYLE, comparison as page_comparison, page, sections, warnings as page_warnings};
+pub use subject::{
+    BeyondRange, Derived, Origin, Purpose, Quarantined, Setups, Subject, rollout_name,
 };
-pub use subject::{BeyondRange, Origin, Quarantined, Setups, Subject, rollout_name};
 pub use table::{TableError, write_csv, write_parquet};
 pub use warnings::fingerprints_in_words;

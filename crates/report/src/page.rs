@@ -2,6 +2,7 @@
 //! phone and on paper. What is written in its sections is in the modules below.
 
 mod differences;
+mod explanation;
 mod findings;
 mod how_far;
 mod methods;
@@ -14,7 +15,6 @@ use crate::analysis::Analysis;
 use crate::comparison::Comparison;
 use crate::document::Document;
 use crate::figures::{self, Figure, Link, levels};
-use crate::how_far::HowFar;
 use panels::figure;
 
 /// The page's style, with that of its figures.
@@ -64,11 +64,16 @@ pub fn sections(document: &Document, link: Option<Link>) -> Markup {
         let panels = levels.iter().filter_map(|&level| panel(document, level));
         panels.collect::<Vec<_>>()
     };
+    let paired = document.analyses.iter().any(Analysis::is_paired);
     html! {
+        (explanation::findings(document, link))
+        (how_far::sections(document))
         (findings::in_words(document))
-        section {
-            h2 { "Paired outcomes" }
-            (tables::paired(document))
+        @if paired {
+            section {
+                h2 { "Paired outcomes" }
+                (tables::paired(document))
+            }
         }
         (figure("Success under each axis alone, and under simultaneous perturbation by all of them.",
             per_level(figures::heat_map)))
@@ -84,14 +89,17 @@ pub fn sections(document: &Document, link: Option<Link>) -> Markup {
         (figure(matrix_caption(link), document.analyses.iter().flat_map(|analysis| {
             levels.iter().filter_map(move |&level| figures::matrix(analysis, level, link))
         }).collect()))
-        section {
-            h2 { "Nominal success and single axes" }
-            (tables::nominal(document))
-            (figure("The reproduction gate: a policy that does not reach its published nominal \
-                success within 5 points is not set up as its authors had it, and its robustness is \
-                not to be interpreted.", figures::gate(document).into_iter().collect()))
-            (tables::single_axes(document))
-            (tables::subsets(document))
+        (explanation::interactions(document))
+        @if paired {
+            section {
+                h2 { "Nominal success and single axes" }
+                (tables::nominal(document))
+                (figure("The reproduction gate: a policy that does not reach its published nominal \
+                    success within 5 points is not set up as its authors had it, and its robustness \
+                    is not to be interpreted.", figures::gate(document).into_iter().collect()))
+                (tables::single_axes(document))
+                (tables::subsets(document))
+            }
         }
         (replication(document))
         @let pairs = document.comparisons();
@@ -108,13 +116,10 @@ pub fn comparison(comparison: &Comparison) -> Markup {
     differences::of_one(comparison)
 }
 
-/// What was found out about thresholds, for another page that includes [`STYLE`].
-pub fn how_far(found: &HowFar) -> Markup {
-    how_far::section(found)
-}
-
 fn title(document: &Document) -> String {
     match document.analyses.as_slice() {
+        [one] if one.findings.is_some() => format!("Why outcomes of {} change", one.label),
+        [one] if one.how_far.is_some() => format!("How far {} goes", one.label),
         [one] => format!("Robustness of {}", one.label),
         several => format!("Robustness of {} policies", several.len()),
     }

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use attempt::{Fingerprints, Provenance};
 use paired::{Count, Record};
-use protocol::{Realisation, RolloutId};
+use protocol::{Explanation, Realisation, RolloutId, Thresholds};
 use serde::{Deserialize, Serialize};
 
 /// One policy's outcomes under one set of circumstances.
@@ -41,6 +41,28 @@ pub struct Subject {
     /// What the policy was given to do; empty where that is not known.
     #[serde(default)]
     pub setups: Setups,
+    /// What it is to find out, if it follows from another campaign.
+    #[serde(default)]
+    pub derived: Option<Derived>,
+}
+
+/// What a campaign is to find out that follows from another one.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Derived {
+    /// What, and of which campaign.
+    pub purpose: Purpose,
+    /// Every rollout of that campaign, with or without an outcome.
+    pub records: Vec<Record>,
+}
+
+/// What campaigns that follow from others find out.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Purpose {
+    /// Which axes it takes to change an outcome.
+    Explanation(Explanation),
+    /// At which radius success turns to failure.
+    Thresholds(Thresholds),
 }
 
 /// What the rollouts of a subject were, beyond their names: two subjects can
@@ -108,6 +130,25 @@ pub fn rollout_name(rollout_id: &str, replicate: u32) -> String {
 }
 
 impl Subject {
+    /// What it explains and that campaign's rollouts, if it explains another campaign.
+    pub(crate) fn explains(&self) -> Option<(&Explanation, &[Record])> {
+        let Derived { purpose, records } = self.derived.as_ref()?;
+        match purpose {
+            Purpose::Explanation(explanation) => Some((explanation, records)),
+            Purpose::Thresholds(_) => None,
+        }
+    }
+
+    /// What it measures and that campaign's rollouts, if it measures another campaign's
+    /// thresholds.
+    pub(crate) fn measures(&self) -> Option<(&Thresholds, &[Record])> {
+        let Derived { purpose, records } = self.derived.as_ref()?;
+        match purpose {
+            Purpose::Thresholds(thresholds) => Some((thresholds, records)),
+            Purpose::Explanation(_) => None,
+        }
+    }
+
     /// The campaign's or the file's name.
     pub fn origin_name(&self) -> &str {
         match &self.origin {

@@ -12,7 +12,9 @@ use queue::expand::ExpandError;
 use queue::ids::{CampaignName, JobName, NameError, WorkerId};
 use queue::invariants::CheckError;
 use queue::{ArtifactError, OpenError, QueueError, StoreError};
-use report::{BadLine, BudgetTooSmall, DocumentError, ImportError, TableError, Unpairable};
+use report::{
+    BadLine, BudgetTooSmall, DocumentError, ImportError, NoInteractions, TableError, Unpairable,
+};
 use transport::{AccessError, EndpointError, Found, SecurityError, ServerKind, Settings, Trouble};
 
 use crate::{Messages, io_error, json_error, path, text, variants};
@@ -151,6 +153,16 @@ fn reports(messages: &mut Messages) {
     variants!(messages, KnownError,
         KnownError::TooFewAxes(_) => KnownError::TooFewAxes(AxisSet::of(Axis::Camera)),
         KnownError::OtherAxes { .. } => KnownError::OtherAxes { set: axes, full: axes },
+    );
+    variants!(messages, NoInteractions,
+        NoInteractions::Axes(_) => {
+            NoInteractions::Axes(KnownError::TooFewAxes(AxisSet::of(Axis::Camera)))
+        },
+        NoInteractions::Empty(_) => NoInteractions::Empty(text()),
+        NoInteractions::Incomplete { .. } => NoInteractions::Incomplete {
+            campaign: text(), configurations: 12, first: id,
+            gap: IncompleteLattice { full: axes, set: axes },
+        },
     );
     messages.add(
         "BudgetTooSmall",

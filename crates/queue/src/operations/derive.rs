@@ -90,7 +90,7 @@ async fn following(
     jobs.map_err(undecodable).doing("write a rollout's row")
 }
 
-fn specification(text: &str) -> Result<CampaignSpec, StoreError> {
+pub(super) fn specification(text: &str) -> Result<CampaignSpec, StoreError> {
     let spec = CampaignSpec::from_json(text).map_err(undecodable);
     spec.doing("read the specification of what follows from outcomes")
 }
@@ -159,7 +159,7 @@ async fn radii(
 }
 
 /// What is known of a campaign's rollouts.
-async fn records(
+pub(super) async fn records(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
 ) -> Result<Vec<Record>, StoreError> {

@@ -1,17 +1,22 @@
 //! Which rollouts are filmed after the fact: those of configurations whose outcome
-//! simultaneous perturbation changed, in campaigns that record transitions. Their
-//! actions were kept, so that filming them needs no policy.
+//! simultaneous perturbation changed, in campaigns that record transitions; in those
+//! that explain others, the rollouts that show the explanation. Their actions were
+//! kept, so that filming them needs no policy.
 
 use std::collections::BTreeSet;
 
 use attempt::Pin;
 use paired::{Outcome, Record, Records, Transition};
+use protocol::Rollouts;
+use sqlx::SqliteConnection;
 
+use super::derive::{records, specification};
 use super::error::QueueError;
-use crate::ids::JobId;
+use crate::ids::{CampaignId, JobId};
 use crate::queue::Queue;
+use crate::rules::explanation;
 use crate::store::films::{self, FilmableRow};
-use crate::store::{Doing, StoreError, undecodable};
+use crate::store::{Doing, StoreError, campaigns, derivations, undecodable};
 
 pub use crate::store::films::Film;
 
@@ -26,7 +31,13 @@ impl Queue {
         let mut wanting = Vec::new();
         for campaign in films::filmed_campaigns(&mut view, pin).await? {
             let rows = films::filmable(&mut view, campaign).await?;
-            wanting.extend(wanting_films(&rows)?);
+            let source = derivations::source(&mut view, campaign).await?;
+            wanting.extend(match source {
+                Some(source) => {
+                    wanting_of_explanation(&mut view, [source, campaign], &rows).await?
+                }
+                None => wanting_films(&rows)?,
+            });
         }
         let Some(job) = self.films.take(&wanting, self.now()) else {
             return Ok(None);
@@ -34,6 +45,30 @@ impl Queue {
         let film = films::film(&mut view, job).await?;
         Ok(Some((film, wanting.len() as u64)))
     }
+}
+
+/// The rollouts that show what a campaign has found that explains another, and that
+/// have no video yet; none of one that measures thresholds.
+async fn wanting_of_explanation(
+    view: &mut SqliteConnection,
+    [source, own]: [CampaignId; 2],
+    rows: &[FilmableRow],
+) -> Result<Vec<JobId>, StoreError> {
+    let spec = campaigns::spec(view, own).await?;
+    let Rollouts::Explanation(explanation) = specification(&spec)?.rollouts else {
+        return Ok(Vec::new());
+    };
+    let source = records(view, source).await?;
+    let own = records(view, own).await?;
+    let telling = explanation::telling(&source, &own, &explanation);
+    let telling: BTreeSet<(String, u32)> = telling
+        .into_iter()
+        .map(|(id, replicate)| (id.to_string(), replicate))
+        .collect();
+    let wanting = rows
+        .iter()
+        .filter(|row| row.is_wanting && telling.contains(&(row.rollout_id.clone(), row.replicate)));
+    Ok(wanting.map(|row| row.job_id).collect())
 }
 
 /// The rollouts of changed configurations that have no video yet.

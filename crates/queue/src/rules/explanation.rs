@@ -1,11 +1,12 @@
 //! What a campaign that explains another runs next. Which subsets explain a
 //! configuration is `lattice`'s business; here what it asks for becomes rollouts.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
-use lattice::{Sample, configurations, plan};
+use lattice::{Sample, configurations, explain, plan};
 use paired::Record;
-use protocol::{AxisSet, Explanation, RolloutId};
+use protocol::{AxisSet, Condition, Explanation, RolloutId};
 
 /// Rollouts that follow from what is known.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -42,4 +43,48 @@ pub(crate) fn wanted(
         }
     }
     all
+}
+
+/// The rollouts of `own` that show an explanation, and are worth a film: under the
+/// minimal subsets, and under the largest subsets of each that do not flip the
+/// outcome. Of each the first replicate that does what most of them do.
+pub(crate) fn telling(
+    explained: &[Record],
+    own: &[Record],
+    explanation: &Explanation,
+) -> BTreeSet<(RolloutId, u32)> {
+    let Ok(known) = configurations(explained, own, explanation) else {
+        return BTreeSet::new();
+    };
+    let mut verdicts = BTreeMap::new();
+    for (simultaneous, known) in &known {
+        let answers = explain(known).map_or_else(|_| Vec::new(), |found| found.answers);
+        let minimal = answers.iter().flat_map(|answer| &answer.minimal);
+        let sets = minimal.flat_map(|it| it.below.iter().copied().chain([it.set]));
+        for set in sets {
+            let (task, level) = (simultaneous.task(), simultaneous.level());
+            let condition = match set == known.full() {
+                true => Condition::Combination,
+                false => Condition::of(set),
+            };
+            let id = RolloutId::perturbed(task, condition, level, simultaneous.number());
+            if let (Ok(id), Some(success)) = (id, known.verdict(set).success()) {
+                verdicts.insert(id, success);
+            }
+        }
+    }
+    let mut telling = BTreeMap::new();
+    for &Record {
+        id,
+        replicate,
+        outcome,
+        ..
+    } in own
+    {
+        if outcome.success().is_some() && outcome.success() == verdicts.get(&id).copied() {
+            let least = telling.entry(id).or_insert(replicate);
+            *least = replicate.min(*least);
+        }
+    }
+    telling.into_iter().collect()
 }

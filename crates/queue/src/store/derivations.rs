@@ -61,6 +61,18 @@ pub(crate) async fn all(tx: &mut SqliteConnection) -> Result<Vec<Derived>, Store
     .doing("list campaigns that follow from others")
 }
 
+/// The campaign that one follows from, if it follows from one.
+pub(crate) async fn source(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+) -> Result<Option<CampaignId>, StoreError> {
+    sqlx::query_scalar("SELECT source_id FROM derivation WHERE campaign_id = ?")
+        .bind(campaign)
+        .fetch_optional(tx)
+        .await
+        .doing("look which campaign another follows from")
+}
+
 /// The names of the campaigns that follow from one.
 pub(crate) async fn of(
     tx: &mut SqliteConnection,

@@ -36,8 +36,8 @@ pub fn directions(document: &Document, level: Level) -> Option<Figure> {
         (text(0.0, 15.0, "head", &format!("{level}: radius {}", level.radius())))
         (rect(MARGIN, HEAD - 1.0, 10.0, 10.0, "emergent"))
         (text(MARGIN + 15.0, HEAD + 8.0, "small", "R_e emergent failures"))
-        (rect(middle + 6.0, HEAD - 1.0, 10.0, 10.0, "compensated"))
-        (text(middle + 21.0, HEAD + 8.0, "small", "R_c compensated successes"))
+        (rect(middle - 6.0, HEAD - 1.0, 10.0, 10.0, "compensated"))
+        (text(middle + 9.0, HEAD + 8.0, "small", "R_c compensated successes"))
         (scale.axis([top, bottom], &percent_ticks([-end, end], step, false),
             &format!("changed outcomes, % of {counts} configurations")))
         @for (index, (name, measures)) in rows.iter().enumerate() {

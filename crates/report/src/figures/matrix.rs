@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use maud::{Markup, html};
 use paired::{Matched, Outcome, Transition};
-use protocol::{Axis, Condition, Level, Suite, TaskRef};
+use protocol::{Axis, Condition, Level, RolloutId, Suite, TaskRef};
 
 use super::svg::{HEAD, number, rect, text};
 use super::{Figure, Link, WIDTH};
@@ -81,12 +81,12 @@ fn legend(top: f64) -> Markup {
     let entries = [
         (0.0, 0.0, Some(Transition::Emergent), "emergent failure"),
         (
-            120.0,
+            130.0,
             0.0,
             Some(Transition::Compensated),
             "compensated success",
         ),
-        (288.0, 0.0, None, "incomplete"),
+        (292.0, 0.0, None, "incomplete"),
         (
             0.0,
             22.0,
@@ -152,10 +152,21 @@ fn square(matched: &Matched, link: Option<Link>, place: [f64; 2]) -> Markup {
     };
     html! {
         @match link {
-            Some(link) => a href=(link(matched)) { (content) },
+            Some(link) => a href=(link(shown_first(matched), matched.replicate)) { (content) },
             None => g { (content) },
         }
     }
+}
+
+/// The rollout that a configuration is called by: the simultaneous one.
+fn shown_first(matched: &Matched) -> RolloutId {
+    RolloutId::perturbed(
+        matched.task,
+        Condition::Combination,
+        matched.level,
+        matched.config,
+    )
+    .unwrap_or_else(|_| RolloutId::clean(matched.task, matched.init_id))
 }
 
 /// A square, and in it a cross for a failure that emerges or a plus for a

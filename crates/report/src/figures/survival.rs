@@ -10,7 +10,7 @@ use super::{Figure, WIDTH};
 use crate::words;
 
 /// Space for the numbers of the upright axis.
-const LABELS: f64 = 40.0;
+const LABELS: f64 = 48.0;
 const PLOT: f64 = 190.0;
 /// Height of the row that names the protocol's levels.
 const LEVELS: f64 = 18.0;
@@ -28,19 +28,15 @@ pub fn survival(curve: &Curve) -> Option<Figure> {
     let (top, bottom) = (HEAD + LEVELS, HEAD + LEVELS + PLOT);
     let place = Place { scale, bottom };
     let name = curve.condition.label();
-    let half = words::half_success(curve);
-    let said = format!(
-        "half: {half} {}",
-        words::half_success_interval(&curve.half_success)
-    );
     let body = html! {
         (text(0.0, 15.0, "head", name))
-        (text(WIDTH, 15.0, "small muted end", &words::counts([curve.n])))
-        (scale.axis([top, bottom], &ticks(&scale, curve), "radius"))
+        (text(WIDTH, 15.0, "small muted end", &format!("{}, {}", half(curve), words::counts([curve.n]))))
+        (scale.axis([top, bottom], &ticks(&scale, curve), "radius of the perturbation"))
         @for share in SHARES {
             @let y = place.y(share);
             (line("grid", [LABELS, y], [WIDTH - MARGIN, y]))
-            (text(LABELS - 6.0, y + 4.0, "tiny muted end", &number(100.0 * share)))
+            @let unit = if share >= 1.0 { " %" } else { "" };
+            (text(LABELS - 6.0, y + 4.0, "tiny muted end", &format!("{}{unit}", number(100.0 * share))))
         }
         (intervals(&place, &curve.points))
         (brackets(&place, &curve.points))
@@ -57,7 +53,6 @@ pub fn survival(curve: &Curve) -> Option<Figure> {
         @if let Some(radius) = curve.half_success.radius {
             (diamond(scale.at(radius), place.y(0.5), "open"))
         }
-        (text(WIDTH - MARGIN, top + 14.0, "small end", said.trim_end()))
         (legend(bottom + AXIS))
     };
     let title = format!("Share of configurations that still succeed, by radius: {name}");
@@ -68,6 +63,17 @@ pub fn survival(curve: &Curve) -> Option<Figure> {
         height,
         body,
     ))
+}
+
+/// Where half of the configurations still succeed, with its interval or why it has none.
+fn half(curve: &Curve) -> String {
+    let begins = curve.points.first().map_or(0.0, |point| point.survival);
+    match (curve.half_success.radius, curve.half_success.ci95) {
+        (None, _) if begins < 0.5 => "fewer than half succeed".to_owned(),
+        (None, _) => format!("half beyond {}", number(curve.largest_radius)),
+        (Some(radius), Some([low, high])) => format!("half at {radius:.2} [{low:.2}, {high:.2}]"),
+        (Some(radius), None) => format!("half at {radius:.2}"),
+    }
 }
 
 /// From radii and shares to places.
@@ -163,8 +169,8 @@ fn legend(top: f64) -> Markup {
         }
     };
     html! {
-        (key(LABELS, "curve", "still succeed, %"))
-        (key(LABELS + 150.0, "bracket", "what brackets allow"))
+        (key(LABELS, "curve", "still succeed"))
+        (key(LABELS + 150.0, "bracket", "least and most possible"))
         rect class="band" x=(number(LABELS)) y=(number(top + 16.0)) width="18" height="10" {}
         (text(LABELS + 24.0, top + 25.0, "small", "95 % interval"))
         (diamond(LABELS + 159.0, top + 21.0, "open"))

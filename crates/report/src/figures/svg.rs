@@ -5,6 +5,8 @@ use paired::{Interval, NoInterval};
 
 /// Width of every panel, in its own units: pixels, where it is not scaled.
 pub const WIDTH: f64 = 380.0;
+/// Width of a figure that is a panel of its own.
+pub(super) const WIDE: f64 = 1140.0;
 /// Space left and right of what is drawn to a scale.
 pub(super) const MARGIN: f64 = 14.0;
 /// Height of a panel's heading.

@@ -22,8 +22,16 @@ pub(super) fn subtitle(document: &Document) -> Markup {
     let rollouts: usize = rollouts.sum();
     html! {
         p.muted {
-            (rollouts) " rollouts: the same configurations under each axis alone, and under \
-            simultaneous perturbation by all of them."
+            (rollouts)
+            @if document.analyses.iter().all(|it| it.findings.is_some()) {
+                " rollouts under subsets of the axes, of configurations whose outcome changes under \
+                all of them at once."
+            } @else if document.analyses.iter().all(|it| it.how_far.is_some()) {
+                " rollouts of the same configurations, perturbed at further radii."
+            } @else {
+                " rollouts: the same configurations under each axis alone, and under simultaneous \
+                perturbation by all of them."
+            }
             @if let [Analysis { subject, .. }] = document.analyses.as_slice() {
                 @match &subject.origin {
                     Origin::Campaign { name, design, .. } => {

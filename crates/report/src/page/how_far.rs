@@ -6,19 +6,30 @@ use thresholds::Curve;
 
 use super::panels::figure;
 use super::tables::{plain, table, with};
+use crate::document::Document;
+use crate::figures;
 use crate::how_far::{HowFar, Measured};
 use crate::words;
 
-/// The section.
-pub(super) fn section(found: &HowFar) -> Markup {
+/// What every subject has found out that measures thresholds.
+pub(super) fn sections(document: &Document) -> Markup {
+    let found = document.analyses.iter();
+    let found = found.filter_map(|analysis| analysis.how_far.as_ref());
+    html! { @for found in found { (section(found)) } }
+}
+
+fn section(found: &HowFar) -> Markup {
     html! {
         section {
             h2 { "How far" }
-            p { (found.standing()) "." }
-            (figure("Which share of the configurations still succeeds, by radius: nominally and at \
-                every smaller radius that was run. L1, L2 and L3 are the paper's levels. The diamond \
-                is where half of all configurations still succeed, the whisker its 95 % interval.",
-                found.figures()))
+            p { code { (found.measured_by) } " " (found.standing()) "." }
+            (figure("How many configurations still succeed, by how strongly they are perturbed: \
+                nominally, and at every radius up to this one that was run. L1, L2 and L3 are the \
+                paper's levels. A configuration fails somewhere between two radii that were run: \
+                the dashed lines are the least and the most that still succeed, wherever that is. \
+                The diamond is where half of all configurations still succeed, the whisker its 95 % \
+                interval.",
+                figures::of_thresholds(found)))
             (half_success(&found.curves))
             (not_monotone(&found.thresholds))
         }

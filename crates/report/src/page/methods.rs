@@ -17,20 +17,28 @@ pub(super) fn methods(document: &Document) -> Markup {
         .analyses
         .first()
         .map(|analysis| analysis.report.bootstrap);
+    let is_paired = document.analyses.iter().any(Analysis::is_paired);
     html! {
         section {
             h2 { "Methods" }
             p {
-                "Protocol: LIBERO-CTRL (arXiv 2609.15940). Every configuration pairs one initial \
-                state with one preset of each axis; it is run under each axis alone and under all \
-                of them simultaneously, so that outcomes are compared configuration by \
-                configuration. S_indep is the product of the axes' success rates, S_conj the share \
-                of configurations that succeed under every axis alone, S_sim the success rate \
-                under simultaneous perturbation; D = S_conj − S_indep, I = S_sim − S_conj."
+                "Protocol: LIBERO-CTRL (arXiv 2609.15940). "
+                @if is_paired {
+                    "Every configuration pairs one initial state with one preset of each axis; it \
+                    is run under each axis alone and under all of them simultaneously, so that \
+                    outcomes are compared configuration by configuration. S_indep is the product of \
+                    the axes' success rates, S_conj the share of configurations that succeed under \
+                    every axis alone, S_sim the success rate under simultaneous perturbation; \
+                    D = S_conj − S_indep, I = S_sim − S_conj. P-values are of McNemar's exact \
+                    two-sided test. "
+                } @else {
+                    "This campaign goes on with configurations of another one: the same initial \
+                    states, and perturbations drawn from the same seeds. "
+                }
                 @if let Some(bootstrap) = bootstrap {
-                    " Intervals are 95 % percentile intervals of " (bootstrap.replicates)
+                    "Intervals are 95 % percentile intervals of " (bootstrap.replicates)
                     " bootstrap replicates that resample whole tasks (ChaCha12, seed "
-                    (bootstrap.seed) "); p-values are of McNemar's exact two-sided test. Fewer than "
+                    (bootstrap.seed) "). Fewer than "
                     (MIN_TASKS) " tasks get no interval (“too few tasks”), because it would be too narrow: of \
                     normally distributed tasks, what is called 95 % covers the truth in 50 % of \
                     cases for two tasks, 85 % for five, 90 % for ten and 94 % for forty (Hesterberg, \
@@ -39,7 +47,8 @@ pub(super) fn methods(document: &Document) -> Markup {
                     gets none either (“no spread”): a width of nought would say nothing of its \
                     uncertainty."
                 }
-                " Incomplete configurations are in no paired figure; rollouts that infrastructure \
+                @if is_paired { " Incomplete configurations are in no paired figure." }
+                " Rollouts that infrastructure \
                 kept from finishing are never counted as failures. Computed by rollout "
                 (env!("CARGO_PKG_VERSION")) "."
             }

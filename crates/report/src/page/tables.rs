@@ -229,11 +229,15 @@ pub(super) fn subsets(document: &Document) -> Markup {
         subsets.collect::<Vec<_>>()
     };
     let heads = ["policy", "level", "axes.", "success %", "counts"];
-    table(
-        "Several axes",
-        &heads,
-        rows(document).flat_map(of_cell).collect(),
-    )
+    let rows: Vec<Vec<Markup>> = rows(document).flat_map(of_cell).collect();
+    html! {
+        @if !rows.is_empty() {
+            details {
+                summary { "Success under several axes but not all: " (rows.len()) " rows" }
+                (table("Several axes", &heads, rows))
+            }
+        }
+    }
 }
 
 fn success(cell: &Cell, condition: Condition, count: Option<Count>, loss: Option<f64>) -> Markup {

@@ -3,8 +3,10 @@
 use std::collections::BTreeSet;
 
 use paired::{Outcome, Record};
+use parquet::file::reader::{FileReader, SerializedFileReader};
+use parquet::record::RowAccessor;
 use protocol::{Condition, Level, RolloutId, Thresholds};
-use report::{HowFar, Subject};
+use report::{Derived, HowFar, Purpose, Subject, figures, page, write_csv, write_parquet};
 use serde_json::Value;
 
 use crate::subjects::{document, example};
@@ -39,13 +41,27 @@ fn thresholds(max_radius: f64) -> Thresholds {
     }
 }
 
+/// A campaign with these outcomes that measures the thresholds of a source.
+fn measuring(source: &Subject, by: Vec<Record>, max_radius: f64) -> Subject {
+    Subject {
+        records: by,
+        derived: Some(Derived {
+            purpose: Purpose::Thresholds(thresholds(max_radius)),
+            records: source.records.clone(),
+        }),
+        published_nominal: None,
+        reported_nominal: None,
+        ..source.clone()
+    }
+}
+
+fn found(source: &Subject, by: Vec<Record>, max_radius: f64) -> HowFar {
+    HowFar::of(&measuring(source, by, max_radius)).expect("it measures thresholds")
+}
+
 /// What the published levels alone say.
 fn at_levels() -> HowFar {
-    let by = Subject {
-        records: Vec::new(),
-        ..nominal()
-    };
-    HowFar::of(&nominal(), &by, &thresholds(8.0))
+    found(&nominal(), Vec::new(), 8.0)
 }
 
 #[test]
@@ -91,7 +107,7 @@ fn the_text_fits_a_terminal_and_says_what_is_left() {
         "{text}"
     );
     assert!(text.contains("not monotone: they succeed again beyond a failure"));
-    let far = HowFar::of(&nominal(), &nominal(), &thresholds(100.0)).text();
+    let far = found(&nominal(), nominal().records, 100.0).text();
     for line in far.lines() {
         assert!(line.chars().count() <= 80, "{line}");
     }
@@ -100,7 +116,7 @@ fn the_text_fits_a_terminal_and_says_what_is_left() {
 #[test]
 fn every_condition_has_a_figure_that_stands_alone() {
     let found = at_levels();
-    let figures = found.figures();
+    let figures = figures::of_thresholds(&found);
     let names: Vec<&str> = figures.iter().map(|it| it.name.as_str()).collect();
     assert_eq!(names.len(), 7);
     assert_eq!(
@@ -112,9 +128,11 @@ fn every_condition_has_a_figure_that_stands_alone() {
         let parsed = roxmltree::Document::parse(&svg).expect("XML");
         let texts = parsed.descendants().filter(|it| it.has_tag_name("text"));
         let texts: Vec<&str> = texts.filter_map(|it| it.text()).collect();
-        for text in ["L1", "L2", "L3", "n = 400", "radius"] {
+        for text in ["L1", "L2", "L3", "100 %", "radius of the perturbation"] {
             assert!(texts.contains(&text), "{}: {texts:?}", figure.name);
         }
+        let says = |end: &str| texts.iter().any(|text| text.ends_with(end));
+        assert!(says(", n = 400"), "{}: {texts:?}", figure.name);
         assert!(
             !svg.contains("NaN") && !svg.contains("inf"),
             "{}",
@@ -132,8 +150,59 @@ fn without_outcomes_there_is_no_curve() {
     for record in &mut subject.records {
         record.outcome = Outcome::Missing;
     }
-    let found = HowFar::of(&subject, &subject, &thresholds(16.0));
-    assert!(found.figures().is_empty() && !found.complete);
+    let found = found(&subject, subject.records.clone(), 16.0);
+    assert!(figures::of_thresholds(&found).is_empty() && !found.complete);
     assert_eq!(found.text().lines().count(), 2);
     assert!(!found.json().expect("written").contains("NaN"));
+}
+
+#[test]
+fn the_report_of_a_measuring_campaign_is_what_it_found() {
+    let document = document(vec![measuring(&nominal(), Vec::new(), 8.0)]);
+    let html = page(&document);
+    for said in [
+        "How far OpenVLA-OFT goes",
+        "class=\"curve\"",
+        "Half-success radius",
+    ] {
+        assert!(html.contains(said), "{said}");
+    }
+    for absent in ["Paired outcomes", "Nominal success and single axes", "NaN"] {
+        assert!(!html.contains(absent), "{absent}");
+    }
+    let text = document.text();
+    assert!(text.contains(&at_levels().text()), "{text}");
+    let json: Value = serde_json::from_str(&document.json().expect("written")).expect("JSON");
+    let expected = at_levels().json().expect("written");
+    let expected: Value = serde_json::from_str(&expected).expect("JSON");
+    assert_eq!(json["reports"][0]["thresholds"], expected);
+    let names = figures::all(&document).into_iter().map(|it| it.name);
+    assert_eq!(names.filter(|it| it.starts_with("survival-")).count(), 7);
+}
+
+#[test]
+fn the_table_of_thresholds_has_a_row_for_each() {
+    let document = document(vec![measuring(&nominal(), Vec::new(), 8.0)]);
+    let mut bytes = Vec::new();
+    write_csv(&document, &mut bytes).expect("written");
+    let mut csv = csv::Reader::from_reader(bytes.as_slice());
+    let header = csv.headers().expect("names").clone();
+    let rows: Vec<csv::StringRecord> = csv.records().collect::<Result<_, _>>().expect("rows");
+    let found = at_levels();
+    assert_eq!(rows.len(), found.thresholds.len());
+    let column = |name: &str| header.iter().position(|it| it == name).expect("a column");
+    let (kind, fails_at) = (column("threshold"), column("fails_at"));
+    let number = |text: &str| (!text.is_empty()).then(|| text.parse::<f64>().expect("a radius"));
+    for (row, measured) in rows.iter().zip(&found.thresholds) {
+        assert_eq!(&row[kind], measured.threshold.name());
+        assert_eq!(number(&row[fails_at]), measured.fails_at);
+    }
+    let mut file = tempfile::tempfile().expect("a temporary file");
+    write_parquet(&document, &mut file).expect("written");
+    let file = SerializedFileReader::new(file).expect("Parquet");
+    let read = file.get_row_iter(None).expect("rows");
+    for (row, measured) in read.zip(&found.thresholds) {
+        let row = row.expect("a row");
+        assert_eq!(row.get_double(fails_at).ok(), measured.fails_at);
+    }
 }

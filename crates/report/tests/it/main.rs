@@ -1,6 +1,7 @@
 //! Reports as their readers and programs meet them.
 
 mod comparisons;
+mod explanations;
 mod forms;
 mod how_far;
 mod import;

@@ -1,0 +1,30 @@
+//! `coordinator interactions`: what the axes do alone and together, where every subset
+//! of them was run.
+
+use clap::Args;
+use report::AxisInteractions;
+
+use super::command::{CommandError, Connection, print_line};
+
+#[derive(Args, Debug)]
+pub(super) struct InteractionsArguments {
+    /// Campaign that runs all subsets of the axes: of `campaign create --subsets all`, or
+    /// of `explain --exhaustive`.
+    campaign: String,
+    /// Print JSON, as docs/JSON.md describes it.
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    connection: Connection,
+}
+
+pub(super) async fn interactions(arguments: InteractionsArguments) -> Result<(), CommandError> {
+    let client = arguments.connection.client()?;
+    let subject = client.report(&arguments.campaign).await?;
+    let found = AxisInteractions::of(&subject).map_err(anyhow::Error::from)?;
+    let text = match arguments.json {
+        true => found.json().map_err(anyhow::Error::from)?,
+        false => found.text(),
+    };
+    Ok(print_line(text.trim_end())?)
+}

@@ -1,0 +1,215 @@
+//! Which axes it takes, in words, and in films side by side: the minimal subset, and the
+//! largest subsets of it that do not change the outcome.
+
+use lattice::{Answer, Explanation, MinimalSubset};
+use maud::{Markup, html};
+use paired::Transition;
+use protocol::{AxisSet, RolloutId};
+
+use super::card::player;
+use super::known::{Lattice, Source};
+use super::layout::breakable;
+
+/// Films side by side.
+#[derive(Default)]
+pub(super) struct Films {
+    pub(super) markup: Markup,
+    pub(super) count: usize,
+}
+
+/// What is found from one start, as an entry of a list.
+pub(super) fn in_words(answer: &Answer, transition: Transition) -> Markup {
+    let (does, does_not) = verbs(transition);
+    html! {
+        @for it in &answer.minimal {
+            li {
+                @if !answer.start.is_empty() { "Under " (named(answer.start)) " it fails. " }
+                "Under " strong { (named(it.set)) } " it " (does)
+                // Of a start it is said that it fails.
+                @if answer.start.is_empty() || it.below != [answer.start] {
+                    ", and " (does_not) " under " (list(&it.below))
+                }
+                @if it.is_established() {
+                    ": all of these axes are needed."
+                } @else {
+                    @let open = it.open.len();
+                    "; " (open) @if open == 1 { " smaller subset was" } @else { " smaller subsets were" }
+                    " not run, so that fewer axes might do."
+                }
+            }
+        }
+        @for pair in &answer.non_monotone {
+            li {
+                "More axes undo it: under " (named(pair.superset)) " it " (does_not) ", although under "
+                (named(pair.minimal)) " it " (does) "."
+            }
+        }
+    }
+}
+
+/// The films of each answer: of its smallest minimal subset, an established one if there is
+/// one.
+pub(super) fn films(lattice: &Lattice, explanation: &Explanation) -> Films {
+    let mut films = Films::default();
+    let mut parts = Vec::new();
+    for answer in &explanation.answers {
+        let best = |it: &&MinimalSubset| (!it.is_established(), it.set);
+        if let Some(minimal) = answer.minimal.iter().min_by_key(best) {
+            let (count, part) = side_by_side(lattice, minimal, explanation.transition);
+            films.count += count;
+            parts.push(part);
+        }
+    }
+    films.markup = html! { @for part in parts { (part) } };
+    films
+}
+
+/// A rollout that is shown.
+struct Film<'a> {
+    source: &'a Source,
+    id: RolloutId,
+    replicate: u32,
+    set: AxisSet,
+    success: bool,
+    is_filmed: bool,
+}
+
+fn side_by_side(
+    lattice: &Lattice,
+    minimal: &MinimalSubset,
+    transition: Transition,
+) -> (usize, Markup) {
+    let sets = [minimal.set]
+        .into_iter()
+        .chain(minimal.below.iter().copied());
+    let shown: Vec<Film> = sets.filter_map(|set| film(lattice, set)).collect();
+    let filmed: Vec<&Film> = shown.iter().filter(|film| film.is_filmed).collect();
+    let is_shown = |set: &AxisSet| filmed.iter().any(|film| film.set == *set);
+    let below: Vec<AxisSet> = minimal.below.iter().copied().filter(is_shown).collect();
+    let (does, does_not) = verbs(transition);
+    let markup = html! {
+        h3 { "In films" }
+        @if is_shown(&minimal.set) && !below.is_empty() {
+            p {
+                "The same initial state and the same perturbations: under " (named(minimal.set))
+                " it " (does) "; beside it, under " (list(&below)) ", it " (does_not) "."
+            }
+        }
+        @if !filmed.is_empty() { div.rollouts.films { @for film in &filmed { (card(film)) } } }
+        (remedies(lattice, &shown))
+    };
+    (filmed.len(), markup)
+}
+
+/// The rollout that shows what is known of a subset: a filmed one, if there is one.
+fn film(lattice: &Lattice, set: AxisSet) -> Option<Film<'_>> {
+    let success = lattice.known.verdict(set).success()?;
+    let full = lattice.known.full();
+    let all = lattice.both().flat_map(|source| {
+        let rows = source.of(set, full);
+        rows.map(move |(id, row)| (source, id, row))
+    });
+    let mut telling: Vec<_> = all
+        .filter(|(_, _, row)| row.success == Some(success))
+        .collect();
+    telling.sort_by_key(|(_, _, row)| (!row.is_filmed, row.replicate));
+    let (source, id, row) = telling.into_iter().next()?;
+    Some(Film {
+        source,
+        id,
+        replicate: row.replicate,
+        set,
+        success,
+        is_filmed: row.is_filmed,
+    })
+}
+
+fn card(film: &Film) -> Markup {
+    let (class, word) = match film.success {
+        true => ("succeeded", "✓ success"),
+        false => ("failed", "✗ failure"),
+    };
+    let title = match film.set.is_empty() {
+        true => "nominal",
+        false => film.set.name(),
+    };
+    let campaign = film.source.campaign.name.as_str();
+    html! {
+        article.rollout aria-label={ "Film: " (title) } {
+            h2 { (breakable(title)) }
+            p.outcome { span class={ "badge " (class) } { (word) } }
+            (player(campaign, film.id, film.replicate))
+        }
+    }
+}
+
+/// The commands that make the films that are not there.
+fn remedies(lattice: &Lattice, shown: &[Film]) -> Markup {
+    let mut missing: Vec<&Source> = Vec::new();
+    for film in shown.iter().filter(|film| !film.is_filmed) {
+        let is_other = |it: &&Source| it.campaign.id != film.source.campaign.id;
+        if missing.iter().all(is_other) {
+            missing.push(film.source);
+        }
+    }
+    let explains = |source: &Source| {
+        let by = lattice.explaining.as_ref();
+        by.is_some_and(|by| by.campaign.id == source.campaign.id)
+    };
+    let measured = &lattice.measured.campaign.name;
+    html! {
+        @for source in missing {
+            @let campaign = &source.campaign;
+            @let pack = campaign.pin.as_ref().map_or("PACK", |pin| pin.asset_pack.as_str());
+            p.muted {
+                "Not all rollouts of " (campaign.name) " that show it are filmed. "
+                @match campaign.record.as_str() {
+                    "transitions" => {
+                        "This films them: "
+                        code { "worker film --connect URL --assets " (pack) }
+                    }
+                    "all" => "Films come with the rollouts; one can be lost.",
+                    _ if explains(source) => {
+                        "It keeps no actions to film from. This runs the subsets once more and keeps \
+                        them: "
+                        code {
+                            "coordinator explain " (measured) " --name " (measured)
+                            "-filmed --record transitions"
+                        }
+                        ", and then "
+                        code { "worker film --connect URL --assets " (pack) }
+                        " films them."
+                    }
+                    _ => {
+                        "It keeps no actions to film from, as a campaign does that is created with "
+                        code { "--record transitions" } "."
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// What flips the outcome does, and what does not.
+const fn verbs(transition: Transition) -> (&'static str, &'static str) {
+    match transition {
+        Transition::Compensated => ("succeeds", "fails"),
+        _ => ("fails", "succeeds"),
+    }
+}
+
+/// `camera and robot together`, `camera alone`, `no perturbation`.
+fn named(set: AxisSet) -> String {
+    let names: Vec<&str> = set.axes().map(protocol::Axis::name).collect();
+    match names.as_slice() {
+        [] => "no perturbation".to_owned(),
+        [one] => format!("{one} alone"),
+        [first @ .., last] => format!("{} and {last} together", first.join(", ")),
+    }
+}
+
+/// Several subsets: `camera alone; robot alone`.
+fn list(sets: &[AxisSet]) -> String {
+    let names: Vec<String> = sets.iter().map(|set| named(*set)).collect();
+    names.join("; under ")
+}

@@ -1,0 +1,164 @@
+//! What is known of a configuration under every subset of the axes, by the campaign that
+//! measures it and the one that explains that.
+
+use lattice::{Known, configurations, own_configurations};
+use paired::{Outcome, Record};
+use protocol::{AxisSet, CampaignSpec, Condition, Explanation, RolloutId, Rollouts};
+use queue::read::{Campaign, SubsetRow, View};
+
+use super::campaign::address;
+use super::problem::Problem;
+use crate::reading::ReadError;
+
+/// A campaign with what it has of one configuration.
+pub(super) struct Source {
+    pub(super) campaign: Campaign,
+    pub(super) rows: Vec<SubsetRow>,
+}
+
+/// What is known of one configuration, and where from.
+pub(super) struct Lattice {
+    /// The configuration, named by its simultaneous rollout.
+    pub(super) configuration: RolloutId,
+    pub(super) known: Known,
+    /// The campaign that measures it.
+    pub(super) measured: Source,
+    /// The one that explains that campaign, if there is one.
+    pub(super) explaining: Option<Source>,
+}
+
+/// What is known of a configuration; none of a nominal rollout by itself, or with fewer
+/// than two axes.
+pub(super) async fn read(
+    view: &mut View,
+    campaign: &Campaign,
+    asked: RolloutId,
+) -> Result<Option<Lattice>, Problem> {
+    let simultaneous = |number| {
+        RolloutId::perturbed(asked.task(), Condition::Combination, asked.level(), number).ok()
+    };
+    let Some(configuration) = asked.config().and_then(simultaneous) else {
+        return Ok(None);
+    };
+    // Thresholds are measured along one condition: no lattice is known of them.
+    let (measured, by) = match explanation(view, campaign).await? {
+        None => (campaign.clone(), view.following(campaign.id).await?),
+        Some(_) => match view.source(campaign.id).await? {
+            Some(source) => (source, vec![campaign.clone()]),
+            None => return Ok(None),
+        },
+    };
+    let measured = source(view, measured, asked).await?;
+    // Of several that explain it, the one that looked into this configuration most.
+    let mut explaining: Option<(Source, Explanation)> = None;
+    for by in by {
+        let Some(explanation) = explanation(view, &by).await? else {
+            continue;
+        };
+        let one = source(view, by, asked).await?;
+        let most = explaining.as_ref().map_or(0, |(it, _)| it.rows.len());
+        if one.rows.len() > most {
+            explaining = Some((one, explanation));
+        }
+    }
+    let records = records(&measured.rows)?;
+    let known = match &explaining {
+        None => own_configurations(&records),
+        Some((by, explanation)) => configurations(&records, &self::records(&by.rows)?, explanation),
+    };
+    let explaining = explaining.map(|(source, _)| source);
+    let known = known
+        .ok()
+        .and_then(|mut known| known.remove(&configuration));
+    Ok(known.map(|known| Lattice {
+        configuration,
+        known,
+        measured,
+        explaining,
+    }))
+}
+
+/// What a campaign has of a configuration, its nominal rollout included.
+async fn source(view: &mut View, campaign: Campaign, asked: RolloutId) -> Result<Source, Problem> {
+    let conditions = AxisSet::ALL.subsets().into_iter().map(Condition::of);
+    let id =
+        |condition| RolloutId::perturbed(asked.task(), condition, asked.level(), asked.number());
+    let ids = conditions.filter_map(|condition| id(condition).ok());
+    let ids: Vec<String> = ids.map(|id| id.to_string()).collect();
+    let mut rows = view.subsets(campaign.id, &ids).await?;
+    if let Some(first) = rows.first() {
+        let nominal = RolloutId::clean(asked.task(), first.init_id).to_string();
+        rows.extend(view.subsets(campaign.id, &[nominal]).await?);
+    }
+    Ok(Source { campaign, rows })
+}
+
+async fn explanation(view: &mut View, campaign: &Campaign) -> Result<Option<Explanation>, Problem> {
+    let spec = view.spec(campaign).await?;
+    let spec = CampaignSpec::from_json(&spec).map_err(|source| ReadError::Spec {
+        campaign: campaign.name.clone(),
+        source,
+    })?;
+    Ok(match spec.rollouts {
+        Rollouts::Explanation(explanation) => Some(explanation),
+        Rollouts::Design(_) | Rollouts::Manifest(_) | Rollouts::Thresholds(_) => None,
+    })
+}
+
+fn records(rows: &[SubsetRow]) -> Result<Vec<Record>, Problem> {
+    let record = |row: &SubsetRow| -> Result<Record, Problem> {
+        Ok(Record {
+            id: row.rollout_id.parse().map_err(ReadError::Name)?,
+            init_id: row.init_id,
+            replicate: row.replicate,
+            outcome: match (row.success, row.is_quarantined) {
+                (Some(success), _) => Outcome::from(success),
+                (None, true) => Outcome::Quarantined,
+                (None, false) => Outcome::Missing,
+            },
+        })
+    };
+    rows.iter().map(record).collect()
+}
+
+impl Source {
+    /// Its rollouts under a subset of the axes `full`.
+    pub(super) fn of(
+        &self,
+        set: AxisSet,
+        full: AxisSet,
+    ) -> impl Iterator<Item = (RolloutId, &SubsetRow)> {
+        let rows = self.rows.iter();
+        let rows = rows.filter_map(|row| Some((row.rollout_id.parse::<RolloutId>().ok()?, row)));
+        rows.filter(move |(id, _)| id.condition().axes(full) == set)
+    }
+}
+
+impl Lattice {
+    /// Both campaigns, the explaining one first.
+    pub(super) fn both(&self) -> impl Iterator<Item = &Source> {
+        self.explaining.iter().chain([&self.measured])
+    }
+
+    /// Whether anything was run under several axes but not all.
+    pub(super) fn has_subsets(&self) -> bool {
+        let rows = self.both().flat_map(|source| &source.rows);
+        let mut ids = rows.filter_map(|row| row.rollout_id.parse::<RolloutId>().ok());
+        ids.any(|id| matches!(id.condition(), Condition::Subset(_)))
+    }
+
+    /// Where the rollout under a subset is shown.
+    pub(super) fn link(&self, set: AxisSet) -> Option<String> {
+        let full = self.known.full();
+        self.both().find_map(|source| {
+            let (id, row) = source.of(set, full).next()?;
+            // The card of the nominal rollout is on its configurations' pages.
+            let page = match id.config() {
+                Some(_) => id,
+                None => self.configuration,
+            };
+            let address = address(source.campaign.name.as_str(), page, row.replicate);
+            Some(format!("{address}#{}", id.condition()))
+        })
+    }
+}

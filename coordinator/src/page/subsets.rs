@@ -1,0 +1,114 @@
+//! A configuration under every subset of the axes: the picture of its lattice, which
+//! axes it takes to change its outcome, and the films that show it.
+
+use ::report::figures;
+use lattice::Explained;
+use maud::{Markup, html};
+use protocol::RolloutId;
+use queue::read::{Campaign, View};
+
+use super::campaign::address;
+use super::films;
+use super::known::{Lattice, read};
+use super::problem::Problem;
+
+/// The section of a configuration's page.
+#[derive(Default)]
+pub(super) struct Section {
+    pub(super) markup: Markup,
+    /// Films in it.
+    pub(super) films: usize,
+}
+
+impl Section {
+    pub(super) fn is_empty(&self) -> bool {
+        self.markup.0.is_empty()
+    }
+}
+
+/// The section; empty where no subset of the configuration was run.
+pub(super) async fn section(
+    view: &mut View,
+    campaign: &Campaign,
+    asked: RolloutId,
+) -> Result<Section, Problem> {
+    let Some(lattice) = read(view, campaign, asked).await? else {
+        return Ok(Section::default());
+    };
+    let found = Explained::of(lattice.configuration, &lattice.known).ok();
+    if !lattice.has_subsets() {
+        let name = lattice.measured.campaign.name.as_str();
+        let hint = html! {
+            p {
+                "Which of the axes it takes is not known; to find out: "
+                code { "coordinator explain " (name) }
+            }
+        };
+        let markup = if found.is_some() {
+            hint
+        } else {
+            Markup::default()
+        };
+        return Ok(Section { markup, films: 0 });
+    }
+    let outcomes = lattice::outcomes(&lattice.known);
+    let explanation = found.as_ref().map(|it| &it.explanation);
+    let link = |set| lattice.link(set);
+    let picture = figures::lattice(
+        lattice.configuration,
+        lattice.known.full(),
+        &outcomes,
+        explanation,
+        &link,
+    );
+    let films = explanation.map(|it| films::films(&lattice, it));
+    let films = films.unwrap_or_default();
+    let markup = html! {
+        section {
+            h2 { @if explanation.is_some() { "Which axes it takes" } @else { "Under every subset of the axes" } }
+            (sources(&lattice, campaign))
+            @if let Some(explanation) = explanation {
+                ul { @for answer in &explanation.answers { (films::in_words(answer, explanation.transition)) } }
+            }
+            figure {
+                div.scroll tabindex="0" role="region" aria-label="Every subset of the axes" {
+                    (picture.inline())
+                }
+                figcaption {
+                    "This configuration under every subset of the axes: none on top, all at the \
+                    bottom, a line wherever one axis is added. Initial state and every perturbation \
+                    are the same throughout. A node opens its rollout; what has a ring changes the \
+                    outcome, and nothing smaller that was run does."
+                }
+            }
+            (films.markup)
+        }
+    };
+    Ok(Section {
+        markup,
+        films: films.count,
+    })
+}
+
+/// Which campaigns this is from, where the page is one of them.
+fn sources(lattice: &Lattice, shown: &Campaign) -> Markup {
+    let to = |campaign: &Campaign| {
+        let name = campaign.name.as_str();
+        html! { a href={ "/campaigns/" (name) } { (name) } }
+    };
+    html! {
+        @if let Some(by) = &lattice.explaining {
+            p.muted {
+                @if by.campaign.id == shown.id {
+                    "Explains "
+                    a href=(address(lattice.measured.campaign.name.as_str(), lattice.configuration, 0)) {
+                        "this configuration of " (lattice.measured.campaign.name)
+                    }
+                    "."
+                } @else {
+                    "Explained by " (to(&by.campaign)) "."
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,215 @@
+//! How an explanation is shown: in the report, on the page, as a table, in films; and how
+//! the axes interact where whole lattices were run.
+
+use std::collections::BTreeSet;
+
+use proto::coordinator as wire;
+use protocol::RolloutId;
+use serde_json::Value;
+
+use crate::derived::run_all;
+use crate::explain::{create_with, explained, outcome};
+use crate::films::{films, upload};
+use crate::json::{documented, keys};
+use crate::page::ask;
+use crate::process::{Serve, text};
+
+/// The page at an address.
+async fn page(serve: &Serve, path: &str) -> String {
+    let answer = ask(&serve.url, &format!("GET {path}")).await;
+    assert_eq!(answer.code, 200, "{path}");
+    answer.text()
+}
+
+/// What a command that works prints.
+fn printed(serve: &Serve, arguments: &[&str]) -> String {
+    let output = serve.command(arguments);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    text(&output.stdout).to_owned()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn report_page_and_table_show_what_was_found() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    create_with(&serve, &[]);
+    let mut worker = serve.worker("w").await;
+    run_all(&mut worker, outcome).await;
+    // Before it is explained, the page says how to.
+    let emergent = "/campaigns/first/configurations/object/t0/combination/L2/c00";
+    assert!(
+        page(&serve, emergent)
+            .await
+            .contains("coordinator explain first")
+    );
+    let found = explained(&serve, &[]).await;
+
+    let words = printed(&serve, &["report", "first-explained"]);
+    assert!(words.contains("6 of 6 transitions explained"), "{words}");
+    assert!(
+        words.lines().all(|line| line.chars().count() <= 80),
+        "{words}"
+    );
+    let json = printed(&serve, &["report", "first-explained", "--json"]);
+    let json: Value = serde_json::from_str(&json).expect("JSON");
+    assert_eq!(json["reports"][0]["explanation"], found);
+
+    let csv = folder.path().join("subsets.csv");
+    let parquet = folder.path().join("subsets.parquet");
+    let html = folder.path().join("report.html");
+    let [csv, parquet, html] = [csv, parquet, html].map(|it| it.to_string_lossy().into_owned());
+    #[rustfmt::skip]
+    printed(&serve, &[
+        "report", "first-explained", "--table", &csv, "--table", &parquet, "--html", &html,
+    ]);
+    let table = std::fs::read_to_string(&csv).expect("written");
+    // Five tasks with one minimal subset, and one with two.
+    assert_eq!(table.lines().count(), 1 + 7, "{table}");
+    assert!(
+        table.contains("libero_object,4,0,compensated,robot,camera+robot,2,true,0,"),
+        "{table}"
+    );
+    assert!(std::fs::metadata(&parquet).expect("written").len() > 0);
+    let html = std::fs::read_to_string(&html).expect("written");
+    for shown in [
+        "Which axes it takes",
+        "Emergent failures",
+        "Compensated successes",
+    ] {
+        assert!(html.contains(shown), "{shown}");
+    }
+    assert!(
+        !html.contains("Paired outcomes"),
+        "it has parts of configurations only"
+    );
+
+    let campaign = page(&serve, "/campaigns/first-explained").await;
+    assert!(
+        campaign.contains(&format!("href=\"{emergent}\"")),
+        "{campaign}"
+    );
+    let bar = "camera+robot: 2 configurations, established in 2";
+    assert!(campaign.contains(bar), "{campaign}");
+    // Of both campaigns, with a ring around what is minimal.
+    let subset = "/campaigns/first-explained/configurations/object/t0/camera+robot/L2/c00";
+    for place in [emergent, subset] {
+        let page = page(&serve, place).await;
+        assert!(page.contains("camera+robot: fails; minimal"), "{place}");
+        assert!(page.contains("robot+sensor: succeeds"), "{place}");
+        assert!(
+            page.contains(&format!("href=\"{subset}#camera+robot\"")),
+            "{place}"
+        );
+        assert!(page.contains("camera and robot together"), "{place}");
+        assert!(
+            page.contains("--record transitions"),
+            "the remedy for missing films"
+        );
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_shows_an_explanation_is_filmed_and_stands_side_by_side() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    create_with(&serve, &["--record", "transitions"]);
+    explained(&serve, &[]).await;
+    let mut worker = serve.worker("films").await;
+    let all = films(&mut worker).await;
+    let id = |film: &wire::Film| -> RolloutId {
+        let row: Value = serde_json::from_str(&film.manifest_row).expect("a row");
+        let id = row["rollout_id"].as_str().or(row["id"].as_str());
+        id.expect("an id").parse().expect("an id")
+    };
+    // Of the third task a triple is minimal: it, and the pairs in it.
+    let of_task: BTreeSet<String> = all
+        .iter()
+        .filter(|film| film.campaign == "first-explained" && id(film).task().index() == 2)
+        .map(|film| id(film).condition().to_string())
+        .collect();
+    let expected = [
+        "camera+lighting",
+        "camera+lighting+sensor",
+        "camera+sensor",
+        "lighting+sensor",
+    ];
+    assert_eq!(of_task, expected.map(str::to_owned).into());
+
+    for film in &all {
+        upload(&mut worker, &film.attempt_id).await;
+    }
+    let subset = "/campaigns/first/configurations/object/t2/combination/L2/c00";
+    let page = page(&serve, subset).await;
+    for set in expected {
+        let video = format!("/campaigns/first-explained/videos/object/t2/{set}/L2/c00?replicate=0");
+        assert!(page.contains(&video), "{set}");
+    }
+    assert!(!page.contains("Not all rollouts"), "all are filmed");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn interactions_add_up_to_simultaneous_success() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    create_with(&serve, &[]);
+    let refused = serve.command(&["interactions", "first"]);
+    assert_eq!(refused.status.code(), Some(1));
+    let error = text(&refused.stderr);
+    assert!(
+        error.contains("--subsets all") && error.contains("`first`"),
+        "{error}"
+    );
+
+    #[rustfmt::skip]
+    printed(&serve, &[
+        "campaign", "create", "--name", "whole", "--policy", "p",
+        "--endpoint", "http://127.0.0.1:50051", "--tasks", "libero_object", "--axes", "all",
+        "--subsets", "all", "--levels", "L2", "--configs", "0",
+    ]);
+    let mut worker = serve.worker("w").await;
+    run_all(&mut worker, outcome).await;
+    let json = printed(&serve, &["interactions", "whole", "--json"]);
+    let json: Value = serde_json::from_str(&json).expect("JSON");
+    let mut found = BTreeSet::new();
+    keys(&json, "", &mut found);
+    assert_eq!(found, documented("interactions"));
+    let level = &json["levels"][0];
+    assert_eq!((&level["n"], &level["left_out"]), (&10.into(), &0.into()));
+    let sum = |list: &str, value: &str| -> i64 {
+        let entries = level[list].as_array().expect("a list").iter();
+        entries
+            .filter_map(|it| it[value]["numerator"].as_i64())
+            .sum()
+    };
+    let report = printed(&serve, &["report", "whole", "--json"]);
+    let report: Value = serde_json::from_str(&report).expect("JSON");
+    let s_sim = report["paired"]["p"]["L2"]["s_sim"]
+        .as_f64()
+        .expect("a rate");
+    // Nominally everything succeeds: ten of ten.
+    let simultaneous = 10 + sum("subsets", "moebius");
+    assert_eq!(simultaneous as f64 / 10.0, s_sim);
+    assert_eq!(10 + sum("sizes", "moebius"), simultaneous);
+    assert_eq!(600 + sum("shares", "shapley"), 60 * simultaneous);
+    assert_eq!(report["reports"][0]["interactions"], json);
+
+    let words = printed(&serve, &["interactions", "whole"]);
+    assert!(
+        words.lines().all(|line| line.chars().count() <= 80),
+        "{words}"
+    );
+    assert!(words.contains("camera+lighting+robot+sensor+actuation+language"));
+    let page = page(&serve, "/campaigns/whole").await;
+    assert!(page.contains("How the axes interact"));
+    let lattice = "/campaigns/whole/configurations/object/t6/combination/L2/c00";
+    let lattice = self::page(&serve, lattice).await;
+    assert!(lattice.contains("64 of 64 subsets have an outcome"));
+
+    // Of transitions alone they say what they are of.
+    let _ = explained(&serve, &["--exhaustive"]).await;
+    let of_some = printed(&serve, &["interactions", "first-explained"]);
+    assert!(
+        of_some.contains("! these configurations were picked"),
+        "{of_some}"
+    );
+}

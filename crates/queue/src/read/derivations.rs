@@ -1,0 +1,74 @@
+//! Which campaign follows from which, and what one knows of a configuration.
+
+use super::View;
+use crate::ids::CampaignId;
+use crate::operations::error::QueueError;
+use crate::store::campaigns::{self, Campaign};
+use crate::store::{Doing, StoreError, derivations, json};
+
+/// One rollout of a configuration, as its explanation needs it.
+#[derive(Clone, Debug, sqlx::FromRow)]
+pub struct SubsetRow {
+    /// Which rollout.
+    pub rollout_id: String,
+    /// Which replicate of it.
+    pub replicate: u32,
+    /// Its initial state.
+    pub init_id: u16,
+    /// Whether it is in quarantine.
+    pub is_quarantined: bool,
+    /// Whether the goal was reached, once it is committed.
+    pub success: Option<bool>,
+    /// Whether there is a video of it.
+    pub is_filmed: bool,
+}
+
+impl View {
+    /// The campaign that a campaign follows from, if it follows from one.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn source(&mut self, campaign: CampaignId) -> Result<Option<Campaign>, StoreError> {
+        match derivations::source(self.tx(), campaign).await? {
+            Some(source) => Ok(Some(campaigns::by_id(self.tx(), source).await?)),
+            None => Ok(None),
+        }
+    }
+
+    /// The campaigns that follow from a campaign, oldest first.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn following(&mut self, campaign: CampaignId) -> Result<Vec<Campaign>, QueueError> {
+        let mut list = Vec::new();
+        for name in derivations::of(self.tx(), campaign).await? {
+            list.push(self.campaign(&name).await?);
+        }
+        Ok(list)
+    }
+
+    /// Those of the named rollouts that a campaign has, in every replicate, by rollout
+    /// id, then replicate.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn subsets(
+        &mut self,
+        campaign: CampaignId,
+        ids: &[String],
+    ) -> Result<Vec<SubsetRow>, StoreError> {
+        sqlx::query_as(
+            "SELECT j.rollout_id, j.replicate, j.init_id, j.state = 'quarantined' AS is_quarantined,
+                 r.success, EXISTS (SELECT 1 FROM artifact a
+                     WHERE a.attempt_id = r.attempt_id AND a.kind = 'video') AS is_filmed
+             FROM job j LEFT JOIN result r ON r.job_id = j.id
+             WHERE j.campaign_id = ? AND j.rollout_id IN (SELECT value FROM json_each(?))
+             ORDER BY j.rollout_id, j.replicate",
+        )
+        .bind(campaign)
+        .bind(json(ids))
+        .fetch_all(self.tx())
+        .await
+        .doing("read what is known of a configuration's subsets")
+    }
+}

@@ -1,0 +1,208 @@
+//! What a table is made of, and how it is written as CSV and as Parquet.
+//!
+//! Parquet's columns have types: booleans, integers, numbers, and strings for names and
+//! enumerations.
+
+use std::io::Write;
+use std::sync::Arc;
+
+use parquet::basic::{LogicalType, Repetition, Type as Physical};
+use parquet::column::writer::ColumnWriter;
+use parquet::data_type::ByteArray;
+use parquet::errors::ParquetError;
+use parquet::file::metadata::KeyValue;
+use parquet::file::properties::WriterProperties;
+use parquet::file::writer::SerializedFileWriter;
+use parquet::schema::types::Type;
+use serde_json::{Value as Json, json};
+
+/// A table that cannot be written.
+#[derive(Debug, thiserror::Error)]
+pub enum TableError {
+    /// As CSV.
+    #[error("write the table as CSV")]
+    Csv(#[from] csv::Error),
+    /// As Parquet.
+    #[error("write the table as Parquet")]
+    Parquet(#[from] ParquetError),
+    /// The end of the file.
+    #[error("write the end of the table")]
+    Flush(#[from] std::io::Error),
+}
+
+/// One value of a row.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Value {
+    Text(Option<String>),
+    Number(i64),
+    Real(Option<f64>),
+    Bool(Option<bool>),
+}
+
+/// What a column holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    Number,
+    Real,
+    Text,
+    Bool,
+}
+
+/// A column: its name, what it holds, and the value of a row.
+pub(super) type Column<R> = (&'static str, Kind, fn(&R) -> Value);
+
+/// A table: the name of its rows, its columns and its rows.
+pub(super) struct Table<R> {
+    pub(super) of: &'static str,
+    pub(super) columns: Vec<Column<R>>,
+    pub(super) rows: Vec<R>,
+}
+
+impl<R> Table<R> {
+    pub(super) fn csv(&self, out: impl Write) -> Result<(), TableError> {
+        let mut csv = csv::Writer::from_writer(out);
+        csv.write_record(self.columns.iter().map(|(name, ..)| name))?;
+        for row in &self.rows {
+            let values = self
+                .columns
+                .iter()
+                .map(|(.., value)| value(row).into_text());
+            csv.write_record(values)?;
+        }
+        Ok(csv.flush()?)
+    }
+
+    /// As one row group without compression; its footer has what pandas needs to read
+    /// nullable columns as what they are, see [`for_pandas`].
+    pub(super) fn parquet(&self, out: impl Write + Send) -> Result<(), TableError> {
+        let fields = self.columns.iter();
+        let fields = fields.map(|(name, kind, _)| field(name, *kind).map(Arc::new));
+        let fields: Result<Vec<_>, _> = fields.collect();
+        let schema = Type::group_type_builder(self.of).with_fields(fields?);
+        let about = KeyValue::new("pandas".to_owned(), for_pandas(&self.columns).to_string());
+        let properties = WriterProperties::builder().set_key_value_metadata(Some(vec![about]));
+        let properties = Arc::new(properties.build());
+        let mut file = SerializedFileWriter::new(out, Arc::new(schema.build()?), properties)?;
+        let mut group = file.next_row_group()?;
+        for (.., value) in &self.columns {
+            let values: Vec<Value> = self.rows.iter().map(value).collect();
+            let mut column = group.next_column()?.expect("as many columns as fields");
+            match column.untyped() {
+                ColumnWriter::ByteArrayColumnWriter(writer) => {
+                    let texts = values.iter().map(Value::as_text);
+                    let levels: Vec<i16> = texts.clone().map(|t| i16::from(t.is_some())).collect();
+                    let texts: Vec<ByteArray> = texts.flatten().map(ByteArray::from).collect();
+                    writer.write_batch(&texts, Some(&levels), None)?;
+                }
+                ColumnWriter::BoolColumnWriter(writer) => {
+                    let bools = values.iter().map(Value::as_bool);
+                    let levels: Vec<i16> = bools.clone().map(|b| i16::from(b.is_some())).collect();
+                    let bools: Vec<bool> = bools.flatten().collect();
+                    writer.write_batch(&bools, Some(&levels), None)?;
+                }
+                ColumnWriter::Int64ColumnWriter(writer) => {
+                    let numbers: Vec<i64> = values.iter().map(Value::as_number).collect();
+                    writer.write_batch(&numbers, None, None)?;
+                }
+                ColumnWriter::DoubleColumnWriter(writer) => {
+                    let reals = values.iter().map(Value::as_real);
+                    let levels: Vec<i16> = reals.clone().map(|r| i16::from(r.is_some())).collect();
+                    let reals: Vec<f64> = reals.flatten().collect();
+                    writer.write_batch(&reals, Some(&levels), None)?;
+                }
+                _ => unreachable!("columns are texts, booleans, integers and numbers"),
+            }
+            column.close()?;
+        }
+        group.close()?;
+        file.close()?;
+        Ok(())
+    }
+}
+
+/// The footer's entry `pandas`: without it, pandas makes a column of booleans or
+/// texts with gaps a column of `object`, in which `None` stands between them.
+/// Its form: <https://pandas.pydata.org/docs/development/developer.html>.
+fn for_pandas<R>(columns: &[Column<R>]) -> Json {
+    let column = |(name, kind, _): &Column<R>| {
+        let (pandas_type, numpy_type) = match kind {
+            Kind::Number => ("int64", "int64"),
+            Kind::Real => ("float64", "float64"),
+            Kind::Text => ("unicode", "string"),
+            Kind::Bool => ("bool", "boolean"),
+        };
+        json!({
+            "name": name,
+            "field_name": name,
+            "pandas_type": pandas_type,
+            "numpy_type": numpy_type,
+            "metadata": null,
+        })
+    };
+    json!({
+        "index_columns": [],
+        "column_indexes": [],
+        "columns": columns.iter().map(column).collect::<Vec<_>>(),
+        "creator": {"library": "rollout", "version": env!("CARGO_PKG_VERSION")},
+        "pandas_version": "1.0.0",
+    })
+}
+
+/// The schema of a column: only integers are never absent.
+fn field(name: &str, kind: Kind) -> Result<Type, ParquetError> {
+    let (physical, repetition, logical) = match kind {
+        Kind::Number => (Physical::INT64, Repetition::REQUIRED, None),
+        Kind::Real => (Physical::DOUBLE, Repetition::OPTIONAL, None),
+        Kind::Text => (
+            Physical::BYTE_ARRAY,
+            Repetition::OPTIONAL,
+            Some(LogicalType::String),
+        ),
+        Kind::Bool => (Physical::BOOLEAN, Repetition::OPTIONAL, None),
+    };
+    let field = Type::primitive_type_builder(name, physical).with_repetition(repetition);
+    field.with_logical_type(logical).build()
+}
+
+pub(super) fn text(text: &str) -> Value {
+    Value::Text(Some(text.to_owned()))
+}
+
+impl Value {
+    fn into_text(self) -> String {
+        match self {
+            Self::Text(text) => text.unwrap_or_default(),
+            Self::Number(number) => number.to_string(),
+            Self::Real(real) => real.map_or_else(String::new, |real| real.to_string()),
+            Self::Bool(value) => value.map_or_else(String::new, |value| value.to_string()),
+        }
+    }
+
+    fn as_text(&self) -> Option<&str> {
+        match self {
+            Self::Text(text) => text.as_deref(),
+            _ => None,
+        }
+    }
+
+    fn as_bool(&self) -> Option<bool> {
+        match self {
+            Self::Bool(value) => *value,
+            _ => None,
+        }
+    }
+
+    fn as_real(&self) -> Option<f64> {
+        match self {
+            Self::Real(real) => *real,
+            _ => None,
+        }
+    }
+
+    fn as_number(&self) -> i64 {
+        match self {
+            Self::Number(number) => *number,
+            _ => 0,
+        }
+    }
+}
