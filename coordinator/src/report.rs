@@ -6,7 +6,7 @@
 use paired::{Outcome, Record};
 use protocol::{CampaignSpec, ManifestRow, RolloutId, UnknownName};
 use queue::read::{Campaign, RecordRow, SetupRow, View};
-use report::{BeyondRange, Origin, Quarantined, Setups, Subject, rollout_name};
+use report::{BeyondRange, EarlyStop, Origin, Quarantined, Setups, Subject, rollout_name};
 use sha2::{Digest, Sha256};
 
 use crate::reading::ReadError;
@@ -34,6 +34,7 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
         .await?
         .into_iter();
     let divergent = view.divergent(campaign.id).await?;
+    let early_stop = view.early_stop(campaign).await?;
     Ok(Subject {
         policy: campaign.policy.clone(),
         origin: Origin::Campaign {
@@ -60,6 +61,10 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
         published_nominal: None,
         reported_nominal: None,
         setups: Setups::default(),
+        early_stop: early_stop.map(|early| EarlyStop {
+            stop: early.stop,
+            has_stopped: early.used.is_some(),
+        }),
     })
 }
 

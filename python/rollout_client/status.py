@@ -21,10 +21,11 @@ class Status:
     endpoint: str
     #: From -100 to 100; the higher, the earlier.
     priority: int
-    #: What its operator made of it: `running`, `paused`, `cancelled`.
+    #: What its operator made of it: `running`, `paused`, `cancelled`; or `stopped`, early, as
+    #: its rule says.
     state: str
-    #: Nothing more will happen by itself: it is cancelled, or every rollout is committed or
-    #: quarantined.
+    #: Nothing more will happen by itself: it is cancelled or stopped, or every rollout is
+    #: committed or quarantined.
     is_finished: bool
     #: Rollouts that there are; that wait, are being run, have a result; of these, that reached
     #: their goal and did not; and that failed too often and have none.
@@ -61,7 +62,7 @@ class Status:
             endpoint=message.policy_endpoint,
             priority=message.priority,
             state=state,
-            is_finished=state == "cancelled" or is_complete,
+            is_finished=state in ("cancelled", "stopped") or is_complete,
             total=message.total,
             queued=message.queued,
             leased=message.leased,

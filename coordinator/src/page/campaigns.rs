@@ -63,7 +63,7 @@ pub(super) fn progress(status: &CampaignStatus) -> Markup {
 /// What keeps a campaign from going on, or wants to be looked at.
 fn notes(status: &CampaignStatus) -> Markup {
     let aside = status.counts.quarantined;
-    let is_over = matches!(status.campaign.state, CampaignState::Cancelled { .. });
+    let is_over = status.campaign.state.is_over();
     html! {
         @if !is_over && (status.policy_pause_reason.is_some() || !status.waiting_reason.is_empty()
             || aside > 0)
@@ -95,6 +95,7 @@ fn notes(status: &CampaignStatus) -> Markup {
 fn pace(status: &CampaignStatus) -> String {
     match status.campaign.state {
         CampaignState::Cancelled { .. } => "cancelled".to_owned(),
+        CampaignState::Stopped { .. } => stopped(status),
         _ if left(status) == 0 && status.counts.quarantined > 0 => {
             format!(
                 "finished but for {} in quarantine",
@@ -114,6 +115,17 @@ fn pace(status: &CampaignStatus) -> String {
             _ => "no recent result to measure the pace by".to_owned(),
         },
     }
+}
+
+/// That it stopped early, and what that saved.
+fn stopped(status: &CampaignStatus) -> String {
+    let early = status.stop.as_ref();
+    let Some((early, used)) = early.and_then(|early| Some((early, early.used?))) else {
+        return "stopped early".to_owned();
+    };
+    let configurations = [used.into(), early.configurations.into()];
+    let rollouts = [status.counts.queued, status.counts.total()];
+    ::report::stopped_in_words(configurations, &early.stop.rule.to_string(), rollouts)
 }
 
 /// Rollouts that are still to come to something.

@@ -32,6 +32,7 @@ mod reports;
 mod schema;
 mod seeds;
 mod standing;
+mod stops;
 mod subsets;
 mod thresholds;
 mod together;

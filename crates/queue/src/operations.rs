@@ -21,5 +21,6 @@ pub(crate) mod removals;
 pub(crate) mod retry;
 pub(crate) mod shared;
 pub(crate) mod start;
+pub(crate) mod stop;
 mod sweep;
 pub(crate) mod writer;

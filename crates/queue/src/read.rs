@@ -29,6 +29,7 @@ use crate::store::{Store, StoreError};
 use crate::timing::Timing;
 
 pub use crate::store::campaigns::Campaign;
+pub use crate::store::stops::EarlyStop;
 pub use campaigns::{CampaignStatus, Counts, RATE_WINDOW};
 pub use changes::{Changes, Sizes};
 pub use configurations::{ResultLine, RolloutLine};

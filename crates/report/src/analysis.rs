@@ -1,8 +1,12 @@
 //! One policy, measured: its subject, its records matched, its statistics.
 
-use paired::{Cell, DuplicateRecord, Options, Records, Report};
+use std::borrow::Cow;
+use std::collections::BTreeSet;
+
+use paired::{Cell, DuplicateRecord, Options, Outcome, Record, Records, Report};
 use protocol::Level;
 
+use crate::sequential::Sequential;
 use crate::subject::Subject;
 use crate::warnings;
 
@@ -13,8 +17,13 @@ pub struct Analysis {
     pub label: String,
     /// What it is of.
     pub subject: Subject,
-    /// Its outcomes, matched.
+    /// Its outcomes, matched. Of a campaign that stopped early, those of the
+    /// configurations that its confidence sequences rest on.
     pub records: Records,
+    /// The records of these, if some do not count.
+    counted: Option<Vec<Record>>,
+    /// Its confidence sequences, if it may end early.
+    pub sequential: Option<Sequential>,
     /// The statistics.
     pub report: Report,
 }
@@ -22,11 +31,20 @@ pub struct Analysis {
 impl Analysis {
     /// Measures a subject.
     pub(crate) fn new(label: String, subject: Subject) -> Result<Self, DuplicateRecord> {
-        let records = Records::new(&subject.records)?;
+        let sequential = Sequential::of(&subject)?;
+        let counted = match subject.counted() {
+            Cow::Owned(counted) => Some(counted),
+            Cow::Borrowed(_) => None,
+        };
+        let records = Records::new(counted.as_deref().unwrap_or(&subject.records))?;
+        let mut notes = warnings::of_subject(&subject);
+        if let Some(warning) = sequential.as_ref().and_then(Sequential::warning) {
+            notes.insert(0, warning);
+        }
         let report = paired::report_of(
             &records,
             &Options {
-                notes: warnings::of_subject(&subject),
+                notes,
                 published_nominal: subject.published_nominal,
                 reported_nominal: subject.reported_nominal,
                 ..Options::default()
@@ -36,8 +54,32 @@ impl Analysis {
             label,
             subject,
             records,
+            counted,
+            sequential,
             report,
         })
+    }
+
+    /// The records that figures are of.
+    pub(crate) fn counted(&self) -> &[Record] {
+        self.counted.as_deref().unwrap_or(&self.subject.records)
+    }
+
+    /// All records, without the outcomes that figures are not of.
+    pub(crate) fn outcomes_of_all(&self) -> Vec<Record> {
+        let counted = self.counted().iter();
+        let counted: BTreeSet<_> = counted.map(|it| (it.replicate, it.id)).collect();
+        let all = self.subject.records.iter();
+        all.map(
+            |record| match counted.contains(&(record.replicate, record.id)) {
+                true => *record,
+                false => Record {
+                    outcome: Outcome::Missing,
+                    ..*record
+                },
+            },
+        )
+        .collect()
     }
 
     /// The cells of replicate 0, by level.

@@ -9,6 +9,7 @@ use serde::Serialize;
 
 use crate::analysis::Analysis;
 use crate::comparison::{Comparison, Unpairable};
+use crate::sequential::Sequential;
 use crate::subject::{Origin, Quarantined, Subject};
 use crate::warnings;
 
@@ -57,6 +58,8 @@ struct JsonReport<'a> {
     origin: &'a Origin,
     realisation: Option<&'a str>,
     errors: &'a [Quarantined],
+    #[serde(skip_serializing_if = "Option::is_none")]
+    sequential: Option<&'a Sequential>,
     #[serde(flatten)]
     report: &'a Report,
 }
@@ -119,6 +122,7 @@ impl Document {
             origin: &analysis.subject.origin,
             realisation: analysis.subject.realisation.map(|r| r.name()),
             errors: &analysis.subject.errors,
+            sequential: analysis.sequential.as_ref(),
             report: &analysis.report,
         });
         let text = serde_json::to_string_pretty(&JsonForm {
@@ -142,6 +146,10 @@ impl Document {
             text.push_str(&head(&analysis.subject));
             text.push('\n');
             text.push_str(&paired::table(&analysis.report));
+            if let Some(sequential) = &analysis.sequential {
+                text.push('\n');
+                text.push_str(&sequential.text());
+            }
             text.push_str(&tail(&analysis.subject));
         }
         let reports: Vec<&Report> = self.analyses.iter().map(|it| &it.report).collect();

@@ -50,7 +50,7 @@ impl Findings {
     /// # Errors
     /// If it perturbs one axis only.
     pub fn can_be_of(campaign: &Subject, explanation: &Explanation) -> Result<(), KnownError> {
-        configurations(&campaign.records, &[], explanation).map(drop)
+        configurations(&campaign.counted(), &[], explanation).map(drop)
     }
 
     /// Puts together what both campaigns know.
@@ -62,14 +62,15 @@ impl Findings {
         by: &Subject,
         explanation: &Explanation,
     ) -> Result<Self, KnownError> {
-        let known = configurations(&campaign.records, &by.records, explanation)?;
-        let sample = Sample::of(explanation, &campaign.records);
+        let counted = campaign.counted();
+        let known = configurations(&counted, &by.records, explanation)?;
+        let sample = Sample::of(explanation, &counted);
         let mut findings = Self {
             campaign: campaign.origin_name().to_owned(),
             explained_by: by.origin_name().to_owned(),
             policy: campaign.policy.clone(),
             // While an outcome is missing, there may be further transitions.
-            complete: campaign.records.iter().all(is_settled) && plan(&known, &sample).is_empty(),
+            complete: counted.iter().all(is_settled) && plan(&known, &sample).is_empty(),
             transitions: 0,
             explained: 0,
             nominal_fails: 0,

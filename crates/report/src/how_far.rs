@@ -118,7 +118,7 @@ impl HowFar {
         campaign: &Subject,
         thresholds: &Thresholds,
     ) -> Result<(), BudgetTooSmall> {
-        let measurement = Measurement::of(&campaign.records, &[], thresholds);
+        let measurement = Measurement::of(&campaign.counted(), &[], thresholds);
         let is_empty = measurement.rays().next().is_none() && measurement.of_rays() > 0;
         match thresholds.budget {
             Some(budget) if is_empty => Err(BudgetTooSmall {
@@ -131,7 +131,8 @@ impl HowFar {
 
     /// Puts together what both campaigns know.
     pub fn of(campaign: &Subject, by: &Subject, thresholds: &Thresholds) -> Self {
-        let measurement = Measurement::of(&campaign.records, &by.records, thresholds);
+        let counted = campaign.counted();
+        let measurement = Measurement::of(&counted, &by.records, thresholds);
         let is_settled = |record: &Record| record.outcome != Outcome::Missing;
         let waiting = by.records.iter().filter(|it| !is_settled(it)).count();
         let rays = measurement.rays();
@@ -144,7 +145,7 @@ impl HowFar {
             policy: campaign.policy.clone(),
             tolerance: thresholds.tolerance,
             max_radius: thresholds.max_radius,
-            complete: campaign.records.iter().all(is_settled)
+            complete: counted.iter().all(is_settled)
                 && waiting == 0
                 && measurement.plan().is_empty(),
             looked_for: measured.len() as u64,

@@ -183,6 +183,7 @@ pub fn import(path: &Path) -> Result<Subject, ImportError> {
         published_nominal: about.published_nominal,
         reported_nominal: about.nominal,
         setups: Setups::default(),
+        early_stop: None,
     })
 }
 

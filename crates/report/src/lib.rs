@@ -17,6 +17,8 @@ pub mod figures;
 mod how_far;
 mod import;
 mod page;
+mod sequential;
+mod sequential_comparison;
 mod subject;
 mod table;
 mod warnings;
@@ -32,6 +34,8 @@ pub use page::{
     STYLE, comparison as page_comparison, how_far as page_how_far, page, sections,
     warnings as page_warnings,
 };
-pub use subject::{BeyondRange, Origin, Quarantined, Setups, Subject, rollout_name};
+pub use sequential::{Sequential, stopped_in_words};
+pub use sequential_comparison::{NoCommonOrder, SequentialCell, SequentialComparison};
+pub use subject::{BeyondRange, EarlyStop, Origin, Quarantined, Setups, Subject, rollout_name};
 pub use table::{TableError, write_csv, write_parquet};
 pub use warnings::fingerprints_in_words;

@@ -1,11 +1,12 @@
 //! What a report is of: one policy's outcomes, and everything known about how
 //! they were made.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use attempt::{Fingerprints, Provenance};
-use paired::{Count, Record};
-use protocol::{Realisation, RolloutId};
+use paired::{CampaignLook, Count, Record};
+use protocol::{Realisation, RolloutId, Stop};
 use serde::{Deserialize, Serialize};
 
 /// One policy's outcomes under one set of circumstances.
@@ -41,6 +42,18 @@ pub struct Subject {
     /// What the policy was given to do; empty where that is not known.
     #[serde(default)]
     pub setups: Setups,
+    /// How its campaign may end early, or did; none of one that runs to its end.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub early_stop: Option<EarlyStop>,
+}
+
+/// How a campaign may end early.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EarlyStop {
+    /// The rule, and what its order is drawn from.
+    pub stop: Stop,
+    /// Whether it did.
+    pub has_stopped: bool,
 }
 
 /// What the rollouts of a subject were, beyond their names: two subjects can
@@ -108,6 +121,21 @@ pub fn rollout_name(rollout_id: &str, replicate: u32) -> String {
 }
 
 impl Subject {
+    /// Whether its campaign stopped early: what has no outcome gets none.
+    pub fn has_stopped(&self) -> bool {
+        let early = self.early_stop.as_ref();
+        early.is_some_and(|early| early.has_stopped)
+    }
+
+    /// The records that figures are of: of a campaign that stopped early, those of the
+    /// configurations that its intervals rest on.
+    pub fn counted(&self) -> Cow<'_, [Record]> {
+        let stopped = self.early_stop.as_ref().filter(|it| it.has_stopped);
+        let counted =
+            stopped.and_then(|early| CampaignLook::counted_when_met(&self.records, &early.stop));
+        counted.map_or(Cow::Borrowed(&self.records), Cow::Owned)
+    }
+
     /// The campaign's or the file's name.
     pub fn origin_name(&self) -> &str {
         match &self.origin {

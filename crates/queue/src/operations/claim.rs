@@ -10,7 +10,9 @@ use attempt::{AttemptId, Pin};
 use super::context::Context;
 use super::error::QueueError;
 use crate::ids::{AttemptNumber, CampaignId, CampaignName, JobId, WorkerId};
-use crate::rules::choice::{WaitingCampaign, WaitingTask, choose_campaign, choose_task};
+use crate::rules::choice::{
+    WaitingCampaign, WaitingTask, choose_campaign, choose_task, first_tasks,
+};
 use crate::rules::lease::MIN_WORKERS_TO_QUARANTINE;
 use crate::rules::outage::{Allowance, PolicyState};
 use crate::store::campaigns::Campaign;
@@ -237,7 +239,10 @@ impl Context<'_> {
         wanting: &mut Vec<Wanting<'_>>,
         room: usize,
     ) -> Result<Vec<(usize, Assigned)>, StoreError> {
-        let grants = self.choose(campaign, wanting, room).await?;
+        let grants = match campaign.is_drawn {
+            true => self.choose_in_order(campaign, wanting, room).await?,
+            false => self.choose(campaign, wanting, room).await?,
+        };
         let Some((_, first)) = grants.first() else {
             return Ok(Vec::new());
         };
@@ -325,17 +330,59 @@ impl Context<'_> {
                     continue;
                 };
                 taken.insert(job.id);
-                let grant = Grant {
-                    job: job.id.0,
-                    worker: asks.request.worker.0.clone(),
-                    attempt: self.shared.new_attempt(),
-                    claim: asks.request.claim.clone(),
-                };
-                grants.push((asks.place, grant));
+                grants.push((asks.place, self.grant(job.id, asks.request)));
             }
             *wanting = left;
         }
         Ok(grants)
+    }
+
+    /// Which jobs of a campaign go to which claim, if it may end early: the first in
+    /// its drawn order, whatever scene a slot holds. Only what is complete up to the
+    /// first gap counts, so that what is run ahead of a gap may be run for nothing.
+    async fn choose_in_order(
+        &mut self,
+        campaign: &Campaign,
+        wanting: &mut Vec<Wanting<'_>>,
+        room: usize,
+    ) -> Result<Vec<(usize, Grant)>, StoreError> {
+        let must_differ = self.able_workers(campaign).await? >= MIN_WORKERS_TO_QUARANTINE;
+        let limit = room.min(wanting.len()) + SPARE_CANDIDATES;
+        let tasks = claims::waiting_tasks(&mut self.tx, campaign.id, self.now).await?;
+        let tasks = first_tasks(tasks, limit);
+        let tasks = tasks.iter().map(String::as_str);
+        let candidates =
+            claims::candidates(&mut self.tx, campaign.id, tasks, limit, self.now).await?;
+        let mut candidates: Vec<_> = candidates.into_values().flatten().collect();
+        candidates.sort_by_key(|job| job.unit_order);
+        let mut grants: Vec<(usize, Grant)> = Vec::new();
+        let mut left = Vec::new();
+        for asks in wanting.drain(..) {
+            let request = asks.request;
+            let suits =
+                |job: &claims::Candidate| !(must_differ && job.has_failed_on(&request.worker));
+            let found = match grants.len() < room {
+                true => candidates.iter().position(suits),
+                false => None,
+            };
+            let Some(found) = found else {
+                left.push(asks);
+                continue;
+            };
+            let job = candidates.remove(found);
+            grants.push((asks.place, self.grant(job.id, request)));
+        }
+        *wanting = left;
+        Ok(grants)
+    }
+
+    fn grant(&self, job: JobId, to: &ClaimRequest) -> Grant {
+        Grant {
+            job: job.0,
+            worker: to.worker.0.clone(),
+            attempt: self.shared.new_attempt(),
+            claim: to.claim.clone(),
+        }
     }
 
     /// Why jobs wait that a worker on `pin` does not get; empty if none do.

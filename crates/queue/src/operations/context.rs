@@ -25,7 +25,8 @@ pub(crate) struct Context<'a> {
     pub(super) tx: Tx<'a>,
     pub(super) cache: MutexGuard<'a, Cache>,
     pub(super) now: UnixMillis,
-    /// Whether it settles a job: campaigns that follow from others may go on then.
+    /// Whether it settles a job: campaigns that follow from others may go on then, and
+    /// a campaign may end early.
     pub(super) settles: bool,
 }
 
@@ -61,7 +62,7 @@ impl<'a> Context<'a> {
         self.tx.commit().await?;
         self.cache.committed();
         if self.settles {
-            self.shared.outcomes.notify_one();
+            self.shared.settled.send_modify(|count| *count += 1);
         }
         Ok(())
     }

@@ -8,7 +8,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-use paired::{Outcome, Record};
+use paired::{CampaignLook, Outcome, Record};
 use protocol::{CampaignSpec, Explanation, ManifestRow, Rollouts, Thresholds};
 use sqlx::SqliteConnection;
 
@@ -21,6 +21,7 @@ use crate::rules::thresholds;
 use crate::store::campaigns;
 use crate::store::derivations::{self, Derived, OutcomeRow};
 use crate::store::failpoint::Step;
+use crate::store::stops::{self, EarlyStop};
 use crate::store::{Doing, StoreError, undecodable};
 
 /// Between two looks: outcomes that come together are looked at together.
@@ -30,18 +31,17 @@ const PAUSE_AFTER_FAILURE: Duration = Duration::from_secs(5);
 
 /// Adds what follows from outcomes, as they come.
 pub(crate) async fn run(shared: std::sync::Arc<Shared>) {
+    let mut settled = shared.settled.subscribe();
     loop {
-        let pause = match look(&shared).await {
-            Ok(()) => PAUSE,
-            Err(error) => {
-                tracing::error!("failed to {error}: {}", error.source);
-                // What it was about to look at is still to be looked at.
-                shared.outcomes.notify_one();
-                PAUSE_AFTER_FAILURE
-            }
-        };
-        tokio::time::sleep(pause).await;
-        shared.outcomes.notified().await;
+        settled.mark_unchanged();
+        if let Err(error) = look(&shared).await {
+            tracing::error!("failed to {error}: {}", error.source);
+            tokio::time::sleep(PAUSE_AFTER_FAILURE).await;
+            continue;
+        }
+        tokio::time::sleep(PAUSE).await;
+        // The sender is kept by the same queue.
+        let _ = settled.changed().await;
     }
 }
 
@@ -52,7 +52,7 @@ async fn look(shared: &Shared) -> Result<(), StoreError> {
     let mut found = Vec::new();
     for campaign in derivations::all(&mut view).await? {
         // Which transitions there are, and which radii are known, is clear when all
-        // rollouts of the source have an outcome.
+        // rollouts of the source that ever will have an outcome.
         if campaign.unsettled == 0 {
             let jobs = following(&mut view, &campaign).await?;
             found.extend((!jobs.is_empty()).then_some((campaign.campaign, jobs)));
@@ -101,7 +101,7 @@ async fn subsets(
     campaign: &Derived,
     explanation: &Explanation,
 ) -> Result<Vec<Rollout>, StoreError> {
-    let source = records(tx, campaign.source).await?;
+    let source = source_records(tx, campaign).await?;
     let own = records(tx, campaign.campaign).await?;
     let wanted = explanation::wanted(&source, &own, explanation);
     let ids: BTreeSet<String> = wanted
@@ -149,7 +149,7 @@ async fn radii(
     let Rollouts::Design(design) = specification(&spec)?.rollouts else {
         return Ok(Vec::new());
     };
-    let source = records(tx, campaign.source).await?;
+    let source = source_records(tx, campaign).await?;
     let own = records(tx, campaign.campaign).await?;
     let rows = thresholds::wanted(&design, &source, &own, thresholds);
     let rows = rows
@@ -158,8 +158,26 @@ async fn radii(
     Ok(rows.into_iter().map(|row| (row, 0)).collect())
 }
 
+/// What is known of the rollouts of a campaign's source; of one that stopped early, of those
+/// that its figures are of.
+async fn source_records(
+    tx: &mut SqliteConnection,
+    campaign: &Derived,
+) -> Result<Vec<Record>, StoreError> {
+    let all = records(tx, campaign.source).await?;
+    let counted = match stops::of(tx, campaign.source).await? {
+        Some(EarlyStop {
+            stop,
+            used: Some(_),
+            ..
+        }) => CampaignLook::counted_when_met(&all, &stop),
+        _ => None,
+    };
+    Ok(counted.unwrap_or(all))
+}
+
 /// What is known of a campaign's rollouts.
-async fn records(
+pub(super) async fn records(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
 ) -> Result<Vec<Record>, StoreError> {

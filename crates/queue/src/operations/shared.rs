@@ -23,8 +23,9 @@ pub(crate) struct Shared {
     pub(super) cache: tokio::sync::Mutex<Cache>,
     /// Rung when jobs may have become leasable.
     pub(crate) work: Notify,
-    /// Rung when something may follow from outcomes.
-    pub(crate) outcomes: Notify,
+    /// How many transactions have settled a job: something may follow from its outcome
+    /// then, or a campaign's rule may be met.
+    pub(crate) settled: watch::Sender<u64>,
     pub(crate) draining: watch::Sender<bool>,
     /// Why nothing is leased at the moment; none while jobs are leased.
     pub(crate) hold: watch::Sender<Option<String>>,
@@ -44,7 +45,7 @@ impl Shared {
             timing,
             cache: tokio::sync::Mutex::default(),
             work: Notify::new(),
-            outcomes: Notify::new(),
+            settled: watch::Sender::new(0),
             draining: watch::Sender::new(false),
             hold: watch::Sender::new(None),
         }

@@ -12,6 +12,7 @@ use crate::operations::error::{QueueError, unknown_campaign};
 use crate::rules::campaign::CampaignState;
 use crate::rules::outage::PolicyState;
 use crate::store::campaigns::{self, Campaign};
+use crate::store::stops::{self, EarlyStop};
 use crate::store::{Doing, StoreError, workers};
 
 /// A campaign's rate is taken over so long, or, if that is less, since its first
@@ -52,6 +53,8 @@ pub struct CampaignStatus {
     pub waiting_reason: String,
     /// How its results mix fingerprints, if they have more than one.
     pub fingerprints: Option<Fingerprints>,
+    /// How it may end early, or did.
+    pub stop: Option<EarlyStop>,
 }
 
 impl Counts {
@@ -107,6 +110,17 @@ impl View {
         campaigns::spec(self.tx(), campaign.id).await
     }
 
+    /// How a campaign may end early, or did; none of one that runs to its end.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn early_stop(
+        &mut self,
+        campaign: &Campaign,
+    ) -> Result<Option<EarlyStop>, StoreError> {
+        stops::of(self.tx(), campaign.id).await
+    }
+
     /// How all campaigns stand, oldest first.
     ///
     /// # Errors
@@ -132,7 +146,9 @@ impl View {
             CampaignState::Running { since: resumed } => {
                 rate(self.tx(), campaign.id, resumed, now).await?
             }
-            CampaignState::Paused { .. } | CampaignState::Cancelled { .. } => None,
+            CampaignState::Paused { .. }
+            | CampaignState::Cancelled { .. }
+            | CampaignState::Stopped { .. } => None,
         };
         let left = (counts.queued + counts.leased) as f64;
         let policy_pause_reason = match &campaign.health.state {
@@ -154,6 +170,7 @@ impl View {
             (true, None, None) => no_worker_reason(&campaign.demand(), live.first()),
         };
         let fingerprints = self.fingerprints(campaign.id).await?;
+        let stop = stops::of(self.tx(), campaign.id).await?;
         Ok(CampaignStatus {
             campaign,
             counts,
@@ -163,6 +180,7 @@ impl View {
             live_workers,
             waiting_reason,
             fingerprints,
+            stop,
         })
     }
 }

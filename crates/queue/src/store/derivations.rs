@@ -18,7 +18,7 @@ pub(crate) struct Derived {
     pub(crate) spec: String,
     /// Its jobs so far.
     pub(crate) jobs: i64,
-    /// Jobs of its source without an outcome.
+    /// Jobs of its source without an outcome, unless that one has stopped early.
     pub(crate) unsettled: i64,
 }
 
@@ -52,7 +52,9 @@ pub(crate) async fn all(tx: &mut SqliteConnection) -> Result<Vec<Derived>, Store
     sqlx::query_as(
         "SELECT d.campaign_id AS campaign, d.source_id AS source, c.spec, c.jobs,
              (SELECT count(*) FROM job j WHERE j.campaign_id = d.source_id
-              AND j.state IN ('queued', 'leased')) AS unsettled
+              AND j.state IN ('queued', 'leased') AND NOT EXISTS
+                  (SELECT 1 FROM stop s WHERE s.campaign_id = d.source_id
+                   AND s.stopped_ms IS NOT NULL)) AS unsettled
          FROM derivation d JOIN campaign c ON c.id = d.campaign_id
          WHERE c.state <> 'cancelled' ORDER BY d.campaign_id",
     )

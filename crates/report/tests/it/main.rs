@@ -4,6 +4,7 @@ mod comparisons;
 mod forms;
 mod how_far;
 mod import;
+mod stops;
 mod subjects;
 mod tables;
 mod words;
