@@ -25,7 +25,7 @@ class Status:
     #: its rule says.
     state: str
     #: Nothing more will happen by itself: it is cancelled or stopped, or every rollout is
-    #: committed or quarantined.
+    #: committed or quarantined and none may follow.
     is_finished: bool
     #: Rollouts that there are; that wait, are being run, have a result; of these, that reached
     #: their goal and did not; and that failed too often and have none.
@@ -44,17 +44,20 @@ class Status:
     live_workers: int
     #: Why its policy is taken to be down.
     policy_outage: str | None
-    #: Why nothing is running although rollouts wait.
+    #: Why nothing is running although rollouts wait, or are still to follow.
     waiting_reason: str | None
     #: How its results mix fingerprints, if they have several.
     mixed_fingerprints: str | None
+    #: The campaign from whose outcomes its rollouts follow, if they do.
+    follows_from: str | None
     created_at: datetime
 
     @classmethod
     def of(cls, message: wire.CampaignStatus) -> Status:
         """As a coordinator sent it."""
         state = wire.CampaignStatus.State.Name(message.state).removeprefix("STATE_").lower()
-        is_complete = message.committed + message.quarantined >= message.total
+        is_settled = message.committed + message.quarantined >= message.total
+        is_complete = is_settled and not message.may_grow
         has_rate, has_eta = message.HasField("rate_per_sec"), message.HasField("eta_secs")
         return cls(
             name=message.campaign,
@@ -76,6 +79,7 @@ class Status:
             policy_outage=message.policy_pause_reason if message.policy_paused else None,
             waiting_reason=message.waiting_reason or None,
             mixed_fingerprints=message.mixed_fingerprints or None,
+            follows_from=message.follows_from or None,
             created_at=frames.instant(message.created_unix_ms),
         )
 

@@ -58,6 +58,7 @@ struct Campaign {
     waiting_reason: Option<String>,
     mixed_fingerprints: Option<String>,
     early_stop: Option<EarlyStop>,
+    follows_from: Option<String>,
     created_at: String,
 }
 
@@ -201,6 +202,7 @@ impl Campaign {
                 used: early.used,
                 saved: early.used.map(|_| status.queued),
             }),
+            follows_from: given(&status.follows_from),
             created_at: instant(status.created_unix_ms),
         }
     }

@@ -15,7 +15,7 @@ const NAME_BYTES: usize = 18;
 /// Whether nothing more will happen by itself.
 pub(super) fn is_finished(status: &CampaignStatus) -> bool {
     let is_over = matches!(status.state(), State::Cancelled | State::Stopped);
-    is_over || status.committed + status.quarantined >= status.total
+    is_over || (!status.may_grow && status.committed + status.quarantined >= status.total)
 }
 
 /// One line: name, bar, counts, rate, ETA. The bar gets what the rest leaves.
@@ -31,6 +31,8 @@ pub(super) fn line(status: &CampaignStatus) -> String {
         format!("finished but for {} in quarantine", status.quarantined)
     } else if is_finished(status) {
         "finished".to_owned()
+    } else if status.may_grow && status.queued + status.leased == 0 {
+        format!("waits for {}", shortened(&status.follows_from, NAME_BYTES))
     } else if status.state() == State::Paused {
         format!("paused, {} running", status.leased)
     } else {
@@ -155,6 +157,21 @@ mod tests {
             attention(&stopped).expect("a note"),
             "stopped early after 8 of 20 configurations: width(I) < 0.2; saved 83 rollouts (59 %)"
         );
+    }
+
+    /// It was "0/0 0%  finished" before it began.
+    #[test]
+    fn a_campaign_that_follows_from_another_waits_for_it_and_is_not_finished() {
+        let mut waiting = CampaignStatus {
+            campaign: "first-explained".to_owned(),
+            follows_from: "first".to_owned(),
+            may_grow: true,
+            ..CampaignStatus::default()
+        };
+        assert!(!is_finished(&waiting));
+        assert!(line(&waiting).ends_with("0/0 0%  waits for first"));
+        waiting.may_grow = false;
+        assert!(is_finished(&waiting) && line(&waiting).ends_with("finished"));
     }
 
     /// 137 of 140 and three in quarantine were "140/140 100%  finished".

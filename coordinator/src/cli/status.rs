@@ -93,6 +93,9 @@ fn details(status: &CampaignStatus) -> String {
             early.rule, early.seed, early.strata
         ));
     }
+    if !status.follows_from.is_empty() {
+        lines.push(format!("  follows from {}", status.follows_from));
+    }
     lines.extend(attention(status).map(|note| format!("  note         {note}")));
     lines.join("\n")
 }

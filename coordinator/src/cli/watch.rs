@@ -112,6 +112,10 @@ fn of_policy(campaigns: &[&CampaignStatus]) -> CampaignStatus {
         sum.leased += status.leased;
         sum.committed += status.committed;
         sum.quarantined += status.quarantined;
+        if status.may_grow {
+            sum.may_grow = true;
+            sum.follows_from.clone_from(&status.follows_from);
+        }
         if status.state() != State::Paused {
             sum.queued += status.queued;
         }

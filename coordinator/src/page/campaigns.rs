@@ -1,7 +1,7 @@
 //! The first page: every campaign, how far it is, and what keeps it.
 
 use maud::{Markup, html};
-use queue::read::CampaignStatus;
+use queue::read::{CampaignStatus, Source};
 use queue::rules::campaign::CampaignState;
 
 use super::bar::{bar, legend, words};
@@ -75,7 +75,12 @@ fn notes(status: &CampaignStatus) -> Markup {
                         (reason) ". " a href="/policies" { "Policies" } "."
                     }
                 } @else if !status.waiting_reason.is_empty() {
-                    li { "Nothing is running: " (status.waiting_reason) "." }
+                    li {
+                        "Nothing is running: " (status.waiting_reason) "."
+                        @if let Some(source) = awaited(status) {
+                            " " a href={ "/campaigns/" (source.name) } { (source.name) } "."
+                        }
+                    }
                 }
                 @if aside > 0 {
                     li {
@@ -93,6 +98,12 @@ fn notes(status: &CampaignStatus) -> Markup {
 }
 
 fn pace(status: &CampaignStatus) -> String {
+    if let Some(source) = awaited(status)
+        && left(status) == 0
+        && !status.campaign.state.is_over()
+    {
+        return format!("waits for campaign {}", source.name);
+    }
     match status.campaign.state {
         CampaignState::Cancelled { .. } => "cancelled".to_owned(),
         CampaignState::Stopped { .. } => stopped(status),
@@ -115,6 +126,12 @@ fn pace(status: &CampaignStatus) -> String {
             _ => "no recent result to measure the pace by".to_owned(),
         },
     }
+}
+
+/// The campaign that must be through before anything more follows from it.
+fn awaited(status: &CampaignStatus) -> Option<&Source> {
+    let source = status.source.as_ref();
+    source.filter(|source| source.awaited > 0 && !source.is_cancelled)
 }
 
 /// That it stopped early, and what that saved.

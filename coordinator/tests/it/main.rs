@@ -37,3 +37,4 @@ mod subsets;
 mod thresholds;
 mod together;
 mod upgrade;
+mod waiting;

@@ -19,6 +19,7 @@ mod register;
 pub(crate) mod release;
 pub(crate) mod removals;
 pub(crate) mod retry;
+pub(crate) mod settled;
 pub(crate) mod shared;
 pub(crate) mod start;
 pub(crate) mod stop;

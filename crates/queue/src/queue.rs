@@ -114,8 +114,8 @@ impl Queue {
     /// # Errors
     /// When the database cannot be read.
     pub async fn view(&self) -> Result<View, StoreError> {
-        let (now, timing, filming) = (self.now(), self.timing(), self.filming.by_worker());
-        View::begin(&self.shared.store, now, timing, self.held(), filming).await
+        let filming = self.filming.by_worker();
+        View::begin(&self.shared, self.held(), filming).await
     }
 
     /// Reports when something was committed.

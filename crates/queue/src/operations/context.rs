@@ -59,11 +59,9 @@ impl<'a> Context<'a> {
 
     /// Ends the transaction: what it wrote is on the disk.
     pub(super) async fn commit(mut self) -> Result<(), StoreError> {
+        let _settling = self.settles.then(|| self.shared.settled.begin());
         self.tx.commit().await?;
         self.cache.committed();
-        if self.settles {
-            self.shared.settled.send_modify(|count| *count += 1);
-        }
         Ok(())
     }
 

@@ -33,12 +33,13 @@ const PAUSE_AFTER_FAILURE: Duration = Duration::from_secs(5);
 pub(crate) async fn run(shared: std::sync::Arc<Shared>) {
     let mut settled = shared.settled.subscribe();
     loop {
-        settled.mark_unchanged();
+        let ended = *settled.borrow_and_update();
         if let Err(error) = look(&shared).await {
             tracing::error!("failed to {error}: {}", error.source);
             tokio::time::sleep(PAUSE_AFTER_FAILURE).await;
             continue;
         }
+        shared.settled.look_ended(ended);
         tokio::time::sleep(PAUSE).await;
         // The sender is kept by the same queue.
         let _ = settled.changed().await;

@@ -12,6 +12,7 @@ use crate::operations::error::{QueueError, unknown_campaign};
 use crate::rules::campaign::CampaignState;
 use crate::rules::outage::PolicyState;
 use crate::store::campaigns::{self, Campaign};
+use crate::store::derivations::{self, Source};
 use crate::store::stops::{self, EarlyStop};
 use crate::store::{Doing, StoreError, workers};
 
@@ -55,6 +56,10 @@ pub struct CampaignStatus {
     pub fingerprints: Option<Fingerprints>,
     /// How it may end early, or did.
     pub stop: Option<EarlyStop>,
+    /// The campaign from whose outcomes its rollouts follow, if they do.
+    pub source: Option<Source>,
+    /// Whether further rollouts may follow by themselves.
+    pub may_grow: bool,
 }
 
 impl Counts {
@@ -159,8 +164,19 @@ impl View {
         };
         let able = live.iter().filter(|live| campaign.takes(live));
         let live_workers = u32::try_from(able.count()).unwrap_or(u32::MAX);
+        let source = derivations::source_of(self.tx(), campaign.id).await?;
+        let may_grow = match &source {
+            _ if campaign.state.is_over() => false,
+            None => false,
+            Some(source) if source.awaited > 0 => !source.is_cancelled,
+            Some(_) => !self.settled.is_all(self.looked_at),
+        };
         let is_waiting = counts.queued > 0 && counts.leased == 0 && campaign.state.may_lease();
         let waiting_reason = match (is_waiting, &self.held, &policy_pause_reason) {
+            (false, ..) if counts.queued + counts.leased == 0 => {
+                let source = source.as_ref().filter(|_| !campaign.state.is_over());
+                source.map_or_else(String::new, awaited_reason)
+            }
             (false, ..) => String::new(),
             (true, Some(reason), _) => reason.clone(),
             (true, None, Some(reason)) => {
@@ -181,6 +197,8 @@ impl View {
             waiting_reason,
             fingerprints,
             stop,
+            source,
+            may_grow,
         })
     }
 }
@@ -211,6 +229,26 @@ async fn rate(
     };
     let span = now.since(window.max(UnixMillis(first_began))).as_secs_f64();
     Ok((span > 0.0).then(|| committed as f64 / span))
+}
+
+/// What a campaign without further jobs waits for, if it follows from another.
+fn awaited_reason(source: &Source) -> String {
+    let Source {
+        name,
+        awaited,
+        is_cancelled,
+    } = source;
+    let rollouts = match awaited {
+        0 => return String::new(),
+        1 => "1 rollout".to_owned(),
+        n => format!("{n} rollouts"),
+    };
+    match is_cancelled {
+        false => format!("it goes on once campaign `{name}` is through, {rollouts} from now"),
+        true => format!(
+            "nothing follows from campaign `{name}`, which was cancelled with {rollouts} to go"
+        ),
+    }
 }
 
 fn no_worker_reason(demand: &str, live: Option<&Pin>) -> String {

@@ -32,6 +32,17 @@ pub(crate) struct OutcomeRow {
     pub(crate) success: Option<bool>,
 }
 
+/// Jobs of the source of `d` that are still to have an outcome: none of one that has stopped
+/// early.
+macro_rules! unsettled {
+    () => {
+        "(SELECT count(*) FROM job j WHERE j.campaign_id = d.source_id
+             AND j.state IN ('queued', 'leased') AND NOT EXISTS
+                 (SELECT 1 FROM stop s WHERE s.campaign_id = d.source_id
+                  AND s.stopped_ms IS NOT NULL))"
+    };
+}
+
 /// Notes that a campaign follows from another.
 pub(crate) async fn insert(
     tx: &mut SqliteConnection,
@@ -50,17 +61,43 @@ pub(crate) async fn insert(
 /// The campaigns that follow from others and are not cancelled.
 pub(crate) async fn all(tx: &mut SqliteConnection) -> Result<Vec<Derived>, StoreError> {
     sqlx::query_as(
-        "SELECT d.campaign_id AS campaign, d.source_id AS source, c.spec, c.jobs,
-             (SELECT count(*) FROM job j WHERE j.campaign_id = d.source_id
-              AND j.state IN ('queued', 'leased') AND NOT EXISTS
-                  (SELECT 1 FROM stop s WHERE s.campaign_id = d.source_id
-                   AND s.stopped_ms IS NOT NULL)) AS unsettled
-         FROM derivation d JOIN campaign c ON c.id = d.campaign_id
-         WHERE c.state <> 'cancelled' ORDER BY d.campaign_id",
-    )
+        concat!(
+        "SELECT d.campaign_id AS campaign, d.source_id AS source, c.spec, c.jobs, ",
+        unsettled!(),
+        " AS unsettled FROM derivation d JOIN campaign c ON c.id = d.campaign_id
+         WHERE c.state <> 'cancelled' ORDER BY d.campaign_id"
+    ))
     .fetch_all(tx)
     .await
     .doing("list campaigns that follow from others")
+}
+
+/// The campaign that another follows from.
+#[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
+pub struct Source {
+    /// Its name.
+    pub name: CampaignName,
+    /// Its rollouts that are still to have an outcome: until then nothing follows.
+    pub awaited: u32,
+    /// Whether they never will, because it is cancelled.
+    pub is_cancelled: bool,
+}
+
+/// The campaign that one follows from, if it does.
+pub(crate) async fn source_of(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+) -> Result<Option<Source>, StoreError> {
+    sqlx::query_as(concat!(
+        "SELECT k.name, k.state = 'cancelled' AS is_cancelled, ",
+        unsettled!(),
+        " AS awaited FROM derivation d JOIN campaign k ON k.id = d.source_id
+         WHERE d.campaign_id = ?"
+    ))
+    .bind(campaign)
+    .fetch_optional(tx)
+    .await
+    .doing("read which campaign another follows from")
 }
 
 /// The names of the campaigns that follow from one.
