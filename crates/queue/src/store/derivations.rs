@@ -4,6 +4,7 @@
 use sqlx::SqliteConnection;
 
 use super::{Doing, StoreError, json};
+use crate::clock::UnixMillis;
 use crate::expand::NewJob;
 use crate::ids::{CampaignId, CampaignName};
 use crate::store::campaigns;
@@ -20,6 +21,9 @@ pub(crate) struct Derived {
     pub(crate) jobs: i64,
     /// Jobs of its source without an outcome, unless that one has stopped early.
     pub(crate) unsettled: i64,
+    /// When its source was created, and how many results that has.
+    pub(crate) source_created_ms: UnixMillis,
+    pub(crate) source_committed: i64,
 }
 
 /// A job of either campaign.
@@ -60,11 +64,14 @@ pub(crate) async fn insert(
 
 /// The campaigns that follow from others and are not cancelled.
 pub(crate) async fn all(tx: &mut SqliteConnection) -> Result<Vec<Derived>, StoreError> {
-    sqlx::query_as(
-        concat!(
+    sqlx::query_as(concat!(
         "SELECT d.campaign_id AS campaign, d.source_id AS source, c.spec, c.jobs, ",
         unsettled!(),
-        " AS unsettled FROM derivation d JOIN campaign c ON c.id = d.campaign_id
+        " AS unsettled, k.created_ms AS source_created_ms,
+             (SELECT count(*) FROM job j WHERE j.campaign_id = d.source_id
+              AND j.state = 'committed') AS source_committed
+         FROM derivation d JOIN campaign c ON c.id = d.campaign_id
+         JOIN campaign k ON k.id = d.source_id
          WHERE c.state <> 'cancelled' ORDER BY d.campaign_id"
     ))
     .fetch_all(tx)
