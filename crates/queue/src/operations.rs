@@ -6,6 +6,7 @@ pub(crate) mod artifacts;
 pub(crate) mod backup;
 mod cache;
 pub(crate) mod campaigns;
+mod choose;
 pub(crate) mod claim;
 pub(crate) mod commit;
 pub(crate) mod context;
