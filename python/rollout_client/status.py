@@ -48,6 +48,12 @@ class Status:
     waiting_reason: str | None
     #: How its results mix fingerprints, if they have several.
     mixed_fingerprints: str | None
+    #: When it ends early, such as `width(I) < 0.08`; None if it runs to its end.
+    stop_rule: str | None
+    #: After so many of its configurations it stopped early, and so many rollouts that saved;
+    #: None while it has not.
+    stopped_after: int | None
+    saved: int | None
     #: The campaign from whose outcomes its rollouts follow, if they do.
     follows_from: str | None
     created_at: datetime
@@ -58,6 +64,8 @@ class Status:
         state = wire.CampaignStatus.State.Name(message.state).removeprefix("STATE_").lower()
         is_settled = message.committed + message.quarantined >= message.total
         is_complete = is_settled and not message.may_grow
+        early = message.early_stop
+        has_stopped = early.HasField("used")
         has_rate, has_eta = message.HasField("rate_per_sec"), message.HasField("eta_secs")
         return cls(
             name=message.campaign,
@@ -79,6 +87,9 @@ class Status:
             policy_outage=message.policy_pause_reason if message.policy_paused else None,
             waiting_reason=message.waiting_reason or None,
             mixed_fingerprints=message.mixed_fingerprints or None,
+            stop_rule=early.rule or None,
+            stopped_after=early.used if has_stopped else None,
+            saved=message.queued if has_stopped else None,
             follows_from=message.follows_from or None,
             created_at=frames.instant(message.created_unix_ms),
         )
@@ -89,6 +100,7 @@ COLUMNS = {
     "str": frames.TEXT,
     "str | None": frames.TEXT,
     "int": frames.COUNT,
+    "int | None": frames.INTEGER,
     "bool": frames.FLAG,
     "float | None": frames.NUMBER,
     "datetime": frames.INSTANT,
