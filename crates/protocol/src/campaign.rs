@@ -178,14 +178,27 @@ pub enum SpecError {
     },
     /// A rule that cannot end the campaign.
     #[error("read campaign specification: {0}")]
-    Stop(#[from] StopError),
+    Stop(StopError),
     /// A design that cannot be run.
     #[error("read campaign specification: {0}")]
-    Design(#[from] DesignError),
+    Design(DesignError),
     /// Imported rows that cannot be run. The lines are those of a manifest with
     /// one row a line.
     #[error(transparent)]
     Manifest(#[from] ManifestErrors),
+}
+
+// Their words are part of this error's: as its source, they would be said twice.
+impl From<StopError> for SpecError {
+    fn from(error: StopError) -> Self {
+        Self::Stop(error)
+    }
+}
+
+impl From<DesignError> for SpecError {
+    fn from(error: DesignError) -> Self {
+        Self::Design(error)
+    }
 }
 
 impl CampaignSpec {

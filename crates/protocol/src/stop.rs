@@ -56,7 +56,7 @@ impl Strata {
 pub enum StopError {
     /// It is about a measure that a campaign has not.
     #[error("`stop`: {0}")]
-    Measure(#[from] UnknownName),
+    Measure(UnknownName),
     /// One axis, or none.
     #[error(
         "`stop` needs simultaneous rollouts, and those of each axis alone: name two axes or more, \
@@ -92,7 +92,8 @@ pub enum StopError {
 impl Stop {
     /// Checks that the rule can end a campaign of so many replicates.
     pub(crate) fn check(&self, replicates: u32) -> Result<(), StopError> {
-        self.rule.check(&Measure::OF_ONE_POLICY)?;
+        let known = self.rule.check(&Measure::OF_ONE_POLICY);
+        known.map_err(StopError::Measure)?;
         match replicates {
             1 => Ok(()),
             given => Err(StopError::Replicates { given }),
