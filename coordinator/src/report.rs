@@ -6,7 +6,10 @@
 use paired::{Outcome, Record};
 use protocol::{CampaignSpec, ManifestRow, RolloutId, Rollouts, UnknownName};
 use queue::read::{Campaign, RecordRow, SetupRow, View};
-use report::{BeyondRange, Derived, Origin, Purpose, Quarantined, Setups, Subject, rollout_name};
+use report::{
+    BeyondRange, Derived, EarlyStop, Origin, Purpose, Quarantined, Setups, Subject, counted,
+    rollout_name,
+};
 use sha2::{Digest, Sha256};
 
 use crate::reading::ReadError;
@@ -61,6 +64,7 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
         reported_nominal: None,
         setups: Setups::default(),
         derived: derived(view, campaign, spec.rollouts).await?,
+        early_stop: early_stop(view, campaign).await?,
     })
 }
 
@@ -82,9 +86,19 @@ async fn derived(
     let own = source.realisation.as_str();
     let rows = view.records(source.id).await?;
     let records: Result<Vec<Record>, _> = rows.iter().map(|row| read_record(row, own)).collect();
+    let early_stop = early_stop(view, &source).await?;
     Ok(Some(Derived {
         purpose,
-        records: records?,
+        records: counted(&records?, early_stop.as_ref()).into_owned(),
+    }))
+}
+
+/// How a campaign may end early, or did.
+async fn early_stop(view: &mut View, campaign: &Campaign) -> Result<Option<EarlyStop>, ReadError> {
+    let early = view.early_stop(campaign).await?;
+    Ok(early.map(|early| EarlyStop {
+        stop: early.stop,
+        has_stopped: early.used.is_some(),
     }))
 }
 

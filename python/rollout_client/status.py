@@ -21,10 +21,11 @@ class Status:
     endpoint: str
     #: From -100 to 100; the higher, the earlier.
     priority: int
-    #: What its operator made of it: `running`, `paused`, `cancelled`.
+    #: What its operator made of it: `running`, `paused`, `cancelled`; or `stopped`, early, as
+    #: its rule says.
     state: str
-    #: Nothing more will happen by itself: it is cancelled, or every rollout is committed or
-    #: quarantined.
+    #: Nothing more will happen by itself: it is cancelled or stopped, or every rollout is
+    #: committed or quarantined and none may follow.
     is_finished: bool
     #: Rollouts that there are; that wait, are being run, have a result; of these, that reached
     #: their goal and did not; and that failed too often and have none.
@@ -43,17 +44,28 @@ class Status:
     live_workers: int
     #: Why its policy is taken to be down.
     policy_outage: str | None
-    #: Why nothing is running although rollouts wait.
+    #: Why nothing is running although rollouts wait, or are still to follow.
     waiting_reason: str | None
     #: How its results mix fingerprints, if they have several.
     mixed_fingerprints: str | None
+    #: When it ends early, such as `width(I) < 0.08`; None if it runs to its end.
+    stop_rule: str | None
+    #: After so many of its configurations it stopped early, and so many rollouts that saved;
+    #: None while it has not.
+    stopped_after: int | None
+    saved: int | None
+    #: The campaign from whose outcomes its rollouts follow, if they do.
+    follows_from: str | None
     created_at: datetime
 
     @classmethod
     def of(cls, message: wire.CampaignStatus) -> Status:
         """As a coordinator sent it."""
         state = wire.CampaignStatus.State.Name(message.state).removeprefix("STATE_").lower()
-        is_complete = message.committed + message.quarantined >= message.total
+        is_settled = message.committed + message.quarantined >= message.total
+        is_complete = is_settled and not message.may_grow
+        early = message.early_stop
+        has_stopped = early.HasField("used")
         has_rate, has_eta = message.HasField("rate_per_sec"), message.HasField("eta_secs")
         return cls(
             name=message.campaign,
@@ -61,7 +73,7 @@ class Status:
             endpoint=message.policy_endpoint,
             priority=message.priority,
             state=state,
-            is_finished=state == "cancelled" or is_complete,
+            is_finished=state in ("cancelled", "stopped") or is_complete,
             total=message.total,
             queued=message.queued,
             leased=message.leased,
@@ -75,6 +87,10 @@ class Status:
             policy_outage=message.policy_pause_reason if message.policy_paused else None,
             waiting_reason=message.waiting_reason or None,
             mixed_fingerprints=message.mixed_fingerprints or None,
+            stop_rule=early.rule or None,
+            stopped_after=early.used if has_stopped else None,
+            saved=message.queued if has_stopped else None,
+            follows_from=message.follows_from or None,
             created_at=frames.instant(message.created_unix_ms),
         )
 
@@ -84,6 +100,7 @@ COLUMNS = {
     "str": frames.TEXT,
     "str | None": frames.TEXT,
     "int": frames.COUNT,
+    "int | None": frames.INTEGER,
     "bool": frames.FLAG,
     "float | None": frames.NUMBER,
     "datetime": frames.INSTANT,

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use anyhow::anyhow;
 use clap::{Arg, ArgAction, ArgMatches, Args, Command, FromArgMatches, value_parser};
+use protocol::{Measure, StopRule};
 use report::{Comparison, Document, Subject};
 
 use super::command::{CommandError, Connection, print_line, usage};
@@ -13,6 +14,14 @@ use super::command::{CommandError, Connection, print_line, usage};
 pub(super) struct CompareArguments {
     #[command(flatten)]
     sources: Sources,
+    /// Demand intervals that hold at any look: both campaigns were created with
+    /// `--stop`, and ran in the same order. Where they did, these are there anyway.
+    #[arg(long)]
+    sequential: bool,
+    /// Say after how many configurations a rule about the `difference` was met, such
+    /// as `difference excludes 0`; implies --sequential.
+    #[arg(long, value_name = "RULE")]
+    stop: Option<StopRule>,
     /// Print JSON instead of a table.
     #[arg(long)]
     json: bool,
@@ -87,6 +96,9 @@ pub(super) async fn compare(arguments: CompareArguments) -> Result<(), CommandEr
             "compare two policies: {given} given; name two campaigns, or folders with --from"
         )));
     }
+    if let Some(rule) = &arguments.stop {
+        rule.check(&[Measure::Difference]).map_err(usage)?;
+    }
     let mut subjects: Vec<Subject> = Vec::new();
     for source in &sources {
         subjects.push(match source {
@@ -99,7 +111,11 @@ pub(super) async fn compare(arguments: CompareArguments) -> Result<(), CommandEr
         unreachable!("one analysis per subject");
     };
     let setups = [&a.subject.setups, &b.subject.setups];
-    let comparison = Comparison::of([a, b], setups).map_err(anyhow::Error::from)?;
+    let mut comparison = Comparison::of([a, b], setups).map_err(anyhow::Error::from)?;
+    if arguments.sequential || arguments.stop.is_some() {
+        let rule = arguments.stop.as_ref();
+        comparison.follow([a, b], rule).map_err(usage)?;
+    }
     let text = match arguments.json {
         true => comparison.json().map_err(anyhow::Error::from)?,
         false => comparison.text(),

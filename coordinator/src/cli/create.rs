@@ -12,7 +12,8 @@ use coordinator::video_estimate;
 use proto::coordinator::CreateCampaignRequest;
 use protocol::{
     Axis, AxisSet, CampaignSpec, Design, Level, MAX_CONFIGS, MAX_REPLICATES, Nominal, PolicyRoute,
-    Realisation, Record, RendererKind, Rollouts, TaskRef, UnknownName, Wanted, select_tasks,
+    Realisation, Record, RendererKind, Rollouts, Stop, StopRule, Strata, TaskRef, UnknownName,
+    Wanted, select_tasks,
 };
 use queue::expand::NewCampaign;
 use queue::rules::campaign::PRIORITIES;
@@ -30,14 +31,15 @@ const DESIGN_FLAGS: [&str; 6] = [
     "axes", "subsets", "levels", "configs", "nominal", "design_seed",
 ];
 #[rustfmt::skip]
-const SPEC_FLAGS: [&str; 9] = [
+const SPEC_FLAGS: [&str; 12] = [
     "policy", "endpoint", "tasks", "manifest", "realisation", "replicates", "record", "assets",
-    "renderer",
+    "renderer", "stop", "stop_seed", "stop_strata",
 ];
 /// Names of what is filmed, of nominal rollouts and of what draws.
 pub(super) const RECORDS: [&str; 4] = ["none", "failures", "transitions", "all"];
 const NOMINALS: [&str; 3] = ["eval", "all", "none"];
 const RENDERERS: [&str; 2] = ["software", "gl"];
+const STRATA: [&str; 2] = ["suites", "tasks"];
 
 #[derive(Args, Debug)]
 #[command(group = ArgGroup::new("source").required(true).args(["spec", "name"]))]
@@ -102,6 +104,19 @@ struct SpecFlags {
     /// What must draw, likewise: `software` or `gl`.
     #[arg(long, value_parser = one_of::<RendererKind>(RENDERERS))]
     renderer: Option<RendererKind>,
+    /// When the campaign ends early, at every level: `width(M) < X` or `M excludes X`,
+    /// or several with ` and ` between; M is S_sim, R_e, R_c, R_d or I.
+    #[arg(long, value_name = "RULE")]
+    stop: Option<StopRule>,
+    /// From what the order of the configurations is drawn, in which such a campaign
+    /// runs.
+    #[arg(long, value_name = "SEED", requires = "stop", default_value_t = 0,
+        value_parser = number_from(0_u64, ""))]
+    stop_seed: u64,
+    /// What each round of that order has one configuration of: `suites` or `tasks`.
+    #[arg(long, requires = "stop", value_parser = one_of::<Strata>(STRATA),
+        default_value = "suites")]
+    stop_strata: Strata,
 }
 
 /// The flags that say what a manifest says.
@@ -141,6 +156,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     if arguments.dry_run {
         let total = counted(campaign.jobs.len() as u64, "rollout");
         print_line(&format!("campaign {name} would have {total}"))?;
+        tell_stop(&spec)?;
         let client = arguments.connection.patient_client(Duration::ZERO)?;
         print_line(&forecast::in_words(&client, &campaign).await)?;
         return tell_size(&campaign);
@@ -157,6 +173,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     };
     let total = counted(created.jobs_total, "rollout");
     print_line(&format!("campaign {name} {happened}: {total}"))?;
+    tell_stop(&spec)?;
     if created.priority != arguments.priority {
         let kept = created.priority;
         print_line(&format!(
@@ -164,6 +181,16 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
         ))?;
     }
     tell_size(&campaign)
+}
+
+fn tell_stop(spec: &CampaignSpec) -> Result<(), CommandError> {
+    if let Some(Stop { rule, seed, strata }) = &spec.stop {
+        let strata = strata.name();
+        print_line(&format!(
+            "it ends early once {rule} at every level; order of seed {seed}, rounds of {strata}"
+        ))?;
+    }
+    Ok(())
 }
 
 fn tell_size(campaign: &NewCampaign) -> Result<(), CommandError> {
@@ -192,6 +219,11 @@ fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandErr
             assets: arguments.flags.assets.clone(),
             renderer: arguments.flags.renderer,
         },
+        stop: arguments.flags.stop.clone().map(|rule| Stop {
+            rule,
+            seed: arguments.flags.stop_seed,
+            strata: arguments.flags.stop_strata,
+        }),
     };
     spec.check().map_err(usage)?;
     Ok(spec)

@@ -4,6 +4,7 @@
 use std::time::Duration;
 
 use coordinator::client::{Client, Service};
+use proto::coordinator::campaign_status::State;
 use proto::coordinator::{CampaignStatus, CreateCampaignRequest, GetCampaignRequest};
 use protocol::{CampaignSpec, PolicyRoute, Realisation, Record, Rollouts, Wanted};
 
@@ -42,6 +43,7 @@ pub(super) async fn create(
     rollouts: Rollouts,
     record: Record,
 ) -> Result<(), CommandError> {
+    let is_stopped = source.state() == State::Stopped;
     let spec = CampaignSpec {
         name: name.to_owned(),
         policy: PolicyRoute {
@@ -53,6 +55,7 @@ pub(super) async fn create(
         replicates: 1,
         record,
         wanted: Wanted::default(),
+        stop: None,
     };
     spec.check().map_err(usage)?;
     let request = CreateCampaignRequest {
@@ -61,7 +64,7 @@ pub(super) async fn create(
     };
     client.call(request, Service::create_campaign).await?;
     let open = source.queued + source.leased;
-    if open > 0 {
+    if open > 0 && !is_stopped {
         eprintln!(
             "campaign {} has {open} rollouts without an outcome; {name} begins once it is through",
             source.campaign

@@ -57,7 +57,19 @@ struct Campaign {
     policy_outage: Option<String>,
     waiting_reason: Option<String>,
     mixed_fingerprints: Option<String>,
+    early_stop: Option<EarlyStop>,
+    follows_from: Option<String>,
     created_at: String,
+}
+
+#[derive(Serialize)]
+struct EarlyStop {
+    rule: String,
+    seed: u64,
+    strata: String,
+    configurations: u32,
+    used: Option<u32>,
+    saved: Option<u64>,
 }
 
 #[derive(Serialize)]
@@ -162,6 +174,7 @@ impl Campaign {
                 State::Running | State::Unspecified => "running",
                 State::Paused => "paused",
                 State::Cancelled => "cancelled",
+                State::Stopped => "stopped",
             },
             is_finished: is_finished(status),
             rollouts: Rollouts {
@@ -181,6 +194,15 @@ impl Campaign {
                 .then(|| status.policy_pause_reason.clone()),
             waiting_reason: given(&status.waiting_reason),
             mixed_fingerprints: given(&status.mixed_fingerprints),
+            early_stop: status.early_stop.as_ref().map(|early| EarlyStop {
+                rule: early.rule.clone(),
+                seed: early.seed,
+                strata: early.strata.clone(),
+                configurations: early.configurations,
+                used: early.used,
+                saved: early.used.map(|_| status.queued),
+            }),
+            follows_from: given(&status.follows_from),
             created_at: instant(status.created_unix_ms),
         }
     }

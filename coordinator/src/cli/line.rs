@@ -14,7 +14,8 @@ const NAME_BYTES: usize = 18;
 
 /// Whether nothing more will happen by itself.
 pub(super) fn is_finished(status: &CampaignStatus) -> bool {
-    status.state() == State::Cancelled || status.committed + status.quarantined >= status.total
+    let is_over = matches!(status.state(), State::Cancelled | State::Stopped);
+    is_over || (!status.may_grow && status.committed + status.quarantined >= status.total)
 }
 
 /// One line: name, bar, counts, rate, ETA. The bar gets what the rest leaves.
@@ -24,10 +25,14 @@ pub(super) fn line(status: &CampaignStatus) -> String {
     let percent = (done * 100).checked_div(status.total).unwrap_or(0);
     let pace = if status.state() == State::Cancelled {
         "cancelled".to_owned()
+    } else if status.state() == State::Stopped {
+        "stopped early".to_owned()
     } else if is_finished(status) && status.quarantined > 0 {
         format!("finished but for {} in quarantine", status.quarantined)
     } else if is_finished(status) {
         "finished".to_owned()
+    } else if status.may_grow && status.queued + status.leased == 0 {
+        format!("waits for {}", shortened(&status.follows_from, NAME_BYTES))
     } else if status.state() == State::Paused {
         format!("paused, {} running", status.leased)
     } else {
@@ -46,6 +51,18 @@ pub(super) fn line(status: &CampaignStatus) -> String {
     format!("{name} {bar} {counts}")
 }
 
+/// That it stopped early, and what that saved.
+fn stopped(status: &CampaignStatus) -> Option<String> {
+    let early = status.early_stop.as_ref()?;
+    let configurations = [early.used?.into(), early.configurations.into()];
+    let rollouts = [status.queued, status.total];
+    Some(report::stopped_in_words(
+        configurations,
+        &early.rule,
+        rollouts,
+    ))
+}
+
 /// What keeps a campaign from going on, or wants to be looked at.
 pub(super) fn attention(status: &CampaignStatus) -> Option<String> {
     let mut notes = Vec::new();
@@ -57,6 +74,7 @@ pub(super) fn attention(status: &CampaignStatus) -> Option<String> {
     } else if !status.waiting_reason.is_empty() {
         notes.push(status.waiting_reason.clone());
     }
+    notes.extend(stopped(status));
     if !status.mixed_fingerprints.is_empty() {
         notes.push(status.mixed_fingerprints.clone());
     }
@@ -72,6 +90,7 @@ pub(super) fn attention(status: &CampaignStatus) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proto::coordinator::campaign_status::EarlyStop;
 
     fn running(committed: u64, total: u64) -> CampaignStatus {
         CampaignStatus {
@@ -116,6 +135,43 @@ mod tests {
         assert!(line(&with(State::Paused)).ends_with("40%  paused, 2 running"));
         assert!(line(&with(State::Cancelled)).ends_with("40%  cancelled"));
         assert!(is_finished(&with(State::Cancelled)) && !is_finished(&with(State::Paused)));
+    }
+
+    #[test]
+    fn a_stopped_campaign_says_after_what_and_what_that_saved() {
+        let stopped = CampaignStatus {
+            state: State::Stopped.into(),
+            leased: 0,
+            queued: 83,
+            early_stop: Some(EarlyStop {
+                rule: "width(I) < 0.2".to_owned(),
+                configurations: 20,
+                used: Some(8),
+                ..EarlyStop::default()
+            }),
+            ..running(57, 140)
+        };
+        assert!(is_finished(&stopped));
+        assert!(line(&stopped).ends_with("40%  stopped early"));
+        assert_eq!(
+            attention(&stopped).expect("a note"),
+            "stopped early after 8 of 20 configurations: width(I) < 0.2; saved 83 rollouts (59 %)"
+        );
+    }
+
+    /// It was "0/0 0%  finished" before it began.
+    #[test]
+    fn a_campaign_that_follows_from_another_waits_for_it_and_is_not_finished() {
+        let mut waiting = CampaignStatus {
+            campaign: "first-explained".to_owned(),
+            follows_from: "first".to_owned(),
+            may_grow: true,
+            ..CampaignStatus::default()
+        };
+        assert!(!is_finished(&waiting));
+        assert!(line(&waiting).ends_with("0/0 0%  waits for first"));
+        waiting.may_grow = false;
+        assert!(is_finished(&waiting) && line(&waiting).ends_with("finished"));
     }
 
     /// 137 of 140 and three in quarantine were "140/140 100%  finished".

@@ -43,6 +43,7 @@ pub(super) async fn change(arguments: ChangeArguments, change: Change) -> Result
         State::Running | State::Unspecified => "running",
         State::Paused => "paused; what is being run may still be committed",
         State::Cancelled => "cancelled; its results stay",
+        State::Stopped => "stopped early; its results stay",
     };
     Ok(print_line(&format!("campaign {name} is {text}"))?)
 }

@@ -122,15 +122,18 @@ fn page(scheme: &str, address: SocketAddr) -> String {
 
 fn config(arguments: &ServeArguments, security: Security) -> anyhow::Result<Config> {
     let lease = Duration::from_secs(arguments.lease_secs.into());
+    let heartbeat = lease / HEARTBEATS_PER_LEASE;
     Ok(Config {
         data: arguments.data.clone(),
         timing: Timing {
             lease,
-            heartbeat: lease / HEARTBEATS_PER_LEASE,
+            heartbeat,
             progress_timeout: Duration::from_secs(arguments.progress_timeout_secs.into()),
             ceiling_per_step: Duration::from_secs(arguments.step_ceiling_secs.into()),
             worker_alive: lease,
-            ..Timing::default()
+            // So often that a coordinator never takes itself for having slept through half
+            // a lease.
+            sweep: heartbeat.min(Timing::default().sweep),
         },
         clock: Arc::new(SystemClock::start()),
         rng: ChaCha8Rng::from_seed(random_seed()?),

@@ -87,6 +87,15 @@ fn details(status: &CampaignStatus) -> String {
         format!("  quarantined  {:>7}", status.quarantined),
         format!("  live workers {:>7}", status.live_workers),
     ];
+    if let Some(early) = &status.early_stop {
+        lines.push(format!(
+            "  ends early   once {}; order of seed {}, rounds of {}",
+            early.rule, early.seed, early.strata
+        ));
+    }
+    if !status.follows_from.is_empty() {
+        lines.push(format!("  follows from {}", status.follows_from));
+    }
     lines.extend(attention(status).map(|note| format!("  note         {note}")));
     lines.join("\n")
 }

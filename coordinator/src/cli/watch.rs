@@ -90,8 +90,9 @@ impl Screen {
 /// A line per campaign, and one per policy that several of them measure.
 fn table(campaigns: &[CampaignStatus]) -> Vec<String> {
     let mut policies: BTreeMap<(&str, &str), Vec<&CampaignStatus>> = BTreeMap::new();
-    // What is cancelled never goes on.
-    let going_on = |status: &&CampaignStatus| status.state() != State::Cancelled;
+    // What is cancelled or stopped never goes on.
+    let going_on =
+        |status: &&CampaignStatus| !matches!(status.state(), State::Cancelled | State::Stopped);
     for status in campaigns.iter().filter(going_on) {
         let policy = (status.policy_endpoint.as_str(), status.policy.as_str());
         policies.entry(policy).or_default().push(status);
@@ -101,7 +102,7 @@ fn table(campaigns: &[CampaignStatus]) -> Vec<String> {
     campaigns.iter().map(line).chain(totals).collect()
 }
 
-/// The campaigns of a policy, none of them cancelled, as if they were one. What a
+/// The campaigns of a policy, none of them cancelled or stopped, as if they were one. What a
 /// paused campaign has left is in no forecast.
 fn of_policy(campaigns: &[&CampaignStatus]) -> CampaignStatus {
     let mut sum = CampaignStatus::default();
@@ -111,6 +112,10 @@ fn of_policy(campaigns: &[&CampaignStatus]) -> CampaignStatus {
         sum.leased += status.leased;
         sum.committed += status.committed;
         sum.quarantined += status.quarantined;
+        if status.may_grow {
+            sum.may_grow = true;
+            sum.follows_from.clone_from(&status.follows_from);
+        }
         if status.state() != State::Paused {
             sum.queued += status.queued;
         }

@@ -33,6 +33,7 @@ fn code(error: &QueueError) -> Code {
         | QueueError::UnknownRollout { .. } => Code::NotFound,
         QueueError::WorkerStopped { .. }
         | QueueError::Cancelled { .. }
+        | QueueError::Stopped { .. }
         | QueueError::CampaignInUse { .. }
         | QueueError::GoneOnWith { .. }
         | QueueError::PolicyMeasured { .. }

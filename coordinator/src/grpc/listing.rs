@@ -4,7 +4,7 @@
 use proto::coordinator as wire;
 use queue::clock::UnixMillis;
 use queue::read::{
-    CampaignStatus, FailureLine, Forecast, JobDetails, JobLine, ResultLine, WorkerLine,
+    CampaignStatus, EarlyStop, FailureLine, Forecast, JobDetails, JobLine, ResultLine, WorkerLine,
 };
 use queue::rules::campaign::CampaignState;
 
@@ -32,6 +32,21 @@ pub(super) fn status(status: CampaignStatus) -> wire::CampaignStatus {
         state: state(campaign.state).into(),
         priority: campaign.priority,
         created_unix_ms: campaign.created_ms.0,
+        early_stop: status.stop.map(early_stop),
+        follows_from: status
+            .source
+            .map_or_else(String::new, |source| source.name.as_str().to_owned()),
+        may_grow: status.may_grow,
+    }
+}
+
+fn early_stop(of: EarlyStop) -> wire::campaign_status::EarlyStop {
+    wire::campaign_status::EarlyStop {
+        rule: of.stop.rule.to_string(),
+        seed: of.stop.seed,
+        strata: of.stop.strata.name().to_owned(),
+        configurations: of.configurations,
+        used: of.used,
     }
 }
 
@@ -41,6 +56,7 @@ pub(super) fn state(state: CampaignState) -> wire::campaign_status::State {
         CampaignState::Running { .. } => State::Running,
         CampaignState::Paused { .. } => State::Paused,
         CampaignState::Cancelled { .. } => State::Cancelled,
+        CampaignState::Stopped { .. } => State::Stopped,
     }
 }
 

@@ -1,7 +1,7 @@
 //! The first page: every campaign, how far it is, and what keeps it.
 
 use maud::{Markup, html};
-use queue::read::CampaignStatus;
+use queue::read::{CampaignStatus, Source};
 use queue::rules::campaign::CampaignState;
 
 use super::bar::{bar, legend, words};
@@ -63,7 +63,7 @@ pub(super) fn progress(status: &CampaignStatus) -> Markup {
 /// What keeps a campaign from going on, or wants to be looked at.
 fn notes(status: &CampaignStatus) -> Markup {
     let aside = status.counts.quarantined;
-    let is_over = matches!(status.campaign.state, CampaignState::Cancelled { .. });
+    let is_over = status.campaign.state.is_over();
     html! {
         @if !is_over && (status.policy_pause_reason.is_some() || !status.waiting_reason.is_empty()
             || aside > 0)
@@ -75,7 +75,12 @@ fn notes(status: &CampaignStatus) -> Markup {
                         (reason) ". " a href="/policies" { "Policies" } "."
                     }
                 } @else if !status.waiting_reason.is_empty() {
-                    li { "Nothing is running: " (status.waiting_reason) "." }
+                    li {
+                        "Nothing is running: " (status.waiting_reason) "."
+                        @if let Some(source) = awaited(status) {
+                            " " a href={ "/campaigns/" (source.name) } { (source.name) } "."
+                        }
+                    }
                 }
                 @if aside > 0 {
                     li {
@@ -93,8 +98,15 @@ fn notes(status: &CampaignStatus) -> Markup {
 }
 
 fn pace(status: &CampaignStatus) -> String {
+    if let Some(source) = awaited(status)
+        && left(status) == 0
+        && !status.campaign.state.is_over()
+    {
+        return format!("waits for campaign {}", source.name);
+    }
     match status.campaign.state {
         CampaignState::Cancelled { .. } => "cancelled".to_owned(),
+        CampaignState::Stopped { .. } => stopped(status),
         _ if left(status) == 0 && status.counts.quarantined > 0 => {
             format!(
                 "finished but for {} in quarantine",
@@ -114,6 +126,23 @@ fn pace(status: &CampaignStatus) -> String {
             _ => "no recent result to measure the pace by".to_owned(),
         },
     }
+}
+
+/// The campaign that must be through before anything more follows from it.
+fn awaited(status: &CampaignStatus) -> Option<&Source> {
+    let source = status.source.as_ref();
+    source.filter(|source| source.awaited > 0 && !source.is_cancelled)
+}
+
+/// That it stopped early, and what that saved.
+fn stopped(status: &CampaignStatus) -> String {
+    let early = status.stop.as_ref();
+    let Some((early, used)) = early.and_then(|early| Some((early, early.used?))) else {
+        return "stopped early".to_owned();
+    };
+    let configurations = [used.into(), early.configurations.into()];
+    let rollouts = [status.counts.queued, status.counts.total()];
+    ::report::stopped_in_words(configurations, &early.stop.rule.to_string(), rollouts)
 }
 
 /// Rollouts that are still to come to something.

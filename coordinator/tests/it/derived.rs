@@ -60,8 +60,13 @@ pub(crate) async fn die_everywhere(folder: &Path, spec: &Value, planted: Planted
 }
 
 /// Serves a folder until it dies at the point, while a campaign is created of the
-/// specification, and a worker runs what it gets.
-async fn die_at(folder: &Path, point: &str, spec: &Value, planted: Planted) {
+/// specification, and a worker runs what it gets, without that of which nothing is planted.
+pub(crate) async fn die_at(
+    folder: &Path,
+    point: &str,
+    spec: &Value,
+    planted: impl Fn(&RolloutId) -> Outcome,
+) {
     let child = Command::new(env!("CARGO_BIN_EXE_coordinator"))
         .args([
             "serve",
@@ -98,8 +103,9 @@ async fn die_at(folder: &Path, point: &str, spec: &Value, planted: Planted) {
             };
             if let Some(lease) = claim.lease {
                 let id = rollout_id(&lease).parse().expect("an id");
-                let success = planted(&id) == Outcome::Success;
-                let _ = worker.try_commit(&lease, success).await;
+                if let Some(success) = planted(&id).success() {
+                    let _ = worker.try_commit(&lease, success).await;
+                }
             }
         }
     }

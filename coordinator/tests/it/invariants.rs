@@ -16,7 +16,7 @@ use crate::harness::{Bench, small_spec, with};
 use crate::process::{coordinator, text};
 
 /// What breaks each, past the coordinator, and a word of the violation.
-const BROKEN: [(&str, &str, &str); 16] = [
+const BROKEN: [(&str, &str, &str); 17] = [
     (
         "file_is_whole",
         "PRAGMA writable_schema = 1; DELETE FROM sqlite_schema WHERE name = 'job_queued'",
@@ -72,6 +72,11 @@ const BROKEN: [(&str, &str, &str); 16] = [
         "cancelled_leases_nothing",
         "UPDATE campaign SET state = 'cancelled'",
         "campaign sound is cancelled",
+    ),
+    (
+        "stopped_leases_nothing",
+        "INSERT INTO stop SELECT id, 2, 1, 0 FROM campaign",
+        "campaign sound has stopped",
     ),
     (
         "probe_is_out",
@@ -194,13 +199,13 @@ async fn the_program_names_violations_and_fails() {
     let folder = sound().await;
     let path = |folder: &TempDir| folder.path().to_str().expect("UTF-8").to_owned();
     let output = coordinator(&["check", &path(&folder)]);
-    assert_eq!(text(&output.stdout), "all 16 invariants hold\n");
+    assert_eq!(text(&output.stdout), "all 17 invariants hold\n");
     let copy = broken(folder.path(), "DELETE FROM result").await;
     let output = coordinator(&["check", &path(&copy)]);
     assert_eq!(output.status.code(), Some(1));
     let said = text(&output.stdout);
     assert!(said.contains("committed_has_one_result: 2\n"), "{said}");
-    assert!(text(&output.stderr).contains("2 of 16 invariants"));
+    assert!(text(&output.stderr).contains("2 of 17 invariants"));
     let output = coordinator(&["check", "/nowhere"]);
     assert_eq!(output.status.code(), Some(2));
 }

@@ -67,6 +67,17 @@ async fn what_is_printed_has_the_keys_that_are_documented() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let serve = Serve::start(folder.path());
     assert!(serve.command(&CREATE).status.success());
+    let early = [
+        "--name",
+        "early",
+        "--stop",
+        "I excludes 0",
+        "--priority",
+        "-1",
+    ];
+    let early = [&CREATE[..2], &early, &CREATE[4..]].concat();
+    let created = serve.command(&early);
+    assert!(created.status.success(), "{}", text(&created.stderr));
     let mut worker = serve.worker("a").await;
     let leases = worker.claim(3).await;
     worker.release(&leases[0], Reason::SlotCrashed).await;
@@ -89,7 +100,7 @@ async fn what_is_printed_has_the_keys_that_are_documented() {
         assert_eq!((created.len(), &created[10..11]), (form.len(), "T"));
         assert!(created.ends_with('Z'));
     }
-    let one = Printed::by(&serve, &["campaign", "status", "demo"]);
+    let one = Printed::by(&serve, &["campaign", "status", "early"]);
     one.has_the_keys_of("campaign list");
 
     let jobs = Printed::by(&serve, &["jobs", "list", "demo"]);

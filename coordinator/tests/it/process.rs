@@ -180,6 +180,27 @@ async fn a_coordinator_killed_in_the_middle_continues_where_it_was() {
     );
 }
 
+/// Its sweeps came a second apart, which it took for sleep: no lease of two seconds or less
+/// ever expired.
+#[tokio::test(flavor = "multi_thread")]
+async fn the_shortest_leases_expire_too() {
+    for secs in ["1", "2"] {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let serve = Serve::start_with(folder.path(), &["--lease-secs", secs], Stdio::null());
+        assert!(serve.command(&CREATE).status.success());
+        let mut silent = serve.worker("silent").await;
+        let held = silent.claim(14).await;
+        assert_eq!(held.len(), 14);
+        let mut other = serve.worker("other").await;
+        let began = Instant::now();
+        while other.claim(1).await.is_empty() {
+            assert!(began.elapsed() < Duration::from_secs(20), "{secs} s");
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+        assert_eq!(silent.commit(&held[0], true).await, Verdict::Stale);
+    }
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_coordinator_told_to_stop_answers_waiting_claims_and_leaves_one_file() {
     let folder = tempfile::tempdir().expect("a temporary folder");

@@ -3,8 +3,8 @@
 //!
 //! `cargo run --release -p paired --example sequential [ORDERS]`
 
-use paired::{Clause, Measure, StopRule, quantile};
-use protocol::Level;
+use paired::quantile;
+use protocol::{Clause, Level, Measure, StopRule};
 
 #[path = "../tests/replay/mod.rs"]
 mod replay;

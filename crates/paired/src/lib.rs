@@ -48,8 +48,8 @@ pub use report::{
     Cell, Completeness, Gap, Nominal, NominalSource, Options, Report, SingleAxis, report, report_of,
 };
 pub use sequential::{
-    Clause, Drawn, Look, Measure, NotInOrder, Order, RateInterval, SequentialDifference,
-    SequentialMeasures, StopRule,
+    CampaignLook, ComparedLook, Drawn, Look, NotInOneOrder, NotInOrder, Order, RateInterval,
+    SEQUENTIAL_ALPHA, SequentialDifference, SequentialMeasures, Unit, compared_looks, drawn_order,
 };
 pub use table::table;
 pub use text::push_wrapped;

@@ -253,6 +253,16 @@ impl Records {
         outcome.copied().unwrap_or_default()
     }
 
+    /// Whether some rollout of a configuration has not ended, among those that there
+    /// are: its nominal rollout is one of them.
+    pub(crate) fn is_open(&self, matched: &Matched) -> bool {
+        let nominal = RolloutId::clean(matched.task, matched.init_id);
+        let nominal = self.outcomes.get(&(matched.replicate, nominal));
+        let perturbed = matched.alone.values().chain(matched.subsets.values());
+        let mut outcomes = perturbed.chain([&matched.simultaneous]).chain(nominal);
+        outcomes.any(|outcome| *outcome == Outcome::Missing)
+    }
+
     fn matched(&self, records: &[Record]) -> Vec<Matched> {
         let mut matched = BTreeMap::new();
         for &Record {

@@ -50,6 +50,8 @@
 //! nuisance parameters, over which one minimises); J. Ville, Étude critique de
 //! la notion de collectif (1939).
 
+mod campaign;
+mod compared;
 mod difference;
 mod e_process;
 mod look;
@@ -57,12 +59,12 @@ mod measures;
 mod order;
 mod prefix;
 mod sequence;
-mod stop;
 mod together;
 
+pub use campaign::{CampaignLook, SEQUENTIAL_ALPHA, Unit, drawn_order};
+pub use compared::{ComparedLook, NotInOneOrder, compared_looks};
 pub use difference::SequentialDifference;
-pub use look::{Look, Measure, RateInterval};
+pub use look::{Look, RateInterval};
 pub use measures::SequentialMeasures;
 pub use order::{Drawn, Order};
 pub use prefix::NotInOrder;
-pub use stop::{Clause, StopRule};

@@ -4,11 +4,11 @@
 use std::collections::BTreeMap;
 
 use paired::{
-    Bootstrap, Configuration, Matched, Measure, Measures, Order, Outcome, RateInterval,
-    SequentialDifference, SequentialMeasures, StopRule, Transition,
+    Bootstrap, Configuration, Matched, Measures, Order, Outcome, RateInterval,
+    SequentialDifference, SequentialMeasures, Transition,
 };
 use proptest::prelude::*;
-use protocol::{Axis, Level, TaskRef};
+use protocol::{Axis, Level, Measure, StopRule, TaskRef};
 
 mod replay;
 

@@ -14,6 +14,7 @@ use crate::manifest::{self, ManifestErrors};
 use crate::names::UnknownName;
 use crate::presets::PRESETS;
 use crate::row::ManifestRow;
+use crate::stop::{self, Stop, StopError};
 use crate::suite::TaskRef;
 use crate::thresholds::Thresholds;
 use crate::wanted::{MIN_DIGEST_DIGITS, RendererKind, Wanted};
@@ -46,6 +47,8 @@ pub struct CampaignSpec {
     /// What its workers must run on, where that matters before the first result
     /// decides it.
     pub wanted: Wanted,
+    /// When it ends early; without it, it runs to its end.
+    pub stop: Option<Stop>,
 }
 
 /// Where the rows of a campaign come from.
@@ -173,13 +176,29 @@ pub enum SpecError {
         /// Its range.
         valid: [f64; 2],
     },
+    /// A rule that cannot end the campaign.
+    #[error("read campaign specification: {0}")]
+    Stop(StopError),
     /// A design that cannot be run.
     #[error("read campaign specification: {0}")]
-    Design(#[from] DesignError),
+    Design(DesignError),
     /// Imported rows that cannot be run. The lines are those of a manifest with
     /// one row a line.
     #[error(transparent)]
     Manifest(#[from] ManifestErrors),
+}
+
+// Their words are part of this error's: as its source, they would be said twice.
+impl From<StopError> for SpecError {
+    fn from(error: StopError) -> Self {
+        Self::Stop(error)
+    }
+}
+
+impl From<DesignError> for SpecError {
+    fn from(error: DesignError) -> Self {
+        Self::Design(error)
+    }
 }
 
 impl CampaignSpec {
@@ -242,6 +261,19 @@ impl CampaignSpec {
                 self.check_matched("thresholds")?;
             }
         }
+        if let Some(stop) = &self.stop {
+            stop.check(self.replicates)?;
+            let follows = |field| StopError::Follows { field };
+            match &self.rollouts {
+                Rollouts::Design(design) if design.axes.len() < 2 => {
+                    return Err(StopError::NotSimultaneous.into());
+                }
+                Rollouts::Design(_) => {}
+                Rollouts::Manifest(rows) => stop::check_rows(rows)?,
+                Rollouts::Explanation(_) => return Err(follows("explains").into()),
+                Rollouts::Thresholds(_) => return Err(follows("thresholds").into()),
+            }
+        }
         Ok(())
     }
 
@@ -299,6 +331,8 @@ struct SpecText {
     assets: Option<String>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     renderer: Option<RendererKind>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    stop: Option<Stop>,
 }
 
 /// Fields that do not go together, or a task that is none.
@@ -343,6 +377,7 @@ impl TryFrom<SpecText> for CampaignSpec {
                 assets: text.assets,
                 renderer: text.renderer,
             },
+            stop: text.stop,
         })
     }
 }
@@ -367,6 +402,7 @@ impl From<CampaignSpec> for SpecText {
             record: spec.record,
             assets: spec.wanted.assets,
             renderer: spec.wanted.renderer,
+            stop: spec.stop,
         };
         match spec.rollouts {
             Rollouts::Manifest(rows) => text.manifest = Some(rows),

@@ -238,5 +238,6 @@ fn campaign(rollouts: Rollouts) -> CampaignSpec {
         replicates: 1,
         record: Record::None,
         wanted: Wanted::default(),
+        stop: None,
     }
 }

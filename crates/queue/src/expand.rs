@@ -2,10 +2,11 @@
 //! under which digest. What the manifest rows contain, and their paired-unit
 //! order, is the protocol's business.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
+use paired::{Unit, drawn_order};
 use protocol::seeds::policy_seed;
-use protocol::{CampaignSpec, JsonError, ManifestRow, Record, Rollouts, SpecError, Wanted};
+use protocol::{CampaignSpec, JsonError, ManifestRow, Record, Rollouts, SpecError, Stop, Wanted};
 use serde_json::{Map, Value};
 use sha2::{Digest, Sha256};
 
@@ -32,6 +33,9 @@ pub struct NewCampaign {
     pub wanted: Wanted,
     /// What its jobs follow from, if they follow from another campaign's outcomes.
     pub derived: Option<Rollouts>,
+    /// Its configurations, if it may end early; its jobs are then in the order that
+    /// is drawn of them.
+    pub stops_among: Option<usize>,
     /// Its jobs, in paired-unit order; none yet where they follow from outcomes.
     pub jobs: Vec<NewJob>,
     /// Control steps of all its rollouts, if none reaches its goal.
@@ -112,7 +116,8 @@ impl NewCampaign {
     /// Names what is wrong with it and what would be right.
     pub fn from_spec(spec: &CampaignSpec) -> Result<NewCampaign, ExpandError> {
         let name = CampaignName::parse(&spec.name)?;
-        let rows = spec.expand()?;
+        let mut rows = spec.expand()?;
+        let stops_among = spec.stop.as_ref().map(|stop| draw(&mut rows, stop));
         let budgets = rows.iter().map(|row| u64::from(row.max_steps));
         let step_budget = budgets.sum::<u64>() * u64::from(spec.replicates);
         let mut jobs = Vec::with_capacity(rows.len() * spec.replicates as usize);
@@ -134,6 +139,7 @@ impl NewCampaign {
                 Rollouts::Design(_) | Rollouts::Manifest(_) => None,
                 derived => Some(derived.clone()),
             },
+            stops_among,
             record: match spec.record {
                 Record::None => "none",
                 Record::Failures => "failures",
@@ -150,6 +156,31 @@ impl NewCampaign {
     pub fn tasks(&self) -> BTreeSet<&str> {
         self.jobs.iter().map(|job| job.task.as_str()).collect()
     }
+}
+
+/// Brings rows into the drawn order of their configurations, each with its nominal
+/// rollout; other nominal rollouts come last. Returns how many configurations there
+/// are.
+fn draw(rows: &mut [ManifestRow], stop: &Stop) -> usize {
+    let unit = |row: &ManifestRow| -> Option<Unit> { Some((row.id.task(), row.id.config()?)) };
+    let order = drawn_order(stop, rows.iter().filter_map(unit));
+    let places: BTreeMap<Unit, usize> = order.units().copied().zip(0..).collect();
+    let mut of_states = BTreeMap::new();
+    for row in rows.iter() {
+        if let Some(unit) = unit(row) {
+            let first = of_states.entry((row.id.task(), row.init_id));
+            let first = first.or_insert(usize::MAX);
+            *first = places[&unit].min(*first);
+        }
+    }
+    rows.sort_by_key(|row| match unit(row) {
+        Some(unit) => (places[&unit], true),
+        None => {
+            let paired = of_states.get(&(row.id.task(), row.init_id));
+            (paired.copied().unwrap_or(usize::MAX), false)
+        }
+    });
+    places.len()
 }
 
 /// A stored specification after a change, and its digest.

@@ -67,7 +67,7 @@ pub enum CheckError {
 
 /// All of them, in the order in which they are checked. A query uses
 /// `known_schema`, a temporary table of this program's schema.
-pub const INVARIANTS: [Invariant; 16] = [
+pub const INVARIANTS: [Invariant; 17] = [
     // SQLite finds the file intact.
     Invariant {
         name: "file_is_whole",
@@ -161,6 +161,13 @@ pub const INVARIANTS: [Invariant; 16] = [
         query: "SELECT format('job %d is leased and campaign %s is cancelled', j.id, c.name)
          FROM job j JOIN campaign c ON c.id = j.campaign_id
          WHERE j.state = 'leased' AND c.state = 'cancelled'",
+    },
+    // A campaign that stopped early holds no lease.
+    Invariant {
+        name: "stopped_leases_nothing",
+        query: "SELECT format('job %d is leased and campaign %s has stopped', j.id, c.name)
+         FROM job j JOIN campaign c ON c.id = j.campaign_id JOIN stop s ON s.campaign_id = c.id
+         WHERE j.state = 'leased' AND s.stopped_ms IS NOT NULL",
     },
     // A policy's probe holds a lease of that policy.
     Invariant {

@@ -15,7 +15,6 @@ use crate::clock::{Clock, UnixMillis};
 use crate::ids::WorkerId;
 use crate::operations::claim::{ClaimRequest, Claimed, MAX_CLAIM_WAIT};
 use crate::operations::commit::{CommitReply, CommitReport, CommitVerdict};
-use crate::operations::derive;
 use crate::operations::error::QueueError;
 use crate::operations::filming::Filming;
 use crate::operations::heartbeat::Heartbeat;
@@ -23,6 +22,7 @@ use crate::operations::in_flight::InFlight;
 use crate::operations::release::{Release, ReleaseReply, ReleaseVerdict};
 use crate::operations::shared::Shared;
 use crate::operations::writer::{self, MAX_WAITING, Operation, Pending};
+use crate::operations::{derive, stop};
 use crate::operations::{removals, start};
 use crate::read::{Changes, View};
 use crate::rules::lease::FailureReason;
@@ -37,8 +37,8 @@ pub struct Queue {
     pub(crate) shared: Arc<Shared>,
     /// What workers ask for, on its way into the next transaction.
     operations: mpsc::Sender<Operation>,
-    /// What executes it, what keeps the log short, and what adds jobs as outcomes
-    /// come; they end with the queue.
+    /// What executes it, what keeps the log short, and what adds jobs or stops
+    /// campaigns as outcomes come; they end with the queue.
     _tasks: JoinSet<()>,
     pub(crate) last_sweep: AtomicI64,
     pub(crate) films: InFlight,
@@ -81,6 +81,7 @@ impl Queue {
         tasks.spawn(writer::run(shared.clone(), asked));
         tasks.spawn(keep_log_short(shared.clone()));
         tasks.spawn(derive::run(shared.clone()));
+        tasks.spawn(stop::run(shared.clone()));
         Ok(Arc::new(Queue {
             last_sweep: AtomicI64::new(shared.now().0),
             shared,
@@ -113,8 +114,8 @@ impl Queue {
     /// # Errors
     /// When the database cannot be read.
     pub async fn view(&self) -> Result<View, StoreError> {
-        let (now, timing, filming) = (self.now(), self.timing(), self.filming.by_worker());
-        View::begin(&self.shared.store, now, timing, self.held(), filming).await
+        let filming = self.filming.by_worker();
+        View::begin(&self.shared, self.held(), filming).await
     }
 
     /// Reports when something was committed.

@@ -21,15 +21,20 @@ mod standing;
 
 use std::collections::BTreeMap;
 use std::ops::DerefMut;
+use std::sync::Arc;
 
 use sqlx::{Sqlite, SqliteConnection, Transaction};
 
 use crate::clock::UnixMillis;
 use crate::ids::WorkerId;
-use crate::store::{Store, StoreError};
+use crate::operations::settled::Settled;
+use crate::operations::shared::Shared;
+use crate::store::StoreError;
 use crate::timing::Timing;
 
 pub use crate::store::campaigns::Campaign;
+pub use crate::store::derivations::Source;
+pub use crate::store::stops::EarlyStop;
 pub use campaigns::{CampaignStatus, Counts, RATE_WINDOW};
 pub use changes::{Changes, Sizes};
 pub use configurations::{ResultLine, RolloutLine};
@@ -49,22 +54,26 @@ pub struct View {
     held: Option<String>,
     /// Videos that workers draw or send; those without any are left out.
     filming: BTreeMap<WorkerId, u32>,
+    /// Which outcomes have been looked at, and how many had been before this began.
+    settled: Arc<Settled>,
+    looked_at: u64,
 }
 
 impl View {
     pub(crate) async fn begin(
-        store: &Store,
-        now: UnixMillis,
-        timing: Timing,
+        shared: &Shared,
         held: Option<String>,
         filming: BTreeMap<WorkerId, u32>,
     ) -> Result<View, StoreError> {
+        let looked_at = shared.settled.looked_at();
         Ok(View {
-            transaction: store.read().await?,
-            now,
-            timing,
+            transaction: shared.store.read().await?,
+            now: shared.now(),
+            timing: shared.timing,
             held,
             filming,
+            settled: shared.settled.clone(),
+            looked_at,
         })
     }
 

@@ -19,6 +19,7 @@ pub(crate) mod policies;
 pub(crate) mod provenance;
 pub(crate) mod removals;
 pub(crate) mod results;
+pub(crate) mod stops;
 pub(crate) mod workers;
 
 use std::fs::{File, TryLockError};

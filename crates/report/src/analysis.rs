@@ -1,12 +1,16 @@
 //! One policy, measured: its subject, its records matched, its statistics; or what a
 //! campaign that follows from another has found out.
 
-use paired::{Cell, DuplicateRecord, Options, Records, Report};
+use std::borrow::Cow;
+use std::collections::BTreeSet;
+
+use paired::{Cell, DuplicateRecord, Options, Outcome, Record, Records, Report};
 use protocol::Level;
 
 use crate::explanation::Findings;
 use crate::how_far::HowFar;
 use crate::interactions::AxisInteractions;
+use crate::sequential::Sequential;
 use crate::subject::Subject;
 use crate::warnings;
 
@@ -17,8 +21,13 @@ pub struct Analysis {
     pub label: String,
     /// What it is of.
     pub subject: Subject,
-    /// Its outcomes, matched.
+    /// Its outcomes, matched. Of a campaign that stopped early, those of the
+    /// configurations that its confidence sequences rest on.
     pub records: Records,
+    /// The records of these, if some do not count.
+    counted: Option<Vec<Record>>,
+    /// Its confidence sequences, if it may end early.
+    pub sequential: Option<Sequential>,
     /// The statistics; without figures if it follows from another campaign, whose
     /// configurations it has only parts of.
     pub report: Report,
@@ -34,8 +43,16 @@ pub struct Analysis {
 impl Analysis {
     /// Measures a subject.
     pub(crate) fn new(label: String, subject: Subject) -> Result<Self, DuplicateRecord> {
-        let mut records = Records::new(&subject.records)?;
+        let sequential = Sequential::of(&subject)?;
+        let counted = match subject.counted() {
+            Cow::Owned(counted) => Some(counted),
+            Cow::Borrowed(_) => None,
+        };
+        let mut records = Records::new(counted.as_deref().unwrap_or(&subject.records))?;
         let mut notes = warnings::of_subject(&subject);
+        if let Some(warning) = sequential.as_ref().and_then(Sequential::warning) {
+            notes.insert(0, warning);
+        }
         let findings = Findings::of(&subject).unwrap_or_else(|error| {
             notes.push(error.to_string());
             None
@@ -65,6 +82,8 @@ impl Analysis {
             how_far: HowFar::of(&subject),
             subject,
             records,
+            counted,
+            sequential,
             report,
             findings,
         })
@@ -74,6 +93,28 @@ impl Analysis {
     /// campaign.
     pub fn is_paired(&self) -> bool {
         self.subject.derived.is_none()
+    }
+
+    /// The records that figures are of.
+    pub(crate) fn counted(&self) -> &[Record] {
+        self.counted.as_deref().unwrap_or(&self.subject.records)
+    }
+
+    /// All records, without the outcomes that figures are not of.
+    pub(crate) fn outcomes_of_all(&self) -> Vec<Record> {
+        let counted = self.counted().iter();
+        let counted: BTreeSet<_> = counted.map(|it| (it.replicate, it.id)).collect();
+        let all = self.subject.records.iter();
+        all.map(
+            |record| match counted.contains(&(record.replicate, record.id)) {
+                true => *record,
+                false => Record {
+                    outcome: Outcome::Missing,
+                    ..*record
+                },
+            },
+        )
+        .collect()
     }
 
     /// The cells of replicate 0, by level.

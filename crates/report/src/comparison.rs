@@ -4,10 +4,11 @@
 use std::collections::BTreeSet;
 
 use paired::{Bootstrap, MIN_TASKS, Obstacle, Record, comparison_table, push_wrapped};
-use protocol::RolloutId;
+use protocol::{RolloutId, StopRule};
 use serde::Serialize;
 
 use crate::analysis::Analysis;
+use crate::sequential_comparison::{NoCommonOrder, SequentialComparison};
 use crate::subject::{Origin, Setups, Subject};
 use crate::warnings::{Of, mujoco, pack, renderer};
 
@@ -25,6 +26,9 @@ pub struct Comparison {
     /// The statistics.
     #[serde(flatten)]
     pub statistics: paired::Comparison,
+    /// Intervals that hold at any look, if both ran in the same drawn order.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sequential: Option<SequentialComparison>,
     /// How the intervals were made.
     pub bootstrap: Bootstrap,
     /// Fewest tasks that give an interval.
@@ -68,7 +72,8 @@ impl Comparison {
     /// If nothing of them can be paired: they were measured with different
     /// asset packs, simulators, renderers or realisation modes, or no rollout
     /// of both is the same.
-    pub fn of([a, b]: [&Analysis; 2], setups: [&Setups; 2]) -> Result<Self, Unpairable> {
+    pub fn of(analyses: [&Analysis; 2], setups: [&Setups; 2]) -> Result<Self, Unpairable> {
+        let [a, b] = analyses;
         let sides = sides(a, b);
         let (mut reasons, mut warnings) = (Vec::new(), Vec::new());
         let subjects = [&a.subject, &b.subject];
@@ -96,7 +101,7 @@ impl Comparison {
             return Err(refused(reasons));
         }
         let bootstrap = Bootstrap::default();
-        let [of_a, of_b] = subjects.map(|subject| subject.records.as_slice());
+        let [of_a, of_b] = analyses.map(Analysis::counted);
         let statistics =
             paired::Comparison::of(of_a, of_b, &bootstrap, |record| obstacle(record, setups));
         if statistics.shared() == 0 {
@@ -109,15 +114,32 @@ impl Comparison {
             );
             return Err(refused(reasons));
         }
+        let unpaired = unpaired(&statistics);
         Ok(Self {
             a,
             b,
             warnings,
             notes,
+            sequential: SequentialComparison::of(analyses, &unpaired, None).ok(),
             statistics,
             bootstrap,
             min_tasks: MIN_TASKS,
         })
+    }
+
+    /// Follows a rule about the difference: says under which conditions it is met.
+    ///
+    /// # Errors
+    /// If both did not run in the same drawn order.
+    pub fn follow(
+        &mut self,
+        analyses: [&Analysis; 2],
+        rule: Option<&StopRule>,
+    ) -> Result<(), NoCommonOrder> {
+        let unpaired = unpaired(&self.statistics);
+        let found = SequentialComparison::of(analyses, &unpaired, rule)?;
+        self.sequential = Some(found);
+        Ok(())
     }
 
     /// `A − B`, in the names of both.
@@ -141,6 +163,10 @@ impl Comparison {
             text.push('\n');
         }
         text.push_str(&comparison_table(&self.statistics, &self.bootstrap));
+        if let Some(sequential) = &self.sequential {
+            text.push('\n');
+            text.push_str(&sequential.text());
+        }
         text
     }
 
@@ -162,6 +188,11 @@ impl Side {
             Origin::File { name, .. } => format!("{}, results of {name}", self.policy),
         }
     }
+}
+
+/// Rollouts of one name that were not the same for both.
+fn unpaired(statistics: &paired::Comparison) -> BTreeSet<RolloutId> {
+    statistics.unpaired.values().flatten().copied().collect()
 }
 
 /// Both, told apart by where their outcomes come from if not by name.

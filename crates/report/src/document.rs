@@ -12,6 +12,7 @@ use crate::comparison::{Comparison, Unpairable};
 use crate::explanation::Findings;
 use crate::how_far::HowFar;
 use crate::interactions;
+use crate::sequential::Sequential;
 use crate::subject::{Origin, Quarantined, Subject};
 use crate::warnings;
 
@@ -60,6 +61,8 @@ struct JsonReport<'a> {
     origin: &'a Origin,
     realisation: Option<&'a str>,
     errors: &'a [Quarantined],
+    #[serde(skip_serializing_if = "Option::is_none")]
+    sequential: Option<&'a Sequential>,
     #[serde(flatten)]
     report: &'a Report,
     /// What `explain --json` prints.
@@ -128,6 +131,7 @@ impl Document {
             origin: &analysis.subject.origin,
             realisation: analysis.subject.realisation.map(|r| r.name()),
             errors: &analysis.subject.errors,
+            sequential: analysis.sequential.as_ref(),
             report: &analysis.report,
             explanation: analysis.findings.as_ref(),
             thresholds: analysis.how_far.as_ref(),
@@ -156,6 +160,10 @@ impl Document {
             match analysis.is_paired() {
                 true => text.push_str(&paired::table(&analysis.report)),
                 false => push_found(&mut text, analysis),
+            }
+            if let Some(sequential) = &analysis.sequential {
+                text.push('\n');
+                text.push_str(&sequential.text());
             }
             text.push_str(&tail(&analysis.subject));
         }

@@ -50,7 +50,7 @@ impl Findings {
     /// # Errors
     /// If it perturbs one axis only.
     pub fn can_be_of(campaign: &Subject, explanation: &Explanation) -> Result<(), KnownError> {
-        configurations(&campaign.records, &[], explanation).map(drop)
+        configurations(&campaign.counted(), &[], explanation).map(drop)
     }
 
     /// Puts together what a campaign that explains another knows and what that one

@@ -130,7 +130,7 @@ impl HowFar {
         campaign: &Subject,
         thresholds: &Thresholds,
     ) -> Result<(), BudgetTooSmall> {
-        let measurement = Measurement::of(&campaign.records, &[], thresholds);
+        let measurement = Measurement::of(&campaign.counted(), &[], thresholds);
         let is_empty = measurement.rays().next().is_none() && measurement.of_rays() > 0;
         match thresholds.budget {
             Some(budget) if is_empty => Err(BudgetTooSmall {

@@ -184,6 +184,7 @@ pub fn import(path: &Path) -> Result<Subject, ImportError> {
         reported_nominal: about.nominal,
         setups: Setups::default(),
         derived: None,
+        early_stop: None,
     })
 }
 

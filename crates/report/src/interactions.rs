@@ -86,7 +86,7 @@ impl AxisInteractions {
         let explains = subject.explains();
         let known = match explains {
             Some((explanation, records)) => configurations(records, &subject.records, explanation)?,
-            None => own_configurations(&subject.records)?,
+            None => own_configurations(&subject.counted())?,
         };
         let mut notes = Vec::new();
         if let Some((explanation, _)) = explains {

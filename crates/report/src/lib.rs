@@ -18,6 +18,8 @@ mod how_far;
 mod import;
 mod interactions;
 mod page;
+mod sequential;
+mod sequential_comparison;
 mod subject;
 mod table;
 mod warnings;
@@ -31,8 +33,11 @@ pub use how_far::{AtRadius, BudgetTooSmall, HowFar, Kind, Measured};
 pub use import::{BadLine, ImportError, import};
 pub use interactions::{AxisInteractions, LevelInteractions, NoInteractions};
 pub use page::{STYLE, comparison as page_comparison, page, sections, warnings as page_warnings};
+pub use sequential::{Sequential, stopped_in_words};
+pub use sequential_comparison::{NoCommonOrder, SequentialCell, SequentialComparison};
 pub use subject::{
-    BeyondRange, Derived, Origin, Purpose, Quarantined, Setups, Subject, rollout_name,
+    BeyondRange, Derived, EarlyStop, Origin, Purpose, Quarantined, Setups, Subject, counted,
+    rollout_name,
 };
 pub use table::{TableError, write_csv, write_parquet};
 pub use warnings::fingerprints_in_words;

@@ -7,6 +7,7 @@ mod findings;
 mod how_far;
 mod methods;
 mod panels;
+mod sequential;
 mod tables;
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
@@ -75,6 +76,7 @@ pub fn sections(document: &Document, link: Option<Link>) -> Markup {
                 (tables::paired(document))
             }
         }
+        (sequential::of_campaigns(document))
         (figure("Success under each axis alone, and under simultaneous perturbation by all of them.",
             per_level(figures::heat_map)))
         (figure("From independent axes to simultaneous perturbation. D: how far the axes' \

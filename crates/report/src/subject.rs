@@ -1,11 +1,12 @@
 //! What a report is of: one policy's outcomes, and everything known about how
 //! they were made.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use attempt::{Fingerprints, Provenance};
-use paired::{Count, Record};
-use protocol::{Explanation, Realisation, RolloutId, Thresholds};
+use paired::{CampaignLook, Count, Record};
+use protocol::{Explanation, Realisation, RolloutId, Stop, Thresholds};
 use serde::{Deserialize, Serialize};
 
 /// One policy's outcomes under one set of circumstances.
@@ -44,6 +45,9 @@ pub struct Subject {
     /// What it is to find out, if it follows from another campaign.
     #[serde(default)]
     pub derived: Option<Derived>,
+    /// How its campaign may end early, or did; none of one that runs to its end.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub early_stop: Option<EarlyStop>,
 }
 
 /// What a campaign is to find out that follows from another one.
@@ -51,7 +55,8 @@ pub struct Subject {
 pub struct Derived {
     /// What, and of which campaign.
     pub purpose: Purpose,
-    /// Every rollout of that campaign, with or without an outcome.
+    /// That campaign's rollouts, with or without an outcome; of one that stopped early,
+    /// those that count.
     pub records: Vec<Record>,
 }
 
@@ -63,6 +68,15 @@ pub enum Purpose {
     Explanation(Explanation),
     /// At which radius success turns to failure.
     Thresholds(Thresholds),
+}
+
+/// How a campaign may end early.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EarlyStop {
+    /// The rule, and what its order is drawn from.
+    pub stop: Stop,
+    /// Whether it did.
+    pub has_stopped: bool,
 }
 
 /// What the rollouts of a subject were, beyond their names: two subjects can
@@ -129,6 +143,14 @@ pub fn rollout_name(rollout_id: &str, replicate: u32) -> String {
     }
 }
 
+/// The records that figures are of: of a campaign that stopped early, those of the
+/// configurations that its intervals rest on.
+pub fn counted<'a>(records: &'a [Record], early_stop: Option<&EarlyStop>) -> Cow<'a, [Record]> {
+    let stopped = early_stop.filter(|it| it.has_stopped);
+    let counted = stopped.and_then(|early| CampaignLook::counted_when_met(records, &early.stop));
+    counted.map_or(Cow::Borrowed(records), Cow::Owned)
+}
+
 impl Subject {
     /// What it explains and that campaign's rollouts, if it explains another campaign.
     pub(crate) fn explains(&self) -> Option<(&Explanation, &[Record])> {
@@ -147,6 +169,17 @@ impl Subject {
             Purpose::Thresholds(thresholds) => Some((thresholds, records)),
             Purpose::Explanation(_) => None,
         }
+    }
+
+    /// Whether its campaign stopped early: what has no outcome gets none.
+    pub fn has_stopped(&self) -> bool {
+        let early = self.early_stop.as_ref();
+        early.is_some_and(|early| early.has_stopped)
+    }
+
+    /// The records that figures are of.
+    pub fn counted(&self) -> Cow<'_, [Record]> {
+        counted(&self.records, self.early_stop.as_ref())
     }
 
     /// The campaign's or the file's name.

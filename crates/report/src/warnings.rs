@@ -189,6 +189,9 @@ fn divergent(subject: &Subject) -> Option<String> {
 }
 
 fn incomplete(subject: &Subject) -> Option<String> {
+    if subject.has_stopped() {
+        return None;
+    }
     let open = subject.records.iter();
     let open = open
         .filter(|record| record.outcome == Outcome::Missing)

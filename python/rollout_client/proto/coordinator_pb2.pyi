@@ -390,17 +390,32 @@ class GetCampaignResponse(_message.Message):
     def __init__(self, status: _Optional[_Union[CampaignStatus, _Mapping]] = ..., spec: _Optional[str] = ...) -> None: ...
 
 class CampaignStatus(_message.Message):
-    __slots__ = ("campaign", "policy", "total", "queued", "leased", "committed", "quarantined", "succeeded", "policy_paused", "policy_pause_reason", "rate_per_sec", "eta_secs", "live_workers", "waiting_reason", "state", "policy_endpoint", "mixed_fingerprints", "priority", "created_unix_ms")
+    __slots__ = ("campaign", "policy", "total", "queued", "leased", "committed", "quarantined", "succeeded", "policy_paused", "policy_pause_reason", "rate_per_sec", "eta_secs", "live_workers", "waiting_reason", "state", "policy_endpoint", "mixed_fingerprints", "priority", "created_unix_ms", "early_stop", "follows_from", "may_grow")
     class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         STATE_UNSPECIFIED: _ClassVar[CampaignStatus.State]
         STATE_RUNNING: _ClassVar[CampaignStatus.State]
         STATE_PAUSED: _ClassVar[CampaignStatus.State]
         STATE_CANCELLED: _ClassVar[CampaignStatus.State]
+        STATE_STOPPED: _ClassVar[CampaignStatus.State]
     STATE_UNSPECIFIED: CampaignStatus.State
     STATE_RUNNING: CampaignStatus.State
     STATE_PAUSED: CampaignStatus.State
     STATE_CANCELLED: CampaignStatus.State
+    STATE_STOPPED: CampaignStatus.State
+    class EarlyStop(_message.Message):
+        __slots__ = ("rule", "seed", "strata", "configurations", "used")
+        RULE_FIELD_NUMBER: _ClassVar[int]
+        SEED_FIELD_NUMBER: _ClassVar[int]
+        STRATA_FIELD_NUMBER: _ClassVar[int]
+        CONFIGURATIONS_FIELD_NUMBER: _ClassVar[int]
+        USED_FIELD_NUMBER: _ClassVar[int]
+        rule: str
+        seed: int
+        strata: str
+        configurations: int
+        used: int
+        def __init__(self, rule: _Optional[str] = ..., seed: _Optional[int] = ..., strata: _Optional[str] = ..., configurations: _Optional[int] = ..., used: _Optional[int] = ...) -> None: ...
     CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
     POLICY_FIELD_NUMBER: _ClassVar[int]
     TOTAL_FIELD_NUMBER: _ClassVar[int]
@@ -420,6 +435,9 @@ class CampaignStatus(_message.Message):
     MIXED_FINGERPRINTS_FIELD_NUMBER: _ClassVar[int]
     PRIORITY_FIELD_NUMBER: _ClassVar[int]
     CREATED_UNIX_MS_FIELD_NUMBER: _ClassVar[int]
+    EARLY_STOP_FIELD_NUMBER: _ClassVar[int]
+    FOLLOWS_FROM_FIELD_NUMBER: _ClassVar[int]
+    MAY_GROW_FIELD_NUMBER: _ClassVar[int]
     campaign: str
     policy: str
     total: int
@@ -439,7 +457,10 @@ class CampaignStatus(_message.Message):
     mixed_fingerprints: str
     priority: int
     created_unix_ms: int
-    def __init__(self, campaign: _Optional[str] = ..., policy: _Optional[str] = ..., total: _Optional[int] = ..., queued: _Optional[int] = ..., leased: _Optional[int] = ..., committed: _Optional[int] = ..., quarantined: _Optional[int] = ..., succeeded: _Optional[int] = ..., policy_paused: bool = ..., policy_pause_reason: _Optional[str] = ..., rate_per_sec: _Optional[float] = ..., eta_secs: _Optional[float] = ..., live_workers: _Optional[int] = ..., waiting_reason: _Optional[str] = ..., state: _Optional[_Union[CampaignStatus.State, str]] = ..., policy_endpoint: _Optional[str] = ..., mixed_fingerprints: _Optional[str] = ..., priority: _Optional[int] = ..., created_unix_ms: _Optional[int] = ...) -> None: ...
+    early_stop: CampaignStatus.EarlyStop
+    follows_from: str
+    may_grow: bool
+    def __init__(self, campaign: _Optional[str] = ..., policy: _Optional[str] = ..., total: _Optional[int] = ..., queued: _Optional[int] = ..., leased: _Optional[int] = ..., committed: _Optional[int] = ..., quarantined: _Optional[int] = ..., succeeded: _Optional[int] = ..., policy_paused: bool = ..., policy_pause_reason: _Optional[str] = ..., rate_per_sec: _Optional[float] = ..., eta_secs: _Optional[float] = ..., live_workers: _Optional[int] = ..., waiting_reason: _Optional[str] = ..., state: _Optional[_Union[CampaignStatus.State, str]] = ..., policy_endpoint: _Optional[str] = ..., mixed_fingerprints: _Optional[str] = ..., priority: _Optional[int] = ..., created_unix_ms: _Optional[int] = ..., early_stop: _Optional[_Union[CampaignStatus.EarlyStop, _Mapping]] = ..., follows_from: _Optional[str] = ..., may_grow: bool = ...) -> None: ...
 
 class ChangeCampaignRequest(_message.Message):
     __slots__ = ("campaign", "change")

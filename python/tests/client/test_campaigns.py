@@ -44,11 +44,20 @@ def test_what_is_listed_is_what_the_command_line_prints(client, programs):
     )
     printed = json.loads(printed)["campaigns"][0]
     listed = client.campaigns().iloc[0]
+    assert printed.pop("early_stop") is None
+    assert listed[["stop_rule", "stopped_after", "saved"]].isna().all()
     for key, value in {**printed, **printed["rollouts"]}.items():
         if key == "created_at":
             assert listed[key] == pd.Timestamp(value)
         elif key != "rollouts":
             assert pd.isna(listed[key]) if value is None else listed[key] == value, key
+
+
+def test_a_campaign_that_may_end_early_says_by_which_rule(client):
+    client.create(specification("early", stop={"rule": "I excludes 0", "seed": 3}))
+    status = client.campaign("early").status()
+    assert status.stop_rule == "I excludes 0"
+    assert (status.stopped_after, status.saved, status.is_finished) == (None, None, False)
 
 
 def test_the_same_specification_is_the_same_campaign_and_another_is_refused(client):

@@ -13,7 +13,8 @@ use queue::ids::{CampaignName, JobName, NameError, WorkerId};
 use queue::invariants::CheckError;
 use queue::{ArtifactError, OpenError, QueueError, StoreError};
 use report::{
-    BadLine, BudgetTooSmall, DocumentError, ImportError, NoInteractions, TableError, Unpairable,
+    BadLine, BudgetTooSmall, DocumentError, ImportError, NoCommonOrder, NoInteractions, TableError,
+    Unpairable,
 };
 use transport::{AccessError, EndpointError, Found, SecurityError, ServerKind, Settings, Trouble};
 
@@ -95,6 +96,7 @@ fn queue(messages: &mut Messages) {
             campaign: campaign(), differs: "`tasks`".to_owned(),
         },
         QueueError::Cancelled { .. } => QueueError::Cancelled { campaign: campaign() },
+        QueueError::Stopped { .. } => QueueError::Stopped { campaign: campaign() },
         QueueError::CampaignInUse { .. } => QueueError::CampaignInUse {
             campaign: campaign(), leased: 1,
         },
@@ -196,6 +198,18 @@ fn reports(messages: &mut Messages) {
             a: "first".to_owned(),
             b: "again".to_owned(),
             reasons: vec!["no rollout is in both".to_owned()],
+        },
+    );
+    variants!(messages, NoCommonOrder,
+        NoCommonOrder::NotDrawn { .. } => NoCommonOrder::NotDrawn { subject: text() },
+        NoCommonOrder::Differ { .. } => NoCommonOrder::Differ {
+            a: "first".to_owned(),
+            order_a: "seed 1 in rounds of suites".to_owned(),
+            b: "again".to_owned(),
+            order_b: "seed 2 in rounds of tasks".to_owned(),
+        },
+        NoCommonOrder::Configurations { .. } => NoCommonOrder::Configurations {
+            a: "first".to_owned(), b: "again".to_owned(),
         },
     );
     variants!(messages, TableError,

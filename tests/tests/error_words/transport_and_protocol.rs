@@ -3,7 +3,7 @@
 use protocol::manifest::{LineProblem, ManifestErrors};
 use protocol::{
     AxisSet, Condition, DesignError, Level, NoSuchRow, PerturbError, RolloutId, RowError,
-    SpecError, UnknownName,
+    SpecError, StopError, UnknownName,
 };
 use transport::{
     AccessError, CertificateFault, EndpointError, Found, SecurityError, ServerKind, Settings,
@@ -106,8 +106,18 @@ fn protocol(messages: &mut Messages) {
         SpecError::Radius { .. } => SpecError::Radius {
             field: "thresholds.tolerance", given: 0.0, valid: [0.01, 100.0],
         },
+        SpecError::Stop(_) => SpecError::Stop(StopError::NotSimultaneous),
         SpecError::Design(_) => SpecError::Design(no_design()),
         SpecError::Manifest(_) => SpecError::Manifest(ManifestErrors::clone(&refused)),
+    );
+    variants!(messages, StopError,
+        StopError::Measure(_) => {
+            StopError::Measure("purple".parse::<Level>().expect_err("no level"))
+        },
+        StopError::NotSimultaneous => StopError::NotSimultaneous,
+        StopError::Replicates { .. } => StopError::Replicates { given: 2 },
+        StopError::Follows { .. } => StopError::Follows { field: "explains" },
+        StopError::Missing { .. } => StopError::Missing { rollout: id() },
     );
     variants!(messages, LineProblem,
         LineProblem::Row(_) => LineProblem::Row("the field `suite` is not there".to_owned()),

@@ -2,8 +2,10 @@
 
 use std::fmt;
 
+use protocol::Measure;
+
 use crate::outcomes::Outcome;
-use crate::sequential::look::{Look, Measure};
+use crate::sequential::look::Look;
 use crate::sequential::order::Order;
 use crate::sequential::prefix::NotInOrder;
 use crate::sequential::together::Together;

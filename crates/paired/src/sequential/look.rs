@@ -1,89 +1,9 @@
 //! What one sees at a look.
 
 use std::collections::BTreeMap;
-use std::fmt;
-use std::str::FromStr;
 
-use protocol::UnknownName;
+use protocol::{Clause, Measure, StopRule};
 use serde::{Deserialize, Serialize};
-
-/// What an interval is about.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(into = "&'static str", try_from = "String")]
-pub enum Measure {
-    /// Success rate under simultaneous perturbation.
-    SSim,
-    /// Emergent failures / N.
-    RE,
-    /// Compensated successes / N.
-    RC,
-    /// Changed outcomes / N: `R_e` + `R_c`.
-    RD,
-    /// Net effect of simultaneity: `R_c` − `R_e`.
-    I,
-    /// Success rate of policy A − success rate of policy B.
-    Difference,
-}
-
-impl Measure {
-    /// All.
-    pub const ALL: [Self; 6] = [
-        Self::SSim,
-        Self::RE,
-        Self::RC,
-        Self::RD,
-        Self::I,
-        Self::Difference,
-    ];
-
-    /// Those of one policy.
-    pub const OF_ONE_POLICY: [Self; 5] = [Self::SSim, Self::RE, Self::RC, Self::RD, Self::I];
-
-    /// Name in stop rules: `S_sim`, `R_e`, `R_c`, `R_d`, `I`, `difference`.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::SSim => "S_sim",
-            Self::RE => "R_e",
-            Self::RC => "R_c",
-            Self::RD => "R_d",
-            Self::I => "I",
-            Self::Difference => "difference",
-        }
-    }
-}
-
-impl fmt::Display for Measure {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(self.name())
-    }
-}
-
-impl FromStr for Measure {
-    type Err = UnknownName;
-
-    fn from_str(text: &str) -> Result<Self, UnknownName> {
-        let found = Self::ALL.into_iter().find(|it| it.name() == text);
-        found.ok_or_else(|| UnknownName {
-            kind: "measure",
-            given: text.to_owned(),
-            valid: Self::ALL.map(Self::name).join(", "),
-        })
-    }
-}
-
-impl From<Measure> for &'static str {
-    fn from(measure: Measure) -> Self {
-        measure.name()
-    }
-}
-
-impl TryFrom<String> for Measure {
-    type Error = UnknownName;
-
-    fn try_from(text: String) -> Result<Self, UnknownName> {
-        text.parse()
-    }
-}
 
 /// An interval of a rate or a difference of rates over a finite population. Its
 /// ends are whole numbers of units, so that none is rounded.
@@ -132,4 +52,84 @@ pub struct Look {
     pub units: usize,
     /// Interval of each measure.
     pub intervals: BTreeMap<Measure, RateInterval>,
+}
+
+impl Look {
+    /// Whether all clauses of a rule hold. An interval that the look does not have
+    /// meets none: see [`StopRule::check`].
+    pub fn meets(&self, rule: &StopRule) -> bool {
+        rule.clauses().iter().all(|clause| self.holds(clause))
+    }
+
+    fn holds(&self, clause: &Clause) -> bool {
+        let interval = self.intervals.get(&clause.measure());
+        interval.is_some_and(|interval| match *clause {
+            Clause::Width(_, width) => interval.width() < width,
+            Clause::Excludes(_, value) => interval.excludes(value),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rule(text: &str) -> StopRule {
+        text.parse().expect(text)
+    }
+
+    /// A look at intervals of 400 units.
+    fn look(intervals: &[(Measure, [i64; 2])]) -> Look {
+        let interval = |&(measure, [least, greatest]): &(Measure, [i64; 2])| {
+            let interval = RateInterval {
+                least,
+                greatest,
+                units: 400,
+            };
+            (measure, interval)
+        };
+        Look {
+            used: 200,
+            waiting: 0,
+            units: 400,
+            intervals: intervals.iter().map(interval).collect(),
+        }
+    }
+
+    #[test]
+    fn a_width_is_compared_without_rounding() {
+        // 32 of 400 is 0.08: 0.12 − 0.04 in floating point is less.
+        let look = |greatest| look(&[(Measure::I, [16, greatest])]);
+        assert!(!look(48).meets(&rule("width(I) < 0.08")));
+        assert!(look(47).meets(&rule("width(I) < 0.08")));
+    }
+
+    #[test]
+    fn the_ends_of_an_interval_are_not_excluded() {
+        let look = look(&[(Measure::I, [0, 40])]);
+        for (value, excluded) in [
+            ("0", false),
+            ("0.1", false),
+            ("-0.001", true),
+            ("0.101", true),
+        ] {
+            let rule = rule(&format!("I excludes {value}"));
+            assert_eq!(look.meets(&rule), excluded, "{value}");
+        }
+    }
+
+    #[test]
+    fn all_clauses_must_hold() {
+        let rule = rule("I excludes 0 and width(S_sim) < 0.1");
+        let look = |i, s_sim| look(&[(Measure::I, i), (Measure::SSim, s_sim)]);
+        assert!(look([1, 90], [0, 39]).meets(&rule));
+        assert!(!look([0, 90], [0, 39]).meets(&rule));
+        assert!(!look([1, 90], [0, 40]).meets(&rule));
+    }
+
+    #[test]
+    fn a_rule_about_a_measure_that_a_look_has_not_is_never_met() {
+        let look = look(&[(Measure::I, [0, 0])]);
+        assert!(!look.meets(&rule("width(difference) < 0.1")));
+    }
 }

@@ -2,7 +2,9 @@
 
 use std::fmt;
 
-use crate::sequential::look::{Look, Measure, RateInterval};
+use protocol::Measure;
+
+use crate::sequential::look::{Look, RateInterval};
 use crate::sequential::order::Order;
 use crate::sequential::prefix::{NotInOrder, Prefix};
 use crate::sequential::sequence::ConfidenceSequence;

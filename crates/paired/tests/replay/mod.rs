@@ -1,9 +1,7 @@
 //! Published outcomes, replayed in random orders.
 
-use paired::{
-    Look, Measure, Order, Outcome, Record, Records, SequentialMeasures, StopRule, Transition,
-};
-use protocol::{Level, RolloutId, TaskRef};
+use paired::{Look, Order, Outcome, Record, Records, SequentialMeasures, Transition};
+use protocol::{Level, Measure, RolloutId, StopRule, TaskRef};
 use serde::Deserialize;
 
 const OUTCOMES: &str = include_str!("../../../../examples/openvla_oft/rollouts.jsonl");
@@ -108,7 +106,7 @@ impl Population {
             let look = sequential.look();
             held &= holds(&look);
             for (met, rule) in met.iter_mut().zip(rules) {
-                if met.is_none() && rule.is_met(&look) {
+                if met.is_none() && look.meets(rule) {
                     *met = Some(look.used);
                 }
             }

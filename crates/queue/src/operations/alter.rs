@@ -1,13 +1,13 @@
 //! Altering a campaign that is there: its priority, its policy, its name. All
 //! that is asked for is done, or nothing.
 
+use super::campaigns::going_on;
 use super::context::Context;
 use super::error::QueueError;
 use crate::expand::altered;
 use crate::ids::CampaignName;
 use crate::queue::Queue;
 use crate::read::Counts;
-use crate::rules::campaign::CampaignState;
 use crate::store::campaigns::Campaign;
 use crate::store::failpoint::Step;
 use crate::store::{campaigns, derivations, policies};
@@ -35,7 +35,7 @@ impl Queue {
     /// be created again as it is now, and not as it was.
     ///
     /// # Errors
-    /// When there is no such campaign, it is cancelled, another one has the name,
+    /// When there is no such campaign, it is over, another one has the name,
     /// it has results of another policy, the endpoint is no URL, or the database
     /// fails.
     pub async fn alter_campaign(
@@ -74,11 +74,7 @@ impl Context<'_> {
         endpoint: &str,
         policy: &str,
     ) -> Result<u64, QueueError> {
-        if let CampaignState::Cancelled { .. } = campaign.state {
-            return Err(QueueError::Cancelled {
-                campaign: campaign.name.clone(),
-            });
-        }
+        going_on(campaign)?;
         let results = Counts::of(&mut self.tx, campaign.id).await?.committed;
         if policy != campaign.policy && results > 0 {
             return Err(QueueError::PolicyMeasured {

@@ -9,12 +9,12 @@ use crate::expand::{NewCampaign, differing_fields};
 use crate::ids::{CampaignId, CampaignName};
 use crate::queue::Queue;
 use crate::read::Counts;
-use crate::rules::campaign::{CampaignState, CancelledIsFinal, Change};
+use crate::rules::campaign::{CampaignState, Change, EndedIsFinal};
 use crate::rules::lease::{FailureReason, JobState};
 use crate::store::campaigns::Campaign;
 use crate::store::failpoint::Step;
 use crate::store::removals as pending;
-use crate::store::{Doing, StoreError, campaigns, derivations, jobs, policies, undecodable};
+use crate::store::{Doing, StoreError, campaigns, derivations, jobs, policies, stops, undecodable};
 
 /// What creating a campaign did.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -60,6 +60,9 @@ impl Queue {
             derivations::insert(&mut context.tx, id, source).await?;
             context.settles = true;
         }
+        if let Some(configurations) = new.stops_among {
+            stops::insert(&mut context.tx, id, configurations).await?;
+        }
         // Files that could not be removed with a deleted campaign of this folder
         // stay now, rather than to take the new one's with them.
         pending::done(&mut context.tx, &artifacts::campaign_folder(&folder)).await?;
@@ -77,8 +80,8 @@ impl Queue {
     /// without a charge; their workers learn of it with their next heartbeat.
     ///
     /// # Errors
-    /// When there is no such campaign, it is cancelled already, or the database
-    /// fails.
+    /// When there is no such campaign, it is cancelled or stopped already, or the
+    /// database fails.
     pub async fn change_campaign(
         &self,
         name: &CampaignName,
@@ -88,9 +91,7 @@ impl Queue {
         let mut context = Context::begin(shared, vec![Step::ChangeCampaign]).await?;
         let campaign = context.campaign_named(name).await?;
         let after = campaign.state.after(change, context.now);
-        let after = after.map_err(|CancelledIsFinal| QueueError::Cancelled {
-            campaign: name.clone(),
-        })?;
+        let after = after.map_err(|EndedIsFinal| ended(&campaign))?;
         if after == campaign.state {
             return Ok(after);
         }
@@ -141,6 +142,23 @@ impl Queue {
         "the campaign was deleted");
         removals::finish(shared, &folder).await?;
         Ok(counts)
+    }
+}
+
+/// Why a campaign that is cancelled or stopped is not changed.
+fn ended(campaign: &Campaign) -> QueueError {
+    let name = campaign.name.clone();
+    match campaign.state {
+        CampaignState::Stopped { .. } => QueueError::Stopped { campaign: name },
+        _ => QueueError::Cancelled { campaign: name },
+    }
+}
+
+/// Refuses to change a campaign that is cancelled or stopped.
+pub(super) fn going_on(campaign: &Campaign) -> Result<(), QueueError> {
+    match campaign.state.is_over() {
+        true => Err(ended(campaign)),
+        false => Ok(()),
     }
 }
 

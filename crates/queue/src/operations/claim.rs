@@ -7,33 +7,21 @@ use std::time::Duration;
 
 use attempt::{AttemptId, Pin};
 
+use super::choose::Wanting;
 use super::context::Context;
 use super::error::QueueError;
 use crate::ids::{AttemptNumber, CampaignId, CampaignName, JobId, WorkerId};
-use crate::rules::choice::{WaitingCampaign, WaitingTask, choose_campaign, choose_task};
-use crate::rules::lease::MIN_WORKERS_TO_QUARANTINE;
+use crate::rules::choice::{WaitingCampaign, choose_campaign};
 use crate::rules::outage::{Allowance, PolicyState};
 use crate::store::campaigns::Campaign;
 use crate::store::claims::{self, Grant, LeasedJob, Term};
 use crate::store::workers::Standing;
 use crate::store::{StoreError, policies, workers};
 
+pub use super::choose::ClaimRequest;
+
 /// Longest wait of a claim.
 pub const MAX_CLAIM_WAIT: Duration = Duration::from_secs(30);
-/// Jobs that are looked at beyond those that are asked for: some of those that
-/// wait have failed on the very worker that asks.
-const SPARE_CANDIDATES: usize = 8;
-
-/// What a worker asks for: one job.
-#[derive(Clone, Debug)]
-pub struct ClaimRequest {
-    /// The worker that asks.
-    pub worker: WorkerId,
-    /// The worker's own id for this claim: repeated, it gets the same lease.
-    pub claim: String,
-    /// The task whose scene the slot holds compiled.
-    pub warm_task: Option<String>,
-}
 
 /// What a worker gets.
 #[derive(Clone, Debug, Default)]
@@ -69,15 +57,6 @@ pub struct Assigned {
     pub realisation: String,
     /// Which rollouts are filmed: "none", "failures", "transitions" or "all".
     pub record: String,
-}
-
-/// A claim that has not been met yet.
-struct Wanting<'a> {
-    /// Which of those that ask.
-    place: usize,
-    request: &'a ClaimRequest,
-    /// Tasks of the campaign at hand that have nothing for it.
-    exhausted: BTreeSet<String>,
 }
 
 impl Context<'_> {
@@ -237,7 +216,10 @@ impl Context<'_> {
         wanting: &mut Vec<Wanting<'_>>,
         room: usize,
     ) -> Result<Vec<(usize, Assigned)>, StoreError> {
-        let grants = self.choose(campaign, wanting, room).await?;
+        let grants = match campaign.is_drawn {
+            true => self.choose_in_order(campaign, wanting, room).await?,
+            false => self.choose(campaign, wanting, room).await?,
+        };
         let Some((_, first)) = grants.first() else {
             return Ok(Vec::new());
         };
@@ -267,77 +249,6 @@ impl Context<'_> {
         Ok(handed_out.collect())
     }
 
-    /// Which jobs of a campaign go to which claim. First jobs of warm tasks; then,
-    /// for claims whose warm tasks have no job left, the tasks with the fewest
-    /// leases. Claims that are met are taken out of `wanting`.
-    async fn choose(
-        &mut self,
-        campaign: &Campaign,
-        wanting: &mut Vec<Wanting<'_>>,
-        room: usize,
-    ) -> Result<Vec<(usize, Grant)>, StoreError> {
-        let must_differ = self.able_workers(campaign).await? >= MIN_WORKERS_TO_QUARANTINE;
-        let mut grants: Vec<(usize, Grant)> = Vec::new();
-        let mut taken: BTreeSet<JobId> = BTreeSet::new();
-        let mut tasks: Option<Vec<WaitingTask>> = None;
-        for asks in wanting.iter_mut() {
-            asks.exhausted.clear();
-        }
-        while grants.len() < room && !wanting.is_empty() {
-            let is_warm = |it: &Wanting<'_>| it.warm().is_some();
-            if tasks.is_none() && !wanting.iter().all(is_warm) {
-                tasks = Some(claims::waiting_tasks(&mut self.tx, campaign.id, self.now).await?);
-            }
-            let mut chosen: Vec<Option<String>> = Vec::with_capacity(wanting.len());
-            let mut open = room - grants.len();
-            for asks in wanting.iter() {
-                let tasks = tasks.as_deref_mut().unwrap_or_default();
-                let task = (open > 0).then(|| asks.choose(tasks)).flatten();
-                open -= usize::from(task.is_some());
-                chosen.push(task);
-            }
-            let demand: BTreeSet<&str> = chosen.iter().flatten().map(String::as_str).collect();
-            if demand.is_empty() {
-                break;
-            }
-            let limit = chosen.len() + taken.len() + SPARE_CANDIDATES;
-            let demand = demand.into_iter();
-            let mut candidates =
-                claims::candidates(&mut self.tx, campaign.id, demand, limit, self.now).await?;
-            let mut left = Vec::new();
-            for (place, mut asks) in wanting.drain(..).enumerate() {
-                let Some(Some(task)) = chosen.get(place) else {
-                    left.push(asks);
-                    continue;
-                };
-                let suits = |job: &claims::Candidate| {
-                    !(taken.contains(&job.id)
-                        || must_differ && job.has_failed_on(&asks.request.worker))
-                };
-                let waiting = candidates.get_mut(task);
-                let job = waiting.and_then(|jobs| {
-                    let at = jobs.iter().position(suits)?;
-                    jobs.remove(at)
-                });
-                let Some(job) = job else {
-                    asks.exhausted.insert(task.clone());
-                    left.push(asks);
-                    continue;
-                };
-                taken.insert(job.id);
-                let grant = Grant {
-                    job: job.id.0,
-                    worker: asks.request.worker.0.clone(),
-                    attempt: self.shared.new_attempt(),
-                    claim: asks.request.claim.clone(),
-                };
-                grants.push((asks.place, grant));
-            }
-            *wanting = left;
-        }
-        Ok(grants)
-    }
-
     /// Why jobs wait that a worker on `pin` does not get; empty if none do.
     pub(super) async fn idle_reason(&mut self, pin: &Pin) -> Result<String, StoreError> {
         let mut reasons = Vec::new();
@@ -364,27 +275,6 @@ impl Context<'_> {
             }
         }
         Ok(reasons.join("; "))
-    }
-}
-
-impl Wanting<'_> {
-    /// The task whose scene the slot holds, unless it has nothing.
-    fn warm(&self) -> Option<&str> {
-        let warm = self.request.warm_task.as_deref();
-        warm.filter(|task| !self.exhausted.contains(*task))
-    }
-
-    /// The task that it is to be served from, and counts it as one more there.
-    fn choose(&self, tasks: &mut [WaitingTask]) -> Option<String> {
-        if let Some(warm) = self.warm() {
-            return Some(warm.to_owned());
-        }
-        let open = |it: &&WaitingTask| !self.exhausted.contains(&it.task);
-        let open: Vec<WaitingTask> = tasks.iter().filter(open).cloned().collect();
-        let chosen = choose_task(&open)?.task.clone();
-        let counted = tasks.iter_mut().find(|it| it.task == chosen);
-        counted.into_iter().for_each(|it| it.leased += 1);
-        Some(chosen)
     }
 }
 

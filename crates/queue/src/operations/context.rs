@@ -25,7 +25,8 @@ pub(crate) struct Context<'a> {
     pub(super) tx: Tx<'a>,
     pub(super) cache: MutexGuard<'a, Cache>,
     pub(super) now: UnixMillis,
-    /// Whether it settles a job: campaigns that follow from others may go on then.
+    /// Whether it settles a job: campaigns that follow from others may go on then, and
+    /// a campaign may end early.
     pub(super) settles: bool,
 }
 
@@ -58,11 +59,9 @@ impl<'a> Context<'a> {
 
     /// Ends the transaction: what it wrote is on the disk.
     pub(super) async fn commit(mut self) -> Result<(), StoreError> {
+        let _settling = self.settles.then(|| self.shared.settled.begin());
         self.tx.commit().await?;
         self.cache.committed();
-        if self.settles {
-            self.shared.outcomes.notify_one();
-        }
         Ok(())
     }
 

@@ -8,12 +8,13 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-use paired::{Outcome, Record};
+use paired::{CampaignLook, Outcome, Record};
 use protocol::{CampaignSpec, Explanation, ManifestRow, Rollouts, Thresholds};
 use sqlx::SqliteConnection;
 
 use super::context::Context;
 use super::shared::Shared;
+use crate::clock::UnixMillis;
 use crate::expand::NewJob;
 use crate::ids::CampaignId;
 use crate::rules::explanation::{self, Wanted};
@@ -21,6 +22,7 @@ use crate::rules::thresholds;
 use crate::store::campaigns;
 use crate::store::derivations::{self, Derived, OutcomeRow};
 use crate::store::failpoint::Step;
+use crate::store::stops::{self, EarlyStop};
 use crate::store::{Doing, StoreError, undecodable};
 
 /// Between two looks: outcomes that come together are looked at together.
@@ -28,33 +30,41 @@ const PAUSE: Duration = Duration::from_millis(100);
 /// After a look that failed; the disk may be full.
 const PAUSE_AFTER_FAILURE: Duration = Duration::from_secs(5);
 
+/// What is known of the sources that are through, each as of when it was created and of how
+/// many results. It is read once: while something follows from it, it stays the same.
+type Sources = BTreeMap<CampaignId, ((UnixMillis, i64), Vec<Record>)>;
+
 /// Adds what follows from outcomes, as they come.
 pub(crate) async fn run(shared: std::sync::Arc<Shared>) {
+    let mut settled = shared.settled.subscribe();
+    let mut sources = Sources::new();
     loop {
-        let pause = match look(&shared).await {
-            Ok(()) => PAUSE,
-            Err(error) => {
-                tracing::error!("failed to {error}: {}", error.source);
-                // What it was about to look at is still to be looked at.
-                shared.outcomes.notify_one();
-                PAUSE_AFTER_FAILURE
-            }
-        };
-        tokio::time::sleep(pause).await;
-        shared.outcomes.notified().await;
+        let ended = *settled.borrow_and_update();
+        if let Err(error) = look(&shared, &mut sources).await {
+            tracing::error!("failed to {error}: {}", error.source);
+            tokio::time::sleep(PAUSE_AFTER_FAILURE).await;
+            continue;
+        }
+        shared.settled.look_ended(ended);
+        tokio::time::sleep(PAUSE).await;
+        // The sender is kept by the same queue.
+        let _ = settled.changed().await;
     }
 }
 
 /// Adds to every campaign that follows from another what follows from the outcomes that
 /// there are.
-async fn look(shared: &Shared) -> Result<(), StoreError> {
+async fn look(shared: &Shared, sources: &mut Sources) -> Result<(), StoreError> {
     let mut view = shared.store.read().await?;
     let mut found = Vec::new();
-    for campaign in derivations::all(&mut view).await? {
+    let campaigns = derivations::all(&mut view).await?;
+    sources.retain(|id, _| campaigns.iter().any(|it| it.source == *id));
+    for campaign in campaigns {
         // Which transitions there are, and which radii are known, is clear when all
-        // rollouts of the source have an outcome.
+        // rollouts of the source that ever will have an outcome.
         if campaign.unsettled == 0 {
-            let jobs = following(&mut view, &campaign).await?;
+            let source = source_records(&mut view, &campaign, sources).await?;
+            let jobs = following(&mut view, &campaign, source).await?;
             found.extend((!jobs.is_empty()).then_some((campaign.campaign, jobs)));
         }
     }
@@ -78,10 +88,11 @@ type Rollout = (ManifestRow, u32);
 async fn following(
     tx: &mut SqliteConnection,
     campaign: &Derived,
+    source: &[Record],
 ) -> Result<Vec<NewJob>, StoreError> {
     let rollouts = match specification(&campaign.spec)?.rollouts {
-        Rollouts::Explanation(explanation) => subsets(tx, campaign, &explanation).await?,
-        Rollouts::Thresholds(thresholds) => radii(tx, campaign, &thresholds).await?,
+        Rollouts::Explanation(explanation) => subsets(tx, campaign, source, &explanation).await?,
+        Rollouts::Thresholds(thresholds) => radii(tx, campaign, source, &thresholds).await?,
         Rollouts::Design(_) | Rollouts::Manifest(_) => Vec::new(),
     };
     let jobs = (campaign.jobs..).zip(rollouts);
@@ -99,11 +110,11 @@ pub(super) fn specification(text: &str) -> Result<CampaignSpec, StoreError> {
 async fn subsets(
     tx: &mut SqliteConnection,
     campaign: &Derived,
+    source: &[Record],
     explanation: &Explanation,
 ) -> Result<Vec<Rollout>, StoreError> {
-    let source = records(tx, campaign.source).await?;
     let own = records(tx, campaign.campaign).await?;
-    let wanted = explanation::wanted(&source, &own, explanation);
+    let wanted = explanation::wanted(source, &own, explanation);
     let ids: BTreeSet<String> = wanted
         .iter()
         .map(|it| it.simultaneous.to_string())
@@ -143,19 +154,53 @@ async fn subsets(
 async fn radii(
     tx: &mut SqliteConnection,
     campaign: &Derived,
+    source: &[Record],
     thresholds: &Thresholds,
 ) -> Result<Vec<Rollout>, StoreError> {
     let spec = campaigns::spec(tx, campaign.source).await?;
     let Rollouts::Design(design) = specification(&spec)?.rollouts else {
         return Ok(Vec::new());
     };
-    let source = records(tx, campaign.source).await?;
     let own = records(tx, campaign.campaign).await?;
-    let rows = thresholds::wanted(&design, &source, &own, thresholds);
+    let rows = thresholds::wanted(&design, source, &own, thresholds);
     let rows = rows
         .map_err(undecodable)
         .doing("perturb at another radius")?;
     Ok(rows.into_iter().map(|row| (row, 0)).collect())
+}
+
+/// What is known of the rollouts of a campaign's source, which is through: from an earlier
+/// look, unless some have come back from quarantine since.
+async fn source_records<'s>(
+    tx: &mut SqliteConnection,
+    campaign: &Derived,
+    sources: &'s mut Sources,
+) -> Result<&'s [Record], StoreError> {
+    let edition = (campaign.source_created_ms, campaign.source_committed);
+    let of_before = sources.remove(&campaign.source);
+    let records = match of_before.filter(|(of, _)| *of == edition) {
+        Some((_, records)) => records,
+        None => read_source(tx, campaign).await?,
+    };
+    let (_, records) = sources.entry(campaign.source).or_insert((edition, records));
+    Ok(records)
+}
+
+/// Of a source that stopped early, what its figures are of.
+async fn read_source(
+    tx: &mut SqliteConnection,
+    campaign: &Derived,
+) -> Result<Vec<Record>, StoreError> {
+    let all = records(tx, campaign.source).await?;
+    let counted = match stops::of(tx, campaign.source).await? {
+        Some(EarlyStop {
+            stop,
+            used: Some(_),
+            ..
+        }) => CampaignLook::counted_when_met(&all, &stop),
+        _ => None,
+    };
+    Ok(counted.unwrap_or(all))
 }
 
 /// What is known of a campaign's rollouts.

@@ -92,6 +92,14 @@ pub enum QueueError {
         /// Which.
         campaign: CampaignName,
     },
+    /// A campaign that ended early was to go on.
+    #[error(
+        "change campaign `{campaign}`: it stopped early, as its rule says, which is final; create another without `stop` to run the rest"
+    )]
+    Stopped {
+        /// Which.
+        campaign: CampaignName,
+    },
     /// A campaign with leased rollouts was to be deleted.
     #[error(
         "delete campaign `{campaign}`: {leased} of its rollouts are being run; cancel it first, or pause it and wait"

@@ -1,10 +1,10 @@
 //! Taking jobs out of quarantine.
 
+use super::campaigns::going_on;
 use super::context::Context;
 use super::error::QueueError;
 use crate::ids::{CampaignName, JobId, JobName};
 use crate::queue::Queue;
-use crate::rules::campaign::CampaignState;
 use crate::store::campaigns::Campaign;
 use crate::store::failpoint::Step;
 use crate::store::jobs;
@@ -27,16 +27,12 @@ impl Queue {
     /// Returns how many.
     ///
     /// # Errors
-    /// When the campaign or a job is unknown, the campaign is cancelled, a job
+    /// When the campaign or a job is unknown, the campaign is over, a job
     /// is not in quarantine, or the database fails.
     pub async fn retry_jobs(&self, name: &CampaignName, retry: &Retry) -> Result<u64, QueueError> {
         let mut context = Context::begin(&self.shared, vec![Step::RetryJobs]).await?;
         let campaign = context.campaign_named(name).await?;
-        if let CampaignState::Cancelled { .. } = campaign.state {
-            return Err(QueueError::Cancelled {
-                campaign: name.clone(),
-            });
-        }
+        going_on(&campaign)?;
         let chosen = match retry {
             Retry::All => jobs::quarantined(&mut context.tx, campaign.id).await?,
             Retry::Named(names) => {

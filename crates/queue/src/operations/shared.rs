@@ -8,6 +8,7 @@ use rand_chacha::rand_core::Rng;
 use tokio::sync::{Notify, watch};
 
 use super::cache::Cache;
+use super::settled::Settled;
 use crate::clock::{Clock, UnixMillis};
 use crate::store::Store;
 use crate::timing::Timing;
@@ -23,8 +24,9 @@ pub(crate) struct Shared {
     pub(super) cache: tokio::sync::Mutex<Cache>,
     /// Rung when jobs may have become leasable.
     pub(crate) work: Notify,
-    /// Rung when something may follow from outcomes.
-    pub(crate) outcomes: Notify,
+    /// Rung when jobs are settled: something may follow from their outcomes then, or a
+    /// campaign's rule may be met.
+    pub(crate) settled: Arc<Settled>,
     pub(crate) draining: watch::Sender<bool>,
     /// Why nothing is leased at the moment; none while jobs are leased.
     pub(crate) hold: watch::Sender<Option<String>>,
@@ -44,7 +46,7 @@ impl Shared {
             timing,
             cache: tokio::sync::Mutex::default(),
             work: Notify::new(),
-            outcomes: Notify::new(),
+            settled: Arc::new(Settled::new()),
             draining: watch::Sender::new(false),
             hold: watch::Sender::new(None),
         }

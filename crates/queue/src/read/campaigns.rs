@@ -12,6 +12,8 @@ use crate::operations::error::{QueueError, unknown_campaign};
 use crate::rules::campaign::CampaignState;
 use crate::rules::outage::PolicyState;
 use crate::store::campaigns::{self, Campaign};
+use crate::store::derivations::{self, Source};
+use crate::store::stops::{self, EarlyStop};
 use crate::store::{Doing, StoreError, workers};
 
 /// A campaign's rate is taken over so long, or, if that is less, since its first
@@ -52,6 +54,12 @@ pub struct CampaignStatus {
     pub waiting_reason: String,
     /// How its results mix fingerprints, if they have more than one.
     pub fingerprints: Option<Fingerprints>,
+    /// How it may end early, or did.
+    pub stop: Option<EarlyStop>,
+    /// The campaign from whose outcomes its rollouts follow, if they do.
+    pub source: Option<Source>,
+    /// Whether further rollouts may follow by themselves.
+    pub may_grow: bool,
 }
 
 impl Counts {
@@ -107,6 +115,17 @@ impl View {
         campaigns::spec(self.tx(), campaign.id).await
     }
 
+    /// How a campaign may end early, or did; none of one that runs to its end.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn early_stop(
+        &mut self,
+        campaign: &Campaign,
+    ) -> Result<Option<EarlyStop>, StoreError> {
+        stops::of(self.tx(), campaign.id).await
+    }
+
     /// How all campaigns stand, oldest first.
     ///
     /// # Errors
@@ -132,7 +151,9 @@ impl View {
             CampaignState::Running { since: resumed } => {
                 rate(self.tx(), campaign.id, resumed, now).await?
             }
-            CampaignState::Paused { .. } | CampaignState::Cancelled { .. } => None,
+            CampaignState::Paused { .. }
+            | CampaignState::Cancelled { .. }
+            | CampaignState::Stopped { .. } => None,
         };
         let left = (counts.queued + counts.leased) as f64;
         let policy_pause_reason = match &campaign.health.state {
@@ -143,8 +164,19 @@ impl View {
         };
         let able = live.iter().filter(|live| campaign.takes(live));
         let live_workers = u32::try_from(able.count()).unwrap_or(u32::MAX);
+        let source = derivations::awaited(self.tx(), campaign.id).await?;
+        let may_grow = match &source {
+            _ if campaign.state.is_over() => false,
+            None => false,
+            Some(source) if source.awaited > 0 => !source.is_cancelled,
+            Some(_) => !self.settled.is_all(self.looked_at),
+        };
         let is_waiting = counts.queued > 0 && counts.leased == 0 && campaign.state.may_lease();
         let waiting_reason = match (is_waiting, &self.held, &policy_pause_reason) {
+            (false, ..) if counts.queued + counts.leased == 0 => {
+                let source = source.as_ref().filter(|_| !campaign.state.is_over());
+                source.map_or_else(String::new, awaited_reason)
+            }
             (false, ..) => String::new(),
             (true, Some(reason), _) => reason.clone(),
             (true, None, Some(reason)) => {
@@ -154,6 +186,7 @@ impl View {
             (true, None, None) => no_worker_reason(&campaign.demand(), live.first()),
         };
         let fingerprints = self.fingerprints(campaign.id).await?;
+        let stop = stops::of(self.tx(), campaign.id).await?;
         Ok(CampaignStatus {
             campaign,
             counts,
@@ -163,6 +196,9 @@ impl View {
             live_workers,
             waiting_reason,
             fingerprints,
+            stop,
+            source,
+            may_grow,
         })
     }
 }
@@ -193,6 +229,26 @@ async fn rate(
     };
     let span = now.since(window.max(UnixMillis(first_began))).as_secs_f64();
     Ok((span > 0.0).then(|| committed as f64 / span))
+}
+
+/// What a campaign without further jobs waits for, if it follows from another.
+fn awaited_reason(source: &Source) -> String {
+    let Source {
+        name,
+        awaited,
+        is_cancelled,
+    } = source;
+    let rollouts = match awaited {
+        0 => return String::new(),
+        1 => "1 rollout".to_owned(),
+        n => format!("{n} rollouts"),
+    };
+    match is_cancelled {
+        false => format!("it goes on once campaign `{name}` is through, {rollouts} from now"),
+        true => format!(
+            "nothing follows from campaign `{name}`, which was cancelled with {rollouts} to go"
+        ),
+    }
 }
 
 fn no_worker_reason(demand: &str, live: Option<&Pin>) -> String {

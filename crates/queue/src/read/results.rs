@@ -20,6 +20,10 @@ pub struct Edition {
     committed: i64,
     quarantined: i64,
     divergent: i64,
+    // More are added to a campaign that follows from another.
+    jobs: i64,
+    // Of one that stopped early, not all results count.
+    has_stopped: bool,
 }
 
 /// A committed rollout as exports read it.
@@ -91,7 +95,10 @@ impl View {
                  (SELECT count(*) FROM job WHERE campaign_id = ?1 AND state = 'quarantined')
                      AS quarantined,
                  (SELECT count(DISTINCT d.job_id) FROM divergence d JOIN job j ON j.id = d.job_id
-                  WHERE j.campaign_id = ?1) AS divergent
+                  WHERE j.campaign_id = ?1) AS divergent,
+                 jobs,
+                 EXISTS (SELECT 1 FROM stop WHERE campaign_id = ?1 AND stopped_ms IS NOT NULL)
+                     AS has_stopped
              FROM campaign WHERE id = ?1",
         )
         .bind(campaign)

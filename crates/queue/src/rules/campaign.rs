@@ -32,6 +32,12 @@ pub enum CampaignState {
         /// Since when.
         since: UnixMillis,
     },
+    /// Its rule was met: nothing is leased ever again, and leases were taken back.
+    /// Its results stay. Final.
+    Stopped {
+        /// Since when.
+        since: UnixMillis,
+    },
 }
 
 /// What an operator asks for.
@@ -45,21 +51,23 @@ pub enum Change {
     Cancel,
 }
 
-/// A cancelled campaign was to be paused or resumed.
+/// A campaign that is cancelled or stopped was to become something else.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct CancelledIsFinal;
+pub struct EndedIsFinal;
 
 impl CampaignState {
     /// The state after a change; the same state if it is there already.
     ///
     /// # Errors
-    /// When the campaign is cancelled: that is final.
-    pub fn after(self, change: Change, now: UnixMillis) -> Result<Self, CancelledIsFinal> {
+    /// When the campaign is cancelled or stopped: that is final.
+    pub fn after(self, change: Change, now: UnixMillis) -> Result<Self, EndedIsFinal> {
         match (self, change) {
             (CampaignState::Running { .. }, Change::Resume)
             | (CampaignState::Paused { .. }, Change::Pause)
             | (CampaignState::Cancelled { .. }, Change::Cancel) => Ok(self),
-            (CampaignState::Cancelled { .. }, _) => Err(CancelledIsFinal),
+            (CampaignState::Cancelled { .. } | CampaignState::Stopped { .. }, _) => {
+                Err(EndedIsFinal)
+            }
             (_, Change::Resume) => Ok(CampaignState::Running { since: now }),
             (_, Change::Pause) => Ok(CampaignState::Paused { since: now }),
             (_, Change::Cancel) => Ok(CampaignState::Cancelled { since: now }),
@@ -71,12 +79,21 @@ impl CampaignState {
         matches!(self, CampaignState::Running { .. })
     }
 
+    /// Whether nothing more of it is ever leased.
+    pub fn is_over(self) -> bool {
+        matches!(
+            self,
+            CampaignState::Cancelled { .. } | CampaignState::Stopped { .. }
+        )
+    }
+
     /// Since when it is in this state.
     pub fn since(self) -> UnixMillis {
         match self {
             CampaignState::Running { since }
             | CampaignState::Paused { since }
-            | CampaignState::Cancelled { since } => since,
+            | CampaignState::Cancelled { since }
+            | CampaignState::Stopped { since } => since,
         }
     }
 
@@ -86,6 +103,7 @@ impl CampaignState {
             CampaignState::Running { .. } => "running",
             CampaignState::Paused { .. } => "paused",
             CampaignState::Cancelled { .. } => "cancelled",
+            CampaignState::Stopped { .. } => "stopped",
         }
     }
 }
@@ -101,10 +119,19 @@ mod tests {
     fn a_cancelled_campaign_is_neither_paused_nor_resumed() {
         let cancelled = CampaignState::Cancelled { since: THEN };
         for change in [Change::Pause, Change::Resume] {
-            assert_eq!(cancelled.after(change, NOW), Err(CancelledIsFinal));
+            assert_eq!(cancelled.after(change, NOW), Err(EndedIsFinal));
         }
         assert_eq!(cancelled.after(Change::Cancel, NOW), Ok(cancelled));
         assert!(!cancelled.may_lease());
+    }
+
+    #[test]
+    fn a_stopped_campaign_stays_so_whatever_is_asked_for() {
+        let stopped = CampaignState::Stopped { since: THEN };
+        for change in [Change::Pause, Change::Resume, Change::Cancel] {
+            assert_eq!(stopped.after(change, NOW), Err(EndedIsFinal));
+        }
+        assert!(!stopped.may_lease() && stopped.is_over());
     }
 
     #[test]
@@ -122,6 +149,7 @@ mod tests {
             CampaignState::Running { since: THEN },
             CampaignState::Paused { since: THEN },
             CampaignState::Cancelled { since: THEN },
+            CampaignState::Stopped { since: THEN },
         ] {
             let text = format!(r#"{{"is": "{}", "since": 1}}"#, state.name());
             let read: CampaignState = serde_json::from_str(&text).expect("a state");

@@ -43,6 +43,8 @@ pub struct Campaign {
     /// Where it stands with its operator.
     #[sqlx(json)]
     pub state: CampaignState,
+    /// Whether its configurations run in a drawn order: it may end early.
+    pub is_drawn: bool,
     /// What it asks of its workers.
     #[sqlx(json)]
     pub wanted: Wanted,
@@ -97,12 +99,15 @@ macro_rules! campaigns_where {
             "SELECT c.id, c.name, c.spec_digest, c.policy_id, p.name AS policy, p.endpoint,
                  c.realisation, c.record, c.wanted, c.priority, c.created_ms,
                  coalesce(c.folder, c.name) AS folder, c.pinned_ms,
-                 json_object('is', c.state, 'since', c.state_since_ms) AS state,
+                 json_object('is', iif(s.stopped_ms IS NULL, c.state, 'stopped'),
+                     'since', coalesce(s.stopped_ms, c.state_since_ms)) AS state,
+                 s.campaign_id IS NOT NULL AS is_drawn,
                  iif(k.asset_pack IS NULL, NULL, ",
             pin!("k"),
             ") AS pin, ",
             health!(),
             " FROM campaign c JOIN policy p ON p.id = c.policy_id
+             LEFT JOIN stop s ON s.campaign_id = c.id
              LEFT JOIN derivation d ON d.campaign_id = c.id AND c.pinned_ms IS NULL
              JOIN campaign k ON k.id = coalesce(d.source_id, c.id) WHERE ",
             $condition,
@@ -143,10 +148,11 @@ pub(crate) async fn all(tx: &mut SqliteConnection) -> Result<Vec<Campaign>, Stor
         .doing("list campaigns")
 }
 
-/// The campaigns of which jobs wait, oldest first; cancelled ones are left out.
+/// The campaigns of which jobs wait, oldest first; those that are cancelled or
+/// stopped are left out.
 pub(crate) async fn waiting(tx: &mut SqliteConnection) -> Result<Vec<Campaign>, StoreError> {
     sqlx::query_as(campaigns_where!(
-        "c.state <> 'cancelled'
+        "c.state <> 'cancelled' AND s.stopped_ms IS NULL
          AND EXISTS (SELECT 1 FROM job j WHERE j.campaign_id = c.id AND j.state = 'queued')"
     ))
     .fetch_all(tx)

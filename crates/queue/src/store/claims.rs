@@ -42,6 +42,8 @@ pub(crate) struct Candidate {
     pub(crate) id: JobId,
     /// "libero_goal/3".
     task: String,
+    /// Place in paired-unit order.
+    pub(crate) unit_order: i64,
     /// The workers on which it failed, JSON, once it has failed so often that it
     /// matters which.
     failed_on: Option<String>,
@@ -146,7 +148,7 @@ pub(crate) async fn candidates(
     now: UnixMillis,
 ) -> Result<BTreeMap<String, VecDeque<Candidate>>, StoreError> {
     let waiting: Vec<Candidate> = sqlx::query_as(
-        "SELECT j.id, j.task, CASE WHEN j.charged_attempts >= ?5 THEN
+        "SELECT j.id, j.task, j.unit_order, CASE WHEN j.charged_attempts >= ?5 THEN
                  (SELECT json_group_array(f.worker_id) FROM failure f
                   WHERE f.job_id = j.id AND f.charged = 1 AND f.attempt > j.forgiven_attempt)
              END AS failed_on

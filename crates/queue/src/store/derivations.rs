@@ -4,6 +4,7 @@
 use sqlx::SqliteConnection;
 
 use super::{Doing, StoreError, json};
+use crate::clock::UnixMillis;
 use crate::expand::NewJob;
 use crate::ids::{CampaignId, CampaignName};
 use crate::store::campaigns;
@@ -18,8 +19,11 @@ pub(crate) struct Derived {
     pub(crate) spec: String,
     /// Its jobs so far.
     pub(crate) jobs: i64,
-    /// Jobs of its source without an outcome.
+    /// Jobs of its source without an outcome, unless that one has stopped early.
     pub(crate) unsettled: i64,
+    /// When its source was created, and how many results that has.
+    pub(crate) source_created_ms: UnixMillis,
+    pub(crate) source_committed: i64,
 }
 
 /// A job of either campaign.
@@ -30,6 +34,17 @@ pub(crate) struct OutcomeRow {
     pub(crate) init_id: u16,
     pub(crate) is_quarantined: bool,
     pub(crate) success: Option<bool>,
+}
+
+/// Jobs of the source of `d` that are still to have an outcome: none of one that has stopped
+/// early.
+macro_rules! unsettled {
+    () => {
+        "(SELECT count(*) FROM job j WHERE j.campaign_id = d.source_id
+             AND j.state IN ('queued', 'leased') AND NOT EXISTS
+                 (SELECT 1 FROM stop s WHERE s.campaign_id = d.source_id
+                  AND s.stopped_ms IS NOT NULL))"
+    };
 }
 
 /// Notes that a campaign follows from another.
@@ -49,13 +64,16 @@ pub(crate) async fn insert(
 
 /// The campaigns that follow from others and are not cancelled.
 pub(crate) async fn all(tx: &mut SqliteConnection) -> Result<Vec<Derived>, StoreError> {
-    sqlx::query_as(
-        "SELECT d.campaign_id AS campaign, d.source_id AS source, c.spec, c.jobs,
+    sqlx::query_as(concat!(
+        "SELECT d.campaign_id AS campaign, d.source_id AS source, c.spec, c.jobs, ",
+        unsettled!(),
+        " AS unsettled, k.created_ms AS source_created_ms,
              (SELECT count(*) FROM job j WHERE j.campaign_id = d.source_id
-              AND j.state IN ('queued', 'leased')) AS unsettled
+              AND j.state = 'committed') AS source_committed
          FROM derivation d JOIN campaign c ON c.id = d.campaign_id
-         WHERE c.state <> 'cancelled' ORDER BY d.campaign_id",
-    )
+         JOIN campaign k ON k.id = d.source_id
+         WHERE c.state <> 'cancelled' ORDER BY d.campaign_id"
+    ))
     .fetch_all(tx)
     .await
     .doing("list campaigns that follow from others")
@@ -71,6 +89,34 @@ pub(crate) async fn source(
         .fetch_optional(tx)
         .await
         .doing("look which campaign another follows from")
+}
+
+/// What a campaign that follows from another waits for.
+#[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
+pub struct Source {
+    /// The other one's name.
+    pub name: CampaignName,
+    /// Its rollouts that are still to have an outcome: until then nothing follows.
+    pub awaited: u32,
+    /// Whether they never will, because it is cancelled.
+    pub is_cancelled: bool,
+}
+
+/// What a campaign waits for, if it follows from another.
+pub(crate) async fn awaited(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+) -> Result<Option<Source>, StoreError> {
+    sqlx::query_as(concat!(
+        "SELECT k.name, k.state = 'cancelled' AS is_cancelled, ",
+        unsettled!(),
+        " AS awaited FROM derivation d JOIN campaign k ON k.id = d.source_id
+         WHERE d.campaign_id = ?"
+    ))
+    .bind(campaign)
+    .fetch_optional(tx)
+    .await
+    .doing("read what a campaign that follows from another waits for")
 }
 
 /// The names of the campaigns that follow from one.

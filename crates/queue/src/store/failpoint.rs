@@ -36,6 +36,8 @@ pub enum Step {
     RetryJobs,
     /// Jobs are added to a campaign that follows from another.
     Derive,
+    /// A campaign ends early.
+    Stop,
 }
 
 /// The variable that names the failpoint to die at, a [`Side`] and a [`Step`]:
@@ -61,7 +63,7 @@ pub enum Side {
 
 impl Step {
     /// All of them.
-    pub const ALL: [Step; 14] = [
+    pub const ALL: [Step; 15] = [
         Step::Start,
         Step::Register,
         Step::Claim,
@@ -76,6 +78,7 @@ impl Step {
         Step::FinishRemoval,
         Step::RetryJobs,
         Step::Derive,
+        Step::Stop,
     ];
 }
 

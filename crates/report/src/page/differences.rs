@@ -6,6 +6,7 @@ use paired::{ComparedCell, Difference};
 
 use super::findings::sentence;
 use super::panels::figure;
+use super::sequential;
 use super::tables::{difference, or_dash, plain, table, with};
 use crate::comparison::{Comparison, Unpairable};
 use crate::figures;
@@ -27,6 +28,7 @@ pub(super) fn of_pairs(pairs: &[Result<Comparison, Unpairable>]) -> Markup {
                         h3 { (comparison.title()) }
                         (left_out(comparison, &comparison.warnings))
                         (cells(comparison))
+                        (sequential::of_two(comparison))
                     }
                     Err(refused) => {
                         h3 { (refused.a) " and " (refused.b) " are not compared" }
@@ -56,6 +58,7 @@ pub(super) fn of_one(comparison: &Comparison) -> Markup {
         (left_out(comparison, &[]))
         (figure(CAPTION, figures::differences(comparison).into_iter().collect()))
         (cells(comparison))
+        (sequential::of_two(comparison))
         (explanation())
     }
 }

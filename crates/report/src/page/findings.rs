@@ -14,7 +14,7 @@ const SIGNIFICANT: f64 = 0.05;
 
 pub(super) fn subtitle(document: &Document) -> Markup {
     let rollouts = document.analyses.iter().map(|analysis| {
-        let records = analysis.subject.records.iter();
+        let records = analysis.counted().iter();
         records
             .filter(|record| record.outcome.success().is_some())
             .count()

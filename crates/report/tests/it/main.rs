@@ -5,6 +5,7 @@ mod explanations;
 mod forms;
 mod how_far;
 mod import;
+mod stops;
 mod subjects;
 mod tables;
 mod words;

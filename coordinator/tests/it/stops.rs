@@ -1,0 +1,454 @@
+//! Campaigns that end early: where the statistics say on the same outcomes, whatever
+//! dies on the way.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use paired::{CampaignLook, Outcome, Record, Records};
+use proto::coordinator::Lease;
+use proto::coordinator::commit_response::Verdict;
+use protocol::{CampaignSpec, ManifestRow, RolloutId};
+use queue::expand::NewCampaign;
+use queue::{Side, Step, invariants};
+use serde_json::{Value, json};
+
+use crate::derived::{PATIENCE, die_at};
+use crate::harness::{Worker, rollout_id};
+use crate::page::ask;
+use crate::process::{Serve, coordinator, text};
+
+/// How long it is watched not to stop one.
+const A_WHILE: Duration = Duration::from_millis(400);
+const RULE: &str = "width(S_sim) < 0.7 and R_c excludes 1";
+
+/// One suite under three axes at two levels: 40 configurations with nine rollouts each.
+fn spec(name: &str) -> Value {
+    json!({
+        "name": name,
+        "policy": {"name": "p", "endpoint": "http://127.0.0.1:50051"},
+        "tasks": ["libero_object"], "axes": ["camera", "robot", "sensor"], "levels": ["L1", "L2"],
+        "configs": [0, 1, 2, 3], "nominal": "eval",
+        "stop": {"rule": RULE, "seed": 7},
+    })
+}
+
+/// What is planted: some tasks fail under robot alone, others under all axes together.
+fn succeeds(id: &RolloutId) -> bool {
+    let condition = id.condition().to_string();
+    match id.task().index() {
+        0 | 1 => condition != "robot",
+        2..5 => condition != "combination",
+        _ => true,
+    }
+}
+
+/// A planted campaign: its rollouts in the order in which they are to be leased, and
+/// after how many of them and of its configurations it is to stop.
+struct Planted {
+    ids: Vec<RolloutId>,
+    rollouts: usize,
+    configurations: usize,
+}
+
+fn planted(spec: &Value) -> Planted {
+    let spec = CampaignSpec::from_json(&spec.to_string()).expect("a specification");
+    let campaign = NewCampaign::from_spec(&spec).expect("a campaign");
+    let rows = campaign.jobs.iter().map(|job| {
+        let row: ManifestRow = serde_json::from_str(&job.manifest_row).expect("a row");
+        (row.id, row.init_id)
+    });
+    let rows: Vec<(RolloutId, u16)> = rows.collect();
+    let records = rows.iter().map(|&(id, init_id)| Record {
+        id,
+        init_id,
+        replicate: 0,
+        outcome: Outcome::from(succeeds(&id)),
+    });
+    let records = Records::new(&records.collect::<Vec<_>>()).expect("no rollout twice");
+    let stop = spec.stop.expect("a rule");
+    let look = CampaignLook::when_met(&records, &stop).expect("the rule is met");
+    let used = look.used.len();
+    assert!((5..look.units - 5).contains(&used), "{used} is no test");
+    Planted {
+        ids: rows.iter().map(|(id, _)| *id).collect(),
+        // Two levels of four conditions, and the nominal rollout.
+        rollouts: used * 9,
+        configurations: used,
+    }
+}
+
+fn create(serve: &Serve, folder: &Path, spec: &Value) {
+    let file = folder.join(format!("{}.json", spec["name"].as_str().expect("a name")));
+    std::fs::write(&file, spec.to_string()).expect("written");
+    let file = file.to_string_lossy();
+    let created = serve.command(&["campaign", "create", "--spec", &file]);
+    assert!(created.status.success(), "{}", text(&created.stderr));
+}
+
+fn id(lease: &Lease) -> RolloutId {
+    rollout_id(lease).parse().expect("an id")
+}
+
+/// Runs so many rollouts. Returns their ids.
+async fn run(worker: &mut Worker, rollouts: usize) -> Vec<RolloutId> {
+    let mut ids = Vec::new();
+    for _ in 0..rollouts {
+        let lease = worker.claim_one().await;
+        let id = id(&lease);
+        let committed = worker.commit(&lease, succeeds(&id)).await;
+        assert_eq!(committed, Verdict::Accepted);
+        ids.push(id);
+    }
+    ids
+}
+
+fn printed(serve: &Serve, arguments: &[&str]) -> Value {
+    let output = serve.command(arguments);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    serde_json::from_slice(&output.stdout).expect("JSON")
+}
+
+fn status(serve: &Serve, name: &str) -> Value {
+    printed(serve, &["campaign", "status", name, "--json"])["campaigns"][0].clone()
+}
+
+/// Waits until a campaign has stopped, and returns how it stands.
+async fn stopped(serve: &Serve, name: &str) -> Value {
+    let began = Instant::now();
+    loop {
+        let status = status(serve, name);
+        if status["state"] == "stopped" {
+            return status;
+        }
+        assert!(began.elapsed() < PATIENCE, "{status}");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_campaign_stops_where_its_outcomes_say_and_says_what_that_saved() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    let planted = planted(&spec("early"));
+    create(&serve, folder.path(), &spec("early"));
+    let mut worker = serve.worker("w").await;
+    let begun = run(&mut worker, planted.rollouts - 1).await;
+    assert_eq!(begun, planted.ids[..begun.len()], "in the drawn order");
+    // Another seed draws another order of the same.
+    let mut another = spec("early");
+    another["stop"]["seed"] = json!(8);
+    let another = self::planted(&another).ids;
+    assert_ne!(another, planted.ids);
+    let sorted = |ids: &[RolloutId]| ids.iter().copied().collect::<BTreeSet<_>>();
+    assert_eq!(sorted(&another), sorted(&planted.ids));
+    tokio::time::sleep(A_WHILE).await;
+    let running = status(&serve, "early");
+    assert_eq!(running["state"], "running");
+    assert_eq!(running["early_stop"]["used"], Value::Null);
+    // Until then, the report has intervals for every look.
+    let report = printed(&serve, &["report", "early", "--json"]);
+    let sequential = &report["reports"][0]["sequential"];
+    assert_eq!(sequential["has_stopped"], false);
+    assert_eq!(sequential["used"], planted.configurations - 1);
+
+    // The last rollout that counts, and two beyond it.
+    let leases = worker.claim(3).await;
+    assert_eq!(worker.commit(&leases[2], true).await, Verdict::Accepted);
+    let last = succeeds(&id(&leases[0]));
+    assert_eq!(worker.commit(&leases[0], last).await, Verdict::Accepted);
+    let status = stopped(&serve, "early").await;
+    let all = planted.ids.len();
+    let saved = all - planted.rollouts - 1;
+    assert_eq!(status["is_finished"], true);
+    assert_eq!(status["early_stop"]["used"], planted.configurations);
+    assert_eq!(status["early_stop"]["configurations"], 40);
+    assert_eq!(status["early_stop"]["saved"], saved);
+    assert_eq!(status["rollouts"]["leased"], 0);
+    // What was in flight is taken back, and nothing more is leased.
+    assert_eq!(worker.commit(&leases[1], true).await, Verdict::Stale);
+    assert!(worker.claim(1).await.is_empty());
+
+    let used = planted.configurations;
+    let percent = saved * 100 / all;
+    let words = format!(
+        "stopped early after {used} of 40 configurations: {RULE}; saved {saved} rollouts \
+         ({percent} %)"
+    );
+    let said = serve.command(&["campaign", "status", "early"]);
+    assert!(
+        text(&said.stdout).contains(&words),
+        "{}",
+        text(&said.stdout)
+    );
+    let page = folder.path().join("report.html");
+    let page_name = page.to_string_lossy();
+    let said = serve.command(&["report", "early", "--html", &page_name]);
+    let said = text(&said.stdout).to_owned();
+    let flat = said.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(flat.contains(&words), "{said}");
+    assert!(flat.contains("are not valid"), "{said}");
+    assert!(flat.contains("hold together at all looks"), "{said}");
+    assert!(
+        said.lines().all(|line| line.chars().count() <= 80),
+        "{said}"
+    );
+    let page = std::fs::read_to_string(page).expect("a page");
+    assert!(page.contains("Confidence sequences") && page.contains("Stopped early after"));
+
+    let metrics = ask(&serve.url, "GET /metrics").await.text();
+    for (state, jobs) in [("queued", 0), ("not_run", saved)] {
+        let line = format!("rollout_jobs{{campaign=\"early\",state=\"{state}\"}} {jobs}\n");
+        assert!(metrics.contains(&line), "{line}");
+    }
+    let page = ask(&serve.url, "GET /campaigns/early").await.text();
+    let words = words.replace('<', "&lt;");
+    assert!(page.contains(&words), "the campaign's page says it too");
+
+    // Figures are of the configurations that the intervals rest on.
+    let report = printed(&serve, &["report", "early", "--json"]);
+    for level in ["L1", "L2"] {
+        assert_eq!(report["paired"]["p"][level]["n"], used, "{level}");
+    }
+    let sequential = &report["reports"][0]["sequential"];
+    assert_eq!(sequential["has_stopped"], true);
+    assert_eq!(sequential["saved"], saved);
+    let [low, high] = [0, 1].map(|end| &sequential["levels"]["L2"]["S_sim"][end]);
+    let width = high
+        .as_f64()
+        .zip(low.as_f64())
+        .map(|(high, low)| high - low);
+    assert!(width.is_some_and(|width| width < 0.7), "{width:?}");
+    let violations = invariants::check(folder.path()).await.expect("a database");
+    assert_eq!(violations, []);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_stopped_campaign_stays_as_it_is_and_others_follow_from_what_counts() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    let planted = planted(&spec("early"));
+    create(&serve, folder.path(), &spec("early"));
+    let mut worker = serve.worker("w").await;
+    run(&mut worker, planted.rollouts - 1).await;
+    // The whole of a configuration beyond, which does not count, and then the last rollout
+    // that does.
+    let leases = worker.claim(10).await;
+    let beyond = id(&leases[9]);
+    for lease in leases.iter().rev() {
+        let committed = worker.commit(lease, succeeds(&id(lease))).await;
+        assert_eq!(committed, Verdict::Accepted);
+    }
+    stopped(&serve, "early").await;
+    for arguments in [
+        &["campaign", "resume", "early"][..],
+        &["campaign", "pause", "early"],
+        &["campaign", "cancel", "early"],
+        &["campaign", "set-endpoint", "early", "http://127.0.0.1:1"],
+        &["jobs", "retry", "early", "--all"],
+    ] {
+        let output = serve.command(arguments);
+        let error = text(&output.stderr);
+        assert!(!output.status.success(), "{arguments:?}");
+        assert!(error.contains("it stopped early"), "{arguments:?}: {error}");
+    }
+    create(&serve, folder.path(), &spec("early"));
+    assert_eq!(status(&serve, "early")["state"], "stopped");
+
+    // What counts is explained, though some rollouts will never have an outcome; and how far
+    // it holds is measured.
+    let explained = derived(&serve, &mut worker, &["explain", "early"]).await;
+    assert_eq!(explained["explained"], explained["transitions"]);
+    let report = printed(&serve, &["report", "early", "--json"]);
+    let emergent = |level: &str| report["paired"]["p"][level]["b"].as_u64().expect("a count");
+    let compensated = |level: &str| report["paired"]["p"][level]["c"].as_u64().expect("a count");
+    let changed: u64 = ["L1", "L2"]
+        .map(|it| emergent(it) + compensated(it))
+        .iter()
+        .sum();
+    assert!(changed > 0);
+    assert_eq!(explained["transitions"], changed);
+    #[rustfmt::skip]
+    let measured = derived(&serve, &mut worker, &[
+        "thresholds", "early", "--axes", "simultaneous", "--max-radius", "8", "--tolerance", "4",
+    ]).await;
+    assert_eq!(measured["looked_for"], planted.configurations);
+    assert_eq!(measured["found"], planted.configurations);
+    let of_beyond = |it: &Value| {
+        let number = beyond.config().map(Value::from);
+        it["task"] == json!(beyond.task()) && Some(&it["config"]) == number.as_ref()
+    };
+    let thresholds = measured["thresholds"].as_array().expect("thresholds");
+    assert!(!thresholds.iter().any(of_beyond), "{beyond} does not count");
+    for name in ["early-thresholds", "early-explained", "early"] {
+        let deleted = serve.command(&["campaign", "delete", name, "--confirm", name]);
+        assert!(deleted.status.success(), "{}", text(&deleted.stderr));
+    }
+    let violations = invariants::check(folder.path()).await.expect("a database");
+    assert_eq!(violations, []);
+}
+
+/// Runs what follows from a campaign, until everything is found out.
+async fn derived(serve: &Serve, worker: &mut Worker, arguments: &[&str]) -> Value {
+    let began = Instant::now();
+    loop {
+        let found = printed(serve, &[arguments, &["--json"]].concat());
+        if found["complete"] == true && found["rollouts"].as_u64() > Some(0) {
+            return found;
+        }
+        assert!(began.elapsed() < PATIENCE, "{found}");
+        for lease in worker.claim(64).await {
+            let committed = worker.commit(&lease, succeeds(&id(&lease))).await;
+            assert_eq!(committed, Verdict::Accepted);
+        }
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+}
+
+#[test]
+fn a_rule_that_cannot_end_a_campaign_is_refused_before_anything_is_created() {
+    let create = |arguments: &[&str], words: &str| {
+        #[rustfmt::skip]
+        let campaign = [
+            "campaign", "create", "--name", "x", "--policy", "p",
+            "--endpoint", "http://127.0.0.1:1", "--tasks", "libero_object",
+            "--connect", "http://127.0.0.1:1",
+        ];
+        let output = coordinator(&[&campaign[..], arguments].concat());
+        let error = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {error}");
+        assert_eq!(error.matches(words).count(), 1, "{arguments:?}: {error}");
+    };
+    let rule = ["--stop", "I excludes 0"];
+    create(&["--stop", "soon"], "valid are width(M) < X");
+    create(&["--stop", "difference excludes 0"], "valid are S_sim, R_e");
+    create(
+        &[&rule[..], &["--axes", "camera"]].concat(),
+        "two axes or more",
+    );
+    create(
+        &[&rule[..], &["--replicates", "2"]].concat(),
+        "with 2 `replicates`",
+    );
+    create(&["--stop-seed", "7"], "were not provided:\n  --stop <RULE>");
+    // What a design is refused for is said once, too.
+    create(&["--levels", "L0"], "`levels` has 0");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_death_around_any_transaction_leaves_the_same_state_and_the_same_report() {
+    let planted = planted(&spec("early"));
+    let undisturbed = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(undisturbed.path());
+    create(&serve, undisturbed.path(), &spec("early"));
+    run(&mut serve.worker("w").await, planted.rollouts).await;
+    let expected = stopped(&serve, "early").await["early_stop"].clone();
+    let report = ["report", "early", "--json"];
+    let expected_report = serve.command(&report).stdout;
+    drop(serve);
+
+    // One life after the other: each goes on where the one before it died, and runs what is
+    // to be run before the stop.
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let outcome = |id: &RolloutId| match planted.ids[..planted.rollouts].contains(id) {
+        true => Outcome::from(succeeds(id)),
+        false => Outcome::Missing,
+    };
+    for (side, step, times) in [
+        (Side::Before, Step::CreateCampaign, 1),
+        (Side::After, Step::CreateCampaign, 1),
+        (Side::Before, Step::Claim, 5),
+        (Side::After, Step::Claim, 5),
+        (Side::Before, Step::Commit, 9),
+        (Side::After, Step::Commit, 9),
+        (Side::Before, Step::Stop, 1),
+        (Side::After, Step::Stop, 1),
+    ] {
+        let point = format!("{side:?}:{step:?}:{times}");
+        die_at(folder.path(), &point, &spec("early"), outcome).await;
+        let violations = invariants::check(folder.path()).await.expect("a database");
+        assert_eq!(violations, [], "{point}");
+    }
+    let serve = Serve::start(folder.path());
+    assert_eq!(stopped(&serve, "early").await["early_stop"], expected);
+    let found = serve.command(&report).stdout;
+    assert!(found == expected_report, "{}", text(&found));
+}
+
+/// A campaign that has no rule to end by, but the order: its rule is never met.
+fn drawn(name: &str, seed: u64) -> Value {
+    let mut spec = spec(name);
+    spec["levels"] = json!(["L1"]);
+    spec["stop"] = json!({"rule": "width(I) < 0.001", "seed": seed});
+    spec
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn campaigns_of_one_order_are_compared_at_any_look() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    let mut worker = serve.worker("w").await;
+    // A configuration has five rollouts, of which four are perturbed.
+    for (name, configurations) in [("weak", 20), ("strong", 25)] {
+        create(&serve, folder.path(), &drawn(name, 7));
+        for lease in worker.claim(5 * configurations).await {
+            let perturbed = id(&lease).config().is_some();
+            let success = name == "strong" || !perturbed;
+            assert_eq!(worker.commit(&lease, success).await, Verdict::Accepted);
+        }
+        assert!(serve.command(&["campaign", "pause", name]).status.success());
+    }
+    let rule = "difference excludes 0";
+    #[rustfmt::skip]
+    let found = printed(&serve, &[
+        "compare", "strong", "weak", "--sequential", "--stop", rule, "--json",
+    ]);
+    let sequential = &found["sequential"];
+    assert_eq!(sequential["rule"], rule);
+    let cells = sequential["cells"].as_array().expect("cells");
+    assert_eq!(cells.len(), 4);
+    for cell in cells {
+        assert_eq!(
+            (&cell["used"], &cell["configurations"]),
+            (&json!(20), &json!(40))
+        );
+        // The twenty that were seen differ by one each; of the others, little is known.
+        assert!(cell["difference"][0].as_f64() > Some(0.0), "{cell}");
+        assert_eq!(cell["difference"][1], 1.0);
+        let after = cell["met_after"].as_u64().expect("it is met");
+        assert!((2..20).contains(&after), "{cell}");
+    }
+    // It is there without being asked for, and in words.
+    let found = serve.command(&["compare", "strong", "weak"]);
+    let words = text(&found.stdout);
+    assert!(
+        words.contains("20 of 40") && words.contains("seed 7"),
+        "{words}"
+    );
+    assert!(
+        words.lines().all(|line| line.chars().count() <= 80),
+        "{words}"
+    );
+
+    create(&serve, folder.path(), &drawn("elsewhere", 8));
+    let mut undrawn = drawn("undrawn", 0);
+    undrawn["stop"] = Value::Null;
+    create(&serve, folder.path(), &undrawn);
+    let mut fewer = drawn("fewer", 7);
+    fewer["configs"] = json!([0]);
+    create(&serve, folder.path(), &fewer);
+    for (other, remedy) in [
+        ("elsewhere", "the same `--stop-seed`"),
+        ("undrawn", "create both campaigns with `--stop`"),
+        ("fewer", "the same tasks and configurations"),
+    ] {
+        let refused = serve.command(&["compare", "weak", other, "--sequential"]);
+        let error = text(&refused.stderr);
+        assert_eq!(refused.status.code(), Some(2), "{other}: {error}");
+        assert!(error.contains(remedy), "{error}");
+        let plain = printed(&serve, &["compare", "weak", other, "--json"]);
+        assert!(plain.get("sequential").is_none(), "{other}");
+    }
+    let refused = serve.command(&["compare", "weak", "strong", "--stop", "I excludes 0"]);
+    assert!(text(&refused.stderr).contains("valid are difference"));
+}

@@ -1,0 +1,127 @@
+//! Campaigns that follow from another: they are not finished while something may follow.
+
+use std::time::{Duration, Instant};
+
+use paired::Outcome;
+use protocol::{AxisSet, Condition, RolloutId};
+use serde_json::{Value, json};
+
+use crate::derived::{PATIENCE, run_all};
+use crate::harness::{Worker, rollout_id};
+use crate::page::ask;
+use crate::process::{Serve, text};
+
+/// Three axes fail together and two never do, so that it takes two rounds to find out.
+fn outcome(id: &RolloutId) -> Outcome {
+    let axes = id.condition().axes(AxisSet::ALL);
+    let fatal: AxisSet = "camera+robot+sensor".parse().expect("a set");
+    Outcome::from(id.condition() == Condition::Clean || !fatal.is_subset(axes))
+}
+
+fn create(serve: &Serve, name: &str) {
+    #[rustfmt::skip]
+    let created = serve.command(&[
+        "campaign", "create", "--name", name, "--policy", "p",
+        "--endpoint", "http://127.0.0.1:50051", "--tasks", "libero_object/0", "--axes", "all",
+        "--levels", "L2", "--configs", "0",
+    ]);
+    assert!(created.status.success(), "{}", text(&created.stderr));
+}
+
+fn explain(serve: &Serve, name: &str) -> Value {
+    let output = serve.command(&["explain", name, "--json"]);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    serde_json::from_slice(&output.stdout).expect("JSON")
+}
+
+fn status(serve: &Serve, name: &str) -> Value {
+    let output = serve.command(&["campaign", "status", name, "--json"]);
+    let list: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    list["campaigns"][0].clone()
+}
+
+/// Runs one rollout, if one waits.
+async fn run_one(worker: &mut Worker) {
+    for lease in worker.claim(1).await {
+        let id = rollout_id(&lease).parse().expect("an id");
+        worker
+            .commit(&lease, outcome(&id) == Outcome::Success)
+            .await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_explaining_campaign_says_what_it_waits_for_and_is_finished_at_its_end_only() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    create(&serve, "first");
+    explain(&serve, "first");
+    let mut worker = serve.worker("w").await;
+    for _ in 0..3 {
+        run_one(&mut worker).await;
+    }
+    let waiting = status(&serve, "first-explained");
+    assert_eq!(waiting["follows_from"], "first");
+    assert_eq!(status(&serve, "first")["follows_from"], Value::Null);
+    assert_eq!(waiting["rollouts"]["total"], 0);
+    assert_eq!(waiting["is_finished"], false);
+    let why = "campaign `first` is through, 5 rollouts from now";
+    let said = waiting["waiting_reason"].as_str().expect("a reason");
+    assert!(said.contains(why), "{said}");
+    let said = serve.command(&["campaign", "status", "first-explained"]);
+    let said = text(&said.stdout);
+    assert!(said.contains("waits for first"), "{said}");
+    assert!(said.contains(why), "{said}");
+    for address in ["/", "/campaigns/first-explained"] {
+        let page = ask(&serve.url, &format!("GET {address}")).await.text();
+        assert!(page.contains("waits for campaign first"), "{address}");
+        assert!(page.contains(why), "{address}");
+    }
+
+    // Whenever it says that it is finished, everything is explained.
+    let began = Instant::now();
+    while status(&serve, "first-explained")["is_finished"] == false {
+        assert!(began.elapsed() < PATIENCE);
+        run_one(&mut worker).await;
+    }
+    let found = explain(&serve, "first");
+    assert_eq!(found["complete"], true);
+    assert_eq!(found["transitions"], 1);
+    // All pairs of six axes, and then the triples.
+    let rollouts = found["rollouts"].as_u64().expect("a count");
+    assert!(rollouts > 15, "{rollouts}");
+    let finished = status(&serve, "first-explained");
+    assert_eq!(finished["waiting_reason"], Value::Null);
+    assert_eq!(finished["rollouts"]["total"], rollouts);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn nothing_follows_from_a_cancelled_campaign_and_from_one_without_transitions() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    create(&serve, "cancelled");
+    explain(&serve, "cancelled");
+    let cancelled = serve.command(&["campaign", "cancel", "cancelled"]);
+    assert!(cancelled.status.success(), "{}", text(&cancelled.stderr));
+    let over = status(&serve, "cancelled-explained");
+    assert_eq!(over["is_finished"], true);
+    let why = over["waiting_reason"].as_str().expect("a reason");
+    assert!(
+        why.contains("which was cancelled with 8 rollouts to go"),
+        "{why}"
+    );
+
+    create(&serve, "steady");
+    explain(&serve, "steady");
+    assert_eq!(status(&serve, "steady-explained")["is_finished"], false);
+    let mut worker = serve.worker("w").await;
+    run_all(&mut worker, |_| Outcome::Success).await;
+    let began = Instant::now();
+    while status(&serve, "steady-explained")["is_finished"] == false {
+        assert!(began.elapsed() < PATIENCE);
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    let over = status(&serve, "steady-explained");
+    assert_eq!(over["rollouts"]["total"], 0);
+    assert_eq!(over["waiting_reason"], json!(null));
+}

@@ -1,0 +1,135 @@
+//! A campaign that may end early: by which rule, and in which order it runs its
+//! configurations until then.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use serde::{Deserialize, Serialize};
+
+use crate::axis::Axis;
+use crate::condition::Condition;
+use crate::level::Level;
+use crate::names::UnknownName;
+use crate::rollout_id::RolloutId;
+use crate::row::ManifestRow;
+use crate::stop_rule::{Measure, StopRule};
+use crate::suite::TaskRef;
+
+/// How a campaign ends early. Its configurations run in an order that is drawn
+/// before anything is known of their outcomes, and it ends as soon as the rule
+/// holds at every one of its levels.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Stop {
+    /// What must hold.
+    pub rule: StopRule,
+    /// What the order is drawn from.
+    #[serde(default)]
+    pub seed: u64,
+    /// What each round of the order has one configuration of.
+    #[serde(default)]
+    pub strata: Strata,
+}
+
+/// What each round of a drawn order has one configuration of.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Strata {
+    /// Every suite: narrower intervals, unless tasks of a suite differ very much.
+    #[default]
+    Suites,
+    /// Every task.
+    Tasks,
+}
+
+impl Strata {
+    /// Its name in specifications.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Suites => "suites",
+            Self::Tasks => "tasks",
+        }
+    }
+}
+
+/// A rule for a campaign that it cannot end.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum StopError {
+    /// It is about a measure that a campaign has not.
+    #[error("`stop`: {0}")]
+    Measure(UnknownName),
+    /// One axis, or none.
+    #[error(
+        "`stop` needs simultaneous rollouts, and those of each axis alone: name two axes or more, \
+         or take `stop` out"
+    )]
+    NotSimultaneous,
+    /// Several replicates.
+    #[error(
+        "`stop` with {given} `replicates`: its intervals are about one rollout of each; write 1, \
+         or take `stop` out"
+    )]
+    Replicates {
+        /// What it says.
+        given: u32,
+    },
+    /// A campaign that follows from another's outcomes.
+    #[error("`stop` beside `{field}`, which ends by itself: take `stop` out")]
+    Follows {
+        /// The field that says what it follows from.
+        field: &'static str,
+    },
+    /// An imported configuration that lacks a rollout that others have.
+    #[error(
+        "`stop` needs every configuration under the same conditions at every level: {rollout} is \
+         not in the manifest; add it, or take `stop` out"
+    )]
+    Missing {
+        /// The first rollout that is not there.
+        rollout: RolloutId,
+    },
+}
+
+impl Stop {
+    /// Checks that the rule can end a campaign of so many replicates.
+    pub(crate) fn check(&self, replicates: u32) -> Result<(), StopError> {
+        let known = self.rule.check(&Measure::OF_ONE_POLICY);
+        known.map_err(StopError::Measure)?;
+        match replicates {
+            1 => Ok(()),
+            given => Err(StopError::Replicates { given }),
+        }
+    }
+}
+
+/// Every configuration needs the simultaneous rollout, and that of each axis alone,
+/// at every level: else it never counts, and neither does any that is drawn later.
+pub(crate) fn check_rows(rows: &[ManifestRow]) -> Result<(), StopError> {
+    let mut axes: BTreeSet<Axis> = BTreeSet::new();
+    let mut levels: BTreeSet<Level> = BTreeSet::new();
+    let mut units: BTreeMap<(TaskRef, u16), BTreeSet<(Level, Condition)>> = BTreeMap::new();
+    for id in rows.iter().map(|row| row.id) {
+        let Some(config) = id.config() else { continue };
+        if let Condition::Single(axis) = id.condition() {
+            axes.insert(axis);
+        }
+        levels.insert(id.level());
+        let unit = units.entry((id.task(), config)).or_default();
+        unit.insert((id.level(), id.condition()));
+    }
+    if axes.len() < 2 {
+        return Err(StopError::NotSimultaneous);
+    }
+    let conditions = axes.into_iter().map(Condition::Single);
+    let conditions: Vec<Condition> = conditions.chain([Condition::Combination]).collect();
+    for (&(task, config), has) in &units {
+        for &level in &levels {
+            let missing = conditions.iter().find(|&&it| !has.contains(&(level, it)));
+            if let Some(&condition) = missing
+                && let Ok(rollout) = RolloutId::perturbed(task, condition, level, config)
+            {
+                return Err(StopError::Missing { rollout });
+            }
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,171 @@
+//! Which of a campaign's jobs go to which of the claims that ask.
+
+use std::collections::BTreeSet;
+
+use super::context::Context;
+use crate::ids::{JobId, WorkerId};
+use crate::rules::choice::{WaitingTask, choose_task, first_tasks};
+use crate::rules::lease::MIN_WORKERS_TO_QUARANTINE;
+use crate::store::StoreError;
+use crate::store::campaigns::Campaign;
+use crate::store::claims::{self, Grant};
+
+/// Jobs that are looked at beyond those that are asked for: some of those that
+/// wait have failed on the very worker that asks.
+const SPARE_CANDIDATES: usize = 8;
+
+/// What a worker asks for: one job.
+#[derive(Clone, Debug)]
+pub struct ClaimRequest {
+    /// The worker that asks.
+    pub worker: WorkerId,
+    /// The worker's own id for this claim: repeated, it gets the same lease.
+    pub claim: String,
+    /// The task whose scene the slot holds compiled.
+    pub warm_task: Option<String>,
+}
+
+/// A claim that has not been met yet.
+pub(super) struct Wanting<'a> {
+    /// Which of those that ask.
+    pub(super) place: usize,
+    pub(super) request: &'a ClaimRequest,
+    /// Tasks of the campaign at hand that have nothing for it.
+    pub(super) exhausted: BTreeSet<String>,
+}
+
+impl Context<'_> {
+    /// Which jobs of a campaign go to which claim. First jobs of warm tasks; then,
+    /// for claims whose warm tasks have no job left, the tasks with the fewest
+    /// leases. Claims that are met are taken out of `wanting`.
+    pub(super) async fn choose(
+        &mut self,
+        campaign: &Campaign,
+        wanting: &mut Vec<Wanting<'_>>,
+        room: usize,
+    ) -> Result<Vec<(usize, Grant)>, StoreError> {
+        let must_differ = self.able_workers(campaign).await? >= MIN_WORKERS_TO_QUARANTINE;
+        let mut grants: Vec<(usize, Grant)> = Vec::new();
+        let mut taken: BTreeSet<JobId> = BTreeSet::new();
+        let mut tasks: Option<Vec<WaitingTask>> = None;
+        for asks in wanting.iter_mut() {
+            asks.exhausted.clear();
+        }
+        while grants.len() < room && !wanting.is_empty() {
+            let is_warm = |it: &Wanting<'_>| it.warm().is_some();
+            if tasks.is_none() && !wanting.iter().all(is_warm) {
+                tasks = Some(claims::waiting_tasks(&mut self.tx, campaign.id, self.now).await?);
+            }
+            let mut chosen: Vec<Option<String>> = Vec::with_capacity(wanting.len());
+            let mut open = room - grants.len();
+            for asks in wanting.iter() {
+                let tasks = tasks.as_deref_mut().unwrap_or_default();
+                let task = (open > 0).then(|| asks.choose(tasks)).flatten();
+                open -= usize::from(task.is_some());
+                chosen.push(task);
+            }
+            let demand: BTreeSet<&str> = chosen.iter().flatten().map(String::as_str).collect();
+            if demand.is_empty() {
+                break;
+            }
+            let limit = chosen.len() + taken.len() + SPARE_CANDIDATES;
+            let demand = demand.into_iter();
+            let mut candidates =
+                claims::candidates(&mut self.tx, campaign.id, demand, limit, self.now).await?;
+            let mut left = Vec::new();
+            for (place, mut asks) in wanting.drain(..).enumerate() {
+                let Some(Some(task)) = chosen.get(place) else {
+                    left.push(asks);
+                    continue;
+                };
+                let suits = |job: &claims::Candidate| {
+                    !(taken.contains(&job.id)
+                        || must_differ && job.has_failed_on(&asks.request.worker))
+                };
+                let waiting = candidates.get_mut(task);
+                let job = waiting.and_then(|jobs| {
+                    let at = jobs.iter().position(suits)?;
+                    jobs.remove(at)
+                });
+                let Some(job) = job else {
+                    asks.exhausted.insert(task.clone());
+                    left.push(asks);
+                    continue;
+                };
+                taken.insert(job.id);
+                grants.push((asks.place, self.grant(job.id, asks.request)));
+            }
+            *wanting = left;
+        }
+        Ok(grants)
+    }
+
+    /// Which jobs of a campaign go to which claim, if it may end early: the first in
+    /// its drawn order, whatever scene a slot holds. Only what is complete up to the
+    /// first gap counts, so that what is run ahead of a gap may be run for nothing.
+    pub(super) async fn choose_in_order(
+        &mut self,
+        campaign: &Campaign,
+        wanting: &mut Vec<Wanting<'_>>,
+        room: usize,
+    ) -> Result<Vec<(usize, Grant)>, StoreError> {
+        let must_differ = self.able_workers(campaign).await? >= MIN_WORKERS_TO_QUARANTINE;
+        let limit = room.min(wanting.len()) + SPARE_CANDIDATES;
+        let tasks = claims::waiting_tasks(&mut self.tx, campaign.id, self.now).await?;
+        let tasks = first_tasks(tasks, limit);
+        let tasks = tasks.iter().map(String::as_str);
+        let candidates =
+            claims::candidates(&mut self.tx, campaign.id, tasks, limit, self.now).await?;
+        let mut candidates: Vec<_> = candidates.into_values().flatten().collect();
+        candidates.sort_by_key(|job| job.unit_order);
+        let mut grants: Vec<(usize, Grant)> = Vec::new();
+        let mut left = Vec::new();
+        for asks in wanting.drain(..) {
+            let request = asks.request;
+            let suits =
+                |job: &claims::Candidate| !(must_differ && job.has_failed_on(&request.worker));
+            let found = match grants.len() < room {
+                true => candidates.iter().position(suits),
+                false => None,
+            };
+            let Some(found) = found else {
+                left.push(asks);
+                continue;
+            };
+            let job = candidates.remove(found);
+            grants.push((asks.place, self.grant(job.id, request)));
+        }
+        *wanting = left;
+        Ok(grants)
+    }
+
+    fn grant(&self, job: JobId, to: &ClaimRequest) -> Grant {
+        Grant {
+            job: job.0,
+            worker: to.worker.0.clone(),
+            attempt: self.shared.new_attempt(),
+            claim: to.claim.clone(),
+        }
+    }
+}
+
+impl Wanting<'_> {
+    /// The task whose scene the slot holds, unless it has nothing.
+    fn warm(&self) -> Option<&str> {
+        let warm = self.request.warm_task.as_deref();
+        warm.filter(|task| !self.exhausted.contains(*task))
+    }
+
+    /// The task that it is to be served from, and counts it as one more there.
+    fn choose(&self, tasks: &mut [WaitingTask]) -> Option<String> {
+        if let Some(warm) = self.warm() {
+            return Some(warm.to_owned());
+        }
+        let open = |it: &&WaitingTask| !self.exhausted.contains(&it.task);
+        let open: Vec<WaitingTask> = tasks.iter().filter(open).cloned().collect();
+        let chosen = choose_task(&open)?.task.clone();
+        let counted = tasks.iter_mut().find(|it| it.task == chosen);
+        counted.into_iter().for_each(|it| it.leased += 1);
+        Some(chosen)
+    }
+}

@@ -1,0 +1,130 @@
+//! Campaigns that may end early: as outcomes come, it is looked whether the rule is
+//! met.
+//!
+//! Whether it is, and after how many configurations, is a pure function of the
+//! outcomes. So it is looked at again whenever something was settled and at every
+//! start, and a look that was cut off is made up for.
+//!
+//! What is in flight when a campaign stops is taken back. It could not change an
+//! interval: those rest on the configurations up to the look at which the rule was
+//! met, and in these nothing is in flight.
+
+use std::collections::BTreeMap;
+use std::panic::resume_unwind;
+use std::sync::Arc;
+use std::time::Duration;
+
+use paired::{CampaignLook, Records};
+use protocol::{RolloutId, TaskRef};
+use sqlx::SqliteConnection;
+
+use super::context::Context;
+use super::derive::records;
+use super::shared::Shared;
+use crate::ids::CampaignId;
+use crate::store::failpoint::Step;
+use crate::store::stops::{self, Stoppable};
+use crate::store::{Doing, StoreError, undecodable};
+
+/// Between two looks: outcomes that come together are looked at together.
+const PAUSE: Duration = Duration::from_millis(100);
+/// After a look that failed; the disk may be full.
+const PAUSE_AFTER_FAILURE: Duration = Duration::from_secs(5);
+
+/// In which configuration each campaign is, as of the last look: the first that is not
+/// complete. While it is the same, nothing new counts.
+type Fronts = BTreeMap<CampaignId, Front>;
+
+/// A configuration, or its nominal rollout: the task, whether it is the former, and its
+/// number or that of the initial state.
+type Front = (TaskRef, bool, u16);
+
+/// Stops campaigns whose rule is met, as outcomes come.
+pub(crate) async fn run(shared: Arc<Shared>) {
+    let mut settled = shared.settled.subscribe();
+    let mut fronts = Fronts::new();
+    loop {
+        settled.mark_unchanged();
+        if let Err(error) = look(&shared, &mut fronts).await {
+            tracing::error!("failed to {error}: {}", error.source);
+            fronts.clear();
+            tokio::time::sleep(PAUSE_AFTER_FAILURE).await;
+            continue;
+        }
+        tokio::time::sleep(PAUSE).await;
+        // The sender is kept by the same queue.
+        let _ = settled.changed().await;
+    }
+}
+
+async fn look(shared: &Shared, fronts: &mut Fronts) -> Result<(), StoreError> {
+    let mut view = shared.store.read().await?;
+    let mut met = Vec::new();
+    let stoppable = stops::stoppable(&mut view).await?;
+    fronts.retain(|id, _| stoppable.iter().any(|it| it.campaign == *id));
+    for campaign in stoppable {
+        let first = stops::first_unsettled(&mut view, campaign.campaign).await?;
+        // One that is through has nothing to save.
+        let Some(first) = first else { continue };
+        let first: RolloutId = first
+            .parse()
+            .map_err(undecodable)
+            .doing("read which rollout comes first")?;
+        let front = (first.task(), first.config().is_some(), first.number());
+        if fronts.insert(campaign.campaign, front) == Some(front) {
+            continue;
+        }
+        if when_met(&mut view, &campaign).await?.is_some() {
+            met.push(campaign.campaign);
+        }
+    }
+    drop(view);
+    for campaign in met {
+        stop(shared, campaign).await?;
+    }
+    Ok(())
+}
+
+/// Stops a campaign, if its rule is still met: since the look, a rollout may have been
+/// taken out of quarantine, or the campaign cancelled.
+async fn stop(shared: &Shared, campaign: CampaignId) -> Result<(), StoreError> {
+    let mut context = Context::begin(shared, vec![Step::Stop]).await?;
+    let stoppable = stops::stoppable(&mut context.tx).await?;
+    let Some(stoppable) = stoppable.iter().find(|it| it.campaign == campaign) else {
+        return Ok(());
+    };
+    let Some(look) = when_met(&mut context.tx, stoppable).await? else {
+        return Ok(());
+    };
+    let name = context.campaign(campaign).await?.name.clone();
+    stops::stop(&mut context.tx, campaign, look.used.len(), context.now).await?;
+    let why = "the campaign has stopped early: its rule is met";
+    context.take_back(campaign, why).await?;
+    context.cache.forget_campaigns();
+    // A campaign that follows from this one may go on.
+    context.settles = true;
+    context.commit().await?;
+    let (used, of) = (look.used.len(), look.units);
+    tracing::info!(campaign = %name, "stopped early after {used} of {of} configurations");
+    shared.work.notify_waiters();
+    Ok(())
+}
+
+/// The look at which a campaign's rule is first met, if it is.
+async fn when_met(
+    tx: &mut SqliteConnection,
+    campaign: &Stoppable,
+) -> Result<Option<CampaignLook>, StoreError> {
+    let stop = campaign.stop.clone();
+    let records = records(tx, campaign.campaign).await?;
+    // Tens of milliseconds, in which this thread would serve nobody.
+    let found = tokio::task::spawn_blocking(move || {
+        Records::new(&records).map(|records| CampaignLook::when_met(&records, &stop))
+    });
+    match found.await {
+        Ok(found) => found
+            .map_err(undecodable)
+            .doing("read the outcomes that a rule is about"),
+        Err(panicked) => resume_unwind(panicked.into_panic()),
+    }
+}

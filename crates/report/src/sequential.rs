@@ -1,0 +1,167 @@
+//! Confidence sequences: what a campaign that may end early knows whenever one looks,
+//! and what its early end saved.
+
+use std::collections::BTreeMap;
+use std::fmt::Write;
+
+use paired::{CampaignLook, DuplicateRecord, Outcome, Records, push_wrapped};
+use protocol::{Level, Measure, StopRule, Strata};
+use serde::Serialize;
+
+use crate::subject::{EarlyStop, Subject};
+
+/// Columns of a terminal for the interval of each measure, the last of them signed.
+const RATE_COLUMNS: usize = 14;
+const POINTS_COLUMNS: usize = 17;
+
+/// The confidence sequences of a campaign: of one that stopped early, at the look at
+/// which it did, of any other now.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Sequential {
+    /// When it ends early.
+    pub rule: StopRule,
+    /// What the order of its configurations is drawn from.
+    pub seed: u64,
+    /// What each round of the order has one configuration of.
+    pub strata: Strata,
+    /// Whether it did end early.
+    pub has_stopped: bool,
+    /// Configurations of the campaign: what the intervals are about.
+    pub configurations: usize,
+    /// Those that the intervals rest on: the first in the drawn order.
+    pub used: usize,
+    /// Rollouts of the campaign.
+    pub rollouts: usize,
+    /// Those without an outcome because it ended early.
+    pub saved: usize,
+    /// By level and measure, both ends, fractions.
+    pub levels: BTreeMap<Level, BTreeMap<Measure, [f64; 2]>>,
+}
+
+/// That a campaign stopped early, after how many of its configurations, why, and how
+/// many of its rollouts that saved.
+pub fn stopped_in_words(
+    [used, configurations]: [u64; 2],
+    rule: &str,
+    [saved, rollouts]: [u64; 2],
+) -> String {
+    let percent = (saved * 100).checked_div(rollouts).unwrap_or_default();
+    format!(
+        "stopped early after {used} of {configurations} configurations: {rule}; saved {saved} \
+         rollouts ({percent} %)"
+    )
+}
+
+impl Sequential {
+    /// Of a campaign that may end early and has configurations.
+    pub(crate) fn of(subject: &Subject) -> Result<Option<Self>, DuplicateRecord> {
+        let Some(EarlyStop { stop, has_stopped }) = &subject.early_stop else {
+            return Ok(None);
+        };
+        let records = Records::new(&subject.records)?;
+        let met = match has_stopped {
+            true => CampaignLook::when_met(&records, stop),
+            false => None,
+        };
+        let look = met.or_else(|| CampaignLook::now(&records, stop));
+        let missing = subject.records.iter();
+        let missing = missing.filter(|record| record.outcome == Outcome::Missing);
+        Ok(look.map(|look| Self {
+            rule: stop.rule.clone(),
+            seed: stop.seed,
+            strata: stop.strata,
+            has_stopped: *has_stopped,
+            configurations: look.units,
+            used: look.used.len(),
+            rollouts: subject.records.len(),
+            saved: match has_stopped {
+                true => missing.count(),
+                false => 0,
+            },
+            levels: look
+                .levels
+                .into_iter()
+                .map(|(level, look)| {
+                    let intervals = look.intervals.into_iter();
+                    let intervals = intervals.map(|(it, of)| (it, [of.low(), of.high()]));
+                    (level, intervals.collect())
+                })
+                .collect(),
+        }))
+    }
+
+    /// What a reader must know first; nothing where every configuration counts.
+    pub(crate) fn warning(&self) -> Option<String> {
+        if self.has_stopped {
+            let configurations = [self.used as u64, self.configurations as u64];
+            let rollouts = [self.saved as u64, self.rollouts as u64];
+            return Some(format!(
+                "{}; figures are of these {} configurations, and their bootstrap intervals and \
+                 p-values are not valid, because they hold for one look that was settled \
+                 beforehand: use the confidence sequences",
+                stopped_in_words(configurations, &self.rule.to_string(), rollouts),
+                self.used
+            ));
+        }
+        (self.used < self.configurations).then(|| {
+            format!(
+                "the campaign ends early once {}: until it is through, use the confidence \
+                 sequences; bootstrap intervals and p-values hold for one look that was settled \
+                 beforehand",
+                self.rule
+            )
+        })
+    }
+
+    /// What the intervals are, and are about, in words.
+    pub(crate) fn explanation(&self) -> String {
+        format!(
+            "confidence sequences: at each level, the five hold together at all looks with a \
+             probability of 95 %, whichever rule ends the campaign; about all {} configurations, \
+             from the first {} in the order of seed {} (rounds of {})",
+            self.configurations,
+            self.used,
+            self.seed,
+            self.strata.name()
+        )
+    }
+
+    /// For a terminal of 80 columns: percent and points.
+    pub(crate) fn text(&self) -> String {
+        let names = self.levels.keys().map(ToString::to_string);
+        let widest = names.map(|name| name.len()).max().unwrap_or_default();
+        let mut text = " ".repeat(widest);
+        for measure in Measure::OF_ONE_POLICY {
+            let name = measure.name();
+            let _ = write!(text, "{name:>width$}", width = columns(measure));
+        }
+        text.push('\n');
+        for (level, intervals) in &self.levels {
+            let level = level.to_string();
+            let _ = write!(text, "{level:<widest$}");
+            for (&measure, &interval) in intervals {
+                let interval = percent_text(measure, interval);
+                let _ = write!(text, "{interval:>width$}", width = columns(measure));
+            }
+            text.push('\n');
+        }
+        push_wrapped(&mut text, "", &self.explanation());
+        text
+    }
+}
+
+fn columns(measure: Measure) -> usize {
+    match measure {
+        Measure::I | Measure::Difference => POINTS_COLUMNS,
+        Measure::SSim | Measure::RE | Measure::RC | Measure::RD => RATE_COLUMNS,
+    }
+}
+
+/// `[3.5, 12.0]`, or of a difference `[-4.0, +1.5]`: percent, or points.
+pub(crate) fn percent_text(measure: Measure, [low, high]: [f64; 2]) -> String {
+    let (low, high) = (100.0 * low, 100.0 * high);
+    match measure {
+        Measure::I | Measure::Difference => format!("[{low:+.1}, {high:+.1}]"),
+        Measure::SSim | Measure::RE | Measure::RC | Measure::RD => format!("[{low:.1}, {high:.1}]"),
+    }
+}

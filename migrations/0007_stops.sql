@@ -1,0 +1,25 @@
+-- A campaign that may end early, as its specification says: its jobs are placed in a
+-- drawn order of its configurations, and leased in that order.
+CREATE TABLE stop (
+    campaign_id      INTEGER PRIMARY KEY REFERENCES campaign (id) ON DELETE CASCADE,
+    -- That there are.
+    configurations   INTEGER NOT NULL CHECK (configurations > 0),
+    -- After so many of them, in the drawn order, the rule was met: since then the
+    -- campaign is stopped, whatever its operator made of it before.
+    used             INTEGER CHECK (used > 0 AND used < configurations),
+    stopped_ms       INTEGER,
+    CHECK ((used IS NULL) = (stopped_ms IS NULL))
+) STRICT;
+
+CREATE TRIGGER stop_is_final
+BEFORE UPDATE ON stop WHEN OLD.stopped_ms IS NOT NULL
+BEGIN
+    SELECT RAISE (ABORT, 'stop_is_final');
+END;
+
+CREATE TRIGGER stop_ends_no_cancelled_campaign
+BEFORE UPDATE ON stop
+WHEN EXISTS (SELECT 1 FROM campaign WHERE id = NEW.campaign_id AND state = 'cancelled')
+BEGIN
+    SELECT RAISE (ABORT, 'stop_ends_no_cancelled_campaign');
+END;
