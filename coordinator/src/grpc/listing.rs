@@ -3,9 +3,7 @@
 
 use proto::coordinator as wire;
 use queue::clock::UnixMillis;
-use queue::read::{
-    CampaignStatus, FailureLine, Forecast, JobDetails, JobLine, ResultLine, WorkerLine,
-};
+use queue::read::{CampaignStatus, FailureLine, JobDetails, JobLine, ResultLine, WorkerLine};
 use queue::rules::campaign::CampaignState;
 
 pub(super) fn status(status: CampaignStatus) -> wire::CampaignStatus {
@@ -41,17 +39,6 @@ pub(super) fn state(state: CampaignState) -> wire::campaign_status::State {
         CampaignState::Running { .. } => State::Running,
         CampaignState::Paused { .. } => State::Paused,
         CampaignState::Cancelled { .. } => State::Cancelled,
-    }
-}
-
-pub(super) fn forecast(forecast: Forecast) -> wire::ForecastResponse {
-    wire::ForecastResponse {
-        workers: forecast.workers,
-        slots: forecast.slots,
-        secs: forecast.secs,
-        results: forecast.results,
-        is_of_policy: forecast.is_of_policy,
-        unmeasured_suites: forecast.unmeasured_suites,
     }
 }
 

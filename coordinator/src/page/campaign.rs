@@ -12,14 +12,18 @@ use super::bar::bar;
 use super::campaigns::progress;
 use super::layout::{Place, Sheet, table};
 use super::problem::Problem;
+use super::speed::speed;
 use super::state::Page;
+use crate::forecast::message;
 
 /// The page.
 pub(super) async fn sheet(page: &Page, name: &str) -> Result<Sheet, Problem> {
     let (campaign, mut view) = page.campaign(name).await?;
     let document = page.document(&campaign, &mut view).await?;
     let how_far = page.how_far(&campaign, &mut view).await?;
+    let pace = message(view.pace(&campaign).await?);
     let status = view.status(campaign).await?;
+    let is_over = status.counts.queued == 0;
     let name = &status.campaign.name;
     let records = document.analyses.iter().flat_map(|a| &a.subject.records);
     let link = |matched: &Matched| address(name.as_str(), shown_first(matched), matched.replicate);
@@ -27,6 +31,7 @@ pub(super) async fn sheet(page: &Page, name: &str) -> Result<Sheet, Problem> {
         p.crumbs { a href="/" { "Campaigns" } }
         h1 { (name) }
         (progress(&status))
+        (speed(&pace, is_over))
         (::report::page_warnings(&document))
         (by_condition(records, name.as_str()))
         @match how_far {

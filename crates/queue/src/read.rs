@@ -13,9 +13,11 @@ macro_rules! policy_steps {
 mod campaigns;
 mod changes;
 mod configurations;
+mod estimate;
 mod forecast;
 mod jobs;
 mod results;
+mod speed;
 mod standing;
 
 use std::collections::BTreeMap;
@@ -32,9 +34,10 @@ pub use crate::store::campaigns::Campaign;
 pub use campaigns::{CampaignStatus, Counts, RATE_WINDOW};
 pub use changes::{Changes, Sizes};
 pub use configurations::{ResultLine, RolloutLine};
-pub use forecast::Forecast;
+pub use estimate::{Forecast, Planned, Speed};
 pub use jobs::{FailureLine, JobDetails, JobFilter, JobLine, MAX_JOBS_LISTED};
 pub use results::{Edition, ExportedRow, RecordRow, SetupRow};
+pub use speed::{Bottleneck, Rate, Spent};
 pub use standing::{MAX_WORKERS_LISTED, PolicyLine, QuarantinedLine, WorkerLine};
 
 /// What is committed, as of one instant.
