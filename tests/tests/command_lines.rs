@@ -66,7 +66,7 @@ fn documented() -> Vec<i32> {
 }
 
 #[test]
-fn exit_codes_are_those_of_the_table_and_the_same_in_all_programs() {
+fn exit_codes_are_those_of_the_table() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = |name: &str| folder.path().join(name).display().to_string();
     let (data, missing) = (path("data"), path("missing"));
@@ -105,13 +105,17 @@ fn exit_codes_are_those_of_the_table_and_the_same_in_all_programs() {
     check(0, "coordinator", &["check", &data]);
     check(0, "coordinator", &expand);
     check(0, "coordinator", &["manifest", "check", &one]);
+    let empty = path("empty.jsonl");
+    std::fs::write(&empty, "{}\n").expect("written");
+    check(1, "coordinator", &["manifest", "check", &empty]);
     check(
         1,
         "coordinator",
         &["campaign", "list", "--connect", &url, "--retry-secs", "0"],
     );
-    check(1, "coordinator", &["report", "--from", &missing]);
-    check(1, "coordinator", &["manifest", "check", &missing]);
+    check(2, "coordinator", &["report", "--from", &missing]);
+    check(2, "coordinator", &["manifest", "check", &missing]);
+    check(2, "coordinator", &["check", &missing]);
     check(2, "coordinator", &[]);
     check(2, "coordinator", &["serve"]);
     check(
@@ -179,17 +183,23 @@ fn options(name: &str, words: &[&str]) -> Vec<(String, Option<String>)> {
 }
 
 #[test]
-fn every_option_of_what_serves_has_a_variable() {
-    for (name, words) in [
-        ("coordinator", &["serve"][..]),
-        ("worker", &[]),
-        ("policy-gateway", &[]),
+fn every_option_of_what_serves_has_a_variable_in_help_and_manual() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let manual = folder.path().to_str().expect("UTF-8");
+    for (name, words, page) in [
+        ("coordinator", &["serve"][..], "coordinator-serve.1"),
+        ("worker", &[], "worker.1"),
+        ("policy-gateway", &[], "policy-gateway.1"),
     ] {
+        let made = run(name, &["manual", manual], &[]);
+        assert!(made.status.success(), "{name}: no manual");
+        let page = std::fs::read_to_string(folder.path().join(page)).expect("a page");
         for (flag, variable) in options(name, words) {
             let expected = match flag.as_str() {
                 "connect" => "COORDINATOR_URL".to_owned(),
                 flag => format!("ROLLOUT_{}", flag.replace('-', "_").to_uppercase()),
             };
+            assert!(page.contains(&expected), "{expected} of {name}: {page}");
             assert_eq!(variable, Some(expected), "{name} --{flag}");
         }
     }

@@ -154,7 +154,8 @@ pub(super) fn rollouts_by_suite(
     let mut rollouts = BTreeMap::new();
     for of in asked {
         let suite: Suite = of.suite.parse().map_err(invalid)?;
-        *rollouts.entry(suite.to_string()).or_default() += of.rollouts;
+        let all: &mut u64 = rollouts.entry(suite.to_string()).or_default();
+        *all = all.saturating_add(of.rollouts);
     }
     Ok(rollouts)
 }

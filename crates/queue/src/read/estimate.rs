@@ -103,7 +103,7 @@ pub(super) fn forecast(workers: &[Live], measured: &[Measured], planned: &Planne
 
 /// The forecast on workers that run alike, from what was drawn as they draw.
 fn of_kind(alike: &[&Live], drawn: &[&Measured], planned: &Planned<'_>) -> Forecast {
-    let slots = alike.iter().map(|it| it.slots).sum();
+    let slots = all_of(alike.iter().map(|it| it.slots));
     let machine = |it: &&Live| {
         it.cores.map(|cores| Machine {
             slots: it.slots,
@@ -120,7 +120,7 @@ fn of_kind(alike: &[&Live], drawn: &[&Measured], planned: &Planned<'_>) -> Forec
         slots,
         cores: machines
             .as_ref()
-            .map(|all| all.iter().map(|it| it.cores).sum()),
+            .map(|all| all_of(all.iter().map(|it| it.cores))),
         ..Forecast::default()
     };
     let duration: Figure = (|it| it.secs, |it| it.results);
@@ -137,7 +137,7 @@ fn of_kind(alike: &[&Live], drawn: &[&Measured], planned: &Planned<'_>) -> Forec
         work += *count as f64 * secs;
         longest = longest.max(secs);
     }
-    let rollouts: u64 = planned.rollouts.values().sum();
+    let rollouts = total(&planned.rollouts);
     // A rollout takes its time, however many slots there are.
     let at = |per_sec: f64| (rollouts as f64 / per_sec).max(longest);
     let speed = spent(&used, &planned.rollouts).map(|(results, spent)| {
@@ -165,6 +165,15 @@ fn of_kind(alike: &[&Live], drawn: &[&Measured], planned: &Planned<'_>) -> Forec
     }
 }
 
+/// What workers say that they have; one may say anything.
+fn all_of(numbers: impl Iterator<Item = u32>) -> u32 {
+    numbers.fold(0, u32::saturating_add)
+}
+
+fn total(rollouts: &BTreeMap<String, u64>) -> u64 {
+    rollouts.values().copied().fold(0, u64::saturating_add)
+}
+
 /// A figure of some results, and of how many it is the mean.
 type Figure = (fn(&Measured) -> f64, fn(&Measured) -> i64);
 
@@ -177,7 +186,7 @@ fn of_suite<'a>(measured: &[&'a Measured], suite: &str) -> Vec<&'a Measured> {
 /// without one is taken to be as the others. None where no result says it.
 fn spent(used: &[&Measured], rollouts: &BTreeMap<String, u64>) -> Option<(u64, Spent)> {
     let results: i64 = used.iter().map(|it| it.known).sum();
-    let total: u64 = rollouts.values().sum();
+    let total = total(rollouts);
     // Of nothing that is left, all suites alike.
     let weight = |suite: &str| match total {
         0 => 0.0,
@@ -361,6 +370,16 @@ mod tests {
         assert_eq!((speed.results, speed.spent.physics_secs), (20, 4.5));
         let nothing = of_cores(Some(1), &[("software", 1)], &took, &[]);
         assert_eq!(nothing.speed.expect("known").spent.physics_secs, 6.0);
+    }
+
+    #[test]
+    fn numbers_of_any_size_are_forecast() {
+        let took = [known("goal", true), known("long", true)];
+        let workers = [("software", u32::MAX), ("software", u32::MAX)];
+        let rollouts = [("goal", u64::MAX), ("long", u64::MAX)];
+        let forecast = of_cores(Some(u32::MAX), &workers, &took, &rollouts);
+        assert_eq!((forecast.slots, forecast.cores), (u32::MAX, Some(u32::MAX)));
+        assert!(forecast.secs.is_some_and(f64::is_finite));
     }
 
     #[test]
