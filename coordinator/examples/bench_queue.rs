@@ -305,6 +305,7 @@ fn worker_info(number: u32, arguments: &Arguments) -> WorkerInfo {
         id: worker_id(number),
         host: format!("simulated-{number}"),
         slots: arguments.slots_per_worker,
+        cores: None,
         pin: pin(),
         program_version: env!("CARGO_PKG_VERSION").to_owned(),
     }
@@ -349,6 +350,7 @@ fn outcome(
             ik: None,
             clipped_actions: 0,
             policy_queries: 100,
+            parts: None,
         },
         provenance: Provenance {
             // Every worker runs on a machine of its own.

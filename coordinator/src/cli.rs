@@ -27,11 +27,12 @@ mod thresholds;
 mod watch;
 mod workers;
 
+use std::ffi::OsString;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use anyhow::Context;
-use clap::{CommandFactory, Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use proto::coordinator::change_campaign_request::Change;
 use tokio::runtime::Runtime;
 
@@ -44,6 +45,23 @@ use command::CommandError;
 pub(crate) struct Arguments {
     #[command(subcommand)]
     command: Command,
+}
+
+impl Arguments {
+    /// The command line, with the variables of what serves.
+    fn of_this_program() -> clap::Command {
+        Self::command().mut_subcommand("serve", terminal::with_variables)
+    }
+
+    /// Reads a command line, its program's name included, and the environment.
+    ///
+    /// # Errors
+    /// If it asks for nothing that there is, or for help.
+    pub(crate) fn read(words: Vec<OsString>) -> Result<Self, clap::Error> {
+        let matches = terminal::parse(Self::of_this_program(), words)?;
+        let read = Self::from_arg_matches(&matches);
+        read.map_err(|error| error.format(&mut Self::of_this_program()))
+    }
 }
 
 #[derive(Debug, Subcommand)]
@@ -162,7 +180,7 @@ async fn execute(command: Command) -> Result<(), CommandError> {
             completions::completions(arguments, Arguments::command())
         }
         Command::Manual { folder } => {
-            let written = terminal::write_manual(Arguments::command(), &folder);
+            let written = terminal::write_manual(Arguments::of_this_program(), &folder);
             Ok(written.with_context(|| format!("write manual pages into {}", folder.display()))?)
         }
     }

@@ -9,6 +9,7 @@ mod access;
 pub mod client;
 pub mod disk;
 pub mod export;
+pub mod forecast;
 mod gauges;
 mod grpc;
 mod page;

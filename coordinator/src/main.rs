@@ -6,9 +6,7 @@ mod cli;
 
 use std::process::ExitCode;
 
-use clap::Parser;
-
 fn main() -> ExitCode {
-    let arguments = cli::Arguments::parse();
-    cli::run(arguments)
+    let arguments = cli::Arguments::read(std::env::args_os().collect());
+    cli::run(arguments.unwrap_or_else(|error| error.exit()))
 }

@@ -23,6 +23,7 @@ mod metrics;
 mod perturbation;
 mod problem;
 mod rollouts;
+mod speed;
 mod standing;
 mod state;
 mod subsets;

@@ -93,6 +93,7 @@ fn report(attempt: AttemptId) -> CommitReport {
             ik: None,
             clipped_actions: 0,
             policy_queries: 1,
+            parts: None,
         },
         provenance: Provenance {
             host: "here".to_owned(),
@@ -221,6 +222,7 @@ async fn no_statement_of_a_worker_or_a_sweep_walks_the_jobs() {
         id: WorkerId("a".to_owned()),
         host: "here".to_owned(),
         slots: 2,
+        cores: None,
         pin: pin(),
         program_version: "0.1.0".to_owned(),
     };

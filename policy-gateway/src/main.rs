@@ -4,6 +4,7 @@
 #![forbid(unsafe_code)]
 
 use std::{
+    env::args_os,
     fmt::Display,
     io::{Write, stdout},
     net::SocketAddr,
@@ -12,7 +13,7 @@ use std::{
 };
 
 use anyhow::Context;
-use clap::{Args, CommandFactory, Parser, Subcommand, error::ErrorKind};
+use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand, error::ErrorKind};
 use policy_gateway::{
     backend::recorder::{DEFAULT_MAX_BYTES, RecordInto},
     config::{self, AccessFiles, BackendSpec, Config, RouteName, RouteSpec},
@@ -160,7 +161,12 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    let matches = terminal::read(Arguments::command(), args_os().collect());
+    let arguments = matches.and_then(|matches| {
+        let read = Arguments::from_arg_matches(&matches);
+        read.map_err(|error| error.format(&mut Arguments::command()))
+    });
+    let arguments = arguments.unwrap_or_else(|error| error.exit());
     terminal::log("info");
     let done = match arguments.command {
         Some(Command::Check {
@@ -232,7 +238,7 @@ fn print_completions(shell: clap_complete::Shell) -> anyhow::Result<ExitCode> {
 }
 
 fn manual(folder: &Path) -> anyhow::Result<ExitCode> {
-    let written = terminal::write_manual(Arguments::command(), folder);
+    let written = terminal::write_manual(terminal::with_variables(Arguments::command()), folder);
     written.with_context(|| format!("write manual pages into {}", folder.display()))?;
     Ok(ExitCode::SUCCESS)
 }

@@ -89,9 +89,13 @@ class Client:
         self._connection.call(self._connection.operator.CreateCampaign, request)
         return Campaign(json.loads(text)["name"], self._connection, self._program)
 
-    def forecast(self, spec: Spec) -> Forecast:
-        """What `create` would make of a specification, and how long the workers that are
-        connected now would take. Creates nothing."""
+    def forecast(self, spec: Spec, *, policy_rate: float | None = None) -> Forecast:
+        """What `create` would make of a specification, how long the workers that are
+        connected now would take, and what would make them faster. Creates nothing.
+
+        policy_rate: queries per second that the policy's server answers at most, all
+        replicas together, as `policy-gateway check` measures them.
+        """
         text = _text(spec)
         rows = self._program.run("manifest", "expand", "--spec", "-", text=text).splitlines()
         suites = Counter(json.loads(row)["suite"] for row in rows)
@@ -103,6 +107,7 @@ class Client:
             rollouts=[
                 wire.SuiteRollouts(suite=suite, rollouts=count) for suite, count in rollouts.items()
             ],
+            policy_rate=policy_rate,
         )
         answer = self._connection.call(self._connection.operator.Forecast, request)
         return Forecast.of(rollouts, answer)

@@ -109,6 +109,46 @@ CAMPAIGNS = {item.name: COLUMNS[str(item.type)] for item in fields(Status)}
 
 
 @dataclass(frozen=True)
+class Speed:
+    """What a rollout's time goes into, and what a campaign's rate is bound by."""
+
+    #: Results that say where their time went.
+    results: int
+    #: Mean seconds of one rollout: processor time of physics and drawing, until the policy
+    #: had answered, and what these leave of its duration.
+    physics_secs: float
+    drawing_secs: float
+    policy_secs: float
+    waiting_secs: float
+    #: Mean number of queries in a rollout.
+    policy_queries: float
+    #: `slots` (more of them make it faster), `cores` (all are busy) or `policy` (its server
+    #: answers no faster); None where a worker does not say how many cores it has.
+    bottleneck: str | None
+    #: The fewest slots that are as fast as any number on these cores and with this policy,
+    #: and the seconds that they would take.
+    enough_slots: int | None
+    enough_slots_secs: float | None
+
+    @classmethod
+    def of(cls, message: wire.Speed) -> Speed:
+        """As a coordinator sent it."""
+        bottleneck = wire.Speed.Bottleneck.Name(message.bottleneck)
+        is_known = message.HasField("enough_slots")
+        return cls(
+            results=message.results,
+            physics_secs=message.physics_secs,
+            drawing_secs=message.drawing_secs,
+            policy_secs=message.policy_secs,
+            waiting_secs=message.waiting_secs,
+            policy_queries=message.policy_queries,
+            bottleneck=bottleneck.removeprefix("BOTTLENECK_").lower() if is_known else None,
+            enough_slots=message.enough_slots if is_known else None,
+            enough_slots_secs=message.enough_slots_secs if is_known else None,
+        )
+
+
+@dataclass(frozen=True)
 class Forecast:
     """What a specification would make, and how long it would take."""
 
@@ -126,6 +166,10 @@ class Forecast:
     is_of_policy: bool
     #: Suites without such a result, taken to be as fast as the others.
     unmeasured_suites: tuple[str, ...]
+    #: Cores that those slots share; None where a worker does not say.
+    cores: int | None
+    #: What bounds it; None where no such result says where its time went.
+    speed: Speed | None
 
     @property
     def total(self) -> int:
@@ -143,4 +187,6 @@ class Forecast:
             results=message.results,
             is_of_policy=message.is_of_policy,
             unmeasured_suites=tuple(message.unmeasured_suites),
+            cores=message.cores or None,
+            speed=Speed.of(message.speed) if message.HasField("speed") else None,
         )

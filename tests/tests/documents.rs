@@ -29,6 +29,7 @@ pages! {
     commands_of_kubernetes_work: "deploy/kubernetes/README.md",
     commands_of_systemd_work: "deploy/systemd/README.md",
     commands_of_expert_work: "docs/EXPERT.md",
+    commands_of_the_faq_work: "docs/FAQ.md",
     commands_of_fidelity_work: "docs/FIDELITY.md",
     commands_of_json_work: "docs/JSON.md",
     commands_of_operating_work: "docs/OPERATING.md",

@@ -63,9 +63,10 @@ impl Arguments {
     /// anything for the others, and for slots.
     pub fn read<I>(version: &'static str, words: I) -> Result<Self, clap::Error>
     where
-        I: IntoIterator<Item: Into<OsString> + Clone>,
+        I: IntoIterator<Item: Into<OsString>>,
     {
-        let matches = Self::of(version).try_get_matches_from(words)?;
+        let words = words.into_iter().map(Into::into).collect();
+        let matches = terminal::read(Self::of(version), words)?;
         let read = Self::from_arg_matches(&matches)
             .map_err(|error| error.format(&mut Self::of(version)))?;
         let coordinator = match (&read.command, &read.serve) {
@@ -204,8 +205,8 @@ pub struct BenchArguments {
     /// What the slots simulate.
     #[command(flatten)]
     pub load: LoadArguments,
-    /// Numbers of slots, separated by commas [default: 1, 2, 4, … and the
-    /// machine's cores, once and twice]
+    /// Numbers of slots, separated by commas [default: 1, 2, 4, … and as many
+    /// as should keep all cores busy, once and twice]
     #[arg(long, value_name = "LIST", value_delimiter = ',', value_parser = slots)]
     pub slots: Vec<NonZeroUsize>,
     /// How long each number of slots is measured, seconds
@@ -237,6 +238,10 @@ pub struct LoadArguments {
     /// once in so many
     #[arg(long, value_name = "K", default_value = "1", value_parser = number(1..=1000_u32, "control steps"))]
     pub execute: u32,
+    /// How long the policy takes to answer, seconds: slots wait so long at every
+    /// look
+    #[arg(long, value_name = "SECS", default_value = "0", value_parser = seconds(0.0..=60.0))]
+    pub policy_secs: f64,
 }
 
 /// What simulates and draws.
@@ -518,6 +523,7 @@ mod tests {
             panic!("{read:?}")
         };
         assert_eq!((bench.slots.len(), bench.load.execute), (0, 1));
+        assert_eq!(bench.load.policy_secs, 0.0);
         let line = "worker bench --assets primitives --slots 4,1 --secs 0.5 --renderer gl:0";
         let read = parse(line).expect("complete");
         let Some(Command::Bench(bench)) = read.command else {
@@ -548,6 +554,7 @@ mod tests {
             "worker bench --assets primitives --slots 1,0",
             "worker bench --assets primitives --secs 0",
             "worker bench --assets primitives --secs inf",
+            "worker bench --assets primitives --policy-secs -1",
             "worker bench --assets primitives --task libero_object/10",
             "worker --connect http://h:1 --assets primitives --renderer gl:gpu",
             "worker --connect http://h:1 --assets primitives --renderer vulkan",

@@ -29,5 +29,6 @@ pub mod rollout;
 pub mod single;
 pub mod slot;
 pub mod stage;
+mod stopwatch;
 pub mod supervise;
 pub mod video;

@@ -79,7 +79,7 @@ fn print_completions(shell: clap_complete::Shell) -> anyhow::Result<()> {
 }
 
 fn manual(folder: &Path) -> anyhow::Result<()> {
-    let written = terminal::write_manual(Arguments::of(VERSION), folder);
+    let written = terminal::write_manual(terminal::with_variables(Arguments::of(VERSION)), folder);
     written.with_context(|| format!("write manual pages into {}", folder.display()))
 }
 
@@ -101,19 +101,30 @@ fn run_slot(arguments: &SlotArguments) -> anyhow::Result<()> {
 }
 
 fn run_bench_slot(arguments: &BenchSlotArguments) -> anyhow::Result<()> {
-    let LoadArguments { task, execute } = arguments.load;
-    Ok(measure::count(open(&arguments.simulator)?, task, execute)?)
+    let LoadArguments {
+        task,
+        execute,
+        policy_secs,
+    } = arguments.load;
+    let answer_after = Duration::from_secs_f64(policy_secs);
+    let simulator = open(&arguments.simulator)?;
+    Ok(measure::count(simulator, task, execute, answer_after)?)
 }
 
 fn run_bench(arguments: &BenchArguments) -> anyhow::Result<()> {
     // Opened here too, so that what is missing is said once and at once.
     let simulator = open(&arguments.simulator)?;
-    let LoadArguments { task, execute } = arguments.load;
+    let LoadArguments {
+        task,
+        execute,
+        policy_secs,
+    } = arguments.load;
     let (pack, sources) = (simulator.pack.name(), simulator.sources.dir());
     let mut slot = program_of("bench-slot", own_program()?, &arguments.simulator, sources);
     for (flag, value) in [
         ("--task", task.to_string()),
         ("--execute", execute.to_string()),
+        ("--policy-secs", policy_secs.to_string()),
     ] {
         slot.arguments.extend([flag.into(), value.into()]);
     }
@@ -121,6 +132,8 @@ fn run_bench(arguments: &BenchArguments) -> anyhow::Result<()> {
         title: format!("{task}, assets {pack}, --execute {execute}"),
         numbers: arguments.slots.iter().map(|number| number.get()).collect(),
         secs: arguments.secs,
+        execute,
+        policy_secs,
         scenes: CACHED_SCENES,
         program: slot,
     };

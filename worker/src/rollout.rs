@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
-use attempt::{IkResidual, Motion, Realised, RolloutResult};
+use attempt::{IkResidual, Motion, Parts, Realised, RolloutResult};
 use proto::policy as wire;
 use protocol::Realisation;
 use sha2::{Digest, Sha256};
@@ -21,6 +21,7 @@ use crate::digest::hex;
 use crate::message::{Assignment, Evidence, Failure, FailureKind, Finished};
 use crate::observation;
 use crate::stage::Stage;
+use crate::stopwatch::{by_clock, processor};
 
 /// One control step of the policy.
 pub struct Step {
@@ -137,6 +138,7 @@ pub(crate) fn run_after(
         path: Vec::new(),
         clipped_actions: 0,
         queries: 0,
+        parts: Parts::default(),
         first_frame_digest: String::new(),
     };
     // First, so that a renderer that cannot draw costs no rollout.
@@ -191,6 +193,8 @@ struct Run<'a> {
     path: Vec<[i16; 3]>,
     clipped_actions: u32,
     queries: u32,
+    /// Where its time has gone so far.
+    parts: Parts,
     first_frame_digest: String,
 }
 
@@ -208,12 +212,11 @@ impl Run<'_> {
             None => stage.instruction(row, self.description),
             Some(_) => Cow::Owned(row.id.task().instruction()),
         };
-        let mut episode = stage
-            .begin(row, *realisation)
-            .map_err(|source| self.simulator_failed(source))?;
+        let physics = &mut self.parts.physics_secs;
+        let begun = processor(physics, || stage.begin(row, *realisation));
+        let mut episode = begun.map_err(|source| self.simulator_failed(source))?;
         carry_on(self.watcher.progress(0))?;
-        episode
-            .settle()
+        processor(&mut self.parts.physics_secs, || episode.settle())
             .map_err(|source| self.simulator_failed(source))?;
         carry_on(self.watcher.progress(row.settle_steps))?;
         self.path.push(whereabouts(&mut episode));
@@ -225,14 +228,13 @@ impl Run<'_> {
             episode.lift();
         }
         let suite = row.id.task().suite();
-        self.actor.reset(
-            self.assignment.policy_session(),
-            suite.name(),
-            &instruction,
-            self.assignment.policy_seed,
-        )?;
+        let session = self.assignment.policy_session();
+        by_clock(&mut self.parts.policy_secs, || {
+            let seed = self.assignment.policy_seed;
+            self.actor.reset(session, suite.name(), &instruction, seed)
+        })?;
         let outcome = self.act(&mut episode);
-        self.actor.end(self.assignment.policy_session());
+        by_clock(&mut self.parts.policy_secs, || self.actor.end(session));
         let success = outcome?;
         self.watcher.ended(&mut episode);
         let result = RolloutResult {
@@ -246,6 +248,7 @@ impl Run<'_> {
             }),
             clipped_actions: self.clipped_actions,
             policy_queries: self.queries,
+            parts: Some(self.parts),
         };
         Ok((
             result,
@@ -278,9 +281,8 @@ impl Run<'_> {
         sent: Action,
         executed: Action,
     ) -> Result<bool, RolloutError> {
-        let success = episode
-            .step(&executed)
-            .map_err(|source| self.simulator_failed(source))?;
+        let stepped = processor(&mut self.parts.physics_secs, || episode.step(&executed));
+        let success = stepped.map_err(|source| self.simulator_failed(source))?;
         self.executed.push(executed);
         self.path.push(whereabouts(episode));
         self.watcher.moved(Some(&Step { sent, executed }), episode);
@@ -291,19 +293,20 @@ impl Run<'_> {
 
     /// Shows the policy the scene and gets its next actions.
     fn query(&mut self, episode: &mut Episode<'_>) -> Result<Vec<Action>, RolloutError> {
-        let observation = episode
-            .observe(&observation_request(self.description))
-            .map_err(|source| self.simulator_failed(source))?;
+        let request = observation_request(self.description);
+        let seen = processor(&mut self.parts.drawing_secs, || episode.observe(&request));
+        let observation = seen.map_err(|source| self.simulator_failed(source))?;
         self.watcher.observed(self.queries, &observation);
         if self.queries == 0 && !observation.frames.is_empty() {
             self.first_frame_digest = frames_digest(&observation);
         }
-        let actions = self.actor.infer(
-            self.assignment.policy_session(),
-            self.queries,
-            observation::to_wire(observation, &self.description.state),
-            self.description.horizon,
-        )?;
+        let observation = observation::to_wire(observation, &self.description.state);
+        let actions = by_clock(&mut self.parts.policy_secs, || {
+            let session = self.assignment.policy_session();
+            let horizon = self.description.horizon;
+            self.actor
+                .infer(session, self.queries, observation, horizon)
+        })?;
         self.queries += 1;
         Ok(actions)
     }

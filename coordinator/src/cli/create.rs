@@ -18,7 +18,7 @@ use protocol::{
 use queue::expand::NewCampaign;
 use queue::rules::campaign::PRIORITIES;
 use serde::de::DeserializeOwned;
-use terminal::{counted, number, number_from};
+use terminal::{counted, decimal, number, number_from};
 
 use super::command::{CommandError, Connection, print_line, usage};
 use super::files::{read_manifest, read_spec};
@@ -65,6 +65,14 @@ pub(super) struct CreateArguments {
     /// would take, and creates nothing.
     #[arg(long)]
     dry_run: bool,
+    /// With --dry-run: queries per second that the policy's server answers at most,
+    /// all replicas together, as `policy-gateway check` measures them.
+    #[arg(long, value_name = "N", requires = "dry_run",
+        value_parser = decimal(0.001..=1e6, "queries per second"))]
+    policy_rate: Option<f64>,
+    /// With --dry-run: prints JSON.
+    #[arg(long, requires = "dry_run")]
+    json: bool,
     #[command(flatten)]
     connection: Connection,
 }
@@ -154,11 +162,15 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     let campaign = NewCampaign::from_spec(&spec).map_err(usage)?;
     let name = &campaign.name;
     if arguments.dry_run {
+        let client = arguments.connection.patient_client(Duration::ZERO)?;
+        let answer = forecast::ask(&client, &campaign, arguments.policy_rate).await;
+        if arguments.json {
+            return forecast::print(&campaign, answer);
+        }
         let total = counted(campaign.jobs.len() as u64, "rollout");
         print_line(&format!("campaign {name} would have {total}"))?;
         tell_stop(&spec)?;
-        let client = arguments.connection.patient_client(Duration::ZERO)?;
-        print_line(&forecast::in_words(&client, &campaign).await)?;
+        print_line(&forecast::in_words(&answer, &campaign.policy))?;
         return tell_size(&campaign);
     }
     let client = arguments.connection.client()?;

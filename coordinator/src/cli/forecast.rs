@@ -4,14 +4,22 @@
 use std::collections::BTreeMap;
 
 use coordinator::client::{Client, Service};
-use coordinator::words::duration_text;
-use proto::coordinator::{ForecastRequest, ForecastResponse, SuiteRollouts};
+use coordinator::forecast;
+use proto::coordinator::speed::Bottleneck;
+use proto::coordinator::{self as wire, ForecastRequest, ForecastResponse, SuiteRollouts};
 use queue::expand::NewCampaign;
-use terminal::counted;
+use serde::Serialize;
 
-/// How long the campaign would take, in words. Without a coordinator, or without
-/// access to it, they say so: what else a dry run says needs none.
-pub(super) async fn in_words(client: &Client, campaign: &NewCampaign) -> String {
+use super::command::CommandError;
+use super::json;
+
+/// What there is to say, or why there is nothing: what else a dry run says needs no
+/// coordinator.
+pub(super) async fn ask(
+    client: &Client,
+    campaign: &NewCampaign,
+    policy_rate: Option<f64>,
+) -> Result<ForecastResponse, String> {
     let mut rollouts: BTreeMap<&str, u64> = BTreeMap::new();
     for job in &campaign.jobs {
         let suite = job.task.split('/').next().unwrap_or_default();
@@ -24,80 +32,112 @@ pub(super) async fn in_words(client: &Client, campaign: &NewCampaign) -> String 
     let request = ForecastRequest {
         policy: campaign.policy.clone(),
         rollouts: rollouts.into_iter().map(of_suite).collect(),
+        policy_rate,
     };
-    match client.call(request, Service::forecast).await {
-        Ok(forecast) => words(&forecast, &campaign.policy),
-        Err(error) => format!("no forecast of its duration: failed to {error}"),
+    let answer = client.call(request, Service::forecast).await;
+    answer.map_err(|error| format!("failed to {error}"))
+}
+
+/// The same in words.
+pub(super) fn in_words(answer: &Result<ForecastResponse, String>, policy: &str) -> String {
+    match answer {
+        Ok(forecast) => forecast::in_words(forecast, policy),
+        Err(problem) => format!("no forecast of its duration: {problem}"),
     }
 }
 
-fn words(forecast: &ForecastResponse, policy: &str) -> String {
-    let workers = counted(forecast.workers.into(), "worker");
-    let slots = counted(forecast.slots.into(), "slot");
-    let Some(secs) = forecast.secs else {
-        return match forecast.workers {
-            0 => "no forecast of its duration: no worker is connected".to_owned(),
-            _ => format!(
-                "no forecast of its duration: no worker has been measured: on the {workers}\n\
-                 connected now no rollout was finished in the last week"
-            ),
-        };
-    };
-    let mut lines = vec![format!(
-        "about {} on the {workers} connected now ({slots}), if they run nothing else",
-        duration_text(secs)
-    )];
-    let whose = match forecast.is_of_policy {
-        true => format!("of {policy}"),
-        false => format!("of other policies; none of {policy} was"),
-    };
-    lines.push(format!(
-        "  measured on {} {whose}",
-        counted(forecast.results, "recent rollout")
-    ));
-    if !forecast.unmeasured_suites.is_empty() {
-        lines.push(format!(
-            "  {}: not measured, taken to be as fast",
-            forecast.unmeasured_suites.join(", ")
-        ));
-    }
-    lines.join("\n")
+/// The same with the rest of a dry run, as JSON.
+pub(super) fn print(
+    campaign: &NewCampaign,
+    answer: Result<ForecastResponse, String>,
+) -> Result<(), CommandError> {
+    json::print(&DryRun::of(campaign, answer))
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
+/// What `campaign create --dry-run --json` prints; docs/JSON.md has the schema.
+#[derive(Serialize)]
+struct DryRun {
+    name: String,
+    policy: String,
+    rollouts: usize,
+    forecast: Option<Forecast>,
+    no_forecast: Option<String>,
+}
 
-    #[test]
-    fn a_forecast_says_what_it_rests_on_and_fits_the_terminal() {
-        let forecast = ForecastResponse {
-            workers: 2,
-            slots: 16,
-            secs: Some(12_000.0),
-            results: 200,
-            is_of_policy: true,
-            unmeasured_suites: vec!["libero_10".to_owned(), "libero_goal".to_owned()],
+#[derive(Serialize)]
+struct Forecast {
+    workers: u32,
+    slots: u32,
+    cores: Option<u32>,
+    secs: Option<f64>,
+    results: u64,
+    is_of_policy: bool,
+    unmeasured_suites: Vec<String>,
+    speed: Option<Speed>,
+}
+
+#[derive(Serialize)]
+struct Speed {
+    results: u64,
+    physics_secs: f64,
+    drawing_secs: f64,
+    policy_secs: f64,
+    waiting_secs: f64,
+    policy_queries: f64,
+    bottleneck: Option<&'static str>,
+    enough_slots: Option<u32>,
+    enough_slots_secs: Option<f64>,
+}
+
+impl DryRun {
+    /// What a dry run says of a campaign: its forecast, or why there is none.
+    fn of(campaign: &NewCampaign, answer: Result<wire::ForecastResponse, String>) -> DryRun {
+        let (forecast, no_forecast) = match answer {
+            Ok(forecast) => (Some(Forecast::of(forecast)), None),
+            Err(problem) => (None, Some(problem)),
         };
-        let text = words(&forecast, "pi05");
-        assert_eq!(
-            text,
-            "about 3h20m on the 2 workers connected now (16 slots), if they run nothing else\n  \
-             measured on 200 recent rollouts of pi05\n  \
-             libero_10, libero_goal: not measured, taken to be as fast"
-        );
-        assert!(text.lines().all(|line| line.chars().count() <= 80));
+        DryRun {
+            name: campaign.name.to_string(),
+            policy: campaign.policy.clone(),
+            rollouts: campaign.jobs.len(),
+            forecast,
+            no_forecast,
+        }
     }
+}
 
-    #[test]
-    fn without_a_measurement_there_is_no_forecast() {
-        let unmeasured = ForecastResponse {
-            workers: 1,
-            slots: 2,
-            ..ForecastResponse::default()
-        };
-        let text = words(&unmeasured, "pi05");
-        assert!(text.contains("no worker has been measured"), "{text}");
-        let text = words(&ForecastResponse::default(), "pi05");
-        assert!(text.ends_with("no worker is connected"), "{text}");
+impl Forecast {
+    fn of(forecast: wire::ForecastResponse) -> Forecast {
+        Forecast {
+            workers: forecast.workers,
+            slots: forecast.slots,
+            cores: (forecast.cores > 0).then_some(forecast.cores),
+            secs: forecast.secs,
+            results: forecast.results,
+            is_of_policy: forecast.is_of_policy,
+            unmeasured_suites: forecast.unmeasured_suites,
+            speed: forecast.speed.as_ref().map(Speed::of),
+        }
+    }
+}
+
+impl Speed {
+    fn of(speed: &wire::Speed) -> Speed {
+        Speed {
+            results: speed.results,
+            physics_secs: speed.physics_secs,
+            drawing_secs: speed.drawing_secs,
+            policy_secs: speed.policy_secs,
+            waiting_secs: speed.waiting_secs,
+            policy_queries: speed.policy_queries,
+            bottleneck: match speed.bottleneck() {
+                Bottleneck::Unspecified => None,
+                Bottleneck::Slots => Some("slots"),
+                Bottleneck::Cores => Some("cores"),
+                Bottleneck::Policy => Some("policy"),
+            },
+            enough_slots: speed.enough_slots,
+            enough_slots_secs: speed.enough_slots_secs,
+        }
     }
 }

@@ -4,7 +4,7 @@
 use proto::coordinator as wire;
 use queue::clock::UnixMillis;
 use queue::read::{
-    CampaignStatus, EarlyStop, FailureLine, Forecast, JobDetails, JobLine, ResultLine, WorkerLine,
+    CampaignStatus, EarlyStop, FailureLine, JobDetails, JobLine, ResultLine, WorkerLine,
 };
 use queue::rules::campaign::CampaignState;
 
@@ -57,17 +57,6 @@ pub(super) fn state(state: CampaignState) -> wire::campaign_status::State {
         CampaignState::Paused { .. } => State::Paused,
         CampaignState::Cancelled { .. } => State::Cancelled,
         CampaignState::Stopped { .. } => State::Stopped,
-    }
-}
-
-pub(super) fn forecast(forecast: Forecast) -> wire::ForecastResponse {
-    wire::ForecastResponse {
-        workers: forecast.workers,
-        slots: forecast.slots,
-        secs: forecast.secs,
-        results: forecast.results,
-        is_of_policy: forecast.is_of_policy,
-        unmeasured_suites: forecast.unmeasured_suites,
     }
 }
 

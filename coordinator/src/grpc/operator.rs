@@ -15,7 +15,7 @@ use proto::coordinator::{
 use queue::Queue;
 use queue::expand::NewCampaign;
 use queue::ids::CampaignName;
-use queue::read::{Campaign, View};
+use queue::read::{Campaign, Planned, View};
 use tokio_stream::{Stream, StreamExt};
 use tonic::{Request, Response, Status};
 use transport::chain;
@@ -24,6 +24,7 @@ use super::backup::{self, Chunks};
 use super::failure::{Answer, failed, invalid};
 use super::{listing, read};
 use crate::export;
+use crate::forecast;
 use crate::report;
 
 /// Bytes of a report that go into one message.
@@ -223,10 +224,14 @@ impl OperatorService for OperatorApi {
 
     async fn forecast(&self, request: Request<ForecastRequest>) -> Answer<ForecastResponse> {
         let request = request.into_inner();
-        let rollouts = read::rollouts_by_suite(request.rollouts)?;
+        let planned = Planned {
+            policy: &request.policy,
+            rollouts: read::rollouts_by_suite(request.rollouts)?,
+            policy_rate: read::policy_rate(request.policy_rate)?,
+        };
         let mut view = self.view().await?;
-        let forecast = view.forecast(&request.policy, &rollouts).await;
-        Ok(Response::new(listing::forecast(forecast.map_err(failed)?)))
+        let forecast = view.forecast(&planned).await.map_err(failed)?;
+        Ok(Response::new(forecast::message(forecast)))
     }
 }
 

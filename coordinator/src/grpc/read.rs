@@ -3,7 +3,9 @@
 
 use std::collections::BTreeMap;
 
-use attempt::{AttemptId, Digests, IkResidual, Motion, Pin, Provenance, Realised, RolloutResult};
+use attempt::{
+    AttemptId, Digests, IkResidual, Motion, Parts, Pin, Provenance, Realised, RolloutResult,
+};
 use proto::{MAX_MOTION_STEPS, coordinator as wire};
 use protocol::{Axis, Suite, select_tasks};
 use queue::ids::{CampaignName, JobId, JobName, WorkerId, shortened};
@@ -49,6 +51,7 @@ pub(super) fn worker_info(request: wire::RegisterRequest) -> Result<WorkerInfo, 
         id: worker_id(&request.worker_id)?,
         host: text("host", request.host)?,
         slots: request.slots,
+        cores: (request.cores > 0).then_some(request.cores),
         pin: Pin {
             asset_pack: required("asset_pack", request.asset_pack)?,
             asset_pack_digest: required("asset_pack_digest", request.asset_pack_digest)?,
@@ -151,9 +154,20 @@ pub(super) fn rollouts_by_suite(
     let mut rollouts = BTreeMap::new();
     for of in asked {
         let suite: Suite = of.suite.parse().map_err(invalid)?;
-        *rollouts.entry(suite.to_string()).or_default() += of.rollouts;
+        let all: &mut u64 = rollouts.entry(suite.to_string()).or_default();
+        *all = all.saturating_add(of.rollouts);
     }
     Ok(rollouts)
+}
+
+/// What a policy's server answers at most, if it is said.
+pub(super) fn policy_rate(given: Option<f64>) -> Result<Option<f64>, Status> {
+    match given {
+        Some(rate) if !rate.is_finite() || rate <= 0.0 => Err(invalid(format!(
+            "`policy_rate` is {rate}; it is a number of queries per second, more than 0"
+        ))),
+        given => Ok(given),
+    }
 }
 
 /// Which jobs are wanted.
@@ -269,7 +283,14 @@ fn motion(motion: wire::Motion) -> Result<Motion, Status> {
 fn result(result: wire::RolloutResult) -> Result<RolloutResult, Status> {
     let residuals = [result.ik_residual_mm, result.ik_residual_deg];
     let finite = |value: &f64| value.is_finite() && *value >= 0.0;
-    if !finite(&result.wall_secs) || !residuals.iter().flatten().all(finite) {
+    let parts = result.parts.map(|parts| Parts {
+        physics_secs: parts.physics_secs,
+        drawing_secs: parts.drawing_secs,
+        policy_secs: parts.policy_secs,
+    });
+    let spans = parts.map(|it| [it.physics_secs, it.drawing_secs, it.policy_secs]);
+    let numbers = residuals.iter().flatten().chain(spans.iter().flatten());
+    if !finite(&result.wall_secs) || !numbers.into_iter().all(finite) {
         return Err(invalid(
             "`result` holds a number that is negative or not finite",
         ));
@@ -286,6 +307,7 @@ fn result(result: wire::RolloutResult) -> Result<RolloutResult, Status> {
         ik: result.ik_residual_mm.map(ik),
         clipped_actions: result.clipped_actions,
         policy_queries: result.policy_queries,
+        parts,
     })
 }
 

@@ -12,13 +12,17 @@ use super::bar::bar;
 use super::campaigns::progress;
 use super::layout::{Place, Sheet, breakable, table};
 use super::problem::Problem;
+use super::speed::speed;
 use super::state::Page;
+use crate::forecast::message;
 
 /// The page.
 pub(super) async fn sheet(page: &Page, name: &str) -> Result<Sheet, Problem> {
     let (campaign, mut view) = page.campaign(name).await?;
     let document = page.document(&campaign, &mut view).await?;
+    let pace = message(view.pace(&campaign).await?);
     let status = view.status(campaign).await?;
+    let is_over = status.counts.queued == 0;
     let name = &status.campaign.name;
     let records = document.analyses.iter().flat_map(|a| &a.subject.records);
     // Configurations whose transition is explained are shown where that was measured.
@@ -31,6 +35,7 @@ pub(super) async fn sheet(page: &Page, name: &str) -> Result<Sheet, Problem> {
         p.crumbs { a href="/" { "Campaigns" } }
         h1 { (name) }
         (progress(&status))
+        (speed(&pace, is_over))
         (::report::page_warnings(&document))
         @if is_paired { (progress_by_condition) }
         (::report::sections(&document, Some(&link)))

@@ -307,6 +307,11 @@ impl Worker {
                 steps: if success { 120 } else { 280 },
                 wall_secs: 1.5,
                 policy_queries: 30,
+                parts: Some(wire::Parts {
+                    physics_secs: 0.5,
+                    drawing_secs: 0.25,
+                    policy_secs: 0.5,
+                }),
                 ..wire::RolloutResult::default()
             }),
             provenance: Some(wire::Provenance {
@@ -407,6 +412,7 @@ pub(crate) fn registration(id: &str, pack: &str) -> wire::RegisterRequest {
         asset_pack_digest: sha(pack),
         mujoco_version: "3.3.7".to_owned(),
         renderer: "llvmpipe".to_owned(),
+        cores: 2,
     }
 }
 

@@ -136,6 +136,12 @@ async fn what_is_printed_has_the_keys_that_are_documented() {
     }
     assert_eq!(shown, documented("jobs show"));
 
+    let dry = [&CREATE[..], &["--dry-run", "--policy-rate", "40"]].concat();
+    let dry = Printed::by(&serve, &dry);
+    dry.has_the_keys_of("campaign create --dry-run");
+    assert_eq!(dry.0["forecast"]["speed"]["results"], 2);
+    assert_eq!(dry.0["no_forecast"], Value::Null);
+
     let workers = Printed::by(&serve, &["workers"]);
     workers.has_the_keys_of("workers");
     assert_eq!(workers.0["workers"][0]["worker_id"], "a");

@@ -123,6 +123,8 @@ async fn every_page_says_what_there_is_and_may_load_nothing_from_elsewhere() {
                 "simultaneous",
                 "nominal",
                 "1 missing",
+                "A rollout takes 1.5 s: physics 33 %, drawing 17 %",
+                "Bottleneck: slots",
             ],
         ),
         (

@@ -74,6 +74,10 @@ const FOUL: &[(&str, &str)] = &[
     ("UPDATE policy SET resume_ms = 5", "CHECK"),
     ("UPDATE policy SET probe_attempt_id = '1'", "CHECK"),
     ("UPDATE campaign SET mujoco_version = NULL", "CHECK"),
+    ("UPDATE result SET drawing_secs = NULL", "CHECK"),
+    ("UPDATE result SET physics_secs = NULL", "CHECK"),
+    ("UPDATE result SET policy_secs = -0.5", "CHECK"),
+    ("UPDATE worker SET cores = 0", "CHECK"),
     (
         "INSERT INTO failure VALUES (hex(zeroblob(16)), 1, 1, 'a', 0, 'draining', 1, 'charged')",
         "CHECK",
@@ -81,7 +85,8 @@ const FOUL: &[(&str, &str)] = &[
     (
         "INSERT INTO result SELECT j.id, r.campaign_id, hex(zeroblob(16)), 1, r.worker_id,
              r.committed_ms, r.success, r.steps, r.wall_secs, NULL, NULL, NULL, 0, 0,
-             r.provenance_id, r.scene_digest, r.init_state_digest, '', '{}'
+             r.provenance_id, r.scene_digest, r.init_state_digest, '', '{}',
+             NULL, NULL, NULL
          FROM result r JOIN job j ON j.state = 'queued' LIMIT 1",
         "result_is_of_the_held_lease",
     ),

@@ -149,11 +149,14 @@ async fn a_dry_run_forecasts_from_what_connected_workers_measured() {
     // Workers count as alive for so long as a slow machine takes.
     let lease = ["--lease-secs", "3600"];
     let serve = Serve::start_with(folder.path(), &lease, std::process::Stdio::null());
-    let forecast = || {
-        let output = serve.command(&dry);
+    let forecast_with = |more: &[&str]| {
+        let output = serve.command(&[&dry[..], more].concat());
         assert!(output.status.success(), "{}", text(&output.stderr));
-        text(&output.stdout).to_owned()
+        // Lines may end anywhere.
+        let words = text(&output.stdout).split_whitespace();
+        words.collect::<Vec<_>>().join(" ")
     };
+    let forecast = || forecast_with(&[]);
     assert!(forecast().contains("no worker is connected"));
     let mut worker = serve.worker("a").await;
     assert!(forecast().contains("no worker has been measured"));
@@ -166,8 +169,27 @@ async fn a_dry_run_forecasts_from_what_connected_workers_measured() {
     // 14 rollouts of a minute on two workers of two slots.
     let said = forecast();
     assert!(
-        said.contains("about 3m30s on the 2 workers connected now (4 slots)"),
+        said.contains("about 3m30s on the 2 workers connected now (4 slots, 4 cores)"),
         "{said}"
     );
     assert!(said.contains("2 recent rollouts of expert"), "{said}");
+    // Nearly all of the minute each waits, with a core for every slot.
+    assert!(
+        said.contains("a rollout takes 60.0 s: physics 1 %"),
+        "{said}"
+    );
+    assert!(
+        said.contains("mean of 2 rollouts bottleneck: slots"),
+        "{said}"
+    );
+    // 30 queries of each, one a second.
+    let said = forecast_with(&["--policy-rate", "1"]);
+    assert!(said.contains("about 7m00s on the 2 workers"), "{said}");
+    let bound = "bottleneck: the policy's server, which answers no faster. More slots do not \
+                 help; 2 slots would do";
+    assert!(said.contains(bound), "{said}");
+    let wrong = serve.command(&[&dry[..], &["--policy-rate", "0"]].concat());
+    assert_eq!(wrong.status.code(), Some(2));
+    let no_dry_run = serve.command(&[&CREATE[..], &["--policy-rate", "1"]].concat());
+    assert_eq!(no_dry_run.status.code(), Some(2));
 }

@@ -15,4 +15,4 @@ pub use backoff::{Backoff, Waits};
 pub use id::{AttemptId, AttemptIdError};
 pub use provenance::{Digests, Fingerprints, Pin, Provenance, SOFTWARE_RENDERER};
 pub use realised::{Realised, RealisedAxis, TOLERANCE};
-pub use result::{IkResidual, Motion, RolloutResult};
+pub use result::{IkResidual, Motion, Parts, RolloutResult};

@@ -17,6 +17,21 @@ pub struct RolloutResult {
     pub clipped_actions: u32,
     /// Observations that the policy answered.
     pub policy_queries: u32,
+    /// Where `wall_secs` went. None from workers of the first release.
+    #[serde(default)]
+    pub parts: Option<Parts>,
+}
+
+/// Where the time of a rollout went, seconds. What they leave of its duration it
+/// waited: for a core that others used, for a graphics card, for a disk.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Parts {
+    /// Processor time of loading the initial state, settling and control steps.
+    pub physics_secs: f64,
+    /// Processor time of drawing what the policy looks at.
+    pub drawing_secs: f64,
+    /// From asking the policy to its answer, by the clock.
+    pub policy_secs: f64,
 }
 
 /// What inverse kinematics left over.

@@ -1,13 +1,15 @@
 //! What all programs do alike on a terminal: their log, what they print, their
-//! manual pages, and how they refuse a flag's value. Not responsible for what is logged, printed
-//! or asked for.
+//! manual pages, options from the environment, and how they refuse a flag's value.
+//! Not responsible for what is logged, printed or asked for.
 
 #![forbid(unsafe_code)]
 
+mod environment;
 mod manual;
 mod output;
 mod values;
 
+pub use environment::{parse, read, with_variables};
 pub use manual::write_manual;
 pub use output::{counted, log, print, print_line, reader_is_gone, wrapped};
-pub use values::{address, number, number_from, seconds};
+pub use values::{address, decimal, number, number_from, seconds};

@@ -1,12 +1,14 @@
 //! What programs print: results on standard output, and a log on standard error.
 
+use std::env::var_os;
 use std::error::Error;
+use std::ffi::OsString;
 use std::io::{self, IsTerminal as _, Write as _};
 
 use tracing_subscriber::EnvFilter;
 
 /// Logs to standard error from now on, at this level unless RUST_LOG says
-/// otherwise, and in colour just if a terminal shows it.
+/// otherwise, and in colour just if a terminal shows it and NO_COLOR is not set.
 pub fn log(default_level: &str) {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| default_level.into());
     tracing_subscriber::fmt()
@@ -15,9 +17,14 @@ pub fn log(default_level: &str) {
         // A log on a full disk must not end the program: this would print an
         // error to the same place, and panic.
         .log_internal_errors(false)
-        .with_ansi(io::stderr().is_terminal())
+        .with_ansi(in_colour(io::stderr().is_terminal(), var_os("NO_COLOR")))
         .with_target(false)
         .init();
+}
+
+/// As no-color.org has it: any value but the empty one wants none.
+fn in_colour(is_terminal: bool, no_color: Option<OsString>) -> bool {
+    is_terminal && no_color.is_none_or(|value| value.is_empty())
 }
 
 /// Prints a line to standard output.
@@ -88,6 +95,12 @@ pub fn wrapped(prefix: &str, indent: usize, words: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn who_wants_no_colour_gets_none() {
+        assert!(in_colour(true, None) && in_colour(true, Some("".into())));
+        assert!(!in_colour(true, Some("1".into())) && !in_colour(false, None));
+    }
 
     #[test]
     fn words_are_wrapped_at_80_columns_below_their_indent() {

@@ -41,10 +41,18 @@ where
 
 /// A reader of seconds in a range, which may have a decimal point.
 pub fn seconds(range: RangeInclusive<f64>) -> impl Fn(&str) -> Result<f64, String> + Clone {
+    decimal(range, "seconds")
+}
+
+/// A reader of numbers in a range, of something, which may have a decimal point.
+pub fn decimal(
+    range: RangeInclusive<f64>,
+    unit: &'static str,
+) -> impl Fn(&str) -> Result<f64, String> + Clone {
     move |text| match text.parse() {
-        Ok(secs) if range.contains(&secs) => Ok(secs),
+        Ok(number) if range.contains(&number) => Ok(number),
         _ => Err(format!(
-            "write a number of seconds, {} to {}",
+            "write a number of {unit}, {} to {}",
             range.start(),
             range.end()
         )),

@@ -7,7 +7,7 @@ from typing import ClassVar as _ClassVar, Iterable as _Iterable, Mapping as _Map
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class RegisterRequest(_message.Message):
-    __slots__ = ("protocol_version", "program_version", "worker_id", "host", "slots", "asset_pack", "asset_pack_digest", "mujoco_version", "renderer")
+    __slots__ = ("protocol_version", "program_version", "worker_id", "host", "slots", "asset_pack", "asset_pack_digest", "mujoco_version", "renderer", "cores")
     PROTOCOL_VERSION_FIELD_NUMBER: _ClassVar[int]
     PROGRAM_VERSION_FIELD_NUMBER: _ClassVar[int]
     WORKER_ID_FIELD_NUMBER: _ClassVar[int]
@@ -17,6 +17,7 @@ class RegisterRequest(_message.Message):
     ASSET_PACK_DIGEST_FIELD_NUMBER: _ClassVar[int]
     MUJOCO_VERSION_FIELD_NUMBER: _ClassVar[int]
     RENDERER_FIELD_NUMBER: _ClassVar[int]
+    CORES_FIELD_NUMBER: _ClassVar[int]
     protocol_version: int
     program_version: str
     worker_id: str
@@ -26,7 +27,8 @@ class RegisterRequest(_message.Message):
     asset_pack_digest: str
     mujoco_version: str
     renderer: str
-    def __init__(self, protocol_version: _Optional[int] = ..., program_version: _Optional[str] = ..., worker_id: _Optional[str] = ..., host: _Optional[str] = ..., slots: _Optional[int] = ..., asset_pack: _Optional[str] = ..., asset_pack_digest: _Optional[str] = ..., mujoco_version: _Optional[str] = ..., renderer: _Optional[str] = ...) -> None: ...
+    cores: int
+    def __init__(self, protocol_version: _Optional[int] = ..., program_version: _Optional[str] = ..., worker_id: _Optional[str] = ..., host: _Optional[str] = ..., slots: _Optional[int] = ..., asset_pack: _Optional[str] = ..., asset_pack_digest: _Optional[str] = ..., mujoco_version: _Optional[str] = ..., renderer: _Optional[str] = ..., cores: _Optional[int] = ...) -> None: ...
 
 class RegisterResponse(_message.Message):
     __slots__ = ("protocol_version", "program_version", "lease_secs", "heartbeat_secs", "progress_timeout_secs", "idle_reason")
@@ -139,7 +141,7 @@ class Motion(_message.Message):
     def __init__(self, path: _Optional[bytes] = ..., actions: _Optional[bytes] = ...) -> None: ...
 
 class RolloutResult(_message.Message):
-    __slots__ = ("success", "steps", "wall_secs", "ik_residual_mm", "ik_residual_deg", "ik_clamped_joints", "clipped_actions", "policy_queries")
+    __slots__ = ("success", "steps", "wall_secs", "ik_residual_mm", "ik_residual_deg", "ik_clamped_joints", "clipped_actions", "policy_queries", "parts")
     SUCCESS_FIELD_NUMBER: _ClassVar[int]
     STEPS_FIELD_NUMBER: _ClassVar[int]
     WALL_SECS_FIELD_NUMBER: _ClassVar[int]
@@ -148,6 +150,7 @@ class RolloutResult(_message.Message):
     IK_CLAMPED_JOINTS_FIELD_NUMBER: _ClassVar[int]
     CLIPPED_ACTIONS_FIELD_NUMBER: _ClassVar[int]
     POLICY_QUERIES_FIELD_NUMBER: _ClassVar[int]
+    PARTS_FIELD_NUMBER: _ClassVar[int]
     success: bool
     steps: int
     wall_secs: float
@@ -156,7 +159,18 @@ class RolloutResult(_message.Message):
     ik_clamped_joints: int
     clipped_actions: int
     policy_queries: int
-    def __init__(self, success: bool = ..., steps: _Optional[int] = ..., wall_secs: _Optional[float] = ..., ik_residual_mm: _Optional[float] = ..., ik_residual_deg: _Optional[float] = ..., ik_clamped_joints: _Optional[int] = ..., clipped_actions: _Optional[int] = ..., policy_queries: _Optional[int] = ...) -> None: ...
+    parts: Parts
+    def __init__(self, success: bool = ..., steps: _Optional[int] = ..., wall_secs: _Optional[float] = ..., ik_residual_mm: _Optional[float] = ..., ik_residual_deg: _Optional[float] = ..., ik_clamped_joints: _Optional[int] = ..., clipped_actions: _Optional[int] = ..., policy_queries: _Optional[int] = ..., parts: _Optional[_Union[Parts, _Mapping]] = ...) -> None: ...
+
+class Parts(_message.Message):
+    __slots__ = ("physics_secs", "drawing_secs", "policy_secs")
+    PHYSICS_SECS_FIELD_NUMBER: _ClassVar[int]
+    DRAWING_SECS_FIELD_NUMBER: _ClassVar[int]
+    POLICY_SECS_FIELD_NUMBER: _ClassVar[int]
+    physics_secs: float
+    drawing_secs: float
+    policy_secs: float
+    def __init__(self, physics_secs: _Optional[float] = ..., drawing_secs: _Optional[float] = ..., policy_secs: _Optional[float] = ...) -> None: ...
 
 class Provenance(_message.Message):
     __slots__ = ("host", "renderer", "mujoco_version", "asset_pack", "asset_pack_digest", "scene_digest", "init_state_digest", "first_frame_digest", "realised", "realisation", "policy_name", "policy_checkpoint", "policy_checkpoint_digest", "policy_privileged", "batch_mode", "program_version", "policy_canonical_only", "fingerprint", "policy_settings")
@@ -749,12 +763,14 @@ class AlterCampaignResponse(_message.Message):
     def __init__(self, status: _Optional[_Union[CampaignStatus, _Mapping]] = ..., taken_back: _Optional[int] = ...) -> None: ...
 
 class ForecastRequest(_message.Message):
-    __slots__ = ("policy", "rollouts")
+    __slots__ = ("policy", "rollouts", "policy_rate")
     POLICY_FIELD_NUMBER: _ClassVar[int]
     ROLLOUTS_FIELD_NUMBER: _ClassVar[int]
+    POLICY_RATE_FIELD_NUMBER: _ClassVar[int]
     policy: str
     rollouts: _containers.RepeatedCompositeFieldContainer[SuiteRollouts]
-    def __init__(self, policy: _Optional[str] = ..., rollouts: _Optional[_Iterable[_Union[SuiteRollouts, _Mapping]]] = ...) -> None: ...
+    policy_rate: float
+    def __init__(self, policy: _Optional[str] = ..., rollouts: _Optional[_Iterable[_Union[SuiteRollouts, _Mapping]]] = ..., policy_rate: _Optional[float] = ...) -> None: ...
 
 class SuiteRollouts(_message.Message):
     __slots__ = ("suite", "rollouts")
@@ -765,17 +781,53 @@ class SuiteRollouts(_message.Message):
     def __init__(self, suite: _Optional[str] = ..., rollouts: _Optional[int] = ...) -> None: ...
 
 class ForecastResponse(_message.Message):
-    __slots__ = ("workers", "slots", "secs", "results", "is_of_policy", "unmeasured_suites")
+    __slots__ = ("workers", "slots", "secs", "results", "is_of_policy", "unmeasured_suites", "cores", "speed")
     WORKERS_FIELD_NUMBER: _ClassVar[int]
     SLOTS_FIELD_NUMBER: _ClassVar[int]
     SECS_FIELD_NUMBER: _ClassVar[int]
     RESULTS_FIELD_NUMBER: _ClassVar[int]
     IS_OF_POLICY_FIELD_NUMBER: _ClassVar[int]
     UNMEASURED_SUITES_FIELD_NUMBER: _ClassVar[int]
+    CORES_FIELD_NUMBER: _ClassVar[int]
+    SPEED_FIELD_NUMBER: _ClassVar[int]
     workers: int
     slots: int
     secs: float
     results: int
     is_of_policy: bool
     unmeasured_suites: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, workers: _Optional[int] = ..., slots: _Optional[int] = ..., secs: _Optional[float] = ..., results: _Optional[int] = ..., is_of_policy: bool = ..., unmeasured_suites: _Optional[_Iterable[str]] = ...) -> None: ...
+    cores: int
+    speed: Speed
+    def __init__(self, workers: _Optional[int] = ..., slots: _Optional[int] = ..., secs: _Optional[float] = ..., results: _Optional[int] = ..., is_of_policy: bool = ..., unmeasured_suites: _Optional[_Iterable[str]] = ..., cores: _Optional[int] = ..., speed: _Optional[_Union[Speed, _Mapping]] = ...) -> None: ...
+
+class Speed(_message.Message):
+    __slots__ = ("results", "physics_secs", "drawing_secs", "policy_secs", "waiting_secs", "policy_queries", "bottleneck", "enough_slots", "enough_slots_secs")
+    class Bottleneck(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        BOTTLENECK_UNSPECIFIED: _ClassVar[Speed.Bottleneck]
+        BOTTLENECK_SLOTS: _ClassVar[Speed.Bottleneck]
+        BOTTLENECK_CORES: _ClassVar[Speed.Bottleneck]
+        BOTTLENECK_POLICY: _ClassVar[Speed.Bottleneck]
+    BOTTLENECK_UNSPECIFIED: Speed.Bottleneck
+    BOTTLENECK_SLOTS: Speed.Bottleneck
+    BOTTLENECK_CORES: Speed.Bottleneck
+    BOTTLENECK_POLICY: Speed.Bottleneck
+    RESULTS_FIELD_NUMBER: _ClassVar[int]
+    PHYSICS_SECS_FIELD_NUMBER: _ClassVar[int]
+    DRAWING_SECS_FIELD_NUMBER: _ClassVar[int]
+    POLICY_SECS_FIELD_NUMBER: _ClassVar[int]
+    WAITING_SECS_FIELD_NUMBER: _ClassVar[int]
+    POLICY_QUERIES_FIELD_NUMBER: _ClassVar[int]
+    BOTTLENECK_FIELD_NUMBER: _ClassVar[int]
+    ENOUGH_SLOTS_FIELD_NUMBER: _ClassVar[int]
+    ENOUGH_SLOTS_SECS_FIELD_NUMBER: _ClassVar[int]
+    results: int
+    physics_secs: float
+    drawing_secs: float
+    policy_secs: float
+    waiting_secs: float
+    policy_queries: float
+    bottleneck: Speed.Bottleneck
+    enough_slots: int
+    enough_slots_secs: float
+    def __init__(self, results: _Optional[int] = ..., physics_secs: _Optional[float] = ..., drawing_secs: _Optional[float] = ..., policy_secs: _Optional[float] = ..., waiting_secs: _Optional[float] = ..., policy_queries: _Optional[float] = ..., bottleneck: _Optional[_Union[Speed.Bottleneck, str]] = ..., enough_slots: _Optional[int] = ..., enough_slots_secs: _Optional[float] = ...) -> None: ...

@@ -8,7 +8,9 @@ from datetime import datetime, timezone
 import pandas as pd
 import pytest
 
+from rollout_client import Speed
 from rollout_client.errors import NoSuchCampaignError, RefusedError, SettingsError
+from rollout_client.proto import coordinator_pb2 as wire
 
 from .conftest import in_a_process, specification
 
@@ -84,7 +86,30 @@ def test_a_forecast_counts_rollouts_of_each_suite_and_creates_nothing(client):
     assert forecast.rollouts == {"libero_goal": 48, "libero_object": 24}
     assert forecast.total == 72
     assert (forecast.workers, forecast.secs) == (0, None)
+    assert (forecast.cores, forecast.speed) == (None, None)
     assert len(client.campaigns()) == 0
+
+
+def test_a_forecast_with_a_policys_rate_that_cannot_be_is_refused(client):
+    with pytest.raises(RefusedError, match="policy_rate"):
+        client.forecast(specification("first"), policy_rate=-1.0)
+    assert client.forecast(specification("first"), policy_rate=40.0).total == 8
+
+
+def test_what_bounds_a_forecast_is_read_as_it_is_sent():
+    sent = wire.Speed(
+        results=9,
+        physics_secs=3.0,
+        policy_queries=30.0,
+        bottleneck=wire.Speed.BOTTLENECK_CORES,
+        enough_slots=12,
+        enough_slots_secs=600.0,
+    )
+    speed = Speed.of(sent)
+    assert (speed.results, speed.physics_secs, speed.drawing_secs) == (9, 3.0, 0.0)
+    assert (speed.bottleneck, speed.enough_slots, speed.enough_slots_secs) == ("cores", 12, 600.0)
+    unknown = Speed.of(wire.Speed(results=9))
+    assert (unknown.bottleneck, unknown.enough_slots) == (None, None)
 
 
 def test_a_forecast_counts_what_is_then_created_of_a_manifest_too(client):

@@ -15,7 +15,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use std::{process, thread};
 
-use attempt::{AttemptId, Motion, Realised, RolloutResult};
+use attempt::{AttemptId, Motion, Parts, Realised, RolloutResult};
 use sha2::{Digest, Sha256};
 use transport::Access;
 use worker::actor::{Actor, PolicyError};
@@ -125,6 +125,7 @@ fn play(
         &row.instruction,
         assignment.policy_seed,
     )?;
+    let mut parts = Parts::default();
     let mut fate = Sha256::new();
     fate.update(row.id.to_string());
     for step in 0..STEPS {
@@ -134,12 +135,16 @@ fn play(
         if step % STEPS_PER_QUERY == 0 {
             let query = step / STEPS_PER_QUERY;
             let observation = proto::policy::Observation::default();
+            let asked = Instant::now();
             let actions = policy.infer(session, query, observation, description.horizon)?;
+            parts.policy_secs += asked.elapsed().as_secs_f64();
             for number in actions.iter().flatten() {
                 fate.update(number.to_le_bytes());
             }
         }
         thread::sleep(script.step);
+        // What it pretends to compute.
+        parts.physics_secs += script.step.as_secs_f64();
         tell(RolloutEvent::Progress(row.settle_steps + step + 1));
     }
     let fate = fate.finalize();
@@ -153,6 +158,7 @@ fn play(
             ik: None,
             clipped_actions: 0,
             policy_queries: STEPS / STEPS_PER_QUERY,
+            parts: Some(parts),
         },
         evidence: Evidence {
             renderer: RENDERER.to_owned(),

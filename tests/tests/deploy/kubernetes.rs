@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use super::{folder, runs, unknown_flags};
+use super::{GIVE_BACK_SECS, folder, runs, unknown_flags};
 
 /// Files that say what there is; the others are instructions to kustomize.
 const BASE: [&str; 5] = ["namespace", "coordinator", "gateway", "workers", "network"];
@@ -62,6 +62,25 @@ fn assert_in_order(python: &Path, files: &[PathBuf]) -> serde_json::Value {
         "{summary}"
     );
     summary["no schema"].clone()
+}
+
+#[test]
+fn workers_have_given_back_their_rollouts_before_they_are_killed() {
+    for name in ["base/workers.yaml", "job/workers.yaml"] {
+        let text = fs::read_to_string(folder("kubernetes").join(name)).expect("a manifest");
+        let number = |behind: &str| -> u32 {
+            let of = text
+                .lines()
+                .find_map(|line| line.trim().strip_prefix(behind));
+            of.expect(behind).trim().parse().expect("seconds")
+        };
+        let drain = number("- --drain-secs=");
+        let killed = number("terminationGracePeriodSeconds:");
+        assert!(
+            drain + GIVE_BACK_SECS <= killed,
+            "{name}: {drain} of {killed} s"
+        );
+    }
 }
 
 #[test]

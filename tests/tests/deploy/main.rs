@@ -20,15 +20,24 @@ fn runs(tool: &str, argument: &str) -> bool {
     Command::new(tool).arg(argument).output().is_ok()
 }
 
-/// Flags of a command line that its program does not have. The first word is the program;
-/// a second one without dashes is its command.
-fn unknown_flags(words: &[String]) -> Vec<String> {
+/// What a worker needs, once it has no more time to finish rollouts, to give them back.
+const GIVE_BACK_SECS: u32 = 30;
+
+/// What the program of a command line says that it has. The first word is the program; a
+/// second one without dashes is its command.
+fn help(words: &[String]) -> String {
     let (name, arguments) = words.split_first().expect("a program");
     let mut help = Command::new(program(name));
     help.env_clear();
     let command = arguments.first().filter(|it| !it.starts_with('-'));
     let output = help.args(command).arg("--help").output().expect("help");
-    let help = String::from_utf8_lossy(&output.stdout);
+    String::from_utf8_lossy(&output.stdout).into_owned()
+}
+
+/// Flags of a command line that its program does not have.
+fn unknown_flags(words: &[String]) -> Vec<String> {
+    let (name, arguments) = words.split_first().expect("a program");
+    let help = help(words);
     let known: BTreeSet<&str> = help
         .split(|it: char| !it.is_ascii_alphanumeric() && it != '-')
         .filter(|word| word.starts_with("--"))

@@ -6,7 +6,7 @@ use std::process::Command;
 
 use tests::programs::program;
 
-use super::{folder, runs, unknown_flags};
+use super::{GIVE_BACK_SECS, folder, help, runs, unknown_flags};
 
 const UNITS: [(&str, &str); 3] = [
     ("rollout-coordinator.service", "coordinator"),
@@ -38,10 +38,10 @@ fn complaints(units: &[(&str, String)]) -> String {
 
 /// The unit with its program where the tests have it.
 fn here(name: &str, of: &str) -> String {
-    let installed = format!("/usr/local/bin/{of} ");
+    let installed = format!("/usr/local/bin/{of}");
     let text = unit(name);
     assert_eq!(text.matches(&installed).count(), 1, "{name}");
-    text.replace(&installed, &format!("{} ", program(of).display()))
+    text.replace(&installed, &program(of).display().to_string())
 }
 
 #[test]
@@ -58,19 +58,47 @@ fn systemd_accepts_the_units() {
     assert!(complaints(&[(name, wrong)]).contains("KilMode"));
 }
 
+/// The values of a setting, in the order in which they stand.
+fn values<'a>(unit: &'a str, setting: &str) -> Vec<&'a str> {
+    let lines = unit.lines();
+    lines
+        .filter_map(|line| line.strip_prefix(setting))
+        .collect()
+}
+
 #[test]
-fn units_give_programs_flags_that_they_have() {
+fn units_give_programs_flags_and_variables_that_they_have() {
     for (name, of) in UNITS {
         let text = unit(name);
-        // The program's own line first: after it may come the name of a command.
-        let settings = ["ExecStart=", "Environment=\"ROUTES="];
-        let values = settings
-            .into_iter()
-            .flat_map(|setting| text.lines().filter_map(move |it| it.strip_prefix(setting)));
-        let words = values.flat_map(|value| value.trim_matches('"').split_whitespace());
-        let mut words: Vec<String> = words.map(str::to_owned).collect();
+        let started = values(&text, "ExecStart=").concat();
+        let mut words: Vec<String> = started.split_whitespace().map(str::to_owned).collect();
         assert!(Path::new(&words[0]).ends_with(of), "{name}: {words:?}");
         words[0] = of.to_owned();
         assert_eq!(unknown_flags(&words), [""; 0], "{name}");
+        // Lines of help may end anywhere.
+        let help = help(&words)
+            .split_whitespace()
+            .collect::<Vec<_>>()
+            .join(" ");
+        let set = values(&text, "Environment=");
+        assert!(!set.is_empty(), "{name}");
+        for variable in set {
+            let variable = variable.split('=').next().expect("a name");
+            assert!(
+                help.contains(&format!("[env: {variable}=")),
+                "{name}: {variable}"
+            );
+        }
     }
+}
+
+#[test]
+fn a_worker_has_given_back_its_rollouts_before_it_is_killed() {
+    let text = unit("rollout-worker.service");
+    let number = |setting| -> u32 { values(&text, setting).concat().parse().expect("seconds") };
+    let (drain, killed) = (
+        number("Environment=ROLLOUT_DRAIN_SECS="),
+        number("TimeoutStopSec="),
+    );
+    assert!(drain + GIVE_BACK_SECS <= killed, "{drain} of {killed} s");
 }

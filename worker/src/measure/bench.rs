@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::io::Write;
 
-use super::choice::{ENOUGH, choose, fit, numbers};
+use super::choice::{ENOUGH, choose, fit, numbers, to_fill};
 use super::together::{Measured, Slots};
 use super::{MeasureError, cores, room};
 use crate::child::SlotProgram;
@@ -15,11 +15,15 @@ use crate::child::SlotProgram;
 pub struct Plan {
     /// What the slots simulate, in words.
     pub title: String,
-    /// Numbers of slots; none for 1, 2, 4, … and the machine's cores, once and
-    /// twice.
+    /// Numbers of slots; none for 1, 2, 4, … and those that should keep all cores
+    /// busy, once and twice.
     pub numbers: BTreeSet<usize>,
     /// How long each number is measured, seconds.
     pub secs: f64,
+    /// Control steps between two looks of the policy.
+    pub execute: u32,
+    /// How long the policy takes to answer, seconds.
+    pub policy_secs: f64,
     /// Compiled scenes that a slot of a campaign keeps.
     pub scenes: usize,
     /// Starts a slot to measure with.
@@ -35,28 +39,29 @@ const MIB: f64 = (1 << 20) as f64;
 /// If slots cannot be measured, or the table cannot be printed.
 pub fn bench(plan: Plan, out: &mut dyn Write) -> Result<(), MeasureError> {
     let (cores, available) = (cores()?, room::available()?);
-    let all = match plan.numbers.is_empty() {
-        true => numbers(cores).union(&numbers(2 * cores)).copied().collect(),
-        false => plan.numbers,
-    };
     let mut slots = Slots::new(plan.program);
+    let mut all = plan.numbers;
+    let is_ours = all.is_empty();
     slots.start(all.first().copied().unwrap_or(1))?;
     writeln!(
         out,
         "{cores} cores of {}\n\
          {:.0} MiB of memory available; drawn by {}\n\
          {}, {} s for each number\n\
-         The policy takes no time here. Slots that wait for a real one leave cores idle,\n\
-         and somewhat more of them are worth having.\n",
+         {}\n",
         processor(),
         available as f64 / MIB,
         slots.renderer(),
         plan.title,
-        plan.secs
+        plan.secs,
+        policy(plan.policy_secs)
     )?;
     writeln!(out, "{HEADER}")?;
     let (mut measured, mut most) = (Vec::<Measured>::new(), usize::MAX);
-    for number in all {
+    if is_ours {
+        all.insert(1);
+    }
+    while let Some(number) = all.pop_first() {
         if number > most {
             writeln!(out, "{number:>5}  left out: memory has room for {most}")?;
             continue;
@@ -64,6 +69,12 @@ pub fn bench(plan: Plan, out: &mut dyn Write) -> Result<(), MeasureError> {
         let row = slots.measure(number, plan.secs)?;
         writeln!(out, "{}", line(&row))?;
         out.flush()?;
+        if is_ours && number == 1 {
+            let alone = row.throughput.steps_per_sec;
+            let filling = to_fill(cores, alone, plan.execute, plan.policy_secs);
+            all = &numbers(filling) | &numbers(2 * filling);
+            all.remove(&1);
+        }
         measured.push(row);
         most = fit(available, row.per_slot(plan.scenes));
     }
@@ -87,6 +98,19 @@ pub fn bench(plan: Plan, out: &mut dyn Write) -> Result<(), MeasureError> {
         )?,
     }
     Ok(())
+}
+
+/// What stands for the policy, over lines of at most 80 columns.
+fn policy(secs: f64) -> String {
+    match secs {
+        0.0 => "The policy takes no time here. Slots that wait for a real one leave cores idle,\n\
+                and more of them are worth having: see --policy-secs.\n"
+            .to_owned(),
+        secs => format!(
+            "The policy answers after {secs} s, however many ask it: its server is taken to be\n\
+             elsewhere, and fast enough for all.\n"
+        ),
+    }
 }
 
 const HEADER: &str =

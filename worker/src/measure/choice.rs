@@ -28,6 +28,17 @@ pub(super) fn choose(measured: &[Throughput], most: usize) -> Option<Throughput>
         .min_by_key(|it| it.slots)
 }
 
+/// How many slots should keep so many cores busy, if one alone makes so many control
+/// steps per second, asks the policy every `execute` of them and waits `policy_secs`
+/// for each answer. At most a hundred for each core.
+pub(super) fn to_fill(cores: usize, steps_per_sec: f64, execute: u32, policy_secs: f64) -> usize {
+    const LEAST_BUSY: f64 = 0.01;
+    let waiting = policy_secs * steps_per_sec / f64::from(execute.max(1));
+    let busy = (1.0 - waiting).clamp(LEAST_BUSY, 1.0);
+    // A cast stops at the ends of its range.
+    (cores as f64 / busy).ceil() as usize
+}
+
 /// The numbers of slots to measure: 1, 2, 4, … up to `most`, and `most`.
 pub(super) fn numbers(most: usize) -> BTreeSet<usize> {
     let powers = (0..usize::BITS).map(|power| 1 << power);
@@ -124,6 +135,15 @@ mod tests {
         assert_eq!(fit(GIB, 3 * GIB), 1);
         assert_eq!(fit(0, GIB), 1);
         assert!(fit(GIB, 0) > 1000);
+    }
+
+    #[test]
+    fn slots_that_wait_for_a_policy_leave_room_for_others() {
+        // A query of ten steps takes 0.4 s; the policy has none, half and all of it.
+        assert_eq!(to_fill(8, 25.0, 10, 0.0), 8);
+        assert_eq!(to_fill(8, 25.0, 10, 0.2), 16);
+        assert_eq!(to_fill(8, 25.0, 10, 0.4), 800);
+        assert_eq!(to_fill(1, 25.0, 10, 0.1), 2);
     }
 
     #[test]

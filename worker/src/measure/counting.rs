@@ -65,16 +65,25 @@ pub(super) struct SlotMemory {
 }
 
 /// Counts control steps of `task` for the parent process, until it closes the
-/// connection. The policy looks every `execute` steps.
+/// connection. The policy looks every `execute` steps and answers `answer_after` so
+/// long.
 ///
 /// # Errors
 /// If the task cannot be simulated or drawn, or the parent stops listening.
-pub fn count(config: SimulatorConfig, task: TaskRef, execute: u32) -> Result<(), MeasureError> {
+pub fn count(
+    config: SimulatorConfig,
+    task: TaskRef,
+    execute: u32,
+    answer_after: Duration,
+) -> Result<(), MeasureError> {
     die_first();
     let parent = Parent::connect()?;
     let mut slot = Counting {
         simulator: Simulator::new(config),
-        actor: OpenLoop(description(execute)),
+        actor: OpenLoop {
+            description: description(execute),
+            answer_after,
+        },
         assignment: assignment(ManifestRow::new(
             RolloutId::clean(task, 0),
             0,
@@ -145,11 +154,15 @@ impl Counting {
 }
 
 /// Acts without looking.
-struct OpenLoop(Description);
+struct OpenLoop {
+    description: Description,
+    /// Stands for what a real policy computes, elsewhere.
+    answer_after: Duration,
+}
 
 impl Actor for OpenLoop {
     fn describe(&mut self, _: PolicySession<'_>) -> Result<Description, PolicyError> {
-        Ok(self.0.clone())
+        Ok(self.description.clone())
     }
 
     fn infer(
@@ -159,6 +172,7 @@ impl Actor for OpenLoop {
         _observation: Observation,
         horizon: usize,
     ) -> Result<Vec<Action>, PolicyError> {
+        thread::sleep(self.answer_after);
         let first = query_index as usize * horizon;
         Ok((first..first + horizon).map(smooth_action).collect())
     }

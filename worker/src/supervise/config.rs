@@ -62,7 +62,16 @@ pub(super) fn registration(config: &Config, renderer: String) -> RegisterRequest
         asset_pack_digest: identity.asset_pack_digest,
         mujoco_version: identity.mujoco_version,
         renderer,
+        cores: cores(),
     }
+}
+
+/// The cores that this process may use, which its slots share: fewer than the
+/// machine's where its affinity or a control group's quota says so. 0 if the
+/// machine does not say.
+fn cores() -> u32 {
+    let cores = std::thread::available_parallelism();
+    cores.map_or(0, |cores| u32::try_from(cores.get()).unwrap_or(u32::MAX))
 }
 
 /// The coordinator's time limits.

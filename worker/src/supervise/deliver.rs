@@ -154,6 +154,11 @@ fn result(result: &RolloutResult) -> wire::RolloutResult {
         ik_clamped_joints: ik.map(|ik| ik.clamped_joints),
         clipped_actions: result.clipped_actions,
         policy_queries: result.policy_queries,
+        parts: result.parts.map(|parts| wire::Parts {
+            physics_secs: parts.physics_secs,
+            drawing_secs: parts.drawing_secs,
+            policy_secs: parts.policy_secs,
+        }),
     }
 }
 

@@ -55,6 +55,44 @@ fn a_bench_counts_what_slots_do_together_and_recommends_a_number() {
 }
 
 #[test]
+fn slots_wait_for_a_policy_that_takes_time_and_more_of_them_are_tried() {
+    if !ready("slots_wait_for_a_policy_that_takes_time_and_more_of_them_are_tried") {
+        return;
+    }
+    let measured = "bench --assets primitives --secs 1 --execute 20 --policy-secs 0.3";
+    let ran = run(&measured.split(' ').collect::<Vec<_>>());
+    let complaint = String::from_utf8_lossy(&ran.stderr);
+    assert!(ran.status.success(), "{complaint}");
+    let said = String::from_utf8(ran.stdout).expect("UTF-8");
+    println!("{said}");
+    assert!(said.contains("The policy answers after 0.3 s"), "{said}");
+    let rows = said.lines().filter_map(|line| {
+        let mut columns = line.split_whitespace();
+        let slots: usize = columns.next()?.parse().ok()?;
+        columns
+            .next()?
+            .parse::<f64>()
+            .ok()
+            .map(|rate| (slots, rate))
+    });
+    let rows: Vec<(usize, f64)> = rows.collect();
+    let alone = rows.first().expect("a row").1;
+    // At most twenty steps after every answer.
+    assert!(alone <= 67.0, "{said}");
+    // Alone it keeps no core busy: more slots than twice the cores are tried, or
+    // left out for want of memory.
+    let cores = available_parallelism().expect("it says").get();
+    let tried = said
+        .lines()
+        .filter_map(|line| line.split_whitespace().next()?.parse().ok());
+    let most: usize = tried
+        .filter(|slots| *slots < 10_000)
+        .max()
+        .expect("a number");
+    assert!(most > 2 * cores, "{most} on {cores}: {said}");
+}
+
+#[test]
 fn a_slot_that_cannot_be_measured_is_named_with_its_reason() {
     if !ready("a_slot_that_cannot_be_measured_is_named_with_its_reason") {
         return;

@@ -263,6 +263,7 @@ fn worker_info(number: usize) -> WorkerInfo {
         id: WorkerId(format!("w{number}")),
         host: "bench".to_owned(),
         slots: 1,
+        cores: None,
         pin: pin(),
         program_version: "0.1.0".to_owned(),
     }
@@ -280,6 +281,7 @@ fn report(attempt: AttemptId, success: bool) -> CommitReport {
             ik: None,
             clipped_actions: 0,
             policy_queries: 1,
+            parts: None,
         },
         provenance: Provenance {
             host: "bench".to_owned(),

@@ -53,6 +53,7 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
             suite: "libero_object".into(),
             rollouts: 9,
         }],
+        policy_rate: Some(40.0),
     };
     let sign_off = wire::SignOffRequest {
         worker_id: "w".into(),
@@ -131,6 +132,7 @@ pub(super) fn registration(worker_id: &str) -> Said {
         asset_pack_digest: digest(),
         mujoco_version: "3.3.7".into(),
         renderer: "r".into(),
+        cores: 2,
         ..wire::RegisterRequest::default()
     };
     ("WorkerService/Register", request.encode_to_vec())
@@ -183,6 +185,11 @@ fn commit() -> Said {
             success: true,
             steps: STEPS,
             wall_secs: 1.5,
+            parts: Some(wire::Parts {
+                physics_secs: 0.5,
+                drawing_secs: 0.25,
+                policy_secs: 0.5,
+            }),
             ..wire::RolloutResult::default()
         }),
         provenance: Some(wire::Provenance {

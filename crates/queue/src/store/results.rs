@@ -50,7 +50,8 @@ pub(crate) async fn insert(
             "INSERT INTO result (job_id, campaign_id, attempt_id, attempt, worker_id,
                  committed_ms, success, steps, wall_secs, ik_residual_mm, ik_residual_deg,
                  ik_clamped_joints, clipped_actions, policy_queries, provenance_id, scene_digest,
-                 init_state_digest, first_frame_digest, realised) ",
+                 init_state_digest, first_frame_digest, realised, physics_secs, drawing_secs,
+                 policy_secs) ",
         );
         statement.push_values(chunk, |mut row, new| {
             let (result, digests, ik) = (new.result, new.digests, new.result.ik);
@@ -72,7 +73,10 @@ pub(crate) async fn insert(
                 .push_bind(&digests.scene)
                 .push_bind(&digests.init_state)
                 .push_bind(&digests.first_frame)
-                .push_bind(json(new.realised));
+                .push_bind(json(new.realised))
+                .push_bind(result.parts.map(|parts| parts.physics_secs))
+                .push_bind(result.parts.map(|parts| parts.drawing_secs))
+                .push_bind(result.parts.map(|parts| parts.policy_secs));
         });
         let done = statement.build().persistent(true).execute(&mut *tx).await;
         done.doing("store results")?;

@@ -20,6 +20,8 @@ pub struct WorkerInfo {
     pub host: String,
     /// Rollouts that it runs side by side.
     pub slots: u32,
+    /// Cores that they share, if it says so.
+    pub cores: Option<u32>,
     /// What it runs on.
     pub pin: Pin,
     /// Version of its program.
@@ -73,11 +75,11 @@ pub(crate) async fn upsert(
 ) -> Result<(), StoreError> {
     sqlx::query(
         "INSERT INTO worker (id, host, slots, asset_pack, asset_pack_digest, mujoco_version,
-             renderer, program_version, registered_ms, last_seen_ms)
-         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?9)
+             renderer, program_version, registered_ms, last_seen_ms, cores)
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?9, ?10)
          ON CONFLICT (id) DO UPDATE SET host = ?2, slots = ?3, asset_pack = ?4,
              asset_pack_digest = ?5, mujoco_version = ?6, renderer = ?7,
-             program_version = ?8, registered_ms = ?9, last_seen_ms = ?9,
+             program_version = ?8, registered_ms = ?9, last_seen_ms = ?9, cores = ?10,
              charged_in_a_row = 0, stopped_reason = NULL, signed_off_ms = NULL",
     )
     .bind(&worker.id)
@@ -89,6 +91,7 @@ pub(crate) async fn upsert(
     .bind(&worker.pin.renderer)
     .bind(&worker.program_version)
     .bind(now)
+    .bind(worker.cores)
     .execute(tx)
     .await
     .doing("register a worker")

@@ -1,0 +1,265 @@
+//! How long rollouts take, what their time goes into and what would make them
+//! faster, in words: the same on a terminal and on the page.
+
+use proto::coordinator::speed::Bottleneck;
+use proto::coordinator::{ForecastResponse, Speed};
+use queue::read::{self, Forecast};
+use terminal::{counted, wrapped};
+
+use crate::words::duration_text;
+
+/// Of a rollout, percent: more of it wants to be explained.
+const MUCH_WAITING: f64 = 20.0;
+
+/// A forecast as it is sent.
+pub fn message(forecast: Forecast) -> ForecastResponse {
+    ForecastResponse {
+        workers: forecast.workers,
+        slots: forecast.slots,
+        secs: forecast.secs,
+        results: forecast.results,
+        is_of_policy: forecast.is_of_policy,
+        unmeasured_suites: forecast.unmeasured_suites,
+        cores: forecast.cores.unwrap_or_default(),
+        speed: forecast.speed.map(speed),
+    }
+}
+
+fn speed(speed: read::Speed) -> Speed {
+    let (spent, rate) = (speed.spent, speed.rate);
+    let bottleneck = match rate.map(|rate| rate.bottleneck) {
+        None => Bottleneck::Unspecified,
+        Some(read::Bottleneck::Slots) => Bottleneck::Slots,
+        Some(read::Bottleneck::Cores) => Bottleneck::Cores,
+        Some(read::Bottleneck::Policy) => Bottleneck::Policy,
+    };
+    Speed {
+        results: speed.results,
+        physics_secs: spent.physics_secs,
+        drawing_secs: spent.drawing_secs,
+        policy_secs: spent.policy_secs,
+        waiting_secs: spent.waiting_secs,
+        policy_queries: spent.queries,
+        bottleneck: bottleneck.into(),
+        enough_slots: rate.map(|rate| rate.enough_slots),
+        enough_slots_secs: speed.enough_slots_secs,
+    }
+}
+
+/// How long a policy's campaign would take, in lines for a terminal.
+pub fn in_words(forecast: &ForecastResponse, policy: &str) -> String {
+    let workers = counted(forecast.workers.into(), "worker");
+    let Some(secs) = forecast.secs else {
+        return match forecast.workers {
+            0 => "no forecast of its duration: no worker is connected".to_owned(),
+            _ => format!(
+                "no forecast of its duration: no worker has been measured: on the {workers}\n\
+                 connected now no rollout was finished in the last week. A campaign with\n\
+                 `--configs 0` and one task of each suite measures them"
+            ),
+        };
+    };
+    let mut slots = counted(forecast.slots.into(), "slot");
+    if forecast.cores > 0 {
+        slots = format!("{slots}, {}", counted(forecast.cores.into(), "core"));
+    }
+    let mut lines = vec![format!(
+        "about {} on the {workers} connected now ({slots}), if they run nothing else",
+        duration_text(secs)
+    )];
+    let whose = match forecast.is_of_policy {
+        true => format!("of {policy}"),
+        false => format!("of other policies; none of {policy} was"),
+    };
+    lines.push(format!(
+        "measured on {} {whose}",
+        counted(forecast.results, "recent rollout")
+    ));
+    if !forecast.unmeasured_suites.is_empty() {
+        lines.push(format!(
+            "{}: not measured, taken to be as fast",
+            forecast.unmeasured_suites.join(", ")
+        ));
+    }
+    match &forecast.speed {
+        Some(speed) => {
+            lines.push(parts(speed));
+            lines.extend(bottleneck(speed, forecast.slots));
+        }
+        None => lines.push(
+            "what their time went into is not known: the workers are of an earlier release"
+                .to_owned(),
+        ),
+    }
+    let first = wrapped("", 2, &lines.remove(0));
+    let others = lines.iter().map(|line| wrapped("  ", 4, line));
+    let all: Vec<String> = [first].into_iter().chain(others).collect();
+    all.join("\n")
+}
+
+/// What the time of one rollout goes into.
+pub fn parts(speed: &Speed) -> String {
+    let spans = [
+        ("physics", speed.physics_secs),
+        ("drawing", speed.drawing_secs),
+        ("policy", speed.policy_secs),
+        ("waiting", speed.waiting_secs),
+    ];
+    let all: f64 = spans.iter().map(|(_, secs)| secs).sum();
+    let share = |secs: f64| match all > 0.0 {
+        true => 100.0 * secs / all,
+        false => 0.0,
+    };
+    let told = spans.map(|(what, secs)| match what {
+        "policy" if speed.policy_queries > 0.0 => format!(
+            "policy {:.0} % ({:.0} ms a query)",
+            share(secs),
+            1_000.0 * secs / speed.policy_queries
+        ),
+        "waiting" if share(secs) >= MUCH_WAITING => {
+            format!(
+                "waiting {:.0} % (for cores, a graphics card or a disk)",
+                share(secs)
+            )
+        }
+        what => format!("{what} {:.0} %", share(secs)),
+    });
+    format!(
+        "a rollout takes {all:.1} s: {}; mean of {}",
+        told.join(", "),
+        counted(speed.results, "rollout")
+    )
+}
+
+/// What rollouts on so many slots are bound by, and what more slots would change;
+/// nothing where that is not known.
+pub fn bottleneck(speed: &Speed, slots: u32) -> Option<String> {
+    let enough = speed.enough_slots?;
+    let then = duration_text(speed.enough_slots_secs?);
+    let enough_of = counted(enough.into(), "slot");
+    let fewer = match enough < slots {
+        true => format!("; {enough_of} would do"),
+        false => String::new(),
+    };
+    Some(match speed.bottleneck() {
+        Bottleneck::Unspecified => return None,
+        Bottleneck::Slots => format!(
+            "bottleneck: slots, which wait for the policy while cores are idle. More of them \
+             help up to {enough}, then it takes about {then}, if the policy answers as fast then"
+        ),
+        Bottleneck::Cores => format!(
+            "bottleneck: the workers' cores, all of which are busy. More slots on them do not \
+             help{fewer}; more cores do"
+        ),
+        Bottleneck::Policy => format!(
+            "bottleneck: the policy's server, which answers no faster. More slots do not \
+             help{fewer}; more replicas of the policy do"
+        ),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn measured(bottleneck: Bottleneck) -> ForecastResponse {
+        ForecastResponse {
+            workers: 2,
+            slots: 16,
+            cores: 16,
+            secs: Some(12_000.0),
+            results: 200,
+            is_of_policy: true,
+            unmeasured_suites: vec!["libero_10".to_owned(), "libero_goal".to_owned()],
+            speed: Some(Speed {
+                results: 180,
+                physics_secs: 5.0,
+                drawing_secs: 2.5,
+                policy_secs: 3.75,
+                waiting_secs: 1.25,
+                policy_queries: 30.0,
+                bottleneck: bottleneck.into(),
+                enough_slots: Some(22),
+                enough_slots_secs: Some(8_700.0),
+            }),
+        }
+    }
+
+    #[test]
+    fn a_forecast_says_what_it_rests_on_and_fits_the_terminal() {
+        let text = in_words(&measured(Bottleneck::Slots), "pi05");
+        assert_eq!(
+            text,
+            "about 3h20m on the 2 workers connected now (16 slots, 16 cores), if they run\n  \
+             nothing else\n  \
+             measured on 200 recent rollouts of pi05\n  \
+             libero_10, libero_goal: not measured, taken to be as fast\n  \
+             a rollout takes 12.5 s: physics 40 %, drawing 20 %, policy 30 % (125 ms a\n    \
+             query), waiting 10 %; mean of 180 rollouts\n  \
+             bottleneck: slots, which wait for the policy while cores are idle. More of\n    \
+             them help up to 22, then it takes about 2h25m, if the policy answers as fast\n    \
+             then"
+        );
+        assert!(text.lines().all(|line| line.chars().count() <= 80));
+    }
+
+    #[test]
+    fn where_more_slots_do_not_help_it_says_what_does_and_how_few_would_do() {
+        let cores = in_words(&measured(Bottleneck::Cores), "pi05").replace("\n    ", " ");
+        assert!(cores.ends_with("do not help; more cores do"), "{cores}");
+        let mut many = measured(Bottleneck::Policy);
+        many.slots = 64;
+        let policy = in_words(&many, "pi05").replace("\n    ", " ");
+        let end = "do not help; 22 slots would do; more replicas of the policy do";
+        assert!(policy.ends_with(end), "{policy}");
+    }
+
+    #[test]
+    fn what_was_not_measured_is_not_told() {
+        let unmeasured = ForecastResponse {
+            workers: 1,
+            slots: 2,
+            ..ForecastResponse::default()
+        };
+        let text = in_words(&unmeasured, "pi05");
+        assert!(text.contains("no worker has been measured"), "{text}");
+        assert!(text.contains("`--configs 0`"), "{text}");
+        let text = in_words(&ForecastResponse::default(), "pi05");
+        assert!(text.ends_with("no worker is connected"), "{text}");
+        let by_earlier_workers = ForecastResponse {
+            speed: None,
+            ..measured(Bottleneck::Slots)
+        };
+        let text = in_words(&by_earlier_workers, "pi05");
+        assert!(
+            text.contains("is not known") && !text.contains("bottleneck"),
+            "{text}"
+        );
+        let mut without_cores = measured(Bottleneck::Unspecified);
+        let speed = without_cores.speed.as_mut().expect("one");
+        (speed.enough_slots, speed.enough_slots_secs) = (None, None);
+        assert!(!in_words(&without_cores, "pi05").contains("bottleneck"));
+    }
+
+    #[test]
+    fn much_waiting_says_for_what() {
+        let some = parts(&measured(Bottleneck::Slots).speed.expect("one"));
+        assert!(some.contains("waiting 10 %; mean"), "{some}");
+        let much = Speed {
+            physics_secs: 3.0,
+            waiting_secs: 1.0,
+            ..Speed::default()
+        };
+        assert!(
+            parts(&much).contains("waiting 25 % (for cores, "),
+            "{}",
+            parts(&much)
+        );
+    }
+
+    #[test]
+    fn rollouts_that_took_no_time_have_shares() {
+        let speed = Speed::default();
+        assert!(parts(&speed).contains("physics 0 %"), "{}", parts(&speed));
+    }
+}

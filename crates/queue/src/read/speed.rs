@@ -1,0 +1,263 @@
+//! What rollouts of one kind come to per second on some workers, and what bounds
+//! it: pure.
+//!
+//! Three things bound a rate, and the least of them holds. A slot runs one rollout
+//! at a time, from its start to its end. A worker's slots share its cores, on which
+//! physics and drawing take processor time. The policy's server answers so many
+//! queries per second. These are the bounds of any closed queueing system, reached
+//! where nobody waits for anybody by chance; so a rate is what can be hoped for.
+
+/// What a worker computes with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Machine {
+    /// Rollouts that it runs side by side.
+    pub(super) slots: u32,
+    /// Cores that they share.
+    pub(super) cores: u32,
+}
+
+/// What one rollout takes, mean seconds, and how often it asks the policy.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Spent {
+    /// Processor time of the physics.
+    pub physics_secs: f64,
+    /// Processor time of drawing.
+    pub drawing_secs: f64,
+    /// Until the policy has answered.
+    pub policy_secs: f64,
+    /// What is left of its duration: waiting for a core, a card or a disk.
+    pub waiting_secs: f64,
+    /// Of it, what it waited although its slot had a core for itself: something else
+    /// took that, and would take it from further slots as well.
+    pub taken_secs: f64,
+    /// Queries of the policy.
+    pub queries: f64,
+}
+
+/// What a rate is bound by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Bottleneck {
+    /// More slots make it faster.
+    Slots,
+    /// Every core is busy.
+    Cores,
+    /// The policy's server answers no faster.
+    Policy,
+}
+
+/// How fast rollouts go.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rate {
+    /// Rollouts per second.
+    pub per_sec: f64,
+    /// What it is bound by.
+    pub bottleneck: Bottleneck,
+    /// The fewest slots that are as fast as any number of them.
+    pub enough_slots: u32,
+    /// Rollouts per second with so many.
+    pub most_per_sec: f64,
+}
+
+impl Spent {
+    /// On a core, or for its sake.
+    fn busy(&self) -> f64 {
+        self.physics_secs + self.drawing_secs + self.taken_secs
+    }
+
+    /// From start to end where nobody else wants the core.
+    fn alone(&self) -> f64 {
+        self.busy() + self.policy_secs
+    }
+}
+
+/// How fast rollouts that take `spent` go on `machines`, if the policy's server
+/// answers `policy_rate` queries per second at most. None where rollouts take no
+/// processor time, or there is no machine: then nothing was measured.
+pub(super) fn rate(machines: &[Machine], spent: &Spent, policy_rate: Option<f64>) -> Option<Rate> {
+    let (busy, alone) = (spent.busy(), spent.alone());
+    if busy <= 0.0 || !alone.is_finite() || machines.is_empty() {
+        return None;
+    }
+    let by_cores = |it: &Machine| f64::from(it.cores) / busy;
+    let by_slots = |it: &Machine| f64::from(it.slots) / alone;
+    let simulated: f64 = machines
+        .iter()
+        .map(|it| by_slots(it).min(by_cores(it)))
+        .sum();
+    let full: f64 = machines.iter().map(by_cores).sum();
+    let answered = policy_rate.filter(|_| spent.queries > 0.0);
+    let answered = answered.map_or(f64::INFINITY, |rate| rate / spent.queries);
+    let bottleneck = match () {
+        () if answered <= simulated => Bottleneck::Policy,
+        () if simulated < full => Bottleneck::Slots,
+        () => Bottleneck::Cores,
+    };
+    // Slots under way at a rate; a last bit of rounding is no further slot.
+    let under_way = |per_sec: f64| (per_sec * alone * (1.0 - 1e-12)).ceil();
+    let to_fill = |it: &Machine| under_way(by_cores(it));
+    let enough = match answered < full {
+        true => under_way(answered),
+        false => machines.iter().map(to_fill).sum(),
+    };
+    Some(Rate {
+        per_sec: simulated.min(answered),
+        bottleneck,
+        // A cast stops at the ends of its range.
+        enough_slots: enough.max(1.0) as u32,
+        most_per_sec: full.min(answered),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// Four seconds on a core, six of the policy in thirty queries.
+    const ROLLOUT: Spent = Spent {
+        physics_secs: 3.0,
+        drawing_secs: 1.0,
+        policy_secs: 6.0,
+        waiting_secs: 0.0,
+        taken_secs: 0.0,
+        queries: 30.0,
+    };
+
+    fn on(slots: u32, cores: u32) -> Machine {
+        Machine { slots, cores }
+    }
+
+    fn known(machines: &[Machine], policy_rate: Option<f64>) -> Rate {
+        rate(machines, &ROLLOUT, policy_rate).expect("a rate")
+    }
+
+    #[test]
+    fn few_slots_wait_for_the_policy_while_cores_are_idle() {
+        let few = known(&[on(4, 4)], None);
+        assert_eq!((few.per_sec, few.bottleneck), (0.4, Bottleneck::Slots));
+        assert_eq!((few.enough_slots, few.most_per_sec), (10, 1.0));
+        let enough = known(&[on(10, 4)], None);
+        assert_eq!(
+            (enough.per_sec, enough.bottleneck),
+            (1.0, Bottleneck::Cores)
+        );
+        assert_eq!(known(&[on(64, 4)], None).per_sec, 1.0);
+    }
+
+    #[test]
+    fn slots_of_one_machine_do_not_use_the_cores_of_another() {
+        let one_sided = known(&[on(40, 4), on(2, 4)], None);
+        assert_eq!(one_sided.per_sec, 1.0 + 0.2);
+        assert_eq!(one_sided.bottleneck, Bottleneck::Slots);
+        assert_eq!((one_sided.enough_slots, one_sided.most_per_sec), (20, 2.0));
+    }
+
+    #[test]
+    fn a_policy_that_answers_slowly_bounds_all_of_them() {
+        let bound = known(&[on(10, 4)], Some(15.0));
+        assert_eq!((bound.per_sec, bound.bottleneck), (0.5, Bottleneck::Policy));
+        assert_eq!((bound.enough_slots, bound.most_per_sec), (5, 0.5));
+        let fast = known(&[on(4, 4)], Some(15.0));
+        assert_eq!((fast.bottleneck, fast.enough_slots), (Bottleneck::Slots, 5));
+    }
+
+    #[test]
+    fn without_a_measurement_or_a_machine_there_is_no_rate() {
+        assert_eq!(rate(&[], &ROLLOUT, None), None);
+        assert_eq!(rate(&[on(1, 1)], &Spent::default(), None), None);
+    }
+
+    fn machines() -> impl Strategy<Value = Vec<Machine>> {
+        let machine = (1..200_u32, 1..128_u32).prop_map(|(slots, cores)| on(slots, cores));
+        prop::collection::vec(machine, 1..6)
+    }
+
+    fn spent() -> impl Strategy<Value = Spent> {
+        let secs = || 0.0..50.0_f64;
+        let all = (0.01..50.0_f64, secs(), secs(), secs(), 0.0..300.0_f64);
+        all.prop_map(
+            |(physics_secs, drawing_secs, policy_secs, taken_secs, queries)| Spent {
+                physics_secs,
+                drawing_secs,
+                policy_secs,
+                waiting_secs: taken_secs,
+                taken_secs,
+                queries,
+            },
+        )
+    }
+
+    fn policy() -> impl Strategy<Value = Option<f64>> {
+        prop::option::of(0.1..1_000.0_f64)
+    }
+
+    proptest! {
+        #[test]
+        fn no_bound_is_passed_and_one_is_reached(
+            machines in machines(), spent in spent(), policy in policy(),
+        ) {
+            let found = rate(&machines, &spent, policy).expect("a rate");
+            let close = |a: f64, b: f64| (a - b).abs() <= 1e-9 * b.max(1e-9);
+            let slots: u32 = machines.iter().map(|it| it.slots).sum();
+            let cores: u32 = machines.iter().map(|it| it.cores).sum();
+            let by_slots = f64::from(slots) / spent.alone();
+            let by_cores = f64::from(cores) / spent.busy();
+            let asked = found.per_sec * spent.queries;
+            prop_assert!(found.per_sec <= by_slots * (1.0 + 1e-9));
+            prop_assert!(found.per_sec <= by_cores * (1.0 + 1e-9));
+            prop_assert!(policy.is_none_or(|rate| asked <= rate * (1.0 + 1e-9)));
+            prop_assert!(found.per_sec <= found.most_per_sec * (1.0 + 1e-9));
+            match found.bottleneck {
+                Bottleneck::Policy => prop_assert!(close(asked, policy.expect("one"))),
+                Bottleneck::Cores => prop_assert!(close(found.per_sec, by_cores)),
+                Bottleneck::Slots => prop_assert!(found.per_sec < found.most_per_sec),
+            }
+        }
+
+        #[test]
+        fn more_of_anything_is_never_slower(
+            machines in machines(), spent in spent(), policy in policy(), which in 0..6_usize,
+        ) {
+            let before = rate(&machines, &spent, policy).expect("a rate").per_sec;
+            let mut more = machines.clone();
+            let place = which % more.len();
+            more[place].slots += 1;
+            let slots = rate(&more, &spent, policy).expect("a rate").per_sec;
+            more[place].cores += 1;
+            let cores = rate(&more, &spent, policy).expect("a rate").per_sec;
+            more.push(on(1, 1));
+            let machine = rate(&more, &spent, policy).expect("a rate").per_sec;
+            let faster = policy.map(|rate| rate * 2.0);
+            let policy = rate(&more, &spent, faster).expect("a rate").per_sec;
+            let all = [before, slots, cores, machine, policy];
+            prop_assert!(all.is_sorted_by(|a, b| *a <= b * (1.0 + 1e-9)), "{all:?}");
+        }
+
+        #[test]
+        fn slots_that_are_enough_reach_the_most_and_fewer_do_not(
+            cores in 1..128_u32, spent in spent(), policy in policy(),
+        ) {
+            let found = rate(&[on(1, cores)], &spent, policy).expect("a rate");
+            let with = |slots| rate(&[on(slots, cores)], &spent, policy).expect("a rate");
+            let enough = with(found.enough_slots);
+            prop_assert!(enough.per_sec >= found.most_per_sec * (1.0 - 1e-9));
+            if found.enough_slots > 1 {
+                let fewer = with(found.enough_slots - 1).per_sec;
+                prop_assert!(fewer < found.most_per_sec * (1.0 + 1e-12));
+            }
+        }
+
+        #[test]
+        fn the_order_of_machines_changes_nothing(
+            machines in machines(), spent in spent(), policy in policy(),
+        ) {
+            let mut turned = machines.clone();
+            turned.reverse();
+            let (a, b) = (rate(&machines, &spent, policy), rate(&turned, &spent, policy));
+            let (a, b) = (a.expect("a rate"), b.expect("a rate"));
+            prop_assert!((a.per_sec - b.per_sec).abs() <= 1e-9 * a.per_sec);
+            prop_assert_eq!(a.enough_slots, b.enough_slots);
+        }
+    }
+}

@@ -1,0 +1,158 @@
+//! Options from the environment. Every option of a program that serves can be given
+//! as a variable too, as units of systemd and containers want it: `--min-free-mib` is
+//! `ROLLOUT_MIN_FREE_MIB`. What is on the command line wins; an empty variable is none.
+
+use std::env::var_os;
+use std::ffi::OsString;
+
+use clap::builder::BoolishValueParser;
+use clap::error::{ContextKind, ContextValue, ErrorKind};
+use clap::{Arg, ArgAction, ArgMatches, Command};
+
+/// What the variables' names begin with.
+const PREFIX: &str = "ROLLOUT_";
+/// Between the values of an option that may be given several times.
+const BETWEEN: char = ';';
+
+/// A command whose options can all be given as variables. Those that have a variable
+/// already keep it.
+pub fn with_variables(command: Command) -> Command {
+    command.mut_args(|arg| {
+        let Some(name) = variable(&arg).filter(|name| !is_empty(name)) else {
+            return arg;
+        };
+        // There is one command line in a process.
+        let arg = arg.env(&*name.leak());
+        match arg.get_action() {
+            ArgAction::SetTrue => arg.value_parser(BoolishValueParser::new()),
+            ArgAction::Append => arg.value_delimiter(BETWEEN),
+            _ => arg,
+        }
+    })
+}
+
+/// Reads the command line of a program that serves unless its first word is a
+/// command: then the variables are for others, such as the one that started it.
+///
+/// # Errors
+/// When it cannot be meant, or asks for help.
+pub fn read(program: Command, words: Vec<OsString>) -> Result<ArgMatches, clap::Error> {
+    let first = words.get(1).and_then(|word| word.to_str());
+    let is_command = |word| word == "help" || program.find_subcommand(word).is_some();
+    let program = match first.is_some_and(is_command) {
+        true => program,
+        false => with_variables(program),
+    };
+    parse(program, words)
+}
+
+/// Reads a command line. Of a value that stands in the environment, an error says so.
+///
+/// # Errors
+/// When it cannot be meant, or asks for help.
+pub fn parse(program: Command, words: Vec<OsString>) -> Result<ArgMatches, clap::Error> {
+    let read = program.try_get_matches_from(&words);
+    read.map_err(|error| with_its_variable(error, &words))
+}
+
+/// An error that says so if the value at fault stands in the environment.
+fn with_its_variable(mut error: clap::Error, words: &[OsString]) -> clap::Error {
+    let is_of_a_value = matches!(
+        error.kind(),
+        ErrorKind::InvalidValue | ErrorKind::ValueValidation
+    );
+    let Some(ContextValue::String(at_fault)) = error.get(ContextKind::InvalidArg) else {
+        return error;
+    };
+    // `--listen <ADDR>`
+    let flag = at_fault.split_whitespace().next().unwrap_or_default();
+    let is_given = words.iter().filter_map(|word| word.to_str()).any(|word| {
+        let rest = word.strip_prefix(flag);
+        rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('='))
+    });
+    let name = named(flag.trim_start_matches('-'));
+    if is_of_a_value && !is_given && var_os(&name).is_some() {
+        let where_it_is = format!("it stands in the environment, as {name}");
+        let said = ContextValue::StyledStrs(vec![where_it_is.into()]);
+        error.insert(ContextKind::Suggested, said);
+    }
+    error
+}
+
+/// The variable of an option that has none yet.
+fn variable(arg: &Arg) -> Option<String> {
+    let is_for_people = !arg.is_hide_set() && arg.get_env().is_none();
+    arg.get_long().filter(|_| is_for_people).map(named)
+}
+
+/// As lines of an environment file are that take a default back.
+fn is_empty(variable: &String) -> bool {
+    var_os(variable).is_some_and(|value| value.is_empty())
+}
+
+fn named(long: &str) -> String {
+    format!("{PREFIX}{}", long.replace('-', "_").to_uppercase())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn program() -> Command {
+        Command::new("server")
+            .arg(Arg::new("connect").long("connect").env("SERVER_URL"))
+            .arg(Arg::new("min").long("min-free-mib").default_value("1"))
+            .arg(Arg::new("wide").long("wide").action(ArgAction::SetTrue))
+            .arg(Arg::new("route").long("route").action(ArgAction::Append))
+            .arg(Arg::new("secret").long("secret").hide(true))
+            .arg(Arg::new("folder"))
+            .subcommand(Command::new("list").arg(Arg::new("all").long("all")))
+    }
+
+    fn variables(command: &Command) -> Vec<(&str, Option<&str>)> {
+        let name = |arg: &Arg| {
+            arg.get_env()
+                .map(|name| name.to_str().expect("UTF-8").to_owned())
+        };
+        let arguments = command.get_arguments();
+        arguments
+            .map(|arg| (arg.get_id().as_str(), name(arg).map(|it| &*it.leak())))
+            .collect()
+    }
+
+    #[test]
+    fn every_option_has_a_variable_and_what_had_one_keeps_it() {
+        let command = with_variables(program());
+        assert_eq!(
+            variables(&command),
+            [
+                ("connect", Some("SERVER_URL")),
+                ("min", Some("ROLLOUT_MIN_FREE_MIB")),
+                ("wide", Some("ROLLOUT_WIDE")),
+                ("route", Some("ROLLOUT_ROUTE")),
+                ("secret", None),
+                ("folder", None),
+            ]
+        );
+        let list = command.find_subcommand("list").expect("it is there");
+        assert_eq!(variables(list), [("all", None)]);
+    }
+
+    fn words(line: &str) -> Vec<OsString> {
+        line.split(' ').map(OsString::from).collect()
+    }
+
+    #[test]
+    fn what_is_on_the_command_line_is_read_as_ever() {
+        let read = read(program(), words("server --wide --route a --route b;c")).expect("meant");
+        assert!(read.get_flag("wide"));
+        let routes: Vec<&String> = read.get_many("route").expect("some").collect();
+        assert_eq!(routes, ["a", "b", "c"]);
+    }
+
+    #[test]
+    fn a_command_of_the_program_is_read_without_variables() {
+        let read = read(program(), words("server list --all x")).expect("meant");
+        assert_eq!(read.subcommand_name(), Some("list"));
+    }
+}

@@ -1,0 +1,300 @@
+//! What all programs do alike: exit codes, as docs/OPERATING.md has them, and options
+//! from the environment.
+
+use std::io::{BufRead, BufReader, Read};
+use std::process::{Command, Output, Stdio};
+
+use tests::documents::folder::checkout;
+use tests::programs::program;
+
+const PROGRAMS: [&str; 3] = ["coordinator", "worker", "policy-gateway"];
+/// An address at which nobody listens.
+const NOBODY: &str = "127.0.0.1:9";
+
+/// A program in an environment that holds these variables and no other.
+fn command(name: &str, arguments: &[&str], variables: &[(&str, &str)]) -> Command {
+    let mut command = Command::new("timeout");
+    command.args(["--signal=TERM", "60"]).arg(program(name));
+    command.args(arguments);
+    command
+        .env_clear()
+        .env("PATH", std::env::var_os("PATH").expect("a path"));
+    // Where the libraries of the build are.
+    for kept in ["HOME", "LD_LIBRARY_PATH"] {
+        command.envs(std::env::var_os(kept).map(|value| (kept, value)));
+    }
+    command.envs(variables.iter().copied());
+    command
+}
+
+fn run(name: &str, arguments: &[&str], variables: &[(&str, &str)]) -> Output {
+    command(name, arguments, variables)
+        .output()
+        .expect("it runs")
+}
+
+/// Runs until it listens, asks it to end, and says what it printed and its code.
+fn serve(name: &str, arguments: &[&str], variables: &[(&str, &str)]) -> (String, i32) {
+    let mut command = command(name, arguments, variables);
+    let mut child = command.stdout(Stdio::piped()).spawn().expect("it starts");
+    let mut out = BufReader::new(child.stdout.take().expect("piped"));
+    let mut said = String::new();
+    out.read_line(&mut said).expect("a line");
+    // `timeout` passes the signal on.
+    let id = child.id().to_string();
+    assert!(
+        Command::new("kill")
+            .args(["-TERM", &id])
+            .status()
+            .expect("kill")
+            .success()
+    );
+    out.read_to_string(&mut said).expect("the rest");
+    let code = child.wait().expect("it ends").code();
+    (said, code.expect("no signal ended it"))
+}
+
+/// The codes of the table in docs/OPERATING.md.
+fn documented() -> Vec<i32> {
+    let page = std::fs::read_to_string(checkout().join("docs/OPERATING.md")).expect("the page");
+    let section = page
+        .split("\n## ")
+        .find(|part| part.starts_with("Exit codes"));
+    let rows = section.expect("the section").lines();
+    let code = |row: &str| row.strip_prefix("| ")?.split(' ').next()?.parse().ok();
+    rows.filter_map(code).collect()
+}
+
+#[test]
+fn exit_codes_are_those_of_the_table() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let (data, missing) = (path("data"), path("missing"));
+    let one = path("one.jsonl");
+    let url = format!("http://{NOBODY}");
+    let grpc = format!("grpc://{NOBODY}");
+    let expand = ["manifest", "expand", "--version", "v0.1", "--output", &one];
+    let serves = ["serve", "--data", &data, "--listen", "127.0.0.1:0"];
+    let (said, ended) = serve("coordinator", &serves, &[]);
+    assert!(said.ends_with("stopped\n"), "{said}");
+    let gateway = [
+        "--listen",
+        "127.0.0.1:0",
+        "--route",
+        "expert=builtin:expert",
+    ];
+    let (_, gateway_ended) = serve("policy-gateway", &gateway, &[]);
+    let mut found = vec![("coordinator serve".to_owned(), 0, ended)];
+    found.push(("policy-gateway".to_owned(), 0, gateway_ended));
+    let mut check = |code: i32, name: &str, arguments: &[&str]| {
+        let output = run(name, arguments, &[]);
+        let complaint = String::from_utf8_lossy(&output.stderr);
+        assert!(code == 0 || !complaint.is_empty(), "{name} {arguments:?}");
+        let ended = output.status.code().expect("no signal ended it");
+        found.push((format!("{name} {arguments:?}: {complaint}"), code, ended));
+    };
+    for name in PROGRAMS {
+        check(0, name, &["--version"]);
+        check(0, name, &["--help"]);
+        check(0, name, &["completions", "bash"]);
+        check(2, name, &["--nonsense"]);
+        check(2, name, &["nonsense"]);
+        check(2, name, &["completions"]);
+        check(2, name, &["completions", "no-shell"]);
+    }
+    check(0, "coordinator", &["check", &data]);
+    check(0, "coordinator", &expand);
+    check(0, "coordinator", &["manifest", "check", &one]);
+    let empty = path("empty.jsonl");
+    std::fs::write(&empty, "{}\n").expect("written");
+    check(1, "coordinator", &["manifest", "check", &empty]);
+    check(
+        1,
+        "coordinator",
+        &["campaign", "list", "--connect", &url, "--retry-secs", "0"],
+    );
+    check(2, "coordinator", &["report", "--from", &missing]);
+    check(2, "coordinator", &["manifest", "check", &missing]);
+    check(2, "coordinator", &["check", &missing]);
+    check(2, "coordinator", &[]);
+    check(2, "coordinator", &["serve"]);
+    check(
+        2,
+        "coordinator",
+        &["serve", "--data", &data, "--listen", "0.0.0.0:0"],
+    );
+    check(2, "coordinator", &["campaign", "create", "--name", "a b"]);
+    check(1, "worker", &["--connect", &url, "--assets", &missing]);
+    check(1, "worker", &["bench", "--assets", &missing]);
+    check(2, "worker", &[]);
+    check(
+        2,
+        "worker",
+        &["--connect", NOBODY, "--assets", "primitives"],
+    );
+    check(1, "policy-gateway", &["compare", &grpc, &grpc]);
+    check(1, "policy-gateway", &["--config", &missing]);
+    check(2, "policy-gateway", &[]);
+    check(2, "policy-gateway", &["--route", "nonsense"]);
+    check(
+        2,
+        "policy-gateway",
+        &[&gateway[2..], &["--listen", "0.0.0.0:0"]].concat(),
+    );
+    for (what, expected, code) in &found {
+        assert_eq!(code, expected, "{what}");
+    }
+    let mut codes: Vec<i32> = found.iter().map(|(_, expected, _)| *expected).collect();
+    codes.sort_unstable();
+    codes.dedup();
+    assert_eq!(documented(), codes);
+}
+
+/// Options and their variables, by a program's help.
+fn options(name: &str, words: &[&str]) -> Vec<(String, Option<String>)> {
+    let help = run(name, &[words, &["--help"]].concat(), &[]);
+    let help = String::from_utf8(help.stdout).expect("UTF-8");
+    // What is said of an option may go over several lines, which may end anywhere.
+    let mut said: Vec<(String, String)> = Vec::new();
+    for line in help.lines() {
+        let indent = line.len() - line.trim_start().len();
+        let mut words = line
+            .split_whitespace()
+            .skip_while(|word| word.ends_with(','));
+        let flag = words.next().and_then(|word| word.strip_prefix("--"));
+        if let Some(flag) = flag.filter(|_| indent <= 6) {
+            said.push((flag.to_owned(), String::new()));
+        }
+        if let Some((_, text)) = said.last_mut() {
+            *text += " ";
+            *text += line.trim();
+        }
+    }
+    let variable = |text: &str| {
+        let (_, behind) = text.split_once("[env: ")?;
+        behind.split(['=', ']']).next().map(str::to_owned)
+    };
+    let options = said.into_iter();
+    let options = options.map(|(flag, text)| (flag, variable(&text)));
+    let mut options: Vec<(String, Option<String>)> = options.collect();
+    options.retain(|(flag, _)| flag != "help" && flag != "version");
+    assert!(options.len() > 5, "{name}: {help}");
+    options
+}
+
+#[test]
+fn every_option_of_what_serves_has_a_variable_in_help_and_manual() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let manual = folder.path().to_str().expect("UTF-8");
+    for (name, words, page) in [
+        ("coordinator", &["serve"][..], "coordinator-serve.1"),
+        ("worker", &[], "worker.1"),
+        ("policy-gateway", &[], "policy-gateway.1"),
+    ] {
+        let made = run(name, &["manual", manual], &[]);
+        assert!(made.status.success(), "{name}: no manual");
+        let page = std::fs::read_to_string(folder.path().join(page)).expect("a page");
+        for (flag, variable) in options(name, words) {
+            let expected = match flag.as_str() {
+                "connect" => "COORDINATOR_URL".to_owned(),
+                flag => format!("ROLLOUT_{}", flag.replace('-', "_").to_uppercase()),
+            };
+            assert!(page.contains(&expected), "{expected} of {name}: {page}");
+            assert_eq!(variable, Some(expected), "{name} --{flag}");
+        }
+    }
+}
+
+#[test]
+fn a_server_takes_its_options_from_the_environment_and_the_command_line_wins() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let (data, other) = (path("data"), path("other"));
+    let variables = [
+        ("ROLLOUT_DATA", &*data),
+        ("ROLLOUT_LISTEN", "127.0.0.1:0"),
+        ("ROLLOUT_MIN_FREE_MIB", ""),
+    ];
+    let (said, code) = serve("coordinator", &["serve"], &variables);
+    assert!(said.contains(&format!("data in {data}")), "{said}");
+    assert_eq!(code, 0);
+    let (said, _) = serve("coordinator", &["serve", "--data", &other], &variables);
+    assert!(said.contains(&format!("data in {other}")), "{said}");
+
+    let routes = "expert=builtin:expert;noop=builtin:noop";
+    let variables = [("ROLLOUT_ROUTE", routes), ("ROLLOUT_LISTEN", "127.0.0.1:0")];
+    let (said, code) = serve("policy-gateway", &[], &variables);
+    assert!(said.starts_with("listening on 127.0.0.1:"), "{said}");
+    assert_eq!(code, 0);
+
+    let missing = path("missing");
+    let variables = [
+        ("COORDINATOR_URL", "http://127.0.0.1:9"),
+        ("ROLLOUT_ASSETS", &*missing),
+        ("ROLLOUT_SLOTS", "2"),
+    ];
+    let output = run("worker", &[], &variables);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(said.contains(&missing), "{said}");
+}
+
+#[test]
+fn a_variable_that_cannot_be_meant_is_named_by_what_serves_and_is_nothing_to_others() {
+    for (name, arguments, variable, value) in [
+        (
+            "coordinator",
+            &["serve", "--data", "d"][..],
+            "ROLLOUT_LISTEN",
+            "here",
+        ),
+        (
+            "coordinator",
+            &["serve", "--data", "d"],
+            "ROLLOUT_INSECURE",
+            "perhaps",
+        ),
+        (
+            "worker",
+            &["--connect", "http://h:1"],
+            "ROLLOUT_SLOTS",
+            "many",
+        ),
+        (
+            "policy-gateway",
+            &["--listen", "127.0.0.1:0"],
+            "ROLLOUT_ROUTE",
+            "nonsense",
+        ),
+    ] {
+        let output = run(name, arguments, &[(variable, value)]);
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{said}");
+        let named = format!("it stands in the environment, as {variable}");
+        assert!(said.contains(&named) && said.contains(value), "{said}");
+    }
+    // What is on the command line stands nowhere else.
+    let given = ["serve", "--data", "d", "--listen", "there"];
+    let output = run("coordinator", &given, &[("ROLLOUT_LISTEN", "127.0.0.1:0")]);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(
+        said.contains("there") && !said.contains("the environment"),
+        "{said}"
+    );
+    // A unit's variables do not reach what its program starts, or its user.
+    for (name, arguments) in [
+        ("worker", &["assets", "list", "primitives"][..]),
+        ("worker", &["completions", "bash"]),
+        ("policy-gateway", &["completions", "bash"]),
+        ("coordinator", &["completions", "bash"]),
+    ] {
+        let variables = ["LISTEN", "SLOTS", "ROUTE", "RENDERER", "INSECURE"];
+        let variables = variables.map(|name| (format!("ROLLOUT_{name}"), "nonsense"));
+        let variables = variables
+            .each_ref()
+            .map(|(name, value)| (name.as_str(), *value));
+        let output = run(name, arguments, &variables);
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{name} {arguments:?}: {said}");
+    }
+}

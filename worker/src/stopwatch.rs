@@ -1,0 +1,56 @@
+//! How long work took: by the clock, or in processor time of this thread, which
+//! other programs on the machine do not add to.
+
+use std::time::Instant;
+
+use rustix::time::{ClockId, clock_gettime};
+
+/// Does `work`, and adds to `secs` the processor time that this thread took for it.
+pub(crate) fn processor<T>(secs: &mut f64, work: impl FnOnce() -> T) -> T {
+    let before = processor_secs();
+    let done = work();
+    *secs += (processor_secs() - before).max(0.0);
+    done
+}
+
+/// Does `work`, and adds to `secs` the time that passed.
+pub(crate) fn by_clock<T>(secs: &mut f64, work: impl FnOnce() -> T) -> T {
+    let before = Instant::now();
+    let done = work();
+    *secs += before.elapsed().as_secs_f64();
+    done
+}
+
+fn processor_secs() -> f64 {
+    let time = clock_gettime(ClockId::ThreadCPUTime);
+    time.tv_sec as f64 + time.tv_nsec as f64 / 1e9
+}
+
+#[cfg(test)]
+mod tests {
+    use std::thread::sleep;
+    use std::time::Duration;
+
+    use super::*;
+
+    #[test]
+    fn a_thread_that_sleeps_takes_time_and_no_processor_time() {
+        let (mut busy, mut passed) = (0.0, 0.0);
+        let done = by_clock(&mut passed, || {
+            processor(&mut busy, || sleep(Duration::from_millis(60)));
+            7
+        });
+        assert_eq!(done, 7);
+        assert!(passed >= 0.06 && busy < 0.03, "{passed} s, {busy} s");
+    }
+
+    #[test]
+    fn work_adds_to_what_was_counted_before() {
+        let mut busy = 5.0;
+        let until = Instant::now() + Duration::from_millis(200);
+        processor(&mut busy, || while Instant::now() < until {});
+        // However many others want the core, a spinning thread gets some of it.
+        assert!(busy > 5.005, "{busy} s");
+        assert!(busy < 5.3, "{busy} s");
+    }
+}
