@@ -18,6 +18,7 @@ mod json;
 mod launch;
 mod line;
 mod manifest;
+mod moving;
 mod operate;
 mod report;
 mod serve;
@@ -75,6 +76,9 @@ enum Command {
     /// Find out how far each configuration may be perturbed before success turns to
     /// failure, and at which radius half of them fail.
     Thresholds(thresholds::ThresholdsArguments),
+    /// Make one campaign of the halves of one design that were run by several
+    /// coordinators: archives into an archive.
+    Merge(moving::MergeArguments),
     /// Write the committed results of a campaign.
     Export(export::ExportArguments),
     /// Show, write or submit what runs workers and policies on a cluster.
@@ -112,6 +116,10 @@ enum CampaignCommand {
     MoveEndpoint(alter::MoveArguments),
     /// Give a campaign another name.
     Rename(alter::RenameArguments),
+    /// Write a campaign with all that belongs to it into one file.
+    Archive(moving::ArchiveArguments),
+    /// Verify an archive and add its campaign.
+    Import(moving::ImportArguments),
     /// Remove a campaign with its results and files.
     Delete(operate::DeleteArguments),
 }
@@ -151,6 +159,7 @@ async fn execute(command: Command) -> Result<(), CommandError> {
         Command::Compare(arguments) => compare::compare(arguments).await,
         Command::Explain(arguments) => explain::explain(arguments).await,
         Command::Thresholds(arguments) => thresholds::thresholds(arguments).await,
+        Command::Merge(arguments) => moving::merge(arguments).await,
         Command::Export(arguments) => export::export(arguments).await,
         Command::Launch(command) => launch::launch(command),
         Command::Completions(arguments) => {
@@ -175,6 +184,8 @@ async fn campaign(command: CampaignCommand) -> Result<(), CommandError> {
         CampaignCommand::SetEndpoint(arguments) => alter::set_endpoint(arguments).await,
         CampaignCommand::MoveEndpoint(arguments) => alter::move_endpoint(arguments).await,
         CampaignCommand::Rename(arguments) => alter::rename(arguments).await,
+        CampaignCommand::Archive(arguments) => moving::archive(arguments).await,
+        CampaignCommand::Import(arguments) => moving::import(arguments).await,
         CampaignCommand::Delete(arguments) => operate::delete(arguments).await,
     }
 }

@@ -9,13 +9,16 @@
 
 pub(crate) mod artifacts;
 pub(crate) mod backup;
+pub(crate) mod beside;
 pub(crate) mod campaigns;
 pub(crate) mod claims;
 pub(crate) mod derivations;
 pub(crate) mod failpoint;
 pub(crate) mod films;
+pub(crate) mod halves;
 pub(crate) mod jobs;
 pub(crate) mod policies;
+pub(crate) mod portable;
 pub(crate) mod provenance;
 pub(crate) mod removals;
 pub(crate) mod results;
@@ -130,7 +133,7 @@ pub struct StoreError {
 /// The writing transaction. There is one at a time; dropping it undoes it.
 #[derive(Debug)]
 pub(crate) struct Tx<'a> {
-    transaction: Transaction<'static, Sqlite>,
+    transaction: Transaction<'a, Sqlite>,
     /// What it is for.
     steps: Vec<Step>,
     failpoints: &'a Failpoints,

@@ -9,6 +9,7 @@ use tokio::sync::{Notify, watch};
 
 use super::cache::Cache;
 use crate::clock::{Clock, UnixMillis};
+use crate::elsewhere::Elsewhere;
 use crate::store::Store;
 use crate::timing::Timing;
 
@@ -21,6 +22,10 @@ pub(crate) struct Shared {
     /// What has been read and need not be read again. Locked within the writing
     /// transaction only.
     pub(super) cache: tokio::sync::Mutex<Cache>,
+    /// Held while a film comes into the data folder, or is taken out of it.
+    pub(crate) files: tokio::sync::Mutex<()>,
+    /// Where films are kept beyond the data folder, if they are.
+    pub(crate) elsewhere: Option<Arc<dyn Elsewhere>>,
     /// Rung when jobs may have become leasable.
     pub(crate) work: Notify,
     /// Rung when something may follow from outcomes.
@@ -36,6 +41,7 @@ impl Shared {
         clock: Arc<dyn Clock>,
         rng: ChaCha8Rng,
         timing: Timing,
+        elsewhere: Option<Arc<dyn Elsewhere>>,
     ) -> Shared {
         Shared {
             store,
@@ -43,6 +49,8 @@ impl Shared {
             rng: Mutex::new(rng),
             timing,
             cache: tokio::sync::Mutex::default(),
+            files: tokio::sync::Mutex::default(),
+            elsewhere,
             work: Notify::new(),
             outcomes: Notify::new(),
             draining: watch::Sender::new(false),
