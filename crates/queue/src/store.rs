@@ -297,6 +297,16 @@ impl Store {
             .map(drop)
     }
 
+    /// Writes the database anew, without the gaps that depend on how it came about: the
+    /// same rows are the same bytes then.
+    pub(crate) async fn compact(&self) -> Result<(), StoreError> {
+        sqlx::query("VACUUM")
+            .execute(&self.writer)
+            .await
+            .doing("compact the database")
+            .map(drop)
+    }
+
     /// Moves everything from the write-ahead log into the database, closes it and
     /// unlocks the data folder.
     ///

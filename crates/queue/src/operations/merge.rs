@@ -151,6 +151,7 @@ pub async fn merge(
     portable::forget_when(&mut tx).await?;
     tx.commit().await?;
     drop(beside);
+    whole.store.compact().await?;
     let mut merged = Merged::default();
     for (of, one) in &known_first {
         let other = known_second.get(of).copied().unwrap_or_default();

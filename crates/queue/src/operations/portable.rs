@@ -426,6 +426,7 @@ pub(super) async fn copy_of(
     portable::forget_when(&mut tx).await?;
     tx.commit().await?;
     drop(beside);
+    store.compact().await?;
     Portable::of(store).await
 }
 
