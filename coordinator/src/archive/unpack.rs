@@ -110,7 +110,6 @@ impl Reading<'_> {
             next.map_err(|error| self.broken("its end", error))?;
             return Err(self.altered("its end", "there are members that it does not name"));
         }
-        drop(entries);
         // Only at its very end does the compression say whether it is whole.
         let mut rest = tar.into_inner();
         let read = io::copy(&mut rest, &mut io::sink());
