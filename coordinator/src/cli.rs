@@ -19,6 +19,7 @@ mod json;
 mod launch;
 mod line;
 mod manifest;
+mod moving;
 mod operate;
 mod report;
 mod serve;
@@ -97,6 +98,9 @@ enum Command {
     /// Say what the axes do alone and together, where every subset of them was run:
     /// success by subset, interactions, and each axis's share.
     Interactions(interactions::InteractionsArguments),
+    /// Make one campaign of the halves of one design that were run by several
+    /// coordinators: archives into an archive.
+    Merge(moving::MergeArguments),
     /// Write the committed results of a campaign.
     Export(export::ExportArguments),
     /// Show, write or submit what runs workers and policies on a cluster.
@@ -134,6 +138,10 @@ enum CampaignCommand {
     MoveEndpoint(alter::MoveArguments),
     /// Give a campaign another name.
     Rename(alter::RenameArguments),
+    /// Write a campaign with all that belongs to it into one file.
+    Archive(moving::ArchiveArguments),
+    /// Verify an archive and add its campaign.
+    Import(moving::ImportArguments),
     /// Remove a campaign with its results and files.
     Delete(operate::DeleteArguments),
 }
@@ -174,6 +182,7 @@ async fn execute(command: Command) -> Result<(), CommandError> {
         Command::Explain(arguments) => explain::explain(arguments).await,
         Command::Thresholds(arguments) => thresholds::thresholds(arguments).await,
         Command::Interactions(arguments) => interactions::interactions(arguments).await,
+        Command::Merge(arguments) => moving::merge(arguments).await,
         Command::Export(arguments) => export::export(arguments).await,
         Command::Launch(command) => launch::launch(command),
         Command::Completions(arguments) => {
@@ -198,6 +207,8 @@ async fn campaign(command: CampaignCommand) -> Result<(), CommandError> {
         CampaignCommand::SetEndpoint(arguments) => alter::set_endpoint(arguments).await,
         CampaignCommand::MoveEndpoint(arguments) => alter::move_endpoint(arguments).await,
         CampaignCommand::Rename(arguments) => alter::rename(arguments).await,
+        CampaignCommand::Archive(arguments) => moving::archive(arguments).await,
+        CampaignCommand::Import(arguments) => moving::import(arguments).await,
         CampaignCommand::Delete(arguments) => operate::delete(arguments).await,
     }
 }

@@ -4,6 +4,7 @@
 mod backup;
 mod failure;
 mod listing;
+mod moving;
 mod operator;
 mod read;
 mod worker;
@@ -16,6 +17,7 @@ use queue::Queue;
 use tonic::service::Routes;
 
 use crate::gauges::Gauges;
+use crate::storage::Storage;
 
 use operator::OperatorApi;
 use worker::WorkerApi;
@@ -25,10 +27,15 @@ use worker::WorkerApi;
 const MAX_WORKER_MESSAGE_BYTES: usize = 2 << 20;
 
 /// The services for workers and operators, on a queue.
-pub(crate) fn services(queue: &Arc<Queue>, gauges: &Arc<Gauges>) -> axum::Router {
+pub(crate) fn services(
+    queue: &Arc<Queue>,
+    gauges: &Arc<Gauges>,
+    storage: Option<&Arc<Storage>>,
+) -> axum::Router {
     let (queue, gauges) = (queue.clone(), gauges.clone());
     let operator = OperatorApi {
         queue: queue.clone(),
+        storage: storage.cloned(),
     };
     let worker = WorkerServiceServer::new(WorkerApi { queue, gauges })
         .max_decoding_message_size(MAX_WORKER_MESSAGE_BYTES)

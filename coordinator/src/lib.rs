@@ -6,16 +6,19 @@
 #![forbid(unsafe_code)]
 
 mod access;
+pub mod archive;
 pub mod client;
 pub mod disk;
 pub mod export;
 pub mod forecast;
 mod gauges;
 mod grpc;
+mod mirror;
 mod page;
 pub mod reading;
 pub mod report;
 mod serve;
+pub mod storage;
 pub mod video_estimate;
 pub mod words;
 

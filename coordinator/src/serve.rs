@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use queue::clock::Clock;
-use queue::{OpenError, Queue, Store, StoreError, Timing, remove_partial_files};
+use queue::{Elsewhere, OpenError, Queue, Store, StoreError, Timing, remove_partial_files};
 use rand_chacha::ChaCha8Rng;
 use tokio::net::TcpListener;
 use tokio::sync::oneshot;
@@ -23,7 +23,9 @@ use crate::access;
 use crate::disk::Room;
 use crate::gauges::Gauges;
 use crate::grpc;
+use crate::mirror;
 use crate::page::{self, Page};
+use crate::storage::Storage;
 
 /// How long requests may take to finish once the coordinator was asked to stop.
 const SHUTDOWN_GRACE: Duration = Duration::from_secs(10);
@@ -45,6 +47,8 @@ pub struct Config {
     pub security: Security,
     /// Free on the data folder's disk, or nothing is leased, bytes.
     pub min_free_bytes: u64,
+    /// Where films are kept in the end; none for the data folder.
+    pub storage: Option<Arc<Storage>>,
 }
 
 /// A coordinator that cannot go on.
@@ -87,6 +91,7 @@ pub struct Coordinator {
     queue: Arc<Queue>,
     security: Security,
     min_free_bytes: u64,
+    storage: Option<Arc<Storage>>,
 }
 
 impl Coordinator {
@@ -101,11 +106,15 @@ impl Coordinator {
             folder: config.data.clone(),
             source,
         })?;
-        let queue = Queue::start(store, config.clock, config.rng, config.timing).await?;
+        let elsewhere = config.storage.clone();
+        let elsewhere = elsewhere.map(|storage| storage as Arc<dyn Elsewhere>);
+        let (clock, rng) = (config.clock, config.rng);
+        let queue = Queue::start_with(store, clock, rng, config.timing, elsewhere).await?;
         Ok(Coordinator {
             queue,
             security: config.security,
             min_free_bytes: config.min_free_bytes,
+            storage: config.storage,
         })
     }
 
@@ -116,7 +125,11 @@ impl Coordinator {
 
     /// The services that workers and operators call, to be called without a socket.
     pub fn services(&self) -> Routes {
-        Routes::from(grpc::services(&self.queue, &Arc::default()))
+        Routes::from(grpc::services(
+            &self.queue,
+            &Arc::default(),
+            self.storage.as_ref(),
+        ))
     }
 
     /// Serves workers, operators and browsers on `listener` until `shutdown` is ready;
@@ -134,14 +147,19 @@ impl Coordinator {
         let folder = queue.store().folder();
         let (stop, stopped) = oneshot::channel::<()>();
         let gauges = Arc::new(Gauges::default());
-        let page = Page::new(&queue, &self.security, &gauges);
+        let storage = self.storage;
+        let page = Page::new(&queue, &self.security, &gauges, storage.clone());
         // Ends with this function.
         let mut telling = JoinSet::new();
         telling.spawn({
             let page = page.clone();
             async move { page.tell_changes().await }
         });
-        let routes = Routes::from(page::beside(page.clone(), grpc::services(&queue, &gauges)));
+        let calls = grpc::services(&queue, &gauges, storage.as_ref());
+        if let Some(storage) = storage {
+            telling.spawn(mirror::run(queue.clone(), storage));
+        }
+        let routes = Routes::from(page::beside(page.clone(), calls));
         let server = server(routes, &self.security, listener, async {
             // A sender that was dropped stops the server just as well.
             let _ = stopped.await;
@@ -160,7 +178,7 @@ impl Coordinator {
                     return Err(ServeError::Panicked { what: "the database's writer" });
                 }
                 Some(_) = telling.join_next() => {
-                    return Err(ServeError::Panicked { what: "the task that watches for changes" });
+                    return Err(ServeError::Panicked { what: "a task beside the server" });
                 }
                 () = &mut shutdown => {
                     tracing::info!("stopping: leasing nothing more, finishing what is under way");

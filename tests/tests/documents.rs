@@ -32,6 +32,7 @@ pages! {
     commands_of_the_faq_work: "docs/FAQ.md",
     commands_of_fidelity_work: "docs/FIDELITY.md",
     commands_of_json_work: "docs/JSON.md",
+    commands_of_moving_work: "docs/MOVING.md",
     commands_of_operating_work: "docs/OPERATING.md",
     commands_of_page_work: "docs/PAGE.md",
     commands_of_paraphrases_work: "docs/PARAPHRASES.md",

@@ -16,6 +16,7 @@ mod process;
 mod python;
 mod ray;
 mod running;
+mod s3;
 mod setup;
 mod skipped;
 mod step;

@@ -13,6 +13,7 @@ use crate::dist;
 use crate::process::{capture, run as run_command};
 use crate::python;
 use crate::ray;
+use crate::s3;
 use crate::setup;
 use crate::skipped;
 use crate::step::step;
@@ -50,6 +51,7 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
     })?;
     step("dependencies as deny.toml wants", || deny(root))?;
     let schemas = deploy::schemas(&cache);
+    let bucket = s3::server(&cache);
     println!("Testing");
     let nextest = capture(cargo(root).args(["nextest", "--version"])).is_ok();
     let mut tests = cargo(root);
@@ -66,6 +68,9 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
     }
     if let Some(python) = &schemas {
         tests.env("ROLLOUT_DEPLOY_PYTHON", python);
+    }
+    if let Some(server) = &bucket {
+        tests.env("ROLLOUT_S3_SERVER", server);
     }
     run_command(&mut tests)?;
     if nextest {

@@ -20,14 +20,17 @@ const BUILT_WITH: [&str; 4] = [
 ];
 /// What they ask for, and what their tests need beside it: another MuJoCo, whose symbols
 /// must not come into the way of ours.
-const TESTED_WITH: [&str; 7] = [
+const TESTED_WITH: [&str; 10] = [
     "cloudpickle>=2",
     "gymnasium>=1.0",
     "mujoco>3.3.7",
     "numpy>=1.24",
     "pillow",
+    "pyarrow>=14",
     "pytest>=7",
     "pyyaml>=5",
+    "tensorboard>=2.15",
+    "wandb>=0.17",
 ];
 /// Largest wheel, bytes.
 const LARGEST: u64 = 25 * 1024 * 1024;

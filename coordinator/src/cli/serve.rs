@@ -8,6 +8,7 @@ use std::time::Duration;
 use anyhow::Context;
 use clap::Args;
 use coordinator::disk::DEFAULT_MIN_FREE_MIB;
+use coordinator::storage::Storage;
 use coordinator::{Config, Coordinator};
 use queue::Timing;
 use queue::clock::SystemClock;
@@ -50,6 +51,11 @@ pub(super) struct ServeArguments {
     #[arg(long, value_name = "MIB", default_value_t = DEFAULT_MIN_FREE_MIB,
         value_parser = number(0..=1_u64 << 40, "MiB"))]
     min_free_mib: u64,
+    /// Where films are kept in the end: a folder, or s3://BUCKET/FOLDER of S3-compatible
+    /// storage, whose region, credentials and endpoint are those of the usual variables
+    /// AWS_…; without it, the data folder.
+    #[arg(long, value_name = "PLACE", env = "COORDINATOR_ARTIFACTS")]
+    artifacts: Option<String>,
     #[command(flatten)]
     security: ServerArguments,
 }
@@ -123,6 +129,8 @@ fn page(scheme: &str, address: SocketAddr) -> String {
 fn config(arguments: &ServeArguments, security: Security) -> anyhow::Result<Config> {
     let lease = Duration::from_secs(arguments.lease_secs.into());
     let heartbeat = lease / HEARTBEATS_PER_LEASE;
+    let storage = arguments.artifacts.as_deref().map(Storage::open);
+    let storage = storage.transpose()?;
     Ok(Config {
         data: arguments.data.clone(),
         timing: Timing {
@@ -139,6 +147,7 @@ fn config(arguments: &ServeArguments, security: Security) -> anyhow::Result<Conf
         rng: ChaCha8Rng::from_seed(random_seed()?),
         security,
         min_free_bytes: arguments.min_free_mib << 20,
+        storage: storage.map(Arc::new),
     })
 }
 

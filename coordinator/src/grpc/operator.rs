@@ -5,27 +5,29 @@ use std::sync::Arc;
 
 use proto::coordinator::operator_service_server::OperatorService;
 use proto::coordinator::{
-    self as wire, AlterCampaignRequest, AlterCampaignResponse, BackupRequest,
-    ChangeCampaignRequest, ChangeCampaignResponse, CreateCampaignRequest, CreateCampaignResponse,
-    DeleteCampaignRequest, DeleteCampaignResponse, ExportRequest, ForecastRequest,
-    ForecastResponse, GetCampaignRequest, GetCampaignResponse, GetJobRequest, GetJobResponse,
-    ListCampaignsRequest, ListCampaignsResponse, ListJobsRequest, ListJobsResponse,
-    ListWorkersRequest, ListWorkersResponse, ReportRequest, RetryJobsRequest, RetryJobsResponse,
+    self as wire, AlterCampaignRequest, AlterCampaignResponse, ArchiveCampaignRequest,
+    BackupRequest, ChangeCampaignRequest, ChangeCampaignResponse, CreateCampaignRequest,
+    CreateCampaignResponse, DeleteCampaignRequest, DeleteCampaignResponse, ExportRequest,
+    ForecastRequest, ForecastResponse, GetCampaignRequest, GetCampaignResponse, GetJobRequest,
+    GetJobResponse, ImportCampaignResponse, ListCampaignsRequest, ListCampaignsResponse,
+    ListJobsRequest, ListJobsResponse, ListWorkersRequest, ListWorkersResponse, ReportRequest,
+    RetryJobsRequest, RetryJobsResponse,
 };
 use queue::Queue;
 use queue::expand::NewCampaign;
 use queue::ids::CampaignName;
 use queue::read::{Campaign, Planned, View};
 use tokio_stream::{Stream, StreamExt};
-use tonic::{Request, Response, Status};
+use tonic::{Request, Response, Status, Streaming};
 use transport::chain;
 
 use super::backup::{self, Chunks};
 use super::failure::{Answer, failed, invalid};
-use super::{listing, read};
+use super::{listing, moving, read};
 use crate::export;
 use crate::forecast;
 use crate::report;
+use crate::storage::Storage;
 
 /// Bytes of a report that go into one message.
 const REPORT_PART_BYTES: usize = 1 << 20;
@@ -34,6 +36,7 @@ const REPORT_PART_BYTES: usize = 1 << 20;
 #[derive(Debug)]
 pub(super) struct OperatorApi {
     pub(super) queue: Arc<Queue>,
+    pub(super) storage: Option<Arc<Storage>>,
 }
 
 impl OperatorApi {
@@ -52,6 +55,7 @@ impl OperatorApi {
 
 #[tonic::async_trait]
 impl OperatorService for OperatorApi {
+    type ArchiveCampaignStream = moving::Chunks;
     type BackupStream = Chunks;
     type ReportStream = Pin<Box<dyn Stream<Item = Result<wire::ReportPart, Status>> + Send>>;
     type ExportStream = Pin<Box<dyn Stream<Item = Result<wire::ExportLine, Status>> + Send>>;
@@ -202,6 +206,23 @@ impl OperatorService for OperatorApi {
             Ok(wire::ExportLine { json })
         });
         Ok(Response::new(Box::pin(lines)))
+    }
+
+    async fn archive_campaign(
+        &self,
+        request: Request<ArchiveCampaignRequest>,
+    ) -> Result<Response<Self::ArchiveCampaignStream>, Status> {
+        let name = campaign_name(&request.into_inner().campaign)?;
+        let chunks = moving::archive(&self.queue, self.storage.as_deref(), &name).await?;
+        Ok(Response::new(chunks))
+    }
+
+    async fn import_campaign(
+        &self,
+        request: Request<Streaming<wire::ImportChunk>>,
+    ) -> Answer<ImportCampaignResponse> {
+        let imported = moving::import(&self.queue, request.into_inner()).await?;
+        Ok(Response::new(imported))
     }
 
     async fn alter_campaign(

@@ -20,6 +20,7 @@ use super::layout::{self, Sheet};
 use super::problem::Problem;
 use crate::gauges::Gauges;
 use crate::report;
+use crate::storage::Storage;
 
 /// Longest address that is looked at, path and query, bytes.
 const MAX_ADDRESS_BYTES: usize = 1_024;
@@ -50,6 +51,7 @@ pub(crate) struct Page {
     pub(super) security: Security,
     pub(super) gauges: Arc<Gauges>,
     pub(super) changes: Changes,
+    pub(super) storage: Option<Arc<Storage>>,
     pages: Kept<Arc<Rendered>>,
     documents: Kept<(Editions, Arc<Document>)>,
     comparisons: Kept<([Edition; 2], Arc<Compared>)>,
@@ -63,12 +65,18 @@ fn patience(cost: Duration) -> Duration {
 
 impl Page {
     /// The pages on a queue.
-    pub(crate) fn new(queue: &Arc<Queue>, security: &Security, gauges: &Arc<Gauges>) -> Arc<Page> {
+    pub(crate) fn new(
+        queue: &Arc<Queue>,
+        security: &Security,
+        gauges: &Arc<Gauges>,
+        storage: Option<Arc<Storage>>,
+    ) -> Arc<Page> {
         Arc::new(Page {
             queue: queue.clone(),
             security: security.clone(),
             gauges: gauges.clone(),
             changes: Changes::new(),
+            storage,
             pages: Kept::new(MAX_PAGES),
             documents: Kept::new(MAX_DOCUMENTS),
             comparisons: Kept::new(MAX_DOCUMENTS),

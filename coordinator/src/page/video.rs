@@ -2,15 +2,19 @@
 
 use std::path::{Component, Path};
 
+use axum::body::Body;
 use axum::extract::Request;
-use axum::http::{HeaderValue, header};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use http_range_header::{EndPosition, StartPosition, parse_range_header};
+use object_store::GetRange;
 use queue::ARTIFACTS_FOLDER;
 use tower_http::services::ServeFile;
 
 use super::configuration::replicate;
 use super::problem::Problem;
 use super::state::Page;
+use crate::storage::Storage;
 
 /// The video of a rollout.
 pub(super) async fn answer(
@@ -30,14 +34,20 @@ pub(super) async fn answer(
     let mut parts = path.components();
     let is_below = parts.next() == Some(Component::Normal(ARTIFACTS_FOLDER.as_ref()))
         && parts.all(|part| matches!(part, Component::Normal(_)));
-    let path = page.queue.store().folder().join(path);
-    if !is_below || !path.is_file() {
+    if !is_below {
         return Err(Problem::Video);
     }
-    let served = ServeFile::new(path).try_call(request).await;
-    let mut response = served
-        .map_err(|error| Problem::failed(&error))?
-        .into_response();
+    let file = page.queue.store().folder().join(path);
+    let mut response = match (&page.storage, file.is_file()) {
+        (_, true) => {
+            let served = ServeFile::new(file).try_call(request).await;
+            served
+                .map_err(|error| Problem::failed(&error))?
+                .into_response()
+        }
+        (Some(storage), false) => stored(storage, &video, request.headers()).await?,
+        (None, false) => return Err(Problem::Video),
+    };
     for (name, value) in [
         (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
         (header::CACHE_CONTROL, "private, max-age=60"),
@@ -47,4 +57,42 @@ pub(super) async fn answer(
             .insert(name, HeaderValue::from_static(value));
     }
     Ok(response)
+}
+
+/// A video that was moved to the storage, or the range of it that is asked for.
+async fn stored(storage: &Storage, video: &str, headers: &HeaderMap) -> Result<Response, Problem> {
+    let range = headers.get(header::RANGE).and_then(asked_range);
+    let is_part = range.is_some();
+    let read = storage.read(video, range).await;
+    let piece = read.map_err(|error| Problem::failed(&error))?;
+    let piece = piece.ok_or(Problem::Video)?;
+    let size = piece.size_bytes;
+    let mut answer = Response::builder()
+        .header(header::CONTENT_TYPE, "video/mp4")
+        .header(header::ACCEPT_RANGES, "bytes")
+        .header(header::CONTENT_LENGTH, piece.range.end - piece.range.start);
+    if is_part {
+        let (first, last) = (piece.range.start, piece.range.end.saturating_sub(1));
+        answer = answer.status(StatusCode::PARTIAL_CONTENT).header(
+            header::CONTENT_RANGE,
+            format!("bytes {first}-{last}/{size}"),
+        );
+    }
+    let answer = answer.body(Body::from_stream(piece.bytes.0));
+    answer.map_err(|error| Problem::failed(&error))
+}
+
+/// The one range that a browser asks for; of several, it gets the whole.
+fn asked_range(header: &HeaderValue) -> Option<GetRange> {
+    let ranges = parse_range_header(header.to_str().ok()?).ok()?.ranges;
+    let [range] = ranges.as_slice() else {
+        return None;
+    };
+    Some(match (range.start, range.end) {
+        (StartPosition::FromLast(count), _) => GetRange::Suffix(count),
+        (StartPosition::Index(first), EndPosition::LastByte) => GetRange::Offset(first),
+        (StartPosition::Index(first), EndPosition::Index(last)) => {
+            GetRange::Bounded(first..last.checked_add(1)?)
+        }
+    })
 }

@@ -90,6 +90,7 @@ async fn everything(serve: &Serve) -> Result<(), Status> {
         operator.change_campaign(request).await?;
     }
     retry_all(&mut operator).await?;
+    copy(&mut operator, "passing").await?;
     let request = wire::DeleteCampaignRequest {
         campaign: "passing".to_owned(),
         confirm: "passing".to_owned(),
@@ -107,6 +108,29 @@ async fn retry_all(
         ..wire::RetryJobsRequest::default()
     };
     operator.retry_jobs(request).await.map(|_| ())
+}
+
+/// Archives a campaign and imports it as another.
+async fn copy(
+    operator: &mut OperatorServiceClient<tonic::transport::Channel>,
+    campaign: &str,
+) -> Result<(), Status> {
+    let request = wire::ArchiveCampaignRequest {
+        campaign: campaign.to_owned(),
+    };
+    let mut archive = operator.archive_campaign(request).await?.into_inner();
+    let mut chunks = vec![wire::ImportChunk {
+        name: "imported".to_owned(),
+        ..wire::ImportChunk::default()
+    }];
+    while let Some(chunk) = archive.message().await? {
+        chunks.push(wire::ImportChunk {
+            data: chunk.data,
+            ..wire::ImportChunk::default()
+        });
+    }
+    let chunks = tokio_stream::iter(chunks);
+    operator.import_campaign(chunks).await.map(drop)
 }
 
 /// Brings the campaign to its end on a sound coordinator. Returns its report.

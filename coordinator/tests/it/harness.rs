@@ -66,6 +66,7 @@ pub(crate) fn config(data: &Path, clock: Arc<dyn Clock>) -> Config {
         rng: ChaCha8Rng::seed_from_u64(STARTS.fetch_add(1, Ordering::Relaxed)),
         security: transport::Security::loopback(),
         min_free_bytes: 0,
+        storage: None,
     }
 }
 

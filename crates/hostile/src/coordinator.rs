@@ -102,6 +102,7 @@ impl Open {
             rng: ChaCha8Rng::seed_from_u64(seeds::SEED),
             security: Security::loopback(),
             min_free_bytes: 0,
+            storage: None,
         });
         let coordinator = coordinator.await.expect("a coordinator");
         Open {

@@ -266,7 +266,9 @@ async fn open(file: &Path) -> Result<SqliteConnection, sqlx::Error> {
     options.immutable(is_at_rest).connect().await
 }
 
-async fn violations(connection: &mut SqliteConnection) -> Result<Vec<Violation>, sqlx::Error> {
+pub(crate) async fn violations(
+    connection: &mut SqliteConnection,
+) -> Result<Vec<Violation>, sqlx::Error> {
     store::know_schema(connection).await?;
     let mut view = connection.begin().await?;
     let mut violations = Vec::new();

@@ -9,6 +9,7 @@
 #![forbid(unsafe_code)]
 
 pub mod clock;
+mod elsewhere;
 pub mod expand;
 pub mod ids;
 pub mod invariants;
@@ -19,9 +20,11 @@ pub mod rules;
 mod store;
 mod timing;
 
+pub use elsewhere::Elsewhere;
 pub use operations::alter::Alteration;
 pub use operations::artifacts::{
-    ARTIFACTS_FOLDER, ArtifactError, MAX_ARTIFACT_BYTES, Upload, remove_partial_files,
+    ARTIFACTS_FOLDER, ArtifactError, MAX_ARTIFACT_BYTES, MOVING_PREFIX, Upload,
+    remove_partial_files,
 };
 pub use operations::backup::Backup;
 pub use operations::campaigns::Created;
@@ -29,6 +32,11 @@ pub use operations::claim::{Assigned, ClaimRequest, Claimed, MAX_CLAIM_WAIT};
 pub use operations::commit::{CommitReply, CommitReport, CommitVerdict};
 pub use operations::error::QueueError;
 pub use operations::films::Film;
+pub use operations::films_here::{FilmHere, Forgotten};
+pub use operations::merge::{MergeError, Merged, merge};
+pub use operations::portable::{
+    AdoptError, CopyError, FilmFile, Portable, PortableError, SourceOutcomes,
+};
 pub use operations::release::{ReleaseReply, ReleaseVerdict};
 pub use operations::retry::{MAX_JOBS_RETRIED, Retry};
 pub use queue::Queue;

@@ -12,6 +12,7 @@ use tokio::task::JoinSet;
 use tokio::time::Instant;
 
 use crate::clock::{Clock, UnixMillis};
+use crate::elsewhere::Elsewhere;
 use crate::ids::WorkerId;
 use crate::operations::claim::{ClaimRequest, Claimed, MAX_CLAIM_WAIT};
 use crate::operations::commit::{CommitReply, CommitReport, CommitVerdict};
@@ -73,9 +74,26 @@ impl Queue {
         rng: ChaCha8Rng,
         timing: Timing,
     ) -> Result<Arc<Queue>, StoreError> {
-        let shared = Arc::new(Shared::new(store, clock, rng, timing));
+        Queue::start_with(store, clock, rng, timing, None).await
+    }
+
+    /// As [`start`](Self::start), with films that are kept elsewhere in the end.
+    ///
+    /// # Errors
+    /// When the database cannot be written.
+    pub async fn start_with(
+        store: Store,
+        clock: Arc<dyn Clock>,
+        rng: ChaCha8Rng,
+        timing: Timing,
+        elsewhere: Option<Arc<dyn Elsewhere>>,
+    ) -> Result<Arc<Queue>, StoreError> {
+        let shared = Arc::new(Shared::new(store, clock, rng, timing, elsewhere));
         start::start(&shared).await?;
-        removals::finish_all(&shared).await?;
+        // Elsewhere may not answer: then it is tried again and again, beside the rest.
+        if shared.elsewhere.is_none() {
+            removals::finish_all(&shared).await?;
+        }
         let (operations, asked) = mpsc::channel(MAX_WAITING);
         let mut tasks = JoinSet::new();
         tasks.spawn(writer::run(shared.clone(), asked));
@@ -115,7 +133,9 @@ impl Queue {
     /// When the database cannot be read.
     pub async fn view(&self) -> Result<View, StoreError> {
         let filming = self.filming.by_worker();
-        View::begin(&self.shared, self.held(), filming).await
+        let shared = &*self.shared;
+        let (now, timing, settled) = (shared.now(), shared.timing, shared.settled.clone());
+        View::begin(&shared.store, now, timing, settled, self.held(), filming).await
     }
 
     /// Reports when something was committed.

@@ -30,8 +30,7 @@ use sqlx::{Sqlite, SqliteConnection, Transaction};
 use crate::clock::UnixMillis;
 use crate::ids::WorkerId;
 use crate::operations::settled::Settled;
-use crate::operations::shared::Shared;
-use crate::store::StoreError;
+use crate::store::{Store, StoreError};
 use crate::timing::Timing;
 
 pub use crate::store::campaigns::Campaign;
@@ -64,18 +63,21 @@ pub struct View {
 
 impl View {
     pub(crate) async fn begin(
-        shared: &Shared,
+        store: &Store,
+        now: UnixMillis,
+        timing: Timing,
+        settled: Arc<Settled>,
         held: Option<String>,
         filming: BTreeMap<WorkerId, u32>,
     ) -> Result<View, StoreError> {
-        let looked_at = shared.settled.looked_at();
+        let looked_at = settled.looked_at();
         Ok(View {
-            transaction: shared.store.read().await?,
-            now: shared.now(),
-            timing: shared.timing,
+            transaction: store.read().await?,
+            now,
+            timing,
             held,
             filming,
-            settled: shared.settled.clone(),
+            settled,
             looked_at,
         })
     }

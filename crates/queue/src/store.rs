@@ -9,13 +9,16 @@
 
 pub(crate) mod artifacts;
 pub(crate) mod backup;
+pub(crate) mod beside;
 pub(crate) mod campaigns;
 pub(crate) mod claims;
 pub(crate) mod derivations;
 pub(crate) mod failpoint;
 pub(crate) mod films;
+pub(crate) mod halves;
 pub(crate) mod jobs;
 pub(crate) mod policies;
+pub(crate) mod portable;
 pub(crate) mod provenance;
 pub(crate) mod removals;
 pub(crate) mod results;
@@ -131,7 +134,7 @@ pub struct StoreError {
 /// The writing transaction. There is one at a time; dropping it undoes it.
 #[derive(Debug)]
 pub(crate) struct Tx<'a> {
-    transaction: Transaction<'static, Sqlite>,
+    transaction: Transaction<'a, Sqlite>,
     /// What it is for.
     steps: Vec<Step>,
     failpoints: &'a Failpoints,
@@ -292,6 +295,16 @@ impl Store {
             .execute(&self.readers)
             .await
             .doing("checkpoint the write-ahead log")
+            .map(drop)
+    }
+
+    /// Writes the database anew, without the gaps that depend on how it came about: the
+    /// same rows are the same bytes then.
+    pub(crate) async fn compact(&self) -> Result<(), StoreError> {
+        sqlx::query("VACUUM")
+            .execute(&self.writer)
+            .await
+            .doing("compact the database")
             .map(drop)
     }
 

@@ -740,6 +740,40 @@ class ExportLine(_message.Message):
     json: str
     def __init__(self, json: _Optional[str] = ...) -> None: ...
 
+class ArchiveCampaignRequest(_message.Message):
+    __slots__ = ("campaign",)
+    CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
+    campaign: str
+    def __init__(self, campaign: _Optional[str] = ...) -> None: ...
+
+class ArchiveChunk(_message.Message):
+    __slots__ = ("data",)
+    DATA_FIELD_NUMBER: _ClassVar[int]
+    data: bytes
+    def __init__(self, data: _Optional[bytes] = ...) -> None: ...
+
+class ImportChunk(_message.Message):
+    __slots__ = ("name", "archive", "data")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    ARCHIVE_FIELD_NUMBER: _ClassVar[int]
+    DATA_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    archive: str
+    data: bytes
+    def __init__(self, name: _Optional[str] = ..., archive: _Optional[str] = ..., data: _Optional[bytes] = ...) -> None: ...
+
+class ImportCampaignResponse(_message.Message):
+    __slots__ = ("campaign", "jobs", "results", "films")
+    CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
+    JOBS_FIELD_NUMBER: _ClassVar[int]
+    RESULTS_FIELD_NUMBER: _ClassVar[int]
+    FILMS_FIELD_NUMBER: _ClassVar[int]
+    campaign: str
+    jobs: int
+    results: int
+    films: int
+    def __init__(self, campaign: _Optional[str] = ..., jobs: _Optional[int] = ..., results: _Optional[int] = ..., films: _Optional[int] = ...) -> None: ...
+
 class AlterCampaignRequest(_message.Message):
     __slots__ = ("campaign", "priority", "policy_endpoint", "policy", "name")
     CAMPAIGN_FIELD_NUMBER: _ClassVar[int]

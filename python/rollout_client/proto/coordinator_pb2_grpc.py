@@ -383,6 +383,16 @@ class OperatorServiceStub(object):
                 request_serializer=rollout__client_dot_proto_dot_coordinator__pb2.ExportRequest.SerializeToString,
                 response_deserializer=rollout__client_dot_proto_dot_coordinator__pb2.ExportLine.FromString,
                 )
+        self.ArchiveCampaign = channel.unary_stream(
+                '/rollout.coordinator.v1.OperatorService/ArchiveCampaign',
+                request_serializer=rollout__client_dot_proto_dot_coordinator__pb2.ArchiveCampaignRequest.SerializeToString,
+                response_deserializer=rollout__client_dot_proto_dot_coordinator__pb2.ArchiveChunk.FromString,
+                )
+        self.ImportCampaign = channel.stream_unary(
+                '/rollout.coordinator.v1.OperatorService/ImportCampaign',
+                request_serializer=rollout__client_dot_proto_dot_coordinator__pb2.ImportChunk.SerializeToString,
+                response_deserializer=rollout__client_dot_proto_dot_coordinator__pb2.ImportCampaignResponse.FromString,
+                )
         self.AlterCampaign = channel.unary_unary(
                 '/rollout.coordinator.v1.OperatorService/AlterCampaign',
                 request_serializer=rollout__client_dot_proto_dot_coordinator__pb2.AlterCampaignRequest.SerializeToString,
@@ -482,6 +492,22 @@ class OperatorServiceServicer(object):
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def ArchiveCampaign(self, request, context):
+        """A campaign with everything that belongs to it, as it is now: an archive in pieces,
+        from which ImportCampaign makes it again.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def ImportCampaign(self, request_iterator, context):
+        """Verifies an archive and adds its campaign. ALREADY_EXISTS names what is in the
+        way; nothing has changed then.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
     def AlterCampaign(self, request, context):
         """Gives a campaign another priority, policy or name. FAILED_PRECONDITION says
         what is in the way; nothing has changed then.
@@ -560,6 +586,16 @@ def add_OperatorServiceServicer_to_server(servicer, server):
                     servicer.Export,
                     request_deserializer=rollout__client_dot_proto_dot_coordinator__pb2.ExportRequest.FromString,
                     response_serializer=rollout__client_dot_proto_dot_coordinator__pb2.ExportLine.SerializeToString,
+            ),
+            'ArchiveCampaign': grpc.unary_stream_rpc_method_handler(
+                    servicer.ArchiveCampaign,
+                    request_deserializer=rollout__client_dot_proto_dot_coordinator__pb2.ArchiveCampaignRequest.FromString,
+                    response_serializer=rollout__client_dot_proto_dot_coordinator__pb2.ArchiveChunk.SerializeToString,
+            ),
+            'ImportCampaign': grpc.stream_unary_rpc_method_handler(
+                    servicer.ImportCampaign,
+                    request_deserializer=rollout__client_dot_proto_dot_coordinator__pb2.ImportChunk.FromString,
+                    response_serializer=rollout__client_dot_proto_dot_coordinator__pb2.ImportCampaignResponse.SerializeToString,
             ),
             'AlterCampaign': grpc.unary_unary_rpc_method_handler(
                     servicer.AlterCampaign,
@@ -783,6 +819,40 @@ class OperatorService(object):
         return grpc.experimental.unary_stream(request, target, '/rollout.coordinator.v1.OperatorService/Export',
             rollout__client_dot_proto_dot_coordinator__pb2.ExportRequest.SerializeToString,
             rollout__client_dot_proto_dot_coordinator__pb2.ExportLine.FromString,
+            options, channel_credentials,
+            insecure, call_credentials, compression, wait_for_ready, timeout, metadata)
+
+    @staticmethod
+    def ArchiveCampaign(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_stream(request, target, '/rollout.coordinator.v1.OperatorService/ArchiveCampaign',
+            rollout__client_dot_proto_dot_coordinator__pb2.ArchiveCampaignRequest.SerializeToString,
+            rollout__client_dot_proto_dot_coordinator__pb2.ArchiveChunk.FromString,
+            options, channel_credentials,
+            insecure, call_credentials, compression, wait_for_ready, timeout, metadata)
+
+    @staticmethod
+    def ImportCampaign(request_iterator,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.stream_unary(request_iterator, target, '/rollout.coordinator.v1.OperatorService/ImportCampaign',
+            rollout__client_dot_proto_dot_coordinator__pb2.ImportChunk.SerializeToString,
+            rollout__client_dot_proto_dot_coordinator__pb2.ImportCampaignResponse.FromString,
             options, channel_credentials,
             insecure, call_credentials, compression, wait_for_ready, timeout, metadata)
 

@@ -130,23 +130,36 @@ def specification(name, endpoint="http://127.0.0.1:1", **fields):
 
 
 @pytest.fixture(scope="session")
-def measured(serve, connect, gateway, programs):
+def run(programs):
+    """Has a worker run a campaign of a coordinator to its end."""
+
+    def run_all(server, campaign):
+        flags = ("--connect", f"http://{server.address}", "--slots", "2", "--assets", "primitives")
+        with subprocess.Popen(
+            [programs / "worker", *flags],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        ) as worker:
+            end = time.monotonic() + CAMPAIGN_SECS
+            try:
+                for status in campaign.follow(every=0.5):
+                    if worker.poll() is not None or time.monotonic() > end:
+                        said = worker.stdout.read()
+                        pytest.fail(f"the campaign did not finish: {status}; {said}")
+            finally:
+                worker.terminate()
+                worker.communicate(timeout=START_SECS)
+
+    return run_all
+
+
+@pytest.fixture(scope="session")
+def measured(serve, connect, gateway, run):
     """A client of a coordinator whose campaign `measured` a worker has run."""
     server = serve()
     client = connect(f"http://{server.address}")
-    campaign = client.create(specification("measured", f"http://{gateway.address}"))
-    flags = ("--connect", f"http://{server.address}", "--slots", "2", "--assets", "primitives")
-    with subprocess.Popen(
-        [programs / "worker", *flags], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    ) as worker:
-        end = time.monotonic() + CAMPAIGN_SECS
-        try:
-            for status in campaign.follow(every=0.5):
-                if worker.poll() is not None or time.monotonic() > end:
-                    pytest.fail(f"the campaign did not finish: {status}; {worker.stdout.read()}")
-        finally:
-            worker.terminate()
-            worker.communicate(timeout=START_SECS)
+    run(server, client.create(specification("measured", f"http://{gateway.address}")))
     return client
 
 

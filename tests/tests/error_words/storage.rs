@@ -3,15 +3,20 @@
 use std::sync::Arc;
 
 use coordinator::ServeError;
+use coordinator::archive::ArchiveError;
 use coordinator::client::ClientError;
 use coordinator::reading::ReadError;
+use coordinator::storage::StorageError;
 use lattice::{IncompleteLattice, KnownError, Unexplained};
 use paired::{DuplicateRecord, NotInOrder, Transition};
-use protocol::{Axis, AxisSet, NotMeasurable, RolloutId, SpecError};
+use protocol::{Axis, AxisSet, NotMeasurable, RolloutId, SpecError, Suite};
 use queue::expand::ExpandError;
 use queue::ids::{CampaignName, JobName, NameError, WorkerId};
 use queue::invariants::CheckError;
-use queue::{ArtifactError, OpenError, QueueError, StoreError};
+use queue::{
+    AdoptError, ArtifactError, CopyError, MergeError, OpenError, PortableError, QueueError,
+    StoreError,
+};
 use report::{
     BadLine, BudgetTooSmall, DocumentError, ImportError, NoCommonOrder, NoInteractions, TableError,
     Unpairable,
@@ -23,6 +28,7 @@ use crate::{Messages, io_error, json_error, path, text, variants};
 pub(crate) fn add(messages: &mut Messages) {
     names_and_files(messages);
     queue(messages);
+    moving(messages);
     reports(messages);
     coordinator(messages);
 }
@@ -130,6 +136,92 @@ fn queue(messages: &mut Messages) {
         ExpandError::Spec(_) => ExpandError::Spec(SpecError::Replicates { given: 0 }),
         ExpandError::Name(_) => ExpandError::Name(NameError::Campaign { name: text() }),
         ExpandError::Json(_) => ExpandError::Json(json_error()),
+    );
+}
+
+fn moving(messages: &mut Messages) {
+    let portable = || PortableError::NotOne { count: 0 };
+    variants!(messages, PortableError,
+        PortableError::Open(_) => PortableError::Open(OpenError::InUse { folder: path() }),
+        PortableError::Store(_) => PortableError::Store(store_error()),
+        PortableError::NotOne { .. } => portable(),
+        PortableError::SpecDigest { .. } => PortableError::SpecDigest { campaign: campaign() },
+        PortableError::Violated { .. } => PortableError::Violated {
+            invariant: "file_is_whole", example: text(),
+        },
+    );
+    variants!(messages, CopyError,
+        CopyError::Queue(_) => CopyError::Queue(QueueError::ShuttingDown),
+        CopyError::Portable(_) => CopyError::Portable(portable()),
+    );
+    variants!(messages, AdoptError,
+        AdoptError::Exists { .. } => AdoptError::Exists { campaign: campaign() },
+        AdoptError::NoSource { .. } => AdoptError::NoSource {
+            campaign: campaign(), source_campaign: campaign(),
+        },
+        AdoptError::OtherSource { .. } => AdoptError::OtherSource {
+            campaign: campaign(), source_campaign: campaign(),
+        },
+        AdoptError::Film { .. } => AdoptError::Film { path: path(), source: io_error() },
+        AdoptError::Queue(_) => AdoptError::Queue(QueueError::ShuttingDown),
+    );
+    variants!(messages, MergeError,
+        MergeError::Derived { .. } => MergeError::Derived { campaign: campaign() },
+        MergeError::Specification { .. } => MergeError::Specification {
+            first: campaign(), second: campaign(), differs: "`levels`".to_owned(),
+        },
+        MergeError::Rollout { .. } => MergeError::Rollout {
+            rollout: JobName { rollout_id: "object/t0/clean/i03".to_owned(), replicate: 1 },
+        },
+        MergeError::Pin { .. } => MergeError::Pin { first: text(), second: text() },
+        MergeError::Policy { .. } => MergeError::Policy {
+            suite: Suite::Object, difference: "name is `a` now and was `b`".to_owned(),
+        },
+        MergeError::Contradictions { .. } => MergeError::Contradictions {
+            count: 1, examples: text(),
+        },
+        MergeError::Queue(_) => MergeError::Queue(QueueError::ShuttingDown),
+        MergeError::Portable(_) => MergeError::Portable(portable()),
+    );
+    variants!(messages, StorageError,
+        StorageError::Location { .. } => StorageError::Location { location: text() },
+        StorageError::Folder { .. } => StorageError::Folder { path: path(), source: io_error() },
+        StorageError::Remote { .. } => StorageError::Remote {
+            doing: "store", key: text(), location: "s3://films".to_owned(), problem: text(),
+        },
+        StorageError::File { .. } => StorageError::File { path: path(), source: io_error() },
+    );
+    let archive = || "first.tar.gz".to_owned();
+    let member = || "report.json".to_owned();
+    variants!(messages, ArchiveError,
+        ArchiveError::Read { .. } => ArchiveError::Read { archive: archive(), source: io_error() },
+        ArchiveError::Foreign { .. } => ArchiveError::Foreign {
+            archive: archive(), problem: "it is no compressed tar".to_owned(),
+        },
+        ArchiveError::Newer { .. } => ArchiveError::Newer {
+            archive: archive(), program: text(), what: "form", found: 2, known: 1,
+        },
+        ArchiveError::Damaged { .. } => ArchiveError::Damaged {
+            archive: archive(), member: member(),
+        },
+        ArchiveError::Altered { .. } => ArchiveError::Altered {
+            archive: archive(), member: member(), problem: "it has 3 bytes".to_owned(),
+        },
+        ArchiveError::Content { .. } => ArchiveError::Content {
+            archive: archive(), member: "coordinator.sqlite", source: Box::new(portable()),
+        },
+        ArchiveError::Differs { .. } => ArchiveError::Differs {
+            archive: archive(), member: "report.json", place: ".warnings[0]".to_owned(),
+            program: text(),
+        },
+        ArchiveError::Results(_) => ArchiveError::Results(QueueError::ShuttingDown.into()),
+        ArchiveError::Report(_) => ArchiveError::Report(DocumentError::Json(json_error())),
+        ArchiveError::Json { .. } => ArchiveError::Json {
+            member: "provenance.json", source: json_error(),
+        },
+        ArchiveError::Write { .. } => ArchiveError::Write { path: path(), source: io_error() },
+        ArchiveError::Input { .. } => ArchiveError::Input { path: path(), source: io_error() },
+        ArchiveError::Panicked { .. } => ArchiveError::Panicked { archive: archive() },
     );
 }
 

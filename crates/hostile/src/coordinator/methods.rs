@@ -1,7 +1,7 @@
 //! The methods of the coordinator that are called.
 
 /// Every method; an input names one by its place.
-pub(super) const METHODS: [&str; 22] = [
+pub(super) const METHODS: [&str; 24] = [
     "WorkerService/Register",
     CLAIM,
     "WorkerService/Heartbeat",
@@ -24,6 +24,8 @@ pub(super) const METHODS: [&str; 22] = [
     "OperatorService/AlterCampaign",
     "OperatorService/Forecast",
     "WorkerService/SignOff",
+    "OperatorService/ArchiveCampaign",
+    "OperatorService/ImportCampaign",
 ];
 
 /// The one method that may wait, for a job.

@@ -75,6 +75,12 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
         campaign: "c".into(),
         confirm: "c".into(),
     };
+    // The beginning of compressed bytes, and no more.
+    let import = wire::ImportChunk {
+        name: "d".into(),
+        archive: "d.tar.gz".into(),
+        data: vec![0x1f, 0x8b, 8, 0, 0, 0, 0, 0, 0, 0xff, 3, 0],
+    };
     let film = wire::NextFilmRequest {
         asset_pack_digest: digest(),
         mujoco_version: "3.3.7".into(),
@@ -94,6 +100,8 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
         ("OperatorService/AlterCampaign", alter.encode_to_vec()),
         ("OperatorService/Forecast", forecast.encode_to_vec()),
         ("WorkerService/SignOff", sign_off.encode_to_vec()),
+        ("OperatorService/ArchiveCampaign", named.clone()),
+        ("OperatorService/ImportCampaign", import.encode_to_vec()),
     ];
     let mut seeds: Vec<Vec<u8>> = alone.iter().map(|said| calls(&[said])).collect();
     // A video is taken once its outcome is there.

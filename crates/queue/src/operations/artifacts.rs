@@ -21,8 +21,10 @@ use crate::store::failpoint::Step;
 pub const MAX_ARTIFACT_BYTES: u64 = 64 << 20;
 /// The folder of artifacts in the data folder.
 pub const ARTIFACTS_FOLDER: &str = "artifacts";
+/// How the names of folders and files begin that hold a campaign on its way in or out.
+pub const MOVING_PREFIX: &str = "moving-";
 /// How the name of a file ends while it is being received.
-const PARTIAL_SUFFIX: &str = ".partial";
+pub(super) const PARTIAL_SUFFIX: &str = ".partial";
 
 /// A video that is not kept.
 #[derive(Debug, thiserror::Error)]
@@ -127,6 +129,7 @@ impl Upload<'_> {
         }
         let now = context.now;
         artifacts::record(&mut context.tx, attempt, &self.path, self.size_bytes, now).await?;
+        let _alone = self.shared.files.lock().await;
         let target = self.shared.store.folder().join(&self.path);
         let renamed = self.partial.persist(&target);
         renamed.map_err(|failed| at(&target)(failed.error))?;
@@ -140,11 +143,25 @@ pub(crate) fn campaign_folder(folder: &str) -> String {
     format!("{ARTIFACTS_FOLDER}/{folder}")
 }
 
-/// Removes what uploads of an earlier run left half-way.
+/// Removes what uploads of an earlier run, and campaigns on their way in or out, left
+/// half-way.
 ///
 /// # Errors
 /// When a folder cannot be read or a file cannot be removed.
 pub fn remove_partial_files(data: &Path) -> io::Result<()> {
+    for left in std::fs::read_dir(data)? {
+        let left = left?;
+        if left
+            .file_name()
+            .to_string_lossy()
+            .starts_with(MOVING_PREFIX)
+        {
+            match left.file_type()?.is_dir() {
+                true => std::fs::remove_dir_all(left.path())?,
+                false => std::fs::remove_file(left.path())?,
+            }
+        }
+    }
     let campaigns = data.join(ARTIFACTS_FOLDER);
     if !campaigns.exists() {
         return Ok(());

@@ -45,16 +45,20 @@ impl<'a> Context<'a> {
         shared: &'a Shared,
         steps: Vec<Step>,
     ) -> Result<Context<'a>, StoreError> {
-        let tx = shared.store.write(steps).await?;
+        Ok(Context::within(shared, shared.store.write(steps).await?).await)
+    }
+
+    /// Goes on in a transaction that has begun.
+    pub(super) async fn within(shared: &'a Shared, tx: Tx<'a>) -> Context<'a> {
         let mut cache = shared.cache.lock().await;
         cache.begin();
-        Ok(Context {
+        Context {
             tx,
             cache,
             now: shared.now(),
             settles: false,
             shared,
-        })
+        }
     }
 
     /// Ends the transaction: what it wrote is on the disk.

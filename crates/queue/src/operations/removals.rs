@@ -33,6 +33,12 @@ pub(crate) async fn finish(shared: &Shared, below: &str) -> Result<(), StoreErro
         tracing::error!("failed to remove {path}: {error}; the next start tries again");
         return Ok(());
     }
+    if let Some(elsewhere) = &shared.elsewhere
+        && let Err(problem) = elsewhere.remove(below).await
+    {
+        tracing::warn!("failed to {problem}; it is tried again");
+        return Ok(());
+    }
     let mut context = Context::begin(shared, vec![Step::FinishRemoval]).await?;
     removals::done(&mut context.tx, below).await?;
     context.commit().await

@@ -10,6 +10,7 @@ use tokio::sync::{Notify, watch};
 use super::cache::Cache;
 use super::settled::Settled;
 use crate::clock::{Clock, UnixMillis};
+use crate::elsewhere::Elsewhere;
 use crate::store::Store;
 use crate::timing::Timing;
 
@@ -22,6 +23,10 @@ pub(crate) struct Shared {
     /// What has been read and need not be read again. Locked within the writing
     /// transaction only.
     pub(super) cache: tokio::sync::Mutex<Cache>,
+    /// Held while a film comes into the data folder, or is taken out of it.
+    pub(crate) files: tokio::sync::Mutex<()>,
+    /// Where films are kept beyond the data folder, if they are.
+    pub(crate) elsewhere: Option<Arc<dyn Elsewhere>>,
     /// Rung when jobs may have become leasable.
     pub(crate) work: Notify,
     /// Rung when jobs are settled: something may follow from their outcomes then, or a
@@ -38,6 +43,7 @@ impl Shared {
         clock: Arc<dyn Clock>,
         rng: ChaCha8Rng,
         timing: Timing,
+        elsewhere: Option<Arc<dyn Elsewhere>>,
     ) -> Shared {
         Shared {
             store,
@@ -45,6 +51,8 @@ impl Shared {
             rng: Mutex::new(rng),
             timing,
             cache: tokio::sync::Mutex::default(),
+            files: tokio::sync::Mutex::default(),
+            elsewhere,
             work: Notify::new(),
             settled: Arc::new(Settled::new()),
             draining: watch::Sender::new(false),

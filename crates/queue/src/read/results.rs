@@ -171,6 +171,26 @@ impl View {
         .doing("read what a campaign's rollouts are")
     }
 
+    /// The seeds that a policy is given, by rollout, then replicate.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn policy_seeds(
+        &mut self,
+        campaign: CampaignId,
+    ) -> Result<Vec<(String, u64)>, StoreError> {
+        let rows: Vec<(String, i64)> = sqlx::query_as(
+            "SELECT rollout_id, policy_seed FROM job WHERE campaign_id = ?
+             ORDER BY rollout_id, replicate",
+        )
+        .bind(campaign)
+        .fetch_all(self.tx())
+        .await
+        .doing("read a campaign's seeds")?;
+        let seed = |(rollout, seed): (String, i64)| (rollout, seed.cast_unsigned());
+        Ok(rows.into_iter().map(seed).collect())
+    }
+
     /// The distinct provenances of a campaign's results.
     ///
     /// # Errors

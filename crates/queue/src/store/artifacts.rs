@@ -1,9 +1,11 @@
 //! Statements on `artifact`: which files are kept beside which outcome.
 
+use std::collections::BTreeSet;
+
 use attempt::AttemptId;
 use sqlx::SqliteConnection;
 
-use super::{Doing, StoreError};
+use super::{Doing, StoreError, json};
 use crate::clock::UnixMillis;
 
 /// The rollout that an artifact belongs to.
@@ -29,6 +31,21 @@ pub(crate) async fn owner(
     .fetch_optional(tx)
     .await
     .doing("look up whose file this is")
+}
+
+/// Which of these files are recorded beside an outcome.
+pub(crate) async fn recorded(
+    tx: &mut SqliteConnection,
+    paths: &[&str],
+) -> Result<BTreeSet<String>, StoreError> {
+    let found: Vec<String> = sqlx::query_scalar(
+        "SELECT path FROM artifact WHERE path IN (SELECT value FROM json_each(?))",
+    )
+    .bind(json(paths))
+    .fetch_all(tx)
+    .await
+    .doing("look which files are recorded")?;
+    Ok(found.into_iter().collect())
 }
 
 /// Records a stored video; one sent again replaces it.

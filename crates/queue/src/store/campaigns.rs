@@ -397,7 +397,10 @@ pub(crate) async fn renamed(
 }
 
 /// A name is a campaign's own from now on, and no other's former one.
-async fn take_name(tx: &mut SqliteConnection, name: &CampaignName) -> Result<(), StoreError> {
+pub(crate) async fn take_name(
+    tx: &mut SqliteConnection,
+    name: &CampaignName,
+) -> Result<(), StoreError> {
     sqlx::query("DELETE FROM former_name WHERE name = ?")
         .bind(name)
         .execute(tx)

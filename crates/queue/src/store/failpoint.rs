@@ -26,6 +26,8 @@ pub enum Step {
     Artifact,
     /// A campaign is expanded.
     CreateCampaign,
+    /// A campaign is added from an archive.
+    ImportCampaign,
     /// A campaign is paused, resumed, cancelled or altered.
     ChangeCampaign,
     /// A campaign is deleted.
@@ -63,7 +65,7 @@ pub enum Side {
 
 impl Step {
     /// All of them.
-    pub const ALL: [Step; 15] = [
+    pub const ALL: [Step; 16] = [
         Step::Start,
         Step::Register,
         Step::Claim,
@@ -73,6 +75,7 @@ impl Step {
         Step::Sweep,
         Step::Artifact,
         Step::CreateCampaign,
+        Step::ImportCampaign,
         Step::ChangeCampaign,
         Step::DeleteCampaign,
         Step::FinishRemoval,

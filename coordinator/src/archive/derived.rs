@@ -1,0 +1,116 @@
+//! The members that are made from a campaign's rows, and where two of them differ.
+
+use std::collections::BTreeMap;
+
+use ::report::Document;
+use attempt::Provenance;
+use queue::Portable;
+use serde::Serialize;
+use serde_json::Value;
+
+use super::ArchiveError;
+use crate::report;
+
+/// A campaign's specification.
+pub(super) const SPECIFICATION: &str = "specification.json";
+/// Where its results came from.
+pub(super) const PROVENANCE: &str = "provenance.json";
+/// Its report.
+pub(super) const REPORT: &str = "report.json";
+
+/// Members made from rows, by name.
+pub(super) type Derived = [(&'static str, String); 3];
+
+/// Where results came from, and what they depend on beside it.
+#[derive(Serialize)]
+struct Origins {
+    /// The circumstances of the results: machines, programs, assets, policies.
+    origins: Vec<Provenance>,
+    /// The seeds that the policy is given, by rollout, one for each replicate.
+    policy_seeds: BTreeMap<String, Vec<u64>>,
+}
+
+/// Makes them.
+pub(super) async fn derive(from: &Portable) -> Result<Derived, ArchiveError> {
+    let mut view = from.view().await?;
+    let mut subject = report::subject(&mut view, &from.campaign).await?;
+    subject.setups = report::setups(&mut view, &from.campaign).await?;
+    let mut policy_seeds: BTreeMap<String, Vec<u64>> = BTreeMap::new();
+    for (rollout, seed) in view.policy_seeds(from.campaign.id).await? {
+        policy_seeds.entry(rollout).or_default().push(seed);
+    }
+    drop(view);
+    let origins = Origins {
+        origins: subject.provenances.clone(),
+        policy_seeds,
+    };
+    let origins = serde_json::to_string_pretty(&origins).map_err(|error| ArchiveError::Json {
+        member: PROVENANCE,
+        source: error.into(),
+    })?;
+    // Thousands of resamplings.
+    let computed = tokio::task::spawn_blocking(|| Document::new(vec![subject])?.json()).await;
+    let report = computed.map_err(|_| ArchiveError::Panicked {
+        archive: from.campaign.name.to_string(),
+    })??;
+    Ok([
+        (SPECIFICATION, from.spec.clone()),
+        (PROVENANCE, origins),
+        (REPORT, report),
+    ])
+}
+
+/// The first place where an archived text, JSON, is not what was made now. What a later
+/// release says in addition is no difference.
+pub(super) fn difference(archived: &str, now: &str) -> Option<String> {
+    let read = |text| serde_json::from_str::<Value>(text);
+    match (read(archived), read(now)) {
+        (Ok(archived), Ok(now)) => differs(&archived, &now, ""),
+        _ => Some("its beginning, which is no JSON".to_owned()),
+    }
+}
+
+fn differs(archived: &Value, now: &Value, place: &str) -> Option<String> {
+    match (archived, now) {
+        (Value::Object(archived), Value::Object(now)) => {
+            archived.iter().find_map(|(key, value)| {
+                let place = format!("{place}.{key}");
+                match now.get(key) {
+                    Some(now) => differs(value, now, &place),
+                    None => Some(place),
+                }
+            })
+        }
+        (Value::Array(archived), Value::Array(now)) if archived.len() == now.len() => {
+            let pairs = archived.iter().zip(now).enumerate();
+            let mut pairs = pairs.map(|(at, (archived, now))| (at, archived, now));
+            pairs.find_map(|(at, archived, now)| differs(archived, now, &format!("{place}[{at}]")))
+        }
+        _ => (archived != now).then(|| match place {
+            "" => "its beginning".to_owned(),
+            place => place.to_owned(),
+        }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::difference;
+
+    #[test]
+    fn a_difference_is_named_by_its_place_and_an_addition_is_none() {
+        let archived = r#"{"a": [1, {"b": 2.5}], "c": null}"#;
+        assert_eq!(difference(archived, archived), None);
+        let more = r#"{"a": [1, {"b": 2.5, "new": 1}], "c": null, "d": 3}"#;
+        assert_eq!(difference(archived, more), None);
+        for (now, place) in [
+            (r#"{"a": [1, {"b": 2.6}], "c": null}"#, ".a[1].b"),
+            (r#"{"a": [1], "c": null}"#, ".a"),
+            (r#"{"a": [1, {"b": 2.5}]}"#, ".c"),
+            ("[]", "its beginning"),
+            ("nonsense", "its beginning, which is no JSON"),
+        ] {
+            assert_eq!(difference(archived, now).as_deref(), Some(place), "{now}");
+        }
+    }
+}

@@ -1,0 +1,197 @@
+//! Writing an archive.
+
+use std::fs::File;
+use std::io::{self, Read, Write};
+use std::path::{Path, PathBuf};
+
+use flate2::Compression;
+use flate2::write::GzEncoder;
+use queue::{DATABASE_FILE, Portable, SourceOutcomes, newest_known_schema};
+use sha2::{Digest, Sha256};
+use tar::{Builder, EntryType, Header};
+
+use super::derived::{self, Derived};
+use super::{ArchiveError, Contents, FORMAT, Half, LIST, Member};
+
+/// Everything that goes into an archive, ready to be written.
+#[derive(Debug)]
+pub struct Package {
+    contents: Contents,
+    /// Where the members are, in order.
+    files: Vec<PathBuf>,
+}
+
+/// Makes a campaign ready to be written: what is made from its rows, and the list. Its
+/// database is closed. A film is read at the path that `film` gives for its name; one
+/// that is not there is left out.
+///
+/// # Errors
+/// When its results cannot be read, or a file cannot be read or written.
+pub async fn package(
+    campaign: Portable,
+    film: impl Fn(&str) -> PathBuf,
+    source: Option<SourceOutcomes>,
+    merged_from: Vec<Half>,
+) -> Result<Package, ArchiveError> {
+    let mut members: Vec<(String, PathBuf)> = Vec::new();
+    let mut missing = Vec::new();
+    for it in campaign.films().await? {
+        let name = it.path.rsplit('/').next().unwrap_or_default();
+        let path = film(name);
+        match path.is_file() {
+            true => members.push((it.path, path)),
+            false => missing.push(it.path),
+        }
+    }
+    if !missing.is_empty() {
+        let campaign_name = &campaign.campaign.name;
+        tracing::warn!(campaign = %campaign_name, "left out of the archive, for they are gone: {}",
+            missing.join(", "));
+        campaign.leave_out(&missing).await?;
+    }
+    let made = derived::derive(&campaign).await?;
+    let mut contents = Contents {
+        format: FORMAT,
+        program: format!("coordinator {}", version::version!()),
+        schema: newest_known_schema(),
+        campaign: campaign.campaign.name.to_string(),
+        spec_digest: campaign.campaign.spec_digest.clone(),
+        source,
+        merged_from,
+        members: Vec::new(),
+    };
+    let folder = campaign.folder().to_owned();
+    campaign.close().await?;
+    let name = contents.campaign.clone();
+    let listed = tokio::task::spawn_blocking(move || list(&folder, made, members)).await;
+    let listed = listed.map_err(|_| ArchiveError::Panicked { archive: name })??;
+    let (members, files) = listed.into_iter().unzip();
+    contents.members = members;
+    Ok(Package { contents, files })
+}
+
+/// Writes what is made from rows beside the database, and reads every file once.
+fn list(
+    folder: &Path,
+    made: Derived,
+    films: Vec<(String, PathBuf)>,
+) -> Result<Vec<(Member, PathBuf)>, ArchiveError> {
+    let mut files = Vec::new();
+    for (name, text) in made {
+        let path = folder.join(name);
+        std::fs::write(&path, text).map_err(|source| ArchiveError::Write {
+            path: path.clone(),
+            source,
+        })?;
+        files.push((name.to_owned(), path));
+    }
+    files.push((DATABASE_FILE.to_owned(), folder.join(DATABASE_FILE)));
+    files.extend(films);
+    let member = |(name, path): (String, PathBuf)| {
+        let digest = File::open(&path).and_then(|file| copy_digesting(file, io::sink()));
+        let (bytes, sha256) = digest.map_err(input(&path))?;
+        let member = Member {
+            name,
+            bytes,
+            sha256,
+        };
+        Ok((member, path))
+    };
+    files.into_iter().map(member).collect()
+}
+
+impl Package {
+    /// What it says of itself.
+    pub fn contents(&self) -> &Contents {
+        &self.contents
+    }
+
+    /// Writes it. The same campaign in the same state gives the same bytes.
+    ///
+    /// # Errors
+    /// When `out` fails, or a file is not what it was when it was listed.
+    pub fn write(&self, out: impl Write, archive: &Path) -> Result<(), ArchiveError> {
+        let failed = |source| ArchiveError::Write {
+            path: archive.to_owned(),
+            source,
+        };
+        // Films are compressed already, and rows compress well at any level.
+        let mut tar = Builder::new(GzEncoder::new(out, Compression::fast()));
+        let list = serde_json::to_vec_pretty(&self.contents);
+        let list = list.map_err(|error| ArchiveError::Json {
+            member: LIST,
+            source: error.into(),
+        })?;
+        let mut head = header(list.len() as u64);
+        tar.append_data(&mut head, LIST, list.as_slice())
+            .map_err(failed)?;
+        for (member, path) in self.contents.members.iter().zip(&self.files) {
+            let file = File::open(path).map_err(input(path))?;
+            let mut file = Digesting::of(file.take(member.bytes));
+            let mut head = header(member.bytes);
+            tar.append_data(&mut head, &member.name, &mut file)
+                .map_err(failed)?;
+            if file.finish() != (member.bytes, member.sha256.clone()) {
+                let changed = io::Error::other("it has changed since it was listed");
+                return Err(input(path)(changed));
+            }
+        }
+        let finished = tar.into_inner().and_then(GzEncoder::finish);
+        finished.and_then(|mut out| out.flush()).map_err(failed)
+    }
+}
+
+/// Of a member, whoever wrote it and whenever.
+fn header(bytes: u64) -> Header {
+    let mut header = Header::new_gnu();
+    header.set_entry_type(EntryType::Regular);
+    header.set_mode(0o644);
+    header.set_mtime(0);
+    header.set_size(bytes);
+    header
+}
+
+fn input(path: &Path) -> impl FnOnce(io::Error) -> ArchiveError {
+    let path = path.to_owned();
+    move |source| ArchiveError::Input { path, source }
+}
+
+/// A reader that notes what passes.
+pub(super) struct Digesting<R> {
+    of: R,
+    bytes: u64,
+    digest: Sha256,
+}
+
+impl<R: Read> Digesting<R> {
+    pub(super) fn of(of: R) -> Digesting<R> {
+        Digesting {
+            of,
+            bytes: 0,
+            digest: Sha256::new(),
+        }
+    }
+
+    /// How much passed, and its SHA-256, hex.
+    pub(super) fn finish(self) -> (u64, String) {
+        let digest = self.digest.finalize();
+        let hex = digest.iter().map(|byte| format!("{byte:02x}")).collect();
+        (self.bytes, hex)
+    }
+}
+
+impl<R: Read> Read for Digesting<R> {
+    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
+        let count = self.of.read(into)?;
+        self.bytes += count as u64;
+        self.digest.update(&into[..count]);
+        Ok(count)
+    }
+}
+
+/// Copies everything. Returns how much it was, and its SHA-256, hex.
+pub(super) fn copy_digesting(from: impl Read, mut to: impl Write) -> io::Result<(u64, String)> {
+    let mut from = Digesting::of(from);
+    io::copy(&mut from, &mut to)?;
+    Ok(from.finish())
+}

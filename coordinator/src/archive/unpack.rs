@@ -1,0 +1,288 @@
+//! Reading an archive: nothing is believed of it that was not verified.
+
+use std::fs::File;
+use std::io::{self, BufReader, ErrorKind, Read};
+use std::path::Path;
+
+use flate2::bufread::GzDecoder;
+use queue::ids::CampaignName;
+use queue::{ARTIFACTS_FOLDER, DATABASE_FILE, Portable, newest_known_schema};
+use serde::Deserialize;
+use tar::{Archive, Entries, EntryType};
+
+use super::derived::{self, PROVENANCE, REPORT, SPECIFICATION};
+use super::pack::copy_digesting;
+use super::{ArchiveError, Contents, FORMAT, LIST, Member};
+
+/// Largest list, bytes: of a million films.
+const MAX_LIST_BYTES: u64 = 256 << 20;
+
+/// What is said of a file that is something else altogether.
+const NO_TAR: &str = "it is no compressed tar";
+
+/// The members that every archive has, in order.
+const MEMBERS: [&str; 4] = [SPECIFICATION, PROVENANCE, REPORT, DATABASE_FILE];
+
+/// A campaign from an archive, verified.
+#[derive(Debug)]
+pub struct Unpacked {
+    /// Its rows, in a data folder of their own, with its films.
+    pub campaign: Portable,
+    /// What the archive says of itself.
+    pub contents: Contents,
+}
+
+type Members<'a> = Entries<'a, GzDecoder<BufReader<File>>>;
+
+/// Unpacks an archive into an empty folder and verifies it: every member's size and
+/// SHA-256, the versions of its form and its schema, the specification's digest, every
+/// invariant of its database, and that report and provenance follow from its rows.
+/// `name` is the file's name in messages.
+///
+/// # Errors
+/// See [`ArchiveError`]. Whatever was unpacked is in `into`.
+pub async fn unpack(file: &Path, name: &str, into: &Path) -> Result<Unpacked, ArchiveError> {
+    let (path, archive, folder) = (file.to_owned(), name.to_owned(), into.to_owned());
+    let read = move || Reading { archive: &archive }.members(&path, &folder);
+    let read = tokio::task::spawn_blocking(read).await;
+    let contents = read.map_err(|_| ArchiveError::Panicked {
+        archive: name.to_owned(),
+    })??;
+    let archive = || name.to_owned();
+    let campaign = Portable::open(into)
+        .await
+        .map_err(|source| ArchiveError::Content {
+            archive: archive(),
+            member: DATABASE_FILE,
+            source: Box::new(source),
+        })?;
+    let altered = |member: &str, problem: &str| ArchiveError::Altered {
+        archive: archive(),
+        member: member.to_owned(),
+        problem: problem.to_owned(),
+    };
+    let found = &campaign.campaign;
+    if (found.name.as_str(), &found.spec_digest) != (&contents.campaign, &contents.spec_digest) {
+        return Err(altered(DATABASE_FILE, "it holds another campaign"));
+    }
+    let films = campaign.films().await?.into_iter();
+    let films: Vec<(String, u64)> = films.map(|film| (film.path, film.size_bytes)).collect();
+    let listed = contents.members[MEMBERS.len()..].iter();
+    let listed: Vec<(String, u64)> = listed.map(|it| (it.name.clone(), it.bytes)).collect();
+    if films != listed {
+        return Err(altered(DATABASE_FILE, "it names other films"));
+    }
+    for (member, now) in derived::derive(&campaign).await? {
+        let path = into.join(member);
+        let archived = std::fs::read_to_string(&path);
+        let archived = archived.map_err(|_| altered(member, "it is no text"))?;
+        if let Some(place) = derived::difference(&archived, &now) {
+            return Err(ArchiveError::Differs {
+                archive: archive(),
+                member,
+                place,
+                program: contents.program,
+            });
+        }
+    }
+    Ok(Unpacked { campaign, contents })
+}
+
+/// An archive that is being read.
+struct Reading<'a> {
+    archive: &'a str,
+}
+
+impl Reading<'_> {
+    /// Unpacks every member, as the list says.
+    fn members(&self, file: &Path, into: &Path) -> Result<Contents, ArchiveError> {
+        let opened = File::open(file).map_err(|source| ArchiveError::Read {
+            archive: self.archive.to_owned(),
+            source,
+        })?;
+        let mut tar = Archive::new(GzDecoder::new(BufReader::new(opened)));
+        let mut entries = tar.entries().map_err(|_| self.foreign(NO_TAR))?;
+        let contents = self.list(&mut entries)?;
+        for member in &contents.members {
+            self.member(&mut entries, member, into)?;
+        }
+        if let Some(next) = entries.next() {
+            next.map_err(|error| self.broken("its end", error))?;
+            return Err(self.altered("its end", "there are members that it does not name"));
+        }
+        // Only at its very end does the compression say whether it is whole.
+        let mut rest = tar.into_inner();
+        let read = io::copy(&mut rest, &mut io::sink());
+        read.map_err(|error| self.broken("its end", error))?;
+        let mut behind = [0];
+        match rest.into_inner().read(&mut behind) {
+            Ok(0) => Ok(contents),
+            Ok(_) => Err(self.altered("its end", "there is more behind it")),
+            Err(error) => Err(self.broken("its end", error)),
+        }
+    }
+
+    /// Reads the list, which comes first.
+    fn list(&self, entries: &mut Members<'_>) -> Result<Contents, ArchiveError> {
+        /// What is read before anything else.
+        #[derive(Deserialize)]
+        struct Versions {
+            format: u32,
+            program: String,
+            schema: i64,
+        }
+        let first = entries
+            .next()
+            .ok_or_else(|| self.foreign("it holds nothing"))?;
+        let mut first = first.map_err(|error| match error.kind() {
+            ErrorKind::UnexpectedEof => self.broken(LIST, error),
+            _ => self.foreign(NO_TAR),
+        })?;
+        if first.path_bytes().as_ref() != LIST.as_bytes() {
+            return Err(self.foreign(format!("it does not begin with {LIST}")));
+        }
+        if first.size() > MAX_LIST_BYTES {
+            return Err(self.foreign(format!("its {LIST} is larger than any")));
+        }
+        let mut text = Vec::new();
+        let read = first.read_to_end(&mut text);
+        read.map_err(|error| self.broken(LIST, error))?;
+        let unreadable = |error: serde_json::Error| {
+            let problem = protocol::JsonError::from(error);
+            self.foreign(format!("{LIST}: {problem}"))
+        };
+        let versions: Versions = serde_json::from_slice(&text).map_err(unreadable)?;
+        let known = newest_known_schema();
+        for (what, found, known) in [
+            ("form", versions.format.into(), FORMAT.into()),
+            ("schema version", versions.schema, known),
+        ] {
+            if found > known {
+                return Err(ArchiveError::Newer {
+                    archive: self.archive.to_owned(),
+                    program: versions.program,
+                    what,
+                    found,
+                    known,
+                });
+            }
+        }
+        let contents: Contents = serde_json::from_slice(&text).map_err(unreadable)?;
+        self.check_names(&contents)?;
+        Ok(contents)
+    }
+
+    /// The members are those that an archive has, and none leads out of its folder.
+    fn check_names(&self, contents: &Contents) -> Result<(), ArchiveError> {
+        let refused = |problem: String| Err(self.altered(LIST, &problem));
+        if let Err(error) = CampaignName::parse(&contents.campaign) {
+            return refused(error.to_string());
+        }
+        let names = contents.members.iter().map(|it| it.name.as_str());
+        let names: Vec<&str> = names.collect();
+        if !names.starts_with(&MEMBERS) {
+            return refused(format!(
+                "its members do not begin with {}",
+                MEMBERS.join(", ")
+            ));
+        }
+        let films = format!("{ARTIFACTS_FOLDER}/{}/", contents.campaign);
+        let is_film = |name: &&str| {
+            name.strip_prefix(films.as_str())
+                .is_some_and(|file| !file.is_empty() && !file.contains('/') && file != "..")
+        };
+        match names[MEMBERS.len()..].iter().find(|name| !is_film(name)) {
+            Some(name) => refused(format!("`{}` belongs to no campaign", shown(name))),
+            None => Ok(()),
+        }
+    }
+
+    fn member(
+        &self,
+        entries: &mut Members<'_>,
+        member: &Member,
+        into: &Path,
+    ) -> Result<(), ArchiveError> {
+        let name = shown(&member.name);
+        let next = entries.next().transpose();
+        let next = next.map_err(|error| self.broken(name, error))?;
+        let entry = next.ok_or_else(|| ArchiveError::Damaged {
+            archive: self.archive.to_owned(),
+            member: name.to_owned(),
+        })?;
+        let is_it = entry.path_bytes().as_ref() == member.name.as_bytes()
+            && entry.header().entry_type() == EntryType::Regular;
+        if !is_it {
+            return Err(self.altered(name, "another one is in its place"));
+        }
+        let path = into.join(&member.name);
+        let written = write(&path, entry);
+        let (bytes, sha256) = written.map_err(|failed| match failed {
+            Failed::Reading(error) => self.broken(name, error),
+            Failed::Writing(source) => ArchiveError::Write {
+                path: path.clone(),
+                source,
+            },
+        })?;
+        if bytes != member.bytes {
+            return Err(self.altered(name, &format!("it has {bytes} bytes")));
+        }
+        if sha256 != member.sha256 {
+            return Err(self.altered(name, &format!("its SHA-256 is {sha256}")));
+        }
+        Ok(())
+    }
+
+    fn foreign(&self, problem: impl ToString) -> ArchiveError {
+        ArchiveError::Foreign {
+            archive: self.archive.to_owned(),
+            problem: problem.to_string(),
+        }
+    }
+
+    fn altered(&self, member: &str, problem: &str) -> ArchiveError {
+        ArchiveError::Altered {
+            archive: self.archive.to_owned(),
+            member: member.to_owned(),
+            problem: problem.to_owned(),
+        }
+    }
+
+    /// A failure to read: of the file itself, or of what is in it.
+    fn broken(&self, member: &str, error: io::Error) -> ArchiveError {
+        let archive = self.archive.to_owned();
+        match error.raw_os_error() {
+            Some(_) => ArchiveError::Read {
+                archive,
+                source: error,
+            },
+            None => ArchiveError::Damaged {
+                archive,
+                member: member.to_owned(),
+            },
+        }
+    }
+}
+
+enum Failed {
+    Reading(io::Error),
+    Writing(io::Error),
+}
+
+/// Writes a file. Returns its size and SHA-256, hex.
+fn write(path: &Path, from: impl Read) -> Result<(u64, String), Failed> {
+    let folder = path.parent().unwrap_or(Path::new("."));
+    std::fs::create_dir_all(folder).map_err(Failed::Writing)?;
+    let file = File::create_new(path).map_err(Failed::Writing)?;
+    let copied = copy_digesting(from, &file).map_err(|error| match error.raw_os_error() {
+        Some(_) => Failed::Writing(error),
+        None => Failed::Reading(error),
+    })?;
+    file.sync_all().map_err(Failed::Writing)?;
+    Ok(copied)
+}
+
+/// A name in a message.
+fn shown(name: &str) -> &str {
+    queue::ids::shortened(name, 120)
+}

@@ -1,0 +1,286 @@
+//! `coordinator campaign archive|import` and `coordinator merge`: campaigns in one file.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, anyhow};
+use clap::Args;
+use coordinator::archive::{ArchiveError, Half, MOVING_PREFIX, Unpacked, package, unpack};
+use coordinator::client::Service;
+use coordinator::storage::Storage;
+use proto::coordinator::{ArchiveCampaignRequest, ImportCampaignResponse, ImportChunk};
+use queue::ids::CampaignName;
+use queue::{DATABASE_FILE, MergeError, Merged, merge as merge_halves};
+use tempfile::TempDir;
+use terminal::counted;
+use tokio::fs::File;
+use tokio_stream::StreamExt;
+use tokio_util::io::ReaderStream;
+use tonic::{Response, Status};
+
+use super::command::{CommandError, Connection, failure, print_line, usage};
+use super::files::WholeFile;
+
+/// Size of a piece, bytes.
+const CHUNK_BYTES: usize = 1 << 20;
+
+/// Writes a campaign with its results, films and report into one file, as it is now,
+/// while the coordinator runs. It stays where it is; pause or cancel it before, if it
+/// is to go on elsewhere only.
+#[derive(Args, Debug)]
+pub(super) struct ArchiveArguments {
+    /// Name of the campaign.
+    campaign: String,
+    /// File to write, on this machine or at s3://BUCKET/…, as NAME.tar.gz; replaced only
+    /// by a whole archive.
+    #[arg(long, value_name = "FILE")]
+    output: PathBuf,
+    #[command(flatten)]
+    connection: Connection,
+}
+
+/// Verifies an archive and adds its campaign to a coordinator. What was not done there
+/// goes on here, once it is resumed if it was paused.
+#[derive(Args, Debug)]
+pub(super) struct ImportArguments {
+    /// The archive, on this machine or at s3://BUCKET/….
+    file: PathBuf,
+    /// What the campaign is called here, if another one has its name.
+    #[arg(long = "as", value_name = "NAME", value_parser = campaign_name)]
+    name: Option<CampaignName>,
+    #[command(flatten)]
+    connection: Connection,
+}
+
+#[derive(Args, Debug)]
+pub(super) struct MergeArguments {
+    /// Archives of one design's halves.
+    #[arg(required = true, num_args = 2.., value_name = "ARCHIVE")]
+    archives: Vec<PathBuf>,
+    /// Archive to write.
+    #[arg(long, value_name = "FILE")]
+    output: PathBuf,
+    /// What the merged campaign is called; without it, as the first one.
+    #[arg(long = "as", value_name = "NAME", value_parser = campaign_name)]
+    name: Option<CampaignName>,
+}
+
+fn campaign_name(name: &str) -> Result<CampaignName, String> {
+    CampaignName::parse(name).map_err(|error| error.to_string())
+}
+
+pub(super) async fn archive(arguments: ArchiveArguments) -> Result<(), CommandError> {
+    let client = arguments.connection.client()?;
+    let request = ArchiveCampaignRequest {
+        campaign: arguments.campaign.clone(),
+    };
+    let mut chunks = client.call(request, Service::archive_campaign).await?;
+    let stored = Stored::of(&arguments.output)?;
+    let output = stored.as_ref().map_or(&arguments.output, |it| &it.file);
+    let mut file = WholeFile::create(output)?;
+    let mut size_bytes = 0;
+    while let Some(chunk) = client.next(&mut chunks).await? {
+        let written = file.writer().write_all(&chunk.data);
+        written.with_context(|| format!("write {}", output.display()))?;
+        size_bytes += chunk.data.len();
+    }
+    file.finish()?;
+    if let Some(stored) = &stored {
+        let put = stored.storage.put(&stored.name, &stored.file).await;
+        put.map_err(failure)?;
+    }
+    let (name, path) = (&arguments.campaign, arguments.output.display());
+    Ok(print_line(&format!(
+        "wrote campaign {name} to {path}: {size_bytes} bytes"
+    ))?)
+}
+
+pub(super) async fn import(arguments: ImportArguments) -> Result<(), CommandError> {
+    let client = arguments.connection.client()?;
+    let stored = Stored::of(&arguments.file)?;
+    if let Some(stored) = &stored {
+        let fetched = stored.storage.fetch(&stored.name, &stored.file).await;
+        if !fetched.map_err(failure)? {
+            let (name, location) = (&stored.name, stored.storage.location());
+            let error = anyhow!("there is no such object");
+            return Err(usage(
+                error.context(format!("fetch {name} from {location}")),
+            ));
+        }
+    }
+    let path = stored.as_ref().map_or(&arguments.file, |it| &it.file);
+    // A file that cannot be read is a wrong command.
+    File::open(path).await.map_err(|error| {
+        usage(ArchiveError::Read {
+            archive: path.display().to_string(),
+            source: error,
+        })
+    })?;
+    let first = ImportChunk {
+        name: arguments
+            .name
+            .map_or_else(String::new, |name| name.to_string()),
+        archive: arguments.file.display().to_string(),
+        data: Vec::new(),
+    };
+    let send = async |service: &mut Service, first| send(service, path, first).await;
+    let imported = client.call(first, send).await?;
+    Ok(print_line(&format!(
+        "campaign {} imported: {}, {} and {}",
+        imported.campaign,
+        counted(imported.jobs, "rollout"),
+        counted(imported.results, "result"),
+        counted(imported.films, "film"),
+    ))?)
+}
+
+pub(super) async fn merge(arguments: MergeArguments) -> Result<(), CommandError> {
+    let output = &arguments.output;
+    // Beside what is written: there is room for it there.
+    let beside = match output.parent() {
+        Some(parent) if parent != Path::new("") => parent,
+        _ => Path::new("."),
+    };
+    let folder = tempfile::Builder::new()
+        .prefix(MOVING_PREFIX)
+        .tempdir_in(beside)
+        .with_context(|| format!("make a folder in {}", beside.display()))?;
+    let mut archives = arguments.archives.iter().enumerate();
+    let Some((_, first)) = archives.next() else {
+        return Ok(());
+    };
+    let mut whole = read(first, &folder, 0).await?;
+    let mut halves = vec![half(&whole)];
+    let mut merged = Merged::default();
+    for (number, path) in archives {
+        let other = read(path, &folder, number).await?;
+        halves.push(half(&other));
+        let into = folder.path().join(format!("merged-{number}"));
+        let name = arguments.name.as_ref();
+        let done = merge_halves(&whole.campaign, &other.campaign, &into, name).await;
+        let (campaign, counts) = done.map_err(|error| refused(error, first, path))?;
+        merged = counts;
+        films_into(&into, &campaign, [&whole, &other]).await?;
+        whole = Unpacked {
+            campaign,
+            contents: whole.contents,
+        };
+    }
+    let folder_of_films = whole.campaign.folder().to_owned();
+    let artifacts = folder_of_films.join(queue::ARTIFACTS_FOLDER);
+    let films = artifacts.join(whole.campaign.campaign.name.as_str());
+    let name = whole.campaign.campaign.name.clone();
+    let package = package(whole.campaign, |film| films.join(film), None, halves).await;
+    let package = package.map_err(failure)?;
+    let mut file = WholeFile::create(output)?;
+    package.write(file.writer(), output).map_err(failure)?;
+    file.finish()?;
+    let Merged {
+        first,
+        second,
+        both,
+        quarantined,
+        open,
+    } = merged;
+    Ok(print_line(&format!(
+        "merged into campaign {name}: {} with an outcome of the first only, {second} of the \
+         second only, {both} of both alike; {quarantined} in quarantine, {open} to be run; wrote {}",
+        counted(first, "rollout"),
+        output.display()
+    ))?)
+}
+
+/// Sends an archive, from its beginning whenever it is tried again.
+async fn send(
+    service: &mut Service,
+    path: &Path,
+    first: ImportChunk,
+) -> Result<Response<ImportCampaignResponse>, Status> {
+    let file = File::open(path).await?;
+    let pieces = ReaderStream::with_capacity(file, CHUNK_BYTES);
+    // A file that cannot be read on ends early, which the coordinator sees.
+    let pieces = pieces.map_while(Result::ok).map(|data| ImportChunk {
+        data: data.into(),
+        ..ImportChunk::default()
+    });
+    let chunks = tokio_stream::iter([first]).chain(pieces);
+    service.import_campaign(chunks).await
+}
+
+/// An object of some storage, and the file on this machine that is on its way there or
+/// back.
+struct Stored {
+    storage: Storage,
+    name: String,
+    file: PathBuf,
+    _folder: TempDir,
+}
+
+impl Stored {
+    /// What an argument names, if that is no file of this machine.
+    fn of(given: &Path) -> Result<Option<Stored>, CommandError> {
+        let address = given.to_string_lossy();
+        if !Storage::is_remote(&address) {
+            return Ok(None);
+        }
+        let (storage, name) = Storage::of_object(&address).map_err(usage)?;
+        let folder = tempfile::tempdir().context("make a temporary folder")?;
+        Ok(Some(Stored {
+            storage,
+            name,
+            file: folder.path().join("archive.tar.gz"),
+            _folder: folder,
+        }))
+    }
+}
+
+async fn read(path: &Path, folder: &TempDir, number: usize) -> Result<Unpacked, CommandError> {
+    let into = folder.path().join(format!("archive-{number}"));
+    let unpacked = unpack(path, &path.display().to_string(), &into).await;
+    unpacked.map_err(|error| match error {
+        ArchiveError::Read { .. } => usage(error),
+        error => failure(error),
+    })
+}
+
+/// What is said of an archive in the one that it is merged into.
+fn half(of: &Unpacked) -> Half {
+    let members = &of.contents.members;
+    let database = members.iter().find(|it| it.name == DATABASE_FILE);
+    Half {
+        campaign: of.contents.campaign.clone(),
+        program: of.contents.program.clone(),
+        database: database.map_or_else(String::new, |it| it.sha256.clone()),
+    }
+}
+
+/// Moves the films of the halves to where the merged campaign has them.
+async fn films_into(
+    into: &Path,
+    campaign: &queue::Portable,
+    halves: [&Unpacked; 2],
+) -> anyhow::Result<()> {
+    for film in campaign.films().await? {
+        let path = into.join(&film.path);
+        let name = path.file_name().unwrap_or_default();
+        let folder = path.parent().unwrap_or(into);
+        std::fs::create_dir_all(folder).with_context(|| format!("make {}", folder.display()))?;
+        for half in halves {
+            let artifacts = half.campaign.folder().join(queue::ARTIFACTS_FOLDER);
+            let from = artifacts
+                .join(half.campaign.campaign.name.as_str())
+                .join(name);
+            if from.is_file() {
+                let moved = std::fs::rename(&from, &path);
+                moved.with_context(|| format!("move film {}", from.display()))?;
+                break;
+            }
+        }
+    }
+    Ok(())
+}
+
+fn refused(error: MergeError, first: &Path, second: &Path) -> CommandError {
+    let error = anyhow::Error::from(error);
+    failure(error.context(format!("use {} and {}", first.display(), second.display())))
+}

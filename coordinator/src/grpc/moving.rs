@@ -1,0 +1,260 @@
+//! Campaigns on their way to and from other coordinators: archives as streams of pieces.
+
+use std::io::{self, Write};
+use std::path::Path;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::time::Duration;
+
+use proto::coordinator as wire;
+use queue::ids::{CampaignName, shortened};
+use queue::{AdoptError, CopyError, MOVING_PREFIX, Portable, PortableError, Queue};
+use tempfile::TempDir;
+use tokio::io::AsyncWriteExt;
+use tokio::sync::mpsc;
+use tokio_stream::{Stream, StreamExt};
+use tonic::{Code, Status, Streaming};
+use transport::chain;
+
+use super::failure::{failed, invalid};
+use crate::archive::{ArchiveError, Package, package, unpack};
+use crate::storage::Storage;
+
+/// Size of a piece, bytes.
+const CHUNK_BYTES: usize = 1 << 20;
+/// Pieces that wait for a slow reader.
+const MAX_WAITING: usize = 4;
+/// Longest silence within an upload.
+const MAX_CHUNK_WAIT: Duration = Duration::from_secs(30);
+/// Longest name of a file in a message, bytes.
+const MAX_FILE_NAME_BYTES: usize = 200;
+
+/// The pieces of an archive.
+pub(super) type Chunks = Pin<Box<dyn Stream<Item = Result<wire::ArchiveChunk, Status>> + Send>>;
+
+/// Packs a campaign.
+pub(super) async fn archive(
+    queue: &Arc<Queue>,
+    storage: Option<&Storage>,
+    name: &CampaignName,
+) -> Result<Chunks, Status> {
+    let data = queue.store().folder();
+    let folder = moving_folder(data)?;
+    let (copy, films) = queue
+        .copy_campaign(name, folder.path())
+        .await
+        .map_err(copy_failed)?;
+    let source = queue.source_outcomes(&copy.spec).await.map_err(failed)?;
+    let fetched = folder.path().join("films");
+    if let Some(storage) = storage {
+        fetch(storage, &copy, (data, films.as_str()), &fetched).await?;
+    }
+    let here = data.join(films);
+    let film = |name: &str| match fetched.join(name) {
+        path if path.exists() => path,
+        _ => here.join(name),
+    };
+    let package = package(copy, film, source, Vec::new()).await;
+    let package = package.map_err(archive_failed)?;
+    Ok(chunks(package, folder, name))
+}
+
+/// Fetches the films of a campaign that are no longer in the data folder.
+async fn fetch(
+    storage: &Storage,
+    campaign: &Portable,
+    (data, folder): (&Path, &str),
+    into: &Path,
+) -> Result<(), Status> {
+    let films = campaign.films().await.map_err(failed)?;
+    std::fs::create_dir_all(into).map_err(|error| no_room(into, &error))?;
+    for film in films {
+        let name = film.path.rsplit('/').next().unwrap_or_default();
+        let key = format!("{folder}/{name}");
+        if !data.join(&key).is_file() {
+            let fetched = storage.fetch(&key, &into.join(name)).await;
+            // It is left out only where it is known to be gone.
+            fetched.map_err(|error| unavailable(&error))?;
+        }
+    }
+    Ok(())
+}
+
+/// Writes an archive on a thread of its own, as fast as it is read.
+fn chunks(package: Package, folder: TempDir, name: &CampaignName) -> Chunks {
+    let (pieces, waiting) = mpsc::channel(MAX_WAITING);
+    let archive = format!("of campaign {name}");
+    let writing = tokio::task::spawn_blocking(move || {
+        // Files are read until the last piece is sent.
+        let _until_written = &folder;
+        let mut out = Pieces {
+            piece: Vec::with_capacity(CHUNK_BYTES),
+            to: pieces,
+        };
+        package.write(&mut out, Path::new(&archive))
+    });
+    let state = (waiting, Some(writing));
+    Box::pin(futures_util::stream::unfold(
+        state,
+        |(mut waiting, writing)| async move {
+            if let Some(data) = waiting.recv().await {
+                return Some((Ok(wire::ArchiveChunk { data }), (waiting, writing)));
+            }
+            // Without its last word, a reader would take an archive for whole.
+            let status = match writing?.await {
+                Ok(Ok(())) => return None,
+                Ok(Err(error)) => archive_failed(error),
+                Err(_) => Status::internal("write the archive: a thread panicked"),
+            };
+            Some((Err(status), (waiting, None)))
+        },
+    ))
+}
+
+/// A writer whose pieces go into a channel.
+struct Pieces {
+    piece: Vec<u8>,
+    to: mpsc::Sender<Vec<u8>>,
+}
+
+impl Write for Pieces {
+    fn write(&mut self, data: &[u8]) -> io::Result<usize> {
+        let room = CHUNK_BYTES - self.piece.len();
+        let taken = &data[..data.len().min(room)];
+        self.piece.extend_from_slice(taken);
+        if self.piece.len() == CHUNK_BYTES {
+            self.flush()?;
+        }
+        Ok(taken.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        if self.piece.is_empty() {
+            return Ok(());
+        }
+        let next = Vec::with_capacity(CHUNK_BYTES);
+        let piece = std::mem::replace(&mut self.piece, next);
+        let sent = self.to.blocking_send(piece);
+        sent.map_err(|_| io::Error::other("nobody reads it any more"))
+    }
+}
+
+/// Receives an archive, verifies it and adds its campaign.
+pub(super) async fn import(
+    queue: &Arc<Queue>,
+    mut chunks: Streaming<wire::ImportChunk>,
+) -> Result<wire::ImportCampaignResponse, Status> {
+    let first = next_chunk(&mut chunks).await?;
+    let first = first.ok_or_else(|| invalid("an empty upload"))?;
+    let name = match first.name.as_str() {
+        "" => None,
+        name => Some(CampaignName::parse(name).map_err(invalid)?),
+    };
+    let archive = match shortened(&first.archive, MAX_FILE_NAME_BYTES) {
+        "" => "without a name",
+        archive => archive,
+    };
+    let folder = moving_folder(queue.store().folder())?;
+    let file = folder.path().join("archive");
+    receive(&file, &first.data, &mut chunks).await?;
+    let into = folder.path().join("unpacked");
+    let unpacked = unpack(&file, archive, &into).await;
+    let unpacked = unpacked.map_err(archive_failed)?;
+    let source = unpacked.contents.source.as_ref();
+    let films = unpacked.campaign.films().await.map_err(failed)?.len() as u64;
+    let adopted = queue.adopt(&unpacked.campaign, source, name.as_ref()).await;
+    let (campaign, counts) = adopted.map_err(adopt_failed)?;
+    Ok(wire::ImportCampaignResponse {
+        campaign: campaign.to_string(),
+        jobs: counts.total(),
+        results: counts.committed,
+        films,
+    })
+}
+
+async fn receive(
+    path: &Path,
+    first: &[u8],
+    chunks: &mut Streaming<wire::ImportChunk>,
+) -> Result<(), Status> {
+    let unwritable = |error: io::Error| {
+        tracing::error!("failed to write {}: {error}", path.display());
+        Status::unavailable(format!(
+            "write the archive into the coordinator's data folder: is there room on the disk? \
+             ({error})"
+        ))
+    };
+    let mut file = tokio::fs::File::create(path).await.map_err(unwritable)?;
+    file.write_all(first).await.map_err(unwritable)?;
+    while let Some(chunk) = next_chunk(chunks).await? {
+        file.write_all(&chunk.data).await.map_err(unwritable)?;
+    }
+    file.flush().await.map_err(unwritable)
+}
+
+async fn next_chunk(
+    chunks: &mut Streaming<wire::ImportChunk>,
+) -> Result<Option<wire::ImportChunk>, Status> {
+    match tokio::time::timeout(MAX_CHUNK_WAIT, chunks.next()).await {
+        Ok(chunk) => chunk.transpose(),
+        Err(_) => Err(Status::deadline_exceeded(format!(
+            "nothing arrived for {MAX_CHUNK_WAIT:?} within an archive"
+        ))),
+    }
+}
+
+/// A folder in the data folder, which is removed when it is dropped, or at the next start:
+/// on one disk with it, so that films are moved and not copied.
+fn moving_folder(data: &Path) -> Result<TempDir, Status> {
+    let folder = tempfile::Builder::new()
+        .prefix(MOVING_PREFIX)
+        .tempdir_in(data);
+    folder.map_err(|error| no_room(data, &error))
+}
+
+fn no_room(folder: &Path, error: &io::Error) -> Status {
+    tracing::error!("failed to make a folder in {}: {error}", folder.display());
+    Status::unavailable(format!(
+        "make a folder in the coordinator's data folder: is there room on the disk? ({error})"
+    ))
+}
+
+fn copy_failed(error: CopyError) -> Status {
+    match error {
+        CopyError::Queue(error) => failed(error),
+        CopyError::Portable(error) => unavailable(&error),
+    }
+}
+
+fn adopt_failed(error: AdoptError) -> Status {
+    let code = match error {
+        AdoptError::Queue(error) => return failed(error),
+        AdoptError::Exists { .. } => Code::AlreadyExists,
+        AdoptError::NoSource { .. } | AdoptError::OtherSource { .. } => Code::FailedPrecondition,
+        AdoptError::Film { .. } => return unavailable(&error),
+    };
+    Status::new(code, chain(&error))
+}
+
+fn archive_failed(error: ArchiveError) -> Status {
+    match error {
+        ArchiveError::Foreign { .. }
+        | ArchiveError::Newer { .. }
+        | ArchiveError::Damaged { .. }
+        | ArchiveError::Altered { .. }
+        | ArchiveError::Differs { .. } => invalid(chain(&error)),
+        ArchiveError::Content { ref source, .. }
+            if !matches!(**source, PortableError::Store(_) | PortableError::Open(_)) =>
+        {
+            invalid(chain(&error))
+        }
+        ArchiveError::Results(error) => failed(error),
+        error => unavailable(&error),
+    }
+}
+
+/// The client may try again; the operator must know.
+fn unavailable(error: &(dyn std::error::Error + 'static)) -> Status {
+    tracing::error!("failed to {}", chain(error));
+    Status::unavailable(chain(error))
+}

@@ -1,0 +1,318 @@
+//! Where films and archives are kept beyond the data folder: another folder, or a bucket
+//! of S3-compatible storage.
+//!
+//! Films always come into the data folder first, so that no trouble of the storage
+//! touches a rollout; `mirror` moves them on.
+
+use std::io;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::pin::Pin;
+use std::sync::Arc;
+use std::time::Duration;
+
+use futures_util::stream::BoxStream;
+use futures_util::{StreamExt, TryStreamExt};
+use object_store::aws::AmazonS3Builder;
+use object_store::buffered::BufWriter;
+use object_store::local::LocalFileSystem;
+use object_store::path::Path as Key;
+use object_store::{GetOptions, GetRange, ObjectStore, ObjectStoreExt, RetryConfig};
+use tokio::io::AsyncWriteExt;
+
+/// What an address of S3 begins with.
+const S3: &str = "s3://";
+/// Tries of one request, and how long they may take together.
+const RETRIES: usize = 3;
+const RETRY_FOR: Duration = Duration::from_secs(20);
+
+/// A folder or a bucket, or a part of it.
+#[derive(Clone, Debug)]
+pub struct Storage {
+    store: Arc<dyn ObjectStore>,
+    /// What all keys here begin with.
+    prefix: Key,
+    /// As it was given.
+    location: String,
+}
+
+/// A piece of a film.
+#[derive(Debug)]
+pub struct Piece {
+    /// Which bytes of it.
+    pub range: Range<u64>,
+    /// How large the whole is, bytes.
+    pub size_bytes: u64,
+    /// What is read of it.
+    pub bytes: BoxedBytes,
+}
+
+/// Bytes as they come.
+pub struct BoxedBytes(pub BoxStream<'static, Result<axum::body::Bytes, StorageError>>);
+
+impl std::fmt::Debug for BoxedBytes {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("BoxedBytes")
+    }
+}
+
+/// Storage that cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum StorageError {
+    /// The address is none.
+    #[error(
+        "use storage {location}: write a folder, or s3://BUCKET/FOLDER with the bucket's region and credentials in AWS_REGION, AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, and AWS_ENDPOINT_URL for a server of one's own"
+    )]
+    Location {
+        /// What was given.
+        location: String,
+    },
+    /// A folder cannot be made.
+    #[error("make folder {}: may this user write there?", path.display())]
+    Folder {
+        /// Which.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// It does not answer, or refuses.
+    #[error("{doing} {key} at storage {location}: {problem}")]
+    Remote {
+        /// What was being done.
+        doing: &'static str,
+        /// With which object.
+        key: String,
+        /// Where.
+        location: String,
+        /// What it said, in its own words.
+        problem: String,
+    },
+    /// A file on this machine fails.
+    #[error("copy {}: is there room on the disk, and may this user read and write there?", path.display())]
+    File {
+        /// Which.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+}
+
+impl Storage {
+    /// Whether something that was given is an address of storage, rather than a path.
+    pub fn is_remote(location: &str) -> bool {
+        location.starts_with(S3)
+    }
+
+    /// Opens storage: `s3://BUCKET/FOLDER`, or a folder, which is made if it is not there.
+    /// Nothing is asked of a bucket yet. Its credentials, region and endpoint are those
+    /// of the usual variables, `AWS_…`.
+    ///
+    /// # Errors
+    /// When it is no address, or the folder cannot be made.
+    pub fn open(location: &str) -> Result<Storage, StorageError> {
+        let unusable = || StorageError::Location {
+            location: location.to_owned(),
+        };
+        let Some(address) = location.strip_prefix(S3) else {
+            let path = PathBuf::from(location);
+            let failed = |source| StorageError::Folder {
+                path: path.clone(),
+                source,
+            };
+            std::fs::create_dir_all(&path).map_err(failed)?;
+            let folder = path.canonicalize().map_err(failed)?;
+            let store = LocalFileSystem::new_with_prefix(folder)
+                .map_err(|_| unusable())?
+                .with_automatic_cleanup(true);
+            return Ok(Storage {
+                store: Arc::new(store),
+                prefix: Key::default(),
+                location: location.to_owned(),
+            });
+        };
+        let (bucket, prefix) = address.split_once('/').unwrap_or((address, ""));
+        if bucket.is_empty() {
+            return Err(unusable());
+        }
+        // What tonic encrypts with. If it was chosen before, it is the same.
+        let _ = tokio_rustls::rustls::crypto::ring::default_provider().install_default();
+        let retry = RetryConfig {
+            max_retries: RETRIES,
+            retry_timeout: RETRY_FOR,
+            ..RetryConfig::default()
+        };
+        let store = AmazonS3Builder::from_env()
+            .with_bucket_name(bucket)
+            .with_retry(retry)
+            .build()
+            .map_err(|_| unusable())?;
+        Ok(Storage {
+            store: Arc::new(store),
+            prefix: Key::parse(prefix.trim_matches('/')).map_err(|_| unusable())?,
+            location: location.to_owned(),
+        })
+    }
+
+    /// Opens the storage that an object's address is in.
+    ///
+    /// # Errors
+    /// When the address names no object.
+    pub fn of_object(address: &str) -> Result<(Storage, String), StorageError> {
+        let unusable = || StorageError::Location {
+            location: address.to_owned(),
+        };
+        let (folder, name) = address.rsplit_once('/').ok_or_else(unusable)?;
+        if name.is_empty() || folder.len() <= S3.len() {
+            return Err(unusable());
+        }
+        Ok((Storage::open(folder)?, name.to_owned()))
+    }
+
+    /// As it was given.
+    pub fn location(&self) -> &str {
+        &self.location
+    }
+
+    /// Stores a file, whole or not at all, and looks whether it is there.
+    ///
+    /// # Errors
+    /// When the storage fails or the file cannot be read.
+    pub async fn put(&self, key: &str, file: &Path) -> Result<(), StorageError> {
+        let unreadable = |source| StorageError::File {
+            path: file.to_owned(),
+            source,
+        };
+        let mut from = tokio::fs::File::open(file).await.map_err(unreadable)?;
+        let at = self.key(key);
+        let mut to = BufWriter::new(self.store.clone(), at.clone());
+        let copied = tokio::io::copy(&mut from, &mut to).await;
+        let copied = match copied {
+            Ok(bytes) => to.shutdown().await.map(|()| bytes),
+            Err(error) => {
+                // The first error is the one to tell.
+                let _ = to.abort().await;
+                Err(error)
+            }
+        };
+        let bytes = copied.map_err(|error| self.failed("store", key, &error))?;
+        let stored = self.store.head(&at).await;
+        let stored = stored.map_err(|error| self.failed("look for", key, &error))?;
+        match stored.size == bytes {
+            true => Ok(()),
+            false => {
+                let problem = format!("{} of {bytes} bytes are there", stored.size);
+                Err(self.failed("store", key, &io::Error::other(problem)))
+            }
+        }
+    }
+
+    /// Fetches an object into a file. Whether it is there.
+    ///
+    /// # Errors
+    /// When the storage fails or the file cannot be written.
+    pub async fn fetch(&self, key: &str, into: &Path) -> Result<bool, StorageError> {
+        let Some(piece) = self.read(key, None).await? else {
+            return Ok(false);
+        };
+        let unwritable = |source| StorageError::File {
+            path: into.to_owned(),
+            source,
+        };
+        let mut file = tokio::fs::File::create(into).await.map_err(unwritable)?;
+        let mut bytes = piece.bytes.0;
+        while let Some(data) = bytes.try_next().await? {
+            file.write_all(&data).await.map_err(unwritable)?;
+        }
+        file.flush().await.map_err(unwritable)?;
+        Ok(true)
+    }
+
+    /// Reads an object, or a range of it; none if it is not there.
+    ///
+    /// # Errors
+    /// When the storage fails.
+    pub async fn read(
+        &self,
+        key: &str,
+        range: Option<GetRange>,
+    ) -> Result<Option<Piece>, StorageError> {
+        let options = GetOptions {
+            range,
+            ..GetOptions::default()
+        };
+        let found = match self.store.get_opts(&self.key(key), options).await {
+            Ok(found) => found,
+            Err(object_store::Error::NotFound { .. }) => return Ok(None),
+            Err(error) => return Err(self.failed("fetch", key, &error)),
+        };
+        let (range, size_bytes) = (found.range.clone(), found.meta.size);
+        let (storage, key) = (self.clone(), key.to_owned());
+        let bytes = found
+            .into_stream()
+            .map_err(move |error| storage.failed("fetch", &key, &error));
+        Ok(Some(Piece {
+            range,
+            size_bytes,
+            bytes: BoxedBytes(bytes.boxed()),
+        }))
+    }
+
+    /// Removes whatever is below a folder.
+    ///
+    /// # Errors
+    /// When the storage fails.
+    pub async fn remove(&self, folder: &str) -> Result<(), StorageError> {
+        let at = self.key(folder);
+        let all = self.store.list(Some(&at)).map_ok(|it| it.location).boxed();
+        let removed = self
+            .store
+            .delete_stream(all)
+            .try_for_each(|_| async { Ok(()) });
+        match removed.await {
+            Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
+            Err(error) => Err(self.failed("remove", folder, &error)),
+        }
+    }
+
+    /// Removes an object.
+    ///
+    /// # Errors
+    /// When the storage fails.
+    pub async fn delete(&self, key: &str) -> Result<(), StorageError> {
+        match self.store.delete(&self.key(key)).await {
+            Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
+            Err(error) => Err(self.failed("remove", key, &error)),
+        }
+    }
+
+    fn key(&self, below: &str) -> Key {
+        let parts = below.split('/').filter(|part| !part.is_empty());
+        parts.fold(self.prefix.clone(), |key, part| key.join(part))
+    }
+
+    fn failed(
+        &self,
+        doing: &'static str,
+        key: &str,
+        error: &(dyn std::error::Error + 'static),
+    ) -> StorageError {
+        StorageError::Remote {
+            doing,
+            key: key.to_owned(),
+            location: self.location.clone(),
+            problem: transport::innermost(error),
+        }
+    }
+}
+
+impl queue::Elsewhere for Storage {
+    fn remove<'a>(
+        &'a self,
+        folder: &'a str,
+    ) -> Pin<Box<dyn Future<Output = Result<(), String>> + Send + 'a>> {
+        Box::pin(async move {
+            let removed = Storage::remove(self, folder).await;
+            removed.map_err(|error| transport::chain(&error))
+        })
+    }
+}

@@ -1,0 +1,598 @@
+//! Campaigns on their way from one coordinator to another, whole or in halves, and what
+//! becomes of archives that are not what they should be.
+
+use std::fs::File;
+use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::{Duration, Instant};
+
+use flate2::Compression;
+use flate2::read::GzDecoder;
+use flate2::write::GzEncoder;
+use proto::coordinator::commit_response::Verdict;
+use proto::coordinator::release_request::Reason;
+use queue::invariants::check;
+use serde_json::{Value, json};
+use sha2::{Digest, Sha256};
+use tempfile::TempDir;
+
+use crate::artifacts::put;
+use crate::harness::{Worker, open_database, rollout_id, small_spec, with};
+use crate::process::{Serve, text};
+
+static WORKERS: AtomicU32 = AtomicU32::new(0);
+
+/// Three levels and three axes, and their nominal rollout: 13 rollouts.
+fn spec() -> Value {
+    with(
+        small_spec("moved"),
+        json!({"axes": ["camera", "sensor", "robot"], "levels": ["L1", "L2", "L3"]}),
+    )
+}
+
+/// How rollouts come out, on whatever machine.
+fn succeeds(rollout: &str) -> bool {
+    !rollout.contains("sensor/L2")
+}
+
+/// A coordinator with the campaign, of which some rollouts have outcomes.
+struct Bench {
+    folder: TempDir,
+    serve: Serve,
+    worker: Worker,
+}
+
+impl Bench {
+    async fn empty() -> Bench {
+        let folder = tempfile::tempdir().expect("a folder");
+        let serve = Serve::start(folder.path());
+        // No two workers have one id.
+        let number = WORKERS.fetch_add(1, Ordering::Relaxed);
+        let worker = serve.worker(&format!("w{number}")).await;
+        Bench {
+            folder,
+            serve,
+            worker,
+        }
+    }
+
+    async fn with(spec: &Value) -> Bench {
+        let bench = Bench::empty().await;
+        let file = bench.folder.path().join("spec.json");
+        std::fs::write(&file, spec.to_string()).expect("written");
+        let path = file.display().to_string();
+        bench.must(&["campaign", "create", "--spec", &path]);
+        bench
+    }
+
+    /// Commits some rollouts, but those that are left out.
+    async fn run(&mut self, rollouts: usize, leave_out: &str) {
+        let mut left = Vec::new();
+        let mut done = 0;
+        while done < rollouts {
+            let leases = self.worker.claim(1).await;
+            let [lease] = leases.as_slice() else { break };
+            let id = rollout_id(lease);
+            if !leave_out.is_empty() && id.contains(leave_out) {
+                left.push(lease.clone());
+                continue;
+            }
+            let verdict = self.worker.commit(lease, succeeds(&id)).await;
+            assert_eq!(verdict, Verdict::Accepted);
+            done += 1;
+        }
+        for lease in left {
+            self.worker.release(&lease, Reason::Draining).await;
+        }
+    }
+
+    /// Runs a command that must work. Returns what it printed.
+    fn must(&self, arguments: &[&str]) -> String {
+        let output = self.serve.command(arguments);
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        text(&output.stdout).to_owned()
+    }
+
+    /// Runs a command that must fail. Returns what it said.
+    fn refused(&self, arguments: &[&str]) -> String {
+        let output = self.serve.command(arguments);
+        assert!(!output.status.success(), "{}", text(&output.stdout));
+        text(&output.stderr).to_owned()
+    }
+
+    fn archive(&self, name: &str) -> PathBuf {
+        let file = self.folder.path().join(format!("{name}.tar.gz"));
+        let path = file.display().to_string();
+        self.must(&["campaign", "archive", name, "--output", &path]);
+        file
+    }
+
+    fn import(&self, file: &Path) -> String {
+        self.must(&["campaign", "import", &file.display().to_string()])
+    }
+
+    fn report(&self, name: &str) -> String {
+        self.must(&["report", name, "--json"])
+    }
+
+    /// Everything that is in the database but of workers, who call all the time.
+    async fn rows(&self) -> Vec<String> {
+        let pool = open_database(self.folder.path()).await;
+        let tables = "SELECT name FROM sqlite_schema WHERE type = 'table'
+                          AND name <> 'worker' AND name NOT LIKE 'sqlite_%' ORDER BY name";
+        let tables: Vec<String> = sqlx::query_scalar(tables)
+            .fetch_all(&pool)
+            .await
+            .expect("tables");
+        let mut rows = Vec::new();
+        for table in tables {
+            let columns = format!(
+                "SELECT group_concat('quote(' || name || ')', ' || '','' || ')
+                 FROM pragma_table_info('{table}')"
+            );
+            let columns: String = sqlx::query_scalar(sqlx::AssertSqlSafe(columns))
+                .fetch_one(&pool)
+                .await
+                .expect("columns");
+            let query = format!("SELECT '{table}: ' || {columns} FROM {table} ORDER BY 1");
+            let found: Vec<String> = sqlx::query_scalar(sqlx::AssertSqlSafe(query))
+                .fetch_all(&pool)
+                .await
+                .expect("rows");
+            rows.extend(found);
+        }
+        pool.close().await;
+        rows
+    }
+
+    async fn in_order(&self) {
+        let violations = check(self.folder.path()).await.expect("a database");
+        assert_eq!(violations, []);
+    }
+}
+
+/// The members of an archive, in order.
+fn members(file: &Path) -> Vec<(String, Vec<u8>)> {
+    let mut tar = tar::Archive::new(GzDecoder::new(File::open(file).expect("an archive")));
+    let entries = tar.entries().expect("members");
+    let member = |entry: std::io::Result<tar::Entry<'_, _>>| {
+        let mut entry = entry.expect("a member");
+        let name = entry.path().expect("a name").display().to_string();
+        let mut bytes = Vec::new();
+        entry.read_to_end(&mut bytes).expect("its bytes");
+        (name, bytes)
+    };
+    entries.map(member).collect()
+}
+
+/// Writes an archive of these members. A list that is to be true again names what they
+/// are now.
+fn write(file: &Path, members: &[(String, Vec<u8>)], list_anew: bool) {
+    let mut members = members.to_vec();
+    if list_anew {
+        let mut list: Value = serde_json::from_slice(&members[0].1).expect("a list");
+        let named = |(name, bytes): &(String, Vec<u8>)| {
+            let digest = Sha256::digest(bytes);
+            let digest: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
+            json!({"name": name, "bytes": bytes.len(), "sha256": digest})
+        };
+        list["members"] = members[1..].iter().map(named).collect();
+        members[0].1 = list.to_string().into_bytes();
+    }
+    let out = GzEncoder::new(File::create(file).expect("a file"), Compression::fast());
+    let mut tar = tar::Builder::new(out);
+    for (name, bytes) in &members {
+        let mut header = tar::Header::new_gnu();
+        header.set_size(bytes.len() as u64);
+        header.set_mode(0o644);
+        // As it is written: `append_data` would refuse some of these names.
+        header.as_old_mut().name[..name.len()].copy_from_slice(name.as_bytes());
+        header.set_cksum();
+        tar.append(&header, bytes.as_slice()).expect("written");
+    }
+    let mut out = tar
+        .into_inner()
+        .expect("its end")
+        .finish()
+        .expect("its end");
+    out.flush().expect("written");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_interrupted_campaign_goes_on_at_another_coordinator_to_the_same_report() {
+    let mut here = Bench::with(&spec()).await;
+    here.run(5, "").await;
+    let filmed = here.worker.claim_one().await;
+    let success = succeeds(&rollout_id(&filmed));
+    assert_eq!(
+        here.worker.commit(&filmed, success).await,
+        Verdict::Accepted
+    );
+    let film = [vec![7; 1_500_000]];
+    put(&mut here.worker, &filmed, "video.mp4", &film)
+        .await
+        .expect("kept");
+    let failed = here.worker.claim_one().await;
+    here.worker.release(&failed, Reason::SimulatorError).await;
+    // One is under way while it is archived.
+    let held = here.worker.claim_one().await;
+    here.must(&["campaign", "set-priority", "moved", "7"]);
+    let before = here.rows().await;
+    let file = here.archive("moved");
+    assert_eq!(here.rows().await, before, "archiving changed something");
+    let first = (members(&file), std::fs::read(&file).expect("an archive"));
+    here.archive("moved");
+    for (one, other) in first.0.iter().zip(members(&file)) {
+        assert!(*one == other, "{} has other bytes", one.0);
+    }
+    assert!(std::fs::read(&file).expect("an archive") == first.1);
+    let left = std::fs::read_dir(here.folder.path()).expect("a folder");
+    let left: Vec<_> = left
+        .map(|it| it.expect("an entry").file_name())
+        .filter(|name| name.to_string_lossy().starts_with("moving-"))
+        .collect();
+    assert!(left.is_empty(), "{left:?}");
+
+    let mut there = Bench::empty().await;
+    let said = there.import(&file);
+    assert!(said.contains("13 rollouts, 6 results and 1 film"), "{said}");
+    there.in_order().await;
+    assert_eq!(there.report("moved"), here.report("moved"));
+    assert_eq!(
+        there.must(&["export", "moved", "--format", "jsonl"]),
+        here.must(&["export", "moved", "--format", "jsonl"])
+    );
+    let kept = there.folder.path().join("artifacts/moved");
+    let kept: Vec<_> = std::fs::read_dir(kept).expect("films").collect();
+    assert_eq!(kept.len(), 1);
+    let kept = kept[0].as_ref().expect("a film").path();
+    assert_eq!(std::fs::read(kept).expect("a film"), film[0]);
+    let status: Value =
+        serde_json::from_str(&there.must(&["campaign", "status", "moved", "--json"]))
+            .expect("JSON");
+    let status = status.to_string();
+    assert!(status.contains("\"priority\":7"), "{status}");
+    // Who made the results is no worker of this coordinator.
+    let workers = there.must(&["workers", "--all", "--json"]);
+    let workers: Value = serde_json::from_str(&workers).expect("JSON");
+    let workers = workers["workers"].as_array().expect("workers");
+    let alive = workers.iter().filter(|it| it["is_alive"] == true);
+    let alive: Vec<&Value> = alive.map(|it| &it["worker_id"]).collect();
+    assert_eq!((workers.len(), alive), (2, vec![&json!(there.worker.id)]));
+
+    // Both go on, and come to the same.
+    let success = succeeds(&rollout_id(&held));
+    assert_eq!(here.worker.commit(&held, success).await, Verdict::Accepted);
+    for bench in [&mut here, &mut there] {
+        tokio::time::sleep(Duration::from_millis(1_200)).await;
+        bench.run(13, "").await;
+        bench.in_order().await;
+    }
+    assert_eq!(there.report("moved"), here.report("moved"));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_name_that_is_taken_is_refused_with_the_remedy_and_another_one_is_a_copy() {
+    let mut here = Bench::with(&spec()).await;
+    here.run(4, "").await;
+    let filmed = here.worker.claim_one().await;
+    assert_eq!(here.worker.commit(&filmed, true).await, Verdict::Accepted);
+    put(&mut here.worker, &filmed, "video.mp4", &[vec![1; 10]])
+        .await
+        .expect("kept");
+    let file = here.archive("moved");
+    let before = here.rows().await;
+    let path = file.display().to_string();
+    let said = here.refused(&["campaign", "import", &path]);
+    assert!(
+        said.contains("`moved`") && said.contains("--as NAME"),
+        "{said}"
+    );
+    assert_eq!(here.rows().await, before);
+
+    // A copy beside the original: no attempt is in both.
+    here.must(&["campaign", "import", &path, "--as", "copy"]);
+    here.in_order().await;
+    let original = here.report("moved").replace("\"moved\"", "\"copy\"");
+    assert_eq!(here.report("copy"), original);
+    let films = here.folder.path().join("artifacts/copy");
+    assert_eq!(std::fs::read_dir(films).expect("films").count(), 1);
+    here.run(64, "").await;
+    here.in_order().await;
+    here.must(&["campaign", "delete", "moved", "--confirm", "moved"]);
+    here.in_order().await;
+    let films = here.folder.path().join("artifacts/copy");
+    assert_eq!(std::fs::read_dir(films).expect("films").count(), 1);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_no_whole_archive_of_this_program_is_refused_by_name_and_changes_nothing() {
+    let mut here = Bench::with(&spec()).await;
+    here.run(6, "").await;
+    let file = here.archive("moved");
+    let whole = std::fs::read(&file).expect("an archive");
+    let sound = members(&file);
+    let there = Bench::with(&small_spec("resident")).await;
+    let before = there.rows().await;
+    let bad = there.folder.path().join("bad.tar.gz");
+    let path = bad.display().to_string();
+    let refused = |words: &[&str]| {
+        let said = there.refused(&["campaign", "import", &path]);
+        for word in words.iter().chain([&"bad.tar.gz"]) {
+            assert!(said.contains(word), "{said} lacks {word}");
+        }
+    };
+
+    for part in [3, 40, 75, 99] {
+        std::fs::write(&bad, &whole[..whole.len() * part / 100]).expect("written");
+        refused(&["cut off or damaged", "copy it again"]);
+    }
+    let mut flipped = whole.clone();
+    let middle = flipped.len() / 2;
+    flipped[middle] ^= 1;
+    std::fs::write(&bad, flipped).expect("written");
+    refused(&["member"]);
+    std::fs::write(&bad, [&whole[..], b"more"].concat()).expect("written");
+    refused(&["there is more behind it"]);
+
+    for foreign in [b"".as_slice(), b"SQLite format 3\0", &[0; 2_000]] {
+        std::fs::write(&bad, foreign).expect("written");
+        refused(&["read archive"]);
+    }
+    write(&bad, &[("notes.txt".to_owned(), vec![1; 10])], false);
+    refused(&["no archive of a campaign", "archive.json"]);
+
+    // Every member, altered, missing, doubled, or called otherwise.
+    for number in 1..sound.len() {
+        let name = sound[number].0.as_str();
+        let mut altered = sound.clone();
+        let middle = altered[number].1.len() / 2;
+        altered[number].1[middle] ^= 1;
+        write(&bad, &altered, false);
+        refused(&[name, "SHA-256", "archive the campaign again"]);
+        let mut altered = sound.clone();
+        altered.remove(number);
+        write(&bad, &altered, false);
+        refused(&[name]);
+        let mut altered = sound.clone();
+        altered[number].0 = "../../outside".to_owned();
+        write(&bad, &altered, false);
+        refused(&[name, "another one is in its place"]);
+        write(&bad, &altered, true);
+        refused(&["archive.json"]);
+    }
+    let mut more = sound.clone();
+    more.push(("artifacts/moved/../../outside".to_owned(), vec![1]));
+    write(&bad, &more, false);
+    refused(&["does not name"]);
+    write(&bad, &more, true);
+    refused(&["belongs to no campaign"]);
+    more.pop();
+    more.push(("artifacts/moved/film.mp4".to_owned(), vec![1]));
+    write(&bad, &more, true);
+    refused(&["coordinator.sqlite", "other films"]);
+
+    // A list that is true of what somebody has altered.
+    let mut report = sound.clone();
+    let text = String::from_utf8(report[3].1.clone()).expect("JSON");
+    report[3].1 = text
+        .replacen("\"policy\": \"expert\"", "\"policy\": \"other\"", 1)
+        .into();
+    assert_ne!(report[3].1, sound[3].1);
+    write(&bad, &report, true);
+    refused(&["report.json", "differs", ".policy"]);
+    for (sql, words) in [
+        (
+            "UPDATE result SET success = 1 - success
+             WHERE job_id = (SELECT min(job_id) FROM result)",
+            &["report.json", "differs"][..],
+        ),
+        (
+            "UPDATE campaign SET spec = replace(spec, 'L1', 'L2')",
+            &["specification", "coordinator.sqlite"][..],
+        ),
+        (
+            "DELETE FROM job WHERE state = 'queued'",
+            &["expansion_is_whole", "coordinator.sqlite"][..],
+        ),
+        (
+            "CREATE TABLE mine (number INTEGER)",
+            &["schema_is_the_programs", "mine"][..],
+        ),
+        ("DELETE FROM campaign", &["coordinator.sqlite"][..]),
+    ] {
+        let folder = tempfile::tempdir().expect("a folder");
+        let database = folder.path().join("coordinator.sqlite");
+        std::fs::write(&database, &sound[4].1).expect("written");
+        let pool = open_database(folder.path()).await;
+        sqlx::raw_sql(sql).execute(&pool).await.expect("altered");
+        sqlx::raw_sql("PRAGMA wal_checkpoint(TRUNCATE)")
+            .execute(&pool)
+            .await
+            .expect("one file");
+        pool.close().await;
+        let mut altered = sound.clone();
+        altered[4].1 = std::fs::read(&database).expect("a database");
+        write(&bad, &altered, true);
+        refused(words);
+    }
+
+    for (field, what) in [("format", "form 1000"), ("schema", "schema version 1000")] {
+        let mut newer = sound.clone();
+        let mut list: Value = serde_json::from_slice(&newer[0].1).expect("a list");
+        list[field] = json!(1_000);
+        list["members"] = json!("of another kind");
+        newer[0].1 = list.to_string().into_bytes();
+        write(&bad, &newer, false);
+        refused(&[what, "use a release as new as that one"]);
+    }
+
+    assert_eq!(
+        there.rows().await,
+        before,
+        "a refused archive changed something"
+    );
+    assert!(!there.folder.path().join("artifacts").exists());
+    let missing = there.refused(&["campaign", "import", "nowhere.tar.gz"]);
+    assert!(missing.contains("nowhere.tar.gz"), "{missing}");
+    there.import(&file);
+    there.in_order().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_campaign_that_follows_from_another_comes_after_it() {
+    let mut here = Bench::with(&with(spec(), json!({"levels": ["L2"]}))).await;
+    here.run(64, "").await;
+    here.must(&["explain", "moved", "--budget", "20"]);
+    let name = "moved-explained";
+    // Its rollouts follow from the outcomes in a moment.
+    let began = Instant::now();
+    let lease = loop {
+        if let Some(lease) = here.worker.claim(1).await.pop() {
+            break lease;
+        }
+        assert!(began.elapsed() < Duration::from_secs(30), "nothing follows");
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    };
+    assert_eq!(here.worker.commit(&lease, true).await, Verdict::Accepted);
+    // What follows from that is there in a moment too.
+    tokio::time::sleep(Duration::from_secs(1)).await;
+    assert!(
+        here.must(&["export", name, "--format", "jsonl"])
+            .lines()
+            .count()
+            > 0
+    );
+    let source = here.archive("moved");
+    let file = here.archive(name);
+
+    let there = Bench::empty().await;
+    let path = file.display().to_string();
+    let said = there.refused(&["campaign", "import", &path]);
+    assert!(said.contains("follows from `moved`") && said.contains("import that one first"));
+    there.import(&source);
+    there.import(&file);
+    there.in_order().await;
+    assert_eq!(there.report(name), here.report(name));
+    let said = there.refused(&["campaign", "delete", "moved", "--confirm", "moved"]);
+    assert!(said.contains(name), "{said}");
+
+    // Outcomes of another campaign of that name are no source.
+    let mut other = Bench::with(&with(spec(), json!({"levels": ["L2"]}))).await;
+    other.run(3, "").await;
+    let said = other.refused(&["campaign", "import", &path]);
+    assert!(said.contains("others here"), "{said}");
+}
+
+/// Merges archives with the program.
+fn merge(archives: &[&Path], output: &Path) -> Result<String, String> {
+    let archives: Vec<String> = archives.iter().map(|it| it.display().to_string()).collect();
+    let output = output.display().to_string();
+    let mut arguments = vec!["merge"];
+    arguments.extend(archives.iter().map(String::as_str));
+    arguments.extend(["--output", &output]);
+    let done = crate::process::coordinator(&arguments);
+    match done.status.success() {
+        true => Ok(text(&done.stdout).to_owned()),
+        false => Err(text(&done.stderr).to_owned()),
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn two_halves_that_agree_become_the_campaign_that_one_coordinator_would_have_run() {
+    let mut first = Bench::with(&spec()).await;
+    first.run(4, "L3").await;
+    let endpoint = json!({"policy": {"name": "expert", "endpoint": "http://10.0.0.2:50051"}});
+    let mut second = Bench::with(&with(spec(), endpoint)).await;
+    second.run(64, "L1").await;
+    let filmed = second.worker.claim_one().await;
+    let success = succeeds(&rollout_id(&filmed));
+    assert_eq!(
+        second.worker.commit(&filmed, success).await,
+        Verdict::Accepted
+    );
+    put(&mut second.worker, &filmed, "video.mp4", &[vec![5; 99]])
+        .await
+        .expect("kept");
+    let (a, b) = (first.archive("moved"), second.archive("moved"));
+    let folder = tempfile::tempdir().expect("a folder");
+    let whole = folder.path().join("whole.tar.gz");
+    let said = merge(&[&a, &b], &whole).expect("merged");
+    assert!(said.contains("of both alike"), "{said}");
+    let other_way = folder.path().join("other.tar.gz");
+    merge(&[&b, &a], &other_way).expect("merged");
+
+    let mut there = Bench::empty().await;
+    there.import(&whole);
+    there.in_order().await;
+    let films = there.folder.path().join("artifacts/moved");
+    assert_eq!(std::fs::read_dir(films).expect("films").count(), 1);
+    // What neither half has run is still to be run.
+    there.run(64, "").await;
+    there.in_order().await;
+    first.run(64, "").await;
+    assert_eq!(there.report("moved"), first.report("moved"));
+    // Merged with itself it is what it was.
+    let done = there.archive("moved");
+    let again = folder.path().join("again.tar.gz");
+    let said = merge(&[&done, &done], &again).expect("merged");
+    assert!(
+        said.contains("13 of both alike; 0 in quarantine, 0 to be run"),
+        "{said}"
+    );
+    let three = folder.path().join("three.tar.gz");
+    merge(&[&a, &b, &done], &three).expect("merged");
+    let last = Bench::empty().await;
+    last.import(&three);
+    last.in_order().await;
+    assert_eq!(last.report("moved"), first.report("moved"));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn halves_that_contradict_each_other_are_refused_with_both_outcomes() {
+    let mut first = Bench::with(&spec()).await;
+    let mut second = Bench::with(&spec()).await;
+    first.run(6, "").await;
+    let lease = second.worker.claim_one().await;
+    let (id, success) = (rollout_id(&lease), succeeds(&rollout_id(&lease)));
+    assert_eq!(
+        second.worker.commit(&lease, !success).await,
+        Verdict::Accepted
+    );
+    let (a, b) = (first.archive("moved"), second.archive("moved"));
+    let folder = tempfile::tempdir().expect("a folder");
+    let whole = folder.path().join("whole.tar.gz");
+    let said = merge(&[&a, &b], &whole).expect_err("a contradiction");
+    for word in [
+        id.as_str(),
+        "success after 120 steps",
+        "failure after 280 steps",
+        "on bench",
+        "1 of their rollouts",
+    ] {
+        assert!(said.contains(word), "{said} lacks {word}");
+    }
+    assert!(!whole.exists());
+
+    // Another scene under the same outcome is another rollout.
+    let mut third = Bench::with(&spec()).await;
+    let lease = third.worker.claim_one().await;
+    let mut report = third.worker.report(&lease, succeeds(&rollout_id(&lease)));
+    let scene = &mut report.provenance.as_mut().expect("provenance").scene_digest;
+    *scene = "0".repeat(64);
+    let (verdict, _) = third.worker.commit_request(report).await;
+    assert_eq!(verdict, Verdict::Accepted);
+    let c = third.archive("moved");
+    let said = merge(&[&a, &c], &whole).expect_err("another scene");
+    assert!(said.contains("scene digest"), "{said}");
+
+    // And another design is no half.
+    let fourth = Bench::with(&with(spec(), json!({"levels": ["L1"]}))).await;
+    let d = fourth.archive("moved");
+    let said = merge(&[&a, &d], &whole).expect_err("another design");
+    assert!(said.contains("`levels`"), "{said}");
+    assert!(!whole.exists());
+    let mut left = std::fs::read_dir(folder.path()).expect("a folder");
+    assert!(left.next().is_none(), "nothing is left of what was refused");
+}

@@ -1,0 +1,297 @@
+//! Films that are kept in another folder or in S3-compatible storage, which may be down.
+
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use proto::coordinator::commit_response::Verdict;
+use queue::invariants::check;
+use tempfile::TempDir;
+
+use crate::artifacts::put;
+use crate::harness::{Worker, rollout_id, small_spec};
+use crate::process::{Serve, text};
+
+/// The server of S3's calls that tests start: `moto_server` of the package `moto[server]`.
+const SERVER: &str = "ROLLOUT_S3_SERVER";
+/// How long a film may take to be stored: the mirror pauses while storage fails.
+const PATIENCE: Duration = Duration::from_secs(90);
+
+/// A server that keeps objects in memory; killed when it goes out of scope.
+struct Bucket {
+    child: Child,
+    address: SocketAddr,
+}
+
+impl Bucket {
+    fn start(program: &str, address: SocketAddr) -> Bucket {
+        let child = Command::new(program)
+            .args(["-H", "127.0.0.1", "-p", &address.port().to_string()])
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .expect("starts");
+        let bucket = Bucket { child, address };
+        let began = Instant::now();
+        while TcpStream::connect(address).is_err() {
+            assert!(began.elapsed() < PATIENCE, "{program} does not listen");
+            std::thread::sleep(Duration::from_millis(100));
+        }
+        let made = http(address, "PUT", "/films", "Content-Length: 0\r\n");
+        assert!(made.0.starts_with("HTTP/1.1 200"), "{}", made.0);
+        bucket
+    }
+
+    /// Names of the objects that are there.
+    fn keys(&self) -> Vec<String> {
+        let (_, body) = http(self.address, "GET", "/films?list-type=2", "");
+        let body = String::from_utf8(body).expect("XML");
+        let keys = body.split("<Key>").skip(1);
+        keys.filter_map(|it| Some(it.split_once("</Key>")?.0.to_owned()))
+            .collect()
+    }
+}
+
+impl Drop for Bucket {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// One request. Returns head and body.
+fn http(address: SocketAddr, method: &str, path: &str, headers: &str) -> (String, Vec<u8>) {
+    let mut stream = TcpStream::connect(address).expect("it listens");
+    let request = format!(
+        "{method} {path} HTTP/1.1\r\nHost: {address}\r\n{headers}Connection: close\r\n\r\n"
+    );
+    stream.write_all(request.as_bytes()).expect("sent");
+    let mut answer = Vec::new();
+    stream.read_to_end(&mut answer).expect("an answer");
+    let end = answer.windows(4).position(|it| it == b"\r\n\r\n");
+    let end = end.expect("a head");
+    let head = String::from_utf8_lossy(&answer[..end]).into_owned();
+    (head, answer[end + 4..].to_vec())
+}
+
+/// A port that nobody listens on.
+fn free_address() -> SocketAddr {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
+    listener.local_addr().expect("an address")
+}
+
+/// The variables that say where a bucket is.
+fn variables(address: SocketAddr) -> Vec<(&'static str, String)> {
+    vec![
+        ("AWS_ENDPOINT_URL", format!("http://{address}")),
+        ("AWS_ALLOW_HTTP", "true".to_owned()),
+        ("AWS_REGION", "us-east-1".to_owned()),
+        ("AWS_ACCESS_KEY_ID", "tested".to_owned()),
+        ("AWS_SECRET_ACCESS_KEY", "tested".to_owned()),
+    ]
+}
+
+/// A coordinator that keeps its films at `place`.
+fn serve(data: &Path, place: &str, variables: &[(&str, String)]) -> Serve {
+    let child = Command::new(env!("CARGO_BIN_EXE_coordinator"))
+        .args(["serve", "--listen", "127.0.0.1:0", "--data"])
+        .arg(data)
+        .env("COORDINATOR_ARTIFACTS", place)
+        .envs(variables.iter().map(|(name, value)| (name, value)))
+        .env_remove("RUST_LOG")
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("starts");
+    let serve = Serve::of(child);
+    assert!(serve.is_ready(), "it listens");
+    serve
+}
+
+fn must(serve: &Serve, arguments: &[&str]) -> String {
+    let output = serve.command(arguments);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    text(&output.stdout).to_owned()
+}
+
+fn create(serve: &Serve, folder: &TempDir) {
+    let file = folder.path().join("spec.json");
+    std::fs::write(&file, small_spec("filmed").to_string()).expect("written");
+    must(
+        serve,
+        &["campaign", "create", "--spec", &file.display().to_string()],
+    );
+}
+
+/// Commits a rollout and sends its film. Returns the rollout's name.
+async fn film(worker: &mut Worker, bytes: &[u8]) -> String {
+    let lease = worker.claim_one().await;
+    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+    put(worker, &lease, "video.mp4", &[bytes.to_vec()])
+        .await
+        .expect("kept");
+    rollout_id(&lease)
+}
+
+/// Films in the data folder.
+fn here(folder: &TempDir) -> usize {
+    let films = std::fs::read_dir(folder.path().join("artifacts/filmed"));
+    films.map_or(0, Iterator::count)
+}
+
+async fn until(what: &str, is_so: impl Fn() -> bool) {
+    let began = Instant::now();
+    while !is_so() {
+        assert!(began.elapsed() < PATIENCE, "{what}");
+        tokio::time::sleep(Duration::from_millis(200)).await;
+    }
+}
+
+/// What a browser sees of a film: all of it, and pieces.
+fn shows(serve: &Serve, rollout: &str, bytes: &[u8]) {
+    let address = serve.url.strip_prefix("http://").expect("a URL");
+    let address = address.parse().expect("an address");
+    let path = format!("/campaigns/filmed/videos/{rollout}");
+    let (head, whole) = http(address, "GET", &path, "");
+    assert!(head.starts_with("HTTP/1.1 200"), "{head}");
+    assert!(whole == bytes, "another film");
+    for (range, expected) in [
+        ("bytes=10-19", &bytes[10..20]),
+        ("bytes=100-", &bytes[100..]),
+        ("bytes=-7", &bytes[bytes.len() - 7..]),
+    ] {
+        let (head, part) = http(address, "GET", &path, &format!("Range: {range}\r\n"));
+        assert!(head.starts_with("HTTP/1.1 206"), "{head}");
+        assert!(part == expected, "{range}");
+        let of = format!("/{}", bytes.len());
+        let has_range = |line: &str| {
+            line.to_lowercase().starts_with("content-range: bytes ") && line.ends_with(&of)
+        };
+        assert!(head.lines().any(has_range), "{head}");
+    }
+}
+
+fn some_film(seed: u8) -> Vec<u8> {
+    (0..300_000_u32).map(|at| (at / 7) as u8 ^ seed).collect()
+}
+
+/// The whole life of films at a place that is there.
+async fn lives(place: &str, variables: &[(&str, String)], stored: &dyn Fn() -> usize) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let coordinator = serve(folder.path(), place, variables);
+    create(&coordinator, &folder);
+    let mut worker = coordinator.worker("a").await;
+    let (first, second) = (some_film(1), some_film(2));
+    let one = film(&mut worker, &first).await;
+    shows(&coordinator, &one, &first);
+    let other = film(&mut worker, &second).await;
+    until("both are stored", || here(&folder) == 0 && stored() == 2).await;
+    shows(&coordinator, &one, &first);
+    shows(&coordinator, &other, &second);
+
+    // Another start finds them, and so does another coordinator through an archive.
+    drop(coordinator);
+    let coordinator = serve(folder.path(), place, variables);
+    shows(&coordinator, &other, &second);
+    let archive = folder.path().join("filmed.tar.gz").display().to_string();
+    must(
+        &coordinator,
+        &["campaign", "archive", "filmed", "--output", &archive],
+    );
+    let elsewhere = tempfile::tempdir().expect("a folder");
+    let there = Serve::start(elsewhere.path());
+    let said = must(&there, &["campaign", "import", &archive]);
+    assert!(said.contains("2 films"), "{said}");
+    shows(&there, &one, &first);
+    assert_eq!(here(&elsewhere), 2);
+
+    let delete = ["campaign", "delete", "filmed", "--confirm", "filmed"];
+    must(&coordinator, &delete);
+    until("nothing is left", || stored() == 0).await;
+    let violations = check(folder.path()).await.expect("a database");
+    assert_eq!(violations, []);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn films_are_kept_in_another_folder_where_an_operator_wants_them() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let place = folder.path().join("films");
+    let stored = || {
+        let campaign = std::fs::read_dir(place.join("artifacts/filmed"));
+        campaign.map_or(0, Iterator::count)
+    };
+    lives(&place.display().to_string(), &[], &stored).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn films_are_kept_in_a_bucket_and_archives_too() {
+    let Ok(program) = std::env::var(SERVER) else {
+        println!("skipped films_are_kept_in_a_bucket_and_archives_too: no {SERVER}");
+        return;
+    };
+    let address = free_address();
+    let bucket = Bucket::start(&program, address);
+    let variables = variables(address);
+    lives("s3://films/lab/one", &variables, &|| bucket.keys().len()).await;
+
+    let folder = tempfile::tempdir().expect("a folder");
+    let coordinator = serve(folder.path(), "s3://films/lab/two", &variables);
+    create(&coordinator, &folder);
+    let run = |arguments: &[&str]| {
+        let output = Command::new(env!("CARGO_BIN_EXE_coordinator"))
+            .args(arguments)
+            .args(["--connect", &coordinator.url])
+            .envs(variables.iter().map(|(name, value)| (name, value)))
+            .output()
+            .expect("runs");
+        (output.status.success(), text(&output.stderr).to_owned())
+    };
+    let address = "s3://films/archives/filmed.tar.gz";
+    let done = run(&["campaign", "archive", "filmed", "--output", address]);
+    assert!(done.0, "{}", done.1);
+    assert_eq!(bucket.keys(), ["archives/filmed.tar.gz"]);
+    let done = run(&["campaign", "import", address, "--as", "again"]);
+    assert!(done.0, "{}", done.1);
+    let (done, said) = run(&["campaign", "import", "s3://films/nowhere.tar.gz"]);
+    assert!(!done && said.contains("there is no such object"), "{said}");
+    let (done, said) = run(&["campaign", "import", "s3://films"]);
+    assert!(!done && said.contains("s3://BUCKET/FOLDER"), "{said}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn storage_that_is_down_costs_no_rollout_and_no_film() {
+    let Ok(program) = std::env::var(SERVER) else {
+        println!("skipped storage_that_is_down_costs_no_rollout_and_no_film: no {SERVER}");
+        return;
+    };
+    let address = free_address();
+    let variables = variables(address);
+    let folder = tempfile::tempdir().expect("a folder");
+    let coordinator = serve(folder.path(), "s3://films", &variables);
+    create(&coordinator, &folder);
+    let mut worker = coordinator.worker("a").await;
+    let bytes = some_film(3);
+    let rollout = film(&mut worker, &bytes).await;
+    film(&mut worker, &bytes).await;
+    tokio::time::sleep(Duration::from_secs(5)).await;
+    assert_eq!(here(&folder), 2);
+    shows(&coordinator, &rollout, &bytes);
+    let jobs = must(&coordinator, &["jobs", "list", "filmed", "--json"]);
+    let jobs: serde_json::Value = serde_json::from_str(&jobs).expect("JSON");
+    let jobs = jobs.to_string();
+    assert!(!jobs.contains("\"charged_attempts\":1"), "{jobs}");
+
+    let bucket = Bucket::start(&program, address);
+    until("they are stored", || here(&folder) == 0).await;
+    assert_eq!(bucket.keys().len(), 2);
+    shows(&coordinator, &rollout, &bytes);
+    drop(bucket);
+    // A campaign can be deleted meanwhile; what is left of it goes later.
+    must(&coordinator, &["campaign", "cancel", "filmed"]);
+    let delete = ["campaign", "delete", "filmed", "--confirm", "filmed"];
+    must(&coordinator, &delete);
+    let violations = check(folder.path()).await.expect("a database");
+    assert_eq!(violations, []);
+}

@@ -1,0 +1,231 @@
+//! What becomes of a rollout that two halves of one campaign know of, and when they
+//! contradict each other.
+
+use std::collections::BTreeMap;
+
+use super::lease::OutcomeKey;
+
+/// What a half knows of one rollout.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Known {
+    /// How far it is.
+    pub standing: Standing,
+    /// Reports of another outcome than the committed one, which are findings.
+    pub divergences: u32,
+    /// Whether it was filmed.
+    pub is_filmed: bool,
+    /// Failures that count against it.
+    pub charged_attempts: u32,
+    /// Attempts so far.
+    pub attempts: u32,
+}
+
+/// How far a rollout is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Standing {
+    /// It is to be run.
+    #[default]
+    Open,
+    /// It ran out of attempts.
+    Quarantined,
+    /// It has an outcome.
+    Committed(OutcomeKey),
+}
+
+/// Which half's account of a rollout is kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kept {
+    /// The first one's.
+    First,
+    /// The second one's.
+    Second,
+}
+
+/// Two outcomes of one rollout.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Contradiction<N> {
+    /// Which rollout.
+    pub of: N,
+    /// In the first half.
+    pub first: OutcomeKey,
+    /// In the second half.
+    pub second: OutcomeKey,
+}
+
+impl Known {
+    /// What is kept of a rollout: an outcome before a quarantine, and that before
+    /// nothing; of two alike, the account that holds more.
+    ///
+    /// # Errors
+    /// The outcomes, if there are two.
+    pub fn beside(&self, other: &Known) -> Result<Kept, (OutcomeKey, OutcomeKey)> {
+        if let (Standing::Committed(first), Standing::Committed(second)) =
+            (self.standing, other.standing)
+            && first != second
+        {
+            return Err((first, second));
+        }
+        Ok(match other.weight() > self.weight() {
+            true => Kept::Second,
+            false => Kept::First,
+        })
+    }
+
+    fn weight(&self) -> (u8, u32, bool, u32, u32) {
+        let standing = match self.standing {
+            Standing::Open => 0,
+            Standing::Quarantined => 1,
+            Standing::Committed(_) => 2,
+        };
+        (
+            standing,
+            self.divergences,
+            self.is_filmed,
+            self.charged_attempts,
+            self.attempts,
+        )
+    }
+}
+
+/// Which half's account is kept of every rollout. One that a half lacks is the
+/// other's.
+///
+/// # Errors
+/// Every contradiction, in order.
+pub fn merge<N: Clone + Ord>(
+    first: &BTreeMap<N, Known>,
+    second: &BTreeMap<N, Known>,
+) -> Result<BTreeMap<N, Kept>, Vec<Contradiction<N>>> {
+    let mut kept = BTreeMap::new();
+    let mut contradictions = Vec::new();
+    for (of, known) in first {
+        match second
+            .get(of)
+            .map_or(Ok(Kept::First), |it| known.beside(it))
+        {
+            Ok(half) => {
+                kept.insert(of.clone(), half);
+            }
+            Err((first, second)) => contradictions.push(Contradiction {
+                of: of.clone(),
+                first,
+                second,
+            }),
+        }
+    }
+    for of in second.keys().filter(|of| !first.contains_key(*of)) {
+        kept.insert(of.clone(), Kept::Second);
+    }
+    match contradictions.is_empty() {
+        true => Ok(kept),
+        false => Err(contradictions),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    type Half = BTreeMap<u8, Known>;
+
+    fn known() -> impl Strategy<Value = Known> {
+        let standing = prop_oneof![
+            Just(Standing::Open),
+            Just(Standing::Quarantined),
+            (any::<bool>(), 0..3_u32).prop_map(|(success, steps)| {
+                Standing::Committed(OutcomeKey { success, steps })
+            }),
+        ];
+        (standing, 0..2_u32, any::<bool>(), 0..3_u32, 0..4_u32).prop_map(
+            |(standing, divergences, is_filmed, charged_attempts, attempts)| Known {
+                standing,
+                divergences,
+                is_filmed,
+                charged_attempts,
+                attempts,
+            },
+        )
+    }
+
+    fn half() -> impl Strategy<Value = Half> {
+        proptest::collection::btree_map(0..6_u8, known(), 0..6)
+    }
+
+    /// What the merged campaign knows.
+    fn merged(first: &Half, second: &Half) -> Option<Half> {
+        let kept = merge(first, second).ok()?;
+        let of = |(of, kept): (u8, Kept)| match kept {
+            Kept::First => (of, first[&of]),
+            Kept::Second => (of, second[&of]),
+        };
+        Some(kept.into_iter().map(of).collect())
+    }
+
+    fn outcome(known: Option<&Known>) -> Option<OutcomeKey> {
+        match known?.standing {
+            Standing::Committed(outcome) => Some(outcome),
+            _ => None,
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn every_outcome_of_either_half_is_kept_and_none_is_made_up(a in half(), b in half()) {
+            if let Some(whole) = merged(&a, &b) {
+                let names: Vec<u8> = a.keys().chain(b.keys()).copied().collect();
+                for of in names {
+                    let either = outcome(a.get(&of)).or(outcome(b.get(&of)));
+                    prop_assert_eq!(outcome(whole.get(&of)), either);
+                }
+                prop_assert!(whole.keys().all(|of| a.contains_key(of) || b.contains_key(of)));
+            }
+        }
+
+        #[test]
+        fn a_rollout_is_open_exactly_if_it_is_in_both_halves(a in half(), b in half()) {
+            if let Some(whole) = merged(&a, &b) {
+                let is_open = |half: &Half, of| {
+                    half.get(of).is_none_or(|known| known.standing == Standing::Open)
+                };
+                for of in whole.keys() {
+                    prop_assert_eq!(is_open(&whole, of), is_open(&a, of) && is_open(&b, of));
+                }
+            }
+        }
+
+        #[test]
+        fn contradictions_are_the_rollouts_with_two_outcomes(a in half(), b in half()) {
+            let expected: Vec<u8> = a
+                .keys()
+                .filter(|of| {
+                    let both = outcome(a.get(*of)).zip(outcome(b.get(*of)));
+                    both.is_some_and(|(one, other)| one != other)
+                })
+                .copied()
+                .collect();
+            let found = merge(&a, &b).err().unwrap_or_default();
+            prop_assert_eq!(found.iter().map(|it| it.of).collect::<Vec<_>>(), expected);
+            for it in found {
+                prop_assert_eq!(Some(it.first), outcome(a.get(&it.of)));
+                prop_assert_eq!(Some(it.second), outcome(b.get(&it.of)));
+            }
+        }
+
+        #[test]
+        fn the_order_of_the_halves_does_not_matter(a in half(), b in half(), c in half()) {
+            prop_assert_eq!(merged(&a, &b), merged(&b, &a));
+            let left = merged(&a, &b).and_then(|ab| merged(&ab, &c));
+            let right = merged(&b, &c).and_then(|bc| merged(&a, &bc));
+            // A contradiction is found in whatever order.
+            prop_assert_eq!(left, right);
+        }
+
+        #[test]
+        fn a_half_merged_with_itself_or_with_nothing_is_what_it_was(a in half()) {
+            prop_assert_eq!(merged(&a, &a), Some(a.clone()));
+            prop_assert_eq!(merged(&a, &Half::new()), Some(a));
+        }
+    }
+}

@@ -1,0 +1,472 @@
+//! Statements that copy one campaign from another database, attached as the schema
+//! `source`, with everything that belongs to it.
+//!
+//! Columns are copied by their names, so that one which a later migration adds is
+//! copied too; a table that one adds has to be named here.
+
+use sqlx::{AssertSqlSafe, SqliteConnection};
+
+use super::{Doing, StoreError, policies};
+use crate::clock::UnixMillis;
+use crate::ids::{CampaignId, CampaignName};
+
+/// What a campaign that is copied is called here.
+#[derive(Clone, Debug)]
+pub(crate) struct Called {
+    pub(crate) name: CampaignName,
+    /// Its specification, which names it, JSON.
+    pub(crate) spec: String,
+    /// SHA-256 of the specification, hex.
+    pub(crate) spec_digest: String,
+    /// The folder of its files, below that of all artifacts.
+    pub(crate) folder: String,
+}
+
+/// What a table's rows become.
+struct Copied {
+    table: &'static str,
+    /// Where its rows, `s`, are taken from.
+    from: &'static str,
+    /// Columns that become another value than they had; NULL stands for a row number
+    /// that is given anew.
+    values: &'static [(&'static str, &'static str)],
+    /// After the last column.
+    rest: &'static str,
+}
+
+/// What is known while a campaign is copied, in the temporary table `moved`.
+const CAMPAIGN: (&str, &str) = ("campaign_id", "(SELECT new FROM temp.moved)");
+const JOB: (&str, &str) = ("job_id", "m.new");
+
+/// How a leased attempt of a campaign that is moved ends in the copy.
+const MOVED: &str = "the campaign was copied while this attempt ran";
+
+/// The tables that are copied row by row, in order.
+const COPIED: [Copied; 10] = [
+    Copied {
+        table: "campaign_task",
+        from: "source.campaign_task s WHERE s.campaign_id = (SELECT old FROM temp.moved)",
+        values: &[CAMPAIGN],
+        rest: " ORDER BY s.task ON CONFLICT DO NOTHING",
+    },
+    // Workers that are gone: none of them works for this coordinator.
+    Copied {
+        table: "worker",
+        from: "source.worker s JOIN (SELECT worker_id, max(committed_ms) AS last_ms
+                   FROM source.result WHERE campaign_id = (SELECT old FROM temp.moved)
+                   GROUP BY worker_id) r ON r.worker_id = s.id WHERE TRUE",
+        values: &[
+            ("last_seen_ms", "r.last_ms"),
+            ("signed_off_ms", "r.last_ms"),
+            ("charged_in_a_row", "0"),
+            ("stopped_reason", "NULL"),
+        ],
+        rest: " ORDER BY s.id ON CONFLICT (id) DO NOTHING",
+    },
+    Copied {
+        table: "provenance",
+        from: "source.provenance s WHERE s.id IN (SELECT old FROM temp.moved_origin)",
+        values: &[("id", "NULL")],
+        rest: " ORDER BY s.id ON CONFLICT DO NOTHING",
+    },
+    // A committed job is leased until its result is there: the schema says so.
+    Copied {
+        table: "job",
+        from: "source.job s JOIN temp.moved_job m ON m.old = s.id
+               LEFT JOIN source.result r ON r.job_id = s.id WHERE TRUE",
+        values: &[
+            ("id", "m.new"),
+            CAMPAIGN,
+            (
+                "state",
+                "CASE s.state WHEN 'committed' THEN 'leased' WHEN 'leased' THEN 'queued'
+                     ELSE s.state END",
+            ),
+            (
+                "not_before_ms",
+                "iif(s.state IN ('queued', 'leased'), 0, NULL)",
+            ),
+            ("lease_owner", "r.worker_id"),
+            ("leased_ms", "r.committed_ms"),
+            ("lease_expires_ms", "r.committed_ms"),
+            ("ceiling_ms", "r.committed_ms"),
+            ("control_steps", "iif(r.job_id IS NULL, NULL, 0)"),
+            ("claim_id", "iif(r.job_id IS NULL, NULL, '')"),
+            ("acknowledged", "iif(r.job_id IS NULL, NULL, 1)"),
+            (
+                "attempt_id",
+                "(SELECT new FROM temp.moved_attempt WHERE old = r.attempt_id)",
+            ),
+        ],
+        rest: " ORDER BY m.new",
+    },
+    Copied {
+        table: "result",
+        from: "source.result s JOIN temp.moved_job m ON m.old = s.job_id
+               JOIN temp.moved_attempt a ON a.old = s.attempt_id
+               JOIN temp.moved_origin o ON o.old = s.provenance_id WHERE TRUE",
+        values: &[
+            CAMPAIGN,
+            JOB,
+            ("attempt_id", "a.new"),
+            ("provenance_id", "o.new"),
+        ],
+        rest: " ORDER BY m.new",
+    },
+    Copied {
+        table: "motion",
+        from: "source.motion s JOIN temp.moved_job m ON m.old = s.job_id WHERE TRUE",
+        values: &[JOB],
+        rest: " ORDER BY m.new",
+    },
+    Copied {
+        table: "divergence",
+        from: "source.divergence s JOIN temp.moved_job m ON m.old = s.job_id
+               JOIN temp.moved_origin o ON o.old = s.provenance_id WHERE TRUE",
+        values: &[("id", "NULL"), JOB, ("provenance_id", "o.new")],
+        rest: " ORDER BY s.id",
+    },
+    Copied {
+        table: "failure",
+        from: "source.failure s JOIN temp.moved_job m ON m.old = s.job_id
+               JOIN temp.moved_attempt a ON a.old = s.attempt_id WHERE TRUE",
+        values: &[JOB, ("attempt_id", "a.new")],
+        rest: " ORDER BY m.new, s.attempt",
+    },
+    Copied {
+        table: "artifact",
+        from: "source.artifact s JOIN temp.moved_attempt a ON a.old = s.attempt_id WHERE TRUE",
+        values: &[
+            ("attempt_id", "a.new"),
+            // What comes after the last slash is the file's own name.
+            (
+                "path",
+                "'artifacts/' || (SELECT folder FROM temp.moved) || '/'
+                     || replace(s.path, rtrim(s.path, replace(s.path, '/', '')), '')",
+            ),
+        ],
+        rest: " ORDER BY s.path, s.kind",
+    },
+    // The last: a campaign that has stopped holds no lease.
+    Copied {
+        table: "stop",
+        from: "source.stop s WHERE s.campaign_id = (SELECT old FROM temp.moved)",
+        values: &[CAMPAIGN],
+        rest: "",
+    },
+];
+
+/// The campaign itself, which all of them refer to.
+const CAMPAIGN_ROW: Copied = Copied {
+    table: "campaign",
+    from: "source.campaign s JOIN temp.moved m ON m.old = s.id WHERE TRUE",
+    values: &[
+        ("id", "NULL"),
+        ("name", "m.name"),
+        ("spec", "m.spec"),
+        ("spec_digest", "m.spec_digest"),
+        ("policy_id", "m.policy"),
+        ("folder", "nullif(m.folder, m.name)"),
+    ],
+    rest: " RETURNING id",
+};
+
+/// Tables that stay behind. A policy's health and what is to be removed are this
+/// coordinator's own; a campaign that follows from another says so in its
+/// specification.
+#[cfg(test)]
+const LEFT: [&str; 5] = [
+    "_sqlx_migrations",
+    "policy",
+    "removal",
+    "former_name",
+    "derivation",
+];
+
+/// Copies a campaign from the schema `source`. Leases end without a charge: their
+/// jobs wait again.
+pub(crate) async fn copy(
+    tx: &mut SqliteConnection,
+    old: CampaignId,
+    called: &Called,
+    now: UnixMillis,
+) -> Result<CampaignId, StoreError> {
+    begin(tx, old).await?;
+    let (endpoint, policy): (String, String) = sqlx::query_as(
+        "SELECT p.endpoint, p.name FROM source.campaign c
+         JOIN source.policy p ON p.id = c.policy_id WHERE c.id = ?",
+    )
+    .bind(old)
+    .fetch_one(&mut *tx)
+    .await
+    .doing("read which policy a campaign measures")?;
+    let policy = policies::find_or_insert(tx, &endpoint, &policy, now).await?;
+    sqlx::query(
+        "UPDATE temp.moved SET policy = ?, name = ?, spec = ?, spec_digest = ?, folder = ?",
+    )
+    .bind(policy)
+    .bind(&called.name)
+    .bind(&called.spec)
+    .bind(&called.spec_digest)
+    .bind(&called.folder)
+    .execute(&mut *tx)
+    .await
+    .doing("copy a campaign")?;
+    let statement = CAMPAIGN_ROW.statement(tx).await?;
+    let new: CampaignId = sqlx::query_scalar(AssertSqlSafe(statement))
+        .fetch_one(&mut *tx)
+        .await
+        .doing("copy a campaign")?;
+    sqlx::query("UPDATE temp.moved SET new = ?")
+        .bind(new)
+        .execute(&mut *tx)
+        .await
+        .doing("copy a campaign")?;
+    // Behind the jobs that are here.
+    run(
+        tx,
+        "INSERT INTO temp.moved_job
+         SELECT id, (SELECT coalesce(max(id), 0) FROM main.job)
+             + row_number() OVER (ORDER BY unit_order)
+         FROM source.job WHERE campaign_id = (SELECT old FROM temp.moved)",
+    )
+    .await?;
+    rows(tx, new).await?;
+    Ok(new)
+}
+
+/// Puts jobs of a campaign from the schema `source` into the place of those of the same
+/// rollouts, with everything that belongs to them.
+pub(crate) async fn replace(
+    tx: &mut SqliteConnection,
+    (campaign, old): (CampaignId, CampaignId),
+    jobs: &[(String, u32)],
+) -> Result<(), StoreError> {
+    begin(tx, old).await?;
+    sqlx::query(
+        "UPDATE temp.moved SET new = ?1,
+             folder = (SELECT coalesce(folder, name) FROM main.campaign WHERE id = ?1)",
+    )
+    .bind(campaign)
+    .execute(&mut *tx)
+    .await
+    .doing("copy a campaign")?;
+    sqlx::query(
+        "INSERT INTO temp.moved_job SELECT s.id, j.id
+         FROM json_each(?) w JOIN source.job s ON s.rollout_id = w.value ->> 0
+             AND s.replicate = w.value ->> 1 AND s.campaign_id = (SELECT old FROM temp.moved)
+         JOIN main.job j ON j.rollout_id = s.rollout_id AND j.replicate = s.replicate
+             AND j.campaign_id = (SELECT new FROM temp.moved)",
+    )
+    .bind(super::json(jobs))
+    .execute(&mut *tx)
+    .await
+    .doing("copy a campaign")?;
+    run(
+        tx,
+        "DELETE FROM main.job WHERE id IN (SELECT new FROM temp.moved_job)",
+    )
+    .await?;
+    rows(tx, campaign).await
+}
+
+async fn begin(tx: &mut SqliteConnection, old: CampaignId) -> Result<(), StoreError> {
+    run(
+        tx,
+        "CREATE TEMP TABLE moved (old INTEGER, new INTEGER, policy INTEGER, name TEXT,
+             spec TEXT, spec_digest TEXT, folder TEXT);
+         CREATE TEMP TABLE moved_job (old INTEGER PRIMARY KEY, new INTEGER NOT NULL);
+         CREATE TEMP TABLE moved_attempt (old TEXT PRIMARY KEY, new TEXT NOT NULL);
+         CREATE TEMP TABLE moved_origin (old INTEGER PRIMARY KEY, new INTEGER)",
+    )
+    .await?;
+    sqlx::query("INSERT INTO temp.moved (old) VALUES (?)")
+        .bind(old)
+        .execute(tx)
+        .await
+        .doing("copy a campaign")
+        .map(drop)
+}
+
+/// Copies the chosen jobs with everything that belongs to them.
+async fn rows(tx: &mut SqliteConnection, campaign: CampaignId) -> Result<(), StoreError> {
+    name_attempts(tx).await?;
+    for copied in &COPIED {
+        let statement = copied.statement(tx).await?;
+        run(tx, &statement).await?;
+        match copied.table {
+            "provenance" => find_origins(tx).await?,
+            "result" => commit_jobs(tx, campaign).await?,
+            _ => {}
+        }
+    }
+    end_leases(tx).await?;
+    run(
+        tx,
+        "DROP TABLE temp.moved; DROP TABLE temp.moved_job; DROP TABLE temp.moved_attempt;
+         DROP TABLE temp.moved_origin",
+    )
+    .await
+}
+
+/// An attempt gets another id only if one of its own is here: then this is a copy
+/// beside the original.
+async fn name_attempts(tx: &mut SqliteConnection) -> Result<(), StoreError> {
+    run(
+        tx,
+        "INSERT INTO temp.moved_attempt
+         SELECT id, iif(EXISTS (SELECT 1 FROM main.result WHERE attempt_id = id)
+                 OR EXISTS (SELECT 1 FROM main.failure WHERE attempt_id = id)
+                 OR EXISTS (SELECT 1 FROM main.job WHERE state = 'leased' AND attempt_id = id),
+             lower(hex(randomblob(16))), id)
+         FROM (SELECT attempt_id AS id FROM source.result
+                   WHERE job_id IN (SELECT old FROM temp.moved_job)
+               UNION ALL SELECT attempt_id FROM source.failure
+                   WHERE job_id IN (SELECT old FROM temp.moved_job)
+               UNION ALL SELECT attempt_id FROM source.job
+                   WHERE state = 'leased' AND id IN (SELECT old FROM temp.moved_job));
+         INSERT INTO temp.moved_origin (old)
+         SELECT provenance_id FROM source.result WHERE job_id IN (SELECT old FROM temp.moved_job)
+         UNION SELECT provenance_id FROM source.divergence
+             WHERE job_id IN (SELECT old FROM temp.moved_job)",
+    )
+    .await
+}
+
+/// Finds the rows here of the origins that were copied or were here before.
+async fn find_origins(tx: &mut SqliteConnection) -> Result<(), StoreError> {
+    let columns = columns(tx, "provenance").await?;
+    let columns = columns.iter().filter(|name| *name != "id");
+    let same: Vec<String> = columns
+        .map(|name| format!("n.{name} IS o.{name}"))
+        .collect();
+    let statement = format!(
+        "UPDATE temp.moved_origin SET new = (SELECT n.id FROM main.provenance n
+             JOIN source.provenance o ON {} WHERE o.id = moved_origin.old)",
+        same.join(" AND ")
+    );
+    run(tx, &statement).await
+}
+
+/// Jobs whose results are there now are committed.
+async fn commit_jobs(tx: &mut SqliteConnection, campaign: CampaignId) -> Result<(), StoreError> {
+    sqlx::query(
+        "UPDATE main.job SET state = 'committed', lease_owner = NULL, leased_ms = NULL,
+             lease_expires_ms = NULL, ceiling_ms = NULL, control_steps = NULL, claim_id = NULL,
+             acknowledged = NULL, attempt_id = NULL
+         WHERE campaign_id = ? AND state = 'leased'",
+    )
+    .bind(campaign)
+    .execute(tx)
+    .await
+    .doing("copy a campaign's results")
+    .map(drop)
+}
+
+/// Attempts that were under way have ended here, charged to nobody.
+async fn end_leases(tx: &mut SqliteConnection) -> Result<(), StoreError> {
+    sqlx::query(
+        "INSERT INTO main.failure (attempt_id, job_id, attempt, worker_id, failed_ms, reason,
+             charged, error)
+         SELECT a.new, m.new, s.attempt, s.lease_owner, s.leased_ms, 'draining', 0, ?
+         FROM source.job s JOIN temp.moved_job m ON m.old = s.id
+         JOIN temp.moved_attempt a ON a.old = s.attempt_id
+         WHERE s.state = 'leased' ORDER BY m.new",
+    )
+    .bind(MOVED)
+    .execute(tx)
+    .await
+    .doing("copy a campaign's leases")
+    .map(drop)
+}
+
+impl Copied {
+    /// The statement that copies the rows.
+    async fn statement(&self, tx: &mut SqliteConnection) -> Result<String, StoreError> {
+        let columns = columns(tx, self.table).await?;
+        let value = |column: &String| {
+            let other = self.values.iter().find(|(name, _)| name == column);
+            other.map_or_else(|| format!("s.{column}"), |(_, value)| (*value).to_owned())
+        };
+        let values: Vec<String> = columns.iter().map(value).collect();
+        Ok(format!(
+            "INSERT INTO main.{} ({}) SELECT {} FROM {}{}",
+            self.table,
+            columns.join(", "),
+            values.join(", "),
+            self.from,
+            self.rest,
+        ))
+    }
+}
+
+/// The columns of a table of this database.
+async fn columns(tx: &mut SqliteConnection, table: &str) -> Result<Vec<String>, StoreError> {
+    sqlx::query_scalar("SELECT name FROM pragma_table_info(?, 'main') ORDER BY cid")
+        .bind(table)
+        .fetch_all(tx)
+        .await
+        .doing("read a table's columns")
+}
+
+/// Runs statements that hold no value from outside.
+async fn run(tx: &mut SqliteConnection, statements: &str) -> Result<(), StoreError> {
+    sqlx::raw_sql(AssertSqlSafe(statements.to_owned()))
+        .execute(tx)
+        .await
+        .doing("copy a campaign")
+        .map(drop)
+}
+
+/// Takes away what differs between two databases of one content: when they were made.
+pub(crate) async fn forget_when(tx: &mut SqliteConnection) -> Result<(), StoreError> {
+    run(
+        tx,
+        "UPDATE _sqlx_migrations SET installed_on = '1970-01-01 00:00:00', execution_time = 0",
+    )
+    .await
+}
+
+/// Takes away the videos that are not there any more.
+pub(crate) async fn forget_artifacts(
+    tx: &mut SqliteConnection,
+    missing: &[String],
+) -> Result<(), StoreError> {
+    sqlx::query("DELETE FROM artifact WHERE path IN (SELECT value FROM json_each(?))")
+        .bind(super::json(missing))
+        .execute(tx)
+        .await
+        .doing("leave out files that are gone")
+        .map(drop)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::store::Store;
+
+    #[tokio::test]
+    async fn every_table_is_copied_or_stays_behind_on_purpose() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let store = Store::open(folder.path()).await.expect("a database");
+        let mut view = store.read().await.expect("a view");
+        let mut tables: Vec<String> = sqlx::query_scalar(
+            "SELECT name FROM sqlite_schema WHERE type = 'table' AND name NOT LIKE 'sqlite_%'",
+        )
+        .fetch_all(&mut *view)
+        .await
+        .expect("tables");
+        let copied = COPIED.iter().chain([&CAMPAIGN_ROW]);
+        let mut known: Vec<&str> = copied.map(|copied| copied.table).collect();
+        known.extend(LEFT);
+        known.sort_unstable();
+        tables.sort_unstable();
+        assert_eq!(tables, known, "name new tables in COPIED or LEFT");
+        for copied in COPIED.iter().chain([&CAMPAIGN_ROW]) {
+            let columns = columns(&mut view, copied.table).await.expect("columns");
+            for (column, _) in copied.values {
+                assert!(columns.iter().any(|it| it == column), "{column}");
+            }
+        }
+    }
+}

@@ -1,0 +1,54 @@
+"""`python -m rollout_client export lerobot|tensorboard|wandb ARCHIVE --output DIR`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from .archive import Archive
+from .errors import CoordinatorError
+from .export import lerobot, tensorboard, wandb
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs a command; returns its exit code."""
+    given = _parser().parse_args(arguments)
+    try:
+        with Archive(given.archive) as archive:
+            if given.form == "lerobot":
+                count = lerobot.export(archive, given.output, films=given.films)
+                what = "episodes"
+            elif given.form == "tensorboard":
+                count, what = tensorboard.export(archive, given.output), "points"
+            else:
+                count = wandb.export(archive, given.output, project=given.project)
+                what = "points"
+            print(f"wrote {count} {what} of campaign {archive.name} to {given.output}")
+    except CoordinatorError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m rollout_client")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    export = commands.add_parser("export", help="write a campaign for another tool")
+    forms = export.add_subparsers(dest="form", required=True, metavar="FORM")
+    for form, about in (
+        ("lerobot", "a dataset of form v2.1, of rollouts that have their actions"),
+        ("tensorboard", "success rates as they came about"),
+        ("wandb", "the same, with a table of all results, for `wandb sync`"),
+    ):
+        command = forms.add_parser(form, help=about)
+        command.add_argument("archive", help="made with `coordinator campaign archive`")
+        command.add_argument("--output", required=True, metavar="DIR", help="folder to write")
+        if form == "lerobot":
+            command.add_argument("--films", action="store_true", help="filmed rollouts only")
+        if form == "wandb":
+            command.add_argument("--project", default="rollout", help="default: rollout")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,204 @@
+"""A LeRobot dataset of form v2.1: an episode for each committed rollout.
+
+What a campaign does not keep is not in it: joints, the gripper's state, the end-effector's
+orientation, and pictures as the policy got them. Films are those of the campaign, both
+cameras side by side and compressed.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..archive import Archive, ArchiveError, Rollout
+from ..errors import SettingsError
+from . import needed
+
+#: Control steps, and pictures of a film, each second.
+FPS = 20
+
+#: Episodes in a folder.
+CHUNK = 1_000
+
+#: Pictures of a film: both cameras, 256 pixels each.
+HEIGHT, WIDTH = 256, 512
+
+FILM = "observation.images.both"
+DATA_PATH = "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet"
+VIDEO_PATH = "videos/chunk-{episode_chunk:03d}/{video_key}/episode_{episode_index:06d}.mp4"
+
+#: Displacements and rotations of the end-effector, and the gripper: -1 opens it.
+ACTION = ["x", "y", "z", "roll", "pitch", "yaw", "gripper"]
+
+
+def export(archive: Archive, folder: str | os.PathLike[str], *, films: bool = False) -> int:
+    """Writes an archive's rollouts that have actions into a new folder; returns how many.
+
+    films: only rollouts that were filmed, with their films. Raises ArchiveError where there are
+    none, and SettingsError where the folder is not new or pyarrow is missing.
+    """
+    needed("pyarrow", "lerobot")
+    target = Path(folder)
+    if target.exists() and any(target.iterdir()):
+        raise SettingsError(f"failed to export into {target}: it is not empty; name a new folder")
+    writing = _Writing(target, films)
+    for rollout in archive.rollouts():
+        # Of a campaign that records something else, no actions were kept.
+        if len(rollout.actions) > 0 and (rollout.film or not films):
+            writing.add(rollout)
+    if writing.episodes == 0:
+        what = "was filmed and has its actions" if films else "has its actions"
+        raise ArchiveError(
+            f"failed to export campaign {archive.name}: no rollout of it {what}; create campaigns"
+            " with --record transitions to keep actions"
+        )
+    writing.finish(archive)
+    return writing.episodes
+
+
+class _Writing:
+    """A dataset that grows."""
+
+    def __init__(self, folder: Path, films: bool) -> None:
+        self.folder, self.films = folder, films
+        self.episodes = self.frames = 0
+        self.tasks: dict[str, int] = {}
+        self.lines: dict[str, list[dict[str, Any]]] = {
+            "episodes": [],
+            "episodes_stats": [],
+            "rollouts": [],
+        }
+
+    def add(self, rollout: Rollout) -> None:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        index, length = self.episodes, len(rollout.actions)
+        task = self.tasks.setdefault(rollout.instruction, len(self.tasks))
+        at = np.arange(length)
+        columns: dict[str, np.ndarray[Any, Any]] = {
+            # Where the end-effector was when the action was chosen.
+            "observation.state": rollout.path[:length],
+            "action": rollout.actions,
+            "next.done": at == length - 1,
+            "next.success": (at == length - 1) & rollout.success,
+            "timestamp": (at / FPS).astype(np.float32),
+            "frame_index": at,
+            "episode_index": np.full(length, index),
+            "index": self.frames + at,
+            "task_index": np.full(length, task),
+        }
+        arrays = {
+            name: pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1])
+            if values.ndim == 2
+            else pa.array(values)
+            for name, values in columns.items()
+        }
+        path = self._path(DATA_PATH, index)
+        pq.write_table(pa.table(arrays), path)
+        if self.films and rollout.film is not None:
+            shutil.copyfile(rollout.film, self._path(VIDEO_PATH, index, video_key=FILM))
+        self.lines["episodes"].append(
+            {"episode_index": index, "tasks": [rollout.instruction], "length": length}
+        )
+        stats = {name: _stats(values) for name, values in columns.items()}
+        self.lines["episodes_stats"].append({"episode_index": index, "stats": stats})
+        self.lines["rollouts"].append(
+            {
+                "episode_index": index,
+                "rollout_id": rollout.rollout_id,
+                "replicate": rollout.replicate,
+                "task": rollout.task,
+                "axis": rollout.axis,
+                "level": rollout.level,
+                "success": rollout.success,
+                "steps": rollout.steps,
+            }
+        )
+        self.episodes += 1
+        self.frames += length
+
+    def finish(self, archive: Archive) -> None:
+        """Writes what is said of all episodes."""
+        tasks = [{"task_index": index, "task": task} for task, index in self.tasks.items()]
+        for name, lines in {**self.lines, "tasks": tasks}.items():
+            _write(self.folder / "meta" / f"{name}.jsonl", map(json.dumps, lines))
+        info = {
+            "codebase_version": "v2.1",
+            "robot_type": "panda",
+            "total_episodes": self.episodes,
+            "total_frames": self.frames,
+            "total_tasks": len(self.tasks),
+            "total_videos": self.episodes if self.films else 0,
+            "total_chunks": -(-self.episodes // CHUNK),
+            "chunks_size": CHUNK,
+            "fps": FPS,
+            "splits": {"train": f"0:{self.episodes}"},
+            "data_path": DATA_PATH,
+            "video_path": VIDEO_PATH if self.films else None,
+            "features": self._features(),
+        }
+        _write(self.folder / "meta" / "info.json", [json.dumps(info, indent=2)])
+        provenance = {"archive": archive.contents, "specification": archive.specification()}
+        _write(self.folder / "meta" / "campaign.json", [json.dumps(provenance, indent=2)])
+
+    def _features(self) -> dict[str, Any]:
+        def numbers(dtype: str, names: list[str] | None = None) -> dict[str, Any]:
+            return {"dtype": dtype, "shape": [len(names) if names else 1], "names": names}
+
+        features = {
+            "observation.state": numbers("float32", ["x", "y", "z"]),
+            "action": numbers("float32", ACTION),
+            "next.done": numbers("bool"),
+            "next.success": numbers("bool"),
+            "timestamp": numbers("float32"),
+            "frame_index": numbers("int64"),
+            "episode_index": numbers("int64"),
+            "index": numbers("int64"),
+            "task_index": numbers("int64"),
+        }
+        if self.films:
+            features[FILM] = {
+                "dtype": "video",
+                "shape": [HEIGHT, WIDTH, 3],
+                "names": ["height", "width", "channels"],
+                "info": {
+                    "video.fps": float(FPS),
+                    "video.height": HEIGHT,
+                    "video.width": WIDTH,
+                    "video.channels": 3,
+                    "video.codec": "h264",
+                    "video.pix_fmt": "yuv420p",
+                    "video.is_depth_map": False,
+                    "has_audio": False,
+                },
+            }
+        return features
+
+    def _path(self, template: str, index: int, **names: str) -> Path:
+        name = template.format(episode_chunk=index // CHUNK, episode_index=index, **names)
+        path = self.folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path
+
+
+def _stats(values: np.ndarray[Any, Any]) -> dict[str, list[float]]:
+    rows = values.reshape(len(values), -1).astype(np.float64)
+    return {
+        "min": rows.min(axis=0).tolist(),
+        "max": rows.max(axis=0).tolist(),
+        "mean": rows.mean(axis=0).tolist(),
+        "std": rows.std(axis=0).tolist(),
+        "count": [len(rows)],
+    }
+
+
+def _write(path: Path, lines: Iterable[str]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")

@@ -1,0 +1,43 @@
+"""Events for TensorBoard: the success rate of each condition as results came in."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+from ..archive import Archive
+from . import needed
+from .rates import points
+
+
+def export(archive: Archive, folder: str | os.PathLike[str]) -> int:
+    """Writes a run into a folder of TensorBoard's; returns how many points it has.
+
+    Tags are `success_rate/LEVEL/CONDITION`, steps the results of that condition so far, times
+    those of the commits. The text `specification` is the campaign's. Raises SettingsError
+    where tensorboard is missing.
+    """
+    needed("tensorboard", "tensorboard")
+    from tensorboard.compat.proto.event_pb2 import Event
+    from tensorboard.compat.proto.summary_pb2 import Summary, SummaryMetadata
+    from tensorboard.compat.proto.tensor_pb2 import TensorProto
+    from tensorboard.compat.proto.types_pb2 import DT_STRING
+    from tensorboard.summary.writer.event_file_writer import EventFileWriter
+
+    writer = EventFileWriter(str(Path(folder) / archive.name))
+    count, last = 0, 0.0
+    try:
+        for point in points(archive):
+            value = Summary.Value(tag=f"success_rate/{point.condition}", simple_value=point.rate)
+            summary, last = Summary(value=[value]), point.committed
+            writer.add_event(Event(wall_time=last, step=point.results, summary=summary))
+            count += 1
+        text = "    " + json.dumps(archive.specification(), indent=2).replace("\n", "\n    ")
+        metadata = SummaryMetadata(plugin_data=SummaryMetadata.PluginData(plugin_name="text"))
+        tensor = TensorProto(dtype=DT_STRING, string_val=[text.encode()])
+        value = Summary.Value(tag="specification", metadata=metadata, tensor=tensor)
+        writer.add_event(Event(wall_time=last, step=0, summary=Summary(value=[value])))
+    finally:
+        writer.close()
+    return count

@@ -1,0 +1,195 @@
+"""Archives read without a coordinator, and what other tools are given of them."""
+
+import gzip
+import io
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tarfile
+
+import numpy as np
+import pytest
+
+from rollout_client.__main__ import main
+from rollout_client.archive import Archive, ArchiveError
+from rollout_client.errors import SettingsError
+
+from .conftest import specification
+
+
+@pytest.fixture(scope="session")
+def archive(serve, connect, gateway, programs, run, tmp_path_factory):
+    """The archive of a campaign that a worker has run and kept the actions of, and the
+    campaign."""
+    server = serve()
+    client = connect(f"http://{server.address}")
+    fields = {"record": "transitions", "configs": [0]}
+    campaign = client.create(specification("kept", f"http://{gateway.address}", **fields))
+    run(server, campaign)
+    file = tmp_path_factory.mktemp("archives") / "kept.tar.gz"
+    command = [programs / "coordinator", "campaign", "archive", "kept", "--output", file]
+    subprocess.run([*command, "--connect", f"http://{server.address}"], check=True)
+    return file, campaign
+
+
+def test_an_archive_has_the_results_and_the_motion_of_its_campaign(archive):
+    file, campaign = archive
+    results = campaign.results().set_index("rollout_id")
+    with Archive(file) as kept:
+        assert kept.name == "kept"
+        assert kept.specification()["record"] == "transitions"
+        assert kept.report()["reports"][0]["policy"] == "expert"
+        rollouts = list(kept.rollouts())
+    assert [it.rollout_id for it in rollouts] == list(results.index)
+    for rollout in rollouts:
+        result = results.loc[rollout.rollout_id]
+        assert (rollout.success, rollout.steps) == (result.success, result.steps)
+        assert (rollout.axis, rollout.level) == (result.axis, result.level)
+        assert rollout.actions.shape == (rollout.steps, 7)
+        assert rollout.path.shape == (rollout.steps + 1, 3)
+        assert np.abs(rollout.actions).max() <= 1
+        # The end-effector is above LIBERO's table, and moves.
+        assert np.abs(rollout.path).max() < 3
+        assert np.ptp(rollout.path, axis=0).max() > 0.05
+        assert rollout.instruction.startswith("pick up")
+
+
+def test_what_is_no_whole_archive_is_refused_by_name(archive, tmp_path):
+    file, _ = archive
+    whole = file.read_bytes()
+    bad = tmp_path / "bad.tar.gz"
+    for content in (whole[: len(whole) // 2], b"", b"text", gzip.compress(b"text")):
+        bad.write_bytes(content)
+        with pytest.raises(ArchiveError, match=r"bad\.tar\.gz"):
+            Archive(bad)
+    with pytest.raises(ArchiveError, match="not there"):
+        Archive(tmp_path / "nowhere.tar.gz")
+
+    def altered(change):
+        with tarfile.open(file) as tar, tarfile.open(bad, "w:gz") as out:
+            for member in tar:
+                content = change(member, tar.extractfile(member).read())
+                member.size = len(content)
+                out.addfile(member, io.BytesIO(content))
+
+    def with_list(**fields):
+        return lambda member, content: (
+            json.dumps({**json.loads(content), **fields}).encode()
+            if member.name == "archive.json"
+            else content
+        )
+
+    altered(lambda member, content: content[:-1] + b"?" if "report" in member.name else content)
+    with pytest.raises(ArchiveError, match=r"report\.json .*not what archive\.json says"):
+        Archive(bad)
+    altered(with_list(format=2))
+    with pytest.raises(ArchiveError, match="install a release as new"):
+        Archive(bad)
+    outside = [{"name": "../outside", "bytes": 0, "sha256": ""}]
+    altered(with_list(members=outside))
+    with pytest.raises(ArchiveError, match="another one is in its place"):
+        Archive(bad)
+    assert not (tmp_path / "outside").exists()
+
+
+def test_a_lerobot_dataset_has_an_episode_for_each_rollout(archive, tmp_path):
+    pq = pytest.importorskip("pyarrow.parquet", reason="pip install 'rollout-libero[lerobot]'")
+    file, _ = archive
+    folder = tmp_path / "dataset"
+    assert main(["export", "lerobot", str(file), "--output", str(folder)]) == 0
+    lines = {
+        path.stem: [json.loads(line) for line in path.read_text().splitlines()]
+        for path in (folder / "meta").glob("*.jsonl")
+    }
+    info = json.loads((folder / "meta/info.json").read_text())
+    with Archive(file) as kept:
+        rollouts = list(kept.rollouts())
+    assert info["codebase_version"] == "v2.1"
+    assert info["total_episodes"] == len(rollouts) == len(lines["episodes"])
+    assert info["total_frames"] == sum(it.steps for it in rollouts)
+    first = 0
+    for index, rollout in enumerate(rollouts):
+        name = info["data_path"].format(episode_chunk=0, episode_index=index)
+        table = pq.read_table(folder / name)
+        assert set(table.column_names) == set(info["features"])
+        frame = table.to_pandas()
+        assert np.array_equal(np.stack(frame["action"]), rollout.actions)
+        assert np.array_equal(np.stack(frame["observation.state"]), rollout.path[:-1])
+        assert list(frame["index"]) == list(range(first, first + rollout.steps))
+        assert frame["next.success"].iloc[-1] == rollout.success
+        assert not frame["next.done"].iloc[:-1].any()
+        stats = lines["episodes_stats"][index]["stats"]["action"]
+        assert stats["max"] == pytest.approx(rollout.actions.max(axis=0).tolist())
+        assert lines["rollouts"][index]["rollout_id"] == rollout.rollout_id
+        first += rollout.steps
+    # A folder that has something is left as it is.
+    assert main(["export", "lerobot", str(file), "--output", str(folder)]) == 1
+    # Nothing was filmed, and nothing is made up.
+    assert main(["export", "lerobot", str(file), "--films", "--output", str(tmp_path / "f")]) == 1
+    assert not (tmp_path / "f").exists()
+
+
+def test_what_others_make_of_the_lerobot_dataset(archive, tmp_path):
+    doctor = shutil.which("lerobot-doctor")
+    if doctor is None:
+        pytest.skip("lerobot-doctor is not installed")
+    file, _ = archive
+    folder = tmp_path / "dataset"
+    assert main(["export", "lerobot", str(file), "--output", str(folder)]) == 0
+    done = subprocess.run([doctor, folder], capture_output=True, text=True, check=False)
+    assert "FAIL" not in done.stdout, done.stdout
+
+
+def test_tensorboard_reads_the_rates_as_they_came_about(archive, tmp_path):
+    pytest.importorskip("tensorboard", reason="pip install 'rollout-libero[tensorboard]'")
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    file, campaign = archive
+    assert main(["export", "tensorboard", str(file), "--output", str(tmp_path)]) == 0
+    events = EventAccumulator(str(tmp_path / "kept"))
+    events.Reload()
+    results = campaign.results()
+    groups = results.groupby(["level", "axis"])
+    tags = {f"success_rate/{level}/{axis}" for level, axis in groups.groups}
+    assert set(events.Tags()["scalars"]) == tags
+    for (level, axis), group in groups:
+        points = events.Scalars(f"success_rate/{level}/{axis}")
+        assert [point.step for point in points] == list(range(1, len(group) + 1))
+        assert points[-1].value == pytest.approx(group.success.mean())
+    assert "specification" in events.Tags()["tensors"]
+
+
+def test_a_run_of_wandb_is_written_without_the_network(archive, tmp_path, monkeypatch):
+    pytest.importorskip("wandb", reason="pip install 'rollout-libero[wandb]'")
+    file, _ = archive
+    # As a program: what wandb still has to write is written when it ends.
+    command = [
+        sys.executable,
+        "-m",
+        "rollout_client",
+        "export",
+        "wandb",
+        file,
+        "--output",
+        tmp_path,
+    ]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
+    subprocess.run(command, check=True)
+    runs = list((tmp_path / "wandb").glob("offline-run-*/run-*.wandb"))
+    assert len(runs) == 1
+    content = runs[0].read_bytes()
+    assert b"success_rate/" in content
+    assert b"transitions" in content
+
+
+def test_a_package_that_is_missing_is_named_with_its_extra(archive, tmp_path, monkeypatch):
+    from rollout_client import export
+    from rollout_client.export import lerobot
+
+    file, _ = archive
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with Archive(file) as kept, pytest.raises(SettingsError, match=r"rollout-libero\[lerobot\]"):
+        lerobot.export(kept, tmp_path / "dataset")
+    assert export.needed("json", "none") is json

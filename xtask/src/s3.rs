@@ -1,0 +1,19 @@
+//! The server of S3's calls that keeping films elsewhere is tested on.
+
+use std::path::{Path, PathBuf};
+
+use crate::step::step;
+use crate::venv::environment;
+
+const PACKAGES: [&str; 1] = ["moto[server]==5.2.5"];
+
+/// The program; none where it cannot be had, and the tests say so.
+pub(crate) fn server(cache: &Path) -> Option<PathBuf> {
+    let dir = cache.join("s3-venv");
+    let made = step("a server of S3's calls", || {
+        let made = environment(&dir, &PACKAGES).map(str::to_owned);
+        Ok(made.unwrap_or_else(|error| format!("none: {error:#}")))
+    });
+    let there = made.is_ok_and(|said| !said.starts_with("none"));
+    there.then(|| dir.join("bin/moto_server"))
+}
