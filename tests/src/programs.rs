@@ -2,7 +2,7 @@
 
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::time::{Duration, Instant};
 
 /// Longest that anything here waits for.
@@ -96,8 +96,13 @@ impl Process {
     /// # Panics
     /// If it does not end well.
     pub fn wait(&mut self) {
-        let status = self.child.wait().expect("it can be waited for");
+        let status = self.end();
         assert!(status.success(), "it ended with {status}");
+    }
+
+    /// Waits for its end, well or not.
+    pub fn end(&mut self) -> ExitStatus {
+        self.child.wait().expect("it can be waited for")
     }
 
     /// Sends a signal, for example `-KILL`.

@@ -155,12 +155,12 @@ impl Findings {
             self.campaign
         );
         if *waiting > 0 {
-            let _ = write!(words, ", of which {waiting} have no outcome yet");
+            let _ = write!(words, ", {waiting} of them still to come");
         }
         if self.nominal_fails > 0 {
             let _ = write!(
                 words,
-                "; {} emergent failures are left out, whose nominal rollout fails too",
+                "; emergent failures left out because their nominal rollout fails too: {}",
                 self.nominal_fails
             );
         }

@@ -212,7 +212,7 @@ impl HowFar {
             self.campaign, self.found, self.looked_for, self.rollouts
         );
         if self.waiting > 0 {
-            let _ = write!(words, ", of which {} have no outcome yet", self.waiting);
+            let _ = write!(words, ", {} of them still to come", self.waiting);
         }
         if self.beyond_budget > 0 {
             let _ = write!(words, "; {} are beyond the budget", self.beyond_budget);

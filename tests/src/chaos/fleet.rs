@@ -65,6 +65,8 @@ pub struct Fleet {
     gateway: Option<Process>,
     policy: Option<Process>,
     workers: Vec<Process>,
+    /// The worker whose slots were killed all at once, last.
+    wounded: Option<u32>,
     /// What shows the coordinator another wall clock, and how far it is off.
     clock: Option<(PathBuf, &'static str)>,
 }
@@ -120,6 +122,7 @@ impl Fleet {
             gateway: None,
             policy: None,
             workers: Vec::new(),
+            wounded: None,
             clock: None,
         };
         fleet.start_policy();
@@ -263,9 +266,14 @@ impl Fleet {
                 let mut victim = self.workers.remove(0);
                 victim.signal("-TERM");
                 self.start_worker();
-                victim.wait();
+                match self.wounded == Some(victim.id()) {
+                    // So many failures at once: it may have given up before.
+                    true => drop(victim.end()),
+                    false => victim.wait(),
+                }
             }
             Fault::KillSlot => {
+                self.wounded = Some(self.workers[0].id());
                 for slot in children(self.workers[0].id()) {
                     // It may have ended between the look and the shot.
                     let _ = Command::new("kill")
