@@ -19,7 +19,7 @@ import numpy as np
 from .errors import CoordinatorError
 
 #: The newest form and schema that are read here.
-FORMAT, SCHEMA = 1, 6
+FORMAT, SCHEMA = 1, 8
 
 #: Bytes that are read at a time.
 PIECE = 1 << 20

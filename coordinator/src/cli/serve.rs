@@ -54,7 +54,7 @@ pub(super) struct ServeArguments {
     /// Where films are kept in the end: a folder, or s3://BUCKET/FOLDER of S3-compatible
     /// storage, whose region, credentials and endpoint are those of the usual variables
     /// AWS_…; without it, the data folder.
-    #[arg(long, value_name = "PLACE", env = "COORDINATOR_ARTIFACTS")]
+    #[arg(long, value_name = "PLACE")]
     artifacts: Option<String>,
     #[command(flatten)]
     security: ServerArguments,

@@ -98,7 +98,7 @@ fn serve(data: &Path, place: &str, variables: &[(&str, String)]) -> Serve {
     let child = Command::new(env!("CARGO_BIN_EXE_coordinator"))
         .args(["serve", "--listen", "127.0.0.1:0", "--data"])
         .arg(data)
-        .env("COORDINATOR_ARTIFACTS", place)
+        .env("ROLLOUT_ARTIFACTS", place)
         .envs(variables.iter().map(|(name, value)| (name, value)))
         .env_remove("RUST_LOG")
         .stdout(Stdio::piped())
