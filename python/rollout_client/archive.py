@@ -19,7 +19,7 @@ import numpy as np
 from .errors import CoordinatorError
 
 #: The newest form and schema that are read here.
-FORMAT, SCHEMA = 1, 8
+FORMAT, SCHEMA = 1, 7
 
 #: Bytes that are read at a time.
 PIECE = 1 << 20

@@ -8,7 +8,10 @@ use tonic::codegen::{Bytes, Service};
 use tonic::service::Routes;
 use tonic::{Code, Status};
 
-/// Calls the method at `path`.
+/// Bytes before a message: whether it is compressed, and its length.
+const FRAME_HEAD_BYTES: usize = 5;
+
+/// Calls the method at `path`; says the messages of the answer.
 ///
 /// # Errors
 /// With which the service refuses.
@@ -19,14 +22,14 @@ pub(crate) async fn call(
     routes: &mut Routes,
     path: &str,
     messages: &[&[u8]],
-) -> Result<(), Status> {
+) -> Result<Vec<Bytes>, Status> {
     let Ok(response) = routes.call(request(path, messages)).await;
     let (head, body) = response.into_parts();
     let answer = body.collect().await.expect("a body in memory");
     let trailers = answer.trailers().unwrap_or(&head.headers);
     let status = Status::from_header_map(trailers).expect("a status");
     match status.code() {
-        Code::Ok => Ok(()),
+        Code::Ok => Ok(unframed(answer.to_bytes())),
         _ => Err(status),
     }
 }
@@ -64,4 +67,16 @@ fn request(path: &str, messages: &[&[u8]]) -> Request<Body> {
         .header("te", "trailers")
         .body(Body::new(Full::new(Bytes::from(frames))))
         .expect("a request")
+}
+
+/// The messages in gRPC's frames.
+fn unframed(mut frames: Bytes) -> Vec<Bytes> {
+    let mut messages = Vec::new();
+    while !frames.is_empty() {
+        let head = frames.split_to(FRAME_HEAD_BYTES);
+        let length: [u8; 4] = head[1..].try_into().expect("four bytes");
+        let length = u32::from_be_bytes(length);
+        messages.push(frames.split_to(usize::try_from(length).expect("it fits")));
+    }
+    messages
 }

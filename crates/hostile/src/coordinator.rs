@@ -24,6 +24,7 @@ use rand_chacha::rand_core::SeedableRng;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection, SqliteConnection};
 use tokio::time::timeout;
+use tonic::codegen::Bytes;
 use tonic::service::Routes;
 use tonic::{Code, Status};
 use transport::Security;
@@ -39,19 +40,27 @@ const PATIENCE: Duration = Duration::from_millis(20);
 /// What a clock that stands still shows.
 const NOW: UnixMillis = UnixMillis(1_700_000_000_000);
 
+/// What a service answers: its messages, or that it refuses.
+type Answer = Result<Vec<Bytes>, Status>;
+
 /// A database with a campaign, a worker and a lease in it, as a file.
-static DATABASE: LazyLock<Vec<u8>> = LazyLock::new(|| {
+static DATABASE: LazyLock<Vec<u8>> = LazyLock::new(|| after(&seeds::a_lease()).0);
+
+/// The database after sound calls, and the answer to the last of them.
+fn after(calls: &[seeds::Said]) -> (Vec<u8>, Vec<Bytes>) {
     block_on(async {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let mut open = Open::in_folder(folder.path()).await;
-        for (method, message) in seeds::a_lease() {
-            let answer = open.call(method, &[&message]).await;
-            answer.expect("an answer").expect("a sound message");
+        let mut last = Vec::new();
+        for (method, message) in calls {
+            let answer = open.call(method, &[message]).await;
+            last = answer.expect("an answer").expect("a sound message");
         }
         open.close().await;
-        std::fs::read(folder.path().join(DATABASE_FILE)).expect("a database")
+        let database = std::fs::read(folder.path().join(DATABASE_FILE));
+        (database.expect("a database"), last)
     })
-});
+}
 
 /// Makes the calls of an input, one after another; says whether none was refused.
 ///
@@ -112,7 +121,7 @@ impl Open {
     }
 
     /// Calls a method; no answer if it waits for a job.
-    async fn call(&mut self, method: &str, messages: &[&[u8]]) -> Option<Result<(), Status>> {
+    async fn call(&mut self, method: &str, messages: &[&[u8]]) -> Option<Answer> {
         let path = format!("/rollout.coordinator.v1.{method}");
         let answering = call(&mut self.services, &path, messages);
         if method != CLAIM {

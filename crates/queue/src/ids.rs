@@ -61,7 +61,7 @@ pub struct JobName {
 pub enum NameError {
     /// Not a campaign's name.
     #[error(
-        "read campaign name `{name}`: use 1 to {MAX_CAMPAIGN_NAME_BYTES} letters, digits, `-`, `_` and `.`, not starting with a dot"
+        "read campaign name {name:?}: use 1 to {MAX_CAMPAIGN_NAME_BYTES} letters, digits, `-`, `_` and `.`, not starting with a dot"
     )]
     Campaign {
         /// What was given, shortened.

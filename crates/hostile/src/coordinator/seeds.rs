@@ -5,12 +5,14 @@ use prost::Message;
 use proto::coordinator as wire;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
+use tonic::codegen::Bytes;
 
+use super::after;
 use super::methods::{CLAIM, METHODS};
 use crate::script;
 
 /// A method and a message of it.
-type Said = (&'static str, Vec<u8>);
+pub(super) type Said = (&'static str, Vec<u8>);
 
 /// Two rollouts: a perturbed one, and its nominal one.
 const SPEC: &str = r#"{"name":"c","policy":{"name":"p","endpoint":"http://127.0.0.1:1"},
@@ -75,11 +77,10 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
         campaign: "c".into(),
         confirm: "c".into(),
     };
-    // The beginning of compressed bytes, and no more.
     let import = wire::ImportChunk {
         name: "d".into(),
-        archive: "d.tar.gz".into(),
-        data: vec![0x1f, 0x8b, 8, 0, 0, 0, 0, 0, 0, 0xff, 3, 0],
+        archive: "c.tar.gz".into(),
+        data: archive(),
     };
     let film = wire::NextFilmRequest {
         asset_pack_digest: digest(),
@@ -144,6 +145,14 @@ pub(super) fn registration(worker_id: &str) -> Said {
         ..wire::RegisterRequest::default()
     };
     ("WorkerService/Register", request.encode_to_vec())
+}
+
+/// The campaign in one file.
+fn archive() -> Vec<u8> {
+    let archived = ("OperatorService/ArchiveCampaign", name().encode_to_vec());
+    let (_, pieces) = after(&[create(), archived]);
+    let piece = |piece: Bytes| wire::ArchiveChunk::decode(piece).expect("a piece").data;
+    pieces.into_iter().flat_map(piece).collect()
 }
 
 /// Several calls as an input.
