@@ -6,61 +6,29 @@
 //! the next caller is answered. A clock that stands still makes an input do the
 //! same each time.
 
+mod messages;
 mod methods;
 mod seeds;
+mod service;
 
-use std::path::Path;
-use std::sync::{Arc, LazyLock};
-use std::time::Duration;
+use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
 
-use coordinator::{Config, Coordinator};
-use queue::ARTIFACTS_FOLDER;
-use queue::DATABASE_FILE;
-use queue::Timing;
-use queue::clock::{ManualClock, UnixMillis};
 use queue::invariants::check;
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::SeedableRng;
+use queue::{ARTIFACTS_FOLDER, DATABASE_FILE};
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection, SqliteConnection};
-use tokio::time::timeout;
-use tonic::codegen::Bytes;
-use tonic::service::Routes;
-use tonic::{Code, Status};
-use transport::Security;
+use tonic::Code;
 
-use crate::call::{blames_itself, block_on, call};
+use crate::call::{blames_itself, block_on};
 use crate::script;
-use methods::{CLAIM, METHODS};
+use methods::METHODS;
+use service::{Open, after};
 
 pub(crate) use seeds::seeds;
 
-/// How long a claim's caller waits before it hangs up.
-const PATIENCE: Duration = Duration::from_millis(20);
-/// What a clock that stands still shows.
-const NOW: UnixMillis = UnixMillis(1_700_000_000_000);
-
-/// What a service answers: its messages, or that it refuses.
-type Answer = Result<Vec<Bytes>, Status>;
-
 /// A database with a campaign, a worker and a lease in it, as a file.
-static DATABASE: LazyLock<Vec<u8>> = LazyLock::new(|| after(&seeds::a_lease()).0);
-
-/// The database after sound calls, and the answer to the last of them.
-fn after(calls: &[seeds::Said]) -> (Vec<u8>, Vec<Bytes>) {
-    block_on(async {
-        let folder = tempfile::tempdir().expect("a temporary folder");
-        let mut open = Open::in_folder(folder.path()).await;
-        let mut last = Vec::new();
-        for (method, message) in calls {
-            let answer = open.call(method, &[message]).await;
-            last = answer.expect("an answer").expect("a sound message");
-        }
-        open.close().await;
-        let database = std::fs::read(folder.path().join(DATABASE_FILE));
-        (database.expect("a database"), last)
-    })
-}
+static DATABASE: LazyLock<Vec<u8>> = LazyLock::new(|| after(&messages::a_lease()).0);
 
 /// Makes the calls of an input, one after another; says whether none was refused.
 ///
@@ -88,7 +56,7 @@ pub(crate) fn messages(input: &[u8]) -> bool {
         }
         witness.0.close().await.expect("closes");
         assert_eq!(check(folder.path()).await.expect("a database"), []);
-        let (method, message) = seeds::registration("next");
+        let (method, message) = messages::registration("next");
         let next = open.call(method, &[&message]).await;
         next.expect("an answer").expect("a sound message");
         open.close().await;
@@ -96,56 +64,8 @@ pub(crate) fn messages(input: &[u8]) -> bool {
     })
 }
 
-/// A coordinator without a listener; tests call its services directly.
-struct Open {
-    coordinator: Coordinator,
-    services: Routes,
-}
-
-impl Open {
-    async fn in_folder(data: &Path) -> Open {
-        let coordinator = Coordinator::open(Config {
-            data: data.to_owned(),
-            timing: Timing::default(),
-            clock: Arc::new(ManualClock::at(NOW)),
-            rng: ChaCha8Rng::seed_from_u64(seeds::SEED),
-            security: Security::loopback(),
-            min_free_bytes: 0,
-            storage: None,
-        });
-        let coordinator = coordinator.await.expect("a coordinator");
-        Open {
-            services: coordinator.services(),
-            coordinator,
-        }
-    }
-
-    /// Calls a method; no answer if it waits for a job.
-    async fn call(&mut self, method: &str, messages: &[&[u8]]) -> Option<Answer> {
-        let path = format!("/rollout.coordinator.v1.{method}");
-        let answering = call(&mut self.services, &path, messages);
-        if method != CLAIM {
-            return Some(answering.await);
-        }
-        let answer = timeout(PATIENCE, answering).await.ok();
-        if answer.is_none() {
-            // The call that was given up may still be committed. The next call waits
-            // for it, so that its effect is not attributed to that one.
-            let (method, message) = seeds::registration("next");
-            let path = format!("/rollout.coordinator.v1.{method}");
-            let after = call(&mut self.services, &path, &[&message]).await;
-            after.expect("a sound message");
-        }
-        answer
-    }
-
-    async fn close(self) {
-        self.coordinator.queue().close().await.expect("closes");
-    }
-}
-
 /// Detects changes of a database and of the files beside it.
-struct Witness(SqliteConnection, std::path::PathBuf);
+struct Witness(SqliteConnection, PathBuf);
 
 impl Witness {
     async fn of(data: &Path) -> Witness {

@@ -1,27 +1,16 @@
-//! Messages that mean something, to begin with.
+//! Inputs to begin with.
 
-use attempt::AttemptId;
 use prost::Message;
 use proto::coordinator as wire;
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::{Rng, SeedableRng};
 use tonic::codegen::Bytes;
 
-use super::after;
-use super::methods::{CLAIM, METHODS};
+use super::messages::{
+    Said, attempt, claim, commit, create, digest, heartbeat, job, name, release,
+};
+use super::methods::METHODS;
+use super::service::after;
 use crate::script;
 
-/// A method and a message of it.
-pub(super) type Said = (&'static str, Vec<u8>);
-
-/// Two rollouts: a perturbed one, and its nominal one.
-const SPEC: &str = r#"{"name":"c","policy":{"name":"p","endpoint":"http://127.0.0.1:1"},
-    "tasks":["libero_object/0"],"axes":["camera"],"levels":["L1"],"configs":[0],
-    "nominal":"eval"}"#;
-/// What the coordinator's attempts follow from.
-pub(super) const SEED: u64 = 1;
-/// Control steps of the rollout.
-const STEPS: u32 = 100;
 /// What a worker calls its video.
 const VIDEO: &str = "video.mp4";
 
@@ -125,28 +114,6 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
     seeds
 }
 
-/// What was said before an input begins.
-pub(super) fn a_lease() -> [Said; 3] {
-    [create(), registration("w"), claim()]
-}
-
-/// A worker makes itself known.
-pub(super) fn registration(worker_id: &str) -> Said {
-    let request = wire::RegisterRequest {
-        protocol_version: proto::COORDINATOR_PROTOCOL_VERSION,
-        worker_id: worker_id.into(),
-        host: "h".into(),
-        slots: 1,
-        asset_pack: "primitives".into(),
-        asset_pack_digest: digest(),
-        mujoco_version: "3.3.7".into(),
-        renderer: "r".into(),
-        cores: 2,
-        ..wire::RegisterRequest::default()
-    };
-    ("WorkerService/Register", request.encode_to_vec())
-}
-
 /// The campaign in one file.
 fn archive() -> Vec<u8> {
     let archived = ("OperatorService/ArchiveCampaign", name().encode_to_vec());
@@ -166,78 +133,6 @@ fn number(method: &str) -> u8 {
     u8::try_from(place.expect("a method")).expect("few")
 }
 
-fn create() -> Said {
-    let request = wire::CreateCampaignRequest {
-        spec: SPEC.into(),
-        priority: 3,
-    };
-    ("OperatorService/CreateCampaign", request.encode_to_vec())
-}
-
-fn claim() -> Said {
-    let request = wire::ClaimRequest {
-        worker_id: "w".into(),
-        claim_id: "0".repeat(32),
-        ..wire::ClaimRequest::default()
-    };
-    (CLAIM, request.encode_to_vec())
-}
-
-fn heartbeat() -> Said {
-    let request = wire::HeartbeatRequest {
-        worker_id: "w".into(),
-        progress: vec![wire::Progress {
-            attempt_id: attempt(),
-            control_steps: 9,
-        }],
-        filming: 1,
-    };
-    ("WorkerService/Heartbeat", request.encode_to_vec())
-}
-
-fn commit() -> Said {
-    let request = wire::CommitRequest {
-        attempt_id: attempt(),
-        result: Some(wire::RolloutResult {
-            success: true,
-            steps: STEPS,
-            wall_secs: 1.5,
-            parts: Some(wire::Parts {
-                physics_secs: 0.5,
-                drawing_secs: 0.25,
-                policy_secs: 0.5,
-            }),
-            ..wire::RolloutResult::default()
-        }),
-        provenance: Some(wire::Provenance {
-            asset_pack: "primitives".into(),
-            asset_pack_digest: digest(),
-            mujoco_version: "3.3.7".into(),
-            renderer: "r".into(),
-            fingerprint: digest(),
-            scene_digest: digest(),
-            init_state_digest: digest(),
-            realisation: "matched".into(),
-            policy_name: "p".into(),
-            ..wire::Provenance::default()
-        }),
-        motion: Some(wire::Motion {
-            path: vec![0; (STEPS as usize + 1) * 6],
-            actions: vec![],
-        }),
-    };
-    ("WorkerService/Commit", request.encode_to_vec())
-}
-
-fn release() -> Said {
-    let request = wire::ReleaseRequest {
-        attempt_id: attempt(),
-        reason: wire::release_request::Reason::SlotCrashed.into(),
-        error: "e".into(),
-    };
-    ("WorkerService/Release", request.encode_to_vec())
-}
-
 /// A video in two pieces.
 fn upload() -> [Vec<u8>; 2] {
     let first = wire::ArtifactChunk {
@@ -254,28 +149,4 @@ fn upload() -> [Vec<u8>; 2] {
         script::write(number, &first.encode_to_vec()),
         script::write(number | script::MORE, &second.encode_to_vec()),
     ]
-}
-
-fn name() -> wire::GetCampaignRequest {
-    wire::GetCampaignRequest {
-        campaign: "c".into(),
-    }
-}
-
-fn job() -> wire::JobName {
-    wire::JobName {
-        rollout_id: "object/t0/camera/L1/c00".into(),
-        replicate: 0,
-    }
-}
-
-/// The id of the first attempt that a coordinator of this seed grants.
-fn attempt() -> String {
-    let mut bits = [0; 16];
-    ChaCha8Rng::seed_from_u64(SEED).fill_bytes(&mut bits);
-    AttemptId::from_random(bits).to_string()
-}
-
-fn digest() -> String {
-    "0".repeat(64)
 }

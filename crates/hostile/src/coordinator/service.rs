@@ -1,0 +1,92 @@
+//! The coordinator that strangers call.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+
+use coordinator::{Config, Coordinator};
+use queue::clock::{ManualClock, UnixMillis};
+use queue::{DATABASE_FILE, Timing};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use tokio::time::timeout;
+use tonic::Status;
+use tonic::codegen::Bytes;
+use tonic::service::Routes;
+use transport::Security;
+
+use super::messages::{SEED, Said, registration};
+use super::methods::CLAIM;
+use crate::call::{block_on, call};
+
+/// How long a claim's caller waits before it hangs up.
+const PATIENCE: Duration = Duration::from_millis(20);
+/// What a clock that stands still shows.
+const NOW: UnixMillis = UnixMillis(1_700_000_000_000);
+
+/// What a service answers: its messages, or that it refuses.
+pub(super) type Answer = Result<Vec<Bytes>, Status>;
+
+/// A coordinator without a listener; tests call its services directly.
+pub(super) struct Open {
+    coordinator: Coordinator,
+    services: Routes,
+}
+
+impl Open {
+    pub(super) async fn in_folder(data: &Path) -> Open {
+        let coordinator = Coordinator::open(Config {
+            data: data.to_owned(),
+            timing: Timing::default(),
+            clock: Arc::new(ManualClock::at(NOW)),
+            rng: ChaCha8Rng::seed_from_u64(SEED),
+            security: Security::loopback(),
+            min_free_bytes: 0,
+            storage: None,
+        });
+        let coordinator = coordinator.await.expect("a coordinator");
+        Open {
+            services: coordinator.services(),
+            coordinator,
+        }
+    }
+
+    /// Calls a method; no answer if it waits for a job.
+    pub(super) async fn call(&mut self, method: &str, messages: &[&[u8]]) -> Option<Answer> {
+        let path = format!("/rollout.coordinator.v1.{method}");
+        let answering = call(&mut self.services, &path, messages);
+        if method != CLAIM {
+            return Some(answering.await);
+        }
+        let answer = timeout(PATIENCE, answering).await.ok();
+        if answer.is_none() {
+            // The call that was given up may still be committed. The next call waits
+            // for it, so that its effect is not attributed to that one.
+            let (method, message) = registration("next");
+            let path = format!("/rollout.coordinator.v1.{method}");
+            let after = call(&mut self.services, &path, &[&message]).await;
+            after.expect("a sound message");
+        }
+        answer
+    }
+
+    pub(super) async fn close(self) {
+        self.coordinator.queue().close().await.expect("closes");
+    }
+}
+
+/// The database after sound calls, and the answer to the last of them.
+pub(super) fn after(calls: &[Said]) -> (Vec<u8>, Vec<Bytes>) {
+    block_on(async {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let mut open = Open::in_folder(folder.path()).await;
+        let mut last = Vec::new();
+        for (method, message) in calls {
+            let answer = open.call(method, &[message]).await;
+            last = answer.expect("an answer").expect("a sound message");
+        }
+        open.close().await;
+        let database = std::fs::read(folder.path().join(DATABASE_FILE));
+        (database.expect("a database"), last)
+    })
+}
