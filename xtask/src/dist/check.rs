@@ -105,6 +105,10 @@ fn documents(root: &Path, unpacked: &Path) -> Result<&'static str> {
             "read {page}: it names no option"
         );
     }
+    for file in ["policies/pyproject.toml", "examples/openvla_oft/about.json"] {
+        let path = unpacked.join(stage::FOR_USERS).join(file);
+        ensure!(path.is_file(), "find {}: it is not there", path.display());
+    }
     let documents = unpacked.join(stage::DOCUMENTS);
     let licences = std::fs::read_to_string(documents.join(stage::LICENCES))?;
     let bill: serde_json::Value =

@@ -33,6 +33,10 @@ const OF_SCENES: [&str; 5] = ["bddl", "obj", "pruned_init", "stl", "xml"];
 pub(super) const DOCUMENTS: &str = "share/doc/rollout";
 const SOURCES: &str = "share/rollout/sources";
 
+/// Where it keeps what its users build on: the Python package for policies and the
+/// protocol, scripts and manifests of `deploy`, published outcomes.
+pub(super) const FOR_USERS: &str = "share/rollout";
+
 /// The licences of all parts, and the bill of materials.
 pub(super) const LICENCES: &str = "THIRD-PARTY-LICENSES.txt";
 pub(super) const BILL: &str = "sbom.cdx.json";
@@ -154,14 +158,23 @@ fn documents(root: &Path, folder: &Path, to: &Path) -> Result<()> {
             copy(&pages.join(&page), &to.join("docs").join(&page))?;
         }
     }
-    let deploy = root.join("deploy");
-    for file in files(&deploy)? {
-        copy(
-            &deploy.join(&file),
-            &folder.join("share/rollout/deploy").join(&file),
-        )?;
+    let to = folder.join(FOR_USERS);
+    for name in ["deploy", "examples", "policies/src", "proto/rollout/policy"] {
+        let from = root.join(name);
+        for file in files(&from)?.iter().filter(|file| is_written(file)) {
+            copy(&from.join(file), &to.join(name).join(file))?;
+        }
+    }
+    for name in ["policies/README.md", "policies/pyproject.toml"] {
+        copy(&root.join(name), &to.join(name))?;
     }
     Ok(())
+}
+
+/// Whether a file was written by people: Python leaves others beside those.
+fn is_written(file: &Path) -> bool {
+    let of_python = |part: &str| part == "__pycache__" || part.ends_with(".egg-info");
+    !file.iter().filter_map(|part| part.to_str()).any(of_python)
 }
 
 fn copy(from: &Path, to: &Path) -> Result<()> {
