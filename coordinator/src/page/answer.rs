@@ -97,3 +97,28 @@ fn short_digest(text: &str) -> String {
         .map(|byte| format!("{byte:02x}"))
         .collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What a rule is for, as the style sheets write it.
+    fn selectors(style: &str) -> impl Iterator<Item = &str> {
+        let heads = style.lines().filter_map(|line| line.split_once('{'));
+        heads.flat_map(|(selectors, _)| selectors.split(','))
+    }
+
+    /// A page's `.bar{width:100%}` once drew every bar of the figures from edge to edge.
+    #[test]
+    fn no_rule_of_the_pages_reaches_into_a_figure() {
+        let of_figures = |class: &str| {
+            let within = format!(".panel .{class}");
+            selectors(report::figures::STYLE).any(|it| it == within)
+        };
+        let classes = selectors(STYLE).filter_map(|it| it.strip_prefix('.'));
+        let alone = classes.filter(|it| it.chars().all(|c| c.is_alphanumeric() || c == '-'));
+        let mut reaching = alone.filter(|class| of_figures(class));
+        assert_eq!(reaching.next(), None);
+        assert!(of_figures("bar"), "the figures' rules are not found");
+    }
+}
