@@ -102,7 +102,7 @@ fn main() -> ExitCode {
     let outcome = fleet.outcome();
     println!("disturbed: {:.0} s", started.elapsed().as_secs_f64());
     for (what, times) in happened {
-        println!("  {times:4} {what}");
+        println!("  {what}: {times}");
     }
     println!("quarantined rollouts that the operator had tried again: {retried}");
     match outcome == expected {
@@ -230,12 +230,12 @@ impl Rehearsal<'_> {
 
 fn name(fault: Fault) -> &'static str {
     match fault {
-        Fault::KillWorker => "workers killed, and others started",
-        Fault::DrainWorker => "workers drained, and others started",
-        Fault::KillSlot => "times all slots of a worker killed",
-        Fault::KillCoordinator(_) => "times the coordinator killed",
-        Fault::KillGateway(_) => "times the gateway killed",
-        Fault::Cut(_) => "times every connection to the coordinator cut",
-        _ => "other faults",
+        Fault::KillWorker => "worker killed, and another one started",
+        Fault::DrainWorker => "worker drained, and another one started",
+        Fault::KillSlot => "all slots of a worker killed",
+        Fault::KillCoordinator(_) => "coordinator killed",
+        Fault::KillGateway(_) => "gateway killed",
+        Fault::Cut(_) => "every connection to the coordinator cut",
+        _ => "other fault",
     }
 }
