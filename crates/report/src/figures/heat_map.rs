@@ -12,7 +12,7 @@ use crate::words;
 
 const LABELS: f64 = 108.0;
 /// Characters of a policy's name that fit beside the squares.
-const LABEL_CHARACTERS: usize = 15;
+const LABEL_CHARACTERS: usize = 12;
 const ROW: f64 = 28.0;
 /// Height of the slanted names below the columns.
 const NAMES: f64 = 78.0;
