@@ -2,7 +2,7 @@
 -- drawn order of its configurations, and leased in that order.
 CREATE TABLE stop (
     campaign_id      INTEGER PRIMARY KEY REFERENCES campaign (id) ON DELETE CASCADE,
-    -- That there are.
+    -- All of the campaign's.
     configurations   INTEGER NOT NULL CHECK (configurations > 0),
     -- After so many of them, in the drawn order, the rule was met: since then the
     -- campaign is stopped, whatever its operator made of it before.
@@ -25,8 +25,8 @@ BEGIN
 END;
 
 -- Results say where their time went, and workers how many cores their slots share, so
--- that it can be told how long a campaign takes and what it waits for. Results and
--- workers of before do not.
+-- that it can be told how long a campaign takes and what it waits for. Earlier ones do
+-- not.
 
 -- Processor time of the slot: loading, settling and control steps.
 ALTER TABLE result ADD COLUMN physics_secs REAL CHECK (physics_secs >= 0);

@@ -11,7 +11,7 @@ use tonic::{Code, Status};
 /// Bytes before a message: whether it is compressed, and its length.
 const FRAME_HEAD_BYTES: usize = 5;
 
-/// Calls the method at `path`; says the messages of the answer.
+/// Calls the method at `path`; returns the messages of its answer.
 ///
 /// # Errors
 /// With which the service refuses.

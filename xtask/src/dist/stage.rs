@@ -161,7 +161,7 @@ fn documents(root: &Path, folder: &Path, to: &Path) -> Result<()> {
     let to = folder.join(FOR_USERS);
     for name in ["deploy", "examples", "policies/src", "proto/rollout/policy"] {
         let from = root.join(name);
-        for file in files(&from)?.iter().filter(|file| is_written(file)) {
+        for file in files(&from)?.iter().filter(|file| is_source(file)) {
             copy(&from.join(file), &to.join(name).join(file))?;
         }
     }
@@ -171,8 +171,8 @@ fn documents(root: &Path, folder: &Path, to: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Whether a file was written by people: Python leaves others beside those.
-fn is_written(file: &Path) -> bool {
+/// Whether a file is a source: Python leaves others beside those.
+fn is_source(file: &Path) -> bool {
     let of_python = |part: &str| part == "__pycache__" || part.ends_with(".egg-info");
     !file.iter().filter_map(|part| part.to_str()).any(of_python)
 }
