@@ -223,7 +223,7 @@ fn main() -> ExitCode {
         }
     };
     done.unwrap_or_else(|error| {
-        eprintln!("policy-gateway: failed to {error:#}");
+        eprintln!("policy-gateway: failed to {}", transport::chain(&*error));
         ExitCode::FAILURE
     })
 }
@@ -380,7 +380,10 @@ async fn reload(gateway: Gateway, file: PathBuf, mut hangups: Signal) {
     while hangups.recv().await.is_some() {
         match read_again(&file) {
             Ok(policies) => tracing::info!(policies, "read {} again", file.display()),
-            Err(error) => tracing::error!("going on as before: failed to {error:#}"),
+            Err(error) => tracing::error!(
+                "going on as before: failed to {}",
+                transport::chain(&*error)
+            ),
         }
     }
 }

@@ -208,6 +208,12 @@ async fn the_program_names_violations_and_fails() {
     assert!(text(&output.stderr).contains("2 of 17 invariants"));
     let output = coordinator(&["check", "/nowhere"]);
     assert_eq!(output.status.code(), Some(2));
+    let other = folder.path().join("notes.txt");
+    std::fs::write(&other, "no database").expect("written");
+    let output = coordinator(&["check", other.to_str().expect("UTF-8")]);
+    let said = text(&output.stderr);
+    let once = said.matches("file is not a database").count();
+    assert_eq!((output.status.code(), once), (Some(1), 1), "{said}");
 }
 
 #[test]
