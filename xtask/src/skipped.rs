@@ -1,29 +1,27 @@
-//! Which tests did not run because something is missing on this machine: the
-//! reference data, a tool. Such a test passes after printing a line that begins
-//! with `skipped`. The output of passed tests is not shown, but nextest's report
-//! keeps it. So are documented commands that no machine runs in a test: their lines
-//! begin with `not run`.
+//! Tests that skipped something this machine lacks: reference data, a tool.
+//!
+//! Such a test passes after printing a line that begins with `skipped`, in any case and on
+//! either stream. Nextest hides the output of passed tests but keeps it in its report.
+//! Documented commands that no test runs print lines that begin with `not run`.
 
 use std::path::Path;
 
 use anyhow::{Context, Result, ensure};
 
-/// The beginning of the line.
+/// Beginning of a skipped test's line.
 const MARK: &str = "skipped";
 
-/// The beginning of a line about a documented command.
+/// Beginning of the line of a documented command that no test runs.
 const NOT_RUN: &str = "not run";
 
-/// Part of every path to the reference data, in whatever checkout a test looked for
-/// it.
+/// Part of every path to the reference data, whichever checkout it is seen from.
 const REFERENCE: &str = "/shared/";
 
-/// Reads nextest's JUnit report and prints which tests were skipped, why, and how
-/// many.
+/// Prints the skipped tests of nextest's JUnit report with their reasons and number.
 ///
 /// # Errors
-/// If a test found no reference data although its folder exists: then a part of it
-/// is missing or cannot be read, or the test looked elsewhere.
+/// If a test found no reference data although its folder exists: a part is missing or
+/// unreadable, or the test looked in another place.
 pub(crate) fn check(report: &Path, shared: &Path) -> Result<()> {
     let text = std::fs::read_to_string(report)
         .with_context(|| format!("read nextest's report {}", report.display()))?;
@@ -61,7 +59,7 @@ pub(crate) fn check(report: &Path, shared: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Tests by name, and the lines that begin with a mark: what each left out and why.
+/// Names of tests with each of their lines that begin with `mark`, sorted.
 fn list(report: &str, mark: &str) -> Result<Vec<(String, String)>> {
     let document = roxmltree::Document::parse(report)?;
     let tests = document
@@ -73,7 +71,7 @@ fn list(report: &str, mark: &str) -> Result<Vec<(String, String)>> {
             let said = test.children().filter_map(|output| output.text());
             let lines = said.flat_map(str::lines).map(str::trim);
             lines
-                .filter(|line| line.starts_with(mark))
+                .filter(|line| begins_with(line, mark))
                 .map(move |line| {
                     let why = line.split_once(": ").map_or(line, |(_, why)| why);
                     (name.to_owned(), why.to_owned())
@@ -82,6 +80,12 @@ fn list(report: &str, mark: &str) -> Result<Vec<(String, String)>> {
         .collect();
     skipped.sort();
     Ok(skipped)
+}
+
+/// Compares without regard to case.
+fn begins_with(line: &str, mark: &str) -> bool {
+    let beginning = line.get(..mark.len());
+    beginning.is_some_and(|beginning| beginning.eq_ignore_ascii_case(mark))
 }
 
 #[cfg(test)]
@@ -94,8 +98,8 @@ mod tests {
             <testcase name='b_is_held'><system-out>running 1 test
                 skipped b_is_held: no reference data at ../shared
                 not run: A.md:7: needs a GPU
-                skipped b_is_held: no npm
-                </system-out></testcase>
+                </system-out><system-err>SKIPPED b_is_held: no npm
+                </system-err></testcase>
             <testcase name='a_holds'><system-out>nothing is skipped here</system-out></testcase>
             </testsuite></testsuites>";
         let of_b = |why: &str| ("b_is_held".to_owned(), why.to_owned());
