@@ -1,5 +1,5 @@
-//! Which crate may use which, and how the files of each do. The reasons are in
-//! docs/ARCHITECTURE.md.
+//! Allowed dependencies between crates, read from the diagram in docs/ARCHITECTURE.md, and
+//! between the files of each crate.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use std::process::Command;
 
 use serde_json::Value;
 
-/// What Cargo says of the workspace.
+/// Output of `cargo metadata` for the workspace.
 fn metadata(arguments: &[&str]) -> Value {
     let output = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
         .args(["metadata", "--format-version", "1", "--offline"])
@@ -23,121 +23,131 @@ fn metadata(arguments: &[&str]) -> Value {
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// Normal dependencies of every package, by name.
+/// Tools around the programs. They may use every crate, and no crate may use them.
+const TOOLS: [&str; 3] = ["tests", "xtask", "hostile"];
+
+/// Libraries that stand for a responsibility, and the crates that hold it.
+const LIBRARIES: [(&str, &[&str]); 8] = [
+    ("mujoco-rs", &["sim"]),
+    ("sqlx", &["queue"]),
+    ("pyo3", &["python"]),
+    ("ureq", &["assets"]),
+    ("maud", &["coordinator", "report"]),
+    ("parquet", &["report"]),
+    ("prost", &["proto", "policy-gateway"]),
+    (
+        "tokio",
+        &[
+            "coordinator",
+            "policy-gateway",
+            "queue",
+            "transport",
+            "worker",
+        ],
+    ),
+];
+
+/// Direct normal dependencies of every crate of the workspace, by name.
 fn dependencies() -> BTreeMap<String, BTreeSet<String>> {
-    // Crates for other systems have never been fetched here.
-    let platform = format!("{}-unknown-linux-gnu", std::env::consts::ARCH);
-    let metadata = metadata(&["--filter-platform", &platform]);
-    let list = |value: &Value| value.as_array().unwrap().clone();
+    let metadata = metadata(&["--no-deps"]);
     let text = |value: &Value| value.as_str().unwrap().to_owned();
-    let names: BTreeMap<String, String> = list(&metadata["packages"])
+    let packages = metadata["packages"].as_array().unwrap();
+    let normal = |package: &Value| {
+        let all = package["dependencies"].as_array().unwrap();
+        let normal = all.iter().filter(|dependency| dependency["kind"].is_null());
+        normal.map(|dependency| text(&dependency["name"])).collect()
+    };
+    let named = packages
         .iter()
-        .map(|package| (text(&package["id"]), text(&package["name"])))
-        .collect();
-    let mut graph = BTreeMap::new();
-    for node in list(&metadata["resolve"]["nodes"]) {
-        let normal = list(&node["deps"])
-            .iter()
-            .filter(|dep| {
-                list(&dep["dep_kinds"])
-                    .iter()
-                    .any(|kind| kind["kind"].is_null())
-            })
-            .map(|dep| names[&text(&dep["pkg"])].clone())
-            .collect();
-        graph.insert(names[&text(&node["id"])].clone(), normal);
-    }
-    graph
+        .map(|package| (text(&package["name"]), normal(package)));
+    named.collect()
 }
 
-/// Everything that a package uses, directly or not.
-fn reachable(graph: &BTreeMap<String, BTreeSet<String>>, from: &str) -> BTreeSet<String> {
-    let mut seen = BTreeSet::new();
-    let mut open = vec![from.to_owned()];
-    while let Some(name) = open.pop() {
-        for next in &graph[&name] {
-            if seen.insert(next.clone()) {
-                open.push(next.clone());
+/// Crates of each line of the diagram in docs/ARCHITECTURE.md, from the top.
+fn layers() -> Vec<Vec<String>> {
+    let map = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/ARCHITECTURE.md");
+    let map = std::fs::read_to_string(map).unwrap();
+    let rule = "A crate uses only crates on the lines below its own.";
+    let (before, _) = map.split_once(rule).expect("the map states the rule");
+    let diagram = before.rsplit("```").nth(1).expect("a diagram precedes it");
+    let line = |line: &str| line.split_whitespace().map(str::to_owned).collect();
+    diagram.trim().lines().map(line).collect()
+}
+
+/// Violations of the layers, one sentence each.
+fn violations(
+    layers: &[Vec<String>],
+    dependencies: &BTreeMap<String, BTreeSet<String>>,
+) -> Vec<String> {
+    let layer = |name: &str| {
+        let holds = |layer: &Vec<String>| layer.iter().any(|it| it == name);
+        layers.iter().position(holds)
+    };
+    let mut violations = Vec::new();
+    for (name, used) in dependencies {
+        if TOOLS.contains(&&**name) {
+            continue;
+        }
+        let Some(own) = layer(name) else {
+            violations.push(format!("{name} is not in the diagram"));
+            continue;
+        };
+        for other in used {
+            let allowed = match (dependencies.contains_key(other), layer(other)) {
+                (true, Some(others)) => others > own,
+                (true, None) => false,
+                (false, _) => LIBRARIES
+                    .iter()
+                    .all(|(library, crates)| library != other || crates.contains(&&**name)),
+            };
+            if !allowed {
+                violations.push(format!("{name} uses {other}"));
             }
         }
     }
-    seen
+    violations
 }
 
 #[test]
 fn crates_use_one_another_in_the_agreed_directions_only() {
-    let graph = dependencies();
-    let forbidden = [
-        (
-            "protocol",
-            &["scene", "sim", "paired", "proto", "tokio"][..],
-        ),
-        (
-            "attempt",
-            &["scene", "sim", "paired", "proto", "tokio", "sqlx", "maud"],
-        ),
-        (
-            "assets",
-            &[
-                "scene",
-                "sim",
-                "proto",
-                "transport",
-                "terminal",
-                "tokio",
-                "clap",
-            ],
-        ),
-        ("scene", &["sim", "proto", "tokio", "mujoco-rs"]),
-        (
-            "raster",
-            &["protocol", "scene", "proto", "tokio", "mujoco-rs"],
-        ),
-        ("expert", &["scene", "sim", "proto", "tokio"]),
-        ("student", &["protocol", "scene", "sim", "proto", "tokio"]),
-        ("sim", &["proto", "tokio", "sqlx", "paired"]),
-        (
-            "queue",
-            &[
-                "scene",
-                "sim",
-                "report",
-                "proto",
-                "transport",
-                "tonic",
-                "maud",
-            ],
-        ),
-        ("paired", &["scene", "sim", "proto", "tokio", "sqlx"]),
-        ("lattice", &["scene", "sim", "proto", "tokio", "sqlx"]),
-        (
-            "thresholds",
-            &["lattice", "scene", "sim", "proto", "tokio", "sqlx"],
-        ),
-        ("report", &["scene", "sim", "proto", "tokio", "sqlx"]),
-        ("proto", &["protocol", "scene", "sim", "paired"]),
-        (
-            "transport",
-            &["proto", "protocol", "scene", "sim", "paired", "sqlx"],
-        ),
-        ("coordinator", &["scene", "sim", "worker", "policy-gateway"]),
-        (
-            "worker",
-            &["sqlx", "coordinator", "policy-gateway", "paired", "report"],
-        ),
-        (
-            "policy-gateway",
-            &["sqlx", "scene", "sim", "coordinator", "worker"],
-        ),
-        ("python", &["worker", "proto", "transport", "tokio", "sqlx"]),
-        ("xtask", &["scene", "sim", "tokio"]),
+    let (layers, dependencies) = (layers(), dependencies());
+    let unknown = layers.iter().flatten();
+    let unknown: Vec<_> = unknown
+        .filter(|name| !dependencies.contains_key(*name))
+        .collect();
+    assert!(
+        unknown.is_empty(),
+        "not crates of the workspace: {unknown:?}"
+    );
+    let violations = violations(&layers, &dependencies);
+    assert!(violations.is_empty(), "{violations:#?}");
+}
+
+#[test]
+fn an_arrow_that_points_up_or_sideways_is_found() {
+    let layers = [
+        vec!["top".to_owned(), "side".to_owned()],
+        vec!["low".to_owned()],
     ];
-    for (package, others) in forbidden {
-        let used = reachable(&graph, package);
-        for other in others {
-            assert!(!used.contains(*other), "{package} must not use {other}");
-        }
-    }
+    let used = |names: &[&str]| names.iter().map(|&name| name.to_owned()).collect();
+    let graph = [
+        ("top", used(&["low", "side"])),
+        ("side", used(&["serde", "sqlx"])),
+        ("low", used(&["top", "hostile"])),
+        ("new", used(&[])),
+        ("hostile", used(&["top"])),
+    ];
+    let graph = graph.map(|(name, used)| (name.to_owned(), used)).into();
+    assert_eq!(
+        violations(&layers, &graph),
+        [
+            "low uses hostile",
+            "low uses top",
+            "new is not in the diagram",
+            "side uses sqlx",
+            "top uses side",
+        ]
+    );
 }
 
 /// All Rust sources below a folder, one after the other.
