@@ -2,11 +2,14 @@
 //! the README beside it.
 
 use std::collections::BTreeMap;
+use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
-use npyz::{DType, TypeChar};
+use npyz::npz::array_name_from_file_name;
+use npyz::{DType, NpyFile, TypeChar};
 use serde_json::Value;
+use zip::ZipArchive;
 
 /// One task's folder of reference data.
 #[derive(Debug, Clone)]
@@ -167,14 +170,16 @@ impl ReferenceTask {
 
 /// All arrays of an `.npz` file, those of text left out.
 pub fn read_npz(path: &Path) -> Result<BTreeMap<String, Array>> {
-    let mut archive =
-        npyz::npz::NpzArchive::open(path).with_context(|| format!("read {}", path.display()))?;
-    let names: Vec<String> = archive.array_names().map(str::to_owned).collect();
+    let read = || format!("read {}", path.display());
+    let file = File::open(path).with_context(read)?;
+    let mut archive = ZipArchive::new(file).with_context(read)?;
+    let members: Vec<String> = archive.file_names().map(str::to_owned).collect();
     let mut arrays = BTreeMap::new();
-    for name in names {
-        let array = archive
-            .by_name(&name)?
-            .with_context(|| format!("no array `{name}`"))?;
+    for member in members {
+        let Some(name) = array_name_from_file_name(&member).map(str::to_owned) else {
+            continue;
+        };
+        let array = NpyFile::new(archive.by_name(&member)?)?;
         let shape = array.shape().iter().map(|size| *size as usize).collect();
         let DType::Plain(kind) = array.dtype() else {
             continue;

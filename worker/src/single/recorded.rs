@@ -7,10 +7,10 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Cursor, Read};
 use std::path::{Path, PathBuf};
 
-use npyz::zip::ZipArchive;
 use npyz::{DType, NpyFile, TypeChar};
 use proto::policy::{DescribeResponse, Observation};
 use sha2::{Digest, Sha256};
+use zip::ZipArchive;
 
 use super::error::SingleError;
 use crate::actor::{ACTION_WIDTH, Action, Actor, Description, PolicyError, PolicySession};

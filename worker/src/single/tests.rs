@@ -3,7 +3,6 @@
 
 use std::time::Duration;
 
-use npyz::npz::NpzArchive;
 use proto::policy as wire;
 use protocol::{Axis, ManifestRow, Realisation, row_of};
 use scene::{AssetPack, Sources};
@@ -88,8 +87,10 @@ pub(crate) fn assignment(row: ManifestRow, video: Option<&Path>) -> Assignment {
 }
 
 fn array<T: npyz::Deserialize>(trace: &Path, name: &str) -> (Vec<u64>, Vec<T>) {
-    let mut archive = NpzArchive::open(trace).expect("an NPZ file");
-    let array = archive.by_name(name).expect("reads").expect("is there");
+    let file = fs::File::open(trace).expect("a trace");
+    let mut archive = zip::ZipArchive::new(file).expect("an NPZ file");
+    let member = archive.by_name(&format!("{name}.npy"));
+    let array = npyz::NpyFile::new(member.expect("is there")).expect("an array");
     (
         array.shape().to_vec(),
         array.into_vec().expect("of this type"),

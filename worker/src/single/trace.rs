@@ -22,9 +22,9 @@ use std::io::{self, BufWriter, Seek, Write};
 use std::path::Path;
 
 use npyz::WriterBuilder;
-use npyz::npz::NpzWriter;
-use npyz::zip::write::FileOptions;
 use sim::Environment;
+use zip::ZipWriter;
+use zip::write::SimpleFileOptions;
 
 use crate::actor::ACTION_WIDTH;
 use crate::rollout::Step;
@@ -68,7 +68,7 @@ impl Trace {
 
     /// Writes the NPZ file, compressed.
     pub(super) fn write(&self, path: &Path) -> io::Result<()> {
-        let mut npz = NpzWriter::new(BufWriter::new(File::create(path)?));
+        let mut npz = ZipWriter::new(BufWriter::new(File::create(path)?));
         let scenes = self.success.len();
         let steps = self.actions.len() / ACTION_WIDTH;
         for (name, rows, values) in [
@@ -88,12 +88,12 @@ impl Trace {
         let width = self.goal_truths.len() / scenes.max(1);
         write_array(&mut npz, "goal_truths", &[scenes, width], &self.goal_truths)?;
         write_array(&mut npz, "success", &[scenes], &self.success)?;
-        npz.zip_writer().finish()?.flush()
+        npz.finish()?.flush()
     }
 }
 
 fn write_array<T, W>(
-    npz: &mut NpzWriter<W>,
+    npz: &mut ZipWriter<W>,
     name: &str,
     shape: &[usize],
     values: &[T],
@@ -103,8 +103,9 @@ where
     W: Write + Seek,
 {
     let shape: Vec<u64> = shape.iter().map(|&size| size as u64).collect();
-    let array = npz.array(name, FileOptions::default())?;
-    let mut array = array.default_dtype().shape(&shape).begin_nd()?;
+    npz.start_file(format!("{name}.npy"), SimpleFileOptions::default())?;
+    let array = npyz::WriteOptions::new().default_dtype().shape(&shape);
+    let mut array = array.writer(npz).begin_nd()?;
     array.extend(values.iter().copied())?;
     array.finish()
 }

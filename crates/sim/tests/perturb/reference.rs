@@ -1,11 +1,13 @@
 //! Reading the reference data.
 
 use std::collections::BTreeMap;
+use std::fs::File;
 use std::path::{Path, PathBuf};
 
-use npyz::npz::NpzArchive;
+use npyz::NpyFile;
 use protocol::presets::{PRESETS, apply_preset};
 use protocol::{Axis, Level, Perturbation};
+use zip::ZipArchive;
 
 /// Float arrays by name, row by row.
 pub(crate) type Arrays = BTreeMap<String, Vec<f64>>;
@@ -34,13 +36,18 @@ pub(crate) fn presets(axis: Axis) -> impl Iterator<Item = (Level, u16, Perturbat
     })
 }
 
+fn open(path: &Path) -> ZipArchive<File> {
+    ZipArchive::new(File::open(path).expect("a file")).expect("an archive")
+}
+
 /// The float arrays of an archive; text and integers are left out.
 pub(crate) fn arrays(path: &Path) -> Arrays {
-    let mut archive = NpzArchive::open(path).expect("an archive");
-    let names: Vec<String> = archive.array_names().map(str::to_owned).collect();
+    let mut archive = open(path);
+    let names: Vec<String> = archive.file_names().map(str::to_owned).collect();
     let mut arrays = Arrays::new();
     for name in names {
-        let file = archive.by_name(&name).expect("readable").expect("listed");
+        let file = archive.by_name(&name).expect("listed");
+        let file = NpyFile::new(file).expect("an array");
         let descr = file.dtype().descr();
         let values = if descr.contains("<f8") {
             file.into_vec::<f64>().expect("doubles")
@@ -50,15 +57,17 @@ pub(crate) fn arrays(path: &Path) -> Arrays {
         } else {
             continue;
         };
-        arrays.insert(name, values);
+        let name = name.strip_suffix(".npy").expect("an array's name");
+        arrays.insert(name.to_owned(), values);
     }
     arrays
 }
 
 /// An integer array of an archive.
 pub(crate) fn integers(path: &Path, name: &str) -> Vec<i64> {
-    let mut archive = NpzArchive::open(path).expect("an archive");
-    let file = archive.by_name(name).expect("readable").expect("listed");
+    let mut archive = open(path);
+    let file = archive.by_name(&format!("{name}.npy")).expect("listed");
+    let file = NpyFile::new(file).expect("an array");
     if file.dtype().descr().contains("<i4") {
         let narrow = file.into_vec::<i32>().expect("integers");
         return narrow.into_iter().map(i64::from).collect();
