@@ -80,9 +80,10 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
     }
     if filters.is_empty() {
         if nextest {
-            // It runs no examples of documentation; `cargo test` has.
-            println!("Testing that misuse of the simulator does not compile");
-            run_command(cargo(root).args(["test", "--quiet", "--doc", "--package", "sim"]))?;
+            // Nextest runs no documentation examples. With `--package` cargo would choose other
+            // features for shared dependencies, and compile them a second time.
+            println!("Testing the examples of the documentation");
+            run_command(cargo(root).args(["test", "--quiet", "--doc", "--workspace"]))?;
         }
         println!("Testing the software renderer with overflow checks");
         run_command(cargo(root).args([
