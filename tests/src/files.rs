@@ -2,8 +2,11 @@
 //! the reference data that only some machines have.
 
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 
-use scene::{AssetPack, Sources};
+use protocol::TaskRef;
+use scene::pack::LIBERO;
+use scene::{AssetPack, Sources, TaskFiles};
 
 /// The unpacked sources.
 ///
@@ -19,6 +22,32 @@ pub fn sources() -> Sources {
 /// If it cannot be unpacked.
 pub fn primitives(sources: &Sources) -> AssetPack {
     AssetPack::open("primitives", sources).expect("the built-in pack")
+}
+
+/// LIBERO's assets, or none, after saying which test is skipped for that: they are
+/// fetched once for all tests, as far as the 40 tasks need them, and there may be no
+/// network.
+///
+/// # Panics
+/// If a file is there and altered, and cannot be replaced.
+pub fn libero(sources: &Sources, test: &str) -> Option<AssetPack> {
+    static FETCHED: OnceLock<Result<AssetPack, String>> = OnceLock::new();
+    let fetched = FETCHED.get_or_init(|| {
+        let pack = AssetPack::open(LIBERO, sources).map_err(|error| error.to_string())?;
+        let tasks = TaskRef::all().map(|task| TaskFiles::of_task(sources, task));
+        let tasks: Vec<TaskFiles> = tasks.collect();
+        match pack.provide_with_bar(&tasks) {
+            Ok(_) => Ok(pack),
+            Err(error) => Err(error.to_string()),
+        }
+    });
+    match fetched {
+        Ok(pack) => Some(pack.clone()),
+        Err(error) => {
+            println!("skipped {test}: failed to {error}");
+            None
+        }
+    }
 }
 
 /// A folder of the reference data beside this checkout, or none, after saying

@@ -5,10 +5,13 @@ use std::path::PathBuf;
 
 use protocol::TaskRef;
 use protocol::presets::ENV_SEED;
-use scene::{AssetPack, InitialStates, Problem, SceneError, Sources, TaskFiles, compose};
+use scene::{
+    AssetPack, InitialStates, Problem, SceneError, Sources, TaskFiles, compose, needed_files,
+};
 use sim::Environment;
 use sim::mujoco::ObjectKind;
-use tests::files::{primitives, shared, sources};
+use tempfile::TempDir;
+use tests::files::{libero, primitives, sources};
 
 /// BDDL files in the hf-libero wheel: 40 evaluation tasks and 90 others.
 const BDDL_FILES: usize = 130;
@@ -63,13 +66,86 @@ fn every_evaluation_task_composes_from_the_built_in_pack() {
 #[test]
 fn every_evaluation_task_composes_from_the_real_assets() {
     let test = "every_evaluation_task_composes_from_the_real_assets";
-    let Some(assets) = shared("libero-assets", test) else {
+    let sources = sources();
+    let Some(pack) = libero(&sources, test) else {
         return;
     };
-    let sources = sources();
-    let pack = AssetPack::open(&assets.to_string_lossy(), &sources).unwrap();
     for task in TaskRef::all() {
         check_task(task, &sources, &pack);
+    }
+}
+
+/// A folder with those files of a pack that a task's scene is made from.
+fn only_needed_files(task: &TaskFiles, pack: &AssetPack) -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    for file in needed_files(&task.problem().unwrap()).unwrap() {
+        let path = folder.path().join(file.path);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::os::unix::fs::symlink(pack.dir().join(file.path), path).unwrap();
+    }
+    folder
+}
+
+#[test]
+fn every_evaluation_task_composes_from_the_files_that_are_fetched_for_it() {
+    let test = "every_evaluation_task_composes_from_the_files_that_are_fetched_for_it";
+    let sources = sources();
+    let Some(pack) = libero(&sources, test) else {
+        return;
+    };
+    for task in TaskRef::all() {
+        let files = TaskFiles::of_task(&sources, task);
+        let folder = only_needed_files(&files, &pack);
+        let part = AssetPack::open(&folder.path().to_string_lossy(), &sources).unwrap();
+        assert_eq!((part.name(), part.digest()), ("libero", pack.digest()));
+        let problem = files.problem().unwrap();
+        let compose = |pack| compose(&problem, pack, &sources, ENV_SEED);
+        let scene = compose(&part).unwrap_or_else(|error| panic!("{task}: {error}"));
+        assert_eq!(scene.digest(), compose(&pack).unwrap().digest(), "{task}");
+    }
+}
+
+#[test]
+fn an_altered_file_of_liberos_never_gets_into_a_scene() {
+    let test = "an_altered_file_of_liberos_never_gets_into_a_scene";
+    let sources = sources();
+    let Some(pack) = libero(&sources, test) else {
+        return;
+    };
+    let files = TaskFiles::of_task(&sources, "libero_goal/0".parse().unwrap());
+    let problem = files.problem().unwrap();
+    let folder = only_needed_files(&files, &pack);
+    let path = folder.path().to_string_lossy();
+    let open = || AssetPack::open(&path, &sources).unwrap();
+    let before = open();
+    compose(&problem, &before, &sources, ENV_SEED).unwrap();
+    for file in [
+        "turbosquid_objects/wine_bottle/wine_bottle.xml",
+        "stable_scanned_objects/akita_black_bowl/texture.png",
+    ] {
+        let altered = folder.path().join(file);
+        let mut bytes = std::fs::read(&altered).unwrap();
+        *bytes.last_mut().unwrap() ^= 1;
+        std::fs::remove_file(&altered).unwrap();
+        std::fs::write(&altered, bytes).unwrap();
+        // Opened anew it goes by another name, and by its own digest.
+        let after = open();
+        assert_eq!(after.name(), "custom");
+        assert_ne!(after.digest(), pack.digest());
+        assert!(after.differences()[0].starts_with(file), "{after:?}");
+        // Opened before, as by a slot, it is refused when the file is used.
+        let known = AssetPack::open_known(&path, &sources, pack.digest()).unwrap();
+        for pack in [&before, &known] {
+            let error = compose(&problem, pack, &sources, ENV_SEED).unwrap_err();
+            assert!(matches!(error, SceneError::NotLiberos { .. }), "{error}");
+            let error = error.to_string();
+            assert!(
+                error.contains(file) && error.contains("worker assets"),
+                "{error}"
+            );
+        }
+        std::fs::remove_file(&altered).unwrap();
+        std::os::unix::fs::symlink(pack.dir().join(file), altered).unwrap();
     }
 }
 

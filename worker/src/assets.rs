@@ -1,31 +1,27 @@
-//! `worker assets`: looks after asset packs. Responsible for what the command
-//! prints; what packs are for is crate `scene`'s business.
+//! `worker assets`: describes, verifies and fetches asset packs; and the tasks that a
+//! worker can show with its pack.
 
 mod coverage;
 mod error;
 
 use std::ops::ControlFlow;
-use std::path::{Path, PathBuf};
-use std::thread;
+use std::path::Path;
 
-use assets::{Bar, Fetch, Hub, Manifest, Program, fetched_pack, size_in_words};
-use scene::pack::PRIMITIVES;
-use scene::{AssetPack, Sources};
+use assets::{Bar, Deadlines, FileFacts, Origin, Table, size_in_words};
+use protocol::TaskRef;
+use scene::pack::{LIBERO, PRIMITIVES, digest_of_folder};
+use scene::{AssetPack, Sources, TaskFiles};
+use terminal::counted;
 
-use crate::args::{AssetsArguments, AssetsCommand};
+use crate::args::{AssetsArguments, AssetsCommand, FetchArguments, TaskChoice};
 
-use coverage::Coverage;
+pub use coverage::Coverage;
 pub use error::PackError;
 
-/// Names of files that a message spells out; the rest are counted.
+/// Files that a message names; the others are counted.
 const MAX_NAMED: usize = 20;
-/// What messages of a fetch say of this program.
-const PROGRAM: Program = Program {
-    occupied: "see `worker assets verify` whether it is whole, or move it away and fetch again",
-    assets: "--assets",
-};
 
-/// Does what the command line says.
+/// Carries out the command line.
 ///
 /// # Errors
 /// If a pack cannot be read or fetched, or is not what it should be.
@@ -33,166 +29,214 @@ pub fn run(arguments: &AssetsArguments) -> Result<(), PackError> {
     let dir = arguments.sources.clone();
     let dir = dir.unwrap_or_else(Sources::default_dir);
     match &arguments.command {
-        AssetsCommand::List { packs, files } => {
+        AssetsCommand::Path => print(&format!("{}\n", Sources::fetched_pack(&dir).display())),
+        AssetsCommand::List { packs } => {
             let sources = Sources::open(&dir)?;
-            let packs = match packs.as_slice() {
-                [] => known_packs(&dir),
-                given => given.to_vec(),
-            };
-            for pack in &packs {
-                let pack = AssetPack::open(pack, &sources)?;
-                let report = if *files {
-                    Manifest::of_folder(pack.dir())?.to_string()
-                } else {
-                    describe(&pack, &sources)?
-                };
-                print(&report)?;
+            for pack in packs_or_own(packs) {
+                let pack = AssetPack::open(&pack, &sources)?;
+                print(&describe(&pack, &sources)?)?;
             }
             Ok(())
         }
-        AssetsCommand::Verify { pack, manifest } => {
-            let packs = match pack {
-                Some(pack) => vec![pack.clone()],
-                None => known_packs(&dir),
-            };
-            for pack in &packs {
-                verify(pack, manifest.as_deref(), &dir)?;
+        AssetsCommand::Verify { pack } => {
+            let sources = Sources::open(&dir)?;
+            let packs = pack.as_ref().map(std::slice::from_ref);
+            for pack in packs_or_own(packs.unwrap_or_default()) {
+                verify(&AssetPack::open(&pack, &sources)?, &sources)?;
             }
             Ok(())
         }
-        AssetsCommand::Fetch { into, hub } => {
-            let into = into.clone().unwrap_or_else(|| fetched_pack(&dir));
-            fetch(hub, &into)
-        }
+        AssetsCommand::Fetch(arguments) => fetch(arguments, &Sources::open(&dir)?),
     }
 }
 
-/// The built-in pack, and the fetched one if there is one.
-fn known_packs(sources: &Path) -> Vec<String> {
-    let fetched = fetched_pack(sources);
-    let fetched = fetched.is_dir().then(|| fetched.display().to_string());
-    [PRIMITIVES.to_owned()].into_iter().chain(fetched).collect()
+/// Sees that the files of tasks are there, with progress on standard error.
+///
+/// # Errors
+/// If they cannot be fetched.
+pub fn provide(
+    pack: &AssetPack,
+    sources: &Sources,
+    tasks: impl IntoIterator<Item = TaskRef>,
+) -> Result<(), PackError> {
+    let tasks = tasks.into_iter();
+    let tasks: Vec<TaskFiles> = tasks
+        .map(|task| TaskFiles::of_task(sources, task))
+        .collect();
+    pack.provide_with_bar(&tasks)?;
+    Ok(())
+}
+
+/// The given packs, else those that need no folder.
+fn packs_or_own(given: &[String]) -> Vec<String> {
+    match given {
+        [] => vec![LIBERO.to_owned(), PRIMITIVES.to_owned()],
+        given => given.to_vec(),
+    }
 }
 
 fn describe(pack: &AssetPack, sources: &Sources) -> Result<String, PackError> {
     let coverage = Coverage::of(pack, sources)?;
-    describe_with(pack, &coverage)
-}
-
-fn describe_with(pack: &AssetPack, coverage: &Coverage) -> Result<String, PackError> {
-    let files = Manifest::of_folder(pack.dir())?;
+    let files = match pack.verified() {
+        None => String::new(),
+        Some(folder) => {
+            let all = Table::libero().files();
+            let present = all.iter().filter(|file| folder.seems_present(file));
+            let present: Vec<&FileFacts> = present.collect();
+            let bytes = present.iter().map(|file| file.bytes).sum();
+            format!(
+                "  files       {} of LIBERO's {}, {}\n",
+                present.len(),
+                all.len(),
+                size_in_words(bytes)
+            )
+        }
+    };
     Ok(format!(
-        "{}\n  folder      {}\n  digest      {}\n  files       {}, {}\n{coverage}",
+        "{}\n  folder      {}\n  digest      {}\n{files}{coverage}",
         pack.name(),
         pack.dir().display(),
         pack.digest(),
-        files.count(),
-        size_in_words(files.total_bytes()),
     ))
 }
 
-fn verify(pack: &str, manifest: Option<&Path>, sources: &Path) -> Result<(), PackError> {
-    let folder = if pack == PRIMITIVES {
-        let pack = AssetPack::open(PRIMITIVES, &Sources::open(sources)?)?;
-        pack.dir().to_owned()
-    } else {
-        PathBuf::from(pack)
-    };
-    if pack == PRIMITIVES && manifest.is_none() {
-        return verify_primitives(&folder, sources);
+fn verify(pack: &AssetPack, sources: &Sources) -> Result<(), PackError> {
+    let folder = pack.dir().to_owned();
+    if pack.name() == PRIMITIVES {
+        if digest_of_folder(&folder)? != pack.digest() {
+            return Err(PackError::Primitives { folder });
+        }
+        return print(&format!(
+            "{}: all files are as they should be\n",
+            folder.display()
+        ));
     }
-    let file = match manifest {
-        Some(file) => file.to_owned(),
-        None => {
-            let fetched = Manifest::beside(&folder);
-            if !fetched.exists() {
-                return verify_without_manifest(&folder, sources);
-            }
-            fetched
+    let (differences, present) = match pack.verified() {
+        None => (pack.differences().to_vec(), 0),
+        Some(verified) => {
+            let (differences, present) = verified.differences();
+            let named = differences.iter();
+            let named = named.map(|(path, difference)| format!("{path} ({difference})"));
+            (named.collect(), present)
         }
     };
-    let expected = Manifest::read(&file)?;
-    let mut differences = expected.compare(&Manifest::of_folder(&folder)?);
     if !differences.is_empty() {
-        let count = differences.len();
-        if count > MAX_NAMED {
-            differences.truncate(MAX_NAMED);
-            differences.push(format!("and {} more", count - MAX_NAMED));
-        }
         return Err(PackError::Differs {
             folder,
-            manifest: file,
-            count,
-            named: differences.join("\n  "),
+            count: differences.len(),
+            named: name_some(differences, "\n  "),
         });
     }
-    print(&format!(
-        "{}: all {} files are as they should be\n",
-        folder.display(),
-        expected.count()
-    ))
-}
-
-/// Of a pack that was not fetched, what can be said is whether all tasks can be
-/// shown with it.
-fn verify_without_manifest(folder: &Path, sources: &Path) -> Result<(), PackError> {
-    let sources = Sources::open(sources)?;
-    let pack = AssetPack::open(&folder.to_string_lossy(), &sources)?;
-    let coverage = Coverage::of(&pack, &sources)?;
-    let description = describe_with(&pack, &coverage)?;
-    if !coverage.is_whole() {
-        let folder = folder.to_owned();
+    let description = describe(pack, sources)?;
+    if !pack.is_managed() && !Coverage::of(pack, sources)?.is_whole() {
         return Err(PackError::Incomplete {
             folder,
             description,
         });
     }
     print(&format!(
-        "{description}\
-         Every task can be shown. The contents of the files were not compared: only\n\
-         fetched packs have a manifest. To compare with a pack that is known to be whole:\n  \
-         worker assets list --files KNOWN_PACK > files.txt\n  \
-         worker assets verify {} --manifest files.txt\n",
-        folder.display()
+        "{}: {} LIBERO's, and none differs\n{description}",
+        folder.display(),
+        match present {
+            1 => "1 file is".to_owned(),
+            more => format!("{more} files are"),
+        }
     ))
 }
 
-/// The built-in pack knows its own digest; the folder must have the same.
-fn verify_primitives(folder: &Path, sources: &Path) -> Result<(), PackError> {
-    let sources = Sources::open(sources)?;
-    let built_in = AssetPack::open(PRIMITIVES, &sources)?;
-    let unpacked = AssetPack::open(&folder.to_string_lossy(), &sources)?;
-    if built_in.digest() != unpacked.digest() {
-        let folder = folder.to_owned();
-        return Err(PackError::Primitives { folder });
+/// The first of many things, and the number of the others.
+pub fn name_some(mut names: Vec<String>, between: &str) -> String {
+    let count = names.len();
+    if count > MAX_NAMED {
+        names.truncate(MAX_NAMED);
+        names.push(format!("and {} more", count - MAX_NAMED));
     }
+    names.join(between)
+}
+
+fn fetch(arguments: &FetchArguments, sources: &Sources) -> Result<(), PackError> {
+    let pack = match &arguments.into {
+        Some(dir) => AssetPack::into_folder(dir),
+        None => AssetPack::open(LIBERO, sources)?,
+    };
+    let files = match arguments.everything {
+        true => Table::libero().files().iter().collect(),
+        false => AssetPack::files_of_tasks(&tasks(arguments, sources))?,
+    };
+    let origin = origin(arguments)?;
+    let mut bar = Bar::default();
+    let fetched = pack.fetch(&files, &origin, &mut |report| {
+        bar.show(report);
+        ControlFlow::Continue(())
+    });
+    bar.finish();
+    let fetched = fetched?;
+    let replaced = match fetched.replaced {
+        0 => String::new(),
+        altered => format!(" ({altered} in place of altered ones)"),
+    };
+    let pack_or_path = match pack.is_managed() {
+        true => format!("{LIBERO}, which is the default"),
+        false => pack.dir().display().to_string(),
+    };
     print(&format!(
-        "{}: all files are as they should be\n",
-        folder.display()
+        "{}: {} fetched{replaced}, {} over the network; {} already there. Give it as --assets \
+         {pack_or_path}\n",
+        pack.dir().display(),
+        counted(fetched.fetched as u64, "file"),
+        size_in_words(fetched.bytes),
+        fetched.present,
     ))
 }
 
-fn fetch(hub: &str, into: &Path) -> Result<(), PackError> {
-    let hub = Hub::new(hub, PROGRAM);
-    let mut bar = Bar::default();
-    let mut fetch = Fetch {
-        hub: &hub,
-        into,
-        pause: &mut thread::sleep,
-        progress: &mut |progress| {
-            bar.show(progress);
-            ControlFlow::Continue(())
-        },
+fn tasks(arguments: &FetchArguments, sources: &Sources) -> Vec<TaskFiles> {
+    let mut tasks = Vec::new();
+    for choice in &arguments.tasks {
+        let chosen: Vec<TaskRef> = match choice {
+            TaskChoice::All => TaskRef::all().collect(),
+            TaskChoice::One(task) => vec![*task],
+        };
+        let files = chosen.into_iter();
+        tasks.extend(files.map(|task| TaskFiles::of_task(sources, task)));
+    }
+    let own = arguments.bddl.iter();
+    tasks.extend(own.map(|bddl| TaskFiles {
+        bddl: bddl.clone(),
+        init: Default::default(),
+    }));
+    tasks
+}
+
+fn origin(arguments: &FetchArguments) -> Result<Origin, PackError> {
+    let deadlines = Deadlines::default();
+    Ok(if let Some(folder) = &arguments.wheels {
+        Origin::wheels(folder.clone())
+    } else if let Some(url) = &arguments.hub {
+        Origin::hub(url, deadlines)?
+    } else if let Some(url) = &arguments.index {
+        Origin::index(url, deadlines)?
+    } else {
+        Origin::of_environment()?
+    })
+}
+
+/// Says why a folder is not LIBERO's, if it is not.
+pub fn describe_differences(pack: &AssetPack, given: &Path) -> Option<String> {
+    if pack.name() != scene::pack::CUSTOM {
+        return None;
+    }
+    let differences = pack.differences().to_vec();
+    let how = match differences.len() {
+        0 => "it has none of LIBERO's files".to_owned(),
+        count => format!(
+            "{} differ: {}",
+            counted(count as u64, "file"),
+            name_some(differences, ", ")
+        ),
     };
-    let fetched = fetch.run();
-    bar.finish();
-    let manifest = fetched?;
-    print(&format!(
-        "{}: {} files, {}; give it as --assets {}\n",
-        into.display(),
-        manifest.count(),
-        size_in_words(manifest.total_bytes()),
-        into.display()
+    Some(format!(
+        "the asset pack {} is not LIBERO's, and its results go by the name `custom`: {how}",
+        given.display()
     ))
 }
 

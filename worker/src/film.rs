@@ -8,7 +8,7 @@ use std::path::Path;
 
 use attempt::{AttemptId, Motion};
 use proto::coordinator::{Film, NextFilmRequest};
-use protocol::{ManifestRow, Realisation};
+use protocol::{ManifestRow, Realisation, TaskRef};
 use sim::Simulator;
 use tokio::sync::watch;
 use tonic::Status;
@@ -72,12 +72,16 @@ struct Filmable {
     success: bool,
 }
 
-/// Films until nothing is left.
+/// Films until nothing is left. `provide` sees that a task's files are there.
 ///
 /// # Errors
 /// If the coordinator cannot be reached. A rollout that cannot be filmed is
 /// logged and counted.
-pub fn run(config: &Config, simulator: &mut Simulator) -> Result<Filmed, FilmError> {
+pub fn run(
+    config: &Config,
+    simulator: &mut Simulator,
+    provide: &mut dyn FnMut(TaskRef) -> Result<(), String>,
+) -> Result<Filmed, FilmError> {
     let runtime = tokio::runtime::Runtime::new().map_err(FilmError::Room)?;
     let scratch = tempfile::tempdir().map_err(FilmError::Room)?;
     let file = scratch.path().join("video.mp4");
@@ -104,6 +108,7 @@ pub fn run(config: &Config, simulator: &mut Simulator) -> Result<Filmed, FilmErr
             .map_err(|problem| format!("read {title}: {problem}"))
             .and_then(|rollout| {
                 tracing::info!("filming {} ({} left)", rollout.label, answer.left);
+                provide(rollout.row.id.task())?;
                 film_rollout(simulator, &rollout, &file).map(|()| rollout)
             })
             .and_then(|rollout| {

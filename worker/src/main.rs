@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use anyhow::Context;
 use protocol::{ManifestRow, Realisation, TaskRef};
-use scene::{AssetPack, Sources};
+use scene::{AssetPack, Sources, TaskFiles};
 use sim::{Simulator, SimulatorConfig};
 use terminal::counted;
 use tokio::signal::unix::{Signal, SignalKind, signal};
@@ -41,21 +41,21 @@ fn main() -> ExitCode {
     let arguments = Arguments::read(VERSION, std::env::args_os());
     let arguments = arguments.unwrap_or_else(|error| error.exit());
     terminal::log("info");
-    let result = match (arguments.command, arguments.serve, arguments.simulator) {
-        (Some(Command::Slot(slot)), ..) => run_slot(&slot),
-        (Some(Command::BenchSlot(slot)), ..) => run_bench_slot(&slot),
-        (Some(Command::Bench(arguments)), ..) => run_bench(&arguments),
-        (Some(Command::Rollout(rollout)), ..) => run_rollout(*rollout),
-        (Some(Command::Rescue(rescue)), ..) => run_rescue(*rescue),
-        (Some(Command::Preview(preview)), ..) => run_preview(&preview),
-        (Some(Command::Film(arguments)), ..) => run_film(arguments),
-        (Some(Command::Completions { shell }), ..) => print_completions(shell),
-        (Some(Command::Manual { folder }), ..) => manual(&folder),
-        (Some(Command::Assets(arguments)), ..) => {
+    let result = match (arguments.command, arguments.serve) {
+        (Some(Command::Slot(slot)), _) => run_slot(&slot),
+        (Some(Command::BenchSlot(slot)), _) => run_bench_slot(&slot),
+        (Some(Command::Bench(arguments)), _) => run_bench(&arguments),
+        (Some(Command::Rollout(rollout)), _) => run_rollout(*rollout),
+        (Some(Command::Rescue(rescue)), _) => run_rescue(*rescue),
+        (Some(Command::Preview(preview)), _) => run_preview(&preview),
+        (Some(Command::Film(arguments)), _) => run_film(arguments),
+        (Some(Command::Completions { shell }), _) => print_completions(shell),
+        (Some(Command::Manual { folder }), _) => manual(&folder),
+        (Some(Command::Assets(arguments)), _) => {
             assets::run(&arguments).map_err(anyhow::Error::from)
         }
-        (None, Some(serve), Some(simulator)) => run_worker(serve, &arguments.access, &simulator),
-        (None, ..) => unreachable!("clap asks for --connect and --assets"),
+        (None, Some(serve)) => run_worker(serve, &arguments.access, &arguments.simulator),
+        (None, _) => unreachable!("clap asks for --connect"),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
@@ -86,7 +86,15 @@ fn manual(folder: &Path) -> anyhow::Result<()> {
 fn open(arguments: &SimulatorArguments) -> anyhow::Result<SimulatorConfig> {
     let dir = arguments.sources.clone();
     let sources = Sources::open(&dir.unwrap_or_else(Sources::default_dir))?;
-    let pack = AssetPack::open(&arguments.assets, &sources)?;
+    let pack = match &arguments.pack_digest {
+        Some(digest) => AssetPack::open_known(&arguments.assets, &sources, digest)?,
+        None => AssetPack::open(&arguments.assets, &sources)?,
+    };
+    if arguments.pack_digest.is_none()
+        && let Some(differences) = assets::describe_differences(&pack, arguments.assets.as_ref())
+    {
+        tracing::warn!("{differences}");
+    }
     Ok(SimulatorConfig {
         sources,
         pack,
@@ -119,8 +127,14 @@ fn run_bench(arguments: &BenchArguments) -> anyhow::Result<()> {
         execute,
         policy_secs,
     } = arguments.load;
-    let (pack, sources) = (simulator.pack.name(), simulator.sources.dir());
-    let mut slot = program_of("bench-slot", own_program()?, &arguments.simulator, sources);
+    assets::provide(&simulator.pack, &simulator.sources, [task])?;
+    let pack = simulator.pack.name();
+    let mut slot = program_of(
+        "bench-slot",
+        own_program()?,
+        &arguments.simulator,
+        &simulator,
+    );
     for (flag, value) in [
         ("--task", task.to_string()),
         ("--execute", execute.to_string()),
@@ -141,9 +155,12 @@ fn run_bench(arguments: &BenchArguments) -> anyhow::Result<()> {
 }
 
 fn run_preview(arguments: &PreviewArguments) -> anyhow::Result<()> {
-    let mut simulator = Simulator::new(open(&arguments.simulator)?);
+    let task = TaskRef::new(arguments.suite, arguments.task)?;
+    let simulator = open(&arguments.simulator)?;
+    assets::provide(&simulator.pack, &simulator.sources, [task])?;
+    let mut simulator = Simulator::new(simulator);
     let request = preview::Request {
-        task: TaskRef::new(arguments.suite, arguments.task)?,
+        task,
         config: arguments.config,
         level: arguments.level,
         realisation: arguments.realisation,
@@ -163,7 +180,12 @@ fn run_film(arguments: FilmArguments) -> anyhow::Result<()> {
         seed: random_number(),
     };
     let pack = simulator.pack.name().to_owned();
-    let filmed = film::run(&config, &mut Simulator::new(simulator))?;
+    let (assets, sources) = (simulator.pack.clone(), simulator.sources.clone());
+    let mut provide = |task| {
+        let provided = assets::provide(&assets, &sources, [task]);
+        provided.map_err(|error| transport::chain(&error))
+    };
+    let filmed = film::run(&config, &mut Simulator::new(simulator), &mut provide)?;
     say(&format!(
         "{} stored; no more is left to film with asset pack {pack} and MuJoCo {}",
         counted(filmed.stored, "video"),
@@ -197,7 +219,13 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
         )?),
         (None, None) => unreachable!("clap asks for --endpoint or --actions"),
     };
-    let mut simulator = Simulator::new(open(&arguments.simulator)?);
+    let simulator = open(&arguments.simulator)?;
+    let files = own_task.as_ref().map_or_else(
+        || TaskFiles::of_task(&simulator.sources, row.id.task()),
+        OwnTask::files,
+    );
+    simulator.pack.provide_with_bar(&[files])?;
+    let mut simulator = Simulator::new(simulator);
     let assignment = Assignment {
         policy: arguments.policy.unwrap_or_default(),
         policy_endpoint: arguments.endpoint.unwrap_or_default(),
@@ -249,7 +277,9 @@ fn run_rescue(arguments: RescueArguments) -> anyhow::Result<()> {
     let row = protocol::row_of(arguments.id)?;
     let access = arguments.access.access(&[Role::Worker, Role::Operator])?;
     let mut actor = PolicyClient::new(&arguments.endpoint, &access, OF_ONE_ROLLOUT)?;
-    let mut simulator = Simulator::new(open(&arguments.simulator)?);
+    let simulator = open(&arguments.simulator)?;
+    assets::provide(&simulator.pack, &simulator.sources, [row.id.task()])?;
+    let mut simulator = Simulator::new(simulator);
     let assignment = Assignment {
         policy: arguments.policy.unwrap_or_default(),
         policy_endpoint: arguments.endpoint,
@@ -305,8 +335,10 @@ fn run_worker(
         SlotCount::Given(slots) => slots,
         SlotCount::Auto => {
             // Its load is that of `worker bench` without further options.
-            let (program, sources) = (program.clone(), simulator.sources.dir());
-            let slot = program_of("bench-slot", program, simulator_arguments, sources);
+            let task = LoadArguments::default_task();
+            assets::provide(&simulator.pack, &simulator.sources, [task])?;
+            let program = program.clone();
+            let slot = program_of("bench-slot", program, simulator_arguments, &simulator);
             let chosen = measure::choose_slots(slot, CACHED_SCENES)
                 .context("choose --slots by measurement (`--slots N` needs none)")?;
             tracing::info!("--slots auto: {}, {}", chosen.slots, chosen.why);
@@ -337,12 +369,7 @@ fn run_worker(
         access,
         identity,
         slots: slots.get(),
-        slot_program: slot_program(
-            program,
-            simulator_arguments,
-            client,
-            simulator.sources.dir(),
-        ),
+        slot_program: slot_program(program, simulator_arguments, client, &simulator),
         policy_endpoint: arguments.policy_endpoint,
         drain: arguments.drain_secs.map(Duration::from_secs_f64),
         idle: arguments.idle_secs.map(Duration::from_secs_f64),
@@ -390,9 +417,9 @@ fn slot_program(
     program: PathBuf,
     arguments: &SimulatorArguments,
     access: &ClientArguments,
-    sources: &Path,
+    simulator: &SimulatorConfig,
 ) -> SlotProgram {
-    let mut slot = program_of("slot", program, arguments, sources);
+    let mut slot = program_of("slot", program, arguments, simulator);
     // Files only: a token in an argument could be read in every process list.
     for (flag, file) in [("--token-file", &access.token_file), ("--ca", &access.ca)] {
         if let Some(file) = file {
@@ -407,7 +434,7 @@ fn program_of(
     mode: &str,
     program: PathBuf,
     arguments: &SimulatorArguments,
-    sources: &Path,
+    simulator: &SimulatorConfig,
 ) -> SlotProgram {
     SlotProgram {
         program,
@@ -415,8 +442,10 @@ fn program_of(
             mode.into(),
             "--assets".into(),
             arguments.assets.clone().into(),
+            "--pack-digest".into(),
+            simulator.pack.digest().into(),
             "--sources".into(),
-            sources.into(),
+            simulator.sources.dir().into(),
             "--renderer".into(),
             arguments.renderer.to_string().into(),
         ],

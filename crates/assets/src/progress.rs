@@ -1,22 +1,34 @@
-//! How a fetch is coming on, in one line on standard error.
+//! The progress of a fetch, in one line on standard error.
 
 use std::io::{self, IsTerminal, Write};
+use std::time::{Duration, Instant};
 
 /// Cells of the bar.
-const CELLS: u64 = 30;
-/// Where there is no terminal, a line is printed this often, per cent.
+const CELLS: u64 = 24;
+/// Without a terminal, a line is printed this often, per cent.
 const QUIET_STEP_PERCENT: u64 = 10;
+/// Time before a rate is shown.
+const SETTLE: Duration = Duration::from_secs(1);
+
+/// News of a fetch.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Report {
+    /// Another process fetches into the same folder.
+    WaitingForAnotherFetch,
+    /// Files arrive.
+    Arriving(Progress),
+}
 
 /// How far a fetch is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Progress {
-    /// Files that are whole.
+    /// Files that are in place.
     pub files: usize,
-    /// Files of the pack.
+    /// Files to fetch.
     pub of_files: usize,
-    /// Bytes that are there.
+    /// Bytes that have arrived.
     pub bytes: u64,
-    /// Bytes of the pack.
+    /// Bytes to fetch.
     pub of_bytes: u64,
 }
 
@@ -38,14 +50,30 @@ impl Progress {
             self.of_files
         )
     }
+
+    /// Rate since `first`, and the time left at it.
+    fn pace(self, first: Self, elapsed: Duration) -> Option<String> {
+        let rate = (self.bytes - first.bytes.min(self.bytes)) as f64 / elapsed.as_secs_f64();
+        if elapsed < SETTLE || rate < 1.0 || self.bytes >= self.of_bytes {
+            return None;
+        }
+        let left = ((self.of_bytes - self.bytes) as f64 / rate).ceil() as u64;
+        let left = match left {
+            0..60 => format!("{left} s"),
+            _ => format!("{} min {} s", left / 60, left % 60),
+        };
+        Some(format!("{}/s, {left} left", size_in_words(rate as u64)))
+    }
 }
 
-/// Draws progress on standard error, and only what has changed: one line where that is a
-/// terminal, else a line now and then.
+/// Draws reports on standard error, and only what has changed: one line where that
+/// is a terminal, else a line now and then.
 #[derive(Debug)]
 pub struct Bar {
     is_terminal: bool,
     last: Option<String>,
+    first: Option<(Progress, Instant)>,
+    width: usize,
 }
 
 impl Default for Bar {
@@ -53,26 +81,50 @@ impl Default for Bar {
         Self {
             is_terminal: io::stderr().is_terminal(),
             last: None,
+            first: None,
+            width: 0,
         }
     }
 }
 
 impl Bar {
-    /// Draws how far it is.
-    pub fn show(&mut self, progress: Progress) {
-        let (key, text) = if self.is_terminal {
-            let line = progress.line();
-            (line.clone(), format!("\r{line}  "))
-        } else {
-            let step = progress.percent() / QUIET_STEP_PERCENT;
-            (step.to_string(), format!("{}\n", progress.line()))
+    /// Draws a report.
+    pub fn show(&mut self, report: Report) {
+        let (key, line) = match report {
+            Report::WaitingForAnotherFetch => {
+                let line = "another process fetches into the same folder: waiting for it";
+                (line.to_owned(), line.to_owned())
+            }
+            Report::Arriving(progress) => self.arriving(progress),
         };
         if self.last.as_ref() == Some(&key) {
             return;
         }
         self.last = Some(key);
+        let text = if self.is_terminal {
+            let width = self.width.max(line.len());
+            self.width = line.len();
+            format!("\r{line:width$}")
+        } else {
+            format!("{line}\n")
+        };
         // A closed standard error is no reason to stop fetching.
         let _ = io::stderr().lock().write_all(text.as_bytes());
+    }
+
+    fn arriving(&mut self, progress: Progress) -> (String, String) {
+        let (first, since) = *self.first.get_or_insert((progress, Instant::now()));
+        let pace = progress.pace(first, since.elapsed());
+        let pace = pace.map_or_else(String::new, |pace| format!("  {pace}"));
+        let line = format!("{}{pace}", progress.line());
+        match self.is_terminal {
+            true => (line.clone(), line),
+            false => {
+                let step = progress.percent() / QUIET_STEP_PERCENT;
+                let is_whole = progress.files == progress.of_files;
+                (format!("{step} {is_whole}"), line)
+            }
+        }
     }
 
     /// Leaves the line.
@@ -83,7 +135,7 @@ impl Bar {
     }
 }
 
-/// A size as people read it.
+/// A size for people.
 pub fn size_in_words(bytes: u64) -> String {
     match bytes {
         0..1_000 => format!("{bytes} bytes"),
@@ -98,7 +150,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_line_says_how_far_it_is_and_how_far_it_goes() {
+    fn a_line_says_how_far_it_is_and_how_long_it_will_take() {
         let half = Progress {
             files: 3,
             of_files: 8,
@@ -107,8 +159,16 @@ mod tests {
         };
         assert_eq!(
             half.line(),
-            "[###############...............]  50 %  1.5 MB of 3.0 MB  3 of 8 files"
+            "[############............]  50 %  1.5 MB of 3.0 MB  3 of 8 files"
         );
+        let first = Progress {
+            bytes: 500_000,
+            ..half
+        };
+        let pace = |secs| half.pace(first, Duration::from_secs(secs));
+        assert_eq!(pace(2).as_deref(), Some("500.0 kB/s, 3 s left"));
+        assert_eq!(pace(100).as_deref(), Some("10.0 kB/s, 2 min 30 s left"));
+        assert_eq!(pace(0), None);
         let nothing = Progress {
             files: 0,
             of_files: 0,

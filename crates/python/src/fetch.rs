@@ -7,41 +7,70 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use assets::{AssetsError, Bar, Fetch, HUB, Hub, Program, Progress, hub_url};
-use pyo3::exceptions::PyValueError;
+use assets::{AssetsError, Bar, Deadlines, Fetched, FileFacts, Origin, Report, Table};
 use pyo3::prelude::*;
+use scene::pack::LIBERO;
+use scene::{AssetPack, Sources, TaskFiles};
 
 use crate::error;
+use crate::pack::opened;
 
-/// What messages of a fetch say to users of Python.
-const PROGRAM: Program = Program {
-    occupied: "give another folder, or move it away to fetch again",
-    assets: "ROLLOUT_ASSETS",
-};
-/// Longest time without a look at Python's signals.
+/// Longest time between two looks at Python's signals.
 const LOOK: Duration = Duration::from_millis(100);
-/// Longest wait for an interrupted fetch to end. It may hang on a hub that sends
+/// Longest wait for an interrupted fetch to end. It may hang on a server that sends
 /// nothing; then it ends by itself, a while after.
 const FAREWELL: Duration = Duration::from_secs(2);
 
-/// Fetches LIBERO's assets from the hub, or from a mirror of it, into a folder that is
-/// not there yet, and checks them; shows on standard error how far it is. Ctrl-C ends it.
-/// What has arrived is kept, and the next fetch goes on with it.
+/// Fetches LIBERO's assets that the scenes of BDDL files are made from, or all of them,
+/// unless they are there; shows the progress on standard error. Ctrl-C ends it. Files
+/// that arrived whole are kept. Returns the pack's folder, the number of files that were
+/// fetched and of those that were there.
 ///
 /// # Errors
-/// `FilesError` if they cannot be had or written; `ValueError` if the hub is no URL.
+/// `FilesError` if files cannot be had or written.
 #[pyfunction]
-#[pyo3(signature = (into, hub = None))]
-pub(crate) fn fetch_assets(py: Python<'_>, into: PathBuf, hub: Option<&str>) -> PyResult<()> {
-    let hub = match hub {
-        None => HUB.to_owned(),
-        Some(text) => hub_url(text).map_err(|remedy| {
-            PyValueError::new_err(format!("read the hub's address `{text}`: {remedy}"))
-        })?,
+#[pyo3(signature = (
+    sources, bddl_files, *, everything = false, into = None, index = None, wheels = None,
+    hub = None
+))]
+#[expect(clippy::too_many_arguments, reason = "they are named in Python")]
+pub(crate) fn fetch_assets(
+    py: Python<'_>,
+    sources: PathBuf,
+    bddl_files: Vec<PathBuf>,
+    everything: bool,
+    into: Option<PathBuf>,
+    index: Option<&str>,
+    wheels: Option<PathBuf>,
+    hub: Option<&str>,
+) -> PyResult<(PathBuf, usize, usize)> {
+    let sources = Sources::open(&sources).map_err(error::scene)?;
+    let pack = match into {
+        Some(folder) => AssetPack::into_folder(&folder),
+        None => opened(LIBERO, &sources).map_err(error::scene)?,
     };
+    let files = if everything {
+        Table::libero().files().iter().collect()
+    } else {
+        let tasks = bddl_files.into_iter().map(|bddl| TaskFiles {
+            bddl,
+            init: PathBuf::new(),
+        });
+        let tasks: Vec<TaskFiles> = tasks.collect();
+        AssetPack::files_of_tasks(&tasks).map_err(error::scene)?
+    };
+    let deadlines = Deadlines::default();
+    let origin = match (index, wheels, hub) {
+        (_, Some(folder), _) => Ok(Origin::wheels(folder)),
+        (_, _, Some(url)) => Origin::hub(url, deadlines),
+        (Some(url), ..) => Origin::index(url, deadlines),
+        (None, None, None) => Origin::of_environment(),
+    };
+    let origin = origin.map_err(error::assets)?;
+    let folder = pack.dir().to_owned();
     let (sender, mut receiver) = channel();
-    // Python sees signals on its own thread only, and must not wait for the hub.
-    let fetch = thread::spawn(move || fetch(into, &hub, &sender));
+    // Python sees signals on its own thread only, and must not wait for a server.
+    let fetch = thread::spawn(move || fetch(&pack, &files, &origin, &sender));
     let mut bar = Bar::default();
     while !py.detach(|| show(&mut receiver, &mut bar)) {
         if let Err(interrupt) = py.check_signals() {
@@ -54,34 +83,34 @@ pub(crate) fn fetch_assets(py: Python<'_>, into: PathBuf, hub: Option<&str>) -> 
     bar.finish();
     let fetched = py.detach(|| fetch.join());
     let fetched = fetched.unwrap_or_else(|panic| resume_unwind(panic));
-    fetched.map_err(error::assets)
+    let fetched = fetched.map_err(error::assets)?;
+    Ok((folder, fetched.fetched, fetched.present))
 }
 
 /// Fetches for as long as somebody listens.
-fn fetch(into: PathBuf, hub: &str, listener: &Sender<Progress>) -> Result<(), AssetsError> {
-    let mut fetch = Fetch {
-        hub: &Hub::new(hub, PROGRAM),
-        into: &into,
-        pause: &mut thread::sleep,
-        progress: &mut |progress| match listener.send(progress) {
-            Ok(()) => ControlFlow::Continue(()),
-            Err(_) => ControlFlow::Break(()),
-        },
-    };
-    fetch.run().map(drop)
+fn fetch(
+    pack: &AssetPack,
+    files: &[&FileFacts],
+    origin: &Origin,
+    listener: &Sender<Report>,
+) -> Result<Fetched, AssetsError> {
+    pack.fetch(files, origin, &mut |report| match listener.send(report) {
+        Ok(()) => ControlFlow::Continue(()),
+        Err(_) => ControlFlow::Break(()),
+    })
 }
 
-/// Shows how far it is now; true once it has ended.
-fn show(progress: &mut Receiver<Progress>, bar: &mut Bar) -> bool {
-    match progress.recv_timeout(LOOK) {
-        Ok(first) => bar.show(progress.try_iter().last().unwrap_or(first)),
+/// Shows the latest report; true once the fetch has ended.
+fn show(reports: &mut Receiver<Report>, bar: &mut Bar) -> bool {
+    match reports.recv_timeout(LOOK) {
+        Ok(first) => bar.show(reports.try_iter().last().unwrap_or(first)),
         Err(RecvTimeoutError::Timeout) => {}
         Err(RecvTimeoutError::Disconnected) => return true,
     }
     false
 }
 
-fn wait(fetch: &JoinHandle<Result<(), AssetsError>>) {
+fn wait(fetch: &JoinHandle<Result<Fetched, AssetsError>>) {
     let until = Instant::now() + FAREWELL;
     while !fetch.is_finished() && Instant::now() < until {
         thread::sleep(Duration::from_millis(10));

@@ -10,6 +10,7 @@ mod error;
 mod fetch;
 mod generator;
 mod guarded;
+mod pack;
 mod scene;
 mod simulation;
 mod start;

@@ -6,10 +6,11 @@ use std::sync::Arc;
 use protocol::presets::ENV_SEED;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use scene::{AssetPack, InstanceKind, Sources, TaskFiles, compose};
+use scene::{InstanceKind, Sources, TaskFiles, compose};
 use sim::{CompiledScene, ReadyScene};
 
 use crate::error;
+use crate::pack::opened;
 
 /// A compiled scene, shared by all its simulations.
 #[pyclass(frozen, weakref, module = "rollout_libero._native")]
@@ -24,6 +25,9 @@ pub(crate) struct Scene {
     pack: String,
     #[pyo3(get)]
     digest: String,
+    /// Files because of which the pack is not LIBERO's.
+    #[pyo3(get)]
+    pack_differences: Vec<String>,
 }
 
 /// Instances with their categories.
@@ -109,7 +113,7 @@ impl Scene {
         init_file: Option<PathBuf>,
     ) -> PyResult<Self> {
         let sources = Sources::open(sources).map_err(error::scene)?;
-        let pack = AssetPack::open(assets, &sources).map_err(error::scene)?;
+        let pack = opened(assets, &sources).map_err(error::scene)?;
         let files = TaskFiles {
             bddl: bddl_file.clone(),
             init: init_file.clone().unwrap_or_default(),
@@ -131,6 +135,7 @@ impl Scene {
             problem,
             bddl_file,
             pack: pack.name().to_owned(),
+            pack_differences: pack.differences().to_vec(),
         })
     }
 

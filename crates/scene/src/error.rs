@@ -29,6 +29,20 @@ pub enum SceneError {
         /// What is wrong, with its place where there is one.
         problem: String,
     },
+    /// A file of a pack that goes by LIBERO's name is not LIBERO's.
+    #[error(
+        "use {what} {}: it is not LIBERO's ({difference}). Run `worker assets fetch`, which \
+         replaces it, or `worker assets verify`, which lists everything that differs",
+        path.display()
+    )]
+    NotLiberos {
+        /// The purpose of the file.
+        what: String,
+        /// The file.
+        path: PathBuf,
+        /// How it differs.
+        difference: String,
+    },
     /// A BDDL file names a category that no model is known for.
     #[error(
         "find a model for category `{category}` of `{instance}`: the catalogue knows {known} \
@@ -50,6 +64,9 @@ pub enum SceneError {
         /// The problem classes with an arena.
         known: Vec<&'static str>,
     },
+    /// LIBERO's assets cannot be fetched.
+    #[error(transparent)]
+    Assets(#[from] assets::AssetsError),
     /// Names inside a scene do not fit together.
     #[error("compose the scene: {0}")]
     Inconsistent(String),

@@ -19,6 +19,7 @@ pub fn object_model(text: &str, movable: bool) -> Result<(), String> {
     let root = AssetRoot {
         kind: RootKind::Pack,
         dir: PathBuf::from("pack"),
+        verified: None,
     };
     let category = category("wooden_cabinet").expect("in the catalogue");
     let kind = match movable {

@@ -1,8 +1,14 @@
 //! Asset packs: folders in LIBERO's layout with the models of categories and
-//! arenas. A pack is known by its digest, which goes with every result.
+//! arenas. A pack has a name and a digest, which go with every result.
+//!
+//! `libero` means LIBERO's official content and nothing else. Its digest is a
+//! constant of the program, whether all of its files are there or those of one task;
+//! a file is held against the table when a scene is first made from it.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
+use assets::{Table, VerifiedFolder};
 use sha2::{Digest, Sha256};
 
 use crate::error::SceneError;
@@ -15,56 +21,107 @@ mod builtin {
 
 /// Name of the built-in pack.
 pub const PRIMITIVES: &str = "primitives";
+/// Name of LIBERO's assets.
+pub const LIBERO: &str = "libero";
+/// Name of any other pack.
+pub const CUSTOM: &str = "custom";
 
 /// An opened asset pack.
 #[derive(Debug, Clone)]
 pub struct AssetPack {
-    name: String,
+    name: &'static str,
     dir: PathBuf,
     digest: String,
+    /// Present if the pack is LIBERO's.
+    verified: Option<Arc<VerifiedFolder>>,
+    is_managed: bool,
+    differences: Vec<String>,
 }
 
 impl AssetPack {
-    /// Opens `primitives`, or a folder in LIBERO's layout. The built-in pack
-    /// is unpacked beside the sources at its first use.
+    /// Opens `primitives`, `libero`, or a folder in LIBERO's layout. The built-in pack
+    /// is unpacked beside the sources at its first use. The files of `libero` need not
+    /// be there yet. A folder whose files are LIBERO's is `libero` too; any other is
+    /// `custom`.
     pub fn open(name_or_path: &str, sources: &Sources) -> Result<Self, SceneError> {
-        if name_or_path == PRIMITIVES {
-            return Self::unpack_primitives(&sources.dir().join("packs"));
+        match name_or_path {
+            PRIMITIVES => Self::unpack_primitives(&sources.dir().join("packs")),
+            LIBERO => {
+                let dir = Sources::fetched_pack(sources.dir());
+                let dir = std::path::absolute(&dir).unwrap_or(dir);
+                Ok(Self::libero(dir, true))
+            }
+            path => Self::open_folder(Path::new(path)),
         }
-        let dir = Path::new(name_or_path);
-        let arena = dir.join("scenes");
-        std::fs::metadata(&arena).map_err(|source| SceneError::Read {
-            what: "asset pack".to_owned(),
-            path: arena,
-            remedy: "--assets takes `primitives` or the path of a LIBERO assets folder".to_owned(),
-            source,
-        })?;
-        let dir = std::path::absolute(dir).map_err(|source| read_error(dir, source))?;
-        let mut files = Vec::new();
-        list_files(&dir, &mut files)?;
-        files.sort();
-        let mut hash = Sha256::new();
-        for path in &files {
-            let inside = path
-                .strip_prefix(&dir)
-                .expect("listed below it")
-                .to_string_lossy();
-            let bytes = std::fs::read(path).map_err(|source| read_error(path, source))?;
-            hash_file(&mut hash, &inside, &bytes);
+    }
+
+    /// Opens a pack again whose digest another process has found out, so that a folder
+    /// need not be read once more.
+    pub fn open_known(
+        name_or_path: &str,
+        sources: &Sources,
+        digest: &str,
+    ) -> Result<Self, SceneError> {
+        if matches!(name_or_path, PRIMITIVES | LIBERO) {
+            return Self::open(name_or_path, sources);
         }
-        Ok(Self {
-            name: "libero".to_owned(),
+        let dir = existing_folder(Path::new(name_or_path))?;
+        if digest == Table::libero().digest() {
+            return Ok(Self::libero(dir, false));
+        }
+        Ok(Self::custom(dir, digest.to_owned(), Vec::new()))
+    }
+
+    fn libero(dir: PathBuf, is_managed: bool) -> Self {
+        Self {
+            name: LIBERO,
+            digest: Table::libero().digest().to_owned(),
+            verified: Some(Arc::new(VerifiedFolder::new(Table::libero(), &dir))),
             dir,
-            digest: hex(&hash.finalize()),
-        })
+            is_managed,
+            differences: Vec::new(),
+        }
     }
 
-    /// `primitives`, or `libero` for a folder.
+    fn custom(dir: PathBuf, digest: String, differences: Vec<String>) -> Self {
+        Self {
+            name: CUSTOM,
+            dir,
+            digest,
+            verified: None,
+            is_managed: false,
+            differences,
+        }
+    }
+
+    /// Opens a folder of one's own to fetch LIBERO's assets into. It need not be there.
+    pub fn into_folder(dir: &Path) -> Self {
+        let dir = std::path::absolute(dir).unwrap_or_else(|_| dir.to_owned());
+        Self::libero(dir, false)
+    }
+
+    fn open_folder(dir: &Path) -> Result<Self, SceneError> {
+        let dir = existing_folder(dir)?;
+        let pack = Self::libero(dir, false);
+        let verified = pack.verified.as_ref().expect("LIBERO's");
+        let (differences, present) = verified.differences();
+        if differences.is_empty() && present > 0 {
+            return Ok(pack);
+        }
+        let differences = differences
+            .iter()
+            .map(|(path, difference)| format!("{path} ({difference})"));
+        let digest = digest_of_folder(&pack.dir)?;
+        Ok(Self::custom(pack.dir, digest, differences.collect()))
+    }
+
+    /// `primitives`, `libero` or `custom`.
     pub fn name(&self) -> &str {
-        &self.name
+        self.name
     }
 
-    /// SHA-256 over the names and contents of all files, hex.
+    /// SHA-256 over the names and contents of all files, hex. A part of LIBERO's assets
+    /// has the digest of the whole.
     pub fn digest(&self) -> &str {
         &self.digest
     }
@@ -74,10 +131,26 @@ impl AssetPack {
         &self.dir
     }
 
+    /// LIBERO's files in the pack's folder; none of a pack that is not LIBERO's.
+    pub fn verified(&self) -> Option<&Arc<VerifiedFolder>> {
+        self.verified.as_ref()
+    }
+
+    /// Returns true for the pack whose files are fetched when they are needed.
+    pub fn is_managed(&self) -> bool {
+        self.is_managed
+    }
+
+    /// The files of a folder because of which it is not LIBERO's, with how they differ.
+    pub fn differences(&self) -> &[String] {
+        &self.differences
+    }
+
     pub(crate) fn root(&self) -> AssetRoot {
         AssetRoot {
             kind: RootKind::Pack,
             dir: self.dir.clone(),
+            verified: self.verified.clone(),
         }
     }
 
@@ -107,11 +180,37 @@ impl AssetPack {
             let _ = std::fs::remove_dir_all(&aside);
         }
         Ok(Self {
-            name: PRIMITIVES.to_owned(),
-            dir,
-            digest,
+            name: PRIMITIVES,
+            ..Self::custom(dir, digest, Vec::new())
         })
     }
+}
+
+/// The absolute path of a folder in LIBERO's layout.
+fn existing_folder(dir: &Path) -> Result<PathBuf, SceneError> {
+    let arenas = dir.join("scenes");
+    std::fs::metadata(&arenas).map_err(|source| SceneError::Read {
+        what: "asset pack".to_owned(),
+        path: arenas,
+        remedy: "--assets takes `libero`, `primitives` or the path of a LIBERO assets folder"
+            .to_owned(),
+        source,
+    })?;
+    std::path::absolute(dir).map_err(|source| read_error(dir, source))
+}
+
+/// SHA-256 over the names and contents of all files below a folder, hex.
+pub fn digest_of_folder(dir: &Path) -> Result<String, SceneError> {
+    let mut files = Vec::new();
+    list_files(dir, &mut files)?;
+    files.sort();
+    let mut hash = Sha256::new();
+    for path in &files {
+        let inside = path.strip_prefix(dir).expect("listed below it");
+        let bytes = std::fs::read(path).map_err(|source| read_error(path, source))?;
+        hash_file(&mut hash, &inside.to_string_lossy(), &bytes);
+    }
+    Ok(hex(&hash.finalize()))
 }
 
 /// Deeper nesting than any pack has; ends a loop of links.

@@ -55,6 +55,7 @@ impl Part {
     /// Reads `file` below `root`.
     pub(crate) fn load(root: &AssetRoot, file: &str, what: &str) -> Result<Self, SceneError> {
         let path = root.path(file);
+        root.verify(file, what)?;
         let text = std::fs::read_to_string(&path).map_err(|source| SceneError::Read {
             what: what.to_owned(),
             path: path.clone(),
@@ -68,8 +69,8 @@ impl Part {
         })
     }
 
-    /// Checks that the files which the assets name are there: MuJoCo's own
-    /// message would not say what they belong to.
+    /// Checks that the files which the assets name are there, and are LIBERO's where
+    /// the pack is: MuJoCo's own message would not say what they belong to.
     pub(crate) fn check_files(&self, root: &AssetRoot, what: &str) -> Result<(), SceneError> {
         let mut names = HashSet::new();
         let assets = self.root.child("asset").into_iter();
@@ -78,11 +79,14 @@ impl Part {
             if !names.insert((&asset.tag, asset.name())) {
                 continue;
             }
-            let Some(path) = asset.get("file").and_then(|file| root.located(file)) else {
+            let Some(inside) = asset.get("file").and_then(|file| root.inside(file)) else {
                 continue;
             };
+            let what = format!("{} of the {what}", asset.tag);
+            root.verify(inside, &what)?;
+            let path = root.path(inside);
             std::fs::metadata(&path).map_err(|source| SceneError::Read {
-                what: format!("{} of the {what}", asset.tag),
+                what,
                 path,
                 remedy: root.remedy(),
                 source,

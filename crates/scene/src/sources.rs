@@ -4,6 +4,9 @@
 
 use std::fmt;
 use std::path::{Component, Path, PathBuf};
+use std::sync::Arc;
+
+use assets::{Difference, VerifiedFolder};
 
 use crate::error::SceneError;
 
@@ -48,10 +51,31 @@ impl Sources {
         if let Some(dir) = Self::of_release() {
             return dir;
         }
+        Self::in_cache()
+    }
+
+    /// `rollout/sources` in the user's cache folder.
+    fn in_cache() -> PathBuf {
         let cache = std::env::var_os("XDG_CACHE_HOME")
             .map(PathBuf::from)
             .or_else(|| std::env::var_os("HOME").map(|home| Path::new(&home).join(".cache")));
         cache.unwrap_or_default().join("rollout/sources")
+    }
+
+    /// The folder that LIBERO's assets are fetched into: `packs/libero` in the sources.
+    /// The folder of a release archive may be read-only; there it is the one in the
+    /// user's cache folder, unless the archive's has been filled.
+    pub fn fetched_pack(dir: &Path) -> PathBuf {
+        const PACK: &str = "packs/libero";
+        let here = dir.join(PACK);
+        let is_of_release = || {
+            let canonical = dir.canonicalize().ok();
+            canonical.is_some() && canonical == Self::of_release()
+        };
+        if !here.is_dir() && is_of_release() {
+            return Self::in_cache().join(PACK);
+        }
+        here
     }
 
     /// `share/rollout/sources` beside the `bin` that this program lies in.
@@ -86,6 +110,7 @@ impl Sources {
         AssetRoot {
             kind: RootKind::Robosuite,
             dir: self.dir.join("robosuite"),
+            verified: None,
         }
     }
 }
@@ -115,6 +140,8 @@ impl RootKind {
 pub(crate) struct AssetRoot {
     pub(crate) kind: RootKind,
     pub(crate) dir: PathBuf,
+    /// Present if the files must be LIBERO's.
+    pub(crate) verified: Option<Arc<VerifiedFolder>>,
 }
 
 impl AssetRoot {
@@ -126,17 +153,36 @@ impl AssetRoot {
         self.dir.join(file)
     }
 
-    /// Where a file is that composed MJCF names, if it is in this folder.
-    pub(crate) fn located(&self, file: &str) -> Option<PathBuf> {
-        let inside = file.strip_prefix(self.kind.token())?.strip_prefix('/')?;
-        Some(self.path(inside))
+    /// The path in this folder of a file that composed MJCF names, if it is in it.
+    pub(crate) fn inside<'a>(&self, file: &'a str) -> Option<&'a str> {
+        file.strip_prefix(self.kind.token())?.strip_prefix('/')
+    }
+
+    /// Holds a file against LIBERO's table, if the pack goes by LIBERO's name. Whether
+    /// it is there is left to who reads it.
+    pub(crate) fn verify(&self, inside: &str, what: &str) -> Result<(), SceneError> {
+        let Some(verified) = &self.verified else {
+            return Ok(());
+        };
+        let difference = match verified.table().get(inside) {
+            Some(file) => match verified.verify(file) {
+                Ok(()) | Err(Difference::Missing | Difference::Unreadable(_)) => return Ok(()),
+                Err(difference) => difference.to_string(),
+            },
+            None => "LIBERO has no such file".to_owned(),
+        };
+        Err(SceneError::NotLiberos {
+            what: what.to_owned(),
+            path: self.path(inside),
+            difference,
+        })
     }
 
     pub(crate) fn remedy(&self) -> String {
         match self.kind {
             RootKind::Pack => format!(
-                "the asset pack {} lacks it; point --assets at a complete LIBERO assets folder, \
-                 or use `--assets primitives`",
+                "the asset pack {} lacks it; `worker assets fetch` gets LIBERO's own, which \
+                 `--assets libero` names",
                 self.dir.display()
             ),
             RootKind::Robosuite => "run `cargo xtask setup` again".to_owned(),

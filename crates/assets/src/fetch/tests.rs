@@ -1,54 +1,87 @@
-//! Fetches from a hub on this machine, over real sockets.
+//! Fetches from an index of their own, over real sockets.
 
-mod test_hub;
+mod test_index;
 
-use std::fs;
+use std::env;
 use std::net::TcpListener;
-use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::thread;
 
 use tempfile::TempDir;
 
 use super::*;
-use crate::hub::Program;
-use test_hub::{COMMIT, Fault, LARGE, SMALL, TestHub, content};
+use crate::http::Deadlines;
+use crate::table::Table;
+use test_index::{Fault, LARGE, OTHER, SMALL, TestIndex, UNWANTED, Wheels, content};
 
-/// What a fetch did.
-struct Fetched {
-    outcome: Result<Manifest, AssetsError>,
+const WANTED: [&str; 3] = [LARGE, SMALL, OTHER];
+
+/// Variables that make a test program fetch in a process of its own.
+const INDEX_VARIABLE: &str = "FETCH_TEST_INDEX";
+const FOLDER_VARIABLE: &str = "FETCH_TEST_FOLDER";
+
+/// Outcome of a fetch, and what it reported.
+struct Done {
+    outcome: Result<Fetched, AssetsError>,
     pauses: usize,
-    last: Option<Progress>,
+    last: Option<Report>,
 }
 
-const PROGRAM: Program = Program {
-    occupied: "look whether it is whole",
-    assets: "--assets",
-};
-
-fn fetch(hub: &str, into: &Path) -> Fetched {
-    fetch_while(hub, into, |_| true)
+impl Done {
+    fn error(self) -> String {
+        self.outcome.expect_err("it fails").to_string()
+    }
 }
 
-fn fetch_while(hub: &str, into: &Path, mut goes_on: impl FnMut(Progress) -> bool) -> Fetched {
+fn deadlines() -> Deadlines {
+    Deadlines {
+        read: Duration::from_millis(400),
+        ..Deadlines::default()
+    }
+}
+
+fn fetch_from(origin: &Origin, table: &'static Table, into: &Path) -> Done {
+    fetch_while(origin, table, into, |_| true)
+}
+
+fn fetch_while(
+    origin: &Origin,
+    table: &'static Table,
+    into: &Path,
+    mut goes_on: impl FnMut(Report) -> bool,
+) -> Done {
+    let into = VerifiedFolder::new(table, into);
+    let wanted = WANTED.map(|path| table.get(path).expect("in the table"));
     let (mut pauses, mut last) = (0, None);
-    let hub = Hub::new(hub, PROGRAM);
-    let mut fetch = Fetch {
-        hub: &hub,
-        into,
-        pause: &mut |_| pauses += 1,
-        progress: &mut |progress| {
-            last = Some(progress);
-            match goes_on(progress) {
+    let outcome = Fetch {
+        origin,
+        into: &into,
+        pause: &mut |wait| {
+            pauses += 1;
+            // Only who waits for another process has to wait.
+            if wait == LOCK_POLL {
+                thread::sleep(wait);
+            }
+        },
+        progress: &mut |report| {
+            last = Some(report);
+            match goes_on(report) {
                 true => ControlFlow::Continue(()),
                 false => ControlFlow::Break(()),
             }
         },
-    };
-    let outcome = fetch.run();
-    Fetched {
+    }
+    .run(&wanted);
+    Done {
         outcome,
         pauses,
         last,
     }
+}
+
+fn fetch(index: &TestIndex, into: &Path) -> Done {
+    let origin = Origin::index(&index.url(), deadlines()).expect("a URL");
+    fetch_from(&origin, index.table(), into)
 }
 
 fn place() -> (TempDir, PathBuf) {
@@ -57,179 +90,368 @@ fn place() -> (TempDir, PathBuf) {
     (folder, into)
 }
 
+/// The files below a folder, sorted.
+fn files(folder: &Path) -> Vec<String> {
+    let mut found = Vec::new();
+    let mut folders = vec![folder.to_owned()];
+    while let Some(inner) = folders.pop() {
+        for entry in fs::read_dir(inner).into_iter().flatten() {
+            let path = entry.expect("an entry").path();
+            if path.is_dir() {
+                folders.push(path);
+            } else {
+                let inside = path.strip_prefix(folder).expect("below it");
+                found.push(inside.display().to_string());
+            }
+        }
+    }
+    found.retain(|file| file != LOCK);
+    found.sort();
+    found
+}
+
 fn check_whole(into: &Path) {
-    for path in [LARGE, SMALL] {
+    for path in WANTED {
         let found = fs::read(into.join(path)).expect("is there");
         assert!(found == content(path), "{path}");
     }
-    let entries = fs::read_dir(into.join("scenes")).expect("a folder");
-    assert_eq!(entries.count(), 2, "nothing is left over");
-    let recorded = fs::read_to_string(Manifest::beside(into)).expect("is there");
-    let recorded: Manifest = recorded.parse().expect("a manifest");
-    let found = Manifest::of_folder(into).expect("reads");
-    assert_eq!(recorded.compare(&found), Vec::<String>::new());
+    assert_eq!(files(into), WANTED, "and nothing is left over");
 }
 
-fn error_of(fetched: Fetched) -> String {
-    let error = fetched.outcome.expect_err("no pack");
-    error.to_string()
+/// Every file that has its name is whole.
+fn check_nothing_half(into: &Path) {
+    for path in files(into) {
+        if !path.starts_with(INCOMING) {
+            assert!(
+                fs::read(into.join(&path)).expect("reads") == content(&path),
+                "{path}"
+            );
+        }
+    }
 }
 
 #[test]
-fn a_pack_is_fetched_whole_with_its_manifest_beside_it() {
+fn only_wanted_members_are_asked_for_and_only_once() {
     let (_folder, into) = place();
-    let hub = TestHub::start(Fault::None);
-    let fetched = fetch(&hub.url(), &into);
-    assert_eq!(fetched.outcome.expect("a pack").count(), 2);
-    assert_eq!(fetched.pauses, 0);
-    let last = fetched.last.expect("progress");
-    assert_eq!((last.files, last.bytes), (2, last.of_bytes));
+    let index = TestIndex::start(Fault::None);
+    let done = fetch(&index, &into);
+    let fetched = done.outcome.expect("the files");
+    assert_eq!((fetched.fetched, fetched.present, done.pauses), (3, 0, 0));
+    let Some(Report::Arriving(last)) = done.last else {
+        panic!("{:?}", done.last)
+    };
+    assert_eq!((last.files, last.bytes), (3, last.of_bytes));
     check_whole(&into);
-    let again = error_of(fetch(&hub.url(), &into));
+    let table = index.table();
+    let range = |path: &str| {
+        let file = table.get(path).expect("in the table");
+        (file.offset, file.offset + file.stored - 1)
+    };
+    let (large, other, small) = (range(LARGE), range(OTHER), range(SMALL));
     assert!(
-        again.ends_with("there already; look whether it is whole"),
-        "{again}"
+        small.0 - large.1 > 262_144,
+        "the file between is not asked for"
+    );
+    let requests = [
+        format!("/files/{} {}-{}", Wheels::name(0), large.0, large.1),
+        format!("/files/{} {}-{}", Wheels::name(0), small.0, small.1),
+        format!("/files/{} {}-{}", Wheels::name(1), other.0, other.1),
+    ];
+    assert_eq!(index.seen_of_wheels(), requests);
+
+    let requests = index.seen().len();
+    let again = fetch(&index, &into).outcome.expect("the files");
+    assert_eq!((again.fetched, again.present), (0, 3));
+    assert_eq!(index.seen().len(), requests, "nothing is asked for");
+}
+
+#[test]
+fn a_mirror_with_pages_for_browsers_is_understood() {
+    let (_folder, into) = place();
+    let index = TestIndex::start(Fault::PagesForBrowsers);
+    fetch(&index, &into).outcome.expect("the files");
+    check_whole(&into);
+}
+
+#[test]
+fn credentials_reach_the_index_and_no_message() {
+    let (_folder, into) = place();
+    let index = TestIndex::start(Fault::NeedsCredentials);
+    let error = fetch(&index, &into).error();
+    assert!(error.contains("401"), "{error}");
+    let url = index.url_with_credentials();
+    let origin = Origin::index(&url, deadlines()).expect("a URL");
+    assert!(!origin.name().contains("secret"), "{}", origin.name());
+    let done = fetch_from(&origin, index.table(), &into);
+    done.outcome.expect("the files");
+    check_whole(&into);
+
+    let refusing = TestIndex::start(Fault::Forbidden);
+    let url = refusing.url_with_credentials();
+    let origin = Origin::index(&url, deadlines()).expect("a URL");
+    let error = fetch_from(&origin, refusing.table(), &into.join("new")).error();
+    assert!(
+        error.contains("403") && !error.contains("secret"),
+        "{error}"
     );
 }
 
 #[test]
-fn what_a_cut_connection_has_brought_is_not_asked_for_again() {
+fn bytes_of_a_cut_connection_are_not_asked_for_again() {
     let (_folder, into) = place();
-    let hub = TestHub::start(Fault::CutsMidway);
-    let fetched = fetch(&hub.url(), &into);
-    fetched.outcome.expect("a pack");
-    assert_eq!(fetched.pauses, 2);
+    let index = TestIndex::start(Fault::CutsMidway);
+    let done = fetch(&index, &into);
+    done.outcome.expect("the files");
     check_whole(&into);
-    let seen = hub.seen();
-    let large: Vec<&String> = seen.iter().filter(|path| path.contains("store")).collect();
+    let file = index.table().get(LARGE).expect("in the table");
+    let first = index.seen_of_wheels()[..2].to_vec();
+    let half = file.offset + file.stored / 2;
+    let last = file.offset + file.stored - 1;
+    let rest = format!("/files/{} {half}-{last}", Wheels::name(0));
+    assert_eq!(first[1], rest);
+    assert!(done.pauses >= 2);
+}
+
+#[test]
+fn without_ranges_whole_wheels_are_read() {
+    let (_folder, into) = place();
+    let index = TestIndex::start(Fault::NoRanges);
+    fetch(&index, &into).outcome.expect("the files");
+    check_whole(&into);
+    assert_eq!(index.seen_of_wheels().len(), 2, "each wheel once");
+
+    let (_folder, into) = place();
+    let index = TestIndex::start(Fault::NoRangesAndCutsOnce);
+    let done = fetch(&index, &into);
+    done.outcome.expect("the files");
+    assert_eq!(done.pauses, 1);
+    check_whole(&into);
+}
+
+#[test]
+fn a_stalled_answer_is_given_up_and_a_slow_one_is_not() {
+    let (_folder, into) = place();
+    let index = TestIndex::start(Fault::Stalls);
+    let done = fetch(&index, &into);
+    done.outcome.expect("the files");
+    assert_eq!(done.pauses, 1);
+    check_whole(&into);
+
+    let (_folder, into) = place();
+    let done = fetch(&TestIndex::start(Fault::Slow), &into);
+    done.outcome.expect("the files");
+    assert_eq!(done.pauses, 0);
+    check_whole(&into);
+}
+
+#[test]
+fn an_altered_file_never_gets_its_name() {
+    let (_folder, into) = place();
+    let index = TestIndex::start(Fault::WrongBytes);
+    let error = fetch(&index, &into).error();
+    for words in [LARGE, &Wheels::name(0), "5 times", "ROLLOUT_INDEX_URL"] {
+        assert!(error.contains(words), "{error}");
+    }
+    assert!(!into.join(LARGE).exists());
+    check_nothing_half(&into);
+
+    let (_folder, into) = place();
+    let index = TestIndex::start(Fault::WrongBytesOnce);
+    fetch(&index, &into).outcome.expect("the files");
+    check_whole(&into);
+}
+
+#[test]
+fn a_wheel_of_another_size_is_not_the_pinned_one() {
+    let (_folder, into) = place();
+    let done = fetch(&TestIndex::start(Fault::OtherWheel), &into);
+    assert_eq!(done.pauses, 0);
+    let error = done.error();
+    assert!(error.contains("bytes and should have"), "{error}");
+    check_nothing_half(&into);
+}
+
+#[test]
+fn an_altered_file_of_the_pack_is_replaced() {
+    let (_folder, into) = place();
+    let index = TestIndex::start(Fault::None);
+    fetch(&index, &into).outcome.expect("the files");
+    let mut bytes = content(SMALL);
+    bytes[3] ^= 1;
+    fs::write(into.join(SMALL), bytes).expect("writes");
+    let fetched = fetch(&index, &into).outcome.expect("the files");
     assert_eq!(
-        large,
-        [
-            "/store/large",
-            "/store/large from 200000",
-            "/store/large from 300000"
-        ]
+        (fetched.fetched, fetched.replaced, fetched.present),
+        (1, 1, 2)
     );
-}
-
-#[test]
-fn a_hub_without_ranges_sends_the_file_again() {
-    let (_folder, into) = place();
-    let hub = TestHub::start(Fault::CutsOnceWithoutRanges);
-    let fetched = fetch(&hub.url(), &into);
-    fetched.outcome.expect("a pack");
-    assert_eq!(fetched.pauses, 1);
     check_whole(&into);
 }
 
 #[test]
-fn an_interrupted_fetch_goes_on_with_what_is_there() {
+fn a_fetch_that_is_stopped_keeps_what_has_arrived() {
     let (_folder, into) = place();
-    let gathering = into.with_file_name(format!("libero.fetching-{}", &COMMIT[..SHORT_COMMIT]));
-    fs::create_dir_all(gathering.join("scenes")).expect("makes");
-    let half = &content(LARGE)[..123_456];
-    fs::write(gathering.join(format!("{LARGE}.part")), half).expect("writes");
-    fs::write(gathering.join(SMALL), content(SMALL)).expect("writes");
-    let hub = TestHub::start(Fault::None);
-    fetch(&hub.url(), &into).outcome.expect("a pack");
-    check_whole(&into);
-    let seen = hub.seen();
-    assert!(
-        seen.contains(&"/store/large from 123456".to_owned()),
-        "{seen:?}"
-    );
-    assert!(!seen.iter().any(|path| path.ends_with(SMALL)), "{seen:?}");
-}
-
-#[test]
-fn a_fetch_that_is_stopped_keeps_what_has_arrived_for_the_next_one() {
-    let (_folder, into) = place();
-    let hub = TestHub::start(Fault::None);
+    let index = TestIndex::start(Fault::None);
+    let origin = Origin::index(&index.url(), deadlines()).expect("a URL");
     let mut arrived = 0;
-    let stopped = fetch_while(&hub.url(), &into, |progress| {
-        arrived = progress.bytes;
+    let stopped = fetch_while(&origin, index.table(), &into, |report| {
+        if let Report::Arriving(progress) = report {
+            arrived = progress.bytes;
+        }
         arrived < 100_000
     });
-    let error = stopped.outcome.expect_err("stopped");
-    assert!(matches!(error, AssetsError::Interrupted), "{error}");
-    assert!(!into.exists());
-    fetch(&hub.url(), &into).outcome.expect("a pack");
+    assert!(matches!(stopped.outcome, Err(AssetsError::Interrupted)));
+    check_nothing_half(&into);
+    fetch(&index, &into).outcome.expect("the files");
     check_whole(&into);
-    let seen = hub.seen();
-    let rest = format!("/store/large from {arrived}");
-    assert!(seen.contains(&rest), "{arrived}: {seen:?}");
-}
-
-#[test]
-fn two_fetches_into_one_folder_do_not_mix_their_bytes() {
-    let (_folder, into) = place();
-    let hub = TestHub::start(Fault::None);
-    let mut second = None;
-    let first = fetch_while(&hub.url(), &into, |_| {
-        second.get_or_insert_with(|| error_of(fetch(&hub.url(), &into)));
-        true
-    });
-    first.outcome.expect("a pack");
-    let second = second.expect("was tried");
-    assert!(second.contains("under way"), "{second}");
-    check_whole(&into);
-}
-
-#[test]
-fn a_file_with_another_checksum_never_becomes_part_of_a_pack() {
-    let (_folder, into) = place();
-    let hub = TestHub::start(Fault::WrongBytes);
-    let error = error_of(fetch(&hub.url(), &into));
-    assert!(error.contains("large%20texture.png"), "{error}");
+    let offset = index.table().get(LARGE).expect("in the table").offset;
+    let rest = format!("/files/{} {}-", Wheels::name(0), offset + arrived);
+    let seen = index.seen_of_wheels();
     assert!(
-        error.contains("SHA-256") && error.contains("5 times"),
-        "{error}"
-    );
-    assert!(!into.exists());
-    let kept = into.with_file_name(format!("libero.fetching-{}", &COMMIT[..SHORT_COMMIT]));
-    assert!(!kept.join(LARGE).exists() && !kept.join(format!("{LARGE}.part")).exists());
-}
-
-#[test]
-fn a_busy_hub_is_asked_again_and_one_that_refuses_is_not() {
-    let (_folder, into) = place();
-    let busy = TestHub::start(Fault::BusyAtFirst);
-    let fetched = fetch(&busy.url(), &into);
-    fetched.outcome.expect("a pack");
-    assert_eq!(fetched.pauses, 2);
-
-    let (_folder, into) = place();
-    let refusing = TestHub::start(Fault::Forbidden);
-    let fetched = fetch(&refusing.url(), &into);
-    assert_eq!(fetched.pauses, 0);
-    let error = error_of(fetched);
-    assert!(
-        error.contains("403") && error.contains("--assets"),
-        "{error}"
+        seen.iter().any(|it| it.starts_with(&rest)),
+        "{arrived}: {seen:?}"
     );
 }
 
 #[test]
-fn a_hub_that_cannot_be_reached_is_named_with_what_to_do_instead() {
+fn a_busy_index_is_asked_again_and_one_that_refuses_is_not() {
+    let (_folder, into) = place();
+    let done = fetch(&TestIndex::start(Fault::BusyAtFirst), &into);
+    done.outcome.expect("the files");
+    assert_eq!(done.pauses, 2);
+
+    let done = fetch(&TestIndex::start(Fault::Forbidden), &into.join("new"));
+    assert_eq!(done.pauses, 0);
+    let error = done.error();
+    assert!(error.contains("403") && error.contains(".whl"), "{error}");
+}
+
+#[test]
+fn an_index_that_lacks_the_package_is_named_with_another() {
+    for fault in [Fault::NoProject, Fault::NoWheel] {
+        let (_folder, into) = place();
+        let index = TestIndex::start(fault);
+        let done = fetch(&index, &into);
+        assert_eq!(done.pauses, 0);
+        let error = done.error();
+        for words in ["part-0", &index.url(), "https://pypi.org/simple"] {
+            assert!(error.contains(words), "{error}");
+        }
+        check_nothing_half(&into);
+    }
+}
+
+#[test]
+fn an_index_that_cannot_be_reached_is_named_with_the_ways_without_it() {
     let (_folder, into) = place();
     let port = {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
         listener.local_addr().expect("an address").port()
     };
-    let url = format!("http://127.0.0.1:{port}");
-    let fetched = fetch(&url, &into);
-    assert_eq!(fetched.pauses, 4);
-    let error = error_of(fetched);
-    for words in [&url, "tried 5 times", "--hub", "copy the assets folder"] {
+    let url = format!("http://127.0.0.1:{port}/simple");
+    let origin = Origin::index(&url, deadlines()).expect("a URL");
+    let done = fetch_from(&origin, Wheels::make().table, &into);
+    assert_eq!(done.pauses, 4);
+    let error = done.error();
+    for words in [&url, "tried 5 times", "ROLLOUT_WHEELS", "ROLLOUT_ASSETS"] {
         assert!(error.contains(words), "{error}");
     }
-    assert!(!into.exists());
 }
 
 #[test]
-fn a_listing_that_leads_out_of_the_pack_is_refused() {
+fn a_folder_of_wheels_needs_no_network() {
+    let (folder, into) = place();
+    let wheels = Wheels::make();
+    let origin = Origin::wheels(folder.path().to_owned());
+    let error = fetch_from(&origin, wheels.table, &into).error();
+    assert!(error.contains(&Wheels::name(0)), "{error}");
+
+    wheels.write(folder.path());
+    let done = fetch_from(&origin, wheels.table, &into);
+    done.outcome.expect("the files");
+    check_whole(&into);
+
+    let wheel = folder.path().join(Wheels::name(1));
+    let mut bytes = fs::read(&wheel).expect("reads");
+    bytes[500] ^= 1;
+    fs::write(&wheel, bytes).expect("writes");
+    fs::remove_file(into.join(OTHER)).expect("was there");
+    let done = fetch_from(&origin, wheels.table, &into);
+    assert_eq!(done.pauses, 0, "the folder does not change by itself");
+    let error = done.error();
+    assert!(error.contains(OTHER), "{error}");
+    check_nothing_half(&into);
+}
+
+/// Starts this program to fetch in a process of its own; `before` is a shell's.
+fn start_fetching(before: &str, index: &str, into: &Path) -> Command {
+    let mut shell = Command::new("sh");
+    let program = env::current_exe().expect("a program");
+    shell
+        .arg("-c")
+        .arg(format!("{before} exec \"$0\" \"$@\""))
+        .arg(program)
+        .args(["--ignored", "--exact", "--nocapture"])
+        .arg("fetch::tests::fetch_in_a_process_of_its_own")
+        .env(INDEX_VARIABLE, index)
+        .env(FOLDER_VARIABLE, into);
+    shell
+}
+
+fn said(output: &Output) -> String {
+    let both = [&output.stdout[..], &output.stderr].concat();
+    String::from_utf8_lossy(&both).into_owned()
+}
+
+#[test]
+#[ignore = "other tests start it"]
+fn fetch_in_a_process_of_its_own() {
+    let (Ok(url), Some(into)) = (env::var(INDEX_VARIABLE), env::var_os(FOLDER_VARIABLE)) else {
+        return;
+    };
+    let origin = Origin::index(&url, Deadlines::default()).expect("a URL");
+    let done = fetch_from(&origin, Wheels::make().table, Path::new(&into));
+    match done.outcome {
+        Ok(fetched) => println!("fetched {}, present {}", fetched.fetched, fetched.present),
+        Err(error) => {
+            let cause = std::error::Error::source(&error).map(ToString::to_string);
+            println!("failed to {error}: {}", cause.unwrap_or_default());
+        }
+    }
+}
+
+#[test]
+fn two_processes_at_once_fetch_each_file_once() {
     let (_folder, into) = place();
-    let hub = TestHub::start(Fault::LeadsOut);
-    let error = error_of(fetch(&hub.url(), &into));
-    assert!(error.contains("scenes/../../room.xml"), "{error}");
+    let index = TestIndex::start(Fault::Slow);
+    let start = || {
+        let mut command = start_fetching("", &index.url(), &into);
+        thread::spawn(move || command.output().expect("runs"))
+    };
+    let both = [start(), start()].map(|running| said(&running.join().expect("ends")));
+    check_whole(&into);
+    let count = |words: &str| both.iter().filter(|it| it.contains(words)).count();
+    assert_eq!(count("fetched 3, present 0"), 1, "{both:?}");
+    assert_eq!(count("present 3"), 1, "{both:?}");
+    assert_eq!(index.seen_of_wheels().len(), 3, "{:?}", index.seen());
+}
+
+#[test]
+fn a_full_disk_is_named_and_leaves_nothing_half() {
+    let (_folder, into) = place();
+    let index = TestIndex::start(Fault::None);
+    // Files of at most 64 kB, in units of 512 bytes; a signal would end the process.
+    let limit = "trap '' XFSZ; ulimit -f 128;";
+    let output = start_fetching(limit, &index.url(), &into).output();
+    let said = said(&output.expect("runs"));
+    for words in ["failed to write", INCOMING, "make room", "File too large"] {
+        assert!(said.contains(words), "{said}");
+    }
+    check_nothing_half(&into);
+    fetch(&index, &into).outcome.expect("there is room now");
+    check_whole(&into);
+}
+
+#[test]
+fn unwanted_files_are_in_the_table() {
+    assert!(Wheels::make().table.get(UNWANTED).is_some());
 }

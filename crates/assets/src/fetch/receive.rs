@@ -1,0 +1,290 @@
+//! The members of one parcel, received in the order of their positions.
+
+use std::collections::HashMap;
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Read, Write};
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+
+use flate2::read::DeflateDecoder;
+use sha2::{Digest, Sha256};
+
+use super::{MAX_TRIES, write_error};
+use crate::error::AssetsError;
+use crate::http::RequestError;
+use crate::origin::{Member, Origin, Parcel, Stream};
+use crate::progress::{Progress, Report};
+use crate::verify::{VerifiedFolder, hex};
+
+/// A try that gained less than this was in vain.
+pub(super) const GAIN_BYTES: u64 = 1 << 20;
+/// Members that lie closer together are asked for in one request.
+const MAX_GAP_BYTES: u64 = 1 << 18;
+/// Bytes that are read at a time.
+const BLOCK_BYTES: usize = 1 << 16;
+
+/// Called with the progress; says whether to go on.
+type Show<'a> = dyn FnMut(Report) -> ControlFlow<()> + 'a;
+
+pub(super) struct Receiver<'a> {
+    origin: &'a Origin,
+    parcel: &'a Parcel<'a>,
+    into: &'a VerifiedFolder,
+    incoming: &'a Path,
+    /// Members that are in place.
+    done: usize,
+    /// False once the server has sent a whole parcel when it was asked for a part.
+    knows_ranges: bool,
+    gained: u64,
+    /// How often members arrived altered.
+    corruptions: HashMap<&'static str, u32>,
+}
+
+impl<'a> Receiver<'a> {
+    pub(super) fn new(
+        origin: &'a Origin,
+        parcel: &'a Parcel<'a>,
+        into: &'a VerifiedFolder,
+        incoming: &'a Path,
+    ) -> Self {
+        Self {
+            origin,
+            parcel,
+            into,
+            incoming,
+            done: 0,
+            knows_ranges: true,
+            gained: 0,
+            corruptions: HashMap::new(),
+        }
+    }
+
+    pub(super) fn is_done(&self) -> bool {
+        self.done == self.parcel.members.len()
+    }
+
+    /// Bytes that were received so far.
+    pub(super) fn gained(&self) -> u64 {
+        self.gained
+    }
+
+    /// Sends one request, and puts the members that it brings in place.
+    pub(super) fn stream(
+        &mut self,
+        progress: &mut Progress,
+        show: &mut Show<'_>,
+    ) -> Result<(), RequestError> {
+        let first = self.parcel.members[self.done];
+        let have = size(&self.part(&first));
+        if have >= first.stored {
+            // The last fetch ended before the file got its name.
+            return self.finish(&first, progress, show);
+        }
+        let end = self.end_of_run();
+        let from = first.offset + have;
+        let mut stream = self.origin.open(self.parcel, from..end)?;
+        self.knows_ranges &= stream.position == from;
+        let end = if self.knows_ranges {
+            end
+        } else {
+            self.parcel.bytes
+        };
+        while let Some(member) = self.parcel.members.get(self.done)
+            && member.offset + member.stored <= end
+        {
+            let member = *member;
+            self.fill(&member, &mut stream, progress, show)?;
+            self.finish(&member, progress, show)?;
+        }
+        Ok(())
+    }
+
+    /// The end of the run of neighbouring members that begins with the next one.
+    fn end_of_run(&self) -> u64 {
+        if !self.knows_ranges {
+            return self.parcel.bytes;
+        }
+        let mut members = self.parcel.members[self.done..].iter();
+        let first = members.next().expect("one is left");
+        let mut end = first.offset + first.stored;
+        for member in members {
+            if member.offset > end + MAX_GAP_BYTES {
+                break;
+            }
+            end = member.offset + member.stored;
+        }
+        end
+    }
+
+    /// Adds what is missing to a member's part.
+    fn fill(
+        &mut self,
+        member: &Member<'_>,
+        stream: &mut Stream,
+        progress: &Progress,
+        show: &mut Show<'_>,
+    ) -> Result<(), RequestError> {
+        let path = self.part(member);
+        let mut have = size(&path);
+        let failed = |source| RequestError::Final(write_error(&path, source));
+        let mut block = vec![0; BLOCK_BYTES];
+        let skip = (member.offset + have).saturating_sub(stream.position);
+        self.read(stream, skip, &mut block, |_| tell(show, *progress))?;
+        let file = OpenOptions::new().create(true).append(true).open(&path);
+        let mut file = file.map_err(failed)?;
+        let missing = member.stored.saturating_sub(have);
+        let mut gained = 0;
+        let outcome = self.read(stream, missing, &mut block, |bytes| {
+            file.write_all(bytes).map_err(failed)?;
+            have += bytes.len() as u64;
+            gained += bytes.len() as u64;
+            let bytes = progress.bytes + have;
+            tell(show, Progress { bytes, ..*progress })
+        });
+        self.gained += gained;
+        outcome
+    }
+
+    /// Reads so many bytes.
+    fn read(
+        &self,
+        stream: &mut Stream,
+        mut count: u64,
+        block: &mut [u8],
+        mut take: impl FnMut(&[u8]) -> Result<(), RequestError>,
+    ) -> Result<(), RequestError> {
+        let passing = |problem: String| RequestError::Passing {
+            url: self.parcel.name.clone(),
+            problem,
+        };
+        while count > 0 {
+            let most = usize::try_from(count).map_or(block.len(), |count| count.min(block.len()));
+            match stream.reader.read(&mut block[..most]) {
+                Ok(0) => {
+                    let (at, of) = (stream.position, self.parcel.bytes);
+                    return Err(passing(format!("it ended after {at} of {of} bytes")));
+                }
+                Ok(read) => {
+                    stream.position += read as u64;
+                    count -= read as u64;
+                    take(&block[..read])?;
+                }
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => {
+                    let (at, of) = (stream.position, self.parcel.bytes);
+                    return Err(passing(format!("{error} after {at} of {of} bytes")));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Gives a member that has arrived its name, if it is the table's.
+    fn finish(
+        &mut self,
+        member: &Member<'_>,
+        progress: &mut Progress,
+        show: &mut Show<'_>,
+    ) -> Result<(), RequestError> {
+        let part = self.part(member);
+        let whole = part.with_extension("whole");
+        let target = self.into.folder().join(member.file.path);
+        let unpacked = unpack(member, &part, &whole);
+        if unpacked.is_err() {
+            // On a full disk, half a file would only take room.
+            let _ = fs::remove_file(&whole);
+        }
+        if let Some(problem) = unpacked.map_err(RequestError::Final)? {
+            let removed = fs::remove_file(&part).and_then(|()| fs::remove_file(&whole));
+            removed.map_err(|source| RequestError::Final(write_error(&part, source)))?;
+            return Err(self.corrupted(member, problem));
+        }
+        let folder = target.parent().expect("inside the pack");
+        let named = fs::create_dir_all(folder).and_then(|()| fs::rename(&whole, &target));
+        named.map_err(|source| RequestError::Final(write_error(&target, source)))?;
+        let removed = fs::remove_file(&part);
+        removed.map_err(|source| RequestError::Final(write_error(&part, source)))?;
+        self.done += 1;
+        progress.files += 1;
+        progress.bytes += member.stored;
+        tell(show, *progress)
+    }
+
+    /// Counts an altered member.
+    fn corrupted(&mut self, member: &Member<'_>, problem: String) -> RequestError {
+        let tries = self.corruptions.entry(member.file.path).or_default();
+        *tries += 1;
+        let (tries, url) = (*tries, self.parcel.name.clone());
+        if tries < MAX_TRIES && self.origin.is_remote() {
+            return RequestError::Passing { url, problem };
+        }
+        RequestError::Final(AssetsError::Altered {
+            file: member.file.path.to_owned(),
+            url,
+            problem,
+            tries,
+        })
+    }
+
+    /// The place for what has arrived of a member.
+    fn part(&self, member: &Member<'_>) -> PathBuf {
+        let kind = if member.is_deflated {
+            "deflated"
+        } else {
+            "plain"
+        };
+        self.incoming
+            .join(format!("{}-{kind}.part", member.file.sha256))
+    }
+}
+
+/// Writes a member as it is to be, and says how it differs from the table.
+fn unpack(member: &Member<'_>, part: &Path, whole: &Path) -> Result<Option<String>, AssetsError> {
+    let source = File::open(part).map_err(|source| AssetsError::Read {
+        path: part.to_owned(),
+        source,
+    })?;
+    let mut source: Box<dyn Read> = match member.is_deflated {
+        true => Box::new(DeflateDecoder::new(source)),
+        false => Box::new(source),
+    };
+    let failed = |source| write_error(whole, source);
+    let mut file = File::create(whole).map_err(failed)?;
+    let mut hash = Sha256::new();
+    let mut bytes = 0;
+    let mut block = vec![0; BLOCK_BYTES];
+    // A file that does not end is not the table's.
+    while bytes <= member.file.bytes {
+        match source.read(&mut block) {
+            Ok(0) => break,
+            Ok(read) => {
+                file.write_all(&block[..read]).map_err(failed)?;
+                hash.update(&block[..read]);
+                bytes += read as u64;
+            }
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(error) => return Ok(Some(format!("it cannot be unpacked ({error})"))),
+        }
+    }
+    if bytes != member.file.bytes {
+        let expected = member.file.bytes;
+        return Ok(Some(format!(
+            "it has not the {expected} bytes that it should have"
+        )));
+    }
+    let (found, expected) = (hex(&hash.finalize()), member.file.sha256);
+    let differs = found != expected;
+    Ok(differs.then(|| format!("its SHA-256 is {found} and should be {expected}")))
+}
+
+fn tell(show: &mut Show<'_>, progress: Progress) -> Result<(), RequestError> {
+    match show(Report::Arriving(progress)) {
+        ControlFlow::Continue(()) => Ok(()),
+        ControlFlow::Break(()) => Err(RequestError::Final(AssetsError::Interrupted)),
+    }
+}
+
+/// Size of a file that may not be there.
+fn size(path: &Path) -> u64 {
+    fs::metadata(path).map_or(0, |facts| facts.len())
+}

@@ -1,0 +1,348 @@
+//! A package index on this machine that serves small wheels over HTTP, and can be
+//! told what to do wrong.
+
+use std::io::{BufRead, BufReader, Write};
+use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::ops::Range;
+use std::sync::{Arc, Mutex};
+use std::thread;
+use std::time::Duration;
+
+use flate2::Compression;
+use flate2::write::DeflateEncoder;
+use sha2::{Digest, Sha256};
+
+use crate::table::{Table, Text};
+use crate::verify::hex;
+
+/// A large file, first in the first wheel.
+pub(super) const LARGE: &str = "scenes/large texture.png";
+/// A small file behind it.
+pub(super) const SMALL: &str = "scenes/room.xml";
+/// A file of the second wheel.
+pub(super) const OTHER: &str = "textures/wall.png";
+/// A file that nobody asks for, between the first two.
+pub(super) const UNWANTED: &str = "scenes/unwanted.stl";
+
+/// What the index does wrong.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Fault {
+    None,
+    /// Pages are for browsers only, as those of simple mirrors.
+    PagesForBrowsers,
+    /// Connections end half-way through what they should send.
+    CutsMidway,
+    /// A request for a part of a wheel gets all of it.
+    NoRanges,
+    /// The same, and the first connection ends half-way.
+    NoRangesAndCutsOnce,
+    /// The large file has other bytes.
+    WrongBytes,
+    /// The large file has other bytes when it is sent for the first time.
+    WrongBytesOnce,
+    /// The first two answers are 503.
+    BusyAtFirst,
+    /// The wheels are not for everybody.
+    Forbidden,
+    /// There is no such project.
+    NoProject,
+    /// The projects have no such file.
+    NoWheel,
+    /// The second half of a wheel's first answer never comes.
+    Stalls,
+    /// Bytes come slowly, but steadily.
+    Slow,
+    /// The wheels have another size.
+    OtherWheel,
+    /// Requests without credentials are refused.
+    NeedsCredentials,
+}
+
+/// The bytes of a file.
+pub(super) fn content(path: &str) -> Vec<u8> {
+    let noise = |count: u32| {
+        let mut state = 1_u32;
+        let next = move |_| {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (state >> 24) as u8
+        };
+        (0..count).map(next).collect()
+    };
+    match path {
+        LARGE => noise(400_000),
+        UNWANTED => noise(300_000),
+        OTHER => noise(3_000),
+        _ => b"<mujoco/>".repeat(20),
+    }
+}
+
+/// Wheels in a row of bytes each, and the table of their members.
+pub(super) struct Wheels {
+    bytes: [Vec<u8>; 2],
+    pub(super) table: &'static Table,
+}
+
+impl Wheels {
+    /// The wheel's file name.
+    pub(super) fn name(wheel: usize) -> String {
+        format!("part_{wheel}-1.0-py3-none-any.whl")
+    }
+
+    pub(super) fn make() -> Self {
+        let mut bytes = [Vec::new(), Vec::new()];
+        let mut files = "heading\n".to_owned();
+        for (wheel, path) in [(0, LARGE), (0, UNWANTED), (0, SMALL), (1, OTHER)] {
+            let content = content(path);
+            let whole = &mut bytes[wheel];
+            whole.extend_from_slice(b"a local header of some bytes");
+            let offset = whole.len();
+            let mut encoder = DeflateEncoder::new(whole, Compression::default());
+            encoder.write_all(&content).expect("into memory");
+            let stored = encoder.finish().expect("into memory").len() - offset;
+            let sha256 = hex(&Sha256::digest(&content));
+            let (size, wheel) = (content.len(), wheel + 1);
+            files += &format!("{path}\t{size}\t{sha256}\t{wheel}\t{offset}\t{stored}\n");
+        }
+        let mut wheels = "heading\n".to_owned();
+        for (wheel, bytes) in bytes.iter_mut().enumerate() {
+            bytes.extend_from_slice(b"the directory of the archive");
+            let (name, size) = (Self::name(wheel), bytes.len());
+            let sha256 = hex(&Sha256::digest(&bytes));
+            wheels += &format!("part-{wheel}\t1.0\t{name}\t{size}\t{sha256}\n");
+        }
+        let text = Text {
+            wheels: wheels.leak(),
+            files: files.leak(),
+            models: "heading\n",
+            digest: "0",
+        };
+        let table = Table::parse(text).expect("well-formed");
+        Self {
+            bytes,
+            table: Box::leak(Box::new(table)),
+        }
+    }
+
+    /// Writes them into a folder.
+    pub(super) fn write(&self, folder: &std::path::Path) {
+        for (wheel, bytes) in self.bytes.iter().enumerate() {
+            std::fs::write(folder.join(Self::name(wheel)), bytes).expect("writes");
+        }
+    }
+}
+
+/// A running index.
+pub(super) struct TestIndex {
+    address: SocketAddr,
+    server: Arc<Server>,
+}
+
+struct Server {
+    wheels: Wheels,
+    fault: Fault,
+    seen: Mutex<Vec<String>>,
+}
+
+impl TestIndex {
+    /// Serves until the test's process ends.
+    pub(super) fn start(fault: Fault) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
+        let address = listener.local_addr().expect("an address");
+        let server = Arc::new(Server {
+            wheels: Wheels::make(),
+            fault,
+            seen: Mutex::default(),
+        });
+        let serving = Arc::clone(&server);
+        thread::spawn(move || {
+            for stream in listener.incoming() {
+                let server = Arc::clone(&serving);
+                // A client that hangs up is not the index' concern.
+                thread::spawn(move || drop(server.serve(stream.expect("a connection"))));
+            }
+        });
+        Self { address, server }
+    }
+
+    pub(super) fn url(&self) -> String {
+        format!("http://{}/simple", self.address)
+    }
+
+    pub(super) fn url_with_credentials(&self) -> String {
+        format!("http://user:secret%21@{}/simple/", self.address)
+    }
+
+    pub(super) fn table(&self) -> &'static Table {
+        self.server.wheels.table
+    }
+
+    /// `PATH`, or `PATH FIRST-LAST`, of every request.
+    pub(super) fn seen(&self) -> Vec<String> {
+        self.server.seen.lock().expect("not poisoned").clone()
+    }
+
+    /// The requests for wheels.
+    pub(super) fn seen_of_wheels(&self) -> Vec<String> {
+        let mut seen = self.seen();
+        seen.retain(|request| request.contains(".whl"));
+        seen
+    }
+}
+
+struct Request {
+    path: String,
+    range: Option<Range<usize>>,
+    is_authorized: bool,
+}
+
+impl Server {
+    fn serve(&self, stream: TcpStream) -> std::io::Result<()> {
+        let mut lines = BufReader::new(stream.try_clone()?).lines();
+        let Some(request) = self.read(&mut lines)? else {
+            return Ok(());
+        };
+        let earlier = {
+            let mut seen = self.seen.lock().expect("not poisoned");
+            let range = request.range.as_ref();
+            let range = range.map(|range| format!(" {}-{}", range.start, range.end - 1));
+            seen.push(format!("{}{}", request.path, range.unwrap_or_default()));
+            seen.len() - 1
+        };
+        if self.fault == Fault::BusyAtFirst && earlier < 2 {
+            return send(stream, "503 Service Unavailable", "", b"");
+        }
+        if self.fault == Fault::NeedsCredentials && !request.is_authorized {
+            return send(stream, "401 Unauthorized", "", b"");
+        }
+        for wheel in 0..2 {
+            if request.path == format!("/simple/part-{wheel}/") {
+                return self.send_page(stream, wheel);
+            }
+            if request.path == format!("/files/{}", Wheels::name(wheel)) {
+                return self.send_wheel(stream, wheel, request.range);
+            }
+        }
+        send(stream, "404 Not Found", "", b"")
+    }
+
+    fn read(
+        &self,
+        lines: &mut impl Iterator<Item = std::io::Result<String>>,
+    ) -> std::io::Result<Option<Request>> {
+        let Some(first) = lines.next() else {
+            return Ok(None);
+        };
+        let path = first?.split(' ').nth(1).unwrap_or_default().to_owned();
+        let (mut range, mut is_authorized) = (None, false);
+        for line in lines {
+            let line = line?;
+            if line.is_empty() {
+                break;
+            }
+            // `user:secret!`
+            is_authorized |= line.eq_ignore_ascii_case("authorization: Basic dXNlcjpzZWNyZXQh");
+            if let Some(bytes) = line.to_ascii_lowercase().strip_prefix("range: bytes=") {
+                let (first, last) = bytes.split_once('-').expect("two ends");
+                let last: usize = last.parse().expect("a number");
+                range = Some(first.parse().expect("a number")..last + 1);
+            }
+        }
+        Ok(Some(Request {
+            path,
+            range,
+            is_authorized,
+        }))
+    }
+
+    fn send_page(&self, stream: TcpStream, wheel: usize) -> std::io::Result<()> {
+        let name = match self.fault {
+            Fault::NoProject => return send(stream, "404 Not Found", "", b""),
+            Fault::NoWheel => format!("part_{wheel}-2.0-py3-none-any.whl"),
+            _ => Wheels::name(wheel),
+        };
+        if self.fault == Fault::PagesForBrowsers {
+            let page = format!("<a href=\"../../files/{name}#sha256=0\">{name}</a>");
+            return send(
+                stream,
+                "200 OK",
+                "Content-Type: text/html\r\n",
+                page.as_bytes(),
+            );
+        }
+        let page = format!(
+            "{{\"name\": \"part-{wheel}\", \"files\": [
+                {{\"filename\": \"part_{wheel}-1.0.tar.gz\", \"url\": \"/files/x.tar.gz\"}},
+                {{\"filename\": \"{name}\", \"url\": \"/files/{name}\", \"hashes\": {{}}}}]}}"
+        );
+        let kind = "Content-Type: application/vnd.pypi.simple.v1+json\r\n";
+        send(stream, "200 OK", kind, page.as_bytes())
+    }
+
+    fn send_wheel(
+        &self,
+        mut stream: TcpStream,
+        wheel: usize,
+        range: Option<Range<usize>>,
+    ) -> std::io::Result<()> {
+        let mut whole = self.wheels.bytes[wheel].clone();
+        let is_first = self.of_wheels() == 1;
+        match self.fault {
+            Fault::Forbidden => return send(stream, "403 Forbidden", "", b"no"),
+            Fault::WrongBytes => whole[1000] ^= 1,
+            Fault::WrongBytesOnce if is_first => whole[1000] ^= 1,
+            Fault::OtherWheel => whole.push(0),
+            _ => {}
+        }
+        let knows_ranges = !matches!(self.fault, Fault::NoRanges | Fault::NoRangesAndCutsOnce);
+        let range = range.filter(|_| knows_ranges);
+        let (status, headers, part) = match range {
+            None => ("200 OK", String::new(), &whole[..]),
+            Some(Range { start, end }) => {
+                let (last, total) = (end - 1, whole.len());
+                let range = format!("Content-Range: bytes {start}-{last}/{total}\r\n");
+                ("206 Partial Content", range, &whole[start..end])
+            }
+        };
+        write!(
+            stream,
+            "HTTP/1.1 {status}\r\n{headers}Content-Length: {}\r\nConnection: close\r\n\r\n",
+            part.len()
+        )?;
+        let half = part.len() / 2;
+        match self.fault {
+            Fault::CutsMidway if part.len() > 100_000 => stream.write_all(&part[..half]),
+            Fault::NoRangesAndCutsOnce if is_first => stream.write_all(&part[..half]),
+            Fault::Stalls if is_first => {
+                stream.write_all(&part[..half])?;
+                stream.flush()?;
+                // Until the client has given this connection up.
+                let _ = BufReader::new(&stream).read_line(&mut String::new());
+                Ok(())
+            }
+            Fault::Slow => {
+                for piece in part.chunks(part.len().div_ceil(8)) {
+                    stream.write_all(piece)?;
+                    stream.flush()?;
+                    thread::sleep(Duration::from_millis(50));
+                }
+                Ok(())
+            }
+            _ => stream.write_all(part),
+        }
+    }
+
+    /// Requests for wheels so far.
+    fn of_wheels(&self) -> usize {
+        let seen = self.seen.lock().expect("not poisoned");
+        seen.iter().filter(|it| it.contains(".whl")).count()
+    }
+}
+
+fn send(mut stream: TcpStream, status: &str, headers: &str, body: &[u8]) -> std::io::Result<()> {
+    write!(
+        stream,
+        "HTTP/1.1 {status}\r\n{headers}Content-Length: {}\r\nConnection: close\r\n\r\n",
+        body.len()
+    )?;
+    stream.write_all(body)
+}

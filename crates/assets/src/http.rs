@@ -1,0 +1,244 @@
+//! Single HTTP requests: deadlines, certificates, credentials, and which answers
+//! are worth another try.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use base64::Engine;
+use base64::prelude::BASE64_STANDARD;
+use percent_encoding::percent_decode_str;
+use ureq::http::Response;
+use ureq::tls::{PemItem, RootCerts, TlsConfig, parse_pem};
+use ureq::{Agent, Body};
+use url::Url;
+
+use crate::error::AssetsError;
+
+/// Longest answer that is read as a text, bytes; an index's page has a few kB.
+const MAX_TEXT_BYTES: u64 = 16 << 20;
+/// Variables that name a file of certificates, as pip, requests and OpenSSL know them.
+const CERTIFICATES: [&str; 3] = ["PIP_CERT", "SSL_CERT_FILE", "REQUESTS_CA_BUNDLE"];
+
+/// Reason why one request failed.
+#[derive(Debug)]
+pub(crate) enum RequestError {
+    /// Another try may succeed.
+    Passing {
+        /// Address, without credentials.
+        url: String,
+        problem: String,
+    },
+    /// Another try would end the same.
+    Final(AssetsError),
+}
+
+/// Longest waits of a request.
+#[derive(Debug, Clone, Copy)]
+pub struct Deadlines {
+    /// For a connection.
+    pub connect: Duration,
+    /// For an answer, and for the next bytes of one.
+    pub read: Duration,
+}
+
+impl Default for Deadlines {
+    fn default() -> Self {
+        Self {
+            connect: Duration::from_secs(10),
+            read: Duration::from_secs(30),
+        }
+    }
+}
+
+/// An address, with the credentials that go with it.
+#[derive(Clone)]
+pub(crate) struct Address {
+    /// Without credentials.
+    url: Url,
+    authorization: Option<String>,
+}
+
+impl Address {
+    /// Parses an HTTP URL.
+    ///
+    /// # Errors
+    /// A remedy, if it is none.
+    pub(crate) fn parse(text: &str) -> Result<Self, &'static str> {
+        const REMEDY: &str = "write https://HOST/PATH, or http://HOST:PORT/PATH for a local mirror";
+        let mut url = Url::parse(text.trim()).map_err(|_| REMEDY)?;
+        if !matches!(url.scheme(), "http" | "https") || !url.has_host() {
+            return Err(REMEDY);
+        }
+        let authorization = authorization(&url);
+        // Neither fails for an address with a host.
+        let _ = url.set_username("");
+        let _ = url.set_password(None);
+        Ok(Self { url, authorization })
+    }
+
+    /// The address without credentials.
+    pub(crate) fn as_str(&self) -> &str {
+        self.url.as_str()
+    }
+
+    /// The address below this one.
+    pub(crate) fn below(&self, path: &str) -> Self {
+        let mut url = self.url.clone();
+        let base = url.path().trim_end_matches('/');
+        url.set_path(&format!("{base}/{path}"));
+        let authorization = self.authorization.clone();
+        Self { url, authorization }
+    }
+
+    /// The address that a page at this one refers to. Credentials go along to the
+    /// same host only.
+    pub(crate) fn refer(&self, reference: &str) -> Option<Self> {
+        let mut url = self.url.join(reference).ok()?;
+        url.set_fragment(None);
+        let mut referred = Self::parse(url.as_str()).ok()?;
+        if referred.authorization.is_none() && referred.url.origin() == self.url.origin() {
+            referred.authorization.clone_from(&self.authorization);
+        }
+        Some(referred)
+    }
+}
+
+/// The header for a URL's user and password.
+fn authorization(url: &Url) -> Option<String> {
+    if url.username().is_empty() && url.password().is_none() {
+        return None;
+    }
+    let decoded = |text| percent_decode_str(text).collect::<Vec<u8>>();
+    let mut words = decoded(url.username());
+    words.push(b':');
+    words.extend(decoded(url.password().unwrap_or_default()));
+    Some(format!("Basic {}", BASE64_STANDARD.encode(words)))
+}
+
+/// A client of package indices and hubs. Proxies come from the environment.
+#[derive(Debug)]
+pub(crate) struct Client(Agent);
+
+impl Client {
+    pub(crate) fn new(deadlines: Deadlines) -> Result<Self, AssetsError> {
+        let mut tls = TlsConfig::builder();
+        if let Some(roots) = certificates()? {
+            tls = tls.root_certs(roots);
+        }
+        let config = Agent::config_builder()
+            .timeout_connect(Some(deadlines.connect))
+            .timeout_recv_response(Some(deadlines.read))
+            .timeout_per_read(Some(deadlines.read))
+            .http_status_as_error(false)
+            .tls_config(tls.build())
+            .build();
+        Ok(Self(config.into()))
+    }
+
+    /// Asks for the bytes from `range.start` to before `range.end`. The server may
+    /// send everything instead: the status says which.
+    pub(crate) fn get(
+        &self,
+        address: &Address,
+        accept: &str,
+        range: Option<std::ops::Range<u64>>,
+    ) -> Result<Response<Body>, RequestError> {
+        let mut request = self.0.get(address.as_str()).header("Accept", accept);
+        if let Some(range) = range {
+            let (first, last) = (range.start, range.end - 1);
+            request = request.header("Range", format!("bytes={first}-{last}"));
+        }
+        if let Some(authorization) = &address.authorization {
+            request = request.header("Authorization", authorization);
+        }
+        let url = || address.as_str().to_owned();
+        let response = request.call().map_err(|error| RequestError::Passing {
+            url: url(),
+            problem: describe(&error),
+        })?;
+        match response.status().as_u16() {
+            200 | 206 | 416 => Ok(response),
+            status @ (408 | 429 | 500..) => Err(RequestError::Passing {
+                url: url(),
+                problem: format!("it answers {status}"),
+            }),
+            status => Err(RequestError::Final(AssetsError::Refused {
+                url: url(),
+                status,
+            })),
+        }
+    }
+
+    /// A whole answer as a text, and its content type.
+    pub(crate) fn text(
+        &self,
+        address: &Address,
+        accept: &str,
+    ) -> Result<(String, String), RequestError> {
+        let mut response = self.get(address, accept, None)?;
+        let kind = response.headers().get("content-type");
+        let kind = kind.and_then(|kind| kind.to_str().ok());
+        let kind = kind.unwrap_or_default().to_ascii_lowercase();
+        let body = response.body_mut().with_config().limit(MAX_TEXT_BYTES);
+        let text = body
+            .read_to_string()
+            .map_err(|error| RequestError::Passing {
+                url: address.as_str().to_owned(),
+                problem: describe(&error),
+            })?;
+        Ok((text, kind))
+    }
+}
+
+/// The certificates that the environment names in place of the built-in ones.
+fn certificates() -> Result<Option<RootCerts>, AssetsError> {
+    let named = CERTIFICATES.iter().filter_map(std::env::var_os);
+    let Some(path) = named.map(PathBuf::from).find(|path| path.is_file()) else {
+        return Ok(None);
+    };
+    let pem = std::fs::read(&path).map_err(|source| AssetsError::Read { path, source })?;
+    let items = parse_pem(&pem).filter_map(Result::ok);
+    let certificates: Vec<_> = items
+        .filter_map(|item| match item {
+            PemItem::Certificate(certificate) => Some(certificate),
+            _ => None,
+        })
+        .collect();
+    Ok((!certificates.is_empty()).then(|| RootCerts::from(certificates)))
+}
+
+/// The reason why a server does not answer.
+fn describe(error: &ureq::Error) -> String {
+    match error {
+        ureq::Error::Io(error) => error.to_string(),
+        ureq::Error::HostNotFound => "no address is known for its name".to_owned(),
+        ureq::Error::Timeout(_) => "it does not answer in time".to_owned(),
+        other => other.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn credentials_are_sent_to_their_host_and_shown_to_nobody() {
+        let index = Address::parse("https://a:p%40ss@mirror.example/simple/").expect("a URL");
+        assert_eq!(index.as_str(), "https://mirror.example/simple/");
+        assert_eq!(index.authorization.as_deref(), Some("Basic YTpwQHNz"));
+        let page = index.below("some-project/");
+        assert_eq!(page.as_str(), "https://mirror.example/simple/some-project/");
+        let same = page.refer("../../files/a.whl#sha256=1").expect("a URL");
+        assert_eq!(same.as_str(), "https://mirror.example/files/a.whl");
+        assert!(same.authorization.is_some());
+        let other = page.refer("https://files.example/a.whl").expect("a URL");
+        assert!(other.authorization.is_none());
+    }
+
+    #[test]
+    fn an_address_is_an_http_url() {
+        for text in ["mirror:80", "ftp://h/x", "https://", "simple"] {
+            assert!(Address::parse(text).is_err(), "{text}");
+        }
+    }
+}

@@ -1,0 +1,240 @@
+//! The places that files can be fetched from, all of them read alike: as parcels
+//! whose members are found at known positions.
+
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
+use std::ops::Range;
+use std::path::PathBuf;
+
+use crate::error::AssetsError;
+use crate::http::{Address, Client, Deadlines, RequestError};
+use crate::index::{find_wheel, index_of_environment};
+use crate::table::{FileFacts, Table};
+
+/// The hub that LIBERO's assets are published on as a data set.
+pub const HUB: &str = "https://huggingface.co";
+/// The data set that hf-libero 0.1.4 takes its assets from (`HF_ASSETS_REPO_ID` in
+/// `utils/download_utils.py`), at the branch that it takes by default.
+const HUB_FOLDER: &str = "datasets/lerobot/libero-assets/resolve/main";
+/// The variable that names a folder of wheels.
+const WHEELS_VARIABLE: &str = "ROLLOUT_WHEELS";
+
+/// A place that files are fetched from.
+pub struct Origin(Kind);
+
+enum Kind {
+    Index { client: Client, index: Address },
+    Wheels(PathBuf),
+    Hub { client: Client, hub: Address },
+}
+
+/// One resource that files are read from: a wheel, or a file of the hub.
+pub(crate) struct Parcel<'a> {
+    /// Name in messages.
+    pub(crate) name: String,
+    at: Location,
+    /// Size of the resource.
+    pub(crate) bytes: u64,
+    /// Sorted by position.
+    pub(crate) members: Vec<Member<'a>>,
+}
+
+enum Location {
+    Address(Address),
+    File(PathBuf),
+}
+
+/// A file inside a parcel.
+#[derive(Clone, Copy)]
+pub(crate) struct Member<'a> {
+    pub(crate) file: &'a FileFacts,
+    /// Position of its bytes in the parcel.
+    pub(crate) offset: u64,
+    /// Number of its bytes in the parcel.
+    pub(crate) stored: u64,
+    pub(crate) is_deflated: bool,
+}
+
+/// The bytes of a parcel from a position on.
+pub(crate) struct Stream {
+    pub(crate) position: u64,
+    pub(crate) reader: Box<dyn Read>,
+}
+
+impl Origin {
+    /// A package index. Its URL may hold credentials.
+    ///
+    /// # Errors
+    /// If the URL is none, or the certificates that the environment names cannot be
+    /// read.
+    pub fn index(url: &str, deadlines: Deadlines) -> Result<Self, AssetsError> {
+        let (client, index) = (Client::new(deadlines)?, address("package index", url)?);
+        Ok(Self(Kind::Index { client, index }))
+    }
+
+    /// The hub, or a mirror of it.
+    ///
+    /// # Errors
+    /// As [`Origin::index`].
+    pub fn hub(url: &str, deadlines: Deadlines) -> Result<Self, AssetsError> {
+        let (client, hub) = (Client::new(deadlines)?, address("hub", url)?);
+        Ok(Self(Kind::Hub { client, hub }))
+    }
+
+    /// A folder with the wheels.
+    pub fn wheels(folder: PathBuf) -> Self {
+        Self(Kind::Wheels(folder))
+    }
+
+    /// The place that the environment names: the folder `$ROLLOUT_WHEELS`, else the
+    /// package index `$ROLLOUT_INDEX_URL`, else pip's or uv's, else PyPI.
+    ///
+    /// # Errors
+    /// As [`Origin::index`].
+    pub fn of_environment() -> Result<Self, AssetsError> {
+        match std::env::var_os(WHEELS_VARIABLE).filter(|folder| !folder.is_empty()) {
+            Some(folder) => Ok(Self::wheels(folder.into())),
+            None => Self::index(&index_of_environment(), Deadlines::default()),
+        }
+    }
+
+    /// The place for people, without credentials.
+    pub fn name(&self) -> String {
+        match &self.0 {
+            Kind::Index { index, .. } => format!("the package index at {}", index.as_str()),
+            Kind::Wheels(folder) => format!("the wheels in {}", folder.display()),
+            Kind::Hub { hub, .. } => format!("the hub at {}", hub.as_str()),
+        }
+    }
+
+    /// The bytes that `file` takes on its way.
+    pub(crate) fn transfer_bytes(&self, file: &FileFacts) -> u64 {
+        match self.0 {
+            Kind::Hub { .. } => file.bytes,
+            Kind::Index { .. } | Kind::Wheels(_) => file.stored,
+        }
+    }
+
+    /// The number of parcels that may be asked for separately.
+    pub(crate) fn groups<'a>(&self, files: &[&'a FileFacts]) -> Vec<Vec<&'a FileFacts>> {
+        if matches!(self.0, Kind::Hub { .. }) {
+            return files.iter().map(|file| vec![*file]).collect();
+        }
+        let mut files = files.to_vec();
+        files.sort_by_key(|file| (file.wheel, file.offset));
+        let groups = files.chunk_by(|a, b| a.wheel == b.wheel);
+        groups.map(<[_]>::to_vec).collect()
+    }
+
+    /// Locates the parcel of a group.
+    pub(crate) fn locate<'a>(
+        &self,
+        table: &Table,
+        group: &[&'a FileFacts],
+    ) -> Result<Parcel<'a>, RequestError> {
+        let wheel = table.wheels[group[0].wheel];
+        let at = match &self.0 {
+            Kind::Index { client, index } => Location::Address(find_wheel(client, index, &wheel)?),
+            Kind::Wheels(folder) => Location::File(folder.join(wheel.file)),
+            Kind::Hub { hub, .. } => {
+                let path = group[0].path;
+                Location::Address(hub.below(&format!("{HUB_FOLDER}/{path}")))
+            }
+        };
+        let is_deflated = !matches!(self.0, Kind::Hub { .. });
+        let members = group.iter().map(|file| Member {
+            file,
+            offset: if is_deflated { file.offset } else { 0 },
+            stored: self.transfer_bytes(file),
+            is_deflated,
+        });
+        Ok(Parcel {
+            name: match &at {
+                Location::Address(address) => address.as_str().to_owned(),
+                Location::File(path) => path.display().to_string(),
+            },
+            at,
+            bytes: if is_deflated {
+                wheel.bytes
+            } else {
+                group[0].bytes
+            },
+            members: members.collect(),
+        })
+    }
+
+    /// Opens a parcel for `range`. Where the server knows no ranges, the stream
+    /// starts at the parcel's first byte.
+    pub(crate) fn open(
+        &self,
+        parcel: &Parcel<'_>,
+        range: Range<u64>,
+    ) -> Result<Stream, RequestError> {
+        let address = match &parcel.at {
+            Location::Address(address) => address,
+            Location::File(path) => return open_file(path, range),
+        };
+        let (Kind::Index { client, .. } | Kind::Hub { client, .. }) = &self.0 else {
+            unreachable!("a folder has no addresses")
+        };
+        let from = range.start;
+        let response = client.get(address, "*/*", Some(range))?;
+        let header = |name: &str| {
+            let value = response.headers().get(name)?.to_str().ok()?;
+            Some(value.to_owned())
+        };
+        let (position, total) = match response.status().as_u16() {
+            206 => {
+                let sent = header("content-range").unwrap_or_default();
+                if !sent.starts_with(&format!("bytes {from}-")) {
+                    return Err(RequestError::Passing {
+                        url: parcel.name.clone(),
+                        problem: format!("it sends `{sent}` and was asked for byte {from}"),
+                    });
+                }
+                (from, sent.rsplit('/').next().map(str::to_owned))
+            }
+            200 => (0, header("content-length")),
+            _ => (0, Some("fewer".to_owned())),
+        };
+        let expected = parcel.bytes.to_string();
+        if let Some(found) = total.filter(|total| *total != "*" && *total != expected) {
+            return Err(RequestError::Final(AssetsError::Answer {
+                url: parcel.name.clone(),
+                problem: format!("it has {found} bytes and should have {expected}"),
+            }));
+        }
+        let reader = Box::new(response.into_body().into_reader());
+        Ok(Stream { position, reader })
+    }
+
+    /// Returns true if another try may bring other bytes.
+    pub(crate) fn is_remote(&self) -> bool {
+        !matches!(self.0, Kind::Wheels(_))
+    }
+}
+
+fn open_file(path: &PathBuf, range: Range<u64>) -> Result<Stream, RequestError> {
+    let open = || {
+        let mut file = File::open(path)?;
+        file.seek(SeekFrom::Start(range.start))?;
+        Ok(file)
+    };
+    let file = open().map_err(|source: std::io::Error| {
+        RequestError::Final(match source.kind() {
+            std::io::ErrorKind::NotFound => AssetsError::NoWheel { path: path.clone() },
+            _ => AssetsError::Read {
+                path: path.clone(),
+                source,
+            },
+        })
+    })?;
+    Ok(Stream {
+        position: range.start,
+        reader: Box::new(file),
+    })
+}
+
+fn address(what: &'static str, url: &str) -> Result<Address, AssetsError> {
+    Address::parse(url).map_err(|remedy| AssetsError::Url { what, remedy })
+}

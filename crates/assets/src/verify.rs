@@ -1,0 +1,156 @@
+//! Whether files of a folder are those of a table.
+
+use std::collections::HashMap;
+use std::fmt;
+use std::fs::{self, File, Metadata};
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+use std::time::SystemTime;
+
+use sha2::{Digest, Sha256};
+
+use crate::table::{FileFacts, Table};
+
+/// Bytes that are hashed at a time.
+const BLOCK_BYTES: usize = 1 << 16;
+
+/// Difference of a file from the table.
+#[derive(Debug)]
+pub enum Difference {
+    /// The file is not there.
+    Missing,
+    /// The file cannot be read.
+    Unreadable(io::Error),
+    /// The file has another size.
+    Size {
+        /// Size of the file.
+        found: u64,
+        /// Size in the table.
+        expected: u64,
+    },
+    /// The file has another SHA-256.
+    Content,
+}
+
+impl fmt::Display for Difference {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Missing => write!(f, "missing"),
+            Self::Unreadable(error) => write!(f, "unreadable: {error}"),
+            Self::Size { found, expected } => {
+                write!(f, "altered: {found} bytes instead of {expected}")
+            }
+            Self::Content => write!(f, "altered: another SHA-256"),
+        }
+    }
+}
+
+/// A folder with files of a table. Each file is hashed when it is first asked
+/// for, and again only after its size or time of modification has changed.
+#[derive(Debug)]
+pub struct VerifiedFolder {
+    table: &'static Table,
+    folder: PathBuf,
+    verified: Mutex<HashMap<&'static str, Stamp>>,
+}
+
+/// Facts of a file that change when it is written.
+type Stamp = (u64, Option<SystemTime>);
+
+impl VerifiedFolder {
+    /// The folder of a pack that holds files of `table`.
+    pub fn new(table: &'static Table, folder: &Path) -> Self {
+        Self {
+            table,
+            folder: folder.to_owned(),
+            verified: Mutex::default(),
+        }
+    }
+
+    /// The table.
+    pub fn table(&self) -> &'static Table {
+        self.table
+    }
+
+    /// The folder.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// Verifies one file.
+    ///
+    /// # Errors
+    /// If the file is not the table's.
+    pub fn verify(&self, file: &FileFacts) -> Result<(), Difference> {
+        let path = self.folder.join(file.path);
+        let stamp = stamp(&fs::metadata(&path).map_err(unreadable)?);
+        if self.lock().get(file.path) == Some(&stamp) {
+            return Ok(());
+        }
+        let (found, expected) = (stamp.0, file.bytes);
+        if found != expected {
+            return Err(Difference::Size { found, expected });
+        }
+        if sha256_of(&path).map_err(unreadable)? != file.sha256 {
+            return Err(Difference::Content);
+        }
+        self.lock().insert(file.path, stamp);
+        Ok(())
+    }
+
+    /// Returns true if a file of the table's size is there, without reading it.
+    pub fn seems_present(&self, file: &FileFacts) -> bool {
+        fs::metadata(self.folder.join(file.path)).is_ok_and(|found| found.len() == file.bytes)
+    }
+
+    /// All files of the table that are there and differ from it, and the number of
+    /// those that are there.
+    pub fn differences(&self) -> (Vec<(&'static str, Difference)>, usize) {
+        let mut differences = Vec::new();
+        let mut present = 0;
+        for file in self.table.files() {
+            let outcome = self.verify(file);
+            present += usize::from(!matches!(outcome, Err(Difference::Missing)));
+            match outcome {
+                Ok(()) | Err(Difference::Missing) => {}
+                Err(difference) => differences.push((file.path, difference)),
+            }
+        }
+        (differences, present)
+    }
+
+    /// Nothing panics while it holds the lock.
+    fn lock(&self) -> std::sync::MutexGuard<'_, HashMap<&'static str, Stamp>> {
+        self.verified.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn stamp(facts: &Metadata) -> Stamp {
+    (facts.len(), facts.modified().ok())
+}
+
+fn unreadable(error: io::Error) -> Difference {
+    match error.kind() {
+        io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => Difference::Missing,
+        _ => Difference::Unreadable(error),
+    }
+}
+
+/// SHA-256 of a file, hex.
+fn sha256_of(path: &Path) -> io::Result<String> {
+    let mut file = File::open(path)?;
+    let mut hash = Sha256::new();
+    let mut block = vec![0; BLOCK_BYTES];
+    loop {
+        match file.read(&mut block)? {
+            0 => return Ok(hex(&hash.finalize())),
+            read => hash.update(&block[..read]),
+        }
+    }
+}
+
+/// Lower-case hexadecimal.
+pub(crate) fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}

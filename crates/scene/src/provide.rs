@@ -1,0 +1,83 @@
+//! Fetching what a task's scene is made from, at its first use.
+
+use std::ops::ControlFlow;
+use std::thread;
+
+use assets::{AssetsError, Bar, Fetch, Fetched, FileFacts, Origin, Report};
+
+use crate::error::SceneError;
+use crate::needs::needed_files;
+use crate::pack::AssetPack;
+use crate::task::TaskFiles;
+
+impl AssetPack {
+    /// The files of LIBERO's assets that the scenes of tasks are made from, sorted by
+    /// path.
+    ///
+    /// # Errors
+    /// If a task's BDDL file cannot be read, or needs what LIBERO does not have.
+    pub fn files_of_tasks(tasks: &[TaskFiles]) -> Result<Vec<&'static FileFacts>, SceneError> {
+        let mut files: Vec<&FileFacts> = Vec::new();
+        for task in tasks {
+            files.extend(needed_files(&task.problem()?)?);
+        }
+        files.sort_by_key(|file| file.path);
+        files.dedup();
+        Ok(files)
+    }
+
+    /// Sees that the files of tasks are there and are LIBERO's, and fetches what is
+    /// missing or altered from where the environment says. Does nothing for a pack that
+    /// is not managed: its files are its owner's.
+    ///
+    /// # Errors
+    /// If files cannot be had. What has arrived is kept.
+    pub fn provide(
+        &self,
+        tasks: &[TaskFiles],
+        report: &mut dyn FnMut(Report) -> ControlFlow<()>,
+    ) -> Result<Fetched, SceneError> {
+        if !self.is_managed() {
+            return Ok(Fetched::default());
+        }
+        let files = Self::files_of_tasks(tasks)?;
+        Ok(self.fetch(&files, &Origin::of_environment()?, report)?)
+    }
+
+    /// As [`AssetPack::provide`], with progress on standard error.
+    ///
+    /// # Errors
+    /// As [`AssetPack::provide`].
+    pub fn provide_with_bar(&self, tasks: &[TaskFiles]) -> Result<Fetched, SceneError> {
+        let mut bar = Bar::default();
+        let provided = self.provide(tasks, &mut |report| {
+            bar.show(report);
+            ControlFlow::Continue(())
+        });
+        bar.finish();
+        provided
+    }
+
+    /// Fetches files of LIBERO's assets that are missing or altered; nothing into a
+    /// pack that is not LIBERO's.
+    ///
+    /// # Errors
+    /// If files cannot be had. What has arrived is kept.
+    pub fn fetch(
+        &self,
+        files: &[&FileFacts],
+        origin: &Origin,
+        report: &mut dyn FnMut(Report) -> ControlFlow<()>,
+    ) -> Result<Fetched, AssetsError> {
+        let Some(into) = self.verified() else {
+            return Ok(Fetched::default());
+        };
+        let mut fetch = Fetch {
+            origin,
+            into,
+            pause: &mut thread::sleep,
+            progress: report,
+        };
+        fetch.run(files)
+    }
+}
