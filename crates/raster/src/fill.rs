@@ -123,7 +123,7 @@ impl LongEdge {
         let (dx, dy) = (y - next_y, x - next_x);
         let [from_x, from_y] = pixel.map(|pixel| i64::from(pixel) * i64::from(SUBPIXELS));
         let value = dx * (x - from_x) - dy * (y - from_y);
-        let is_in = i64::from(dx < 0 || dx == 0 && dy < 0);
+        let is_in = i64::from(dx < 0 || dx == 0 && dy > 0);
         let block = i64::from(BLOCK * POINTS_PER_PIXEL);
         Self {
             // Rounded down, so that the sign is that of the whole value.

@@ -51,4 +51,4 @@ pub use texture::{Texture, TextureKind};
 
 /// This renderer and its version, which changes whenever any frame of any scene
 /// changes by a bit.
-pub const NAME: &str = "rollout-raster 1";
+pub const NAME: &str = "rollout-raster 2";

@@ -91,8 +91,9 @@ impl Setup {
             let next = (edge + 1) % 3;
             let (dx, dy) = (y[edge] - y[next], x[edge] - x[next]);
             let value = dx * (x[edge] - origin_x) - dy * (y[edge] - origin_y);
-            // Samples on a left or lower edge are inside, those on the others not.
-            let inside = dx.lt(splat(0)) | dx.equals(splat(0)) & dy.lt(splat(0));
+            // Samples on a left or lower edge are inside, those on the others not: the
+            // top-left rule, in a frame buffer object whose first row is the lowest.
+            let inside = dx.lt(splat(0)) | dx.equals(splat(0)) & dy.gt(splat(0));
             let value = (value - inside.ints() - splat(1)) >> 5i32;
             value.store(&mut self.edge[edge]);
             (-dx).store(&mut self.along_x[edge]);

@@ -1,6 +1,7 @@
 //! Frames: the same bits on every machine, whatever was drawn before, and
 //! something for everything that can be asked.
 
+mod opengl;
 mod scenes;
 
 use proptest::prelude::*;

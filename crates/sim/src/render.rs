@@ -95,7 +95,7 @@ impl Drawer {
         }
     }
 
-    /// What draws, with its version: `rollout-raster 1`, or of OpenGL the driver's
+    /// What draws, with its version: `rollout-raster 2`, or of OpenGL the driver's
     /// words, for example `llvmpipe (…)`.
     pub fn name(&self) -> &str {
         match self {

@@ -1,0 +1,88 @@
+//! Small scenes whose pixels were recorded from MuJoCo 3.3.7 through Mesa 22.3.6's
+//! llvmpipe. Each isolates one rule that decides whole pixels.
+
+use std::ops::Range;
+
+use raster::{Camera, Canvas, Geom, Scene, Shape};
+
+use crate::scenes::{geom, largest, model};
+
+/// Draws geoms before nothing, from above, without lights and perspective; red of every
+/// pixel, row by row from the lowest. A pixel is one unit wide, and the origin is the
+/// picture's lower left corner.
+fn red(side: usize, mut geoms: Vec<Geom>) -> Vec<Vec<u8>> {
+    let middle = side as f32 / 2.0;
+    for geom in &mut geoms {
+        for along in &mut geom.pos[..2] {
+            *along -= middle;
+        }
+        (geom.specular, geom.shininess, geom.emission) = (0.0, 0.0, 1.0);
+    }
+    let scene = Scene {
+        geoms,
+        lights: Vec::new(),
+        camera: Camera {
+            pos: [0.0, 0.0, 8.0],
+            forward: [0.0, 0.0, -1.0],
+            up: [0.0, 1.0, 0.0],
+            center: 0.0,
+            half_width: 0.0,
+            bottom: -middle,
+            top: middle,
+            near: 4.0,
+            far: 32.0,
+            orthographic: true,
+        },
+        sky: None,
+        reflections: false,
+    };
+    let mut canvas = Canvas::new();
+    let frame = canvas
+        .draw(&model(), &largest(), &scene, [side, side])
+        .expect("a frame");
+    let red: Vec<u8> = frame.chunks_exact(3).map(|pixel| pixel[0]).collect();
+    red.chunks_exact(side).map(<[u8]>::to_vec).collect()
+}
+
+/// A white box with its middle at x, y.
+fn white_box(x: f32, y: f32, half: f32) -> Geom {
+    geom(Shape::Box, [x, y, 0.0], [half, half, 0.5], [1.0; 4])
+}
+
+fn part(picture: &[Vec<u8>], x: Range<usize>, y: Range<usize>) -> Vec<Vec<u8>> {
+    y.map(|y| picture[y][x.clone()].to_vec()).collect()
+}
+
+/// Mesa draws into a frame buffer object by the top-left rule with the first row as the
+/// top, and MuJoCo's first row is the lowest.
+#[test]
+fn samples_on_left_and_lower_edges_are_inside_and_others_not() {
+    // From 0.375 to 2.875 along both axes; from 4.875 to 7.375 along x and from 4.625 to
+    // 7.125 along y. Every edge lies on a column or row of samples.
+    let small = red(
+        48,
+        vec![white_box(1.625, 1.625, 1.25), white_box(6.125, 5.875, 1.25)],
+    );
+    assert_eq!(
+        part(&small, 0..8, 0..8),
+        [
+            [128, 191, 128, 0, 0, 0, 0, 0],
+            [191, 255, 191, 0, 0, 0, 0, 0],
+            [128, 191, 128, 0, 0, 0, 0, 0],
+            [0, 0, 0, 0, 0, 0, 0, 0],
+            [0, 0, 0, 0, 0, 128, 128, 64],
+            [0, 0, 0, 0, 64, 255, 255, 64],
+            [0, 0, 0, 0, 64, 255, 255, 64],
+            [0, 0, 0, 0, 0, 0, 0, 0],
+        ]
+    );
+    // From 0.375 to 42.875: large triangles are filled block by block.
+    let large = red(48, vec![white_box(21.625, 21.625, 21.25)]);
+    let mut line = vec![255; 48];
+    (line[0], line[42]) = (191, 191);
+    line[43..].fill(0);
+    assert_eq!(large[20], line);
+    assert_eq!(large.iter().map(|row| row[20]).collect::<Vec<_>>(), line);
+    assert_eq!(part(&large, 0..2, 0..2), [[128, 191], [191, 255]]);
+    assert_eq!(part(&large, 42..44, 42..44), [[128, 0], [0, 0]]);
+}
