@@ -2,9 +2,7 @@
 //! ones of plain colours in 8 bits, those of sRGB and cubes in single precision.
 
 use crate::lanes::{F, Floats as _, I, Ints as _, LANES, Mask};
-use crate::texture::{
-    Level, SRGB_LINEAR_FACTOR, SRGB_LINEAR_TO, SRGB_POLYNOMIAL, Texels, TextureKind,
-};
+use crate::texture::{Level, SRGB_LINEAR_FACTOR, SRGB_LINEAR_TO, SRGB_POLYNOMIAL, Texels};
 
 /// Red, green, blue and opacity, 0 to 1.
 pub(crate) type Colour = [F; 4];
@@ -18,35 +16,47 @@ pub(crate) struct Place {
     pub(crate) at: [F; 3],
 }
 
-/// What eight places show. `corner`, `right` and `above` are the places of three
-/// pixels of the square of four that each lies in.
+/// Samples a flat texture at eight places. `corner`, `right` and `above` are the places
+/// of three pixels of the square of four that each lies in: the whole square takes the
+/// level of detail of its first pixel.
 #[inline(always)]
-pub(crate) fn sample(texels: Texels<'_>, own: Place, [corner, right, above]: [Place; 3]) -> Colour {
-    let base = texels.texture.levels[0];
-    let size = [base.width as f32, base.height as f32].map(F::splat);
-    let difference = |to: &Place, axis: usize| to.at[axis] - corner.at[axis];
-    let changes = [&right, &above].map(|to| [0, 1, 2].map(|axis| difference(to, axis)));
-    match texels.texture.kind {
-        TextureKind::Flat { srgb } => {
-            let levels = Levels::choose(texels, footprint(changes.map(|it| [it[0], it[1]]), size));
-            let [s, t, _] = own.at;
-            match srgb {
-                false => flat_in_bytes(texels, &levels, s, t),
-                true => flat_in_floats(texels, &levels, s, t),
-            }
-        }
-        TextureKind::Cube => {
-            let (_, changes) = Face::of(&corner, &changes);
-            let levels = Levels::choose(texels, footprint(changes, size));
-            let (face, _) = Face::of(&own, &changes.map(|_| own.at));
-            cube(texels, &levels, &face)
-        }
+pub(crate) fn flat(
+    texels: Texels<'_>,
+    srgb: bool,
+    own: Place,
+    [corner, right, above]: [Place; 3],
+) -> Colour {
+    let changes = [right, above].map(|to| [0, 1].map(|axis| to.at[axis] - corner.at[axis]));
+    let levels = Levels::choose(texels, footprint(texels, changes));
+    let [s, t, _] = own.at;
+    match srgb {
+        false => flat_in_bytes(texels, &levels, s, t),
+        true => flat_in_floats(texels, &levels, s, t),
     }
 }
 
-/// The larger of the squared lengths of two changes of place, in texels.
+/// Samples a cube in eight directions. `beside` and `over` are the directions of the
+/// neighbours along x and y in the square of four pixels that each lies in: on a cube
+/// every pixel has its own level of detail. The sign of a change makes no difference,
+/// so a neighbour may be on either side.
 #[inline(always)]
-fn footprint(changes: [[F; 2]; 2], size: [F; 2]) -> F {
+pub(crate) fn cube(texels: Texels<'_>, own: Place, [beside, over]: [Place; 2]) -> Colour {
+    let changes = [beside, over].map(|to| [0, 1, 2].map(|axis| to.at[axis] - own.at[axis]));
+    let (face, changes) = Face::of(&own, &changes);
+    let levels = Levels::choose(texels, footprint(texels, changes));
+    let first = cube_on(texels, &levels.first, &face);
+    if levels.is_one {
+        return first;
+    }
+    between(first, cube_on(texels, &levels.second, &face), levels.share)
+}
+
+/// The larger of the squared lengths of two changes of place, in texels of the largest
+/// level.
+#[inline(always)]
+fn footprint(texels: Texels<'_>, changes: [[F; 2]; 2]) -> F {
+    let base = texels.texture.levels[0];
+    let size = [base.width as f32, base.height as f32].map(F::splat);
     let [a, b] = changes.map(|change| {
         let (s, t) = (change[0] * size[0], change[1] * size[1]);
         s * s + t * t
@@ -339,15 +349,6 @@ impl Face {
         };
         (face, changes)
     }
-}
-
-#[inline(always)]
-fn cube(texels: Texels<'_>, levels: &Levels, face: &Face) -> Colour {
-    let first = cube_on(texels, &levels.first, face);
-    if levels.is_one {
-        return first;
-    }
-    between(first, cube_on(texels, &levels.second, face), levels.share)
 }
 
 #[inline(always)]

@@ -6,9 +6,9 @@ use crate::instance::Instance;
 use crate::lanes::{F, Floats as _, I, Ints as _, LANES};
 use crate::light::{EyeLight, Shading};
 use crate::model::Model;
-use crate::sample::{Place, sample};
+use crate::sample::{self, Place};
 use crate::surface::{self, COLOUR, COORDINATES, OPACITY, OVER_W, Surface};
-use crate::texture::Texels;
+use crate::texture::{Texels, TextureKind};
 use crate::visible::{CLIPPED, NOTHING, Record, SAMPLES, Visible};
 use crate::window::Window;
 
@@ -292,10 +292,20 @@ fn colour_eight(
                 at: along.map(|plane| plane.at(px, py) * w * over_fourth),
             }
         };
-        let even = I::splat(!1);
-        let (qx, qy) = (centre(x & even), centre(y & even));
-        let square = [at(qx, qy), at(qx + one, qy), at(qx, qy + one)];
-        let texel = sample(texture, at(px, py), square);
+        let own = at(px, py);
+        let texel = match texture.texture.kind {
+            TextureKind::Flat { srgb } => {
+                let even = I::splat(!1);
+                let (qx, qy) = (centre(x & even), centre(y & even));
+                let square = [at(qx, qy), at(qx + one, qy), at(qx, qy + one)];
+                sample::flat(texture, srgb, own, square)
+            }
+            TextureKind::Cube => {
+                let other = I::splat(1);
+                let neighbours = [at(centre(x ^ other), py), at(px, centre(y ^ other))];
+                sample::cube(texture, own, neighbours)
+            }
+        };
         for (part, texel) in colour.iter_mut().zip(texel) {
             *part *= texel;
         }

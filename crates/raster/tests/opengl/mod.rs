@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use raster::{Camera, Canvas, Geom, Scene, Shape};
+use raster::{Camera, Canvas, Geom, Scene, Shape, TextureUse};
 
 use crate::scenes::{geom, largest, model};
 
@@ -85,4 +85,32 @@ fn samples_on_left_and_lower_edges_are_inside_and_others_not() {
     assert_eq!(large.iter().map(|row| row[20]).collect::<Vec<_>>(), line);
     assert_eq!(part(&large, 0..2, 0..2), [[128, 191], [191, 255]]);
     assert_eq!(part(&large, 42..44, 42..44), [[128, 0], [0, 0]]);
+}
+
+/// A flat texture has one level of detail per square of four pixels, a cube one per
+/// pixel: faces are chosen per pixel.
+#[test]
+fn every_pixel_of_a_cube_has_its_own_level_of_detail() {
+    const CUBE: usize = 3;
+    let size = [5.0, 4.0, 3.0];
+    let mut ball = geom(Shape::Ellipsoid, [6.0, 6.0, 0.0], size, [1.0; 4]);
+    ball.texture = Some(TextureUse {
+        texture: CUBE,
+        repeat: [1.0; 2],
+        uniform: false,
+        by_corner: false,
+    });
+    assert_eq!(
+        part(&red(12, vec![ball]), 1..11, 2..10),
+        [
+            [0, 0, 32, 102, 106, 129, 61, 63, 0, 0],
+            [0, 65, 133, 115, 133, 147, 132, 119, 46, 0],
+            [63, 125, 101, 136, 157, 161, 143, 128, 109, 34],
+            [99, 111, 104, 190, 136, 180, 121, 121, 113, 102],
+            [94, 113, 130, 152, 184, 118, 153, 115, 106, 118],
+            [32, 112, 116, 163, 154, 137, 124, 105, 116, 64],
+            [0, 53, 120, 134, 136, 128, 121, 132, 68, 0],
+            [0, 0, 64, 63, 131, 108, 98, 32, 0, 0],
+        ]
+    );
 }
