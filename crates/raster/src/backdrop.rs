@@ -130,7 +130,7 @@ impl Backdrop {
         visible.records.truncate(self.records.len());
         visible.clipped.truncate(self.clipped.len());
         visible.touched = None;
-        visible.forget_what_is_hidden();
+        visible.depths_were_replaced();
     }
 }
 

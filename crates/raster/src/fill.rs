@@ -5,7 +5,7 @@ use crate::drawing::Drawing;
 use crate::lanes::{F, Floats as _, I, Ints as _, LANES, Mask};
 use crate::positions::SUBPIXELS;
 use crate::setup::Setup;
-use crate::visible::{BLOCK, Layer, Ranks, Record, SAMPLES, Visible};
+use crate::visible::{BLOCK, Layer, PART, Ranks, Record, SAMPLES, Visible};
 use crate::window::Window;
 
 /// Where the samples of two pixels side by side are, in lattice points from the
@@ -18,16 +18,29 @@ pub(crate) const FIRST_SAMPLE: [f32; 2] = [0.375, 0.125];
 const LATTICE: i32 = 32;
 const POINTS_PER_PIXEL: i32 = SUBPIXELS / LATTICE;
 
+/// Where the parts of a block are, in lattice points from its corner, and in pixels.
+const PART_X: [i32; LANES] = [0, 64, 0, 64, 0, 64, 0, 64];
+const PART_Y: [i32; LANES] = [0, 0, 32, 32, 64, 64, 96, 96];
+/// Triangles that reach into more pairs of pixels than this are filled part by part.
+const MOST_PAIRS: i32 = 16;
+
 /// Fills one of the triangles that were set up.
 #[inline(always)]
 pub(crate) fn fill(lane: usize, setup: &Setup, record: Record, drawing: &mut Drawing<'_>) {
     let (x, y) = (setup.x.map(|end| end[lane]), setup.y.map(|end| end[lane]));
     let id = drawing.visible.records.len() as u32;
-    let touched = if setup.large & (1 << lane) == 0 {
-        let edges = [0, 1, 2].map(|edge| setup.edge[edge][lane]);
-        fill_block::<false>(lane, setup, edges, (x, y, (record, id)), drawing)
+    let place = (x, y, (record, id));
+    let touched = if setup.large & (1 << lane) != 0 {
+        fill_large(lane, setup, place, drawing)
+    } else if ((x[1] >> 1) - (x[0] >> 1) + 1) * (y[1] - y[0] + 1) > MOST_PAIRS {
+        fill_medium(lane, setup, place, drawing)
     } else {
-        fill_large(lane, setup, x, y, (record, id), drawing)
+        let edges = [0, 1, 2].map(|edge| setup.edge[edge][lane]);
+        let touched = fill_block::<false>(lane, setup, edges, place, drawing);
+        if touched {
+            drawing.visible.mark_written(x, y, 1);
+        }
+        touched
     };
     if touched {
         let visible = &mut *drawing.visible;
@@ -36,15 +49,23 @@ pub(crate) fn fill(lane: usize, setup: &Setup, record: Record, drawing: &mut Dra
     }
 }
 
+/// Pixels, ends inside, and the triangle in them.
+type Part = ([i32; 2], [i32; 2], (Record, u32));
+
+/// The first pixels of the blocks that some pixels are in, and which they are.
+fn blocks(x: [i32; 2], y: [i32; 2]) -> impl Iterator<Item = ([i32; 2], [i64; 2])> {
+    let [left, low] = [x[0], y[0]].map(|first| first / BLOCK);
+    (low..=y[1] / BLOCK).flat_map(move |row| {
+        (left..=x[1] / BLOCK).map(move |column| {
+            let place = [i64::from(column - left), i64::from(row - low)];
+            ([column * BLOCK, row * BLOCK], place)
+        })
+    })
+}
+
 #[inline(never)]
-fn fill_large(
-    lane: usize,
-    setup: &Setup,
-    x: [i32; 2],
-    y: [i32; 2],
-    (record, id): (Record, u32),
-    drawing: &mut Drawing<'_>,
-) -> bool {
+fn fill_large(lane: usize, setup: &Setup, place: Part, drawing: &mut Drawing<'_>) -> bool {
+    let (x, y, _) = place;
     let corners = setup
         .corners
         .each_ref()
@@ -56,59 +77,125 @@ fn fill_large(
     let first = [x[0] & !(BLOCK - 1), y[0] & !(BLOCK - 1)];
     let edges = [0, 1, 2].map(|edge| LongEdge::new(corners[edge], corners[(edge + 1) % 3], first));
     let mut touched = false;
-    for (down, block_y) in (first[1]..=y[1]).step_by(BLOCK as usize).enumerate() {
-        for (right, block_x) in (first[0]..=x[1]).step_by(BLOCK as usize).enumerate() {
-            let blocks = [right as i64, down as i64];
-            if edges.iter().any(|edge| edge.is_beyond(blocks)) {
-                continue;
-            }
-            let block = drawing.visible.block_of(block_x, block_y);
-            let depths = depth_range(lane, setup, [block_x, block_y]);
-            if depths[1] < drawing.visible.hidden_beyond[block] {
-                continue;
-            }
-            let is_inside = edges.iter().all(|edge| edge.is_before(blocks));
-            let part_x = [block_x.max(x[0]), (block_x + BLOCK - 1).min(x[1])];
-            let part_y = [block_y.max(y[0]), (block_y + BLOCK - 1).min(y[1])];
-            // To the first of its pixels, in lattice points.
-            let off = [part_x[0] & !1, part_y[0]];
-            let off = [off[0] - block_x, off[1] - block_y].map(|off| off * POINTS_PER_PIXEL);
-            let at = [0, 1, 2].map(|edge| {
-                let (dx, dy) = (setup.along_x[edge][lane], setup.along_y[edge][lane]);
-                edges[edge]
-                    .at(blocks)
-                    .wrapping_add(dx.wrapping_mul(off[0]))
-                    .wrapping_add(dy.wrapping_mul(off[1]))
-            });
-            let part = (part_x, part_y, (record, id));
-            if !is_inside {
-                touched |= fill_block::<false>(lane, setup, at, part, drawing);
-                continue;
-            }
-            touched |= fill_block::<true>(lane, setup, at, part, drawing);
-            let is_whole = drawing.layers.is_none()
-                && part_x == [block_x, block_x + BLOCK - 1]
-                && part_y == [block_y, block_y + BLOCK - 1];
-            let beyond = &mut drawing.visible.hidden_beyond[block];
-            if is_whole && depths[0] > *beyond {
-                *beyond = depths[0];
-            }
+    for (block, place_of_block) in blocks(x, y) {
+        if edges.iter().any(|edge| edge.is_beyond(place_of_block)) {
+            continue;
+        }
+        let at = edges.each_ref().map(|edge| edge.at(place_of_block));
+        if edges.iter().all(|edge| edge.is_before(place_of_block)) {
+            touched |= fill_parts::<true>(lane, setup, (block, at), place, drawing);
+        } else {
+            touched |= fill_parts::<false>(lane, setup, (block, at), place, drawing);
         }
     }
     touched
 }
 
-/// The least and the largest depth of a triangle's plane in a block, rounding
+/// Fills a triangle whose products stay within 32 bits.
+#[inline(never)]
+fn fill_medium(lane: usize, setup: &Setup, place: Part, drawing: &mut Drawing<'_>) -> bool {
+    let (x, y, _) = place;
+    let mut touched = false;
+    for (block, _) in blocks(x, y) {
+        let off = [block[0] - (x[0] & !1), block[1] - y[0]].map(|off| off * POINTS_PER_PIXEL);
+        let at = [0, 1, 2].map(|edge| {
+            let (dx, dy) = (setup.along_x[edge][lane], setup.along_y[edge][lane]);
+            setup.edge[edge][lane] + dx * off[0] + dy * off[1]
+        });
+        touched |= fill_parts::<false>(lane, setup, (block, at), place, drawing);
+    }
+    touched
+}
+
+/// Fills those parts of a block that the triangle reaches and that do not hide it;
+/// `at` are the edges at the block's corner. An `INSIDE` block has no edge there.
+#[inline(always)]
+fn fill_parts<const INSIDE: bool>(
+    lane: usize,
+    setup: &Setup,
+    (block, at): ([i32; 2], [i32; 3]),
+    (x, y, triangle): Part,
+    drawing: &mut Drawing<'_>,
+) -> bool {
+    let (parts, whole) = drawing.visible.hidden_beyond(block);
+    let most = most_depths(lane, setup, block);
+    if most.lt(F::splat(whole)).all() {
+        return false;
+    }
+    let mut seen = !most.lt(parts);
+    let mut inside = !0;
+    if !INSIDE {
+        let zero = I::splat(0);
+        let [wide, high] = PART.map(|side| side * POINTS_PER_PIXEL);
+        let mut is_inside = Mask::from_bits(0xff);
+        for edge in 0..3 {
+            let (dx, dy) = (setup.along_x[edge][lane], setup.along_y[edge][lane]);
+            let corners =
+                I::splat(at[edge]) + I::splat(dx) * I::new(PART_X) + I::splat(dy) * I::new(PART_Y);
+            let (across, up) = (dx * wide, dy * high);
+            seen = seen & (corners + I::splat(across.max(0) + up.max(0))).ge(zero);
+            is_inside = is_inside & (corners + I::splat(across.min(0) + up.min(0))).ge(zero);
+        }
+        inside = is_inside.bits();
+    }
+    let mut bits = seen.bits();
+    let mut touched = false;
+    while bits != 0 {
+        let part = bits.trailing_zeros();
+        bits &= bits - 1;
+        let (left, low) = (
+            block[0] + (part & 1) as i32 * PART[0],
+            block[1] + (part >> 1) as i32 * PART[1],
+        );
+        let part_x = [left.max(x[0]), (left + PART[0] - 1).min(x[1])];
+        let part_y = [low.max(y[0]), (low + PART[1] - 1).min(y[1])];
+        if part_x[0] > part_x[1] || part_y[0] > part_y[1] {
+            continue;
+        }
+        // To the first of its pixels, in lattice points.
+        let off =
+            [(part_x[0] & !1) - block[0], part_y[0] - block[1]].map(|off| off * POINTS_PER_PIXEL);
+        let at = [0, 1, 2].map(|edge| {
+            let (dx, dy) = (setup.along_x[edge][lane], setup.along_y[edge][lane]);
+            at[edge]
+                .wrapping_add(dx.wrapping_mul(off[0]))
+                .wrapping_add(dy.wrapping_mul(off[1]))
+        });
+        let pixels = (part_x, part_y, triangle);
+        if INSIDE || inside & (1 << part) != 0 {
+            touched |= fill_block::<true>(lane, setup, at, pixels, drawing);
+        } else {
+            touched |= fill_block::<false>(lane, setup, at, pixels, drawing);
+        }
+    }
+    if touched {
+        // As much as a small triangle for each part.
+        let parts = seen.bits().count_ones() as u8;
+        drawing
+            .visible
+            .mark_written([block[0]; 2], [block[1]; 2], 2 * parts);
+    }
+    touched
+}
+
+/// The largest depths of a triangle's plane in the parts of a block, rounding
 /// allowed for.
-fn depth_range(lane: usize, setup: &Setup, [x, y]: [i32; 2]) -> [f32; 2] {
+#[inline(always)]
+fn most_depths(lane: usize, setup: &Setup, [x, y]: [i32; 2]) -> F {
+    let real = |value: f32| F::splat(value);
+    let pixel = |first: i32, points: [i32; LANES]| -> F {
+        let points: F = I::new(points).float();
+        real(first as f32) + points * real(1.0 / POINTS_PER_PIXEL as f32)
+    };
     let (depth, per_x, per_y) = (setup.depth[lane], setup.depth_x[lane], setup.depth_y[lane]);
-    let along = |from: i32, per: f32| [from as f32 * per, (from + BLOCK) as f32 * per];
-    let (along_x, along_y) = (along(x, per_x), along(y, per_y));
-    let least = depth + along_x[0].min(along_x[1]) + along_y[0].min(along_y[1]);
-    let most = depth + along_x[0].max(along_x[1]) + along_y[0].max(along_y[1]);
-    let parts = [depth, along_x[0], along_x[1], along_y[0], along_y[1]];
-    let slack = 1e-6 * parts.iter().map(|part| part.abs()).sum::<f32>();
-    [least - slack, most + slack]
+    let along = |from: F, per: f32, side: i32| {
+        let (near, far) = (from * real(per), (from + real(side as f32)) * real(per));
+        (near.max(far), near.abs() + far.abs())
+    };
+    let (most_x, slack_x) = along(pixel(x, PART_X), per_x, PART[0]);
+    let (most_y, slack_y) = along(pixel(y, PART_Y), per_y, PART[1]);
+    let slack = real(1e-6) * (real(depth.abs()) + slack_x + slack_y);
+    real(depth) + most_x + most_y + slack
 }
 
 /// An edge of a large triangle, block by block.

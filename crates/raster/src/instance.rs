@@ -1,7 +1,7 @@
 //! One pass of a frame, and the meshes in it: with the matrices that carry them
 //! to the picture, and what they look like.
 
-use crate::matrix::{Matrix, Vec3, minus};
+use crate::matrix::{Matrix, Vec3, dot, minus};
 use crate::mesh::Mesh;
 use crate::model::Model;
 use crate::scene::{Camera, Geom, Shape, TextureUse};
@@ -126,7 +126,8 @@ pub(crate) struct Instance {
     pub(crate) shininess: f32,
     pub(crate) texture: Option<usize>,
     pub(crate) mapping: Mapping,
-    /// Distance of its middle, squared, for drawing what is near first.
+    /// Distance of its far end, for drawing first what is near and does not reach
+    /// behind others.
     pub(crate) distance: f32,
     /// Its place in the order in which OpenGL would draw.
     pub(crate) rank: u32,
@@ -260,6 +261,11 @@ impl Instance {
             (_, false) => back(shift.map(|part| -part)),
         };
         let middle = to_eye.point(bounds.center);
+        let columns = [0, 4, 8].map(|at| [to_eye.0[at], to_eye.0[at + 1], to_eye.0[at + 2]]);
+        let widest = columns
+            .map(|column| dot(column, column))
+            .into_iter()
+            .fold(0.0, f32::max);
         Some(Self {
             mesh,
             geom,
@@ -278,7 +284,7 @@ impl Instance {
             mapping: Mapping::None,
             rank: 0,
             window: None,
-            distance: middle[0] * middle[0] + middle[1] * middle[1] + middle[2] * middle[2],
+            distance: dot(middle, middle).sqrt() + bounds.radius * widest.sqrt(),
         })
     }
 }

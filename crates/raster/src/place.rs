@@ -10,8 +10,8 @@ use crate::positions::{FURTHEST, SUBPIXELS};
 pub(crate) struct Placed {
     /// Whether any is beyond a side of what the camera sees.
     pub(crate) beyond: bool,
-    /// Whether all of it is behind what is visible.
-    pub(crate) hidden: bool,
+    /// Whether all of it lies beside the window.
+    pub(crate) outside: bool,
 }
 
 /// Carries a cluster's positions to the picture. `inside` are those of which none
@@ -30,7 +30,6 @@ pub(crate) fn place(
     let first = cluster.first_position as usize;
     let count = (cluster.positions as usize).next_multiple_of(LANES);
     let mut any = I::splat(0);
-    let mut nearest = zero;
     let mut low = [I::splat(i32::MAX); 2];
     let mut high = [I::splat(i32::MIN); 2];
     let to = &mut *drawing.positions;
@@ -72,31 +71,17 @@ pub(crate) fn place(
         wz.store(&mut to.z[at..at + LANES]);
         snapped[0].store(&mut to.snapped_x[at..at + LANES]);
         snapped[1].store(&mut to.snapped_y[at..at + LANES]);
-        nearest = nearest.max(wz);
         for axis in 0..2 {
             low[axis] = low[axis].min(snapped[axis]);
             high[axis] = high[axis].max(snapped[axis]);
         }
     }
     let beyond = (!any.equals(I::splat(0))).any();
-    if beyond {
-        return Placed {
-            beyond,
-            hidden: false,
-        };
-    }
-    let [x, y] = [0, 1].map(|axis| {
-        let window = match axis {
-            0 => drawing.window.x,
-            _ => drawing.window.y,
-        };
-        let from = (low[axis].reduce_min() >> 8).max(window[0]);
-        [from, (high[axis].reduce_max() >> 8).min(window[1])]
-    });
-    let depth = nearest.as_array().iter().fold(0.0f32, |a, b| a.max(*b));
-    let outside = x[0] > x[1] || y[0] > y[1];
+    let is_outside = |axis: usize, [first, last]: [i32; 2]| {
+        (low[axis].reduce_min() >> 8) > last || (high[axis].reduce_max() >> 8) < first
+    };
     Placed {
         beyond,
-        hidden: outside || drawing.visible.hides(x, y, depth * (1.0 + 1e-5)),
+        outside: !beyond && (is_outside(0, drawing.window.x) || is_outside(1, drawing.window.y)),
     }
 }

@@ -49,8 +49,8 @@ fn draw_cluster(
     drawing: &mut Drawing<'_>,
 ) {
     let instance = &drawing.instances[index];
-    let Placed { beyond, hidden } = place(instance, mesh, cluster, inside, drawing);
-    if hidden {
+    let Placed { beyond, outside } = place(instance, mesh, cluster, inside, drawing);
+    if outside {
         return;
     }
     let candidates = Candidates::find(instance, mesh, cluster, drawing, beyond);

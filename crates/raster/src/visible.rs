@@ -2,6 +2,7 @@
 
 use crate::clip::ClippedTriangle;
 use crate::instance::Instance;
+use crate::lanes::{F, Floats as _, LANES};
 use crate::model::Model;
 use crate::window::Window;
 
@@ -9,6 +10,13 @@ use crate::window::Window;
 pub(crate) const SAMPLES: usize = 4;
 /// Side of the blocks of which it is known how much they hide, pixels.
 pub(crate) const BLOCK: i32 = 16;
+/// Width and height of a block's parts, pixels. A block has two columns and four
+/// rows of them, one for each lane, row by row.
+pub(crate) const PART: [i32; 2] = [8, 4];
+
+/// Writes to a block that make it worth while to find anew how much it hides. One is
+/// a small triangle.
+const WORTH_FINDING: u8 = 16;
 
 /// No triangle.
 pub(crate) const NOTHING: u32 = u32::MAX;
@@ -26,6 +34,18 @@ pub(crate) struct Record {
 /// See [`Record::positions`].
 pub(crate) const CLIPPED: u32 = u32::MAX;
 
+/// How much a block of the picture hides. Depths only grow while a picture is drawn,
+/// so bounds that were true once stay true.
+#[derive(Debug, Clone, Copy)]
+struct Block {
+    /// Of each part a depth that no sample in it is beyond.
+    parts: [f32; LANES],
+    /// The least of them.
+    whole: f32,
+    /// How much was written since the bounds were found.
+    writes: u8,
+}
+
 /// What is seen at every sample.
 #[derive(Debug, Default)]
 pub(crate) struct Visible {
@@ -35,8 +55,8 @@ pub(crate) struct Visible {
     pub(crate) stride: usize,
     /// 1 at the near plane, 0 at the far one.
     pub(crate) depths: Vec<f32>,
-    /// Of each block a depth that no sample in it is beyond, row by row.
-    pub(crate) hidden_beyond: Vec<f32>,
+    /// Blocks of the picture, row by row.
+    blocks: Vec<Block>,
     /// Places in `records`.
     pub(crate) ids: Vec<u32>,
     pub(crate) records: Vec<Record>,
@@ -66,30 +86,89 @@ impl Visible {
         self.records.clear();
         self.clipped.clear();
         self.touched = None;
-        self.forget_what_is_hidden();
+        self.forget_what_is_hidden(0);
     }
 
     /// To be called whenever depths are changed from outside.
-    pub(crate) fn forget_what_is_hidden(&mut self) {
-        let blocks = self.width.div_ceil(BLOCK as usize) * self.height.div_ceil(BLOCK as usize);
-        self.hidden_beyond.clear();
-        self.hidden_beyond.resize(blocks, 0.0);
+    pub(crate) fn depths_were_replaced(&mut self) {
+        self.forget_what_is_hidden(WORTH_FINDING);
     }
 
-    /// The place of a pixel's block in `hidden_beyond`.
-    pub(crate) fn block_of(&self, x: i32, y: i32) -> usize {
+    fn forget_what_is_hidden(&mut self, writes: u8) {
+        let blocks = self.width.div_ceil(BLOCK as usize) * self.height.div_ceil(BLOCK as usize);
+        self.blocks.clear();
+        let nothing = Block {
+            parts: [0.0; LANES],
+            whole: 0.0,
+            writes,
+        };
+        self.blocks.resize(blocks, nothing);
+    }
+
+    /// The place of a pixel's block in `blocks`.
+    fn block_of(&self, x: i32, y: i32) -> usize {
         (y / BLOCK) as usize * self.width.div_ceil(BLOCK as usize) + (x / BLOCK) as usize
     }
 
-    /// Whether nothing in some pixels, the ends inside, shows at such a depth.
-    pub(crate) fn hides(&self, x: [i32; 2], y: [i32; 2], depth: f32) -> bool {
-        (y[0] / BLOCK..=y[1] / BLOCK).all(|row| {
+    /// Notes that depths of some pixels, the ends inside, were written, so much of
+    /// [`WORTH_FINDING`].
+    #[inline(always)]
+    pub(crate) fn mark_written(&mut self, x: [i32; 2], y: [i32; 2], writes: u8) {
+        for row in y[0] / BLOCK..=y[1] / BLOCK {
             let first = self.block_of(x[0], row * BLOCK);
             let last = self.block_of(x[1], row * BLOCK);
-            self.hidden_beyond[first..=last]
-                .iter()
-                .all(|beyond| depth < *beyond)
-        })
+            for block in &mut self.blocks[first..=last] {
+                block.writes = block.writes.saturating_add(writes);
+            }
+        }
+    }
+
+    /// Depths that no sample is beyond in the parts of the block with this first
+    /// pixel, and in all of it.
+    #[inline(always)]
+    pub(crate) fn hidden_beyond(&mut self, [x, y]: [i32; 2]) -> (F, f32) {
+        let at = self.block_of(x, y);
+        if self.blocks[at].writes >= WORTH_FINDING {
+            self.blocks[at] = self.bounds([x as usize, y as usize]);
+        }
+        let block = &self.blocks[at];
+        (F::new(block.parts), block.whole)
+    }
+
+    /// Finds how much the block with this first pixel hides. Parts beside the
+    /// picture hide everything.
+    #[inline(never)]
+    fn bounds(&self, [x, y]: [usize; 2]) -> Block {
+        let mut parts = [F::splat(f32::INFINITY); LANES];
+        let [wide, high] = PART.map(|side| side as usize);
+        for row in 0..(self.height - y).min(BLOCK as usize) {
+            for column in 0..2 {
+                let left = x + column * wide;
+                let right = (left + wide).min(self.width);
+                if left >= right {
+                    continue;
+                }
+                // One pixel more of an odd number: the bound is lower, if anything.
+                let pixels = (right - left).next_multiple_of(2);
+                let first = ((y + row) * self.stride + left) * SAMPLES;
+                let samples = &self.depths[first..first + pixels * SAMPLES];
+                let least = &mut parts[row / high * 2 + column];
+                for eight in samples.chunks_exact(LANES) {
+                    *least = least.min(F::load(eight));
+                }
+            }
+        }
+        let [a, b, c, d, e, f, g, h] = F::transpose(parts);
+        let parts = a
+            .min(b)
+            .min(c.min(d))
+            .min(e.min(f).min(g.min(h)))
+            .to_array();
+        Block {
+            parts,
+            whole: parts.iter().fold(f32::INFINITY, |a, b| a.min(*b)),
+            writes: 0,
+        }
     }
 }
 
