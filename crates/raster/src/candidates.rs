@@ -3,9 +3,9 @@
 
 use crate::drawing::Drawing;
 use crate::instance::Instance;
-use crate::lanes::{I, Ints as _, LANES};
+use crate::lanes::{I, Ints as _, LANES, Mask};
 use crate::mesh::{CLUSTER, Cluster, Mesh};
-use crate::setup::{extent, is_large, turned};
+use crate::setup::{extent, has_samples, is_large, turned};
 
 /// A cluster's triangles that may cover a sample.
 pub(crate) struct Candidates {
@@ -37,11 +37,10 @@ impl Candidates {
         let [right, high] = [drawing.window.x, drawing.window.y].map(|it| splat(it[1] * 4 + 3));
         let positions = &*drawing.positions;
         for at in (0..count).step_by(LANES) {
-            let ids = order.map(|corner| -> [u8; LANES] {
-                mesh.corners[corner][first + at..][..LANES]
-                    .try_into()
-                    .expect("eight")
-            });
+            let mut ids = [[0; LANES]; 3];
+            for (ids, corner) in ids.iter_mut().zip(order) {
+                ids.copy_from_slice(&mesh.corners[corner][first + at..][..LANES]);
+            }
             let (x, y) = positions.snapped(&ids);
             let ([x0, x1], [y0, y1]) = (extent(&x), extent(&y));
             // Samples lie in every fourth of a pixel, once in a row and column.
@@ -55,7 +54,7 @@ impl Candidates {
             );
             let mut kept = column0.le(column1) & row0.le(row1);
             let three = splat(3);
-            let column_of_row = (splat(0x8d) >> ((row0 & three) << 1i32)) & three;
+            let column_of_row = column_of(row0);
             let row_of_column = (splat(0x72) >> ((column0 & three) << 1i32)) & three;
             let one_row =
                 row0.equals(row1) & ((column_of_row - column0) & three).gt(column1 - column0);
@@ -64,7 +63,13 @@ impl Candidates {
             kept = kept & !(one_row | one_column);
             let area = (x[0] - x[1]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[0] - y[1]);
             kept = kept & (area.gt(splat(0)) | is_large([x0, x1], [y0, y1]));
-            let mut bits = kept.bits();
+            if !kept.any() {
+                continue;
+            }
+            let is_small =
+                (row1 - row0).lt(splat(SMALL[1])) & (column1 - column0).lt(splat(SMALL[0]));
+            let grid = [[column0, column1], [row0, row1]];
+            let mut bits = (kept & (!is_small | small_covers(&x, &y, grid))).bits();
             if at + LANES > count {
                 bits &= (1 << (count - at)) - 1;
             }
@@ -83,4 +88,48 @@ impl Candidates {
         }
         found
     }
+}
+
+/// Columns and rows of samples that a small triangle spans at most; in two pixels
+/// each has one sample in four rows.
+const SMALL: [i32; 2] = [8, 4];
+
+/// The column within a pixel that has the sample of a row.
+#[inline(always)]
+fn column_of(row: I) -> I {
+    (I::splat(0x8d) >> ((row & I::splat(3)) << 1i32)) & I::splat(3)
+}
+
+/// Which of eight triangles cover a sample, of those that are small. Columns and rows
+/// are the first and the last that they may cover.
+#[inline(always)]
+fn small_covers(x: &[I; 3], y: &[I; 3], [columns, rows]: [[I; 2]; 2]) -> Mask {
+    let splat = |value: i32| I::splat(value);
+    // The first column's and row's samples, in parts of a pixel.
+    let [first_x, first_y] = [columns[0], rows[0]].map(|first| (first << 6i32) + splat(32));
+    let mut edges = [splat(0); 3];
+    let (mut per_column, mut per_row) = (edges, edges);
+    for edge in 0..3 {
+        let next = (edge + 1) % 3;
+        let (dx, dy) = (y[edge] - y[next], x[edge] - x[next]);
+        let value = dx * (x[edge] - first_x) - dy * (y[edge] - first_y);
+        edges[edge] = value - has_samples(dx, dy).ints() - splat(1);
+        per_column[edge] = dx << 6i32;
+        per_row[edge] = dy << 6i32;
+    }
+    let mut covers = Mask::from_bits(0);
+    for row in 0..SMALL[1] {
+        let row = rows[0] + splat(row);
+        let off = (column_of(row) - columns[0]) & splat(3);
+        let near = [0, 1, 2].map(|edge| edges[edge] - per_column[edge] * off);
+        let far = [0, 1, 2].map(|edge| near[edge] - (per_column[edge] << 2i32));
+        let covered = |values: [I; 3], column: I| {
+            (values[0] | values[1] | values[2]).ge(splat(0)) & column.le(columns[1])
+        };
+        let column = columns[0] + off;
+        let either = covered(near, column) | covered(far, column + splat(4));
+        covers = covers | either & row.le(rows[1]);
+        edges = [0, 1, 2].map(|edge| edges[edge] + per_row[edge]);
+    }
+    covers
 }

@@ -1,6 +1,6 @@
 //! Triangles, prepared once: in clusters of neighbours that face the same way,
-//! so that whole clusters can be passed over, with each corner's position kept
-//! once per cluster and its normal and texture coordinates once per mesh.
+//! so that whole clusters can be passed over. Corners that have everything in
+//! common are one vertex of their cluster, which is placed and lit once.
 
 use std::collections::HashMap;
 
@@ -24,7 +24,15 @@ pub struct Corner {
     pub st: [f32; 2],
 }
 
-/// What lighting and textures need of a corner.
+impl Corner {
+    /// Equal where everything is, zeros of both signs told apart.
+    fn bits(&self) -> [u32; 8] {
+        let ([x, y, z], [nx, ny, nz], [s, t]) = (self.pos, self.normal, self.st);
+        [x, y, z, nx, ny, nz, s, t].map(f32::to_bits)
+    }
+}
+
+/// What lighting and textures need of a vertex.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Attributes {
     pub(crate) normal: Vec3,
@@ -35,18 +43,17 @@ pub(crate) struct Attributes {
 #[derive(Debug, Default)]
 pub struct Mesh {
     pub(crate) clusters: Vec<Cluster>,
-    /// Positions, cluster by cluster, each padded to a multiple of eight.
+    /// Positions of vertices, cluster by cluster, each padded to a multiple of eight.
     pub(crate) xs: Vec<f32>,
     pub(crate) ys: Vec<f32>,
     pub(crate) zs: Vec<f32>,
-    /// Triangles, cluster by cluster, each padded to a multiple of eight:
-    /// which of the cluster's positions its corners have.
-    pub(crate) corners: [Vec<u8>; 3],
-    /// Of each triangle its place in the order in which the mesh is drawn, and
-    /// its corners' attributes.
-    pub(crate) order: Vec<u32>,
-    pub(crate) attribute_ids: Vec<[u32; 3]>,
+    /// Attributes of the same vertices.
     pub(crate) attributes: Vec<Attributes>,
+    /// Triangles, cluster by cluster, each padded to a multiple of eight: which of
+    /// the cluster's vertices its corners are.
+    pub(crate) corners: [Vec<u8>; 3],
+    /// Of each triangle its place in the order in which the mesh is drawn.
+    pub(crate) order: Vec<u32>,
     pub(crate) bounds: Sphere,
 }
 
@@ -131,9 +138,8 @@ impl MeshBuilder {
                 piece.key[3 + axis] = piece.facing[axis] * weight;
             }
         }
-        let mut known = HashMap::new();
         cut(&mut pieces, &mut |cluster| {
-            mesh.add_cluster(cluster, &self.triangles, &mut known);
+            mesh.add_cluster(cluster, &self.triangles);
         });
         mesh
     }
@@ -199,31 +205,21 @@ fn cut(pieces: &mut [Piece], emit: &mut impl FnMut(&mut [Piece])) {
 }
 
 impl Mesh {
-    fn add_cluster(
-        &mut self,
-        pieces: &mut [Piece],
-        triangles: &[[Corner; 3]],
-        known: &mut HashMap<[u32; 5], u32>,
-    ) {
+    fn add_cluster(&mut self, pieces: &mut [Piece], triangles: &[[Corner; 3]]) {
         // As it is drawn: later triangles win where depths are equal.
         pieces.sort_unstable_by_key(|piece| piece.order);
         let (first_position, first_triangle) = (self.xs.len() as u32, self.order.len() as u32);
-        let mut local: HashMap<[u32; 3], u8> = HashMap::new();
+        let mut known: HashMap<[u32; 8], u8> = HashMap::new();
         for piece in pieces.iter() {
-            for (corner, pos) in piece.pos.iter().enumerate() {
-                let next = local.len() as u8;
-                let id = *local.entry(pos.map(f32::to_bits)).or_insert_with(|| {
-                    self.push_position(*pos);
+            for (at, corner) in triangles[piece.order as usize].iter().enumerate() {
+                let next = known.len() as u8;
+                let id = *known.entry(corner.bits()).or_insert_with(|| {
+                    self.push_vertex(corner);
                     next
                 });
-                self.corners[corner].push(id);
+                self.corners[at].push(id);
             }
-            let corners = &triangles[piece.order as usize];
             self.order.push(piece.order);
-            let ids = corners
-                .each_ref()
-                .map(|corner| self.attribute(corner, known));
-            self.attribute_ids.push(ids);
         }
         let bounds = ball(pieces.iter().flat_map(|piece| piece.pos));
         let (axis, sine) = cone(pieces);
@@ -232,38 +228,28 @@ impl Mesh {
             axis,
             sine,
             first_position,
-            positions: local.len() as u32,
+            positions: known.len() as u32,
             first_triangle,
             triangles: pieces.len() as u32,
         });
         while !self.xs.len().is_multiple_of(LANES) {
-            self.push_position(pieces[0].pos[0]);
+            self.push_vertex(&triangles[pieces[0].order as usize][0]);
         }
         while !self.order.len().is_multiple_of(LANES) {
             self.corners.iter_mut().for_each(|corners| corners.push(0));
             self.order.push(0);
-            self.attribute_ids.push([0; 3]);
         }
     }
 
-    fn push_position(&mut self, [x, y, z]: Vec3) {
+    fn push_vertex(&mut self, corner: &Corner) {
+        let [x, y, z] = corner.pos;
         self.xs.push(x);
         self.ys.push(y);
         self.zs.push(z);
-    }
-
-    fn attribute(&mut self, corner: &Corner, known: &mut HashMap<[u32; 5], u32>) -> u32 {
-        let [nx, ny, nz] = corner.normal;
-        let [s, t] = corner.st;
-        *known
-            .entry([nx, ny, nz, s, t].map(f32::to_bits))
-            .or_insert_with(|| {
-                self.attributes.push(Attributes {
-                    normal: corner.normal,
-                    st: corner.st,
-                });
-                self.attributes.len() as u32 - 1
-            })
+        self.attributes.push(Attributes {
+            normal: corner.normal,
+            st: corner.st,
+        });
     }
 
     /// How many triangles it has.

@@ -55,6 +55,12 @@ impl Positions {
 /// One value of each corner of eight triangles.
 #[inline(always)]
 fn eight<T: Copy>(values: &[T; MOST], ids: &[[u8; LANES]; 3]) -> [[T; LANES]; 3] {
-    let of = |ids: &[u8; LANES]| ids.map(|id| values[usize::from(id)]);
-    [of(&ids[0]), of(&ids[1]), of(&ids[2])]
+    // Loops: closures of `map` become calls.
+    let mut eight = [[values[0]; LANES]; 3];
+    for (values_of, ids) in eight.iter_mut().zip(ids) {
+        for (value, id) in values_of.iter_mut().zip(ids) {
+            *value = values[usize::from(*id)];
+        }
+    }
+    eight
 }

@@ -36,6 +36,15 @@ pub(crate) fn is_large(x: [I; 2], y: [I; 2]) -> Mask {
     wide | high
 }
 
+/// Whether the samples on an edge are inside, by the differences of its ends along y
+/// and x: those on a left or lower edge are, those on the others not. This is the
+/// top-left rule in a frame buffer object, whose first row is the lowest.
+#[inline(always)]
+pub(crate) fn has_samples(dx: I, dy: I) -> Mask {
+    let zero = I::splat(0);
+    dx.lt(zero) | dx.equals(zero) & dy.gt(zero)
+}
+
 /// Eight triangles, ready to be filled.
 #[derive(Default)]
 pub(crate) struct Setup {
@@ -71,10 +80,13 @@ impl Setup {
     ) {
         let order = turned(instance.counter_clockwise);
         let first = cluster.first_triangle as usize;
-        let ids = order.map(|corner| {
+        let mut ids = [[0; LANES]; 3];
+        for (ids, corner) in ids.iter_mut().zip(order) {
             let corners = &mesh.corners[corner][first..];
-            triangles.map(|triangle| corners[usize::from(triangle)])
-        });
+            for (id, triangle) in ids.iter_mut().zip(triangles) {
+                *id = corners[usize::from(*triangle)];
+            }
+        }
         let (x, y) = drawing.positions.snapped(&ids);
         let (extent_x, extent_y) = (extent(&x), extent(&y));
         let splat = |value: i32| I::splat(value);
@@ -91,10 +103,7 @@ impl Setup {
             let next = (edge + 1) % 3;
             let (dx, dy) = (y[edge] - y[next], x[edge] - x[next]);
             let value = dx * (x[edge] - origin_x) - dy * (y[edge] - origin_y);
-            // Samples on a left or lower edge are inside, those on the others not: the
-            // top-left rule, in a frame buffer object whose first row is the lowest.
-            let inside = dx.lt(splat(0)) | dx.equals(splat(0)) & dy.gt(splat(0));
-            let value = (value - inside.ints() - splat(1)) >> 5i32;
+            let value = (value - has_samples(dx, dy).ints() - splat(1)) >> 5i32;
             value.store(&mut self.edge[edge]);
             (-dx).store(&mut self.along_x[edge]);
             dy.store(&mut self.along_y[edge]);
@@ -183,6 +192,30 @@ impl Slopes {
             dx20: dx20 * over_area,
             dy20: dy20 * over_area,
         }
+    }
+
+    /// Those of each triangle, in all lanes.
+    #[inline(always)]
+    pub(crate) fn each(&self) -> [Self; LANES] {
+        let Self {
+            x,
+            y,
+            dx01,
+            dy01,
+            dx20,
+            dy20,
+        } = self;
+        std::array::from_fn(|lane| {
+            let of = |all: &F| F::splat(all.as_array()[lane]);
+            Self {
+                x: of(x),
+                y: of(y),
+                dx01: of(dx01),
+                dy01: of(dy01),
+                dx20: of(dx20),
+                dy20: of(dy20),
+            }
+        })
     }
 
     /// The value at the picture's corner, and its changes per pixel.

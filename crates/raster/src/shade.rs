@@ -7,7 +7,7 @@ use crate::lanes::{F, Floats as _, I, Ints as _, LANES};
 use crate::light::{EyeLight, Shading};
 use crate::model::Model;
 use crate::sample::{self, Place};
-use crate::surface::{self, COLOUR, COORDINATES, OPACITY, OVER_W, Surface};
+use crate::surface::{self, COLOUR, COORDINATES, OPACITY, OVER_W, Surface, Vertices, Wanted};
 use crate::texture::{Texels, TextureKind};
 use crate::visible::{CLIPPED, NOTHING, Record, SAMPLES, Visible};
 use crate::window::Window;
@@ -31,6 +31,9 @@ pub(crate) struct Lists {
     of_record: Vec<u32>,
     /// Of each surface its instance.
     instances: Vec<u32>,
+    /// What is worked out of one cluster.
+    wanted: Vec<Wanted>,
+    vertices: Box<Vertices>,
     /// By texture; the last without any.
     pub(crate) fragments: Vec<Vec<Fragment>>,
 }
@@ -78,6 +81,16 @@ pub(crate) fn list_fragments(
         for x in window.x[0]..=window.x[1] {
             let at = (row + x as usize) * SAMPLES;
             let ids: [u32; SAMPLES] = visible.ids[at..at + SAMPLES].try_into().expect("four");
+            let [id, ..] = ids;
+            if id == last.0 && id != NOTHING && ids == [id; SAMPLES] {
+                lists.fragments[last.2].push(Fragment {
+                    x: x as u16,
+                    y: y as u16,
+                    surface: last.1,
+                    samples: 0xf,
+                });
+                continue;
+            }
             let mut left = 0xfu32;
             while left != 0 {
                 let sample = left.trailing_zeros() as usize;
@@ -119,77 +132,61 @@ pub(crate) fn work_out_surfaces(
             .resize(lists.instances.len(), Surface::default());
     }
     let size = [visible.width as f32, visible.height as f32];
-    let mut batch = Batch::default();
-    let mut worked_out = [Surface::default(); LANES];
-    let mut finish = |batch: &mut Batch, surfaces: &mut [Surface]| {
-        let Some(first) = batch.records.first().filter(|_| batch.count > 0).copied() else {
-            return;
-        };
-        let instance = &instances[first.instance as usize];
-        let mesh = instance.mesh.of(model);
-        let shading = instance.is_lit.then(|| Shading::new(instance, lights));
-        for lane in batch.count..LANES {
-            batch.records[lane] = first;
-        }
-        surface::work_out(
-            instance,
-            mesh,
-            shading.as_ref(),
-            size,
-            &batch.records,
-            &mut worked_out,
-        );
-        for lane in 0..batch.count {
-            surfaces[batch.surfaces[lane] as usize] = worked_out[lane];
-        }
-        batch.count = 0;
-    };
-    for (record, surface) in visible.records.iter().zip(&lists.of_record) {
+    let Lists {
+        surfaces,
+        of_record,
+        wanted,
+        vertices,
+        ..
+    } = lists;
+    let mut shading = ShadingOf { lights, last: None };
+    let mut records = visible.records.iter().zip(&*of_record).peekable();
+    while let Some((record, surface)) = records.next() {
         if *surface == NOTHING {
             continue;
         }
+        let instance = &instances[record.instance as usize];
+        let mesh = instance.mesh.of(model);
+        let shading = shading.of(record.instance, instance);
         if record.positions == CLIPPED {
-            let instance = &instances[record.instance as usize];
-            let shading = instance.is_lit.then(|| Shading::new(instance, lights));
-            lists.surfaces[*surface as usize] = surface::work_out_clipped(
-                instance,
-                instance.mesh.of(model),
-                shading.as_ref(),
-                visible,
-                record,
-            );
+            surfaces[*surface as usize] =
+                surface::work_out_clipped(instance, mesh, shading, visible, record);
             continue;
         }
-        let is_another = batch.count > 0 && batch.records[0].instance != record.instance;
-        if is_another || batch.count == LANES {
-            finish(&mut batch, &mut lists.surfaces);
+        wanted.clear();
+        wanted.push(Wanted {
+            triangle: record.triangle,
+            surface: *surface,
+        });
+        let is_of_same =
+            |next: &Record| (next.instance, next.positions) == (record.instance, record.positions);
+        while let Some((next, surface)) = records.next_if(|(next, _)| is_of_same(next)) {
+            if *surface != NOTHING {
+                wanted.push(Wanted {
+                    triangle: next.triangle,
+                    surface: *surface,
+                });
+            }
         }
-        batch.records[batch.count] = *record;
-        batch.surfaces[batch.count] = *surface;
-        batch.count += 1;
+        let cluster = (record.positions, wanted.as_slice());
+        surface::work_out(instance, mesh, shading, size, cluster, vertices, surfaces);
     }
-    finish(&mut batch, &mut lists.surfaces);
 }
 
-/// Triangles of one instance.
-struct Batch {
-    count: usize,
-    records: [Record; LANES],
-    surfaces: [u32; LANES],
+/// The shading of the instance that was asked for last.
+struct ShadingOf<'a> {
+    lights: &'a [EyeLight],
+    last: Option<(u32, Option<Shading<'a>>)>,
 }
 
-impl Default for Batch {
-    fn default() -> Self {
-        let none = Record {
-            instance: 0,
-            triangle: 0,
-            positions: 0,
-        };
-        Self {
-            count: 0,
-            records: [none; LANES],
-            surfaces: [0; LANES],
+impl<'a> ShadingOf<'a> {
+    /// None if lights do not make its colour.
+    fn of(&mut self, index: u32, instance: &Instance) -> Option<&Shading<'a>> {
+        if self.last.as_ref().is_none_or(|(last, _)| *last != index) {
+            let shading = instance.is_lit.then(|| Shading::new(instance, self.lights));
+            self.last = Some((index, shading));
         }
+        self.last.as_ref().and_then(|(_, shading)| shading.as_ref())
     }
 }
 

@@ -5,7 +5,7 @@ use crate::clip::{self, VARYING};
 use crate::instance::{Instance, Mapping};
 use crate::lanes::{F, Floats as _, LANES};
 use crate::light::{Shading, shade};
-use crate::mesh::Mesh;
+use crate::mesh::{CLUSTER, Mesh};
 use crate::setup::{Slopes, turned};
 use crate::visible::{CLIPPED, Record, Visible};
 
@@ -25,40 +25,119 @@ pub(crate) struct Surface {
     pub(crate) per_y: [f32; VARYING],
 }
 
-/// Works out up to eight triangles of one instance.
+/// A triangle of a cluster, and its place among the surfaces.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Wanted {
+    pub(crate) triangle: u32,
+    pub(crate) surface: u32,
+}
+
+/// Vertices of a cluster that are placed and lit.
+#[derive(Debug)]
+pub(crate) struct Vertices {
+    /// Of each vertex its place in the other lists, or [`UNLIT`].
+    slots: [u8; MOST],
+    x: [f32; MOST],
+    y: [f32; MOST],
+    varying: [[f32; VARYING]; MOST],
+}
+
+/// Vertices of a cluster at most, with room for eight at a time.
+const MOST: usize = 3 * CLUSTER + LANES;
+/// A vertex that no triangle needed so far.
+const UNLIT: u8 = u8::MAX;
+
+impl Default for Vertices {
+    fn default() -> Self {
+        Self {
+            slots: [UNLIT; MOST],
+            x: [0.0; MOST],
+            y: [0.0; MOST],
+            varying: [[0.0; VARYING]; MOST],
+        }
+    }
+}
+
+impl Vertices {
+    /// Places and lights what these triangles of a cluster need.
+    #[inline(always)]
+    fn light(
+        &mut self,
+        instance: &Instance,
+        mesh: &Mesh,
+        shading: Option<&Shading<'_>>,
+        size: [f32; 2],
+        (first, wanted): (u32, &[Wanted]),
+    ) {
+        self.slots.fill(UNLIT);
+        let (mut needed, mut count) = ([0; MOST], 0);
+        for triangle in wanted.iter().map(|it| it.triangle as usize) {
+            for corners in &mesh.corners {
+                let slot = &mut self.slots[usize::from(corners[triangle])];
+                if *slot == UNLIT {
+                    *slot = count as u8;
+                    needed[count] = corners[triangle];
+                    count += 1;
+                }
+            }
+        }
+        for at in (0..count).step_by(LANES) {
+            let mut vertices = [first as usize; LANES];
+            for (vertex, id) in vertices.iter_mut().zip(&needed[at..at + LANES]) {
+                *vertex += usize::from(*id);
+            }
+            let from = Corners::gather(mesh, &vertices);
+            let placed = from.place(instance, size);
+            placed.x.store(&mut self.x[at..at + LANES]);
+            placed.y.store(&mut self.y[at..at + LANES]);
+            let values = F::transpose(from.values(instance, shading, placed.over_w));
+            for (varying, values) in self.varying[at..at + LANES].iter_mut().zip(values) {
+                *varying = values.to_array();
+            }
+        }
+    }
+}
+
+/// Works out triangles of one cluster, whose vertices start at `first`.
 #[inline(always)]
 pub(crate) fn work_out(
     instance: &Instance,
     mesh: &Mesh,
     shading: Option<&Shading<'_>>,
     size: [f32; 2],
-    records: &[Record; LANES],
+    (first, wanted): (u32, &[Wanted]),
+    vertices: &mut Vertices,
     into: &mut [Surface],
 ) {
+    vertices.light(instance, mesh, shading, size, (first, wanted));
     let order = turned(instance.counter_clockwise);
-    let (mut x, mut y) = ([F::splat(0.0); 3], [F::splat(0.0); 3]);
-    let mut varying = [[F::splat(0.0); 3]; VARYING];
-    for (turn, corner) in order.into_iter().enumerate() {
-        let from = Corners::gather(mesh, corner, records);
-        let placed = from.place(instance, size);
-        (x[turn], y[turn]) = (placed.x, placed.y);
-        let values = from.values(instance, shading, placed.over_w);
-        for (varying, value) in varying.iter_mut().zip(values) {
-            varying[turn] = value;
+    for wanted in wanted.chunks(LANES) {
+        let mut slots = [[0; 3]; LANES];
+        let (mut x, mut y) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
+        for (lane, wanted) in wanted.iter().enumerate() {
+            for (turn, corner) in order.into_iter().enumerate() {
+                let vertex = mesh.corners[corner][wanted.triangle as usize];
+                let slot = usize::from(vertices.slots[usize::from(vertex)]);
+                slots[lane][turn] = slot;
+                x[turn][lane] = vertices.x[slot];
+                y[turn][lane] = vertices.y[slot];
+            }
         }
-    }
-    let slopes = Slopes::new(&x, &y);
-    let planes = varying.each_ref().map(|values| slopes.of(values));
-    let [at_corner, per_x, per_y] =
-        [0, 1, 2].map(|part| F::transpose(planes.map(|it| it[part])).map(F::to_array));
-    for (lane, surface) in into.iter_mut().enumerate() {
-        surface.at_corner = at_corner[lane];
-        surface.per_x = per_x[lane];
-        surface.per_y = per_y[lane];
+        let slopes = Slopes::new(&x.map(F::new), &y.map(F::new)).each();
+        for ((wanted, slots), slopes) in wanted.iter().zip(slots).zip(slopes) {
+            // A lane for each number that varies.
+            let values = slots.map(|slot| F::new(vertices.varying[slot]));
+            let [at_corner, per_x, per_y] = slopes.of(&values);
+            into[wanted.surface as usize] = Surface {
+                at_corner: at_corner.to_array(),
+                per_x: per_x.to_array(),
+                per_y: per_y.to_array(),
+            };
+        }
     }
 }
 
-/// One corner of each of eight triangles, as the mesh has it.
+/// Eight vertices, as the mesh has them.
 struct Corners {
     pos: [[f32; LANES]; 3],
     normal: [[f32; LANES]; 3],
@@ -73,19 +152,17 @@ struct Placed {
 
 impl Corners {
     #[inline(always)]
-    fn gather(mesh: &Mesh, corner: usize, records: &[Record; LANES]) -> Self {
+    fn gather(mesh: &Mesh, vertices: &[usize; LANES]) -> Self {
         let mut it = Self {
             pos: [[0.0; LANES]; 3],
             normal: [[0.0; LANES]; 3],
             st: [[0.0; LANES]; 2],
         };
-        for (lane, record) in records.iter().enumerate() {
-            let triangle = record.triangle as usize;
-            let at = record.positions as usize + usize::from(mesh.corners[corner][triangle]);
-            it.pos[0][lane] = mesh.xs[at];
-            it.pos[1][lane] = mesh.ys[at];
-            it.pos[2][lane] = mesh.zs[at];
-            let attributes = &mesh.attributes[mesh.attribute_ids[triangle][corner] as usize];
+        for (lane, &vertex) in vertices.iter().enumerate() {
+            it.pos[0][lane] = mesh.xs[vertex];
+            it.pos[1][lane] = mesh.ys[vertex];
+            it.pos[2][lane] = mesh.zs[vertex];
+            let attributes = &mesh.attributes[vertex];
             for axis in 0..3 {
                 it.normal[axis][lane] = attributes.normal[axis];
             }
@@ -164,22 +241,17 @@ pub(crate) fn work_out_clipped(
 ) -> Surface {
     debug_assert_eq!(record.positions, CLIPPED, "a piece of a triangle");
     let piece = &visible.clipped[record.triangle as usize];
-    let whole = Record {
-        instance: record.instance,
-        triangle: piece.triangle,
-        positions: piece.positions,
-    };
     let one = F::splat(1.0);
-    let values = std::array::from_fn(|corner| {
-        let from = Corners::gather(mesh, corner, &[whole; LANES]);
+    let vertices = mesh
+        .corners
+        .each_ref()
+        .map(|corners| piece.positions as usize + usize::from(corners[piece.triangle as usize]));
+    let values = vertices.map(|vertex| {
+        let from = Corners::gather(mesh, &[vertex; LANES]);
         let values = from.values(instance, shading, one);
         values.map(|value| value.as_array()[0])
     });
-    let pos = std::array::from_fn(|corner| {
-        let at =
-            piece.positions as usize + usize::from(mesh.corners[corner][piece.triangle as usize]);
-        [mesh.xs[at], mesh.ys[at], mesh.zs[at]]
-    });
+    let pos = vertices.map(|vertex| [mesh.xs[vertex], mesh.ys[vertex], mesh.zs[vertex]]);
     let pieces = clip::clip(instance, pos, values, &piece.cut);
     let corners =
         turned(instance.counter_clockwise).map(|corner| pieces[piece.piece as usize][corner]);
