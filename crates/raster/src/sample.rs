@@ -126,8 +126,11 @@ impl Sizes {
             };
         }
         let each = |part: fn(&Level) -> usize| {
-            let of = |level: u8| part(&texels.texture.levels[usize::from(level)]) as i32;
-            I::new(levels.map(of))
+            let mut values = [0; LANES];
+            for (value, level) in values.iter_mut().zip(levels) {
+                *value = part(&texels.texture.levels[usize::from(*level)]) as i32;
+            }
+            I::new(values)
         };
         Self {
             width: each(|level| level.width),
@@ -141,8 +144,7 @@ impl Sizes {
 /// Eight texels. Places outside are none that sampling makes.
 #[inline(always)]
 fn fetch(texels: Texels<'_>, at: I) -> I {
-    let at: [i32; LANES] = at.into();
-    I::new(at.map(|at| texels.at(at as usize).cast_signed()))
+    I::new(texels.eight(&at.into()).map(u32::cast_signed))
 }
 
 /// The texels around eight places of a flat texture, and the shares of the

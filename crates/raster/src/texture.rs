@@ -3,6 +3,7 @@
 //! before in the middle of each of their texels.
 
 use crate::error::ModelError;
+use crate::lanes::LANES;
 
 /// Longest side of a texture, texels.
 const MAX_SIDE: usize = 1 << 14;
@@ -67,6 +68,51 @@ impl<'a> Texels<'a> {
             3 => four | OPAQUE,
             _ => four,
         }
+    }
+}
+
+impl Texels<'_> {
+    /// Eight texels, as [`Texels::at`] has them. Mostly all are of the largest level
+    /// or none is, so that the bytes are chosen once.
+    #[inline(always)]
+    pub(crate) fn eight(self, at: &[i32; LANES]) -> [u32; LANES] {
+        let largest = self.texture.largest as i32;
+        let smaller = at
+            .iter()
+            .fold(0, |count, at| count + u32::from(*at >= largest));
+        match smaller {
+            0 => self.eight_of(self.largest, 0, at),
+            8 => self.eight_of(&self.texture.smaller, largest, at),
+            _ => {
+                let mut texels = [0; LANES];
+                for (texel, at) in texels.iter_mut().zip(at) {
+                    *texel = self.at(*at as usize);
+                }
+                texels
+            }
+        }
+    }
+
+    /// Eight texels from bytes that start with texel `first`.
+    #[inline(always)]
+    fn eight_of(self, bytes: &[u8], first: i32, at: &[i32; LANES]) -> [u32; LANES] {
+        let (channels, opaque) = match self.texture.channels {
+            3 => (3, 0xff00_0000),
+            _ => (4, 0),
+        };
+        let mut texels = [0; LANES];
+        for (texel, at) in texels.iter_mut().zip(at) {
+            let place = (at - first) as usize * channels;
+            *texel = opaque
+                | match bytes.get(place..place + 4) {
+                    Some(four) => u32::from_le_bytes([four[0], four[1], four[2], four[3]]),
+                    // The last one of three.
+                    None => {
+                        u32::from_le_bytes([bytes[place], bytes[place + 1], bytes[place + 2], 0])
+                    }
+                };
+        }
+        texels
     }
 }
 
