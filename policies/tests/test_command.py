@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from conftest import Client, running
 
-from rollout_policies import Description, Policy, UnusableParameter, run, start
+from rollout_policies import Description, Policy, run, start
 from rollout_policies import command as command_module
 
 
@@ -166,13 +166,63 @@ def test_a_parameter_that_can_be_no_flag_is_named(constructor, expected):
         with pytest.raises(SystemExit):
             run(odd, ["--help"])
         return
-    with pytest.raises(UnusableParameter, match=expected):
+    with pytest.raises(SystemExit, match=f"error: .*{expected}"):
         run(odd, ["--help"])
 
 
 def test_run_is_given_a_class():
-    with pytest.raises(TypeError, match="give it a subclass of rollout_policies.Policy"):
+    with pytest.raises(SystemExit, match="give it a subclass of rollout_policies.Policy"):
         run(Flags("w"), [])
+
+
+async def infer_later(self, observation):
+    return np.zeros(7)
+
+
+@pytest.mark.parametrize(
+    ("methods", "expected"),
+    [
+        ({}, "policy Own has no method 'infer': write `def infer(self, observation)`"),
+        (
+            {"infer": lambda self: None},
+            "method 'infer' of policy Own takes (self), and the server calls infer(observation):"
+            " write `def infer(self, observation)`",
+        ),
+        (
+            {"infer": infer_later},
+            "method 'infer' of policy Own is a coroutine, and the server calls plain functions:"
+            " write `def infer(self, observation)`",
+        ),
+        (
+            {"infer": lambda self, _: np.zeros(7), "end": None},
+            "'end' of policy Own is no method: write `def end(self, episode)`",
+        ),
+        (
+            {"infer": lambda self, _: None},
+            "policy Own cannot be served: its infer returned nothing; end it with `return actions`",
+        ),
+    ],
+)
+def test_a_class_that_cannot_be_served_is_told_what_to_write(methods, expected):
+    attributes = {"description": Description("own"), "reset": lambda self, episode: None}
+    with pytest.raises(SystemExit) as ended:
+        run(type("Own", (Policy,), {**attributes, **methods}), [])
+    assert str(ended.value).startswith("error: " + expected)
+
+
+def test_a_policy_without_reset_is_one_line_and_no_traceback(tmp_path):
+    script = tmp_path / "own.py"
+    script.write_text(
+        "from rollout_policies import Description, Policy, run\n"
+        "class Own(Policy):\n"
+        "    description = Description('own')\n"
+        "    def infer(self, observation):\n"
+        "        return [0] * 7\n"
+        "run(Own)\n"
+    )
+    ended = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=60)
+    line = "error: policy Own has no method 'reset': write `def reset(self, episode)`\n"
+    assert (ended.returncode, ended.stdout, ended.stderr) == (1, "", line)
 
 
 def test_what_was_resolved_is_printed_before_the_address(tmp_path):

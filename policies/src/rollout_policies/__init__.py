@@ -9,7 +9,7 @@ The numbers are the policy's. `check` tells whether a policy keeps the protocol,
 
 from .access import AccessError, UnguardedAddress
 from .actions import UnusableActions
-from .command import UnusableParameter, run
+from .command import run
 from .conformance import CannotCheck, DoesNotConform, check
 from .description import Camera, Description, Gripper, Language, State
 from .episode import Episode, Observation, UnusableObservation
@@ -41,7 +41,6 @@ __all__ = [
     "UnusableActions",
     "UnusableDescription",
     "UnusableObservation",
-    "UnusableParameter",
     "check",
     "fake_episode",
     "fake_observation",

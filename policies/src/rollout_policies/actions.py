@@ -20,6 +20,8 @@ def read_actions(answer: object, horizon: int) -> np.ndarray:
     Raises UnusableActions. Numbers beyond -1..1 pass: the worker clips them,
     and counts them in the result.
     """
+    if answer is None:
+        raise UnusableActions("its infer returned nothing; end it with `return actions`")
     try:
         actions = np.atleast_2d(np.asarray(answer, dtype=np.float32))
     except (TypeError, ValueError) as error:

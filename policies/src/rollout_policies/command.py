@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import Any, Sequence
 
 from .access import AccessError, UnguardedAddress
-from .policy import Policy, UnusableDescription, description_of
+from .actions import UnusableActions
+from .policy import Policy, UnusableDescription, description_of, require_methods
 from .server import CannotListen, require_servable, serve
 
 #: Types of parameters that flags are made for.
@@ -32,10 +33,15 @@ def run(policy_class: type[Policy], arguments: Sequence[str] | None = None) -> N
     --execute. --help shows the class's docstring. `arguments` are those of the
     process if None.
 
-    Exits with 2 for a wrong command line and with 1 for what fails otherwise.
-    Raises UnusableParameter, and what the constructor and the warm-up raise.
+    Exits with 2 for a wrong command line, and with 1 and one line for a class that
+    cannot be served and for what fails otherwise. Raises what the constructor, the
+    warm-up and the policy's methods raise.
     """
-    parser, own = _parser(policy_class)
+    try:
+        parser, own = _parser(policy_class)
+        require_methods(policy_class)
+    except (UnusableDescription, UnusableParameter) as error:
+        sys.exit(f"error: {error}")
     given = parser.parse_args(arguments)
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     try:
@@ -54,6 +60,8 @@ def run(policy_class: type[Policy], arguments: Sequence[str] | None = None) -> N
         serve(policy, **options)
     except UnusableExecute as error:
         parser.error(str(error))
+    except UnusableActions as error:
+        sys.exit(f"error: policy {policy_class.__name__} cannot be served: {error}")
     except (UnusableDescription, CannotListen) as error:
         sys.exit(f"error: {error}")
 

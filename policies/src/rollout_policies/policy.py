@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import abc
+import inspect
+import logging
+from dataclasses import replace
 from typing import Any, Sequence
 
 import numpy as np
 
+from .actions import read_actions
 from .description import Description
 from .episode import Episode, Observation
-from .warming import answer_made_up
+from .fake import TASKS, fake_episode, fake_observation
+
+log = logging.getLogger("rollout_policies")
 
 
 class Policy(abc.ABC):
@@ -74,15 +80,58 @@ class Policy(abc.ABC):
         Answers made-up observations unless overridden: one, and a full batch
         if there are batches. What this raises ends the server before it began.
         """
-        answer_made_up(self)
+        _answer_made_up(self)
 
 
 class UnusableDescription(TypeError):
-    """A policy does not say what it is."""
+    """A policy does not say what it is, or lacks a method that it is called by."""
+
+
+#: What the server calls, and the names of the arguments that it passes.
+_CALLS = {
+    "reset": ("episode",),
+    "infer": ("observation",),
+    "infer_batch": ("observations",),
+    "prepare": ("observation",),
+    "end": ("episode",),
+    "warm_up": (),
+}
+
+
+def require_methods(policy_class: type[Policy]) -> None:
+    """Checks that the server can call every method of a class. Raises
+    UnusableDescription, which names the method and the line to write."""
+    name = policy_class.__name__
+    for method, arguments in _CALLS.items():
+        line = f"`def {method}({', '.join(('self', *arguments))})`"
+        function = getattr(policy_class, method, None)
+        if method in getattr(policy_class, "__abstractmethods__", ()):
+            raise UnusableDescription(f"policy {name} has no method {method!r}: write {line}")
+        if not callable(function):
+            raise UnusableDescription(f"{method!r} of policy {name} is no method: write {line}")
+        if inspect.iscoroutinefunction(function):
+            raise UnusableDescription(
+                f"method {method!r} of policy {name} is a coroutine, and the server calls plain"
+                f" functions: write {line}"
+            )
+        kind = inspect.getattr_static(policy_class, method)
+        implied = () if isinstance(kind, (staticmethod, classmethod)) else (policy_class,)
+        try:
+            signature = inspect.signature(function)
+        except ValueError:  # A method written in C may not tell.
+            continue
+        try:
+            signature.bind(*implied, *arguments)
+        except TypeError:
+            raise UnusableDescription(
+                f"method {method!r} of policy {name} takes {signature}, and the server calls"
+                f" {method}({', '.join(arguments)}): write {line}"
+            ) from None
 
 
 def description_of(policy: Policy) -> Description:
-    """A policy's description. Raises UnusableDescription."""
+    """Returns a policy's description. Raises UnusableDescription, also for a policy
+    whose methods cannot be called."""
     name = type(policy).__name__
     if not isinstance(policy, Policy):
         remedy = " (make one: MyPolicy(), not MyPolicy)" if isinstance(policy, type) else ""
@@ -90,6 +139,7 @@ def description_of(policy: Policy) -> Description:
             f"{policy!r} is no policy: give an instance of a subclass of"
             f" rollout_policies.Policy{remedy}"
         )
+    require_methods(type(policy))
     try:
         described = policy.description
     except AttributeError as error:
@@ -103,3 +153,54 @@ def description_of(policy: Policy) -> Description:
             " rollout_policies.Description"
         )
     return described
+
+
+def _answer_made_up(policy: Policy) -> None:
+    """Has a policy answer a made-up observation and, if it takes batches, a full
+    batch of them, in episodes that are ended again.
+
+    A policy that accepts no episode of any suite is left cold, with a warning: it
+    may know other tasks than those made up here. Raises what its methods raise, and
+    UnusableActions.
+    """
+    description = policy.description
+    sizes = sorted({1, description.max_batch})
+    episodes: list[Episode] = []
+    try:
+        for at in range(sizes[-1]):
+            episode = _begun(policy, at)
+            if episode is None:
+                return
+            episodes.append(episode)
+        for size in sizes:
+            # Of each episode its next query: the first one has been alone before.
+            asked = [
+                fake_observation(description, at, int(size > 1 and at == 0), episode)
+                for at, episode in enumerate(episodes[:size])
+            ]
+            asked = [replace(one, prepared=policy.prepare(one)) for one in asked]
+            answers = [policy.infer(asked[0])] if size == 1 else policy.infer_batch(asked)
+            for answer in answers:
+                read_actions(answer, description.horizon)
+    finally:
+        for episode in episodes:
+            policy.end(episode)
+
+
+def _begun(policy: Policy, seed: int) -> Episode | None:
+    """Begins an episode of the first suite whose task the policy accepts."""
+    refusals = []
+    for suite in TASKS:
+        episode = fake_episode(suite, seed, f"warm-up {seed}")
+        try:
+            policy.reset(episode)
+            return episode
+        except Exception as error:
+            refusals.append(f"{suite}: {error}")
+    log.warning(
+        "policy %r is not warmed up, because it refuses a made-up episode of every suite (%s);"
+        " its first answer may be slow",
+        policy.description.name,
+        "; ".join(refusals),
+    )
+    return None

@@ -1,0 +1,35 @@
+"""How the files of this package use one another."""
+
+import ast
+import pathlib
+
+import rollout_policies
+
+PACKAGE = pathlib.Path(rollout_policies.__file__).parent
+
+
+def name_of(path):
+    parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imported_by(path, modules):
+    """Modules of the package that a file imports, also those that only type checkers read."""
+    package = path.relative_to(PACKAGE.parent).parts[:-1]
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.level:
+            parts = package[: len(package) - node.level + 1]
+            base = ".".join([*parts, *filter(None, [node.module])])
+            names = {f"{base}.{alias.name}" for alias in node.names}
+            yield from names & modules or {base}
+
+
+def test_no_files_import_in_a_circle():
+    paths = {name_of(path): path for path in PACKAGE.rglob("*.py")}
+    left = {name: set(imported_by(path, paths.keys())) for name, path in paths.items()}
+    assert {"rollout_policies.policy"} <= left["rollout_policies.server"]
+    # Takes away the files that import none of the others, again and again.
+    while leaves := [name for name, imported in left.items() if not imported & left.keys()]:
+        for name in leaves:
+            del left[name]
+    assert not left, f"these files import one another in a circle: {sorted(left)}"
