@@ -103,6 +103,63 @@ def test_what_prepare_raises_fails_its_query_alone(serving):
     assert len(good.response.actions) == 7
 
 
+def test_a_query_whose_caller_has_gone_before_its_turn_is_never_computed(serving, monkeypatch):
+    class Slow(Policy):
+        description = Description(name="slow", max_batch=2)
+
+        def __init__(self):
+            self.asked, self.begun, self.release = [], threading.Event(), threading.Event()
+
+        def reset(self, episode):
+            pass
+
+        def infer(self, observation):
+            self.asked.append(observation.episode.session)
+            self.begun.set()
+            assert self.release.wait(PATIENCE)
+            return np.zeros(7)
+
+    calls, submit = [], InferenceThread.submit
+
+    def noting_submit(*arguments):
+        calls.append(submit(*arguments))
+        return calls[-1]
+
+    policy = Slow()
+    client = serving(policy)
+    for session in "abc":
+        client.reset(session)
+    monkeypatch.setattr(InferenceThread, "submit", noting_submit)
+
+    def asked(method, message):
+        """A call that has come to its server, and the server's future of it."""
+        before = len(calls)
+        call = method.future(message)
+        until(lambda: len(calls) > before)
+        return call, calls[-1]
+
+    first, _ = asked(client.stub.Infer, client.request("a"))
+    assert policy.begun.wait(PATIENCE)
+    alone = asked(client.stub.Infer, client.request("b"))
+    queries = [client.request("b"), client.request("c")]
+    batch = asked(client.stub.InferBatch, pb.InferBatchRequest(queries=queries))
+    waits, _ = asked(client.stub.Infer, client.request("c"))
+    for call, of_server in (alone, batch):
+        call.cancel()
+        until(of_server.cancelled)
+    policy.release.set()
+    assert len(first.result(PATIENCE).actions) == len(waits.result(PATIENCE).actions) == 7
+    assert policy.asked == ["a", "c"]
+
+
+def until(is_true):
+    """Waits until a condition holds."""
+    deadline = time.monotonic() + PATIENCE
+    while not is_true():
+        assert time.monotonic() < deadline, "nothing came of it"
+        time.sleep(0.005)
+
+
 def test_calls_are_made_in_turn_and_what_waits_at_the_end_is_cancelled():
     inference = InferenceThread()
     made, swept, release = [], threading.Event(), threading.Event()

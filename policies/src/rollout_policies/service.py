@@ -154,10 +154,16 @@ class PolicyService(pb_grpc.PolicyServicer):
             return QueryError(grpc.StatusCode.INTERNAL, text)
 
     def _in_turn(self, context, call: Callable, *arguments: Any) -> Any:
-        """What a call in the inference thread returns."""
+        """Returns what a call in the inference thread returns. A call whose caller
+        stops waiting before its turn is never made."""
+        answer = self._inference.submit(call, *arguments)
+        if not context.add_callback(answer.cancel):
+            answer.cancel()
         try:
-            return self._inference.submit(call, *arguments).result()
+            return answer.result()
         except CancelledError:
+            if not context.is_active():
+                context.abort(grpc.StatusCode.CANCELLED, "the caller stopped waiting")
             context.abort(grpc.StatusCode.UNAVAILABLE, "this server is stopping")
 
     # In the inference thread.
