@@ -14,7 +14,7 @@ def test_the_generated_files_are_current():
     try:
         version("grpcio-tools")
     except PackageNotFoundError:
-        pytest.skip("grpcio-tools is not installed: pip install -e '.[dev]'")
+        pytest.skip("grpcio-tools is not installed: pip install -e './policies[dev]'")
     check = subprocess.run(
         [sys.executable, SCRIPT, "--check"], capture_output=True, text=True, check=False
     )

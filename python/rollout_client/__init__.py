@@ -8,7 +8,7 @@ try:
     import pandas as _pandas  # noqa: F401
 except ImportError as error:
     raise ImportError(
-        f"rollout_client needs {error.name}: run pip install 'rollout-libero[client]'",
+        f"rollout_client needs {error.name}: run pip install grpcio protobuf pandas",
         name=error.name,
     ) from error
 

@@ -8,12 +8,11 @@ from types import ModuleType
 from ..errors import SettingsError
 
 
-def needed(package: str, extra: str) -> ModuleType:
-    """A package that an export needs and an extra installs. Raises SettingsError."""
+def needed(package: str) -> ModuleType:
+    """Imports a package that an export needs. Raises SettingsError."""
     try:
         return importlib.import_module(package)
     except ImportError as error:
         raise SettingsError(
-            f"failed to export: {error.name or package} is not installed; run pip install"
-            f" 'rollout-libero[{extra}]'"
+            f"failed to export: {error.name or package} is not installed; run pip install {package}"
         ) from error

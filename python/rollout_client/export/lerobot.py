@@ -43,7 +43,7 @@ def export(archive: Archive, folder: str | os.PathLike[str], *, films: bool = Fa
     films: only rollouts that were filmed, with their films. Raises ArchiveError where there are
     none, and SettingsError where the folder is not new or pyarrow is missing.
     """
-    needed("pyarrow", "lerobot")
+    needed("pyarrow")
     target = Path(folder)
     if target.exists() and any(target.iterdir()):
         raise SettingsError(f"failed to export into {target}: it is not empty; name a new folder")

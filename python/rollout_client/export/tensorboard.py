@@ -18,7 +18,7 @@ def export(archive: Archive, folder: str | os.PathLike[str]) -> int:
     those of the commits. The text `specification` is the campaign's. Raises SettingsError
     where tensorboard is missing.
     """
-    needed("tensorboard", "tensorboard")
+    needed("tensorboard")
     from tensorboard.compat.proto.event_pb2 import Event
     from tensorboard.compat.proto.summary_pb2 import Summary, SummaryMetadata
     from tensorboard.compat.proto.tensor_pb2 import TensorProto

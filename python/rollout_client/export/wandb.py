@@ -15,7 +15,7 @@ COLUMNS = ["rollout_id", "replicate", "task", "axis", "level", "success", "steps
 def export(archive: Archive, folder: str | os.PathLike[str], *, project: str = "rollout") -> int:
     """Writes a run into a folder, without the network: `wandb sync` uploads it. Returns how
     many points it has. Raises SettingsError where wandb is missing."""
-    wandb = needed("wandb", "wandb")
+    wandb = needed("wandb")
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
     run = wandb.init(

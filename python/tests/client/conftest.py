@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("grpc", reason="pip install 'rollout-libero[client]'")
-pytest.importorskip("pandas", reason="pip install 'rollout-libero[client]'")
+pytest.importorskip("grpc", reason="pip install grpcio protobuf pandas")
+pytest.importorskip("pandas", reason="pip install grpcio protobuf pandas")
 
 from rollout_client import Client
 

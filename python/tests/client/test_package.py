@@ -19,7 +19,7 @@ def test_without_pandas_the_error_says_what_to_install():
     with in_a_process(WITHOUT_PANDAS) as process:
         _, errors = process.communicate(timeout=60)
     assert process.returncode != 0
-    assert "rollout_client needs pandas: run pip install 'rollout-libero[client]'" in errors
+    assert "rollout_client needs pandas: run pip install grpcio protobuf pandas" in errors
 
 
 def test_the_client_does_not_load_the_simulator():
