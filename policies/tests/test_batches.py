@@ -73,7 +73,7 @@ def test_only_the_guilty_query_of_a_batch_fails(serving):
     policy = Batching(KeyError("butter"))
     one, guilty, other = answered_in_a_batch(serving(policy))
     assert one == other == [0.5] * 7
-    assert "'bad'" in guilty and "KeyError: 'butter'" in guilty
+    assert guilty == "infer raised KeyError: 'butter'"
     assert policy.alone == ["a", "bad", "b"]
 
 
@@ -98,8 +98,7 @@ def test_a_batch_that_answers_too_little_is_asked_one_by_one(serving):
 )
 def test_a_batch_that_cannot_be_asked_again_fails_as_one(serving, policy):
     answers = answered_in_a_batch(serving(policy))
-    for session, answer in zip(("a", "bad", "b"), answers):
-        assert f"'{session}'" in answer and "infer raised" in answer
+    assert all(answer.startswith("infer raised ") for answer in answers)
     assert policy.alone == []
 
 

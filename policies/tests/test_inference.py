@@ -99,7 +99,7 @@ def test_what_prepare_raises_fails_its_query_alone(serving):
     client.reset("good")
     queries = [client.request("bad"), client.request("good")]
     bad, good = client.stub.InferBatch(pb.InferBatchRequest(queries=queries)).results
-    assert "prepare raised ValueError: no such frame" in bad.error and "'bad'" in bad.error
+    assert bad.error == "prepare raised ValueError: no such frame"
     assert len(good.response.actions) == 7
 
 

@@ -137,7 +137,7 @@ def test_an_observation_that_lacks_something_is_refused_naming_it(serving, obser
     client.reset()
     code, text = refusal(client.infer, query_index=4, observation=observation)
     assert code == grpc.StatusCode.INVALID_ARGUMENT
-    assert expected in text and "'s'" in text and "query 4" in text
+    assert text.startswith("the observation cannot be used: ") and expected in text
 
 
 def test_a_retry_gets_the_same_actions_and_does_not_ask_the_policy_again(serving):
@@ -197,23 +197,24 @@ def test_episodes_do_not_share_memory(serving):
         (RuntimeError("CUDA error:\nout of memory"), "RuntimeError: CUDA error: out of memory"),
     ],
 )
-def test_a_policy_that_fails_names_itself_the_session_and_the_query(serving, answer, expected):
+def test_a_policy_that_fails_says_why_in_one_line_and_repeats_nothing_of_the_call(serving, answer, expected):
     client = serving(Answering(answer))
     client.reset("object/t0/clean/L0/c00#r0#a1")
     code, text = refusal(client.infer, "object/t0/clean/L0/c00#r0#a1", 9)
     assert code == grpc.StatusCode.INTERNAL
-    for part in (expected, "'crooked'", "'object/t0/clean/L0/c00#r0#a1'", "query 9"):
-        assert part in text
+    assert expected in text and "\n" not in text
+    # Who asked knows it, and a campaign shows it beside the text.
+    assert "crooked" not in text and "object/t0" not in text and "query" not in text
 
 
-def test_a_reset_that_raises_names_the_session(serving):
+def test_a_reset_that_raises_says_what(serving):
     class Refusing(Answering):
         def reset(self, episode):
             raise KeyError(episode.instruction)
 
     code, text = refusal(serving(Refusing(None)).reset, "s", instruction="fly")
     assert code == grpc.StatusCode.INTERNAL
-    assert "'s'" in text and "KeyError: 'fly'" in text
+    assert text == "reset raised KeyError: 'fly'"
 
 
 def test_a_session_that_was_never_opened_is_an_outage(serving):

@@ -127,6 +127,9 @@ class Description:
     #: {"image slots": "image=agentview", "revision": "1f2e3d"}. Recorded with
     #: every result, and the same for all results of a campaign and suite.
     settings: Mapping[str, str] = field(default_factory=dict, hash=False)
+    #: Name or digest of the asset pack that it was taught on, such as "libero".
+    #: Reports warn where it is measured on another.
+    taught_on: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "cameras", tuple(self.cameras))
@@ -167,6 +170,8 @@ class Description:
         settings = dict(self.settings)
         if self.gripper is not Gripper.MINUS_ONE_OPENS:
             settings.setdefault("gripper", self.gripper.value)
+        if self.taught_on:
+            settings.setdefault("taught on", self.taught_on)
         return pb.DescribeResponse(
             protocol_version=PROTOCOL_VERSION,
             name=self.name,

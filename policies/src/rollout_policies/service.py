@@ -31,7 +31,8 @@ log = logging.getLogger("rollout_policies")
 
 @dataclass(frozen=True)
 class QueryError:
-    """Why one query got no answer, in a text that names it."""
+    """Why one query got no answer. The caller knows which policy, session and query it
+    asked, so that the text names none of them."""
 
     code: grpc.StatusCode
     text: str
@@ -144,13 +145,13 @@ class PolicyService(pb_grpc.PolicyServicer):
                 request.observation, session.episode, request.query_index, self._description
             )
         except UnusableObservation as error:
-            text = f"{where}: unusable observation: {error}"
+            text = f"the observation cannot be used: {error}"
             return QueryError(grpc.StatusCode.INVALID_ARGUMENT, text)
         try:
             return replace(observation, prepared=self._policy.prepare(observation))
         except Exception as error:
             log.exception("prepare of %s failed", where)
-            text = f"policy {self._description.name!r}, {where}: prepare raised {one_line(error)}"
+            text = f"prepare raised {one_line(error)}"
             return QueryError(grpc.StatusCode.INTERNAL, text)
 
     def _in_turn(self, context, call: Callable, *arguments: Any) -> Any:
@@ -183,7 +184,7 @@ class PolicyService(pb_grpc.PolicyServicer):
             self._policy.reset(episode)
         except Exception as error:
             log.exception("reset of session %r failed", episode.session)
-            return f"reset of session {episode.session!r} raised {one_line(error)}"
+            return f"reset raised {one_line(error)}"
         for idlest in self._sessions.open(Session(episode)):
             self._forget(idlest)
         return None
@@ -282,14 +283,12 @@ class PolicyService(pb_grpc.PolicyServicer):
 
     def _keep(self, observation: Observation, answer: Any) -> pb.InferResponse | QueryError:
         name, query = observation.episode.session, observation.query_index
-        where = f"policy {self._description.name!r}, session {name!r}, query {query}"
         if isinstance(answer, Exception):
-            text = f"{where}: infer raised {one_line(answer)}"
-            return QueryError(grpc.StatusCode.INTERNAL, text)
+            return QueryError(grpc.StatusCode.INTERNAL, f"infer raised {one_line(answer)}")
         try:
             actions = read_actions(answer, self._description.horizon)
         except UnusableActions as error:
-            return QueryError(grpc.StatusCode.INTERNAL, f"{where}: {error}")
+            return QueryError(grpc.StatusCode.INTERNAL, str(error))
         actions = to_simulator(actions, self._description.gripper)
         response = pb.InferResponse(actions=actions.ravel().tolist(), action_width=ACTION_WIDTH)
         session = self._sessions.get(name)
