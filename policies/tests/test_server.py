@@ -44,6 +44,7 @@ def test_what_was_resolved_reaches_the_caller_and_people(serving):
             checkpoint="org/weights",
             settings={"image slots": "image=agentview", "revision": "1f2e3d"},
             gripper=Gripper.RLDS,
+            taught_on="libero",
         )
 
     settings = serving(Resolved()).describe().settings
@@ -51,6 +52,7 @@ def test_what_was_resolved_reaches_the_caller_and_people(serving):
         ("image slots", "image=agentview"),
         ("revision", "1f2e3d"),
         ("gripper", "0 closed, 1 open"),
+        ("taught on", "libero"),
     ]
     assert Resolved.description.lines() == [
         "policy: seeing",
@@ -60,6 +62,7 @@ def test_what_was_resolved_reaches_the_caller_and_people(serving):
         "horizon: 1",
         "execute: 1",
         "gripper: 0 closed, 1 open",
+        "taught on: libero",
         "image slots: image=agentview",
         "revision: 1f2e3d",
     ]

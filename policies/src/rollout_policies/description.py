@@ -228,6 +228,7 @@ class Description:
             "execute": f"{self.execute}",
             "gripper": self.gripper.value,
             "batches": f"up to {self.max_batch}" if self.max_batch > 1 else "",
+            "taught on": self.taught_on,
             **self.settings,
         }
         return [f"{name}: {value}" for name, value in facts.items() if value]
