@@ -1,10 +1,17 @@
-"""An archive of a campaign (`coordinator campaign archive`), read without a coordinator."""
+"""An archive of a campaign (`coordinator campaign archive`), read without a coordinator.
+
+It may come from anybody. Nothing is written before the list of members has said how much it will
+be and that there is room for it, and nothing is read of the database but the tables' rows.
+"""
 
 from __future__ import annotations
 
+import gzip
 import hashlib
 import json
 import os
+import re
+import shutil
 import sqlite3
 import tarfile
 import tempfile
@@ -25,6 +32,20 @@ FORMAT, SCHEMA = 1, 7
 PIECE = 1 << 20
 
 LIST, DATABASE = "archive.json", "coordinator.sqlite"
+#: The members that every archive has, in order. The others are films.
+MEMBERS = ("specification.json", "provenance.json", "report.json", DATABASE)
+#: A film's name in its folder.
+FILM = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]*\.mp4")
+
+#: Largest list, bytes: of three hundred thousand films.
+MAX_LIST = 64 << 20
+#: Members may be so many times as large as their archive, unless they are small in all, bytes.
+MAX_RATIO, SMALL = 100, 64 << 20
+#: Most zeros behind the last member, bytes.
+MAX_PADDING = 1 << 20
+
+#: The tables that are read.
+TABLES = ("result", "job", "motion", "artifact")
 
 RESULTS = """
     SELECT j.rollout_id, j.replicate, j.task, j.manifest_row, r.success, r.steps, r.wall_secs,
@@ -79,6 +100,8 @@ class Archive:
         self._folder = tempfile.TemporaryDirectory(prefix="rollout-")
         try:
             self._contents = self._unpack(Path(self._folder.name))
+            members = [member["name"] for member in self._contents["members"]]
+            self._films = frozenset(members[len(MEMBERS) :])
         except BaseException:
             self._folder.cleanup()
             raise
@@ -110,18 +133,43 @@ class Archive:
 
     def rollouts(self) -> Iterator[Rollout]:
         """Its committed rollouts, by rollout id and replicate."""
-        folder = Path(self._folder.name)
-        database = sqlite3.connect(folder / DATABASE)
+        path = Path(self._folder.name) / DATABASE
+        database = sqlite3.connect(f"{path.as_uri()}?mode=ro&immutable=1", uri=True)
         try:
+            database.execute("PRAGMA trusted_schema = OFF")
+            database.set_authorizer(_tables_only)
             for row in database.execute(RESULTS):
-                yield _rollout(row, folder)
+                yield self._rollout(row)
         except sqlite3.Error as error:
-            raise ArchiveError(
-                f"failed to read {DATABASE} of archive {self._file}: {error}; archive the campaign"
-                " again"
-            ) from error
+            raise self._unreadable(error) from error
         finally:
             database.close()
+
+    def _rollout(self, row: tuple[Any, ...]) -> Rollout:
+        try:
+            return _rollout(row, self._film(row[-1]))
+        except (ValueError, TypeError, KeyError) as error:
+            if isinstance(error, ArchiveError):
+                raise
+            raise self._unreadable(error) from error
+
+    def _film(self, path: str | None) -> Path | None:
+        """Where a film was unpacked. Only members are films: a database that names another file
+        would have it copied to wherever films are exported."""
+        if path is None:
+            return None
+        if path not in self._films:
+            raise ArchiveError(
+                f"failed to read {DATABASE} of archive {self._file}: it names film {path!r}, which"
+                " is not in the archive; archive the campaign again"
+            )
+        return Path(self._folder.name) / path
+
+    def _unreadable(self, error: Exception) -> ArchiveError:
+        return ArchiveError(
+            f"failed to read {DATABASE} of archive {self._file}: {error}; archive the campaign"
+            " again"
+        )
 
     def _json(self, member: str) -> dict[str, Any]:
         text = (Path(self._folder.name) / member).read_text(encoding="utf-8")
@@ -131,19 +179,22 @@ class Archive:
     def _unpack(self, folder: Path) -> dict[str, Any]:
         name = LIST
         try:
-            with tarfile.open(self._file, "r:gz") as tar:
-                listed = tar.next()
-                file = tar.extractfile(listed) if listed and listed.name == LIST else None
-                if file is None:
+            with gzip.open(self._file, "rb") as stream:
+                entries = _Entries(stream)
+                listed = entries.next()
+                if listed is None or listed.name != LIST or not 0 <= listed.size <= MAX_LIST:
                     raise self._bad("it is no archive of a campaign", LIST)
-                contents: dict[str, Any] = json.load(file)
+                contents: dict[str, Any] = json.loads(b"".join(entries.pieces(listed.size)))
                 self._check_version(contents)
+                self._check_members(contents, folder)
                 for member in contents["members"]:
                     name = member["name"]
-                    self._member(tar, member, folder)
+                    self._member(entries, member, folder)
                 name = "its end"
-                if tar.next() is not None:
+                if entries.next() is not None:
                     raise self._bad(f"there are members that {LIST} does not name", name)
+                if len(stream.read(MAX_PADDING + 1)) > MAX_PADDING:
+                    raise self._bad("there is more behind it", name)
         except FileNotFoundError as error:
             raise ArchiveError(f"failed to read archive {self._file}: it is not there") from error
         except (OSError, EOFError, tarfile.TarError, zlib.error) as error:
@@ -166,24 +217,57 @@ class Archive:
                     " new as that one"
                 )
 
-    def _member(self, tar: tarfile.TarFile, member: dict[str, Any], folder: Path) -> None:
-        name, parts = member["name"], Path(member["name"]).parts
-        entry = tar.next()
-        if entry is None or entry.name != name or not entry.isreg() or ".." in parts:
+    def _check_members(self, contents: dict[str, Any], folder: Path) -> None:
+        """None leads out of the folder, and there is room for all of them."""
+        members = contents["members"]
+        names = [member["name"] for member in members]
+        if tuple(names[: len(MEMBERS)]) != MEMBERS:
+            raise self._bad(f"its members do not begin with {', '.join(MEMBERS)}", LIST)
+        films = f"artifacts/{contents['campaign']}/"
+        is_one_folder = re.fullmatch(r"[A-Za-z0-9_-][A-Za-z0-9._-]*", contents["campaign"])
+        for name in names[len(MEMBERS) :]:
+            if (
+                not is_one_folder
+                or not name.startswith(films)
+                or not FILM.fullmatch(name[len(films) :])
+            ):
+                raise self._bad(f"{name!r} is no film of this campaign", LIST)
+        total = sum(member["bytes"] for member in members)
+        compressed = self._file.stat().st_size
+        if total > max(SMALL, MAX_RATIO * compressed) or any(it["bytes"] < 0 for it in members):
+            raise self._bad(
+                f"it claims {total >> 20} MiB of members in {compressed >> 10} KiB of archive", LIST
+            )
+        free = shutil.disk_usage(folder).free
+        if total > free:
+            raise ArchiveError(
+                f"failed to unpack archive {self._file}: that takes {total >> 20} MiB and the disk"
+                f" of {folder} has {free >> 20} left; make room, or name a folder of another disk"
+                " in TMPDIR"
+            )
+
+    def _member(self, entries: _Entries, member: dict[str, Any], folder: Path) -> None:
+        name, size = member["name"], member["bytes"]
+        entry = entries.next()
+        found = entry and entry.name
+        if entry is not None and entry.type == tarfile.GNUTYPE_LONGNAME:
+            # A name that is too long for a header comes before it, in an entry of its own.
+            if not 0 <= entry.size <= len(name) + 1:
+                raise self._bad("another one is in its place, or none", name)
+            found = b"".join(entries.pieces(entry.size)).rstrip(b"\0").decode("utf-8", "replace")
+            entry = entries.next()
+        if entry is None or found != name or not entry.isreg():
             raise self._bad("another one is in its place, or none", name)
-        target = folder.joinpath(*parts)
-        if Path(name).is_absolute() or folder not in target.parents:
-            raise self._bad("it leads out of the archive", name)
+        if entry.size != size:
+            raise self._bad(f"it is not what {LIST} says: it has {entry.size} bytes", name)
+        target = folder / name
         target.parent.mkdir(parents=True, exist_ok=True)
-        digest, size = hashlib.sha256(), 0
-        source = tar.extractfile(entry)
-        assert source is not None, "a regular file"
-        with target.open("wb") as out:
-            while piece := source.read(PIECE):
+        digest = hashlib.sha256()
+        with target.open("xb") as out:
+            for piece in entries.pieces(size):
                 digest.update(piece)
-                size += len(piece)
                 out.write(piece)
-        if (size, digest.hexdigest()) != (member["bytes"], member["sha256"]):
+        if digest.hexdigest() != member["sha256"]:
             raise self._bad(f"it is not what {LIST} says", name)
 
     def _bad(self, problem: str, member: str) -> ArchiveError:
@@ -193,9 +277,51 @@ class Archive:
         )
 
 
-def _rollout(row: tuple[Any, ...], folder: Path) -> Rollout:
+class _Entries:
+    """The entries of a tar, header by header as they are in the file. `tarfile` resolves long
+    names and extended headers by itself, in memory, however long they claim to be."""
+
+    def __init__(self, stream: gzip.GzipFile) -> None:
+        self._stream = stream
+
+    def next(self) -> tarfile.TarInfo | None:
+        """The next header; None at the end. What the one before has must have been read."""
+        try:
+            return tarfile.TarInfo.frombuf(self._exactly(tarfile.BLOCKSIZE), "utf-8", "replace")
+        except tarfile.HeaderError as error:
+            if type(error).__name__ == "EOFHeaderError":
+                return None
+            raise
+
+    def pieces(self, size: int) -> Iterator[bytes]:
+        """What an entry of this size has, and what fills its last block."""
+        left = size
+        while left > 0:
+            piece = self._exactly(min(left, PIECE))
+            left -= len(piece)
+            yield piece
+        self._exactly(-size % tarfile.BLOCKSIZE)
+
+    def _exactly(self, size: int) -> bytes:
+        read = self._stream.read(size)
+        if len(read) < size:
+            raise EOFError
+        return read
+
+
+def _tables_only(
+    action: int, table: str | None, _column: str | None, _database: str | None, view: str | None
+) -> int:
+    """Lets SQLite read the tables themselves. A view or a generated column in their place would
+    run whatever the archive's author wrote."""
+    is_of_a_table = action == sqlite3.SQLITE_READ and table in TABLES and view is None
+    is_allowed = action == sqlite3.SQLITE_SELECT or is_of_a_table
+    return sqlite3.SQLITE_OK if is_allowed else sqlite3.SQLITE_DENY
+
+
+def _rollout(row: tuple[Any, ...], film: Path | None) -> Rollout:
     rollout_id, replicate, task, manifest_row, success, steps, wall_secs, committed_ms = row[:8]
-    path, actions, film = row[8:]
+    path, actions = row[8:10]
     manifest = json.loads(manifest_row)
     tenths = np.frombuffer(path or b"", dtype="<i2").reshape(-1, 3)
     return Rollout(
@@ -211,5 +337,5 @@ def _rollout(row: tuple[Any, ...], folder: Path) -> Rollout:
         committed_ms=committed_ms,
         path=(tenths * np.float32(1e-4)).astype(np.float32),
         actions=np.frombuffer(actions or b"", dtype="<f4").reshape(-1, 7).astype(np.float32),
-        film=folder / film if film else None,
+        film=film,
     )

@@ -1,13 +1,17 @@
 """Archives read without a coordinator, and what other tools are given of them."""
 
+import contextlib
 import gzip
+import hashlib
 import io
 import json
 import os
 import shutil
+import sqlite3
 import subprocess
 import sys
 import tarfile
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -15,6 +19,7 @@ import pytest
 from rollout_client.__main__ import main
 from rollout_client.archive import Archive, ArchiveError
 from rollout_client.errors import SettingsError
+from rollout_client.export.lerobot import export
 
 from .conftest import specification
 
@@ -89,8 +94,104 @@ def test_what_is_no_whole_archive_is_refused_by_name(archive, tmp_path):
         Archive(bad)
     outside = [{"name": "../outside", "bytes": 0, "sha256": ""}]
     altered(with_list(members=outside))
-    with pytest.raises(ArchiveError, match="another one is in its place"):
+    with pytest.raises(ArchiveError, match="its members do not begin with"):
         Archive(bad)
+    bad.write_bytes(whole + gzip.compress(bytes(2 << 20)))
+    with pytest.raises(ArchiveError, match="there is more behind it"):
+        Archive(bad)
+
+
+def rewritten(file, to, films=(), sql="", lie=None):
+    """Writes an archive with films added and its database altered, and a list that is true of
+    it, but for one member's size."""
+    with tarfile.open(file) as tar:
+        members = {member.name: tar.extractfile(member).read() for member in tar}
+    contents = json.loads(members.pop("archive.json"))
+    database = to.with_suffix(".sqlite")
+    database.write_bytes(members["coordinator.sqlite"])
+    with contextlib.closing(sqlite3.connect(database)) as connection:
+        connection.executescript(f"PRAGMA journal_mode = DELETE; {sql}")
+    members["coordinator.sqlite"] = database.read_bytes()
+    members |= films
+    contents["members"] = [
+        {
+            "name": name,
+            "bytes": 1 if name == lie else len(content),
+            "sha256": hashlib.sha256(content).hexdigest(),
+        }
+        for name, content in members.items()
+    ]
+    members = {"archive.json": json.dumps(contents).encode(), **members}
+    with tarfile.open(to, "w:gz", format=tarfile.GNU_FORMAT) as out:
+        for name, content in members.items():
+            member = tarfile.TarInfo(name)
+            member.size = len(content)
+            out.addfile(member, io.BytesIO(content))
+
+
+def test_a_film_is_a_member_of_its_archive_or_none(archive, tmp_path):
+    """Whoever exported the films of a stranger's archive published what its database named."""
+    pytest.importorskip("pyarrow")
+    file, _ = archive
+    secret = tmp_path / "secret"
+    secret.write_text("hunter2")
+    bad = tmp_path / "bad.tar.gz"
+    filmed = """
+        INSERT OR REPLACE INTO artifact (attempt_id, kind, path, size_bytes, stored_ms)
+            SELECT attempt_id, 'video', '{path}', 7, 0 FROM result
+    """
+    for path in (secret, "coordinator.sqlite", "artifacts/kept/../../../secret", "secret"):
+        rewritten(file, bad, sql=filmed.format(path=path))
+        with Archive(bad) as kept:
+            with pytest.raises(ArchiveError, match="which is not in the archive"):
+                export(kept, tmp_path / "dataset", films=True)
+        exported = [it for it in tmp_path.glob("dataset/**/*") if it.is_file()]
+        assert all(b"hunter2" not in it.read_bytes() for it in exported)
+    # One with a name that is too long for a header of a tar is a member like any other.
+    film = f"artifacts/kept/{'f' * 120}.mp4"
+    rewritten(file, bad, films={film: b"a film"}, sql=filmed.format(path=film))
+    with Archive(bad) as kept:
+        assert {it.film.read_bytes() for it in kept.rollouts()} == {b"a film"}
+
+
+def test_a_strangers_archive_takes_no_memory_no_disk_and_runs_nothing(archive, tmp_path):
+    file, _ = archive
+    swollen = 192 << 20
+    bad = tmp_path / "bad.tar.gz"
+    film = "artifacts/kept/film.mp4"
+    for page in ("artifacts/kept/page.html", "artifacts/kept/../film.mp4", "artifacts/film.mp4"):
+        rewritten(file, bad, films={page: b"<p>"})
+        with pytest.raises(ArchiveError, match="no film of this campaign"):
+            Archive(bad)
+    tracemalloc.start()
+    try:
+        with gzip.open(bad, "wb", compresslevel=1) as out:
+            name = tarfile.TarInfo("././@LongLink")
+            name.type, name.size = tarfile.GNUTYPE_LONGNAME, swollen
+            out.write(name.tobuf(tarfile.GNU_FORMAT))
+            for _ in range(swollen >> 20):
+                out.write(b"n" * (1 << 20))
+        with pytest.raises(ArchiveError, match="no archive of a campaign"):
+            Archive(bad)
+        assert tracemalloc.get_traced_memory()[1] < swollen / 4
+    finally:
+        tracemalloc.stop()
+    rewritten(file, bad, films={film: bytes(swollen)})
+    with pytest.raises(ArchiveError, match="it claims 192 MiB of members"):
+        Archive(bad)
+    rewritten(file, bad, films={film: bytes(swollen)}, lie=film)
+    with pytest.raises(ArchiveError, match="it has 201326592 bytes"):
+        Archive(bad)
+    # Without the rule, it would count for ever.
+    endless = """
+        ALTER TABLE motion RENAME TO former;
+        CREATE VIEW motion AS
+            WITH RECURSIVE n(job_id) AS (SELECT 1 UNION ALL SELECT job_id + 1 FROM n)
+            SELECT job_id, x'' AS path, x'' AS actions FROM n WHERE job_id < 0;
+    """
+    rewritten(file, bad, sql=endless)
+    with Archive(bad) as kept, pytest.raises(ArchiveError, match="archive the campaign again"):
+        list(kept.rollouts())
     assert not (tmp_path / "outside").exists()
 
 
