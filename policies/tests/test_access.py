@@ -41,6 +41,8 @@ def files(tmp_path_factory):
     (folder / "tokens").write_text("# who may talk\n\n" + "".join(lines))
     for role, line in zip(TOKENS, lines):
         (folder / role).write_text(line)
+    for name in ("tokens", *TOKENS):
+        (folder / name).chmod(0o600)
     return folder
 
 
@@ -186,10 +188,21 @@ def test_tokens_do_not_print(files):
 def test_files_that_are_no_use_are_named(files, tmp_path):
     large = tmp_path / "large"
     large.write_bytes(b"#" * (1 << 20))
+    large.chmod(0o600)
     with pytest.raises(AccessError, match=f"{large}: it is larger than 131072 bytes"):
         Tokens.read(large)
     with pytest.raises(AccessError, match="missing: No such file"):
         Tokens.read(tmp_path / "missing")
+    for name, use in (
+        ("tokens", Tokens.read),
+        ("key.pem", lambda key: serve(Noisy(), tls=(files / "cert.pem", key))),
+    ):
+        for mode in (0o644, 0o640, 0o602):
+            exposed = tmp_path / f"{mode:o}-{name}"
+            exposed.write_bytes((files / name).read_bytes())
+            exposed.chmod(mode)
+            with pytest.raises(AccessError, match=rf"{exposed}: .*{mode:04o}.*chmod 600"):
+                use(exposed)
     # The key of another certificate.
     with pytest.raises(AccessError, match="ca-key.pem"):
         serve(Noisy(), tls=(files / "cert.pem", files / "ca-key.pem"))

@@ -129,6 +129,7 @@ def test_a_server_that_asks_for_a_key_is_shown_the_one_in_the_file(program, show
     key = tmp_path / "key"
     with simulated(shown, "--api-key", KEY) as server:
         config.write_text(f'[policy.x]\nreplicas = ["ws://{server}"]\ntoken_file = "{key}"\n')
+        key.touch(mode=0o600)
         key.write_text("worker another-key-than-that\n")
         with client_behind(program, "--config", str(config)) as client:
             with pytest.raises(grpc.RpcError) as caught:

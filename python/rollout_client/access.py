@@ -6,6 +6,7 @@ from __future__ import annotations
 import ipaddress
 import os
 import ssl
+import stat
 from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -103,7 +104,9 @@ def _address(url: str) -> tuple[str, int, bool]:
 def _token(path: Path | None) -> str | None:
     if path is not None:
         try:
-            text = path.read_text(encoding="utf-8")
+            with path.open(encoding="utf-8") as file:
+                _require_private(path, os.fstat(file.fileno()))
+                text = file.read()
         except UnicodeDecodeError:
             raise SettingsError(f"failed to read token file {path}: it is not UTF-8") from None
         except OSError as error:
@@ -111,6 +114,19 @@ def _token(path: Path | None) -> str | None:
         return _usable(text, f"token file {path}")
     text = os.environ.get(TOKENS_VARIABLE, "")
     return _usable(text, TOKENS_VARIABLE) if text else None
+
+
+def _require_private(path: Path, found: os.stat_result) -> None:
+    """Refuses a file of tokens that other users can read or write, as the command line does: its
+    owner's group may read it only where its owner is another user, who gave it to this one."""
+    if not hasattr(os, "geteuid"):
+        return  # Windows, whose permissions are others.
+    others = 0o077 if found.st_uid == os.geteuid() else 0o007
+    if stat.S_ISREG(found.st_mode) and found.st_mode & others:
+        raise SettingsError(
+            f"failed to read token file {path}: its permissions, {found.st_mode & 0o777:04o}, let"
+            f" other users at its tokens; take them away with `chmod 600 {path}`"
+        )
 
 
 def _usable(text: str, place: str) -> str:

@@ -10,6 +10,7 @@ import logging
 import os
 import socket
 import ssl
+import stat
 import threading
 import time
 from dataclasses import dataclass
@@ -59,6 +60,7 @@ class Tokens:
         that begin with `#` skipped. Raises AccessError."""
         try:
             with open(path, "rb") as file:
+                _require_private("token file", path, os.fstat(file.fileno()))
                 data = file.read(MAX_TOKEN_FILE_BYTES + 1)
             if len(data) > MAX_TOKEN_FILE_BYTES:
                 raise AccessError(
@@ -110,6 +112,19 @@ class Tokens:
         return next((token for role in roles for has, token in self.entries if has == role), None)
 
 
+def _require_private(what: str, path: str | Path, found: os.stat_result) -> None:
+    """Refuses a file of secrets that other users can read or write, as the gateway does: its
+    owner's group may read it only where its owner is another user, who gave it to this one."""
+    if not hasattr(os, "geteuid"):
+        return  # Windows, whose permissions are others.
+    others = 0o077 if found.st_uid == os.geteuid() else 0o007
+    if stat.S_ISREG(found.st_mode) and found.st_mode & others:
+        raise AccessError(
+            f"failed to read {what} {path}: its permissions, {found.st_mode & 0o777:04o}, let other"
+            f" users at it; take them away with `chmod 600 {path}`"
+        )
+
+
 def _problem(words: list[str]) -> str | None:
     if len(words) != 2:
         return "it is not two words"
@@ -142,6 +157,8 @@ def server_credentials(certificate: str | Path, key: str | Path) -> grpc.ServerC
     try:
         # gRPC would only log that they do not fit.
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        with open(key, "rb") as file:
+            _require_private("private key", key, os.fstat(file.fileno()))
         context.load_cert_chain(certificate, key, password="")
         pair = Path(key).read_bytes(), Path(certificate).read_bytes()
     except OSError as error:

@@ -23,7 +23,19 @@ TOKENS = {"operator": "a" * 32, "viewer": "b" * 32, "worker": "c" * 32}
 def token_file(folder, *lines):
     path = folder / "tokens"
     path.write_text("\n".join(lines) + "\n")
+    path.chmod(0o600)
     return path
+
+
+def test_a_token_file_that_others_can_read_is_refused(tmp_path):
+    path = token_file(tmp_path, f"operator {TOKENS['operator']}")
+    for mode in (0o644, 0o640, 0o602):
+        path.chmod(mode)
+        with pytest.raises(SettingsError, match=rf"{mode:04o}.*chmod 600") as refused:
+            Client("http://127.0.0.1:1", token_file=path)
+        assert TOKENS["operator"] not in str(refused.value)
+    path.chmod(0o400)
+    Client("http://127.0.0.1:1", token_file=path).close()
 
 
 @pytest.fixture(scope="module")
