@@ -5,6 +5,7 @@ from the observation to the arguments and from the answer to the actions, is
 what serves.
 """
 
+import os
 import subprocess
 import sys
 from types import SimpleNamespace
@@ -468,3 +469,20 @@ def test_a_missing_upstream_package_is_named_with_how_to_install_it():
             assert word in refused.stderr
     else:
         pytest.skip("huggingface_hub is installed here")
+
+
+def test_a_checkpoint_of_predvla_that_would_run_code_is_refused(tmp_path):
+    torch = pytest.importorskip("torch")
+    file, ran = tmp_path / "predvla_goal_s1.pt", tmp_path / "ran"
+
+    class Hostile:
+        def __reduce__(self):
+            return os.mkdir, (str(ran),)
+
+    plain = {"cfg": {"data": {"vision_stride": 4}}, "model": {"weight": torch.ones(2)}}
+    torch.save({**plain, "extra": Hostile()}, file)
+    with pytest.raises(UnusableCheckpoint, match="would run code of its author"):
+        predvla._saved(torch, file)
+    assert not ran.exists()
+    torch.save(plain, file)
+    assert predvla._saved(torch, file)["cfg"] == plain["cfg"]

@@ -11,6 +11,7 @@ noise are defined in those pixels, and reduced to the 128 it was trained on.
 
 from __future__ import annotations
 
+import pickle
 import types
 from dataclasses import dataclass
 from pathlib import Path
@@ -157,6 +158,21 @@ class PredVla(Policy):
         return action
 
 
+def _saved(torch: Any, file: Path) -> dict[str, Any]:
+    """What a checkpoint file holds: tensors, numbers and text. Anything else is refused, because
+    to unpickle it runs whatever its author wrote."""
+    try:
+        saved: dict[str, Any] = torch.load(file, map_location="cpu", weights_only=True)
+    except pickle.UnpicklingError as error:
+        raise UnusableCheckpoint(
+            f"checkpoint {file} holds more than tensors, numbers and text, and loading that would"
+            f" run code of its author ({str(error).splitlines()[0]}); if you trust it, load it with"
+            " torch.load(FILE, weights_only=False) and save its 'cfg' as plain dictionaries and"
+            " its 'model' with torch.save"
+        ) from error
+    return saved
+
+
 def load(entry: Entry, options: Options) -> Policy:
     """Loads the checkpoint; see `rollout_policies.adapters.load`."""
     checkpoint = entry.checkpoint_for(options.suite)
@@ -172,7 +188,7 @@ def load(entry: Entry, options: Options) -> Policy:
     home = Path(package.__file__).parents[1]
     file = _file(entry, checkpoint, home)
     correction = require("predvla.er_batch", entry).ERBatch
-    saved = torch.load(file, map_location="cpu", weights_only=False)
+    saved = _saved(torch, file)
     _require_trained_for(options.suite, saved["cfg"], checkpoint)
     network = package.PredVLA(saved["cfg"]).to(options.device).eval()
     load_stored(network, saved["model"], checkpoint)
