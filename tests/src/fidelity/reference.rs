@@ -1,6 +1,7 @@
 //! Reads the reference data of one task: its folder's layout is described in
 //! the README beside it.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -173,7 +174,11 @@ pub fn read_npz(path: &Path) -> Result<BTreeMap<String, Array>> {
     let read = || format!("read {}", path.display());
     let file = File::open(path).with_context(read)?;
     let mut archive = ZipArchive::new(file).with_context(read)?;
-    let members: Vec<String> = archive.file_names().map(str::to_owned).collect();
+    let members: Vec<String> = archive
+        .file_names()
+        .map(|name| name.map(Cow::into_owned))
+        .collect::<Result<_, _>>()
+        .with_context(read)?;
     let mut arrays = BTreeMap::new();
     for member in members {
         let Some(name) = array_name_from_file_name(&member).map(str::to_owned) else {

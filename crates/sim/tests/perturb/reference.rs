@@ -43,7 +43,10 @@ fn open(path: &Path) -> ZipArchive<File> {
 /// The float arrays of an archive; text and integers are left out.
 pub(crate) fn arrays(path: &Path) -> Arrays {
     let mut archive = open(path);
-    let names: Vec<String> = archive.file_names().map(str::to_owned).collect();
+    let names: Vec<String> = archive
+        .file_names()
+        .map(|name| name.expect("a name").into_owned())
+        .collect();
     let mut arrays = Arrays::new();
     for name in names {
         let file = archive.by_name(&name).expect("listed");
