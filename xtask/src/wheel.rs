@@ -22,7 +22,7 @@ const BUILT_WITH: [&str; 4] = [
 /// must not come into the way of ours.
 const TESTED_WITH: [&str; 10] = [
     "cloudpickle>=2",
-    "gymnasium>=1.0",
+    "gymnasium>=1.1",
     "mujoco>3.3.7",
     "numpy>=1.24",
     "pillow",
