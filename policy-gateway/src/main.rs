@@ -53,7 +53,7 @@ struct Arguments {
 #[derive(Debug, Args)]
 struct Listen {
     /// Where to listen; port 0 takes a free one, and the line printed names it
-    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7071",
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7412",
         value_parser = terminal::address)]
     listen: SocketAddr,
 

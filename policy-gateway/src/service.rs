@@ -96,7 +96,9 @@ impl Gateway {
         match (serving.next(), serving.next()) {
             (Some(only), None) => Ok(Arc::clone(only)),
             _ => Err(Status::invalid_argument(format!(
-                "the request names no policy, and this gateway serves several: {}",
+                "this gateway serves several policies ({}), and the request names none of them: \
+                 choose one, with `--policy NAME` or at the end of the address, \
+                 `grpc://HOST:PORT/NAME`",
                 Names(&routes)
             ))),
         }

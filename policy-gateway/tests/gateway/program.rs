@@ -224,3 +224,11 @@ fn other_machines_are_listened_to_only_with_guards() {
         assert!(stderr.contains(word), "{stderr}");
     }
 }
+
+/// Defect: the default was 7071, and every page says 7412.
+#[test]
+fn the_default_port_is_the_pages() {
+    let help = program(&["--help"]).output().expect("the program runs");
+    let help = String::from_utf8(help.stdout).expect("text");
+    assert!(help.contains("[default: 127.0.0.1:7412]"), "{help}");
+}

@@ -81,7 +81,13 @@ async fn the_only_policy_needs_no_name_and_several_are_listed() {
         .await
         .expect_err("which of the two?");
     assert_eq!(unnamed.code(), Code::InvalidArgument);
-    assert!(unnamed.message().contains("stand, work"), "{unnamed}");
+    for part in [
+        "several policies (stand, work)",
+        "`--policy NAME`",
+        "/NAME`",
+    ] {
+        assert!(unnamed.message().contains(part), "{part} in {unnamed}");
+    }
     let wrong = client
         .infer(infer("pi05", "s", 0))
         .await
