@@ -2,7 +2,7 @@
 //! starting one per session; sessions themselves, retries and the checks of their
 //! answers are the gateway's.
 
-use std::{fmt, str::FromStr, sync::Arc};
+use std::{fmt, str::FromStr};
 
 use thiserror::Error;
 
@@ -58,7 +58,7 @@ impl Builtin {
             },
             Self::Student(weights) => {
                 let checkpoint = format!("{self} {}", env!("CARGO_PKG_VERSION"));
-                student::policy(Arc::clone(weights.network()), checkpoint)
+                student::shipped_policy(weights, checkpoint)
             }
         }
     }

@@ -9,6 +9,9 @@ use serde::{Deserialize, Serialize};
 /// What the names of our own renderer's versions begin with.
 pub const SOFTWARE_RENDERER: &str = "rollout-raster ";
 
+/// Name of the setting in which a policy says on which asset pack it was taught.
+pub const TAUGHT_ON: &str = "taught on";
+
 /// What a worker runs on. A campaign is pinned to one of these: results of two
 /// asset packs, simulators or renderers are two benchmarks, never pooled.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -112,8 +115,21 @@ impl Provenance {
         settings.join(", ")
     }
 
-    /// In what the policies of two results differ, in words; none where they are
-    /// one. The results are of one campaign and suite.
+    /// Returns the asset pack that the policy says it was taught on, where that is
+    /// another than the one that it was measured on.
+    pub fn taught_elsewhere(&self) -> Option<&str> {
+        let taught_on = self.policy_settings.get(TAUGHT_ON)?.as_str();
+        let Pin {
+            asset_pack,
+            asset_pack_digest,
+            ..
+        } = &self.pin;
+        (taught_on != asset_pack && taught_on != asset_pack_digest).then_some(taught_on)
+    }
+
+    /// Returns a difference between the policies of two results in words; none where
+    /// they are one. The results are of one campaign and suite. What a policy was taught
+    /// on decides no action: a server that begins to say it is the same policy.
     pub fn other_policy(&self, pinned: &Provenance) -> Option<String> {
         let differs = |what: &str, here: &str, there: &str| {
             (here != there).then(|| format!("{what} is `{here}` now and was `{there}`"))
@@ -131,8 +147,9 @@ impl Provenance {
                 if &self.policy_settings == settings {
                     return None;
                 }
-                let names: BTreeSet<&String> =
+                let mut names: BTreeSet<&String> =
                     settings.keys().chain(self.policy_settings.keys()).collect();
+                names.retain(|name| *name != TAUGHT_ON);
                 names.into_iter().find_map(|name| {
                     let [here, there] = [&self.policy_settings, settings]
                         .map(|of| of.get(name).map_or("not given", String::as_str));
@@ -152,5 +169,43 @@ impl fmt::Display for Pin {
             write!(f, " and renderer `{}`", self.renderer)?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn measured_on(pack: &str, taught_on: Option<&str>) -> Provenance {
+        let taught_on = taught_on.map(|it| (TAUGHT_ON.to_owned(), it.to_owned()));
+        Provenance {
+            pin: Pin {
+                asset_pack: pack.to_owned(),
+                asset_pack_digest: "d1".to_owned(),
+                ..Pin::default()
+            },
+            policy_settings: taught_on.into_iter().collect(),
+            ..Provenance::default()
+        }
+    }
+
+    #[test]
+    fn a_policy_that_was_taught_on_other_assets_is_known_if_it_says_so() {
+        let elsewhere = |pack, taught_on| {
+            let provenance = measured_on(pack, taught_on);
+            provenance.taught_elsewhere().map(str::to_owned)
+        };
+        assert_eq!(elsewhere("libero", None), None);
+        assert_eq!(elsewhere("libero", Some("libero")), None);
+        assert_eq!(elsewhere("libero", Some("d1")), None);
+        let primitives = Some("primitives");
+        assert_eq!(elsewhere("libero", primitives).as_deref(), primitives);
+    }
+
+    #[test]
+    fn a_server_that_begins_to_say_what_it_was_taught_on_is_the_same_policy() {
+        let [silent, telling] = [None, Some("libero")].map(|it| measured_on("libero", it));
+        assert_eq!(telling.other_policy(&silent), None);
+        assert_eq!(silent.other_policy(&telling), None);
     }
 }

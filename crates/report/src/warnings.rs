@@ -6,6 +6,7 @@ use std::collections::BTreeSet;
 use paired::Outcome;
 
 use attempt::{Fingerprints, Provenance};
+use protocol::Condition;
 
 use crate::subject::Subject;
 
@@ -46,6 +47,8 @@ pub(crate) fn of_subject(subject: &Subject) -> Vec<String> {
             subject.policy
         ));
     }
+    warnings.extend(taught_elsewhere(subject));
+    warnings.extend(solves_nothing(subject));
     warnings.extend(divergent(subject));
     warnings.extend(incomplete(subject));
     warnings
@@ -173,6 +176,42 @@ fn left_out(subject: &Subject) -> Option<String> {
             "realisation modes are mixed: {} results are of another mode than `{own}`, which \
              perturbs differently; they are in no figure and count as missing",
             subject.left_out
+        )
+    })
+}
+
+/// Warns of a policy that was measured on other assets than it was taught on.
+fn taught_elsewhere(subject: &Subject) -> Option<String> {
+    let mut provenances = subject.provenances.iter();
+    provenances.find_map(|provenance| {
+        let taught_on = provenance.taught_elsewhere()?;
+        Some(format!(
+            "policy `{}` was taught on asset pack `{taught_on}` and measured on `{}`: objects there \
+             look otherwise, so that these rates say little about the policy",
+            subject.policy, provenance.pin.asset_pack
+        ))
+    })
+}
+
+/// Warns of a policy that solves no nominal rollout.
+fn solves_nothing(subject: &Subject) -> Option<String> {
+    let nominal = subject.records.iter();
+    let nominal = nominal.filter(|record| record.id.condition() == Condition::Clean);
+    let outcomes = nominal.map(|record| record.outcome);
+    let (mut successes, mut failures) = (0_u64, 0_u64);
+    for outcome in outcomes {
+        match outcome {
+            Outcome::Success => successes += 1,
+            Outcome::Failure => failures += 1,
+            Outcome::Missing | Outcome::Quarantined => {}
+        }
+    }
+    (successes == 0 && failures > 0).then(|| {
+        format!(
+            "policy `{}` solved none of {failures} nominal rollouts, so that nothing is known of \
+             its robustness; `policy-gateway doctor` looks for the usual mistakes of a policy \
+             server that scores 0 %",
+            subject.policy
         )
     })
 }

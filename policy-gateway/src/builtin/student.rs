@@ -7,14 +7,14 @@ use std::{
     sync::{Arc, LazyLock},
 };
 
-use proto::policy::{CameraRequest, DescribeResponse, Language, Observation, StateField};
+use attempt::TAUGHT_ON;
+use policy_protocol::CAMERAS;
+use proto::policy::{CameraRequest, DescribeResponse, Language, Observation, Setting, StateField};
 use student::{ACTIONS, Network, PICTURE_SIDE, Query, WeightsError};
 use thiserror::Error;
 
 use super::instance::{Action, BuiltinPolicy, Policy};
 
-/// Its cameras, in the order in which it asks for them.
-const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
 /// What it reads of the robot, in this order.
 const STATE: [StateField; 3] = [
     StateField::EefPos,
@@ -92,6 +92,17 @@ pub(crate) fn read(path: &Path) -> Result<Policy, WeightsFileError> {
     let file = path.file_name().unwrap_or_default().to_string_lossy();
     let checkpoint = format!("student:{file}");
     Ok(policy(Arc::new(network), checkpoint))
+}
+
+/// The policy with weights that the program brings. They were taught on the built-in
+/// assets.
+pub(crate) fn shipped_policy(weights: Weights, checkpoint: String) -> Policy {
+    let mut policy = policy(Arc::clone(weights.network()), checkpoint);
+    policy.described.settings = vec![Setting {
+        name: TAUGHT_ON.to_owned(),
+        value: "primitives".to_owned(),
+    }];
+    policy
 }
 
 /// The policy that a network is.
@@ -251,6 +262,18 @@ mod tests {
             seen.images[1].rgb = vec![0; 3].into();
         });
         assert!(small.contains("picture of wrist has 3 bytes"), "{small}");
+    }
+
+    #[test]
+    fn the_shipped_weights_say_what_they_were_taught_on() {
+        for weights in [Weights::Plain, Weights::Randomised] {
+            let described = shipped_policy(weights, "builtin".to_owned()).described;
+            let [setting] = &described.settings[..] else {
+                panic!("one setting: {:?}", described.settings);
+            };
+            assert_eq!(setting.name, TAUGHT_ON);
+            assert_eq!(setting.value, "primitives");
+        }
     }
 
     #[test]

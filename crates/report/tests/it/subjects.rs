@@ -15,7 +15,7 @@ pub(crate) fn document(subjects: Vec<Subject>) -> Document {
     Document::new(subjects).expect("no duplicates")
 }
 
-fn provenance(mujoco_version: &str, batch_mode: &str) -> Provenance {
+pub(crate) fn provenance(mujoco_version: &str, batch_mode: &str) -> Provenance {
     Provenance {
         host: "one".to_owned(),
         pin: Pin {

@@ -5,7 +5,7 @@ use paired::Outcome;
 use report::{Subject, figures, page};
 use serde_json::Value;
 
-use crate::subjects::{broken, document, example, replicated};
+use crate::subjects::{broken, document, example, provenance, replicated};
 
 /// The first `tasks` tasks of the example.
 fn some_tasks(tasks: usize) -> Subject {
@@ -133,4 +133,44 @@ fn the_axes_at_once_have_one_name_in_every_form() {
             assert!(!text.contains(other), "{form}: {other}");
         }
     }
+}
+
+#[test]
+fn a_policy_that_solves_no_nominal_rollout_is_sent_to_the_doctor() {
+    let mut subject = example();
+    assert!(!page(&document(vec![subject.clone()])).contains("policy-gateway doctor"));
+    let nominal = protocol::Condition::Clean;
+    let nominal = |record: &&mut paired::Record| record.id.condition() == nominal;
+    let mut failures = 0;
+    for record in subject.records.iter_mut().filter(nominal) {
+        record.outcome = Outcome::Failure;
+        failures += 1;
+    }
+    let said = format!(
+        "policy `OpenVLA-OFT` solved none of {failures} nominal rollouts, so that nothing is known"
+    );
+    let text = document(vec![subject]).text();
+    let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
+    for part in [said.as_str(), "`policy-gateway doctor`"] {
+        assert!(text.contains(part), "{part} in {text}");
+    }
+}
+
+#[test]
+fn a_policy_that_was_taught_on_other_assets_is_warned_of() {
+    let taught_on = |pack: &str| {
+        let mut provenance = provenance("3.3.7", "single");
+        let setting = (attempt::TAUGHT_ON.to_owned(), pack.to_owned());
+        provenance.policy_settings.extend([setting]);
+        let subject = Subject {
+            provenances: vec![provenance],
+            ..example()
+        };
+        let text = document(vec![subject]).text();
+        text.split_whitespace().collect::<Vec<_>>().join(" ")
+    };
+    let elsewhere = taught_on("primitives");
+    let said = "was taught on asset pack `primitives` and measured on `libero`";
+    assert!(elsewhere.contains(said), "{elsewhere}");
+    assert!(!taught_on("libero").contains("was taught on asset pack"));
 }
