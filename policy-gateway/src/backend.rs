@@ -3,15 +3,13 @@
 
 use std::{fmt, time::Duration};
 
+use policy_protocol::{ActionFault, DescriptionFault};
 use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
 use thiserror::Error;
 use tonic::{Code, Status};
 use transport::{Settings, Trouble, answer, is_outage_code};
 
-use crate::{
-    check::{ActionFault, DescriptionFault},
-    health::Cause,
-};
+use crate::health::Cause;
 
 pub mod builtin;
 pub mod grpc;
@@ -115,7 +113,7 @@ pub enum BackendError {
     TimedOut {
         /// As configured.
         backend: String,
-        /// How long it was given.
+        /// Longest silence.
         limit: Duration,
     },
     /// An error that says more of the server than of the query.
@@ -152,8 +150,20 @@ pub enum BackendError {
     /// Too many queries wait for it.
     #[error("{queued} queries wait for their batch already; try again later")]
     QueueFull {
-        /// How many.
+        /// Queries that wait.
         queued: usize,
+    },
+    /// A query that waited in vain for its turn at a server that is at work.
+    #[error(
+        "{backend} has more queries before it than it answers within {:.0} s; run fewer slots, or \
+         give its route more replicas",
+        waited.as_secs_f64()
+    )]
+    Crowded {
+        /// As configured.
+        backend: String,
+        /// Time in the queue.
+        waited: Duration,
     },
     /// A batch that came to nothing, through no fault of its queries.
     #[error("the batch ended without an answer to this query")]
@@ -181,18 +191,6 @@ pub enum BackendError {
         address: String,
         /// Why, with the remedy.
         reason: String,
-    },
-    /// It speaks another version of the policy protocol.
-    #[error(
-        "the policy server at {address} speaks policy protocol version {theirs}, this gateway \
-         version {}; upgrade the older side",
-        proto::PROTOCOL_VERSION
-    )]
-    Version {
-        /// host:port.
-        address: String,
-        /// The server's version.
-        theirs: u32,
     },
     /// A session that is not open, because it never was, or because the
     /// gateway restarted or forgot it since: the episode is lost, through no
@@ -227,14 +225,17 @@ impl BackendError {
             | Self::Disagrees { .. }
             | Self::BatchLost
             | Self::SessionLost => Code::Unavailable,
-            Self::QueueFull { .. } => Code::ResourceExhausted,
+            Self::QueueFull { .. } | Self::Crowded { .. } => Code::ResourceExhausted,
             Self::TimedOut { .. } => Code::DeadlineExceeded,
             // An exception that a server let through, in most languages.
             Self::Refused { status, .. } if status.code() == Code::Unknown => Code::Internal,
             Self::Refused { status, .. } => status.code(),
-            Self::Unsuited { .. } | Self::Version { .. } | Self::OutOfOrder { .. } => {
-                Code::FailedPrecondition
-            }
+            Self::Unsuited { .. }
+            | Self::OutOfOrder { .. }
+            | Self::Description {
+                fault: DescriptionFault::Version { .. },
+                ..
+            } => Code::FailedPrecondition,
             Self::Policy { .. }
             | Self::Description { .. }
             | Self::Nonsense { .. }

@@ -65,6 +65,11 @@ impl<T> Queue<T> {
         self.waiting.retain(|(_, query)| !is_left(query));
     }
 
+    /// Takes all queries that wait.
+    pub fn drain(&mut self) -> Vec<T> {
+        self.waiting.drain(..).map(|(_, query)| query).collect()
+    }
+
     /// What to do at `now` with batches of at most `size`.
     pub fn next(&mut self, size: usize, now: Instant) -> Next<T> {
         let size = size.max(1);

@@ -10,7 +10,6 @@ use std::fmt;
 
 use tonic::Status;
 
-use crate::check;
 use probe::{EpisodeAnswers, Probe, QueryOrder};
 pub use target::{ConformanceError, QUERIES, Target};
 use verdict::Verdict;
@@ -159,7 +158,9 @@ async fn examine(
         {
             verdict::skip("its random numbers follow no seed, so that no two episodes are alike")
         }
-        Point::Description => verdict::description(described, check::description(described)),
+        Point::Description => {
+            verdict::description(described, policy_protocol::description(described))
+        }
         Point::Version => probe.other_version().await,
         Point::Health => probe.health().await?,
         Point::Shape => verdict::shapes(answers, described.horizon),

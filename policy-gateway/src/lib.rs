@@ -27,6 +27,7 @@ pub mod conformance;
 pub mod health;
 pub mod held;
 pub mod http2;
+pub mod pace;
 pub mod recording;
 pub mod referee;
 pub mod route;

@@ -4,14 +4,21 @@
 //! answer, a query whose replica is lost goes to another where the policy
 //! allows it, and what waiting queries hold is bounded.
 
-use std::sync::{
-    Arc, Mutex, PoisonError, RwLock,
-    atomic::{AtomicBool, Ordering},
+use std::{
+    sync::{
+        Arc, Mutex, PoisonError, RwLock,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::{Duration, Instant},
 };
 
 use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
 
-use self::{checkpoints::Checkpoints, pool::Pool, replica::Replica};
+use self::{
+    checkpoints::Checkpoints,
+    pool::{Opening, Pool},
+    replica::Replica,
+};
 use crate::{
     backend::BackendError,
     config::{RouteName, RouteSpec, UnusableBackend},
@@ -26,6 +33,12 @@ pub mod pool;
 pub mod replica;
 
 pub use error::RouteError;
+
+/// Time after which a session without a call no longer counts among those that wait
+/// for answers: its worker is gone, or simulates long stretches between its queries.
+const SESSION_IDLE: Duration = Duration::from_secs(120);
+/// Time between two looks for a session that has ended.
+const RESET_LOOK: Duration = Duration::from_millis(100);
 
 /// A name and what answers for it.
 pub struct Route {
@@ -43,6 +56,8 @@ struct Session {
     pool: Arc<Pool>,
     /// None: the gateway restarted since, and the only replica may know it.
     reset: Option<ResetRequest>,
+    /// Time of its last call.
+    used: Mutex<Instant>,
     /// Locked while a query is under way, so that a retry which overtakes its
     /// first attempt waits for that one's answer.
     state: tokio::sync::Mutex<SessionState>,
@@ -58,6 +73,21 @@ struct SessionState {
 struct Answer {
     query_index: u32,
     response: InferResponse,
+}
+
+impl Session {
+    fn new(pool: Arc<Pool>, reset: Option<ResetRequest>, state: SessionState) -> Arc<Self> {
+        Arc::new(Self {
+            pool,
+            reset,
+            used: Mutex::new(Instant::now()),
+            state: state.into(),
+        })
+    }
+
+    fn used(&self) -> std::sync::MutexGuard<'_, Instant> {
+        self.used.lock().unwrap_or_else(PoisonError::into_inner)
+    }
 }
 
 impl Route {
@@ -119,7 +149,7 @@ impl Route {
             match pool.describe(&replica, Call::Describe).await {
                 Ok(described) => return Ok(described),
                 Err(error) => {
-                    let error = self.failed("", &replica, error);
+                    let error = self.failed(&replica, error);
                     failure = Some(first_worth_telling(failure, error));
                     tried.push(replica);
                 }
@@ -128,11 +158,12 @@ impl Route {
         Err(self.no_answer(failure, ""))
     }
 
-    /// Starts an episode.
+    /// Starts an episode. Where as many are open as the replicas can answer in time, it
+    /// waits for one of them to end.
     ///
     /// # Errors
-    /// When the session has no usable name, its suite no checkpoint, or no replica
-    /// answers.
+    /// If the session has no usable name, its suite no checkpoint, none of the others
+    /// ends, or no replica answers.
     pub async fn reset(&self, request: ResetRequest) -> Result<(), RouteError> {
         check_session(&request.session)?;
         if self.is_retired() {
@@ -141,6 +172,7 @@ impl Route {
         }
         let pool = self.pool(&request.suite)?;
         let session = request.session.as_str();
+        let _opening = self.place(&pool, session).await?;
         let mut tried = vec![];
         let mut failure = None;
         while let Some(replica) = pool.for_session(session, request.seed, &tried) {
@@ -151,18 +183,13 @@ impl Route {
                         open_on: vec![replica],
                         last: None,
                     };
-                    let open = Session {
-                        pool: Arc::clone(&pool),
-                        reset: Some(request.clone()),
-                        state: state.into(),
-                    };
-                    self.sessions().open(session, Arc::new(open));
+                    let open = Session::new(Arc::clone(&pool), Some(request.clone()), state);
+                    self.sessions().open(session, open);
                     return Ok(());
                 }
                 Err(error) => {
                     let is_outage = error.is_outage();
-                    let at = format!(" on Reset of session {session:?}");
-                    let error = self.failed(&at, &replica, error);
+                    let error = self.failed(&replica, error);
                     if !is_outage {
                         return Err(error);
                     }
@@ -184,6 +211,7 @@ impl Route {
         check_session(&request.session)?;
         let _held = self.held.hold(&request).ok_or(RouteError::Overloaded)?;
         let session = self.session(&request.session).await?;
+        *session.used() = Instant::now();
         let mut state = session.state.lock().await;
         let query_index = request.query_index;
         if let Some(answer) = state
@@ -244,7 +272,7 @@ impl Route {
             let is_outage = error.is_outage();
             // After a timeout the caller is gone.
             let is_late = matches!(error, BackendError::TimedOut { .. });
-            let error = self.failed_query(&state.described, &request, &replica, error);
+            let error = self.failed_query(request.query_index, &replica, error);
             if !is_outage || is_late {
                 return Err(error);
             }
@@ -268,23 +296,49 @@ impl Route {
         let described = pool
             .describe(&replica, Call::Of(name))
             .await
-            .map_err(|error| self.failed("", &replica, error))?;
+            .map_err(|error| self.failed(&replica, error))?;
         let state = SessionState {
             described,
             open_on: vec![replica],
             last: None,
         };
-        let adopted = Arc::new(Session {
-            pool,
-            reset: None,
-            state: state.into(),
-        });
+        let adopted = Session::new(pool, None, state);
         let mut sessions = self.sessions();
         // Another query of the session may have been faster.
         Ok(match sessions.get(name) {
             Some(open) => Arc::clone(open),
             None => Arc::clone(sessions.open(name, adopted)),
         })
+    }
+
+    /// Waits for a place among the sessions that the replicas can answer in time. A
+    /// session that is open has one.
+    async fn place(&self, pool: &Arc<Pool>, session: &str) -> Result<Option<Opening>, RouteError> {
+        let until = Instant::now() + pool.reset_patience();
+        loop {
+            {
+                let mut sessions = self.sessions();
+                if sessions.get(session).is_some() {
+                    return Ok(None);
+                }
+                let now = Instant::now();
+                let waits = |it: &&Arc<Session>| {
+                    it.pool.shares_with(pool) && now.duration_since(*it.used()) < SESSION_IDLE
+                };
+                let open = sessions.values().filter(waits).count();
+                if let Some(opening) = pool.open_one_more(open) {
+                    return Ok(Some(opening));
+                }
+                if now >= until {
+                    return Err(RouteError::Full {
+                        route: self.name.clone(),
+                        sessions: open,
+                        per_query: pool.per_query().unwrap_or_default(),
+                    });
+                }
+            }
+            tokio::time::sleep(RESET_LOOK).await;
+        }
     }
 
     fn pool(&self, suite: &str) -> Result<Arc<Pool>, RouteError> {
@@ -308,40 +362,28 @@ impl Route {
         self.sessions.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn failed(&self, at: &str, replica: &Replica, source: BackendError) -> RouteError {
+    fn failed(&self, replica: &Replica, source: BackendError) -> RouteError {
         RouteError::Replica {
             route: self.name.clone(),
             replica: replica.to_string(),
-            at: at.to_owned(),
             source: source.into(),
         }
     }
 
     fn failed_query(
         &self,
-        described: &DescribeResponse,
-        request: &InferRequest,
+        query_index: u32,
         replica: &Replica,
         source: BackendError,
     ) -> RouteError {
-        let InferRequest {
-            session,
-            query_index,
-            ..
-        } = request;
         match source {
             BackendError::Nonsense { fault } => RouteError::Action {
-                policy: described.name.clone(),
                 route: self.name.clone(),
                 replica: replica.to_string(),
-                session: session.clone(),
-                query_index: *query_index,
+                query_index,
                 source: fault,
             },
-            source => {
-                let at = format!(" on session {session:?}, query {query_index}");
-                self.failed(&at, replica, source)
-            }
+            source => self.failed(replica, source),
         }
     }
 

@@ -59,6 +59,11 @@ impl<V> SessionTable<V> {
         Some(&mut entry.value)
     }
 
+    /// The open sessions.
+    pub fn values(&self) -> impl Iterator<Item = &V> {
+        self.entries.values().map(|entry| &entry.value)
+    }
+
     /// Takes a session out, if it is open.
     pub fn close(&mut self, session: &str) -> Option<V> {
         self.entries.remove(session).map(|entry| entry.value)

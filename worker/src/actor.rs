@@ -2,71 +2,90 @@
 //! nothing but the seam: policies behind a connection are `policy`'s, recordings
 //! `single`'s.
 
+use std::path::PathBuf;
 use std::time::Duration;
 
+use policy_protocol::{ACTION_WIDTH, ActionFault, DescriptionFault};
 use proto::policy::{DescribeResponse, Observation, StateField};
 use transport::{AccessError, EndpointError};
-
-/// The cameras of a LIBERO scene that policies may look through.
-pub(crate) const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
-/// Numbers per action: translation, rotation, gripper.
-pub const ACTION_WIDTH: usize = 7;
 
 /// One control step's action, each number in [-1, 1].
 pub type Action = [f64; ACTION_WIDTH];
 
-/// Why a policy gave no usable answer.
+/// Why a policy gave no usable answer, in a whole sentence. Campaigns show it beside the
+/// rollout that it is of, so that it names neither rollout nor session.
 #[derive(Debug, thiserror::Error)]
 pub enum PolicyError {
     /// The endpoint is not one.
-    #[error(transparent)]
-    Endpoint(#[from] EndpointError),
+    #[error("a policy cannot be called: failed to {0}")]
+    Endpoint(#[source] EndpointError),
     /// The endpoint cannot be called over TLS.
-    #[error(transparent)]
-    Access(#[from] AccessError),
+    #[error("a policy cannot be called: failed to {0}")]
+    Access(#[source] AccessError),
     /// No runtime to call from.
-    #[error("start the policy client: {0}")]
+    #[error("a policy cannot be called: failed to start the client ({0})")]
     Runtime(#[source] std::io::Error),
     /// No answer, or an answer that says "not now".
-    #[error("{call} {} at {endpoint}: {problem}", named(policy))]
+    #[error("{}", sentence(policy, endpoint, "did not answer", call, problem))]
     Unavailable {
-        /// "describe", "reset", "ask".
-        call: &'static str,
-        /// Which policy.
+        /// The call: "Describe", "Reset", "query 3".
+        call: String,
+        /// The policy's name at the endpoint.
         policy: String,
-        /// Where.
+        /// The campaign's endpoint.
         endpoint: String,
-        /// What happened.
+        /// A sentence of what happened and what to do.
         problem: String,
     },
     /// It describes itself as something that no rollout can work with.
-    #[error("use {} at {endpoint}: its description {problem}", named(policy))]
+    #[error("{} at {endpoint} cannot be used: {fault}", named(policy))]
     Description {
-        /// Which policy.
+        /// The policy's name at the endpoint.
         policy: String,
-        /// Where.
+        /// The campaign's endpoint.
         endpoint: String,
         /// What is wrong with it.
-        problem: String,
+        fault: DescriptionFault,
     },
     /// It answered, and the answer cannot be executed.
     #[error(
-        "use the answer of {} to query {query} of session {session}: {violation}",
+        "{} at {endpoint} answered {call} with what is no chunk of actions: {fault}; \
+         `policy-gateway doctor` looks for the cause",
         named(policy)
     )]
-    Misbehaved {
-        /// Which policy.
+    Nonsense {
+        /// The call: "query 3".
+        call: String,
+        /// The policy's name at the endpoint.
         policy: String,
-        /// In which session.
-        session: String,
-        /// To which query; "reset" before the first.
-        query: String,
-        /// What is wrong with it.
-        violation: String,
+        /// The campaign's endpoint.
+        endpoint: String,
+        /// What is wrong with the answer.
+        fault: ActionFault,
+    },
+    /// It answered with an error.
+    #[error("{}", sentence(policy, endpoint, "failed at", call, problem))]
+    Failed {
+        /// The call: "Reset", "query 3".
+        call: String,
+        /// The policy's name at the endpoint.
+        policy: String,
+        /// The campaign's endpoint.
+        endpoint: String,
+        /// The answer.
+        problem: String,
+    },
+    /// A recording has no more actions.
+    #[error("the recording {} ends after {actions} actions, and the rollout goes on", path.display())]
+    Ended {
+        /// The file.
+        path: PathBuf,
+        /// Actions in it.
+        actions: usize,
     },
 }
 
-/// A policy in a sentence; the only one of its server has no name.
+/// The name of a policy in a sentence; the only one of its server has none.
 fn named(policy: &str) -> String {
     match policy {
         "" => "the policy".to_owned(),
@@ -74,12 +93,27 @@ fn named(policy: &str) -> String {
     }
 }
 
+/// A sentence of a call that failed. A gateway names the policy in its answer, as its
+/// route; then the sentence does not name it again.
+fn sentence(policy: &str, endpoint: &str, verb: &str, call: &str, problem: &str) -> String {
+    let is_named = |end| problem.contains(&format!("route {policy}{end}"));
+    if !policy.is_empty() && (is_named(" ") || is_named(":")) {
+        format!("{call} failed: {problem}")
+    } else {
+        format!("{} at {endpoint} {verb} {call}: {problem}", named(policy))
+    }
+}
+
 impl PolicyError {
-    /// Whether the policy answered at all: what it answered is charged to the
-    /// rollout, that it did not is not. Neither is a description that fits no
-    /// rollout, because all of the policy's rollouts would pay for it.
+    /// Returns true if the policy answered this rollout with something else than
+    /// actions, which is charged. A policy that does not answer is charged to nobody; nor
+    /// is a description that fits no rollout, for which all rollouts of the policy would
+    /// pay.
     pub fn is_misbehaviour(&self) -> bool {
-        matches!(self, Self::Misbehaved { .. })
+        matches!(
+            self,
+            Self::Nonsense { .. } | Self::Failed { .. } | Self::Ended { .. }
+        )
     }
 }
 
@@ -159,6 +193,32 @@ pub fn clip(action: Action) -> Action {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Defect: errors read as orders and named policy and session twice ("use the answer
+    /// of policy `bad` to query 0 of session … session …").
+    #[test]
+    fn errors_are_sentences_that_name_the_policy_once() {
+        let failed = |policy: &str, problem: &str| PolicyError::Failed {
+            call: "query 0".to_owned(),
+            policy: policy.to_owned(),
+            endpoint: "http://gpu-1:5000".to_owned(),
+            problem: problem.to_owned(),
+        };
+        let raised = "infer raised ValueError: no frame";
+        assert_eq!(
+            failed("bad", raised).to_string(),
+            format!("policy `bad` at http://gpu-1:5000 failed at query 0: {raised}")
+        );
+        assert_eq!(
+            failed("", raised).to_string(),
+            format!("the policy at http://gpu-1:5000 failed at query 0: {raised}")
+        );
+        let by_gateway = "route bad (grpc://gpu-1:5000): the policy failed";
+        assert_eq!(
+            failed("bad", by_gateway).to_string(),
+            format!("query 0 failed: {by_gateway}")
+        );
+    }
 
     #[test]
     fn only_numbers_outside_the_range_are_clipped() {

@@ -8,10 +8,11 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::{fs, io};
 
+use policy_protocol::CAMERAS;
 use protocol::{ManifestRow, Realisation};
 use sim::{CameraRequest, Episode, Frame, ObservationRequest, SimError};
 
-use crate::actor::{Action, CAMERAS};
+use crate::actor::Action;
 use crate::message::Assignment;
 use crate::rollout::Simulated;
 use crate::stage::Stage;

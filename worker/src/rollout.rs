@@ -62,7 +62,7 @@ pub enum RolloutError {
         source: SimError,
     },
     /// The policy failed.
-    #[error(transparent)]
+    #[error("finish the rollout: {0}")]
     Policy(#[from] PolicyError),
     /// The watcher ended it.
     #[error("finish the rollout: it was abandoned")]
@@ -70,7 +70,7 @@ pub enum RolloutError {
 }
 
 impl RolloutError {
-    /// Whose fault it is, and the whole chain of causes in one line. None if
+    /// Returns whose fault it is, and a sentence with all causes in one line. None if
     /// the rollout was abandoned, which is no fault.
     pub fn failure(&self) -> Option<Failure> {
         let kind = match self {
@@ -80,7 +80,10 @@ impl RolloutError {
             Self::Policy(_) => FailureKind::PolicyUnavailable,
             Self::Abandoned => return None,
         };
-        let error = chain(self);
+        let error = match self {
+            Self::Policy(error) => chain(error),
+            error => format!("failed to {}", chain(error)),
+        };
         Some(Failure { kind, error })
     }
 }

@@ -8,6 +8,7 @@ use policy_gateway::backend::vla_eval;
 use policy_gateway::check;
 use policy_gateway::config::Config;
 use policy_gateway::service::Gateway;
+use policy_protocol::{ACTION_WIDTH, LARGEST_NUMBER, MAX_HORIZON};
 use prost::Message;
 use proto::policy as wire;
 use proto::policy::policy_server::PolicyServer;
@@ -54,23 +55,20 @@ pub(crate) fn messages(input: &[u8]) -> bool {
 pub(crate) fn answers(input: &[u8]) -> bool {
     let mut is_an_answer = false;
     if let Ok(described) = wire::DescribeResponse::decode(input)
-        && check::description(&described).is_ok()
+        && policy_protocol::description(&described).is_ok()
     {
         is_an_answer = true;
-        assert!((1..=check::MAX_HORIZON).contains(&described.horizon));
+        assert!((1..=MAX_HORIZON).contains(&described.horizon));
         assert!(check::batch_size(&described) >= 1);
         assert_eq!(check::difference(&described, &described), None);
     }
     if let Ok(response) = wire::InferResponse::decode(input)
-        && let Ok(count) = check::actions(&response, check::MAX_HORIZON)
+        && let Ok(actions) = policy_protocol::actions(&response, MAX_HORIZON)
     {
         is_an_answer = true;
-        assert_eq!(
-            response.actions.len(),
-            (count * check::ACTION_WIDTH) as usize
-        );
-        let bound = check::LARGEST_NUMBER;
-        assert!(response.actions.iter().all(|number| number.abs() <= bound));
+        assert_eq!(response.actions, actions.as_flattened());
+        let is_bounded = |number: &f32| number.abs() <= LARGEST_NUMBER;
+        assert!(response.actions.iter().all(is_bounded));
     }
     if let Ok(chunk) = codec::answer(input) {
         is_an_answer = true;
@@ -79,8 +77,8 @@ pub(crate) fn answers(input: &[u8]) -> bool {
     }
     if let Ok(response) = vla_eval::answer(input, 1, 1) {
         is_an_answer = true;
-        let grippers = response.actions.chunks(check::ACTION_WIDTH as usize);
-        if check::actions(&response, 1).is_ok() {
+        let grippers = response.actions.chunks(ACTION_WIDTH);
+        if policy_protocol::actions(&response, 1).is_ok() {
             assert!(grippers.flat_map(|it| it.last()).all(|it| it.abs() == 1.0));
         }
     }

@@ -6,13 +6,13 @@ use std::{
     sync::{Arc, Mutex, PoisonError},
 };
 
+use policy_protocol::ACTION_WIDTH;
 use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
-use tokio::task::spawn_blocking;
+use tokio::task::JoinSet;
 
 use super::{Backend, BackendError};
 use crate::{
     builtin::{BuiltinPolicy, Policy},
-    check::ACTION_WIDTH,
     sessions::{MAX_SESSIONS, SessionTable},
 };
 
@@ -49,7 +49,7 @@ impl Instance {
         self.next_query = request.query_index.saturating_add(1);
         Ok(InferResponse {
             actions: actions.into_flattened(),
-            action_width: ACTION_WIDTH,
+            action_width: ACTION_WIDTH as u32,
         })
     }
 }
@@ -97,7 +97,9 @@ impl Backend for BuiltinBackend {
             .episode(&request.session)
             .ok_or(BackendError::SessionLost)?;
         let stateful = self.policy.described.stateful;
-        let answered = spawn_blocking(move || {
+        // Dropped with this call, so that a query that nobody awaits never begins.
+        let mut answering = JoinSet::new();
+        answering.spawn_blocking(move || {
             // Only a panic inside the policy poisons the lock, and then what the
             // instance remembers is not to be trusted.
             let mut episode = episode
@@ -105,9 +107,10 @@ impl Backend for BuiltinBackend {
                 .map_err(|_| panicked("at an earlier query"))?;
             episode.answer(stateful, request)
         });
+        let answered = answering.join_next().await;
         answered
-            .await
-            .unwrap_or_else(|_| Err(panicked("at this query")))
+            .and_then(Result::ok)
+            .unwrap_or_else(|| Err(panicked("at this query")))
     }
 }
 

@@ -179,16 +179,7 @@ impl Backend for GrpcBackend {
             policy: self.address.policy.clone(),
             suite: suite.to_owned(),
         };
-        let described = self.call(self.client.clone().describe(request)).await?;
-        let theirs = described.protocol_version;
-        if theirs == proto::PROTOCOL_VERSION {
-            Ok(described)
-        } else {
-            Err(BackendError::Version {
-                address: self.address.authority.clone(),
-                theirs,
-            })
-        }
+        self.call(self.client.clone().describe(request)).await
     }
 
     async fn reset(&self, mut request: ResetRequest) -> Result<(), BackendError> {

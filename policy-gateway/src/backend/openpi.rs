@@ -13,6 +13,7 @@ use std::{
     sync::{Mutex, PoisonError},
 };
 
+use policy_protocol::CAMERAS;
 use proto::policy::{
     DescribeResponse, InferRequest, InferResponse, Language, ResetRequest, Setting, StateField,
 };
@@ -26,17 +27,12 @@ use super::{
     shown::{self, FRAME_SIDE},
     websocket::{Connection, Received, Server},
 };
-use crate::{
-    check::ACTION_WIDTH,
-    sessions::{MAX_SESSIONS, SessionTable},
-};
+use crate::sessions::{MAX_SESSIONS, SessionTable};
 
 mod address;
 pub mod codec;
 pub mod frame;
 
-/// Cameras, in the order of openpi's message.
-const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
 /// Characters of a server's traceback that are quoted: its end names the error.
 const TOLD_CHARS: usize = 600;
 /// Readings, end to end the eight numbers of its state.
@@ -256,7 +252,7 @@ fn first_actions(chunk: &codec::Chunk, execute: u32) -> Result<InferResponse, St
     let numbers = chunk.numbers[..execute as usize * width].to_vec();
     Ok(InferResponse {
         actions: numbers,
-        action_width: u32::try_from(width).unwrap_or(ACTION_WIDTH + 1),
+        action_width: u32::try_from(width).unwrap_or(u32::MAX),
     })
 }
 

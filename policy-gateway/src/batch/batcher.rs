@@ -1,9 +1,13 @@
 //! Sends batches to one server: a task takes queries from the queue, and every
-//! query gets its own answer back. Responsible for ending a batch that is not
-//! answered in time; which queries may be asked at all is the replica's business.
+//! query gets its own answer back. Responsible for ending a batch whose server is
+//! silent, or that nobody waits for any more; which queries may be asked at all is the
+//! replica's business.
 
 use std::{
-    sync::{Arc, Mutex, PoisonError},
+    sync::{
+        Arc, Mutex, PoisonError,
+        atomic::{AtomicBool, Ordering},
+    },
     time::{Duration, Instant},
 };
 
@@ -14,7 +18,10 @@ use tokio::{
 };
 
 use super::{MAX_QUEUED, Next, Queue};
-use crate::backend::{Backend, BackendError};
+use crate::{
+    backend::{Backend, BackendError},
+    pace::{Silent, Watch},
+};
 
 /// A queue of queries and the task that empties it, which ends with this.
 pub struct Batcher {
@@ -25,6 +32,7 @@ pub struct Batcher {
 
 struct Shared {
     backend: Arc<dyn Backend>,
+    watch: Arc<Watch>,
     answer_within: Duration,
     /// Queries, and the largest batch as last reported.
     queue: Mutex<(Queue<Query>, usize)>,
@@ -33,15 +41,17 @@ struct Shared {
 
 struct Query {
     request: InferRequest,
+    is_sent: Arc<AtomicBool>,
     answer: oneshot::Sender<Result<InferResponse, BackendError>>,
 }
 
 impl Batcher {
-    /// A batcher for this back-end, without queries.
-    pub fn new(backend: Arc<dyn Backend>, answer_within: Duration) -> Self {
+    /// Makes a batcher for a back-end, without queries.
+    pub fn new(backend: Arc<dyn Backend>, watch: Arc<Watch>, answer_within: Duration) -> Self {
         Self {
             shared: Arc::new(Shared {
                 backend,
+                watch,
                 answer_within,
                 queue: Mutex::new((Queue::default(), 1)),
                 changed: Notify::new(),
@@ -50,20 +60,27 @@ impl Batcher {
         }
     }
 
-    /// Answers one query as part of a batch of at most `size`.
+    /// Answers one query as part of a batch of at most `size`. It waits for its turn
+    /// for at most `patience`. Dropped, it loses its place.
     ///
     /// # Errors
-    /// When too many wait already, and as [`Backend::infer`].
+    /// If too many wait already, or its turn does not come; and as [`Backend::infer`].
     pub async fn infer(
         &self,
         request: InferRequest,
         size: usize,
+        patience: Duration,
     ) -> Result<InferResponse, BackendError> {
-        let (answer, answered) = oneshot::channel();
+        let (answer, mut answered) = oneshot::channel();
+        let is_sent = Arc::new(AtomicBool::new(false));
         {
             let mut queue = self.shared.queue();
             queue.1 = size;
-            let query = Query { request, answer };
+            let query = Query {
+                request,
+                is_sent: Arc::clone(&is_sent),
+                answer,
+            };
             queue
                 .0
                 .push(query, Instant::now())
@@ -71,7 +88,17 @@ impl Batcher {
         }
         self.drive();
         self.shared.changed.notify_one();
-        answered.await.unwrap_or(Err(BackendError::BatchLost))
+        let answer = match tokio::time::timeout(patience, &mut answered).await {
+            Ok(answer) => answer,
+            Err(_) if is_sent.load(Ordering::Relaxed) => answered.await,
+            Err(_) => {
+                return Err(BackendError::Crowded {
+                    backend: self.shared.backend.to_string(),
+                    waited: patience,
+                });
+            }
+        };
+        answer.unwrap_or(Err(BackendError::BatchLost))
     }
 
     /// Starts the task if it does not run.
@@ -123,29 +150,56 @@ async fn drive(shared: Arc<Shared>) {
     }
 }
 
-/// Sends one batch and passes its answers on.
+/// Sends one batch and passes its answers on. Once nobody waits for any of them, the
+/// call is dropped, so that the server hears of it.
 async fn send(shared: Arc<Shared>, batch: Vec<Query>) {
-    let (requests, askers): (Vec<_>, Vec<_>) =
-        batch.into_iter().map(|it| (it.request, it.answer)).unzip();
+    let mut requests = Vec::with_capacity(batch.len());
+    let mut askers = Vec::with_capacity(batch.len());
+    for query in batch {
+        query.is_sent.store(true, Ordering::Relaxed);
+        requests.push(query.request);
+        askers.push(query.answer);
+    }
     let limit = shared.answer_within;
-    let answers = tokio::time::timeout(limit, shared.backend.infer_batch(requests)).await;
-    let answers = answers.unwrap_or_else(|_| {
-        Err(BackendError::TimedOut {
-            backend: shared.backend.to_string(),
-            limit,
-        })
+    let call = shared.backend.infer_batch(requests);
+    let call = shared.watch.queries(limit, call, |answers| match answers {
+        Ok(answers) => answers.len() as u32,
+        Err(error) => u32::from(!error.is_outage()),
     });
+    let all_gone = async {
+        for asker in &mut askers {
+            asker.closed().await;
+        }
+    };
+    let answers = tokio::select! {
+        answers = call => answers,
+        () = all_gone => return,
+    };
     match answers {
-        Ok(answers) => {
+        Ok(Ok(answers)) => {
             for (asker, answer) in askers.into_iter().zip(answers) {
                 // A caller that stopped waiting needs no answer.
                 drop(asker.send(answer));
             }
         }
-        Err(error) => {
-            for asker in askers {
-                drop(asker.send(Err(error.clone())));
-            }
+        Ok(Err(error)) => fail(askers, &error),
+        Err(Silent) => {
+            let error = BackendError::TimedOut {
+                backend: shared.backend.to_string(),
+                limit,
+            };
+            let waiting = shared.queue().0.drain();
+            fail(waiting.into_iter().map(|it| it.answer), &error);
+            fail(askers, &error);
         }
+    }
+}
+
+fn fail(
+    askers: impl IntoIterator<Item = oneshot::Sender<Result<InferResponse, BackendError>>>,
+    error: &BackendError,
+) {
+    for asker in askers {
+        drop(asker.send(Err(error.clone())));
     }
 }

@@ -2,11 +2,10 @@
 
 use std::time::Duration;
 
+use policy_protocol::DescriptionFault;
 use proto::policy::{DescribeResponse, InferResponse};
 use tonic::Status;
 use transport::answer;
-
-use crate::check::{self, DescriptionFault};
 
 /// How far beyond 1 a number may lie and still be an action that a worker
 /// clips; more is a policy that answers in other units.
@@ -73,7 +72,8 @@ pub fn description(described: &DescribeResponse, checked: Result<(), Description
 /// Every answer of an episode, its query index being its place.
 pub fn shapes(answers: &[InferResponse], horizon: u32) -> Verdict {
     let faults = answers.iter().enumerate();
-    let mut faults = faults.filter_map(|(at, it)| Some((at, check::actions(it, horizon).err()?)));
+    let mut faults =
+        faults.filter_map(|(at, it)| Some((at, policy_protocol::actions(it, horizon).err()?)));
     match faults.next() {
         Some((at, fault)) => fail(format!("at query {at}, {fault}")),
         None => pass(""),

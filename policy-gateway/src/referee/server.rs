@@ -9,13 +9,13 @@ use std::{
     time::{Duration, Instant},
 };
 
+use policy_protocol::{ActionFault, DescriptionFault};
 use proto::policy::{DescribeResponse, InferRequest, InferResponse, Observation, ResetRequest};
 use thiserror::Error;
 use transport::{Access, chain};
 
 use crate::{
     backend::{Backend, BackendError, open::open},
-    check::{self, ActionFault, DescriptionFault},
     config::{BackendSpec, UnusableBackend},
     recording::RecordingError,
 };
@@ -68,7 +68,7 @@ impl Server {
         let url = spec.to_string();
         let backend = open(spec, access)?;
         let described = in_time(&url, backend.describe(suite)).await?;
-        if let Err(fault) = check::description(&described) {
+        if let Err(fault) = policy_protocol::description(&described) {
             return Err(RefereeError::Description { url, fault });
         }
         Ok(Self {
@@ -112,11 +112,8 @@ impl Server {
     /// # Errors
     /// When it is none.
     pub fn actions(&self, response: &InferResponse) -> Result<Vec<Action>, ActionFault> {
-        check::actions(response, self.described.horizon)?;
-        let rows = response.actions.chunks_exact(7);
-        Ok(rows
-            .map(|row| std::array::from_fn(|at| f64::from(row[at])))
-            .collect())
+        let actions = policy_protocol::actions(response, self.described.horizon)?;
+        Ok(actions.iter().map(|it| it.map(f64::from)).collect())
     }
 }
 

@@ -1,44 +1,41 @@
 //! Why a route did not answer, as the worker's call returns it.
 
+use std::time::Duration;
+
+use policy_protocol::ActionFault;
 use thiserror::Error;
 use tonic::{Code, Status};
 use transport::{chain, is_outage_code};
 
 use crate::{
-    backend::BackendError, check::ActionFault, config::RouteName, held::MAX_HELD_BYTES,
-    sessions::MAX_SESSION_BYTES,
+    backend::BackendError, config::RouteName, held::MAX_HELD_BYTES, sessions::MAX_SESSION_BYTES,
 };
 
 /// Why a route did not answer.
 #[derive(Debug, Error)]
 pub enum RouteError {
     /// The replica did not.
-    #[error("route {route} ({replica}){at}")]
+    #[error("route {route}{}", of_replica(replica, source))]
     Replica {
         /// Name of the route.
         route: RouteName,
         /// Its back-end as configured.
         replica: String,
-        /// " on session …", as far as known.
-        at: String,
-        /// Why not.
+        /// The reason.
         #[source]
         source: Box<BackendError>,
     },
     /// The policy answered nonsense.
     #[error(
-        "policy {policy:?} (route {route}, {replica}), session {session:?}, query {query_index}"
+        "route {route} ({replica}) got an answer to query {query_index} that is no chunk of \
+         actions: {source}; `policy-gateway doctor {replica}` looks for the cause"
     )]
     Action {
-        /// The policy's own name.
-        policy: String,
         /// Name of the route.
         route: RouteName,
         /// Its back-end as configured.
         replica: String,
-        /// The episode.
-        session: String,
-        /// Which of its queries.
+        /// Index of the query in its session.
         query_index: u32,
         /// What is wrong.
         #[source]
@@ -81,6 +78,20 @@ pub enum RouteError {
         /// Name of the route.
         route: RouteName,
     },
+    /// As many sessions are open as its replicas can answer in time.
+    #[error(
+        "route {route} has {sessions} rollouts under way, as many as its policy servers answer in \
+         time at {:.2} s a query; run fewer slots, or give the route more replicas",
+        per_query.as_secs_f64()
+    )]
+    Full {
+        /// Name of the route.
+        route: RouteName,
+        /// Open sessions.
+        sessions: usize,
+        /// What the slowest replica takes for each query.
+        per_query: Duration,
+    },
     /// Too many queries wait already.
     #[error(
         "this gateway holds {} MiB of observations that wait for their answers; try again later, \
@@ -88,6 +99,18 @@ pub enum RouteError {
         MAX_HELD_BYTES >> 20
     )]
     Overloaded,
+}
+
+/// The part of a message after the route's name. The replica is named once: here, or by
+/// its error.
+fn of_replica(replica: &str, source: &BackendError) -> String {
+    let problem = source.to_string();
+    let address = replica.split_once("://").map_or(replica, |(_, rest)| rest);
+    let address = address.split('/').next().unwrap_or(address);
+    match problem.contains(address) {
+        true => format!(": {problem}"),
+        false => format!(" ({replica}): {problem}"),
+    }
 }
 
 impl RouteError {
@@ -98,7 +121,7 @@ impl RouteError {
             Self::Action { .. } => Code::Internal,
             Self::SessionLost { .. } | Self::Retired { .. } => Code::Unavailable,
             Self::Suite { .. } | Self::Session { .. } => Code::InvalidArgument,
-            Self::Overloaded => Code::ResourceExhausted,
+            Self::Full { .. } | Self::Overloaded => Code::ResourceExhausted,
         }
     }
 

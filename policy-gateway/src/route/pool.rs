@@ -5,8 +5,9 @@ use std::{
     fmt,
     sync::{
         Arc, Mutex, PoisonError,
-        atomic::{AtomicU64, Ordering},
+        atomic::{AtomicU64, AtomicUsize, Ordering},
     },
+    time::Duration,
 };
 
 use proto::policy::DescribeResponse;
@@ -24,6 +25,18 @@ pub struct Pool {
     /// What the first replica to answer said, which the others must say, too.
     agreed: Mutex<Option<Agreed>>,
     sessions_given: AtomicU64,
+    /// Sessions whose Reset is under way.
+    opening: AtomicUsize,
+}
+
+/// A session whose Reset is under way, among those that its pool may have; one less
+/// when dropped.
+pub struct Opening(Arc<Pool>);
+
+impl Drop for Opening {
+    fn drop(&mut self) {
+        self.0.opening.fetch_sub(1, Ordering::Relaxed);
+    }
 }
 
 struct Agreed {
@@ -40,7 +53,46 @@ impl Pool {
             batching,
             agreed: Mutex::default(),
             sessions_given: AtomicU64::new(0),
+            opening: AtomicUsize::new(0),
         }
+    }
+
+    /// Counts one more session whose Reset is under way, if the replicas can answer it
+    /// in time beside the `open` ones. The caller keeps others from doing so meanwhile.
+    pub fn open_one_more(self: &Arc<Self>, open: usize) -> Option<Opening> {
+        let sessions = open + self.opening.load(Ordering::Relaxed);
+        if self.capacity().is_some_and(|most| sessions >= most) {
+            return None;
+        }
+        self.opening.fetch_add(1, Ordering::Relaxed);
+        Some(Opening(Arc::clone(self)))
+    }
+
+    /// Returns how many sessions the replicas can answer in time together; none if
+    /// the pace of one is not known, or all are out.
+    pub fn capacity(&self) -> Option<usize> {
+        let up = self.replicas.iter().filter(|it| !it.is_out());
+        let capacities = up.map(|replica| replica.capacity());
+        let capacity: Option<usize> = capacities.sum();
+        capacity.filter(|&sessions| sessions > 0)
+    }
+
+    /// Longest time that a Reset waits for another session to end: at 50 s for an answer
+    /// 20 s, so that the Reset itself still comes within the 60 s that a worker waits.
+    pub fn reset_patience(&self) -> Duration {
+        let longest = self.replicas.iter().map(|it| it.answer_within()).max();
+        longest.unwrap_or_default() * 2 / 5
+    }
+
+    /// Returns the time that the slowest replica takes for each query.
+    pub fn per_query(&self) -> Option<Duration> {
+        self.replicas.iter().filter_map(|it| it.per_query()).max()
+    }
+
+    /// Returns true if another pool has the same replicas' sessions: it is for the
+    /// same suite of the same route, before or after a reload.
+    pub fn shares_with(&self, other: &Self) -> bool {
+        self.suite == other.suite
     }
 
     /// In the order configured.

@@ -1,12 +1,16 @@
 //! One replica: a back-end, how busy it is and how it does. Responsible for
 //! deadlines, for health and for the checks at the boundary, so that whatever
 //! comes out of here may go on towards a robot.
+//!
+//! A query is first *queued*, then *sent*. In the queue only its caller's patience
+//! counts, and a caller that goes gives up its place; once sent, the server's silence
+//! does.
 
 use std::{
     fmt,
     sync::{
         Arc, Mutex, PoisonError,
-        atomic::{AtomicU64, AtomicUsize, Ordering},
+        atomic::{AtomicU32, AtomicU64, AtomicUsize, Ordering},
     },
     time::{Duration, Instant},
 };
@@ -21,11 +25,18 @@ use crate::{
     check,
     config::{AccessFiles, BackendSpec, Batching, RouteSpec, UnusableBackend},
     health::{Answered, Call, Cause, Health},
+    pace::{Silent, Watch},
 };
 
 /// Single queries at one server at once: it is asked one by one, and what waits
 /// behind these costs this side no second copy of its observation.
 pub const MAX_CALLS: usize = 64;
+/// Sessions that a replica may have whatever its pace: a server that answers several
+/// at once shows it only with several.
+const MIN_SESSIONS: usize = 4;
+/// Longest time that a rollout may spend on each control step: most of the 10 s that
+/// a coordinator allows it (`--step-ceiling-secs`).
+const STEP_PATIENCE: Duration = Duration::from_secs(8);
 
 /// One of those that answer for a checkpoint.
 pub struct Replica {
@@ -36,8 +47,11 @@ pub struct Replica {
     backend: Arc<dyn Backend>,
     batcher: Batcher,
     calls: Semaphore,
+    watch: Arc<Watch>,
     /// Queries in one batch, as last described.
     batch_size: AtomicUsize,
+    /// Actions executed per query, as last described.
+    execute: AtomicU32,
     health: Mutex<Health>,
     /// Queries under way.
     load: AtomicUsize,
@@ -74,15 +88,18 @@ impl Replica {
             Some(into) => Arc::new(Recorder::new(backend, into.clone())),
             None => backend,
         };
+        let watch = Arc::<Watch>::default();
         Ok(Self {
             spec: spec.clone(),
             access: route.access.clone(),
             answer_within,
             batching,
-            batcher: Batcher::new(Arc::clone(&backend), answer_within),
+            batcher: Batcher::new(Arc::clone(&backend), Arc::clone(&watch), answer_within),
             backend,
             calls: Semaphore::new(MAX_CALLS),
+            watch,
             batch_size: AtomicUsize::new(1),
+            execute: AtomicU32::new(1),
             health: Mutex::default(),
             load: AtomicUsize::new(0),
             last_given: AtomicU64::new(0),
@@ -112,6 +129,33 @@ impl Replica {
         self.last_given.store(number, Ordering::Relaxed);
     }
 
+    /// Longest silence of its server.
+    pub fn answer_within(&self) -> Duration {
+        self.answer_within
+    }
+
+    /// Longest time that a query waits for its turn: at 50 s for an answer 55 s, which
+    /// is less than the 60 s that a worker waits.
+    fn patience(&self) -> Duration {
+        self.answer_within * 11 / 10
+    }
+
+    /// Returns how long the server takes for each query while it is busy, once known.
+    pub fn per_query(&self) -> Option<Duration> {
+        self.watch.per_query()
+    }
+
+    /// Returns how many sessions its server can answer in time, once its pace is known.
+    pub fn capacity(&self) -> Option<usize> {
+        let execute = self.execute.load(Ordering::Relaxed);
+        Some(capacity(self.patience(), execute, self.per_query()?))
+    }
+
+    /// Returns true if only a probe of the server goes through.
+    pub fn is_out(&self) -> bool {
+        matches!(*self.health(), Health::Out(_))
+    }
+
     /// Whether a call would go out now.
     pub fn would_admit(&self, call: Call<'_>) -> bool {
         let mut health = self.health().clone();
@@ -131,7 +175,7 @@ impl Replica {
         agrees: impl FnOnce(&DescribeResponse) -> Result<(), String>,
     ) -> Result<DescribeResponse, BackendError> {
         let described = self.in_time(call, self.backend.describe(suite)).await?;
-        check::description(&described).map_err(|fault| BackendError::Description {
+        policy_protocol::description(&described).map_err(|fault| BackendError::Description {
             policy: described.name.clone(),
             fault,
         })?;
@@ -145,6 +189,7 @@ impl Replica {
             Batching::Single | Batching::Deterministic => 1,
         };
         self.batch_size.store(batch_size, Ordering::Relaxed);
+        self.execute.store(described.execute, Ordering::Relaxed);
         Ok(described)
     }
 
@@ -172,7 +217,7 @@ impl Replica {
     ///
     /// # Errors
     /// When it does not answer, or its answer is no chunk of actions (see
-    /// [`check::actions`]).
+    /// [`policy_protocol::actions`]).
     pub async fn infer(
         &self,
         request: InferRequest,
@@ -182,21 +227,20 @@ impl Replica {
         self.load.fetch_add(1, Ordering::Relaxed);
         let _under_way = UnderWay(&self.load);
         let session = request.session.clone();
-        let answer = async {
-            match self.batch_size.load(Ordering::Relaxed) {
-                1 => {
-                    // Never closed; waiting is part of the answer's time.
-                    let _call = self.calls.acquire().await;
-                    self.backend.infer(request).await
-                }
-                size => self.batcher.infer(request, size).await,
-            }
+        let call = Call::Of(&session);
+        self.admit(call)?;
+        let answer = match self.batch_size.load(Ordering::Relaxed) {
+            1 => self.infer_alone(call, request).await,
+            size => self.batcher.infer(request, size, self.patience()).await,
         };
-        let answer = self.in_time(Call::Of(&session), answer).await;
-        let checked = answer.and_then(|response| match check::actions(&response, horizon) {
-            Ok(_) => Ok(response),
-            Err(fault) => Err(BackendError::Nonsense { fault }),
-        });
+        let answer = self.noted(answer);
+        let checked =
+            answer.and_then(
+                |response| match policy_protocol::actions(&response, horizon) {
+                    Ok(_) => Ok(response),
+                    Err(fault) => Err(BackendError::Nonsense { fault }),
+                },
+            );
         match checked {
             Ok(response) => {
                 self.answered(Answered::Query);
@@ -228,31 +272,72 @@ impl Replica {
         }
     }
 
-    /// Makes one call, if the replica's health admits it, and notes if it
-    /// brought no answer in time.
+    /// Asks one query by itself, when its turn comes.
+    async fn infer_alone(
+        &self,
+        call: Call<'_>,
+        request: InferRequest,
+    ) -> Result<InferResponse, BackendError> {
+        let patience = self.patience();
+        let Ok(_turn) = tokio::time::timeout(patience, self.calls.acquire()).await else {
+            return Err(BackendError::Crowded {
+                backend: self.to_string(),
+                waited: patience,
+            });
+        };
+        // The server may have gone out meanwhile.
+        self.admit(call)?;
+        let answer = self.backend.infer(request);
+        let answer = self.watch.queries(self.answer_within, answer, |answer| {
+            u32::from(!matches!(answer, Err(error) if error.is_outage()))
+        });
+        self.unless_silent(answer.await)
+    }
+
+    /// Makes one call without queries, if the replica's health admits it, and notes
+    /// if it brought no answer in time.
     async fn in_time<T>(
         &self,
         call: Call<'_>,
         answer: impl Future<Output = Result<T, BackendError>>,
     ) -> Result<T, BackendError> {
-        self.health()
-            .admit(call, Instant::now())
-            .map_err(|(cause, retry_in)| BackendError::Out {
+        self.admit(call)?;
+        let answer = self.watch.answer(self.answer_within, answer).await;
+        self.noted(self.unless_silent(answer))
+    }
+
+    fn admit(&self, call: Call<'_>) -> Result<(), BackendError> {
+        let admitted = self.health().admit(call, Instant::now());
+        admitted.map_err(|(cause, retry_in)| BackendError::Out {
+            backend: self.to_string(),
+            cause,
+            retry_in,
+        })
+    }
+
+    fn unless_silent<T>(
+        &self,
+        answer: Result<Result<T, BackendError>, Silent>,
+    ) -> Result<T, BackendError> {
+        answer.unwrap_or_else(|Silent| {
+            Err(BackendError::TimedOut {
                 backend: self.to_string(),
-                cause,
-                retry_in,
-            })?;
-        let limit = self.answer_within;
-        let Ok(answer) = tokio::time::timeout(limit, answer).await else {
-            self.lost(Cause::Silent);
-            return Err(BackendError::TimedOut {
-                backend: self.to_string(),
-                limit,
-            });
-        };
+                limit: self.answer_within,
+            })
+        })
+    }
+
+    /// Notes what an answer says of the server's health, and returns it.
+    fn noted<T>(&self, answer: Result<T, BackendError>) -> Result<T, BackendError> {
         match &answer {
             Err(BackendError::TimedOut { .. }) => self.lost(Cause::Silent),
-            Err(BackendError::QueueFull { .. } | BackendError::BatchLost) => {}
+            // These say nothing of the server.
+            Err(
+                BackendError::QueueFull { .. }
+                | BackendError::Crowded { .. }
+                | BackendError::BatchLost
+                | BackendError::Out { .. },
+            ) => {}
             Err(BackendError::Unreachable { trouble, .. }) => {
                 let why = trouble.to_string();
                 self.lost(match trouble.found.is_final() {
@@ -294,5 +379,33 @@ impl Replica {
 impl fmt::Display for Replica {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.backend.fmt(f)
+    }
+}
+
+/// Returns how many sessions get their answers in time from a server that takes
+/// `per_query` for each: all of them may ask at once.
+fn capacity(patience: Duration, execute: u32, per_query: Duration) -> usize {
+    let longest = patience.min(STEP_PATIENCE * execute.max(1));
+    let sessions = longest.as_secs_f64() / per_query.as_secs_f64().max(1e-9);
+    // The conversion saturates.
+    (sessions as usize).max(MIN_SESSIONS)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn as_many_sessions_as_are_answered_in_time_and_128_at_four_tenths_of_a_second() {
+        let at = |execute, millis| {
+            let patience = Duration::from_secs(55);
+            capacity(patience, execute, Duration::from_millis(millis))
+        };
+        assert_eq!(at(10, 400), 137);
+        assert_eq!(at(10, 20), 2750);
+        // A rollout that asks at every step must not take 55 s for each.
+        assert_eq!(at(1, 400), 20);
+        assert_eq!(at(1, 60_000), MIN_SESSIONS);
+        assert!(at(1, 0) > 1_000_000);
     }
 }

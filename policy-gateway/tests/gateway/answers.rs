@@ -25,14 +25,13 @@ async fn refusal(answer: Result<InferResponse, Status>) -> Status {
         .infer(infer("bent", "episode-1", 3))
         .await
         .expect_err("nonsense");
-    for part in ["bent", "\"episode-1\"", "query 3"] {
-        assert!(status.message().contains(part), "{part} in {status}");
-    }
+    let named = status.message().matches("route bent").count();
+    assert_eq!(named, 1, "{status}");
     status
 }
 
 #[tokio::test]
-async fn nonsense_is_refused_naming_policy_session_and_query() {
+async fn nonsense_is_refused_naming_route_query_and_what_to_do() {
     let mut nan = [0.0; 7];
     nan[4] = f32::NAN;
     let cases = [
@@ -44,7 +43,7 @@ async fn nonsense_is_refused_naming_policy_session_and_query() {
     for (answer, expected) in cases {
         let status = refusal(Ok(answer)).await;
         assert_eq!(status.code(), Code::Internal);
-        for part in [expected, "\"crooked\""] {
+        for part in [expected, "query 3", "`policy-gateway doctor grpc://"] {
             assert!(status.message().contains(part), "{part} in {status}");
         }
     }
@@ -164,7 +163,7 @@ async fn a_builtin_that_lacks_what_it_asked_for_says_so() {
         .await
         .expect_err("no privileged state");
     assert_eq!(status.code(), Code::Internal);
-    for part in ["expert", "\"s\"", "query 0", "privileged"] {
+    for part in ["route expert", "privileged"] {
         assert!(status.message().contains(part), "{part} in {status}");
     }
 }

@@ -4,8 +4,10 @@
 mod access;
 mod answers;
 mod batches;
+mod both_paths;
 mod compare;
 mod conformance;
+mod crowd;
 mod doctor;
 mod judgement;
 mod outages;

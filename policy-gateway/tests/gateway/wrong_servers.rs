@@ -53,7 +53,7 @@ async fn a_broken_accelerator_is_out_with_its_first_error_until_a_query_is_answe
 
     let first = one_query(&mut client, "butter").await.expect_err("broken");
     assert_eq!(first.code(), Code::Unavailable);
-    for part in ["device-side assert", "restart it", "session \"butter\""] {
+    for part in ["device-side assert", "restart it"] {
         assert!(first.message().contains(part), "{part} in {first}");
     }
     for task in ["milk", "bowl", "plate"] {

@@ -329,9 +329,9 @@ fn recorded(path: &Path, states: &InitialStates) -> Result<(u16, Vec<Action>)> {
     let actions = array("actions")?;
     let count = actions.shape.first().copied().unwrap_or_default();
     ensure!(
-        count > 0 && actions.shape == [count, worker::actor::ACTION_WIDTH],
+        count > 0 && actions.shape == [count, policy_protocol::ACTION_WIDTH],
         "its `actions` are not rows of {} numbers",
-        worker::actor::ACTION_WIDTH
+        policy_protocol::ACTION_WIDTH
     );
     let rows = (0..count).map(|step| Ok(actions.row(step).try_into()?));
     Ok((u16::try_from(init_id)?, rows.collect::<Result<_>>()?))

@@ -10,7 +10,6 @@ use policy_gateway::backend::openpi::OpenpiAddress;
 use policy_gateway::backend::openpi::codec::AnswerError;
 use policy_gateway::backend::vla_eval::{AnswerError as VlaEvalAnswerError, VlaEvalAddress};
 use policy_gateway::builtin::{Builtin, student::WeightsFileError};
-use policy_gateway::check::{ActionFault, DescriptionFault};
 use policy_gateway::config::{BackendSpec, ConfigError, RouteName, RouteSpec, UnusableBackend};
 use policy_gateway::conformance::ConformanceError;
 use policy_gateway::conformance::front::FrontError;
@@ -19,6 +18,7 @@ use policy_gateway::recording::RecordingError;
 use policy_gateway::referee::command::CommandError;
 use policy_gateway::referee::server::RefereeError;
 use policy_gateway::route::RouteError;
+use policy_protocol::{ActionFault, DescriptionFault};
 use tonic::Status;
 use transport::{AccessError, Found, SecurityError, ServerKind, Settings, Trouble};
 
@@ -141,7 +141,11 @@ fn checks(messages: &mut Messages) {
         DescriptionFault::Horizon { .. } => DescriptionFault::Horizon { horizon: 0 },
         DescriptionFault::Execute { .. } => DescriptionFault::Execute { execute: 9, horizon: 8 },
         DescriptionFault::StateField { .. } => DescriptionFault::StateField { field: 99 },
-        DescriptionFault::EmptyFrame { .. } => DescriptionFault::EmptyFrame { camera: text() },
+        DescriptionFault::Version { .. } => DescriptionFault::Version { theirs: 2 },
+        DescriptionFault::Camera { .. } => DescriptionFault::Camera { name: text() },
+        DescriptionFault::FrameSide { .. } => DescriptionFault::FrameSide {
+            camera: text(), width: 0, height: 256,
+        },
         DescriptionFault::FramesTooLarge { .. } => DescriptionFault::FramesTooLarge {
             bytes: 1 << 40,
         },
@@ -229,6 +233,9 @@ fn back_ends(messages: &mut Messages) {
         },
         BackendError::Nonsense { .. } => BackendError::Nonsense { fault: ActionFault::Empty },
         BackendError::QueueFull { .. } => BackendError::QueueFull { queued: 64 },
+        BackendError::Crowded { .. } => BackendError::Crowded {
+            backend: backend(), waited: Duration::from_secs(55),
+        },
         BackendError::BatchLost => BackendError::BatchLost,
         BackendError::BatchSize { .. } => BackendError::BatchSize { asked: 4, answered: 3 },
         BackendError::Refused { .. } => BackendError::Refused {
@@ -237,7 +244,6 @@ fn back_ends(messages: &mut Messages) {
         BackendError::Unsuited { .. } => BackendError::Unsuited {
             address: address(), reason: "it answers poses; serve motions".to_owned(),
         },
-        BackendError::Version { .. } => BackendError::Version { address: address(), theirs: 2 },
         BackendError::SessionLost => BackendError::SessionLost,
         BackendError::OutOfOrder { .. } => BackendError::OutOfOrder { expected: 3 },
         BackendError::Policy { .. } => BackendError::Policy { message: text() },
@@ -247,14 +253,14 @@ fn back_ends(messages: &mut Messages) {
 fn routes(messages: &mut Messages) {
     variants!(messages, RouteError,
         RouteError::Replica { .. } => RouteError::Replica {
-            route: name(), replica: "grpc://h:1".to_owned(), at: String::new(),
+            route: name(), replica: "grpc://h:1".to_owned(),
             source: Box::new(BackendError::Unreachable {
                 address: "h:1".to_owned(), trouble: trouble(),
             }),
         },
         RouteError::Action { .. } => RouteError::Action {
-            policy: text(), route: name(), replica: "grpc://h:1".to_owned(),
-            session: "s".to_owned(), query_index: 3, source: ActionFault::Empty,
+            route: name(), replica: "grpc://h:1".to_owned(), query_index: 3,
+            source: ActionFault::Empty,
         },
         RouteError::SessionLost { .. } => RouteError::SessionLost {
             route: name(), session: "s".to_owned(),
@@ -264,6 +270,9 @@ fn routes(messages: &mut Messages) {
         },
         RouteError::Session { .. } => RouteError::Session { bytes: 0 },
         RouteError::Retired { .. } => RouteError::Retired { route: name() },
+        RouteError::Full { .. } => RouteError::Full {
+            route: name(), sessions: 137, per_query: Duration::from_millis(400),
+        },
         RouteError::Overloaded => RouteError::Overloaded,
     );
     variants!(messages, RunError,

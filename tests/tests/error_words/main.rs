@@ -21,13 +21,14 @@ use tests::phrases::raw_phrase;
 const PRIVATE: [&str; 4] = ["FilmingError", "TextError", "Outer", "Missing"];
 
 /// Errors that are sentences of their own; the others read after "failed to …".
-const SENTENCES: [&str; 11] = [
+const SENTENCES: [&str; 12] = [
     "Trouble",
     "BackendError",
     "ActionFault",
     "DescriptionFault",
     "AnswerError",
     "RouteError",
+    "PolicyError",
     "LineProblem",
     "Unexplained",
     "NotMeasurable",

@@ -1,6 +1,7 @@
 //! Errors of scenes, pictures and simulations, and of the worker.
 
 use assets::AssetsError;
+use policy_protocol::{ActionFault, DescriptionFault};
 use protocol::NoSuchRow;
 use raster::{DrawError, ModelError};
 use scene::SceneError;
@@ -37,7 +38,7 @@ fn no_scene() -> SceneError {
 
 fn no_policy() -> PolicyError {
     PolicyError::Unavailable {
-        call: "ask",
+        call: "query 3".to_owned(),
         policy: String::new(),
         endpoint: "grpc://gpu-3:1".to_owned(),
         problem: "no answer within 60 s".to_owned(),
@@ -130,12 +131,18 @@ fn rollouts(messages: &mut Messages) {
         PolicyError::Runtime(_) => PolicyError::Runtime(io_error()),
         PolicyError::Unavailable { .. } => no_policy(),
         PolicyError::Description { .. } => PolicyError::Description {
-            policy: String::new(), endpoint: text(), problem: "has horizon 0".to_owned(),
+            policy: String::new(), endpoint: text(),
+            fault: DescriptionFault::Horizon { horizon: 0 },
         },
-        PolicyError::Misbehaved { .. } => PolicyError::Misbehaved {
-            policy: String::new(), session: "a".to_owned(), query: "reset".to_owned(),
-            violation: "it holds no action".to_owned(),
+        PolicyError::Nonsense { .. } => PolicyError::Nonsense {
+            call: "query 3".to_owned(), policy: text(), endpoint: "grpc://gpu-3:1".to_owned(),
+            fault: ActionFault::Empty,
         },
+        PolicyError::Failed { .. } => PolicyError::Failed {
+            call: "Reset".to_owned(), policy: text(), endpoint: "grpc://gpu-3:1".to_owned(),
+            problem: "no such suite".to_owned(),
+        },
+        PolicyError::Ended { .. } => PolicyError::Ended { path: path(), actions: 12 },
     );
     variants!(messages, RolloutError,
         RolloutError::Simulator { .. } => RolloutError::Simulator {

@@ -36,7 +36,7 @@ pub enum SingleError {
         problem: String,
     },
     /// The policy cannot be called.
-    #[error(transparent)]
+    #[error("run the rollout: {0}")]
     Policy(#[from] PolicyError),
     /// The rollout has no outcome.
     #[error(transparent)]

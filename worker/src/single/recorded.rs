@@ -8,12 +8,13 @@ use std::io::{BufRead, BufReader, Cursor, Read};
 use std::path::{Path, PathBuf};
 
 use npyz::{DType, NpyFile, TypeChar};
+use policy_protocol::ACTION_WIDTH;
 use proto::policy::{DescribeResponse, Observation};
 use sha2::{Digest, Sha256};
 use zip::ZipArchive;
 
 use super::error::SingleError;
-use crate::actor::{ACTION_WIDTH, Action, Actor, Description, PolicyError, PolicySession};
+use crate::actor::{Action, Actor, Description, PolicyError, PolicySession};
 use crate::digest::hex;
 use protocol::JsonError;
 
@@ -109,19 +110,17 @@ impl Actor for RecordedActions {
 
     fn infer(
         &mut self,
-        session: PolicySession<'_>,
-        query_index: u32,
+        _session: PolicySession<'_>,
+        _query_index: u32,
         _observation: Observation,
         horizon: usize,
     ) -> Result<Vec<Action>, PolicyError> {
         let rest = self.actions.iter().skip(self.next).take(horizon);
         let answer: Vec<Action> = rest.copied().collect();
         if answer.is_empty() {
-            return Err(PolicyError::Misbehaved {
-                policy: self.path.display().to_string(),
-                session: session.session.to_owned(),
-                query: query_index.to_string(),
-                violation: format!("the recording ends after {} actions", self.actions.len()),
+            return Err(PolicyError::Ended {
+                path: self.path.clone(),
+                actions: self.actions.len(),
             });
         }
         self.next += answer.len();

@@ -3,13 +3,14 @@
 
 use std::time::Duration;
 
+use policy_protocol::CAMERAS;
 use proto::policy as wire;
 use protocol::{Axis, ManifestRow, Realisation, row_of};
 use scene::{AssetPack, Sources};
 use sim::{Renderer, SimulatorConfig};
 
 use super::*;
-use crate::actor::{CAMERAS, Description, PolicyError, PolicySession};
+use crate::actor::{Description, PolicyError, PolicySession};
 use crate::filming::{Replay, watch_again};
 use crate::ids::random_id;
 use crate::message::{Session, VideoOf, VideoRequest};

@@ -22,11 +22,11 @@ use std::io::{self, BufWriter, Seek, Write};
 use std::path::Path;
 
 use npyz::WriterBuilder;
+use policy_protocol::ACTION_WIDTH;
 use sim::Environment;
 use zip::ZipWriter;
 use zip::write::SimpleFileOptions;
 
-use crate::actor::ACTION_WIDTH;
 use crate::rollout::Step;
 
 /// A trace as it grows: arrays row after row.

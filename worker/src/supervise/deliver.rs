@@ -58,7 +58,7 @@ impl Delivery {
                 tracing::info!("{label}: {word} after {steps} steps in {secs:.1} s");
             }
             Ending::Failed(failure) => {
-                tracing::warn!("{label} has no result: failed to {}", failure.error);
+                tracing::warn!("{label} has no result: {}", failure.error);
             }
         }
     }

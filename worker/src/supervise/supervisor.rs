@@ -452,14 +452,14 @@ impl Supervisor {
         }
     }
 
-    /// Reads after "failed to …".
+    /// Says in a sentence how a rollout was lost.
     fn explain_loss(&self, kind: FailureKind, end: &str) -> String {
         let host = &self.config.identity.host;
         if kind == FailureKind::SlotStuck {
             let secs = self.timing.progress_timeout.as_secs_f64();
-            format!("simulate on {host}: the rollout stood still for {secs:.0} s and was killed")
+            format!("the rollout stood still on {host} for {secs:.0} s and was killed")
         } else {
-            format!("simulate on {host}: the slot's process {end}")
+            format!("the slot's process on {host} {end}")
         }
     }
 

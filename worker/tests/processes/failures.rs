@@ -35,10 +35,6 @@ async fn answers_that_no_robot_can_execute_are_the_policys_fault() {
     }
     let policy = ScriptedPolicy::start().await;
     let coordinator = ScriptedCoordinator::start().await;
-    let session = |query: &str, job| {
-        let attempt = attempt_id(job);
-        format!("query {query} of session object/t0/clean/i03#r0#{attempt}")
-    };
     check(
         coordinator,
         &policy.url(),
@@ -46,17 +42,21 @@ async fn answers_that_no_robot_can_execute_are_the_policys_fault() {
         &[
             (
                 "nan",
-                &format!("{}: number 2 of action 1 is NaN", session("1", 1)),
+                "answered query 1 with what is no chunk of actions: component 2 of action 1 is NaN; \
+                 `policy-gateway doctor`",
+            ),
+            ("narrow", "its actions are 6 numbers wide, not 7"),
+            ("ragged", "it answered 13 numbers, which are no whole actions of 7"),
+            ("empty", "it answered no action"),
+            ("generous", "it answered 9 actions, but its Describe says at most 8"),
+            (
+                "broken",
+                "failed at query 0: CUDA error: device-side assert triggered",
             ),
             (
-                "narrow",
-                &format!("{}: actions have 6 numbers each", session("0", 2)),
+                "refusing",
+                "failed at Reset: this instruction is not one of 40",
             ),
-            ("ragged", "13 numbers are no whole actions of 7"),
-            ("empty", "it holds no action"),
-            ("generous", "it holds 9 actions, but the policy declared 8"),
-            ("broken", "CUDA error: device-side assert triggered"),
-            ("refusing", "this instruction is not one of 40"),
         ],
     )
     .await;
@@ -78,8 +78,8 @@ async fn a_policy_that_cannot_be_asked_is_nobodys_fault() {
             ("silent", "no answer within 4 s"),
             ("overloaded", "the queue is full"),
             ("unknown", "no such policy here"),
-            ("of-another-version", "version 2, but this worker speaks 1"),
-            ("hungry", "horizon 8 and execute 9"),
+            ("of-another-version", "it speaks policy protocol version 2"),
+            ("hungry", "9 actions executed per query, of a horizon of 8"),
         ],
     )
     .await;

@@ -1,14 +1,12 @@
 //! The messages of vla-eval's protocol (its module `protocol.messages`): msgpack
 //! maps of type, payload, number and time. Pure.
 
+use policy_protocol::ACTION_WIDTH;
 use proto::policy::InferResponse;
 use rmpv::{Value, ValueRef};
 use thiserror::Error;
 
-use crate::{
-    backend::numpy::{self, Array, ArrayError, as_text, lookup, map},
-    check::ACTION_WIDTH,
-};
+use crate::backend::numpy::{self, Array, ArrayError, as_text, lookup, map};
 
 /// Of the protocol.
 pub(super) const VERSION: u64 = 1;
@@ -144,7 +142,7 @@ fn actions(payload: &ValueRef<'_>, execute: u32) -> Result<InferResponse, Answer
         _ => return Err(AnswerError::Shape { shape }),
     };
     let mut actions = numbers[..count * width].to_vec();
-    if width == ACTION_WIDTH as usize {
+    if width == ACTION_WIDTH {
         let grippers = actions.iter_mut().skip(width - 1).step_by(width);
         // What is no number stays what it is, for the checks to name.
         for gripper in grippers.filter(|it| it.is_finite()) {
@@ -154,7 +152,7 @@ fn actions(payload: &ValueRef<'_>, execute: u32) -> Result<InferResponse, Answer
     Ok(InferResponse {
         actions,
         // Another width is refused, and named, where all answers are checked.
-        action_width: u32::try_from(width).unwrap_or(ACTION_WIDTH + 1),
+        action_width: u32::try_from(width).unwrap_or(u32::MAX),
     })
 }
 

@@ -2,17 +2,15 @@
 
 use std::time::Duration;
 
+use policy_protocol::ActionFault;
 use proto::policy::{InferResponse, Observation};
 use protocol::Suite;
 
-use crate::{
-    check::ActionFault,
-    referee::{
-        panel::SEED,
-        server::{Action, RefereeError, Server},
-        situation::Situation,
-        variant::{Turn, Variant},
-    },
+use crate::referee::{
+    panel::SEED,
+    server::{Action, RefereeError, Server},
+    situation::Situation,
+    variant::{Turn, Variant},
 };
 
 /// Situations that a change is tried in.

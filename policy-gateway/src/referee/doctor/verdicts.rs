@@ -3,10 +3,10 @@
 
 use std::time::Duration;
 
+use policy_protocol::ActionFault;
 use proto::policy::{DescribeResponse, Language};
 
 use crate::{
-    check::ActionFault,
     conformance::verdict::{LARGEST_PLAUSIBLE, Verdict, fail, pass, skip},
     referee::{chance::REPEATABLE, fit::GRIPPER, server::Action},
 };

@@ -73,14 +73,14 @@ impl Supervisor {
         let up = self.slots[slot].state.process == ProcessState::Up;
         let ending = match self.assignment(attempt, lease) {
             _ if self.mode != Mode::Serving => {
-                let text = "begin the rollout: the worker is going down";
+                let text = "the rollout did not begin: its worker is going down";
                 failed(FailureKind::Draining, text.to_owned())
             }
             _ if !up => {
-                let text = "begin the rollout: the slot's process has just ended";
+                let text = "the rollout did not begin: its slot's process had just ended";
                 failed(FailureKind::Draining, text.to_owned())
             }
-            Err(error) => failed(FailureKind::Simulator, error),
+            Err(error) => failed(FailureKind::Simulator, format!("failed to {error}")),
             Ok(assignment) => return self.begin(slot, assignment, now),
         };
         self.slots[slot].state.work = Work::Delivering {

@@ -94,7 +94,8 @@ impl Supervisor {
                 process.kill();
             }
             if let Some(attempt) = given_back {
-                let error = "finish the rollout: the worker was asked to end at once".to_owned();
+                let error =
+                    "the rollout did not end: its worker was asked to end at once".to_owned();
                 let kind = FailureKind::Draining;
                 let label = self.label(slot);
                 let ending = Ending::Failed(Failure { kind, error });

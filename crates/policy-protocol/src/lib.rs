@@ -1,0 +1,407 @@
+//! Checks of what a policy server answers: its description, and its chunks of
+//! actions. Worker and gateway both apply them, so that an answer is judged alike
+//! whether a campaign's endpoint is a gateway or the policy server itself. Pure.
+//!
+//! Numbers beyond ±1 and up to [`LARGEST_NUMBER`] pass: the worker clips them and
+//! counts the clipped actions in the result.
+
+#![forbid(unsafe_code)]
+
+use proto::PROTOCOL_VERSION;
+use proto::policy::{CameraRequest, DescribeResponse, InferResponse, StateField};
+use thiserror::Error;
+
+/// Numbers in one action: translation (3), rotation (3), gripper.
+pub const ACTION_WIDTH: usize = 7;
+/// Longest chunk that a policy may declare: twice LIBERO's longest episode.
+pub const MAX_HORIZON: u32 = 1040;
+/// Largest frame that a policy may ask for, pixels along a side.
+pub const MAX_FRAME_SIDE: u32 = 1024;
+/// The cameras of a LIBERO scene.
+pub const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
+
+/// Largest magnitude of a number in an action. Policies that answer millimetres,
+/// degrees or pixels by mistake stay below it, and are clipped and counted. Larger
+/// numbers come from a broken network; clipping them would count its failure as
+/// the task's.
+pub const LARGEST_NUMBER: f32 = 1e3;
+
+/// One action as it is on the wire.
+pub type WireAction = [f32; ACTION_WIDTH];
+
+/// Returns the actions of an answer, if a robot can execute them.
+///
+/// # Errors
+/// If the answer is not n × 7 finite numbers with 0 < n ≤ `horizon`, all of them
+/// within ±[`LARGEST_NUMBER`].
+pub fn actions(response: &InferResponse, horizon: u32) -> Result<&[WireAction], ActionFault> {
+    if response.action_width as usize != ACTION_WIDTH {
+        return Err(ActionFault::Width {
+            width: response.action_width,
+        });
+    }
+    let (actions, rest) = response.actions.as_chunks::<ACTION_WIDTH>();
+    if !rest.is_empty() {
+        return Err(ActionFault::Ragged {
+            numbers: response.actions.len(),
+        });
+    }
+    if actions.is_empty() {
+        return Err(ActionFault::Empty);
+    }
+    if actions.len() > horizon as usize {
+        return Err(ActionFault::TooMany {
+            count: actions.len(),
+            horizon,
+        });
+    }
+    let is_number = |number: &f32| number.is_finite() && number.abs() <= LARGEST_NUMBER;
+    let Some(at) = response.actions.iter().position(|it| !is_number(it)) else {
+        return Ok(actions);
+    };
+    let (action, component) = (at / ACTION_WIDTH, at % ACTION_WIDTH);
+    let value = response.actions[at];
+    Err(if value.is_finite() {
+        ActionFault::TooLarge {
+            action,
+            component,
+            value,
+        }
+    } else {
+        ActionFault::NotFinite {
+            action,
+            component,
+            value,
+        }
+    })
+}
+
+/// Checks a policy's description of itself.
+///
+/// # Errors
+/// If it is of another protocol version, has no name, a horizon or chunk that no
+/// rollout can execute, a camera or reading that no scene has, frames that no
+/// message holds, or settings that no result can carry.
+pub fn description(described: &DescribeResponse) -> Result<(), DescriptionFault> {
+    let DescribeResponse {
+        protocol_version,
+        horizon,
+        execute,
+        ..
+    } = *described;
+    if protocol_version != PROTOCOL_VERSION {
+        return Err(DescriptionFault::Version {
+            theirs: protocol_version,
+        });
+    }
+    if described.name.is_empty() {
+        return Err(DescriptionFault::Nameless);
+    }
+    if !(1..=MAX_HORIZON).contains(&horizon) {
+        return Err(DescriptionFault::Horizon { horizon });
+    }
+    if !(1..=horizon).contains(&execute) {
+        return Err(DescriptionFault::Execute { execute, horizon });
+    }
+    for &field in &described.state {
+        if matches!(
+            StateField::try_from(field),
+            Err(_) | Ok(StateField::Unspecified)
+        ) {
+            return Err(DescriptionFault::StateField { field });
+        }
+    }
+    let mut bytes = 0_u64;
+    for camera in &described.cameras {
+        bytes += camera_bytes(camera)?;
+    }
+    if bytes > proto::MAX_MESSAGE_BYTES as u64 {
+        return Err(DescriptionFault::FramesTooLarge { bytes });
+    }
+    match described.settings_problem() {
+        Some(problem) => Err(DescriptionFault::Settings { problem }),
+        None => Ok(()),
+    }
+}
+
+/// Size of a camera's frame, if a scene can be drawn so.
+fn camera_bytes(camera: &CameraRequest) -> Result<u64, DescriptionFault> {
+    let CameraRequest {
+        name,
+        width,
+        height,
+    } = camera;
+    if !CAMERAS.contains(&name.as_str()) {
+        return Err(DescriptionFault::Camera { name: name.clone() });
+    }
+    let sides = 1..=MAX_FRAME_SIDE;
+    if !sides.contains(width) || !sides.contains(height) {
+        return Err(DescriptionFault::FrameSide {
+            camera: name.clone(),
+            width: *width,
+            height: *height,
+        });
+    }
+    Ok(3 * u64::from(*width) * u64::from(*height))
+}
+
+/// Why an answer is not a chunk of actions. Reads as a sentence about the policy,
+/// which it calls "it".
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum ActionFault {
+    /// Actions of another width than a robot's.
+    #[error("its actions are {width} numbers wide, not {ACTION_WIDTH}")]
+    Width {
+        /// As answered.
+        width: u32,
+    },
+    /// No action at all.
+    #[error("it answered no action")]
+    Empty,
+    /// Numbers left over.
+    #[error("it answered {numbers} numbers, which are no whole actions of {ACTION_WIDTH}")]
+    Ragged {
+        /// As answered.
+        numbers: usize,
+    },
+    /// More actions than declared.
+    #[error("it answered {count} actions, but its Describe says at most {horizon}")]
+    TooMany {
+        /// Actions answered.
+        count: usize,
+        /// As declared.
+        horizon: u32,
+    },
+    /// NaN or infinite.
+    #[error("component {component} of action {action} is {value}")]
+    NotFinite {
+        /// Index of the action in its chunk.
+        action: usize,
+        /// Index of the number in its action.
+        component: usize,
+        /// As answered.
+        value: f32,
+    },
+    /// Beyond [`LARGEST_NUMBER`].
+    #[error(
+        "component {component} of action {action} is {value:e}, and actions lie within -1..1: is \
+         it un-normalised?"
+    )]
+    TooLarge {
+        /// Index of the action in its chunk.
+        action: usize,
+        /// Index of the number in its action.
+        component: usize,
+        /// As answered.
+        value: f32,
+    },
+}
+
+/// Why no rollout can work with a description. Reads as a sentence about the
+/// policy, which it calls "it".
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum DescriptionFault {
+    /// Another version of the policy protocol.
+    #[error(
+        "it speaks policy protocol version {theirs}, and this program version \
+         {PROTOCOL_VERSION}; upgrade the older side"
+    )]
+    Version {
+        /// The server's version.
+        theirs: u32,
+    },
+    /// Results could not say what they belong to.
+    #[error("it has no name")]
+    Nameless,
+    /// No chunk, or one longer than any episode.
+    #[error("its horizon is {horizon}, not within 1..={MAX_HORIZON}")]
+    Horizon {
+        /// As declared.
+        horizon: u32,
+    },
+    /// Executes nothing, or more than it answers.
+    #[error("it wants {execute} actions executed per query, of a horizon of {horizon}")]
+    Execute {
+        /// As declared.
+        execute: u32,
+        /// As declared.
+        horizon: u32,
+    },
+    /// Not in the protocol's list.
+    #[error("it wants robot reading {field}, which this protocol version does not have")]
+    StateField {
+        /// The number on the wire.
+        field: i32,
+    },
+    /// Not in the scene.
+    #[error("it wants frames of camera {name:?}, and a scene has {}", CAMERAS.join(" and "))]
+    Camera {
+        /// As declared.
+        name: String,
+    },
+    /// A frame that is never drawn.
+    #[error(
+        "it wants frames of {width}×{height} pixels from camera {camera:?}, and sides are 1 to \
+         {MAX_FRAME_SIDE}"
+    )]
+    FrameSide {
+        /// Name of the camera.
+        camera: String,
+        /// As declared.
+        width: u32,
+        /// As declared.
+        height: u32,
+    },
+    /// An observation would not fit a message.
+    #[error(
+        "it wants {bytes} bytes of frames per query, and a message holds {}",
+        proto::MAX_MESSAGE_BYTES
+    )]
+    FramesTooLarge {
+        /// Of all frames together.
+        bytes: u64,
+    },
+    /// Settings that no result can carry.
+    #[error("it {problem}")]
+    Settings {
+        /// The setting and what is wrong with it; reads after "it".
+        problem: String,
+    },
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn answer(actions: &[f32], action_width: u32) -> InferResponse {
+        InferResponse {
+            actions: actions.to_vec(),
+            action_width,
+        }
+    }
+
+    #[test]
+    fn whole_finite_actions_within_the_horizon_are_returned_number_by_number() {
+        let numbers: Vec<f32> = (0..14_u8).map(|n| f32::from(n) / 16.0).collect();
+        let response = answer(&numbers, 7);
+        let read = actions(&response, 2).expect("sound");
+        assert_eq!(read.as_flattened(), numbers);
+    }
+
+    #[test]
+    fn numbers_beyond_one_pass_because_the_worker_clips_and_counts_them() {
+        assert!(actions(&answer(&[-LARGEST_NUMBER; 7], 7), 1).is_ok());
+    }
+
+    #[test]
+    fn every_nonsense_is_named() {
+        let mut infinite = [0.0; 14];
+        infinite[9] = f32::INFINITY;
+        let cases = [
+            (answer(&[0.0; 18], 6), ActionFault::Width { width: 6 }),
+            (answer(&[], 7), ActionFault::Empty),
+            (answer(&[0.0; 8], 7), ActionFault::Ragged { numbers: 8 }),
+            (
+                answer(&[0.0; 21], 7),
+                ActionFault::TooMany {
+                    count: 3,
+                    horizon: 2,
+                },
+            ),
+            (
+                answer(&infinite, 7),
+                ActionFault::NotFinite {
+                    action: 1,
+                    component: 2,
+                    value: f32::INFINITY,
+                },
+            ),
+            (
+                answer(&[0.0, 0.0, -1e9, 0.0, 0.0, 0.0, 0.0], 7),
+                ActionFault::TooLarge {
+                    action: 0,
+                    component: 2,
+                    value: -1e9,
+                },
+            ),
+        ];
+        for (response, fault) in cases {
+            assert_eq!(actions(&response, 2), Err(fault));
+        }
+    }
+
+    #[test]
+    fn a_description_that_fits_no_rollout_is_named() {
+        let camera = |name: &str, width, height| CameraRequest {
+            name: name.to_owned(),
+            width,
+            height,
+        };
+        let good = DescribeResponse {
+            protocol_version: PROTOCOL_VERSION,
+            name: "p".to_owned(),
+            horizon: 8,
+            execute: 8,
+            cameras: CAMERAS
+                .map(|name| camera(name, MAX_FRAME_SIDE, MAX_FRAME_SIDE))
+                .to_vec(),
+            ..DescribeResponse::default()
+        };
+        assert_eq!(description(&good), Ok(()));
+
+        let check = |change: &dyn Fn(&mut DescribeResponse), fault| {
+            let mut described = good.clone();
+            change(&mut described);
+            assert_eq!(description(&described), Err(fault));
+        };
+        check(
+            &|it| it.protocol_version = 9,
+            DescriptionFault::Version { theirs: 9 },
+        );
+        check(&|it| it.name.clear(), DescriptionFault::Nameless);
+        for horizon in [0, MAX_HORIZON + 1] {
+            check(
+                &|it| it.horizon = horizon,
+                DescriptionFault::Horizon { horizon },
+            );
+        }
+        for execute in [0, 9] {
+            let horizon = 8;
+            check(
+                &|it| it.execute = execute,
+                DescriptionFault::Execute { execute, horizon },
+            );
+        }
+        for field in [0, 99] {
+            check(
+                &|it| it.state = vec![field],
+                DescriptionFault::StateField { field },
+            );
+        }
+        let name = "frontview".to_owned();
+        check(
+            &|it| it.cameras[0].name = "frontview".to_owned(),
+            DescriptionFault::Camera { name },
+        );
+        for width in [0, MAX_FRAME_SIDE + 1] {
+            check(
+                &|it| it.cameras[1].width = width,
+                DescriptionFault::FrameSide {
+                    camera: CAMERAS[1].to_owned(),
+                    width,
+                    height: MAX_FRAME_SIDE,
+                },
+            );
+        }
+        check(
+            &|it| it.cameras = vec![camera(CAMERAS[0], MAX_FRAME_SIDE, MAX_FRAME_SIDE); 11],
+            DescriptionFault::FramesTooLarge { bytes: 33 << 20 },
+        );
+        check(
+            &|it| it.settings = vec![proto::policy::Setting::default()],
+            DescriptionFault::Settings {
+                problem: "gives setting 0 a name of 0 bytes: 1 to 64 fit".to_owned(),
+            },
+        );
+    }
+}

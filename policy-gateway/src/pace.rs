@@ -1,0 +1,202 @@
+//! How fast a policy server answers queries, and since when it has been silent.
+//! [`Pace`] is pure: the time is passed in. [`Watch`] applies it to calls.
+//!
+//! A server that has many queries before it takes long for each of them and is not
+//! silent: it answers others meanwhile. So a call has failed only once the server
+//! has answered no query at all for as long as one may take, counted from when the
+//! call was sent. The time that a query waits in this gateway counts toward nothing.
+
+use std::{
+    collections::VecDeque,
+    sync::{Mutex, PoisonError},
+    time::{Duration, Instant},
+};
+
+/// Answers over which the pace is taken.
+const SAMPLES: usize = 32;
+/// Answers without which nothing is known of a server's pace.
+const MIN_SAMPLES: usize = 8;
+
+/// What a server has answered lately.
+#[derive(Debug, Default)]
+pub struct Pace {
+    /// Calls with queries that are sent and not ended.
+    under_way: usize,
+    /// When the first of the calls under way was sent to an idle server.
+    busy_since: Option<Instant>,
+    last_answer: Option<Instant>,
+    /// Time that the server took for each answer, and the queries answered.
+    samples: VecDeque<(Duration, u32)>,
+}
+
+impl Pace {
+    /// Notes that a call with queries is sent.
+    pub fn sent(&mut self, now: Instant) {
+        if self.under_way == 0 {
+            self.busy_since = Some(now);
+        }
+        self.under_way += 1;
+    }
+
+    /// Notes that so many queries of a call were answered.
+    pub fn answered(&mut self, queries: u32, now: Instant) {
+        if let Some(began) = self.busy_since.max(self.last_answer) {
+            if self.samples.len() == SAMPLES {
+                self.samples.pop_front();
+            }
+            let took = now.saturating_duration_since(began);
+            self.samples.push_back((took, queries.max(1)));
+        }
+        self.last_answer = Some(now);
+    }
+
+    /// Notes that a call is over, answered or not.
+    pub fn ended(&mut self) {
+        self.under_way = self.under_way.saturating_sub(1);
+    }
+
+    /// Returns when a call that was sent at `sent` has met with silence for `limit`,
+    /// as far as is known now.
+    pub fn silent_at(&self, sent: Instant, limit: Duration) -> Instant {
+        Some(sent).max(self.last_answer).unwrap_or(sent) + limit
+    }
+
+    /// Returns how long the server takes for each query while it is busy, with
+    /// however many it answers at a time. The longest time is left out: it may be
+    /// that of a model being compiled. None until enough is known.
+    pub fn per_query(&self) -> Option<Duration> {
+        if self.samples.len() < MIN_SAMPLES {
+            return None;
+        }
+        let longest = self.samples.iter().max_by_key(|(took, _)| *took)?;
+        let took: Duration = self.samples.iter().map(|(took, _)| *took).sum();
+        let queries: u32 = self.samples.iter().map(|(_, queries)| *queries).sum();
+        Some((took - longest.0) / (queries - longest.1).max(1))
+    }
+}
+
+/// The pace of one server, which all calls to it share.
+#[derive(Debug, Default)]
+pub struct Watch(Mutex<Pace>);
+
+/// A call with queries under way; over when dropped, however it ends.
+struct Sent<'a>(&'a Watch);
+
+impl Drop for Sent<'_> {
+    fn drop(&mut self) {
+        self.0.pace().ended();
+    }
+}
+
+/// The server has answered nothing for as long as an answer may take.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Silent;
+
+impl Watch {
+    /// Waits for the answer to a call that has no queries in it.
+    ///
+    /// # Errors
+    /// If the server is silent for `limit`.
+    pub async fn answer<T>(
+        &self,
+        limit: Duration,
+        call: impl Future<Output = T>,
+    ) -> Result<T, Silent> {
+        let sent = Instant::now();
+        let mut call = std::pin::pin!(call);
+        loop {
+            let until = self.pace().silent_at(sent, limit);
+            if until <= Instant::now() {
+                return Err(Silent);
+            }
+            tokio::select! {
+                answer = &mut call => return Ok(answer),
+                () = tokio::time::sleep_until(until.into()) => {}
+            }
+        }
+    }
+
+    /// Waits for the answer to a call with queries; `answered` says how many of them
+    /// got one, so that the server is at work.
+    ///
+    /// # Errors
+    /// If the server is silent for `limit`.
+    pub async fn queries<T>(
+        &self,
+        limit: Duration,
+        call: impl Future<Output = T>,
+        answered: impl FnOnce(&T) -> u32,
+    ) -> Result<T, Silent> {
+        self.pace().sent(Instant::now());
+        let _sent = Sent(self);
+        let answer = self.answer(limit, call).await?;
+        let count = answered(&answer);
+        if count > 0 {
+            self.pace().answered(count, Instant::now());
+        }
+        Ok(answer)
+    }
+
+    /// See [`Pace::per_query`].
+    pub fn per_query(&self) -> Option<Duration> {
+        self.pace().per_query()
+    }
+
+    fn pace(&self) -> std::sync::MutexGuard<'_, Pace> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LIMIT: Duration = Duration::from_secs(50);
+
+    fn millis(millis: u64) -> Duration {
+        Duration::from_millis(millis)
+    }
+
+    #[test]
+    fn a_server_with_many_queries_before_it_is_silent_only_once_it_answers_none() {
+        let (mut pace, began) = (Pace::default(), Instant::now());
+        pace.sent(began);
+        pace.sent(began);
+        assert_eq!(pace.silent_at(began, LIMIT), began + LIMIT);
+        pace.answered(1, began + millis(400));
+        assert_eq!(
+            pace.silent_at(began, LIMIT),
+            began + millis(400) + LIMIT,
+            "it is at work"
+        );
+        let later = began + millis(500);
+        assert_eq!(pace.silent_at(later, LIMIT), later + LIMIT);
+    }
+
+    #[test]
+    fn the_pace_counts_neither_idle_time_nor_the_slowest_answer() {
+        let (mut pace, mut now) = (Pace::default(), Instant::now());
+        for answer in 0..u64::from(MIN_SAMPLES as u32) {
+            assert_eq!(pace.per_query(), None);
+            pace.sent(now);
+            now += millis(if answer == 2 { 30_000 } else { 400 });
+            pace.answered(1, now);
+            pace.ended();
+            now += millis(2_000);
+        }
+        assert_eq!(pace.per_query(), Some(millis(400)));
+    }
+
+    #[test]
+    fn a_batch_counts_as_all_its_queries() {
+        let (mut pace, mut now) = (Pace::default(), Instant::now());
+        pace.sent(now);
+        for _ in 0..MIN_SAMPLES {
+            pace.sent(now);
+            now += millis(320);
+            pace.answered(16, now);
+            pace.ended();
+        }
+        assert_eq!(pace.per_query(), Some(millis(20)));
+    }
+}

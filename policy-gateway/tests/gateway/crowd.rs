@@ -1,0 +1,254 @@
+//! More sessions than a server answers at once. The server here is simulated, and
+//! slow: it computes one query after the other, and each takes a fixed time.
+
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicUsize, Ordering},
+    },
+    time::Duration,
+};
+
+use policy_gateway::config::RouteSpec;
+use proto::policy::{
+    DescribeRequest, DescribeResponse, EndRequest, InferBatchRequest, InferBatchResponse,
+    InferRequest, InferResponse, InferResult, ResetRequest, ResetResponse, infer_result,
+    policy_client::PolicyClient, policy_server::Policy,
+};
+use tokio::{
+    sync::{Mutex, Semaphore},
+    task::JoinSet,
+};
+use tonic::{Code, Request, Response, Status, transport::Channel};
+
+use crate::support::{Running, chunk, client, description, infer, reloadable, reset, serve};
+
+/// A simulated server that computes one query after the other, while the gate is open.
+struct SlowServer {
+    per_query: Duration,
+    max_batch: u32,
+    computing: Arc<Mutex<()>>,
+    gate: Arc<Semaphore>,
+    /// Queries that it has begun to compute.
+    begun: Arc<AtomicUsize>,
+    /// Calls that have come and whose callers have not gone.
+    awaited: Arc<AtomicUsize>,
+}
+
+/// A call that its caller waits for.
+struct Awaited(Arc<AtomicUsize>);
+
+impl Drop for Awaited {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::SeqCst);
+    }
+}
+
+impl SlowServer {
+    fn new(per_query: Duration) -> Self {
+        Self {
+            per_query,
+            max_batch: 1,
+            computing: Arc::default(),
+            gate: Arc::new(Semaphore::new(1)),
+            begun: Arc::default(),
+            awaited: Arc::default(),
+        }
+    }
+
+    /// Computes so many queries when it is their turn, unless the caller has gone. What
+    /// has begun goes on.
+    async fn compute(&self, queries: usize) {
+        self.awaited.fetch_add(1, Ordering::SeqCst);
+        let _awaited = Awaited(Arc::clone(&self.awaited));
+        let turn = Arc::clone(&self.computing).lock_owned().await;
+        self.begun.fetch_add(queries, Ordering::SeqCst);
+        let (gate, per_query) = (Arc::clone(&self.gate), self.per_query);
+        let computed = tokio::spawn(async move {
+            let _open = gate.acquire().await;
+            tokio::time::sleep(per_query).await;
+            drop(turn);
+        });
+        computed.await.expect("no panic");
+    }
+}
+
+#[tonic::async_trait]
+impl Policy for SlowServer {
+    async fn describe(
+        &self,
+        _: Request<DescribeRequest>,
+    ) -> Result<Response<DescribeResponse>, Status> {
+        Ok(Response::new(DescribeResponse {
+            max_batch: self.max_batch,
+            execute: 8,
+            ..description("slow", 8)
+        }))
+    }
+
+    async fn reset(&self, _: Request<ResetRequest>) -> Result<Response<ResetResponse>, Status> {
+        Ok(Response::new(ResetResponse {}))
+    }
+
+    async fn infer(&self, _: Request<InferRequest>) -> Result<Response<InferResponse>, Status> {
+        self.compute(1).await;
+        Ok(Response::new(chunk(&[0.0; 7], 7)))
+    }
+
+    async fn infer_batch(
+        &self,
+        request: Request<InferBatchRequest>,
+    ) -> Result<Response<InferBatchResponse>, Status> {
+        let queries = request.into_inner().queries.len();
+        self.compute(queries).await;
+        let result = InferResult {
+            result: Some(infer_result::Result::Response(chunk(&[0.0; 7], 7))),
+        };
+        let results = vec![result; queries];
+        Ok(Response::new(InferBatchResponse { results }))
+    }
+}
+
+/// A gateway before a server, from which an answer may take so long.
+async fn before(server: &Running, answer_within: Duration) -> Running {
+    let route = format!("slow=grpc://{}", server.address);
+    let spec = RouteSpec {
+        answer_within,
+        ..route.parse().expect("a route")
+    };
+    reloadable(vec![spec]).await.0
+}
+
+/// Asks so many queries of an open session.
+async fn ask(
+    client: &mut PolicyClient<Channel>,
+    session: &str,
+    queries: u32,
+) -> Result<(), Status> {
+    for query in 0..queries {
+        client.infer(infer("slow", session, query)).await?;
+    }
+    Ok(())
+}
+
+fn end(session: &str) -> EndRequest {
+    EndRequest {
+        policy: "slow".to_owned(),
+        session: session.to_owned(),
+    }
+}
+
+/// Defect: the time that a query waited for its turn counted toward its answer's, one
+/// time-out was taken for a silent server, and all sessions were given up at once. The
+/// numbers are those of 128 slots at 0.4 s a query, all of them a 25th.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_crowd_of_slots_at_a_slow_server_runs_to_its_end() {
+    let server = serve(SlowServer::new(Duration::from_millis(16))).await;
+    let gateway = before(&server, Duration::from_secs(2)).await;
+    let mut slots = vec![];
+    for slot in 0..128 {
+        let (mut client, session) = (client(gateway.address).await, format!("slot {slot}"));
+        client
+            .reset(reset("slow", &session))
+            .await
+            .expect("an episode");
+        slots.push((client, session));
+    }
+    let mut playing = JoinSet::new();
+    for (mut client, session) in slots {
+        playing.spawn(async move { ask(&mut client, &session, 3).await });
+    }
+    while let Some(played) = playing.join_next().await {
+        let played = played.expect("no slot panicked");
+        played.expect("every query is answered");
+    }
+}
+
+/// Waits until a count is as expected.
+async fn until(count: &AtomicUsize, expected: usize) {
+    while count.load(Ordering::SeqCst) != expected {
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_query_whose_caller_has_gone_is_never_computed() {
+    // Of eight queries all wait at the server, or two batches; the others here.
+    for (max_batch, calls) in [(1, 8), (2, 2)] {
+        let policy = SlowServer {
+            max_batch,
+            gate: Arc::new(Semaphore::new(0)),
+            ..SlowServer::new(Duration::ZERO)
+        };
+        let (gate, begun) = (Arc::clone(&policy.gate), Arc::clone(&policy.begun));
+        let awaited = Arc::clone(&policy.awaited);
+        let server = serve(policy).await;
+        let gateway = before(&server, Duration::from_secs(60)).await;
+        let mut client = gateway.client().await;
+        let mut asking = JoinSet::new();
+        for slot in 0..8 {
+            let session = format!("slot {slot}");
+            client
+                .reset(reset("slow", &session))
+                .await
+                .expect("an episode");
+            let mut client = client.clone();
+            asking.spawn(async move { client.infer(infer("slow", &session, 0)).await });
+        }
+        until(&awaited, calls).await;
+        asking.shutdown().await;
+        // Comes after the others' ends, on the same connection.
+        client
+            .reset(reset("slow", "last"))
+            .await
+            .expect("an episode");
+        until(&awaited, 0).await;
+        let before = begun.load(Ordering::SeqCst);
+        assert!((1..=max_batch as usize).contains(&before), "{before}");
+        gate.add_permits(1);
+        let answer = client.infer(infer("slow", "last", 0)).await;
+        answer.expect("an answer");
+        assert_eq!(begun.load(Ordering::SeqCst), before + 1);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn sessions_beyond_what_is_answered_in_time_wait_for_another_to_end() {
+    // At this pace four have their answers in time.
+    let server = serve(SlowServer::new(Duration::from_millis(250))).await;
+    let gateway = before(&server, Duration::from_secs(1)).await;
+    let mut client = gateway.client().await;
+    // Its pace is known from then on.
+    client
+        .reset(reset("slow", "first"))
+        .await
+        .expect("an episode");
+    ask(&mut client, "first", 8).await.expect("answers");
+    client.end(end("first")).await.expect("an end");
+    for slot in 0..4 {
+        let session = format!("slot {slot}");
+        client
+            .reset(reset("slow", &session))
+            .await
+            .expect("a place");
+    }
+    // One that is open has its place.
+    client
+        .reset(reset("slow", "slot 0"))
+        .await
+        .expect("its place");
+    let refused = client.reset(reset("slow", "fifth")).await;
+    let refused = refused.expect_err("there is no place");
+    assert_eq!(refused.code(), Code::ResourceExhausted, "{refused}");
+    for part in ["route slow has 4 rollouts under way", "run fewer slots"] {
+        assert!(refused.message().contains(part), "{part} in {refused}");
+    }
+    let mut fifth = client.clone();
+    let waiting = tokio::spawn(async move {
+        while let Err(refused) = fifth.reset(reset("slow", "fifth")).await {
+            assert_eq!(refused.code(), Code::ResourceExhausted, "{refused}");
+        }
+    });
+    client.end(end("slot 1")).await.expect("an end");
+    waiting.await.expect("it gets the place");
+}
