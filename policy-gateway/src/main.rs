@@ -161,6 +161,7 @@ enum Command {
 }
 
 fn main() -> ExitCode {
+    terminal::end_with_parent();
     let matches = terminal::read(Arguments::command(), args_os().collect());
     let arguments = matches.and_then(|matches| {
         let read = Arguments::from_arg_matches(&matches);

@@ -179,6 +179,10 @@ pub struct FilmArguments {
     /// URL of the coordinator
     #[arg(long, value_name = "URL", env = "COORDINATOR_URL")]
     pub connect: String,
+    /// Rollouts that are filmed at a time, each on a core and with a scene in memory
+    /// [default: as many as cores and memory allow]
+    #[arg(long, value_name = "N")]
+    pub at_a_time: Option<NonZeroUsize>,
     /// How to get in there.
     #[command(flatten)]
     pub access: ClientArguments,

@@ -3,13 +3,16 @@
 //! leases no job.
 
 use std::io;
+use std::num::NonZeroUsize;
 use std::ops::ControlFlow;
 use std::path::Path;
+use std::time::Instant;
 
 use attempt::{AttemptId, Motion};
 use proto::coordinator::{Film, NextFilmRequest};
 use protocol::{ManifestRow, Realisation, TaskRef};
-use sim::Simulator;
+use sim::{Simulator, SimulatorConfig};
+use tokio::runtime::Handle;
 use tokio::sync::watch;
 use tonic::Status;
 use transport::{Access, answer, chain};
@@ -29,6 +32,8 @@ pub struct Config {
     pub access: Access,
     /// The asset pack's digest.
     pub asset_pack_digest: String,
+    /// Rollouts that are filmed at a time.
+    pub at_a_time: NonZeroUsize,
     /// Seed of the jitter in waits.
     pub seed: u64,
 }
@@ -72,54 +77,104 @@ struct Filmable {
     success: bool,
 }
 
-/// Films until nothing is left. `provide` sees that a task's files are there.
+/// Films until nothing is left, as many rollouts at a time as `config` says. Each is drawn
+/// on a thread of its own, whose simulator is opened there. `provide` sees that a task's
+/// files are there.
 ///
 /// # Errors
-/// If the coordinator cannot be reached. A rollout that cannot be filmed is
-/// logged and counted.
+/// If the coordinator cannot be reached. A rollout that cannot be filmed is logged and
+/// counted.
 pub fn run(
     config: &Config,
-    simulator: &mut Simulator,
-    provide: &mut dyn FnMut(TaskRef) -> Result<(), String>,
+    simulator: &SimulatorConfig,
+    provide: &(dyn Fn(TaskRef) -> Result<(), String> + Sync),
 ) -> Result<Filmed, FilmError> {
     let runtime = tokio::runtime::Runtime::new().map_err(FilmError::Room)?;
     let scratch = tempfile::tempdir().map_err(FilmError::Room)?;
-    let file = scratch.path().join("video.mp4");
-    // It never drains: ending it costs one video.
+    // It never drains: ending it costs the videos in hand.
     let (_running, draining) = watch::channel(false);
-    let _inside = runtime.enter();
+    let inside = runtime.enter();
     let link = Link::new(&config.coordinator, &config.access, config.seed, draining)?;
-    let mut filmed = Filmed::default();
-    loop {
-        let request = NextFilmRequest {
-            asset_pack_digest: config.asset_pack_digest.clone(),
-            mujoco_version: Simulator::mujoco_version(),
-        };
-        let answer = runtime.block_on(link.next_film(request));
-        let answer = answer.map_err(|status| FilmError::Refused {
-            url: config.coordinator.clone(),
-            status: status.into(),
-        })?;
-        let Some(film) = answer.film else {
-            return Ok(filmed);
-        };
-        let title = format!("attempt {} of campaign {}", film.attempt_id, film.campaign);
-        let done = filmable(film)
-            .map_err(|problem| format!("read {title}: {problem}"))
-            .and_then(|rollout| {
-                tracing::info!("filming {} ({} left)", rollout.label, answer.left);
-                provide(rollout.row.id.task())?;
-                film_rollout(simulator, &rollout, &file).map(|()| rollout)
-            })
-            .and_then(|rollout| {
-                let stored = runtime.block_on(link.put_video(rollout.attempt, &file));
-                stored.map_err(|status| format!("store the video: {}", chain(&status)))
-            });
-        match done {
-            Ok(_) => filmed.stored += 1,
-            Err(problem) => {
-                filmed.failed += 1;
-                tracing::warn!("no video of {title}: failed to {problem}");
+    drop(inside);
+    let filming = Filming {
+        config,
+        handle: runtime.handle(),
+        link: &link,
+        provide,
+    };
+    let filmed = std::thread::scope(|scope| {
+        let threads = (0..config.at_a_time.get()).map(|number| {
+            let file = scratch.path().join(format!("video-{number}.mp4"));
+            let (filming, simulator) = (&filming, simulator.clone());
+            scope.spawn(move || filming.run(&mut Simulator::new(simulator), &file))
+        });
+        // All are started before the first is waited for.
+        let threads: Vec<_> = threads.collect();
+        let ended = threads.into_iter().map(|thread| {
+            thread
+                .join()
+                .unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+        });
+        ended.collect::<Result<Vec<Filmed>, FilmError>>()
+    })?;
+    Ok(filmed
+        .into_iter()
+        .fold(Filmed::default(), |sum, it| Filmed {
+            stored: sum.stored + it.stored,
+            failed: sum.failed + it.failed,
+        }))
+}
+
+/// What the threads share.
+struct Filming<'a> {
+    config: &'a Config,
+    handle: &'a Handle,
+    link: &'a Link,
+    provide: &'a (dyn Fn(TaskRef) -> Result<(), String> + Sync),
+}
+
+impl Filming<'_> {
+    /// Films one rollout after the other. The coordinator gives each to one caller only.
+    fn run(&self, simulator: &mut Simulator, file: &Path) -> Result<Filmed, FilmError> {
+        let mut filmed = Filmed::default();
+        loop {
+            let request = NextFilmRequest {
+                asset_pack_digest: self.config.asset_pack_digest.clone(),
+                mujoco_version: Simulator::mujoco_version(),
+            };
+            let answer = self.handle.block_on(self.link.next_film(request));
+            let answer = answer.map_err(|status| FilmError::Refused {
+                url: self.config.coordinator.clone(),
+                status: status.into(),
+            })?;
+            let Some(film) = answer.film else {
+                return Ok(filmed);
+            };
+            let title = format!("attempt {} of campaign {}", film.attempt_id, film.campaign);
+            let began = Instant::now();
+            let done = filmable(film)
+                .map_err(|problem| format!("read {title}: {problem}"))
+                .and_then(|rollout| {
+                    tracing::info!("filming {} ({} left)", rollout.label, answer.left);
+                    (self.provide)(rollout.row.id.task())?;
+                    film_rollout(simulator, &rollout, file).map(|()| rollout)
+                })
+                .and_then(|rollout| {
+                    let stored = self.link.put_video(rollout.attempt, file);
+                    let stored = self.handle.block_on(stored);
+                    stored.map_err(|status| format!("store the video: {}", chain(&status)))?;
+                    Ok(rollout)
+                });
+            match done {
+                Ok(rollout) => {
+                    filmed.stored += 1;
+                    let secs = began.elapsed().as_secs_f64();
+                    tracing::info!("filmed {} in {secs:.0} s", rollout.label);
+                }
+                Err(problem) => {
+                    filmed.failed += 1;
+                    tracing::warn!("no video of {title}: failed to {problem}");
+                }
             }
         }
     }

@@ -3,14 +3,17 @@
 #![forbid(unsafe_code)]
 
 use std::convert::Infallible;
+use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use anyhow::Context;
 use protocol::{ManifestRow, Realisation, TaskRef};
+use protocol::{ManifestRow, Realisation, TaskRef};
 use scene::{AssetPack, Sources, TaskFiles};
-use sim::{Simulator, SimulatorConfig};
+use sim::{Renderer, Simulator, SimulatorConfig};
 use terminal::counted;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::mpsc;
@@ -38,6 +41,7 @@ const SHUTDOWN_QUEUE: usize = 2;
 const VERSION: &str = version::version!();
 
 fn main() -> ExitCode {
+    terminal::end_with_parent();
     let arguments = Arguments::read(VERSION, std::env::args_os());
     let arguments = arguments.unwrap_or_else(|error| error.exit());
     terminal::log("info");
@@ -173,19 +177,33 @@ fn run_preview(arguments: &PreviewArguments) -> anyhow::Result<()> {
 
 fn run_film(arguments: FilmArguments) -> anyhow::Result<()> {
     let simulator = open(&arguments.simulator)?;
+    let at_a_time = match (arguments.at_a_time, arguments.simulator.renderer) {
+        (Some(number), _) => number,
+        (None, Renderer::Software) => measure::limits::films()?,
+        // One graphics device draws for all of them.
+        (None, _) => NonZeroUsize::MIN,
+    };
+    tracing::info!(
+        "filming {} at a time",
+        counted(at_a_time.get() as u64, "rollout")
+    );
     let config = film::Config {
         coordinator: arguments.connect,
+        at_a_time,
         access: arguments.access.access(&[Role::Worker])?,
         asset_pack_digest: simulator.pack.digest().to_owned(),
         seed: random_number(),
     };
     let pack = simulator.pack.name().to_owned();
-    let (assets, sources) = (simulator.pack.clone(), simulator.sources.clone());
-    let mut provide = |task| {
-        let provided = assets::provide(&assets, &sources, [task]);
+    let files = Mutex::new((simulator.pack.clone(), simulator.sources.clone()));
+    // One thread at a time fetches what a task needs.
+    let provide = |task| {
+        let files = files.lock().unwrap_or_else(PoisonError::into_inner);
+        let (assets, sources) = &*files;
+        let provided = assets::provide(assets, sources, [task]);
         provided.map_err(|error| transport::chain(&error))
     };
-    let filmed = film::run(&config, &mut Simulator::new(simulator), &mut provide)?;
+    let filmed = film::run(&config, &simulator, &provide)?;
     say(&format!(
         "{} stored; no more is left to film with asset pack {pack} and MuJoCo {}",
         counted(filmed.stored, "video"),
@@ -327,12 +345,19 @@ fn run_worker(
     // Opened here too, so that what is missing is said once and at once.
     let access = client.access(&[Role::Worker])?;
     let simulator = open(simulator_arguments)?;
+    let has_own_slots = arguments.slot_program.is_some();
     let program = match arguments.slot_program {
         Some(program) => program,
         None => own_program()?,
     };
     let slots = match arguments.slots {
-        SlotCount::Given(slots) => slots,
+        SlotCount::Given(slots) => {
+            // Nothing is known of what another program in a slot's place takes.
+            if !has_own_slots && let Some(warning) = measure::limits::check(slots.get())? {
+                tracing::warn!("{warning}");
+            }
+            slots
+        }
         SlotCount::Auto => {
             // Its load is that of `worker bench` without further options.
             let task = LoadArguments::default_task();

@@ -11,6 +11,7 @@ mod auto;
 mod bench;
 mod choice;
 mod counting;
+pub mod limits;
 pub mod open_loop;
 mod room;
 mod together;

@@ -119,17 +119,26 @@ pub fn run(
     fs::create_dir_all(output).map_err(|source| write(output, source))?;
     let mut stage = Stage::of_the_protocol(simulator);
     let mut looks = Looks::default();
+    tracing::info!("simulating {id} to its end, to see whether and where it fails");
     let failed = rollout::run(&mut stage, actor, assignment, &mut looks)?;
     if failed.finished.result.success {
         let steps = failed.finished.result.steps;
         return Err(RescueError::Succeeds { id, steps });
     }
     let looks = looks.at;
+    tracing::info!(
+        "{id} fails; searching {} at which the policy looked for the last that saves it",
+        terminal::counted(looks.len() as u64, "step")
+    );
     let mut search = Search::new(looks.len());
     let mut tried = Vec::new();
     let mut saved: Option<(usize, Simulated)> = None;
     while let Some(look) = search.next() {
         let before = looks[look] as usize;
+        tracing::info!(
+            "try {}: lifting the perturbations at step {before}",
+            tried.len() + 1
+        );
         let commands = Some(&failed.actions[..before]);
         let simulated = rollout::run_after(
             commands,
@@ -155,6 +164,7 @@ pub fn run(
     }
     tried.sort_by_key(|it| it.lifted_at);
     if let Some((before, simulated)) = &saved {
+        tracing::info!("filming {id}, as it fails and as it is saved at step {before}");
         let film = side_by_side(&mut stage, assignment, &failed.actions, *before, simulated);
         let film = film.map_err(|error| RescueError::Film(Box::new(error)))?;
         let path = output.join("rescue.mp4");

@@ -23,13 +23,19 @@ use crate::token::{Role, Token, TokenError, Tokens};
 
 /// The credentials for a server that requires them.
 #[derive(Args, Clone, Debug, Default)]
+#[command(next_help_heading = "Connection")]
 pub struct ClientArguments {
     /// File with this client's token, as `ROLE TOKEN` [or that line in
     /// ROLLOUT_TOKENS]
-    #[arg(long, value_name = "FILE", env = "ROLLOUT_TOKEN_FILE")]
+    #[arg(
+        long,
+        value_name = "FILE",
+        env = "ROLLOUT_TOKEN_FILE",
+        hide_short_help = true
+    )]
     pub token_file: Option<PathBuf>,
     /// Certificate authority of the servers, PEM, for https:// addresses
-    #[arg(long, value_name = "FILE", env = "ROLLOUT_CA")]
+    #[arg(long, value_name = "FILE", env = "ROLLOUT_CA", hide_short_help = true)]
     pub ca: Option<PathBuf>,
 }
 

@@ -13,6 +13,7 @@ use worker::actor::PolicyError;
 use worker::assets::PackError;
 use worker::film::FilmError;
 use worker::measure::MeasureError;
+use worker::measure::limits::LimitError;
 use worker::preview::PreviewError;
 use worker::rescue::RescueError;
 use worker::rollout::RolloutError;
@@ -192,6 +193,12 @@ fn rollouts(messages: &mut Messages) {
         MeasureError::Talk(_) => MeasureError::Talk(io_error()),
         MeasureError::Rollout(_) => MeasureError::Rollout(RolloutError::Abandoned),
     );
+    variants!(messages, LimitError,
+        LimitError::TooMany { .. } => LimitError::TooMany {
+            slots: 9, shortage: "this process may use 1 core".to_owned(),
+        },
+        LimitError::Machine(_) => LimitError::Machine(MeasureError::Cores(io_error())),
+    );
 }
 
 fn supervision(messages: &mut Messages) {
@@ -208,6 +215,9 @@ fn supervision(messages: &mut Messages) {
         SuperviseError::Panicked(_) => SuperviseError::Panicked("a task".to_owned()),
         SuperviseError::Renderers { .. } => SuperviseError::Renderers {
             slot: 1, renderer: "gl".to_owned(), registered: "software".to_owned(),
+        },
+        SuperviseError::Exhausted { .. } => SuperviseError::Exhausted {
+            slot: 1, error: io_error(),
         },
         SuperviseError::Slot { .. } => SuperviseError::Slot {
             slot: 1, end: "ended with exit status 1".to_owned(),

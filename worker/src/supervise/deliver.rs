@@ -65,30 +65,35 @@ impl Delivery {
 }
 
 impl Answer {
-    /// Logs what became of the ending, unless it went well.
-    pub(crate) fn tell(&self) {
+    /// Logs the answer to the ending of a rollout, unless it was accepted.
+    pub(crate) fn tell(&self, label: &str) {
         match self {
             Self::Committed(answer) => match answer.verdict() {
                 CommitVerdict::Accepted | CommitVerdict::Duplicate => {}
                 CommitVerdict::Stale => {
-                    tracing::warn!("a result came too late: {}", answer.detail);
+                    tracing::warn!("{label}: a result came too late: {}", answer.detail);
                 }
                 verdict => {
-                    tracing::error!("a result was refused, {verdict:?}: {}", answer.detail)
+                    tracing::error!(
+                        "{label}: a result was refused, {verdict:?}: {}",
+                        answer.detail
+                    )
                 }
             },
             Self::Released(answer) => match answer.verdict() {
                 ReleaseVerdict::Quarantined => {
-                    tracing::error!("the job was quarantined: it has failed too often");
+                    tracing::error!(
+                        "{label}: the rollout was quarantined: it has failed too often"
+                    );
                 }
                 _ if answer.backoff_secs > 0.0 => {
-                    tracing::info!("the job waits {:.0} s", answer.backoff_secs);
+                    tracing::info!("{label}: the rollout waits {:.0} s", answer.backoff_secs);
                 }
                 _ => {}
             },
             Self::Refused(status) => {
                 tracing::error!(
-                    "the coordinator takes no ending of a job: {}",
+                    "{label}: the coordinator refuses how the rollout ended: {}",
                     chain(status)
                 );
             }

@@ -1,5 +1,7 @@
 //! Why a worker ends.
 
+use std::io;
+
 use attempt::AttemptIdError;
 use transport::{AccessError, EndpointError};
 
@@ -49,6 +51,15 @@ pub enum SuperviseError {
         renderer: String,
         /// What drew in the slot that was ready first.
         registered: String,
+    },
+    /// The machine has nothing left for another process.
+    #[error("start slot {slot}: the machine has nothing left for it; use fewer --slots")]
+    Exhausted {
+        /// Number of the slot, from 0.
+        slot: usize,
+        /// The limit that was reached.
+        #[source]
+        error: io::Error,
     },
     /// A slot's process does not survive its start.
     #[error(

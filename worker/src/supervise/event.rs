@@ -63,7 +63,12 @@ pub(crate) enum Event {
         answer: Result<ClaimResponse, Status>,
     },
     /// The coordinator knows how a slot's rollout ended.
-    Delivered { slot: usize, answer: Answer },
+    Delivered {
+        slot: usize,
+        /// The rollout that ended, and its campaign.
+        label: String,
+        answer: Answer,
+    },
     /// A slot's process said something.
     Slot { key: ProcessKey, event: SlotEvent },
     /// A slot's process ended.

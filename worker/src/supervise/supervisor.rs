@@ -4,6 +4,7 @@
 mod claiming;
 mod ending;
 
+use std::io;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -37,6 +38,8 @@ use crate::message::{Assignment, Failure, FailureKind, RolloutEvent, SlotCommand
 const TICK: Duration = Duration::from_millis(250);
 /// How long a worker that is otherwise done waits for videos on their way.
 const UPLOAD_GRACE: Duration = Duration::from_secs(15);
+/// Processes started before the loop looks at signals and messages again.
+const STARTS_AT_ONCE: usize = 8;
 /// How long slots may take to end once nothing is wanted of them.
 const END_DEADLINE: Duration = Duration::from_secs(5);
 
@@ -47,6 +50,8 @@ struct Slot {
     lives: u64,
     /// The rollout in hand, or the last one: its scene is compiled.
     assignment: Option<Assignment>,
+    /// The campaign of that rollout.
+    campaign: String,
 }
 
 /// The state of a worker and the way to change it.
@@ -97,6 +102,7 @@ impl Supervisor {
             process: None,
             lives: 0,
             assignment: None,
+            campaign: String::new(),
         });
         Self {
             slots: slots.collect(),
@@ -130,10 +136,12 @@ impl Supervisor {
         let mut ticks = interval(TICK);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let mut heartbeats = self.heartbeats();
+        let mut has_more_to_start = true;
         while !self.is_done(Instant::now()) {
             let event = tokio::select! {
                 Some(event) = inbox.recv() => event,
                 Some(()) = shutdown.recv() => Event::Shutdown,
+                () = task::yield_now(), if has_more_to_start => Event::Tick,
                 _ = ticks.tick() => Event::Tick,
                 _ = heartbeats.tick() => Event::HeartbeatDue,
                 // What finished tasks had to say they have said.
@@ -155,7 +163,7 @@ impl Supervisor {
             if heartbeats.period() != self.timing.heartbeat {
                 heartbeats = self.heartbeats();
             }
-            self.carry_out_decisions(now);
+            has_more_to_start = self.carry_out_decisions(now);
         }
         self.end(inbox).await;
         self.sign_off().await;
@@ -240,7 +248,11 @@ impl Supervisor {
             Event::HeartbeatDue => self.send_heartbeat(),
             Event::Renewed(answer) => self.renewed(answer, now),
             Event::Claimed { slot, answer } => self.claimed(slot, answer, now),
-            Event::Delivered { slot, answer } => self.delivered(slot, answer),
+            Event::Delivered {
+                slot,
+                label,
+                answer,
+            } => self.delivered(slot, &label, answer),
             Event::Slot { key, event } => {
                 if self.is_current(key) {
                     self.slot_said(key.slot, event, now);
@@ -261,16 +273,24 @@ impl Supervisor {
         process.is_some_and(|process| process.key == key)
     }
 
-    fn carry_out_decisions(&mut self, now: Instant) {
+    /// Starts at most [`STARTS_AT_ONCE`] processes, since starting one takes milliseconds;
+    /// returns true if more are to be started.
+    fn carry_out_decisions(&mut self, now: Instant) -> bool {
+        let mut starts_left = STARTS_AT_ONCE;
         for slot in 0..self.slots.len() {
             let state = &self.slots[slot].state;
             match state.decide(self.mode, self.timing.progress_timeout, now) {
-                Some(Decision::Start) => self.start_process(slot, now),
+                Some(Decision::Start) if starts_left == 0 => return true,
+                Some(Decision::Start) => {
+                    starts_left -= 1;
+                    self.start_process(slot, now);
+                }
                 Some(Decision::Claim) if self.is_registered => self.claim(slot),
                 Some(Decision::Kill(why)) => self.kill(slot, why),
                 Some(Decision::Claim) | None => {}
             }
         }
+        false
     }
 
     fn start_process(&mut self, slot: usize, now: Instant) {
@@ -289,12 +309,19 @@ impl Supervisor {
                     deadline: now + START_DEADLINE,
                 };
             }
-            Err(error) => {
-                let program = program.program.display();
-                let end = ProcessEnd::from(format!("could not start {program}: {error}"));
-                self.process_ended(slot, end, now);
-            }
+            Err(error) => self.start_failed(slot, error, now),
         }
+    }
+
+    /// A process could not be started. A machine that has nothing left for another slot
+    /// will not have more for the next one: the worker stops at the first such answer.
+    fn start_failed(&mut self, slot: usize, error: io::Error, now: Instant) {
+        if self.slots[slot].lives == 1 && is_exhaustion(&error) {
+            return self.stop(SuperviseError::Exhausted { slot, error });
+        }
+        let program = self.config.slot_program.program.display();
+        let end = ProcessEnd::from(format!("could not start {program}: {error}"));
+        self.process_ended(slot, end, now);
     }
 
     fn kill(&mut self, slot: usize, why: Kill) {
@@ -396,10 +423,15 @@ impl Supervisor {
         }
     }
 
-    /// The rollout in hand, for people.
+    /// The rollout in hand and its campaign, for people.
     fn label(&self, slot: usize) -> String {
-        let assignment = self.slots[slot].assignment.as_ref();
-        assignment.map_or_else(String::new, |it| it.session.to_string())
+        let Slot {
+            assignment,
+            campaign,
+            ..
+        } = &self.slots[slot];
+        let session = assignment.as_ref().map(|it| it.session.to_string());
+        format!("{campaign}: {}", session.unwrap_or_default())
     }
 
     fn process_ended(&mut self, slot: usize, end: ProcessEnd, now: Instant) {
@@ -473,17 +505,23 @@ impl Supervisor {
             ending,
         };
         delivery.tell();
+        let label = delivery.label.clone();
         let (link, events) = (self.link.clone(), self.events.clone());
         self.calls.spawn(async move {
             let answer = deliver(&link, delivery).await;
-            let _ = events.send(Event::Delivered { slot, answer }).await;
+            let delivered = Event::Delivered {
+                slot,
+                label,
+                answer,
+            };
+            let _ = events.send(delivered).await;
         });
     }
 
-    fn delivered(&mut self, slot: usize, answer: Answer) {
+    fn delivered(&mut self, slot: usize, label: &str, answer: Answer) {
         let decision = self.slots[slot].state.delivered(answer.is_committed());
         self.carry_out_video(slot, decision);
-        answer.tell();
+        answer.tell(label);
         if let Some(reason) = answer.stop_leasing() {
             self.stop(SuperviseError::Stopped(reason));
         }
@@ -567,6 +605,16 @@ impl Supervisor {
     }
 }
 
+/// Whether a limit was reached: of open files, processes or memory.
+fn is_exhaustion(error: &io::Error) -> bool {
+    use rustix::io::Errno;
+    let limits = [Errno::MFILE, Errno::NFILE, Errno::AGAIN, Errno::NOMEM];
+    let code = error.raw_os_error();
+    limits
+        .iter()
+        .any(|limit| code == Some(limit.raw_os_error()))
+}
+
 fn panicked(ended: Result<(), JoinError>) -> Option<Event> {
     // Nothing is aborted while the worker serves.
     let error = ended.err()?;
@@ -588,6 +636,10 @@ mod tests {
     /// A worker with one slot, whose process waits for its parent to go, and a
     /// coordinator that is nowhere.
     fn supervisor(events: mpsc::Sender<Event>) -> Supervisor {
+        supervisor_of(1, events)
+    }
+
+    fn supervisor_of(slots: usize, events: mpsc::Sender<Event>) -> Supervisor {
         let config = Config {
             coordinator: "http://127.0.0.1:9".to_owned(),
             access: Access::none(),
@@ -598,7 +650,7 @@ mod tests {
                 asset_pack_digest: String::new(),
                 mujoco_version: String::new(),
             },
-            slots: 1,
+            slots,
             slot_program: SlotProgram {
                 program: "cat".into(),
                 arguments: Vec::new(),
@@ -626,6 +678,36 @@ mod tests {
         let ended = tokio::time::timeout(Duration::from_secs(20), serving).await;
         let error = ended.expect("it ends").expect_err("with a fault");
         assert!(error.to_string().contains("a defect"), "{error}");
+    }
+
+    #[tokio::test]
+    async fn a_request_to_end_is_heard_while_slots_still_start() {
+        let (events, _inbox) = mpsc::channel(8);
+        let mut supervisor = supervisor_of(3 * STARTS_AT_ONCE, events);
+        let now = Instant::now();
+        assert!(
+            supervisor.carry_out_decisions(now),
+            "more are to be started"
+        );
+        let started = |it: &Supervisor| it.slots.iter().filter(|it| it.process.is_some()).count();
+        assert_eq!(started(&supervisor), STARTS_AT_ONCE);
+        supervisor.handle(Event::Shutdown, now);
+        assert!(!supervisor.carry_out_decisions(now));
+        assert_eq!(started(&supervisor), STARTS_AT_ONCE, "no further one");
+    }
+
+    #[tokio::test]
+    async fn a_machine_that_has_nothing_left_for_a_slot_ends_the_worker_at_once() {
+        let (events, _inbox) = mpsc::channel(8);
+        let mut supervisor = supervisor_of(1_000, events);
+        let now = Instant::now();
+        supervisor.slots[7].lives = 1;
+        let too_many_files = rustix::io::Errno::MFILE;
+        supervisor.start_failed(7, too_many_files.into(), now);
+        assert!(!supervisor.carry_out_decisions(now), "it starts no other");
+        assert_eq!(supervisor.mode, Mode::Draining);
+        let fault = supervisor.fault.expect("a fault").to_string();
+        assert!(fault.contains("slot 7"), "{fault}");
     }
 
     #[tokio::test]

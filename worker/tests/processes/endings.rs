@@ -44,6 +44,8 @@ async fn a_drain_finishes_the_rollout_in_hand_and_begins_no_other() {
     assert_eq!(result.expect("a result").steps, 80);
     let (status, said) = worker.wait();
     assert!(status.success(), "{said}");
+    // Lines of two campaigns on one worker are told apart.
+    assert!(said.contains(" test: object/t0/clean/i03"), "{said}");
     assert_eq!(
         (
             coordinator.everything_told().len(),

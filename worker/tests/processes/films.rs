@@ -83,6 +83,40 @@ async fn a_rollout_is_filmed_from_its_actions_when_its_policy_has_gone() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn several_rollouts_are_filmed_at_a_time_and_the_log_says_how_far_it_is() {
+    if !ready("several_rollouts_are_filmed_at_a_time_and_the_log_says_how_far_it_is") {
+        return;
+    }
+    let coordinator = ScriptedCoordinator::start().await;
+    let film = a_film(&coordinator).await;
+    for number in 1..=3 {
+        coordinator.film(Film {
+            attempt_id: attempt_id(number),
+            ..film.clone()
+        });
+    }
+    let mut command = program();
+    command.env("COORDINATOR_URL", coordinator.url());
+    command.args(["film", "--assets", "primitives", "--at-a-time", "2"]);
+    let output = tokio::task::block_in_place(|| command.output().expect("runs"));
+    let log = String::from_utf8(output.stderr).expect("text");
+    assert!(output.status.success(), "{log}");
+    let said = String::from_utf8(output.stdout).expect("text");
+    assert!(said.starts_with("3 videos stored; "), "{said}");
+    assert!(log.contains("filming 2 rollouts at a time"), "{log}");
+    assert!(
+        log.contains("(2 left)") && log.contains("(0 left)"),
+        "{log}"
+    );
+    assert_eq!(
+        log.matches("filmed test object/t0/clean/i03#r0 in ")
+            .count(),
+        3,
+        "{log}"
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_film_that_ends_otherwise_than_its_rollout_is_not_stored() {
     if !ready("a_film_that_ends_otherwise_than_its_rollout_is_not_stored") {
         return;

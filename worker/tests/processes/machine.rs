@@ -122,6 +122,21 @@ fn slots_that_are_counting_end_with_their_parent() {
     wait_for_the_end_of(slots[0]);
 }
 
+/// 100,000 slots were begun one after the other: 5,000 processes, eleven minutes deaf to
+/// SIGTERM.
+#[test]
+fn more_slots_than_the_machine_can_hold_are_refused_before_any_is_started() {
+    if !ready("more_slots_than_the_machine_can_hold_are_refused_before_any_is_started") {
+        return;
+    }
+    let worker = WorkerProcess::start_with("http://127.0.0.1:9", &["--slots", "100000"]);
+    let (status, said) = worker.wait();
+    assert_eq!(status.code(), Some(1), "{said}");
+    assert!(said.contains("failed to start 100000 slots: "), "{said}");
+    assert!(said.contains("`--slots auto` chooses"), "{said}");
+    assert!(!said.contains("[slot "), "{said}");
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_worker_that_chooses_its_slots_registers_them_and_says_why() {
     if !ready("a_worker_that_chooses_its_slots_registers_them_and_says_why") {

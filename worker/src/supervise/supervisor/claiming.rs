@@ -81,13 +81,13 @@ impl Supervisor {
                 failed(FailureKind::Draining, text.to_owned())
             }
             Err(error) => failed(FailureKind::Simulator, format!("failed to {error}")),
-            Ok(assignment) => return self.begin(slot, assignment, now),
+            Ok(assignment) => return self.begin(slot, assignment, campaign, now),
         };
         self.slots[slot].state.work = Work::Delivering {
             attempt,
             control_steps: 0,
         };
-        let label = format!("job {job} of campaign {campaign}");
+        let label = format!("{campaign}: job {job}");
         self.send_delivery(slot, attempt, label, ending);
     }
 
@@ -133,7 +133,7 @@ impl Supervisor {
         })
     }
 
-    fn begin(&mut self, slot: usize, assignment: Assignment, now: Instant) {
+    fn begin(&mut self, slot: usize, assignment: Assignment, campaign: String, now: Instant) {
         let slot = &mut self.slots[slot];
         if let Some(process) = &slot.process {
             process.send(SlotCommand::Run(Box::new(assignment.clone())));
@@ -144,6 +144,7 @@ impl Supervisor {
             moved_at: now,
         };
         slot.assignment = Some(assignment);
+        slot.campaign = campaign;
         self.has_news = true;
     }
 }
