@@ -8,7 +8,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use queue::clock::Clock;
-use queue::{Elsewhere, OpenError, Queue, Store, StoreError, Timing, remove_partial_files};
+use queue::{
+    Elsewhere, OpenError, Queue, QueueError, Store, StoreError, Timing, remove_partial_files,
+};
 use rand_chacha::ChaCha8Rng;
 use tokio::net::TcpListener;
 use tokio::sync::oneshot;
@@ -193,6 +195,11 @@ impl Coordinator {
                 _ = sweep.tick() => {
                     let shortage = match queue.sweep().await {
                         Ok(()) => Room::look(folder, self.min_free_bytes).shortage(folder),
+                        Err(QueueError::Store(StoreError::Gone { folder })) => Some(format!(
+                            "the data folder {} is gone, or another database is in its place: \
+                             `coordinator backup --output FILE` saves what was committed",
+                            folder.display()
+                        )),
                         Err(error) => Some(format!(
                             "the database cannot be written (failed to {})",
                             transport::chain(&error)

@@ -1,6 +1,6 @@
 //! Errors as statuses: their words, and the code that says what to do.
 
-use queue::{ArtifactError, QueueError};
+use queue::{ArtifactError, QueueError, StoreError};
 use tonic::{Code, Response, Status};
 use transport::chain;
 
@@ -44,7 +44,12 @@ fn code(error: &QueueError) -> Code {
         | QueueError::Unmatched { .. }
         | QueueError::NoThresholds { .. }
         | QueueError::OtherPolicy { .. } => Code::InvalidArgument,
-        QueueError::ShuttingDown | QueueError::Store(_) => Code::Unavailable,
+        // Waiting does not bring the data folder back. A worker tries again all the same, and
+        // keeps its outcome meanwhile.
+        QueueError::Store(StoreError::Gone { .. }) => Code::Internal,
+        QueueError::ShuttingDown | QueueError::Store(StoreError::Statement { .. }) => {
+            Code::Unavailable
+        }
     }
 }
 

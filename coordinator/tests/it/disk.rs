@@ -9,7 +9,7 @@ use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
 
 use crate::artifacts::put;
-use crate::process::{CREATE, Serve, text};
+use crate::process::{CREATE, Serve, coordinator, text};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn nothing_is_leased_while_the_disk_is_nearly_full_and_the_status_says_so() {
@@ -56,6 +56,40 @@ async fn a_coordinator_that_cannot_write_leases_nothing_and_goes_on_when_it_can(
     while worker.claim(1).await.is_empty() {
         assert!(started.elapsed() < Duration::from_secs(20), "still held");
     }
+}
+
+/// SQLite went on with the open file: `create` said "created", and all was lost at the end.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_data_folder_that_is_gone_takes_nothing_and_can_still_be_saved() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let data = folder.path().join("data");
+    let serve = Serve::start(&data);
+    assert!(serve.command(&CREATE).status.success());
+    let mut worker = serve.worker("a").await;
+    let leases = worker.claim(2).await;
+    assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
+    std::fs::remove_dir_all(&data).expect("removed");
+
+    let mut create = CREATE;
+    create[3] = "other";
+    let refused = serve.command(&create);
+    assert_eq!(refused.status.code(), Some(1), "{refused:?}");
+    let said = text(&refused.stderr);
+    assert!(said.contains("is gone"), "{said}");
+    let refused = worker.try_commit(&leases[1], true).await;
+    assert_eq!(refused.expect_err("gone").code(), tonic::Code::Internal);
+
+    let copy = folder.path().join("saved.sqlite");
+    let copy = copy.to_str().expect("UTF-8");
+    let saved = serve.command(&["backup", "--output", copy]);
+    assert!(saved.status.success(), "{}", text(&saved.stderr));
+    let checked = coordinator(&["check", copy]);
+    assert!(checked.status.success(), "{}", text(&checked.stderr));
+
+    // Another database in the same place is not this coordinator's.
+    drop(Serve::start(&data));
+    let refused = serve.command(&create);
+    assert_eq!(refused.status.code(), Some(1), "{refused:?}");
 }
 
 /// A log on the same disk: what cannot be written there is lost, and nothing else.

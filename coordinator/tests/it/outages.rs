@@ -1,6 +1,8 @@
 //! A policy that is down pauses its own jobs only, and they resume by
 //! themselves.
 
+use proto::coordinator::ChangeCampaignRequest;
+use proto::coordinator::change_campaign_request::Change;
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
 use serde_json::json;
@@ -63,6 +65,32 @@ async fn an_outage_pauses_the_jobs_of_its_policy_only() {
     assert!(
         idle.contains("`fragile`") && idle.contains("the bench said so"),
         "{idle}"
+    );
+}
+
+/// There was no way to say that the policy is back.
+#[tokio::test]
+async fn an_operator_who_resumes_a_campaign_has_its_policy_tried_at_once() {
+    let bench = two_campaigns().await;
+    let mut worker = bench.worker("a").await;
+    let lease = worker.claim_one().await;
+    worker.release(&lease, Reason::PolicyUnavailable).await;
+    let status = bench.status("first").await;
+    assert!(status.policy_retry_secs > Some(0.0), "{status:?}");
+    let others = worker.claim(64).await;
+    assert!(others.iter().all(|lease| lease.policy == "sound"));
+    let resume = ChangeCampaignRequest {
+        campaign: "first".to_owned(),
+        change: Change::Resume.into(),
+    };
+    let resumed = bench.operator().await.change_campaign(resume).await;
+    resumed.expect("resumed");
+    assert_eq!(bench.status("first").await.policy_retry_secs, Some(0.0));
+    assert_eq!(worker.claim_one().await.policy, "fragile");
+    let status = bench.status("first").await;
+    assert_eq!(
+        status.policy_retry_secs, None,
+        "one rollout is out to try it"
     );
 }
 

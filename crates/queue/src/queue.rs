@@ -57,7 +57,7 @@ async fn keep_log_short(shared: Arc<Shared>) {
         tokio::time::sleep(CHECKPOINT_INTERVAL).await;
         // A disk that is full may have room again; the log is read on in any case.
         if let Err(error) = shared.store.checkpoint().await {
-            tracing::debug!("failed to {error}: {}", error.source);
+            tracing::debug!("failed to {}", error.with_cause());
         }
     }
 }

@@ -28,6 +28,7 @@ pub(crate) mod workers;
 use std::fs::{File, TryLockError};
 use std::io;
 use std::ops::{Deref, DerefMut};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -62,6 +63,8 @@ pub struct Store {
     folder: PathBuf,
     writer: SqlitePool,
     readers: SqlitePool,
+    /// The database's file as it was opened: device and inode.
+    file: (u64, u64),
     failpoints: Failpoints,
     /// Held until the store is closed; the kernel lets go of it whichever way the
     /// process ends.
@@ -120,15 +123,40 @@ pub enum OpenError {
     },
 }
 
-/// A statement that failed.
+/// A failure of the database.
 #[derive(Clone, Debug, thiserror::Error)]
-#[error("{doing} in the database")]
-pub struct StoreError {
-    /// What was being done.
-    pub doing: &'static str,
-    /// What SQLite said.
-    #[source]
-    pub source: Arc<sqlx::Error>,
+pub enum StoreError {
+    /// A statement failed.
+    #[error("{doing} in the database")]
+    Statement {
+        /// The purpose of the statement.
+        doing: &'static str,
+        /// SQLite's error.
+        #[source]
+        source: Arc<sqlx::Error>,
+    },
+    /// The database's file was removed or replaced. SQLite goes on with the open file,
+    /// whose contents vanish with this process.
+    #[error(
+        "write to the database: the data folder {} is gone, or another database is in its \
+         place; `coordinator backup --output FILE` saves what was committed while this \
+         coordinator runs, which nothing can be added to",
+        folder.display()
+    )]
+    Gone {
+        /// The data folder.
+        folder: PathBuf,
+    },
+}
+
+impl StoreError {
+    /// The error and its cause, for the log.
+    pub(crate) fn with_cause(&self) -> String {
+        match self {
+            Self::Statement { source, .. } => format!("{self}: {source}"),
+            Self::Gone { .. } => self.to_string(),
+        }
+    }
 }
 
 /// The writing transaction. There is one at a time; dropping it undoes it.
@@ -147,7 +175,7 @@ pub(crate) trait Doing<T> {
 
 impl<T> Doing<T> for Result<T, sqlx::Error> {
     fn doing(self, doing: &'static str) -> Result<T, StoreError> {
-        self.map_err(|source| StoreError {
+        self.map_err(|source| StoreError::Statement {
             doing,
             source: Arc::new(source),
         })
@@ -244,6 +272,7 @@ impl Store {
             .await
             .map_err(database)?;
         Ok(Store {
+            file: identity(&path).map_err(in_folder)?,
             folder: folder.to_owned(),
             writer,
             readers,
@@ -269,13 +298,27 @@ impl Store {
 
     /// Begins the writing transaction, for these steps; waits for the one before
     /// it.
+    ///
+    /// # Errors
+    /// If the database's file is no longer in the data folder: what SQLite wrote to the
+    /// open file would be lost when this process ends.
     pub(crate) async fn write(&self, steps: Vec<Step>) -> Result<Tx<'_>, StoreError> {
+        if !self.is_in_place() {
+            let folder = self.folder.clone();
+            return Err(StoreError::Gone { folder });
+        }
         let transaction = self.writer.begin_with("BEGIN IMMEDIATE").await;
         Ok(Tx {
             transaction: transaction.doing("begin a transaction")?,
             steps,
             failpoints: &self.failpoints,
         })
+    }
+
+    /// Returns true if the data folder still has the file that was opened.
+    pub(crate) fn is_in_place(&self) -> bool {
+        let there = identity(&self.folder.join(DATABASE_FILE));
+        there.is_ok_and(|there| there == self.file)
     }
 
     /// Begins to read: what is committed now, however long it is looked at.
@@ -407,6 +450,12 @@ impl DerefMut for Tx<'_> {
     fn deref_mut(&mut self) -> &mut SqliteConnection {
         &mut self.transaction
     }
+}
+
+/// Device and inode of a file.
+fn identity(path: &Path) -> io::Result<(u64, u64)> {
+    let metadata = std::fs::metadata(path)?;
+    Ok((metadata.dev(), metadata.ino()))
 }
 
 fn lock_folder(folder: &Path) -> Result<File, OpenError> {

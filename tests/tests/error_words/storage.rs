@@ -34,7 +34,7 @@ pub(crate) fn add(messages: &mut Messages) {
 }
 
 fn store_error() -> StoreError {
-    StoreError {
+    StoreError::Statement {
         doing: "commit results",
         source: Arc::new(sqlx::Error::WorkerCrashed),
     }
@@ -45,7 +45,10 @@ fn campaign() -> CampaignName {
 }
 
 fn names_and_files(messages: &mut Messages) {
-    messages.add("StoreError", store_error());
+    variants!(messages, StoreError,
+        StoreError::Statement { .. } => store_error(),
+        StoreError::Gone { .. } => StoreError::Gone { folder: path() },
+    );
     variants!(messages, NameError,
         NameError::Campaign { .. } => CampaignName::parse("a b").expect_err("no name"),
         NameError::Worker { .. } => WorkerId::parse("a b").expect_err("no id"),

@@ -76,7 +76,8 @@ impl Queue {
         })
     }
 
-    /// Pauses, resumes or cancels a campaign. Cancelling takes its leases back
+    /// Pauses, resumes or cancels a campaign. Resuming also lets its policy be tried at
+    /// once, if that waits for the end of a back-off. Cancelling takes its leases back
     /// without a charge; their workers learn of it with their next heartbeat.
     ///
     /// # Errors
@@ -92,9 +93,14 @@ impl Queue {
         let campaign = context.campaign_named(name).await?;
         let after = campaign.state.after(change, context.now);
         let after = after.map_err(|EndedIsFinal| ended(&campaign))?;
-        if after == campaign.state {
+        let health = match change {
+            Change::Resume => campaign.health.due_at_once(context.now),
+            Change::Pause | Change::Cancel => campaign.health.clone(),
+        };
+        if after == campaign.state && health == campaign.health {
             return Ok(after);
         }
+        policies::set_health(&mut context.tx, campaign.policy_id, &health).await?;
         campaigns::set_state(&mut context.tx, campaign.id, after).await?;
         if let CampaignState::Cancelled { .. } = after {
             let why = "the campaign was cancelled";

@@ -41,7 +41,7 @@ pub(crate) async fn run(shared: std::sync::Arc<Shared>) {
     loop {
         let ended = *settled.borrow_and_update();
         if let Err(error) = look(&shared, &mut sources).await {
-            tracing::error!("failed to {error}: {}", error.source);
+            tracing::error!("failed to {}", error.with_cause());
             tokio::time::sleep(PAUSE_AFTER_FAILURE).await;
             continue;
         }

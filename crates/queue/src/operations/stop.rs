@@ -46,7 +46,7 @@ pub(crate) async fn run(shared: Arc<Shared>) {
     loop {
         settled.mark_unchanged();
         if let Err(error) = look(&shared, &mut fronts).await {
-            tracing::error!("failed to {error}: {}", error.source);
+            tracing::error!("failed to {}", error.with_cause());
             fronts.clear();
             tokio::time::sleep(PAUSE_AFTER_FAILURE).await;
             continue;

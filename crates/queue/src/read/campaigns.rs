@@ -44,6 +44,8 @@ pub struct CampaignStatus {
     pub counts: Counts,
     /// Why its policy's jobs wait, if they do.
     pub policy_pause_reason: Option<String>,
+    /// How long it takes until a rollout tries its paused policy again.
+    pub policy_retry: Option<Duration>,
     /// Committed rollouts per second over [`RATE_WINDOW`].
     pub rate_per_sec: Option<f64>,
     /// Seconds that the rest takes at that rate.
@@ -162,6 +164,10 @@ impl View {
                 Some(reason.clone())
             }
         };
+        let policy_retry = match &campaign.health.state {
+            PolicyState::Paused { resume, .. } => Some(resume.since(now)),
+            PolicyState::Available | PolicyState::Probing { .. } => None,
+        };
         let able = live.iter().filter(|live| campaign.takes(live));
         let live_workers = u32::try_from(able.count()).unwrap_or(u32::MAX);
         let source = derivations::awaited(self.tx(), campaign.id).await?;
@@ -191,6 +197,7 @@ impl View {
             campaign,
             counts,
             policy_pause_reason,
+            policy_retry,
             rate_per_sec,
             eta_secs: rate_per_sec.map(|rate| left / rate),
             live_workers,
@@ -244,7 +251,7 @@ fn awaited_reason(source: &Source) -> String {
         n => format!("{n} rollouts"),
     };
     match is_cancelled {
-        false => format!("it goes on once campaign `{name}` is through, {rollouts} from now"),
+        false => format!("it goes on once campaign `{name}` is finished, {rollouts} from now"),
         true => format!(
             "nothing follows from campaign `{name}`, which was cancelled with {rollouts} to go"
         ),

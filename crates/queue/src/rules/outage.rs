@@ -160,6 +160,21 @@ impl PolicyHealth {
         }
     }
 
+    /// An operator asks for a probe now instead of at the end of the back-off.
+    #[must_use]
+    pub fn due_at_once(&self, now: UnixMillis) -> PolicyHealth {
+        match &self.state {
+            PolicyState::Paused { resume, reason } => PolicyHealth {
+                state: PolicyState::Paused {
+                    resume: (*resume).min(now),
+                    reason: reason.clone(),
+                },
+                ..self.clone()
+            },
+            PolicyState::Available | PolicyState::Probing { .. } => self.clone(),
+        }
+    }
+
     /// The policy answered a query of this attempt.
     #[must_use]
     pub fn after_answer(&self, attempt: AttemptId, now: UnixMillis) -> PolicyHealth {
