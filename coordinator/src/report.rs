@@ -61,6 +61,7 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
         beyond: Some(beyond_range(view, campaign).await?),
         fingerprints: view.fingerprints(campaign.id).await?,
         published_nominal: None,
+        published_by_suite: Vec::new(),
         reported_nominal: None,
         setups: Setups::default(),
         derived: derived(view, campaign, spec.rollouts).await?,

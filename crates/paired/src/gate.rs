@@ -1,6 +1,7 @@
 //! The reproduction gate: whether a policy does unperturbed what its authors
 //! say it does. Before it does, its robustness is not worth interpreting.
 
+use protocol::Suite;
 use serde::{Deserialize, Serialize};
 
 use crate::count::Count;
@@ -8,9 +9,12 @@ use crate::count::Count;
 /// Largest difference that passes, as a fraction: 5 points. Source: section 6
 /// of the protocol.
 pub const GATE_TOLERANCE: f64 = 0.05;
-/// Clean rollouts that the published figures are of: 40 tasks × 50 initial
-/// states.
+/// Nominal rollouts that published figures over all suites are of: 40 tasks × 50
+/// initial states.
 pub const GATE_ROLLOUTS: u64 = 2000;
+/// Nominal rollouts that the published figure of one suite is of: 10 tasks × 50 initial
+/// states.
+pub const GATE_ROLLOUTS_OF_A_SUITE: u64 = 500;
 
 /// Nominal success against the published figure.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -29,23 +33,42 @@ pub struct Gate {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum GateVerdict {
-    /// Within [`GATE_TOLERANCE`] over all [`GATE_ROLLOUTS`].
+    /// Within [`GATE_TOLERANCE`] over all rollouts that the figure is of.
     Passed,
     /// Outside of it over all of them.
     Failed,
-    /// Fewer clean rollouts than [`GATE_ROLLOUTS`] have a result: undecided.
+    /// Fewer nominal rollouts have a result than the figure is of.
     Undecided,
+}
+
+/// The gate of one suite.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SuiteGate {
+    /// The suite.
+    pub suite: Suite,
+    /// Its nominal success against the figure published for it.
+    #[serde(flatten)]
+    pub gate: Gate,
 }
 
 impl Gate {
     /// The gate: |successes / n − published| ≤ [`GATE_TOLERANCE`], with
     /// n = [`GATE_ROLLOUTS`] at least.
     pub fn new(published: f64, nominal: Count) -> Self {
+        Self::over(GATE_ROLLOUTS, published, nominal)
+    }
+
+    /// The gate of one suite, with n = [`GATE_ROLLOUTS_OF_A_SUITE`] at least.
+    pub fn of_suite(published: f64, nominal: Count) -> Self {
+        Self::over(GATE_ROLLOUTS_OF_A_SUITE, published, nominal)
+    }
+
+    fn over(rollouts: u64, published: f64, nominal: Count) -> Self {
         let difference = nominal.rate().map(|rate| rate - published);
         // What is exactly at the tolerance passes, whatever the last bit says.
         let close = |difference: f64| difference.abs() <= GATE_TOLERANCE + 1e-9;
         let verdict = match difference {
-            Some(difference) if nominal.n >= GATE_ROLLOUTS => match close(difference) {
+            Some(difference) if nominal.n >= rollouts => match close(difference) {
                 true => GateVerdict::Passed,
                 false => GateVerdict::Failed,
             },
@@ -81,5 +104,13 @@ mod tests {
     fn some_of_the_rollouts_decide_nothing() {
         check(0.95, 1999, 1999, GateVerdict::Undecided);
         check(0.95, 0, 0, GateVerdict::Undecided);
+    }
+
+    /// 500 rollouts of one suite were never enough.
+    #[test]
+    fn all_rollouts_of_a_suite_decide_its_gate() {
+        let gate = |n| Gate::of_suite(0.97, Count { successes: 480, n }).verdict;
+        assert_eq!(gate(500), GateVerdict::Passed);
+        assert_eq!(gate(499), GateVerdict::Undecided);
     }
 }

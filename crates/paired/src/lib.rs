@@ -13,6 +13,7 @@
 
 mod bootstrap;
 mod bounds;
+mod brief;
 mod comparison;
 mod comparison_table;
 mod count;
@@ -32,12 +33,15 @@ mod text;
 
 pub use bootstrap::{Bootstrap, Interval, quantile};
 pub use bounds::Bounds;
+pub use brief::brief;
 pub use comparison::{ComparedCell, Comparison, Obstacle};
 pub use comparison_table::comparison_table;
 pub use count::Count;
 pub use design::{PairedDesign, minimum_detectable_effect, task_correlation};
 pub use difference::{Difference, DifferenceBounds, Pair};
-pub use gate::{GATE_ROLLOUTS, GATE_TOLERANCE, Gate, GateVerdict};
+pub use gate::{
+    GATE_ROLLOUTS, GATE_ROLLOUTS_OF_A_SUITE, GATE_TOLERANCE, Gate, GateVerdict, SuiteGate,
+};
 pub use interval::{MIN_TASKS, NoInterval, intervals_of_many};
 pub use legend::legend;
 pub use mcnemar::mcnemar_exact;
@@ -51,5 +55,5 @@ pub use sequential::{
     CampaignLook, ComparedLook, Drawn, Look, NotInOneOrder, NotInOrder, Order, RateInterval,
     SEQUENTIAL_ALPHA, SequentialDifference, SequentialMeasures, Unit, compared_looks, drawn_order,
 };
-pub use table::table;
+pub use table::{gate_lines, table};
 pub use text::push_wrapped;

@@ -3,14 +3,14 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use protocol::{Axis, AxisSet, Condition, Level};
+use protocol::{Axis, AxisSet, Condition, Level, Suite};
 use serde::{Deserialize, Serialize};
 
 use crate::bootstrap::Bootstrap;
 use crate::bounds::Bounds;
 use crate::count::Count;
 use crate::design::{PairedDesign, minimum_detectable_effect, task_correlation};
-use crate::gate::Gate;
+use crate::gate::{Gate, SuiteGate};
 use crate::measures::{Configuration, Measures};
 use crate::outcomes::{DuplicateRecord, Matched, Outcome, Record, Records};
 use crate::replication::Replication;
@@ -25,7 +25,9 @@ pub struct Options {
     pub bootstrap: Bootstrap,
     /// The policy's published nominal success rate, a fraction, for the gate.
     pub published_nominal: Option<f64>,
-    /// Nominal successes as published elsewhere; used where there is no clean
+    /// Nominal success rates published of single suites, fractions, for a gate each.
+    pub published_by_suite: Vec<(Suite, f64)>,
+    /// Nominal successes as published elsewhere; used where there is no nominal
     /// rollout among the records.
     pub reported_nominal: Option<Count>,
 }
@@ -41,6 +43,9 @@ pub struct Report {
     pub nominal: Vec<Nominal>,
     /// The reproduction gate, where a published figure is known.
     pub gate: Option<Gate>,
+    /// The gates of single suites whose published figures are known.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub suite_gates: Vec<SuiteGate>,
     /// Cells, by replicate and level.
     pub cells: Vec<Cell>,
     /// Each further replicate against the first.
@@ -68,7 +73,7 @@ pub struct Nominal {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NominalSource {
-    /// From clean rollouts among the records.
+    /// From nominal rollouts among the records.
     Records,
     /// From a count that was published elsewhere.
     Reported,
@@ -180,6 +185,14 @@ pub fn report_of(records: &Records, options: &Options) -> Report {
         notes: options.notes.clone(),
         axes: records.axes().collect(),
         gate: options.published_nominal.map(|rate| Gate::new(rate, first)),
+        suite_gates: options
+            .published_by_suite
+            .iter()
+            .map(|&(suite, published)| SuiteGate {
+                suite,
+                gate: Gate::of_suite(published, nominal_of_suite(records, suite)),
+            })
+            .collect(),
         nominal,
         cells,
         replication: later.collect(),
@@ -204,6 +217,18 @@ fn nominal(records: &Records, replicate: u32) -> Option<Nominal> {
         count,
         gap,
     })
+}
+
+/// Nominal rollouts of one suite in replicate 0.
+fn nominal_of_suite(records: &Records, suite: Suite) -> Count {
+    let mut count = Count::default();
+    for (&(replicate, id), &outcome) in &records.outcomes {
+        let is_nominal = id.condition() == Condition::Clean;
+        if replicate == 0 && is_nominal && id.task().suite() == suite {
+            count.add(outcome);
+        }
+    }
+    count
 }
 
 /// The cell of all configurations of one level and replicate.

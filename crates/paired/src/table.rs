@@ -8,7 +8,9 @@ use protocol::{AxisSet, Condition};
 
 use crate::bounds::Bounds;
 use crate::count::Count;
-use crate::gate::{GATE_TOLERANCE, Gate, GateVerdict};
+use crate::gate::{
+    GATE_ROLLOUTS, GATE_ROLLOUTS_OF_A_SUITE, GATE_TOLERANCE, Gate, GateVerdict, SuiteGate,
+};
 use crate::measures::Measures;
 use crate::report::{Cell, Gap, Nominal, NominalSource, Report};
 use crate::text::{
@@ -37,9 +39,7 @@ pub fn table(report: &Report) -> String {
         separate(&mut text);
         push_wrapped(&mut text, "", &nominal_line(nominal, report));
     }
-    if let Some(gate) = &report.gate {
-        push_wrapped(&mut text, "", &gate_line(gate));
-    }
+    text.push_str(&gate_lines(report));
     let mut replicates: Vec<u32> = report.cells.iter().map(|cell| cell.replicate).collect();
     replicates.dedup();
     for replicate in replicates {
@@ -96,15 +96,34 @@ fn nominal_line(nominal: &Nominal, report: &Report) -> String {
     format!("nominal success{of}: {rate} % ({successes}/{n}{source}){missing}")
 }
 
-fn gate_line(gate: &Gate) -> String {
+/// How each gate came out, over all suites and of single ones.
+pub fn gate_lines(report: &Report) -> String {
+    let mut text = String::new();
+    if let Some(gate) = &report.gate {
+        let rest = "give a figure of one suite as SUITE:POLICY=PERCENT";
+        push_wrapped(&mut text, "", &gate_line("", gate, GATE_ROLLOUTS, rest));
+    }
+    for SuiteGate { suite, gate } in &report.suite_gates {
+        let of = format!(" of {suite}");
+        let rest = "create the campaign with `--nominal all`";
+        let line = gate_line(&of, gate, GATE_ROLLOUTS_OF_A_SUITE, rest);
+        push_wrapped(&mut text, "", &line);
+    }
+    text
+}
+
+fn gate_line(of: &str, gate: &Gate, rollouts: u64, remedy: &str) -> String {
     let verdict = match gate.verdict {
-        GateVerdict::Passed => "passed",
-        GateVerdict::Failed => "FAILED: robustness is not to be interpreted",
-        GateVerdict::Undecided => "undecided: not all 2,000 clean rollouts have a result",
+        GateVerdict::Passed => "passed".to_owned(),
+        GateVerdict::Failed => "FAILED: robustness is not to be interpreted".to_owned(),
+        GateVerdict::Undecided => format!(
+            "undecided: {} of {rollouts} nominal rollouts have a result; {remedy}",
+            gate.nominal.n
+        ),
     };
     let difference = gate.difference.map_or_else(|| NOTHING.to_owned(), points);
     format!(
-        "reproduction gate: {difference} points from the published {} %, tolerance {:.0}: {verdict}",
+        "reproduction gate{of}: {difference} points from the published {} %, tolerance {:.0}: {verdict}",
         percent(Some(gate.published)),
         100.0 * GATE_TOLERANCE
     )

@@ -45,7 +45,8 @@ impl Condition {
         }
     }
 
-    /// Name in rollout ids and manifests.
+    /// Name in rollout ids and manifests, which the benchmark released: seeds are made from
+    /// it. People read [`Self::label`].
     pub fn name(self) -> &'static str {
         match self {
             Self::Clean => "clean",
@@ -55,7 +56,7 @@ impl Condition {
         }
     }
 
-    /// What people read: `nominal`, the axes' names, or the paper's
+    /// The paper's name, which people read and write: `nominal`, the axes, or
     /// `simultaneous`.
     pub fn label(self) -> &'static str {
         match self {
@@ -76,14 +77,15 @@ impl fmt::Display for Condition {
 impl FromStr for Condition {
     type Err = UnknownName;
 
+    /// Reads the paper's name and the released one.
     fn from_str(text: &str) -> Result<Self, UnknownName> {
         match text {
-            "clean" => Ok(Self::Clean),
-            "combination" => Ok(Self::Combination),
+            "nominal" | "clean" => Ok(Self::Clean),
+            "simultaneous" | "combination" => Ok(Self::Combination),
             axes => match axes.parse() {
                 Ok(axes) if axes != AxisSet::EMPTY => Ok(Self::of(axes)),
                 _ => {
-                    let mut valid = vec!["clean", "combination"];
+                    let mut valid = vec!["nominal", "simultaneous"];
                     valid.extend(Axis::ALL.map(Axis::name));
                     valid.push("several axes such as camera+robot");
                     Err(UnknownName::new("condition", text, &valid))
@@ -156,6 +158,17 @@ mod tests {
             .collect();
         assert_eq!(distinct.len(), 64);
         assert!(distinct.contains("camera+robot"));
+        for &condition in &conditions {
+            assert_eq!(condition.label().parse(), Ok(condition));
+        }
+        let unknown = "sim"
+            .parse::<Condition>()
+            .expect_err("no condition")
+            .to_string();
+        assert!(
+            unknown.contains("nominal, simultaneous, camera"),
+            "{unknown}"
+        );
         assert!("none".parse::<Condition>().is_err());
     }
 

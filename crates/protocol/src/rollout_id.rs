@@ -9,14 +9,15 @@ use crate::level::Level;
 use crate::names::{UnknownName, serde_as_text};
 use crate::suite::{INIT_STATES_PER_TASK, Suite, TaskRef};
 
-const PATTERN: &str = "SUITE/tN/CONDITION/LEVEL/cNN, for example spatial/t0/camera/L2/c00 \
-                       or, nominal, spatial/t0/clean/i07";
+const PATTERN: &str = "SUITE/tN/CONDITION/LEVEL/cNN, for example spatial/t0/camera/L2/c00 or \
+                       spatial/t0/simultaneous/L2/c00, or SUITE/tN/nominal/iNN for initial state NN";
 
 /// Names one rollout: `spatial/t0/camera/L2/c00`.
 ///
 /// The last number is the configuration. A clean rollout has none, but an
 /// initial state: `spatial/t0/clean/i07`, as the reference's files write it,
-/// because seeds are made from this text. `spatial/t0/clean/L0/c07` is read too.
+/// because seeds are made from this text. Also read are `spatial/t0/clean/L0/c07`, and
+/// the paper's words, as in `spatial/t0/nominal/i07` and `spatial/t0/simultaneous/L2/c00`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct RolloutId {
     task: TaskRef,
@@ -111,7 +112,7 @@ impl FromStr for RolloutId {
         };
         let task = TaskRef::new(suite, u32::from(task.ok_or_else(|| unknown(text))?))?;
         let (condition, level, number) = match rest {
-            ["clean", state] => (Condition::Clean, Level::L0, number(state, "i")),
+            ["clean" | "nominal", state] => (Condition::Clean, Level::L0, number(state, "i")),
             [condition, level, config] => (condition.parse()?, level.parse()?, number(config, "c")),
             _ => return Err(unknown(text)),
         };
@@ -157,6 +158,8 @@ mod tests {
         check("goal/t9/robot/r4.0/c1", "goal/t9/robot/L2/c01");
         check("goal/t9/clean/i49", "goal/t9/clean/i49");
         check("spatial/t0/clean/L0/c07", "spatial/t0/clean/i07");
+        check("spatial/t0/nominal/i07", "spatial/t0/clean/i07");
+        check("long/t5/simultaneous/L3/c08", "long/t5/combination/L3/c08");
         let id: RolloutId = "long/t5/sensor/L3/c08".parse().expect("an id");
         assert_eq!(id.task(), "libero_10/5".parse().expect("a task"));
         assert_eq!(id.condition(), Condition::Single(Axis::Sensor));

@@ -62,6 +62,7 @@ impl Analysis {
             &Options {
                 notes,
                 published_nominal: subject.published_nominal,
+                published_by_suite: subject.published_by_suite.clone(),
                 reported_nominal: subject.reported_nominal,
                 ..Options::default()
             },

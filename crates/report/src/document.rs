@@ -145,7 +145,36 @@ impl Document {
         Ok(text.map_err(JsonError::from)?)
     }
 
-    /// The report for a terminal of 80 columns.
+    /// The report in a few lines for a terminal of 80 columns: success by condition, and
+    /// sentences in place of symbols.
+    pub fn brief(&self) -> String {
+        let mut text = String::new();
+        for warning in &self.warnings {
+            push_wrapped(&mut text, "! ", warning);
+        }
+        for analysis in &self.analyses {
+            if !text.is_empty() {
+                text.push('\n');
+            }
+            text.push_str(&title(&analysis.subject));
+            match analysis.is_paired() {
+                true => text.push_str(&paired::brief(&analysis.report)),
+                false => push_found(&mut text, analysis),
+            }
+        }
+        if self.analyses.iter().any(Analysis::is_paired) {
+            text.push('\n');
+            push_wrapped(
+                &mut text,
+                "",
+                "`--full` prints the paired measures with their intervals, and the meaning of each \
+                 symbol; `--html FILE` writes a page with figures, `--table FILE.csv` the outcomes.",
+            );
+        }
+        text
+    }
+
+    /// The whole report for a terminal of 80 columns.
     pub fn text(&self) -> String {
         let mut text = String::new();
         for warning in &self.warnings {
@@ -201,6 +230,19 @@ fn labels(subjects: &[Subject]) -> Vec<String> {
         labels.push(label);
     }
     labels
+}
+
+/// The campaign or file and the policy, in one line.
+fn title(subject: &Subject) -> String {
+    let mut text = String::new();
+    let line = match &subject.origin {
+        Origin::Campaign { name, endpoint, .. } => {
+            format!("campaign {name}, policy {} at {endpoint}", subject.policy)
+        }
+        Origin::File { name, .. } => format!("policy {}, results of {name}", subject.policy),
+    };
+    push_wrapped(&mut text, "", &line);
+    text
 }
 
 fn head(subject: &Subject) -> String {

@@ -2,6 +2,7 @@
 //! for a terminal and as JSON. What minimal subsets are, and which to run, is
 //! `lattice`'s business.
 
+use std::collections::BTreeMap;
 use std::fmt::Write;
 
 use lattice::{
@@ -12,7 +13,7 @@ use paired::{Outcome, Record, Transition, push_wrapped};
 use protocol::{AxisSet, Explanation, JsonError};
 use serde::Serialize;
 
-use crate::subject::Subject;
+use crate::subject::{Prospect, Subject, things};
 
 /// Columns of a terminal for the names of axes.
 const NAMES: usize = 52;
@@ -45,12 +46,30 @@ pub struct Findings {
 }
 
 impl Findings {
-    /// Checks that a campaign has what can be explained.
+    /// What explaining a campaign would take.
     ///
     /// # Errors
     /// If it perturbs one axis only.
-    pub fn can_be_of(campaign: &Subject, explanation: &Explanation) -> Result<(), KnownError> {
-        configurations(&campaign.counted(), &[], explanation).map(drop)
+    pub fn prospect(campaign: &Subject, explanation: &Explanation) -> Result<Prospect, KnownError> {
+        let known = configurations(&campaign.counted(), &[], explanation)?;
+        let mut prospect = Prospect {
+            subjects: 0,
+            most_rollouts: BTreeMap::new(),
+        };
+        for (&configuration, known) in &known {
+            if Explained::of(configuration, known).is_ok() {
+                let several = known.full().subsets().into_iter();
+                let several = several.filter(|it| it.len() > 1 && *it != known.full());
+                let times = u64::from(explanation.repeats.unwrap_or(1));
+                let suite = configuration.task().suite();
+                prospect.subjects += 1;
+                *prospect.most_rollouts.entry(suite).or_default() += several.count() as u64 * times;
+            }
+        }
+        if let Some(budget) = explanation.budget {
+            prospect.bound(budget.into());
+        }
+        Ok(prospect)
     }
 
     /// Puts together what a campaign that explains another knows and what that one
@@ -151,11 +170,12 @@ impl Findings {
             ..
         } = self;
         let mut words = format!(
-            "explains {}: {explained} of {transitions} transitions explained in {rollouts} rollouts",
-            self.campaign
+            "explains {}: {explained} of {transitions} transitions explained in {}",
+            self.campaign,
+            things(*rollouts, "rollout")
         );
         if *waiting > 0 {
-            let _ = write!(words, ", {waiting} of them still to come");
+            let _ = write!(words, ", of which {waiting} have no outcome yet");
         }
         if self.nominal_fails > 0 {
             let _ = write!(

@@ -2,6 +2,7 @@
 //! for a terminal and as JSON. What a threshold is, and which radii to run, is
 //! `thresholds`' business.
 
+use std::collections::BTreeMap;
 use std::fmt::Write;
 
 use paired::{Bootstrap, Outcome, Record, push_wrapped};
@@ -9,7 +10,7 @@ use protocol::{Condition, JsonError, Level, TaskRef, Thresholds};
 use serde::Serialize;
 use thresholds::{Curve, Decision, Known, Measurement, Ray, Threshold};
 
-use crate::subject::Subject;
+use crate::subject::{Prospect, Subject, things};
 use crate::words;
 
 /// Columns of a terminal for the names of conditions.
@@ -141,6 +142,19 @@ impl HowFar {
         }
     }
 
+    /// What measuring the thresholds of a campaign would take.
+    pub fn prospect(campaign: &Subject, thresholds: &Thresholds) -> Prospect {
+        let measurement = Measurement::of(&campaign.counted(), &[], thresholds);
+        let mut prospect = Prospect {
+            subjects: measurement.rays().count() as u64,
+            most_rollouts: BTreeMap::new(),
+        };
+        for (task, most) in measurement.most_rollouts() {
+            *prospect.most_rollouts.entry(task.suite()).or_default() += u64::from(most);
+        }
+        prospect
+    }
+
     /// Puts together what a campaign that measures another one's thresholds knows and
     /// what that one does; none of a campaign that measures no thresholds.
     pub fn of(by: &Subject) -> Option<Self> {
@@ -208,14 +222,21 @@ impl HowFar {
     /// How far the measurement is, in a sentence without its subject and its stop.
     pub(crate) fn standing(&self) -> String {
         let mut words = format!(
-            "measures how far {} goes: {} of {} thresholds found in {} rollouts",
-            self.campaign, self.found, self.looked_for, self.rollouts
+            "measures thresholds of {}: {} of {} found in {}",
+            self.campaign,
+            self.found,
+            self.looked_for,
+            things(self.rollouts, "rollout")
         );
         if self.waiting > 0 {
-            let _ = write!(words, ", {} of them still to come", self.waiting);
+            let _ = write!(words, ", of which {} have no outcome yet", self.waiting);
         }
         if self.beyond_budget > 0 {
-            let _ = write!(words, "; {} are beyond the budget", self.beyond_budget);
+            let _ = write!(
+                words,
+                "; the budget leaves {} others out",
+                self.beyond_budget
+            );
         }
         words
     }

@@ -181,6 +181,7 @@ pub fn import(path: &Path) -> Result<Subject, ImportError> {
         fingerprints: None,
         provenances: Vec::new(),
         published_nominal: about.published_nominal,
+        published_by_suite: Vec::new(),
         reported_nominal: about.nominal,
         setups: Setups::default(),
         derived: None,

@@ -168,12 +168,12 @@ impl AxisInteractions {
         push_wrapped(
             &mut text,
             "",
-            "Success is v, the success rate under the subset, in percent. Beyond is its Moebius \
+            "Success is v, the success rate under the subset, in percent. Effect is its Moebius \
              interaction, in points: what its axes do together beyond all that their subsets do. \
              Nominal success and all interactions add up to simultaneous success. A share is an \
              axis's Shapley value: its effect, averaged over all orders in which axes can be added. \
              Of a pair, the Shapley interaction index is how much one axis changes the effect of the \
-             other; below nought they do more harm together. In brackets, 95 % intervals.",
+             other; below 0 they do more harm together. In brackets, 95 % intervals.",
         );
         text
     }
@@ -208,7 +208,7 @@ impl LevelInteractions {
         }
         text.push_str("\n\n");
         let [nominal, simultaneous] = self.ends();
-        push_line(text, "from nominal to simultaneous", "success", "beyond");
+        push_line(text, "from nominal to simultaneous", "success", "effect");
         push_line(text, "nominal", &rate(nominal), "");
         for (axes, estimate) in sizes {
             let name = match axes {
@@ -229,7 +229,7 @@ impl LevelInteractions {
             push_line(text, pair.name(), "", &change(estimate));
         }
         text.push('\n');
-        push_line(text, "subsets", "success", "beyond");
+        push_line(text, "subsets", "success", "effect");
         for (set, estimate) in success {
             let beyond = moebius.get(set).map(change).unwrap_or_default();
             push_line(text, set.name(), &rate(estimate), &beyond);

@@ -36,8 +36,8 @@ pub use page::{STYLE, comparison as page_comparison, page, sections, warnings as
 pub use sequential::{Sequential, stopped_in_words};
 pub use sequential_comparison::{NoCommonOrder, SequentialCell, SequentialComparison};
 pub use subject::{
-    BeyondRange, Derived, EarlyStop, Origin, Purpose, Quarantined, Setups, Subject, counted,
-    rollout_name,
+    BeyondRange, Derived, EarlyStop, Origin, Prospect, Purpose, Quarantined, Setups, Subject,
+    counted, rollout_name,
 };
 pub use table::{TableError, write_csv, write_parquet};
 pub use warnings::fingerprints_in_words;

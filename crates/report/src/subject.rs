@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 
 use attempt::{Fingerprints, Provenance};
 use paired::{CampaignLook, Count, Record};
-use protocol::{Explanation, Realisation, RolloutId, Stop, Thresholds};
+use protocol::{Explanation, Realisation, RolloutId, Stop, Suite, Thresholds};
 use serde::{Deserialize, Serialize};
 
 /// One policy's outcomes under one set of circumstances.
@@ -37,6 +37,9 @@ pub struct Subject {
     pub fingerprints: Option<Fingerprints>,
     /// The published nominal success rate, a fraction.
     pub published_nominal: Option<f64>,
+    /// Nominal success rates published of single suites, fractions.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub published_by_suite: Vec<(Suite, f64)>,
     /// Nominal successes as published elsewhere.
     pub reported_nominal: Option<Count>,
     /// What the policy was given to do; empty where that is not known.
@@ -58,6 +61,32 @@ pub struct Derived {
     /// That campaign's rollouts, with or without an outcome; of one that stopped early,
     /// those that count.
     pub records: Vec<Record>,
+}
+
+/// What a campaign that follows from another would take, before there is one.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Prospect {
+    /// Transitions to explain or thresholds to measure, as far as the outcomes show them.
+    pub subjects: u64,
+    /// The most rollouts that these take, whatever their outcomes are.
+    pub most_rollouts: BTreeMap<Suite, u64>,
+}
+
+impl Prospect {
+    /// The most rollouts in all.
+    pub fn rollouts(&self) -> u64 {
+        self.most_rollouts.values().sum()
+    }
+
+    /// Spends a budget, each suite its share of it.
+    pub(crate) fn bound(&mut self, budget: u64) {
+        let all = self.rollouts();
+        if all > budget {
+            for rollouts in self.most_rollouts.values_mut() {
+                *rollouts = *rollouts * budget / all;
+            }
+        }
+    }
 }
 
 /// What campaigns that follow from others find out.
@@ -140,6 +169,14 @@ pub fn rollout_name(rollout_id: &str, replicate: u32) -> String {
     match replicate {
         0 => rollout_id.to_owned(),
         k => format!("{rollout_id}#r{k}"),
+    }
+}
+
+/// A number of things: `1 rollout`, `2 rollouts`.
+pub(crate) fn things(count: u64, thing: &str) -> String {
+    match count {
+        1 => format!("1 {thing}"),
+        count => format!("{count} {thing}s"),
     }
 }
 

@@ -108,6 +108,12 @@ impl Measurement {
         self.costs.values().copied().max().unwrap_or_default()
     }
 
+    /// The most rollouts that each configuration of the sample takes.
+    pub fn most_rollouts(&self) -> impl Iterator<Item = (TaskRef, u32)> {
+        let sampled = self.costs.iter().filter(|(it, _)| self.sample.contains(it));
+        sampled.map(|((task, _), most)| (*task, *most))
+    }
+
     /// What is known of a ray's threshold.
     pub fn found(&self, ray: Ray, known: &Known) -> Found {
         found(known, &self.searches[&ray.condition])

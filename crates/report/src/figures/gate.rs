@@ -2,7 +2,7 @@
 //! tolerance.
 
 use maud::{Markup, html};
-use paired::{GATE_TOLERANCE, Gate, GateVerdict};
+use paired::{GATE_TOLERANCE, Gate, GateVerdict, SuiteGate};
 
 use super::svg::{AXIS, HEAD, Scale, circle, line, percent_ticks, rect, shortened, text};
 use super::{Figure, WIDTH};
@@ -16,10 +16,16 @@ const STEP: f64 = 0.1;
 
 /// The panel; none where no published figure is known.
 pub fn gate(document: &Document) -> Option<Figure> {
-    let rows: Vec<(&str, &Gate)> = document
+    let rows: Vec<(String, &Gate)> = document
         .analyses
         .iter()
-        .filter_map(|analysis| Some((analysis.label.as_str(), analysis.report.gate.as_ref()?)))
+        .flat_map(|analysis| {
+            let of = |suite: &SuiteGate| format!("{}, {}", analysis.label, suite.suite);
+            let all = analysis.report.gate.iter();
+            let all = all.map(|gate| (analysis.label.clone(), gate));
+            let suites = analysis.report.suite_gates.iter();
+            all.chain(suites.map(move |suite| (of(suite), &suite.gate)))
+        })
         .collect();
     if rows.is_empty() {
         return None;
@@ -43,7 +49,7 @@ pub fn gate(document: &Document) -> Option<Figure> {
         (circle(212.0, HEAD + 4.0, "mark"))
         (text(222.0, HEAD + 8.0, "small", "measured"))
         (scale.axis([top, bottom], &percent_ticks(domain, step, false),
-            &format!("nominal success, % of {counts} clean rollouts")))
+            &format!("nominal success, % of {counts} nominal rollouts")))
         @for (index, (name, gate)) in rows.iter().enumerate() {
             (row(&scale, name, gate, top + ROW * index as f64))
         }

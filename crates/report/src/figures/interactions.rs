@@ -62,7 +62,7 @@ pub fn interaction_matrix(analysis: &Analysis, level: &LevelInteractions) -> Fig
         (text(16.0, bottom + NAMES + 17.0, "small", "lowers success"))
         (rect(130.0, bottom + NAMES + 8.0, 10.0, 10.0, "compensated"))
         (text(146.0, bottom + NAMES + 17.0, "small", "raises it"))
-        (text(0.0, bottom + NAMES + 36.0, "small muted", "bold: the 95 % interval excludes nought"))
+        (text(0.0, bottom + NAMES + 36.0, "small muted", "bold: the 95 % interval excludes 0"))
     };
     let title = format!(
         "{}, {}: share of each axis, and interaction of each pair",

@@ -64,7 +64,7 @@ pub(super) fn of_one(comparison: &Comparison) -> Markup {
 }
 
 const CAPTION: &str = "Difference of success over the same rollouts, in points: to the right of \
-    nought, the first policy succeeds more often. Whiskers: 95 % intervals.";
+    zero, the first policy succeeds more often. Whiskers: 95 % intervals.";
 
 fn sentences(said: &[impl AsRef<str>]) -> Markup {
     html! { ul { @for said in said { li { (sentence(said.as_ref())) } } } }

@@ -1,7 +1,7 @@
 //! What a campaign that explains another has found, and how axes interact where whole
 //! lattices were run.
 
-use lattice::{Answer, Explained};
+use lattice::{Answer, Explained, Occurrence};
 use maud::{Markup, html};
 use paired::Transition;
 use protocol::RolloutId;
@@ -13,6 +13,7 @@ use crate::document::Document;
 use crate::explanation::{Findings, subset};
 use crate::figures::{self, Link};
 use crate::interactions::{AxisInteractions, LevelInteractions};
+use crate::subject::things;
 use crate::words::{percent, rate_interval};
 
 /// The findings of every campaign among the subjects that explains another.
@@ -55,28 +56,52 @@ fn in_words(found: &Findings, transition: Transition) -> Markup {
         minimal.all(lattice::MinimalSubset::is_established)
     };
     let established = all.iter().filter(is_established).count();
-    let first = found.subsets.iter().find(|it| it.transition == transition);
+    let of_kind: Vec<&Occurrence> = found
+        .subsets
+        .iter()
+        .filter(|it| it.transition == transition)
+        .collect();
+    let most = of_kind.iter().map(|it| it.configurations).max();
+    // Those that explain equally many configurations, most of all.
+    let first: Vec<&Occurrence> = of_kind
+        .into_iter()
+        .filter(|it| Some(it.configurations) == most)
+        .collect();
     let n = all.len();
     let (class, one, several) = match transition {
         Transition::Compensated => (
             "compensated",
-            "compensated success was looked into",
-            "compensated successes were looked into",
+            "compensated success was explained",
+            "compensated successes were explained",
         ),
         _ => (
             "emergent",
-            "emergent failure was looked into",
-            "emergent failures were looked into",
+            "emergent failure was explained",
+            "emergent failures were explained",
         ),
     };
     html! {
-        @if let Some(first) = first {
+        @if let Some(most) = most {
             li {
                 span class=(class) { (n) " " @if n == 1 { (one) } @else { (several) } }
-                ": most often, in " (first.configurations) ", it takes "
-                strong { (subset(first.start, first.set)) }
-                ". In " (established) " of " (n) " all that is said is established: every smaller \
-                subset was run."
+                ". "
+                @match first.as_slice() {
+                    [first] => {
+                        "The most frequent minimal subset is "
+                        strong { (subset(first.start, first.set)) }
+                        ", in " (things(most, "configuration")) "."
+                    }
+                    several => {
+                        (several.len()) " minimal subsets are equally frequent, in "
+                        (things(most, "configuration")) " each."
+                    }
+                }
+                @if established == n {
+                    " Every smaller subset was run."
+                } @else {
+                    " Every smaller subset was run for " (established) " of " (n) "; the others \
+                    may have smaller minimal subsets."
+                }
             }
         }
     }

@@ -44,7 +44,7 @@ pub(super) fn methods(document: &Document) -> Markup {
                     cases for two tasks, 85 % for five, 90 % for ten and 94 % for forty (Hesterberg, \
                     The American Statistician 69, 2015; Cameron, Gelbach and Miller, Review of \
                     Economics and Statistics 90, 2008). A measure that no resampling changes \
-                    gets none either (“no spread”): a width of nought would say nothing of its \
+                    gets none either (“no spread”): an interval without width would say nothing of its \
                     uncertainty."
                 }
                 @if is_paired { " Incomplete configurations are in no paired figure." }

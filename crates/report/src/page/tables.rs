@@ -151,7 +151,9 @@ pub(super) fn nominal(document: &Document) -> Markup {
             plain(match gate.map(|gate| gate.verdict) {
                 Some(GateVerdict::Passed) => "passed",
                 Some(GateVerdict::Failed) => "failed: robustness is not to be interpreted",
-                Some(GateVerdict::Undecided) => "undecided: not all 2,000 clean rollouts are there",
+                Some(GateVerdict::Undecided) => {
+                    "undecided: not all 2,000 nominal rollouts are there"
+                }
                 None => "no published figure",
             }),
         ])

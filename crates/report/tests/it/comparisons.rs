@@ -31,6 +31,7 @@ fn campaign(policy: &str) -> Subject {
             ..Provenance::default()
         }],
         published_nominal: None,
+        published_by_suite: Vec::new(),
         ..subject
     }
 }

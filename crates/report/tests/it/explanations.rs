@@ -59,6 +59,7 @@ fn whole() -> Subject {
         records: records(|_, _| true),
         reported_nominal: None,
         published_nominal: None,
+        published_by_suite: Vec::new(),
         ..example()
     }
 }
@@ -83,6 +84,7 @@ fn explaining() -> Subject {
         }),
         reported_nominal: None,
         published_nominal: None,
+        published_by_suite: Vec::new(),
         ..example()
     }
 }
@@ -176,7 +178,7 @@ fn the_report_of_an_explaining_campaign_is_what_it_found() {
     let html = page(&document);
     for said in [
         "Why outcomes of OpenVLA-OFT change",
-        "emergent failures were looked into",
+        "emergent failures were explained",
         "More axes can undo what fewer do",
         "lighting+actuation is undone by lighting+sensor+actuation",
         "first &lt;b&gt;",

@@ -50,6 +50,7 @@ fn measuring(source: &Subject, by: Vec<Record>, max_radius: f64) -> Subject {
             records: source.records.clone(),
         }),
         published_nominal: None,
+        published_by_suite: Vec::new(),
         reported_nominal: None,
         ..source.clone()
     }

@@ -83,6 +83,7 @@ pub(crate) fn broken() -> Subject {
             provenance("3.2.3", "dynamic 8"),
         ],
         published_nominal: Some(0.9),
+        published_by_suite: Vec::new(),
         reported_nominal: Some(Count {
             successes: 100,
             n: 2000,
