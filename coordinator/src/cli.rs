@@ -23,9 +23,12 @@ mod moving;
 mod operate;
 mod report;
 mod serve;
+mod siblings;
 mod status;
 mod thresholds;
+mod up;
 mod watch;
+mod why;
 mod workers;
 
 use std::ffi::OsString;
@@ -67,6 +70,8 @@ impl Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    /// Run a coordinator, a gateway and a worker on this machine in one terminal.
+    Up(up::UpArguments),
     /// Run a coordinator.
     Serve(serve::ServeArguments),
     /// Create, list and follow campaigns.
@@ -89,6 +94,8 @@ enum Command {
     /// Compare two policies over the rollouts that both have: campaigns, or
     /// result files.
     Compare(compare::CompareArguments),
+    /// Examine the policy of a campaign that scores nothing, with `policy-gateway doctor`.
+    Why(why::WhyArguments),
     /// Find out which axes it takes to change an outcome: the minimal subsets behind
     /// emergent failures and compensated successes.
     Explain(explain::ExplainArguments),
@@ -126,7 +133,7 @@ enum CampaignCommand {
     Status(status::StatusArguments),
     /// Lease nothing more; what is being run may still be committed.
     Pause(operate::ChangeArguments),
-    /// Go on with a paused campaign.
+    /// Go on with a paused campaign, or try its paused policy at once.
     Resume(operate::ChangeArguments),
     /// End a campaign for ever; its results stay.
     Cancel(operate::ChangeArguments),
@@ -160,6 +167,7 @@ pub(crate) fn run(arguments: Arguments) -> ExitCode {
         Ok(()) => return ExitCode::SUCCESS,
         Err(CommandError::Usage(error)) => (error, 2),
         Err(CommandError::Failure(error)) => (error, 1),
+        Err(CommandError::Judged) => return ExitCode::FAILURE,
     };
     if terminal::reader_is_gone(&*error) {
         return ExitCode::SUCCESS;
@@ -170,6 +178,7 @@ pub(crate) fn run(arguments: Arguments) -> ExitCode {
 
 async fn execute(command: Command) -> Result<(), CommandError> {
     match command {
+        Command::Up(arguments) => up::up(arguments).await,
         Command::Serve(arguments) => serve::serve(arguments).await,
         Command::Campaign(command) => campaign(command).await,
         Command::Jobs(command) => jobs::jobs(command).await,
@@ -179,6 +188,7 @@ async fn execute(command: Command) -> Result<(), CommandError> {
         Command::Manifest(command) => manifest::manifest(command),
         Command::Report(arguments) => report::report(arguments).await,
         Command::Compare(arguments) => compare::compare(arguments).await,
+        Command::Why(arguments) => why::why(arguments).await,
         Command::Explain(arguments) => explain::explain(arguments).await,
         Command::Thresholds(arguments) => thresholds::thresholds(arguments).await,
         Command::Interactions(arguments) => interactions::interactions(arguments).await,
@@ -210,5 +220,76 @@ async fn campaign(command: CampaignCommand) -> Result<(), CommandError> {
         CampaignCommand::Archive(arguments) => moving::archive(arguments).await,
         CampaignCommand::Import(arguments) => moving::import(arguments).await,
         CampaignCommand::Delete(arguments) => operate::delete(arguments).await,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Longest help that `-h` prints, lines.
+    const MAX_SHORT_LINES: usize = 45;
+
+    /// The commands without commands of their own, each with its words.
+    fn leaves(command: &clap::Command, words: &str, found: &mut Vec<(String, clap::Command)>) {
+        let visible = |it: &&clap::Command| !it.is_hide_set() && it.get_name() != "help";
+        let mut commands = command.get_subcommands().filter(visible).peekable();
+        if commands.peek().is_none() {
+            found.push((words.to_owned(), command.clone()));
+        }
+        for command in commands {
+            leaves(command, &format!("{words} {}", command.get_name()), found);
+        }
+    }
+
+    /// `campaign create --help` had 61 lines in one heap, and `-h` as many.
+    #[test]
+    fn short_help_fits_a_screen_and_groups_what_every_command_has() {
+        let mut found = Vec::new();
+        leaves(&Arguments::command(), "coordinator", &mut found);
+        assert!(found.len() > 20, "{}", found.len());
+        for (words, mut command) in found {
+            let short = command.render_help().to_string();
+            let lines = short.lines().count();
+            assert!(
+                lines <= MAX_SHORT_LINES,
+                "`{words} -h` has {lines} lines:\n{short}"
+            );
+            let long = command.render_long_help().to_string();
+            if long.contains("--retry-secs") {
+                assert!(long.contains("\nConnection:\n"), "{words}: {long}");
+                assert!(!short.contains("--retry-secs"), "{words}: {short}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_largest_commands_have_three_examples_and_short_help_says_less() {
+        let program = Arguments::command();
+        for words in [
+            "campaign create",
+            "jobs list",
+            "report",
+            "explain",
+            "thresholds",
+            "export",
+            "up",
+            "why",
+            "launch slurm",
+        ] {
+            let of = |command: &clap::Command, word| command.find_subcommand(word).cloned();
+            let command = words
+                .split(' ')
+                .try_fold(program.clone(), |it, word| of(&it, word));
+            let mut command = command.expect(words);
+            let long = command.render_long_help().to_string();
+            let (_, examples) = long.split_once("Examples:").expect(words);
+            let shown = examples
+                .lines()
+                .filter(|line| line.trim().starts_with("coordinator "));
+            assert!(shown.count() >= 3, "{words}: {examples}");
+            let short = command.render_help().to_string();
+            assert!(!short.contains("Examples:"), "{words}: {short}");
+        }
     }
 }

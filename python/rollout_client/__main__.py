@@ -36,7 +36,7 @@ def _parser() -> argparse.ArgumentParser:
     export = commands.add_parser("export", help="write a campaign for another tool")
     forms = export.add_subparsers(dest="form", required=True, metavar="FORM")
     for form, about in (
-        ("lerobot", "a dataset of form v2.1, of rollouts that have their actions"),
+        ("lerobot", "a LeRobot dataset (format v2.1) of the rollouts that recorded their actions"),
         ("tensorboard", "success rates as they came about"),
         ("wandb", "the same, with a table of all results, for `wandb sync`"),
     ):

@@ -35,7 +35,7 @@ fn all_conditions_at_three_levels_come_to_a_complete_paired_table() {
 
     check_export(&campaigns.outcomes(NAME));
     check_report(&campaigns.succeed(&["report", NAME, "--json"]));
-    check_table(&campaigns.succeed(&["report", NAME]));
+    check_table(&campaigns.succeed(&["report", NAME, "--full"]));
     check_stored(&stored(data.path()));
 }
 

@@ -26,7 +26,7 @@ fn the_same_campaign_twice_gives_the_same_outcomes_and_step_counts() {
         "the expert never succeeds"
     );
 
-    let report = campaigns.succeed(&["report", "first"]);
+    let report = campaigns.succeed(&["report", "first", "--full"]);
     for word in [
         "camera",
         "actuation",

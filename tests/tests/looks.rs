@@ -44,6 +44,12 @@ const SIDE_BY_SIDE: &str = "(() => { const [nominal, all] = document.querySelect
     return [title(nominal), title(all),
         nominal.getBoundingClientRect().top === all.getBoundingClientRect().top]; })()";
 
+/// Whether the nominal rollout of the lattice is in view without scrolling to the side.
+const NOMINAL_IN_VIEW: &str = "(() => { const box = document.querySelector('.centred');
+    const words = [...box.querySelectorAll('text')].find(e => e.textContent === 'nominal');
+    const [at, view] = [words, box].map(e => e.getBoundingClientRect());
+    return at.left >= view.left && at.right <= view.right; })()";
+
 /// A campaign of a few tasks.
 fn create(campaigns: &Campaigns, name: &str, levels: &str) {
     let endpoint = &campaigns.gateway.url;
@@ -189,7 +195,7 @@ fn planted_worker(campaigns: &Campaigns, outcomes: &Path) -> Process {
 fn finish(campaigns: &Campaigns, command: &str, campaign: &str) {
     let began = Instant::now();
     loop {
-        let found = campaigns.succeed(&[command, campaign, "--json"]);
+        let found = campaigns.succeed(&[command, campaign, "--create", "--json"]);
         if found.contains("\"complete\": true") {
             return;
         }
@@ -273,6 +279,10 @@ fn on_every_screen_nothing_is_cut_off_or_too_small_and_figures_use_the_width() {
             let filled = browser.value(NARROWEST);
             if width >= WIDE && filled.as_f64() < Some(MIN_FILLED) {
                 problems.push(format!("{place}: a figure takes {filled} of the width"));
+            }
+            if name == "explained-configuration" {
+                let nominal = browser.value(NOMINAL_IN_VIEW);
+                assert_eq!(nominal, serde_json::json!(true), "{place}");
             }
             if name == "configuration" && width >= WIDE {
                 let cards = browser.value(SIDE_BY_SIDE);

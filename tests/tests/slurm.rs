@@ -88,7 +88,7 @@ fn report_of_one_machine(endpoint: &str) -> String {
     worker.args(["--assets", "primitives", "--policy-endpoint"]);
     let _worker = Process::start(worker.arg(&campaigns.gateway.url));
     campaigns.wait_for_commits(CAMPAIGN, None);
-    let report = campaigns.succeed(&["report", CAMPAIGN]);
+    let report = campaigns.succeed(&["report", CAMPAIGN, "--full"]);
     report + &campaigns.succeed(&["report", CAMPAIGN, "--json"])
 }
 
@@ -214,7 +214,7 @@ impl Lab {
     }
 
     fn report(&self) -> String {
-        self.ask(&["report", CAMPAIGN]) + &self.ask(&["report", CAMPAIGN, "--json"])
+        self.ask(&["report", CAMPAIGN, "--full"]) + &self.ask(&["report", CAMPAIGN, "--json"])
     }
 
     /// Ends everything, and looks at what it left.

@@ -11,7 +11,6 @@ use std::time::Duration;
 
 use anyhow::Context;
 use protocol::{ManifestRow, Realisation, TaskRef};
-use protocol::{ManifestRow, Realisation, TaskRef};
 use scene::{AssetPack, Sources, TaskFiles};
 use sim::{Renderer, Simulator, SimulatorConfig};
 use terminal::counted;

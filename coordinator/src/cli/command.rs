@@ -1,5 +1,6 @@
 //! What commands share: reaching the coordinator, failing and printing.
 
+use std::path::Path;
 use std::time::Duration;
 
 use anyhow::Context;
@@ -8,8 +9,9 @@ use coordinator::client::{Client, ClientError, RETRY_FOR};
 use terminal::number;
 use transport::{ClientArguments, Role};
 
-/// Where the coordinator is.
+/// The coordinator's address, and access to it.
 #[derive(Args, Debug)]
+#[command(next_help_heading = "Connection")]
 pub(super) struct Connection {
     /// URL of the coordinator.
     #[arg(
@@ -20,7 +22,7 @@ pub(super) struct Connection {
     )]
     connect: String,
     /// Seconds to keep trying while the coordinator does not answer.
-    #[arg(long, value_name = "SECS", default_value_t = RETRY_FOR.as_secs(),
+    #[arg(long, value_name = "SECS", default_value_t = RETRY_FOR.as_secs(), hide_short_help = true,
         value_parser = number(0..=86_400_u64, "seconds"))]
     retry_secs: u64,
     #[command(flatten)]
@@ -33,6 +35,8 @@ pub(super) enum CommandError {
     Usage(anyhow::Error),
     /// It failed.
     Failure(anyhow::Error),
+    /// It judged something, and printed what is wrong with it.
+    Judged,
 }
 
 /// Prints a line to standard output.
@@ -59,6 +63,17 @@ impl Connection {
     /// A client of this coordinator.
     pub(super) fn client(&self) -> Result<Client, CommandError> {
         self.patient_client(Duration::from_secs(self.retry_secs))
+    }
+
+    /// The flags and files that give access, for a program that calls the same servers.
+    pub(super) fn access_files(&self) -> impl Iterator<Item = (&'static str, &Path)> {
+        let files = [
+            ("--token-file", &self.access.token_file),
+            ("--ca", &self.access.ca),
+        ];
+        files
+            .into_iter()
+            .filter_map(|(flag, file)| Some((flag, file.as_deref()?)))
     }
 
     /// A client of this coordinator that keeps trying for so long.

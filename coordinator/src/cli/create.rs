@@ -41,7 +41,23 @@ const NOMINALS: [&str; 3] = ["eval", "all", "none"];
 const RENDERERS: [&str; 2] = ["software", "gl"];
 const STRATA: [&str; 2] = ["suites", "tasks"];
 
+/// Printed below the long help.
+const EXAMPLES: &str = "\
+Examples:
+  Two tasks under all axes at one level, 64 rollouts:
+    coordinator campaign create --name first --policy student \\
+        --endpoint http://127.0.0.1:7412 --tasks libero_object/0-1 --axes all --configs 0-3
+  The whole of LIBERO-CTRL v0.1, how long it takes, and nothing created:
+    coordinator campaign create --name v01 --policy student \\
+        --endpoint http://127.0.0.1:7412 --tasks all --axes all --levels L1,L2,L3 \\
+        --nominal all --dry-run
+  The specification as a file, to be edited and used:
+    coordinator campaign create --name first --policy student \\
+        --endpoint http://127.0.0.1:7412 --tasks libero_goal --print-spec > first.json
+    coordinator campaign create --spec first.json";
+
 #[derive(Args, Debug)]
+#[command(after_long_help = EXAMPLES)]
 #[command(group = ArgGroup::new("source").required(true).args(["spec", "name"]))]
 #[command(group = ArgGroup::new("rollouts").args(["tasks", "manifest"]))]
 pub(super) struct CreateArguments {
@@ -56,29 +72,35 @@ pub(super) struct CreateArguments {
     flags: SpecFlags,
     #[command(flatten)]
     design: DesignFlags,
+    #[command(flatten)]
+    stop: StopFlags,
     /// The higher, the earlier its rollouts are leased, from -100 to 100; campaigns
     /// of one priority share the workers.
     #[arg(long, value_name = "N", default_value_t = 0, allow_negative_numbers = true,
-        value_parser = number(PRIORITIES, ""))]
+        hide_short_help = true, value_parser = number(PRIORITIES, ""))]
     priority: i32,
-    /// Says what would be created, how long it would take and what its videos
-    /// would take, and creates nothing.
+    /// Print the number of rollouts, how long they take and the room for their videos,
+    /// and create nothing.
     #[arg(long)]
     dry_run: bool,
+    /// Print the specification in JSON, as --spec reads it, and create nothing.
+    #[arg(long, conflicts_with = "dry_run")]
+    print_spec: bool,
     /// With --dry-run: queries per second that the policy's server answers at most,
     /// all replicas together, as `policy-gateway check` measures them.
-    #[arg(long, value_name = "N", requires = "dry_run",
+    #[arg(long, value_name = "N", requires = "dry_run", hide_short_help = true,
         value_parser = decimal(0.001..=1e6, "queries per second"))]
     policy_rate: Option<f64>,
-    /// With --dry-run: prints JSON.
+    /// With --dry-run: print JSON.
     #[arg(long, requires = "dry_run")]
     json: bool,
     #[command(flatten)]
     connection: Connection,
 }
 
-/// The flags that say what a specification says, beside its design.
+/// The flags for the parts of a specification beside its design.
 #[derive(Args, Debug)]
+#[command(next_help_heading = "Rollouts")]
 struct SpecFlags {
     /// Name of the policy at its endpoint.
     #[arg(long)]
@@ -91,10 +113,10 @@ struct SpecFlags {
     tasks: Vec<String>,
     /// Manifest to run as it stands, instructions included, instead of a
     /// design; `-` reads standard input.
-    #[arg(long, value_name = "FILE", conflicts_with_all = DESIGN_FLAGS)]
+    #[arg(long, value_name = "FILE", conflicts_with_all = DESIGN_FLAGS, hide_short_help = true)]
     manifest: Option<PathBuf>,
     /// Where the perturbations' random elements come from: matched, reference.
-    #[arg(long, default_value = "matched")]
+    #[arg(long, default_value = "matched", hide_short_help = true)]
     realisation: Realisation,
     /// Times that every rollout runs, each with another policy seed.
     #[arg(long, default_value_t = 1, value_parser = number(1..=MAX_REPLICATES, "times"))]
@@ -107,28 +129,35 @@ struct SpecFlags {
     /// Asset pack that its workers must have: `primitives`, `libero`, or the
     /// first digits of a pack's digest. Unless it is given, the first result
     /// decides.
-    #[arg(long, value_name = "PACK")]
+    #[arg(long, value_name = "PACK", hide_short_help = true)]
     assets: Option<String>,
     /// What must draw, likewise: `software` or `gl`.
-    #[arg(long, value_parser = one_of::<RendererKind>(RENDERERS))]
+    #[arg(long, value_parser = one_of::<RendererKind>(RENDERERS), hide_short_help = true)]
     renderer: Option<RendererKind>,
+}
+
+/// The flags of a campaign that may end early.
+#[derive(Args, Debug)]
+#[command(next_help_heading = "Ending early")]
+struct StopFlags {
     /// When the campaign ends early, at every level: `width(M) < X` or `M excludes X`,
     /// or several with ` and ` between; M is S_sim, R_e, R_c, R_d or I.
-    #[arg(long, value_name = "RULE")]
+    #[arg(long, value_name = "RULE", hide_short_help = true)]
     stop: Option<StopRule>,
     /// From what the order of the configurations is drawn, in which such a campaign
     /// runs.
-    #[arg(long, value_name = "SEED", requires = "stop", default_value_t = 0,
+    #[arg(long, value_name = "SEED", requires = "stop", default_value_t = 0, hide_short_help = true,
         value_parser = number_from(0_u64, ""))]
     stop_seed: u64,
     /// What each round of that order has one configuration of: `suites` or `tasks`.
     #[arg(long, requires = "stop", value_parser = one_of::<Strata>(STRATA),
-        default_value = "suites")]
+        hide_short_help = true, default_value = "suites")]
     stop_strata: Strata,
 }
 
-/// The flags that say what a manifest says.
+/// The flags for the design, which a manifest replaces.
 #[derive(Args, Debug)]
+#[command(next_help_heading = "Design")]
 struct DesignFlags {
     /// Axes, each alone and simultaneous: names, `metric` (all with numbers),
     /// `all`, or `none`.
@@ -149,7 +178,8 @@ struct DesignFlags {
     #[arg(long, value_parser = one_of::<Nominal>(NOMINALS), default_value = "eval")]
     nominal: Nominal,
     /// From what the configurations beyond the protocol's ten are drawn.
-    #[arg(long, value_name = "SEED", default_value_t = 0, value_parser = number_from(0_u64, ""))]
+    #[arg(long, value_name = "SEED", default_value_t = 0, hide_short_help = true,
+        value_parser = number_from(0_u64, ""))]
     design_seed: u64,
 }
 
@@ -161,6 +191,10 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     // Expanding here finds every mistake before anybody is asked.
     let campaign = NewCampaign::from_spec(&spec).map_err(usage)?;
     let name = &campaign.name;
+    if arguments.print_spec {
+        let spec = serde_json::to_string_pretty(&spec).map_err(anyhow::Error::from)?;
+        return Ok(print_line(&spec)?);
+    }
     if arguments.dry_run {
         let client = arguments.connection.patient_client(Duration::ZERO)?;
         let answer = forecast::ask(&client, &campaign, arguments.policy_rate).await;
@@ -231,10 +265,10 @@ fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandErr
             assets: arguments.flags.assets.clone(),
             renderer: arguments.flags.renderer,
         },
-        stop: arguments.flags.stop.clone().map(|rule| Stop {
+        stop: arguments.stop.stop.clone().map(|rule| Stop {
             rule,
-            seed: arguments.flags.stop_seed,
-            strata: arguments.flags.stop_strata,
+            seed: arguments.stop.stop_seed,
+            strata: arguments.stop.stop_strata,
         }),
     };
     spec.check().map_err(usage)?;

@@ -3,12 +3,17 @@
 
 use std::time::Duration;
 
+use anyhow::anyhow;
+use clap::Args;
 use coordinator::client::{Client, Service};
 use proto::coordinator::campaign_status::State;
 use proto::coordinator::{CampaignStatus, CreateCampaignRequest, GetCampaignRequest};
 use protocol::{CampaignSpec, PolicyRoute, Realisation, Record, Rollouts, Wanted};
+use report::Prospect;
+use terminal::counted;
 
-use super::command::{CommandError, usage};
+use super::command::{CommandError, failure, usage};
+use super::forecast;
 
 /// Between two looks at what was found.
 const LOOK_AGAIN: Duration = Duration::from_secs(2);
@@ -38,7 +43,7 @@ pub(super) async fn spec(client: &Client, name: &str) -> Result<CampaignSpec, Co
 /// it would be created.
 pub(super) async fn create(
     client: &Client,
-    source: CampaignStatus,
+    source: &CampaignStatus,
     name: &str,
     rollouts: Rollouts,
     record: Record,
@@ -47,8 +52,8 @@ pub(super) async fn create(
     let spec = CampaignSpec {
         name: name.to_owned(),
         policy: PolicyRoute {
-            name: source.policy,
-            endpoint: source.policy_endpoint,
+            name: source.policy.clone(),
+            endpoint: source.policy_endpoint.clone(),
         },
         rollouts,
         realisation: Realisation::Matched,
@@ -66,11 +71,99 @@ pub(super) async fn create(
     let open = source.queued + source.leased;
     if open > 0 && !is_stopped {
         eprintln!(
-            "campaign {} has {open} rollouts without an outcome; {name} begins once it is through",
+            "campaign {} has {open} rollouts without an outcome; {name} begins once it is finished",
             source.campaign
         );
     }
     Ok(())
+}
+
+/// The flags that say whether a campaign is created.
+#[derive(Args, Clone, Copy, Debug)]
+pub(super) struct CreateFlags {
+    /// Create the campaign that runs the rollouts, unless it is there.
+    #[arg(long)]
+    create: bool,
+    /// Print what creating it would take, and create nothing.
+    #[arg(long, conflicts_with = "create")]
+    dry_run: bool,
+}
+
+/// What to do about a campaign that follows from another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Action {
+    /// Create it, unless it is there as it would be created.
+    Create,
+    /// Print what it would take.
+    Propose,
+    /// Show what it has found.
+    Show,
+}
+
+impl CreateFlags {
+    /// What the flags ask for. `how_flags` says whether flags were given that only make
+    /// sense for a campaign to be created; `needs_it` whether it must be there.
+    pub(super) fn action(
+        self,
+        is_there: bool,
+        has_how_flags: bool,
+        needs_it: bool,
+        command: &str,
+    ) -> Result<Action, CommandError> {
+        match (self.create, self.dry_run) {
+            (true, _) => Ok(Action::Create),
+            (_, true) => Ok(Action::Propose),
+            _ if has_how_flags => Err(usage(anyhow!(
+                "read `{command}`: the flags that say how to run it need --create, or --dry-run to \
+                 see what it would take"
+            ))),
+            _ if is_there => Ok(Action::Show),
+            _ if needs_it => Err(failure(anyhow!(
+                "show the results of `{command}`: there is no such campaign yet; \
+                 `{command} --create` creates it"
+            ))),
+            _ => Ok(Action::Propose),
+        }
+    }
+}
+
+/// A campaign that may be created, and what it would take.
+pub(super) struct Proposal<'a> {
+    pub(super) name: &'a str,
+    pub(super) source: &'a CampaignStatus,
+    /// Of what it would have to find out: transitions, thresholds.
+    pub(super) subject: &'a str,
+    pub(super) prospect: &'a Prospect,
+}
+
+impl Proposal<'_> {
+    /// The rollouts that the campaign takes, and how long they do.
+    pub(super) async fn in_words(&self, client: &Client) -> String {
+        let Self {
+            name,
+            source,
+            subject,
+            prospect,
+        } = self;
+        let rollouts = prospect.most_rollouts.iter();
+        let rollouts = rollouts.map(|(suite, rollouts)| (suite.name(), *rollouts));
+        let forecast = forecast::ask_of(client, &source.policy, rollouts, None).await;
+        let open = match source.queued + source.leased {
+            0 => String::new(),
+            open => format!(
+                ", and more may follow from {} of {} without an outcome",
+                counted(open, "rollout"),
+                source.campaign
+            ),
+        };
+        let first = format!(
+            "campaign {name} takes at most {} for {}{open}",
+            counted(prospect.rollouts(), "rollout"),
+            counted(prospect.subjects, subject)
+        );
+        let first = terminal::wrapped("", 2, &first);
+        format!("{first}\n{}", forecast::in_words(&forecast, &source.policy))
+    }
 }
 
 /// Looks at what was found: once, or until it is complete. Meanwhile it says on standard

@@ -9,15 +9,23 @@ use terminal::{number, number_from};
 
 use super::command::{CommandError, Connection, print_line, usage};
 use super::create::{RECORDS, one_of};
-use super::derived;
+use super::derived::{self, Action, CreateFlags, Proposal};
 
 /// Most replicates of one subset.
 const MAX_REPEATS: u32 = 1_000;
 
+/// Printed below the long help.
+const EXAMPLES: &str = "\
+Examples:
+  coordinator explain first                  # the findings, or what they would take
+  coordinator explain first --create --watch
+  coordinator explain first --dry-run --budget 200";
+
 #[derive(Args, Debug)]
+#[command(after_long_help = EXAMPLES)]
 pub(super) struct ExplainArguments {
-    /// Campaign whose emergent failures and compensated successes are explained,
-    /// once it is through.
+    /// Campaign whose emergent failures and compensated successes are explained once it
+    /// is finished.
     campaign: String,
     /// Name of the campaign that runs the subsets. [default: CAMPAIGN-explained]
     #[arg(long)]
@@ -40,6 +48,8 @@ pub(super) struct ExplainArguments {
     /// afterwards, by `worker film`; `failures`; or `all`. [default: as CAMPAIGN]
     #[arg(long, value_parser = one_of::<Record>(RECORDS))]
     record: Option<Record>,
+    #[command(flatten)]
+    create: CreateFlags,
     /// Follow until everything is explained.
     #[arg(long)]
     watch: bool,
@@ -54,10 +64,21 @@ pub(super) async fn explain(arguments: ExplainArguments) -> Result<(), CommandEr
     let client = arguments.connection.client()?;
     let usual = || format!("{}-explained", arguments.campaign);
     let name = arguments.name.clone().unwrap_or_else(usual);
-    let is_there =
-        !arguments.asks_for_something() && is_there(&client, &arguments.campaign, &name).await?;
-    if !is_there {
-        begin(&client, &arguments, &name).await?;
+    let is_there = is_there(&client, &arguments.campaign, &name).await?;
+    let command = format!("coordinator explain {}", arguments.campaign);
+    let needs_it = arguments.json || arguments.watch;
+    let how = arguments.asks_for_something();
+    let action = arguments.create.action(is_there, how, needs_it, &command)?;
+    if action != Action::Show {
+        let proposal = begin(&client, &arguments, &name, action).await?;
+        match action {
+            Action::Create if !is_there => eprintln!("{proposal}"),
+            Action::Create | Action::Show => {}
+            Action::Propose => {
+                let created = format!("nothing was created; `{command} --create` does that");
+                return Ok(print_line(&format!("{proposal}\n{created}"))?);
+            }
+        }
     }
     let found = async || {
         let by = client.report(&name).await?;
@@ -91,12 +112,14 @@ async fn is_there(client: &Client, campaign: &str, name: &str) -> Result<bool, C
     Ok(matches!(rollouts, Some(Rollouts::Explanation(there)) if there.campaign == campaign))
 }
 
-/// Creates the campaign, unless it is there as it would be created.
+/// Creates the campaign if that is the action, unless it is there as it would be created.
+/// Returns what it takes, in words.
 async fn begin(
     client: &Client,
     arguments: &ExplainArguments,
     name: &str,
-) -> Result<(), CommandError> {
+    action: Action,
+) -> Result<String, CommandError> {
     let source = client.campaign_status(&arguments.campaign).await?;
     let explanation = Explanation {
         campaign: arguments.campaign.clone(),
@@ -106,11 +129,22 @@ async fn begin(
         repeats: arguments.repeats,
     };
     let campaign = client.report(&arguments.campaign).await?;
-    Findings::can_be_of(&campaign, &explanation).map_err(usage)?;
+    let prospect = Findings::prospect(&campaign, &explanation).map_err(usage)?;
+    let proposal = Proposal {
+        name,
+        source: &source,
+        subject: "transition",
+        prospect: &prospect,
+    };
+    let words = proposal.in_words(client).await;
+    if action != Action::Create {
+        return Ok(words);
+    }
     let rollouts = Rollouts::Explanation(explanation);
     let record = match arguments.record {
         Some(record) => record,
         None => derived::spec(client, &arguments.campaign).await?.record,
     };
-    derived::create(client, source, name, rollouts, record).await
+    derived::create(client, &source, name, rollouts, record).await?;
+    Ok(words)
 }

@@ -12,12 +12,21 @@ use terminal::counted;
 use super::command::{CommandError, Connection};
 use super::files::WholeFile;
 
+/// Printed below the long help.
+const EXAMPLES: &str = "\
+Examples:
+  coordinator export first --format jsonl --output first.jsonl
+  coordinator export first --format jsonl | head -1
+  coordinator report first --table outcomes.csv        # one row per configuration";
+
 #[derive(Args, Debug)]
+#[command(after_long_help = EXAMPLES)]
 pub(super) struct ExportArguments {
     /// Name of the campaign.
     campaign: String,
-    /// What to write: `jsonl` are the reference's result rows.
-    #[arg(long, value_parser = ["jsonl"])]
+    /// `jsonl`, the reference's result rows. For CSV and Parquet there is
+    /// `coordinator report CAMPAIGN --table FILE.csv`.
+    #[arg(long, value_parser = format)]
     format: String,
     /// File to write; standard output without it.
     #[arg(long, value_name = "FILE")]
@@ -41,6 +50,17 @@ pub(super) async fn export(arguments: ExportArguments) -> Result<(), CommandErro
         }
     }
     Ok(())
+}
+
+fn format(name: &str) -> Result<String, String> {
+    match name {
+        "jsonl" => Ok(name.to_owned()),
+        "csv" | "parquet" => Err(format!(
+            "`coordinator report CAMPAIGN --table FILE.{name}` writes outcomes in this format; \
+             `export` writes jsonl"
+        )),
+        _ => Err("write jsonl".to_owned()),
+    }
 }
 
 async fn write_lines(

@@ -25,12 +25,22 @@ pub(super) async fn ask(
         let suite = job.task.split('/').next().unwrap_or_default();
         *rollouts.entry(suite).or_default() += 1;
     }
+    ask_of(client, &campaign.policy, rollouts, policy_rate).await
+}
+
+/// The forecast of so many rollouts of each suite, or why there is none.
+pub(super) async fn ask_of(
+    client: &Client,
+    policy: &str,
+    rollouts: impl IntoIterator<Item = (&str, u64)>,
+    policy_rate: Option<f64>,
+) -> Result<ForecastResponse, String> {
     let of_suite = |(suite, rollouts): (&str, u64)| SuiteRollouts {
         suite: suite.to_owned(),
         rollouts,
     };
     let request = ForecastRequest {
-        policy: campaign.policy.clone(),
+        policy: policy.to_owned(),
         rollouts: rollouts.into_iter().map(of_suite).collect(),
         policy_rate,
     };

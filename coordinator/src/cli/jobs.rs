@@ -7,6 +7,7 @@ use coordinator::words::duration_text;
 use proto::coordinator::{
     GetJobRequest, GetJobResponse, Job, JobName, ListJobsRequest, RetryJobsRequest,
 };
+use protocol::RolloutId;
 use queue::ids::shortened;
 use report::rollout_name;
 use terminal::number_from;
@@ -29,7 +30,15 @@ pub(super) enum JobsCommand {
     Retry(RetryArguments),
 }
 
+/// Printed below the long help.
+const EXAMPLES: &str = "\
+Examples:
+  coordinator jobs list first --outcome failure --condition simultaneous
+  coordinator jobs list first --state quarantined
+  coordinator jobs list first --task libero_object/0 --level L2 --json";
+
 #[derive(Args, Debug)]
+#[command(after_long_help = EXAMPLES)]
 pub(super) struct ListArguments {
     /// Name of the campaign.
     campaign: String,
@@ -42,8 +51,8 @@ pub(super) struct ListArguments {
     /// Only those of a task, `libero_object/0`, or of a suite.
     #[arg(long)]
     task: Option<String>,
-    /// Only those of a condition: an axis, `nominal`, or `simultaneous` for all
-    /// axes at once.
+    /// Only those of a condition: `nominal`, `simultaneous`, an axis, or several axes
+    /// such as `camera+robot`.
     #[arg(long, value_name = "CONDITION")]
     condition: Option<String>,
     /// Only those of a level: `L2`, `r2.5`.
@@ -96,18 +105,12 @@ pub(super) async fn jobs(command: JobsCommand) -> Result<(), CommandError> {
 
 async fn list(arguments: ListArguments) -> Result<(), CommandError> {
     let client = arguments.connection.client()?;
-    let condition = arguments.condition.as_deref().map(|name| match name {
-        // As rollout ids name them.
-        "nominal" => "clean",
-        "simultaneous" => "combination",
-        name => name,
-    });
     let mut request = ListJobsRequest {
         campaign: arguments.campaign,
         state: arguments.state.unwrap_or_default(),
         outcome: arguments.outcome.unwrap_or_default(),
         task: arguments.task.unwrap_or_default(),
-        condition: condition.unwrap_or_default().to_owned(),
+        condition: arguments.condition.unwrap_or_default(),
         level: arguments.level.unwrap_or_default(),
         ..ListJobsRequest::default()
     };
@@ -178,12 +181,15 @@ fn job_name(text: &str) -> Result<JobName, CommandError> {
         None => (text, Some(0)),
         Some((id, replicate)) => (id, replicate.parse().ok()),
     };
+    // The paper's words are read as the released ones.
+    let known: Result<RolloutId, _> = rollout_id.parse();
+    let rollout_id = known.map_or_else(|_| rollout_id.to_owned(), |id| id.to_string());
     let replicate = replicate.ok_or_else(|| {
         let error = anyhow!("write a rollout id, and #r1 after it for its second replicate");
         usage(error.context(format!("read rollout `{text}`")))
     })?;
     Ok(JobName {
-        rollout_id: rollout_id.to_owned(),
+        rollout_id,
         replicate,
     })
 }

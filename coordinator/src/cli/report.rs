@@ -6,12 +6,21 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use clap::Args;
+use protocol::Suite;
 use report::{Document, Subject, write_csv, write_parquet};
 
 use super::command::{CommandError, Connection, print_line, usage};
 use super::files::{WholeFile, write_figures, write_whole};
 
+/// Printed below the long help.
+const EXAMPLES: &str = "\
+Examples:
+  coordinator report first
+  coordinator report first --full --html report.html --table outcomes.csv
+  coordinator report goal --published libero_goal:openvla=97.1";
+
 #[derive(Args, Debug)]
+#[command(after_long_help = EXAMPLES)]
 pub(super) struct ReportArguments {
     /// Names of campaigns: several are set beside one another.
     #[arg(required_unless_present = "from")]
@@ -20,8 +29,11 @@ pub(super) struct ReportArguments {
     /// policy each; or such a file.
     #[arg(long, value_name = "DIR", num_args = 1..)]
     from: Vec<PathBuf>,
-    /// Print JSON instead of a table.
+    /// Print every measure with its interval, and the meaning of each symbol.
     #[arg(long)]
+    full: bool,
+    /// Print JSON.
+    #[arg(long, conflicts_with = "full")]
     json: bool,
     /// Write the report as one page that needs no network.
     #[arg(long, value_name = "FILE")]
@@ -32,11 +44,22 @@ pub(super) struct ReportArguments {
     /// Write all outcomes, one row per configuration: FILE.csv or FILE.parquet.
     #[arg(long, value_name = "FILE", value_parser = table)]
     table: Vec<(PathBuf, TableForm)>,
-    /// Published nominal success of a policy, for the reproduction gate.
-    #[arg(long, value_name = "POLICY=PERCENT", value_parser = published)]
-    published: Vec<(String, f64)>,
+    /// Published nominal success of a policy, for the reproduction gate: over all suites,
+    /// or, as `libero_goal:openvla=97.1`, of one suite.
+    #[arg(long, value_name = "[SUITE:]POLICY=PERCENT", value_parser = published)]
+    published: Vec<Published>,
     #[command(flatten)]
     connection: Connection,
+}
+
+/// A success rate that somebody published.
+#[derive(Clone, Debug)]
+struct Published {
+    /// The suite that it is of; all of them if none.
+    suite: Option<Suite>,
+    policy: String,
+    /// A fraction.
+    rate: f64,
 }
 
 /// Forms of the table.
@@ -72,26 +95,47 @@ pub(super) async fn report(arguments: ReportArguments) -> Result<(), CommandErro
     }
     let text = match arguments.json {
         true => document.json().map_err(anyhow::Error::from)?,
-        false => document.text(),
+        false if arguments.full => document.text(),
+        false => document.brief(),
     };
     Ok(print_line(text.trim_end())?)
 }
 
-fn published(text: &str) -> Result<(String, f64), String> {
+fn published(text: &str) -> Result<Published, String> {
     let (policy, percent) = text
         .rsplit_once('=')
-        .ok_or("write for example openvla=97.1")?;
-    match percent.parse::<f64>() {
-        Ok(percent) if (0.0..=100.0).contains(&percent) => Ok((policy.to_owned(), percent / 100.0)),
-        _ => Err(format!("`{percent}` is no percentage from 0 to 100")),
-    }
+        .ok_or("write for example openvla=97.1, or libero_goal:openvla=97.1")?;
+    let rate = match percent.parse::<f64>() {
+        Ok(percent) if (0.0..=100.0).contains(&percent) => percent / 100.0,
+        _ => return Err(format!("`{percent}` is no percentage from 0 to 100")),
+    };
+    let of_suite = policy
+        .split_once(':')
+        .and_then(|(suite, policy)| Some((suite.parse().ok()?, policy)));
+    let (suite, policy) = match of_suite {
+        Some((suite, policy)) => (Some(suite), policy),
+        None => (None, policy),
+    };
+    Ok(Published {
+        suite,
+        policy: policy.to_owned(),
+        rate,
+    })
 }
 
-fn add_published(subjects: &mut [Subject], published: &[(String, f64)]) -> anyhow::Result<()> {
-    for (policy, rate) in published {
+fn add_published(subjects: &mut [Subject], published: &[Published]) -> anyhow::Result<()> {
+    for Published {
+        suite,
+        policy,
+        rate,
+    } in published
+    {
         let mut any = false;
         for subject in subjects.iter_mut().filter(|s| s.policy == *policy) {
-            subject.published_nominal = Some(*rate);
+            match suite {
+                Some(suite) => subject.published_by_suite.push((*suite, *rate)),
+                None => subject.published_nominal = Some(*rate),
+            }
             any = true;
         }
         if !any {

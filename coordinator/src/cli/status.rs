@@ -3,12 +3,14 @@
 //! `watch`'s business.
 
 use clap::Args;
+use coordinator::words::duration_text;
 use proto::coordinator::CampaignStatus;
 
 use super::command::{CommandError, Connection, print_line};
 use super::json;
 use super::line::{attention, line};
 use super::watch::watch;
+use super::workers::{filming, filming_in_words};
 
 /// What is said where there are none.
 const NO_CAMPAIGNS: &str = "no campaigns yet; `coordinator campaign create` makes one";
@@ -67,7 +69,8 @@ pub(super) async fn status(arguments: StatusArguments) -> Result<(), CommandErro
     if campaigns.is_empty() {
         return Ok(print_line(NO_CAMPAIGNS)?);
     }
-    let text: Vec<String> = campaigns.iter().map(details).collect();
+    let mut text: Vec<String> = campaigns.iter().map(details).collect();
+    text.extend(filming_in_words(filming(&client).await?));
     Ok(print_line(&text.join("\n"))?)
 }
 
@@ -95,6 +98,16 @@ fn details(status: &CampaignStatus) -> String {
     }
     if !status.follows_from.is_empty() {
         lines.push(format!("  follows from {}", status.follows_from));
+    }
+    if let Some(secs) = status.policy_retry_secs {
+        let when = match secs >= 1.0 {
+            true => format!("in {}", duration_text(secs)),
+            false => "by the next rollout that a worker asks for".to_owned(),
+        };
+        lines.push(format!(
+            "  tried again  {when}; `coordinator campaign resume {}`: at once",
+            status.campaign
+        ));
     }
     lines.extend(attention(status).map(|note| format!("  note         {note}")));
     lines.join("\n")

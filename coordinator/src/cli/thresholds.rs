@@ -10,12 +10,20 @@ use report::{HowFar, figures};
 use terminal::{number, number_from};
 
 use super::command::{CommandError, Connection, print_line, usage};
-use super::derived;
+use super::derived::{self, Action, CreateFlags, Proposal};
 use super::files::write_figures;
 
+/// Printed below the long help.
+const EXAMPLES: &str = "\
+Examples:
+  coordinator thresholds first               # the findings, or what they would take
+  coordinator thresholds first --create --axes camera,simultaneous
+  coordinator thresholds first --figures figures";
+
 #[derive(Args, Debug)]
+#[command(after_long_help = EXAMPLES)]
 pub(super) struct ThresholdsArguments {
-    /// Campaign whose configurations are run at further radii, once it is through.
+    /// Campaign whose configurations are run at further radii once it is finished.
     campaign: String,
     /// Name of the campaign that runs them. [default: CAMPAIGN-thresholds]
     #[arg(long)]
@@ -38,6 +46,8 @@ pub(super) struct ThresholdsArguments {
     /// What that order is drawn from.
     #[arg(long, value_parser = number_from(0_u64, ""))]
     seed: Option<u64>,
+    #[command(flatten)]
+    create: CreateFlags,
     /// Follow until every threshold is found.
     #[arg(long)]
     watch: bool,
@@ -55,10 +65,21 @@ pub(super) async fn thresholds(arguments: ThresholdsArguments) -> Result<(), Com
     let client = arguments.connection.client()?;
     let usual = || format!("{}-thresholds", arguments.campaign);
     let name = arguments.name.clone().unwrap_or_else(usual);
-    let is_there =
-        !arguments.asks_for_something() && is_there(&client, &arguments.campaign, &name).await?;
-    if !is_there {
-        begin(&client, &arguments, &name).await?;
+    let is_there = is_there(&client, &arguments.campaign, &name).await?;
+    let command = format!("coordinator thresholds {}", arguments.campaign);
+    let needs_it = arguments.json || arguments.watch || arguments.figures.is_some();
+    let how = arguments.asks_for_something();
+    let action = arguments.create.action(is_there, how, needs_it, &command)?;
+    if action != Action::Show {
+        let proposal = begin(&client, &arguments, &name, action).await?;
+        match action {
+            Action::Create if !is_there => eprintln!("{proposal}"),
+            Action::Create | Action::Show => {}
+            Action::Propose => {
+                let created = format!("nothing was created; `{command} --create` does that");
+                return Ok(print_line(&format!("{proposal}\n{created}"))?);
+            }
+        }
     }
     let found = async || {
         let found = HowFar::of(&client.report(&name).await?);
@@ -91,11 +112,14 @@ async fn is_there(client: &Client, campaign: &str, name: &str) -> Result<bool, C
     Ok(matches!(rollouts, Some(Rollouts::Thresholds(there)) if there.campaign == campaign))
 }
 
+/// Creates the campaign if that is the action, unless it is there as it would be created.
+/// Returns what it takes, in words.
 async fn begin(
     client: &Client,
     arguments: &ThresholdsArguments,
     name: &str,
-) -> Result<(), CommandError> {
+    action: Action,
+) -> Result<String, CommandError> {
     let source = client.campaign_status(&arguments.campaign).await?;
     let mut conditions = arguments.axes.clone();
     conditions.sort();
@@ -112,16 +136,23 @@ async fn begin(
     };
     let campaign = client.report(&arguments.campaign).await?;
     HowFar::is_affordable(&campaign, &thresholds).map_err(usage)?;
-    let rollouts = Rollouts::Thresholds(thresholds);
-    derived::create(client, source, name, rollouts, Record::None).await
+    let prospect = HowFar::prospect(&campaign, &thresholds);
+    let proposal = Proposal {
+        name,
+        source: &source,
+        subject: "threshold",
+        prospect: &prospect,
+    };
+    let words = proposal.in_words(client).await;
+    if action == Action::Create {
+        let rollouts = Rollouts::Thresholds(thresholds);
+        derived::create(client, &source, name, rollouts, Record::None).await?;
+    }
+    Ok(words)
 }
 
 fn condition(text: &str) -> Result<Condition, &'static str> {
-    let condition = match text {
-        "simultaneous" => Ok(Condition::Combination),
-        axes => axes.parse(),
-    };
-    match condition {
+    match text.parse() {
         Ok(Condition::Clean) | Err(_) => Err("write axes such as camera,robot, or simultaneous"),
         Ok(condition) => Ok(condition),
     }

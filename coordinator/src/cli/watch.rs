@@ -12,6 +12,7 @@ use queue::read::RATE_WINDOW;
 
 use super::command::{CommandError, print_line};
 use super::line::{attention, is_finished, line};
+use super::workers::{filming, filming_in_words};
 
 /// Between two looks on a terminal, where the table rewrites itself, and
 /// elsewhere, where every look adds lines to a log.
@@ -43,7 +44,7 @@ pub(super) async fn watch(
             Some(name) => vec![client.campaign_status(name).await?],
             None => client.list_campaigns().await?,
         };
-        screen.show(&campaigns)?;
+        screen.show(&campaigns, filming(client).await?)?;
         if campaigns.iter().all(is_finished) {
             return Ok(campaigns);
         }
@@ -74,13 +75,14 @@ impl Screen {
 
     /// Shows how the campaigns stand, and, when it changes, what needs looking
     /// after.
-    fn show(&mut self, campaigns: &[CampaignStatus]) -> anyhow::Result<()> {
+    fn show(&mut self, campaigns: &[CampaignStatus], filming: u32) -> anyhow::Result<()> {
         let notes: Vec<String> = campaigns.iter().filter_map(attention).collect();
         let known = std::mem::replace(&mut self.attention, notes.clone());
         for note in notes.iter().filter(|note| !known.contains(note)) {
             self.say(note)?;
         }
-        let table = table(campaigns);
+        let mut table = table(campaigns);
+        table.extend(filming_in_words(filming));
         self.say(&table.join("\n"))?;
         self.lines = table.len();
         Ok(())

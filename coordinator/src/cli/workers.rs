@@ -1,7 +1,9 @@
 //! `coordinator workers`.
 
+use std::time::Duration;
+
 use clap::Args;
-use coordinator::client::Service;
+use coordinator::client::{Client, Service};
 use coordinator::words::{duration_text, runs_on};
 use proto::coordinator::{ListWorkersRequest, WorkerStatus};
 use terminal::counted;
@@ -9,9 +11,12 @@ use terminal::counted;
 use super::command::{CommandError, Connection, print_line};
 use super::json;
 
+/// How long a worker that has gone is listed.
+const REMEMBERED: Duration = Duration::from_secs(7 * 86_400);
+
 #[derive(Args, Debug)]
 pub(super) struct WorkersArguments {
-    /// List those that have gone, too.
+    /// List those that have gone, too; in words, those of the last week.
     #[arg(long)]
     all: bool,
     /// Print JSON, as docs/JSON.md describes it.
@@ -26,18 +31,46 @@ pub(super) async fn workers(arguments: WorkersArguments) -> Result<(), CommandEr
     let listed = client.call(ListWorkersRequest {}, Service::list_workers);
     let workers = listed.await?.workers.into_iter();
     let (alive, gone): (Vec<_>, Vec<_>) = workers.partition(|worker| worker.alive);
-    let shown = alive.iter().chain(gone.iter().filter(|_| arguments.all));
     if arguments.json {
+        let shown = alive.iter().chain(gone.iter().filter(|_| arguments.all));
         return json::print(&json::Workers::of(shown));
     }
+    let (recent, forgotten): (Vec<_>, Vec<_>) = gone
+        .iter()
+        .partition(|worker| worker.silent_secs < REMEMBERED.as_secs_f64());
+    let shown = alive
+        .iter()
+        .chain(recent.iter().copied().filter(|_| arguments.all));
     let mut lines: Vec<String> = shown.map(line).collect();
     if lines.is_empty() {
         lines.push("no worker is alive; start one with `worker --connect`".to_owned());
     }
-    if !arguments.all && !gone.is_empty() {
-        lines.push(format!("{} that have gone: --all shows them", gone.len()));
+    if !arguments.all && !recent.is_empty() {
+        lines.push(format!("{} that have gone: --all shows them", recent.len()));
+    }
+    if arguments.all && !forgotten.is_empty() {
+        lines.push(format!(
+            "{} not heard of for a week or more: --all --json lists them too",
+            counted(forgotten.len() as u64, "worker")
+        ));
     }
     Ok(print_line(&lines.join("\n"))?)
+}
+
+/// Rollouts that are over and of which workers make videos, or have still to send them.
+pub(super) async fn filming(client: &Client) -> Result<u32, CommandError> {
+    let listed = client.call(ListWorkersRequest {}, Service::list_workers);
+    let workers = listed.await?.workers;
+    let alive = workers.iter().filter(|worker| worker.alive);
+    Ok(alive.map(|worker| worker.filming).sum())
+}
+
+/// The same in a line; none of none.
+pub(super) fn filming_in_words(rollouts: u32) -> Option<String> {
+    (rollouts > 0).then(|| {
+        let rollouts = counted(rollouts.into(), "rollout");
+        format!("slots film {rollouts} that are over, before they run others")
+    })
 }
 
 fn line(worker: &WorkerStatus) -> String {

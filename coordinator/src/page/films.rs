@@ -157,34 +157,40 @@ fn remedies(lattice: &Lattice, shown: &[Film]) -> Markup {
         by.is_some_and(|by| by.campaign.id == source.campaign.id)
     };
     let measured = &lattice.measured.campaign.name;
+    // One command films all that kept their actions.
+    let films = |source: &&&Source| source.campaign.record == "transitions" || explains(source);
+    let to_film = missing.iter().find(films);
+    let pack = to_film.and_then(|source| source.campaign.pin.as_ref());
+    let pack = pack.map_or("PACK", |pin| pin.asset_pack.as_str());
     html! {
-        @for source in missing {
+        @for source in &missing {
             @let campaign = &source.campaign;
-            @let pack = campaign.pin.as_ref().map_or("PACK", |pin| pin.asset_pack.as_str());
             p.muted {
                 "Not all rollouts of " (campaign.name) " that show it are filmed. "
                 @match campaign.record.as_str() {
-                    "transitions" => {
-                        "This films them: "
-                        code { "worker film --connect URL --assets " (pack) }
-                    }
+                    "transitions" => "It kept the actions that they are filmed from.",
                     "all" => "Films come with the rollouts; one can be lost.",
                     _ if explains(source) => {
                         "It keeps no actions to film from. This runs the subsets once more and keeps \
                         them: "
                         code {
                             "coordinator explain " (measured) " --name " (measured)
-                            "-filmed --record transitions"
+                            "-filmed --create --record transitions"
                         }
-                        ", and then "
-                        code { "worker film --connect URL --assets " (pack) }
-                        " films them."
+                        "."
                     }
                     _ => {
                         "It keeps no actions to film from, as a campaign does that is created with "
                         code { "--record transitions" } "."
                     }
                 }
+            }
+        }
+        @if to_film.is_some() {
+            p.muted {
+                "This makes the films from the actions that were kept: "
+                // The script of the page puts the address in its place.
+                code { "worker film --connect " span data-origin { "http://127.0.0.1:7411" } " --assets " (pack) }
             }
         }
     }

@@ -64,6 +64,8 @@ async function refresh() {
       const page = new DOMParser().parseFromString(await answer.text(), "text/html");
       document.title = page.title;
       merge(document.getElementById("main"), page.getElementById("main"));
+      showOrigin();
+      centre();
       walkMatrices();
       watchVideos();
     }
@@ -77,6 +79,23 @@ async function refresh() {
       refresh();
     }
   }, PAUSE_PER_REQUEST * (performance.now() - start));
+}
+
+// Commands on the page name the coordinator by the address that the reader has it at.
+function showOrigin() {
+  for (const name of document.querySelectorAll("[data-origin]")) name.textContent = location.origin;
+}
+
+// A picture that is wider than the screen first shows its middle, where the nominal
+// rollout is, and then what the reader has scrolled to.
+const centred = new WeakSet();
+
+function centre() {
+  for (const box of document.querySelectorAll(".centred")) {
+    if (centred.has(box)) continue;
+    centred.add(box);
+    box.scrollLeft = (box.scrollWidth - box.clientWidth) / 2;
+  }
 }
 
 function say(text, isCut) {
@@ -232,6 +251,8 @@ function showTime() {
 }
 
 say(LIVE, false);
+showOrigin();
+centre();
 walkMatrices();
 watchVideos();
 follow();

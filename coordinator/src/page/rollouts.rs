@@ -1,6 +1,7 @@
 //! The rollouts of a campaign, one by one, by state or outcome.
 
 use maud::{Markup, html};
+use protocol::RolloutId;
 use queue::QueueError;
 use queue::ids::{JobId, JobName};
 use queue::read::{JobFilter, JobLine};
@@ -105,12 +106,18 @@ impl Wanted {
                     let after = value.parse();
                     wanted.after = after.map_err(|_| Problem::Query("`after` takes a number."))?;
                 }
-                "id" if !value.trim().is_empty() => wanted.id = Some(value.trim().to_owned()),
+                "id" if !value.trim().is_empty() => wanted.id = Some(released(value.trim())),
                 _ => {}
             }
         }
         Ok(wanted)
     }
+}
+
+/// A rollout id as it was released, from one that may have the paper's words.
+fn released(id: &str) -> String {
+    let known: Result<RolloutId, _> = id.parse();
+    known.map_or_else(|_| id.to_owned(), |id| id.to_string())
 }
 
 fn filters(campaign: &str, wanted: &Wanted) -> Markup {
@@ -125,7 +132,7 @@ fn filters(campaign: &str, wanted: &Wanted) -> Markup {
         }
         form.find action=(base) {
             label for="id" { "Rollout id" }
-            input #id name="id" placeholder="object/t0/combination/L2/c00" size="32"
+            input #id name="id" placeholder="object/t0/simultaneous/L2/c00" size="32"
                 value=[wanted.id.as_deref()];
             button { "Find" }
         }

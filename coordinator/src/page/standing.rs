@@ -68,8 +68,9 @@ pub(super) async fn quarantine(page: &Page) -> Result<Sheet, Problem> {
             p { "Nothing is in quarantine: every rollout that failed was tried again." }
         } @else {
             p {
-                "These rollouts failed too often, and not because of the policy. They are in no \
-                rate; the report gives bounds on the measures. "
+                "These rollouts were charged with too many attempts that ended without an outcome, \
+                through the machine, the simulator or answers of the policy that broke the \
+                protocol. They are in no rate; the report gives bounds on the measures. "
                 code { "coordinator jobs retry CAMPAIGN ROLLOUT" } " retries one."
             }
             @if quarantined.len() >= MAX_QUARANTINED as usize {
@@ -142,7 +143,7 @@ fn policy_section(policy: &PolicyLine, now: UnixMillis) -> Markup {
                 PolicyState::Available => {},
                 PolicyState::Paused { resume, reason } => {
                     p {
-                        "Its rollouts wait, and no attempt is charged. It is tried again "
+                        "Its rollouts wait. " (charges(policy.health.misbehaved)) " It is tried again "
                         @if *resume > now { "in " (duration_text(resume.since(now).as_secs_f64())) }
                         @else { "with the next rollout that a worker asks for" }
                         ", after " (policy.health.outages) " outages. It said: "
@@ -155,8 +156,8 @@ fn policy_section(policy: &PolicyLine, now: UnixMillis) -> Markup {
                 },
             }
             p {
-                "Measured by "
-                @if policy.campaigns.is_empty() { "no campaign any more" }
+                @if policy.campaigns.is_empty() { "No campaign measures it any more" }
+                @else { "Campaigns that measure it: " }
                 @for (index, campaign) in policy.campaigns.iter().enumerate() {
                     @if index > 0 { ", " }
                     a href={ "/campaigns/" (campaign) } { (campaign) }
@@ -164,6 +165,19 @@ fn policy_section(policy: &PolicyLine, now: UnixMillis) -> Markup {
                 "."
             }
         }
+    }
+}
+
+/// The attempts of a paused policy that were charged. `misbehaved` counts those in which it
+/// answered nonsense since its last result.
+fn charges(misbehaved: u32) -> String {
+    match misbehaved {
+        0 => "An attempt that cannot reach it is not charged.".to_owned(),
+        attempts => format!(
+            "Its answers broke the protocol in {} since its last result, each of which is charged \
+             to its rollout; an attempt that cannot reach it is not.",
+            counted(attempts.into(), "attempt")
+        ),
     }
 }
 

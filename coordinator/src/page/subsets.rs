@@ -41,7 +41,7 @@ pub(super) async fn section(
         let hint = html! {
             p {
                 "Which of the axes it takes is not known; to find out: "
-                code { "coordinator explain " (name) }
+                code { "coordinator explain " (name) " --create" }
             }
         };
         let markup = if found.is_some() {
@@ -71,7 +71,7 @@ pub(super) async fn section(
                 ul { @for answer in &explanation.answers { (films::in_words(answer, explanation.transition)) } }
             }
             figure {
-                div.scroll tabindex="0" role="region" aria-label="Every subset of the axes" {
+                div.scroll.centred tabindex="0" role="region" aria-label="Every subset of the axes" {
                     (picture.inline())
                 }
                 figcaption {

@@ -62,7 +62,7 @@ pub(crate) fn create_with(serve: &Serve, further: &[&str]) {
 }
 
 fn findings(serve: &Serve, arguments: &[&str]) -> Value {
-    let output = serve.command(&[&["explain", "first", "--json"], arguments].concat());
+    let output = serve.command(&[&["explain", "first", "--create", "--json"], arguments].concat());
     assert!(output.status.success(), "{}", text(&output.stderr));
     serde_json::from_slice(&output.stdout).expect("JSON")
 }
@@ -88,8 +88,8 @@ async fn planted_rules_are_found_again() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let serve = Serve::start(folder.path());
     create(&serve);
-    // It may be asked for before the campaign is through.
-    let output = serve.command(&["explain", "first"]);
+    // It may be asked for before the campaign is finished.
+    let output = serve.command(&["explain", "first", "--create"]);
     let said = text(&output.stderr);
     assert!(said.contains("80 rollouts without an outcome"), "{said}");
     assert_eq!(findings(&serve, &[])["complete"], json!(false));
@@ -145,6 +145,53 @@ async fn planted_rules_are_found_again() {
     assert_eq!(violations, []);
 }
 
+/// A look created a campaign that took slots.
+#[tokio::test(flavor = "multi_thread")]
+async fn to_look_at_an_explanation_that_is_not_there_changes_nothing_and_says_what_it_takes() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    create(&serve);
+    let mut worker = serve.worker("w").await;
+    run_all(&mut worker, outcome).await;
+    for command in ["explain", "thresholds"] {
+        for flags in [&[][..], &["--dry-run"], &["--dry-run", "--budget", "100"]] {
+            let looked = serve.command(&[&[command, "first"], flags].concat());
+            assert!(looked.status.success(), "{}", text(&looked.stderr));
+            let said = text(&looked.stdout);
+            assert!(
+                said.contains(&format!(
+                    "campaign first-{}",
+                    ["explained", "thresholds"][usize::from(command != "explain")]
+                )),
+                "{said}"
+            );
+            assert!(said.contains("takes at most "), "{said}");
+            assert!(
+                said.contains(&format!("`coordinator {command} first --create` does that")),
+                "{said}"
+            );
+        }
+        let refused = |flags: &[&str], words: &str| {
+            let output = serve.command(&[&[command, "first"], flags].concat());
+            let error = text(&output.stderr);
+            assert!(!output.status.success() && error.contains(words), "{error}");
+        };
+        refused(&["--json"], "--create` creates it");
+        refused(&["--watch"], "--create` creates it");
+        refused(&["--budget", "100"], "need --create");
+    }
+    let said = serve.command(&["explain", "first"]);
+    // Six transitions of six axes: 56 subsets each.
+    let words = text(&said.stdout);
+    assert!(
+        words.contains("at most 336 rollouts for 6 transitions"),
+        "{words}"
+    );
+    let campaigns = serve.command(&["campaign", "list", "--json"]);
+    let campaigns: Value = serde_json::from_slice(&campaigns.stdout).expect("JSON");
+    assert_eq!(campaigns["campaigns"].as_array().map(Vec::len), Some(1));
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn what_an_explanation_rests_on_stays() {
     let folder = tempfile::tempdir().expect("a temporary folder");
@@ -169,9 +216,14 @@ async fn what_an_explanation_rests_on_stays() {
         &["campaign", "status", "alone-explained"],
         "no such campaign",
     );
-    assert!(serve.command(&["explain", "first"]).status.success());
+    assert!(
+        serve
+            .command(&["explain", "first", "--create"])
+            .status
+            .success()
+    );
     refused(
-        &["explain", "first", "--budget", "20"],
+        &["explain", "first", "--create", "--budget", "20"],
         "they differ in `explains`",
     );
     let delete = ["campaign", "delete", "first", "--confirm", "first"];

@@ -134,10 +134,15 @@ async fn what_shows_an_explanation_is_filmed_and_stands_side_by_side() {
     ];
     assert_eq!(of_task, expected.map(str::to_owned).into());
 
+    // The command that makes them stands there once, with an address that can be pasted.
+    let subset = "/campaigns/first/configurations/object/t2/simultaneous/L2/c00";
+    let before = page(&serve, subset).await;
+    let command = "worker film --connect <span data-origin>http://127.0.0.1:7411</span>";
+    assert_eq!(before.matches(command).count(), 1, "{before}");
+    assert!(!before.contains("--connect URL"), "{before}");
     for film in &all {
         upload(&mut worker, &film.attempt_id).await;
     }
-    let subset = "/campaigns/first/configurations/object/t2/combination/L2/c00";
     let page = page(&serve, subset).await;
     for set in expected {
         let video = format!("/campaigns/first-explained/videos/object/t2/{set}/L2/c00?replicate=0");

@@ -264,7 +264,7 @@ async fn an_imported_manifest_is_run_as_it_stands() {
     let seeds: BTreeSet<u64> = leases.iter().map(|lease| lease.policy_seed).collect();
     assert_eq!(seeds.len(), 4);
 
-    let report = serve.command(&["report", "imported"]);
+    let report = serve.command(&["report", "imported", "--full"]);
     let report = text(&report.stdout);
     assert!(report.contains("design manifest-"), "{report}");
 }

@@ -444,7 +444,7 @@ async fn what_is_no_whole_archive_of_this_program_is_refused_by_name_and_changes
 async fn a_campaign_that_follows_from_another_comes_after_it() {
     let mut here = Bench::with(&with(spec(), json!({"levels": ["L2"]}))).await;
     here.run(64, "").await;
-    here.must(&["explain", "moved", "--budget", "20"]);
+    here.must(&["explain", "moved", "--create", "--budget", "20"]);
     let name = "moved-explained";
     // Its rollouts follow from the outcomes in a moment.
     let began = Instant::now();

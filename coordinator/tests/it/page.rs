@@ -11,6 +11,7 @@ use proto::coordinator::release_request::Reason;
 use crate::access::{Guarded, OPERATOR, VIEWER, WORKER};
 use crate::artifacts::put;
 use crate::harness::{Bench, small_spec};
+use crate::process::{coordinator, text};
 
 /// A socket that says nothing for so long says nothing any more.
 const SILENCE: Duration = Duration::from_secs(30);
@@ -189,6 +190,28 @@ async fn an_outage_and_a_quarantine_are_told_in_words() {
     }
     let page = ask(&bench.url, "GET /campaigns/begun").await.text();
     assert!(page.contains("Policy expert is paused"), "{page}");
+}
+
+/// The page said "no attempt is charged" where `jobs list` said "1 charged".
+#[tokio::test(flavor = "multi_thread")]
+async fn page_and_command_line_agree_on_what_nonsense_of_a_policy_is_charged_to() {
+    let bench = begun().await;
+    let mut worker = bench.worker("w").await;
+    for attempt in 1..=5 {
+        // Past the back-off of a rollout that failed.
+        bench.pass(10).await;
+        let lease = worker.claim_one().await;
+        worker.release(&lease, Reason::PolicyMisbehaved).await;
+        let page = ask(&bench.url, "GET /policies").await.text();
+        assert!(attempt == 5 || !page.contains(">paused<"), "{page}");
+    }
+    let listed = coordinator(&["jobs", "list", "begun", "--connect", &bench.url]);
+    let listed = text(&listed.stdout).to_owned();
+    assert!(listed.contains("2 charged"), "{listed}");
+    let page = ask(&bench.url, "GET /policies").await.text();
+    assert!(!page.contains("no attempt is charged"), "{page}");
+    let words = "broke the protocol in 5 attempts since its last result, each of which is charged";
+    assert!(page.contains(words), "{page}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -283,6 +283,83 @@ fn result_files_are_reported_without_a_coordinator_in_every_form() {
     );
 }
 
+/// At four configurations, the terminal was full of symbols.
+#[test]
+fn a_report_is_short_and_in_sentences_unless_all_of_it_is_asked_for() {
+    let output = coordinator(&["report", "--from", EXAMPLE]);
+    let brief = text(&output.stdout);
+    let flat = brief.split_whitespace().collect::<Vec<_>>().join(" ");
+    for part in [
+        "nominal camera lighting robot sensor actuation language simultaneous L1 ",
+        "under simultaneous perturbation, ",
+        "Of the single axes, ",
+        "Of 400 configurations at L3 with all their outcomes, ",
+        "`--full` prints the paired measures",
+        "`--table FILE.csv` the outcomes",
+    ] {
+        assert!(flat.contains(part), "{part}: {brief}");
+    }
+    assert!(
+        !brief.contains("R_e") && !brief.contains("S_conj"),
+        "{brief}"
+    );
+    assert!(brief.lines().count() <= 24, "one screen: {brief}");
+    assert!(
+        brief.lines().all(|line| line.chars().count() <= 80),
+        "{brief}"
+    );
+    let full = coordinator(&["report", "--from", EXAMPLE, "--full"]);
+    let full = text(&full.stdout);
+    assert!(
+        full.contains("R_e = b/n") && full.contains("S_conj"),
+        "{full}"
+    );
+}
+
+/// 500 rollouts of one suite could never decide a gate that asks for 2,000.
+#[test]
+fn a_figure_that_was_published_of_one_suite_has_a_gate_of_its_own() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let row = |task: u32, state: u32| {
+        let success = state != 0;
+        format!("{{\"rollout_id\": \"goal/t{task}/clean/i{state:02}\", \"success\": {success}}}\n")
+    };
+    let rows: String = (0..10)
+        .flat_map(|task| (0..50).map(move |state| row(task, state)))
+        .collect();
+    std::fs::write(folder.path().join("rollouts.jsonl"), rows).expect("written");
+    let from = folder.path().to_string_lossy().into_owned();
+    let name = folder
+        .path()
+        .file_name()
+        .expect("a name")
+        .to_string_lossy()
+        .into_owned();
+    let verdict = |published: &str| {
+        let published = published.replace("POLICY", &name);
+        let output = coordinator(&["report", "--from", &from, "--published", &published]);
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        text(&output.stdout)
+            .split_whitespace()
+            .collect::<Vec<_>>()
+            .join(" ")
+    };
+    let said = verdict("libero_goal:POLICY=97");
+    assert!(
+        said.contains("gate of libero_goal: +1.00 points from the published 97.0 %"),
+        "{said}"
+    );
+    assert!(said.contains("tolerance 5: passed"), "{said}");
+    let said = verdict("libero_goal:POLICY=80");
+    assert!(said.contains("FAILED"), "{said}");
+    let said = verdict("POLICY=97");
+    assert!(
+        said.contains("undecided: 500 of 2000 nominal rollouts"),
+        "{said}"
+    );
+    assert!(said.contains("SUITE:POLICY=PERCENT"), "{said}");
+}
+
 #[test]
 fn a_wrong_report_command_exits_with_2_and_writes_nothing() {
     let folder = tempfile::tempdir().expect("a temporary folder");

@@ -183,7 +183,7 @@ async fn a_campaign_stops_where_its_outcomes_say_and_says_what_that_saved() {
     );
     let page = folder.path().join("report.html");
     let page_name = page.to_string_lossy();
-    let said = serve.command(&["report", "early", "--html", &page_name]);
+    let said = serve.command(&["report", "early", "--full", "--html", &page_name]);
     let said = text(&said.stdout).to_owned();
     let flat = said.split_whitespace().collect::<Vec<_>>().join(" ");
     assert!(flat.contains(&words), "{said}");
@@ -292,7 +292,7 @@ async fn a_stopped_campaign_stays_as_it_is_and_others_follow_from_what_counts() 
 async fn derived(serve: &Serve, worker: &mut Worker, arguments: &[&str]) -> Value {
     let began = Instant::now();
     loop {
-        let found = printed(serve, &[arguments, &["--json"]].concat());
+        let found = printed(serve, &[arguments, &["--create", "--json"]].concat());
         if found["complete"] == true && found["rollouts"].as_u64() > Some(0) {
             return found;
         }

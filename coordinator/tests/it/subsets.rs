@@ -46,7 +46,7 @@ async fn a_pair_that_fails_where_its_axes_alone_succeed_is_seen() {
         }
     }
 
-    let report = serve.command(&["report", "pairs"]);
+    let report = serve.command(&["report", "pairs", "--full"]);
     let table = text(&report.stdout);
     let words = table.split_whitespace().collect::<Vec<_>>().join(" ");
     for line in [

@@ -51,7 +51,8 @@ fn create(serve: &Serve) {
 }
 
 fn found(serve: &Serve, arguments: &[&str]) -> Value {
-    let output = serve.command(&[&["thresholds", "first", "--json"], arguments].concat());
+    let output =
+        serve.command(&[&["thresholds", "first", "--create", "--json"], arguments].concat());
     assert!(output.status.success(), "{}", text(&output.stderr));
     serde_json::from_slice(&output.stdout).expect("JSON")
 }
@@ -81,8 +82,8 @@ async fn planted_thresholds_are_found_again() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let serve = Serve::start(folder.path());
     create(&serve);
-    // It may be asked for before the campaign is through.
-    let output = serve.command(&["thresholds", "first"]);
+    // It may be asked for before the campaign is finished.
+    let output = serve.command(&["thresholds", "first", "--create"]);
     let said = text(&output.stderr);
     assert!(said.contains("rollouts without an outcome"), "{said}");
     assert_eq!(found(&serve, &[])["complete"], json!(false));
@@ -154,7 +155,7 @@ async fn planted_thresholds_are_found_again() {
     let output = serve.command(&["thresholds", "first", "--figures", &figures]);
     let words = text(&output.stdout);
     for line in [
-        "first-thresholds measures how far first goes: 30 of 30 thresholds found",
+        "first-thresholds measures thresholds of first: 30 of 30 found in ",
         "                   n     0    L1    L2    L3    16",
         "camera            10  90.0",
         "libero_object/1 robot c00: succeeds at 0, 2, 8; fails at",
@@ -185,7 +186,7 @@ async fn planted_thresholds_are_found_again() {
     let page = page.text();
     for words in [
         "How far",
-        "30 of 30 thresholds found",
+        "30 of 30 found in ",
         "libero_object/1",
         "class=\"curve\"",
     ] {
@@ -240,7 +241,7 @@ async fn what_cannot_be_measured_is_refused_before_anything_is_created() {
         let there = serve.command(&["campaign", "status", "first-thresholds"]);
         assert!(!there.status.success(), "{arguments:?}");
     };
-    let first = |flags: &[&'static str]| [&["thresholds", "first"][..], flags].concat();
+    let first = |flags: &[&'static str]| [&["thresholds", "first", "--create"][..], flags].concat();
     refused(&["thresholds", "second"], "no such campaign");
     refused(&first(&["--tolerance", "0"]), "write a radius, 0.01 to 100");
     refused(&first(&["--max-radius", "far"]), "write a radius, 2 to 100");
@@ -259,9 +260,17 @@ async fn what_cannot_be_measured_is_refused_before_anything_is_created() {
     ]].concat();
     let created = serve.command(&bare);
     assert!(created.status.success(), "{}", text(&created.stderr));
-    refused(&["thresholds", "bare"], "it has no nominal rollouts");
+    refused(
+        &["thresholds", "bare", "--create"],
+        "it has no nominal rollouts",
+    );
 
-    assert!(serve.command(&["thresholds", "first"]).status.success());
+    assert!(
+        serve
+            .command(&["thresholds", "first", "--create"])
+            .status
+            .success()
+    );
     let delete = ["campaign", "delete", "first", "--confirm", "first"];
     let deleted = serve.command(&delete);
     let error = text(&deleted.stderr);
@@ -276,7 +285,7 @@ async fn what_cannot_be_measured_is_refused_before_anything_is_created() {
     assert!(renamed.status.success(), "{}", text(&renamed.stderr));
     let again = serve.command(&["thresholds", "final", "--name", "first-thresholds"]);
     assert!(again.status.success(), "{}", text(&again.stderr));
-    let of_derived = serve.command(&["thresholds", "first-thresholds"]);
+    let of_derived = serve.command(&["thresholds", "first-thresholds", "--create"]);
     let error = text(&of_derived.stderr);
     assert!(error.contains("its rows come from no design"), "{error}");
 }

@@ -29,7 +29,7 @@ fn create(serve: &Serve, name: &str) {
 }
 
 fn explain(serve: &Serve, name: &str) -> Value {
-    let output = serve.command(&["explain", name, "--json"]);
+    let output = serve.command(&["explain", name, "--create", "--json"]);
     assert!(output.status.success(), "{}", text(&output.stderr));
     serde_json::from_slice(&output.stdout).expect("JSON")
 }
@@ -65,7 +65,7 @@ async fn an_explaining_campaign_says_what_it_waits_for_and_is_finished_at_its_en
     assert_eq!(status(&serve, "first")["follows_from"], Value::Null);
     assert_eq!(waiting["rollouts"]["total"], 0);
     assert_eq!(waiting["is_finished"], false);
-    let why = "campaign `first` is through, 5 rollouts from now";
+    let why = "campaign `first` is finished, 5 rollouts from now";
     let said = waiting["waiting_reason"].as_str().expect("a reason");
     assert!(said.contains(why), "{said}");
     let said = serve.command(&["campaign", "status", "first-explained"]);

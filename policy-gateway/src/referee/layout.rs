@@ -218,7 +218,7 @@ impl fmt::Display for Part {
             Self::FingersSwapped => "two finger joints exchanged",
             Self::FingersShare => "two finger openings of 0 to 1",
             Self::Opening => "distance between the fingers",
-            Self::Zeros(count) => return write!(f, "{count} noughts"),
+            Self::Zeros(count) => return write!(f, "{count} zeros"),
         })
     }
 }

@@ -1,4 +1,4 @@
-"""A LeRobot dataset of form v2.1: an episode for each committed rollout.
+"""A LeRobot dataset, format v2.1: an episode for each committed rollout.
 
 What a campaign does not keep is not in it: joints, the gripper's state, the end-effector's
 orientation, and pictures as the policy got them. Films are those of the campaign, both

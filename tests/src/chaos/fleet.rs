@@ -166,7 +166,7 @@ impl Fleet {
             assert!(waited < self.plan.patience, "it does not finish: {status}");
             sleep(Duration::from_millis(300));
         }
-        let report = self.ask(&["report", CAMPAIGN]);
+        let report = self.ask(&["report", CAMPAIGN, "--full"]);
         let json = self.ask(&["report", CAMPAIGN, "--json"]);
         let export = self.ask(&["export", CAMPAIGN, "--format", "jsonl"]);
         let mut rows: Vec<String> = export.lines().map(without_wall_time).collect();

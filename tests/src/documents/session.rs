@@ -28,6 +28,8 @@ kill -KILL 0
 
 /// What a server says once it can be used.
 const READY: [&str; 2] = ["listening on ", "registered with the coordinator"];
+/// What `coordinator up` says once all of its programs can be used.
+const ALL_READY: [&str; 1] = ["Ctrl-C stops all three"];
 
 /// A shell in the folder of a page.
 pub struct Session {
@@ -116,7 +118,11 @@ impl Session {
         let start = Instant::now();
         while start.elapsed() < PATIENCE {
             let said = fs::read_to_string(&output).unwrap_or_default();
-            if READY.iter().any(|ready| said.contains(ready)) || (watches && !said.is_empty()) {
+            let ready = match command.contains("coordinator up") {
+                true => &ALL_READY[..],
+                false => &READY,
+            };
+            if ready.iter().any(|ready| said.contains(ready)) || (watches && !said.is_empty()) {
                 return Ok(());
             }
             let (alive, _) = self.call(&format!("kill -0 {process}"))?;
@@ -225,7 +231,7 @@ fn stays(command: &str) -> bool {
     let words: Vec<&str> = words.collect();
     let first = words.first().copied().unwrap_or_default();
     match program {
-        "coordinator" => first == "serve" || watches(command),
+        "coordinator" => ["serve", "up"].contains(&first) || watches(command),
         "policy-gateway" => {
             !["check", "compare", "doctor"].contains(&first) && !words.contains(&"--help")
         }
@@ -251,6 +257,7 @@ mod tests {
     fn servers_are_told_from_commands_that_end() {
         for server in [
             "coordinator serve --data campaigns",
+            "coordinator up",
             "policy-gateway --route a=builtin:noop",
             "policy-gateway replay recorded",
             "worker --connect http://127.0.0.1:7411 --slots 2",

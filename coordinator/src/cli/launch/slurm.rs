@@ -30,7 +30,17 @@ const WORKERS: (&str, &str) = (
     include_str!("../../../../deploy/slurm/workers.sbatch"),
 );
 
+/// Printed below the long help.
+const EXAMPLES: &str = "\
+Examples:
+  coordinator launch slurm --connect http://keeper:7411 --assets primitives
+  coordinator launch slurm --connect http://keeper:7411 --assets /shared/libero-assets \\
+      --workers 16 --slots 8 --time 4:00:00 --into /shared/cluster --submit
+  coordinator launch slurm --connect http://keeper:7411 --assets /shared/libero-assets \\
+      --policy pi05=grpc://127.0.0.1:5000 --gpus 1 --policy-server 'python serve.py'";
+
 #[derive(Args, Debug)]
+#[command(after_long_help = EXAMPLES)]
 pub(crate) struct SlurmArguments {
     /// URL under which the nodes reach the coordinator: the name of the machine on
     /// which coordinator.sh will run, and a port.
@@ -44,7 +54,7 @@ pub(crate) struct SlurmArguments {
     #[arg(long, requires = "into")]
     submit: bool,
     /// Folder of the programs, on all nodes. [default: this program's]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, hide_short_help = true, value_name = "DIR")]
     programs: Option<PathBuf>,
     /// Folder of the coordinator's database and artifacts, on a disk of its machine.
     #[arg(long, value_name = "DIR", default_value = "campaigns")]
@@ -53,7 +63,7 @@ pub(crate) struct SlurmArguments {
     #[arg(long, value_name = "NAME")]
     partition: Option<String>,
     /// Account that the jobs count for.
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, hide_short_help = true, value_name = "NAME")]
     account: Option<String>,
     /// Time limit of a job, as Slurm writes it: 4:00:00. Jobs that reach it are queued
     /// again. [default: the partition's]
@@ -61,7 +71,7 @@ pub(crate) struct SlurmArguments {
     time: Option<TimeLimit>,
     /// Seconds before its time limit at which a job is asked to end; Slurm may be a
     /// minute early.
-    #[arg(long, value_name = "SECS", default_value_t = 60,
+    #[arg(long, hide_short_help = true, value_name = "SECS", default_value_t = 60,
         value_parser = number(1..=65_535_u32, "seconds"))]
     ahead_secs: u32,
     #[command(flatten)]
@@ -76,6 +86,7 @@ pub(crate) struct SlurmArguments {
 }
 
 #[derive(Args, Debug)]
+#[command(next_help_heading = "Workers")]
 struct WorkerArguments {
     /// Models of objects and rooms: `primitives`, or the path of a LIBERO assets
     /// folder that all nodes share.
@@ -90,25 +101,36 @@ struct WorkerArguments {
         value_parser = number(1..=1_024_u32, "slots"))]
     slots: u32,
     /// Memory of a slot.
-    #[arg(long, value_name = "SIZE", default_value = "2G")]
+    #[arg(
+        long,
+        hide_short_help = true,
+        value_name = "SIZE",
+        default_value = "2G"
+    )]
     slot_memory: String,
     /// Seconds that a worker has to finish its rollouts when it is asked to end; then
     /// it gives them back, for which it needs ten more. Both must fit into Slurm's
     /// KillWait.
-    #[arg(long, value_name = "SECS", default_value_t = 15,
+    #[arg(long, hide_short_help = true, value_name = "SECS", default_value_t = 15,
         value_parser = number(0..=86_400_u32, "seconds"))]
     drain_secs: u32,
     /// Seconds without work after which a worker ends.
-    #[arg(long, value_name = "SECS", default_value_t = 600,
+    #[arg(long, hide_short_help = true, value_name = "SECS", default_value_t = 600,
         value_parser = number(1..=604_800_u32, "seconds"))]
     idle_secs: u32,
     /// Another option of sbatch for the workers, `--worker-sbatch=--constraint=avx2`.
     /// (repeatable)
-    #[arg(long, value_name = "OPTION", allow_hyphen_values = true)]
+    #[arg(
+        long,
+        hide_short_help = true,
+        value_name = "OPTION",
+        allow_hyphen_values = true
+    )]
     worker_sbatch: Vec<String>,
 }
 
 #[derive(Args, Debug)]
+#[command(next_help_heading = "Gateway and policy server")]
 struct GatewayArguments {
     /// The policy's name and what answers for it, as `policy-gateway --route` has it:
     /// `NAME=grpc://127.0.0.1:5000` beside a policy server on that port. Without it,
@@ -122,16 +144,17 @@ struct GatewayArguments {
     #[arg(long, value_name = "GPUS", requires = "policy")]
     gpus: Option<String>,
     /// Partition of the gateway. [default: --partition]
-    #[arg(long, value_name = "NAME", requires = "policy")]
+    #[arg(long, hide_short_help = true, value_name = "NAME", requires = "policy")]
     gateway_partition: Option<String>,
     /// Port of the gateway.
-    #[arg(long, value_name = "PORT", default_value_t = 7412,
+    #[arg(long, hide_short_help = true, value_name = "PORT", default_value_t = 7412,
         value_parser = number(1..=65_535_u16, ""))]
     gateway_port: u16,
     /// Another option of sbatch for the gateway, `--gateway-sbatch=--mem=64G`.
     /// (repeatable)
     #[arg(
         long,
+        hide_short_help = true,
         value_name = "OPTION",
         allow_hyphen_values = true,
         requires = "policy"

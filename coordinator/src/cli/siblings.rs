@@ -1,0 +1,22 @@
+//! The other programs of a release, which lie in the folder of this one.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, anyhow};
+
+/// The path of a program beside this one.
+pub(super) fn sibling(name: &str) -> anyhow::Result<PathBuf> {
+    let own = std::env::current_exe().context("find this program's own file")?;
+    let path = own.with_file_name(name);
+    match path.is_file() {
+        true => Ok(path),
+        false => {
+            let error = anyhow!(
+                "{} is not there; the release archive has all programs in one folder, and \
+                 `cargo build --workspace --bins` builds them in a checkout",
+                path.display()
+            );
+            Err(error.context(format!("find `{name}` beside this program")))
+        }
+    }
+}

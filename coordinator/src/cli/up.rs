@@ -1,0 +1,376 @@
+//! `coordinator up`: coordinator, gateway and worker of one machine in one terminal.
+//!
+//! Each is the ordinary program, found beside this one and started in a process group of
+//! its own, so that Ctrl-C reaches this process alone. It ends them in the order in which
+//! none loses its server: the worker first, which finishes its rollouts or gives them back
+//! at a second signal, then the gateway, then the coordinator. If it is killed itself, the
+//! kernel kills them.
+//!
+//! It is a command of this program because this one is what an operator has at hand:
+//! completions, manual pages and the release archive know it already.
+
+use std::io::Write;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::process::{ExitStatus, Stdio};
+use std::time::Duration;
+
+use anyhow::{Context, anyhow};
+use clap::Args;
+use rustix::process::{Pid, kill_process};
+use terminal::PARENT_VARIABLE;
+use tokio::io::{AsyncBufReadExt, AsyncRead, BufReader};
+use tokio::process::{Child, Command};
+use tokio::signal::unix::{Signal, SignalKind, signal};
+use tokio::sync::mpsc;
+use tokio::task::JoinSet;
+
+use super::command::{CommandError, print_line, usage};
+use super::siblings::sibling;
+
+/// Between two looks at whether a program has ended.
+const LOOK_EVERY: Duration = Duration::from_millis(100);
+/// Width of a program's name before the lines that it prints, columns.
+const NAME_COLUMNS: usize = 11;
+/// The policies that come with the gateway.
+const BUILT_IN: [&str; 2] = ["student=builtin:student", "expert=builtin:expert"];
+
+/// Printed below the long help.
+const EXAMPLES: &str = "\
+Examples:
+  coordinator up
+  coordinator up --route mine=grpc://127.0.0.1:5000 --slots 2
+  coordinator up --data ~/campaigns --assets ~/libero-assets";
+
+#[derive(Args, Debug)]
+#[command(after_long_help = EXAMPLES)]
+pub(super) struct UpArguments {
+    /// Folder of the database and the artifacts; made if it is not there.
+    #[arg(long, value_name = "DIR", default_value = "campaigns")]
+    data: PathBuf,
+    /// A policy's name and what answers for it, as `policy-gateway --route` takes it;
+    /// may be given several times.
+    #[arg(long = "route", value_name = "NAME=BACKEND", default_values = BUILT_IN)]
+    routes: Vec<String>,
+    /// Models of objects and rooms: `primitives`, or the path of a LIBERO assets folder.
+    #[arg(long, value_name = "PACK_OR_PATH", default_value = "primitives")]
+    assets: String,
+    /// Rollouts at a time: a number, or `auto` for a measurement of some seconds.
+    #[arg(long, value_name = "N|auto", default_value = "auto")]
+    slots: String,
+    /// Address of the coordinator and its page; port 0 takes a free one.
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7411",
+        value_parser = terminal::address)]
+    listen: SocketAddr,
+    /// Address of the gateway; port 0 takes a free one.
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7412",
+        value_parser = terminal::address)]
+    gateway_listen: SocketAddr,
+}
+
+pub(super) async fn up(arguments: UpArguments) -> Result<(), CommandError> {
+    for address in [arguments.listen, arguments.gateway_listen] {
+        if !address.ip().is_loopback() {
+            let error = anyhow!(
+                "`up` serves this machine alone; to serve others, start `coordinator serve` and \
+                 `policy-gateway` with a certificate and tokens"
+            );
+            return Err(usage(error.context(format!("listen on {address}"))));
+        }
+    }
+    let mut requests = Requests::listen()?;
+    let mut programs = Programs::default();
+    let ended = run(&arguments, &mut programs, &mut requests).await;
+    if ended.is_err() {
+        programs.say("stopping the other programs");
+    }
+    programs.stop(&mut requests).await;
+    Ok(ended?)
+}
+
+/// Starts the programs in order and watches them until the user asks for their end. An
+/// error if one of them ends by itself.
+async fn run(
+    arguments: &UpArguments,
+    programs: &mut Programs,
+    requests: &mut Requests,
+) -> anyhow::Result<()> {
+    let words = |words: &[&str]| words.iter().map(ToString::to_string).collect::<Vec<_>>();
+    let data = arguments
+        .data
+        .to_str()
+        .context("read --data: write a path in UTF-8")?;
+    let listen = arguments.listen.to_string();
+    let serve = words(&["serve", "--data", data, "--listen", &listen]);
+    let Some(coordinator) = programs.serve("coordinator", serve, requests).await? else {
+        return Ok(());
+    };
+    let mut gateway = words(&["--listen", &arguments.gateway_listen.to_string()]);
+    for route in &arguments.routes {
+        gateway.extend(words(&["--route", route]));
+    }
+    let Some(gateway) = programs.serve("policy-gateway", gateway, requests).await? else {
+        return Ok(());
+    };
+    let url = format!("http://{coordinator}");
+    let worker = words(&[
+        "--connect",
+        &url,
+        "--assets",
+        &arguments.assets,
+        "--slots",
+        &arguments.slots,
+    ]);
+    programs.start("worker", worker)?;
+    if programs.first_line("worker ", requests).await?.is_none() {
+        return Ok(());
+    }
+    print_line(&ready(arguments, &coordinator, &gateway))?;
+    tokio::select! {
+        () = requests.next() => Ok(()),
+        error = programs.one_ends() => Err(error),
+    }
+}
+
+/// The addresses, and commands that can be pasted into another terminal.
+fn ready(arguments: &UpArguments, coordinator: &str, gateway: &str) -> String {
+    let first = arguments.routes.first().map(String::as_str);
+    let policy = first.and_then(|route| route.split('=').next());
+    let policy = policy.unwrap_or_default();
+    let connect = match coordinator {
+        "127.0.0.1:7411" => String::new(),
+        other => format!(" --connect http://{other}"),
+    };
+    format!(
+        "\ncoordinator and page at http://{coordinator}/, gateway at http://{gateway}, data in {}\n\
+         In another terminal, for example:\n  \
+           coordinator campaign create --name first --policy {policy} \\\n      \
+             --endpoint http://{gateway} --tasks libero_object/0 --axes all \\\n      \
+             --levels L2 --configs 0-1{connect}\n  \
+           coordinator campaign status first --watch{connect}\n  \
+           coordinator report first{connect}\n\
+         Ctrl-C stops all three.\n",
+        arguments.data.display()
+    )
+}
+
+/// Requests to end: SIGINT, as Ctrl-C sends it, and SIGTERM.
+struct Requests {
+    interrupt: Signal,
+    terminate: Signal,
+}
+
+impl Requests {
+    fn listen() -> anyhow::Result<Self> {
+        Ok(Self {
+            interrupt: signal(SignalKind::interrupt()).context("listen for SIGINT")?,
+            terminate: signal(SignalKind::terminate()).context("listen for SIGTERM")?,
+        })
+    }
+
+    async fn next(&mut self) {
+        tokio::select! {
+            _ = self.interrupt.recv() => {}
+            _ = self.terminate.recv() => {}
+        }
+    }
+}
+
+/// A program that was started, and the lines that it prints to standard output.
+struct Program {
+    name: &'static str,
+    child: Child,
+    lines: mpsc::UnboundedReceiver<String>,
+}
+
+/// The programs that were started, in that order.
+#[derive(Default)]
+struct Programs {
+    started: Vec<Program>,
+    relays: JoinSet<()>,
+}
+
+impl Programs {
+    /// Starts a server; the address that it says it listens on, or none if the user asks
+    /// for the end before that.
+    async fn serve(
+        &mut self,
+        name: &'static str,
+        arguments: Vec<String>,
+        requests: &mut Requests,
+    ) -> anyhow::Result<Option<String>> {
+        self.start(name, arguments)?;
+        let rest = self.first_line("listening on ", requests).await?;
+        let address = |rest: String| rest.split([',', ' ']).next().unwrap_or_default().to_owned();
+        Ok(rest.map(address))
+    }
+
+    fn start(&mut self, name: &'static str, arguments: Vec<String>) -> anyhow::Result<()> {
+        let program = sibling(name)?;
+        let mut child = Command::new(&program)
+            .args(arguments)
+            .env(PARENT_VARIABLE, std::process::id().to_string())
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .process_group(0)
+            .kill_on_drop(true)
+            .spawn()
+            .with_context(|| format!("start {}", program.display()))?;
+        let (sender, lines) = mpsc::unbounded_channel();
+        self.relays
+            .spawn(relay(child.stdout.take(), name, Some(sender)));
+        self.relays.spawn(relay(child.stderr.take(), name, None));
+        self.started.push(Program { name, child, lines });
+        Ok(())
+    }
+
+    /// The rest of the first line of the newest program that begins so; none if the user
+    /// asks for the end before it comes.
+    async fn first_line(
+        &mut self,
+        start: &str,
+        requests: &mut Requests,
+    ) -> anyhow::Result<Option<String>> {
+        loop {
+            let newest = self.started.last_mut().context("wait for a program")?;
+            let line = tokio::select! {
+                () = requests.next() => return Ok(None),
+                line = newest.lines.recv() => line,
+            };
+            match line {
+                Some(line) => {
+                    if let Some(rest) = line.strip_prefix(start) {
+                        return Ok(Some(rest.to_owned()));
+                    }
+                }
+                // Its standard output is closed: it has ended, or is about to.
+                None => return Err(self.one_ends().await),
+            }
+        }
+    }
+
+    /// Waits until one of the programs ends, and says which.
+    async fn one_ends(&mut self) -> anyhow::Error {
+        loop {
+            for program in &mut self.started {
+                let how = match program.child.try_wait() {
+                    Ok(None) => continue,
+                    Ok(Some(status)) => in_words(status),
+                    Err(error) => format!("could not be waited for ({error})"),
+                };
+                return anyhow!(
+                    "keep `{}` running: it {how}; its last lines, above, say why",
+                    program.name
+                );
+            }
+            tokio::time::sleep(LOOK_EVERY).await;
+        }
+    }
+
+    /// Ends the programs, the newest first. A further request while one of them ends is
+    /// passed on to it: a worker then gives its rollouts back.
+    async fn stop(mut self, requests: &mut Requests) {
+        while let Some(mut program) = self.started.pop() {
+            if matches!(program.child.try_wait(), Ok(Some(_))) {
+                continue;
+            }
+            if program.name == "worker" {
+                self.say("stopping once the rollouts in flight are over; Ctrl-C gives them back");
+            }
+            terminate(&program.child);
+            let status = loop {
+                tokio::select! {
+                    status = program.child.wait() => break status,
+                    () = requests.next() => terminate(&program.child),
+                }
+            };
+            if let Ok(status) = status
+                && !status.success()
+            {
+                self.say(&format!("`{}` {}", program.name, in_words(status)));
+            }
+        }
+        // What they printed last is still on its way.
+        while self.relays.join_next().await.is_some() {}
+        self.say("stopped");
+    }
+
+    /// Says something of this program's own, in the form of the others' lines.
+    fn say(&self, text: &str) {
+        print_prefixed("up", text);
+    }
+}
+
+/// Sends SIGTERM. A program that has ended meanwhile needs none.
+fn terminate(child: &Child) {
+    let pid = child.id().and_then(|id| Pid::from_raw(id.cast_signed()));
+    if let Some(pid) = pid {
+        let _ = kill_process(pid, rustix::process::Signal::TERM);
+    }
+}
+
+/// Reads after "it".
+fn in_words(status: ExitStatus) -> String {
+    match status.code() {
+        Some(code) => format!("ended with exit code {code}"),
+        None => format!("was killed ({status})"),
+    }
+}
+
+/// Prints what a program prints, line by line, behind its name, and passes it on.
+async fn relay(
+    output: Option<impl AsyncRead + Unpin>,
+    name: &'static str,
+    lines: Option<mpsc::UnboundedSender<String>>,
+) {
+    let Some(output) = output else { return };
+    let mut output = BufReader::new(output);
+    let mut line = Vec::new();
+    while let Ok(1..) = output.read_until(b'\n', &mut line).await {
+        let text = String::from_utf8_lossy(line.trim_ascii_end()).into_owned();
+        print_prefixed(name, &text);
+        if let Some(lines) = &lines {
+            // Nobody waits for a line any more once the program is known to run.
+            let _ = lines.send(text);
+        }
+        line.clear();
+    }
+}
+
+fn print_prefixed(name: &str, text: &str) {
+    // `eprintln` would panic where nobody reads any more.
+    let name = name.strip_prefix("policy-").unwrap_or(name);
+    let _ = writeln!(std::io::stderr(), "{name:<NAME_COLUMNS$} | {text}");
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_commands_that_are_shown_name_the_policy_and_addresses_that_are_served() {
+        let arguments = UpArguments {
+            data: "data".into(),
+            routes: vec!["mine=grpc://gpu:5000".to_owned()],
+            assets: "primitives".to_owned(),
+            slots: "1".to_owned(),
+            listen: "127.0.0.1:0".parse().expect("an address"),
+            gateway_listen: "127.0.0.1:0".parse().expect("an address"),
+        };
+        let text = ready(&arguments, "127.0.0.1:4000", "127.0.0.1:4001");
+        for part in [
+            "--policy mine",
+            "--endpoint http://127.0.0.1:4001",
+            "coordinator report first --connect http://127.0.0.1:4000",
+        ] {
+            assert!(text.contains(part), "{part}: {text}");
+        }
+        assert!(
+            text.lines().all(|line| line.chars().count() <= 100),
+            "{text}"
+        );
+        let usual = ready(&arguments, "127.0.0.1:7411", "127.0.0.1:7412");
+        assert!(!usual.contains("--connect"), "{usual}");
+    }
+}

@@ -1,0 +1,113 @@
+//! `coordinator why`: what is wrong with a policy whose campaign scores nothing. The
+//! examination is `policy-gateway doctor`, run on the very policy, endpoint and suite of
+//! the campaign.
+
+use std::path::PathBuf;
+use std::process::Stdio;
+
+use anyhow::Context;
+use clap::Args;
+use protocol::Condition;
+use report::Subject;
+use tokio::process::Command;
+
+use super::command::{CommandError, Connection, print_line};
+use super::siblings::sibling;
+
+/// Printed below the long help.
+const EXAMPLES: &str = "\
+Examples:
+  coordinator why first
+  coordinator why first --recorded recordings
+  coordinator why first --connect https://keeper:7411 --ca ca.pem --token-file operator-token";
+
+#[derive(Args, Debug)]
+#[command(after_long_help = EXAMPLES)]
+pub(super) struct WhyArguments {
+    /// Name of the campaign.
+    campaign: String,
+    /// Show the policy what `policy-gateway record` wrote into this folder, in place of
+    /// made-up scenes.
+    #[arg(long, value_name = "DIR")]
+    recorded: Option<PathBuf>,
+    #[command(flatten)]
+    connection: Connection,
+}
+
+/// Runs the examination. Its exit code is the command's: 1 if something is wrong.
+pub(super) async fn why(arguments: WhyArguments) -> Result<(), CommandError> {
+    let client = arguments.connection.client()?;
+    let status = client.campaign_status(&arguments.campaign).await?;
+    let subject = client.report(&arguments.campaign).await?;
+    print_line(&standing(&subject))?;
+    let url = policy_url(&status.policy_endpoint, &status.policy);
+    let mut doctor = Command::new(sibling("policy-gateway")?);
+    doctor.args(["doctor", &url]).stdin(Stdio::null());
+    match (&arguments.recorded, subject.records.first()) {
+        (Some(folder), _) => {
+            doctor.arg("--recorded").arg(folder);
+        }
+        (None, Some(first)) => {
+            doctor.args(["--suite", &first.id.task().suite().to_string()]);
+        }
+        (None, None) => {}
+    }
+    for (flag, file) in arguments.connection.access_files() {
+        doctor.arg(flag).arg(file);
+    }
+    print_line(&format!("policy-gateway doctor {url}"))?;
+    let ended = doctor
+        .status()
+        .await
+        .context("run `policy-gateway doctor`")?;
+    match ended.success() {
+        true => Ok(()),
+        false => Err(CommandError::Judged),
+    }
+}
+
+/// Success so far, nominal and perturbed, in a sentence.
+fn standing(subject: &Subject) -> String {
+    // Successes, and rollouts with an outcome.
+    let count = |is_nominal: bool| {
+        let of = |condition: Condition| (condition == Condition::Clean) == is_nominal;
+        let records = subject.records.iter().filter(|it| of(it.id.condition()));
+        let outcomes: Vec<bool> = records.filter_map(|it| it.outcome.success()).collect();
+        let successes = outcomes.iter().filter(|success| **success).count();
+        (successes, outcomes.len())
+    };
+    let (nominal, perturbed) = (count(true), count(false));
+    let advice = match nominal {
+        (_, 0) => "no nominal rollout has an outcome yet",
+        (0, _) => "a policy that never succeeds nominally is usually set up wrongly",
+        _ => "the policy does succeed, so look for a partial mistake, if there is any",
+    };
+    format!(
+        "campaign {}: {} of {} nominal and {} of {} perturbed rollouts succeed; {advice}",
+        subject.origin_name(),
+        nominal.0,
+        nominal.1,
+        perturbed.0,
+        perturbed.1
+    )
+}
+
+/// A campaign's endpoint as the gateway's commands write it: `grpc://HOST:PORT/POLICY`.
+fn policy_url(endpoint: &str, policy: &str) -> String {
+    let endpoint = endpoint.trim_end_matches('/');
+    match endpoint.strip_prefix("http://") {
+        Some(address) => format!("grpc://{address}/{policy}"),
+        None => format!("{endpoint}/{policy}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_campaigns_endpoint_becomes_the_doctors_address() {
+        assert_eq!(policy_url("http://h:1", "pi05"), "grpc://h:1/pi05");
+        assert_eq!(policy_url("https://h:1/", "pi05"), "https://h:1/pi05");
+    }
+}

@@ -1,0 +1,244 @@
+//! `coordinator up`: three programs in one terminal, and `coordinator why` for a campaign
+//! that scores nothing.
+
+use std::io::{BufRead, BufReader, Read};
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+
+use tests::programs::program;
+
+/// `coordinator up`, which is told to end when it goes out of scope.
+struct Up {
+    child: Child,
+    lines: std::sync::mpsc::Receiver<String>,
+    /// Every line of its log so far.
+    log: Vec<String>,
+    coordinator: String,
+    gateway: String,
+}
+
+impl Up {
+    fn start(data: &Path, arguments: &[&str]) -> Self {
+        let mut child = Command::new(program("coordinator"))
+            .args([
+                "up",
+                "--listen",
+                "127.0.0.1:0",
+                "--gateway-listen",
+                "127.0.0.1:0",
+                "--data",
+            ])
+            .arg(data)
+            .args(arguments)
+            .env_remove("RUST_LOG")
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("it starts");
+        let log = BufReader::new(child.stderr.take().expect("a pipe"));
+        let (sender, lines) = std::sync::mpsc::channel();
+        std::thread::spawn(move || {
+            for line in log.lines().map_while(Result::ok) {
+                // A test that has ended hears nothing more.
+                let _ = sender.send(line);
+            }
+        });
+        Self {
+            child,
+            lines,
+            log: Vec::new(),
+            coordinator: String::new(),
+            gateway: String::new(),
+        }
+    }
+
+    /// Reads the log up to a line that holds these words, and returns that line.
+    fn wait_for(&mut self, words: &str) -> String {
+        loop {
+            let line = self.lines.recv();
+            let line = line.unwrap_or_else(|_| panic!("no `{words}` in {:#?}", self.log));
+            self.log.push(line.clone());
+            if line.contains(words) {
+                return line;
+            }
+        }
+    }
+
+    /// Waits until all three run.
+    fn ready(mut self) -> Self {
+        let url = |line: &str| {
+            let (_, address) = line.split_once("listening on ").expect("an address");
+            let address = address.split([',', ' ']).next().unwrap_or_default();
+            format!("http://{address}")
+        };
+        self.coordinator = url(&self.wait_for("coordinator | listening on "));
+        self.gateway = url(&self.wait_for("gateway     | listening on "));
+        self.wait_for("worker      | worker ");
+        self
+    }
+
+    fn call(&self, arguments: &[&str]) -> Output {
+        let mut command = Command::new(program("coordinator"));
+        command
+            .args(arguments)
+            .args(["--connect", &self.coordinator]);
+        command.output().expect("it runs")
+    }
+
+    fn create(&self, name: &str, policy: &str) {
+        #[rustfmt::skip]
+        let created = self.call(&[
+            "campaign", "create", "--name", name, "--policy", policy, "--endpoint", &self.gateway,
+            "--tasks", "libero_object/0", "--axes", "none", "--configs", "0", "--nominal", "eval",
+        ]);
+        assert!(created.status.success(), "{created:?}");
+        let followed = self.call(&["campaign", "status", name, "--watch"]);
+        assert!(followed.status.success(), "{followed:?}");
+    }
+
+    fn signal(&self, name: &str, pid: u32) {
+        let status = Command::new("kill").args([name, &pid.to_string()]).status();
+        assert!(status.expect("kill runs").success());
+    }
+
+    /// The processes that it started, by the names of their programs.
+    fn children(&self) -> Vec<(String, u32)> {
+        let pid = self.child.id();
+        let tasks = std::fs::read_dir(format!("/proc/{pid}/task")).expect("tasks");
+        let children = tasks.flat_map(|task| {
+            let path = task.expect("a task").path().join("children");
+            let children = std::fs::read_to_string(path).unwrap_or_default();
+            let pids = children
+                .split_whitespace()
+                .map(|it| it.parse().expect("a number"));
+            pids.collect::<Vec<u32>>()
+        });
+        let name = |pid: u32| {
+            let name = std::fs::read_to_string(format!("/proc/{pid}/comm"));
+            (name.unwrap_or_default().trim().to_owned(), pid)
+        };
+        children.map(name).collect()
+    }
+
+    /// Waits for its end; its exit code, and whatever it printed.
+    fn end(mut self) -> (Option<i32>, String) {
+        let code = self.child.wait().expect("a child").code();
+        let mut said = String::new();
+        let out = self.child.stdout.as_mut().expect("a pipe");
+        out.read_to_string(&mut said).expect("UTF-8");
+        self.log.extend(self.lines.try_iter());
+        said.push_str(&self.log.join("\n"));
+        (code, said)
+    }
+}
+
+impl Drop for Up {
+    fn drop(&mut self) {
+        // After `end` there is nothing to end.
+        if matches!(self.child.try_wait(), Ok(None)) {
+            self.signal("-TERM", self.child.id());
+            let _ = self.child.wait();
+        }
+    }
+}
+
+#[test]
+fn one_command_runs_coordinator_gateway_and_worker_and_ctrl_c_stops_all() {
+    let data = tempfile::tempdir().unwrap();
+    let up = Up::start(&data.path().join("data"), &["--slots", "1"]).ready();
+    up.create("first", "expert");
+    let children = up.children();
+    let names: Vec<&str> = children.iter().map(|(name, _)| name.as_str()).collect();
+    assert_eq!(names, ["coordinator", "policy-gateway", "worker"]);
+
+    up.signal("-INT", up.child.id());
+    let (code, said) = up.end();
+    assert_eq!(code, Some(0), "{said}");
+    for words in [
+        "coordinator campaign create --name first --policy student",
+        "Ctrl-C stops all three",
+        "coordinator | stopped",
+        "up          | stopped",
+    ] {
+        assert!(said.contains(words), "{words}: {said}");
+    }
+    for (name, pid) in children {
+        assert!(
+            !Path::new(&format!("/proc/{pid}")).exists(),
+            "{name} lives on"
+        );
+    }
+}
+
+#[test]
+fn nothing_outlives_it_if_it_is_killed() {
+    let data = tempfile::tempdir().unwrap();
+    let up = Up::start(&data.path().join("data"), &["--slots", "1"]).ready();
+    let children = up.children();
+    assert_eq!(children.len(), 3);
+    up.signal("-KILL", up.child.id());
+    let (code, said) = up.end();
+    assert_eq!(code, None, "{said}");
+    for (name, pid) in children {
+        let began = std::time::Instant::now();
+        let alive = || {
+            let state = std::fs::read_to_string(format!("/proc/{pid}/stat"));
+            // A zombie waits for whoever adopted it, and does nothing.
+            state.is_ok_and(|state| !state.contains(") Z "))
+        };
+        while alive() {
+            assert!(
+                began.elapsed() < std::time::Duration::from_secs(30),
+                "{name} lives on"
+            );
+            std::thread::sleep(std::time::Duration::from_millis(20));
+        }
+    }
+}
+
+#[test]
+fn a_program_that_ends_is_named_and_takes_the_others_with_it() {
+    let data = tempfile::tempdir().unwrap();
+    let up = Up::start(&data.path().join("data"), &["--slots", "1"]).ready();
+    let children = up.children();
+    let gateway = children.iter().find(|(name, _)| name == "policy-gateway");
+    up.signal("-KILL", gateway.expect("it runs").1);
+    let (code, said) = up.end();
+    assert_eq!(code, Some(1), "{said}");
+    assert!(
+        said.contains("failed to keep `policy-gateway` running"),
+        "{said}"
+    );
+    for (name, pid) in children {
+        assert!(
+            !Path::new(&format!("/proc/{pid}")).exists(),
+            "{name} lives on"
+        );
+    }
+    // What cannot start says so, and nothing is left over.
+    let bad = Up::start(&data.path().join("data"), &["--assets", "/nowhere"]);
+    let (code, said) = bad.end();
+    assert_eq!(code, Some(1), "{said}");
+    assert!(said.contains("failed to keep `worker` running"), "{said}");
+}
+
+#[test]
+fn why_examines_the_policy_of_a_campaign_that_scores_nothing() {
+    let data = tempfile::tempdir().unwrap();
+    let routes = ["--slots", "1", "--route", "still=builtin:noop"];
+    let up = Up::start(&data.path().join("data"), &routes).ready();
+    up.create("nothing", "still");
+    let why = up.call(&["why", "nothing"]);
+    let said = String::from_utf8(why.stdout).expect("UTF-8");
+    assert!(
+        said.contains("campaign nothing: 0 of 1 nominal and 0 of 0 perturbed rollouts succeed"),
+        "{said}"
+    );
+    let asked = format!("doctor grpc://{}/still", &up.gateway["http://".len()..]);
+    assert!(said.contains(&asked), "{said}");
+    assert_eq!(
+        why.status.code(),
+        Some(1),
+        "a policy that never moves: {said}"
+    );
+}
