@@ -196,7 +196,7 @@ fn run_film(arguments: FilmArguments) -> anyhow::Result<()> {
     let pack = simulator.pack.name().to_owned();
     let files = Mutex::new((simulator.pack.clone(), simulator.sources.clone()));
     // One thread at a time fetches what a task needs.
-    let provide = |task| {
+    let provide = |task: TaskRef| {
         let files = files.lock().unwrap_or_else(PoisonError::into_inner);
         let (assets, sources) = &*files;
         let provided = assets::provide(assets, sources, [task]);
