@@ -305,6 +305,7 @@ fn worker_info(number: u32, arguments: &Arguments) -> WorkerInfo {
         id: worker_id(number),
         host: format!("simulated-{number}"),
         slots: arguments.slots_per_worker,
+        machine: None,
         cores: None,
         pin: pin(),
         program_version: env!("CARGO_PKG_VERSION").to_owned(),

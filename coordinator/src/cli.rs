@@ -77,7 +77,7 @@ enum Command {
     /// Create, list and follow campaigns.
     #[command(subcommand)]
     Campaign(CampaignCommand),
-    /// List, show and retry the rollouts of a campaign.
+    /// List, show, retry and skip the rollouts of a campaign.
     #[command(subcommand)]
     Jobs(jobs::JobsCommand),
     /// List the workers and how they stand.

@@ -28,8 +28,8 @@ use tracing_subscriber::util::SubscriberInitExt;
 /// Tables of a few rows, by the names that statements give them: campaigns,
 /// their tasks, policies, workers, origins.
 const SMALL: [&str; 7] = ["c", "t", "p", "w", "campaign", "policy", "worker"];
-/// Indices that hold the leased or the backed-off jobs only.
-const OF_FEW_JOBS: [&str; 3] = ["job_leased", "job_held", "job_backed_off"];
+/// Indices that hold the leased, the backed-off, or the lone jobs only.
+const OF_FEW_JOBS: [&str; 4] = ["job_leased", "job_held", "job_backed_off", "job_alone"];
 /// What the hot statements must be seen to walk.
 const WALKED: [&str; 4] = ["job_queued", "job_leased", "job_siblings", "worker_seen"];
 
@@ -222,6 +222,7 @@ async fn no_statement_of_a_worker_or_a_sweep_walks_the_jobs() {
         id: WorkerId("a".to_owned()),
         host: "here".to_owned(),
         slots: 2,
+        machine: None,
         cores: None,
         pin: pin(),
         program_version: "0.1.0".to_owned(),

@@ -13,7 +13,12 @@ use tests::slurm::{Cluster, NODES, free_ports, host_name, succeeded};
 const NAME: &str = "a_campaign_on_a_real_cluster_loses_nothing_and_charges_nobody";
 const CAMPAIGN: &str = "cluster";
 /// How attempts may end without an outcome here: nobody is charged for it.
-const UNCHARGED: [&str; 3] = ["draining", "policy_unavailable", "never_acknowledged"];
+const UNCHARGED: [&str; 4] = [
+    "draining",
+    "policy_unavailable",
+    "policy_lost",
+    "never_acknowledged",
+];
 
 #[test]
 fn a_campaign_on_a_real_cluster_loses_nothing_and_charges_nobody() {

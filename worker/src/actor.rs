@@ -36,6 +36,9 @@ pub enum PolicyError {
         endpoint: String,
         /// A sentence of what happened and what to do.
         problem: String,
+        /// Queries that it had answered in this session, if it was there at the first
+        /// one and is gone now; none if it never was there, or is overloaded.
+        answered: Option<u32>,
     },
     /// It describes itself as something that no rollout can work with.
     #[error("{} at {endpoint} cannot be used: {fault}", named(policy))]
@@ -101,19 +104,6 @@ fn sentence(policy: &str, endpoint: &str, verb: &str, call: &str, problem: &str)
         format!("{call} failed: {problem}")
     } else {
         format!("{} at {endpoint} {verb} {call}: {problem}", named(policy))
-    }
-}
-
-impl PolicyError {
-    /// Returns true if the policy answered this rollout with something else than
-    /// actions, which is charged. A policy that does not answer is charged to nobody; nor
-    /// is a description that fits no rollout, for which all rollouts of the policy would
-    /// pay.
-    pub fn is_misbehaviour(&self) -> bool {
-        matches!(
-            self,
-            Self::Nonsense { .. } | Self::Failed { .. } | Self::Ended { .. }
-        )
     }
 }
 

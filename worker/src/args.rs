@@ -18,6 +18,9 @@ use transport::{ClientArguments, EndpointError, parse_endpoint};
 ///
 /// The first SIGTERM or Ctrl-C drains: rollouts in flight are finished. A
 /// second one gives them back.
+/// Longest name of a machine, bytes.
+const MAX_MACHINE_BYTES: usize = 128;
+
 #[derive(Debug, Parser)]
 #[command(
     args_conflicts_with_subcommands = true,
@@ -146,6 +149,10 @@ pub struct ServeArguments {
     /// Asks policies here instead of where the campaign says
     #[arg(long, value_name = "URL", value_parser = server_url)]
     pub policy_endpoint: Option<String>,
+    /// What its machine is called when failures of one machine are told from those of
+    /// several; workers of one name are on one machine [default: from the kernel's boot id]
+    #[arg(long, value_name = "NAME", value_parser = machine_name)]
+    pub machine: Option<String>,
     /// Starts this program as a slot in place of `worker slot`, with the same
     /// arguments: a wrapper (numactl, a debugger), or a simulated slot
     #[arg(long, value_name = "FILE", hide = true)]
@@ -494,6 +501,13 @@ pub struct PreviewArguments {
 fn server_url(text: &str) -> Result<String, &'static str> {
     let read = parse_endpoint(text).map(|_| text.to_owned());
     read.map_err(|_| EndpointError::REMEDY)
+}
+
+fn machine_name(text: &str) -> Result<String, &'static str> {
+    match text.len() <= MAX_MACHINE_BYTES && text.chars().all(|c| c.is_ascii_graphic()) {
+        true if !text.is_empty() => Ok(text.to_owned()),
+        _ => Err("write 1 to 128 visible ASCII characters without spaces"),
+    }
 }
 
 fn slots(text: &str) -> Result<NonZeroUsize, &'static str> {

@@ -4,6 +4,9 @@ use std::hash::{BuildHasher, Hasher, RandomState};
 use std::{fmt, fs, process};
 
 use attempt::AttemptId;
+use sha2::{Digest, Sha256};
+
+use crate::digest::hex;
 
 /// A worker, new at every start.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -51,6 +54,23 @@ pub fn host_name() -> String {
         .unwrap_or_else(|| "unknown-host".to_owned())
 }
 
+/// What tells this machine from others, the same for every worker on it, in a container or
+/// not, whenever it is started; empty if nothing does.
+///
+/// It is made from the kernel's boot id, which all containers of a machine share and no
+/// other machine has. `/etc/machine-id` will not do: containers have their image's or
+/// none, and the nodes of a cluster that start from one image often have the same; nor
+/// will the host name, which is new for every container. A machine that was started again
+/// is another one by this: what was broken may have been mended.
+pub fn machine() -> String {
+    let boot = fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
+    match boot.trim() {
+        "" => String::new(),
+        // What is told of a machine leads nowhere else.
+        boot => hex(&Sha256::digest(format!("rollout machine {boot}")))[..32].to_owned(),
+    }
+}
+
 /// A number that no other start of a worker has: the standard library seeds
 /// its hash maps from the system's random numbers.
 pub fn random_number() -> u64 {
@@ -74,6 +94,14 @@ mod tests {
     fn no_two_ids_are_alike() {
         let ids: std::collections::HashSet<_> = (0..1000).map(|_| random_id()).collect();
         assert_eq!(ids.len(), 1000);
+    }
+
+    #[test]
+    fn a_machine_is_the_same_at_every_start_and_tells_no_boot_id() {
+        let boot = fs::read_to_string("/proc/sys/kernel/random/boot_id").expect("a boot id");
+        assert_eq!(machine(), machine());
+        assert_eq!(machine().len(), 32);
+        assert!(!machine().contains(&boot.trim().replace('-', "")[..8]));
     }
 
     #[test]

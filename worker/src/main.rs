@@ -24,7 +24,7 @@ use worker::args::{
     SlotArguments, SlotCount,
 };
 use worker::child::SlotProgram;
-use worker::ids::{WorkerId, host_name, random_id, random_number};
+use worker::ids::{WorkerId, host_name, machine, random_id, random_number};
 use worker::message::{Assignment, Session, VideoOf, VideoRequest};
 use worker::policy::{OF_ONE_ROLLOUT, POLICY_CALL_DEADLINE, PolicyClient};
 use worker::single::{OwnTask, RecordedActions};
@@ -374,6 +374,7 @@ fn run_worker(
     let identity = Identity {
         worker: WorkerId::new(&host, seed),
         host,
+        machine: arguments.machine.unwrap_or_else(machine),
         asset_pack: simulator.pack.name().to_owned(),
         asset_pack_digest: simulator.pack.digest().to_owned(),
         mujoco_version: Simulator::mujoco_version(),

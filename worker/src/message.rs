@@ -15,7 +15,7 @@ use proto::coordinator::release_request::Reason;
 use protocol::{ManifestRow, Realisation, RolloutId};
 use serde::{Deserialize, Serialize};
 
-use crate::actor::PolicySession;
+use crate::actor::{PolicyError, PolicySession};
 
 /// Longest line that either side reads, bytes. A manifest row takes about one
 /// thousand, the longest motion some 700 thousand.
@@ -231,6 +231,12 @@ pub enum FailureKind {
     PolicyMisbehaved,
     /// The policy did not answer. Not charged to the rollout.
     PolicyUnavailable,
+    /// The policy was there when it was asked first, and does not answer any more. Not
+    /// charged to the rollout, unless it happens again and again to this one.
+    PolicyLost {
+        /// Queries that it had answered.
+        answered: u32,
+    },
     /// The worker is going down. Not charged to the rollout.
     Draining,
 }
@@ -244,8 +250,36 @@ impl FailureKind {
             Self::SlotCrashed => Reason::SlotCrashed,
             Self::SlotStuck => Reason::SlotStuck,
             Self::PolicyMisbehaved => Reason::PolicyMisbehaved,
-            Self::PolicyUnavailable => Reason::PolicyUnavailable,
+            Self::PolicyUnavailable | Self::PolicyLost { .. } => Reason::PolicyUnavailable,
             Self::Draining => Reason::Draining,
+        }
+    }
+}
+
+impl From<&PolicyError> for FailureKind {
+    /// Charges the rollout for an answer that breaks the protocol, but not for a missing
+    /// one. A description that fits no rollout is not charged either, because all of the
+    /// policy's rollouts would pay for it.
+    fn from(error: &PolicyError) -> Self {
+        match *error {
+            PolicyError::Nonsense { .. }
+            | PolicyError::Failed { .. }
+            | PolicyError::Ended { .. } => Self::PolicyMisbehaved,
+            PolicyError::Unavailable {
+                answered: Some(answered),
+                ..
+            } => Self::PolicyLost { answered },
+            _ => Self::PolicyUnavailable,
+        }
+    }
+}
+
+impl FailureKind {
+    /// The queries that a policy had answered which was lost.
+    pub(crate) fn answered_queries(self) -> Option<u32> {
+        match self {
+            Self::PolicyLost { answered } => Some(answered),
+            _ => None,
         }
     }
 }

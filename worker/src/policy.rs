@@ -14,7 +14,7 @@ use proto::policy::{
 use proto::{MAX_MESSAGE_BYTES, PROTOCOL_VERSION};
 use tokio::runtime::Runtime;
 use tonic::transport::Endpoint;
-use tonic::{Response, Status};
+use tonic::{Code, Response, Status};
 use transport::{
     Access, Connection, Peer, ServerKind, Settings, answer, is_outage, parse_endpoint,
 };
@@ -101,8 +101,15 @@ impl PolicyClient {
         self.runtime.block_on(within(deadline, call))
     }
 
-    fn unavailable(&self, call: &str, session: PolicySession<'_>, status: &Status) -> PolicyError {
+    fn unavailable(
+        &self,
+        call: &str,
+        session: PolicySession<'_>,
+        answered: Option<u32>,
+        status: &Status,
+    ) -> PolicyError {
         PolicyError::Unavailable {
+            answered: answered.filter(|_| status.code() != Code::ResourceExhausted),
             call: call.to_owned(),
             policy: session.policy.to_owned(),
             endpoint: self.endpoint.clone(),
@@ -110,9 +117,15 @@ impl PolicyClient {
         }
     }
 
-    fn refused(&self, call: &str, session: PolicySession<'_>, status: &Status) -> PolicyError {
+    fn refused(
+        &self,
+        call: &str,
+        session: PolicySession<'_>,
+        query: Option<u32>,
+        status: &Status,
+    ) -> PolicyError {
         if is_outage(status) {
-            return self.unavailable(call, session, status);
+            return self.unavailable(call, session, query, status);
         }
         PolicyError::Failed {
             call: call.to_owned(),
@@ -139,7 +152,7 @@ impl Actor for PolicyClient {
         let mut grpc = self.grpc.clone();
         let about = self
             .call(session.deadline, grpc.describe(request))
-            .map_err(|status| self.unavailable("Describe", session, &status))?;
+            .map_err(|status| self.unavailable("Describe", session, None, &status))?;
         read_description(about).map_err(|fault| PolicyError::Description {
             policy: session.policy.to_owned(),
             endpoint: self.endpoint.clone(),
@@ -164,7 +177,7 @@ impl Actor for PolicyClient {
         let mut grpc = self.grpc.clone();
         self.call(session.deadline, grpc.reset(request))
             .map(|_| ())
-            .map_err(|status| self.refused("Reset", session, &status))
+            .map_err(|status| self.refused("Reset", session, None, &status))
     }
 
     fn end(&mut self, session: PolicySession<'_>) {
@@ -190,7 +203,7 @@ impl Actor for PolicyClient {
         let call = format!("query {query_index}");
         let response = self
             .call(session.deadline, grpc.infer(request))
-            .map_err(|status| self.refused(&call, session, &status))?;
+            .map_err(|status| self.refused(&call, session, Some(query_index), &status))?;
         let horizon = u32::try_from(horizon).unwrap_or(u32::MAX);
         let actions = policy_protocol::actions(&response, horizon);
         let actions = actions.map_err(|fault| PolicyError::Nonsense {

@@ -76,8 +76,7 @@ impl RolloutError {
         let kind = match self {
             Self::Simulator { source, .. } if source.is_of_the_machine() => FailureKind::Machine,
             Self::Simulator { .. } => FailureKind::Simulator,
-            Self::Policy(error) if error.is_misbehaviour() => FailureKind::PolicyMisbehaved,
-            Self::Policy(_) => FailureKind::PolicyUnavailable,
+            Self::Policy(error) => FailureKind::from(error),
             Self::Abandoned => return None,
         };
         let error = match self {

@@ -1,11 +1,11 @@
-//! `coordinator jobs list|show|retry`.
+//! `coordinator jobs list|show|retry|skip`.
 
 use anyhow::anyhow;
 use clap::{Args, Subcommand};
 use coordinator::client::Service;
 use coordinator::words::duration_text;
 use proto::coordinator::{
-    GetJobRequest, GetJobResponse, Job, JobName, ListJobsRequest, RetryJobsRequest,
+    GetJobRequest, GetJobResponse, Job, JobName, ListJobsRequest, RetryJobsRequest, SkipJobsRequest,
 };
 use protocol::RolloutId;
 use queue::ids::shortened;
@@ -26,8 +26,11 @@ pub(super) enum JobsCommand {
     List(ListArguments),
     /// Show one rollout with all its attempts.
     Show(ShowArguments),
-    /// Requeue rollouts that are in quarantine after failing too often.
+    /// Requeue rollouts that are in quarantine.
     Retry(RetryArguments),
+    /// Give rollouts up that wait or are being run: they go into quarantine, count
+    /// against nobody, and `jobs retry` takes them out again.
+    Skip(SkipArguments),
 }
 
 /// Printed below the long help.
@@ -95,11 +98,23 @@ pub(super) struct RetryArguments {
     connection: Connection,
 }
 
+#[derive(Args, Debug)]
+pub(super) struct SkipArguments {
+    /// Name of the campaign.
+    campaign: String,
+    /// Rollout ids; `ID#r1` is a second replicate.
+    #[arg(required = true)]
+    rollouts: Vec<String>,
+    #[command(flatten)]
+    connection: Connection,
+}
+
 pub(super) async fn jobs(command: JobsCommand) -> Result<(), CommandError> {
     match command {
         JobsCommand::List(arguments) => list(arguments).await,
         JobsCommand::Show(arguments) => show(arguments).await,
         JobsCommand::Retry(arguments) => retry(arguments).await,
+        JobsCommand::Skip(arguments) => skip(arguments).await,
     }
 }
 
@@ -173,6 +188,18 @@ async fn retry(arguments: RetryArguments) -> Result<(), CommandError> {
         0 => "nothing is in quarantine".to_owned(),
         jobs => format!("{jobs} requeued"),
     })?)
+}
+
+async fn skip(arguments: SkipArguments) -> Result<(), CommandError> {
+    let names: Result<Vec<JobName>, CommandError> =
+        arguments.rollouts.iter().map(|id| job_name(id)).collect();
+    let request = SkipJobsRequest {
+        campaign: arguments.campaign,
+        jobs: names?,
+    };
+    let client = arguments.connection.client()?;
+    let skipped = client.call(request, Service::skip_jobs).await?;
+    Ok(print_line(&format!("{} skipped", skipped.jobs))?)
 }
 
 /// "spatial/t0/camera/L2/c03" or "spatial/t0/camera/L2/c03#r1".

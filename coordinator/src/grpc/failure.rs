@@ -37,7 +37,8 @@ fn code(error: &QueueError) -> Code {
         | QueueError::CampaignInUse { .. }
         | QueueError::GoneOnWith { .. }
         | QueueError::PolicyMeasured { .. }
-        | QueueError::NotQuarantined { .. } => Code::FailedPrecondition,
+        | QueueError::NotQuarantined { .. }
+        | QueueError::NotSkippable { .. } => Code::FailedPrecondition,
         QueueError::BackupInHand => Code::ResourceExhausted,
         QueueError::CampaignDiffers { .. } | QueueError::NameTaken { .. } => Code::AlreadyExists,
         QueueError::Unspecified { .. }

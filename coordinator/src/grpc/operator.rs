@@ -11,7 +11,7 @@ use proto::coordinator::{
     ForecastRequest, ForecastResponse, GetCampaignRequest, GetCampaignResponse, GetJobRequest,
     GetJobResponse, ImportCampaignResponse, ListCampaignsRequest, ListCampaignsResponse,
     ListJobsRequest, ListJobsResponse, ListWorkersRequest, ListWorkersResponse, ReportRequest,
-    RetryJobsRequest, RetryJobsResponse,
+    RetryJobsRequest, RetryJobsResponse, SkipJobsRequest, SkipJobsResponse,
 };
 use queue::Queue;
 use queue::expand::NewCampaign;
@@ -159,6 +159,14 @@ impl OperatorService for OperatorApi {
         let retry = read::retry(request.jobs, request.all)?;
         let jobs = self.queue.retry_jobs(&name, &retry).await.map_err(failed)?;
         Ok(Response::new(RetryJobsResponse { jobs }))
+    }
+
+    async fn skip_jobs(&self, request: Request<SkipJobsRequest>) -> Answer<SkipJobsResponse> {
+        let request = request.into_inner();
+        let name = campaign_name(&request.campaign)?;
+        let names = read::job_names(request.jobs)?;
+        let jobs = self.queue.skip_jobs(&name, &names).await.map_err(failed)?;
+        Ok(Response::new(SkipJobsResponse { jobs }))
     }
 
     async fn list_workers(&self, _: Request<ListWorkersRequest>) -> Answer<ListWorkersResponse> {

@@ -52,6 +52,7 @@ pub(super) fn worker_info(request: wire::RegisterRequest) -> Result<WorkerInfo, 
         host: text("host", request.host)?,
         slots: request.slots,
         cores: (request.cores > 0).then_some(request.cores),
+        machine: Some(text("machine", request.machine)?).filter(|it| !it.is_empty()),
         pin: Pin {
             asset_pack: required("asset_pack", request.asset_pack)?,
             asset_pack_digest: required("asset_pack_digest", request.asset_pack_digest)?,
@@ -234,6 +235,14 @@ pub(super) fn retry(jobs: Vec<wire::JobName>, all: bool) -> Result<Retry, Status
         _ => Err(invalid(format!(
             "name 1 to {MAX_JOBS_RETRIED} jobs, or ask for all"
         ))),
+    }
+}
+
+/// The jobs that a call names.
+pub(super) fn job_names(jobs: Vec<wire::JobName>) -> Result<Vec<JobName>, Status> {
+    match jobs.len() {
+        1..=MAX_JOBS_RETRIED => jobs.into_iter().map(job_name).collect(),
+        _ => Err(invalid(format!("name 1 to {MAX_JOBS_RETRIED} jobs"))),
     }
 }
 

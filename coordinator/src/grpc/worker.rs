@@ -123,7 +123,9 @@ impl WorkerService for WorkerApi {
         let attempt = read::attempt(&request.attempt_id)?;
         let reason = read::failure_reason(request.reason)?;
         let error = read::error_text(&request.error);
-        let released = self.queue.release(attempt, reason, error).await;
+        let answered = request.answered_queries;
+        let released = self.queue.release_after(attempt, reason, error, answered);
+        let released = released.await;
         let reply = released.map_err(failed)?;
         let verdict = match reply.verdict {
             ReleaseVerdict::Requeued => Verdict::Requeued,

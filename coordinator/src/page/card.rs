@@ -96,7 +96,7 @@ fn standing(shown: &Shown) -> (&'static str, &'static str, String) {
             ("running", "running", detail)
         }
         (None, "quarantined") => {
-            let detail = format!("after {} failed attempts", line.charged_attempts);
+            let detail = format!("after {} attempts", line.attempt);
             ("aside", "quarantined", detail)
         }
         (None, _) => ("empty", "waiting", String::new()),

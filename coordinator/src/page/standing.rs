@@ -68,9 +68,10 @@ pub(super) async fn quarantine(page: &Page) -> Result<Sheet, Problem> {
             p { "Nothing is in quarantine: every rollout that failed was tried again." }
         } @else {
             p {
-                "These rollouts were charged with too many attempts that ended without an outcome, \
-                through the machine, the simulator or answers of the policy that broke the \
-                protocol. They are in no rate; the report gives bounds on the measures. "
+                "These rollouts were charged with too many attempts that ended without an outcome \
+                (through the machine, the simulator, or answers of the policy that broke the \
+                protocol), took their policy or their workers down, or were skipped. They are in \
+                no rate; the report gives bounds on the measures. "
                 code { "coordinator jobs retry CAMPAIGN ROLLOUT" } " retries one."
             }
             @if quarantined.len() >= MAX_QUARANTINED as usize {
@@ -151,7 +152,7 @@ fn policy_section(policy: &PolicyLine, now: UnixMillis) -> Markup {
                     pre { (reason) }
                 },
                 PolicyState::Probing { reason, .. } => {
-                    p { "One rollout is out to try it; the others wait. Before that, it said: " }
+                    p { "One rollout is out to try it; the others wait. The reason: " }
                     pre { (reason) }
                 },
             }

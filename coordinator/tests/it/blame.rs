@@ -103,3 +103,68 @@ async fn only_its_machines_failures_stop_a_worker() {
         assert_eq!(misbehaved > 0, reason == Reason::PolicyMisbehaved);
     }
 }
+
+/// Finding B2: a worker that is started again has a new id, so that one machine counted
+/// as many.
+#[tokio::test]
+async fn a_machine_whose_worker_is_started_again_condemns_no_rollout_that_another_could_run() {
+    let bench = Bench::start().await;
+    create(&bench, "first", "any").await;
+    let mut sound = bench.worker_at("sound", "s").await;
+    let mut job = None;
+    for start in 0..4 {
+        let mut worker = bench.worker_at("broken", &format!("b{start}")).await;
+        bench.pass(PAST_BACKOFF_SECS).await;
+        worker.heartbeat(&[], 0).await;
+        sound.heartbeat(&[], 0).await;
+        let leases = worker.claim(12).await;
+        let of = |it: &&proto::coordinator::Lease| Some(it.job_id) == job || job.is_none();
+        let lease = leases.iter().find(of);
+        if start == 3 {
+            assert!(lease.is_none(), "it is kept for the other machine");
+            continue;
+        }
+        let lease = lease.expect("the job");
+        job = Some(lease.job_id);
+        let released = worker.release(lease, Reason::SlotCrashed).await;
+        assert_eq!(released.verdict(), Released::Requeued);
+        for other in leases.iter().filter(|it| it.job_id != lease.job_id) {
+            worker.release(other, Reason::Draining).await;
+        }
+    }
+    bench.pass(PAST_BACKOFF_SECS).await;
+    sound.heartbeat(&[], 0).await;
+    let leases = sound.claim(12).await;
+    let lease = leases.iter().find(|it| Some(it.job_id) == job);
+    let committed = sound.commit(lease.expect("the job"), true).await;
+    assert_eq!(committed, Verdict::Accepted);
+}
+
+#[tokio::test]
+async fn a_broken_machine_has_one_failure_left_when_its_worker_is_started_again() {
+    let bench = Bench::start().await;
+    create(&bench, "first", "any").await;
+    let fail = async |worker: &mut Worker| {
+        bench.pass(PAST_BACKOFF_SECS).await;
+        worker.heartbeat(&[], 0).await;
+        let lease = worker.claim_one().await;
+        let released = worker.release(&lease, Reason::MachineError).await;
+        !released.stop_leasing.is_empty()
+    };
+    let mut first = bench.worker_at("broken", "first").await;
+    for failures in 1..=5 {
+        assert_eq!(fail(&mut first).await, failures == 5);
+    }
+    let mut second = bench.worker_at("broken", "second").await;
+    assert!(fail(&mut second).await);
+    // Another machine has nothing to do with it, nor does a worker that names none.
+    let mut elsewhere = bench.worker_at("sound", "elsewhere").await;
+    let mut nameless = bench.worker("nameless").await;
+    assert!(!fail(&mut elsewhere).await && !fail(&mut nameless).await);
+    // It was mended.
+    let mut third = bench.worker_at("broken", "third").await;
+    let lease = third.claim_one().await;
+    assert_eq!(third.commit(&lease, true).await, Verdict::Accepted);
+    let mut fourth = bench.worker_at("broken", "fourth").await;
+    assert!(!fail(&mut fourth).await);
+}

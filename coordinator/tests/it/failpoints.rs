@@ -67,6 +67,7 @@ async fn everything(serve: &Serve) -> Result<(), Status> {
         attempt_id: lease.attempt_id.clone(),
         reason: Reason::SimulatorError.into(),
         error: "on purpose".to_owned(),
+        ..wire::ReleaseRequest::default()
     };
     worker.service.release(release).await?;
     let lease = worker.try_claim(0.0, "").await?.lease.expect("a lease");
@@ -197,6 +198,7 @@ async fn take_over(
             attempt_id: job.attempt_id,
             reason: Reason::Draining.into(),
             error: "another life".to_owned(),
+            ..wire::ReleaseRequest::default()
         };
         worker.service.release(request).await.expect("released");
     }

@@ -3,8 +3,9 @@
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
 use proto::coordinator::release_response::Verdict as Released;
-use proto::coordinator::{Lease, ReleaseRequest};
+use proto::coordinator::{AlterCampaignRequest, Lease, ReleaseRequest};
 use queue::Timing;
+use queue::rules::lease::MAX_SILENCES;
 use serde_json::{Value, json};
 use tonic::Code;
 
@@ -46,15 +47,106 @@ async fn late_result_from_an_old_attempt_is_refused() {
     assert_eq!(bench.status("one").await.succeeded, 0);
 }
 
+/// Finding B4: a network that is cut for longer than a lease charged every lease.
 #[tokio::test]
-async fn a_late_result_is_refused_even_while_nobody_else_has_the_job() {
+async fn a_worker_that_was_cut_off_is_charged_nothing_and_heard_when_it_comes_back() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("cut")).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    let leases = worker.claim(4).await;
+    let held: Vec<&Lease> = leases.iter().collect();
+    worker.heartbeat(&held, 12).await;
+    bench.pass(40).await;
+    let status = bench.status("cut").await;
+    assert_eq!((status.leased, status.queued), (0, 4));
+    let told = "SELECT count(*) FROM failure WHERE reason = 'worker_silent' AND charged = 0
+                AND error LIKE '%fell silent after control step 12%'";
+    assert_eq!(bench.count(told).await, 4);
+    // One had a result to tell; the others go on.
+    assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
+    assert_eq!(worker.commit(&leases[0], true).await, Verdict::Duplicate);
+    assert_eq!(worker.heartbeat(&held[1..], 20).await, [""; 0]);
+    assert_eq!(bench.status("cut").await.leased, 3);
+    for lease in &leases[1..] {
+        assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
+    }
+    assert_eq!(bench.count("SELECT count(*) FROM failure").await, 0);
+    assert_eq!(bench.count("SELECT max(attempt) FROM job").await, 1);
+    assert_eq!(
+        bench
+            .count("SELECT max(charged_in_a_row) FROM worker")
+            .await,
+        0
+    );
+}
+
+#[tokio::test]
+async fn cuts_of_the_network_quarantine_nothing_and_stop_no_worker() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("cut")).await.expect("created");
+    // More than would quarantine a rollout or stop a worker, were they charged.
+    for _ in 0..6 {
+        let mut worker = bench.worker("a").await;
+        bench.pass(PAST_BACKOFF_SECS).await;
+        assert_eq!(worker.claim(4).await.len(), 4);
+        bench.pass(40).await;
+    }
+    let status = bench.status("cut").await;
+    assert_eq!((status.queued, status.quarantined), (4, 0));
+    assert_eq!(
+        bench
+            .count("SELECT count(*) FROM failure WHERE charged")
+            .await,
+        0
+    );
+    let stopped = "SELECT count(*) FROM worker WHERE stopped_reason IS NOT NULL";
+    assert_eq!(bench.count(stopped).await, 0);
+}
+
+#[tokio::test]
+async fn a_rollout_that_takes_its_workers_down_is_quarantined_and_counts_for_nobody() {
+    let bench = Bench::start().await;
+    one_job(&bench).await;
+    for number in 0..MAX_SILENCES {
+        let mut worker = bench.worker(&format!("w{number}")).await;
+        bench.pass(PAST_BACKOFF_SECS).await;
+        worker.claim_one().await;
+        bench.pass(40).await;
+    }
+    assert_eq!(bench.status("one").await.quarantined, 1);
+    let told = "SELECT count(*) FROM failure WHERE reason = 'takes_worker_down' AND charged = 0";
+    assert_eq!(bench.count(told).await, 1);
+    assert_eq!(bench.count("SELECT charged_attempts FROM job").await, 0);
+}
+
+#[tokio::test]
+async fn a_worker_that_comes_back_is_not_heard_past_the_ceiling_of_its_attempt() {
     let bench = Bench::start().await;
     one_job(&bench).await;
     let mut slow = bench.worker("slow").await;
     let old = slow.claim_one().await;
-    bench.pass(40).await;
+    bench.pass(3_600).await;
     assert_eq!(slow.commit(&old, true).await, Verdict::Stale);
     assert_eq!(bench.status("one").await.queued, 1);
+}
+
+#[tokio::test]
+async fn a_worker_that_comes_back_is_not_heard_once_its_policy_is_elsewhere() {
+    let bench = Bench::start().await;
+    one_job(&bench).await;
+    let mut worker = bench.worker("a").await;
+    let lease = worker.claim_one().await;
+    bench.pass(40).await;
+    let request = AlterCampaignRequest {
+        campaign: "one".to_owned(),
+        policy_endpoint: Some("http://127.0.0.1:50052".to_owned()),
+        ..AlterCampaignRequest::default()
+    };
+    let altered = bench.operator().await.alter_campaign(request).await;
+    altered.expect("altered");
+    assert_eq!(worker.commit(&lease, true).await, Verdict::Stale);
+    let over = worker.heartbeat(&[&lease], 30).await;
+    assert_eq!(over, std::slice::from_ref(&lease.attempt_id));
 }
 
 #[tokio::test]
@@ -115,20 +207,22 @@ async fn who_was_granted_nothing_can_report_nothing() {
 }
 
 #[tokio::test]
-async fn a_lease_without_heartbeats_expires_and_is_charged() {
+async fn an_attempt_that_its_worker_leaves_out_expires_and_is_charged() {
     let bench = Bench::start().await;
     one_job(&bench).await;
     let mut worker = bench.worker("a").await;
     let lease = worker.claim_one().await;
     assert!(worker.heartbeat(&[&lease], 12).await.is_empty());
-    bench.pass(29).await;
+    bench.pass(20).await;
+    worker.heartbeat(&[], 0).await;
+    bench.pass(9).await;
     assert_eq!(bench.status("one").await.leased, 1);
     bench.pass(2).await;
     let status = bench.status("one").await;
     assert_eq!((status.leased, status.queued), (0, 1));
     assert_eq!(bench.count("SELECT charged_attempts FROM job").await, 1);
     let told = "SELECT count(*) FROM failure WHERE reason = 'lease_lost' AND charged = 1
-                AND error LIKE '%fell silent after control step 12%'";
+                AND error LIKE '%has left this attempt out since control step 12%'";
     assert_eq!(bench.count(told).await, 1);
     let over = worker.heartbeat(&[&lease], 30).await;
     assert_eq!(over, std::slice::from_ref(&lease.attempt_id));
@@ -279,16 +373,18 @@ async fn a_worker_that_fails_five_times_in_a_row_is_told_to_stop() {
 }
 
 #[tokio::test]
-async fn a_worker_that_falls_silent_with_many_leases_is_struck_once() {
+async fn a_worker_that_leaves_many_leases_out_is_struck_once() {
     let bench = Bench::start().await;
     let spec = with(small_spec("many"), json!({"configs": [0, 1, 2]}));
     bench.create(&spec).await.expect("created");
     let mut worker = bench.worker("a").await;
     assert_eq!(worker.claim(8).await.len(), 8);
-    bench.pass(40).await;
+    bench.pass(20).await;
+    worker.heartbeat(&[], 0).await;
+    bench.pass(20).await;
     assert_eq!(bench.count("SELECT charged_in_a_row FROM worker").await, 1);
     bench.pass(60).await;
-    assert_eq!(worker.claim(8).await.len(), 8, "it may come back");
+    assert_eq!(worker.claim(8).await.len(), 8, "it goes on");
 }
 
 #[tokio::test]

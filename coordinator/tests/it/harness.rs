@@ -137,6 +137,18 @@ impl Bench {
         self.worker_drawing(id, pack, "llvmpipe").await
     }
 
+    /// Registers a worker of the `primitives` pack on a machine that it names.
+    pub(crate) async fn worker_at(&self, machine: &str, id: &str) -> Worker {
+        let mut worker = self.worker(id).await;
+        let registration = wire::RegisterRequest {
+            machine: machine.to_owned(),
+            ..registration(id, "primitives")
+        };
+        let registered = worker.service.register(registration).await;
+        registered.expect("registers");
+        worker
+    }
+
     /// Registers a worker of some pack and renderer.
     pub(crate) async fn worker_drawing(&self, id: &str, pack: &str, renderer: &str) -> Worker {
         let channel = Channel::from_shared(self.url.clone())
@@ -344,10 +356,30 @@ impl Worker {
         lease: &wire::Lease,
         reason: Reason,
     ) -> wire::ReleaseResponse {
+        self.release_after(lease, reason, None).await
+    }
+
+    /// Loses the policy after it has answered so many queries.
+    pub(crate) async fn lose_policy(
+        &mut self,
+        lease: &wire::Lease,
+        answered: u32,
+    ) -> wire::ReleaseResponse {
+        let reason = Reason::PolicyUnavailable;
+        self.release_after(lease, reason, Some(answered)).await
+    }
+
+    async fn release_after(
+        &mut self,
+        lease: &wire::Lease,
+        reason: Reason,
+        answered_queries: Option<u32>,
+    ) -> wire::ReleaseResponse {
         let request = wire::ReleaseRequest {
             attempt_id: lease.attempt_id.clone(),
             reason: reason.into(),
             error: "the bench said so".to_owned(),
+            answered_queries,
         };
         let response = self.service.release(request).await;
         response.expect("a verdict").into_inner()
@@ -414,6 +446,7 @@ pub(crate) fn registration(id: &str, pack: &str) -> wire::RegisterRequest {
         mujoco_version: "3.3.7".to_owned(),
         renderer: "llvmpipe".to_owned(),
         cores: 2,
+        ..wire::RegisterRequest::default()
     }
 }
 

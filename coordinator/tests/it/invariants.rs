@@ -16,7 +16,7 @@ use crate::harness::{Bench, small_spec, with};
 use crate::process::{coordinator, text};
 
 /// What breaks each, past the coordinator, and a word of the violation.
-const BROKEN: [(&str, &str, &str); 17] = [
+const BROKEN: [(&str, &str, &str); 18] = [
     (
         "file_is_whole",
         "PRAGMA writable_schema = 1; DELETE FROM sqlite_schema WHERE name = 'job_queued'",
@@ -56,6 +56,11 @@ const BROKEN: [(&str, &str, &str); 17] = [
         "charges_are_accounted_for",
         "UPDATE job SET charged_attempts = 1 WHERE state = 'leased'",
         "1 charged attempts",
+    ),
+    (
+        "losses_are_accounted_for",
+        "UPDATE job SET losses = 1 WHERE state = 'leased'",
+        "1 losses",
     ),
     (
         "attempts_only_rise",
@@ -199,13 +204,13 @@ async fn the_program_names_violations_and_fails() {
     let folder = sound().await;
     let path = |folder: &TempDir| folder.path().to_str().expect("UTF-8").to_owned();
     let output = coordinator(&["check", &path(&folder)]);
-    assert_eq!(text(&output.stdout), "all 17 invariants hold\n");
+    assert_eq!(text(&output.stdout), "all 18 invariants hold\n");
     let copy = broken(folder.path(), "DELETE FROM result").await;
     let output = coordinator(&["check", &path(&copy)]);
     assert_eq!(output.status.code(), Some(1));
     let said = text(&output.stdout);
     assert!(said.contains("committed_has_one_result: 2\n"), "{said}");
-    assert!(text(&output.stderr).contains("2 of 17 invariants"));
+    assert!(text(&output.stderr).contains("2 of 18 invariants"));
     let output = coordinator(&["check", "/nowhere"]);
     assert_eq!(output.status.code(), Some(2));
     let other = folder.path().join("notes.txt");

@@ -7,6 +7,7 @@ mod artifacts;
 mod blame;
 mod campaigns;
 mod claims;
+mod clocks;
 mod compare;
 mod derived;
 mod disk;

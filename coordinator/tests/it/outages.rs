@@ -1,13 +1,17 @@
 //! A policy that is down pauses its own jobs only, and they resume by
 //! themselves.
 
+use std::collections::BTreeSet;
+
 use proto::coordinator::ChangeCampaignRequest;
 use proto::coordinator::change_campaign_request::Change;
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
+use proto::coordinator::{JobName, Lease, RetryJobsRequest, SkipJobsRequest};
+use queue::invariants::check;
 use serde_json::json;
 
-use crate::harness::{Bench, small_spec, with};
+use crate::harness::{Bench, rollout_id, small_spec, with};
 
 /// Past the first back-off of an outage (1 s), and of the one after (2 s).
 const PAST_FIRST_SECS: u64 = 2;
@@ -189,4 +193,168 @@ async fn a_pause_survives_a_restart_and_still_ends_by_itself() {
     assert_eq!(probe.policy, "fragile");
     assert_eq!(worker.commit(&probe, true).await, Verdict::Accepted);
     assert!(!bench.status("first").await.policy_paused);
+}
+
+/// Plays a campaign of eight rollouts on two slots, of which one rollout takes the policy
+/// down after it has answered so many of its queries, and everything with it that runs.
+async fn plays_on(killer_is_answered: u32) -> Bench {
+    let bench = Bench::start().await;
+    let spec = spec_of("first", "fragile");
+    bench.create(&spec).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    let killer = |lease: &Lease| rollout_id(lease).ends_with("sensor/L1/c00");
+    for _ in 0..200 {
+        bench.pass(3).await;
+        worker.heartbeat(&[], 0).await;
+        let mut leases = worker.claim(2).await;
+        // It dies before the others are through.
+        leases.sort_by_key(|lease| !killer(lease));
+        let dies = leases.iter().any(killer);
+        for lease in &leases {
+            match (dies, killer(lease)) {
+                (true, true) => {
+                    worker
+                        .lose_policy(lease, killer_is_answered)
+                        .await
+                        .backoff_secs
+                }
+                (true, false) => worker.lose_policy(lease, 5).await.backoff_secs,
+                (false, _) => {
+                    assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
+                    0.0
+                }
+            };
+        }
+        let status = bench.status("first").await;
+        if status.committed + status.quarantined == status.total {
+            break;
+        }
+    }
+    bench
+}
+
+/// Finding B1: it was requeued in its place, was the next probe, and so on for ever.
+#[tokio::test]
+async fn a_rollout_that_takes_its_policy_down_is_quarantined_and_the_others_are_done() {
+    for killer_is_answered in [3, 0] {
+        let bench = plays_on(killer_is_answered).await;
+        let status = bench.status("first").await;
+        assert_eq!((status.committed, status.quarantined), (7, 1));
+        assert!(!bench.status("first").await.policy_paused || status.queued == 0);
+        let told = "SELECT count(*) FROM job j JOIN failure f ON f.job_id = j.id
+                AND f.attempt = j.attempt
+            WHERE j.state = 'quarantined' AND j.rollout_id LIKE '%sensor/L1/c00'
+                AND j.charged_attempts = 0 AND f.reason = 'takes_policy_down'
+                AND f.error LIKE '%takes its policy down%the bench said so'";
+        assert_eq!(bench.count(told).await, 1);
+        assert_eq!(
+            bench
+                .count("SELECT count(*) FROM failure WHERE charged")
+                .await,
+            0
+        );
+        let folder = bench.stop().await;
+        assert_eq!(check(folder.path()).await.expect("a database"), []);
+    }
+}
+
+#[tokio::test]
+async fn an_outage_that_lasts_quarantines_nothing_and_is_tried_with_one_rollout_after_another() {
+    let bench = Bench::start().await;
+    bench
+        .create(&spec_of("first", "fragile"))
+        .await
+        .expect("created");
+    let mut worker = bench.worker("a").await;
+    // All of them had it when it went down.
+    for lease in worker.claim(8).await {
+        worker.lose_policy(&lease, 4).await;
+    }
+    let mut probes = BTreeSet::new();
+    for _ in 0..30 {
+        bench.pass(130).await;
+        worker.heartbeat(&[], 0).await;
+        let probe = worker.claim_one().await;
+        assert!(worker.claim(1).await.is_empty(), "one at a time");
+        worker.release(&probe, Reason::PolicyUnavailable).await;
+        probes.insert(probe.job_id);
+    }
+    assert!(probes.len() >= 2, "{probes:?}");
+    let status = bench.status("first").await;
+    assert_eq!((status.queued, status.quarantined), (8, 0));
+    assert_eq!(bench.count("SELECT max(losses) FROM job").await, 1);
+}
+
+#[tokio::test]
+async fn the_last_rollout_waits_for_a_policy_that_is_down_as_long_as_it_takes() {
+    let bench = Bench::start().await;
+    let spec = with(
+        spec_of("one", "fragile"),
+        json!({"axes": ["camera"], "nominal": "none", "configs": [0]}),
+    );
+    assert_eq!(bench.create(&spec).await.expect("created").jobs_total, 1);
+    let mut worker = bench.worker("a").await;
+    for _ in 0..30 {
+        bench.pass(130).await;
+        worker.heartbeat(&[], 0).await;
+        let probe = worker.claim_one().await;
+        worker.release(&probe, Reason::PolicyUnavailable).await;
+    }
+    assert_eq!(bench.status("one").await.quarantined, 0);
+    bench.pass(130).await;
+    worker.heartbeat(&[], 0).await;
+    let probe = worker.claim_one().await;
+    assert_eq!(worker.commit(&probe, true).await, Verdict::Accepted);
+}
+
+#[tokio::test]
+async fn a_rollout_is_skipped_whether_it_waits_or_runs_and_comes_back_when_it_is_retried() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("some")).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    let leases = worker.claim(2).await;
+    assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
+    let name = |rollout_id: String| JobName {
+        rollout_id,
+        replicate: 0,
+    };
+    let id = |condition: &str| format!("object/t0/{condition}/L1/c00");
+    let mut operator = bench.operator().await;
+    let mut skip = async |rollouts: &[String]| {
+        let request = SkipJobsRequest {
+            campaign: "some".to_owned(),
+            jobs: rollouts.iter().cloned().map(name).collect(),
+        };
+        let skipped = operator.skip_jobs(request).await;
+        skipped.map(|it| it.into_inner().jobs)
+    };
+    let running = rollout_id(&leases[1]);
+    let refused = skip(&[running.clone(), rollout_id(&leases[0])]).await;
+    let refused = refused.expect_err("one is committed");
+    assert!(refused.message().contains("it is committed"), "{refused}");
+    assert_eq!(bench.status("some").await.leased, 1, "all or none");
+    assert_eq!(
+        skip(&[running, id("combination")]).await.expect("skipped"),
+        2
+    );
+    assert_eq!(bench.status("some").await.quarantined, 2);
+    assert_eq!(
+        bench.count("SELECT sum(charged_attempts) FROM job").await,
+        0
+    );
+    let over = worker.heartbeat(&[&leases[1]], 5).await;
+    assert_eq!(over, std::slice::from_ref(&leases[1].attempt_id));
+    let last = worker.claim(4).await;
+    assert_eq!(last.len(), 1, "the others are skipped");
+    assert_eq!(worker.commit(&last[0], true).await, Verdict::Accepted);
+    let request = RetryJobsRequest {
+        campaign: "some".to_owned(),
+        jobs: Vec::new(),
+        all: true,
+    };
+    let retried = operator.retry_jobs(request).await.expect("retried");
+    assert_eq!(retried.into_inner().jobs, 2);
+    assert_eq!(worker.claim(4).await.len(), 2);
+    let folder = bench.stop().await;
+    assert_eq!(check(folder.path()).await.expect("a database"), []);
 }

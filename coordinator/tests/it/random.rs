@@ -70,6 +70,7 @@ fn event() -> impl Strategy<Value = Event> {
         FailureReason::PolicyMisbehaved,
         FailureReason::Unpaired,
         FailureReason::PolicyUnavailable,
+        FailureReason::PolicyLost,
         FailureReason::Draining,
     ]);
     let lease = 0..32_usize;

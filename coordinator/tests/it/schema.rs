@@ -78,8 +78,15 @@ const FOUL: &[(&str, &str)] = &[
     ("UPDATE result SET physics_secs = NULL", "CHECK"),
     ("UPDATE result SET policy_secs = -0.5", "CHECK"),
     ("UPDATE worker SET cores = 0", "CHECK"),
+    ("UPDATE worker SET machine = ''", "CHECK"),
+    ("UPDATE job SET losses = -1", "CHECK"),
     (
-        "INSERT INTO failure VALUES (hex(zeroblob(16)), 1, 1, 'a', 0, 'draining', 1, 'charged')",
+        "UPDATE job SET state = 'quarantined', not_before_ms = NULL WHERE attempt = 0",
+        "CHECK",
+    ),
+    (
+        "INSERT INTO failure VALUES (hex(zeroblob(16)), 1, 1, 'a', 0, 'draining', 1, 'charged',
+             NULL, NULL)",
         "CHECK",
     ),
     (

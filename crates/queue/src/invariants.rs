@@ -67,7 +67,7 @@ pub enum CheckError {
 
 /// All of them, in the order in which they are checked. A query uses
 /// `known_schema`, a temporary table of this program's schema.
-pub const INVARIANTS: [Invariant; 17] = [
+pub const INVARIANTS: [Invariant; 18] = [
     // SQLite finds the file intact.
     Invariant {
         name: "file_is_whole",
@@ -109,15 +109,16 @@ pub const INVARIANTS: [Invariant; 17] = [
          WHERE (j.state = 'committed' AND r.attempt IS NOT j.attempt)
              OR (j.state <> 'committed' AND r.job_id IS NOT NULL)",
     },
-    // A job is in quarantine exactly if it ran out of attempts without a
-    // result, and says with what.
+    // A job in quarantine ended with a failure that put it there, and says with which.
     Invariant {
         name: "quarantine_has_its_failure",
         query: "SELECT format('job %d is quarantined and its attempt %d ended with %s', j.id,
              j.attempt, coalesce(f.reason, 'no failure'))
          FROM job j LEFT JOIN failure f ON f.job_id = j.id AND f.attempt = j.attempt
          WHERE j.state = 'quarantined'
-             AND (coalesce(f.charged, 0) = 0 OR j.last_error IS NOT f.error)",
+             AND (coalesce(f.charged OR f.reason IN
+                     ('takes_policy_down', 'takes_worker_down', 'skipped'), 0) = 0
+                 OR j.last_error IS NOT f.error)",
     },
     // Every attempt ended once, in one way, or is the lease that is held.
     Invariant {
@@ -135,6 +136,15 @@ pub const INVARIANTS: [Invariant; 17] = [
              j.id, j.charged_attempts, j.forgiven_attempt, 'other failures')
          FROM job j WHERE j.charged_attempts <> (SELECT count(*) FROM failure f
              WHERE f.job_id = j.id AND f.charged = 1 AND f.attempt > j.forgiven_attempt)",
+    },
+    // A job's losses are its attempts that lost their policy since then.
+    Invariant {
+        name: "losses_are_accounted_for",
+        query: "SELECT format('job %d has %d losses, forgiven up to attempt %d, and %s', j.id,
+             j.losses, j.forgiven_attempt, 'other attempts that lost their policy')
+         FROM job j WHERE j.losses <> (SELECT count(*) FROM failure f
+             WHERE f.job_id = j.id AND f.reason IN ('policy_lost', 'takes_policy_down')
+                 AND f.attempt > j.forgiven_attempt)",
     },
     // Nothing that was reported is of an attempt that was never granted.
     Invariant {

@@ -25,6 +25,7 @@ pub(crate) mod removals;
 pub(crate) mod retry;
 pub(crate) mod settled;
 pub(crate) mod shared;
+mod skip;
 pub(crate) mod start;
 pub(crate) mod stop;
 mod sweep;

@@ -228,10 +228,26 @@ impl Queue {
         reason: FailureReason,
         error: &str,
     ) -> Result<ReleaseReply, QueueError> {
+        self.release_after(attempt, reason, error, None).await
+    }
+
+    /// As [`release`](Self::release), of a policy that cannot be reached any more and had
+    /// answered so many queries; none if it was not there at the first.
+    ///
+    /// # Errors
+    /// When the attempt is unknown or the database fails.
+    pub async fn release_after(
+        &self,
+        attempt: AttemptId,
+        reason: FailureReason,
+        error: &str,
+        answered: Option<u32>,
+    ) -> Result<ReleaseReply, QueueError> {
         let (pending, answer) = Pending::new(Release {
             attempt,
             reason,
             error: error.to_owned(),
+            answered,
         });
         let reply = self.ask(Operation::Release(pending), answer).await?;
         if reply.verdict != ReleaseVerdict::Stale {

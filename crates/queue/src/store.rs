@@ -16,6 +16,7 @@ pub(crate) mod derivations;
 pub(crate) mod failpoint;
 pub(crate) mod films;
 pub(crate) mod halves;
+pub(crate) mod instants;
 pub(crate) mod jobs;
 pub(crate) mod policies;
 pub(crate) mod portable;

@@ -7,7 +7,7 @@ from typing import ClassVar as _ClassVar, Iterable as _Iterable, Mapping as _Map
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class RegisterRequest(_message.Message):
-    __slots__ = ("protocol_version", "program_version", "worker_id", "host", "slots", "asset_pack", "asset_pack_digest", "mujoco_version", "renderer", "cores")
+    __slots__ = ("protocol_version", "program_version", "worker_id", "host", "slots", "asset_pack", "asset_pack_digest", "mujoco_version", "renderer", "cores", "machine")
     PROTOCOL_VERSION_FIELD_NUMBER: _ClassVar[int]
     PROGRAM_VERSION_FIELD_NUMBER: _ClassVar[int]
     WORKER_ID_FIELD_NUMBER: _ClassVar[int]
@@ -18,6 +18,7 @@ class RegisterRequest(_message.Message):
     MUJOCO_VERSION_FIELD_NUMBER: _ClassVar[int]
     RENDERER_FIELD_NUMBER: _ClassVar[int]
     CORES_FIELD_NUMBER: _ClassVar[int]
+    MACHINE_FIELD_NUMBER: _ClassVar[int]
     protocol_version: int
     program_version: str
     worker_id: str
@@ -28,7 +29,8 @@ class RegisterRequest(_message.Message):
     mujoco_version: str
     renderer: str
     cores: int
-    def __init__(self, protocol_version: _Optional[int] = ..., program_version: _Optional[str] = ..., worker_id: _Optional[str] = ..., host: _Optional[str] = ..., slots: _Optional[int] = ..., asset_pack: _Optional[str] = ..., asset_pack_digest: _Optional[str] = ..., mujoco_version: _Optional[str] = ..., renderer: _Optional[str] = ..., cores: _Optional[int] = ...) -> None: ...
+    machine: str
+    def __init__(self, protocol_version: _Optional[int] = ..., program_version: _Optional[str] = ..., worker_id: _Optional[str] = ..., host: _Optional[str] = ..., slots: _Optional[int] = ..., asset_pack: _Optional[str] = ..., asset_pack_digest: _Optional[str] = ..., mujoco_version: _Optional[str] = ..., renderer: _Optional[str] = ..., cores: _Optional[int] = ..., machine: _Optional[str] = ...) -> None: ...
 
 class RegisterResponse(_message.Message):
     __slots__ = ("protocol_version", "program_version", "lease_secs", "heartbeat_secs", "progress_timeout_secs", "idle_reason")
@@ -254,7 +256,7 @@ class CommitResponse(_message.Message):
     def __init__(self, verdict: _Optional[_Union[CommitResponse.Verdict, str]] = ..., detail: _Optional[str] = ...) -> None: ...
 
 class ReleaseRequest(_message.Message):
-    __slots__ = ("attempt_id", "reason", "error")
+    __slots__ = ("attempt_id", "reason", "error", "answered_queries")
     class Reason(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         REASON_UNSPECIFIED: _ClassVar[ReleaseRequest.Reason]
@@ -276,10 +278,12 @@ class ReleaseRequest(_message.Message):
     ATTEMPT_ID_FIELD_NUMBER: _ClassVar[int]
     REASON_FIELD_NUMBER: _ClassVar[int]
     ERROR_FIELD_NUMBER: _ClassVar[int]
+    ANSWERED_QUERIES_FIELD_NUMBER: _ClassVar[int]
     attempt_id: str
     reason: ReleaseRequest.Reason
     error: str
-    def __init__(self, attempt_id: _Optional[str] = ..., reason: _Optional[_Union[ReleaseRequest.Reason, str]] = ..., error: _Optional[str] = ...) -> None: ...
+    answered_queries: int
+    def __init__(self, attempt_id: _Optional[str] = ..., reason: _Optional[_Union[ReleaseRequest.Reason, str]] = ..., error: _Optional[str] = ..., answered_queries: _Optional[int] = ...) -> None: ...
 
 class ReleaseResponse(_message.Message):
     __slots__ = ("verdict", "backoff_secs", "stop_leasing")
@@ -655,6 +659,20 @@ class RetryJobsRequest(_message.Message):
     def __init__(self, campaign: _Optional[str] = ..., jobs: _Optional[_Iterable[_Union[JobName, _Mapping]]] = ..., all: bool = ...) -> None: ...
 
 class RetryJobsResponse(_message.Message):
+    __slots__ = ("jobs",)
+    JOBS_FIELD_NUMBER: _ClassVar[int]
+    jobs: int
+    def __init__(self, jobs: _Optional[int] = ...) -> None: ...
+
+class SkipJobsRequest(_message.Message):
+    __slots__ = ("campaign", "jobs")
+    CAMPAIGN_FIELD_NUMBER: _ClassVar[int]
+    JOBS_FIELD_NUMBER: _ClassVar[int]
+    campaign: str
+    jobs: _containers.RepeatedCompositeFieldContainer[JobName]
+    def __init__(self, campaign: _Optional[str] = ..., jobs: _Optional[_Iterable[_Union[JobName, _Mapping]]] = ...) -> None: ...
+
+class SkipJobsResponse(_message.Message):
     __slots__ = ("jobs",)
     JOBS_FIELD_NUMBER: _ClassVar[int]
     jobs: int

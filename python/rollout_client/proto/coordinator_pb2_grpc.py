@@ -363,6 +363,11 @@ class OperatorServiceStub(object):
                 request_serializer=rollout__client_dot_proto_dot_coordinator__pb2.RetryJobsRequest.SerializeToString,
                 response_deserializer=rollout__client_dot_proto_dot_coordinator__pb2.RetryJobsResponse.FromString,
                 )
+        self.SkipJobs = channel.unary_unary(
+                '/rollout.coordinator.v1.OperatorService/SkipJobs',
+                request_serializer=rollout__client_dot_proto_dot_coordinator__pb2.SkipJobsRequest.SerializeToString,
+                response_deserializer=rollout__client_dot_proto_dot_coordinator__pb2.SkipJobsResponse.FromString,
+                )
         self.ListWorkers = channel.unary_unary(
                 '/rollout.coordinator.v1.OperatorService/ListWorkers',
                 request_serializer=rollout__client_dot_proto_dot_coordinator__pb2.ListWorkersRequest.SerializeToString,
@@ -459,6 +464,14 @@ class OperatorServiceServicer(object):
 
     def RetryJobs(self, request, context):
         """Takes jobs out of quarantine: all that are named, or none.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def SkipJobs(self, request, context):
+        """Puts rollouts that wait or are being run into quarantine, counted against
+        nobody: all that are named, or none. RetryJobs takes them out again.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -566,6 +579,11 @@ def add_OperatorServiceServicer_to_server(servicer, server):
                     servicer.RetryJobs,
                     request_deserializer=rollout__client_dot_proto_dot_coordinator__pb2.RetryJobsRequest.FromString,
                     response_serializer=rollout__client_dot_proto_dot_coordinator__pb2.RetryJobsResponse.SerializeToString,
+            ),
+            'SkipJobs': grpc.unary_unary_rpc_method_handler(
+                    servicer.SkipJobs,
+                    request_deserializer=rollout__client_dot_proto_dot_coordinator__pb2.SkipJobsRequest.FromString,
+                    response_serializer=rollout__client_dot_proto_dot_coordinator__pb2.SkipJobsResponse.SerializeToString,
             ),
             'ListWorkers': grpc.unary_unary_rpc_method_handler(
                     servicer.ListWorkers,
@@ -751,6 +769,23 @@ class OperatorService(object):
         return grpc.experimental.unary_unary(request, target, '/rollout.coordinator.v1.OperatorService/RetryJobs',
             rollout__client_dot_proto_dot_coordinator__pb2.RetryJobsRequest.SerializeToString,
             rollout__client_dot_proto_dot_coordinator__pb2.RetryJobsResponse.FromString,
+            options, channel_credentials,
+            insecure, call_credentials, compression, wait_for_ready, timeout, metadata)
+
+    @staticmethod
+    def SkipJobs(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(request, target, '/rollout.coordinator.v1.OperatorService/SkipJobs',
+            rollout__client_dot_proto_dot_coordinator__pb2.SkipJobsRequest.SerializeToString,
+            rollout__client_dot_proto_dot_coordinator__pb2.SkipJobsResponse.FromString,
             options, channel_credentials,
             insecure, call_credentials, compression, wait_for_ready, timeout, metadata)
 

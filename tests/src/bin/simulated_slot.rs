@@ -97,10 +97,7 @@ fn rollout(
         Ok(Some(finished)) => RolloutEvent::Finished(Box::new(finished)),
         Ok(None) => RolloutEvent::Abandoned,
         Err(error) => RolloutEvent::Failed(Failure {
-            kind: match error.is_misbehaviour() {
-                true => FailureKind::PolicyMisbehaved,
-                false => FailureKind::PolicyUnavailable,
-            },
+            kind: FailureKind::from(&error),
             error: error.to_string(),
         }),
     }

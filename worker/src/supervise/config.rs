@@ -42,6 +42,8 @@ pub struct Identity {
     pub worker: WorkerId,
     /// The machine's name.
     pub host: String,
+    /// What tells the machine from others; empty if nothing does.
+    pub machine: String,
     /// The asset pack's name.
     pub asset_pack: String,
     /// SHA-256 of the asset pack, hex.
@@ -63,6 +65,7 @@ pub(super) fn registration(config: &Config, renderer: String) -> RegisterRequest
         mujoco_version: identity.mujoco_version,
         renderer,
         cores: cores(),
+        machine: identity.machine,
     }
 }
 

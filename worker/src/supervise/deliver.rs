@@ -124,6 +124,7 @@ pub(crate) async fn deliver(link: &Link, delivery: Delivery) -> Answer {
                 attempt_id,
                 reason: failure.kind.reason() as i32,
                 error: failure.error,
+                answered_queries: failure.kind.answered_queries(),
             };
             let answer = link.release(request).await;
             answer.map_or_else(Answer::Refused, Answer::Released)

@@ -646,6 +646,7 @@ mod tests {
             identity: Identity {
                 worker: WorkerId::new("test", 1),
                 host: "test".to_owned(),
+                machine: String::new(),
                 asset_pack: String::new(),
                 asset_pack_digest: String::new(),
                 mujoco_version: String::new(),

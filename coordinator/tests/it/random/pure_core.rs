@@ -10,7 +10,7 @@ use queue::ids::{AttemptNumber, JobId, WorkerId};
 use queue::rules::campaign::{CampaignState, Change};
 use queue::rules::lease::{
     AfterFailure, CommitJudgement, FailureReason, Job, JobState, Lease, MAX_CHARGED_ATTEMPTS,
-    OutcomeKey, Party, Suspicion, strike, was_asleep,
+    MAX_LOSSES, MAX_SILENCES, OutcomeKey, Party, Suspicion, strike, was_asleep,
 };
 use queue::rules::outage::{Allowance, PolicyHealth, PolicyState};
 use rand_chacha::ChaCha8Rng;
@@ -38,6 +38,7 @@ struct World {
     policy: PolicyHealth,
     granted: Vec<Granted>,
     failed_on: BTreeMap<JobId, Vec<WorkerId>>,
+    silences: BTreeMap<JobId, u32>,
     in_a_row: BTreeMap<WorkerId, u32>,
     results: BTreeMap<JobId, OutcomeKey>,
 }
@@ -49,6 +50,7 @@ impl World {
             id: JobId(number as i64),
             attempt: AttemptNumber(0),
             charged_attempts: 0,
+            losses: 0,
             state: JobState::Queued { not_before: now },
         };
         World {
@@ -60,6 +62,7 @@ impl World {
             policy: PolicyHealth::new(now),
             granted: Vec::new(),
             failed_on: BTreeMap::new(),
+            silences: BTreeMap::new(),
             in_a_row: BTreeMap::new(),
             results: BTreeMap::new(),
         }
@@ -183,6 +186,9 @@ impl World {
         let Some(lease) = job.lease_of(granted.attempt) else {
             return;
         };
+        if reason == FailureReason::WorkerSilent {
+            *self.silences.entry(granted.job).or_default() += 1;
+        }
         let suspicion = self.suspicion(granted);
         let then = job.after_failure(reason, suspicion, self.now, &mut self.rng);
         if reason.blames() == Some(Party::Machine) {
@@ -190,13 +196,15 @@ impl World {
             *in_a_row = strike(*in_a_row).in_a_row;
         }
         self.policy = match reason {
-            FailureReason::PolicyUnavailable => self.policy.after_outage(
-                granted.attempt,
-                lease.granted,
-                "down",
-                self.now,
-                &mut self.rng,
-            ),
+            FailureReason::PolicyUnavailable | FailureReason::PolicyLost => {
+                self.policy.after_outage(
+                    granted.attempt,
+                    lease.granted,
+                    "down",
+                    self.now,
+                    &mut self.rng,
+                )
+            }
             FailureReason::PolicyMisbehaved => {
                 self.policy
                     .after_misbehaviour(granted.attempt, "nonsense", self.now, &mut self.rng)
@@ -218,7 +226,7 @@ impl World {
             if let Some(lease) = job.lease_of(granted.attempt)
                 && lease.expires <= self.now
             {
-                self.end(&granted, lease.why_expired(self.now));
+                self.end(&granted, lease.why_expired(None, LEASE));
             }
         }
     }
@@ -245,6 +253,8 @@ impl World {
         if job.state == JobState::Quarantined {
             job.state = JobState::Queued { not_before: now };
             job.charged_attempts = 0;
+            job.losses = 0;
+            self.silences.remove(&job.id);
             self.failed_on.remove(&job.id);
         }
     }
@@ -269,23 +279,36 @@ impl World {
                 .or_default()
                 .push(granted.worker.clone());
         }
-        let workers = self.suspicion(granted).failed_on_workers;
+        let silences = self.suspicion(granted).silences;
+        let workers = self.suspicion(granted).failed_on_machines;
         let job = self.job(granted.job);
         job.charged_attempts += u32::from(charged);
+        job.losses += u32::from(reason.is_loss());
         job.state = match then {
             AfterFailure::Requeue { not_before } => {
                 let backoff = not_before.since(now);
                 assert!(backoff <= Duration::from_secs(60), "{backoff:?}");
-                assert_eq!(charged, backoff >= Duration::from_secs(1), "{backoff:?}");
+                let waits = backoff >= Duration::from_secs(1);
+                let steps_back = reason.is_loss() || reason == FailureReason::WorkerSilent;
+                assert!(
+                    charged == waits || steps_back && waits,
+                    "{reason:?}: {backoff:?}"
+                );
                 JobState::Queued { not_before }
             }
             AfterFailure::Quarantine => {
-                assert!(charged && job.charged_attempts >= MAX_CHARGED_ATTEMPTS);
-                let blamed = reason.blames();
-                assert!(
-                    workers >= 2 || blamed == Some(Party::Policy),
-                    "one machine does not condemn a rollout"
-                );
+                match reason.before(then) {
+                    FailureReason::TakesPolicyDown => assert!(job.losses >= MAX_LOSSES),
+                    FailureReason::TakesWorkerDown => assert!(silences >= MAX_SILENCES),
+                    _ => {
+                        assert!(charged && job.charged_attempts >= MAX_CHARGED_ATTEMPTS);
+                        let blamed = reason.blames();
+                        assert!(
+                            workers >= 2 || blamed == Some(Party::Policy),
+                            "one machine does not condemn a rollout"
+                        );
+                    }
+                }
                 JobState::Quarantined
             }
         };
@@ -295,8 +318,10 @@ impl World {
         let others = self.failed_on.get(&granted.job).into_iter().flatten();
         let distinct: BTreeSet<&WorkerId> = others.chain([&granted.worker]).collect();
         Suspicion {
-            failed_on_workers: distinct.len() as u32,
-            able_workers: WORKERS as u32,
+            failed_on_machines: distinct.len() as u32,
+            silent_on_machines: distinct.len() as u32,
+            able_machines: WORKERS as u32,
+            silences: self.silences.get(&granted.job).copied().unwrap_or(0),
         }
     }
 

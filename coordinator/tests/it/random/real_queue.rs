@@ -263,6 +263,7 @@ fn worker_info(number: usize) -> WorkerInfo {
         id: WorkerId(format!("w{number}")),
         host: "bench".to_owned(),
         slots: 1,
+        machine: None,
         cores: None,
         pin: pin(),
         program_version: "0.1.0".to_owned(),

@@ -110,6 +110,7 @@ pub(super) fn release() -> Said {
         attempt_id: attempt(),
         reason: wire::release_request::Reason::SlotCrashed.into(),
         error: "e".into(),
+        answered_queries: Some(1),
     };
     ("WorkerService/Release", request.encode_to_vec())
 }

@@ -1,7 +1,7 @@
 //! The methods of the coordinator that are called.
 
 /// Every method; an input names one by its place.
-pub(super) const METHODS: [&str; 24] = [
+pub(super) const METHODS: [&str; 25] = [
     "WorkerService/Register",
     CLAIM,
     "WorkerService/Heartbeat",
@@ -26,6 +26,7 @@ pub(super) const METHODS: [&str; 24] = [
     "WorkerService/SignOff",
     "OperatorService/ArchiveCampaign",
     "OperatorService/ImportCampaign",
+    "OperatorService/SkipJobs",
 ];
 
 /// The one method that may wait, for a job.

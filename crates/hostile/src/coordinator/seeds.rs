@@ -54,6 +54,10 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
         jobs: vec![],
         all: true,
     };
+    let skip = wire::SkipJobsRequest {
+        campaign: "c".into(),
+        jobs: job.job.iter().cloned().collect(),
+    };
     let pause = wire::ChangeCampaignRequest {
         campaign: "c".into(),
         change: wire::change_campaign_request::Change::Pause.into(),
@@ -83,6 +87,7 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
         ("OperatorService/ListJobs", jobs.encode_to_vec()),
         ("OperatorService/GetJob", job.encode_to_vec()),
         ("OperatorService/RetryJobs", retry.encode_to_vec()),
+        ("OperatorService/SkipJobs", skip.encode_to_vec()),
         ("OperatorService/ListWorkers", vec![]),
         ("OperatorService/Backup", vec![]),
         ("OperatorService/Report", named.clone()),

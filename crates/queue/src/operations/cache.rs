@@ -11,7 +11,7 @@ use std::collections::HashMap;
 use std::collections::btree_map::{BTreeMap, Entry};
 use std::sync::Arc;
 
-use attempt::{Pin, Provenance};
+use attempt::Provenance;
 use protocol::Suite;
 use sqlx::SqliteConnection;
 
@@ -21,7 +21,8 @@ use crate::rules::pairing::Sibling;
 use crate::store::campaigns::{self, Campaign};
 use crate::store::jobs::InitialState;
 use crate::store::provenance::{self, ProvenanceId};
-use crate::store::{StoreError, results, workers};
+use crate::store::workers::{self, Live};
+use crate::store::{StoreError, results};
 
 /// Initial states whose siblings outlive a transaction: several for each scene that a
 /// few thousand slots hold. Of a whole LIBERO-CTRL campaign, about 20 MB.
@@ -36,7 +37,7 @@ pub(super) struct Cache {
     is_open: bool,
     campaigns: BTreeMap<CampaignId, Arc<Campaign>>,
     waiting: Option<Arc<Vec<Campaign>>>,
-    live: Option<Arc<Vec<Pin>>>,
+    live: Option<Arc<Vec<Live>>>,
     siblings: BTreeMap<InitialState, Vec<Sibling>>,
     origins: HashMap<Arc<Provenance>, ProvenanceId>,
     /// Whose policy a campaign's results of a suite are of.
@@ -81,14 +82,14 @@ impl Cache {
         Ok(self.waiting.clone().unwrap_or_default())
     }
 
-    /// What workers run on that have called since `since` and may lease.
+    /// Workers that have called since `since` and may lease.
     pub(super) async fn live(
         &mut self,
         tx: &mut SqliteConnection,
         since: UnixMillis,
-    ) -> Result<Arc<Vec<Pin>>, StoreError> {
+    ) -> Result<Arc<Vec<Live>>, StoreError> {
         if self.live.is_none() {
-            self.live = Some(Arc::new(workers::live_pins(tx, since).await?));
+            self.live = Some(Arc::new(workers::live(tx, since).await?));
         }
         Ok(self.live.clone().unwrap_or_default())
     }
@@ -192,7 +193,7 @@ impl Cache {
         self.waiting = None;
     }
 
-    /// A campaign was deleted: another may get its number.
+    /// A campaign was deleted, and what was read of it is gone.
     pub(super) fn forget(&mut self) {
         *self = Cache {
             is_open: self.is_open,

@@ -215,8 +215,8 @@ impl Context<'_> {
         }
     }
 
-    /// Takes a campaign's leases back without a charge; their workers learn of it
-    /// with their next heartbeat. Returns how many there were.
+    /// Takes a campaign's leases back without a charge, also those of workers that were cut
+    /// off and may come back; their workers learn of it with their next heartbeat. Returns how many there were.
     pub(super) async fn take_back(
         &mut self,
         campaign: CampaignId,
@@ -230,6 +230,7 @@ impl Context<'_> {
                     .await?;
             }
         }
+        jobs::forget_cut_off(&mut self.tx, campaign).await?;
         Ok(leased.len() as u64)
     }
 }

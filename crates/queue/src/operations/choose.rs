@@ -5,13 +5,13 @@ use std::collections::BTreeSet;
 use super::context::Context;
 use crate::ids::{JobId, WorkerId};
 use crate::rules::choice::{WaitingTask, choose_task, first_tasks};
-use crate::rules::lease::MIN_WORKERS_TO_QUARANTINE;
+use crate::rules::lease::MIN_MACHINES_TO_QUARANTINE;
 use crate::store::StoreError;
 use crate::store::campaigns::Campaign;
 use crate::store::claims::{self, Grant};
 
 /// Jobs that are looked at beyond those that are asked for: some of those that
-/// wait have failed on the very worker that asks.
+/// wait have failed on the very machine that asks.
 const SPARE_CANDIDATES: usize = 8;
 
 /// What a worker asks for: one job.
@@ -30,6 +30,8 @@ pub(super) struct Wanting<'a> {
     /// Which of those that ask.
     pub(super) place: usize,
     pub(super) request: &'a ClaimRequest,
+    /// The machine of the worker that asks.
+    pub(super) machine: &'a str,
     /// Tasks of the campaign at hand that have nothing for it.
     pub(super) exhausted: BTreeSet<String>,
 }
@@ -44,7 +46,7 @@ impl Context<'_> {
         wanting: &mut Vec<Wanting<'_>>,
         room: usize,
     ) -> Result<Vec<(usize, Grant)>, StoreError> {
-        let must_differ = self.able_workers(campaign).await? >= MIN_WORKERS_TO_QUARANTINE;
+        let must_differ = self.able_machines(campaign).await? >= MIN_MACHINES_TO_QUARANTINE;
         let mut grants: Vec<(usize, Grant)> = Vec::new();
         let mut taken: BTreeSet<JobId> = BTreeSet::new();
         let mut tasks: Option<Vec<WaitingTask>> = None;
@@ -79,8 +81,7 @@ impl Context<'_> {
                     continue;
                 };
                 let suits = |job: &claims::Candidate| {
-                    !(taken.contains(&job.id)
-                        || must_differ && job.has_failed_on(&asks.request.worker))
+                    !(taken.contains(&job.id) || must_differ && job.has_failed_on(asks.machine))
                 };
                 let waiting = candidates.get_mut(task);
                 let job = waiting.and_then(|jobs| {
@@ -109,7 +110,7 @@ impl Context<'_> {
         wanting: &mut Vec<Wanting<'_>>,
         room: usize,
     ) -> Result<Vec<(usize, Grant)>, StoreError> {
-        let must_differ = self.able_workers(campaign).await? >= MIN_WORKERS_TO_QUARANTINE;
+        let must_differ = self.able_machines(campaign).await? >= MIN_MACHINES_TO_QUARANTINE;
         let limit = room.min(wanting.len()) + SPARE_CANDIDATES;
         let tasks = claims::waiting_tasks(&mut self.tx, campaign.id, self.now).await?;
         let tasks = first_tasks(tasks, limit);
@@ -122,8 +123,7 @@ impl Context<'_> {
         let mut left = Vec::new();
         for asks in wanting.drain(..) {
             let request = asks.request;
-            let suits =
-                |job: &claims::Candidate| !(must_differ && job.has_failed_on(&request.worker));
+            let suits = |job: &claims::Candidate| !(must_differ && job.has_failed_on(asks.machine));
             let found = match grants.len() < room {
                 true => candidates.iter().position(suits),
                 false => None,
@@ -137,6 +137,31 @@ impl Context<'_> {
         }
         *wanting = left;
         Ok(grants)
+    }
+
+    /// Which of a campaign's jobs that are run alone goes to which claim, and why it is run
+    /// alone.
+    pub(super) async fn choose_lone(
+        &mut self,
+        campaign: &Campaign,
+        wanting: &mut Vec<Wanting<'_>>,
+    ) -> Result<Option<(usize, Grant, String)>, StoreError> {
+        let must_differ = self.able_machines(campaign).await? >= MIN_MACHINES_TO_QUARANTINE;
+        let waiting = claims::lone(&mut self.tx, campaign.id, SPARE_CANDIDATES, self.now).await?;
+        for (at, asks) in wanting.iter().enumerate() {
+            let suits = |it: &&claims::Lone| !(must_differ && it.job.has_failed_on(asks.machine));
+            let Some(chosen) = waiting.iter().find(suits) else {
+                continue;
+            };
+            let why = format!(
+                "rollout `{}` runs alone, because {} of its attempts lost the policy",
+                chosen.rollout_id, chosen.losses
+            );
+            let granted = (asks.place, self.grant(chosen.job.id, asks.request), why);
+            wanting.remove(at);
+            return Ok(Some(granted));
+        }
+        Ok(None)
     }
 
     fn grant(&self, job: JobId, to: &ClaimRequest) -> Grant {

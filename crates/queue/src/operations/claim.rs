@@ -10,7 +10,7 @@ use attempt::{AttemptId, Pin};
 use super::choose::Wanting;
 use super::context::Context;
 use super::error::QueueError;
-use crate::ids::{AttemptNumber, CampaignId, CampaignName, JobId, WorkerId};
+use crate::ids::{AttemptNumber, CampaignId, CampaignName, JobId, PolicyId, WorkerId};
 use crate::rules::choice::{WaitingCampaign, choose_campaign};
 use crate::rules::outage::{Allowance, PolicyState};
 use crate::store::campaigns::Campaign;
@@ -93,6 +93,7 @@ impl Context<'_> {
                 let asks = Wanting {
                     place,
                     request,
+                    machine: &standing.machine,
                     exhausted: BTreeSet::new(),
                 };
                 match wanting.iter_mut().find(|(pin, _)| *pin == standing.pin) {
@@ -206,6 +207,46 @@ impl Context<'_> {
             }
             assigned.extend(granted);
         }
+        assigned.extend(self.lease_alone_to(pin, wanting).await?);
+        Ok(assigned)
+    }
+
+    /// Leases jobs that have lost their policy again and again, each alone with its policy.
+    /// Claims that are met are taken out of `wanting`.
+    async fn lease_alone_to(
+        &mut self,
+        pin: &Pin,
+        wanting: &mut Vec<Wanting<'_>>,
+    ) -> Result<Vec<(usize, Assigned)>, StoreError> {
+        let mut assigned = Vec::new();
+        if wanting.is_empty() {
+            return Ok(assigned);
+        }
+        let lone = claims::with_lone_jobs(&mut self.tx).await?;
+        if lone.is_empty() {
+            return Ok(assigned);
+        }
+        let waiting = self.cache.waiting(&mut self.tx).await?;
+        let mut tried: BTreeSet<PolicyId> = BTreeSet::new();
+        for campaign in waiting.iter().filter(|it| lone.contains(&it.id)) {
+            let may_lease = !wanting.is_empty()
+                && campaign.state.may_lease()
+                && campaign.takes(pin)
+                && campaign.health.allowance(self.now) != Allowance::Nothing
+                && !tried.contains(&campaign.policy_id);
+            if !may_lease || !policies::is_idle(&mut self.tx, campaign.policy_id).await? {
+                continue;
+            }
+            let chosen = self.choose_lone(campaign, wanting).await?;
+            if let Some((place, grant, why)) = chosen {
+                tried.insert(campaign.policy_id);
+                tracing::info!("policy `{}`: {why}", campaign.policy);
+                let probing = campaign.health.with_lone_probe(grant.attempt, why);
+                policies::set_health(&mut self.tx, campaign.policy_id, &probing).await?;
+                self.cache.forget_campaigns();
+                assigned.extend(self.hand_out(campaign, vec![(place, grant)]).await?);
+            }
+        }
         Ok(assigned)
     }
 
@@ -228,6 +269,15 @@ impl Context<'_> {
             policies::set_health(&mut self.tx, campaign.policy_id, &probing).await?;
             self.cache.forget_campaigns();
         }
+        self.hand_out(campaign, grants).await
+    }
+
+    /// Leases the chosen jobs.
+    async fn hand_out(
+        &mut self,
+        campaign: &Campaign,
+        grants: Vec<(usize, Grant)>,
+    ) -> Result<Vec<(usize, Assigned)>, StoreError> {
         let timing = self.shared.timing;
         let per_step = timing.ceiling_per_step.as_millis();
         let term = Term {

@@ -73,6 +73,9 @@ impl Context<'_> {
                 replies.push(Err(QueueError::UnknownAttempt { attempt }));
                 continue;
             };
+            if let Some(lease) = self.resume(attempt).await? {
+                attempt.job.state = JobState::Leased(lease);
+            }
             let reply = self.judge(attempt, report, &mut accepted).await?;
             // Of two reports of one attempt, the second finds the first one's
             // result.

@@ -2,9 +2,11 @@
 //! read before, the present instant, and the few steps that several operations
 //! share.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 
+use attempt::Waits;
 use tokio::sync::MutexGuard;
 
 use super::cache::Cache;
@@ -17,6 +19,7 @@ use crate::rules::lease::{
 use crate::rules::outage::{Allowance, PolicyHealth, PolicyState};
 use crate::store::campaigns::Campaign;
 use crate::store::failpoint::Step;
+use crate::store::jobs::NamedAttempt;
 use crate::store::{StoreError, Tx, jobs, policies, workers};
 
 /// The writing transaction. Dropping it undoes it.
@@ -73,12 +76,35 @@ impl<'a> Context<'a> {
         self.cache.campaign(&mut self.tx, id).await
     }
 
-    /// Workers alive that could run the campaign's jobs.
-    pub(super) async fn able_workers(&mut self, campaign: &Campaign) -> Result<u32, StoreError> {
+    /// Machines with a worker alive that could run the campaign's jobs.
+    pub(super) async fn able_machines(&mut self, campaign: &Campaign) -> Result<u32, StoreError> {
         let since = self.now.minus(self.shared.timing.worker_alive);
         let live = self.cache.live(&mut self.tx, since).await?;
-        let able = live.iter().filter(|pin| campaign.takes(pin));
-        Ok(u32::try_from(able.count()).unwrap_or(u32::MAX))
+        let able = live.iter().filter(|worker| campaign.takes(&worker.pin));
+        let machines: BTreeSet<&str> = able.map(|worker| worker.machine.as_str()).collect();
+        Ok(u32::try_from(machines.len()).unwrap_or(u32::MAX))
+    }
+
+    /// Grants the lease again of an attempt that was cut off with its worker, which has come
+    /// back, if that is possible. Returns the lease.
+    pub(super) async fn resume(
+        &mut self,
+        attempt: &NamedAttempt,
+    ) -> Result<Option<Lease>, StoreError> {
+        let cut_off = attempt.cut_off.as_ref();
+        let Some(lease) = cut_off.and_then(|it| attempt.job.resumes(it, self.now)) else {
+            return Ok(None);
+        };
+        if self.campaign(attempt.of.campaign).await?.state.is_over() {
+            return Ok(None);
+        }
+        let expires = self.now.plus(self.shared.timing.lease);
+        jobs::resume(&mut self.tx, attempt.job.id, lease, expires).await?;
+        tracing::info!(attempt = %attempt.id, "worker `{}` is back with it", lease.owner);
+        Ok(Some(Lease {
+            expires: expires.min(lease.ceiling),
+            ..lease.clone()
+        }))
     }
 
     /// Ends a held attempt without a result: requeues its job or quarantines it,
@@ -90,14 +116,36 @@ impl<'a> Context<'a> {
         (reason, error): (FailureReason, &str),
     ) -> Result<Ended, StoreError> {
         let campaign = self.campaign(campaign).await?;
+        let history = jobs::history(&mut self.tx, job.id, &lease.owner).await?;
         let suspicion = Suspicion {
-            failed_on_workers: jobs::failed_on_workers(&mut self.tx, job.id, &lease.owner).await?,
-            able_workers: self.able_workers(&campaign).await?,
+            failed_on_machines: history.failed_on_machines,
+            silent_on_machines: history.silent_on_machines,
+            able_machines: self.able_machines(&campaign).await?,
+            silences: history.silences,
         };
         let now = self.now;
-        let then = self
+        let before = &campaign.health;
+        let id = lease.attempt;
+        let is_outage = matches!(
+            reason,
+            FailureReason::PolicyUnavailable | FailureReason::PolicyLost
+        );
+        let after = self.shared.decide(|rng| match reason {
+            _ if is_outage => before.after_outage(id, lease.granted, error, now, rng),
+            FailureReason::PolicyMisbehaved => before.after_misbehaviour(id, error, now, rng),
+            _ => before.after_other_failure(id, now),
+        });
+        let mut then = self
             .shared
             .decide(|rng| job.after_failure(reason, suspicion, now, rng));
+        if let (true, PolicyState::Paused { resume, .. }, AfterFailure::Requeue { not_before }) =
+            (is_outage && before.is_probe(id), &after.state, &mut then)
+        {
+            // Another job is to try the policy next, if one waits.
+            *not_before = (*not_before).max(resume.plus(Waits::USUAL.first));
+        }
+        let reason = reason.before(then);
+        let error = &reason.explained(error, job.losses + 1, suspicion.silences);
         jobs::fail(&mut self.tx, job, lease, reason, error, then, now).await?;
         if then == AfterFailure::Quarantine {
             self.settles = true;
@@ -106,20 +154,9 @@ impl<'a> Context<'a> {
             // It may be leased again at once.
             self.shared.work.notify_waiters();
         }
-        let before = &campaign.health;
-        let id = lease.attempt;
-        let after = self.shared.decide(|rng| match reason {
-            FailureReason::PolicyUnavailable => {
-                before.after_outage(id, lease.granted, error, now, rng)
-            }
-            FailureReason::PolicyMisbehaved => before.after_misbehaviour(id, error, now, rng),
-            _ => before.after_other_failure(id, now),
-        });
         self.set_health(&campaign, &after).await?;
-        let policy_wait = match (reason, after.state) {
-            (FailureReason::PolicyUnavailable, PolicyState::Paused { resume, .. }) => {
-                resume.since(now)
-            }
+        let policy_wait = match after.state {
+            PolicyState::Paused { resume, .. } if is_outage => resume.since(now),
             _ => Duration::ZERO,
         };
         Ok(Ended { then, policy_wait })

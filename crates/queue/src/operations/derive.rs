@@ -65,19 +65,31 @@ async fn look(shared: &Shared, sources: &mut Sources) -> Result<(), StoreError> 
         if campaign.unsettled == 0 {
             let source = source_records(&mut view, &campaign, sources).await?;
             let jobs = following(&mut view, &campaign, source).await?;
-            found.extend((!jobs.is_empty()).then_some((campaign.campaign, jobs)));
+            found.extend((!jobs.is_empty()).then_some((campaign, jobs)));
         }
     }
     drop(view);
     for (campaign, jobs) in found {
-        let mut context = Context::begin(shared, vec![Step::Derive]).await?;
-        derivations::append(&mut context.tx, campaign, &jobs).await?;
-        let name = context.campaign(campaign).await?.name.clone();
-        context.cache.forget_campaigns();
-        context.commit().await?;
-        tracing::info!(campaign = %name, jobs = jobs.len(), "further rollouts follow");
-        shared.work.notify_waiters();
+        add(shared, &campaign, &jobs).await?;
     }
+    Ok(())
+}
+
+/// Adds the jobs that follow for a campaign, unless it is no longer as it was when they
+/// were found: it may have been deleted or cancelled since. What follows for it as it is
+/// now is found by the next look.
+async fn add(shared: &Shared, campaign: &Derived, jobs: &[NewJob]) -> Result<(), StoreError> {
+    let mut context = Context::begin(shared, vec![Step::Derive]).await?;
+    if !derivations::is_as_it_was(&mut context.tx, campaign).await? {
+        return Ok(());
+    }
+    let id = campaign.campaign;
+    derivations::append(&mut context.tx, id, jobs).await?;
+    let name = context.campaign(id).await?.name.clone();
+    context.cache.forget_campaigns();
+    context.commit().await?;
+    tracing::info!(campaign = %name, jobs = jobs.len(), "further rollouts follow");
+    shared.work.notify_waiters();
     Ok(())
 }
 
@@ -223,4 +235,75 @@ pub(super) async fn records(
     let rows = derivations::outcomes(tx, campaign).await?;
     let records: Result<_, sqlx::Error> = rows.into_iter().map(record).collect();
     records.doing("read the outcomes that a campaign follows from")
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use rand_chacha::ChaCha8Rng;
+    use rand_chacha::rand_core::SeedableRng;
+    use serde_json::json;
+
+    use super::*;
+    use crate::clock::SystemClock;
+    use crate::expand::NewCampaign;
+    use crate::ids::CampaignName;
+    use crate::queue::Queue;
+    use crate::store::Store;
+    use crate::timing::Timing;
+
+    fn spec(name: &str, rollouts: &serde_json::Value) -> NewCampaign {
+        let mut spec = json!({
+            "name": name,
+            "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
+        });
+        let fields = spec.as_object_mut().expect("an object");
+        fields.extend(rollouts.as_object().expect("an object").clone());
+        NewCampaign::from_json(&spec.to_string()).expect("a campaign")
+    }
+
+    /// Finding B9: a look found the jobs of a campaign, which was deleted and created anew
+    /// under the same number before they were added.
+    #[tokio::test(flavor = "multi_thread")]
+    async fn jobs_that_follow_for_a_deleted_campaign_land_in_no_other() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let store = Store::open(folder.path()).await.expect("a store");
+        let (clock, rng) = (Arc::new(SystemClock::start()), ChaCha8Rng::seed_from_u64(1));
+        let queue = Queue::start(store, clock, rng, Timing::default()).await;
+        let queue = queue.expect("a queue");
+        let source = spec(
+            "source",
+            &json!({"tasks": ["libero_object/0"], "axes": ["camera", "sensor"],
+                    "levels": ["L1"], "configs": [0], "nominal": "eval"}),
+        );
+        queue.create_campaign(&source).await.expect("created");
+        let why = spec("why", &json!({"explains": {"campaign": "source"}}));
+        queue.create_campaign(&why).await.expect("created");
+        let derived = async || {
+            let mut view = queue.store().read().await.expect("a view");
+            let mut all = derivations::all(&mut view).await.expect("campaigns");
+            all.pop().expect("one follows")
+        };
+        let before = derived().await;
+        let name = CampaignName::parse("why").expect("a name");
+        queue.delete_campaign(&name).await.expect("deleted");
+        queue.create_campaign(&why).await.expect("created again");
+        let after = derived().await;
+        assert!(after.campaign > before.campaign, "no number is given twice");
+
+        let added = add(&queue.shared, &before, &source.jobs).await;
+        added.expect("nothing to do");
+        assert_eq!(derived().await.jobs, 0);
+        add(&queue.shared, &after, &source.jobs)
+            .await
+            .expect("added");
+        let jobs = i64::try_from(source.jobs.len()).expect("few");
+        assert_eq!(derived().await.jobs, jobs);
+        // The same look once more, as if another had been faster.
+        add(&queue.shared, &after, &source.jobs)
+            .await
+            .expect("nothing to do");
+        assert_eq!(derived().await.jobs, jobs);
+    }
 }

@@ -166,6 +166,16 @@ pub enum QueueError {
         /// Its state.
         state: String,
     },
+    /// A job that is over was to be skipped.
+    #[error(
+        "skip `{job}`: it is {state}; only a rollout that waits or is being run can be skipped"
+    )]
+    NotSkippable {
+        /// The job.
+        job: JobName,
+        /// Its state.
+        state: String,
+    },
     /// A backup is being made.
     #[error("make a backup: another one is being made; try again when it is done")]
     BackupInHand,

@@ -33,7 +33,7 @@ impl Context<'_> {
         }
         let workers: Vec<_> = heartbeats.iter().map(|it| &it.worker).collect();
         let standings = workers::standings(&mut self.tx, &workers).await?;
-        workers::seen(&mut self.tx, &workers, self.now).await?;
+        workers::beat(&mut self.tx, &workers, self.now).await?;
         let progress = heartbeats.iter().flat_map(|it| {
             it.progress.iter().map(|(attempt, control_steps)| Progress {
                 worker: &it.worker.0,
@@ -43,7 +43,10 @@ impl Context<'_> {
         });
         let progress: Vec<Progress<'_>> = progress.collect();
         let expires = self.now.plus(self.shared.timing.lease);
-        let held = jobs::renew(&mut self.tx, &progress, expires).await?;
+        let mut held = jobs::renew(&mut self.tx, &progress, expires).await?;
+        if self.resume_those_cut_off(&progress, &held).await? {
+            held = jobs::renew(&mut self.tx, &progress, expires).await?;
+        }
         self.hear_probes(&progress, &held).await?;
         let answer = |it: &&Heartbeat| {
             if !standings.contains_key(&it.worker) {
@@ -55,6 +58,30 @@ impl Context<'_> {
             Ok(attempts.filter(|attempt| !held.contains(attempt)).collect())
         };
         Ok(heartbeats.iter().map(answer).collect())
+    }
+
+    /// Grants the leases again that were cut off with a worker which names them now.
+    /// Answers whether there were any.
+    async fn resume_those_cut_off(
+        &mut self,
+        progress: &[Progress<'_>],
+        held: &BTreeSet<AttemptId>,
+    ) -> Result<bool, StoreError> {
+        let lost = progress.iter().filter(|it| !held.contains(&it.attempt));
+        let lost: Vec<(AttemptId, &str)> = lost.map(|it| (it.attempt, it.worker)).collect();
+        if lost.is_empty() {
+            return Ok(false);
+        }
+        let ids: Vec<AttemptId> = lost.iter().map(|(attempt, _)| *attempt).collect();
+        let named = jobs::named(&mut self.tx, &ids).await?;
+        let mut has_resumed = false;
+        for (attempt, worker) in lost {
+            let named = named.get(&attempt).filter(|it| it.worker.0 == worker);
+            if let Some(named) = named {
+                has_resumed |= self.resume(named).await?.is_some();
+            }
+        }
+        Ok(has_resumed)
     }
 
     /// A probe that is past the settling steps has been answered by its policy.

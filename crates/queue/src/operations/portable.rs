@@ -22,7 +22,7 @@ use crate::store::campaigns::{self, Campaign};
 use crate::store::failpoint::Step;
 use crate::store::portable::{self, Called};
 use crate::store::{
-    DATABASE_FILE, Doing, OpenError, Store, StoreError, derivations, removals as pending,
+    DATABASE_FILE, Doing, OpenError, Store, StoreError, derivations, instants, removals as pending,
     undecodable,
 };
 use crate::timing::Timing;
@@ -292,6 +292,9 @@ impl Queue {
         let now = context.now;
         campaigns::take_name(&mut context.tx, &called.name).await?;
         let id = portable::copy(&mut context.tx, from.campaign.id, called, now).await?;
+        // The other coordinator's clock may be ahead of this one.
+        let latest = now.plus(attempt::Waits::USUAL.longest);
+        instants::set_back(&mut context.tx, now, latest).await?;
         if let Some(source) = follows {
             derivations::insert(&mut context.tx, id, source).await?;
         }

@@ -6,8 +6,10 @@ use attempt::AttemptId;
 
 use super::context::Context;
 use super::error::QueueError;
-use crate::rules::lease::{AfterFailure, FailureReason, Party};
-use crate::store::{StoreError, jobs};
+use crate::rules::lease::{AfterFailure, FailureReason, LOSSES_UNTIL_ALONE, Party};
+use crate::rules::outage::Contact;
+use crate::store::StoreError;
+use crate::store::jobs::{self, NamedAttempt};
 
 /// What became of a job whose attempt ended without a result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,6 +31,9 @@ pub(crate) struct Release {
     pub(crate) reason: FailureReason,
     /// In words.
     pub(crate) error: String,
+    /// Of a policy that was there at the attempt's first query and cannot be reached any
+    /// more: the queries that it had answered.
+    pub(crate) answered: Option<u32>,
 }
 
 /// The answer to a release.
@@ -60,7 +65,12 @@ impl Context<'_> {
                 stop_leasing: None,
             }));
         };
-        let failure = (release.reason, release.error.as_str());
+        let is_outage = release.reason == FailureReason::PolicyUnavailable;
+        let reason = match is_outage && self.was_lost(attempt, release).await? {
+            true => FailureReason::PolicyLost,
+            false => release.reason,
+        };
+        let failure = (reason, release.error.as_str());
         let ended = self
             .end_attempt((&attempt.job, lease), attempt.of.campaign, failure)
             .await?;
@@ -80,5 +90,28 @@ impl Context<'_> {
             backoff,
             stop_leasing,
         }))
+    }
+
+    /// Whether an attempt that cannot reach its policy had it and lost it.
+    async fn was_lost(
+        &mut self,
+        attempt: &NamedAttempt,
+        release: &Release,
+    ) -> Result<bool, StoreError> {
+        let mut contact = Contact {
+            answered: release.answered,
+            is_back: false,
+            is_last: false,
+        };
+        // The rest is looked up only where it matters.
+        if release.answered == Some(0) {
+            let campaign = self.campaign(attempt.of.campaign).await?;
+            let job = attempt.job.id;
+            let last = jobs::last_without_policy(&mut self.tx, job).await?;
+            contact.is_back = last.is_some_and(|last| campaign.health.available_since > last);
+            let (policy, losses) = (campaign.policy_id, LOSSES_UNTIL_ALONE);
+            contact.is_last = !jobs::others_wait(&mut self.tx, policy, job, losses).await?;
+        }
+        Ok(contact.was_lost())
     }
 }

@@ -6,13 +6,14 @@ use std::sync::atomic::Ordering;
 
 use super::context::Context;
 use super::error::QueueError;
-use super::start::restart_clocks;
+use super::start::restart_leases;
 use crate::clock::UnixMillis;
 use crate::ids::WorkerId;
 use crate::queue::Queue;
 use crate::rules::lease::{FailureReason, JobState, Lease, was_asleep};
+use crate::store::StoreError;
 use crate::store::failpoint::Step;
-use crate::store::{StoreError, jobs};
+use crate::store::jobs::{self, ExpiredRow};
 
 /// Leases that one sweep takes away.
 const MAX_EXPIRED_PER_SWEEP: u32 = 1_024;
@@ -31,7 +32,7 @@ impl Queue {
         let mut is_news = false;
         if was_asleep(now.since(last), shared.timing.lease) {
             tracing::warn!("the coordinator was asleep: every lease gets its full time again");
-            restart_clocks(&mut context).await?;
+            restart_leases(&mut context).await?;
         } else {
             is_news = context.take_expired().await?;
         }
@@ -46,17 +47,21 @@ impl Queue {
 }
 
 impl Context<'_> {
-    /// Takes expired leases away. A worker that falls silent loses all its
-    /// slots' leases at once; that is one strike against it, however many slots
-    /// it has. Answers whether there were any.
+    /// Takes expired leases away. A worker that forgets several at once is struck once,
+    /// and one that falls silent not at all. Answers whether there were any.
     async fn take_expired(&mut self) -> Result<bool, StoreError> {
         let expired = jobs::expired(&mut self.tx, self.now, MAX_EXPIRED_PER_SWEEP).await?;
         let mut to_strike: BTreeSet<WorkerId> = BTreeSet::new();
-        for row in &expired {
+        let lasts = self.shared.timing.lease;
+        for ExpiredRow {
+            leased: row,
+            heartbeat_ms,
+        } in &expired
+        {
             let JobState::Leased(lease) = &row.job.state else {
                 continue;
             };
-            let reason = lease.why_expired(self.now);
+            let reason = lease.why_expired(*heartbeat_ms, lasts);
             let error = explain(reason, lease, row.control_steps);
             tracing::warn!(job = %row.job.id, attempt = %lease.attempt, "lease lost: {error}");
             self.end_attempt((&row.job, lease), row.campaign_id, (reason, &error))
@@ -83,6 +88,12 @@ fn explain(reason: FailureReason, lease: &Lease, control_steps: u32) -> String {
              ceiling after {} s",
             lease.ceiling.since(lease.granted).as_secs()
         ),
-        _ => format!("worker `{owner}` fell silent after control step {control_steps}"),
+        FailureReason::WorkerSilent => {
+            format!("worker `{owner}` fell silent after control step {control_steps}")
+        }
+        _ => format!(
+            "worker `{owner}` sends heartbeats and has left this attempt out since control step \
+             {control_steps}"
+        ),
     }
 }

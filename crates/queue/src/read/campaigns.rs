@@ -148,7 +148,8 @@ impl View {
         let now = self.now;
         let counts = Counts::of(self.tx(), campaign.id).await?;
         let since = now.minus(self.timing.worker_alive);
-        let live = workers::live_pins(self.tx(), since).await?;
+        let live = workers::live(self.tx(), since).await?;
+        let live: Vec<Pin> = live.into_iter().map(|worker| worker.pin).collect();
         let rate_per_sec = match campaign.state {
             CampaignState::Running { since: resumed } => {
                 rate(self.tx(), campaign.id, resumed, now).await?

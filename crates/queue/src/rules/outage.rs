@@ -50,6 +50,34 @@ pub enum PolicyState {
     },
 }
 
+/// What is known of a policy that an attempt could not reach, beyond that.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Contact {
+    /// Queries that it had answered in this very attempt, if it was there when the attempt
+    /// asked its first one.
+    pub answered: Option<u32>,
+    /// Whether it has answered another attempt since this job last could not reach it.
+    pub is_back: bool,
+    /// Whether no other job of it waits but those that lost it again and again.
+    pub is_last: bool,
+}
+
+impl Contact {
+    /// Whether the attempt had its policy and lost it, so that the rollout itself may have
+    /// taken it down: then its job is counted as one that loses its policy.
+    ///
+    /// A policy that stands aside from the first query on may never have been able to
+    /// answer any: only one that answers others in between, or would have no other
+    /// rollout to answer, was lost.
+    pub fn was_lost(self) -> bool {
+        match self.answered {
+            None => false,
+            Some(0) => self.is_back || self.is_last,
+            Some(_) => true,
+        }
+    }
+}
+
 /// How many of a policy's jobs may be leased now.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Allowance {
@@ -93,6 +121,17 @@ impl PolicyHealth {
                 ..self.clone()
             },
             PolicyState::Available | PolicyState::Probing { .. } => self.clone(),
+        }
+    }
+
+    /// A job that has lost this policy again and again was leased, alone: nothing else of
+    /// the policy is leased until it ends.
+    #[must_use]
+    pub fn with_lone_probe(&self, attempt: AttemptId, reason: String) -> PolicyHealth {
+        PolicyHealth {
+            outages: self.outages.max(1),
+            state: PolicyState::Probing { attempt, reason },
+            ..*self
         }
     }
 
@@ -216,7 +255,30 @@ impl PolicyHealth {
         }
     }
 
-    fn is_probe(&self, of: AttemptId) -> bool {
+    /// Whether this attempt is out to try the policy.
+    pub fn is_probe(&self, of: AttemptId) -> bool {
         matches!(&self.state, PolicyState::Probing { attempt, .. } if *attempt == of)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_policy_is_lost_only_by_an_attempt_that_had_it() {
+        let lost = |answered, is_back, is_last| {
+            let contact = Contact {
+                answered,
+                is_back,
+                is_last,
+            };
+            contact.was_lost()
+        };
+        assert!(!lost(None, true, true), "it was not there");
+        assert!(lost(Some(1), false, false));
+        assert!(!lost(Some(0), false, false), "it may be down");
+        assert!(lost(Some(0), true, false), "it answers others");
+        assert!(lost(Some(0), false, true), "there are no others");
     }
 }

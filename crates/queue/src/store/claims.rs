@@ -10,7 +10,7 @@ use super::{Doing, StoreError, json};
 use crate::clock::UnixMillis;
 use crate::ids::{AttemptNumber, CampaignId, JobId, WorkerId};
 use crate::rules::choice::WaitingTask;
-use crate::rules::lease::MAX_CHARGED_ATTEMPTS;
+use crate::rules::lease::{LOSSES_UNTIL_ALONE, MAX_CHARGED_ATTEMPTS};
 
 /// A job as it is handed to a worker.
 #[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
@@ -44,9 +44,33 @@ pub(crate) struct Candidate {
     task: String,
     /// Place in paired-unit order.
     pub(crate) unit_order: i64,
-    /// The workers on which it failed, JSON, once it has failed so often that it
+    /// The machines on which it failed, JSON, once it has failed so often that it
     /// matters which.
     failed_on: Option<String>,
+}
+
+/// The `failed_on` of a [`Candidate`], job `j`: as many failures as the parameter.
+macro_rules! failed_on {
+    ($failures:literal) => {
+        concat!(
+            "CASE WHEN j.charged_attempts >= ",
+            $failures,
+            " THEN (SELECT json_group_array(coalesce(w.machine, f.worker_id))
+                  FROM failure f LEFT JOIN worker w ON w.id = f.worker_id
+                  WHERE f.job_id = j.id AND f.charged = 1 AND f.attempt > j.forgiven_attempt)
+             END AS failed_on"
+        )
+    };
+}
+
+/// A job that is run alone only.
+#[derive(Clone, Debug, sqlx::FromRow)]
+pub(crate) struct Lone {
+    #[sqlx(flatten)]
+    pub(crate) job: Candidate,
+    pub(crate) rollout_id: String,
+    /// Attempts that lost their policy.
+    pub(crate) losses: u32,
 }
 
 /// A lease on its way into the database.
@@ -68,11 +92,11 @@ pub(crate) struct Term {
 }
 
 impl Candidate {
-    /// Whether it has failed too often, and on this very worker.
-    pub(crate) fn has_failed_on(&self, worker: &WorkerId) -> bool {
+    /// Whether it has failed too often, and on this very machine.
+    pub(crate) fn has_failed_on(&self, machine: &str) -> bool {
         let failed_on = self.failed_on.as_deref().unwrap_or("[]");
         let failed_on: Vec<&str> = serde_json::from_str(failed_on).unwrap_or_default();
-        failed_on.contains(&worker.0.as_str())
+        failed_on.contains(&machine)
     }
 }
 
@@ -117,7 +141,7 @@ pub(crate) async fn waiting_tasks(
         "SELECT t.task,
              (SELECT j.unit_order FROM job j
               WHERE j.campaign_id = t.campaign_id AND j.task = t.task AND j.state = 'queued'
-                  AND j.not_before_ms <= ?2
+                  AND j.not_before_ms <= ?2 AND j.losses < ?3
               ORDER BY j.unit_order LIMIT 1),
              (SELECT count(*) FROM job h
               WHERE h.campaign_id = t.campaign_id AND h.task = t.task AND h.state = 'leased')
@@ -125,6 +149,7 @@ pub(crate) async fn waiting_tasks(
     )
     .bind(campaign)
     .bind(now)
+    .bind(LOSSES_UNTIL_ALONE)
     .fetch_all(tx)
     .await
     .doing("look for waiting tasks")?;
@@ -147,23 +172,22 @@ pub(crate) async fn candidates(
     limit: usize,
     now: UnixMillis,
 ) -> Result<BTreeMap<String, VecDeque<Candidate>>, StoreError> {
-    let waiting: Vec<Candidate> = sqlx::query_as(
-        "SELECT j.id, j.task, j.unit_order, CASE WHEN j.charged_attempts >= ?5 THEN
-                 (SELECT json_group_array(f.worker_id) FROM failure f
-                  WHERE f.job_id = j.id AND f.charged = 1 AND f.attempt > j.forgiven_attempt)
-             END AS failed_on
-         FROM json_each(?3) AS asked JOIN job j ON j.id IN
+    let waiting: Vec<Candidate> = sqlx::query_as(concat!(
+        "SELECT j.id, j.task, j.unit_order, ",
+        failed_on!("?5"),
+        " FROM json_each(?3) AS asked JOIN job j ON j.id IN
              (SELECT q.id FROM job q
               WHERE q.campaign_id = ?1 AND q.task = asked.value AND q.state = 'queued'
-                  AND q.not_before_ms <= ?2
+                  AND q.not_before_ms <= ?2 AND q.losses < ?6
               ORDER BY q.unit_order LIMIT ?4)
          ORDER BY j.unit_order",
-    )
+    ))
     .bind(campaign)
     .bind(now)
     .bind(json(tasks.collect::<Vec<_>>()))
     .bind(i64::try_from(limit).unwrap_or(i64::MAX))
     .bind(MAX_CHARGED_ATTEMPTS)
+    .bind(LOSSES_UNTIL_ALONE)
     .fetch_all(tx)
     .await
     .doing("look for waiting jobs")?;
@@ -173,6 +197,43 @@ pub(crate) async fn candidates(
         of_task.push_back(job);
     }
     Ok(candidates)
+}
+
+/// The campaigns with jobs that are run alone only. Walks these jobs.
+pub(crate) async fn with_lone_jobs(
+    tx: &mut SqliteConnection,
+) -> Result<Vec<CampaignId>, StoreError> {
+    sqlx::query_scalar(
+        "SELECT DISTINCT campaign_id FROM job WHERE state = 'queued' AND losses >= 4",
+    )
+    .fetch_all(tx)
+    .await
+    .doing("look for campaigns with jobs that are run alone")
+}
+
+/// Up to `limit` jobs of a campaign whose back-off is over and which are run alone only,
+/// in paired-unit order.
+pub(crate) async fn lone(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+    limit: usize,
+    now: UnixMillis,
+) -> Result<Vec<Lone>, StoreError> {
+    // The number is that of the index `job_alone`.
+    sqlx::query_as(concat!(
+        "SELECT j.id, j.task, j.unit_order, j.rollout_id, j.losses, ",
+        failed_on!("?4"),
+        " FROM job j WHERE j.campaign_id = ?1 AND j.state = 'queued' AND j.losses >= 4
+             AND j.not_before_ms <= ?2
+         ORDER BY j.unit_order LIMIT ?3"
+    ))
+    .bind(campaign)
+    .bind(now)
+    .bind(i64::try_from(limit).unwrap_or(i64::MAX))
+    .bind(MAX_CHARGED_ATTEMPTS)
+    .fetch_all(tx)
+    .await
+    .doing("look for jobs that are run alone")
 }
 
 /// Leases waiting jobs, each to its worker: one statement raises the attempts

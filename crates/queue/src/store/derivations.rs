@@ -79,6 +79,24 @@ pub(crate) async fn all(tx: &mut SqliteConnection) -> Result<Vec<Derived>, Store
     .doing("list campaigns that follow from others")
 }
 
+/// Whether a campaign still follows from the same source, has as many jobs as it had
+/// when `campaign` was read, and is not cancelled. No other campaign ever gets its number.
+pub(crate) async fn is_as_it_was(
+    tx: &mut SqliteConnection,
+    campaign: &Derived,
+) -> Result<bool, StoreError> {
+    sqlx::query_scalar(
+        "SELECT EXISTS (SELECT 1 FROM derivation d JOIN campaign c ON c.id = d.campaign_id
+         WHERE d.campaign_id = ? AND d.source_id = ? AND c.jobs = ? AND c.state <> 'cancelled')",
+    )
+    .bind(campaign.campaign)
+    .bind(campaign.source)
+    .bind(campaign.jobs)
+    .fetch_one(tx)
+    .await
+    .doing("look whether a campaign is as it was")
+}
+
 /// The campaign that one follows from, if it follows from one.
 pub(crate) async fn source(
     tx: &mut SqliteConnection,

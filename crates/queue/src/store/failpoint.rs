@@ -34,7 +34,7 @@ pub enum Step {
     DeleteCampaign,
     /// A deleted campaign's files are gone.
     FinishRemoval,
-    /// Jobs are taken out of quarantine.
+    /// Jobs are taken out of quarantine, or put there because they are skipped.
     RetryJobs,
     /// Jobs are added to a campaign that follows from another.
     Derive,

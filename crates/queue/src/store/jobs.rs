@@ -12,8 +12,8 @@ use sqlx::SqliteConnection;
 
 use super::{Doing, StoreError, json, undecodable};
 use crate::clock::UnixMillis;
-use crate::ids::{AttemptNumber, CampaignId, JobId, WorkerId};
-use crate::rules::lease::{AfterFailure, FailureReason, Job, Lease, OutcomeKey};
+use crate::ids::{AttemptNumber, CampaignId, JobId, PolicyId, WorkerId};
+use crate::rules::lease::{AfterFailure, CutOff, FailureReason, Job, Lease, OutcomeKey};
 
 /// What matched rollouts share: one campaign, one scene, one initial state.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, sqlx::FromRow)]
@@ -44,6 +44,9 @@ pub(crate) struct NamedAttempt {
     /// The job's committed outcome, if it has one.
     #[sqlx(json(nullable))]
     pub(crate) stored: Option<OutcomeKey>,
+    /// The attempt's lease, if it was cut off with its worker.
+    #[sqlx(json(nullable))]
+    pub(crate) cut_off: Option<CutOff>,
 }
 
 /// A leased job.
@@ -54,6 +57,23 @@ pub(crate) struct LeasedRow {
     pub(crate) campaign_id: CampaignId,
     /// Progress last reported.
     pub(crate) control_steps: u32,
+}
+
+/// A lease that has expired.
+#[derive(Clone, Debug, sqlx::FromRow)]
+pub(crate) struct ExpiredRow {
+    #[sqlx(flatten)]
+    pub(crate) leased: LeasedRow,
+    /// The last heartbeat of its worker.
+    pub(crate) heartbeat_ms: Option<UnixMillis>,
+}
+
+/// What a job's attempts so far, and one more on some machine, amount to.
+#[derive(Clone, Copy, Debug, sqlx::FromRow)]
+pub(crate) struct History {
+    pub(crate) failed_on_machines: u32,
+    pub(crate) silent_on_machines: u32,
+    pub(crate) silences: u32,
 }
 
 /// Progress of an attempt, as its worker reports it.
@@ -69,7 +89,7 @@ pub(crate) struct Progress<'a> {
 macro_rules! job {
     () => {
         "json_object('id', j.id, 'attempt', j.attempt, 'charged_attempts', j.charged_attempts,
-             'state', json_object('is', j.state, 'not_before', j.not_before_ms,
+             'losses', j.losses, 'state', json_object('is', j.state, 'not_before', j.not_before_ms,
                  'attempt', j.attempt_id, 'owner', j.lease_owner, 'granted', j.leased_ms,
                  'expires', j.lease_expires_ms, 'ceiling', j.ceiling_ms,
                  'is_acknowledged', json(iif(j.acknowledged, 'true', 'false')))) AS job"
@@ -87,13 +107,18 @@ pub(crate) async fn named(
         job!(),
         ", j.campaign_id, j.task, j.init_id, j.manifest_row,
              iif(r.job_id IS NULL, NULL, json_object('steps', r.steps,
-                 'success', json(iif(r.success, 'true', 'false')))) AS stored
-         FROM (SELECT a.value AS named, h.id AS job_id, h.lease_owner AS worker, h.attempt AS number
+                 'success', json(iif(r.success, 'true', 'false')))) AS stored, n.cut_off
+         FROM (SELECT a.value AS named, h.id AS job_id, h.lease_owner AS worker,
+                   h.attempt AS number, NULL AS cut_off
                    FROM json_each(?1) a
                    JOIN job h ON h.attempt_id = a.value AND h.state = 'leased'
-               UNION ALL SELECT a.value, h.job_id, h.worker_id, h.attempt
+               UNION ALL SELECT a.value, h.job_id, h.worker_id, h.attempt, NULL
                    FROM json_each(?1) a JOIN result h ON h.attempt_id = a.value
-               UNION ALL SELECT a.value, h.job_id, h.worker_id, h.attempt
+               UNION ALL SELECT a.value, h.job_id, h.worker_id, h.attempt,
+                   iif(h.ceiling_ms IS NULL, NULL, json_object('number', h.attempt, 'lease',
+                       json_object('attempt', h.attempt_id, 'owner', h.worker_id,
+                           'granted', h.leased_ms, 'expires', h.failed_ms,
+                           'ceiling', h.ceiling_ms, 'is_acknowledged', json('true'))))
                    FROM json_each(?1) a JOIN failure h ON h.attempt_id = a.value) n
          JOIN job j ON j.id = n.job_id LEFT JOIN result r ON r.job_id = j.id"
     ))
@@ -131,36 +156,104 @@ pub(crate) async fn renew(
 }
 
 /// Gives every lease its full time again, and no more, also past its ceiling:
-/// what a worker could not report meanwhile it reports now. Nothing waits longer
-/// than `until`, whatever the clock said before.
-pub(crate) async fn restart_clocks(
+/// what a worker could not report meanwhile it reports now.
+pub(crate) async fn restart_leases(
     tx: &mut SqliteConnection,
     expires: UnixMillis,
-    until: UnixMillis,
 ) -> Result<(), StoreError> {
-    for (statement, instant) in [
-        (
-            "UPDATE job SET lease_expires_ms = ?1, ceiling_ms = max(ceiling_ms, ?1)
-             WHERE state = 'leased'",
-            expires,
-        ),
-        (
-            "UPDATE job SET not_before_ms = ?1
-             WHERE state = 'queued' AND not_before_ms > 0 AND not_before_ms > ?1",
-            until,
-        ),
-        (
-            "UPDATE policy SET resume_ms = min(resume_ms, ?) WHERE state = 'paused'",
-            until,
-        ),
-    ] {
-        sqlx::query(statement)
-            .bind(instant)
-            .execute(&mut *tx)
-            .await
-            .doing("give leases their full time")?;
-    }
-    Ok(())
+    sqlx::query(
+        "UPDATE job SET lease_expires_ms = ?1, ceiling_ms = max(ceiling_ms, ?1)
+         WHERE state = 'leased'",
+    )
+    .bind(expires)
+    .execute(tx)
+    .await
+    .doing("give leases their full time")
+    .map(drop)
+}
+
+/// Grants a lease again that was cut off with its worker, which has come back: the
+/// attempt has not ended after all. Its job waits and was not leased since.
+pub(crate) async fn resume(
+    tx: &mut SqliteConnection,
+    job: JobId,
+    lease: &Lease,
+    expires: UnixMillis,
+) -> Result<(), StoreError> {
+    sqlx::query("DELETE FROM failure WHERE attempt_id = ?")
+        .bind(lease.attempt.to_string())
+        .execute(&mut *tx)
+        .await
+        .doing("resume an attempt")?;
+    // No claim is repeated for it any more: its worker has it.
+    sqlx::query(
+        "UPDATE job SET state = 'leased', not_before_ms = NULL, attempt_id = ?2, claim_id = ?2,
+             acknowledged = 1, lease_owner = ?3, leased_ms = ?4, lease_expires_ms = min(?5, ?6),
+             ceiling_ms = ?6, control_steps = 0
+         WHERE id = ?1 AND state = 'queued'",
+    )
+    .bind(job)
+    .bind(lease.attempt.to_string())
+    .bind(&lease.owner)
+    .bind(lease.granted)
+    .bind(expires)
+    .bind(lease.ceiling)
+    .execute(tx)
+    .await
+    .doing("resume an attempt")
+    .map(drop)
+}
+
+/// No worker that was cut off is heard any more with a result of this campaign.
+pub(crate) async fn forget_cut_off(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "UPDATE failure SET leased_ms = NULL, ceiling_ms = NULL
+         WHERE ceiling_ms IS NOT NULL
+             AND (SELECT campaign_id FROM job WHERE id = job_id) = ?",
+    )
+    .bind(campaign)
+    .execute(tx)
+    .await
+    .doing("forget workers that were cut off")
+    .map(drop)
+}
+
+/// Puts a job that waits into quarantine because an operator skips it: an attempt of its
+/// own, which nobody ran, says so.
+pub(crate) async fn skip(
+    tx: &mut SqliteConnection,
+    job: JobId,
+    attempt: AttemptId,
+    why: &str,
+    now: UnixMillis,
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "UPDATE job SET state = 'quarantined', attempt = attempt + 1, not_before_ms = NULL,
+             last_error = ?
+         WHERE id = ? AND state = 'queued'",
+    )
+    .bind(why)
+    .bind(job)
+    .execute(&mut *tx)
+    .await
+    .doing("skip a job")?;
+    sqlx::query(
+        "INSERT INTO failure (attempt_id, job_id, attempt, worker_id, failed_ms, reason, charged,
+             error)
+         SELECT ?, id, attempt, 'operator', ?, ?, 0, ? FROM job WHERE id = ?",
+    )
+    .bind(attempt.to_string())
+    .bind(now)
+    .bind(FailureReason::Skipped.as_str())
+    .bind(why)
+    .bind(job)
+    .execute(tx)
+    .await
+    .doing("skip a job")
+    .map(drop)
 }
 
 /// Ends a lease without a result and records how.
@@ -181,8 +274,8 @@ pub(crate) async fn fail(
         "UPDATE job SET state = ?2, not_before_ms = ?3, attempt_id = NULL, claim_id = NULL,
              acknowledged = NULL, ceiling_ms = NULL, lease_owner = NULL, leased_ms = NULL,
              lease_expires_ms = NULL, control_steps = NULL,
-             charged_attempts = charged_attempts + ?4,
-             last_error = CASE WHEN ?4 THEN ?5 ELSE last_error END
+             charged_attempts = charged_attempts + ?4, losses = losses + ?6,
+             last_error = CASE WHEN ?4 OR ?7 THEN ?5 ELSE last_error END
          WHERE attempt_id = ?1 AND state = 'leased'",
     )
     .bind(lease.attempt.to_string())
@@ -190,13 +283,16 @@ pub(crate) async fn fail(
     .bind(not_before)
     .bind(reason.is_charged())
     .bind(error)
+    .bind(reason.is_loss())
+    .bind(reason.is_loss() || then == AfterFailure::Quarantine)
     .execute(&mut *tx)
     .await
     .doing("end an attempt")?;
+    let may_be_resumed = reason.may_be_resumed().then_some(lease);
     sqlx::query(
         "INSERT INTO failure (attempt_id, job_id, attempt, worker_id, failed_ms, reason, charged,
-             error)
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+             error, leased_ms, ceiling_ms)
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
     )
     .bind(lease.attempt.to_string())
     .bind(job.id)
@@ -206,6 +302,8 @@ pub(crate) async fn fail(
     .bind(reason.as_str())
     .bind(reason.is_charged())
     .bind(error)
+    .bind(may_be_resumed.map(|lease| lease.granted))
+    .bind(may_be_resumed.map(|lease| lease.ceiling))
     .execute(tx)
     .await
     .doing("record how an attempt ended")
@@ -266,11 +364,12 @@ pub(crate) async fn expired(
     tx: &mut SqliteConnection,
     now: UnixMillis,
     limit: u32,
-) -> Result<Vec<LeasedRow>, StoreError> {
+) -> Result<Vec<ExpiredRow>, StoreError> {
     sqlx::query_as(concat!(
         "SELECT ",
         job!(),
-        ", j.campaign_id, j.control_steps FROM job j
+        ", j.campaign_id, j.control_steps, w.heartbeat_ms
+         FROM job j JOIN worker w ON w.id = j.lease_owner
          WHERE j.state = 'leased' AND j.lease_expires_ms <= ?
          ORDER BY j.lease_expires_ms LIMIT ?"
     ))
@@ -279,6 +378,22 @@ pub(crate) async fn expired(
     .fetch_all(tx)
     .await
     .doing("look for expired leases")
+}
+
+/// The lease of a job, if it has one.
+pub(crate) async fn lease(
+    tx: &mut SqliteConnection,
+    job: JobId,
+) -> Result<Option<LeasedRow>, StoreError> {
+    sqlx::query_as(concat!(
+        "SELECT ",
+        job!(),
+        ", j.campaign_id, j.control_steps FROM job j WHERE j.id = ? AND j.state = 'leased'"
+    ))
+    .bind(job)
+    .fetch_optional(tx)
+    .await
+    .doing("look up a lease")
 }
 
 /// The quarantined jobs of a campaign.
@@ -319,7 +434,7 @@ pub(crate) async fn retry(
     now: UnixMillis,
 ) -> Result<(), StoreError> {
     sqlx::query(
-        "UPDATE job SET state = 'queued', not_before_ms = ?, charged_attempts = 0,
+        "UPDATE job SET state = 'queued', not_before_ms = ?, charged_attempts = 0, losses = 0,
              forgiven_attempt = attempt
          WHERE id = ? AND state = 'quarantined'",
     )
@@ -331,23 +446,67 @@ pub(crate) async fn retry(
     .map(drop)
 }
 
-/// Distinct workers on which a job's attempts were charged, counting `worker`
-/// as one of them.
-pub(crate) async fn failed_on_workers(
+/// What a job's attempts since it was last retried by hand, and one more by `worker`,
+/// amount to. A worker that does not say on which machine it runs is a machine of its
+/// own.
+pub(crate) async fn history(
     tx: &mut SqliteConnection,
     job: JobId,
     worker: &WorkerId,
-) -> Result<u32, StoreError> {
-    sqlx::query_scalar(
-        "SELECT 1 + count(DISTINCT f.worker_id) FROM failure f JOIN job j ON j.id = f.job_id
-         WHERE f.job_id = ? AND f.charged = 1 AND f.attempt > j.forgiven_attempt
-             AND f.worker_id <> ?",
+) -> Result<History, StoreError> {
+    sqlx::query_as(
+        "SELECT 1 + count(DISTINCT iif(f.charged, nullif(coalesce(w.machine, f.worker_id), o.machine),
+                 NULL)) AS failed_on_machines,
+             1 + count(DISTINCT iif(f.reason = 'worker_silent',
+                 nullif(coalesce(w.machine, f.worker_id), o.machine), NULL)) AS silent_on_machines,
+             1 + coalesce(sum(f.reason = 'worker_silent'), 0) AS silences
+         FROM (SELECT coalesce(machine, id) AS machine FROM worker WHERE id = ?2) o
+         JOIN job j ON j.id = ?1
+         LEFT JOIN failure f ON f.job_id = j.id AND f.attempt > j.forgiven_attempt
+         LEFT JOIN worker w ON w.id = f.worker_id",
     )
     .bind(job)
     .bind(worker)
     .fetch_one(tx)
     .await
-    .doing("count the workers that a job failed on")
+    .doing("look what a job's attempts amount to")
+}
+
+/// When a job last ended an attempt because its policy could not be reached.
+pub(crate) async fn last_without_policy(
+    tx: &mut SqliteConnection,
+    job: JobId,
+) -> Result<Option<UnixMillis>, StoreError> {
+    sqlx::query_scalar(
+        "SELECT max(failed_ms) FROM failure
+         WHERE job_id = ? AND reason IN ('policy_unavailable', 'policy_lost')",
+    )
+    .bind(job)
+    .fetch_one(tx)
+    .await
+    .doing("look when a job last did without its policy")
+}
+
+/// Whether a job of a policy waits, other than this one, that has lost the policy fewer
+/// than `losses` times.
+pub(crate) async fn others_wait(
+    tx: &mut SqliteConnection,
+    policy: PolicyId,
+    job: JobId,
+    losses: u32,
+) -> Result<bool, StoreError> {
+    sqlx::query_scalar(
+        "SELECT EXISTS (SELECT 1 FROM campaign c JOIN job j ON j.campaign_id = c.id
+         WHERE c.policy_id = ? AND c.state = 'running' AND j.state = 'queued'
+             AND j.losses < ? AND j.id <> ? AND NOT EXISTS
+                 (SELECT 1 FROM stop s WHERE s.campaign_id = c.id AND s.stopped_ms IS NOT NULL))",
+    )
+    .bind(policy)
+    .bind(losses)
+    .bind(job)
+    .fetch_one(tx)
+    .await
+    .doing("look for other jobs of a policy")
 }
 
 /// Whether a back-off or a policy's pause ended in `(after, until]`: waiting

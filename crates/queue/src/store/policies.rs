@@ -6,6 +6,7 @@ use sqlx::SqliteConnection;
 use super::{Doing, StoreError};
 use crate::clock::UnixMillis;
 use crate::ids::{CampaignId, PolicyId};
+use crate::rules::lease::LOSSES_UNTIL_ALONE;
 use crate::rules::outage::{PolicyHealth, PolicyState};
 
 /// The [`PolicyHealth`] of a row of table `p`, as JSON; the CHECK constraints
@@ -64,17 +65,31 @@ pub(crate) struct Probe {
     pub(crate) settle_steps: u32,
 }
 
-/// The probes that are out.
+/// The probes that are out; those that run alone are left out, because their first answer
+/// says nothing yet.
 pub(crate) async fn probes(tx: &mut SqliteConnection) -> Result<Vec<Probe>, StoreError> {
     sqlx::query_as(
         "SELECT j.campaign_id AS campaign, j.attempt_id AS attempt,
              coalesce(json_extract(j.manifest_row, '$.num_steps_wait'), 0) AS settle_steps
          FROM policy p JOIN job j ON j.attempt_id = p.probe_attempt_id AND j.state = 'leased'
-         WHERE p.state = 'probing'",
+         WHERE p.state = 'probing' AND j.losses < ?",
     )
+    .bind(LOSSES_UNTIL_ALONE)
     .fetch_all(tx)
     .await
     .doing("look for probes")
+}
+
+/// Whether no job of a policy is leased.
+pub(crate) async fn is_idle(tx: &mut SqliteConnection, id: PolicyId) -> Result<bool, StoreError> {
+    sqlx::query_scalar(
+        "SELECT NOT EXISTS (SELECT 1 FROM campaign c JOIN job j ON j.campaign_id = c.id
+         WHERE c.policy_id = ? AND j.state = 'leased')",
+    )
+    .bind(id)
+    .fetch_one(tx)
+    .await
+    .doing("look whether a policy's jobs are leased")
 }
 
 /// Stores a policy's health.

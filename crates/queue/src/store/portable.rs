@@ -130,7 +130,13 @@ const COPIED: [Copied; 10] = [
         table: "failure",
         from: "source.failure s JOIN temp.moved_job m ON m.old = s.job_id
                JOIN temp.moved_attempt a ON a.old = s.attempt_id WHERE TRUE",
-        values: &[JOB, ("attempt_id", "a.new")],
+        values: &[
+            JOB,
+            ("attempt_id", "a.new"),
+            // Whoever comes back with a result brings it to the other coordinator.
+            ("leased_ms", "NULL"),
+            ("ceiling_ms", "NULL"),
+        ],
         rest: " ORDER BY m.new, s.attempt",
     },
     Copied {
@@ -222,11 +228,11 @@ pub(crate) async fn copy(
         .execute(&mut *tx)
         .await
         .doing("copy a campaign")?;
-    // Behind the jobs that are here.
+    // Behind all jobs that ever were here.
     run(
         tx,
         "INSERT INTO temp.moved_job
-         SELECT id, (SELECT coalesce(max(id), 0) FROM main.job)
+         SELECT id, (SELECT seq FROM main.sqlite_sequence WHERE name = 'job')
              + row_number() OVER (ORDER BY unit_order)
          FROM source.job WHERE campaign_id = (SELECT old FROM temp.moved)",
     )

@@ -16,8 +16,11 @@ use crate::rules::lease::Strike;
 pub struct WorkerInfo {
     /// Its id.
     pub id: WorkerId,
-    /// The machine it runs on.
+    /// The name of the machine it runs on.
     pub host: String,
+    /// What tells that machine from others, if it says so: the same for every worker
+    /// there, now and after a restart.
+    pub machine: Option<String>,
     /// Rollouts that it runs side by side.
     pub slots: u32,
     /// Cores that they share, if it says so.
@@ -32,6 +35,8 @@ pub struct WorkerInfo {
 #[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
 pub(crate) struct Standing {
     pub(crate) id: WorkerId,
+    /// The machine it runs on: its own id if it does not say.
+    pub(crate) machine: String,
     /// What it runs on.
     #[sqlx(json)]
     pub(crate) pin: Pin,
@@ -66,21 +71,42 @@ fn each_once(ids: &[&WorkerId]) -> String {
     json(ids.iter().map(|id| &id.0).collect::<BTreeSet<_>>())
 }
 
-/// Stores a worker that announces itself; one that does so again starts with a
-/// clean record.
+/// The failures in a row of the worker that was last started on a machine, other than
+/// this one.
+pub(crate) async fn last_on_machine(
+    tx: &mut SqliteConnection,
+    machine: &str,
+    but: &WorkerId,
+) -> Result<u32, StoreError> {
+    let last = sqlx::query_scalar(
+        "SELECT charged_in_a_row FROM worker WHERE machine = ? AND id <> ?
+         ORDER BY registered_ms DESC, rowid DESC LIMIT 1",
+    )
+    .bind(machine)
+    .bind(but)
+    .fetch_optional(tx)
+    .await
+    .doing("look up the last worker of a machine")?;
+    Ok(last.unwrap_or(0))
+}
+
+/// Stores a worker that announces itself, with the failures in a row that it begins
+/// with.
 pub(crate) async fn upsert(
     tx: &mut SqliteConnection,
     worker: &WorkerInfo,
+    in_a_row: u32,
     now: UnixMillis,
 ) -> Result<(), StoreError> {
     sqlx::query(
         "INSERT INTO worker (id, host, slots, asset_pack, asset_pack_digest, mujoco_version,
-             renderer, program_version, registered_ms, last_seen_ms, cores)
-         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?9, ?10)
+             renderer, program_version, registered_ms, last_seen_ms, cores, machine,
+             charged_in_a_row)
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?9, ?10, ?11, ?12)
          ON CONFLICT (id) DO UPDATE SET host = ?2, slots = ?3, asset_pack = ?4,
              asset_pack_digest = ?5, mujoco_version = ?6, renderer = ?7,
              program_version = ?8, registered_ms = ?9, last_seen_ms = ?9, cores = ?10,
-             charged_in_a_row = 0, stopped_reason = NULL, signed_off_ms = NULL",
+             machine = ?11, charged_in_a_row = ?12, stopped_reason = NULL, signed_off_ms = NULL",
     )
     .bind(&worker.id)
     .bind(&worker.host)
@@ -92,6 +118,8 @@ pub(crate) async fn upsert(
     .bind(&worker.program_version)
     .bind(now)
     .bind(worker.cores)
+    .bind(&worker.machine)
+    .bind(in_a_row)
     .execute(tx)
     .await
     .doing("register a worker")
@@ -104,7 +132,8 @@ pub(crate) async fn standings(
     ids: &[&WorkerId],
 ) -> Result<BTreeMap<WorkerId, Standing>, StoreError> {
     let standings: Vec<Standing> = sqlx::query_as(concat!(
-        "SELECT id, last_seen_ms, charged_in_a_row, stopped_reason, ",
+        "SELECT id, coalesce(machine, id) AS machine, last_seen_ms, charged_in_a_row,
+             stopped_reason, ",
         pin!("worker"),
         " AS pin FROM worker WHERE id IN (SELECT value FROM json_each(?))",
     ))
@@ -131,6 +160,24 @@ pub(crate) async fn seen(
     .execute(tx)
     .await
     .doing("note that workers were heard of")
+    .map(drop)
+}
+
+/// Notes that workers sent heartbeats.
+pub(crate) async fn beat(
+    tx: &mut SqliteConnection,
+    ids: &[&WorkerId],
+    now: UnixMillis,
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "UPDATE worker SET last_seen_ms = max(last_seen_ms, ?1), heartbeat_ms = ?1
+         WHERE id IN (SELECT value FROM json_each(?2))",
+    )
+    .bind(now)
+    .bind(each_once(ids))
+    .execute(tx)
+    .await
+    .doing("note that workers sent heartbeats")
     .map(drop)
 }
 
@@ -189,21 +236,32 @@ pub(crate) async fn sign_off(
     Ok(noted.rows_affected() > 0)
 }
 
-/// What workers run on that have called since `since`, have not said good-bye
-/// and may lease.
-pub(crate) async fn live_pins(
+/// A worker that is there and may lease.
+#[derive(Clone, Debug)]
+pub(crate) struct Live {
+    /// What it runs on.
+    pub(crate) pin: Pin,
+    /// Its machine: its own id if it does not say.
+    pub(crate) machine: String,
+}
+
+/// Workers that have called since `since`, have not said good-bye and may lease.
+pub(crate) async fn live(
     tx: &mut SqliteConnection,
     since: UnixMillis,
-) -> Result<Vec<Pin>, StoreError> {
-    let pins: Vec<Json<Pin>> = sqlx::query_scalar(concat!(
+) -> Result<Vec<Live>, StoreError> {
+    let live: Vec<(Json<Pin>, String)> = sqlx::query_as(concat!(
         "SELECT ",
         pin!("worker"),
-        " FROM worker WHERE last_seen_ms >= ? AND stopped_reason IS NULL
+        ", coalesce(machine, id) FROM worker WHERE last_seen_ms >= ? AND stopped_reason IS NULL
              AND signed_off_ms IS NULL",
     ))
     .bind(since)
     .fetch_all(tx)
     .await
     .doing("count live workers")?;
-    Ok(pins.into_iter().map(|Json(pin)| pin).collect())
+    let live = live.into_iter();
+    Ok(live
+        .map(|(Json(pin), machine)| Live { pin, machine })
+        .collect())
 }

@@ -1,0 +1,174 @@
+//! A clock that jumps between two starts of a coordinator: every column that stores an
+//! instant, and what becomes of it.
+//!
+//! While a coordinator runs, its clock only goes forward (`queue::clock`).
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use proto::coordinator::commit_response::Verdict;
+use proto::coordinator::release_request::Reason;
+use queue::clock::{Clock, ManualClock, UnixMillis};
+use queue::invariants::check;
+use serde_json::json;
+use sqlx::AssertSqlSafe;
+
+use crate::harness::{Bench, small_spec, with};
+
+const DAY_MS: i64 = 24 * 3_600 * 1_000;
+/// The longest back-off.
+const LONGEST_WAIT_MS: i64 = 60_000;
+const LEASE_MS: i64 = 30_000;
+
+/// Every column that stores an instant, and how far ahead of the clock it may lie after a
+/// start, whatever it was before. Behind the clock an instant is past, however far: a
+/// clock that jumped ahead ends back-offs and pauses, makes workers silent until they
+/// call, and leaves leases their full time.
+const INSTANTS: [(&str, &str, Option<i64>); 20] = [
+    // For people; the rates that estimates rest on.
+    ("artifact", "stored_ms", Some(0)),
+    ("campaign", "created_ms", Some(0)),
+    // Decides whether a result that does not suit was leased in good faith.
+    ("campaign", "pinned_ms", Some(0)),
+    ("campaign", "state_since_ms", Some(0)),
+    ("divergence", "reported_ms", Some(0)),
+    // Until when a worker that was cut off is heard: as long after `leased_ms` as before.
+    ("failure", "ceiling_ms", None),
+    ("failure", "failed_ms", Some(0)),
+    ("failure", "leased_ms", Some(0)),
+    // The attempt's own length after its beginning, or the lease's if that is more.
+    ("job", "ceiling_ms", None),
+    ("job", "lease_expires_ms", Some(LEASE_MS)),
+    ("job", "leased_ms", Some(0)),
+    ("job", "not_before_ms", Some(LONGEST_WAIT_MS)),
+    // Since when a lease can be evidence of an outage.
+    ("policy", "available_ms", Some(0)),
+    ("policy", "resume_ms", Some(LONGEST_WAIT_MS)),
+    ("result", "committed_ms", Some(0)),
+    ("stop", "stopped_ms", Some(0)),
+    // Whether a lease was cut off with its worker.
+    ("worker", "heartbeat_ms", Some(0)),
+    // Whether a worker is alive.
+    ("worker", "last_seen_ms", Some(0)),
+    ("worker", "registered_ms", Some(0)),
+    ("worker", "signed_off_ms", Some(0)),
+];
+
+/// Instants of every column, at rest.
+async fn every_instant(bench: &Bench) {
+    let spec = with(small_spec("times"), json!({"configs": [0, 1]}));
+    bench.create(&spec).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    let leases = worker.claim(4).await;
+    assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
+    assert_eq!(worker.commit(&leases[0], false).await, Verdict::Divergent);
+    worker.release(&leases[1], Reason::SlotCrashed).await;
+    worker.release(&leases[2], Reason::PolicyUnavailable).await;
+    bench.create(&small_spec("over")).await.expect("created");
+    let pool = bench.database().await;
+    sqlx::raw_sql(
+        "INSERT INTO artifact SELECT attempt_id, 'video', 'artifacts/x', 1, committed_ms FROM result;
+         INSERT INTO stop SELECT id, 3, 1, created_ms FROM campaign WHERE name = 'over';
+         UPDATE worker SET signed_off_ms = last_seen_ms, heartbeat_ms = last_seen_ms;
+         UPDATE failure SET leased_ms = failed_ms, ceiling_ms = failed_ms + 60000",
+    )
+    .execute(&pool)
+    .await
+    .expect("stored");
+    pool.close().await;
+}
+
+/// The latest instant of a column.
+async fn latest(bench: &Bench, table: &str, column: &str) -> Option<i64> {
+    let pool = bench.database().await;
+    let statement = format!("SELECT max({column}) FROM {table}");
+    let latest = sqlx::query_scalar(AssertSqlSafe(statement))
+        .fetch_one(&pool)
+        .await;
+    pool.close().await;
+    latest.expect("an instant")
+}
+
+#[tokio::test]
+async fn every_column_with_an_instant_is_named_here() {
+    let bench = Bench::start().await;
+    let pool = bench.database().await;
+    let columns: Vec<(String, String)> = sqlx::query_as(
+        "SELECT m.name, c.name FROM sqlite_schema m JOIN pragma_table_info(m.name) c
+         WHERE m.type = 'table' AND c.name LIKE '%\\_ms' ESCAPE '\\' ORDER BY 1, 2",
+    )
+    .fetch_all(&pool)
+    .await
+    .expect("columns");
+    pool.close().await;
+    let found = columns.iter().map(|(table, column)| (&**table, &**column));
+    let named = INSTANTS.map(|(table, column, _)| (table, column));
+    assert_eq!(
+        found.collect::<Vec<_>>(),
+        named,
+        "say what a jump does to it"
+    );
+}
+
+/// Finding B3.
+#[tokio::test]
+async fn a_clock_that_was_set_back_leaves_no_instant_ahead_of_it() {
+    let bench = Bench::start().await;
+    every_instant(&bench).await;
+    let now = bench.clock.now().0 - DAY_MS;
+    let folder = bench.stop().await;
+    let clock = Arc::new(ManualClock::at(UnixMillis(now)));
+    let bench = Bench::start_in(folder, clock).await;
+    for (table, column, ahead) in INSTANTS {
+        let latest = latest(&bench, table, column).await;
+        let latest = latest.unwrap_or_else(|| panic!("no row has {table}.{column}"));
+        let most = ahead.unwrap_or(3_600_000);
+        assert!(
+            latest <= now + most,
+            "{table}.{column} is {} ms ahead",
+            latest - now
+        );
+    }
+    let folder = bench.stop().await;
+    assert_eq!(check(folder.path()).await.expect("a database"), []);
+}
+
+#[tokio::test]
+async fn an_outage_is_noticed_and_a_dead_worker_is_dead_after_the_clock_was_set_back() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("back")).await.expect("created");
+    let mut worker = bench.worker("a").await;
+    // Since when the policy is available is as of today.
+    let lease = worker.claim_one().await;
+    worker.release(&lease, Reason::PolicyUnavailable).await;
+    bench.pass(5).await;
+    let probe = worker.claim_one().await;
+    assert_eq!(worker.commit(&probe, true).await, Verdict::Accepted);
+    let yesterday = UnixMillis(bench.clock.now().0 - DAY_MS);
+    let folder = bench.stop().await;
+    let bench = Bench::start_in(folder, Arc::new(ManualClock::at(yesterday))).await;
+    assert_eq!(
+        bench.status("back").await.live_workers,
+        1,
+        "it called just now"
+    );
+    bench.pass(60).await;
+    assert_eq!(bench.status("back").await.live_workers, 0);
+    let mut worker = bench.worker("b").await;
+    let lease = worker.claim_one().await;
+    worker.release(&lease, Reason::PolicyUnavailable).await;
+    assert!(bench.status("back").await.policy_paused, "this is news");
+}
+
+#[tokio::test]
+async fn a_clock_that_jumped_ahead_takes_no_lease_away() {
+    let bench = Bench::start().await;
+    bench.create(&small_spec("ahead")).await.expect("created");
+    let lease = bench.worker("a").await.claim_one().await;
+    bench.clock.advance(Duration::from_secs(24 * 3_600));
+    let bench = bench.restart().await;
+    bench.pass(20).await;
+    let mut worker = bench.worker("a").await;
+    assert!(worker.heartbeat(&[&lease], 40).await.is_empty());
+    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+}

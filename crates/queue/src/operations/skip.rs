@@ -1,0 +1,70 @@
+//! Skipping rollouts: an operator gives them up, and the campaign goes on without them.
+
+use super::campaigns::going_on;
+use super::context::Context;
+use super::error::QueueError;
+use crate::ids::{CampaignName, JobName};
+use crate::queue::Queue;
+use crate::rules::lease::{FailureReason, JobState};
+use crate::store::failpoint::Step;
+use crate::store::jobs;
+
+/// Error that is stored with a rollout that was skipped.
+const SKIPPED: &str = "an operator skipped this rollout";
+
+impl Queue {
+    /// Puts rollouts that wait or are being run into quarantine; all of those that are
+    /// named, or none. They count against nobody, and `retry_jobs` takes them out again.
+    /// Returns how many.
+    ///
+    /// # Errors
+    /// When the campaign or a job is unknown, the campaign is over, a job is committed or
+    /// in quarantine, or the database fails.
+    pub async fn skip_jobs(
+        &self,
+        name: &CampaignName,
+        names: &[JobName],
+    ) -> Result<u64, QueueError> {
+        let mut context = Context::begin(&self.shared, vec![Step::RetryJobs]).await?;
+        let campaign = context.campaign_named(name).await?;
+        going_on(&campaign)?;
+        for job in names {
+            let JobName {
+                rollout_id,
+                replicate,
+            } = job;
+            let tx = &mut context.tx;
+            let found = jobs::by_rollout(tx, campaign.id, rollout_id, *replicate).await?;
+            let Some((id, state)) = found else {
+                return Err(QueueError::UnknownRollout {
+                    campaign: campaign.name.clone(),
+                    job: job.clone(),
+                });
+            };
+            match jobs::lease(&mut context.tx, id).await? {
+                Some(row) => {
+                    if let JobState::Leased(lease) = &row.job.state {
+                        let ending = (FailureReason::Skipped, SKIPPED);
+                        let ended = context.end_attempt((&row.job, lease), campaign.id, ending);
+                        ended.await?;
+                    }
+                }
+                None if state == "queued" => {
+                    let attempt = self.shared.new_attempt();
+                    jobs::skip(&mut context.tx, id, attempt, SKIPPED, context.now).await?;
+                }
+                None => {
+                    return Err(QueueError::NotSkippable {
+                        job: job.clone(),
+                        state,
+                    });
+                }
+            }
+        }
+        context.settles = true;
+        context.commit().await?;
+        tracing::info!(campaign = %name, jobs = names.len(), "skipped by an operator");
+        self.shared.work.notify_waiters();
+        Ok(names.len() as u64)
+    }
+}

@@ -1,0 +1,57 @@
+//! Instants that are stored, brought into line with a clock that was set back while no
+//! coordinator ran.
+//!
+//! The clock of a running coordinator never goes back. The next one may begin earlier
+//! than the instants that it finds: then a policy would have been available since
+//! tomorrow, so that no outage counts, and a worker that is gone would count as alive
+//! until then. Instants that lie behind the clock are past, however far it jumped ahead.
+
+use sqlx::SqliteConnection;
+
+use super::{Doing, StoreError};
+use crate::clock::UnixMillis;
+
+/// What becomes of instants ahead of the present one, `?1`. Of back-offs and pauses,
+/// which may end later, the longest wait is kept: `?2`.
+const SET_BACK: &[&str] = &[
+    "UPDATE campaign SET created_ms = min(created_ms, ?1),
+         state_since_ms = min(state_since_ms, ?1), pinned_ms = min(pinned_ms, ?1)
+     WHERE created_ms > ?1 OR state_since_ms > ?1 OR pinned_ms > ?1",
+    "UPDATE stop SET stopped_ms = ?1 WHERE stopped_ms > ?1",
+    "UPDATE policy SET available_ms = ?1 WHERE available_ms > ?1",
+    "UPDATE policy SET resume_ms = ?2 WHERE resume_ms > ?2",
+    "UPDATE worker SET registered_ms = min(registered_ms, ?1),
+         last_seen_ms = min(last_seen_ms, ?1), signed_off_ms = min(signed_off_ms, ?1),
+         heartbeat_ms = min(heartbeat_ms, ?1)
+     WHERE last_seen_ms > ?1 OR registered_ms > ?1 OR signed_off_ms > ?1 OR heartbeat_ms > ?1",
+    // An attempt's ceiling stays as far from its beginning as it was.
+    "UPDATE job SET leased_ms = ?1, ceiling_ms = ?1 + ceiling_ms - leased_ms
+     WHERE state = 'leased' AND leased_ms > ?1",
+    "UPDATE job SET not_before_ms = ?2
+     WHERE state = 'queued' AND not_before_ms > 0 AND not_before_ms > ?2",
+    "UPDATE failure SET failed_ms = ?1 WHERE failed_ms > ?1",
+    "UPDATE failure SET leased_ms = ?1, ceiling_ms = ?1 + ceiling_ms - leased_ms
+     WHERE leased_ms > ?1",
+    "UPDATE result SET committed_ms = ?1
+     WHERE campaign_id IN (SELECT id FROM campaign) AND committed_ms > ?1",
+    "UPDATE divergence SET reported_ms = ?1 WHERE reported_ms > ?1",
+    "UPDATE artifact SET stored_ms = ?1 WHERE stored_ms > ?1",
+];
+
+/// Sets instants back that lie ahead of `now`; what waits does so until `latest` at the
+/// most.
+pub(crate) async fn set_back(
+    tx: &mut SqliteConnection,
+    now: UnixMillis,
+    latest: UnixMillis,
+) -> Result<(), StoreError> {
+    for statement in SET_BACK.iter().copied() {
+        sqlx::query(statement)
+            .bind(now)
+            .bind(latest)
+            .execute(&mut *tx)
+            .await
+            .doing("bring instants into line with the clock")?;
+    }
+    Ok(())
+}
