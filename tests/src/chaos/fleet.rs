@@ -54,6 +54,12 @@ pub struct Plan {
     pub coordinator: PathBuf,
 }
 
+/// A worker, and the machine that it takes itself to run on.
+struct Worker {
+    process: Process,
+    machine: usize,
+}
+
 /// A running system.
 pub struct Fleet {
     folder: tempfile::TempDir,
@@ -64,7 +70,7 @@ pub struct Fleet {
     coordinator: Option<Process>,
     gateway: Option<Process>,
     policy: Option<Process>,
-    workers: Vec<Process>,
+    workers: Vec<Worker>,
     /// The worker whose slots were killed all at once, last.
     wounded: Option<u32>,
     /// What shows the coordinator another wall clock, and how far it is off.
@@ -134,8 +140,8 @@ impl Fleet {
         ];
         let design = fleet.plan.design.iter().map(String::as_str);
         fleet.ask(&campaign.into_iter().chain(design).collect::<Vec<_>>());
-        for _ in 0..fleet.plan.workers {
-            fleet.start_worker();
+        for machine in 0..fleet.plan.workers {
+            fleet.start_worker(machine);
         }
         fleet
     }
@@ -210,11 +216,11 @@ impl Fleet {
     /// Stops the parents of all workers for a while; their slots go on.
     pub fn stop_all_workers(&self, time: Duration) {
         for worker in &self.workers {
-            worker.signal("-STOP");
+            worker.process.signal("-STOP");
         }
         sleep(time);
         for worker in &self.workers {
-            worker.signal("-CONT");
+            worker.process.signal("-CONT");
         }
     }
 
@@ -259,13 +265,24 @@ impl Fleet {
             }
             Fault::KillWorker => {
                 let victim = self.workers.remove(0);
-                victim.signal("-KILL");
-                self.start_worker();
+                victim.process.signal("-KILL");
+                self.start_worker(victim.machine);
+            }
+            Fault::RestartMachine(down) => {
+                let victim = self.workers.remove(0);
+                let slots = children(victim.process.id());
+                victim.process.signal("-KILL");
+                kill_all(&slots);
+                sleep(down);
+                self.start_worker(victim.machine);
             }
             Fault::DrainWorker => {
-                let mut victim = self.workers.remove(0);
+                let Worker {
+                    process: mut victim,
+                    machine,
+                } = self.workers.remove(0);
                 victim.signal("-TERM");
-                self.start_worker();
+                self.start_worker(machine);
                 match self.wounded == Some(victim.id()) {
                     // So many failures at once: it may have given up before.
                     true => drop(victim.end()),
@@ -273,13 +290,9 @@ impl Fleet {
                 }
             }
             Fault::KillSlot => {
-                self.wounded = Some(self.workers[0].id());
-                for slot in children(self.workers[0].id()) {
-                    // It may have ended between the look and the shot.
-                    let _ = Command::new("kill")
-                        .args(["-KILL", &slot.to_string()])
-                        .status();
-                }
+                let wounded = self.workers[0].process.id();
+                self.wounded = Some(wounded);
+                kill_all(&children(wounded));
             }
             Fault::KillGateway(down) => {
                 self.to_gateway.lead_to(None);
@@ -293,11 +306,16 @@ impl Fleet {
                 sleep(down);
                 self.start_policy();
             }
-            Fault::StopWorker(time) => pause(&self.workers[0], time),
+            Fault::StopWorker(time) => pause(&self.workers[0].process, time),
             Fault::StopCoordinator(time) => {
                 pause(self.coordinator.as_ref().expect("a coordinator"), time);
             }
             Fault::Cut(way) => self.wire(way).cut(),
+            Fault::Block(way, time) => {
+                self.wire(way).block(true);
+                sleep(time);
+                self.wire(way).block(false);
+            }
             Fault::Delay(way, by) => {
                 self.wire(way).delay(by);
                 sleep(Duration::from_secs(1));
@@ -441,17 +459,18 @@ impl Fleet {
         Process::serve(command.stderr(self.log()))
     }
 
-    fn start_worker(&mut self) {
+    fn start_worker(&mut self, machine: usize) {
         let mut command = Command::new(program("worker"));
         command.args(["--connect", &self.to_coordinator.url()]);
         command.args(["--policy-endpoint", &self.to_gateway.url()]);
         command.args(["--assets", "primitives", "--slots"]);
         command.arg(self.plan.slots_each.to_string());
+        command.args(["--machine", &format!("machine-{machine}")]);
         if self.plan.slots == SlotKind::Simulated {
             command.arg("--slot-program").arg(program("simulated_slot"));
         }
-        let worker = Process::start(command.stderr(self.log()));
-        self.workers.push(worker);
+        let process = Process::start(command.stderr(self.log()));
+        self.workers.push(Worker { process, machine });
     }
 
     /// Ends everything in good order.
@@ -569,6 +588,15 @@ fn limit_files(process: &Process, limit: &str) {
         .arg(format!("--fsize={limit}"))
         .status();
     assert!(status.expect("prlimit runs").success());
+}
+
+/// Kills processes; some may have ended between the look and the shot.
+fn kill_all(processes: &[u32]) {
+    for process in processes {
+        let _ = Command::new("kill")
+            .args(["-KILL", &process.to_string()])
+            .status();
+    }
 }
 
 /// The processes that a process started.

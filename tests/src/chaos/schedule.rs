@@ -9,11 +9,11 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 
 /// Faults of one schedule.
 const FAULTS: u64 = 3;
-/// Faults of one schedule that break a machine, and so are charged to a rollout.
-/// Three charged attempts would quarantine it, which is what should happen, but
-/// not what is tested. Faults of the network, the disk and the coordinator are
-/// never charged, and so not limited.
-const MAX_MACHINE_FAULTS: usize = 2;
+/// Faults of one schedule that are charged to a rollout, because a slot ends under its
+/// worker. Three charged attempts would quarantine it, which is what should happen, but
+/// not what is tested. Faults of the network, the disk, the coordinator and of whole
+/// workers are never charged, and so not limited.
+const MAX_CHARGED_FAULTS: usize = 2;
 /// When the last fault begins, at the latest: while the campaign still runs.
 const LAST_BEGINNING_MS: u64 = 2_500;
 
@@ -33,8 +33,11 @@ pub enum Way {
 pub enum Fault {
     /// `kill -9`, and started again after so long.
     KillCoordinator(Duration),
-    /// `kill -9` of a worker's parent process; another one is started.
+    /// `kill -9` of a worker's parent process; another one is started on its machine.
     KillWorker,
+    /// `kill -9` of a worker with its slots; after so long another one is started on its
+    /// machine.
+    RestartMachine(Duration),
     /// SIGTERM of a worker; another one is started. Not drawn: it breaks nothing.
     DrainWorker,
     /// `kill -9` of a slot's process.
@@ -49,6 +52,8 @@ pub enum Fault {
     StopCoordinator(Duration),
     /// All connections of a wire are cut at once.
     Cut(Way),
+    /// No connection of a wire is let through for so long.
+    Block(Way, Duration),
     /// Everything on a wire arrives late.
     Delay(Way, Duration),
     /// Everything that workers tell the coordinator for so long arrives twice.
@@ -63,7 +68,7 @@ pub enum Fault {
 }
 
 /// Kinds of faults.
-const KINDS: u64 = 13;
+const KINDS: u64 = 15;
 
 /// Faults, each with the time at which it begins, from the campaign's start.
 #[derive(Clone, Debug)]
@@ -83,11 +88,8 @@ impl Schedule {
         while (faults.len() as u64) < FAULTS {
             let kind = rng.next_u64() % KINDS;
             let fault = draw(&mut rng, kind);
-            let broken = faults
-                .iter()
-                .chain([&fault])
-                .filter(|it| it.is_a_machines());
-            if broken.count() <= MAX_MACHINE_FAULTS {
+            let broken = faults.iter().chain([&fault]).filter(|it| it.is_charged());
+            if broken.count() <= MAX_CHARGED_FAULTS {
                 faults.push(fault);
             }
         }
@@ -99,22 +101,18 @@ impl Schedule {
         Self { seed, faults }
     }
 
-    /// How many of its faults break a machine: each costs one attempt at most,
-    /// as workers have one slot here.
-    pub fn machine_faults(&self) -> usize {
+    /// How many of its faults are charged: each costs one attempt at most, as workers
+    /// have one slot here.
+    pub fn charged_faults(&self) -> usize {
         let faults = self.faults.iter();
-        faults.filter(|(_, fault)| fault.is_a_machines()).count()
+        faults.filter(|(_, fault)| fault.is_charged()).count()
     }
 }
 
 impl Fault {
-    /// Whether it breaks the machine that a rollout runs on, which may cost the
-    /// rollout one of its attempts.
-    fn is_a_machines(self) -> bool {
-        matches!(
-            self,
-            Fault::KillWorker | Fault::KillSlot | Fault::StopWorker(_)
-        )
+    /// Whether it may cost a rollout one of its attempts: its worker tells of it.
+    fn is_charged(self) -> bool {
+        matches!(self, Fault::KillSlot)
     }
 }
 
@@ -143,6 +141,8 @@ fn draw(rng: &mut ChaCha8Rng, kind: u64) -> Fault {
         9 => Fault::Duplicate(between(rng, 300, 900)),
         10 => Fault::FullDisk(between(rng, 300, 2_500)),
         11 => Fault::LoseAnswers(between(rng, 300, 4_000)),
+        12 => Fault::Block(way(rng), super::LEASE + between(rng, 200, 2_000)),
+        13 => Fault::RestartMachine(between(rng, 0, 4_000)),
         _ => Fault::ReadOnlyDatabase,
     }
 }
@@ -167,7 +167,7 @@ mod tests {
             assert_eq!(schedule.faults, Schedule::new(seed).faults);
             assert_eq!(schedule.faults.len() as u64, FAULTS);
             assert!(
-                schedule.machine_faults() <= MAX_MACHINE_FAULTS,
+                schedule.charged_faults() <= MAX_CHARGED_FAULTS,
                 "{schedule}"
             );
         }

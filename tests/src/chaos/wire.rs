@@ -1,5 +1,5 @@
 //! A wire between two programs: forwards connections, and when asked to it cuts,
-//! delays or duplicates them, or loses the answers. What listens behind it may end
+//! blocks, delays or duplicates them, or loses the answers. What listens behind it may end
 //! and come back at another port; what dials it never notices but by the connection.
 
 use std::io::{Read, Write};
@@ -30,6 +30,8 @@ struct State {
     duplicates: AtomicBool,
     /// Whether what the server answers is lost.
     loses_answers: AtomicBool,
+    /// Whether no connection is let through.
+    is_blocked: AtomicBool,
     is_closed: AtomicBool,
 }
 
@@ -80,6 +82,12 @@ impl Wire {
         }
     }
 
+    /// Cuts every connection that is open, and lets none through until it is unblocked.
+    pub fn block(&self, is_blocked: bool) {
+        self.state.is_blocked.store(is_blocked, Ordering::SeqCst);
+        self.cut();
+    }
+
     /// Holds every piece back for so long.
     pub fn delay(&self, by: Duration) {
         let millis = u64::try_from(by.as_millis()).expect("a short time");
@@ -123,12 +131,19 @@ impl State {
     fn forward(&self, caller: TcpStream) {
         let target = *self.target.lock().expect("no panic");
         let connect = || target.and_then(|target| TcpStream::connect(target).ok());
+        if self.is_blocked.load(Ordering::SeqCst) {
+            return;
+        }
         let Some(server) = connect() else { return };
         let second = self.duplicates.load(Ordering::Relaxed).then(connect);
         let mut servers = vec![Arc::new(server)];
         servers.extend(second.flatten().map(Arc::new));
         let caller = Arc::new(caller);
         self.keep([&caller].into_iter().chain(&servers));
+        // It may have been blocked since, before there was anything to cut.
+        if self.is_blocked.load(Ordering::SeqCst) {
+            return;
+        }
         thread::scope(|threads| {
             let lost = &self.loses_answers;
             for (place, server) in servers.iter().enumerate() {
