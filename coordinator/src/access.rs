@@ -1,7 +1,8 @@
-//! Which call and which page takes which role. What is not named here takes an
-//! operator's token, so that a new call is closed until it is named.
+//! The coordinator's table of access: whether a path is a call's or a page's, and the roles that
+//! may have it. A call that is not named here takes an operator's token, so that a new one is
+//! closed until it is named.
 
-use transport::{Demand, Role};
+use transport::{Allowed, Resource, Role};
 
 /// The roles that may read everything.
 pub(crate) const READERS: [Role; 2] = [Role::Viewer, Role::Operator];
@@ -26,58 +27,27 @@ const READING: [&str; 8] = [
 /// reveals nothing of any campaign.
 const OPEN: [&str; 5] = [LOG_IN, "/logout", "/style.css", "/page.js", "/icon.svg"];
 
-/// What the call or page at a path requires of its caller.
-pub(crate) fn demands(path: &str) -> Demand {
+/// What is at a path, and who may have it.
+pub(crate) fn resource(path: &str) -> Resource {
     if path.starts_with(WORKER_SERVICE) {
-        Demand::OneOf(&[Role::Worker])
-    } else if READING.contains(&path) || is_page(path) {
-        Demand::OneOf(&READERS)
+        Resource::Call(Allowed::OneOf(&[Role::Worker]))
+    } else if READING.contains(&path) {
+        Resource::Call(Allowed::OneOf(&READERS))
+    } else if is_call(path) {
+        Resource::Call(Allowed::OneOf(&[Role::Operator]))
     } else if OPEN.contains(&path) {
-        Demand::Nothing
+        Resource::Page(Allowed::Everybody)
     } else {
-        Demand::OneOf(&[Role::Operator])
+        Resource::Page(Allowed::OneOf(&READERS))
     }
 }
 
-/// Whether a path can be a page's: a call's begins with its service, whose name
-/// has a dot, as `rollout.coordinator.v1.OperatorService`.
-fn is_page(path: &str) -> bool {
-    let first = path
-        .strip_prefix('/')
-        .and_then(|path| path.split('/').next());
-    first.is_some_and(|first| !first.contains('.')) && !OPEN.contains(&path)
+/// Returns true if a path is a call's: its first segment is a service, whose name has a dot, as
+/// in `/rollout.coordinator.v1.OperatorService/Report`.
+pub(crate) fn is_call(path: &str) -> bool {
+    let service = path.strip_prefix('/').and_then(|path| path.split_once('/'));
+    service.is_some_and(|(service, _)| service.contains('.'))
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_nobody_thought_of_takes_an_operator() {
-        let service = "/rollout.coordinator.v1.OperatorService";
-        let only = |role: &'static [Role]| Demand::OneOf(role);
-        let check = |path: &str, expected| assert_eq!(demands(path), expected, "{path}");
-        check(&format!("{WORKER_SERVICE}Commit"), only(&[Role::Worker]));
-        check(
-            &format!("{service}/CreateCampaign"),
-            only(&[Role::Operator]),
-        );
-        check(&format!("{service}/Added"), only(&[Role::Operator]));
-        check("/added.v1.Service/Call", only(&[Role::Operator]));
-        let reading = only(&READERS);
-        for page in [
-            "/",
-            "/campaigns/a.b",
-            "/compare",
-            "/metrics",
-            "/events",
-            "/nowhere",
-        ] {
-            check(page, reading);
-        }
-        for open in OPEN {
-            check(open, Demand::Nothing);
-        }
-        check(&format!("{service}/Report"), reading);
-    }
-}
+mod tests;

@@ -34,40 +34,47 @@ use std::sync::Arc;
 
 use axum::Router;
 use axum::extract::{Path, Request, State};
-use axum::http::header;
 use axum::response::{IntoResponse, Response};
-use axum::routing::{get, post};
+use axum::routing::{MethodRouter, get, post};
 use tonic::Status;
 
-use crate::access::LOG_IN;
+use crate::access::{self, LOG_IN};
 use problem::Problem;
 use state::Asked;
 pub(crate) use state::Page;
 
 /// Adds the pages to the calls.
 pub(crate) fn beside(page: Arc<Page>, calls: Router) -> Router {
-    let pages = Router::new()
-        .route("/", get(all_campaigns))
-        .route(compare::ADDRESS, get(two_campaigns))
-        .route("/campaigns/{name}", get(one_campaign))
-        .route("/campaigns/{name}/rollouts", get(rollouts_of))
-        .route(
+    let pages = routes().into_iter();
+    let pages = pages.fold(Router::new(), |pages, (path, answer)| {
+        pages.route(path, answer)
+    });
+    calls.merge(pages.with_state(page)).fallback(unknown)
+}
+
+/// All pages and the files that they load, by their paths.
+pub(crate) fn routes() -> [(&'static str, MethodRouter<Arc<Page>>); 16] {
+    [
+        ("/", get(all_campaigns)),
+        (compare::ADDRESS, get(two_campaigns)),
+        ("/campaigns/{name}", get(one_campaign)),
+        ("/campaigns/{name}/rollouts", get(rollouts_of)),
+        (
             "/campaigns/{name}/configurations/{*rollout}",
             get(one_configuration),
-        )
-        .route("/campaigns/{name}/videos/{*rollout}", get(one_video))
-        .route("/workers", get(all_workers))
-        .route("/policies", get(all_policies))
-        .route("/quarantine", get(the_quarantine))
-        .route("/events", get(events))
-        .route("/metrics", get(metrics::get))
-        .route(LOG_IN, get(log_in::form).post(log_in::submit))
-        .route("/logout", post(log_in::log_out))
-        .route("/style.css", get(answer::style))
-        .route("/page.js", get(answer::script))
-        .route("/icon.svg", get(answer::icon))
-        .with_state(page);
-    calls.merge(pages).fallback(unknown)
+        ),
+        ("/campaigns/{name}/videos/{*rollout}", get(one_video)),
+        ("/workers", get(all_workers)),
+        ("/policies", get(all_policies)),
+        ("/quarantine", get(the_quarantine)),
+        ("/events", get(events)),
+        ("/metrics", get(metrics::get)),
+        (LOG_IN, get(log_in::form).post(log_in::submit)),
+        ("/logout", post(log_in::log_out)),
+        ("/style.css", get(answer::style)),
+        ("/page.js", get(answer::script)),
+        ("/icon.svg", get(answer::icon)),
+    ]
 }
 
 type At = State<Arc<Page>>;
@@ -122,10 +129,9 @@ async fn events(State(page): At) -> Response {
         .unwrap_or_else(IntoResponse::into_response)
 }
 
-/// What has no address: a call that nobody answers, or a page that is not there.
+/// Answers for paths that nothing is at: a call that this server does not have, or no page.
 async fn unknown(request: Request) -> Response {
-    let kind = request.headers().get(header::CONTENT_TYPE);
-    match kind.is_some_and(|kind| kind.as_bytes().starts_with(b"application/grpc")) {
+    match access::is_call(request.uri().path()) {
         true => Status::unimplemented("").into_http(),
         false => Problem::Page.into_response(),
     }

@@ -230,7 +230,7 @@ async fn server(
         })
     });
     security
-        .server_with_pages(access::demands, access::LOG_IN)?
+        .server_with_pages(access::resource, access::LOG_IN)?
         .initial_stream_window_size(STREAM_WINDOW_BYTES)
         .initial_connection_window_size(CONNECTION_WINDOW_BYTES)
         .add_routes(routes)

@@ -11,7 +11,7 @@ use proto::policy::policy_server::PolicyServer;
 use thiserror::Error;
 use tokio::{net::TcpListener, sync::oneshot};
 use tonic::transport::server::TcpIncoming;
-use transport::{Demand, Role, Security, SecurityError, innermost};
+use transport::{Allowed, Resource, Role, Security, SecurityError, innermost};
 
 use crate::{
     http2::{CONNECTION_WINDOW_BYTES, MAX_FRAME_BYTES, STREAM_WINDOW_BYTES},
@@ -58,7 +58,7 @@ pub async fn run(
 
     let (stopping, stopped) = oneshot::channel::<Infallible>();
     let served = security
-        .server(demands)?
+        .server(resource)?
         .initial_stream_window_size(STREAM_WINDOW_BYTES)
         .initial_connection_window_size(CONNECTION_WINDOW_BYTES)
         .max_frame_size(MAX_FRAME_BYTES)
@@ -89,14 +89,13 @@ pub async fn run(
     }
 }
 
-/// What the call at a path requires of its caller: workers ask policies, and
-/// operators check that they can. Whether a gateway is up is no secret: health checks
-/// often come from outside this system.
-fn demands(path: &str) -> Demand {
-    match path.starts_with("/grpc.health.v1.Health/") {
-        true => Demand::Nothing,
-        false => Demand::OneOf(&[Role::Worker, Role::Operator]),
-    }
+/// Everything is a call: workers ask policies, and operators check that they can. Whether a gateway
+/// is up is no secret: health checks often come from outside this system.
+fn resource(path: &str) -> Resource {
+    Resource::Call(match path.starts_with("/grpc.health.v1.Health/") {
+        true => Allowed::Everybody,
+        false => Allowed::OneOf(&[Role::Worker, Role::Operator]),
+    })
 }
 
 /// Why a gateway cannot serve.

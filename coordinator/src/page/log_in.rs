@@ -1,11 +1,11 @@
-//! Logging in: a token goes into a cookie, and out of it again. Whether it
-//! opens anything is the gate's business.
+//! Logging in and out: a token begins a session, whose name the browser keeps in a cookie. What a
+//! session opens is the gate's business.
 
 use std::sync::Arc;
 
 use axum::body::Bytes;
 use axum::extract::State;
-use axum::http::{StatusCode, Uri, header};
+use axum::http::{HeaderMap, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use maud::html;
 
@@ -33,7 +33,7 @@ pub(super) async fn submit(State(page): State<Arc<Page>>, body: Bytes) -> Respon
     }
     let next = next(&body);
     let token = field(&body, "token");
-    match page.security.cookie_for(token.trim(), &READERS) {
+    match page.security.log_in(token.trim(), &READERS) {
         Some(cookie) => to(&next, Some(cookie)),
         None => {
             let why = "This is no token of a viewer or an operator of this coordinator.";
@@ -42,9 +42,9 @@ pub(super) async fn submit(State(page): State<Arc<Page>>, body: Bytes) -> Respon
     }
 }
 
-/// Makes the browser forget its token.
-pub(super) async fn log_out(State(page): State<Arc<Page>>) -> Response {
-    to(LOG_IN, Some(page.security.forgotten_cookie()))
+/// Ends the browser's session.
+pub(super) async fn log_out(State(page): State<Arc<Page>>, headers: HeaderMap) -> Response {
+    to(LOG_IN, Some(page.security.log_out(&headers)))
 }
 
 fn show(code: StatusCode, next: &str, why: &str) -> Response {

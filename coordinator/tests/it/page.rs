@@ -470,7 +470,10 @@ async fn a_browser_logs_in_once_and_a_worker_or_a_stranger_sees_nothing() {
     );
     let cookie = answer.header("set-cookie").expect("a cookie");
     assert!(cookie.contains("HttpOnly; SameSite=Strict"), "{cookie}");
+    assert!(cookie.contains("Max-Age=43200"), "{cookie}");
     let cookie = cookie.split(';').next().expect("a pair");
+    let hex: String = VIEWER.bytes().map(|byte| format!("{byte:02x}")).collect();
+    assert!(!cookie.contains(VIEWER) && !cookie.contains(&hex), "{cookie}");
     let page = ask(url, &format!("GET /workers\ncookie: {cookie}")).await;
     assert!(
         page.code == 200 && page.text().contains("Log out"),
@@ -499,6 +502,9 @@ async fn a_browser_logs_in_once_and_a_worker_or_a_stranger_sees_nothing() {
         out.header("set-cookie")
             .is_some_and(|set| set.contains("Max-Age=0"))
     );
+    // The session is over, whoever kept its name.
+    let page = ask(url, &format!("GET /workers\ncookie: {cookie}")).await;
+    assert_eq!(page.code, 401, "{}", page.text());
     // A token that is missing or wrong, one of another role, a call by a browser.
     assert_eq!(guarded.logged("was refused"), 3, "each kind is logged once");
 }
@@ -510,10 +516,33 @@ async fn a_strangers_page_in_the_same_browser_reaches_nothing() {
     let rebound = ask(&bench.url, "GET /\nhost: evil.example:7411").await;
     assert_eq!(rebound.code, 403);
     assert!(!rebound.text().contains("begun"), "{}", rebound.text());
-    let call = "POST /rollout.coordinator.v1.OperatorService/DeleteCampaign\n\
-        content-type: application/grpc";
-    let call = ask(&bench.url, call).await;
+    let delete = "POST /rollout.coordinator.v1.OperatorService/DeleteCampaign";
+    let call = ask(&bench.url, &format!("{delete}\ncontent-type: application/grpc")).await;
     assert_eq!(call.header("grpc-status"), Some("3"), "{}", call.head);
+    // What a page may send without asking the server first: a whole message, as plain text.
+    let message = "\0\0\0\0\x0e\n\x05begun\x12\x05begun";
+    for headers in [
+        "content-type: text/plain\nsec-fetch-site: cross-site\norigin: https://evil.example",
+        "content-type: text/plain\nsec-fetch-site: same-site\norigin: http://127.0.0.1:8888",
+        "content-type: text/plain",
+        "content-type: application/x-www-form-urlencoded",
+    ] {
+        let answer = ask(&bench.url, &format!("{delete}\n{headers}\n\n{message}")).await;
+        assert_ne!(answer.code, 200, "{headers}: {}", answer.head);
+    }
+    assert_eq!(bench.status("begun").await.total, 4);
+    // Nor does it see a page, or send a form.
+    for request in [
+        "GET /campaigns/begun\nsec-fetch-site: cross-site\nsec-fetch-mode: no-cors",
+        "POST /login\norigin: https://evil.example\n\ntoken=x",
+        "POST /logout\norigin: null\n\n",
+    ] {
+        let answer = ask(&bench.url, request).await;
+        assert_eq!(answer.code, 403, "{request}: {}", answer.text());
+    }
+    let link = "GET /campaigns/begun\nsec-fetch-site: cross-site\n\
+        sec-fetch-mode: navigate\nsec-fetch-dest: document";
+    assert_eq!(ask(&bench.url, link).await.code, 200);
 }
 
 /// Defect 2: a page held one of four connections to the database while it asked

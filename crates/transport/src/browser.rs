@@ -1,84 +1,160 @@
-//! What browsers need of a gate: a token in a cookie, because a browser sends no
-//! `Authorization` by itself; refusals as pages and texts instead of gRPC
-//! statuses; and the rules that keep another site's page, open in the same
-//! browser, away from a server that requires no token. What a page shows is its
-//! server's business.
+//! What browsers need of a gate: a session's name in a cookie, because a browser sends no
+//! `Authorization` by itself; refusals as pages and text instead of gRPC statuses; and the rules
+//! that keep another site's page, open in the same browser, away from this server.
+//!
+//! A browser sends requests for any page that a person visits, with cookies and from inside the
+//! firewall. Two kinds of headers tell such a request from a program's: `Origin` and
+//! `Sec-Fetch-…`, which no page can leave out or forge. And three things are beyond a page
+//! without the server's consent: HTTP/2 without TLS, a content type like gRPC's, and a header
+//! like `Authorization`. Calls require all of them, so that no page makes a call.
 
 use std::net::IpAddr;
 
 use tonic::body::Body;
-use tonic::codegen::http::{HeaderMap, Method, Request, Response, StatusCode, Version, header};
+use tonic::codegen::http::{
+    HeaderMap, HeaderName, Method, Request, Response, StatusCode, Version, header,
+};
 use tonic::{Code, Status};
 
-use crate::token::MAX_TOKEN_BYTES;
-
-/// The cookie that holds a token.
-const COOKIE: &str = "rollout_token";
-/// How long a browser keeps it, seconds: a month.
-const COOKIE_SECS: u32 = 30 * 24 * 3600;
 /// Longest path that a log-in leads back to, bytes.
 const MAX_NEXT_BYTES: usize = 512;
+/// Longest name of a session that is looked up, bytes.
+const MAX_SESSION_BYTES: usize = 64;
+/// Where a request came from, relative to the page's site. Browsers send these three with
+/// every request to a trustworthy address, loopback included.
+const FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
+const FETCH_MODE: HeaderName = HeaderName::from_static("sec-fetch-mode");
+const FETCH_DEST: HeaderName = HeaderName::from_static("sec-fetch-dest");
 
-/// The `Set-Cookie` that keeps a token in a browser: out of reach of scripts
-/// and of other sites, and over TLS sent over TLS only.
-pub(crate) fn cookie(token: &str, is_encrypted: bool) -> String {
-    // In hex, because tokens may hold what a cookie may not.
-    let hex: String = token.bytes().map(|byte| format!("{byte:02x}")).collect();
-    set_cookie(&hex, COOKIE_SECS, is_encrypted)
+/// The cookie of one server. Browsers share cookies between the ports of a host, so each server
+/// draws a name of its own at its start, or two of them would log each other's readers out.
+#[derive(Clone, Debug)]
+pub(crate) struct SessionCookie {
+    name: String,
+    is_encrypted: bool,
 }
 
-/// The `Set-Cookie` that makes a browser forget its token.
-pub(crate) fn forgotten(is_encrypted: bool) -> String {
-    set_cookie("", 0, is_encrypted)
-}
-
-/// The token in a request's cookies.
-pub(crate) fn token(headers: &HeaderMap) -> Option<String> {
-    let cookies = headers.get_all(header::COOKIE).iter();
-    let pairs = cookies.filter_map(|cookies| cookies.to_str().ok());
-    let mut pairs = pairs.flat_map(|cookies| cookies.split(';'));
-    let hex = pairs.find_map(|pair| pair.trim().strip_prefix(COOKIE)?.strip_prefix('='))?;
-    if hex.len() > 2 * MAX_TOKEN_BYTES || !hex.is_ascii() {
-        return None;
+impl SessionCookie {
+    /// `suffix`: what tells this server's cookie from another's. Over TLS, the prefix `__Host-`
+    /// makes browsers refuse a cookie that another host or a page in the clear tries to set.
+    pub(crate) fn new(suffix: &str, is_encrypted: bool) -> SessionCookie {
+        let prefix = if is_encrypted { "__Host-" } else { "" };
+        SessionCookie {
+            name: format!("{prefix}rollout_session_{suffix}"),
+            is_encrypted,
+        }
     }
-    let byte = |pair: &[u8]| u8::from_str_radix(std::str::from_utf8(pair).ok()?, 16).ok();
-    let bytes = hex.as_bytes().chunks(2).map(byte).collect::<Option<_>>()?;
-    String::from_utf8(bytes).ok()
+
+    /// The `Set-Cookie` that keeps a session's name in a browser: out of reach of scripts and of
+    /// other sites, and over TLS sent over TLS only. It ends with the session.
+    pub(crate) fn set(&self, session: &str, secs: u64) -> String {
+        let secure = if self.is_encrypted { "; Secure" } else { "" };
+        let name = &self.name;
+        format!("{name}={session}; Path=/; Max-Age={secs}; HttpOnly; SameSite=Strict{secure}")
+    }
+
+    /// The session's name in a request's cookies.
+    pub(crate) fn session<'a>(&self, headers: &'a HeaderMap) -> Option<&'a str> {
+        let cookies = headers.get_all(header::COOKIE).iter();
+        let pairs = cookies.filter_map(|cookies| cookies.to_str().ok());
+        let mut pairs = pairs.flat_map(|cookies| cookies.split(';'));
+        let found = pairs.find_map(|pair| pair.trim().strip_prefix(&self.name)?.strip_prefix('='));
+        found.filter(|session| session.len() <= MAX_SESSION_BYTES)
+    }
 }
 
-/// Whether a request is a gRPC call.
+/// Returns true if a request's content is gRPC's: `application/grpc`, alone or with a suffix or
+/// parameters. `application/grpc-web`, which is what pages speak, is another type.
 pub(crate) fn is_grpc(headers: &HeaderMap) -> bool {
-    let kind = headers.get(header::CONTENT_TYPE);
-    kind.is_some_and(|kind| kind.as_bytes().starts_with(b"application/grpc"))
+    let kind = headers
+        .get(header::CONTENT_TYPE)
+        .map(|kind| kind.as_bytes());
+    let rest = kind.and_then(|kind| kind.strip_prefix(b"application/grpc"));
+    rest.is_some_and(|rest| matches!(rest.first(), None | Some(b'+' | b';' | b' ')))
 }
 
-/// Refuses what another site's page could make a browser send. Browsers speak
-/// HTTP/1 without TLS, and a page on the Internet can let its own name lead to
-/// an address of this machine or network: then the browser takes this server
-/// for that page's own. So calls take HTTP/2, which is what gRPC is, and where
-/// no token is required, the name that the browser used must be one that cannot
-/// be owned on the Internet.
-pub(crate) fn check<B>(request: &Request<B>, asks_for_tokens: bool) -> Result<(), Status> {
-    if request.version() >= Version::HTTP_2 {
-        return Ok(());
+/// Refuses a call that is not gRPC over HTTP/2, or that a browser sends for a page.
+pub(crate) fn check_call<B>(request: &Request<B>) -> Result<(), Status> {
+    let headers = request.headers();
+    if headers.contains_key(header::ORIGIN) || headers.contains_key(FETCH_SITE) {
+        return Err(Status::permission_denied(
+            "take a call from a page in a browser: use `coordinator` or the Python client",
+        ));
     }
-    if is_grpc(request.headers()) {
+    if request.version() != Version::HTTP_2 {
         return Err(Status::invalid_argument(
             "take a call over HTTP/1: gRPC is HTTP/2",
         ));
     }
-    let host = request.headers().get(header::HOST);
-    let host = host.and_then(|host| host.to_str().ok()).unwrap_or_default();
-    match asks_for_tokens || is_private_name(host) {
+    match is_grpc(headers) && request.method() == Method::POST {
         true => Ok(()),
-        false => Err(Status::permission_denied(
-            "answer under this name without asking for tokens: use the address in numbers or a \
-             name without dots, or give the server a --token-file",
+        false => Err(Status::invalid_argument(
+            "take a call that is no gRPC: it must be a POST of application/grpc",
         )),
     }
 }
 
-/// Whether a `Host` is an address in numbers or a name without dots.
+/// Refuses a request for a page that another site's page sends: all but links that a person
+/// follows. Where no token is required, the name that a browser used must also be one that
+/// cannot be owned on the Internet: a page there can let its own name lead to an address of
+/// this machine, and the browser takes this server for that page's own.
+pub(crate) fn check_page<B>(request: &Request<B>, asks_for_tokens: bool) -> Result<(), Status> {
+    let host = host(request);
+    // Browsers speak HTTP/2 only over TLS, where the certificate holds the name.
+    let may_be_rebound = request.version() < Version::HTTP_2 && !asks_for_tokens;
+    if may_be_rebound && !is_private_name(host) {
+        return Err(Status::permission_denied(
+            "answer under this name without asking for tokens: use the address in numbers or a \
+             name without dots, or give the server a --token-file",
+        ));
+    }
+    match is_own_origin(request.headers(), host) && !is_foreign_fetch(request) {
+        true => Ok(()),
+        false => Err(Status::permission_denied(
+            "answer the page of another site: open this server's own pages",
+        )),
+    }
+}
+
+/// The host and port that a request names.
+fn host<B>(request: &Request<B>) -> &str {
+    let named = request.headers().get(header::HOST);
+    let named = named.and_then(|host| host.to_str().ok());
+    let authority = request
+        .uri()
+        .authority()
+        .map(|authority| authority.as_str());
+    named.or(authority).unwrap_or_default()
+}
+
+/// Returns false if the page that sends a request says that it is from elsewhere. Schemes are not
+/// compared: a server behind a proxy that adds TLS does not know its own.
+fn is_own_origin(headers: &HeaderMap, host: &str) -> bool {
+    let mut origins = headers.get_all(header::ORIGIN).iter();
+    origins.all(|origin| {
+        let origin = origin.to_str().unwrap_or_default();
+        let authority = origin.split_once("://").map(|(_, authority)| authority);
+        authority.is_some_and(|authority| authority.eq_ignore_ascii_case(host))
+    })
+}
+
+/// Returns true if the browser says that a page of another origin, one on another port included,
+/// sends a request by itself: all but links that a person follows.
+fn is_foreign_fetch<B>(request: &Request<B>) -> bool {
+    let says = |name: HeaderName, value: &str| {
+        let said = request.headers().get(name);
+        said.is_some_and(|said| said.as_bytes() == value.as_bytes())
+    };
+    let is_foreign = request.headers().contains_key(FETCH_SITE)
+        && !says(FETCH_SITE, "same-origin")
+        && !says(FETCH_SITE, "none");
+    let is_link = matches!(*request.method(), Method::GET | Method::HEAD)
+        && says(FETCH_MODE, "navigate")
+        && says(FETCH_DEST, "document");
+    is_foreign && !is_link
+}
+
+/// Returns true if a `Host` is an address in numbers or a name without dots.
 fn is_private_name(host: &str) -> bool {
     let name = match host.strip_prefix('[') {
         Some(rest) => rest.split(']').next().unwrap_or_default(),
@@ -87,9 +163,13 @@ fn is_private_name(host: &str) -> bool {
     name.parse::<IpAddr>().is_ok() || (!name.is_empty() && !name.contains('.'))
 }
 
-/// A refusal for a caller that does not speak gRPC: a browser that must log in is
-/// redirected to the form, any other caller gets a line of text.
-pub(crate) fn refusal<B>(status: &Status, request: &Request<B>, log_in: &str) -> Response<Body> {
+/// A refusal for a caller that does not speak gRPC: a browser that must log in is redirected to
+/// the form at `log_in`, any other caller gets a line of text.
+pub(crate) fn refusal<B>(
+    status: &Status,
+    request: &Request<B>,
+    log_in: Option<&str>,
+) -> Response<Body> {
     let headers = request.headers();
     let accepts = headers.get(header::ACCEPT);
     let reads_pages = accepts.is_some_and(|kinds| {
@@ -97,7 +177,11 @@ pub(crate) fn refusal<B>(status: &Status, request: &Request<B>, log_in: &str) ->
         kinds.contains("text/html")
     });
     let must_log_in = status.code() == Code::Unauthenticated;
-    if must_log_in && reads_pages && request.method() == Method::GET {
+    if let Some(log_in) = log_in
+        && must_log_in
+        && reads_pages
+        && request.method() == Method::GET
+    {
         let next = request
             .uri()
             .path_and_query()
@@ -121,7 +205,7 @@ pub(crate) fn refusal<B>(status: &Status, request: &Request<B>, log_in: &str) ->
     }
 }
 
-fn answer(code: StatusCode, headers: &[(header::HeaderName, &str)], text: &str) -> Response<Body> {
+fn answer(code: StatusCode, headers: &[(HeaderName, &str)], text: &str) -> Response<Body> {
     let mut answer = Response::new(Body::new(text.to_owned()));
     *answer.status_mut() = code;
     let kind = (header::CONTENT_TYPE, "text/plain; charset=utf-8");
@@ -147,16 +231,11 @@ fn escaped(text: &str) -> String {
     escaped
 }
 
-fn set_cookie(value: &str, secs: u32, is_encrypted: bool) -> String {
-    let secure = if is_encrypted { "; Secure" } else { "" };
-    format!("{COOKIE}={value}; Path=/; Max-Age={secs}; HttpOnly; SameSite=Strict{secure}")
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn request(version: Version, headers: &[(header::HeaderName, &str)]) -> Request<()> {
+    fn request(version: Version, headers: &[(HeaderName, &str)]) -> Request<()> {
         let mut request = Request::builder()
             .version(version)
             .uri("/campaigns/a?b=c&d");
@@ -167,41 +246,32 @@ mod tests {
     }
 
     #[test]
-    fn a_token_of_any_characters_comes_back_from_its_cookie() {
-        let secret = r#"a;b,"c\d=e0123456789"#;
-        let set = cookie(secret, true);
-        assert!(
-            set.ends_with("; HttpOnly; SameSite=Strict; Secure"),
-            "{set}"
+    fn a_session_comes_back_from_its_cookie_and_from_no_other_servers() {
+        let cookie = SessionCookie::new("aa", true);
+        let set = cookie.set("0123", 60);
+        assert_eq!(
+            set,
+            "__Host-rollout_session_aa=0123; Path=/; Max-Age=60; HttpOnly; SameSite=Strict; Secure"
         );
         let pair = set.split(';').next().expect("a pair");
         let sent = format!("theme=dark; {pair}; other=1");
         let sent = request(Version::HTTP_11, &[(header::COOKIE, &sent)]);
-        assert_eq!(token(sent.headers()).as_deref(), Some(secret));
-    }
-
-    #[test]
-    fn a_broken_cookie_is_no_token() {
-        let long = format!("{COOKIE}={}", "61".repeat(MAX_TOKEN_BYTES + 1));
-        for cookie in [
-            "",
-            "rollout_token",
-            "rollout_token=6",
-            "rollout_token=+1zz",
-            &long,
-        ] {
-            let sent = request(Version::HTTP_11, &[(header::COOKIE, cookie)]);
-            let found = token(sent.headers());
-            assert!(found.is_none_or(|token| token.len() <= 1), "{cookie}");
+        assert_eq!(cookie.session(sent.headers()), Some("0123"));
+        for other in [("ab", true), ("aa", false)] {
+            let other = SessionCookie::new(other.0, other.1);
+            assert_eq!(other.session(sent.headers()), None);
         }
+        let long = format!("__Host-rollout_session_aa={}", "0".repeat(65));
+        let sent = request(Version::HTTP_11, &[(header::COOKIE, &long)]);
+        assert_eq!(cookie.session(sent.headers()), None);
     }
 
     #[test]
     fn a_name_that_anybody_can_own_is_refused_where_nobody_is_asked_for_a_token() {
         let refused = |host: &str| {
             let request = request(Version::HTTP_11, &[(header::HOST, host)]);
-            assert!(check(&request, true).is_ok(), "{host}");
-            check(&request, false).is_err()
+            assert!(check_page(&request, true).is_ok(), "{host}");
+            check_page(&request, false).is_err()
         };
         for own in [
             "127.0.0.1:7411",
@@ -223,25 +293,35 @@ mod tests {
     }
 
     #[test]
-    fn a_browser_cannot_make_a_call() {
-        let call = [
-            (header::HOST, "127.0.0.1:7411"),
-            (header::CONTENT_TYPE, "application/grpc+proto"),
-        ];
-        assert!(check(&request(Version::HTTP_11, &call), true).is_err());
-        assert!(check(&request(Version::HTTP_2, &call), false).is_ok());
+    fn an_origin_is_a_servers_own_under_the_name_that_the_browser_used() {
+        let is_own = |origin: &str| {
+            let headers = [(header::HOST, "Keeper:7411"), (header::ORIGIN, origin)];
+            check_page(&request(Version::HTTP_11, &headers), true).is_ok()
+        };
+        assert!(is_own("http://keeper:7411") && is_own("https://keeper:7411"));
+        for foreign in [
+            "http://keeper:8888",
+            "http://keeper",
+            "null",
+            "",
+            "keeper:7411",
+        ] {
+            assert!(!is_own(foreign), "{foreign}");
+        }
     }
 
     #[test]
     fn people_are_led_to_the_log_in_and_programs_are_told() {
         let status = Status::unauthenticated("let you in");
         let person = request(Version::HTTP_11, &[(header::ACCEPT, "text/html,*/*")]);
-        let answer = refusal(&status, &person, "/login");
+        let answer = refusal(&status, &person, Some("/login"));
         assert_eq!(answer.status(), StatusCode::SEE_OTHER);
         let target = &answer.headers()[header::LOCATION];
         assert_eq!(target, "/login?next=/campaigns/a%3Fb%3Dc%26d");
-        let program = refusal(&status, &request(Version::HTTP_11, &[]), "/login");
+        let program = refusal(&status, &request(Version::HTTP_11, &[]), Some("/login"));
         assert_eq!(program.status(), StatusCode::UNAUTHORIZED);
         assert_eq!(program.headers()[header::WWW_AUTHENTICATE], "Bearer");
+        let call = refusal(&status, &person, None);
+        assert_eq!(call.status(), StatusCode::UNAUTHORIZED);
     }
 }

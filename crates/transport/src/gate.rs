@@ -1,7 +1,7 @@
-//! The gate before a server's calls and pages: counts how often a connection
-//! asks, demands the token of a role where the server's table says so, and logs
-//! refusals, its own and those of the calls behind it, which it keeps short. It
-//! never sees a message.
+//! The gate before a server's calls and pages: counts the requests of each connection, looks up
+//! in the server's table what is at a path and who may have it, and logs refusals, its own and
+//! those of the calls behind it, which it keeps short. The path alone decides whether a request
+//! is a call, never its headers, which a stranger's page chooses. It never sees a message.
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -17,14 +17,24 @@ use tower_layer::Layer;
 
 use crate::browser;
 use crate::rate::{MAX_REQUESTS_PER_SEC, Rates};
+use crate::readers::Readers;
 use crate::refusals::Refusals;
 use crate::token::{Role, Tokens};
 
-/// What a call requires of its caller.
+/// What is at a path, and who may have it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Demand {
-    /// Nothing: it reveals nothing and changes nothing.
-    Nothing,
+pub enum Resource {
+    /// A gRPC call. Programs make it, over HTTP/2, and no page in any browser.
+    Call(Allowed),
+    /// A page, or a file that pages load. To read it changes nothing but who is logged in.
+    Page(Allowed),
+}
+
+/// Who may have what is at a path.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Allowed {
+    /// Everybody: it reveals nothing and changes nothing.
+    Everybody,
     /// Callers with one of these roles.
     OneOf(&'static [Role]),
 }
@@ -47,10 +57,11 @@ struct Shared {
     /// None: everybody is let in, because only this machine can connect, or
     /// because the operator said so.
     tokens: Option<Tokens>,
-    /// From a call's path, `/package.Service/Method`.
-    demands: fn(&str) -> Demand,
+    /// What is at a path.
+    resource: fn(&str) -> Resource,
     /// Where people log in; none where there are no pages, only calls.
     log_in: Option<&'static str>,
+    readers: Readers,
     rates: Mutex<Rates>,
     refusals: Mutex<Refusals>,
 }
@@ -59,14 +70,16 @@ impl Gate {
     /// A gate that knows these tokens; without any, it lets everybody in.
     pub(crate) fn new(
         tokens: Option<Tokens>,
-        demands: fn(&str) -> Demand,
+        resource: fn(&str) -> Resource,
         log_in: Option<&'static str>,
+        readers: Readers,
     ) -> Gate {
         Gate {
             shared: Arc::new(Shared {
                 tokens,
-                demands,
+                resource,
                 log_in,
+                readers,
                 rates: Mutex::default(),
                 refusals: Mutex::default(),
             }),
@@ -104,11 +117,10 @@ where
         let path = request.uri().path().to_owned();
         if let Err(status) = shared.admit(caller, &request) {
             shared.tell(caller, &path, status.code(), status.message());
-            let answer = match shared.log_in {
-                Some(log_in) if !browser::is_grpc(request.headers()) => {
-                    browser::refusal(&status, &request, log_in)
-                }
-                _ => status.into_http(),
+            let answer = match (shared.resource)(&path) {
+                Resource::Page(_) => browser::refusal(&status, &request, shared.log_in),
+                Resource::Call(_) if browser::is_grpc(request.headers()) => status.into_http(),
+                Resource::Call(_) => browser::refusal(&status, &request, None),
             };
             return Box::pin(async move { Ok(answer) });
         }
@@ -141,18 +153,32 @@ impl Shared {
                 "answer more than {MAX_REQUESTS_PER_SEC} requests per second over one connection"
             )));
         }
-        browser::check(request, self.tokens.is_some())?;
-        let demand = (self.demands)(request.uri().path());
-        let (Some(tokens), Demand::OneOf(roles)) = (&self.tokens, demand) else {
+        let resource = (self.resource)(request.uri().path());
+        let allowed = match resource {
+            Resource::Call(allowed) => {
+                browser::check_call(request)?;
+                allowed
+            }
+            Resource::Page(allowed) => {
+                browser::check_page(request, self.tokens.is_some())?;
+                allowed
+            }
+        };
+        let (Some(tokens), Allowed::OneOf(roles)) = (&self.tokens, allowed) else {
             return Ok(());
         };
-        let shown = self.shown(request.headers()).ok_or_else(|| {
+        let headers = request.headers();
+        let is_page = matches!(resource, Resource::Page(_));
+        if is_page && roles.contains(&Role::Viewer) && self.readers.has_session(headers) {
+            return Ok(());
+        }
+        let shown = bearer(headers).ok_or_else(|| {
             Status::unauthenticated(
                 "be let in without a token: name a --token-file (it is sent over https:// and to \
                  this machine only)",
             )
         })?;
-        match tokens.role_of(&shown) {
+        match tokens.role_of(shown) {
             None => Err(Status::unauthenticated(
                 "be let in: the token is none that this server knows",
             )),
@@ -166,16 +192,6 @@ impl Shared {
                     .join(" or ")
             ))),
         }
-    }
-
-    /// The token that a request shows: as clients send it, or, where there are
-    /// pages, in a browser's cookie. No cookie opens a call.
-    fn shown(&self, headers: &HeaderMap) -> Option<String> {
-        if let Some(token) = bearer(headers) {
-            return Some(token.to_owned());
-        }
-        let may_be_a_browser = self.log_in.is_some() && !browser::is_grpc(headers);
-        may_be_a_browser.then(|| browser::token(headers)).flatten()
     }
 
     fn tell(&self, caller: SocketAddr, path: &str, code: Code, why: &str) {

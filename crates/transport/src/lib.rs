@@ -7,8 +7,8 @@
 //! A server on a loopback address asks for nothing. On any other it must have a
 //! certificate and tokens, or the flag `--insecure`. Tokens come from a file or
 //! the environment, never from an argument, which every process list shows; they
-//! are kept as digests, compared in constant time, and never logged. A browser
-//! keeps its token in a cookie, which opens pages and no call.
+//! are kept as digests, compared in constant time, and never logged. A browser keeps no token but
+//! the name of a session, which opens pages for some hours and no call.
 
 #![forbid(unsafe_code)]
 
@@ -21,6 +21,7 @@ mod gate;
 mod peer;
 mod probe;
 mod rate;
+mod readers;
 mod refusals;
 mod server;
 mod token;
@@ -29,9 +30,10 @@ pub use client::{Access, AccessError, Bearer, ClientArguments, Connection};
 pub use endpoint::{EndpointError, parse_endpoint};
 pub use failure::{answer, chain, innermost, is_outage, is_outage_code, may_succeed_later};
 pub use found::{CertificateFault, Found, ServerKind, Settings, Trouble};
-pub use gate::{Demand, Gate, Gated};
+pub use gate::{Allowed, Gate, Gated, Resource};
 pub use peer::Peer;
 pub use rate::{BURST_REQUESTS, MAX_REQUESTS_PER_SEC};
+pub use readers::{MAX_SESSIONS, SESSION_LIFETIME};
 pub use refusals::{LOG_AGAIN_AFTER, MAX_REMEMBERED_REFUSALS};
 pub use server::{
     GatedServer, HANDSHAKE_TIMEOUT, MAX_HEADER_BYTES, MAX_STREAMS_PER_CONNECTION, Security,

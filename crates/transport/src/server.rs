@@ -7,10 +7,11 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::Args;
+use tonic::codegen::http::HeaderMap;
 use tonic::transport::{Identity, Server, ServerTlsConfig};
 
-use crate::browser;
-use crate::gate::{Demand, Gate};
+use crate::gate::{Gate, Resource};
+use crate::readers::Readers;
 use crate::token::{Role, TokenError, Tokens};
 
 /// Longest time for a TLS handshake: a silent connection is closed.
@@ -51,6 +52,7 @@ pub struct ServerArguments {
 pub struct Security {
     identity: Option<Identity>,
     tokens: Option<Tokens>,
+    readers: Readers,
 }
 
 /// A server behind a [`Gate`].
@@ -114,7 +116,7 @@ impl ServerArguments {
             Some(missing) if !self.insecure && !address.ip().to_canonical().is_loopback() => {
                 Err(SecurityError::Unguarded { address, missing })
             }
-            _ => Ok(Security { identity, tokens }),
+            _ => Ok(Security::new(identity, tokens)),
         }
     }
 }
@@ -122,9 +124,14 @@ impl ServerArguments {
 impl Security {
     /// A server on a loopback address, which requires no token.
     pub fn loopback() -> Security {
+        Security::new(None, None)
+    }
+
+    fn new(identity: Option<Identity>, tokens: Option<Tokens>) -> Security {
         Security {
-            identity: None,
-            tokens: None,
+            readers: Readers::new(identity.is_some()),
+            identity,
+            tokens,
         }
     }
 
@@ -138,48 +145,47 @@ impl Security {
         self.tokens.is_some()
     }
 
-    /// What a browser is to keep so that it may see pages that demand one of
-    /// these roles: the value of `Set-Cookie`. None if the token is none of
-    /// theirs.
-    pub fn cookie_for(&self, token: &str, roles: &[Role]) -> Option<String> {
+    /// Logs a browser in that shows the token of one of these roles. Returns the value of
+    /// `Set-Cookie`, or `None` if the token is none of theirs.
+    pub fn log_in(&self, token: &str, roles: &[Role]) -> Option<String> {
         let role = self.tokens.as_ref()?.role_of(token)?;
-        let is_one = roles.contains(&role);
-        is_one.then(|| browser::cookie(token, self.is_encrypted()))
+        roles.contains(&role).then(|| self.readers.log_in())?
     }
 
-    /// What makes a browser forget it: the value of `Set-Cookie`.
-    pub fn forgotten_cookie(&self) -> String {
-        browser::forgotten(self.is_encrypted())
+    /// Logs out the browser that sent a request. Returns the value of `Set-Cookie`.
+    pub fn log_out(&self, headers: &HeaderMap) -> String {
+        self.readers.log_out(headers)
     }
 
-    /// A server of calls with these guards; they demand what the table says.
+    /// The gate of these guards, for a server with this table.
+    pub fn gate(&self, resource: fn(&str) -> Resource, log_in: Option<&'static str>) -> Gate {
+        Gate::new(self.tokens.clone(), resource, log_in, self.readers.clone())
+    }
+
+    /// A server of calls with these guards.
     ///
     /// # Errors
     /// When the certificate and the key are no use.
-    pub fn server(&self, demands: fn(&str) -> Demand) -> Result<GatedServer, SecurityError> {
-        self.guarded(demands, None)
+    pub fn server(&self, resource: fn(&str) -> Resource) -> Result<GatedServer, SecurityError> {
+        self.guarded(self.gate(resource, None))
     }
 
-    /// A server of calls and, beside them, of pages for browsers, which may
-    /// show their token in a cookie and are led to the path `log_in` where they
-    /// have none.
+    /// A server of calls and, beside them, of pages for browsers, which are led to the path
+    /// `log_in` where they have no session.
     ///
     /// # Errors
     /// When the certificate and the key are no use.
     pub fn server_with_pages(
         &self,
-        demands: fn(&str) -> Demand,
+        resource: fn(&str) -> Resource,
         log_in: &'static str,
     ) -> Result<GatedServer, SecurityError> {
+        let server = self.guarded(self.gate(resource, Some(log_in)))?;
         // Without TLS, browsers speak nothing newer.
-        Ok(self.guarded(demands, Some(log_in))?.accept_http1(true))
+        Ok(server.accept_http1(true))
     }
 
-    fn guarded(
-        &self,
-        demands: fn(&str) -> Demand,
-        log_in: Option<&'static str>,
-    ) -> Result<GatedServer, SecurityError> {
+    fn guarded(&self, gate: Gate) -> Result<GatedServer, SecurityError> {
         let mut server = Server::builder()
             .http2_keepalive_interval(Some(KEEPALIVE_INTERVAL))
             .http2_keepalive_timeout(Some(KEEPALIVE_TIMEOUT))
@@ -191,7 +197,7 @@ impl Security {
                 .timeout(HANDSHAKE_TIMEOUT);
             server = server.tls_config(tls).map_err(|_| SecurityError::Tls)?;
         }
-        Ok(server.layer(Gate::new(self.tokens.clone(), demands, log_in)))
+        Ok(server.layer(gate))
     }
 }
 

@@ -1,0 +1,143 @@
+//! Sessions of browsers that logged in: each has a random name, which the browser keeps in a
+//! cookie in place of a token, opens pages for some hours, and nothing else. They live in memory:
+//! a server that starts again asks its readers to log in again.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use rustix::rand::{GetRandomFlags, getrandom};
+use sha2::{Digest, Sha256};
+use tokio::time::Instant;
+use tonic::codegen::http::HeaderMap;
+
+use crate::browser::SessionCookie;
+
+/// How long a session lasts, however much it is used: a working day.
+pub const SESSION_LIFETIME: Duration = Duration::from_secs(12 * 3600);
+/// Sessions at a time. The oldest makes room for the next.
+pub const MAX_SESSIONS: usize = 1_024;
+/// Random bytes in a session's name.
+const NAME_BYTES: usize = 16;
+
+/// The browsers that logged in at one server.
+#[derive(Clone, Debug)]
+pub(crate) struct Readers {
+    cookie: SessionCookie,
+    sessions: Arc<Mutex<Sessions>>,
+}
+
+impl Readers {
+    pub(crate) fn new(is_encrypted: bool) -> Readers {
+        let suffix = random_hex().unwrap_or_default();
+        Readers {
+            cookie: SessionCookie::new(suffix.get(..8).unwrap_or_default(), is_encrypted),
+            sessions: Arc::default(),
+        }
+    }
+
+    /// Begins a session. Returns the `Set-Cookie` that keeps its name in the browser.
+    pub(crate) fn log_in(&self) -> Option<String> {
+        let session = self.sessions().begin(Instant::now())?;
+        Some(self.cookie.set(&session, SESSION_LIFETIME.as_secs()))
+    }
+
+    /// Ends the session of a request. Returns the `Set-Cookie` that makes the browser forget it.
+    pub(crate) fn log_out(&self, headers: &HeaderMap) -> String {
+        if let Some(session) = self.cookie.session(headers) {
+            self.sessions().end(session);
+        }
+        self.cookie.set("", 0)
+    }
+
+    /// Returns true if a request carries the name of an open session.
+    pub(crate) fn has_session(&self, headers: &HeaderMap) -> bool {
+        let session = self.cookie.session(headers);
+        session.is_some_and(|session| self.sessions().is_open(session, Instant::now()))
+    }
+
+    fn sessions(&self) -> MutexGuard<'_, Sessions> {
+        // Nothing panics while it holds this lock.
+        self.sessions.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[derive(Debug, Default)]
+struct Sessions {
+    /// When each ends, by the SHA-256 of its name: how long a lookup takes tells nothing about
+    /// the names.
+    ends: HashMap<[u8; 32], Instant>,
+}
+
+impl Sessions {
+    /// Begins a session. Returns its name, or `None` if the system gives no randomness.
+    fn begin(&mut self, now: Instant) -> Option<String> {
+        self.ends.retain(|_, end| *end > now);
+        if self.ends.len() >= MAX_SESSIONS {
+            let oldest = self.ends.iter().min_by_key(|(_, end)| **end);
+            let oldest = oldest.map(|(digest, _)| *digest);
+            oldest.and_then(|digest| self.ends.remove(&digest));
+        }
+        let name = random_hex()?;
+        self.ends.insert(digest(&name), now + SESSION_LIFETIME);
+        Some(name)
+    }
+
+    /// Returns true if a session of this name has begun and not ended.
+    fn is_open(&self, name: &str, now: Instant) -> bool {
+        self.ends.get(&digest(name)).is_some_and(|end| *end > now)
+    }
+
+    /// Ends a session.
+    fn end(&mut self, name: &str) {
+        self.ends.remove(&digest(name));
+    }
+}
+
+/// 128 random bits of the system, in hex.
+fn random_hex() -> Option<String> {
+    let mut bytes = [0; NAME_BYTES];
+    let read = getrandom(&mut bytes, GetRandomFlags::empty()).ok()?;
+    (read == NAME_BYTES).then(|| bytes.iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
+fn digest(name: &str) -> [u8; 32] {
+    Sha256::digest(name.as_bytes()).into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_session_opens_until_it_is_over_or_ended() {
+        let mut sessions = Sessions::default();
+        let start = Instant::now();
+        let [one, two] = [0; 2].map(|_| sessions.begin(start).expect("randomness"));
+        assert_ne!(one, two);
+        assert_eq!(one.len(), 2 * NAME_BYTES);
+        let last = start + SESSION_LIFETIME - Duration::from_secs(1);
+        assert!(sessions.is_open(&one, last) && sessions.is_open(&two, last));
+        sessions.end(&one);
+        assert!(!sessions.is_open(&one, last) && sessions.is_open(&two, last));
+        assert!(!sessions.is_open(&two, start + SESSION_LIFETIME));
+        assert!(!sessions.is_open("", start));
+    }
+
+    #[test]
+    fn sessions_are_bounded_and_the_oldest_makes_room() {
+        let mut sessions = Sessions::default();
+        let start = Instant::now();
+        let first = sessions.begin(start).expect("randomness");
+        let later = start + Duration::from_secs(1);
+        let others: Vec<String> = (0..MAX_SESSIONS)
+            .filter_map(|_| sessions.begin(later))
+            .collect();
+        assert_eq!(sessions.ends.len(), MAX_SESSIONS);
+        assert!(!sessions.is_open(&first, later));
+        assert!(others.iter().all(|name| sessions.is_open(name, later)));
+        let much_later = later + SESSION_LIFETIME;
+        assert!(sessions.begin(much_later).is_some());
+        assert_eq!(sessions.ends.len(), 1);
+    }
+}
