@@ -190,6 +190,22 @@ pub enum ArchiveError {
         /// What the system said.
         source: io::Error,
     },
+    /// There is no room for what it claims to hold.
+    #[error(
+        "unpack archive {archive}: that takes {needed_mib} MiB and the disk of {} has {free_mib} \
+         left; make room",
+        folder.display()
+    )]
+    NoRoom {
+        /// The file.
+        archive: String,
+        /// Where it was to be unpacked.
+        folder: PathBuf,
+        /// What it takes, with what must stay free, MiB.
+        needed_mib: u64,
+        /// What there is, MiB.
+        free_mib: u64,
+    },
     /// A thread that packs, unpacks or computes ended.
     #[error("go on with archive {archive}: a thread panicked; the log says where")]
     Panicked {

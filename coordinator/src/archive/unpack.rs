@@ -1,4 +1,7 @@
-//! Reading an archive: nothing is believed of it that was not verified.
+//! Reading an archive, which may come from anybody. Nothing is written before the list of members
+//! has said how much it will be and that there is room for it, and no member may be larger than the
+//! list says. Headers are read one by one, as they are in the file: a library that resolves long
+//! names and extended headers by itself holds them in memory, however long they claim to be.
 
 use std::fs::File;
 use std::io::{self, BufReader, ErrorKind, Read};
@@ -8,14 +11,24 @@ use flate2::bufread::GzDecoder;
 use queue::ids::CampaignName;
 use queue::{ARTIFACTS_FOLDER, DATABASE_FILE, Portable, newest_known_schema};
 use serde::Deserialize;
-use tar::{Archive, Entries, EntryType};
+use tar::{Archive, Entries, Entry, EntryType};
 
 use super::derived::{self, PROVENANCE, REPORT, SPECIFICATION};
 use super::pack::copy_digesting;
 use super::{ArchiveError, Contents, FORMAT, LIST, Member};
+use crate::disk::{DEFAULT_MIN_FREE_MIB, Room};
 
-/// Largest list, bytes: of a million films.
-const MAX_LIST_BYTES: u64 = 256 << 20;
+/// Largest list, bytes: of three hundred thousand films.
+const MAX_LIST_BYTES: u64 = 64 << 20;
+/// Members may be so many times as large as their archive. Films do not compress, and a database
+/// of repetitive rows comes to a twentieth.
+const MAX_RATIO: u64 = 100;
+/// Members of so many bytes in all may have any ratio.
+const SMALL_BYTES: u64 = 64 << 20;
+/// Most zeros behind the last member, bytes. Programs fill archives up to some kilobytes.
+const MAX_PADDING_BYTES: u64 = 1 << 20;
+/// How a film's name ends.
+const FILM_SUFFIX: &str = ".mp4";
 
 /// What is said of a file that is something else altogether.
 const NO_TAR: &str = "it is no compressed tar";
@@ -32,7 +45,8 @@ pub struct Unpacked {
     pub contents: Contents,
 }
 
-type Members<'a> = Entries<'a, GzDecoder<BufReader<File>>>;
+type Compressed = GzDecoder<BufReader<File>>;
+type Members<'a> = Entries<'a, Compressed>;
 
 /// Unpacks an archive into an empty folder and verifies it: every member's size and
 /// SHA-256, the versions of its form and its schema, the specification's digest, every
@@ -96,13 +110,17 @@ struct Reading<'a> {
 impl Reading<'_> {
     /// Unpacks every member, as the list says.
     fn members(&self, file: &Path, into: &Path) -> Result<Contents, ArchiveError> {
-        let opened = File::open(file).map_err(|source| ArchiveError::Read {
+        let unreadable = |source| ArchiveError::Read {
             archive: self.archive.to_owned(),
             source,
-        })?;
+        };
+        let opened = File::open(file).map_err(unreadable)?;
+        let compressed_bytes = opened.metadata().map_err(unreadable)?.len();
         let mut tar = Archive::new(GzDecoder::new(BufReader::new(opened)));
-        let mut entries = tar.entries().map_err(|_| self.foreign(NO_TAR))?;
+        let entries = tar.entries().map_err(|_| self.foreign(NO_TAR))?;
+        let mut entries = entries.raw(true);
         let contents = self.list(&mut entries)?;
+        self.check_room(&contents, compressed_bytes, into)?;
         for member in &contents.members {
             self.member(&mut entries, member, into)?;
         }
@@ -111,11 +129,15 @@ impl Reading<'_> {
             return Err(self.altered("its end", "there are members that it does not name"));
         }
         // Only at its very end does the compression say whether it is whole.
-        let mut rest = tar.into_inner();
+        let mut rest = tar.into_inner().take(MAX_PADDING_BYTES);
         let read = io::copy(&mut rest, &mut io::sink());
         read.map_err(|error| self.broken("its end", error))?;
         let mut behind = [0];
-        match rest.into_inner().read(&mut behind) {
+        if rest.limit() == 0 {
+            return Err(self.altered("its end", "there is more behind it"));
+        }
+        let compression = rest.into_inner();
+        match compression.into_inner().read(&mut behind) {
             Ok(0) => Ok(contents),
             Ok(_) => Err(self.altered("its end", "there is more behind it")),
             Err(error) => Err(self.broken("its end", error)),
@@ -138,7 +160,9 @@ impl Reading<'_> {
             ErrorKind::UnexpectedEof => self.broken(LIST, error),
             _ => self.foreign(NO_TAR),
         })?;
-        if first.path_bytes().as_ref() != LIST.as_bytes() {
+        let is_list = first.path_bytes().as_ref() == LIST.as_bytes()
+            && first.header().entry_type() == EntryType::Regular;
+        if !is_list {
             return Err(self.foreign(format!("it does not begin with {LIST}")));
         }
         if first.size() > MAX_LIST_BYTES {
@@ -187,13 +211,54 @@ impl Reading<'_> {
             ));
         }
         let films = format!("{ARTIFACTS_FOLDER}/{}/", contents.campaign);
-        let is_film = |name: &&str| {
-            name.strip_prefix(films.as_str())
-                .is_some_and(|file| !file.is_empty() && !file.contains('/') && file != "..")
-        };
-        match names[MEMBERS.len()..].iter().find(|name| !is_film(name)) {
-            Some(name) => refused(format!("`{}` belongs to no campaign", shown(name))),
-            None => Ok(()),
+        for name in &names[MEMBERS.len()..] {
+            if !name.strip_prefix(films.as_str()).is_some_and(is_film) {
+                return refused(format!("`{}` is no film of this campaign", shown(name)));
+            }
+        }
+        Ok(())
+    }
+
+    /// There is room for everything that the list names, and it is no bomb.
+    fn check_room(
+        &self,
+        contents: &Contents,
+        compressed_bytes: u64,
+        into: &Path,
+    ) -> Result<(), ArchiveError> {
+        let sizes = contents.members.iter().map(|member| member.bytes);
+        let total = sizes.fold(0, u64::saturating_add);
+        let most = compressed_bytes.saturating_mul(MAX_RATIO);
+        if total > most.max(SMALL_BYTES) {
+            let problem = format!(
+                "it claims {} MiB of members in {} KiB of archive",
+                total >> 20,
+                compressed_bytes >> 10
+            );
+            return Err(self.altered(LIST, &problem));
+        }
+        std::fs::create_dir_all(into).map_err(|source| ArchiveError::Write {
+            path: into.to_owned(),
+            source,
+        })?;
+        // Its rows are copied from there into another database.
+        let databases = contents
+            .members
+            .iter()
+            .filter(|it| it.name == DATABASE_FILE);
+        let copied = databases.fold(0, |sum: u64, it| sum.saturating_add(it.bytes));
+        let needed = total
+            .saturating_add(copied)
+            .saturating_add(DEFAULT_MIN_FREE_MIB << 20);
+        let room = Room::look(into, needed);
+        match room.free_bytes < needed {
+            true => Err(ArchiveError::NoRoom {
+                archive: self.archive.to_owned(),
+                folder: into.to_owned(),
+                needed_mib: needed >> 20,
+                free_mib: room.free_bytes >> 20,
+            }),
+            false => Ok(()),
         }
     }
 
@@ -204,16 +269,25 @@ impl Reading<'_> {
         into: &Path,
     ) -> Result<(), ArchiveError> {
         let name = shown(&member.name);
-        let next = entries.next().transpose();
-        let next = next.map_err(|error| self.broken(name, error))?;
-        let entry = next.ok_or_else(|| ArchiveError::Damaged {
-            archive: self.archive.to_owned(),
-            member: name.to_owned(),
-        })?;
-        let is_it = entry.path_bytes().as_ref() == member.name.as_bytes()
-            && entry.header().entry_type() == EntryType::Regular;
-        if !is_it {
-            return Err(self.altered(name, "another one is in its place"));
+        let another = || self.altered(name, "another one is in its place");
+        let mut entry = self.next(entries, name)?;
+        let mut found = entry.path_bytes().into_owned();
+        // A name that is too long for a header comes before it, in an entry of its own.
+        if entry.header().entry_type() == EntryType::GNULongName {
+            if entry.size() > member.name.len() as u64 + 1 {
+                return Err(another());
+            }
+            found.clear();
+            let read = entry.read_to_end(&mut found);
+            read.map_err(|error| self.broken(name, error))?;
+            found.pop_if(|last| *last == 0);
+            entry = self.next(entries, name)?;
+        }
+        if found != member.name.as_bytes() || entry.header().entry_type() != EntryType::Regular {
+            return Err(another());
+        }
+        if entry.size() != member.bytes {
+            return Err(self.altered(name, &format!("it has {} bytes", entry.size())));
         }
         let path = into.join(&member.name);
         let written = write(&path, entry);
@@ -231,6 +305,20 @@ impl Reading<'_> {
             return Err(self.altered(name, &format!("its SHA-256 is {sha256}")));
         }
         Ok(())
+    }
+
+    /// The next entry, as it is in the file.
+    fn next<'a>(
+        &self,
+        entries: &mut Members<'a>,
+        member: &str,
+    ) -> Result<Entry<'a, Compressed>, ArchiveError> {
+        let next = entries.next().transpose();
+        let next = next.map_err(|error| self.broken(member, error))?;
+        next.ok_or_else(|| ArchiveError::Damaged {
+            archive: self.archive.to_owned(),
+            member: member.to_owned(),
+        })
     }
 
     fn foreign(&self, problem: impl ToString) -> ArchiveError {
@@ -280,6 +368,13 @@ fn write(path: &Path, from: impl Read) -> Result<(u64, String), Failed> {
     })?;
     file.sync_all().map_err(Failed::Writing)?;
     Ok(copied)
+}
+
+/// Returns true if this program could have called a film so. A browser takes a file with another
+/// ending for a page, and a name with other characters leads elsewhere.
+fn is_film(file: &str) -> bool {
+    let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"._-".contains(&byte);
+    file.ends_with(FILM_SUFFIX) && !file.starts_with('.') && file.bytes().all(is_plain)
 }
 
 /// A name in a message.

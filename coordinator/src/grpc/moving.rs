@@ -18,6 +18,7 @@ use transport::chain;
 
 use super::failure::{failed, invalid};
 use crate::archive::{ArchiveError, Package, package, unpack};
+use crate::disk::{DEFAULT_MIN_FREE_MIB, Room};
 use crate::storage::Storage;
 
 /// Size of a piece, bytes.
@@ -184,9 +185,19 @@ async fn receive(
              ({error})"
         ))
     };
+    let folder = path.parent().unwrap_or(path);
     let mut file = tokio::fs::File::create(path).await.map_err(unwritable)?;
     file.write_all(first).await.map_err(unwritable)?;
     while let Some(chunk) = next_chunk(chunks).await? {
+        // Results need the room that is left more than an archive.
+        let room = Room::look(folder, DEFAULT_MIN_FREE_MIB << 20);
+        if room.free_bytes < room.needed_bytes {
+            return Err(Status::resource_exhausted(format!(
+                "receive the archive: the disk of the coordinator's data folder has {} MiB left; \
+                 make room",
+                room.free_bytes >> 20
+            )));
+        }
         file.write_all(&chunk.data).await.map_err(unwritable)?;
     }
     file.flush().await.map_err(unwritable)
@@ -249,6 +260,8 @@ fn archive_failed(error: ArchiveError) -> Status {
             invalid(chain(&error))
         }
         ArchiveError::Results(error) => failed(error),
+        // A client tries again what is only unavailable.
+        ArchiveError::NoRoom { .. } => Status::resource_exhausted(chain(&error)),
         error => unavailable(&error),
     }
 }

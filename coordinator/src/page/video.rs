@@ -1,4 +1,6 @@
-//! Videos, whole or in ranges: a browser that seeks asks for the middle.
+//! Videos, whole or in ranges: a browser that seeks asks for the middle. A video may have come with
+//! somebody else's archive. So it is served as a video whatever it is called and holds, and a browser
+//! that opens it as a page gives it no script and no origin.
 
 use std::path::{Component, Path};
 
@@ -15,6 +17,10 @@ use super::configuration::replicate;
 use super::problem::Problem;
 use super::state::Page;
 use crate::storage::Storage;
+
+/// What a video may do that is opened as a page: show itself.
+const CONTENT_POLICY: &str =
+    "sandbox; default-src 'none'; media-src 'self'; style-src 'unsafe-inline'";
 
 /// The video of a rollout.
 pub(super) async fn answer(
@@ -34,7 +40,8 @@ pub(super) async fn answer(
     let mut parts = path.components();
     let is_below = parts.next() == Some(Component::Normal(ARTIFACTS_FOLDER.as_ref()))
         && parts.all(|part| matches!(part, Component::Normal(_)));
-    if !is_below {
+    let is_film = path.extension().is_some_and(|ending| ending == "mp4");
+    if !is_below || !is_film {
         return Err(Problem::Video);
     }
     let file = page.queue.store().folder().join(path);
@@ -48,7 +55,12 @@ pub(super) async fn answer(
         (Some(storage), false) => stored(storage, &video, request.headers()).await?,
         (None, false) => return Err(Problem::Video),
     };
+    if response.status().is_success() {
+        let kind = HeaderValue::from_static("video/mp4");
+        response.headers_mut().insert(header::CONTENT_TYPE, kind);
+    }
     for (name, value) in [
+        (header::CONTENT_SECURITY_POLICY, CONTENT_POLICY),
         (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
         (header::CACHE_CONTROL, "private, max-age=60"),
     ] {

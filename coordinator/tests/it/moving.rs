@@ -367,7 +367,14 @@ async fn what_is_no_whole_archive_of_this_program_is_refused_by_name_and_changes
     write(&bad, &more, false);
     refused(&["does not name"]);
     write(&bad, &more, true);
-    refused(&["belongs to no campaign"]);
+    refused(&["no film of this campaign"]);
+    // A browser that is given one of these by the coordinator would run it.
+    for page in ["page.html", "film.mp4.svg", ".mp4", "a b.mp4"] {
+        more.pop();
+        more.push((format!("artifacts/moved/{page}"), vec![1]));
+        write(&bad, &more, true);
+        refused(&["archive.json", page, "no film of this campaign"]);
+    }
     more.pop();
     more.push(("artifacts/moved/film.mp4".to_owned(), vec![1]));
     write(&bad, &more, true);
@@ -399,6 +406,18 @@ async fn what_is_no_whole_archive_of_this_program_is_refused_by_name_and_changes
         (
             "CREATE TABLE mine (number INTEGER)",
             &["schema_is_the_programs", "mine"][..],
+        ),
+        (
+            "CREATE TRIGGER mine AFTER UPDATE ON job BEGIN DELETE FROM artifact; END",
+            &["schema_is_the_programs", "mine"][..],
+        ),
+        // Whoever reads the version of the schema would count for ever.
+        (
+            "DROP TABLE _sqlx_migrations;
+             CREATE VIEW _sqlx_migrations AS
+                 WITH RECURSIVE n(version) AS (SELECT 1 UNION ALL SELECT version + 1 FROM n)
+                 SELECT version, 1 AS success, x'' AS checksum FROM n",
+            &["schema_is_the_programs", "_sqlx_migrations"][..],
         ),
         ("DELETE FROM campaign", &["coordinator.sqlite"][..]),
     ] {
@@ -438,6 +457,81 @@ async fn what_is_no_whole_archive_of_this_program_is_refused_by_name_and_changes
     assert!(missing.contains("nowhere.tar.gz"), "{missing}");
     there.import(&file);
     there.in_order().await;
+}
+
+/// A small archive that says it is a large one costs neither memory nor disk.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_archive_that_swells_is_refused_before_it_is_unpacked() {
+    const SWOLLEN: u64 = 192 << 20;
+    let mut here = Bench::with(&spec()).await;
+    here.run(1, "").await;
+    let sound = members(&here.archive("moved"));
+    let bad = here.folder.path().join("bad.tar.gz");
+    let path = bad.display().to_string();
+    let refused = |words: &[&str]| {
+        let said = here.refused(&["campaign", "import", &path, "--as", "another"]);
+        for word in words {
+            assert!(said.contains(word), "{said} lacks {word}");
+        }
+    };
+    let before = here.serve.peak_memory_bytes();
+
+    // A name of so many characters, before the list and before a member.
+    for place in [0, 1] {
+        let out = GzEncoder::new(File::create(&bad).expect("a file"), Compression::fast());
+        let mut tar = tar::Builder::new(out);
+        for (name, bytes) in &sound[..place] {
+            let mut header = tar::Header::new_gnu();
+            header.set_size(bytes.len() as u64);
+            tar.append_data(&mut header, name, bytes.as_slice())
+                .expect("written");
+        }
+        let mut header = tar::Header::new_gnu();
+        header.set_entry_type(tar::EntryType::GNULongName);
+        header.set_size(SWOLLEN);
+        header.set_cksum();
+        tar.append(&header, std::io::repeat(b'n').take(SWOLLEN))
+            .expect("written");
+        tar.into_inner()
+            .expect("its end")
+            .finish()
+            .expect("its end");
+        refused(&["bad.tar.gz"]);
+    }
+    // A film of nothing, and a list that is true of it.
+    let mut large = sound.clone();
+    large.push((
+        "artifacts/moved/film.mp4".to_owned(),
+        vec![0; SWOLLEN as usize],
+    ));
+    write(&bad, &large, true);
+    refused(&["archive.json", "it claims 192 MiB of members"]);
+    // The same, and a list that says that there is none.
+    let mut list: Value = serde_json::from_slice(&sound[0].1).expect("a list");
+    let film = json!({"name": "artifacts/moved/film.mp4", "bytes": 1, "sha256": "00"});
+    list["members"].as_array_mut().expect("members").push(film);
+    large[0].1 = list.to_string().into_bytes();
+    write(&bad, &large, false);
+    refused(&["artifacts/moved/film.mp4", "it has 201326592 bytes"]);
+    // An end that does not end.
+    let out = GzEncoder::new(File::create(&bad).expect("a file"), Compression::fast());
+    let mut tar = tar::Builder::new(out);
+    for (name, bytes) in &sound {
+        let mut header = tar::Header::new_gnu();
+        header.set_size(bytes.len() as u64);
+        tar.append_data(&mut header, name, bytes.as_slice())
+            .expect("written");
+    }
+    let mut out = tar.into_inner().expect("its end");
+    std::io::copy(&mut std::io::repeat(0).take(SWOLLEN), &mut out).expect("written");
+    out.finish().expect("its end");
+    refused(&["its end"]);
+
+    let grown = here.serve.peak_memory_bytes() - before;
+    assert!(grown < SWOLLEN / 2, "{} MiB were taken", grown >> 20);
+    // As it is, it fits.
+    write(&bad, &sound, false);
+    here.must(&["campaign", "import", &path, "--as", "another"]);
 }
 
 #[tokio::test(flavor = "multi_thread")]

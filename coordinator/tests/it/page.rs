@@ -299,6 +299,12 @@ async fn a_video_is_sent_whole_and_in_ranges() {
         (200, Some("bytes"))
     );
     assert_eq!(whole.header("content-type"), Some("video/mp4"));
+    assert_eq!(whole.header("x-content-type-options"), Some("nosniff"));
+    let policy = whole.header("content-security-policy").expect("a policy");
+    assert!(
+        policy.starts_with("sandbox; default-src 'none'"),
+        "{policy}"
+    );
     assert_eq!(whole.body, film);
     let part = ask(
         &bench.url,
@@ -320,7 +326,14 @@ async fn a_video_is_sent_whole_and_in_ranges() {
     // A database that leads elsewhere, whoever made it, leads nowhere.
     let database = bench.database().await;
     std::fs::write(bench.folder.path().join("outside"), "outside").expect("written");
-    for path in ["artifacts/../outside", "/etc/passwd", "outside"] {
+    std::fs::write(bench.folder.path().join("artifacts/page.html"), "<p>").expect("written");
+    for path in [
+        "artifacts/../outside",
+        "/etc/passwd",
+        "outside",
+        // Nor is anything shown but a video: a page from here could read all others.
+        "artifacts/page.html",
+    ] {
         let update = sqlx::query("UPDATE artifact SET path = ?").bind(path);
         update.execute(&database).await.expect("altered");
         let answer = ask(&bench.url, &format!("GET {address}")).await;
@@ -473,7 +486,10 @@ async fn a_browser_logs_in_once_and_a_worker_or_a_stranger_sees_nothing() {
     assert!(cookie.contains("Max-Age=43200"), "{cookie}");
     let cookie = cookie.split(';').next().expect("a pair");
     let hex: String = VIEWER.bytes().map(|byte| format!("{byte:02x}")).collect();
-    assert!(!cookie.contains(VIEWER) && !cookie.contains(&hex), "{cookie}");
+    assert!(
+        !cookie.contains(VIEWER) && !cookie.contains(&hex),
+        "{cookie}"
+    );
     let page = ask(url, &format!("GET /workers\ncookie: {cookie}")).await;
     assert!(
         page.code == 200 && page.text().contains("Log out"),
@@ -517,7 +533,11 @@ async fn a_strangers_page_in_the_same_browser_reaches_nothing() {
     assert_eq!(rebound.code, 403);
     assert!(!rebound.text().contains("begun"), "{}", rebound.text());
     let delete = "POST /rollout.coordinator.v1.OperatorService/DeleteCampaign";
-    let call = ask(&bench.url, &format!("{delete}\ncontent-type: application/grpc")).await;
+    let call = ask(
+        &bench.url,
+        &format!("{delete}\ncontent-type: application/grpc"),
+    )
+    .await;
     assert_eq!(call.header("grpc-status"), Some("3"), "{}", call.head);
     // What a page may send without asking the server first: a whole message, as plain text.
     let message = "\0\0\0\0\x0e\n\x05begun\x12\x05begun";

@@ -268,6 +268,16 @@ async fn the_database_of_every_released_schema_is_upgraded_with_its_rows() {
             .await
             .expect("an instant");
         pool.close().await;
+        // In an archive, it would be taken for what it is: several campaigns, not a foreign schema.
+        let archived = tempfile::tempdir().expect("a temporary folder");
+        let database = archived.path().join(DATABASE_FILE);
+        std::fs::copy(folder.path().join(DATABASE_FILE), database).expect("copied");
+        let refused = queue::Portable::open(archived.path()).await;
+        let refused = refused.expect_err("several").to_string();
+        assert!(
+            refused.contains("campaigns, not one"),
+            "schema {version}: {refused}"
+        );
         let before = kept(folder.path()).await;
         assert!(before.iter().all(|(_, count)| *count > 0), "{before:?}");
 

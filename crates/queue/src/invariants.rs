@@ -65,6 +65,9 @@ pub enum CheckError {
     },
 }
 
+/// The invariant that a foreign database breaks.
+pub(crate) const SCHEMA_INVARIANT: &str = "schema_is_the_programs";
+
 /// All of them, in the order in which they are checked. A query uses
 /// `known_schema`, a temporary table of this program's schema.
 pub const INVARIANTS: [Invariant; 18] = [
@@ -75,13 +78,13 @@ pub const INVARIANTS: [Invariant; 18] = [
     },
     // Tables, indices and triggers are those of this program.
     Invariant {
-        name: "schema_is_the_programs",
+        name: SCHEMA_INVARIANT,
         query: "SELECT coalesce(k.type, m.type) || ' ' || coalesce(k.name, m.name) || CASE
              WHEN m.name IS NULL THEN ' is missing'
              WHEN k.name IS NULL THEN ' is foreign' ELSE ' was altered' END
          FROM main.sqlite_schema m FULL JOIN known_schema k
              ON k.type = m.type AND k.name = m.name
-         WHERE m.sql IS NOT k.sql AND coalesce(k.name, m.name) NOT LIKE 'sqlite_%'",
+         WHERE m.sql IS NOT k.sql AND coalesce(k.name, m.name) NOT GLOB 'sqlite_*'",
     },
     // What a row refers to is there.
     Invariant {

@@ -39,7 +39,7 @@ use sqlx::pool::PoolConnection;
 use sqlx::sqlite::{
     SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous,
 };
-use sqlx::{Connection, Sqlite, SqliteConnection, Transaction};
+use sqlx::{ConnectOptions, Connection, Sqlite, SqliteConnection, Transaction};
 
 use failpoint::{Failpoints, Side, Step};
 
@@ -543,4 +543,49 @@ pub(crate) async fn know_schema(connection: &mut SqliteConnection) -> Result<(),
             .await?;
     }
     Ok(())
+}
+
+/// Compares the schema of a database from elsewhere with those that this program's versions have
+/// had. Returns what is foreign to all of them; `None` if it is one of theirs.
+///
+/// It reads nothing but the list of what there is, so that nothing of the database is executed.
+pub(crate) async fn foreign_schema(path: &Path) -> Result<Option<String>, sqlx::Error> {
+    let mut known = SqliteConnection::connect("sqlite::memory:").await?;
+    let options = SqliteConnectOptions::new().filename(path).read_only(true);
+    let mut found = options
+        .immutable(true)
+        .pragma("trusted_schema", "OFF")
+        .connect()
+        .await?;
+    let found_objects = objects(&mut found).await?;
+    found.close().await?;
+    let mut known_objects = Vec::new();
+    for version in 1..=newest_known_schema() {
+        MIGRATIONS
+            .run_direct(Some(version), &mut known, false)
+            .await
+            .map_err(|error| sqlx::Error::Migrate(Box::new(error)))?;
+        known_objects = objects(&mut known).await?;
+        if known_objects == found_objects {
+            return Ok(None);
+        }
+    }
+    let foreign = found_objects.iter().find(|it| !known_objects.contains(it));
+    let missing = known_objects.iter().find(|it| !found_objects.contains(it));
+    Ok(Some(match (foreign, missing) {
+        (Some((kind, name, _)), _) => format!("{kind} {name} is foreign or was altered"),
+        (None, Some((kind, name, _))) => format!("{kind} {name} is missing"),
+        (None, None) => "it holds something twice".to_owned(),
+    }))
+}
+
+/// Everything in a database that has a name, with the statement that made it, in order. Indices
+/// that SQLite makes by itself and its own tables are part of it: a database that was edited by
+/// hand can hold anything under their names.
+async fn objects(
+    connection: &mut SqliteConnection,
+) -> Result<Vec<(String, String, Option<String>)>, sqlx::Error> {
+    sqlx::query_as("SELECT type, name, sql FROM sqlite_schema ORDER BY type, name")
+        .fetch_all(connection)
+        .await
 }

@@ -15,15 +15,15 @@ use super::removals;
 use super::settled::Settled;
 use crate::expand::altered;
 use crate::ids::{CampaignId, CampaignName};
-use crate::invariants::{self, Violation};
+use crate::invariants::{self, SCHEMA_INVARIANT, Violation};
 use crate::queue::Queue;
 use crate::read::{Counts, View};
 use crate::store::campaigns::{self, Campaign};
 use crate::store::failpoint::Step;
 use crate::store::portable::{self, Called};
 use crate::store::{
-    DATABASE_FILE, Doing, OpenError, Store, StoreError, derivations, instants, removals as pending,
-    undecodable,
+    DATABASE_FILE, Doing, OpenError, Store, StoreError, derivations, foreign_schema, instants,
+    removals as pending, undecodable,
 };
 use crate::timing::Timing;
 
@@ -87,12 +87,21 @@ pub enum PortableError {
 }
 
 impl Portable {
-    /// Opens the data folder of one campaign and verifies it: every invariant, and the
-    /// specification's digest. A database of an older schema is upgraded.
+    /// Opens the data folder of one campaign and verifies it: its schema, every invariant, and
+    /// the specification's digest. A database of an older schema is upgraded.
+    ///
+    /// The database may come from anybody. A view in the place of a table, or a trigger, runs
+    /// with the first statement that touches it; so the schema is compared before any other
+    /// statement.
     ///
     /// # Errors
     /// See [`PortableError`].
     pub async fn open(folder: &Path) -> Result<Portable, PortableError> {
+        let foreign = foreign_schema(&folder.join(DATABASE_FILE)).await;
+        if let Some(example) = foreign.doing("compare the schema")? {
+            let invariant = SCHEMA_INVARIANT;
+            return Err(PortableError::Violated { invariant, example });
+        }
         let store = Store::open(folder).await?;
         let mut reader = store.reader().await?;
         let violations = invariants::violations(&mut reader).await;
