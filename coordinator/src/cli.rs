@@ -172,7 +172,7 @@ pub(crate) fn run(arguments: Arguments) -> ExitCode {
     if terminal::reader_is_gone(&*error) {
         return ExitCode::SUCCESS;
     }
-    eprintln!("error: failed to {}", transport::chain(&*error));
+    terminal::complain(&format!("error: failed to {}", transport::chain(&*error)));
     ExitCode::from(code)
 }
 

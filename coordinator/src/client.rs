@@ -180,11 +180,11 @@ impl Client {
                     Some(trouble) => trouble.finding().to_string(),
                     None => answer(&status),
                 };
-                eprintln!(
+                terminal::complain(&format!(
                     "no answer from the coordinator at {}: {reason}; trying again for {} s",
                     self.url,
                     self.retry_for.as_secs()
-                );
+                ));
             }
             tokio::time::sleep(pause).await;
             pause = (pause * 2).min(LONGEST_PAUSE);

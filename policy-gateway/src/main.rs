@@ -224,7 +224,7 @@ fn main() -> ExitCode {
         }
     };
     done.unwrap_or_else(|error| {
-        eprintln!("policy-gateway: failed to {}", transport::chain(&*error));
+        terminal::complain(&format!("policy-gateway: failed to {}", transport::chain(&*error)));
         ExitCode::FAILURE
     })
 }

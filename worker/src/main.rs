@@ -64,7 +64,7 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) if terminal::reader_is_gone(&*error) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("worker: failed to {}", transport::chain(&*error));
+            terminal::complain(&format!("worker: failed to {}", transport::chain(&*error)));
             ExitCode::FAILURE
         }
     }

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use std::io::IsTerminal;
 use std::time::Duration;
 
+use anyhow::Context;
 use coordinator::client::Client;
 use proto::coordinator::CampaignStatus;
 use proto::coordinator::campaign_status::State;
@@ -65,12 +66,11 @@ struct Screen {
 impl Screen {
     /// Prints lines that stay, above the table.
     fn say(&mut self, text: &str) -> anyhow::Result<()> {
-        let clear = match (self.is_terminal, self.lines) {
-            (true, lines @ 1..) => format!("\x1b[{lines}A\r\x1b[J"),
-            _ => String::new(),
-        };
+        if self.is_terminal && self.lines > 0 {
+            terminal::clear_lines(self.lines).context("print to standard output")?;
+        }
         self.lines = 0;
-        print_line(&format!("{clear}{text}"))
+        print_line(text)
     }
 
     /// Shows how the campaigns stand, and, when it changes, what needs looking

@@ -1,6 +1,7 @@
-//! Reading messages: every string is bounded, every number in range, every
-//! digest a digest, before it goes any further.
+//! Reading messages: every string is bounded and holds nothing that a terminal obeys, every number
+//! is in range, every digest a digest, before it goes any further.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use attempt::{
@@ -13,6 +14,7 @@ use queue::read::JobFilter;
 use queue::rules::campaign::{Change, PRIORITIES};
 use queue::rules::lease::FailureReason;
 use queue::{Alteration, CommitReport, MAX_JOBS_RETRIED, Retry, WorkerInfo};
+use terminal::printable;
 use tonic::Status;
 
 use super::failure::invalid;
@@ -264,10 +266,10 @@ pub(super) fn failure_reason(reason: i32) -> Result<FailureReason, Status> {
 
 /// An error message, cut to what is kept; never empty, because a quarantined
 /// job must say something.
-pub(super) fn error_text(error: &str) -> &str {
+pub(super) fn error_text(error: &str) -> Cow<'_, str> {
     match shortened(error, MAX_ERROR_BYTES).trim() {
-        "" => "no reason was given",
-        error => error,
+        "" => "no reason was given".into(),
+        error => printable(error),
     }
 }
 
@@ -360,7 +362,7 @@ fn text(field: &str, value: String) -> Result<String, Status> {
             "`{field}` is longer than {MAX_TEXT_BYTES} bytes"
         )));
     }
-    Ok(value)
+    Ok(printable(&value).into_owned())
 }
 
 fn settings(given: BTreeMap<String, String>) -> Result<BTreeMap<String, String>, Status> {

@@ -124,7 +124,7 @@ impl WorkerService for WorkerApi {
         let reason = read::failure_reason(request.reason)?;
         let error = read::error_text(&request.error);
         let answered = request.answered_queries;
-        let released = self.queue.release_after(attempt, reason, error, answered);
+        let released = self.queue.release_after(attempt, reason, &error, answered);
         let released = released.await;
         let reply = released.map_err(failed)?;
         let verdict = match reply.verdict {

@@ -366,3 +366,64 @@ fn an_address_in_use_and_a_folder_that_cannot_be_made_fail_with_the_remedy() {
         text(&output.stderr)
     );
 }
+
+/// A policy's error, which its worker passes on, could set the operator's clipboard.
+#[tokio::test(flavor = "multi_thread")]
+async fn nothing_that_a_worker_or_an_archive_says_is_obeyed_by_a_terminal() {
+    const HOSTILE: &str = "\x1b]52;c;cm0gLXJm\x07\x1b[2K\rall is well \u{9b}31m\u{202e}";
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    let spec = folder.path().join("spec.json");
+    std::fs::write(&spec, small_spec("told").to_string()).expect("written");
+    let path = spec.to_str().expect("UTF-8");
+    assert!(
+        serve
+            .command(&["campaign", "create", "--spec", path])
+            .status
+            .success()
+    );
+    let mut worker = serve.worker("w").await;
+    let lease = worker.claim_one().await;
+    let request = wire::ReleaseRequest {
+        attempt_id: lease.attempt_id.clone(),
+        reason: wire::release_request::Reason::PolicyUnavailable.into(),
+        error: HOSTILE.to_owned(),
+    };
+    worker.service.release(request).await.expect("released");
+    let is_obeyed = |text: &str| {
+        let is_obeyed = |c: char| (c.is_control() && c != '\n') || c == '\u{202e}';
+        text.contains(is_obeyed)
+    };
+    // It is not kept,
+    let pool = open_database(folder.path()).await;
+    let kept: String = sqlx::query_scalar("SELECT error FROM failure")
+        .fetch_one(&pool)
+        .await
+        .expect("a failure");
+    assert!(
+        kept.contains("all is well") && !is_obeyed(&kept),
+        "{kept:?}"
+    );
+    // and where something else kept it, it is not printed.
+    for update in [
+        "UPDATE failure SET error = ?",
+        "UPDATE policy SET pause_reason = ?",
+    ] {
+        let update = sqlx::query(update).bind(HOSTILE).execute(&pool).await;
+        update.expect("altered");
+    }
+    pool.close().await;
+    let rollout = crate::harness::rollout_id(&lease);
+    for command in [
+        &["jobs", "show", "told", &rollout][..],
+        &["jobs", "list", "told"],
+        &["campaign", "status", "told"],
+    ] {
+        let output = serve.command(command);
+        let said = text(&output.stdout);
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        assert!(!is_obeyed(said), "{command:?}: {said:?}");
+    }
+    let said = serve.command(&["jobs", "show", "told", &rollout]);
+    assert!(text(&said.stdout).contains("all is well"));
+}

@@ -7,6 +7,8 @@ use std::io::{self, IsTerminal as _, Write as _};
 
 use tracing_subscriber::EnvFilter;
 
+use crate::printable::printable;
+
 /// Logs to standard error from now on, at this level unless RUST_LOG says
 /// otherwise, and in colour just if a terminal shows it and NO_COLOR is not set.
 pub fn log(default_level: &str) {
@@ -35,15 +37,30 @@ pub fn print_line(text: &str) -> io::Result<()> {
     print(&format!("{text}\n"))
 }
 
-/// Prints to standard output. Unlike `print!` it does not panic when nobody reads
-/// it any more.
+/// Prints to standard output, without what a terminal would obey (see [`printable`]). Unlike
+/// `print!` it does not panic when nobody reads it any more.
 ///
 /// # Errors
 /// If it cannot be written; see [`reader_is_gone`].
 pub fn print(text: &str) -> io::Result<()> {
     let mut stdout = io::stdout().lock();
-    stdout.write_all(text.as_bytes())?;
+    stdout.write_all(printable(text).as_bytes())?;
     stdout.flush()
+}
+
+/// Moves a terminal's cursor up to the first of these lines and clears what is below. It shows
+/// with what is printed next.
+///
+/// # Errors
+/// If it cannot be written; see [`reader_is_gone`].
+pub fn clear_lines(count: usize) -> io::Result<()> {
+    write!(io::stdout().lock(), "\x1b[{count}A\r\x1b[J")
+}
+
+/// Prints a line to standard error, without what a terminal would obey. A log that cannot be
+/// written does not matter to what a program does.
+pub fn complain(text: &str) {
+    let _ = writeln!(io::stderr().lock(), "{}", printable(text));
 }
 
 /// Whether what was printed failed because its reader has enough, as with

@@ -1,0 +1,49 @@
+//! Text of others, made safe to print.
+
+use std::borrow::Cow;
+
+/// Replaces what a terminal obeys rather than shows by `\u{fffd}`: control characters but line feeds and
+/// tabs, and the marks that reverse the direction of reading.
+///
+/// A policy's error, a worker's or a foreign archive's text can hold sequences that set the
+/// clipboard, retitle the window, or write over the line above.
+pub fn printable(text: &str) -> Cow<'_, str> {
+    match text.contains(is_obeyed) {
+        true => Cow::Owned(text.replace(is_obeyed, "\u{fffd}")),
+        false => Cow::Borrowed(text),
+    }
+}
+
+fn is_obeyed(character: char) -> bool {
+    match character {
+        '\n' | '\t' => false,
+        // Embeddings, overrides and isolates of Unicode's bidirectional algorithm.
+        '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}' => true,
+        // C0, DEL, and C1, whose U+009B begins sequences as ESC [ does.
+        other => other.is_control(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_sequence_that_a_terminal_obeys_is_left() {
+        for (given, expected) in [
+            ("\x1b]52;c;cm0gLXJm\x07", "\u{fffd}]52;c;cm0gLXJm\u{fffd}"),
+            ("\x1b[2K\rpassed", "\u{fffd}[2K\u{fffd}passed"),
+            ("\u{9b}31m", "\u{fffd}31m"),
+            ("a\u{202e}cod.exe", "a\u{fffd}cod.exe"),
+            ("\x7f\0\x08", "\u{fffd}\u{fffd}\u{fffd}"),
+        ] {
+            assert_eq!(printable(given), expected, "{given:?}");
+        }
+    }
+
+    #[test]
+    fn words_in_any_language_stay_as_they_are() {
+        let text = "π₀.₅ nimmt\tdie Schüssel\nund 碗 und وعاء";
+        assert!(matches!(printable(text), Cow::Borrowed(same) if same == text));
+    }
+}
