@@ -3,7 +3,8 @@
 //! cannot be trusted. The real program on real sockets; after each, the
 //! database's bytes are what they were.
 
-use std::fs::File;
+use std::fs::{File, Permissions};
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
@@ -25,6 +26,12 @@ pub(crate) const VIEWER: &str = "viewer-secret-0123456789";
 /// Characters of a name that is meant to hurt.
 const MILLION: usize = 1_000_000;
 
+/// Writes a file that only this user may read.
+pub(crate) fn write_private(path: &Path, text: &str) {
+    std::fs::write(path, text).expect("written");
+    std::fs::set_permissions(path, Permissions::from_mode(0o600)).expect("set");
+}
+
 /// A guarded coordinator with its log.
 pub(crate) struct Guarded {
     folder: TempDir,
@@ -35,7 +42,7 @@ impl Guarded {
     pub(crate) fn start(arguments: &[&str]) -> Guarded {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let tokens = format!("worker {WORKER}\noperator {OPERATOR}\nviewer {VIEWER}\n");
-        std::fs::write(folder.path().join("tokens"), tokens).expect("written");
+        write_private(&folder.path().join("tokens"), &tokens);
         let log = File::create(folder.path().join("log")).expect("a log");
         let tokens = folder.path().join("tokens");
         let tokens = ["--token-file", tokens.to_str().expect("UTF-8")];
@@ -259,7 +266,7 @@ impl Authority {
         let certificate = params.signed_by(&key, &self.issuer).expect("signed");
         let paths = [self.path("cert.pem"), self.path("key.pem")];
         std::fs::write(&paths[0], certificate.pem()).expect("written");
-        std::fs::write(&paths[1], key.serialize_pem()).expect("written");
+        write_private(&paths[1], &key.serialize_pem());
         let [certificate, key] = paths.map(|path| path.display().to_string());
         ["--tls-cert".into(), certificate, "--tls-key".into(), key]
     }
@@ -325,4 +332,66 @@ fn other_machines_are_listened_to_only_with_guards_or_on_demand() {
         assert!(told.contains(word), "{told}");
     }
     assert!(!folder.path().join("data").exists());
+}
+
+#[test]
+fn secrets_that_others_can_read_are_refused_and_what_is_kept_they_cannot() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| folder.path().join(name);
+    let [tokens, key, certificate, data] = ["tokens", "key.pem", "cert.pem", "deep/data"].map(path);
+    for (file, holds) in [
+        (&tokens, format!("worker {WORKER}\noperator {OPERATOR}\n")),
+        (&key, "a key".to_owned()),
+        (&certificate, "a certificate".to_owned()),
+    ] {
+        write_private(file, &holds);
+    }
+    let [tokens_text, key_text, certificate_text, data_text] =
+        [&tokens, &key, &certificate, &data].map(|path| path.to_str().expect("UTF-8"));
+    let with_tokens = ["serve", "--data", data_text, "--token-file", tokens_text];
+    let with_key = [
+        "serve",
+        "--data",
+        data_text,
+        "--tls-cert",
+        certificate_text,
+        "--tls-key",
+        key_text,
+    ];
+    let as_client = ["campaign", "list", "--token-file", tokens_text];
+    for (arguments, exposed) in [
+        (&with_tokens[..], &tokens),
+        (&with_key[..], &key),
+        (&as_client[..], &tokens),
+    ] {
+        for mode in [0o644, 0o640, 0o602] {
+            std::fs::set_permissions(exposed, Permissions::from_mode(mode)).expect("set");
+            let output = coordinator(arguments);
+            let told = text(&output.stderr);
+            assert_eq!(output.status.code(), Some(1), "{told}");
+            let remedy = format!("`chmod 600 {}`", exposed.display());
+            let shown = format!("{mode:04o}");
+            assert!(told.contains(&remedy) && told.contains(&shown), "{told}");
+            assert!(!told.contains(OPERATOR), "{told}");
+        }
+        std::fs::set_permissions(exposed, Permissions::from_mode(0o600)).expect("set");
+        assert!(!data.exists());
+    }
+    let serve = Serve::start_with(
+        &data,
+        &["--token-file", tokens_text],
+        File::create(path("log")).expect("a log").into(),
+    );
+    let mode = |path: &Path| path.metadata().expect("it is there").mode() & 0o777;
+    assert_eq!(mode(&data), 0o700);
+    let database = data.join("coordinator.sqlite");
+    for suffix in ["", "-wal", "-shm"] {
+        let file = PathBuf::from(format!("{}{suffix}", database.display()));
+        assert_eq!(mode(&file), 0o600, "{}", file.display());
+    }
+    drop(serve);
+    // One of an earlier release is closed, too.
+    std::fs::set_permissions(&database, Permissions::from_mode(0o644)).expect("set");
+    let _serve = Serve::start(&data);
+    assert_eq!(mode(&database), 0o600);
 }

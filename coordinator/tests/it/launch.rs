@@ -4,6 +4,7 @@
 use std::path::Path;
 use std::process::{Command, Output};
 
+use crate::access::write_private;
 use crate::process::{coordinator, text};
 
 const SCRIPTS: [&str; 3] = ["coordinator.sh", "gateway.sbatch", "workers.sbatch"];
@@ -121,23 +122,37 @@ fn tokens_are_named_by_their_file_and_never_written_out() {
     let (programs, folder) = (programs(), tempfile::tempdir().expect("a folder"));
     let file = |name: &str, holds: &str| {
         let path = folder.path().join(name);
-        std::fs::write(&path, holds).expect("a file");
+        write_private(&path, holds);
         path.to_str().expect("UTF-8").to_owned()
     };
     let secret = "0123456789abcdef0123456789abcdef";
     let tokens = file("tokens", &format!("worker {secret}\noperator {secret}0\n"));
     let pem = file("cert.pem", "");
     #[rustfmt::skip]
-    let output = launch(programs.path(), &[
+    let guarded = [
         "--connect", "https://login1:7411", "--token-file", &tokens, "--tls-cert", &pem,
         "--tls-key", &pem, "--ca", &pem, "--policy", "mine=builtin:student",
-    ]);
+    ];
+    // Whoever gets into a worker's job is not to find an operator's token.
+    let wrong: [&[&str]; 2] = [&[], &["--worker-token-file", &tokens]];
+    for more in wrong {
+        let output = launch(programs.path(), &[&guarded[..], more].concat());
+        let told = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{told}");
+        assert!(told.contains("--worker-token-file"), "{told}");
+    }
+    let of_workers = file("worker-token", &format!("worker {secret}\n"));
+    let more = ["--worker-token-file", &of_workers];
+    let output = launch(programs.path(), &[&guarded[..], &more].concat());
     let said = text(&output.stdout);
     assert!(output.status.success(), "{}", text(&output.stderr));
-    assert!(
-        said.contains(&format!("ROLLOUT_TOKEN_FILE={tokens}\n")),
-        "{said}"
-    );
+    let (servers, workers) = said
+        .split_once("workers.sbatch")
+        .expect("the workers' script");
+    let named = |file: &str| format!("ROLLOUT_TOKEN_FILE={file}\n");
+    assert!(servers.contains(&named(&tokens)), "{said}");
+    assert!(workers.contains(&named(&of_workers)), "{said}");
+    assert!(!workers.contains(&named(&tokens)), "{said}");
     assert!(said.contains(&format!("ROLLOUT_CA={pem}\n")), "{said}");
     assert!(
         said.contains(&format!("--tls-cert {pem} --tls-key {pem}")),

@@ -26,10 +26,10 @@ pub(crate) mod results;
 pub(crate) mod stops;
 pub(crate) mod workers;
 
-use std::fs::{File, TryLockError};
+use std::fs::{DirBuilder, File, Permissions, TryLockError};
 use std::io;
 use std::ops::{Deref, DerefMut};
-use std::os::unix::fs::MetadataExt;
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -47,6 +47,10 @@ use failpoint::{Failpoints, Side, Step};
 pub const DATABASE_FILE: &str = "coordinator.sqlite";
 /// The file whose lock says that a coordinator owns the data folder.
 const LOCK_FILE: &str = "coordinator.lock";
+/// Permissions of a data folder and of the database in it: outcomes, films and the addresses of
+/// policies are nobody else's business, and other users of the machine ask the coordinator.
+const PRIVATE_FOLDER_MODE: u32 = 0o700;
+const PRIVATE_MODE: u32 = 0o600;
 /// Connections that read beside the writer.
 const READERS: u32 = 4;
 /// How long a statement waits for a lock that another process holds (a backup
@@ -229,8 +233,11 @@ impl Store {
         if path.exists() {
             refuse_newer_schema(&path).await?;
         }
-        std::fs::create_dir_all(folder).map_err(in_folder)?;
+        let mut builder = DirBuilder::new();
+        builder.recursive(true).mode(PRIVATE_FOLDER_MODE);
+        builder.create(folder).map_err(in_folder)?;
         let lock = lock_folder(folder)?;
+        make_private(&path).map_err(in_folder)?;
         let options = SqliteConnectOptions::new()
             .filename(&path)
             .create_if_missing(true)
@@ -468,6 +475,7 @@ fn lock_folder(folder: &Path) -> Result<File, OpenError> {
         .create(true)
         .truncate(false)
         .write(true)
+        .mode(PRIVATE_MODE)
         .open(folder.join(LOCK_FILE))
         .map_err(in_folder)?;
     match lock.try_lock() {
@@ -477,6 +485,29 @@ fn lock_folder(folder: &Path) -> Result<File, OpenError> {
         }),
         Err(TryLockError::Error(source)) => Err(in_folder(source)),
     }
+}
+
+/// Closes a database to other users, and makes its file if there is none: SQLite would make one
+/// that everybody may read. The files that SQLite makes beside it get its permissions.
+fn make_private(database: &Path) -> io::Result<()> {
+    if !database.exists() {
+        let mut new = File::options();
+        new.create_new(true).write(true).mode(PRIVATE_MODE);
+        new.open(database)?;
+    }
+    for suffix in ["", "-wal", "-shm"] {
+        let mut path = database.as_os_str().to_owned();
+        path.push(suffix);
+        let path = Path::new(&path);
+        let Ok(found) = path.metadata() else { continue };
+        let mode = found.mode() & 0o777;
+        if mode & !PRIVATE_MODE != 0 {
+            // What another user owns stays as it is.
+            let private = Permissions::from_mode(mode & PRIVATE_MODE);
+            let _ = std::fs::set_permissions(path, private);
+        }
+    }
+    Ok(())
 }
 
 /// Looks at an existing database without writing to it.

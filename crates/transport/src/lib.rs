@@ -19,6 +19,7 @@ mod failure;
 mod found;
 mod gate;
 mod peer;
+mod private;
 mod probe;
 mod rate;
 mod readers;

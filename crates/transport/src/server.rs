@@ -1,7 +1,8 @@
 //! A server's settings of who may connect, checked before it listens, and the
 //! bounds that hold for every connection.
 
-use std::io;
+use std::fs::File;
+use std::io::{self, Read};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -11,6 +12,7 @@ use tonic::codegen::http::HeaderMap;
 use tonic::transport::{Identity, Server, ServerTlsConfig};
 
 use crate::gate::{Gate, Resource};
+use crate::private::exposed;
 use crate::readers::Readers;
 use crate::token::{Role, TokenError, Tokens};
 
@@ -84,6 +86,19 @@ pub enum SecurityError {
         /// What the system said.
         source: io::Error,
     },
+    /// Other users can read or change a private key.
+    #[error(
+        "read private key {}: its permissions, {mode:04o}, let other users at it; take them away \
+         with `chmod 600 {}`",
+        path.display(),
+        path.display()
+    )]
+    Exposed {
+        /// The file.
+        path: PathBuf,
+        /// Its permissions.
+        mode: u32,
+    },
     /// The certificate and the key are no use.
     #[error(
         "use the certificate and the key: give --tls-cert a PEM chain, and --tls-key the private \
@@ -101,7 +116,7 @@ impl ServerArguments {
     pub fn security(&self, address: SocketAddr) -> Result<Security, SecurityError> {
         let identity = match (&self.tls_cert, &self.tls_key) {
             (Some(certificate), Some(key)) => {
-                Some(Identity::from_pem(read_pem(certificate)?, read_pem(key)?))
+                Some(Identity::from_pem(read_pem(certificate)?, read_key(key)?))
             }
             _ => None,
         };
@@ -210,6 +225,24 @@ pub(crate) fn tokens(file: Option<&Path>) -> Result<Option<Tokens>, TokenError> 
         Ok(text) if !text.is_empty() => Tokens::parse(&text, TOKENS_VARIABLE).map(Some),
         _ => Ok(None),
     }
+}
+
+/// Reads a private key, which must be closed to other users.
+fn read_key(path: &Path) -> Result<Vec<u8>, SecurityError> {
+    let unreadable = |source| SecurityError::Pem {
+        path: path.to_owned(),
+        source,
+    };
+    let mut file = File::open(path).map_err(unreadable)?;
+    if let Some(mode) = exposed(&file).map_err(unreadable)? {
+        return Err(SecurityError::Exposed {
+            path: path.to_owned(),
+            mode,
+        });
+    }
+    let mut key = Vec::new();
+    file.read_to_end(&mut key).map_err(unreadable)?;
+    Ok(key)
 }
 
 pub(crate) fn read_pem(path: &Path) -> Result<Vec<u8>, SecurityError> {

@@ -11,6 +11,8 @@ use std::str::FromStr;
 use sha2::{Digest, Sha256};
 use subtle::{ConditionallySelectable, ConstantTimeEq};
 
+use crate::private::exposed;
+
 /// Shortest token, bytes: 128 bits of hex fit in 32, of base64 in 22, and what
 /// people think of themselves stays out.
 pub const MIN_TOKEN_BYTES: usize = 16;
@@ -117,6 +119,19 @@ pub enum TokenError {
         /// What the system said.
         source: io::Error,
     },
+    /// Other users can read or change it.
+    #[error(
+        "read token file {}: its permissions, {mode:04o}, let other users at its tokens; take them \
+         away with `chmod 600 {}`",
+        path.display(),
+        path.display()
+    )]
+    Exposed {
+        /// The file.
+        path: PathBuf,
+        /// Its permissions.
+        mode: u32,
+    },
     /// The file is larger than any token file.
     #[error("read token file {}: it is larger than {MAX_TOKEN_FILE_BYTES} bytes", path.display())]
     TooLarge {
@@ -151,7 +166,7 @@ pub enum TokenError {
 }
 
 impl Tokens {
-    /// Reads a token file.
+    /// Reads a token file, which must be closed to other users.
     ///
     /// # Errors
     /// See [`TokenError`].
@@ -162,6 +177,12 @@ impl Tokens {
         };
         let mut bytes = Vec::new();
         let file = File::open(path).map_err(at)?;
+        if let Some(mode) = exposed(&file).map_err(at)? {
+            return Err(TokenError::Exposed {
+                path: path.to_owned(),
+                mode,
+            });
+        }
         let mut bounded = file.take(MAX_TOKEN_FILE_BYTES + 1);
         bounded.read_to_end(&mut bytes).map_err(at)?;
         if bytes.len() as u64 > MAX_TOKEN_FILE_BYTES {
@@ -221,6 +242,11 @@ impl Tokens {
         }
         let place = usize::try_from(found).ok()?.checked_sub(1)?;
         self.tokens.get(place).map(|(role, _)| *role)
+    }
+
+    /// Returns true if there is a token of this role.
+    pub fn has(&self, role: Role) -> bool {
+        self.tokens.iter().any(|(found, _)| *found == role)
     }
 
     /// The first token of one of these roles, in the order of the roles.

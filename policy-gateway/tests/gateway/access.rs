@@ -47,6 +47,8 @@ impl Papers {
 
     fn write(&self, name: &str, text: &str) {
         std::fs::write(self.path(name), text).expect("written");
+        let private = std::os::unix::fs::PermissionsExt::from_mode(0o600);
+        std::fs::set_permissions(self.path(name), private).expect("set");
     }
 
     /// A server of these papers, whose certificate is valid until the end of a

@@ -322,6 +322,8 @@ async fn a_token_is_shown_to_what_stands_before_the_server() {
     let folder = tempfile::tempdir().expect("a folder");
     let token = folder.path().join("token");
     std::fs::write(&token, "worker secret-of-the-proxy-0123\n").expect("written");
+    let private = std::os::unix::fs::PermissionsExt::from_mode(0o600);
+    std::fs::set_permissions(&token, private).expect("set");
     let file = folder.path().join("gateway.toml");
     let text = format!(
         "[policy.x]\nreplicas = [\"vla-eval://127.0.0.1:{}\"]\ntoken_file = {token:?}\n",

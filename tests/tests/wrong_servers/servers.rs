@@ -82,6 +82,9 @@ impl Authority {
         let write = |kind: &str, text: &str| {
             let file = self.folder.path().join(format!("{host}-{year}-{kind}.pem"));
             std::fs::write(&file, text).expect("written");
+            // Private keys are refused that others may read.
+            let private = std::os::unix::fs::PermissionsExt::from_mode(0o600);
+            std::fs::set_permissions(&file, private).expect("set");
             file.display().to_string()
         };
         let (certificate, key) = (write("certificate", certificate), write("key", key));

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, anyhow};
 use clap::Args;
 use terminal::number;
-use transport::{SecurityError, ServerArguments, parse_endpoint};
+use transport::{Role, SecurityError, ServerArguments, Tokens, parse_endpoint};
 
 use super::super::command::{CommandError, failure, print, print_line, usage};
 use super::checked::{line, options, text, whole, word};
@@ -83,6 +83,10 @@ pub(crate) struct SlurmArguments {
     ca: Option<PathBuf>,
     #[command(flatten)]
     security: ServerArguments,
+    /// Token file with a worker's line alone, for the workers' jobs; needed where --token-file has
+    /// lines of other roles.
+    #[arg(long, value_name = "FILE", requires = "token_file")]
+    worker_token_file: Option<PathBuf>,
 }
 
 #[derive(Args, Debug)]
@@ -320,8 +324,10 @@ impl SlurmArguments {
         }
         guard.extend(self.security.insecure.then(|| "--insecure".to_owned()));
         values.set_all("guard", guard);
+        let of_workers = self.worker_token_file()?;
         for (name, flag, file) in [
             ("token_file", "--token-file", &self.security.token_file),
+            ("worker_token_file", "--worker-token-file", &of_workers),
             ("ca", "--ca", &self.ca),
         ] {
             let path = file.as_deref().map(whole).transpose()?;
@@ -329,6 +335,25 @@ impl SlurmArguments {
             values.set_all(name, path.map(|path| line(flag, path)).transpose()?);
         }
         Ok(())
+    }
+
+    /// The token file of the workers' jobs. Whoever gets into a job finds what is in it: not an
+    /// operator's token, which deletes campaigns.
+    fn worker_token_file(&self) -> Result<Option<PathBuf>, CommandError> {
+        let own = self.worker_token_file.as_deref();
+        let Some(file) = own.or(self.security.token_file.as_deref()) else {
+            return Ok(None);
+        };
+        let tokens = Tokens::read(file).map_err(failure)?;
+        if tokens.has(Role::Operator) || tokens.has(Role::Viewer) || !tokens.has(Role::Worker) {
+            return Err(usage(anyhow!(
+                "give {} to the workers' jobs: they are to know a worker's token and no other; \
+                 write its line into a file of its own (`grep ^worker TOKENS > worker-token`) and \
+                 name that with --worker-token-file",
+                file.display()
+            )));
+        }
+        Ok(Some(file.to_owned()))
     }
 
     fn check_times(&self) -> Result<(), CommandError> {

@@ -1,0 +1,57 @@
+//! Files that hold secrets, which nobody but their owner may read.
+
+use std::fs::File;
+use std::io;
+use std::os::unix::fs::MetadataExt;
+
+use rustix::process::geteuid;
+
+/// Permissions of a file that let others read or write it.
+const OF_GROUP_AND_OTHERS: u32 = 0o077;
+const OF_OTHERS: u32 = 0o007;
+
+/// Returns the permissions of an open file of secrets if they let other users in.
+///
+/// A file of this user must be closed to its group as well, as `ssh` demands of its keys. One of
+/// another user, such as a mounted secret or a credential of systemd, is given to this program by
+/// its group and must be closed to everybody else. A pipe has no permissions that matter.
+pub(crate) fn exposed(file: &File) -> io::Result<Option<u32>> {
+    let metadata = file.metadata()?;
+    if !metadata.is_file() {
+        return Ok(None);
+    }
+    let forbidden = match metadata.uid() == geteuid().as_raw() {
+        true => OF_GROUP_AND_OTHERS,
+        false => OF_OTHERS,
+    };
+    let permissions = metadata.mode() & 0o777;
+    Ok((permissions & forbidden != 0).then_some(permissions))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs::Permissions;
+    use std::os::unix::fs::PermissionsExt;
+
+    use super::*;
+
+    #[test]
+    fn a_secret_that_others_can_read_or_write_is_exposed() {
+        let file = tempfile::NamedTempFile::new().expect("a file");
+        for (mode, expected) in [
+            (0o600, None),
+            (0o400, None),
+            (0o640, Some(0o640)),
+            (0o604, Some(0o604)),
+            (0o644, Some(0o644)),
+            (0o602, Some(0o602)),
+        ] {
+            let permissions = Permissions::from_mode(mode);
+            std::fs::set_permissions(file.path(), permissions).expect("set");
+            let found = exposed(file.as_file()).expect("permissions");
+            assert_eq!(found, expected, "{mode:o}");
+        }
+        let pipe = File::open("/dev/null").expect("a device");
+        assert_eq!(exposed(&pipe).expect("permissions"), None);
+    }
+}
