@@ -16,10 +16,8 @@ use tokio::net::TcpListener;
 use tokio::sync::oneshot;
 use tokio::task::JoinSet;
 use tokio::time::{MissedTickBehavior, timeout};
-use tokio_stream::StreamExt;
-use tokio_stream::wrappers::TcpListenerStream;
 use tonic::service::Routes;
-use transport::{Security, SecurityError};
+use transport::{Incoming, Security, SecurityError};
 
 use crate::access;
 use crate::disk::Room;
@@ -221,20 +219,12 @@ async fn server(
     listener: TcpListener,
     stopped: impl Future<Output = ()>,
 ) -> Result<(), ServeError> {
-    // Without TCP_NODELAY a small answer waits 40 ms for the peer's delayed
-    // acknowledgement.
-    let connections = TcpListenerStream::new(listener).map(|connection| {
-        connection.and_then(|stream| {
-            stream.set_nodelay(true)?;
-            Ok(stream)
-        })
-    });
     security
         .server_with_pages(access::resource, access::LOG_IN)?
         .initial_stream_window_size(STREAM_WINDOW_BYTES)
         .initial_connection_window_size(CONNECTION_WINDOW_BYTES)
         .add_routes(routes)
-        .serve_with_incoming_shutdown(connections, stopped)
+        .serve_with_incoming_shutdown(Incoming::new(listener), stopped)
         .await
         .map_err(|error| ServeError::Socket {
             problem: transport::innermost(&error),

@@ -10,8 +10,7 @@ use std::{convert::Infallible, time::Duration};
 use proto::policy::policy_server::PolicyServer;
 use thiserror::Error;
 use tokio::{net::TcpListener, sync::oneshot};
-use tonic::transport::server::TcpIncoming;
-use transport::{Allowed, Resource, Role, Security, SecurityError, innermost};
+use transport::{Allowed, Incoming, Resource, Role, Security, SecurityError, innermost};
 
 use crate::{
     http2::{CONNECTION_WINDOW_BYTES, MAX_FRAME_BYTES, STREAM_WINDOW_BYTES},
@@ -64,15 +63,11 @@ pub async fn run(
         .max_frame_size(MAX_FRAME_BYTES)
         .add_service(health_service)
         .add_service(policies)
-        // Without TCP_NODELAY a frame-sized message stalls for 40 ms.
-        .serve_with_incoming_shutdown(
-            TcpIncoming::from(listener).with_nodelay(Some(true)),
-            async move {
-                shutdown.await;
-                health.set_not_serving::<PolicyServer<Gateway>>().await;
-                drop(stopping);
-            },
-        );
+        .serve_with_incoming_shutdown(Incoming::new(listener), async move {
+            shutdown.await;
+            health.set_not_serving::<PolicyServer<Gateway>>().await;
+            drop(stopping);
+        });
     let out_of_patience = async {
         // Ends when the sender is dropped, which is all that it can do.
         let _ = stopped.await;

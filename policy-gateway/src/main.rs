@@ -224,7 +224,10 @@ fn main() -> ExitCode {
         }
     };
     done.unwrap_or_else(|error| {
-        terminal::complain(&format!("policy-gateway: failed to {}", transport::chain(&*error)));
+        terminal::complain(&format!(
+            "policy-gateway: failed to {}",
+            transport::chain(&*error)
+        ));
         ExitCode::FAILURE
     })
 }
@@ -341,6 +344,7 @@ async fn serve(
     }
     let mut terminate = signal(SignalKind::terminate()).context("listen for SIGTERM")?;
     let mut interrupt = signal(SignalKind::interrupt()).context("listen for SIGINT")?;
+    transport::raise_file_limit();
     let listener = TcpListener::bind(listen)
         .await
         .with_context(|| format!("listen on {listen}: choose another --listen address"))?;

@@ -74,6 +74,7 @@ async fn run(arguments: ServeArguments, security: Security) -> anyhow::Result<()
     // it may send one.
     let mut terminate = signal(SignalKind::terminate()).context("listen for SIGTERM")?;
     let mut interrupt = signal(SignalKind::interrupt()).context("listen for SIGINT")?;
+    transport::raise_file_limit();
     let listener = TcpListener::bind(arguments.listen).await.with_context(|| {
         format!(
             "listen on {}: choose another address with --listen",

@@ -4,9 +4,12 @@
 //! database's bytes are what they were.
 
 use std::fs::{File, Permissions};
+use std::io::{ErrorKind, Read, Write};
+use std::net::TcpStream;
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
-use std::process::Output;
+use std::process::{Command, Output, Stdio};
+use std::time::Duration;
 
 use proto::coordinator as wire;
 use proto::coordinator::operator_service_client::OperatorServiceClient;
@@ -394,4 +397,39 @@ fn secrets_that_others_can_read_are_refused_and_what_is_kept_they_cannot() {
     std::fs::set_permissions(&database, Permissions::from_mode(0o644)).expect("set");
     let _serve = Serve::start(&data);
     assert_eq!(mode(&database), 0o600);
+}
+
+/// Whoever can reach the port can open sockets and say nothing.
+#[tokio::test(flavor = "multi_thread")]
+async fn silent_connections_lock_nobody_out_and_are_closed() {
+    const FILES: usize = 128;
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let limited = Command::new("sh")
+        .args(["-c", "ulimit -n \"$1\"; shift; exec \"$@\"", "sh"])
+        .arg(FILES.to_string())
+        .arg(env!("CARGO_BIN_EXE_coordinator"))
+        .args(["serve", "--listen", "127.0.0.1:0", "--data"])
+        .arg(folder.path())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn();
+    let serve = Serve::of(limited.expect("starts"));
+    assert!(serve.is_ready(), "it listens");
+    let address = serve.url.strip_prefix("http://").expect("a URL");
+    let connect = || TcpStream::connect(address).expect("a connection");
+    let mut silent: Vec<TcpStream> = (0..FILES + 12).map(|_| connect()).collect();
+    serve.worker("honest").await;
+    let listed = serve.command(&["workers", "--retry-secs", "5"]);
+    assert!(listed.status.success(), "{}", text(&listed.stderr));
+    assert!(text(&listed.stdout).contains("honest"));
+    // A few bytes are nothing said either. The end comes by itself.
+    let mut last = silent.pop().expect("a connection");
+    last.write_all(b"GET / HTTP").expect("sent");
+    last.set_read_timeout(Some(Duration::from_secs(120)))
+        .expect("set");
+    let end = last.read(&mut [0; 64]);
+    assert!(
+        matches!(&end, Ok(0)) || end.is_err_and(|error| error.kind() == ErrorKind::ConnectionReset),
+        "it is still open"
+    );
 }

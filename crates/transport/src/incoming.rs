@@ -1,0 +1,449 @@
+//! The connections of a server: how many there may be, in all and of one address, and how long one
+//! may say nothing.
+//!
+//! A connection costs a file descriptor, and whoever can reach the port can open thousands. Three
+//! rules keep room for callers who have something to say: a connection whose first bytes do not come
+//! is closed, and so is one over which nothing passes for minutes (live HTTP/2 connections carry
+//! pings); and where there are too many, the oldest that has said nothing makes room for the next.
+//! An address that fills its share with connections that do speak is refused more of them.
+
+use std::collections::HashMap;
+use std::future::Future;
+use std::io;
+use std::net::IpAddr;
+use std::pin::Pin;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::task::{Context, Poll, ready};
+use std::time::Duration;
+
+use rustix::process::{Resource, getrlimit, setrlimit};
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::Notify;
+use tokio::sync::futures::OwnedNotified;
+use tokio::time::{Instant, Sleep, sleep};
+use tokio_stream::Stream;
+use tonic::transport::server::{Connected, TcpConnectInfo};
+
+use crate::refusals::LOG_AGAIN_AFTER;
+
+/// Longest wait for the first [`GREETING_BYTES`] of a connection.
+pub const GREETING_TIMEOUT: Duration = Duration::from_secs(10);
+/// Bytes after which a connection has said something: HTTP/2's preface has as many, and no request
+/// of HTTP/1 and no handshake of TLS has fewer.
+const GREETING_BYTES: usize = 24;
+/// Longest silence in both directions. Pings pass every thirty seconds over HTTP/2, and events
+/// every five to a page that follows.
+pub const IDLE_TIMEOUT: Duration = Duration::from_secs(180);
+/// Descriptors that connections leave to databases, films and back-ends.
+const KEPT_DESCRIPTORS: u64 = 96;
+/// Fewest connections, however few descriptors there may be.
+const MIN_CONNECTIONS: usize = 8;
+/// Most descriptors that are asked for.
+const WANTED_DESCRIPTORS: u64 = 65_536;
+/// Pauses after a failure to accept, doubling: what is missing then (descriptors, memory) comes back
+/// when others let go of it, not sooner because one asks at once.
+const FIRST_PAUSE: Duration = Duration::from_millis(10);
+const LONGEST_PAUSE: Duration = Duration::from_secs(1);
+
+/// Raises the number of files that this process may have open, to what the system allows it or to
+/// 65,536. Returns the number. Each connection is one, and the usual number, 1,024, is less than a
+/// large campaign's workers and slots.
+pub fn raise_file_limit() -> u64 {
+    let mut limit = getrlimit(Resource::Nofile);
+    let most = limit.maximum.unwrap_or(u64::MAX);
+    let now = limit.current.unwrap_or(u64::MAX);
+    if now < WANTED_DESCRIPTORS.min(most) {
+        limit.current = Some(WANTED_DESCRIPTORS.min(most));
+        if setrlimit(Resource::Nofile, limit).is_err() {
+            return now;
+        }
+    }
+    getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX)
+}
+
+/// How many connections there may be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Limits {
+    total: usize,
+    of_one_address: usize,
+}
+
+impl Limits {
+    /// For so many descriptors. No address may have them all.
+    fn of_descriptors(descriptors: u64) -> Limits {
+        let total = descriptors.saturating_sub(KEPT_DESCRIPTORS);
+        let total = usize::try_from(total).unwrap_or(usize::MAX);
+        let total = total.max(MIN_CONNECTIONS);
+        Limits {
+            total,
+            of_one_address: (total / 4 * 3).max(1),
+        }
+    }
+}
+
+/// The open connections of a server.
+#[derive(Debug)]
+struct Open {
+    limits: Limits,
+    connections: Mutex<HashMap<u64, Entry>>,
+}
+
+#[derive(Debug)]
+struct Entry {
+    address: IpAddr,
+    /// Closes the connection; none once it has said something.
+    silent: Option<Arc<Notify>>,
+}
+
+/// A place among the open connections; given back when it is dropped.
+#[derive(Debug)]
+struct Seat {
+    open: Arc<Open>,
+    number: u64,
+}
+
+impl Open {
+    fn lock(&self) -> MutexGuard<'_, HashMap<u64, Entry>> {
+        // Nothing panics while it holds this lock.
+        self.connections
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Takes a place for connection `number`, which are counted in the order in which they came.
+    /// Returns `None` if there is none. Where there are too many, the oldest silent connection
+    /// loses its place: of the same address if that has too many, of any otherwise.
+    fn seat(self: &Arc<Open>, number: u64, address: IpAddr) -> Option<(Seat, Arc<Notify>)> {
+        let mut connections = self.lock();
+        let of_address = |entry: &Entry| entry.address == address;
+        let count = connections
+            .values()
+            .filter(|entry| of_address(entry))
+            .count();
+        let is_full = count >= self.limits.of_one_address;
+        if is_full || connections.len() >= self.limits.total {
+            let silent = connections
+                .iter()
+                .filter(|(_, entry)| entry.silent.is_some() && (!is_full || of_address(entry)));
+            let oldest = silent.map(|(number, _)| *number).min()?;
+            if let Some(Entry {
+                silent: Some(close),
+                ..
+            }) = connections.remove(&oldest)
+            {
+                close.notify_one();
+            }
+        }
+        let close = Arc::new(Notify::new());
+        let silent = Some(close.clone());
+        connections.insert(number, Entry { address, silent });
+        let open = self.clone();
+        Some((Seat { open, number }, close))
+    }
+}
+
+impl Drop for Seat {
+    fn drop(&mut self) {
+        self.open.lock().remove(&self.number);
+    }
+}
+
+/// An accepted connection that is closed when it says nothing for too long.
+#[derive(Debug)]
+pub struct Watched {
+    stream: TcpStream,
+    seat: Seat,
+    /// Is told when the connection lost its place to another.
+    evicted: Pin<Box<OwnedNotified>>,
+    deadline: Pin<Box<Sleep>>,
+    /// Bytes received, up to [`GREETING_BYTES`].
+    greeting_bytes: usize,
+    /// When bytes passed last, in either direction.
+    last_passed: Instant,
+}
+
+impl Watched {
+    fn new(stream: TcpStream, seat: Seat, close: Arc<Notify>) -> Watched {
+        Watched {
+            stream,
+            seat,
+            evicted: Box::pin(close.notified_owned()),
+            deadline: Box::pin(sleep(GREETING_TIMEOUT)),
+            greeting_bytes: 0,
+            last_passed: Instant::now(),
+        }
+    }
+
+    fn has_spoken(&self) -> bool {
+        self.greeting_bytes >= GREETING_BYTES
+    }
+
+    fn received(&mut self, bytes: usize) {
+        self.last_passed = Instant::now();
+        if self.has_spoken() {
+            return;
+        }
+        self.greeting_bytes += bytes;
+        if self.has_spoken()
+            && let Some(entry) = self.seat.open.lock().get_mut(&self.seat.number)
+        {
+            entry.silent = None;
+        }
+    }
+
+    /// Fails once the connection is to be closed.
+    fn poll_closed(&mut self, context: &mut Context<'_>) -> Poll<io::Error> {
+        let silence = || {
+            let why = "nothing was said over this connection for too long";
+            Poll::Ready(io::Error::new(io::ErrorKind::TimedOut, why))
+        };
+        if !self.has_spoken() && self.evicted.as_mut().poll(context).is_ready() {
+            return silence();
+        }
+        while self.deadline.as_mut().poll(context).is_ready() {
+            let end = self.last_passed + IDLE_TIMEOUT;
+            if !self.has_spoken() || end <= Instant::now() {
+                return silence();
+            }
+            // Moved once it is over, not with every byte.
+            self.deadline.as_mut().reset(end);
+        }
+        Poll::Pending
+    }
+}
+
+impl AsyncRead for Watched {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        let filled = buffer.filled().len();
+        match Pin::new(&mut self.stream).poll_read(context, buffer) {
+            Poll::Ready(Ok(())) => {
+                self.received(buffer.filled().len() - filled);
+                Poll::Ready(Ok(()))
+            }
+            Poll::Ready(Err(error)) => Poll::Ready(Err(error)),
+            Poll::Pending => self.poll_closed(context).map(Err),
+        }
+    }
+}
+
+impl AsyncWrite for Watched {
+    fn poll_write(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<io::Result<usize>> {
+        let written = ready!(Pin::new(&mut self.stream).poll_write(context, bytes));
+        self.last_passed = Instant::now();
+        Poll::Ready(written)
+    }
+
+    fn poll_write_vectored(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        bytes: &[io::IoSlice<'_>],
+    ) -> Poll<io::Result<usize>> {
+        let written = ready!(Pin::new(&mut self.stream).poll_write_vectored(context, bytes));
+        self.last_passed = Instant::now();
+        Poll::Ready(written)
+    }
+
+    fn is_write_vectored(&self) -> bool {
+        self.stream.is_write_vectored()
+    }
+
+    fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_flush(context)
+    }
+
+    fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_shutdown(context)
+    }
+}
+
+impl Connected for Watched {
+    type ConnectInfo = TcpConnectInfo;
+
+    fn connect_info(&self) -> TcpConnectInfo {
+        self.stream.connect_info()
+    }
+}
+
+/// The connections that arrive at a listener, for `serve_with_incoming`. It never fails: where the
+/// system refuses a connection, it waits and tries again.
+#[derive(Debug)]
+pub struct Incoming {
+    listener: TcpListener,
+    open: Arc<Open>,
+    accepted: u64,
+    pause: Duration,
+    /// Until when nothing is accepted.
+    waiting: Option<Pin<Box<Sleep>>>,
+    /// When it was last logged that there are too many connections.
+    logged: Option<Instant>,
+}
+
+impl Incoming {
+    /// Takes as many connections as this process may have files open.
+    pub fn new(listener: TcpListener) -> Incoming {
+        let descriptors = getrlimit(Resource::Nofile).current;
+        let limits = Limits::of_descriptors(descriptors.unwrap_or(WANTED_DESCRIPTORS));
+        let connections = Mutex::default();
+        Incoming {
+            listener,
+            open: Arc::new(Open {
+                limits,
+                connections,
+            }),
+            accepted: 0,
+            pause: FIRST_PAUSE,
+            waiting: None,
+            logged: None,
+        }
+    }
+
+    /// The next connection that finds a place.
+    pub fn poll_accept(&mut self, context: &mut Context<'_>) -> Poll<Watched> {
+        loop {
+            if let Some(waiting) = &mut self.waiting {
+                ready!(waiting.as_mut().poll(context));
+                self.waiting = None;
+            }
+            let (stream, address) = match ready!(self.listener.poll_accept(context)) {
+                Ok(accepted) => accepted,
+                // The other side has gone already.
+                Err(error) if error.kind() == io::ErrorKind::ConnectionAborted => continue,
+                Err(error) => {
+                    if self.pause == FIRST_PAUSE {
+                        tracing::warn!(
+                            "no connection can be accepted for a while: {error}; if that goes on, \
+                             allow this process more open files (`ulimit -n`, LimitNOFILE=)"
+                        );
+                    }
+                    self.waiting = Some(Box::pin(sleep(self.pause)));
+                    self.pause = (self.pause * 2).min(LONGEST_PAUSE);
+                    continue;
+                }
+            };
+            self.pause = FIRST_PAUSE;
+            self.accepted += 1;
+            // Without TCP_NODELAY a small answer waits 40 ms for the peer's delayed
+            // acknowledgement.
+            if stream.set_nodelay(true).is_err() {
+                continue;
+            }
+            let address = address.ip().to_canonical();
+            if let Some((seat, close)) = self.open.seat(self.accepted, address) {
+                return Poll::Ready(Watched::new(stream, seat, close));
+            }
+            let is_known = |at: Instant| at.elapsed() < LOG_AGAIN_AFTER;
+            if !self.logged.is_some_and(is_known) {
+                self.logged = Some(Instant::now());
+                let Limits {
+                    total,
+                    of_one_address,
+                } = self.open.limits;
+                tracing::warn!(
+                    "a connection of {address} was refused: there are {total} at most, and \
+                     {of_one_address} of one address; if they are all needed, allow this process \
+                     more open files (`ulimit -n`, LimitNOFILE=)"
+                );
+            }
+        }
+    }
+}
+
+impl Stream for Incoming {
+    type Item = io::Result<Watched>;
+
+    fn poll_next(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+    ) -> Poll<Option<io::Result<Watched>>> {
+        self.poll_accept(context).map(|stream| Some(Ok(stream)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::Ipv4Addr;
+
+    use super::*;
+
+    fn address(last: u8) -> IpAddr {
+        Ipv4Addr::new(10, 0, 0, last).into()
+    }
+
+    fn open(total: usize, of_one_address: usize) -> Arc<Open> {
+        Arc::new(Open {
+            limits: Limits {
+                total,
+                of_one_address,
+            },
+            connections: Mutex::default(),
+        })
+    }
+
+    /// Takes a place and says something.
+    fn speaking(open: &Arc<Open>, number: u64, of: IpAddr) -> Option<Seat> {
+        let (seat, _) = open.seat(number, of)?;
+        open.lock().get_mut(&number).expect("an entry").silent = None;
+        Some(seat)
+    }
+
+    #[test]
+    fn the_oldest_silent_connection_makes_room() {
+        let open = open(3, 3);
+        let silent = [1, 2].map(|number| open.seat(number, address(1)).expect("a place"));
+        let speaking = speaking(&open, 3, address(1)).expect("a place");
+        let next = open.seat(4, address(2)).expect("the place of the first");
+        let mut numbers: Vec<u64> = open.lock().keys().copied().collect();
+        numbers.sort_unstable();
+        assert_eq!(numbers, [2, 3, 4]);
+        drop((silent, speaking, next));
+        assert!(open.lock().is_empty());
+    }
+
+    #[test]
+    fn an_address_that_fills_its_share_with_talk_leaves_the_others_theirs() {
+        let open = open(4, 3);
+        let others = open.seat(1, address(2)).expect("a place");
+        let taken: Vec<Seat> = (2..=4)
+            .filter_map(|number| speaking(&open, number, address(1)))
+            .collect();
+        assert_eq!(taken.len(), 3);
+        assert!(open.seat(5, address(1)).is_none(), "its share is full");
+        assert!(
+            open.lock().contains_key(&1),
+            "another's silence is not its room"
+        );
+        // Elsewhere there is room, of what says nothing.
+        assert!(open.seat(6, address(3)).is_some());
+        assert!(!open.lock().contains_key(&1));
+        drop((others, taken));
+    }
+
+    #[test]
+    fn limits_leave_descriptors_for_everything_else() {
+        let limits = Limits::of_descriptors(1_024);
+        assert_eq!(
+            limits,
+            Limits {
+                total: 928,
+                of_one_address: 696
+            }
+        );
+        let few = Limits::of_descriptors(1);
+        assert_eq!(
+            few,
+            Limits {
+                total: 8,
+                of_one_address: 6
+            }
+        );
+    }
+}
