@@ -1,6 +1,6 @@
 """Keeps workers running on a Ray cluster, as many as a coordinator has work for.
 
-    python launch.py --connect http://login1:7411 --assets primitives --max-workers 16
+    python launch.py --connect http://login1:7411 --max-workers 16
 
 A worker is an actor with a `sim` resource and a CPU for each slot, so that it runs on
 the nodes that were started with `ray start --resources '{"sim": N}'`, N at a time. The
@@ -174,7 +174,7 @@ def arguments(words: list[str] | None = None) -> argparse.Namespace:
     add = parser.add_argument
     add("--address", default="auto", help="the Ray cluster (default: the one of this machine)")
     add("--connect", required=True, help="URL of the coordinator, as the nodes reach it")
-    add("--assets", required=True, help="`primitives`, or a LIBERO assets folder on every node")
+    add("--assets", default="libero", help="`libero`, `primitives`, or a folder on every node")
     add("--programs", default="", help="folder of the programs on every node (default: the path)")
     add("--max-workers", type=int, required=True, help="most workers at a time")
     add("--slots", type=int, default=1, help="slots of a worker, with one CPU each")

@@ -127,7 +127,7 @@ def main() -> None:
     parser.add_argument("--num-envs", type=int, default=8, help="environments that step together")
     parser.add_argument("--episodes", type=int, default=8, help="episodes to write")
     parser.add_argument("--output", type=Path, default=Path("episodes"), help="folder to write")
-    parser.add_argument("--assets", default="primitives", help="`primitives`, or LIBERO's folder")
+    parser.add_argument("--assets", default="libero", help="`libero`, `primitives`, or a folder")
     parser.add_argument("--size", type=int, default=128, help="height and width of frames")
     parser.add_argument("--max-steps", type=int, help="the suite's budget, unless it is given")
     parser.add_argument("--seed", type=int, default=0)

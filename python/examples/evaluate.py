@@ -1,6 +1,6 @@
 """Evaluates a policy over tasks and their released initial states.
 
-    python evaluate.py libero_spatial/0 libero_object/3 --episodes 10 --assets primitives
+    python evaluate.py libero_spatial/0 libero_object/3 --episodes 10
 
 Put your own policy in place of RandomPolicy: an object with `reset` and `act`.
 """
@@ -77,7 +77,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("tasks", nargs="+", metavar="TASK", help="for example libero_spatial/0")
     parser.add_argument("--episodes", type=int, default=10, help="initial states 0 to N - 1")
-    parser.add_argument("--assets", default="primitives", help="`primitives`, or LIBERO's folder")
+    parser.add_argument("--assets", default="libero", help="`libero`, `primitives`, or a folder")
     parser.add_argument("--max-steps", type=int, help="the suite's budget, unless it is given")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()

@@ -27,7 +27,8 @@ def run(*words):
 
 def test_the_evaluation_prints_each_task_with_its_interval():
     tasks = ("libero_object/0", "libero_goal/1")
-    printed = run(EXAMPLES / "evaluate.py", *tasks, "--episodes", 2, "--max-steps", 16)
+    printed = run(EXAMPLES / "evaluate.py", *tasks, "--episodes", 2, "--max-steps", 16,
+                  "--assets", "primitives")
     lines = printed.splitlines()[1:]
     assert [line.split()[0] for line in lines] == [*tasks, "all"]
     for line in lines:
@@ -45,6 +46,7 @@ def test_collected_episodes_are_whole_and_the_same_for_the_same_seed(tmp_path):
     for folder in ("once", "again"):
         printed = run(
             EXAMPLES / "collect.py", "libero_object/0", "libero_goal/1", "--num-envs", 3,
+            "--assets", "primitives",
             "--episodes", 5, "--max-steps", steps, "--size", 32, "--seed", 3,
             "--output", tmp_path / folder,
         )  # fmt: skip

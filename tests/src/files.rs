@@ -6,7 +6,7 @@ use std::sync::OnceLock;
 
 use protocol::TaskRef;
 use scene::pack::LIBERO;
-use scene::{AssetPack, Sources, TaskFiles};
+use scene::{AssetPack, SceneError, Sources, TaskFiles};
 
 /// The unpacked sources.
 ///
@@ -24,6 +24,22 @@ pub fn primitives(sources: &Sources) -> AssetPack {
     AssetPack::open("primitives", sources).expect("the built-in pack")
 }
 
+/// Opens a pack as a program's `--assets` names it, with what tasks need.
+///
+/// # Errors
+/// If it is none, or cannot be fetched.
+pub fn open_pack(
+    name_or_path: &str,
+    sources: &Sources,
+    tasks: impl IntoIterator<Item = TaskRef>,
+) -> Result<AssetPack, SceneError> {
+    let pack = AssetPack::open(name_or_path, sources)?;
+    let tasks = tasks.into_iter();
+    let tasks = tasks.map(|task| TaskFiles::of_task(sources, task));
+    pack.provide_with_bar(&tasks.collect::<Vec<_>>())?;
+    Ok(pack)
+}
+
 /// LIBERO's assets, or none, after saying which test is skipped for that: they are
 /// fetched once for all tests, as far as the 40 tasks need them, and there may be no
 /// network.
@@ -33,13 +49,8 @@ pub fn primitives(sources: &Sources) -> AssetPack {
 pub fn libero(sources: &Sources, test: &str) -> Option<AssetPack> {
     static FETCHED: OnceLock<Result<AssetPack, String>> = OnceLock::new();
     let fetched = FETCHED.get_or_init(|| {
-        let pack = AssetPack::open(LIBERO, sources).map_err(|error| error.to_string())?;
-        let tasks = TaskRef::all().map(|task| TaskFiles::of_task(sources, task));
-        let tasks: Vec<TaskFiles> = tasks.collect();
-        match pack.provide_with_bar(&tasks) {
-            Ok(_) => Ok(pack),
-            Err(error) => Err(error.to_string()),
-        }
+        let pack = open_pack(LIBERO, sources, TaskRef::all());
+        pack.map_err(|error| error.to_string())
     });
     match fetched {
         Ok(pack) => Some(pack.clone()),

@@ -63,5 +63,4 @@ fn a_command_whose_reader_has_enough_ends_without_a_word() {
         return;
     }
     check("worker", &["assets", "list"]);
-    check("worker", &["assets", "list", "--files", "primitives"]);
 }

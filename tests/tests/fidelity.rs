@@ -9,19 +9,16 @@ use scene::{InitialStates, TaskFiles, compose};
 use serde::Deserialize;
 use sim::{Drawer, Environment, GlDevice, Renderer, Simulator, SimulatorConfig};
 use tests::fidelity::{Kinship, Limits, compare, find_tasks};
-use tests::files::{primitives, shared, sources};
+use tests::files::{libero, primitives, shared, sources};
 use worker::measure::open_loop::smooth_action;
 
 fn check_suite(suite: &str) {
     let test = format!("every_reference_task_of_{suite}_agrees_with_the_original");
-    let (Some(reference), Some(assets)) = (
-        shared("oracle/tasks", &test),
-        shared("libero-assets", &test),
-    ) else {
+    let sources = sources();
+    let (Some(reference), Some(pack)) = (shared("oracle/tasks", &test), libero(&sources, &test))
+    else {
         return;
     };
-    let sources = sources();
-    let pack = scene::AssetPack::open(&assets.to_string_lossy(), &sources).unwrap();
     let drawer = Drawer::open(Renderer::default()).unwrap();
     let limits = Limits::new(Kinship::of(&drawer, false));
     let tasks = find_tasks(&reference).unwrap();
@@ -59,8 +56,8 @@ fn every_reference_task_of_libero_10_agrees_with_the_original() {
 #[test]
 fn frames_drawn_through_opengl_are_the_originals_within_bounds() {
     let test = "frames_drawn_through_opengl_are_the_originals_within_bounds";
-    let (Some(reference), Some(assets)) =
-        (shared("oracle/tasks", test), shared("libero-assets", test))
+    let sources = sources();
+    let (Some(reference), Some(pack)) = (shared("oracle/tasks", test), libero(&sources, test))
     else {
         return;
     };
@@ -72,8 +69,6 @@ fn frames_drawn_through_opengl_are_the_originals_within_bounds() {
         }
     };
     let limits = Limits::new(Kinship::of(&drawer, false));
-    let sources = sources();
-    let pack = scene::AssetPack::open(&assets.to_string_lossy(), &sources).unwrap();
     let mut tasks = find_tasks(&reference).unwrap();
     tasks.dedup_by_key(|task| task.suite.clone());
     assert_eq!(tasks.len(), 4, "the reference has tasks of all suites");

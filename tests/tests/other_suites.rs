@@ -10,7 +10,7 @@ use scene::{AssetPack, InitialStates, Problem, Scene, SceneError, Sources, TaskF
 use sim::Environment;
 use sim::episode::NO_OP;
 use sim::predicates::Goal;
-use tests::files::{primitives, shared, sources};
+use tests::files::{libero, primitives, sources};
 
 const SUITE: &str = "libero_90";
 /// Tasks of the suite.
@@ -136,12 +136,10 @@ fn all_ninety_other_tasks_are_read_with_their_initial_states() {
 #[test]
 fn other_tasks_run_on_the_real_assets_or_name_the_category_that_lacks() {
     let test = "other_tasks_run_on_the_real_assets_or_name_the_category_that_lacks";
-    let Some(assets) = shared("libero-assets", test) else {
-        return;
-    };
     let sources = sources();
-    let pack = AssetPack::open(&assets.to_string_lossy(), &sources).unwrap();
-    check_pack(&pack, &sources);
+    if let Some(pack) = libero(&sources, test) {
+        check_pack(&pack, &sources);
+    }
 }
 
 #[test]

@@ -11,21 +11,18 @@ use scene::AssetPack;
 use sim::mujoco::ObjectKind;
 use sim::{Renderer, Simulator, SimulatorConfig};
 use tests::fidelity::{Array, read_npz};
-use tests::files::{shared, sources};
+use tests::files::{libero, shared, sources};
 
 const LEVELS: [Level; 3] = [Level::L1, Level::L2, Level::L3];
 const CONFIGS: u16 = 10;
 
 fn check_suite(suite: Suite) {
     let test = format!("camera_lights_and_arm_are_where_the_specification_puts_them_in_{suite}");
-    let (Some(reference), Some(assets)) = (
-        shared("oracle/perturb", &test),
-        shared("libero-assets", &test),
-    ) else {
+    let sources = sources();
+    let (Some(reference), Some(pack)) = (shared("oracle/perturb", &test), libero(&sources, &test))
+    else {
         return;
     };
-    let sources = sources();
-    let pack = AssetPack::open(&assets.to_string_lossy(), &sources).unwrap();
     let mut simulator = Simulator::new(SimulatorConfig {
         sources,
         pack,

@@ -6,8 +6,10 @@ mod error;
 
 use std::ops::ControlFlow;
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
-use assets::{Bar, Deadlines, FileFacts, Origin, Table, size_in_words};
+use assets::{Bar, Deadlines, FileFacts, Origin, Report, Table, size_in_words};
 use protocol::TaskRef;
 use scene::pack::{LIBERO, PRIMITIVES, digest_of_folder};
 use scene::{AssetPack, Sources, TaskFiles};
@@ -18,6 +20,8 @@ use crate::args::{AssetsArguments, AssetsCommand, FetchArguments, TaskChoice};
 pub use coverage::Coverage;
 pub use error::PackError;
 
+/// A fetch logs its progress this often, per cent.
+const LOGGED_PERCENT: u64 = 25;
 /// Files that a message names; the others are counted.
 const MAX_NAMED: usize = 20;
 
@@ -65,6 +69,65 @@ pub fn provide(
         .collect();
     pack.provide_with_bar(&tasks)?;
     Ok(())
+}
+
+/// Fetches for a worker that serves: what a task needs, before its job starts.
+#[derive(Clone, Debug)]
+pub struct Provider {
+    pack: AssetPack,
+    sources: Sources,
+    ended: Arc<AtomicBool>,
+}
+
+impl Provider {
+    /// For a pack whose files are fetched when they are needed; none for another.
+    pub fn new(pack: &AssetPack, sources: &Sources) -> Option<Self> {
+        pack.is_managed().then(|| Self {
+            pack: pack.clone(),
+            sources: sources.clone(),
+            ended: Arc::default(),
+        })
+    }
+
+    /// Sees that a task's files are there and are LIBERO's, with progress in the log.
+    ///
+    /// # Errors
+    /// If they cannot be fetched. Reads after "failed to …".
+    pub fn provide(&self, task: TaskRef) -> Result<(), String> {
+        let mut last = None;
+        let mut report = |report| {
+            let news = match report {
+                Report::WaitingForAnotherFetch => (0, None),
+                Report::Arriving(progress) => (progress.percent() / LOGGED_PERCENT, Some(progress)),
+            };
+            if last != Some(news.0) {
+                last = Some(news.0);
+                match news.1 {
+                    None => tracing::info!("{task}: another process fetches LIBERO's assets"),
+                    Some(progress) => {
+                        tracing::info!("{task}: fetching LIBERO's assets: {progress}")
+                    }
+                }
+            }
+            match self.ended.load(Ordering::Relaxed) {
+                true => ControlFlow::Break(()),
+                false => ControlFlow::Continue(()),
+            }
+        };
+        let files = [TaskFiles::of_task(&self.sources, task)];
+        let provided = self.pack.provide(&files, &mut report);
+        let fetched = provided.map_err(|error| transport::chain(&error))?;
+        if fetched.replaced > 0 {
+            let replaced = counted(fetched.replaced as u64, "altered file");
+            tracing::warn!("{task}: {replaced} of LIBERO's assets replaced");
+        }
+        Ok(())
+    }
+
+    /// Ends fetches under way, and any later one.
+    pub fn end(&self) {
+        self.ended.store(true, Ordering::Relaxed);
+    }
 }
 
 /// The given packs, else those that need no folder.
@@ -218,6 +281,40 @@ fn origin(arguments: &FetchArguments) -> Result<Origin, PackError> {
     } else {
         Origin::of_environment()?
     })
+}
+
+/// Says which tasks a pack can show, and returns those that it cannot show: they are
+/// left to other workers.
+///
+/// # Errors
+/// If the task files cannot be read, or the pack can show no task.
+pub fn check(pack: &AssetPack, sources: &Sources) -> Result<Vec<TaskRef>, PackError> {
+    // The built-in pack is tested to be whole.
+    if pack.name() == PRIMITIVES {
+        return Ok(Vec::new());
+    }
+    let coverage = Coverage::of(pack, sources)?;
+    tracing::info!(
+        "assets {}: of the tasks, {}",
+        pack.name(),
+        coverage.summary()
+    );
+    let mut lacking = Vec::new();
+    for (reason, tasks) in coverage.broken() {
+        let named = tasks.iter().map(ToString::to_string).collect();
+        tracing::warn!(
+            "left to other workers, because this pack cannot show them: {}: failed to {reason}",
+            name_some(named, ", ")
+        );
+        lacking.extend_from_slice(tasks);
+    }
+    if lacking.len() == TaskRef::all().count() {
+        return Err(PackError::Incomplete {
+            folder: pack.dir().to_owned(),
+            description: describe(pack, sources)?,
+        });
+    }
+    Ok(lacking)
 }
 
 /// Says why a folder is not LIBERO's, if it is not.

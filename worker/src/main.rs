@@ -23,6 +23,7 @@ use worker::args::{
     PreviewArguments, RescueArguments, RolloutArguments, ServeArguments, SimulatorArguments,
     SlotArguments, SlotCount,
 };
+use worker::assets::Provider;
 use worker::child::SlotProgram;
 use worker::ids::{WorkerId, host_name, machine, random_id, random_number};
 use worker::message::{Assignment, Session, VideoOf, VideoRequest};
@@ -36,6 +37,8 @@ use worker::{assets, film, measure, preview, rescue, single, slot};
 const CACHED_SCENES: usize = 2;
 /// Requests to end that wait for the supervisor: the third changes nothing.
 const SHUTDOWN_QUEUE: usize = 2;
+/// Longest wait for a fetch under way once the worker has ended.
+const FAREWELL: Duration = Duration::from_secs(1);
 /// Release and commit.
 const VERSION: &str = version::version!();
 
@@ -344,6 +347,7 @@ fn run_worker(
     // Opened here too, so that what is missing is said once and at once.
     let access = client.access(&[Role::Worker])?;
     let simulator = open(simulator_arguments)?;
+    let lacking_tasks = assets::check(&simulator.pack, &simulator.sources)?;
     let has_own_slots = arguments.slot_program.is_some();
     let program = match arguments.slot_program {
         Some(program) => program,
@@ -395,6 +399,8 @@ fn run_worker(
         identity,
         slots: slots.get(),
         slot_program: slot_program(program, simulator_arguments, client, &simulator),
+        provider: Provider::new(&simulator.pack, &simulator.sources),
+        lacking_tasks,
         policy_endpoint: arguments.policy_endpoint,
         drain: arguments.drain_secs.map(Duration::from_secs_f64),
         idle: arguments.idle_secs.map(Duration::from_secs_f64),
@@ -402,7 +408,7 @@ fn run_worker(
         seed,
     };
     let runtime = tokio::runtime::Runtime::new().context("start the runtime")?;
-    runtime.block_on(async {
+    let ended = runtime.block_on(async {
         let (requests, shutdown) = mpsc::channel(SHUTDOWN_QUEUE);
         let signals = [SignalKind::terminate(), SignalKind::interrupt()].map(signal);
         let [terminate, interrupt] = signals;
@@ -414,7 +420,10 @@ fn run_worker(
             ended = supervise::run(config, shutdown) => Ok(ended?),
             never = forward(terminate, interrupt, requests) => match never {},
         }
-    })
+    });
+    // A fetch that was told to end may still wait for a server.
+    runtime.shutdown_timeout(FAREWELL);
+    ended
 }
 
 /// One request to end per signal.

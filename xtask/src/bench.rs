@@ -42,8 +42,8 @@ pub(crate) struct Compare {
     /// ../shared/oracle beside this checkout]
     #[arg(long)]
     oracle: Option<PathBuf>,
-    /// LIBERO's assets folder. [default: ../shared/libero-assets beside this
-    /// checkout]
+    /// LIBERO's assets folder. [default: the one that LIBERO's assets are fetched
+    /// into]
     #[arg(long)]
     assets: Option<PathBuf>,
 }
@@ -63,10 +63,6 @@ pub(crate) fn compare(root: &Path, options: &Compare) -> Result<()> {
     let cache = setup::run(root)?;
     let beside = |folder: &str| root.join("../shared").join(folder);
     let oracle = options.oracle.clone().unwrap_or_else(|| beside("oracle"));
-    let assets = options
-        .assets
-        .clone()
-        .unwrap_or_else(|| beside("libero-assets"));
     let actions = actions_of(&oracle, &options.task)?;
     if !actions.is_file() {
         println!(
@@ -77,6 +73,7 @@ pub(crate) fn compare(root: &Path, options: &Compare) -> Result<()> {
         );
         return Ok(());
     }
+    let assets = setup::assets_or(root, options.assets.as_deref(), &options.task)?;
     let original = match Original::provide(&cache, &oracle, &assets) {
         Ok(original) => original,
         Err(error) => {

@@ -37,7 +37,7 @@ pub(crate) struct Options {
     /// Folder of the reference data. [default: ../shared/oracle beside this checkout]
     #[arg(long)]
     oracle: Option<PathBuf>,
-    /// LIBERO's assets folder. [default: ../shared/libero-assets beside this checkout]
+    /// LIBERO's assets folder. [default: the one that LIBERO's assets are fetched into]
     #[arg(long)]
     assets: Option<PathBuf>,
 }
@@ -137,8 +137,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let cache = setup::run(root)?;
     let beside = |folder: &str| root.join("../shared").join(folder);
     let oracle = options.oracle.clone().unwrap_or_else(|| beside("oracle"));
-    let assets = options.assets.clone();
-    let assets = assets.unwrap_or_else(|| beside("libero-assets"));
+    let assets = setup::assets_or(root, options.assets.as_deref(), &options.task)?;
     let original = match Original::provide(&cache, &oracle, &assets) {
         Ok(original) => original,
         Err(error) => {

@@ -34,8 +34,8 @@ pub(crate) struct Options {
     /// Simulator slots.
     #[arg(long, default_value_t = 2)]
     slots: u32,
-    /// `primitives`, or a LIBERO assets folder.
-    #[arg(long, default_value = "primitives")]
+    /// `libero`, `primitives`, or the path of a LIBERO assets folder.
+    #[arg(long, default_value = "libero")]
     assets: String,
     /// Tasks, with commas between.
     #[arg(long, default_value = TASKS)]

@@ -71,7 +71,7 @@ enum Command {
     Bench(Bench),
     /// Compare the simulator with reference data of the original LIBERO.
     Parity {
-        /// Passed on: --reference DIR --assets DIR [--tasks SUITE/N,…]
+        /// Passed on: --reference DIR [--assets PACK_OR_PATH] [--tasks SUITE/N,…]
         /// [--renderer software|gl] [--frames-of-this-machine].
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
@@ -112,7 +112,7 @@ enum Bench {
     Python(bench_python::Options),
     /// A whole machine: runs `worker bench`.
     Machine {
-        /// Passed on: --assets PACK_OR_PATH [--task SUITE/N] [--execute K]
+        /// Passed on: [--assets PACK_OR_PATH] [--task SUITE/N] [--execute K]
         /// [--slots LIST] [--secs S] [--renderer software|gl].
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
@@ -169,7 +169,7 @@ fn set_up(gl: bool) -> anyhow::Result<()> {
     if gl {
         setup::opengl()?;
     }
-    Ok(())
+    setup::assets(&cargo::build_programs(&root())?, "all").map(drop)
 }
 
 fn wheels(output: Option<&Path>) -> anyhow::Result<()> {

@@ -7,6 +7,7 @@ use std::process::Command;
 
 use anyhow::{Context, Result, bail};
 
+use crate::cargo::build_programs;
 use crate::packages::WHEELS;
 use crate::process::{capture, run as run_command};
 use crate::step::step;
@@ -44,6 +45,30 @@ pub(crate) fn run(root: &Path) -> Result<PathBuf> {
     }
     step("libmujoco for the linker", || link_mujoco(root, &cache))?;
     Ok(cache)
+}
+
+/// Fetches LIBERO's assets into the user's cache folder, as far as tasks (SUITE/N,
+/// separated by commas, or `all`) need them, and returns the folder. `programs` holds
+/// the worker, which knows what to fetch.
+///
+/// # Errors
+/// If they cannot be fetched.
+pub(crate) fn assets(programs: &Path, tasks: &str) -> Result<PathBuf> {
+    let worker = || Command::new(programs.join("worker"));
+    println!("  LIBERO's assets");
+    run_command(worker().args(["assets", "fetch", "--tasks", tasks]))?;
+    capture(worker().args(["assets", "path"])).map(PathBuf::from)
+}
+
+/// A given folder of LIBERO's assets, else the one that a task's are fetched into.
+///
+/// # Errors
+/// As [`assets`].
+pub(crate) fn assets_or(root: &Path, given: Option<&Path>, task: &str) -> Result<PathBuf> {
+    match given {
+        Some(folder) => Ok(folder.to_owned()),
+        None => assets(&build_programs(root)?, task),
+    }
 }
 
 /// Installs what drawing through OpenGL without a screen needs.

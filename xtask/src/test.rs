@@ -25,6 +25,10 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
     let cache = setup::run(root)?;
     // The end-to-end tests start the real programs.
     let programs = build_programs(root)?;
+    // Without a network the tests that need them are skipped, and said to be.
+    if let Err(error) = setup::assets(&programs, "all") {
+        println!("  none: {error:#}");
+    }
     let python = step("Python environment for policies/", || {
         python::environment(root, &cache)
     })?;
@@ -199,8 +203,8 @@ mod tests {
         assert!(asks("parity", "--renderer gl"));
         assert!(asks("parity", "--renderer=gl:1 --reference DIR"));
         assert!(!asks("parity", "--renderer"));
-        assert!(asks("worker", "bench --assets primitives --renderer gl"));
-        assert!(!asks("worker", "bench --assets primitives"));
+        assert!(asks("worker", "bench --renderer gl"));
+        assert!(!asks("worker", "bench"));
         assert!(asks("bench_draw", "--tasks all"));
         assert!(!asks("bench_draw", "--alone"));
     }

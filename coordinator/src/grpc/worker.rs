@@ -23,6 +23,8 @@ const MAX_PROGRESS: usize = 1_024;
 const MAX_CHUNK_WAIT: Duration = Duration::from_secs(30);
 /// Longest warm task's name that is looked at, bytes.
 const MAX_TASK_BYTES: usize = 80;
+/// Most tasks that a worker may say it lacks; LIBERO has 130.
+const MAX_TASKS: usize = 256;
 /// The only kind of file that is kept.
 const VIDEO: &str = "video.mp4";
 
@@ -66,10 +68,14 @@ impl WorkerService for WorkerApi {
         let _counted = self.gauges.claim();
         let request = request.into_inner();
         let warm = Some(request.warm_task);
+        let lacking = request.lacking_tasks.into_iter().take(MAX_TASKS);
         let claim = queue::ClaimRequest {
             worker: read::worker_id(&request.worker_id)?,
             claim: read::claim_id(request.claim_id)?,
             warm_task: warm.filter(|task| (1..=MAX_TASK_BYTES).contains(&task.len())),
+            lacking_tasks: lacking
+                .filter(|task| task.len() <= MAX_TASK_BYTES)
+                .collect(),
         };
         let wait = read::wait(request.wait_secs);
         let claimed = self.queue.claim(&claim, wait).await.map_err(failed)?;

@@ -108,6 +108,41 @@ async fn a_worker_keeps_its_warm_task_and_a_cold_one_takes_another() {
     assert_eq!(rest.len(), 9, "warmth is a preference, not a limit");
 }
 
+/// In the order of scenes, and in the drawn order of a campaign that may end early.
+#[tokio::test]
+async fn jobs_of_tasks_that_a_worker_cannot_show_are_left_to_others() {
+    let bench = Bench::start().await;
+    let tasks = json!(["libero_object/0", "libero_object/1"]);
+    let spec = with(small_spec("partial"), json!({ "tasks": tasks }));
+    bench.create(&spec).await.expect("created");
+    let stop = json!({"rule": "width(I) < 0.001", "seed": 7});
+    let drawn = with(spec, json!({"name": "drawn", "stop": stop}));
+    bench.create(&drawn).await.expect("created");
+    let mut partial = bench.worker("a").await;
+    let mut claimed = Vec::new();
+    loop {
+        let mut request = partial.claim_request(0.0, "libero_object/0");
+        request.lacking_tasks = vec!["libero_object/0".to_owned()];
+        let answer = partial.service.claim(request).await.expect("an answer");
+        let Some(lease) = answer.into_inner().lease else {
+            break;
+        };
+        claimed.push(lease);
+    }
+    for campaign in ["partial", "drawn"] {
+        assert!(claimed.iter().any(|lease| lease.campaign == campaign));
+    }
+    assert!(
+        claimed
+            .iter()
+            .all(|lease| rollout_id(lease).contains("/t1/"))
+    );
+    let mut whole = bench.worker("b").await;
+    let rest = whole.claim(64).await;
+    assert_eq!(rest.len(), claimed.len(), "nothing was lost");
+    assert!(rest.iter().all(|lease| rollout_id(lease).contains("/t0/")));
+}
+
 #[tokio::test]
 async fn a_worker_that_names_no_renderer_is_not_registered() {
     let bench = Bench::start().await;

@@ -85,7 +85,7 @@ impl Fetch<'_> {
         self.tell(Report::Arriving(progress))?;
         for group in self.origin.groups(&lacking) {
             let (origin, table) = (self.origin, self.into.table());
-            let parcel = persistently(self.pause, || origin.locate(table, &group))?;
+            let parcel = self.persistently(progress, || origin.locate(table, &group))?;
             self.receive(&parcel, &incoming, &mut progress)?;
         }
         // Not empty where another fetch was interrupted.
@@ -158,33 +158,43 @@ impl Fetch<'_> {
                 Ok(()) => {}
                 Err(RequestError::Final(error)) => return Err(error),
                 Err(RequestError::Passing { url, problem }) => {
-                    (self.pause)(tries.next(url, problem)?);
+                    self.wait(tries.next(url, problem)?, *progress)?;
                 }
             }
         }
         Ok(())
     }
 
+    /// Repeats a request until it succeeds, fails for good, or has failed
+    /// [`MAX_TRIES`] times.
+    fn persistently<T>(
+        &mut self,
+        progress: Progress,
+        mut request: impl FnMut() -> Result<T, RequestError>,
+    ) -> Result<T, AssetsError> {
+        let mut tries = Tries::default();
+        loop {
+            match request() {
+                Ok(answer) => return Ok(answer),
+                Err(RequestError::Final(error)) => return Err(error),
+                Err(RequestError::Passing { url, problem }) => {
+                    self.wait(tries.next(url, problem)?, progress)?;
+                }
+            }
+        }
+    }
+
+    /// Waits between two tries, unless the caller wants no more.
+    fn wait(&mut self, time: Duration, progress: Progress) -> Result<(), AssetsError> {
+        self.tell(Report::Arriving(progress))?;
+        (self.pause)(time);
+        self.tell(Report::Arriving(progress))
+    }
+
     fn tell(&mut self, report: Report) -> Result<(), AssetsError> {
         match (self.progress)(report) {
             ControlFlow::Continue(()) => Ok(()),
             ControlFlow::Break(()) => Err(AssetsError::Interrupted),
-        }
-    }
-}
-
-/// Repeats a request until it succeeds, fails for good, or has failed
-/// [`MAX_TRIES`] times.
-fn persistently<T>(
-    pause: &mut dyn FnMut(Duration),
-    mut request: impl FnMut() -> Result<T, RequestError>,
-) -> Result<T, AssetsError> {
-    let mut tries = Tries::default();
-    loop {
-        match request() {
-            Ok(answer) => return Ok(answer),
-            Err(RequestError::Final(error)) => return Err(error),
-            Err(RequestError::Passing { url, problem }) => pause(tries.next(url, problem)?),
         }
     }
 }

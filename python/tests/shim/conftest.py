@@ -17,23 +17,24 @@ os.environ["LIBERO_CONFIG_PATH"] = tempfile.mkdtemp(prefix="libero-config-")
 
 pytest.importorskip("libero._absent", reason="rollout-libero-shim is not installed")
 
-from reference import ASSETS
+from reference import fetched_assets
 
 
 @pytest.fixture(scope="module", autouse=True)
 def assets() -> Iterator[None]:
-    """Tests draw with LIBERO's assets where they are, otherwise with simple shapes."""
+    """Tests draw with LIBERO's assets if they can be fetched, otherwise with simple shapes."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ROLLOUT_ASSETS", str(ASSETS) if ASSETS.is_dir() else "primitives")
+        patch.setenv("ROLLOUT_ASSETS", "libero" if fetched_assets() else "primitives")
         yield
 
 
 @pytest.fixture(scope="session")
 def real_assets() -> Path:
     """LIBERO's assets, with which reference frames and contacts were recorded."""
-    if not ASSETS.is_dir():
-        pytest.skip(f"LIBERO's assets are not at {ASSETS}")
-    return ASSETS
+    folder = fetched_assets()
+    if folder is None:
+        pytest.skip("LIBERO's assets cannot be fetched")
+    return folder
 
 
 @pytest.fixture

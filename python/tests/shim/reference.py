@@ -2,8 +2,19 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 
+import rollout_libero
+
 SHARED = Path(__file__).resolve().parents[4] / "shared"
-#: LIBERO's assets.
-ASSETS = SHARED / "libero-assets"
+
+
+@functools.cache
+def fetched_assets() -> Path | None:
+    """LIBERO's assets, or none without a network."""
+    try:
+        return rollout_libero.fetch_assets()
+    except FileNotFoundError as error:
+        print(f"skipped: failed to {error}")
+        return None

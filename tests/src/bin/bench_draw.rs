@@ -11,12 +11,14 @@ use std::process::{Command, ExitCode};
 use anyhow::{Context, Result};
 use clap::Parser;
 use protocol::{Realisation, RolloutId, TaskRef};
-use scene::{AssetPack, Sources};
+use scene::Sources;
+use scene::pack::LIBERO;
 use sim::{
     CameraRequest, Episode, Frame, GlDevice, ObservationRequest, Renderer, SimError, Simulator,
     SimulatorConfig,
 };
 use tests::fidelity::CLOSE_LEVELS;
+use tests::files::open_pack;
 use tests::measure::{Clock, Spread};
 use worker::measure::open_loop::smooth_action;
 
@@ -30,8 +32,8 @@ struct Arguments {
         default_value = "libero_goal/8,libero_object/2,libero_spatial/0,libero_10/0"
     )]
     tasks: Vec<String>,
-    /// `primitives`, or a LIBERO assets folder.
-    #[arg(long, default_value = "primitives")]
+    /// `libero`, `primitives`, or the path of a LIBERO assets folder.
+    #[arg(long, default_value = LIBERO)]
     assets: String,
     /// Conditions: `clean/i00`, or such as camera/L3/c07, separated by commas.
     /// Without a value: four perturbed cameras and four perturbed lights.
@@ -205,7 +207,7 @@ impl Bench {
             let dir = arguments.sources.clone();
             let sources = Sources::open(&dir.unwrap_or_else(Sources::default_dir))?;
             Ok(Simulator::new(SimulatorConfig {
-                pack: AssetPack::open(&arguments.assets, &sources)?,
+                pack: open_pack(&arguments.assets, &sources, tasks(&arguments.tasks)?)?,
                 sources,
                 renderer,
                 cached_scenes: 1,

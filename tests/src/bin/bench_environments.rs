@@ -12,8 +12,10 @@ use std::time::Instant;
 use anyhow::Result;
 use clap::Parser;
 use protocol::{ManifestRow, Realisation, RolloutId, TaskRef};
-use scene::{AssetPack, Sources, TaskFiles};
+use scene::pack::LIBERO;
+use scene::{Sources, TaskFiles};
 use sim::{Conditions, Drawer, Environment, ReadyScene};
+use tests::files::open_pack;
 
 const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
 const SIDE: u32 = 256;
@@ -26,8 +28,8 @@ struct Arguments {
     /// The task: SUITE/N.
     #[arg(long)]
     task: TaskRef,
-    /// `primitives`, or LIBERO's assets folder.
-    #[arg(long, default_value = "primitives")]
+    /// `libero`, `primitives`, or the path of a LIBERO assets folder.
+    #[arg(long, default_value = LIBERO)]
     assets: String,
     /// Folder of the sources.
     #[arg(long)]
@@ -41,7 +43,7 @@ struct Arguments {
 fn main() -> Result<()> {
     let arguments = Arguments::parse();
     let sources = Sources::open(&arguments.sources.unwrap_or_else(Sources::default_dir))?;
-    let pack = AssetPack::open(&arguments.assets, &sources)?;
+    let pack = open_pack(&arguments.assets, &sources, [arguments.task])?;
     let files = TaskFiles::of_task(&sources, arguments.task);
     let ready = ReadyScene::compile(files, &pack, &sources)?;
     let id = RolloutId::clean(arguments.task, 0);

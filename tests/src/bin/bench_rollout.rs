@@ -16,12 +16,14 @@ use clap::Parser;
 use prost::Message;
 use proto::policy::Observation;
 use protocol::{ManifestRow, Realisation, TaskRef};
-use scene::{AssetPack, InitialStates, Sources, TaskFiles};
+use scene::pack::LIBERO;
+use scene::{InitialStates, Sources, TaskFiles};
 use serde_json::{Value, json};
 use sim::controller::SUBSTEPS;
 use sim::mujoco::Data;
 use sim::{Episode, Renderer, Simulator, SimulatorConfig};
 use tests::fidelity::read_npz;
+use tests::files::open_pack;
 use tests::measure::{Clock, Spread};
 use worker::actor::{Action, Actor, Description, PolicyError, PolicySession};
 use worker::measure::open_loop::{assignment, description, smooth_action};
@@ -36,8 +38,8 @@ struct Arguments {
     /// The task: SUITE/N.
     #[arg(long)]
     task: TaskRef,
-    /// `primitives`, or a LIBERO assets folder.
-    #[arg(long, default_value = "primitives")]
+    /// `libero`, `primitives`, or the path of a LIBERO assets folder.
+    #[arg(long, default_value = LIBERO)]
     assets: String,
     /// Control steps between two looks of the policy: it is shown both cameras
     /// once in so many.
@@ -261,7 +263,7 @@ fn main() -> ExitCode {
 fn run(arguments: &Arguments) -> Result<()> {
     let dir = arguments.sources.clone();
     let sources = Sources::open(&dir.unwrap_or_else(Sources::default_dir))?;
-    let pack = AssetPack::open(&arguments.assets, &sources)?;
+    let pack = open_pack(&arguments.assets, &sources, [arguments.task])?;
     let (row, actions) = motion(arguments, &sources)?;
     let pack_name = pack.name().to_owned();
     let mut bench = Bench {

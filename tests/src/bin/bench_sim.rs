@@ -9,11 +9,13 @@ use anyhow::{Context, Result};
 use clap::Parser;
 use protocol::TaskRef;
 use protocol::presets::ENV_SEED;
-use scene::{AssetPack, InitialStates, Sources, TaskFiles, compose};
+use scene::pack::LIBERO;
+use scene::{InitialStates, Sources, TaskFiles, compose};
 use serde_json::json;
 use sim::controller::SUBSTEPS;
 use sim::mujoco::Data;
 use sim::{Drawer, Environment, Renderer};
+use tests::files::open_pack;
 use worker::measure::open_loop::smooth_action;
 
 /// Time the simulator on one task.
@@ -22,8 +24,8 @@ struct Arguments {
     /// The task: SUITE/N.
     #[arg(long)]
     task: TaskRef,
-    /// `primitives`, or a LIBERO assets folder.
-    #[arg(long, default_value = "primitives")]
+    /// `libero`, `primitives`, or the path of a LIBERO assets folder.
+    #[arg(long, default_value = LIBERO)]
     assets: String,
     /// Control steps of each rollout.
     #[arg(long, default_value_t = 120)]
@@ -50,7 +52,7 @@ fn main() -> Result<()> {
             .clone()
             .unwrap_or_else(Sources::default_dir),
     )?;
-    let pack = AssetPack::open(&arguments.assets, &sources)?;
+    let pack = open_pack(&arguments.assets, &sources, [arguments.task])?;
     let files = TaskFiles::of_task(&sources, arguments.task);
     let states = InitialStates::read(&files.init)?;
     let build = || -> Result<Environment> {

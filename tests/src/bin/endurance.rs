@@ -17,8 +17,10 @@ use protocol::presets::apply_preset;
 use protocol::{
     Axis, Condition, Level, ManifestRow, Perturbation, Realisation, RolloutId, TaskRef,
 };
-use scene::{AssetPack, Sources};
+use scene::Sources;
+use scene::pack::LIBERO;
 use sim::{CameraRequest, ObservationRequest, Renderer, Simulator, SimulatorConfig};
+use tests::files::open_pack;
 use worker::measure::open_loop::smooth_action;
 
 /// Run short rollouts and watch this process's memory.
@@ -30,8 +32,8 @@ struct Arguments {
     /// Tasks, spread evenly over the forty.
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u8).range(1..=40))]
     tasks: u8,
-    /// `primitives`, or a LIBERO assets folder.
-    #[arg(long, default_value = "primitives")]
+    /// `libero`, `primitives`, or the path of a LIBERO assets folder.
+    #[arg(long, default_value = LIBERO)]
     assets: String,
     /// Compiled scenes that are kept.
     #[arg(long, default_value_t = 3)]
@@ -79,7 +81,7 @@ fn main() -> ExitCode {
 }
 
 fn run(arguments: &Arguments, tasks: &[TaskRef], rounds: usize) -> Result<()> {
-    let mut simulator = simulator(arguments)?;
+    let mut simulator = simulator(arguments, tasks)?;
     println!("renderer: {}", simulator.renderer_name()?);
     let start = Instant::now();
     // At the end of a round the same scenes are in the cache as ever.
@@ -134,11 +136,11 @@ fn judge(memory: &[Memory], tasks: usize) -> Result<()> {
     Ok(())
 }
 
-fn simulator(arguments: &Arguments) -> Result<Simulator> {
+fn simulator(arguments: &Arguments, tasks: &[TaskRef]) -> Result<Simulator> {
     let dir = arguments.sources.clone();
     let sources = Sources::open(&dir.unwrap_or_else(Sources::default_dir))?;
     Ok(Simulator::new(SimulatorConfig {
-        pack: AssetPack::open(&arguments.assets, &sources)?,
+        pack: open_pack(&arguments.assets, &sources, tasks.iter().copied())?,
         sources,
         renderer: Renderer::default(),
         cached_scenes: arguments.cached_scenes,

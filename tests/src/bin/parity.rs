@@ -6,11 +6,14 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result, ensure};
 use clap::Parser;
-use scene::{AssetPack, Sources};
+use protocol::TaskRef;
+use scene::Sources;
+use scene::pack::LIBERO;
 use sim::{Drawer, Renderer};
 use tests::fidelity::{
     CLOSE_LEVELS, Findings, Kinship, Limits, ReferenceTask, compare, find_tasks,
 };
+use tests::files::open_pack;
 
 /// Compare the simulator with reference data of the original LIBERO.
 #[derive(Parser)]
@@ -19,8 +22,8 @@ struct Arguments {
     /// `sensitivity.json`, if there are any.
     #[arg(long)]
     reference: PathBuf,
-    /// LIBERO assets folder that the reference was made with.
-    #[arg(long)]
+    /// `libero`, `primitives`, or the path of a LIBERO assets folder.
+    #[arg(long, default_value = LIBERO)]
     assets: String,
     /// Only these tasks: SUITE/N, separated by commas.
     #[arg(long, value_delimiter = ',')]
@@ -60,8 +63,10 @@ fn run(arguments: &Arguments) -> Result<bool> {
         .clone()
         .unwrap_or_else(Sources::default_dir);
     let sources = Sources::open(&sources)?;
-    let pack = AssetPack::open(&arguments.assets, &sources)?;
     let tasks = select(find_tasks(&arguments.reference)?, &arguments.tasks)?;
+    let named = tasks.iter().map(|task| task.id().parse());
+    let named = named.collect::<Result<Vec<TaskRef>, _>>()?;
+    let pack = open_pack(&arguments.assets, &sources, named)?;
     let drawer = Drawer::open(arguments.renderer)?;
     println!(
         "MuJoCo {}, drawn by {}",

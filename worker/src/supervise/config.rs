@@ -5,8 +5,10 @@ use std::time::Duration;
 
 use proto::COORDINATOR_PROTOCOL_VERSION;
 use proto::coordinator::{RegisterRequest, RegisterResponse};
+use protocol::TaskRef;
 use transport::Access;
 
+use crate::assets::Provider;
 use crate::child::SlotProgram;
 use crate::ids::WorkerId;
 
@@ -23,6 +25,10 @@ pub struct Config {
     pub slots: usize,
     /// How a slot's process is started.
     pub slot_program: SlotProgram,
+    /// Fetches what tasks need, for a pack whose files are fetched at first use.
+    pub provider: Option<Provider>,
+    /// Tasks that the asset pack cannot show, and that are not claimed.
+    pub lacking_tasks: Vec<TaskRef>,
     /// Where policies are, whatever the leases say.
     pub policy_endpoint: Option<String>,
     /// How long rollouts in flight may take once the worker is asked to end.

@@ -1,5 +1,6 @@
 //! What happens to a worker.
 
+use attempt::AttemptId;
 use proto::coordinator::{ClaimResponse, HeartbeatResponse, RegisterResponse};
 use tokio::task;
 use tonic::Status;
@@ -61,6 +62,13 @@ pub(crate) enum Event {
     Claimed {
         slot: usize,
         answer: Result<ClaimResponse, Status>,
+    },
+    /// The files of an attempt's task are there, or cannot be had. The error reads
+    /// after "failed to …".
+    Provided {
+        slot: usize,
+        attempt: AttemptId,
+        outcome: Result<(), String>,
     },
     /// The coordinator knows how a slot's rollout ended.
     Delivered {

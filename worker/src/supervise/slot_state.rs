@@ -62,6 +62,8 @@ pub(crate) enum Work {
     Nothing,
     /// The coordinator is being asked for a job.
     Claiming,
+    /// The files of the job's task are being fetched.
+    Preparing { attempt: AttemptId },
     /// A rollout is being simulated.
     Running {
         /// Which attempt at it.
@@ -244,6 +246,7 @@ impl SlotState {
                 attempt,
                 control_steps,
             } => Some((attempt, control_steps)),
+            Work::Preparing { attempt } => Some((attempt, 0)),
             Work::Nothing | Work::Claiming | Work::Abandoning { .. } => None,
         }
     }
@@ -335,7 +338,10 @@ impl SlotState {
                 self.work = Work::Nothing;
                 return loss;
             }
-            Work::Nothing | Work::Claiming | Work::Delivering { .. } => return loss,
+            // The fetch goes on; when it ends, the job is given back.
+            Work::Preparing { .. } | Work::Nothing | Work::Claiming | Work::Delivering { .. } => {
+                return loss;
+            }
         };
         self.work = Work::Delivering {
             attempt,
@@ -436,7 +442,10 @@ impl SlotState {
     pub(crate) fn give_up(&mut self) -> Option<AttemptId> {
         self.process = ProcessState::Dying;
         self.video = Video::None;
-        let (Work::Running { attempt, .. } | Work::Stuck { attempt, .. }) = self.work else {
+        let (Work::Preparing { attempt }
+        | Work::Running { attempt, .. }
+        | Work::Stuck { attempt, .. }) = self.work
+        else {
             return None;
         };
         self.work = Work::Delivering {

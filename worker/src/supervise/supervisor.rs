@@ -8,7 +8,7 @@ use std::io;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use attempt::AttemptId;
+use attempt::{AttemptId, Backoff, Waits};
 use proto::coordinator::{
     HeartbeatRequest, HeartbeatResponse, Progress, RegisterRequest, RegisterResponse,
     SignOffRequest,
@@ -52,6 +52,8 @@ struct Slot {
     assignment: Option<Assignment>,
     /// The campaign of that rollout.
     campaign: String,
+    /// The rollout whose files are being fetched, and its campaign.
+    preparing: Option<(Assignment, String)>,
 }
 
 /// The state of a worker and the way to change it.
@@ -79,6 +81,10 @@ pub(super) struct Supervisor {
     /// Whether a lease was taken that no heartbeat has named: the first one
     /// acknowledges it.
     has_news: bool,
+    /// Fetches of assets that failed in a row.
+    fetches: Backoff,
+    /// No job is claimed before: assets could not be fetched.
+    claims_from: Instant,
     /// What the coordinator last said about having no work.
     idle_reason: String,
     events: mpsc::Sender<Event>,
@@ -103,7 +109,9 @@ impl Supervisor {
             lives: 0,
             assignment: None,
             campaign: String::new(),
+            preparing: None,
         });
+        let seed = config.seed;
         Self {
             slots: slots.collect(),
             config,
@@ -119,6 +127,8 @@ impl Supervisor {
             fault: None,
             heartbeat_under_way: false,
             has_news: false,
+            fetches: Backoff::new(Waits::USUAL, seed),
+            claims_from: now,
             idle_reason: String::new(),
             events,
             calls: JoinSet::new(),
@@ -248,6 +258,11 @@ impl Supervisor {
             Event::HeartbeatDue => self.send_heartbeat(),
             Event::Renewed(answer) => self.renewed(answer, now),
             Event::Claimed { slot, answer } => self.claimed(slot, answer, now),
+            Event::Provided {
+                slot,
+                attempt,
+                outcome,
+            } => self.provided(slot, attempt, outcome, now),
             Event::Delivered {
                 slot,
                 label,
@@ -285,7 +300,9 @@ impl Supervisor {
                     starts_left -= 1;
                     self.start_process(slot, now);
                 }
-                Some(Decision::Claim) if self.is_registered => self.claim(slot),
+                Some(Decision::Claim) if self.is_registered && now >= self.claims_from => {
+                    self.claim(slot);
+                }
                 Some(Decision::Kill(why)) => self.kill(slot, why),
                 Some(Decision::Claim) | None => {}
             }
@@ -571,6 +588,13 @@ impl Supervisor {
 
     /// Abandons an attempt whose lease is lost, if it is still being simulated.
     fn abandon(&mut self, lost: AttemptId, now: Instant) {
+        let fetching = |slot: &Slot| slot.state.work == Work::Preparing { attempt: lost };
+        if let Some(slot) = self.slots.iter_mut().find(|slot| fetching(slot)) {
+            tracing::warn!("a lease was lost while assets were fetched for it");
+            slot.state.work = Work::Nothing;
+            slot.preparing = None;
+            return;
+        }
         let held = |slot: &Slot| matches!(slot.state.work, Work::Running { attempt, .. } if attempt == lost);
         let Some(slot) = self.slots.iter().position(held) else {
             return;
@@ -656,6 +680,8 @@ mod tests {
                 program: "cat".into(),
                 arguments: Vec::new(),
             },
+            provider: None,
+            lacking_tasks: Vec::new(),
             policy_endpoint: None,
             drain: None,
             idle: None,

@@ -1,10 +1,13 @@
 //! Asset packs from the command line.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use crate::worker_process::{ready, run};
+use proto::coordinator::release_request::Reason;
+
+use crate::scripted_coordinator::ScriptedCoordinator;
+use crate::worker_process::{WorkerProcess, lease, program, ready, run};
 
 fn said(output: Output) -> (Option<i32>, String) {
     let said = [output.stdout, output.stderr].concat();
@@ -19,6 +22,78 @@ fn empty_sources(folder: &Path) {
     }
 }
 
+/// A folder of shapes of one's own.
+fn copy_of_primitives(folder: &Path) -> PathBuf {
+    let sources = scene::Sources::open(&scene::Sources::default_dir()).expect("ready");
+    let primitives = scene::AssetPack::open("primitives", &sources).expect("built in");
+    let copy = folder.join("assets");
+    let copied = Command::new("cp")
+        .arg("-r")
+        .args([primitives.dir(), &copy])
+        .status();
+    assert!(copied.expect("cp runs").success());
+    copy
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_job_whose_assets_cannot_be_fetched_is_given_back_without_a_charge() {
+    if !ready("a_job_whose_assets_cannot_be_fetched_is_given_back_without_a_charge") {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    empty_sources(folder.path());
+    let coordinator = ScriptedCoordinator::start().await;
+    for job in 1..=2 {
+        coordinator.lease(lease(job, "nobody", "grpc://127.0.0.1:9"));
+    }
+    let mut worker = program();
+    worker
+        .args(["--connect", &coordinator.url(), "--sources"])
+        .arg(folder.path())
+        .env("ROLLOUT_WHEELS", folder.path().join("wheels"));
+    let _worker = WorkerProcess::start_command(&mut worker);
+    for number in 1..=2 {
+        let release = coordinator.told(number).await.release(Reason::Draining);
+        assert!(
+            release.error.contains("find the wheel"),
+            "{}",
+            release.error
+        );
+    }
+    let claims = coordinator.claims();
+    assert!(claims.iter().all(|claim| claim.lacking_tasks.is_empty()));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn tasks_that_a_pack_cannot_show_are_named_and_not_claimed() {
+    if !ready("tasks_that_a_pack_cannot_show_are_named_and_not_claimed") {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    let pack = copy_of_primitives(folder.path());
+    fs::remove_file(pack.join("articulated_objects/microwave.xml")).expect("was there");
+    let coordinator = ScriptedCoordinator::start().await;
+    let mut worker = program();
+    worker
+        .args(["--connect", &coordinator.url(), "--assets"])
+        .arg(&pack);
+    let worker = WorkerProcess::start_command(&mut worker);
+    coordinator.claimed(1).await;
+    let lacking = coordinator.claims()[0].lacking_tasks.clone();
+    assert_eq!(lacking, ["libero_10/9"], "the only task with a microwave");
+    worker.signal("TERM");
+    let (status, said) = worker.wait();
+    assert!(status.success(), "{said}");
+    for words in [
+        "libero_10/9",
+        "microwave",
+        "39 of 40 can be shown",
+        "`custom`",
+    ] {
+        assert!(said.contains(words), "{said}");
+    }
+}
+
 #[test]
 fn packs_are_verified_against_liberos_files() {
     if !ready("packs_are_verified_against_liberos_files") {
@@ -30,14 +105,8 @@ fn packs_are_verified_against_liberos_files() {
 
     // Shapes of one's own in LIBERO's layout.
     let sources = scene::Sources::open(&scene::Sources::default_dir()).expect("ready");
-    let primitives = scene::AssetPack::open("primitives", &sources).expect("built in");
     let folder = tempfile::tempdir().expect("a folder");
-    let copy = folder.path().join("assets");
-    let copied = Command::new("cp")
-        .arg("-r")
-        .args([primitives.dir(), &copy])
-        .status();
-    assert!(copied.expect("cp runs").success());
+    let copy = copy_of_primitives(folder.path());
     let path = copy.to_str().expect("UTF-8");
     let (code, other) = said(run(&["assets", "verify", path]));
     assert_eq!(code, Some(1), "{other}");

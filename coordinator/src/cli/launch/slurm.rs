@@ -16,6 +16,7 @@ use super::time_limit::TimeLimit;
 
 /// The built-in asset pack; any other is a folder.
 const PRIMITIVES: &str = "primitives";
+const LIBERO: &str = "libero";
 
 const COORDINATOR: (&str, &str) = (
     "coordinator.sh",
@@ -92,9 +93,10 @@ pub(crate) struct SlurmArguments {
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Workers")]
 struct WorkerArguments {
-    /// Models of objects and rooms: `primitives`, or the path of a LIBERO assets
-    /// folder that all nodes share.
-    #[arg(long, value_name = "PACK_OR_PATH")]
+    /// Models of objects and rooms: `libero` (fetched into the cache folder of the
+    /// workers' user at first use), `primitives`, or the path of a LIBERO assets folder
+    /// that all nodes share.
+    #[arg(long, value_name = "PACK_OR_PATH", default_value = LIBERO)]
     assets: String,
     /// Workers, which are tasks of the array.
     #[arg(long, value_name = "N", default_value_t = 4,
@@ -230,7 +232,7 @@ impl SlurmArguments {
         values.set("ahead_secs", self.ahead_secs);
 
         let assets = match workers.assets.as_str() {
-            PRIMITIVES => PRIMITIVES.to_owned(),
+            name @ (LIBERO | PRIMITIVES) => name.to_owned(),
             path => text(&whole(Path::new(path))?)?,
         };
         values.set("assets", line("--assets", assets)?);

@@ -23,6 +23,14 @@ pub struct ClaimRequest {
     pub claim: String,
     /// The task whose scene the slot holds compiled.
     pub warm_task: Option<String>,
+    /// Tasks that the worker cannot show.
+    pub lacking_tasks: BTreeSet<String>,
+}
+
+impl ClaimRequest {
+    fn shows(&self, task: &str) -> bool {
+        !self.lacking_tasks.contains(task)
+    }
 }
 
 /// A claim that has not been met yet.
@@ -51,7 +59,7 @@ impl Context<'_> {
         let mut taken: BTreeSet<JobId> = BTreeSet::new();
         let mut tasks: Option<Vec<WaitingTask>> = None;
         for asks in wanting.iter_mut() {
-            asks.exhausted.clear();
+            asks.exhausted.clone_from(&asks.request.lacking_tasks);
         }
         while grants.len() < room && !wanting.is_empty() {
             let is_warm = |it: &Wanting<'_>| it.warm().is_some();
@@ -112,18 +120,25 @@ impl Context<'_> {
     ) -> Result<Vec<(usize, Grant)>, StoreError> {
         let must_differ = self.able_machines(campaign).await? >= MIN_MACHINES_TO_QUARANTINE;
         let limit = room.min(wanting.len()) + SPARE_CANDIDATES;
-        let tasks = claims::waiting_tasks(&mut self.tx, campaign.id, self.now).await?;
+        let mut tasks = claims::waiting_tasks(&mut self.tx, campaign.id, self.now).await?;
+        let shown = |task: &str| wanting.iter().any(|asks| asks.request.shows(task));
+        tasks.retain(|waiting| shown(&waiting.task));
         let tasks = first_tasks(tasks, limit);
         let tasks = tasks.iter().map(String::as_str);
         let candidates =
             claims::candidates(&mut self.tx, campaign.id, tasks, limit, self.now).await?;
-        let mut candidates: Vec<_> = candidates.into_values().flatten().collect();
-        candidates.sort_by_key(|job| job.unit_order);
+        let candidates = candidates.into_iter();
+        let mut candidates: Vec<_> = candidates
+            .flat_map(|(task, jobs)| jobs.into_iter().map(move |job| (task.clone(), job)))
+            .collect();
+        candidates.sort_by_key(|(_, job)| job.unit_order);
         let mut grants: Vec<(usize, Grant)> = Vec::new();
         let mut left = Vec::new();
         for asks in wanting.drain(..) {
             let request = asks.request;
-            let suits = |job: &claims::Candidate| !(must_differ && job.has_failed_on(asks.machine));
+            let suits = |(task, job): &(String, claims::Candidate)| {
+                request.shows(task) && !(must_differ && job.has_failed_on(asks.machine))
+            };
             let found = match grants.len() < room {
                 true => candidates.iter().position(suits),
                 false => None,
@@ -132,7 +147,7 @@ impl Context<'_> {
                 left.push(asks);
                 continue;
             };
-            let job = candidates.remove(found);
+            let (_, job) = candidates.remove(found);
             grants.push((asks.place, self.grant(job.id, request)));
         }
         *wanting = left;
@@ -149,7 +164,10 @@ impl Context<'_> {
         let must_differ = self.able_machines(campaign).await? >= MIN_MACHINES_TO_QUARANTINE;
         let waiting = claims::lone(&mut self.tx, campaign.id, SPARE_CANDIDATES, self.now).await?;
         for (at, asks) in wanting.iter().enumerate() {
-            let suits = |it: &&claims::Lone| !(must_differ && it.job.has_failed_on(asks.machine));
+            let suits = |lone: &&claims::Lone| {
+                asks.request.shows(&lone.task)
+                    && !(must_differ && lone.job.has_failed_on(asks.machine))
+            };
             let Some(chosen) = waiting.iter().find(suits) else {
                 continue;
             };

@@ -68,6 +68,7 @@ macro_rules! failed_on {
 pub(crate) struct Lone {
     #[sqlx(flatten)]
     pub(crate) job: Candidate,
+    pub(crate) task: String,
     pub(crate) rollout_id: String,
     /// Attempts that lost their policy.
     pub(crate) losses: u32,

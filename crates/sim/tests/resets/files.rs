@@ -2,8 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
+use protocol::TaskRef;
 use protocol::presets::ENV_SEED;
-use scene::{AssetPack, Problem, Sources, compose};
+use scene::{AssetPack, Problem, Sources, TaskFiles, compose};
 use sim::{Environment, SimError};
 
 /// A scene of no suite, which [`recorded`](crate::recorded) resets as well.
@@ -15,10 +16,18 @@ pub(crate) fn sources() -> Sources {
     Sources::open(&Sources::default_dir()).expect("the sources; run `cargo xtask setup`")
 }
 
-/// The built-in pack, then LIBERO's own where it is.
+/// The built-in pack, then LIBERO's own where it can be fetched.
 pub(crate) fn packs() -> Vec<AssetPack> {
     let open = |name: &str| AssetPack::open(name, &sources()).expect("a pack");
-    let libero = shared("libero-assets").map(|path| open(&path.to_string_lossy()));
+    let libero = open("libero");
+    let tasks = TaskRef::all().map(|task| TaskFiles::of_task(&sources(), task));
+    let libero = match libero.provide_with_bar(&tasks.collect::<Vec<_>>()) {
+        Ok(_) => Some(libero),
+        Err(error) => {
+            println!("skipped: failed to {error}");
+            None
+        }
+    };
     std::iter::once(open("primitives")).chain(libero).collect()
 }
 

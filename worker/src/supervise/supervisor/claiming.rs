@@ -25,10 +25,12 @@ impl Supervisor {
         };
         self.slots[slot].state.work = Work::Claiming;
         let warm = self.slots[slot].assignment.as_ref();
+        let lacking = self.config.lacking_tasks.iter();
         let request = ClaimRequest {
             worker_id: self.config.identity.worker.to_string(),
             claim_id: random_id().to_string(),
             warm_task: warm.map_or_else(String::new, |warm| warm.row.id.task().to_string()),
+            lacking_tasks: lacking.map(ToString::to_string).collect(),
             ..ClaimRequest::default()
         };
         let (link, events) = (self.link.clone(), self.events.clone());
@@ -81,7 +83,7 @@ impl Supervisor {
                 failed(FailureKind::Draining, text.to_owned())
             }
             Err(error) => failed(FailureKind::Simulator, format!("failed to {error}")),
-            Ok(assignment) => return self.begin(slot, assignment, campaign, now),
+            Ok(assignment) => return self.prepare(slot, assignment, campaign, now),
         };
         self.slots[slot].state.work = Work::Delivering {
             attempt,
@@ -89,6 +91,74 @@ impl Supervisor {
         };
         let label = format!("{campaign}: job {job}");
         self.send_delivery(slot, attempt, label, ending);
+    }
+
+    /// Sees that the files of a job's task are there before it starts.
+    fn prepare(&mut self, slot: usize, assignment: Assignment, campaign: String, now: Instant) {
+        let task = assignment.row.id.task();
+        let last = self.slots[slot].assignment.as_ref();
+        let is_warm = last.is_some_and(|last| last.row.id.task() == task);
+        let Some(provider) = self.config.provider.clone().filter(|_| !is_warm) else {
+            return self.begin(slot, assignment, campaign, now);
+        };
+        let attempt = assignment.attempt;
+        self.slots[slot].state.work = Work::Preparing { attempt };
+        self.slots[slot].preparing = Some((assignment, campaign));
+        self.has_news = true;
+        let events = self.events.clone();
+        self.calls.spawn_blocking(move || {
+            let outcome = provider.provide(task);
+            let _ = events.blocking_send(Event::Provided {
+                slot,
+                attempt,
+                outcome,
+            });
+        });
+    }
+
+    /// Starts the job whose files are there, or gives it back: nobody is to blame for a
+    /// network.
+    pub(super) fn provided(
+        &mut self,
+        slot: usize,
+        attempt: AttemptId,
+        outcome: Result<(), String>,
+        now: Instant,
+    ) {
+        if self.slots[slot].state.work != (Work::Preparing { attempt }) {
+            // Its lease was lost meanwhile, or it was given back.
+            return;
+        }
+        let Some((assignment, campaign)) = self.slots[slot].preparing.take() else {
+            return;
+        };
+        let is_up = self.slots[slot].state.process == ProcessState::Up;
+        let error = match outcome {
+            Ok(()) if is_up && self.mode == Mode::Serving => {
+                self.fetches.reset();
+                return self.begin(slot, assignment, campaign, now);
+            }
+            Ok(()) => "the rollout did not begin: its slot is going down".to_owned(),
+            Err(error) => {
+                let wait = self.fetches.next_wait();
+                self.claims_from = now + wait;
+                let secs = wait.as_secs_f64();
+                tracing::warn!("no job is claimed for {secs:.0} s: assets cannot be fetched");
+                error
+            }
+        };
+        self.slots[slot].state.work = Work::Delivering {
+            attempt,
+            control_steps: 0,
+        };
+        let kind = FailureKind::Draining;
+        let label = format!("{campaign}: {}", assignment.session);
+        self.send_delivery(
+            slot,
+            attempt,
+            label,
+            Ending::Failed(Failure { kind, error }),
+        );
     }
 
     /// Says once why there is nothing to do although jobs wait.

@@ -29,6 +29,9 @@ impl Supervisor {
     pub(super) fn start_to_drain(&mut self) {
         self.mode = Mode::Draining;
         self.drain.send_replace(true);
+        if let Some(provider) = &self.config.provider {
+            provider.end();
+        }
     }
 
     pub(super) fn shut_down(&mut self, now: Instant) {
