@@ -15,7 +15,8 @@ use worker::measure::open_loop::smooth_action;
 fn check_suite(suite: &str) {
     let test = format!("every_reference_task_of_{suite}_agrees_with_the_original");
     let sources = sources();
-    let (Some(reference), Some(pack)) = (shared("oracle/tasks", &test), libero(&sources, &test))
+    let (Some(reference), Some(pack)) =
+        (shared("oracle/tasks-real", &test), libero(&sources, &test))
     else {
         return;
     };
@@ -57,7 +58,7 @@ fn every_reference_task_of_libero_10_agrees_with_the_original() {
 fn frames_drawn_through_opengl_are_the_originals_within_bounds() {
     let test = "frames_drawn_through_opengl_are_the_originals_within_bounds";
     let sources = sources();
-    let (Some(reference), Some(pack)) = (shared("oracle/tasks", test), libero(&sources, test))
+    let (Some(reference), Some(pack)) = (shared("oracle/tasks-real", test), libero(&sources, test))
     else {
         return;
     };
