@@ -6,8 +6,12 @@ use std::collections::BTreeSet;
 use protocol::presets::ENV_SEED;
 use protocol::{ManifestRow, Perturbation, Realisation, RolloutId, TaskRef};
 use scene::{InitialStates, TaskFiles, compose};
-use serde::Deserialize;
-use sim::{Drawer, Environment, GlDevice, Renderer, Simulator, SimulatorConfig};
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use sim::{
+    CameraRequest, Drawer, Environment, GlDevice, ObservationRequest, Renderer, Simulator,
+    SimulatorConfig,
+};
 use tests::fidelity::{Kinship, Limits, compare, find_tasks};
 use tests::files::{libero, primitives, shared, sources};
 use worker::measure::open_loop::smooth_action;
@@ -78,6 +82,67 @@ fn frames_drawn_through_opengl_are_the_originals_within_bounds() {
         let violations = findings.violations(&limits);
         assert!(violations.is_empty(), "{}: {violations:#?}", task.id());
     }
+}
+
+/// SHA-256 of frames of LIBERO's scenes by the software renderer, 256 × 256: of one task
+/// of each suite both cameras' first frames that a policy sees, nominal and under a
+/// camera's and a light's preset. They change with `raster::NAME`, with MuJoCo and with
+/// what a scene consists of.
+const REAL_FRAMES: &str = include_str!("../data/real_frames.jsonl");
+
+#[derive(Deserialize, Serialize)]
+struct RealFrame {
+    rollout: String,
+    camera: String,
+    sha256: String,
+}
+
+#[test]
+fn frames_of_real_scenes_have_the_same_bits_on_every_machine() {
+    let test = "frames_of_real_scenes_have_the_same_bits_on_every_machine";
+    let sources = sources();
+    let Some(pack) = libero(&sources, test) else {
+        return;
+    };
+    let mut simulator = Simulator::new(SimulatorConfig {
+        sources,
+        pack,
+        renderer: Renderer::Software,
+        cached_scenes: 1,
+    });
+    let mut found = String::new();
+    for task in ["spatial/t0", "object/t0", "goal/t8", "long/t0"] {
+        for condition in ["clean/i00", "camera/L3/c05", "lighting/L3/c07"] {
+            let id: RolloutId = format!("{task}/{condition}").parse().unwrap();
+            let row = protocol::row_of(id).unwrap();
+            let mut episode = simulator.begin(&row, Realisation::Matched).unwrap();
+            episode.settle().unwrap();
+            for camera in ["agentview", "robot0_eye_in_hand"] {
+                let request = ObservationRequest {
+                    cameras: vec![CameraRequest {
+                        name: camera.to_owned(),
+                        width: 256,
+                        height: 256,
+                    }],
+                    privileged: false,
+                };
+                let frame = episode.observe(&request).unwrap().frames.remove(0);
+                let digest = Sha256::digest(&frame.rgb);
+                let frame = RealFrame {
+                    rollout: row.id.to_string(),
+                    camera: camera.to_owned(),
+                    sha256: digest.iter().map(|byte| format!("{byte:02x}")).collect(),
+                };
+                found.push_str(&serde_json::to_string(&frame).unwrap());
+                found.push('\n');
+            }
+        }
+    }
+    assert!(
+        found == REAL_FRAMES,
+        "frames differ from those of other machines; if the renderer or a scene was changed on \
+         purpose, this is the new tests/data/real_frames.jsonl:\n{found}"
+    );
 }
 
 /// Depths and segments, of one task of each suite and both cameras. The same
