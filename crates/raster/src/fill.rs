@@ -287,7 +287,7 @@ fn fill_block<const INSIDE: bool>(
         clipped,
     };
     let mut touched = false;
-    for pixel_y in y[0]..=y[1] {
+    for pixel_y in y[0]..y[1] + 1 {
         let mut edge = rows;
         let sample_y = real(pixel_y as f32) + off_y;
         let row = (pixel_y as usize * *stride + first_x as usize) * SAMPLES;

@@ -41,14 +41,21 @@ impl Positions {
     /// Where the corners of eight triangles are, in parts of a pixel.
     #[inline(always)]
     pub(crate) fn snapped(&self, ids: &[[u8; LANES]; 3]) -> ([I; 3], [I; 3]) {
-        let of = |values| eight(values, ids).map(I::new);
+        let of = |values: &[i32; MOST]| {
+            let [a, b, c] = eight(values, ids);
+            [I::new(a), I::new(b), I::new(c)]
+        };
         (of(&self.snapped_x), of(&self.snapped_y))
     }
 
     /// Where they are in pixels, before they were snapped, and their depths.
     #[inline(always)]
     pub(crate) fn exact(&self, ids: &[[u8; LANES]; 3]) -> [[F; 3]; 3] {
-        [&self.x, &self.y, &self.z].map(|values| eight(values, ids).map(F::new))
+        let of = |values: &[f32; MOST]| {
+            let [a, b, c] = eight(values, ids);
+            [F::new(a), F::new(b), F::new(c)]
+        };
+        [of(&self.x), of(&self.y), of(&self.z)]
     }
 }
 

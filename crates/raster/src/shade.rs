@@ -75,10 +75,10 @@ pub(crate) fn list_fragments(
     first: u32,
     lists: &mut Lists,
 ) {
-    for y in window.y[0]..=window.y[1] {
+    for y in window.y[0]..window.y[1] + 1 {
         let row = y as usize * visible.stride;
         let mut last = (NOTHING, 0, 0);
-        for x in window.x[0]..=window.x[1] {
+        for x in window.x[0]..window.x[1] + 1 {
             let at = (row + x as usize) * SAMPLES;
             let ids: [u32; SAMPLES] = visible.ids[at..at + SAMPLES].try_into().expect("four");
             let [id, ..] = ids;

@@ -103,13 +103,12 @@ impl Texels<'_> {
         let mut texels = [0; LANES];
         for (texel, at) in texels.iter_mut().zip(at) {
             let place = (at - first) as usize * channels;
+            let rest = &bytes[place..];
             *texel = opaque
-                | match bytes.get(place..place + 4) {
-                    Some(four) => u32::from_le_bytes([four[0], four[1], four[2], four[3]]),
+                | match rest.first_chunk() {
+                    Some(four) => u32::from_le_bytes(*four),
                     // The last one of three.
-                    None => {
-                        u32::from_le_bytes([bytes[place], bytes[place + 1], bytes[place + 2], 0])
-                    }
+                    None => u32::from_le_bytes([rest[0], rest[1], rest[2], 0]),
                 };
         }
         texels
