@@ -7,7 +7,7 @@ use scene::{AssetPack, Scene, Sources};
 
 use crate::controller::GRIP_SITE;
 use crate::error::SimError;
-use crate::mujoco::{Model, ObjectKind};
+use crate::mujoco::{Model, ObjectKind, return_freed_memory};
 use crate::predicates::Goal;
 use crate::render::Prepared;
 use crate::reset::Resets;
@@ -87,6 +87,7 @@ impl CompiledScene {
             return Ok(Arc::clone(prepared));
         }
         let prepared = Arc::new(Prepared::of(&self.model)?);
+        return_freed_memory();
         // Another thread may have been faster.
         Ok(Arc::clone(self.prepared.get_or_init(|| prepared)))
     }

@@ -121,6 +121,7 @@ impl Model {
             c::mj_deleteSpec(spec);
             (model, text)
         };
+        super::return_freed_memory();
         static COMPILED: AtomicU64 = AtomicU64::new(0);
         let raw = NonNull::new(model).ok_or(SimError::Compile(message))?;
         Ok(Self::of(Arc::new(Compilation {
