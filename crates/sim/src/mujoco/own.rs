@@ -1,6 +1,8 @@
 //! The arrays of a model that rollouts change: poses of fixtures, cameras, lights, and
 //! what glows. Each model has its own.
 
+use std::ptr::NonNull;
+
 use mujoco_rs::mujoco_c::mjModel;
 
 use super::slices::values;
@@ -24,12 +26,35 @@ macro_rules! each_own_array {
 }
 pub(super) use each_own_array;
 
+/// An allocation that MuJoCo's structure points into, freed when dropped.
+///
+/// It is held by a raw pointer and not as a `Box`: moving a `Box` asserts that nothing
+/// else points at its contents, which invalidates every pointer taken before the move.
+struct Allocation<T>(NonNull<[T]>);
+
+impl<T: Copy> Allocation<T> {
+    fn copy_of(values: &[T]) -> Self {
+        Self(NonNull::from(Box::leak(values.into())))
+    }
+
+    fn as_mut_ptr(&self) -> *mut T {
+        self.0.as_ptr().cast()
+    }
+}
+
+impl<T> Drop for Allocation<T> {
+    fn drop(&mut self) {
+        // SAFETY: leaked from a box by `copy_of`, and freed nowhere else.
+        drop(unsafe { Box::from_raw(self.0.as_ptr()) });
+    }
+}
+
 macro_rules! keep {
     ($($method:ident: $name:ident: $kind:ty = $rows:ident * $columns:literal;)*) => {
         /// Keeps the arrays alive.
         #[expect(dead_code, reason = "they are reached through the model")]
         pub(super) struct OwnArrays {
-            $($name: Box<[$kind]>,)*
+            $($name: Allocation<$kind>,)*
         }
 
         impl OwnArrays {
@@ -37,10 +62,9 @@ macro_rules! keep {
             pub(super) fn of(model: &mut mjModel) -> Self {
                 $(
                     // SAFETY: the field points at this many values.
-                    let $name = unsafe {
+                    let $name = Allocation::copy_of(unsafe {
                         values(model.$name.cast_const(), model.$rows * $columns)
-                    };
-                    let mut $name: Box<[$kind]> = $name.into();
+                    });
                     model.$name = $name.as_mut_ptr();
                 )*
                 Self { $($name,)* }
