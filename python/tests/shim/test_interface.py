@@ -517,6 +517,33 @@ def test_several_environments_do_what_one_does(kind: Any, bddl_file: str) -> Non
         envs.step(actions)
 
 
+@pytest.mark.parametrize("kind", [DummyVectorEnv, SubprocVectorEnv])
+def test_after_an_error_answers_belong_to_their_own_calls(kind: Any, bddl_file: str) -> None:
+    envs = kind([Blind(bddl_file)] * 2)
+    envs.reset()
+    moves = [[0.9, 0.9, 0, 0, 0, 0, -1]] * 2
+    with pytest.raises(ValueError, match="7 numbers"):
+        envs.step([[0.0], moves[1]])
+    # The other environment has taken its step. Its answer must not come with the next one.
+    before = seen(envs.step(moves)[0])
+    after = seen(envs.step(moves)[0])
+    states = envs.get_sim_state()
+    assert all(np.abs(now - then).max() > 1e-4 for now, then in zip(after, before))
+    assert [state[0] for state in states] == pytest.approx([0.1, 0.15])
+    with pytest.raises(TypeError):
+        envs.reset(nonsense=1)
+    assert [state[0] for state in envs.get_sim_state()] == pytest.approx([0.1, 0.15])
+    envs.close()
+
+
+def test_an_answer_that_ctrl_c_left_behind_is_dropped(bddl_file: str) -> None:
+    envs = SubprocVectorEnv([Blind(bddl_file)])
+    envs.reset()
+    envs.workers[0].send([0.9, 0.9, 0, 0, 0, 0, -1])
+    assert envs.get_sim_state()[0][0] == pytest.approx(0.05)
+    envs.close()
+
+
 def test_processes_that_cannot_construct_say_why(bddl_file: str) -> None:
     envs = SubprocVectorEnv([Blind("nowhere.bddl")])
     with pytest.raises(FileNotFoundError, match="nowhere.bddl"):

@@ -200,6 +200,7 @@ class SubprocEnvWorker(EnvWorker):
         self.process.start()
         self.child_remote.close()
         self._is_starting = True
+        self._is_awaited = False
         super().__init__(env_fn)
 
     def call(self, method: str, *arguments: Any) -> Any:
@@ -215,6 +216,7 @@ class SubprocEnvWorker(EnvWorker):
     def recv(self) -> Any:
         try:
             answer = self.parent_remote.recv()
+            self._is_awaited = False
         except (EOFError, ConnectionError) as error:
             self.process.join(timeout=1)
             raise RuntimeError(
@@ -244,7 +246,11 @@ class SubprocEnvWorker(EnvWorker):
         if getattr(self, "_is_starting", False):
             self._is_starting = False
             self.recv()
+        if self._is_awaited:
+            # Ctrl-C came between a command and its answer.
+            self.parent_remote.recv()
         self.parent_remote.send([command, data])
+        self._is_awaited = True
 
 
 class BaseVectorEnv:
@@ -276,9 +282,7 @@ class BaseVectorEnv:
     def reset(self, id: _Ids = None, **kwargs: Any) -> Any:
         """Resets environments; returns their observations in an array [n] of objects."""
         chosen = self._choose(id)
-        for i in chosen:
-            self.workers[i].send(None, **kwargs)
-        return _stack([self.workers[i].recv() for i in chosen])
+        return _stack(self._exchange(chosen, lambda worker, _: worker.send(None, **kwargs)))
 
     def step(self, action: Any, id: _Ids = None) -> tuple[Any, ...]:
         """One control step each, with actions [n, 7]: observations, rewards, dones and
@@ -288,13 +292,9 @@ class BaseVectorEnv:
             raise ValueError(
                 f"{len(chosen)} environments were given {len(action)} actions: give one each"
             )
-        for i, one in zip(chosen, action):
-            self.workers[i].send(one)
-        results = []
-        for i in chosen:
-            result = self.workers[i].recv()
+        results = self._exchange(chosen, lambda worker, at: worker.send(action[at]))
+        for i, result in zip(chosen, results):
             result[-1]["env_id"] = i
-            results.append(result)
         observations, *others = zip(*results)
         return (_stack(observations), *map(np.stack, others))
 
@@ -345,6 +345,28 @@ class BaseVectorEnv:
         for worker in self.workers:
             worker.close()
         self.is_closed = True
+
+    def _exchange(self, chosen: Any, send: Callable[[Any, int], None]) -> list[Any]:
+        """Sends to the chosen workers, with each one's place among them, and returns their
+        answers. Every answer is received before the first error is raised: one that stayed
+        in its pipe would be taken for the answer to the next call."""
+        errors: dict[int, Exception] = {}
+        answers = []
+        for at, i in enumerate(chosen):
+            try:
+                send(self.workers[i], at)
+            except Exception as error:  # noqa: BLE001
+                errors[at] = error
+        for at, i in enumerate(chosen):
+            if at in errors:
+                continue
+            try:
+                answers.append(self.workers[i].recv())
+            except Exception as error:  # noqa: BLE001
+                errors[at] = error
+        if errors:
+            raise errors[min(errors)]
+        return answers
 
     def _choose(self, id: _Ids) -> Any:
         self._assert_is_not_closed()
