@@ -14,7 +14,10 @@ F64 = NDArray[np.float64]
 LegacyState = tuple[str, NDArray[np.uint32], int, int, float]
 
 class SimulationError(RuntimeError):
-    """The physics diverged, a scene is inconsistent, or nothing can be drawn."""
+    """The physics diverged, a scene is inconsistent, or nothing can be drawn.
+
+    Of a `VectorEnvironment`, `environments` has the numbers of those that failed and `result`
+    the results of the call, with the steps of the others."""
 
 class BusyError(RuntimeError):
     """Another thread is computing with this environment."""
@@ -34,6 +37,9 @@ def configuration_row(id: str) -> str:
 
 def nominal_row(task: str, initial_state: int) -> str:
     """The manifest row, JSON, of a task's nominal rollout from an initial state."""
+
+def perturbed_axes(row: str) -> list[str]:
+    """Names of the axes that a manifest's row, JSON, perturbs; ValueError if it is no row."""
 
 def fetch_assets(
     sources: str | PathLike[str],
@@ -90,7 +96,7 @@ class Scene:
     def joints(self, instance: str) -> list[str]: ...
 
 class Snapshot:
-    """A state to go back to."""
+    """Everything that the next step depends on, the scripted expert included."""
 
 class Simulation:
     """One environment. Methods let go of the interpreter while they compute; a second
@@ -180,13 +186,18 @@ class Batch:
         *,
         render: str = "last",
         absolute: bool = False,
+        mirrored: bool = False,
         expert: NDArray[np.bool_] | None = None,
-    ) -> dict[str, NDArray[Any]]:
+    ) -> dict[str, Any]:
         """Each begins a rollout where `starts` has a manifest's row for it, JSON (or
         `{"sampled": SEED, "settle_steps": N, "perturbed": ROW}`), and otherwise takes its actions, [simulations,
         steps, 7]: at most `limits` of them, and none after the one that succeeds. `render`
         says which steps are drawn and read: "last", "all" or "none". Returns the `steps`
         taken and `success` of each, the readings by name, and the frames by camera, with
-        row 0 at the top. `expert` has the scripted expert asked at every step, whose actions
-        are returned as `expert_action`; where it is true the expert drives, and the action
-        is added to its own."""
+        row 0 at the top, and column 0 at the right if they are `mirrored`. `expert` has the
+        scripted expert asked at every step, whose actions are returned as `expert_action`;
+        where it is true the expert drives, and the action is added to its own. Arguments
+        that do not fit raise, and nothing has moved then; `errors` has None or the exception
+        of each environment, whose `steps` are those that it took before it."""
+    def restore(self, snapshots: Sequence[Snapshot]) -> None:
+        """Each goes back to its snapshot, or none does."""

@@ -1,10 +1,11 @@
-"""Where and how a rollout begins, as a manifest's row (JSON)."""
+"""The start of a rollout as a manifest's row (JSON)."""
 
 from __future__ import annotations
 
+import copy
 import json
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,60 +18,143 @@ generator; ``"sampled"``: placed anew by LIBERO's samplers; a number: always thi
 numbers: these in turn."""
 
 
+class Start(NamedTuple):
+    """A rollout that is about to begin."""
+
+    row: str
+    """A manifest's row, JSON, for the simulator."""
+    init_state: int | None
+    """None if objects are placed anew."""
+    instruction: str
+    max_steps: int
+    turn: int
+    """The turn that follows it."""
+    generator: np.random.Generator
+    """The environment's generator after the draws of this start."""
+
+
 class Starts:
-    """Says where the next rollout of one environment begins."""
+    """Chooses the start of each rollout of one environment.
+
+    Environments of one task that take turns share the sequence: each begins at its ``rank``
+    among them and goes on by their number, ``stride``.
+    """
 
     def __init__(
         self,
         task: Task,
         count: int,
         init_states: InitStates,
-        settle_steps: int,
+        *,
+        settle_steps: int | None,
+        max_steps: int | None,
         perturbation: str | Mapping[str, Any] | None,
+        absolute: bool,
+        rank: int = 0,
+        stride: int = 1,
     ) -> None:
+        if max_steps is not None and max_steps < 1:
+            raise ValueError(f"choose max_steps {max_steps}: it is 1 or more, or None")
+        if settle_steps is not None and settle_steps < 0:
+            raise ValueError(f"choose settle_steps {settle_steps}: it is 0 or more, or None")
         self._task = task
         self._count = count
         self._chosen = _chosen(init_states, count)
         self._settle_steps = settle_steps
-        self._turn = 0
+        self._max_steps = max_steps
+        self._absolute = absolute
+        self.rank = rank
+        self._stride = stride
+        self._turn = rank
         self.perturb(perturbation)
 
+    @property
+    def instruction(self) -> str:
+        """The instruction of the next rollout."""
+        return self._task.instruction if self._perturbed is None else self._perturbed["language"]
+
+    @property
+    def max_steps(self) -> int:
+        """The step budget of the next rollout."""
+        if self._max_steps is not None:
+            return self._max_steps
+        return self._task.max_steps if self._perturbed is None else self._perturbed["max_steps"]
+
     def perturb(self, perturbation: str | Mapping[str, Any] | None) -> None:
-        """Has the next rollouts perturbed so."""
-        self._perturbed = None if perturbation is None else _row(self._task, perturbation)
-        self.instruction = self._task.instruction
-        if self._perturbed is not None:
-            self.instruction = self._perturbed["language"]
+        """Perturbs the rollouts that are begun from now on.
 
-    def restart(self) -> None:
-        """Starts the turns over, as a seed does."""
-        self._turn = 0
+        Raises:
+            ValueError: if there is no such configuration, or it distorts actions that are
+                poses; the configuration before it stays.
+        """
+        row = None if perturbation is None else _row(self._task, perturbation)
+        if row is not None:
+            axes = native.perturbed_axes(json.dumps(row))
+            if self._absolute and "actuation" in axes:
+                raise ValueError(
+                    f"perturb {self._task.name} by {row['rollout_id']}: its actuation axis "
+                    "distorts displacements, and control='absolute' commands poses; use "
+                    "control='relative', or a configuration without the actuation axis"
+                )
+        self._perturbed = row
 
-    def next(
-        self, generator: np.random.Generator, options: Mapping[str, Any]
-    ) -> tuple[str, int | None]:
-        """The next start, and its initial state; none if objects are placed anew."""
+    def plan(
+        self,
+        generator: np.random.Generator,
+        options: Mapping[str, Any],
+        *,
+        turn: int | None = None,
+    ) -> Start:
+        """The next start, at a turn if one is given. Changes nothing: pass the start to
+        ``use`` once it has begun.
+
+        Raises:
+            ValueError: if the options name no initial state of the task.
+        """
+        generator = copy.deepcopy(generator)
+        turn = self._turn if turn is None else turn
         wanted = options.get("init_state")
-        if wanted is None and self._chosen == "sampled":
-            seed = int(generator.integers(2**32, dtype=np.uint32))
-            start = {"sampled": seed, "settle_steps": self._settle_steps}
-            return json.dumps(start | {"perturbed": self._perturbed}), None
+        if wanted is not None:
+            wanted = self._checked(wanted)
+        elif self._chosen == "sampled":
+            sampled = {
+                "sampled": int(generator.integers(2**32, dtype=np.uint32)),
+                "settle_steps": self._settled(self._perturbed or self._nominal(0)),
+                "perturbed": self._perturbed,
+            }
+            return self._start(sampled, None, turn, generator)
         if self._perturbed is not None:
             row = dict(self._perturbed)
             if wanted is not None:
-                row["init_id"] = self._checked(wanted)
-            row["num_steps_wait"] = self._settle_steps
-            return json.dumps(row), row["init_id"]
-        if wanted is not None:
-            init_state = self._checked(wanted)
+                row["init_id"] = wanted
+        elif wanted is not None:
+            row = self._nominal(wanted)
         elif self._chosen == "random":
-            init_state = int(generator.integers(self._count))
+            row = self._nominal(int(generator.integers(self._count)))
         else:
-            init_state = self._chosen[self._turn % len(self._chosen)]
-            self._turn += 1
-        row = json.loads(native.nominal_row(self._task.name, init_state))
-        row["num_steps_wait"] = self._settle_steps
-        return json.dumps(row), init_state
+            row = self._nominal(self._chosen[turn % len(self._chosen)])
+            turn += self._stride
+        row["num_steps_wait"] = self._settled(row)
+        return self._start(row, row["init_id"], turn, generator)
+
+    def use(self, start: Start) -> None:
+        """Goes on after a start."""
+        self._turn = start.turn
+
+    def _start(
+        self, row: Mapping[str, Any], init_state: int | None, turn: int, generator: Any
+    ) -> Start:
+        return Start(
+            json.dumps(row), init_state, self.instruction, self.max_steps, turn, generator
+        )
+
+    def _nominal(self, init_state: int) -> dict[str, Any]:
+        row: dict[str, Any] = json.loads(native.nominal_row(self._task.name, init_state))
+        return row
+
+    def _settled(self, row: Mapping[str, Any]) -> int:
+        """Control steps without action before the first observation."""
+        return row["num_steps_wait"] if self._settle_steps is None else self._settle_steps
 
     def _checked(self, init_state: int) -> int:
         if not 0 <= int(init_state) < self._count:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from os import PathLike
 from typing import Any, Literal, NamedTuple
 
 import gymnasium
 import numpy as np
+from gymnasium.utils import seeding
 from numpy.typing import ArrayLike, NDArray
 
 from rollout_libero._library import native
@@ -19,6 +21,7 @@ from rollout_libero.observation import (
     action_space,
     observation_space,
 )
+from rollout_libero.rollout import UNTOUCHED, Rollout
 from rollout_libero.scenes import scene_of_task
 from rollout_libero.tasks import Task
 
@@ -29,9 +32,7 @@ class EnvironmentSnapshot(NamedTuple):
     """All that an environment's next step depends on."""
 
     simulation: native.Snapshot
-    steps: int
-    ended: bool
-    init_state: int | None
+    rollout: Rollout
 
 
 class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
@@ -45,14 +46,16 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         height, width: of the frames, pixels.
         init_states: where rollouts begin; see ``configuration.InitStates``.
         settle_steps: control steps without action before the first observation, in which
-            objects come to rest.
-        max_steps: control steps after which a rollout is truncated; by default those of
-            LIBERO-CTRL for the suite.
+            objects come to rest; by default those of the configuration
+            (``num_steps_wait``), 10 in LIBERO-CTRL.
+        max_steps: control steps after which a rollout is truncated; by default those of the
+            configuration (``max_steps``), in LIBERO-CTRL the suite's.
         perturbation: a configuration of LIBERO-CTRL, ``combination/L2/c03``, or a row of a
             manifest. It brings its instruction and, unless ``init_states="sampled"``, its
             initial state.
         control: ``"relative"`` (displacements, -1..1) or ``"absolute"`` (poses in the world:
-            m, and axis times angle, rad).
+            m, and axis times angle, rad), which no configuration with the actuation axis
+            takes.
         renderer: ``"software"``; ``"gl"`` or ``"gl:N"`` for OpenGL, which ties the
             environment's frames to the thread that draws them.
 
@@ -75,29 +78,32 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         height: int = 256,
         width: int = 256,
         init_states: InitStates = "cycle",
-        settle_steps: int = 10,
+        settle_steps: int | None = None,
         max_steps: int | None = None,
         perturbation: str | Mapping[str, Any] | None = None,
         control: Literal["relative", "absolute"] = "relative",
         renderer: str = "software",
         render_mode: str | None = None,
     ) -> None:
+        self._absolute = is_absolute(control)
         self.task = Task.of(task)
         self.scene = scene_of_task(self.task, assets)
         self.simulation = native.Simulation(self.scene, renderer=renderer)
-        self.max_steps = self.task.max_steps if max_steps is None else max_steps
         self.starts = Starts(
-            self.task, self.scene.initial_states, init_states, settle_steps, perturbation
+            self.task,
+            self.scene.initial_states,
+            init_states,
+            settle_steps=settle_steps,
+            max_steps=max_steps,
+            perturbation=perturbation,
+            absolute=self._absolute,
         )
         self.observation_space = observation_space(cameras, height, width)
         self.action_space = action_space()
         self.render_mode = render_mode
         self._cameras = [(camera, width, height) for camera in cameras]
         self._batch = native.Batch([self.simulation], 1)
-        self._absolute = is_absolute(control)
-        self._steps = 0
-        self._ended = True
-        self._init_state: int | None = None
+        self._rollout = Rollout(self.starts.instruction, self.starts.max_steps)
         known = self.simulation.names("camera")
         for camera in cameras:
             if camera not in known:
@@ -105,24 +111,41 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     @property
     def instruction(self) -> str:
-        """What a policy is told."""
-        return self.starts.instruction
+        """The policy's instruction."""
+        return self._rollout.instruction
+
+    @property
+    def max_steps(self) -> int:
+        """Control steps after which the rollout is truncated."""
+        return self._rollout.max_steps
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Begins a rollout, up to its policy's first action.
 
-        ``options`` may have ``init_state``: the number of a released initial state. A seed
-        also starts the turns of ``init_states`` over.
+        A seed chooses where it begins. With ``init_states="cycle"`` that is initial state
+        ``seed % 50``; with numbers, the one at place ``seed % len(numbers)``; later resets
+        without a seed go on from there in turn. ``"random"`` and ``"sampled"`` draw from the
+        generator that the seed starts. ``options={"init_state": 7}`` takes precedence, and a
+        configuration's own initial state depends on no seed.
         """
-        super().reset(seed=seed)
-        if seed is not None:
-            self.starts.restart()
-        start, self._init_state = self.starts.next(self.np_random, options or {})
+        generator = self.np_random if seed is None else seeding.np_random(seed)[0]
+        start = self.starts.plan(generator, options or {}, turn=seed)
         none = np.empty((1, 0, ACTION_WIDTH))
-        shown = self._batch.advance(none, [0], [start], self._cameras)
-        self._steps, self._ended = 0, False
+        shown = self._batch.advance(
+            none, [0], [start.row], self._cameras
+        )
+        (error,) = shown["errors"]
+        if isinstance(error, UNTOUCHED):
+            raise error
+        super().reset(seed=seed)
+        self.np_random.bit_generator.state = start.generator.bit_generator.state
+        self.starts.use(start)
+        if error is not None:
+            self._rollout.is_over = True
+            raise error
+        self._rollout.begin(start)
         return self._observation(shown), self._info(success=False)
 
     def step(
@@ -145,27 +168,31 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         With ``render="last"`` the observation is that after the last step, with ``"all"``
         its arrays have a first axis of the steps taken, and with ``"none"`` there are no
         frames. ``info["steps"]`` counts the steps since the reset.
+
+        A call that raises ``ValueError`` for its arguments has moved nothing. After
+        ``SimulationError`` the rollout is over: call ``reset``.
         """
-        if self._ended:
+        rollout = self._rollout
+        if not rollout.is_begun or rollout.is_over:
             raise gymnasium.error.ResetNeeded(
                 "step: the rollout has ended, or none was begun; call reset"
             )
         actions = np.asarray(actions, dtype=np.float64)
         if actions.ndim != 2 or not len(actions):
             raise ValueError(f"step with actions of shape {actions.shape}: expected [steps, 7]")
-        limit = self.max_steps - self._steps
         shown = self._batch.advance(
             actions[np.newaxis],
-            [limit],
+            [rollout.max_steps - rollout.steps],
             [None],
             self._cameras,
             render=render,
             absolute=self._absolute,
         )
         taken, success = int(shown["steps"][0]), bool(shown["success"][0])
-        self._steps += taken
-        truncated = not success and self._steps >= self.max_steps
-        self._ended = success or truncated
+        (error,) = shown["errors"]
+        truncated = rollout.advance(taken, success, error)
+        if error is not None:
+            raise error
         observation = self._observation(shown)
         if render == "all":
             observation = {name: values[:taken] for name, values in observation.items()}
@@ -180,14 +207,12 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def snapshot(self) -> EnvironmentSnapshot:
         """All that the next step depends on; the generator that seeds resets is left out."""
-        return EnvironmentSnapshot(
-            self.simulation.snapshot(), self._steps, self._ended, self._init_state
-        )
+        return EnvironmentSnapshot(self.simulation.snapshot(), replace(self._rollout))
 
     def restore(self, snapshot: EnvironmentSnapshot) -> None:
         """Goes back to a snapshot of an environment of the same task and assets."""
         self.simulation.restore(snapshot.simulation)
-        _, self._steps, self._ended, self._init_state = snapshot
+        self._rollout = replace(snapshot.rollout)
 
     def close(self) -> None:
         """Frees it; later calls raise ``ClosedError``."""
@@ -199,14 +224,18 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
     def _info(self, *, success: bool) -> dict[str, Any]:
         return {
             "success": success,
-            "instruction": self.instruction,
-            "init_state": self._init_state,
-            "steps": self._steps,
+            "instruction": self._rollout.instruction,
+            "init_state": self._rollout.init_state,
+            "steps": self._rollout.steps,
         }
 
 
 def is_absolute(control: str) -> bool:
-    """Whether actions are poses."""
+    """Returns true if actions are poses.
+
+    Raises:
+        ValueError: if there is no such control.
+    """
     if control not in ("relative", "absolute"):
         raise ValueError(f"choose control {control!r}: it is 'relative' or 'absolute'")
     return control == "absolute"

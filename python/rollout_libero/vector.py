@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from os import PathLike
 from typing import Any, Literal, NamedTuple
 
@@ -15,7 +17,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from rollout_libero._library import native
-from rollout_libero.configuration import InitStates, Starts
+from rollout_libero.configuration import InitStates, Start, Starts
 from rollout_libero.environment import Render, is_absolute
 from rollout_libero.observation import (
     ACTION_WIDTH,
@@ -24,6 +26,7 @@ from rollout_libero.observation import (
     action_space,
     observation_space,
 )
+from rollout_libero.rollout import UNTOUCHED, Rollout
 from rollout_libero.scenes import scene_of_task
 from rollout_libero.tasks import Task
 
@@ -32,9 +35,7 @@ class VectorSnapshot(NamedTuple):
     """All that the environments' next step depends on."""
 
     simulations: tuple[native.Snapshot, ...]
-    steps: NDArray[np.int64]
-    ended: NDArray[np.bool_]
-    init_states: tuple[int | None, ...]
+    rollouts: tuple[Rollout, ...]
 
 
 class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
@@ -43,18 +44,28 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
     Environments of one task share its compiled scene. Frames, readings, rewards and ends
     are stacked, one row for each environment.
 
+    A call that is refused (``ValueError``, ``ResetNeeded``) changes nothing. If an
+    environment fails in a call (``SimulationError``), the others finish their steps first,
+    and the exception says so: ``environments`` has the numbers of those that failed and
+    ``result`` what the call would have returned, with ``infos["failed"]``. A rollout that
+    failed is over, neither terminated nor truncated: ``NEXT_STEP`` begins another one in the
+    next step, the other modes want a reset.
+
     Args:
         tasks: one task, or several; environment *i* has the *i*-th, and they repeat.
         num_envs: how many environments; by default one of each task.
         threads: on how many threads they compute; by default as many as there are cores.
             With OpenGL it is one.
         perturbation: one for all, or one for each environment.
-        autoreset_mode: as gymnasium 1.x defines it: ``NEXT_STEP`` begins a rollout in the
+        init_states: where rollouts begin; see ``configuration.InitStates``. Environments of
+            one task that take turns share the sequence: of *n* environments the *r*-th
+            begins at place *r* and goes on by *n*, so no two are alike at a time.
+        autoreset_mode: as gymnasium defines it: ``NEXT_STEP`` begins a rollout in the
             step after the last, whose action is ignored; ``SAME_STEP`` at once, with the
             last observation in ``info["final_obs"]``; ``DISABLED`` not at all: reset with
             ``options={"reset_mask": …}``.
 
-    What else there is to say is said of ``Environment``.
+    The other arguments are those of ``Environment``.
     """
 
     def __init__(
@@ -68,7 +79,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         height: int = 256,
         width: int = 256,
         init_states: InitStates = "random",
-        settle_steps: int = 10,
+        settle_steps: int | None = None,
         max_steps: int | None = None,
         perturbation: str | Mapping[str, Any] | Sequence[str | Mapping[str, Any] | None] | None = None,
         control: Literal["relative", "absolute"] = "relative",
@@ -79,16 +90,28 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         self.num_envs = len(names) if num_envs is None else num_envs
         if not names or self.num_envs < 1:
             raise ValueError("make environments: give one task at least, and num_envs from 1")
+        self._absolute = is_absolute(control)
         self.tasks = [Task.of(names[at % len(names)]) for at in range(self.num_envs)]
         scenes = [scene_of_task(task, assets) for task in self.tasks]
         self.simulations = [native.Simulation(scene, renderer=renderer) for scene in scenes]
-        self.starts = [
-            Starts(task, scene.initial_states, init_states, settle_steps, perturbed)
-            for task, scene, perturbed in zip(
-                self.tasks, scenes, _each(perturbation, self.num_envs), strict=True
+        sharing = Counter(task.name for task in self.tasks)
+        ranks: Counter[str] = Counter()
+        self.starts = []
+        perturbations = _each(perturbation, self.num_envs)
+        for task, scene, perturbed in zip(self.tasks, scenes, perturbations, strict=True):
+            starts = Starts(
+                task,
+                scene.initial_states,
+                init_states,
+                settle_steps=settle_steps,
+                max_steps=max_steps,
+                perturbation=perturbed,
+                absolute=self._absolute,
+                rank=ranks[task.name],
+                stride=sharing[task.name],
             )
-        ]
-        self.max_steps = np.array([max_steps or task.max_steps for task in self.tasks])
+            ranks[task.name] += 1
+            self.starts.append(starts)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {"autoreset_mode": self.autoreset_mode}
         self.single_observation_space = observation_space(cameras, height, width)
@@ -98,12 +121,13 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         self._cameras = [(camera, width, height) for camera in cameras]
         self._threads = threads or len(os.sched_getaffinity(0))
         self._batch = native.Batch(self.simulations, self._threads)
-        self._absolute = is_absolute(control)
         self._generators = [seeding.np_random()[0] for _ in self.tasks]
-        self._steps = np.zeros(self.num_envs, np.int64)
-        self._begun = np.zeros(self.num_envs, bool)
-        self._ended = np.zeros(self.num_envs, bool)
-        self._init_states: list[int | None] = [None] * self.num_envs
+        self._rollouts = [Rollout(it.instruction, it.max_steps) for it in self.starts]
+
+    @property
+    def max_steps(self) -> NDArray[np.int64]:
+        """Control steps after which each rollout is truncated."""
+        return np.array([it.max_steps for it in self._rollouts])
 
     def reset(
         self,
@@ -113,9 +137,11 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
     ) -> tuple[Observation, dict[str, Any]]:
         """Begins rollouts.
 
-        A number seeds environment *i* with itself plus *i*. ``options`` may have
-        ``reset_mask``, [environments], of those that begin, and ``init_state``, a number or
-        one for each.
+        A number seeds environment *i* with itself plus *i*; a list has each one's own seed,
+        or None. With ``init_states="cycle"``, or numbers, a seed chooses the turn: a list's
+        as in ``Environment.reset``, and of a number the *r*-th environment of a task begins
+        at turn ``seed + r``. ``options`` may have ``reset_mask``, [environments], of those
+        that begin, and ``init_state``, a number or one for each, which takes precedence.
         """
         options = dict(options or {})
         mask = np.asarray(options.pop("reset_mask", np.ones(self.num_envs, bool)), dtype=bool)
@@ -123,14 +149,27 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
             raise ValueError(
                 f"reset with a mask of shape {mask.shape}: expected ({self.num_envs},), one True at least"
             )
-        for at, number in enumerate(_seeds(seed, self.num_envs)):
-            if number is not None and mask[at]:
-                self._generators[at] = seeding.np_random(number)[0]
-                self.starts[at].restart()
         chosen = np.broadcast_to(options.get("init_state"), self.num_envs)
-        starts = self._starts(mask, [{"init_state": it} for it in chosen])
-        shown = self._batch.advance(self._no_actions(), [0] * self.num_envs, starts, self._cameras)
-        return self._observation(shown), self._infos(np.zeros(self.num_envs, bool))
+        seeds = _seeds(seed, self.num_envs)
+        starts = {}
+        for at in np.flatnonzero(mask).tolist():
+            own, turn = seeds[at], seeds[at]
+            generator = self._generators[at] if own is None else seeding.np_random(own)[0]
+            if isinstance(seed, int | np.integer):
+                turn = int(seed) + self.starts[at].rank
+            wanted = {"init_state": chosen[at]}
+            starts[at] = self.starts[at].plan(generator, wanted, turn=turn)
+        shown = self._batch.advance(
+            np.empty((self.num_envs, 0, ACTION_WIDTH)),
+            [0] * self.num_envs,
+            self._rows(starts),
+            self._cameras,
+        )
+        errors = shown["errors"]
+        self._begin(starts, errors)
+        infos = self._infos(np.zeros(self.num_envs, bool))
+        result = self._observation(shown), infos
+        return self._finished(result, infos, errors)
 
     def step(
         self, actions: ArrayLike
@@ -164,58 +203,64 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         drives, and ``actions`` are added to its own.
         """
         actions = np.asarray(actions, dtype=np.float64)
-        if not self._begun.all():
-            raise gymnasium.error.ResetNeeded("step: no rollout was begun; call reset")
-        begins = self._ended.copy()
-        if begins.any() and self.autoreset_mode != AutoresetMode.NEXT_STEP:
-            which = np.flatnonzero(begins).tolist()
+        missing = [at for at, it in enumerate(self._rollouts) if not it.is_begun]
+        if missing:
+            raise gymnasium.error.ResetNeeded(f"step: rollouts {missing} were not begun; call reset")
+        over = [at for at, it in enumerate(self._rollouts) if it.is_over]
+        if over and self.autoreset_mode != AutoresetMode.NEXT_STEP:
             raise gymnasium.error.ResetNeeded(
-                f"step: rollouts {which} have ended; call reset with options={{'reset_mask': …}}"
+                f"step: rollouts {over} have ended; call reset with options={{'reset_mask': …}}"
             )
-        starts = self._starts(begins, [{}] * self.num_envs)
-        limits = np.where(begins, 0, self.max_steps - self._steps)
+        starts = {at: self.starts[at].plan(self._generators[at], {}) for at in over}
+        limits = [0 if it.is_over else it.max_steps - it.steps for it in self._rollouts]
         shown = self._batch.advance(
             actions,
-            limits.tolist(),
-            starts,
+            limits,
+            self._rows(starts),
             self._cameras,
             render=render,
             absolute=self._absolute,
             expert=None if expert is None else np.asarray(expert, dtype=bool),
         )
-        taken, success = shown["steps"].astype(np.int64), shown["success"]
-        self._steps += taken
-        truncated = ~begins & ~success & (self._steps >= self.max_steps)
-        self._ended = success | truncated
-        ended = self._ended.copy()
+        taken, success, errors = shown["steps"].astype(np.int64), shown["success"], shown["errors"]
+        self._begin(starts, errors)
+        truncated = np.zeros(self.num_envs, bool)
+        for at, rollout in enumerate(self._rollouts):
+            if at not in starts:
+                truncated[at] = rollout.advance(int(taken[at]), bool(success[at]), errors[at])
         observation, infos = self._observation(shown), self._infos(success)
         infos["taken"] = taken
         if expert is not None:
             infos["expert_action"] = shown["expert_action"]
+        ended = (success | truncated) & [error is None for error in errors]
         if self.autoreset_mode == AutoresetMode.SAME_STEP and ended.any():
-            self._begin_at_once(ended, observation, infos)
-        return observation, success.astype(np.float64), success, truncated, infos
+            self._begin_at_once(ended, observation, infos, render, errors)
+        result = observation, success.astype(np.float64), success, truncated, infos
+        return self._finished(result, infos, errors)
 
     def set_perturbation(self, index: int, perturbation: str | Mapping[str, Any] | None) -> None:
-        """Perturbs an environment otherwise, from its next rollout on."""
+        """Perturbs an environment otherwise, from its next rollout on.
+
+        Raises:
+            ValueError: if there is no such configuration; the one before it stays.
+        """
         self.starts[index].perturb(perturbation)
 
     def snapshot(self) -> VectorSnapshot:
         """All that the next step depends on; the generators that seed resets are left out."""
         return VectorSnapshot(
             tuple(simulation.snapshot() for simulation in self.simulations),
-            self._steps.copy(),
-            self._ended.copy(),
-            tuple(self._init_states),
+            tuple(replace(rollout) for rollout in self._rollouts),
         )
 
     def restore(self, snapshot: VectorSnapshot) -> None:
-        """Goes back to a snapshot."""
-        for simulation, state in zip(self.simulations, snapshot.simulations, strict=True):
-            simulation.restore(state)
-        self._steps[:], self._ended[:] = snapshot.steps, snapshot.ended
-        self._init_states = list(snapshot.init_states)
-        self._begun[:] = True
+        """Goes back to a snapshot.
+
+        Raises:
+            ValueError: if it is of other tasks; nothing has changed then.
+        """
+        self._batch.restore(snapshot.simulations)
+        self._rollouts = [replace(rollout) for rollout in snapshot.rollouts]
 
     def close_extras(self, **_kwargs: Any) -> None:
         """Frees the environments."""
@@ -223,41 +268,67 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
             simulation.close()
 
     def _begin_at_once(
-        self, ended: NDArray[np.bool_], observation: Observation, infos: dict[str, Any]
+        self,
+        ended: NDArray[np.bool_],
+        observation: Observation,
+        infos: dict[str, Any],
+        render: Render,
+        errors: list[Exception | None],
     ) -> None:
         """Begins rollouts in the place of those that ended in this step."""
-        which = np.flatnonzero(ended)
+        which = np.flatnonzero(ended).tolist()
         infos["final_obs"] = _rows_as_objects(observation, which, self.num_envs)
         infos["_final_obs"] = ended
         final = {name: infos[name] for name in ("success", "init_state", "steps")}
         infos["final_info"] = {name: values.copy() for name, values in final.items()}
         infos["_final_info"] = ended
-        starts = self._starts(ended, [{}] * self.num_envs)
+        starts = {at: self.starts[at].plan(self._generators[at], {}) for at in which}
         batch = native.Batch([self.simulations[at] for at in which], self._threads)
         shown = batch.advance(
             np.empty((len(which), 0, ACTION_WIDTH)),
             [0] * len(which),
-            [starts[at] for at in which],
+            [starts[at].row for at in which],
             self._cameras,
+            render="none" if render == "none" else "last",
         )
+        for at, error in zip(which, shown["errors"], strict=True):
+            errors[at] = error
+        self._begin(starts, errors)
         begun = self._observation(shown)
         for name, values in observation.items():
             last = values[:, -1] if values.ndim > begun[name].ndim else values
             last[which] = begun[name]
         infos.update(self._infos(infos["success"]))
 
-    def _starts(
-        self, mask: NDArray[np.bool_], options: Sequence[Mapping[str, Any]]
-    ) -> list[str | None]:
-        starts: list[str | None] = [None] * self.num_envs
-        for at in np.flatnonzero(mask):
-            generator = self._generators[at]
-            starts[at], self._init_states[at] = self.starts[at].next(generator, options[at])
-        self._steps[mask], self._ended[mask], self._begun[mask] = 0, False, True
-        return starts
+    def _rows(self, starts: Mapping[int, Start]) -> list[str | None]:
+        """The rows of those environments that begin, for the simulator."""
+        return [starts[at].row if at in starts else None for at in range(self.num_envs)]
 
-    def _no_actions(self) -> NDArray[np.float64]:
-        return np.empty((self.num_envs, 0, ACTION_WIDTH))
+    def _begin(self, starts: Mapping[int, Start], errors: Sequence[Exception | None]) -> None:
+        """Takes up what the simulator has begun. A start that failed is used up, so that the
+        next one is another."""
+        for at, start in starts.items():
+            error = errors[at]
+            if isinstance(error, UNTOUCHED):
+                continue
+            self.starts[at].use(start)
+            self._generators[at] = start.generator
+            if error is None:
+                self._rollouts[at].begin(start)
+            else:
+                self._rollouts[at].is_over = True
+
+    def _finished(
+        self, result: Any, infos: dict[str, Any], errors: Sequence[Exception | None]
+    ) -> Any:
+        """Returns the result of a call, or raises the first error with it."""
+        failed = [at for at, error in enumerate(errors) if error is not None]
+        if not failed:
+            return result
+        infos["failed"] = np.array([error is not None for error in errors])
+        error: Any = errors[failed[0]]
+        error.environments, error.result = failed, result
+        raise error
 
     def _observation(self, shown: dict[str, Any]) -> Observation:
         return {name: shown[name] for name in self.single_observation_space if name in shown}
@@ -265,9 +336,9 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
     def _infos(self, success: NDArray[np.bool_]) -> dict[str, Any]:
         return {
             "success": success,
-            "instruction": np.array([it.instruction for it in self.starts], dtype=object),
-            "init_state": np.array(self._init_states, dtype=object),
-            "steps": self._steps.copy(),
+            "instruction": np.array([it.instruction for it in self._rollouts], dtype=object),
+            "init_state": np.array([it.init_state for it in self._rollouts], dtype=object),
+            "steps": np.array([it.steps for it in self._rollouts], np.int64),
         }
 
 
@@ -290,7 +361,7 @@ def _seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | No
 
 
 def _rows_as_objects(
-    observation: Observation, which: NDArray[np.int64], count: int
+    observation: Observation, which: Sequence[int], count: int
 ) -> NDArray[np.object_]:
     """Copies of some environments' observations, as gymnasium has them in an info."""
     rows = np.full(count, None, dtype=object)

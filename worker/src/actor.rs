@@ -175,11 +175,6 @@ pub trait Actor {
     ) -> Result<Vec<Action>, PolicyError>;
 }
 
-/// The action with every number in [-1, 1].
-pub fn clip(action: Action) -> Action {
-    action.map(|number| number.clamp(-1.0, 1.0))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -208,13 +203,5 @@ mod tests {
             failed("bad", by_gateway).to_string(),
             format!("query 0 failed: {by_gateway}")
         );
-    }
-
-    #[test]
-    fn only_numbers_outside_the_range_are_clipped() {
-        let inside = [1.0, -1.0, 0.5, 0.0, 0.0, 0.0, -1.0];
-        assert_eq!(clip(inside), inside);
-        let outside = [1.5, -1.0, 0.5, 0.0, 0.0, 0.0, -3.0];
-        assert_eq!(clip(outside), inside);
     }
 }

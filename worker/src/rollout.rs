@@ -11,12 +11,12 @@ use std::time::Instant;
 
 use attempt::{IkResidual, Motion, Parts, Realised, RolloutResult};
 use proto::policy as wire;
-use protocol::Realisation;
 use sha2::{Digest, Sha256};
+use sim::episode::clip;
 use sim::{CameraRequest, Digests, Episode, Observation, ObservationRequest, SimError};
 use transport::chain;
 
-use crate::actor::{Action, Actor, Description, PolicyError, clip};
+use crate::actor::{Action, Actor, Description, PolicyError};
 use crate::digest::hex;
 use crate::message::{Assignment, Evidence, Failure, FailureKind, Finished};
 use crate::observation;
@@ -28,7 +28,7 @@ pub struct Step {
     /// As the policy answered.
     pub sent: Action,
     /// The robot's command, before the actuation axis distorts it: see
-    /// [`command`].
+    /// [`sim::Conditions::command`].
     pub executed: Action,
 }
 
@@ -225,7 +225,7 @@ impl Run<'_> {
         self.watcher.moved(None, &mut episode);
         if let Some(commands) = self.commands {
             for &command in commands {
-                self.step(&mut episode, command, command)?;
+                self.step(&mut episode, command)?;
             }
             episode.lift();
         }
@@ -266,9 +266,8 @@ impl Run<'_> {
             let room = (row.max_steps - self.steps()) as usize;
             let actions = self.query(episode)?;
             for sent in actions.into_iter().take(self.description.execute.min(room)) {
-                let executed = command(sent, self.assignment.realisation);
-                self.clipped_actions += u32::from(clip(sent) != sent);
-                if self.step(episode, sent, executed)? {
+                self.clipped_actions += u32::from(clip(&sent) != sent);
+                if self.step(episode, sent)? {
                     return Ok(true);
                 }
             }
@@ -277,12 +276,8 @@ impl Run<'_> {
     }
 
     /// One control step. True if the goal holds after it.
-    fn step(
-        &mut self,
-        episode: &mut Episode<'_>,
-        sent: Action,
-        executed: Action,
-    ) -> Result<bool, RolloutError> {
+    fn step(&mut self, episode: &mut Episode<'_>, sent: Action) -> Result<bool, RolloutError> {
+        let executed = episode.command(&sent);
         let stepped = processor(&mut self.parts.physics_secs, || episode.step(&executed));
         let success = stepped.map_err(|source| self.simulator_failed(source))?;
         self.executed.push(executed);
@@ -361,17 +356,6 @@ fn settings(description: &Description) -> BTreeMap<String, String> {
             ("horizon".to_owned(), description.horizon.to_string()),
         ])
         .collect()
-}
-
-/// What the actuation axis gets of an action: every number in [-1, 1], unless
-/// the realisation is the released code's, which distorts what the policy
-/// answered and clips afterwards. Where no axis distorts it, nothing differs:
-/// the controller clips.
-fn command(sent: Action, realisation: Realisation) -> Action {
-    match realisation {
-        Realisation::Matched => clip(sent),
-        Realisation::Reference => sent,
-    }
 }
 
 /// Where the end-effector is, in tenths of a millimetre.

@@ -10,7 +10,7 @@ use crate::transfer::Transfer;
 use crate::world::{World, drawer_joint};
 
 /// A skill at work.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) enum Skill {
     Transfer(Transfer),
     Routine(Routine),

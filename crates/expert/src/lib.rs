@@ -26,8 +26,8 @@ use world::World;
 
 pub use motion::Action;
 
-/// One rollout of one.
-#[derive(Debug, Default)]
+/// The scripted manipulator in one rollout. A clone goes on as the original would.
+#[derive(Clone, Debug, Default)]
 pub struct Expert {
     /// What is left to do; none before the first observation.
     plan: Option<VecDeque<Skill>>,

@@ -77,7 +77,7 @@ pub(crate) enum Deed {
 }
 
 /// The skill.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Routine {
     deed: Deed,
     stage: u32,

@@ -35,7 +35,7 @@ const ALMOST_M: f64 = 0.03;
 const GENTLE: f64 = 0.4;
 
 /// The skill.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Transfer {
     object: String,
     place: Place,

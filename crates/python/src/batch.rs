@@ -10,7 +10,7 @@ use sim::{ActionFrame, RobotState};
 
 use crate::action::{self, Numbers, WIDTH};
 use crate::guarded::{Guarded, closed};
-use crate::simulation::{Simulation, State, action_frame, picture_size, shaped};
+use crate::simulation::{Simulation, Snapshot, State, action_frame, picture_size, shaped};
 use crate::start::Start;
 
 /// Numbers of a reading: see [`READINGS`].
@@ -45,6 +45,15 @@ pub(crate) struct Batch {
 struct Camera {
     name: String,
     size: [u32; 2],
+}
+
+/// The pictures of each drawn step. Rows run from top to bottom.
+#[derive(Clone, Copy)]
+struct View<'a> {
+    cameras: &'a [Camera],
+    render: Render,
+    /// Columns run from right to left.
+    mirrored: bool,
 }
 
 /// What one environment does: it begins, or takes at most `limit` of its actions.
@@ -93,16 +102,51 @@ impl Batch {
         })
     }
 
+    /// Has each environment go back to a snapshot. If one of them cannot, none does.
+    fn restore(&self, py: Python<'_>, snapshots: Vec<Py<Snapshot>>) -> PyResult<()> {
+        if snapshots.len() != self.states.len() {
+            return Err(PyValueError::new_err(format!(
+                "restore {} environments: {} snapshots were given",
+                self.states.len(),
+                snapshots.len()
+            )));
+        }
+        let snapshots: Vec<&Snapshot> = snapshots.iter().map(Py::get).collect();
+        py.detach(|| {
+            let held = self.states.iter().map(Guarded::hold);
+            let mut held = held.collect::<PyResult<Vec<_>>>()?;
+            let states = held
+                .iter_mut()
+                .map(|guard| Option::as_mut(guard).ok_or_else(|| closed("close was called")));
+            let states = states.collect::<PyResult<Vec<_>>>()?;
+            for (state, snapshot) in states.iter().zip(&snapshots) {
+                state.check_scene(snapshot)?;
+            }
+            for (state, snapshot) in states.into_iter().zip(snapshots) {
+                state.restore(snapshot);
+            }
+            Ok(())
+        })
+    }
+
     /// Has each environment begin a rollout where `starts` has a manifest's row for it,
     /// JSON, and otherwise take its actions: at most `limits` of them, and none after the
     /// one that succeeds. `actions` is [environments, steps, 7]; `render` says which
     /// steps are drawn and read: `last`, `all` or `none`. Returns `steps` taken and
     /// `success` of each environment, the readings by name, and the frames by camera,
-    /// with row 0 at the top. `expert`, [environments, steps], has the scripted expert asked
-    /// at every step, whose actions are returned as `expert_action`; where it is true the
-    /// expert drives, and the action is added to its own.
+    /// with row 0 at the top, and column 0 at the right if they are `mirrored`. `expert`,
+    /// [environments, steps], has the scripted expert asked at every step, whose actions
+    /// are returned as `expert_action`; where it is true the expert drives, and the action
+    /// is added to its own.
+    ///
+    /// Arguments that do not fit raise, and nothing has moved then. An environment that
+    /// fails does not hold up the others: `errors` has an exception in its place, and
+    /// `steps` counts the steps that it had taken.
     #[expect(clippy::too_many_arguments, reason = "they are Python's keywords")]
-    #[pyo3(signature = (actions, limits, starts, cameras, *, render = "last", absolute = false, expert = None))]
+    #[pyo3(signature = (
+        actions, limits, starts, cameras, *,
+        render = "last", absolute = false, mirrored = false, expert = None
+    ))]
     fn advance<'py>(
         &self,
         py: Python<'py>,
@@ -112,6 +156,7 @@ impl Batch {
         cameras: Vec<(String, u32, u32)>,
         render: &str,
         absolute: bool,
+        mirrored: bool,
         expert: Option<PyReadonlyArrayDyn<'py, bool>>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let count = self.states.len();
@@ -203,9 +248,19 @@ impl Batch {
         }
         let of = action_frame(absolute);
         let threads = self.threads;
-        py.detach(|| run(tasks, threads, |task| task.run(drawn, render, of)))?;
+        let view = View {
+            cameras: drawn,
+            render,
+            mirrored,
+        };
+        let errors = py.detach(|| run(tasks, threads, |task| task.run(view, of)));
 
         let result = PyDict::new(py);
+        let errors = errors.into_iter();
+        let errors: Vec<_> = errors
+            .map(|error| error.map(|error| error.into_value(py)))
+            .collect();
+        result.set_item("errors", errors)?;
         result.set_item("steps", shaped(py, steps, &[count])?)?;
         result.set_item("success", shaped(py, success, &[count])?)?;
         if expert.is_some() {
@@ -238,7 +293,7 @@ impl Batch {
 }
 
 impl Task<'_> {
-    fn run(self, cameras: &[Camera], render: Render, of: ActionFrame) -> PyResult<()> {
+    fn run(self, view: View<'_>, of: ActionFrame) -> PyResult<()> {
         let Self {
             state,
             start,
@@ -251,7 +306,7 @@ impl Task<'_> {
         let state = guard.as_mut().ok_or_else(|| closed("close was called"))?;
         if let Some(start) = start {
             state.begin(&start)?;
-            return done.show(state, 0, cameras);
+            return done.show(state, 0, view);
         }
         for (step, action) in actions.iter().take(limit).enumerate() {
             let mut action = *action;
@@ -264,25 +319,25 @@ impl Task<'_> {
             }
             *done.success = state.step(&action, of)?;
             *done.steps += 1;
-            if render == Render::All {
-                done.show(state, step, cameras)?;
+            if view.render == Render::All {
+                done.show(state, step, view)?;
             }
             if *done.success {
                 break;
             }
         }
-        match render {
+        match view.render {
             Render::All => Ok(()),
-            Render::Last | Render::None => done.show(state, 0, cameras),
+            Render::Last | Render::None => done.show(state, 0, view),
         }
     }
 }
 
 impl Done<'_> {
     /// Reads and draws the present instant.
-    fn show(&mut self, state: &mut State, step: usize, cameras: &[Camera]) -> PyResult<()> {
+    fn show(&mut self, state: &mut State, step: usize, view: View<'_>) -> PyResult<()> {
         self.readings[step] = reading(&state.environment.robot_state());
-        for (camera, rows) in cameras.iter().zip(&mut self.frames) {
+        for (camera, rows) in view.cameras.iter().zip(&mut self.frames) {
             let frame = state.frame(&camera.name, camera.size)?;
             let picture = &mut rows[step * bytes(camera.size)..][..bytes(camera.size)];
             let row = camera.size[0] as usize * 3;
@@ -290,10 +345,23 @@ impl Done<'_> {
                 .chunks_exact_mut(row)
                 .zip(frame.rgb.chunks_exact(row).rev())
             {
-                to.copy_from_slice(from);
+                match view.mirrored {
+                    true => mirror(from, to),
+                    false => to.copy_from_slice(from),
+                }
             }
         }
         Ok(())
+    }
+}
+
+/// Copies a row of pixels from right to left.
+fn mirror(from: &[u8], to: &mut [u8]) {
+    const PIXEL_BYTES: usize = 3;
+    let (pixels, _) = from.as_chunks::<PIXEL_BYTES>();
+    let (places, _) = to.as_chunks_mut::<PIXEL_BYTES>();
+    for (place, pixel) in places.iter_mut().zip(pixels.iter().rev()) {
+        *place = *pixel;
     }
 }
 
@@ -356,23 +424,20 @@ fn actions_per_chunk(actions: &Numbers<'_>, environments: usize) -> PyResult<usi
 }
 
 /// Runs tasks on so many threads, this one among them; each takes the next that is left.
-/// The first error, in the tasks' order, is returned when all have ended.
+/// Returns the error of each task, in the tasks' order, once all have ended.
 fn run<'a>(
     tasks: Vec<Task<'a>>,
     threads: usize,
     execute: impl Fn(Task<'a>) -> PyResult<()> + Sync,
-) -> PyResult<()> {
-    let first_error = Mutex::new(None);
+) -> Vec<Option<PyErr>> {
+    let errors = Mutex::new(Vec::from_iter(tasks.iter().map(|_| None)));
     let left = Mutex::new(tasks.into_iter().enumerate());
     let work = || {
         loop {
             let next = left.lock().expect("nobody panics with it").next();
             let Some((at, task)) = next else { break };
             if let Err(error) = execute(task) {
-                let mut first = first_error.lock().expect("nobody panics with it");
-                if first.as_ref().is_none_or(|(known, _)| at < *known) {
-                    *first = Some((at, error));
-                }
+                errors.lock().expect("nobody panics with it")[at] = Some(error);
             }
         }
     };
@@ -382,8 +447,5 @@ fn run<'a>(
         }
         work();
     });
-    match first_error.into_inner().expect("nobody panics with it") {
-        Some((_, error)) => Err(error),
-        None => Ok(()),
-    }
+    errors.into_inner().expect("nobody panics with it")
 }

@@ -54,6 +54,7 @@ pub(crate) fn simulation(error: SimError) -> PyErr {
         SimError::StateWidth { .. }
         | SimError::NoSuchState { .. }
         | SimError::Missing { .. }
+        | SimError::DistortedPose
         | SimError::Camera(_) => PyValueError::new_err(words),
         SimError::OutOfMemory(_) => PyMemoryError::new_err(words),
         _ => SimulationError::new_err(words),

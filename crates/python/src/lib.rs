@@ -31,6 +31,8 @@ mod _native {
     #[pymodule_export]
     use super::simulation::{Simulation, Snapshot};
     #[pymodule_export]
+    use super::start::perturbed_axes;
+    #[pymodule_export]
     use super::tasks::{configuration_row, nominal_row, task};
 
     use super::*;

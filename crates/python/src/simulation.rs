@@ -10,7 +10,8 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use sim::mujoco::{Model, OwnArray, Values};
 use sim::{
-    ActionFrame, Conditions, Drawer, Environment, Frame, ObjectKind, ReadyScene, Renderer, Reset,
+    ActionFrame, CompiledScene, Conditions, Drawer, Environment, Frame, ObjectKind, ReadyScene,
+    Renderer, Reset,
 };
 
 use crate::action::{Numbers, WIDTH, actions};
@@ -61,11 +62,38 @@ impl State {
         Ok(frame)
     }
 
+    /// Ends the rollout: nothing is perturbed, and the expert remembers nothing.
+    fn forget(&mut self) {
+        self.conditions = None;
+        self.expert = Expert::default();
+    }
+
     /// Begins a rollout.
     pub(crate) fn begin(&mut self, start: &Start) -> PyResult<()> {
+        self.forget();
         self.conditions = start.begin(self.ready.as_deref(), &mut self.environment)?;
-        self.expert = Expert::default();
         Ok(())
+    }
+
+    /// Checks that a snapshot is of this environment's scene.
+    ///
+    /// # Errors
+    /// `ValueError`, if it is of another one.
+    pub(crate) fn check_scene(&self, snapshot: &Snapshot) -> PyResult<()> {
+        if Arc::ptr_eq(self.environment.compiled(), &snapshot.compiled) {
+            return Ok(());
+        }
+        Err(PyValueError::new_err(
+            "restore a snapshot: it is of another scene; take one of an environment of the same \
+             task, assets and process",
+        ))
+    }
+
+    /// Goes back to a snapshot whose scene was checked.
+    pub(crate) fn restore(&mut self, snapshot: &Snapshot) {
+        self.environment.restore(&snapshot.environment);
+        self.conditions.clone_from(&snapshot.conditions);
+        self.expert.clone_from(&snapshot.expert);
     }
 
     /// What the scripted expert would do now. It remembers its queries of a rollout, and
@@ -79,13 +107,14 @@ impl State {
         Ok(action.map(f64::from))
     }
 
-    /// One control step; true if the goal holds after it.
+    /// One control step, as a campaign takes it; true if the goal holds after it.
     pub(crate) fn step(&mut self, action: &[f64; WIDTH], of: ActionFrame) -> PyResult<bool> {
-        let action = match &mut self.conditions {
-            Some(conditions) => conditions.act(action),
-            None => *action,
+        let environment = &mut self.environment;
+        let stepped = match &mut self.conditions {
+            Some(conditions) => conditions.step(environment, action, of),
+            None => environment.step_in(action, of),
         };
-        self.environment.step_in(&action, of).map_err(simulation)
+        stepped.map_err(simulation)
     }
 }
 
@@ -165,7 +194,7 @@ impl Simulation {
             false => Reset::Soft,
         };
         let (rng, rounds) = self.state.with(py, move |state| {
-            state.conditions = None;
+            state.forget();
             let reset = state
                 .environment
                 .reset(&mut rng, kind, joint_sampler_rounds);
@@ -180,7 +209,7 @@ impl Simulation {
         let numbers = numbers(&state);
         self.state.with(py, |state| {
             check_width(state, &numbers)?;
-            state.conditions = None;
+            state.forget();
             state.environment.load(&numbers);
             Ok(())
         })
@@ -214,7 +243,8 @@ impl Simulation {
             Ok(Snapshot {
                 environment: state.environment.snapshot().map_err(simulation)?,
                 conditions: state.conditions.clone(),
-                compiled: Arc::as_ptr(state.environment.compiled()) as usize,
+                expert: state.expert.clone(),
+                compiled: Arc::clone(state.environment.compiled()),
             })
         })
     }
@@ -222,14 +252,8 @@ impl Simulation {
     /// Goes back to a snapshot of an environment of the same scene.
     fn restore(&self, py: Python<'_>, snapshot: &Snapshot) -> PyResult<()> {
         self.state.with(py, |state| {
-            if Arc::as_ptr(state.environment.compiled()) as usize != snapshot.compiled {
-                return Err(PyValueError::new_err(
-                    "restore a snapshot: it is of another scene; take one of an environment of \
-                     the same task, assets and process",
-                ));
-            }
-            state.environment.restore(&snapshot.environment);
-            state.conditions.clone_from(&snapshot.conditions);
+            state.check_scene(snapshot)?;
+            state.restore(snapshot);
             Ok(())
         })
     }
@@ -454,13 +478,13 @@ impl Simulation {
     }
 }
 
-/// A state to go back to.
+/// Everything that an environment's next step depends on, its scripted expert included.
 #[pyclass(frozen, module = "rollout_libero._native")]
 pub(crate) struct Snapshot {
     environment: sim::Snapshot,
     conditions: Option<Conditions>,
-    /// Which scene it is of.
-    compiled: usize,
+    expert: Expert,
+    compiled: Arc<CompiledScene>,
 }
 
 type Pose<'py> = (Bound<'py, PyArrayDyn<f64>>, Bound<'py, PyArrayDyn<f64>>);

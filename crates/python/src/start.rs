@@ -49,11 +49,7 @@ impl Start {
                 None => serde_json::from_value(value).map(|row| Self::Row(Box::new(row))),
             }
         };
-        read().map_err(|error| {
-            PyValueError::new_err(format!(
-                "read a configuration: {error}; it has the columns of a campaign's manifest"
-            ))
-        })
+        read().map_err(not_a_row)
     }
 
     /// Begins it in an environment of its scene, and lets that come to rest. Perturbations
@@ -95,6 +91,22 @@ impl Start {
             }
         }
     }
+}
+
+/// Names of the axes that a manifest's row, JSON, perturbs.
+///
+/// # Errors
+/// `ValueError`, if it is no row.
+#[pyfunction]
+pub(crate) fn perturbed_axes(row: &str) -> PyResult<Vec<String>> {
+    let row: ManifestRow = serde_json::from_str(row).map_err(not_a_row)?;
+    Ok(row.axes().axes().map(|axis| axis.to_string()).collect())
+}
+
+fn not_a_row(error: serde_json::Error) -> PyErr {
+    PyValueError::new_err(format!(
+        "read a configuration: {error}; it has the columns of a campaign's manifest"
+    ))
 }
 
 fn complete(ready: Option<&ReadyScene>) -> PyResult<&ReadyScene> {

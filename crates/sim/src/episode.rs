@@ -6,7 +6,7 @@ use nalgebra::Matrix3;
 use protocol::streams::Randomness;
 use protocol::{Axis, ManifestRow, Realisation, RobotShift};
 
-use crate::controller::{ARM_JOINTS, GRIP_SITE};
+use crate::controller::{ARM_JOINTS, ActionFrame, GRIP_SITE};
 use crate::error::SimError;
 use crate::mujoco::{Data, ObjectKind};
 use crate::observation::{Frame, Observation, ObservationRequest};
@@ -20,6 +20,11 @@ use crate::{Environment, perturb};
 
 /// The action that does nothing and keeps the gripper open.
 pub const NO_OP: [f64; 7] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0];
+/// The action with every number in [-1, 1].
+pub fn clip(action: &[f64; 7]) -> [f64; 7] {
+    action.map(|number| number.clamp(-1.0, 1.0))
+}
+
 /// The camera on the hand.
 const WRIST_CAMERA: &str = "robot0_eye_in_hand";
 
@@ -33,9 +38,11 @@ pub struct Digests {
 }
 
 /// A configuration, as it acts on one rollout: what has become of the scene, and what
-/// becomes of each action and frame.
+/// becomes of each action and frame. Campaigns and the Python environments both step
+/// through [`Conditions::step`], so that a perturbed rollout has the same bits in both.
 #[derive(Clone)]
 pub struct Conditions {
+    realisation: Realisation,
     realised: Realised,
     ik: Option<IkSolution>,
     sensor: Option<SensorStage>,
@@ -113,6 +120,7 @@ impl Conditions {
             stage
         });
         Ok(Self {
+            realisation,
             realised,
             ik,
             sensor,
@@ -133,13 +141,45 @@ impl Conditions {
         Ok(())
     }
 
-    /// What becomes of the policy's action, in -1..1; counts the control step.
-    pub fn act(&mut self, action: &[f64; 7]) -> [f64; 7] {
-        self.policy_steps += 1;
-        match &mut self.actuation {
-            Some(stage) => stage.apply(action),
-            None => *action,
+    /// The robot's command for a policy's displacement, before the actuation axis
+    /// distorts it: clipped into -1..1, unless the realisation is the released code's,
+    /// which distorts the answer as it is and clips afterwards. Without an actuation axis
+    /// both lead to the same step, because the controller clips. The command of a command
+    /// is itself, so that recorded commands can be simulated again.
+    pub fn command(&self, sent: &[f64; 7]) -> [f64; 7] {
+        match self.realisation {
+            Realisation::Matched => clip(sent),
+            Realisation::Reference => *sent,
         }
+    }
+
+    /// One control step with the policy's action, through the actuation axis. True if the
+    /// goal holds after it.
+    ///
+    /// # Errors
+    /// [`SimError::DistortedPose`] if the action is a pose and actuation is perturbed;
+    /// nothing has moved then. Otherwise as [`Environment::step`].
+    pub fn step(
+        &mut self,
+        environment: &mut Environment,
+        sent: &[f64; 7],
+        frame: ActionFrame,
+    ) -> Result<bool, SimError> {
+        let action = match frame {
+            ActionFrame::Absolute if self.actuation.is_some() => {
+                return Err(SimError::DistortedPose);
+            }
+            ActionFrame::Absolute => *sent,
+            ActionFrame::Relative => {
+                let command = self.command(sent);
+                match &mut self.actuation {
+                    Some(stage) => stage.apply(&command),
+                    None => command,
+                }
+            }
+        };
+        self.policy_steps += 1;
+        environment.step_in(&action, frame)
     }
 
     /// Corrupts a frame as its camera's sensor does; that of a camera which policies
@@ -201,11 +241,19 @@ impl<'a> Episode<'a> {
         self.conditions.settle(self.environment)
     }
 
-    /// One control step with the policy's action, in -1..1. True if the goal
-    /// holds after it.
-    pub fn step(&mut self, action: &[f64; 7]) -> Result<bool, SimError> {
-        let action = self.conditions.act(action);
-        self.environment.step(&action)
+    /// The robot's command for a policy's action: see [`Conditions::command`].
+    pub fn command(&self, sent: &[f64; 7]) -> [f64; 7] {
+        self.conditions.command(sent)
+    }
+
+    /// One control step with a policy's action, or with the command that came of it. True
+    /// if the goal holds after it.
+    ///
+    /// # Errors
+    /// As [`Environment::step`].
+    pub fn step(&mut self, sent: &[f64; 7]) -> Result<bool, SimError> {
+        let conditions = &mut self.conditions;
+        conditions.step(self.environment, sent, ActionFrame::Relative)
     }
 
     /// Lifts the perturbations: from now on the policy sees the nominal scene, and its
@@ -349,5 +397,18 @@ fn arm_state(model: &crate::mujoco::Model, data: &Data, site: usize) -> ArmState
             let rows = if row < 3 { &pos } else { &rot };
             rows[(row % 3) * nv + joint]
         }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_numbers_outside_the_range_are_clipped() {
+        let inside = [1.0, -1.0, 0.5, 0.0, 0.0, 0.0, -1.0];
+        assert_eq!(clip(&inside), inside);
+        let outside = [1.5, -1.0, 0.5, 0.0, 0.0, 0.0, -3.0];
+        assert_eq!(clip(&outside), inside);
     }
 }

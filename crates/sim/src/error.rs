@@ -67,6 +67,12 @@ pub enum SimError {
         /// Why not.
         problem: String,
     },
+    /// An action is a pose, and the rollout distorts displacements.
+    #[error(
+        "command a pose while actuation is perturbed: the distortion acts on displacements; \
+         command displacements (control=\"relative\"), or leave the actuation axis out"
+    )]
+    DistortedPose,
     /// A policy wants to look through a camera that the protocol does not give.
     #[error("look through camera `{0}`: policies have agentview and robot0_eye_in_hand")]
     Camera(String),

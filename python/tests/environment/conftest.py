@@ -41,6 +41,13 @@ def make_vector():
         environments.close()
 
 
+def diverge(simulation):
+    """Has the physics of the next control step diverge."""
+    state = simulation.state().copy()
+    state[1:8] = 1e9
+    simulation.set_state(state)
+
+
 def open_the_drawer(simulation):
     """Has the goal of TASK hold from the next control step on."""
     state = simulation.state().copy()

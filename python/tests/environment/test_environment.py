@@ -1,5 +1,6 @@
 """One environment."""
 
+import json
 import subprocess
 import sys
 
@@ -9,8 +10,9 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import rollout_libero
+from rollout_libero._library import native
 
-from .conftest import TASK, open_the_drawer
+from .conftest import TASK, diverge, open_the_drawer
 
 
 def actions(count, seed=0):
@@ -120,6 +122,86 @@ def test_initial_states_come_in_turn_or_as_asked(make):
     seen = [environment.reset()[1]["init_state"] for _ in range(3)]
     assert seen == [4, 2, 4]
     assert environment.reset(options={"init_state": 9})[1]["init_state"] == 9
+
+
+def test_a_seed_chooses_the_initial_state_and_later_resets_go_on_from_it(make):
+    environment = make(cameras=[])
+    assert [environment.reset(seed=seed)[1]["init_state"] for seed in (0, 7, 7, 53)] == [0, 7, 7, 3]
+    assert [environment.reset()[1]["init_state"] for _ in range(2)] == [4, 5]
+    # A state that is named comes first, and takes no turn.
+    assert environment.reset(seed=9, options={"init_state": 2})[1]["init_state"] == 2
+    assert environment.reset()[1]["init_state"] == 9
+    of_two = make(cameras=[], init_states=[4, 2])
+    assert [of_two.reset(seed=seed)[1]["init_state"] for seed in range(3)] == [4, 2, 4]
+    perturbed = make(cameras=[], perturbation="camera/L2/c03")
+    assert len({perturbed.reset(seed=seed)[1]["init_state"] for seed in range(3)}) == 1
+
+
+def test_a_refused_reset_changes_nothing(make):
+    environment = make(cameras=[])
+    environment.reset(seed=5)
+    environment.step(np.zeros(7))
+    with pytest.raises(ValueError, match="0 to 49"):
+        environment.reset(seed=30, options={"init_state": 50})
+    assert environment.step(np.zeros(7))[-1]["steps"] == 2
+    assert environment.reset()[1]["init_state"] == 6
+
+
+def test_a_rollout_that_diverged_is_over(make):
+    environment = make(cameras=[])
+    environment.reset()
+    diverge(environment.simulation)
+    with pytest.raises(rollout_libero.SimulationError, match="control step"):
+        environment.step(np.zeros(7))
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        environment.step(np.zeros(7))
+    environment.reset()
+    assert environment.step(np.zeros(7))[-1]["steps"] == 1
+
+
+def test_a_row_brings_its_waiting_steps_and_its_budget(make):
+    row = json.loads(native.configuration_row("goal/t0/robot/L1/c01"))
+    row |= {"num_steps_wait": 4, "max_steps": 3}
+    custom = make(cameras=[], settle_steps=None, perturbation=row)
+    told = make(cameras=[], settle_steps=4, max_steps=3, perturbation="robot/L1/c01")
+    assert custom.max_steps == 3
+    assert_same(custom.reset()[0], told.reset()[0])
+    *_, truncated, info = custom.step_chunk(np.zeros((9, 7)))
+    assert truncated and info["steps"] == 3
+    as_designed = make(cameras=[], settle_steps=None, perturbation="robot/L1/c01")
+    assert as_designed.max_steps == as_designed.task.max_steps
+    rests = make(cameras=[], settle_steps=10, perturbation="robot/L1/c01").reset()[0]
+    assert_same(as_designed.reset()[0], rests)
+    assert not np.array_equal(custom.reset()[0]["joint_pos"], rests["joint_pos"])
+
+
+def test_a_row_that_is_none_is_refused_when_it_is_given(make):
+    row = json.loads(native.configuration_row("goal/t0/robot/L1/c01"))
+    with pytest.raises(ValueError, match="manifest"):
+        make(perturbation=row | {"level": "L2"})
+    for wrong in ({"max_steps": 0}, {"settle_steps": -1}):
+        with pytest.raises(ValueError, match="or more, or None"):
+            make(**wrong)
+
+
+def test_poses_under_perturbed_actuation_are_refused(make, make_vector):
+    for axis in ("actuation", "combination"):
+        with pytest.raises(ValueError, match=r"control='relative'.*without the actuation axis"):
+            make(control="absolute", perturbation=f"{axis}/L1/c00")
+    environment = make(control="absolute", cameras=[], perturbation="robot/L1/c00")
+    environment.reset()
+    environments = make_vector(num_envs=2, control="absolute", cameras=[])
+    with pytest.raises(ValueError, match="control='relative'"):
+        environments.set_perturbation(1, "actuation/L1/c00")
+    environments.reset()
+    # Nor by way of a snapshot.
+    distorted = make(cameras=[], perturbation="actuation/L1/c00")
+    distorted.reset()
+    environment.restore(distorted.snapshot())
+    before = environment.simulation.state()
+    with pytest.raises(ValueError, match="command displacements"):
+        environment.step(np.zeros(7))
+    np.testing.assert_array_equal(environment.simulation.state(), before)
 
 
 def axis_angle(matrix):

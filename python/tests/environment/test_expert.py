@@ -63,6 +63,26 @@ def test_sampled_scenes_may_be_perturbed(make_vector):
     assert (observation["agentview"][0] != observation["agentview"][1]).mean() < 0.02
 
 
+def test_a_snapshot_includes_what_the_expert_remembers(make_vector):
+    environments = make_vector(TASK, 1, init_states=[0], cameras=[])
+    environments.reset()
+    drives, nothing = np.ones((1, 60), bool), np.zeros((1, 60, 7))
+    environments.step_chunk(nothing, "none", expert=drives)
+    snapshot = environments.snapshot()
+    labels = []
+    for _ in range(2):
+        *_, infos = environments.step_chunk(nothing[:, :20], "none", expert=drives[:, :20])
+        labels.append(infos["expert_action"])
+        environments.restore(snapshot)
+    np.testing.assert_array_equal(*labels)
+    # In another environment too, whose expert has seen nothing of it.
+    other = make_vector(TASK, 1, init_states=[3], cameras=[])
+    other.reset()
+    other.restore(snapshot)
+    *_, infos = other.step_chunk(nothing[:, :20], "none", expert=drives[:, :20])
+    np.testing.assert_array_equal(infos["expert_action"], labels[0])
+
+
 def test_misuse_names_what_is_wrong(make_vector):
     environments = make_vector(TASK, 2, cameras=[])
     environments.reset()

@@ -10,6 +10,8 @@ import pytest
 
 import rollout_libero
 
+from .conftest import diverge
+
 
 def test_actions_of_a_wrong_shape_or_without_a_value(make, make_vector):
     environment, environments = make(), make_vector()
@@ -120,8 +122,6 @@ def test_sources_that_cannot_be_fetched_say_what_to_do(tmp_path):
 def test_a_diverging_simulation_is_an_error_of_its_own(make):
     environment = make()
     environment.reset()
-    state = environment.simulation.state().copy()
-    state[1:8] = 1e9
-    environment.simulation.set_state(state)
+    diverge(environment.simulation)
     with pytest.raises(rollout_libero.SimulationError, match="control step"):
         environment.step_chunk(np.ones((5, 7)))

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from .conftest import open_the_drawer
+import rollout_libero
+
+from .conftest import diverge, open_the_drawer
 
 
 def actions(environments, seed=0):
@@ -37,6 +39,22 @@ def test_each_moves_as_it_would_alone_on_any_number_of_threads(make, make_vector
     for seed in range(3):
         observation, *_ = alone.step(actions(environments, seed)[1])
     assert_same({name: values[1] for name, values in runs[0].items()}, observation)
+
+
+def test_environments_of_a_task_take_different_turns(make_vector):
+    environments = make_vector(num_envs=4, init_states="cycle", cameras=[])
+    states = [environments.reset()[1]["init_state"].tolist() for _ in range(2)]
+    assert states == [[0, 1, 2, 3], [4, 5, 6, 7]]
+    assert environments.reset(seed=11)[1]["init_state"].tolist() == [11, 12, 13, 14]
+    assert environments.reset()[1]["init_state"].tolist() == [15, 16, 17, 18]
+    # A seed of its own chooses as it does alone.
+    assert environments.reset(seed=[3, 3, 9, None])[1]["init_state"].tolist() == [3, 3, 9, 22]
+    # Each task has its own turns.
+    tasks = ["libero_goal/0", "libero_object/1", "libero_goal/0"]
+    several = make_vector(tasks, 6, init_states="cycle", cameras=[])
+    assert several.reset()[1]["init_state"].tolist() == [0, 0, 1, 2, 1, 3]
+    assert several.reset()[1]["init_state"].tolist() == [4, 2, 5, 6, 3, 7]
+    assert several.reset(seed=20)[1]["init_state"].tolist() == [20, 20, 21, 22, 21, 23]
 
 
 def test_seeds_are_each_environments_own(make_vector):
@@ -78,6 +96,82 @@ def test_the_same_step_begins_one_and_keeps_the_last_observation(make_vector):
     assert infos["steps"].tolist() == [0, 1]
     assert infos["final_info"]["success"].tolist() == [True, False]
     environments.step(actions(environments))
+
+
+@pytest.mark.parametrize("refused", [np.full((2, 7), np.nan), np.zeros((2, 6)), "render"])
+def test_a_refused_action_in_the_place_of_a_reset_is_no_success(make_vector, refused):
+    environments = make_vector(num_envs=2, init_states="cycle", cameras=[])
+    environments.reset()
+    open_the_drawer(environments.simulations[1])
+    *_, terminated, _, _ = environments.step(actions(environments))
+    assert terminated.tolist() == [False, True]
+    with pytest.raises(ValueError, match=r"read actions|step with actions|draw"):
+        if isinstance(refused, str):
+            environments.step_chunk(actions(environments)[:, None], refused)
+        else:
+            environments.step(refused)
+    _, rewards, terminated, _, infos = environments.step(actions(environments))
+    assert rewards.tolist() == [0, 0] and not terminated.any()
+    assert infos["steps"].tolist() == [2, 0] and infos["init_state"].tolist() == [0, 3]
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_an_environment_that_fails_does_not_lose_the_others_steps(make_vector, mode):
+    environments = make_vector(num_envs=3, init_states=[0], cameras=[], autoreset_mode=mode)
+    alone = make_vector(num_envs=1, init_states=[0], cameras=[])
+    environments.reset()
+    alone.reset()
+    diverge(environments.simulations[0])
+    open_the_drawer(environments.simulations[2])
+    chunk = np.full((3, 4, 7), 0.2)
+    with pytest.raises(rollout_libero.SimulationError, match="control step") as raised:
+        environments.step_chunk(chunk)
+    assert raised.value.environments == [0]
+    observation, rewards, terminated, truncated, infos = raised.value.result
+    assert rewards.tolist() == [0, 0, 1] and terminated.tolist() == [False, False, True]
+    assert not truncated.any() and infos["failed"].tolist() == [True, False, False]
+    assert infos["taken"].tolist() == [0, 4, 1]
+    expected, *_ = alone.step_chunk(chunk[:1])
+    np.testing.assert_array_equal(observation["joint_pos"][1], expected["joint_pos"][0])
+    if mode != AutoresetMode.NEXT_STEP:
+        with pytest.raises(gymnasium.error.ResetNeeded, match=r"rollouts \[0"):
+            environments.step_chunk(chunk)
+        over = np.array([True, False, mode == AutoresetMode.DISABLED])
+        environments.reset(options={"reset_mask": over})
+    observation, _, terminated, _, infos = environments.step_chunk(chunk)
+    assert infos["steps"][1] == 8 and not terminated.any()
+    assert infos["taken"].tolist() == ([0, 4, 0] if mode == AutoresetMode.NEXT_STEP else [4] * 3)
+    expected, *_ = alone.step_chunk(chunk[:1])
+    np.testing.assert_array_equal(observation["joint_pos"][1], expected["joint_pos"][0])
+
+
+def test_a_refused_snapshot_restores_none(make_vector):
+    environments = make_vector(num_envs=2, cameras=[])
+    environments.reset(seed=0)
+    snapshot = environments.snapshot()
+    environments.step(actions(environments))
+    mixed = make_vector(["libero_goal/0", "libero_object/0"], cameras=[], num_envs=2)
+    mixed.reset()
+    before = [simulation.state() for simulation in environments.simulations]
+    fewer = snapshot._replace(simulations=snapshot.simulations[:1])
+    for wrong, words in ((mixed.snapshot(), "another scene"), (fewer, "1 snapshots")):
+        with pytest.raises(ValueError, match=words):
+            environments.restore(wrong)
+    for simulation, state in zip(environments.simulations, before, strict=True):
+        np.testing.assert_array_equal(simulation.state(), state)
+    assert environments.step(actions(environments))[-1]["steps"].tolist() == [2, 2]
+
+
+def test_a_perturbation_acts_and_is_told_from_the_next_rollout_on(make_vector):
+    environments = make_vector(num_envs=2, init_states=[0], cameras=[])
+    nominal = environments.reset()[1]["instruction"].tolist()
+    environments.set_perturbation(1, "language/L2/c03")
+    with pytest.raises(ValueError, match=r"valid|no such|for example"):
+        environments.set_perturbation(1, "camrea/L2/c03")
+    *_, infos = environments.step(actions(environments))
+    assert infos["instruction"].tolist() == nominal
+    told = environments.reset()[1]["instruction"]
+    assert told[0] == nominal[0] and told[1] != nominal[1]
 
 
 def test_without_autoreset_a_mask_says_which_begin(make_vector):

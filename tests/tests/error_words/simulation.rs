@@ -117,6 +117,7 @@ fn simulator(messages: &mut Messages) {
         SimError::Predicate { .. } => SimError::Predicate {
             predicate: "(on a b)".to_owned(), problem: "`a` has no such region".to_owned(),
         },
+        SimError::DistortedPose => SimError::DistortedPose,
         SimError::Camera(_) => SimError::Camera("frontview".to_owned()),
         SimError::Graphics { .. } => SimError::Graphics {
             problem: "there is no device".to_owned(), remedy: "use --renderer software",

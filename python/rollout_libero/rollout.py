@@ -1,0 +1,47 @@
+"""The progress of one environment's rollout."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rollout_libero._library import native
+from rollout_libero.configuration import Start
+
+UNTOUCHED = (native.BusyError, native.ClosedError)
+"""Errors that are raised before anything has moved."""
+
+
+@dataclass
+class Rollout:
+    """The progress of one environment's rollout.
+
+    It changes only once the simulator has answered: a call that is refused leaves it as it
+    was.
+    """
+
+    instruction: str
+    max_steps: int
+    steps: int = 0
+    init_state: int | None = None
+    is_begun: bool = False
+    is_over: bool = False
+
+    def begin(self, start: Start) -> None:
+        """Takes up a rollout that the simulator has begun."""
+        self.instruction, self.max_steps = start.instruction, start.max_steps
+        self.steps, self.init_state = 0, start.init_state
+        self.is_begun, self.is_over = True, False
+
+    def advance(self, taken: int, success: bool, error: Exception | None) -> bool:
+        """Counts the steps of a call and ends the rollout if it is over; true if its budget
+        is spent without success.
+
+        A rollout whose simulation has failed is over too. Neither a refused call nor one
+        that found the environment busy or closed ends it.
+        """
+        self.steps += taken
+        truncated = error is None and not success and self.steps >= self.max_steps
+        failed = error is not None and not isinstance(error, (*UNTOUCHED, ValueError))
+        # Another thread may have ended it while this one found the environment busy.
+        self.is_over = self.is_over or success or truncated or failed
+        return truncated

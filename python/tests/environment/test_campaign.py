@@ -1,0 +1,69 @@
+"""A rollout here is a campaign's, step for step, under each axis."""
+
+import json
+import os
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from .conftest import TASK
+
+STEPS = 6
+AXES = ("camera", "lighting", "robot", "sensor", "actuation", "language", "combination")
+CAMERAS = ("agentview", "robot0_eye_in_hand")
+
+
+@pytest.fixture(scope="module")
+def worker():
+    """The program that simulates campaigns' rollouts."""
+    folder = os.environ.get("ROLLOUT_PROGRAMS")
+    if not folder:
+        pytest.skip("ROLLOUT_PROGRAMS names no folder with worker")
+    return Path(folder) / "worker"
+
+
+def beyond_the_range():
+    """Actions of which many lie outside -1..1, as policies answer them."""
+    return np.random.default_rng(0).uniform(-2.5, 2.5, (STEPS, 7))
+
+
+@pytest.mark.parametrize("axis", [*AXES, None])
+def test_a_rollout_has_a_campaigns_bits(make, worker, tmp_path, axis):
+    task = TASK.removeprefix("libero_").replace("/", "/t")
+    rollout = f"{task}/clean/i03" if axis is None else f"{task}/{axis}/L3/c02"
+    actions = beyond_the_range()
+    np.save(tmp_path / "actions.npy", actions)
+    subprocess.run(
+        [worker, "rollout", "--id", rollout, "--actions", tmp_path / "actions.npy",
+         "--assets", "primitives", "--output", tmp_path / "output"],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    trace = np.load(tmp_path / "output" / "trace.npz")
+    assert (np.abs(trace["actions"]) > 1.0).any()
+    row = json.loads((tmp_path / "output" / "result.json").read_text())["assignment"]["row"]
+
+    environment = make(
+        height=256, width=256, settle_steps=None, init_states=3,
+        perturbation=None if axis is None else rollout,
+    )  # fmt: skip
+    observation, info = environment.reset()
+    assert (info["instruction"], info["init_state"]) == (row["language"], row["init_id"])
+    check_frames(tmp_path, "first", observation)
+    for step in range(STEPS + 1):
+        if step:
+            observation, _, terminated, _, _ = environment.step(actions[step - 1])
+            assert terminated == trace["success"][step]
+        qpos = environment.simulation.data_array("qpos")
+        np.testing.assert_array_equal(qpos, trace["qpos"][step], err_msg=f"step {step}")
+        for here, there in (("eef_pos",) * 2, ("eef_quat", "eef_quat_xyzw"), ("joint_pos",) * 2):
+            np.testing.assert_array_equal(observation[here], trace[there][step])
+    check_frames(tmp_path, "last", observation)
+
+
+def check_frames(folder, which, observation):
+    for camera in CAMERAS:
+        picture = Image.open(folder / "output" / "frames" / f"{which}-{camera}.png")
+        np.testing.assert_array_equal(observation[camera], np.asarray(picture), err_msg=which)

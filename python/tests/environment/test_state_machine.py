@@ -1,0 +1,283 @@
+"""The vector environment beside a plain model of it, under whatever is done to it."""
+
+import json
+import random
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode
+
+import rollout_libero
+from rollout_libero._library import native
+
+from .conftest import diverge, open_the_drawer
+
+TASKS = ("libero_goal/0", "libero_object/1", "libero_goal/0")
+RANKS, SHARING = (0, 0, 1), (2, 1, 2)
+STATES, SETTLE, BUDGET = 50, 1, 4
+ROUNDS, MOST_ROUNDS = 50, 300
+PERTURBATIONS = (None, "robot/L2/c01", "actuation/L3/c02", "language/L1/c03")
+READINGS = ("eef_pos", "joint_pos", "joint_vel")
+
+
+@dataclass
+class One:
+    """One environment of the model: a simulation of its own that takes steps one by one."""
+
+    task: str
+    rank: int
+    sharing: int
+    drawn: bool
+    simulation: Any
+    generator: Any = None
+    turn: int = 0
+    perturbation: str | None = None
+    steps: int = 0
+    init_state: int | None = None
+    instruction: str = ""
+    begun: bool = False
+    over: bool = False
+
+    def begin(self, wanted=None):
+        row = json.loads(native.nominal_row(self.task, 0))
+        if self.perturbation is not None:
+            stem = "/".join(row["rollout_id"].split("/")[:2])
+            row = json.loads(native.configuration_row(f"{stem}/{self.perturbation}"))
+            if wanted is not None:
+                row["init_id"] = wanted
+        else:
+            if wanted is None and self.drawn:
+                wanted = int(self.generator.integers(STATES))
+            elif wanted is None:
+                wanted = self.turn % STATES
+                self.turn += self.sharing
+            row = json.loads(native.nominal_row(self.task, wanted))
+        row["num_steps_wait"] = SETTLE
+        self.simulation.begin(json.dumps(row))
+        self.instruction, self.init_state = row["language"], row["init_id"]
+        self.steps, self.begun, self.over = 0, True, False
+
+    def step(self, actions):
+        """Steps taken, success, truncation, failure."""
+        for taken, action in enumerate(actions):
+            if self.steps == BUDGET:
+                return taken, False, True, False
+            try:
+                success = self.simulation.step(action)
+            except rollout_libero.SimulationError:
+                self.over = True
+                return taken, False, False, True
+            self.steps += 1
+            if success or self.steps == BUDGET:
+                self.over = True
+                return taken + 1, success, not success, False
+        return len(actions), False, False, False
+
+
+@dataclass
+class Machine:
+    """A vector environment and its model, and what may happen to them."""
+
+    mode: AutoresetMode
+    init_states: str
+    chance: random.Random
+    happened: set[str] = field(default_factory=set)
+
+    def __post_init__(self):
+        self.real = rollout_libero.VectorEnvironment(
+            TASKS, assets="primitives", cameras=[], init_states=self.init_states,
+            settle_steps=SETTLE, max_steps=BUDGET, autoreset_mode=self.mode,
+        )  # fmt: skip
+        self.model = [
+            One(task, rank, sharing, self.init_states == "random",
+                native.Simulation(simulation.scene), turn=rank)
+            for task, rank, sharing, simulation
+            in zip(TASKS, RANKS, SHARING, self.real.simulations, strict=True)
+        ]  # fmt: skip
+        self.kept = None
+        self.reset(seed=self.chance.randrange(1000))
+
+    def close(self):
+        self.real.close()
+        for one in self.model:
+            one.simulation.close()
+
+    def compare(self, observation, infos, failed=()):
+        for at, one in enumerate(self.model):
+            assert infos["steps"][at] == one.steps, at
+            assert infos["init_state"][at] == one.init_state, at
+            assert infos["instruction"][at] == one.instruction, at
+            if at in failed:
+                continue
+            readings = one.simulation.readings()
+            for name in READINGS:
+                np.testing.assert_array_equal(observation[name][at], readings[name], err_msg=name)
+
+    # What may happen.
+
+    def reset(self, seed=None, mask=None, wanted=None):
+        options = {} if mask is None else {"reset_mask": np.array(mask)}
+        if wanted is not None:
+            options["init_state"] = wanted
+        observation, infos = self.real.reset(seed=seed, options=options)
+        for at, one in enumerate(self.model):
+            if mask is not None and not mask[at]:
+                continue
+            own = seed[at] if isinstance(seed, list) else None if seed is None else seed + at
+            if own is not None:
+                one.generator = seeding.np_random(own)[0]
+                one.turn = own if isinstance(seed, list) else seed + one.rank
+            one.begin(wanted)
+        failed = [at for at, one in enumerate(self.model) if one.over]
+        self.compare(observation, infos, failed)
+
+    def reset_all(self):
+        seeds = [self.chance.randrange(1000) for _ in TASKS]
+        self.reset(seed=self.chance.choice([None, seeds[0], seeds]))
+
+    def reset_some(self):
+        mask = [self.chance.random() < (0.9 if one.over else 0.3) for one in self.model]
+        if any(mask):
+            self.reset(mask=mask, wanted=self.chance.choice([None, 7]))
+
+    def refused_reset(self):
+        seed = self.chance.randrange(1000)
+        seeds, options = self.chance.choice([
+            (seed, {"init_state": STATES}),
+            ([seed, seed, -1], None),
+            ([seed], None),
+            (seed, {"reset_mask": np.ones(2, bool)}),
+            (seed, {"reset_mask": np.zeros(3, bool)}),
+        ])  # fmt: skip
+        with pytest.raises((ValueError, gymnasium.error.Error)):
+            self.real.reset(seed=seeds, options=options)
+
+    def refused_step(self):
+        good = np.zeros((len(TASKS), 2, 7))
+        bad = good.copy()
+        bad[self.chance.randrange(len(TASKS)), 1, 3] = np.nan
+        actions, render, expert = self.chance.choice([
+            (bad, "last", None),
+            (good[:, :, :6], "last", None),
+            (good[:2], "last", None),
+            (good, "first", None),
+            (good, "last", np.ones(3, bool)),
+        ])  # fmt: skip
+        with pytest.raises((ValueError, gymnasium.error.ResetNeeded)):
+            self.real.step_chunk(actions, render, expert=expert)
+
+    def refused_perturbation(self):
+        with pytest.raises(ValueError):
+            self.real.set_perturbation(self.chance.randrange(len(TASKS)), "camera/L9/c00")
+
+    def perturb(self):
+        at, chosen = self.chance.randrange(len(TASKS)), self.chance.choice(PERTURBATIONS)
+        self.real.set_perturbation(at, chosen)
+        self.model[at].perturbation = chosen
+
+    def keep(self):
+        state = [(one.simulation.snapshot(), replace(one)) for one in self.model]
+        self.kept = self.real.snapshot(), state
+
+    def go_back(self):
+        if self.kept is None:
+            return
+        snapshot, state = self.kept
+        self.real.restore(snapshot)
+        for one, (simulation, then) in zip(self.model, state, strict=True):
+            one.simulation.restore(simulation)
+            for name in ("steps", "init_state", "instruction", "begun", "over"):
+                setattr(one, name, getattr(then, name))
+
+    def succeed_next(self):
+        at = self.chance.choice([0, 2])
+        for simulation in (self.real.simulations[at], self.model[at].simulation):
+            open_the_drawer(simulation)
+
+    def fail_next(self):
+        at = self.chance.randrange(len(TASKS))
+        for simulation in (self.real.simulations[at], self.model[at].simulation):
+            diverge(simulation)
+
+    def step(self):
+        count = len(TASKS)
+        chunk = self.chance.randint(1, 3)
+        numbers = np.random.default_rng(self.chance.randrange(1 << 30))
+        actions = numbers.uniform(-1.5, 1.5, (count, chunk, 7))
+        over = [one.over for one in self.model]
+        if any(over) and self.mode != AutoresetMode.NEXT_STEP:
+            with pytest.raises(gymnasium.error.ResetNeeded, match="reset_mask"):
+                self.real.step_chunk(actions)
+            self.happened.add("reset needed")
+            return
+        expected = []
+        for one, given, ended in zip(self.model, actions, over, strict=True):
+            if ended:
+                one.begin()
+            expected.append((0, False, False, False) if ended else one.step(given))
+        taken, success, truncated, failed = map(list, zip(*expected, strict=True))
+        last = [one.simulation.readings() for one in self.model]
+        at_once = [False] * count
+        if self.mode == AutoresetMode.SAME_STEP:
+            at_once = [a or b for a, b in zip(success, truncated, strict=True)]
+            for one, begins in zip(self.model, at_once, strict=True):
+                if begins:
+                    one.begin()
+        which = [at for at in range(count) if failed[at]]
+        if which:
+            with pytest.raises(rollout_libero.SimulationError) as raised:
+                self.real.step_chunk(actions)
+            assert raised.value.environments == which
+            result = raised.value.result
+            assert result[-1]["failed"].tolist() == failed
+        else:
+            result = self.real.step_chunk(actions)
+        observation, rewards, terminations, truncations, infos = result
+        assert infos["taken"].tolist() == taken
+        assert rewards.tolist() == [float(it) for it in success]
+        assert terminations.tolist() == success and truncations.tolist() == truncated
+        self.compare(observation, infos, which)
+        if any(at_once):
+            assert infos["_final_obs"].tolist() == at_once
+            for at in np.flatnonzero(at_once):
+                for name in READINGS:
+                    np.testing.assert_array_equal(infos["final_obs"][at][name], last[at][name])
+        for name, seen in (("begins", over), ("succeeds", success), ("truncated", truncated),
+                           ("fails", failed), ("at once", at_once)):
+            if any(seen):
+                self.happened.add(name)
+
+
+ACTIONS = {
+    "step": 12, "reset_all": 1, "reset_some": 3, "refused_reset": 2, "refused_step": 4,
+    "perturb": 2, "refused_perturbation": 1, "keep": 1, "go_back": 1, "succeed_next": 3,
+    "fail_next": 2,
+}  # fmt: skip
+EXPECTED = {
+    AutoresetMode.NEXT_STEP: {"begins", "succeeds", "truncated", "fails"},
+    AutoresetMode.SAME_STEP: {"at once", "succeeds", "truncated", "fails", "reset needed"},
+    AutoresetMode.DISABLED: {"reset needed", "succeeds", "truncated", "fails"},
+}
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("init_states", ["cycle", "random"])
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_whatever_happens_the_environments_are_as_the_model_is(mode, init_states, seed):
+    machine = Machine(mode, init_states, random.Random(seed))
+    story = []
+    try:
+        while len(story) < ROUNDS or not EXPECTED[mode] <= machine.happened:
+            assert len(story) < MOST_ROUNDS, machine.happened
+            (chosen,) = machine.chance.choices(list(ACTIONS), ACTIONS.values())
+            story.append(chosen)
+            getattr(machine, chosen)()
+    except BaseException:
+        print("what happened:", " ".join(story))
+        raise
+    finally:
+        machine.close()
