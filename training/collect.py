@@ -156,6 +156,7 @@ class Group:
             threads=threads,
             height=RENDERED,
             width=RENDERED,
+            orientation="upright",
             init_states="sampled",
             autoreset_mode=AutoresetMode.NEXT_STEP,
         )
@@ -185,7 +186,7 @@ class Group:
                 try:
                     self._run(until)
                 except rollout_libero.SimulationError as error:
-                    # Rare: a push that the physics did not survive. Nobody knows which.
+                    # Rare: a push that the physics did not survive.
                     print(f"begin {len(self._tasks)} episodes anew: {error}", flush=True)
         finally:
             self._env.close()

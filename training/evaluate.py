@@ -44,6 +44,7 @@ def evaluate(arguments: argparse.Namespace) -> None:
         threads=arguments.threads,
         height=RENDERED,
         width=RENDERED,
+        orientation="upright",
         init_states="sampled",
         autoreset_mode=AutoresetMode.NEXT_STEP,
     )

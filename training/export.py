@@ -46,6 +46,7 @@ def write_reference(weights: Path, into: Path) -> None:
         "primitives",
         height=RENDERED,
         width=RENDERED,
+        orientation="upright",
         init_states="sampled",
         autoreset_mode=AutoresetMode.DISABLED,
     )

@@ -14,7 +14,7 @@ from training.network import STATE
 from training.text import features
 
 Observation = Mapping[str, NDArray[Any]]
-"""As ``rollout_libero`` gives it: n rows under each name."""
+"""``rollout_libero``'s with ``orientation="upright"``: n rows under each name."""
 
 CAMERAS = ("agentview", "robot0_eye_in_hand")
 """In the order of a frame's pictures."""
@@ -39,7 +39,8 @@ def shrink(pictures: Tensor) -> Tensor:
 
 
 def frames(observation: Observation, device: torch.device) -> Tensor:
-    """Both cameras' pictures, uint8 [n, 2, 128, 128, 3] on the device, row 0 at the top."""
+    """Both cameras' pictures, uint8 [n, 2, 128, 128, 3] on the device, oriented as the
+    observation's. The student is trained on upright ones."""
     views = [shrink(torch.from_numpy(observation[camera]).to(device)) for camera in CAMERAS]
     return torch.stack(views, dim=1)
 

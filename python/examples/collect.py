@@ -10,6 +10,8 @@ writes an NPZ file per episode of T steps:
     terminated           [T]           the goal held after the step
     truncated            [T]           the budget of steps was over
     instruction          []            the task in words
+
+Frames are turned as VLAs for LIBERO were trained on them, LIBERO's array [::-1, ::-1].
 """
 
 from __future__ import annotations

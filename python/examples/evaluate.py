@@ -26,8 +26,9 @@ class Policy(Protocol):
 
     def act(self, observation: dict[str, Any]) -> NDArray[np.floating[Any]]:
         """The next actions [k, 7], all of which are executed: translation (3), rotation (3) and
-        gripper (-1 opens, 1 closes), each from -1 to 1. Frames are uint8 [height, width, 3]
-        with row 0 at the top, by their camera's name."""
+        gripper (-1 opens, 1 closes), each from -1 to 1. Frames are uint8 [height, width, 3],
+        by their camera's name, turned as VLAs were trained on them; pass the environment
+        orientation="upright" for frames as a person sees the scene."""
 
 
 class RandomPolicy:

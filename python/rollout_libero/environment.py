@@ -18,7 +18,9 @@ from rollout_libero.observation import (
     ACTION_WIDTH,
     CAMERAS,
     Observation,
+    Orientation,
     action_space,
+    is_mirrored,
     observation_space,
 )
 from rollout_libero.rollout import UNTOUCHED, Rollout
@@ -44,6 +46,9 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
             folder, or ``"primitives"``; see ``rollout_libero.files``.
         cameras: of whom frames are drawn.
         height, width: of the frames, pixels.
+        orientation: of the frames: ``"policy"``, the half turn of LIBERO's arrays on which
+            VLAs were trained, or ``"upright"``, as a person sees the scene; see
+            ``observation.Orientation``.
         init_states: where rollouts begin; see ``configuration.InitStates``.
         settle_steps: control steps without action before the first observation, in which
             objects come to rest; by default those of the configuration
@@ -77,6 +82,7 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         cameras: Sequence[str] = CAMERAS,
         height: int = 256,
         width: int = 256,
+        orientation: Orientation = "policy",
         init_states: InitStates = "cycle",
         settle_steps: int | None = None,
         max_steps: int | None = None,
@@ -86,6 +92,7 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         render_mode: str | None = None,
     ) -> None:
         self._absolute = is_absolute(control)
+        self._mirrored = is_mirrored(orientation)
         self.task = Task.of(task)
         self.scene = scene_of_task(self.task, assets)
         self.simulation = native.Simulation(self.scene, renderer=renderer)
@@ -134,7 +141,7 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         start = self.starts.plan(generator, options or {}, turn=seed)
         none = np.empty((1, 0, ACTION_WIDTH))
         shown = self._batch.advance(
-            none, [0], [start.row], self._cameras
+            none, [0], [start.row], self._cameras, mirrored=self._mirrored
         )
         (error,) = shown["errors"]
         if isinstance(error, UNTOUCHED):
@@ -187,6 +194,7 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
             self._cameras,
             render=render,
             absolute=self._absolute,
+            mirrored=self._mirrored,
         )
         taken, success = int(shown["steps"][0]), bool(shown["success"][0])
         (error,) = shown["errors"]
@@ -199,7 +207,8 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         return observation, float(success), success, truncated, self._info(success=success)
 
     def render(self) -> NDArray[np.uint8] | None:
-        """What the first camera sees, upright, in the mode ``rgb_array``."""
+        """The first camera's view in the mode ``rgb_array``, upright whatever the
+        observations' orientation is."""
         if self.render_mode is None:
             return None
         camera, width, height = (self._cameras or [(CAMERAS[0], 256, 256)])[0]

@@ -1,18 +1,29 @@
-"""What an environment shows."""
+"""Observations and actions of an environment."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Literal
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
 Observation = dict[str, NDArray[np.generic]]
-"""One entry for each camera: [height, width, 3], uint8, upright. Beside them, float64, in
-the world frame: ``eef_pos`` [3], m, of the site between the fingertips; ``eef_quat`` [4],
-x y z w, of the hand; ``eef_axis_angle`` [3], rad, the same; ``joint_pos``, ``joint_vel``
-[7], rad and rad/s; ``gripper_pos``, ``gripper_vel`` [2], m and m/s, of the fingers."""
+"""One entry for each camera: [height, width, 3], uint8, in the environment's orientation.
+Beside them, float64, in the world frame: ``eef_pos`` [3], m, of the site between the
+fingertips; ``eef_quat`` [4], x y z w, of the hand; ``eef_axis_angle`` [3], rad, the same;
+``joint_pos``, ``joint_vel`` [7], rad and rad/s; ``gripper_pos``, ``gripper_vel`` [2], m and
+m/s, of the fingers."""
+
+Orientation = Literal["policy", "upright"]
+"""The order of a frame's rows and columns. LIBERO's own arrays have row 0 at the bottom.
+
+``"policy"``: LIBERO's array turned by 180°, ``raw[::-1, ::-1]``: row 0 is the top and column 0
+the right. OpenVLA, openpi and most VLAs were trained on LIBERO's frames like this.
+``"upright"``: ``raw[::-1]``, row 0 is the top and column 0 the left: the scene as a person
+sees it. A policy trained on the other orientation sees a plausible, mirrored picture and
+fails."""
 
 CAMERAS = ("agentview", "robot0_eye_in_hand")
 READINGS: Mapping[str, int] = {
@@ -42,3 +53,14 @@ def observation_space(cameras: Sequence[str], height: int, width: int) -> spaces
 def action_space() -> spaces.Box:
     """Translation, rotation (axis times angle), gripper (-1 opens, 1 closes)."""
     return spaces.Box(-1.0, 1.0, (ACTION_WIDTH,), np.float32)
+
+
+def is_mirrored(orientation: str) -> bool:
+    """Returns true if columns run from right to left.
+
+    Raises:
+        ValueError: if there is no such orientation.
+    """
+    if orientation not in ("policy", "upright"):
+        raise ValueError(f"choose orientation {orientation!r}: it is 'policy' or 'upright'")
+    return orientation == "policy"

@@ -23,7 +23,9 @@ from rollout_libero.observation import (
     ACTION_WIDTH,
     CAMERAS,
     Observation,
+    Orientation,
     action_space,
+    is_mirrored,
     observation_space,
 )
 from rollout_libero.rollout import UNTOUCHED, Rollout
@@ -78,6 +80,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         cameras: Sequence[str] = CAMERAS,
         height: int = 256,
         width: int = 256,
+        orientation: Orientation = "policy",
         init_states: InitStates = "random",
         settle_steps: int | None = None,
         max_steps: int | None = None,
@@ -91,6 +94,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         if not names or self.num_envs < 1:
             raise ValueError("make environments: give one task at least, and num_envs from 1")
         self._absolute = is_absolute(control)
+        self._mirrored = is_mirrored(orientation)
         self.tasks = [Task.of(names[at % len(names)]) for at in range(self.num_envs)]
         scenes = [scene_of_task(task, assets) for task in self.tasks]
         self.simulations = [native.Simulation(scene, renderer=renderer) for scene in scenes]
@@ -164,6 +168,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
             [0] * self.num_envs,
             self._rows(starts),
             self._cameras,
+            mirrored=self._mirrored,
         )
         errors = shown["errors"]
         self._begin(starts, errors)
@@ -220,6 +225,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
             self._cameras,
             render=render,
             absolute=self._absolute,
+            mirrored=self._mirrored,
             expert=None if expert is None else np.asarray(expert, dtype=bool),
         )
         taken, success, errors = shown["steps"].astype(np.int64), shown["success"], shown["errors"]
@@ -290,6 +296,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
             [starts[at].row for at in which],
             self._cameras,
             render="none" if render == "none" else "last",
+            mirrored=self._mirrored,
         )
         for at, error in zip(which, shown["errors"], strict=True):
             errors[at] = error

@@ -25,6 +25,7 @@ class MadeUp:
 
     def __init__(self, tasks: list[str], n: int, *_: Any, **given: Any) -> None:
         assert given["init_states"] == "sampled"
+        assert given["orientation"] == "upright"
         self.n = n
         self.step = np.zeros(n, np.int64)
         self.ended = np.zeros(n, bool)

@@ -46,7 +46,7 @@ def test_a_rollout_has_a_campaigns_bits(make, worker, tmp_path, axis):
     row = json.loads((tmp_path / "output" / "result.json").read_text())["assignment"]["row"]
 
     environment = make(
-        height=256, width=256, settle_steps=None, init_states=3,
+        height=256, width=256, settle_steps=None, orientation="upright", init_states=3,
         perturbation=None if axis is None else rollout,
     )  # fmt: skip
     observation, info = environment.reset()

@@ -222,12 +222,27 @@ def test_absolute_control_holds_the_pose_that_is_commanded(make):
     np.testing.assert_allclose(observation["eef_pos"], target, atol=5e-3)
 
 
-def test_frames_are_upright_and_rendered_as_they_are_observed(make):
-    environment = make(render_mode="rgb_array")
+@pytest.mark.parametrize("orientation", ["policy", "upright"])
+def test_frames_are_oriented_as_asked_and_rendered_upright(make, make_vector, orientation):
+    environment = make(render_mode="rgb_array", orientation=orientation)
     observation, _ = environment.reset()
-    np.testing.assert_array_equal(environment.render(), observation["agentview"])
-    bottom_first = environment.simulation.frame("agentview", 80, 64)
-    np.testing.assert_array_equal(bottom_first[::-1], observation["agentview"])
+    raw = environment.simulation.frame("agentview", 80, 64)
+    expected = {"policy": raw[::-1, ::-1], "upright": raw[::-1]}[orientation]
+    np.testing.assert_array_equal(observation["agentview"], expected)
+    np.testing.assert_array_equal(environment.render(), raw[::-1])
+    environments = make_vector(num_envs=1, orientation=orientation, init_states=[0])
+    several, _ = environments.reset()
+    np.testing.assert_array_equal(several["agentview"][0], expected)
+    chunk, *_ = environments.step_chunk(np.zeros((1, 2, 7)), "all")
+    single, *_ = environment.step_chunk(np.zeros((2, 7)), "all")
+    np.testing.assert_array_equal(chunk["agentview"][0], single["agentview"])
+
+
+def test_frames_are_those_that_policies_were_trained_on_unless_told_otherwise(make):
+    observation, _ = make().reset()
+    for camera in ("agentview", "robot0_eye_in_hand"):
+        told, _ = make(orientation="policy").reset()
+        np.testing.assert_array_equal(observation[camera], told[camera])
 
 
 def python(program):

@@ -75,6 +75,8 @@ def test_what_does_not_exist(make):
         make(init_states="all")
     with pytest.raises(ValueError, match="'relative' or 'absolute'"):
         make(control="joint")
+    with pytest.raises(ValueError, match="'policy' or 'upright'"):
+        make(orientation="raw")
     with pytest.raises(ValueError, match="`software`, `gl`"):
         make(renderer="egl")
     with pytest.raises(ValueError, match="1 to 4096"):

@@ -15,6 +15,8 @@ from libero.libero.envs import OffScreenRenderEnv
 from PIL import Image
 from reference import SHARED
 
+import rollout_libero
+
 RECORDED = sorted((SHARED / "oracle" / "tasks").glob("*/*"))
 CAMERAS = ("agentview", "robot0_eye_in_hand")
 READINGS = (
@@ -141,6 +143,24 @@ def rounding_grows_to(task: Path, step: int) -> float:
     # Measured at steps 20, 40, …
     response = measured[min((step - 1) // 20, len(measured) - 1)]
     return NEAR if response < CALM else 100 * response
+
+
+def test_an_environment_shows_the_originals_frames_turned_as_policies_were_trained(
+    task: Path,
+) -> None:
+    suite, number = task.parent.name, int(task.name[:2])
+    for orientation, turned in (
+        (None, lambda raw: raw[::-1, ::-1]),
+        ("upright", lambda raw: raw[::-1]),
+    ):
+        asked = {} if orientation is None else {"orientation": orientation}
+        env = rollout_libero.Environment(f"{suite}/{number}", init_states=0, **asked)
+        observation, _ = env.reset()
+        for camera in CAMERAS:
+            name = f"img_0_00_{camera}.png"
+            recorded = np.asarray(Image.open(task / name).convert("RGB"))
+            assert_close_frames(observation[camera], turned(recorded), f"{task.name}/{name}")
+        env.close()
 
 
 def check_readings(recorded: Any, step: int, observation: Any) -> None:
