@@ -7,7 +7,6 @@ use protocol::{
     Axis, Condition, Level, ManifestRow, Perturbation, Realisation, RolloutId, Suite, TaskRef,
     presets,
 };
-use scene::AssetPack;
 use sim::mujoco::ObjectKind;
 use sim::{Renderer, Simulator, SimulatorConfig};
 use tests::fidelity::{Array, read_npz};

@@ -14,13 +14,13 @@ use sim::Renderer;
 use terminal::{number, number_from, seconds};
 use transport::{ClientArguments, EndpointError, parse_endpoint};
 
+/// Longest name of a machine, bytes.
+const MAX_MACHINE_BYTES: usize = 128;
+
 /// Simulates the rollouts of a coordinator's campaigns.
 ///
 /// The first SIGTERM or Ctrl-C drains: rollouts in flight are finished. A
 /// second one gives them back.
-/// Longest name of a machine, bytes.
-const MAX_MACHINE_BYTES: usize = 128;
-
 #[derive(Debug, Parser)]
 #[command(
     args_conflicts_with_subcommands = true,

@@ -388,6 +388,7 @@ async fn nothing_that_a_worker_or_an_archive_says_is_obeyed_by_a_terminal() {
         attempt_id: lease.attempt_id.clone(),
         reason: wire::release_request::Reason::PolicyUnavailable.into(),
         error: HOSTILE.to_owned(),
+        answered_queries: None,
     };
     worker.service.release(request).await.expect("released");
     let is_obeyed = |text: &str| {

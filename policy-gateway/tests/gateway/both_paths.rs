@@ -19,6 +19,7 @@ use tokio::runtime::Runtime;
 use transport::Access;
 use worker::{
     actor::{Actor, PolicySession},
+    message::FailureKind,
     policy::{OF_ONE_ROLLOUT, PolicyClient},
 };
 
@@ -150,7 +151,8 @@ fn a_worker_judges_answers_alike_with_and_without_a_gateway() {
             .into_iter()
             .filter_map(|it| it.as_ref().err())
         {
-            prop_assert!(error.is_misbehaviour(), "{}", error);
+            let kind = FailureKind::from(error);
+            prop_assert_eq!(kind, FailureKind::PolicyMisbehaved, "{}", error);
         }
         alike(direct, through, fault.map(|it| it.to_string()))
     });
@@ -185,7 +187,8 @@ fn a_worker_judges_descriptions_alike_with_and_without_a_gateway() {
             .into_iter()
             .filter_map(|it| it.as_ref().err())
         {
-            prop_assert!(!error.is_misbehaviour(), "{}", error);
+            let kind = FailureKind::from(error);
+            prop_assert_eq!(kind, FailureKind::PolicyUnavailable, "{}", error);
         }
         // Only a gateway says how it asks.
         let through = through.map(|mut description| {

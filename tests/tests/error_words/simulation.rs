@@ -43,6 +43,7 @@ fn no_policy() -> PolicyError {
         policy: String::new(),
         endpoint: "grpc://gpu-3:1".to_owned(),
         problem: "no answer within 60 s".to_owned(),
+        answered: Some(3),
     }
 }
 

@@ -125,6 +125,9 @@ fn queue(messages: &mut Messages) {
         QueueError::NotQuarantined { .. } => QueueError::NotQuarantined {
             job: job(), state: "leased".to_owned(),
         },
+        QueueError::NotSkippable { .. } => QueueError::NotSkippable {
+            job: job(), state: "committed".to_owned(),
+        },
         QueueError::BackupInHand => QueueError::BackupInHand,
         QueueError::ShuttingDown => QueueError::ShuttingDown,
         QueueError::Store(_) => QueueError::Store(store_error()),
@@ -224,6 +227,9 @@ fn moving(messages: &mut Messages) {
         },
         ArchiveError::Write { .. } => ArchiveError::Write { path: path(), source: io_error() },
         ArchiveError::Input { .. } => ArchiveError::Input { path: path(), source: io_error() },
+        ArchiveError::NoRoom { .. } => ArchiveError::NoRoom {
+            archive: archive(), folder: path(), needed_mib: 300, free_mib: 20,
+        },
         ArchiveError::Panicked { .. } => ArchiveError::Panicked { archive: archive() },
     );
 }
