@@ -21,6 +21,13 @@ pub(crate) fn build_programs(root: &Path) -> Result<PathBuf> {
     build(root, &["--bins"])
 }
 
+/// Builds these programs and returns the folder that they are in.
+pub(crate) fn build_only(root: &Path, names: &[&str]) -> Result<PathBuf> {
+    println!("Building {}", names.join(", "));
+    let bins: Vec<&str> = names.iter().flat_map(|name| ["--bin", name]).collect();
+    build(root, &bins)
+}
+
 /// Builds one program and returns its file. It is built as part of the workspace,
 /// so that what it depends on is compiled for all programs once.
 pub(crate) fn build_program(root: &Path, name: &str) -> Result<PathBuf> {

@@ -272,7 +272,8 @@ async fn an_outage_that_lasts_quarantines_nothing_and_is_tried_with_one_rollout_
     }
     let mut probes = BTreeSet::new();
     for _ in 0..30 {
-        bench.pass(130).await;
+        // Longer than a policy waits, shorter than twice that.
+        bench.pass(65).await;
         worker.heartbeat(&[], 0).await;
         let probe = worker.claim_one().await;
         assert!(worker.claim(1).await.is_empty(), "one at a time");

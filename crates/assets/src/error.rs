@@ -1,7 +1,7 @@
 //! Failures of fetching LIBERO's assets.
 
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Reason why assets could not be fetched. Messages read after "failed to …".
 #[derive(Debug, thiserror::Error)]
@@ -118,4 +118,9 @@ pub enum AssetsError {
         /// The number of tries.
         tries: u32,
     },
+}
+
+pub(crate) fn write_error(path: &Path, source: io::Error) -> AssetsError {
+    let path: PathBuf = path.to_owned();
+    AssetsError::Write { path, source }
 }

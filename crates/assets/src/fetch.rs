@@ -6,22 +6,19 @@
 mod receive;
 
 use std::fs::{self, File, TryLockError};
-use std::io;
 use std::ops::ControlFlow;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Duration;
 
 use attempt::{Backoff, Waits};
 
-use crate::error::AssetsError;
+use crate::error::{AssetsError, write_error};
 use crate::http::RequestError;
 use crate::origin::{Origin, Parcel};
 use crate::progress::{Progress, Report};
 use crate::table::FileFacts;
 use crate::verify::{Difference, VerifiedFolder};
 
-/// Tries in vain after which a fetch is given up.
-const MAX_TRIES: u32 = 5;
 /// Time between two looks at the lock of another fetch.
 const LOCK_POLL: Duration = Duration::from_millis(200);
 /// Folder inside the pack for what has arrived of a file.
@@ -166,7 +163,7 @@ impl Fetch<'_> {
     }
 
     /// Repeats a request until it succeeds, fails for good, or has failed
-    /// [`MAX_TRIES`] times.
+    /// [`receive::MAX_TRIES`] times.
     fn persistently<T>(
         &mut self,
         progress: Progress,
@@ -213,7 +210,7 @@ impl Tries {
     fn next(&mut self, url: String, problem: String) -> Result<Duration, AssetsError> {
         let wait = self.0.next_wait();
         let tries = self.0.failures();
-        if tries == MAX_TRIES {
+        if tries == receive::MAX_TRIES {
             return Err(AssetsError::Unreachable {
                 url,
                 problem,
@@ -222,11 +219,6 @@ impl Tries {
         }
         Ok(wait)
     }
-}
-
-fn write_error(path: &Path, source: io::Error) -> AssetsError {
-    let path: PathBuf = path.to_owned();
-    AssetsError::Write { path, source }
 }
 
 #[cfg(test)]

@@ -9,13 +9,14 @@ use std::path::{Path, PathBuf};
 use flate2::read::DeflateDecoder;
 use sha2::{Digest, Sha256};
 
-use super::{MAX_TRIES, write_error};
-use crate::error::AssetsError;
+use crate::error::{AssetsError, write_error};
 use crate::http::RequestError;
 use crate::origin::{Member, Origin, Parcel, Stream};
 use crate::progress::{Progress, Report};
 use crate::verify::{VerifiedFolder, hex};
 
+/// Tries in vain after which a fetch is given up.
+pub(super) const MAX_TRIES: u32 = 5;
 /// A try that gained less than this was in vain.
 pub(super) const GAIN_BYTES: u64 = 1 << 20;
 /// Members that lie closer together are asked for in one request.

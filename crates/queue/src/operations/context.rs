@@ -141,8 +141,10 @@ impl<'a> Context<'a> {
         if let (true, PolicyState::Paused { resume, .. }, AfterFailure::Requeue { not_before }) =
             (is_outage && before.is_probe(id), &after.state, &mut then)
         {
-            // Another job is to try the policy next, if one waits.
-            *not_before = (*not_before).max(resume.plus(Waits::USUAL.first));
+            // Another job is to try the policy next, if one waits. As long again as the policy
+            // does, because no worker may ask for work at the very moment it resumes.
+            let wait = resume.since(now).max(Waits::USUAL.first);
+            *not_before = (*not_before).max(resume.plus(wait));
         }
         let reason = reason.before(then);
         let error = &reason.explained(error, job.losses + 1, suspicion.silences);
