@@ -187,20 +187,14 @@ fn fresh_folder(parent: &Path) -> Result<PathBuf> {
     unreachable!("there is always a larger number")
 }
 
-/// Films what the campaign wants filmed; as many at once as rollouts ran.
+/// Makes the campaign's films, as many at a time as rollouts ran.
 fn film(programs: &Path, coordinator: &Running, options: &Options) -> Result<()> {
-    let film = || {
-        let mut worker = Command::new(programs.join("worker"));
-        worker.args(["film", "--assets", &options.assets]);
-        capture(worker.args(["--connect", &coordinator.url]))
-    };
-    std::thread::scope(|scope| {
-        let films: Vec<_> = (0..options.slots).map(|_| scope.spawn(film)).collect();
-        films.into_iter().try_for_each(|film| {
-            let ended = film.join().expect("it does not panic");
-            ended.map(drop)
-        })
-    })
+    let mut worker = Command::new(programs.join("worker"));
+    worker
+        .args(["film", "--assets", &options.assets])
+        .args(["--connect", &coordinator.url])
+        .args(["--at-a-time", &options.slots.to_string()]);
+    capture(&mut worker).map(drop)
 }
 
 /// The simultaneous rollouts of configurations whose outcome simultaneity changes.

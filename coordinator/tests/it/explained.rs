@@ -2,6 +2,7 @@
 //! the axes interact where whole lattices were run.
 
 use std::collections::BTreeSet;
+use std::time::Duration;
 
 use proto::coordinator as wire;
 use protocol::RolloutId;
@@ -143,6 +144,8 @@ async fn what_shows_an_explanation_is_filmed_and_stands_side_by_side() {
     for film in &all {
         upload(&mut worker, &film.attempt_id).await;
     }
+    // A page is kept for a second.
+    tokio::time::sleep(Duration::from_millis(1100)).await;
     let page = page(&serve, subset).await;
     for set in expected {
         let video = format!("/campaigns/first-explained/videos/object/t2/{set}/L2/c00?replicate=0");

@@ -208,6 +208,8 @@ async fn page_and_command_line_agree_on_what_nonsense_of_a_policy_is_charged_to(
     let listed = coordinator(&["jobs", "list", "begun", "--connect", &bench.url]);
     let listed = text(&listed.stdout).to_owned();
     assert!(listed.contains("2 charged"), "{listed}");
+    // A page is kept for a second.
+    tokio::time::sleep(Duration::from_millis(1100)).await;
     let page = ask(&bench.url, "GET /policies").await.text();
     assert!(!page.contains("no attempt is charged"), "{page}");
     let words = "broke the protocol in 5 attempts since its last result, each of which is charged";
