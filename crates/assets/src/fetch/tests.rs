@@ -4,6 +4,7 @@ mod test_index;
 
 use std::env;
 use std::net::TcpListener;
+use std::path::PathBuf;
 use std::process::{Command, Output};
 use std::thread;
 
