@@ -128,10 +128,10 @@ fn fill_parts<const INSIDE: bool>(
         let zero = I::splat(0);
         let [wide, high] = PART.map(|side| side * POINTS_PER_PIXEL);
         let mut is_inside = Mask::from_bits(0xff);
-        for edge in 0..3 {
+        for (edge, &start) in at.iter().enumerate() {
             let (dx, dy) = (setup.along_x[edge][lane], setup.along_y[edge][lane]);
             let corners =
-                I::splat(at[edge]) + I::splat(dx) * I::new(PART_X) + I::splat(dy) * I::new(PART_Y);
+                I::splat(start) + I::splat(dx) * I::new(PART_X) + I::splat(dy) * I::new(PART_Y);
             let (across, up) = (dx * wide, dy * high);
             seen = seen & (corners + I::splat(across.max(0) + up.max(0))).ge(zero);
             is_inside = is_inside & (corners + I::splat(across.min(0) + up.min(0))).ge(zero);
