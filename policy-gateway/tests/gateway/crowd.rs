@@ -64,6 +64,10 @@ impl SlowServer {
         let turn = Arc::clone(&self.computing).lock_owned().await;
         self.begun.fetch_add(queries, Ordering::SeqCst);
         let (gate, per_query) = (Arc::clone(&self.gate), self.per_query);
+        #[expect(
+            clippy::disallowed_methods,
+            reason = "a computation goes on although its caller has gone"
+        )]
         let computed = tokio::spawn(async move {
             let _open = gate.acquire().await;
             tokio::time::sleep(per_query).await;
@@ -244,11 +248,13 @@ async fn sessions_beyond_what_is_answered_in_time_wait_for_another_to_end() {
         assert!(refused.message().contains(part), "{part} in {refused}");
     }
     let mut fifth = client.clone();
-    let waiting = tokio::spawn(async move {
+    let mut waiting = tokio::task::JoinSet::new();
+    waiting.spawn(async move {
         while let Err(refused) = fifth.reset(reset("slow", "fifth")).await {
             assert_eq!(refused.code(), Code::ResourceExhausted, "{refused}");
         }
     });
     client.end(end("slot 1")).await.expect("an end");
-    waiting.await.expect("it gets the place");
+    let waited = waiting.join_next().await.expect("a task");
+    waited.expect("it gets the place");
 }

@@ -176,7 +176,10 @@ async fn a_session_that_was_never_opened_is_an_outage_not_a_fault_of_the_policy(
         .await
         .expect_err("lost");
     assert_eq!(lost.code(), Code::Unavailable);
-    assert!(lost.message().contains("the session is not open here"), "{lost}");
+    assert!(
+        lost.message().contains("the session is not open here"),
+        "{lost}"
+    );
 }
 
 #[tokio::test]
