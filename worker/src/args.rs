@@ -188,7 +188,7 @@ pub struct FilmArguments {
     pub connect: String,
     /// Rollouts that are filmed at a time, each on a core and with a scene in memory
     /// [default: as many as cores and memory allow]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = number_from(NonZeroUsize::MIN, "rollouts"))]
     pub at_a_time: Option<NonZeroUsize>,
     /// How to get in there.
     #[command(flatten)]
