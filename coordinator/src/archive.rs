@@ -201,9 +201,9 @@ pub enum ArchiveError {
         archive: String,
         /// Where it was to be unpacked.
         folder: PathBuf,
-        /// What it takes, with what must stay free, MiB.
+        /// Space that the archive needs, with the reserve that must stay free, MiB.
         needed_mib: u64,
-        /// What there is, MiB.
+        /// Free space, MiB.
         free_mib: u64,
     },
     /// A thread that packs, unpacks or computes ended.

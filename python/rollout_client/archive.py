@@ -294,7 +294,7 @@ class _Entries:
             raise
 
     def pieces(self, size: int) -> Iterator[bytes]:
-        """What an entry of this size has, and what fills its last block."""
+        """Yields the bytes of an entry piece by piece, then skips the padding of its last block."""
         left = size
         while left > 0:
             piece = self._exactly(min(left, PIECE))

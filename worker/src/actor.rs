@@ -63,7 +63,7 @@ pub enum PolicyError {
         policy: String,
         /// The campaign's endpoint.
         endpoint: String,
-        /// What is wrong with the answer.
+        /// The fault of the answer.
         fault: ActionFault,
     },
     /// It answered with an error.

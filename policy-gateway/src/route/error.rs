@@ -89,7 +89,7 @@ pub enum RouteError {
         route: RouteName,
         /// Open sessions.
         sessions: usize,
-        /// What the slowest replica takes for each query.
+        /// Time of the slowest replica for one query.
         per_query: Duration,
     },
     /// Too many queries wait already.

@@ -41,7 +41,7 @@ pub enum PackError {
     Incomplete {
         /// The pack's folder.
         folder: PathBuf,
-        /// What the pack has, and what it lacks.
+        /// Present and missing parts of the pack.
         description: String,
     },
     /// The built-in pack was changed after it was unpacked.

@@ -42,7 +42,7 @@ pub enum LimitError {
     TooMany {
         /// How many were asked for.
         slots: usize,
-        /// What there is too little of.
+        /// The resource that is exhausted.
         shortage: String,
     },
     /// The machine does not say what it has.
