@@ -49,6 +49,7 @@ pages! {
     commands_of_the_student_work: "docs/STUDENT.md",
     commands_of_the_walkthrough_work: "docs/WALKTHROUGH.md",
     commands_of_why_work: "docs/WHY.md",
+    commands_of_the_libero_pack_work: "assets/libero/README.md",
     commands_of_the_asset_pack_work: "assets/primitives/README.md",
     commands_of_the_examples_work: "examples/README.md",
     commands_of_fuzzing_work: "fuzz/README.md",

@@ -141,7 +141,7 @@ async fn a_slot_that_stands_still_is_killed_and_replaced() {
     }
     let release = coordinator.told(1).await.release(Reason::SlotStuck);
     assert!(
-        release.error.contains("stood still for 8 s"),
+        release.error.contains("stood still on ") && release.error.contains(" for 8 s"),
         "{}",
         release.error
     );

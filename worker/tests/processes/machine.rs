@@ -27,7 +27,10 @@ fn a_bench_counts_what_slots_do_together_and_recommends_a_number() {
     // Slots, steps/s, frames/s, slowest–fastest, MiB of a slot, MiB more.
     let row = |slots: &str| -> Vec<f64> {
         let row = said.lines().map(|line| line.split_whitespace().collect());
-        let mut row = row.filter(|row: &Vec<&str>| row.first() == Some(&slots) && row.len() == 6);
+        let mut row = row.filter(|row: &Vec<&str>| {
+            // The line of the processor may begin with the same number.
+            row.len() == 6 && row[0] == slots && row[1].parse::<f64>().is_ok()
+        });
         let row = row.next().expect("a row of six columns");
         row.iter()
             .flat_map(|column| column.split('–'))

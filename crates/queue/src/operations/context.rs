@@ -22,6 +22,10 @@ use crate::store::failpoint::Step;
 use crate::store::jobs::NamedAttempt;
 use crate::store::{StoreError, Tx, jobs, policies, workers};
 
+/// For how long at most a job that could not reach its policy lets others try first, after the
+/// policy's pause. A worker may ask for work only a few seconds after it.
+const GIVES_WAY: Duration = Duration::from_secs(10);
+
 /// The writing transaction. Dropping it undoes it.
 pub(crate) struct Context<'a> {
     pub(super) shared: &'a Shared,
@@ -141,9 +145,8 @@ impl<'a> Context<'a> {
         if let (true, PolicyState::Paused { resume, .. }, AfterFailure::Requeue { not_before }) =
             (is_outage && before.is_probe(id), &after.state, &mut then)
         {
-            // Another job is to try the policy next, if one waits. As long again as the policy
-            // does, because no worker may ask for work at the very moment it resumes.
-            let wait = resume.since(now).max(Waits::USUAL.first);
+            // Another job is to try the policy next, if one waits.
+            let wait = resume.since(now).clamp(Waits::USUAL.first, GIVES_WAY);
             *not_before = (*not_before).max(resume.plus(wait));
         }
         let reason = reason.before(then);
