@@ -49,8 +49,12 @@ enum Command {
     },
     /// Run a small campaign end to end and print its paired table.
     Demo(demo::Options),
-    /// Run all tests, with cargo-nextest where it is installed.
+    /// Run all tests, or a suite of them by name.
     Test {
+        /// Suites to run, separated by commas. [default: all; with filters,
+        /// `rust`]
+        #[arg(long, value_delimiter = ',')]
+        suite: Vec<test::Suite>,
         /// Passed on to the test runner, for example a name to filter by.
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         filters: Vec<String>,
@@ -136,7 +140,7 @@ fn main() -> ExitCode {
     let outcome = match Arguments::parse().command {
         Command::Setup { gl } => set_up(gl),
         Command::Demo(options) => demo::run(&root(), &options),
-        Command::Test { filters } => test::run(&root(), &filters),
+        Command::Test { suite, filters } => test::run(&root(), &suite, &filters),
         Command::Wheel { output } => wheels(output.as_deref()),
         Command::Dist(options) => dist::run(&root(), &options),
         Command::Screenshots => test::screenshots(&root()),
@@ -275,10 +279,13 @@ mod tests {
             &["xtask", "test", "undisturbed"][..],
             &["xtask", "test", "--", "undisturbed"],
         ] {
-            let Command::Test { filters } = Arguments::parse_from(words).command else {
+            let Command::Test { suite, filters } = Arguments::parse_from(words).command else {
                 panic!("{words:?}");
             };
-            assert_eq!(filters, ["undisturbed"]);
+            assert_eq!(
+                (&suite[..], &filters[..]),
+                (&[][..], &["undisturbed".to_owned()][..])
+            );
         }
     }
 }

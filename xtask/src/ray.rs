@@ -30,7 +30,7 @@ pub(crate) fn test(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
     }
     let mut pytest = Command::new(dir.join("bin/python"));
     pytest
-        .args(["-m", "pytest", "--quiet", "-rs", "-p", "no:cacheprovider"])
+        .args(["-m", "pytest", "--quiet", "-rfs", "-p", "no:cacheprovider"])
         .arg(root.join("deploy/ray/tests"))
         .env("ROLLOUT_PROGRAMS", programs);
     run_command(&mut pytest)

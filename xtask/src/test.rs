@@ -3,8 +3,10 @@
 
 use std::path::Path;
 use std::process::Command;
+use std::time::Instant;
 
 use anyhow::Result;
+use clap::ValueEnum;
 
 use crate::cargo::{build_program, build_programs, cargo};
 use crate::demo;
@@ -20,8 +22,35 @@ use crate::step::step;
 use crate::typescript;
 use crate::wheel;
 
-/// Sets up, builds and runs everything.
-pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
+/// A part of the tests that can be run alone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub(crate) enum Suite {
+    /// The tests of all crates, with cargo-nextest where it is installed.
+    Rust,
+    /// The examples of the Rust documentation.
+    Examples,
+    /// The software renderer with overflow checks.
+    Overflow,
+    /// The Python package of `policies/`.
+    Policies,
+    /// The release archive.
+    Archive,
+    /// The Python packages of `python/` as wheels.
+    Wheels,
+    /// The launcher of `deploy/ray`.
+    Ray,
+    /// The demo, with fewer rollouts.
+    Demo,
+}
+
+/// Runs the named suites, all of them if none is named. Filters choose among the tests of
+/// the crates, and run no other suite.
+pub(crate) fn run(root: &Path, suites: &[Suite], filters: &[String]) -> Result<()> {
+    let suites = match (suites, filters) {
+        ([], []) => Suite::value_variants(),
+        ([], _) => &[Suite::Rust],
+        _ => suites,
+    };
     let cache = setup::run(root)?;
     // The end-to-end tests start the real programs.
     let programs = build_programs(root)?;
@@ -29,10 +58,52 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
     if let Err(error) = setup::assets(&programs, "all") {
         println!("  none: {error:#}");
     }
+    for suite in suites {
+        let start = Instant::now();
+        match suite {
+            Suite::Rust => rust(root, &cache, &programs, filters)?,
+            // With `--package` cargo would choose other features for shared dependencies, and
+            // compile them a second time.
+            Suite::Examples => {
+                println!("Testing the examples of the documentation");
+                run_command(cargo(root).args(["test", "--quiet", "--doc", "--workspace"]))?;
+            }
+            Suite::Overflow => {
+                println!("Testing the software renderer with overflow checks");
+                let arguments = ["--quiet", "--profile", "checked", "--package", "raster"];
+                run_command(cargo(root).arg("test").args(arguments))?;
+            }
+            Suite::Policies => policies(root, &cache, &programs)?,
+            Suite::Archive => {
+                println!("Testing the release archive, of the programs just built");
+                dist::test(root, &cache, &programs, deploy::schemas(&cache).as_deref())?;
+            }
+            Suite::Wheels => {
+                println!("Testing the Python packages as wheels");
+                wheel::test(root, &cache, &programs)?;
+            }
+            Suite::Ray => {
+                println!("Testing the launcher on Ray");
+                ray::test(root, &cache, &programs)?;
+            }
+            Suite::Demo => {
+                println!("Testing the demo, with fewer rollouts");
+                demo::check(root, &programs)?;
+            }
+        }
+        let name = suite.to_possible_value();
+        let name = name.as_ref().map_or("", |name| name.get_name());
+        println!("Suite {name}: passed in {} s", start.elapsed().as_secs());
+    }
+    Ok(())
+}
+
+/// The tests of all crates, with whatever they may need installed.
+fn rust(root: &Path, cache: &Path, programs: &Path, filters: &[String]) -> Result<()> {
     let python = step("Python environment for policies/", || {
-        python::environment(root, &cache)
+        python::environment(root, cache)
     })?;
-    let packages = python::packages(root, &cache)?;
+    let packages = python::packages(root, cache)?;
     let typescript = typescript::build(root)?;
     step("browser for the live page's tests", || {
         // Without it these tests are skipped, and said to be.
@@ -54,17 +125,19 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
         .map(|_| "yes")
     })?;
     step("dependencies as deny.toml wants", || deny(root))?;
-    let schemas = deploy::schemas(&cache);
-    let bucket = s3::server(&cache);
+    let schemas = deploy::schemas(cache);
+    let bucket = s3::server(cache);
     println!("Testing");
     let nextest = capture(cargo(root).args(["nextest", "--version"])).is_ok();
     let mut tests = cargo(root);
     match nextest {
         true => tests.args(["nextest", "run", "--workspace"]).args(filters),
-        false => tests.args(["test", "--workspace"]).args(filters),
+        false => tests
+            .args(["test", "--workspace", "--lib", "--bins", "--tests"])
+            .args(filters),
     };
     tests
-        .env("ROLLOUT_PROGRAMS", &programs)
+        .env("ROLLOUT_PROGRAMS", programs)
         .env("ROLLOUT_PYTHON", &python)
         .env("ROLLOUT_PYTHON_PACKAGES", &packages);
     if let Some(server) = typescript {
@@ -82,39 +155,21 @@ pub(crate) fn run(root: &Path, filters: &[String]) -> Result<()> {
         let report = root.join("target/nextest/default/junit.xml");
         skipped::check(&report, &root.join("../shared"))?;
     }
-    if filters.is_empty() {
-        if nextest {
-            // Nextest runs no documentation examples. With `--package` cargo would choose other
-            // features for shared dependencies, and compile them a second time.
-            println!("Testing the examples of the documentation");
-            run_command(cargo(root).args(["test", "--quiet", "--doc", "--workspace"]))?;
-        }
-        println!("Testing the software renderer with overflow checks");
-        run_command(cargo(root).args([
-            "test",
-            "--quiet",
-            "--profile",
-            "checked",
-            "--package",
-            "raster",
-        ]))?;
-        let mut pytest = Command::new(&python);
-        run_command(
-            pytest
-                .args(["-m", "pytest", "--quiet", "-rs", "-p", "no:cacheprovider"])
-                .arg(root.join("policies/tests"))
-                .env("POLICY_GATEWAY", programs.join("policy-gateway")),
-        )?;
-        println!("Testing the release archive, of the programs just tested");
-        dist::test(root, &cache, &programs, schemas.as_deref())?;
-        println!("Testing the Python packages as wheels");
-        wheel::test(root, &cache, &programs)?;
-        println!("Testing the launcher on Ray");
-        ray::test(root, &cache, &programs)?;
-        println!("Testing the demo, with fewer rollouts");
-        demo::check(root, &programs)?;
-    }
     Ok(())
+}
+
+/// The policies' Python package, from its sources.
+fn policies(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
+    let python = step("Python environment for policies/", || {
+        python::environment(root, cache)
+    })?;
+    let mut pytest = Command::new(python);
+    run_command(
+        pytest
+            .args(["-m", "pytest", "--quiet", "-rfs", "-p", "no:cacheprovider"])
+            .arg(root.join("policies/tests"))
+            .env("POLICY_GATEWAY", programs.join("policy-gateway")),
+    )
 }
 
 /// Licences, sources and bans of what is depended on, where the tool for it is installed.

@@ -162,7 +162,7 @@ pub(crate) fn test(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
     let python = installed(root, cache, Profile::Dev)?;
     let mut pytest = Command::new(&python);
     pytest
-        .args(["-m", "pytest", "--quiet", "-rs", "-p", "no:cacheprovider"])
+        .args(["-m", "pytest", "--quiet", "-rfs", "-p", "no:cacheprovider"])
         .arg(root.join("python/tests"))
         .env("ROLLOUT_PROGRAMS", programs);
     if std::env::var_os("ROLLOUT_CLIENTS").is_none()
@@ -175,7 +175,7 @@ pub(crate) fn test(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
     let mut pytest = Command::new(&python);
     pytest
         .current_dir(root)
-        .args(["-m", "pytest", "--quiet", "-rs", "-p", "no:cacheprovider"])
+        .args(["-m", "pytest", "--quiet", "-rfs", "-p", "no:cacheprovider"])
         .arg("training/tests");
     run_command(&mut pytest)
 }

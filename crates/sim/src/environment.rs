@@ -147,6 +147,8 @@ impl Environment {
 
     /// The same with an action that may be a pose.
     pub fn step_in(&mut self, action: &[f64; 7], of: ActionFrame) -> Result<bool, SimError> {
+        // A step that ended early, of any environment that shares this thread, left its own.
+        mujoco::take_warnings();
         for burner in &mut self.burners {
             burner.observed_opacity = burner.opacity;
         }

@@ -285,12 +285,12 @@ def test_a_run_of_wandb_is_written_without_the_network(archive, tmp_path, monkey
     assert b"transitions" in content
 
 
-def test_a_package_that_is_missing_is_named_with_its_extra(archive, tmp_path, monkeypatch):
+def test_a_package_that_is_missing_is_named_with_the_command(archive, tmp_path, monkeypatch):
     from rollout_client import export
     from rollout_client.export import lerobot
 
     file, _ = archive
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with Archive(file) as kept, pytest.raises(SettingsError, match=r"rollout-libero\[lerobot\]"):
+    with Archive(file) as kept, pytest.raises(SettingsError, match="pip install pyarrow"):
         lerobot.export(kept, tmp_path / "dataset")
-    assert export.needed("json", "none") is json
+    assert export.needed("json") is json

@@ -17,7 +17,7 @@ from reference import SHARED
 
 import rollout_libero
 
-RECORDED = sorted((SHARED / "oracle" / "tasks").glob("*/*"))
+RECORDED = sorted((SHARED / "oracle" / "tasks-real").glob("*/*"))
 CAMERAS = ("agentview", "robot0_eye_in_hand")
 READINGS = (
     "eef_pos",

@@ -32,6 +32,22 @@ fn a_state_loaded_after_a_reset_finds_the_fixtures_where_campaigns_have_them() {
     assert_eq!(poses(&environment), campaign);
 }
 
+/// MuJoCo's warnings are kept per thread, whatever environment they are of.
+#[test]
+fn an_environment_that_diverges_ends_no_other_of_its_thread() {
+    let pack = &packs()[0];
+    let [mut first, mut second] = [(); 2].map(|()| compile(&crowded(), pack).unwrap());
+    for joints in [1..8, 1..3, 7..8] {
+        let mut state = vec![0.0];
+        state.extend(first.data().qpos(first.model()));
+        state.extend(first.data().qvel(first.model()));
+        state[joints].fill(1e9);
+        first.load(&state);
+        assert!(first.step(&[0.0; 7]).is_err());
+        second.step(&[0.0; 7]).expect("the other one is sound");
+    }
+}
+
 #[test]
 fn a_hard_reset_undoes_what_was_perturbed_and_a_soft_one_keeps_it() {
     let mut environment = compile(&crowded(), &packs()[0]).unwrap();
