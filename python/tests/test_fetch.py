@@ -58,7 +58,8 @@ def members(wheel):
 
 @functools.cache
 def deflated(path, stored):
-    compressor = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS)
+    # The level that the wheels were packed with. A higher one is longer for some meshes.
+    compressor = zlib.compressobj(6, zlib.DEFLATED, -zlib.MAX_WBITS)
     bytes_ = compressor.compress(contents()[path]) + compressor.flush()
     assert len(bytes_) <= stored, path
     return bytes_ + bytes(stored - len(bytes_))
