@@ -2,6 +2,7 @@
 //! into messages. Nothing is decided here.
 
 mod backup;
+mod detached;
 mod failure;
 mod listing;
 mod moving;
@@ -19,6 +20,7 @@ use tonic::service::Routes;
 use crate::gauges::Gauges;
 use crate::storage::Storage;
 
+use detached::Detached;
 use operator::OperatorApi;
 use worker::WorkerApi;
 
@@ -35,6 +37,7 @@ pub(crate) fn services(
     let (queue, gauges) = (queue.clone(), gauges.clone());
     let operator = OperatorApi {
         queue: queue.clone(),
+        changes: Detached::default(),
         storage: storage.cloned(),
     };
     let worker = WorkerServiceServer::new(WorkerApi { queue, gauges })

@@ -1,5 +1,5 @@
-//! The coordinator as a process: one loop owns the server, the sweep of expired
-//! leases and the shutdown.
+//! The coordinator as a process: one loop owns the server, the tasks beside it and the
+//! shutdown.
 
 use std::future::Future;
 use std::io;
@@ -144,21 +144,23 @@ impl Coordinator {
         shutdown: impl Future<Output = ()>,
     ) -> Result<(), ServeError> {
         let queue = self.queue;
-        let folder = queue.store().folder();
         let (stop, stopped) = oneshot::channel::<()>();
         let gauges = Arc::new(Gauges::default());
         let storage = self.storage;
         let page = Page::new(&queue, &self.security, &gauges, storage.clone());
-        // Ends with this function.
-        let mut telling = JoinSet::new();
-        telling.spawn({
+        // They end with this function.
+        let mut beside = JoinSet::new();
+        beside.spawn({
             let page = page.clone();
             async move { page.tell_changes().await }
         });
         let calls = grpc::services(&queue, &gauges, storage.as_ref());
         if let Some(storage) = storage {
-            telling.spawn(mirror::run(queue.clone(), storage));
+            beside.spawn(mirror::run(queue.clone(), storage));
         }
+        // Not in the loop below: a sweep waits for the writer, and connections and signals must
+        // not.
+        beside.spawn(sweep(queue.clone(), self.min_free_bytes));
         let routes = Routes::from(page::beside(page.clone(), calls));
         let server = server(routes, &self.security, listener, async {
             // A sender that was dropped stops the server just as well.
@@ -166,18 +168,14 @@ impl Coordinator {
         });
         let mut server = std::pin::pin!(server);
         let mut shutdown = std::pin::pin!(shutdown);
-        let mut sweep = tokio::time::interval(queue.timing().sweep);
-        sweep.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
             tokio::select! {
                 served = &mut server => {
                     served?;
                     break;
                 }
-                () = queue.broken() => {
-                    return Err(ServeError::Panicked { what: "the database's writer" });
-                }
-                Some(_) = telling.join_next() => {
+                task = queue.broken() => return Err(ServeError::Panicked { what: task }),
+                Some(_) = beside.join_next() => {
                     return Err(ServeError::Panicked { what: "a task beside the server" });
                 }
                 () = &mut shutdown => {
@@ -190,26 +188,35 @@ impl Coordinator {
                     }
                     break;
                 }
-                _ = sweep.tick() => {
-                    let shortage = match queue.sweep().await {
-                        Ok(()) => Room::look(folder, self.min_free_bytes).shortage(folder),
-                        Err(QueueError::Store(StoreError::Gone { folder })) => Some(format!(
-                            "the data folder {} is gone, or another database is in its place: \
-                             `coordinator backup --output FILE` saves what was committed",
-                            folder.display()
-                        )),
-                        Err(error) => Some(format!(
-                            "the database cannot be written (failed to {})",
-                            transport::chain(&error)
-                        )),
-                    };
-                    queue.hold_leasing(shortage);
-                }
             }
         }
-        telling.shutdown().await;
+        beside.shutdown().await;
         queue.close().await?;
         Ok(())
+    }
+}
+
+/// Takes back leases that expired, again and again, and leases nothing while the disk is full or
+/// the database cannot be written.
+async fn sweep(queue: Arc<Queue>, min_free_bytes: u64) {
+    let mut due = tokio::time::interval(queue.timing().sweep);
+    due.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    loop {
+        due.tick().await;
+        let folder = queue.store().folder();
+        let shortage = match queue.sweep().await {
+            Ok(()) => Room::look(folder, min_free_bytes).shortage(folder),
+            Err(QueueError::Store(StoreError::Gone { folder })) => Some(format!(
+                "the data folder {} is gone, or another database is in its place: \
+                 `coordinator backup --output FILE` saves what was committed",
+                folder.display()
+            )),
+            Err(error) => Some(format!(
+                "the database cannot be written (failed to {})",
+                transport::chain(&error)
+            )),
+        };
+        queue.hold_leasing(shortage);
     }
 }
 

@@ -16,6 +16,7 @@ use tokio_stream::{Stream, StreamExt};
 use tonic::{Code, Status, Streaming};
 use transport::chain;
 
+use super::detached::Detached;
 use super::failure::{failed, invalid};
 use crate::archive::{ArchiveError, Package, package, unpack};
 use crate::disk::{DEFAULT_MIN_FREE_MIB, Room};
@@ -143,6 +144,7 @@ impl Write for Pieces {
 /// Receives an archive, verifies it and adds its campaign.
 pub(super) async fn import(
     queue: &Arc<Queue>,
+    changes: &Detached,
     mut chunks: Streaming<wire::ImportChunk>,
 ) -> Result<wire::ImportCampaignResponse, Status> {
     let first = next_chunk(&mut chunks).await?;
@@ -161,10 +163,17 @@ pub(super) async fn import(
     let into = folder.path().join("unpacked");
     let unpacked = unpack(&file, archive, &into).await;
     let unpacked = unpacked.map_err(archive_failed)?;
-    let source = unpacked.contents.source.as_ref();
     let films = unpacked.campaign.films().await.map_err(failed)?.len() as u64;
-    let adopted = queue.adopt(&unpacked.campaign, source, name.as_ref()).await;
-    let (campaign, counts) = adopted.map_err(adopt_failed)?;
+    let queue = queue.clone();
+    let adopted = async move {
+        // Its films are moved out of it.
+        let _until_adopted = folder;
+        let source = unpacked.contents.source.as_ref();
+        queue
+            .adopt(&unpacked.campaign, source, name.as_ref())
+            .await
+    };
+    let (campaign, counts) = changes.run(adopted).await?.map_err(adopt_failed)?;
     Ok(wire::ImportCampaignResponse {
         campaign: campaign.to_string(),
         jobs: counts.total(),

@@ -22,6 +22,7 @@ use tonic::{Request, Response, Status, Streaming};
 use transport::chain;
 
 use super::backup::{self, Chunks};
+use super::detached::Detached;
 use super::failure::{Answer, failed, invalid};
 use super::{listing, moving, read};
 use crate::export;
@@ -36,6 +37,7 @@ const REPORT_PART_BYTES: usize = 1 << 20;
 #[derive(Debug)]
 pub(super) struct OperatorApi {
     pub(super) queue: Arc<Queue>,
+    pub(super) changes: Detached,
     pub(super) storage: Option<Arc<Storage>>,
 }
 
@@ -70,8 +72,9 @@ impl OperatorService for OperatorApi {
             priority: read::priority(request.priority)?,
             ..campaign.map_err(|error| invalid(chain(&error)))?
         };
-        let created = self.queue.create_campaign(&campaign).await;
-        let created = created.map_err(failed)?;
+        let queue = self.queue.clone();
+        let created = async move { queue.create_campaign(&campaign).await };
+        let created = self.changes.run(created).await?.map_err(failed)?;
         Ok(Response::new(CreateCampaignResponse {
             jobs_added: created.jobs_added,
             jobs_total: created.jobs_total,
@@ -109,8 +112,9 @@ impl OperatorService for OperatorApi {
         let request = request.into_inner();
         let name = campaign_name(&request.campaign)?;
         let change = read::change(request.change)?;
-        let state = self.queue.change_campaign(&name, change).await;
-        let state = listing::state(state.map_err(failed)?);
+        let queue = self.queue.clone();
+        let changed = async move { queue.change_campaign(&name, change).await };
+        let state = listing::state(self.changes.run(changed).await?.map_err(failed)?);
         Ok(Response::new(ChangeCampaignResponse {
             state: state.into(),
         }))
@@ -127,7 +131,9 @@ impl OperatorService for OperatorApi {
                 "delete campaign `{name}`: `confirm` must be its name once more"
             )));
         }
-        let deleted = self.queue.delete_campaign(&name).await.map_err(failed)?;
+        let queue = self.queue.clone();
+        let deleted = async move { queue.delete_campaign(&name).await };
+        let deleted = self.changes.run(deleted).await?.map_err(failed)?;
         Ok(Response::new(DeleteCampaignResponse {
             jobs: deleted.total(),
             results: deleted.committed,
@@ -157,7 +163,9 @@ impl OperatorService for OperatorApi {
         let request = request.into_inner();
         let name = campaign_name(&request.campaign)?;
         let retry = read::retry(request.jobs, request.all)?;
-        let jobs = self.queue.retry_jobs(&name, &retry).await.map_err(failed)?;
+        let queue = self.queue.clone();
+        let retried = async move { queue.retry_jobs(&name, &retry).await };
+        let jobs = self.changes.run(retried).await?.map_err(failed)?;
         Ok(Response::new(RetryJobsResponse { jobs }))
     }
 
@@ -165,7 +173,9 @@ impl OperatorService for OperatorApi {
         let request = request.into_inner();
         let name = campaign_name(&request.campaign)?;
         let names = read::job_names(request.jobs)?;
-        let jobs = self.queue.skip_jobs(&name, &names).await.map_err(failed)?;
+        let queue = self.queue.clone();
+        let skipped = async move { queue.skip_jobs(&name, &names).await };
+        let jobs = self.changes.run(skipped).await?.map_err(failed)?;
         Ok(Response::new(SkipJobsResponse { jobs }))
     }
 
@@ -229,7 +239,7 @@ impl OperatorService for OperatorApi {
         &self,
         request: Request<Streaming<wire::ImportChunk>>,
     ) -> Answer<ImportCampaignResponse> {
-        let imported = moving::import(&self.queue, request.into_inner()).await?;
+        let imported = moving::import(&self.queue, &self.changes, request.into_inner()).await?;
         Ok(Response::new(imported))
     }
 
@@ -240,9 +250,11 @@ impl OperatorService for OperatorApi {
         let request = request.into_inner();
         let name = campaign_name(&request.campaign)?;
         let to = read::alteration(request)?;
-        let taken_back = self.queue.alter_campaign(&name, &to).await;
-        let taken_back = taken_back.map_err(failed)?;
-        let name = to.name.unwrap_or(name);
+        let renamed = to.name.clone().unwrap_or_else(|| name.clone());
+        let queue = self.queue.clone();
+        let altered = async move { queue.alter_campaign(&name, &to).await };
+        let taken_back = self.changes.run(altered).await?.map_err(failed)?;
+        let name = renamed;
         let (mut view, campaign) = self.campaign(name.as_str()).await?;
         let status = view.status(campaign).await.map_err(failed)?;
         Ok(Response::new(AlterCampaignResponse {

@@ -6,6 +6,8 @@ use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 use paired::Outcome;
+use proto::coordinator::operator_service_client::OperatorServiceClient;
+use proto::coordinator::{CreateCampaignRequest, GetCampaignRequest};
 use protocol::{AxisSet, RolloutId};
 use queue::invariants;
 use serde_json::{Value, json};
@@ -282,4 +284,55 @@ async fn a_death_around_any_transaction_leaves_the_same_explanation() {
     let serve = Serve::start_with(folder.path(), &["--lease-secs", "3"], Stdio::null());
     let found = explained(&serve, &[]).await;
     assert_eq!(found, expected);
+}
+
+/// Finding B8: a create whose client disconnected during COMMIT was stored, and woke nobody.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_client_that_disconnects_during_create_leaves_no_campaign_without_rollouts() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    create(&serve);
+    let mut worker = serve.worker("w").await;
+    run_all(&mut worker, outcome).await;
+    let mut created = 0;
+    for eighth_millis in 0..40 {
+        let name = format!("explained-{eighth_millis}");
+        let spec = json!({
+            "name": name, "explains": {"campaign": "first"},
+            "policy": {"name": "p", "endpoint": "http://127.0.0.1:50051"},
+        });
+        let request = CreateCampaignRequest {
+            spec: spec.to_string(),
+            priority: 0,
+        };
+        let operator = OperatorServiceClient::connect(serve.url.clone()).await;
+        let mut operator = operator.expect("a connection");
+        let disconnects = Duration::from_micros(125 * eighth_millis);
+        let _ = tokio::time::timeout(disconnects, operator.create_campaign(request)).await;
+        drop(operator);
+        // Longer than a transaction takes.
+        tokio::time::sleep(Duration::from_millis(100)).await;
+        let began = Instant::now();
+        while let Some(rollouts) = rollouts_of(&serve, &name).await {
+            if rollouts > 0 {
+                created += 1;
+                break;
+            }
+            assert!(began.elapsed() < PATIENCE, "{name} has no rollouts");
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    }
+    assert!(created > 0, "no request arrived before its client disconnected");
+}
+
+/// How many rollouts a campaign has, if it exists.
+async fn rollouts_of(serve: &Serve, campaign: &str) -> Option<u64> {
+    let operator = OperatorServiceClient::connect(serve.url.clone()).await;
+    let campaign = campaign.to_owned();
+    let status = operator
+        .expect("a connection")
+        .get_campaign(GetCampaignRequest { campaign })
+        .await
+        .ok()?;
+    status.into_inner().status.map(|status| status.total)
 }

@@ -1,5 +1,5 @@
-//! A defect in the task that writes ends the coordinator with an error, so that
-//! whatever started it can start it again.
+//! The coordinator's background tasks: none holds up connections and signals, and a panic in
+//! one of them ends the coordinator with an error, so that whatever started it starts it again.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -7,8 +7,10 @@ use std::time::Duration;
 
 use coordinator::{Coordinator, ServeError};
 use proto::coordinator as wire;
+use proto::coordinator::operator_service_client::OperatorServiceClient;
 use proto::coordinator::worker_service_client::WorkerServiceClient;
 use queue::clock::{Clock, ManualClock, UnixMillis};
+use sqlx::Connection;
 use tokio::net::TcpListener;
 use tokio::task::JoinSet;
 
@@ -70,4 +72,50 @@ async fn a_panic_of_the_writer_ends_the_coordinator_with_an_error_that_says_so()
     let ended = ended.await.expect("it goes on").expect("a task");
     let error = ended.expect("no panic of its own").expect_err("an error");
     assert!(matches!(error, ServeError::Panicked { .. }), "{error:?}");
+}
+
+/// Finding B6: the sweep was awaited in the loop that also accepts connections and signals.
+#[tokio::test(flavor = "multi_thread")]
+async fn connections_and_signals_are_served_while_the_database_is_locked() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let mut config = config(folder.path(), Arc::new(ManualClock::default()));
+    config.timing.sweep = Duration::from_millis(20);
+    let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
+    let address = listener.local_addr().expect("an address");
+    let coordinator = Coordinator::open(config).await.expect("a coordinator");
+    let database = folder.path().join("coordinator.sqlite");
+    let mut writer = sqlx::SqliteConnection::connect_with(
+        &sqlx::sqlite::SqliteConnectOptions::new().filename(database),
+    )
+    .await
+    .expect("the database");
+    let locked = sqlx::query("BEGIN IMMEDIATE").execute(&mut writer).await;
+    locked.expect("its lock");
+    let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
+    let mut served = JoinSet::new();
+    served.spawn(coordinator.serve(listener, async {
+        let _ = stopped.await;
+    }));
+    // Some sweeps wait for the writer by then.
+    tokio::time::sleep(Duration::from_millis(200)).await;
+    let connected = tokio::time::timeout(
+        Duration::from_secs(5),
+        OperatorServiceClient::connect(format!("http://{address}")),
+    );
+    let mut operator = connected.await.expect("in time").expect("a connection");
+    let listed = operator.list_campaigns(wire::ListCampaignsRequest::default());
+    let listed = tokio::time::timeout(Duration::from_secs(5), listed).await;
+    listed.expect("in time").expect("an answer");
+    drop(operator);
+    stop.send(()).expect("it runs");
+    let refuses = async {
+        while tokio::net::TcpStream::connect(address).await.is_ok() {
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
+    };
+    let refused = tokio::time::timeout(Duration::from_secs(5), refuses).await;
+    refused.expect("it listens no more");
+    drop(writer);
+    let ended = served.join_next().await.expect("a task");
+    ended.expect("no panic").expect("no error");
 }

@@ -1,6 +1,8 @@
 //! The way in: everything that workers and operators ask for. Their answers are
 //! on the disk when they are given.
 
+use std::collections::HashMap;
+use std::future::Future;
 use std::sync::Arc;
 use std::sync::atomic::AtomicI64;
 use std::time::Duration;
@@ -40,7 +42,7 @@ pub struct Queue {
     operations: mpsc::Sender<Operation>,
     /// What executes it, what keeps the log short, and what adds jobs or stops
     /// campaigns as outcomes come; they end with the queue.
-    _tasks: JoinSet<()>,
+    tasks: tokio::sync::Mutex<Tasks>,
     pub(crate) last_sweep: AtomicI64,
     pub(crate) films: InFlight,
     pub(crate) filming: Filming,
@@ -59,6 +61,30 @@ async fn keep_log_short(shared: Arc<Shared>) {
         if let Err(error) = shared.store.checkpoint().await {
             tracing::debug!("failed to {}", error.with_cause());
         }
+    }
+}
+
+/// The tasks that a queue owns, with their names.
+#[derive(Default)]
+struct Tasks {
+    running: JoinSet<()>,
+    names: HashMap<tokio::task::Id, &'static str>,
+}
+
+impl Tasks {
+    fn spawn(&mut self, name: &'static str, work: impl Future<Output = ()> + Send + 'static) {
+        let task = self.running.spawn(work);
+        self.names.insert(task.id(), name);
+    }
+
+    async fn next_ended(&mut self) -> &'static str {
+        let ended = match self.running.join_next_with_id().await {
+            Some(Ok((id, ()))) => Some(id),
+            Some(Err(error)) => Some(error.id()),
+            None => None,
+        };
+        let name = ended.and_then(|id| self.names.get(&id));
+        name.copied().unwrap_or("a task of the queue")
     }
 }
 
@@ -95,16 +121,16 @@ impl Queue {
             removals::finish_all(&shared).await?;
         }
         let (operations, asked) = mpsc::channel(MAX_WAITING);
-        let mut tasks = JoinSet::new();
-        tasks.spawn(writer::run(shared.clone(), asked));
-        tasks.spawn(keep_log_short(shared.clone()));
-        tasks.spawn(derive::run(shared.clone()));
-        tasks.spawn(stop::run(shared.clone()));
+        let mut tasks = Tasks::default();
+        tasks.spawn("the database's writer", writer::run(shared.clone(), asked));
+        tasks.spawn("the checkpointer", keep_log_short(shared.clone()));
+        tasks.spawn("the derivation of rollouts", derive::run(shared.clone()));
+        tasks.spawn("the early stop", stop::run(shared.clone()));
         Ok(Arc::new(Queue {
             last_sweep: AtomicI64::new(shared.now().0),
             shared,
             operations,
-            _tasks: tasks,
+            tasks: tokio::sync::Mutex::new(tasks),
             films: InFlight::default(),
             filming: Filming::default(),
             campaigns: tokio::sync::Mutex::default(),
@@ -286,9 +312,10 @@ impl Queue {
         self.shared.held()
     }
 
-    /// Returns when nothing can be asked any more: the writer panicked.
-    pub async fn broken(&self) {
-        self.operations.closed().await;
+    /// Waits until one of the queue's own tasks ends, which only a panic can bring about, and
+    /// names it.
+    pub async fn broken(&self) -> &'static str {
+        self.tasks.lock().await.next_ended().await
     }
 
     /// Closes the database.
@@ -317,5 +344,24 @@ impl std::fmt::Debug for Queue {
             .field("folder", &self.store().folder())
             .field("timing", &self.timing())
             .finish_non_exhaustive()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn a_task_that_panics_is_named() {
+        for panics in ["first", "second"] {
+            let mut tasks = Tasks::default();
+            for name in ["first", "second"] {
+                tasks.spawn(name, async move {
+                    assert_ne!(name, panics, "a defect");
+                    std::future::pending().await
+                });
+            }
+            assert_eq!(tasks.next_ended().await, panics);
+        }
     }
 }
