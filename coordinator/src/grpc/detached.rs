@@ -31,8 +31,8 @@ impl Detached {
                 let _ = sender.send(change.await);
             });
         }
-        result.await.map_err(|_| {
-            Status::internal("the change panicked; the coordinator's log says where")
-        })
+        result
+            .await
+            .map_err(|_| Status::internal("the change panicked; the coordinator's log says where"))
     }
 }

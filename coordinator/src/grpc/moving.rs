@@ -169,9 +169,7 @@ pub(super) async fn import(
         // Its films are moved out of it.
         let _until_adopted = folder;
         let source = unpacked.contents.source.as_ref();
-        queue
-            .adopt(&unpacked.campaign, source, name.as_ref())
-            .await
+        queue.adopt(&unpacked.campaign, source, name.as_ref()).await
     };
     let (campaign, counts) = changes.run(adopted).await?.map_err(adopt_failed)?;
     Ok(wire::ImportCampaignResponse {

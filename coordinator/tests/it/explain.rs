@@ -322,7 +322,10 @@ async fn a_client_that_disconnects_during_create_leaves_no_campaign_without_roll
             tokio::time::sleep(Duration::from_millis(20)).await;
         }
     }
-    assert!(created > 0, "no request arrived before its client disconnected");
+    assert!(
+        created > 0,
+        "no request arrived before its client disconnected"
+    );
 }
 
 /// How many rollouts a campaign has, if it exists.

@@ -212,7 +212,11 @@ async fn a_query_whose_caller_has_gone_is_never_computed() {
         while quiet < 50 {
             until(&awaited, 0).await;
             tokio::time::sleep(Duration::from_millis(2)).await;
-            quiet = if awaited.load(Ordering::SeqCst) == 0 { quiet + 1 } else { 0 };
+            quiet = if awaited.load(Ordering::SeqCst) == 0 {
+                quiet + 1
+            } else {
+                0
+            };
         }
         let before = begun.load(Ordering::SeqCst);
         assert!((1..=max_batch as usize).contains(&before), "{before}");
