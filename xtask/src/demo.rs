@@ -22,7 +22,7 @@ use crate::setup;
 use crate::step::step;
 
 /// Programs of a campaign.
-const PROGRAMS: [&str; 3] = ["coordinator", "worker", "policy-gateway"];
+pub(crate) const PROGRAMS: [&str; 3] = ["coordinator", "worker", "policy-gateway"];
 /// Name of the demo's campaign.
 const CAMPAIGN: &str = "demo";
 /// Tasks and configurations that have transitions of both kinds. They were chosen for that:

