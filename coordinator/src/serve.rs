@@ -1,5 +1,4 @@
-//! The coordinator as a process: one loop owns the server, the tasks beside it and the
-//! shutdown.
+//! The coordinator as a process: the server, the tasks beside it and the shutdown.
 
 use std::future::Future;
 use std::io;
@@ -158,8 +157,7 @@ impl Coordinator {
         if let Some(storage) = storage {
             beside.spawn(mirror::run(queue.clone(), storage));
         }
-        // Not in the loop below: a sweep waits for the writer, and connections and signals must
-        // not.
+        // A sweep waits for the writer; connections and signals must not.
         beside.spawn(sweep(queue.clone(), self.min_free_bytes));
         let routes = Routes::from(page::beside(page.clone(), calls));
         let server = server(routes, &self.security, listener, async {
@@ -168,25 +166,21 @@ impl Coordinator {
         });
         let mut server = std::pin::pin!(server);
         let mut shutdown = std::pin::pin!(shutdown);
-        loop {
-            tokio::select! {
-                served = &mut server => {
-                    served?;
-                    break;
-                }
-                task = queue.broken() => return Err(ServeError::Panicked { what: task }),
-                Some(_) = beside.join_next() => {
-                    return Err(ServeError::Panicked { what: "a task beside the server" });
-                }
-                () = &mut shutdown => {
-                    tracing::info!("stopping: leasing nothing more, finishing what is under way");
-                    queue.drain();
-                    page.close();
-                    let _ = stop.send(());
-                    if timeout(SHUTDOWN_GRACE, &mut server).await.is_err() {
-                        tracing::warn!("requests were still open after {SHUTDOWN_GRACE:?}");
-                    }
-                    break;
+        tokio::select! {
+            served = &mut server => {
+                served?;
+            }
+            task = queue.broken() => return Err(ServeError::Panicked { what: task }),
+            Some(_) = beside.join_next() => {
+                return Err(ServeError::Panicked { what: "a task beside the server" });
+            }
+            () = &mut shutdown => {
+                tracing::info!("stopping: leasing nothing more, finishing what is under way");
+                queue.drain();
+                page.close();
+                let _ = stop.send(());
+                if timeout(SHUTDOWN_GRACE, &mut server).await.is_err() {
+                    tracing::warn!("requests were still open after {SHUTDOWN_GRACE:?}");
                 }
             }
         }

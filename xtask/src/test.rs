@@ -178,7 +178,11 @@ fn deny(root: &Path) -> Result<String> {
         return Ok("skipped: no cargo-deny (`cargo install --locked cargo-deny`)".to_owned());
     }
     let check = ["deny", "--offline", "check"];
-    capture(cargo(root).args(check).args(["bans", "licenses", "sources"]))?;
+    capture(
+        cargo(root)
+            .args(check)
+            .args(["bans", "licenses", "sources"]),
+    )?;
     // The database of advisories is a git repository, which `cargo deny fetch` brings.
     let fetched = capture(cargo(root).args(["deny", "fetch"])).is_ok();
     match fetched {

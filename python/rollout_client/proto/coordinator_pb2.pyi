@@ -49,16 +49,18 @@ class RegisterResponse(_message.Message):
     def __init__(self, protocol_version: _Optional[int] = ..., program_version: _Optional[str] = ..., lease_secs: _Optional[float] = ..., heartbeat_secs: _Optional[float] = ..., progress_timeout_secs: _Optional[float] = ..., idle_reason: _Optional[str] = ...) -> None: ...
 
 class ClaimRequest(_message.Message):
-    __slots__ = ("worker_id", "claim_id", "wait_secs", "warm_task")
+    __slots__ = ("worker_id", "claim_id", "wait_secs", "warm_task", "lacking_tasks")
     WORKER_ID_FIELD_NUMBER: _ClassVar[int]
     CLAIM_ID_FIELD_NUMBER: _ClassVar[int]
     WAIT_SECS_FIELD_NUMBER: _ClassVar[int]
     WARM_TASK_FIELD_NUMBER: _ClassVar[int]
+    LACKING_TASKS_FIELD_NUMBER: _ClassVar[int]
     worker_id: str
     claim_id: str
     wait_secs: float
     warm_task: str
-    def __init__(self, worker_id: _Optional[str] = ..., claim_id: _Optional[str] = ..., wait_secs: _Optional[float] = ..., warm_task: _Optional[str] = ...) -> None: ...
+    lacking_tasks: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, worker_id: _Optional[str] = ..., claim_id: _Optional[str] = ..., wait_secs: _Optional[float] = ..., warm_task: _Optional[str] = ..., lacking_tasks: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class ClaimResponse(_message.Message):
     __slots__ = ("lease", "idle_reason")
@@ -408,7 +410,7 @@ class GetCampaignResponse(_message.Message):
     def __init__(self, status: _Optional[_Union[CampaignStatus, _Mapping]] = ..., spec: _Optional[str] = ...) -> None: ...
 
 class CampaignStatus(_message.Message):
-    __slots__ = ("campaign", "policy", "total", "queued", "leased", "committed", "quarantined", "succeeded", "policy_paused", "policy_pause_reason", "rate_per_sec", "eta_secs", "live_workers", "waiting_reason", "state", "policy_endpoint", "mixed_fingerprints", "priority", "created_unix_ms", "early_stop", "follows_from", "may_grow")
+    __slots__ = ("campaign", "policy", "total", "queued", "leased", "committed", "quarantined", "succeeded", "policy_paused", "policy_pause_reason", "rate_per_sec", "eta_secs", "live_workers", "waiting_reason", "state", "policy_endpoint", "mixed_fingerprints", "priority", "created_unix_ms", "early_stop", "follows_from", "may_grow", "policy_retry_secs")
     class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         STATE_UNSPECIFIED: _ClassVar[CampaignStatus.State]
@@ -456,6 +458,7 @@ class CampaignStatus(_message.Message):
     EARLY_STOP_FIELD_NUMBER: _ClassVar[int]
     FOLLOWS_FROM_FIELD_NUMBER: _ClassVar[int]
     MAY_GROW_FIELD_NUMBER: _ClassVar[int]
+    POLICY_RETRY_SECS_FIELD_NUMBER: _ClassVar[int]
     campaign: str
     policy: str
     total: int
@@ -478,7 +481,8 @@ class CampaignStatus(_message.Message):
     early_stop: CampaignStatus.EarlyStop
     follows_from: str
     may_grow: bool
-    def __init__(self, campaign: _Optional[str] = ..., policy: _Optional[str] = ..., total: _Optional[int] = ..., queued: _Optional[int] = ..., leased: _Optional[int] = ..., committed: _Optional[int] = ..., quarantined: _Optional[int] = ..., succeeded: _Optional[int] = ..., policy_paused: bool = ..., policy_pause_reason: _Optional[str] = ..., rate_per_sec: _Optional[float] = ..., eta_secs: _Optional[float] = ..., live_workers: _Optional[int] = ..., waiting_reason: _Optional[str] = ..., state: _Optional[_Union[CampaignStatus.State, str]] = ..., policy_endpoint: _Optional[str] = ..., mixed_fingerprints: _Optional[str] = ..., priority: _Optional[int] = ..., created_unix_ms: _Optional[int] = ..., early_stop: _Optional[_Union[CampaignStatus.EarlyStop, _Mapping]] = ..., follows_from: _Optional[str] = ..., may_grow: bool = ...) -> None: ...
+    policy_retry_secs: float
+    def __init__(self, campaign: _Optional[str] = ..., policy: _Optional[str] = ..., total: _Optional[int] = ..., queued: _Optional[int] = ..., leased: _Optional[int] = ..., committed: _Optional[int] = ..., quarantined: _Optional[int] = ..., succeeded: _Optional[int] = ..., policy_paused: bool = ..., policy_pause_reason: _Optional[str] = ..., rate_per_sec: _Optional[float] = ..., eta_secs: _Optional[float] = ..., live_workers: _Optional[int] = ..., waiting_reason: _Optional[str] = ..., state: _Optional[_Union[CampaignStatus.State, str]] = ..., policy_endpoint: _Optional[str] = ..., mixed_fingerprints: _Optional[str] = ..., priority: _Optional[int] = ..., created_unix_ms: _Optional[int] = ..., early_stop: _Optional[_Union[CampaignStatus.EarlyStop, _Mapping]] = ..., follows_from: _Optional[str] = ..., may_grow: bool = ..., policy_retry_secs: _Optional[float] = ...) -> None: ...
 
 class ChangeCampaignRequest(_message.Message):
     __slots__ = ("campaign", "change")
