@@ -25,8 +25,9 @@ const HEARTBEAT: Duration = Duration::from_secs(5);
 const CALL_TIMEOUT: Duration = Duration::from_secs(60);
 /// After a claim that found nothing, and after a call that failed.
 const PAUSE: Duration = Duration::from_secs(1);
-/// Nothing was leased or running for so long: everything is done.
-const QUIET: Duration = Duration::from_secs(20);
+/// Nothing was leased or running for so long, which is longer than a lease that a restored
+/// backup brings back: everything is done.
+const QUIET: Duration = Duration::from_secs(45);
 /// Tasks that film, and the size of what they send.
 const FILMERS: u32 = 8;
 const FILM_BYTES: usize = 16 << 10;
@@ -53,8 +54,32 @@ pub(crate) struct Crowd {
     tasks: tokio::sync::Mutex<JoinSet<()>>,
 }
 
-/// The leases of a worker that are to be renewed.
-type Held = Shared<BTreeSet<String>>;
+/// A worker, which is started again where it must stop.
+struct Worker {
+    number: u32,
+    slots: u32,
+    starts: AtomicU32,
+    is_registered: AtomicBool,
+    client: Client,
+    /// The leases that are to be renewed.
+    held: Shared<BTreeSet<String>>,
+}
+
+impl Worker {
+    fn id(&self, start: u32) -> String {
+        format!("worker-{:04}.{start}", self.number)
+    }
+
+    /// Starts again, unless another slot has seen to that. A worker that is started again has
+    /// another id.
+    fn start_again(&self, start: u32) {
+        let order = Ordering::SeqCst;
+        let started = self.starts.compare_exchange(start, start + 1, order, order);
+        if started.is_ok() {
+            self.is_registered.store(false, order);
+        }
+    }
+}
 
 impl Crowd {
     pub(crate) fn start(reached: Reached, arguments: &Arguments) -> Arc<Crowd> {
@@ -75,18 +100,17 @@ impl Crowd {
         for number in 0..arguments.workers {
             let slots = arguments.slots / arguments.workers
                 + u32::from(number < arguments.slots % arguments.workers);
-            let id = format!("worker-{number:04}");
-            let (client, held) = (crowd.client(), Held::default());
-            tasks.spawn(
-                crowd
-                    .clone()
-                    .beat(client.clone(), id.clone(), slots, held.clone()),
-            );
+            let worker = Arc::new(Worker {
+                number,
+                slots,
+                starts: AtomicU32::new(0),
+                is_registered: AtomicBool::new(false),
+                client: crowd.client(),
+                held: Shared::default(),
+            });
+            tasks.spawn(crowd.clone().beat(worker.clone()));
             for slot in 0..slots {
-                let slot = crowd
-                    .clone()
-                    .run_slot(client.clone(), id.clone(), slot, held.clone());
-                tasks.spawn(slot);
+                tasks.spawn(crowd.clone().run_slot(worker.clone(), slot));
             }
         }
         for _ in 0..FILMERS {
@@ -141,19 +165,25 @@ impl Crowd {
         tokio::time::sleep(PAUSE).await;
     }
 
-    async fn beat(self: Arc<Self>, mut client: Client, id: String, slots: u32, held: Held) {
-        let mut is_known = false;
+    async fn beat(self: Arc<Self>, worker: Arc<Worker>) {
+        let mut client = worker.client.clone();
+        let held = &worker.held;
+        let mut since = Instant::now();
         while !self.is_stopped() {
-            if !is_known {
-                match client.register(registration(&id, slots)).await {
-                    Ok(_) => is_known = true,
-                    Err(status) => {
-                        self.failed(&status).await;
-                        continue;
-                    }
+            let start = worker.starts.load(Ordering::SeqCst);
+            let id = worker.id(start);
+            if !worker.is_registered.load(Ordering::SeqCst) {
+                match client.register(registration(&id, worker.slots)).await {
+                    Ok(_) => worker.is_registered.store(true, Ordering::SeqCst),
+                    Err(status) => self.failed(&status).await,
                 }
+                continue;
             }
-            tokio::time::sleep(HEARTBEAT).await;
+            if since.elapsed() < HEARTBEAT {
+                tokio::time::sleep(PAUSE / 4).await;
+                continue;
+            }
+            since = Instant::now();
             let attempts = held.lock().expect("no panic").clone();
             let progress = attempts.into_iter().map(|attempt_id| wire::Progress {
                 attempt_id,
@@ -171,20 +201,31 @@ impl Crowd {
                     held.retain(|attempt| !lost.contains(attempt));
                 }
                 Err(status) => {
-                    is_known = status.code() == Code::Unavailable;
+                    if is_refused(&status) {
+                        worker.start_again(start);
+                    }
                     self.failed(&status).await;
                 }
             }
         }
     }
 
-    async fn run_slot(self: Arc<Self>, mut client: Client, id: String, slot: u32, held: Held) {
+    async fn run_slot(self: Arc<Self>, worker: Arc<Worker>, slot: u32) {
+        let mut client = worker.client.clone();
+        let held = &worker.held;
         // Workers of a cluster start one after the other.
-        tokio::time::sleep(self.rollout.mul_f64(drawn(&format!("{id} {slot}")))).await;
+        let name = format!("{} {slot}", worker.number);
+        tokio::time::sleep(self.rollout.mul_f64(drawn(&name))).await;
         let mut claims = 0_u64;
         let mut warm = String::new();
         while !self.is_stopped() {
+            if !worker.is_registered.load(Ordering::SeqCst) {
+                tokio::time::sleep(PAUSE / 4).await;
+                continue;
+            }
             claims += 1;
+            let start = worker.starts.load(Ordering::SeqCst);
+            let id = worker.id(start);
             let request = wire::ClaimRequest {
                 worker_id: id.clone(),
                 claim_id: format!("{:016x}{:016x}", bits(&id) ^ u64::from(slot), claims),
@@ -196,6 +237,9 @@ impl Crowd {
             let lease = match client.claim(request).await {
                 Ok(answer) => answer.into_inner().lease,
                 Err(status) => {
+                    if is_refused(&status) {
+                        worker.start_again(start);
+                    }
                     self.failed(&status).await;
                     continue;
                 }
@@ -275,6 +319,12 @@ impl Crowd {
             }
         }
     }
+}
+
+/// Returns true if the worker is unknown, or may lease no more: after a restored backup, leases
+/// of before count as lost.
+fn is_refused(status: &Status) -> bool {
+    matches!(status.code(), Code::NotFound | Code::FailedPrecondition)
 }
 
 fn registration(id: &str, slots: u32) -> wire::RegisterRequest {

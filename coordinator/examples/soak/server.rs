@@ -124,8 +124,18 @@ impl Server {
         Ok(said.lines().next().unwrap_or_default().to_owned())
     }
 
-    pub(crate) fn statuses(&self) -> Result<String> {
-        self.command(&["campaign", "list"])
+    /// How the campaigns stand that are neither finished nor stopped.
+    pub(crate) fn unfinished(&self, names: &[&str]) -> Result<Vec<String>> {
+        let mut unfinished = Vec::new();
+        for name in names {
+            let status = self.command(&["campaign", "status", name, "--json"])?;
+            let status: Value = serde_json::from_str(&status)?;
+            let status = &status["campaigns"][0];
+            if status["is_finished"] != true && status["state"] != "stopped" {
+                unfinished.push(format!("{name}: {}", status["rollouts"]));
+            }
+        }
+        Ok(unfinished)
     }
 
     /// Asks it to end, and waits until it has.
