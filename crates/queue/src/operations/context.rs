@@ -239,8 +239,14 @@ mod tests {
     #[test]
     fn a_reason_that_follows_the_policys_name_does_not_say_it_again() {
         for (error, expected) in [
-            ("policy `bad` at http://h:1 refused query 0: no", "it refused query 0: no"),
-            ("policy `badly` at http://h:1 refused", "policy `badly` at http://h:1 refused"),
+            (
+                "policy `bad` at http://h:1 refused query 0: no",
+                "it refused query 0: no",
+            ),
+            (
+                "policy `badly` at http://h:1 refused",
+                "policy `badly` at http://h:1 refused",
+            ),
             ("connection refused", "connection refused"),
         ] {
             assert_eq!(after_the_name("bad", error), expected);
