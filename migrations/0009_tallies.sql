@@ -106,9 +106,3 @@ END;
 
 -- Films are looked up by their path while they are moved to where they are kept.
 CREATE INDEX artifact_path ON artifact (path);
-
--- Campaigns that come or go piece by piece. Nobody sees them; one that was on its way when the
--- coordinator ended is deleted at the next start.
-CREATE TABLE passage (
-    campaign_id      INTEGER PRIMARY KEY REFERENCES campaign (id) ON DELETE CASCADE
-) STRICT;
