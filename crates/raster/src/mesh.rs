@@ -261,9 +261,9 @@ impl Mesh {
         counts.sum()
     }
 
-    /// Where a corner of a triangle is; `cluster` is the one that it is in.
-    pub(crate) fn position(&self, cluster: &Cluster, triangle: usize, corner: usize) -> Vec3 {
-        let at = cluster.first_position as usize + usize::from(self.corners[corner][triangle]);
+    /// Where a vertex of a cluster is.
+    pub(crate) fn position(&self, cluster: &Cluster, vertex: u8) -> Vec3 {
+        let at = cluster.first_position as usize + usize::from(vertex);
         [self.xs[at], self.ys[at], self.zs[at]]
     }
 }
@@ -355,7 +355,8 @@ mod tests {
                 let order = mesh.order[triangle] as usize;
                 found[order] += 1;
                 for (at, corner) in wanted[order].iter().enumerate() {
-                    assert_eq!(mesh.position(cluster, triangle, at), corner.pos);
+                    let vertex = mesh.corners[at][triangle];
+                    assert_eq!(mesh.position(cluster, vertex), corner.pos);
                 }
             }
         }
