@@ -175,7 +175,7 @@ fn paint(
         );
     }
     let painted = (layers.len() <= most).then(|| {
-        let shown = (instances.as_slice(), &*visible);
+        let shown = (instances.as_slice(), &*visible, before.1);
         colour(shown, pass, &mut layers, &mut work.lists)
     });
     instances.truncate(before.0);
@@ -187,18 +187,17 @@ fn paint(
 
 /// Colours what was drawn of a geom, in drawing order.
 fn colour(
-    (instances, visible): (&[Instance], &Visible),
+    (instances, visible, first): (&[Instance], &Visible, usize),
     pass: Pass<'_>,
     layers: &mut [Layer],
     lists: &mut Lists,
 ) -> Painted {
     // Stable: the pixels of one triangle do not overlap.
     layers.sort_by_key(|layer| layer.rank);
-    lists.clear(visible.records.len(), pass.model.textures.len());
+    lists.clear(first, visible.records.len(), pass.model.textures.len());
     let mut count = 0u32;
     for layer in &*layers {
-        let (surface, instance) = lists.surface_of(layer.id, &visible.records);
-        let list = lists.list_of(&instances[instance as usize]);
+        let (surface, list) = lists.need(layer.id, &visible.records, instances);
         for (pixel, samples) in [(0, layer.samples & 0xf), (1, layer.samples >> SAMPLES)] {
             // Pixels are drawn in pairs, of which one may lie beside the window.
             let x = i32::from(layer.x + pixel);

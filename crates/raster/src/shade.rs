@@ -26,11 +26,11 @@ pub(crate) struct Fragment {
 /// Lists that are used again from frame to frame.
 #[derive(Debug, Default)]
 pub(crate) struct Lists {
+    /// Of each record from `first` on, if it is listed.
     pub(crate) surfaces: Vec<Surface>,
-    /// Of each record its surface, or [`NOTHING`].
-    of_record: Vec<u32>,
-    /// Of each surface its instance.
-    instances: Vec<u32>,
+    first: usize,
+    /// Of the same records the list that their fragments are in, or [`NOTHING`].
+    list_of: Vec<u32>,
     /// What is worked out of one cluster.
     wanted: Vec<Wanted>,
     vertices: Box<Vertices>,
@@ -39,78 +39,78 @@ pub(crate) struct Lists {
 }
 
 impl Lists {
-    pub(crate) fn clear(&mut self, records: usize, textures: usize) {
-        self.instances.clear();
-        self.of_record.clear();
-        self.of_record.resize(records, NOTHING);
+    /// Empties the lists, for fragments of records from `first` on.
+    pub(crate) fn clear(&mut self, first: usize, records: usize, textures: usize) {
+        self.first = first;
+        self.list_of.clear();
+        self.list_of.resize(records - first, NOTHING);
         self.fragments.resize_with(textures + 1, Vec::new);
         self.fragments.iter_mut().for_each(Vec::clear);
     }
 
-    /// The surface of a record, to be worked out later; and its instance.
+    /// Notes that a record's surface is needed; returns its place among the surfaces,
+    /// and the list that its fragments are in.
     #[inline(always)]
-    pub(crate) fn surface_of(&mut self, id: u32, records: &[Record]) -> (u32, u32) {
-        let known = self.of_record[id as usize];
-        if known != NOTHING {
-            return (known, self.instances[known as usize]);
+    pub(crate) fn need(
+        &mut self,
+        id: u32,
+        records: &[Record],
+        instances: &[Instance],
+    ) -> (u32, usize) {
+        let surface = id as usize - self.first;
+        let list = &mut self.list_of[surface];
+        if *list == NOTHING {
+            let texture = instances[records[id as usize].instance as usize].texture;
+            *list = texture.unwrap_or(self.fragments.len() - 1) as u32;
         }
-        let (surface, instance) = (self.instances.len() as u32, records[id as usize].instance);
-        self.of_record[id as usize] = surface;
-        self.instances.push(instance);
-        (surface, instance)
-    }
-
-    /// Which list the fragments of an instance are in.
-    #[inline(always)]
-    pub(crate) fn list_of(&self, instance: &Instance) -> usize {
-        instance.texture.unwrap_or(self.fragments.len() - 1)
+        (surface as u32, *list as usize)
     }
 }
 
-/// Lists the fragments of a window whose records are `first` or later ones.
+/// Lists the fragments of a window whose records the lists were emptied for.
 pub(crate) fn list_fragments(
     visible: &Visible,
     instances: &[Instance],
     window: Window,
-    first: u32,
     lists: &mut Lists,
 ) {
-    for y in window.y[0]..window.y[1] + 1 {
-        let row = y as usize * visible.stride;
-        let mut last = (NOTHING, 0, 0);
-        for x in window.x[0]..window.x[1] + 1 {
-            let at = (row + x as usize) * SAMPLES;
-            let ids: [u32; SAMPLES] = visible.ids[at..at + SAMPLES].try_into().expect("four");
-            let [id, ..] = ids;
-            if id == last.0 && id != NOTHING && ids == [id; SAMPLES] {
-                lists.fragments[last.2].push(Fragment {
-                    x: x as u16,
-                    y: y as u16,
-                    surface: last.1,
-                    samples: 0xf,
-                });
+    let first = lists.first;
+    let is_listed = |id: u32| id != NOTHING && id as usize >= first;
+    let (mut last, mut last_surface, mut last_list) = (NOTHING, 0, 0);
+    for (row, y) in window.rows(visible.stride).zip(window.y[0]..) {
+        let ids = &visible.ids[row.start * SAMPLES..row.end * SAMPLES];
+        let (pixels, _) = ids.as_chunks::<SAMPLES>();
+        for (ids, x) in pixels.iter().zip(window.x[0]..) {
+            let [a, b, c, d] = *ids;
+            let fragment = |surface: u32, samples: u32| Fragment {
+                x: x as u16,
+                y: y as u16,
+                surface,
+                samples,
+            };
+            let mut list = |lists: &mut Lists, id: u32, samples: u32| {
+                if id != last {
+                    (last_surface, last_list) = lists.need(id, &visible.records, instances);
+                    last = id;
+                }
+                lists.fragments[last_list].push(fragment(last_surface, samples));
+            };
+            let of = |same: bool, sample: u32| u32::from(same) << sample;
+            let with_first = 1 | of(b == a, 1) | of(c == a, 2) | of(d == a, 3);
+            if is_listed(a) {
+                list(lists, a, with_first);
+            }
+            if with_first == 0xf {
                 continue;
             }
-            let mut left = 0xfu32;
-            while left != 0 {
-                let sample = left.trailing_zeros() as usize;
-                let id = ids[sample];
-                let same =
-                    (0..SAMPLES).fold(0, |bits, other| bits | u32::from(ids[other] == id) << other);
-                left &= !same;
-                if id == NOTHING || id < first {
-                    continue;
-                }
-                if id != last.0 {
-                    let (surface, instance) = lists.surface_of(id, &visible.records);
-                    last = (id, surface, lists.list_of(&instances[instance as usize]));
-                }
-                lists.fragments[last.2].push(Fragment {
-                    x: x as u16,
-                    y: y as u16,
-                    surface: last.1,
-                    samples: same,
-                });
+            if b != a && is_listed(b) {
+                list(lists, b, 2 | of(c == b, 2) | of(d == b, 3));
+            }
+            if c != a && c != b && is_listed(c) {
+                list(lists, c, 4 | of(d == c, 3));
+            }
+            if d != a && d != b && d != c && is_listed(d) {
+                list(lists, d, 8);
             }
         }
     }
@@ -126,47 +126,47 @@ pub(crate) fn work_out_surfaces(
     lists: &mut Lists,
 ) {
     // What is left of another frame is overwritten before it is read.
-    if lists.surfaces.len() < lists.instances.len() {
+    if lists.surfaces.len() < lists.list_of.len() {
         lists
             .surfaces
-            .resize(lists.instances.len(), Surface::default());
+            .resize(lists.list_of.len(), Surface::default());
     }
     let size = [visible.width as f32, visible.height as f32];
     let Lists {
         surfaces,
-        of_record,
+        first,
+        list_of,
         wanted,
         vertices,
         ..
     } = lists;
     let mut shading = ShadingOf { lights, last: None };
-    let mut records = visible.records.iter().zip(&*of_record).peekable();
-    while let Some((record, surface)) = records.next() {
-        if *surface == NOTHING {
-            continue;
-        }
+    let records = visible.records[*first..].iter().zip(&*list_of).zip(0u32..);
+    let mut needed = records
+        .filter(|((_, list), _)| **list != NOTHING)
+        .map(|((record, _), surface)| (record, surface))
+        .peekable();
+    while let Some((record, surface)) = needed.next() {
         let instance = &instances[record.instance as usize];
         let mesh = instance.mesh.of(model);
         let shading = shading.of(record.instance, instance);
         if record.positions == CLIPPED {
-            surfaces[*surface as usize] =
+            surfaces[surface as usize] =
                 surface::work_out_clipped(instance, mesh, shading, visible, record);
             continue;
         }
         wanted.clear();
         wanted.push(Wanted {
             triangle: record.triangle,
-            surface: *surface,
+            surface,
         });
         let is_of_same =
             |next: &Record| (next.instance, next.positions) == (record.instance, record.positions);
-        while let Some((next, surface)) = records.next_if(|(next, _)| is_of_same(next)) {
-            if *surface != NOTHING {
-                wanted.push(Wanted {
-                    triangle: next.triangle,
-                    surface: *surface,
-                });
-            }
+        while let Some((next, surface)) = needed.next_if(|(next, _)| is_of_same(next)) {
+            wanted.push(Wanted {
+                triangle: next.triangle,
+                surface,
+            });
         }
         let cluster = (record.positions, wanted.as_slice());
         surface::work_out(instance, mesh, shading, size, cluster, vertices, surfaces);

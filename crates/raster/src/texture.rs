@@ -93,6 +93,33 @@ impl Texels<'_> {
         }
     }
 
+    /// Eight texels, and the ones that follow them, read by one load each; none where
+    /// they are of different levels' bytes, or too near to their end.
+    #[inline(always)]
+    pub(crate) fn eight_pairs(self, at: &[i32; LANES]) -> Option<[[u32; LANES]; 2]> {
+        let largest = self.texture.largest as i32;
+        let smaller = at
+            .iter()
+            .fold(0, |count, at| count + u32::from(*at >= largest));
+        let (bytes, first) = match smaller {
+            0 => (self.largest, 0),
+            8 => (self.texture.smaller.as_slice(), largest),
+            _ => return None,
+        };
+        let (channels, opaque) = match self.texture.channels {
+            3 => (3, 0xff00_0000),
+            _ => (4, 0),
+        };
+        let mut pairs = [[0; LANES]; 2];
+        for (lane, at) in at.iter().enumerate() {
+            let place = (at - first).cast_unsigned() as usize * channels;
+            let pair = u64::from_le_bytes(*bytes.get(place..)?.first_chunk()?);
+            pairs[0][lane] = opaque | pair as u32;
+            pairs[1][lane] = opaque | (pair >> (8 * channels)) as u32;
+        }
+        Some(pairs)
+    }
+
     /// Eight texels from bytes that start with texel `first`.
     #[inline(always)]
     fn eight_of(self, bytes: &[u8], first: i32, at: &[i32; LANES]) -> [u32; LANES] {
