@@ -107,8 +107,8 @@ impl Picture {
         shade::work_out_surfaces(pass.model, visible, &self.instances, pass.lights, lists);
         let (stride, samples) = (visible.stride, &mut self.samples);
         shade::colour(pass.model, pass.largest, lists, |fragment, colour| {
-            let pixel = &mut samples[usize::from(fragment.y) * stride + usize::from(fragment.x)];
-            let own = OWN_SAMPLES[(fragment.samples & 0xf) as usize];
+            let pixel = &mut samples[fragment.y() * stride + fragment.x()];
+            let own = OWN_SAMPLES[fragment.samples()];
             for (value, own) in pixel.iter_mut().zip(own) {
                 *value = *value & !own | colour & own;
             }

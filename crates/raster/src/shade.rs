@@ -1,6 +1,7 @@
 //! From what is visible to colours: every triangle that is seen in a pixel is
 //! coloured once, at the pixel's centre, for all samples that it has there.
 
+use crate::canvas::MAX_SIDE;
 use crate::clip::VARYING;
 use crate::instance::Instance;
 use crate::lanes::{F, Floats as _, I, Ints as _, LANES};
@@ -12,15 +13,48 @@ use crate::texture::{Texels, TextureKind};
 use crate::visible::{CLIPPED, NOTHING, Record, SAMPLES, Visible};
 use crate::window::Window;
 
-/// A triangle in a pixel.
+/// A triangle in a pixel, in few bytes: there are more of them than pixels.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Fragment {
-    pub(crate) x: u16,
-    pub(crate) y: u16,
+    /// Column, row, and bits of the samples that it has.
+    place: u32,
     /// Its place among the surfaces.
-    pub(crate) surface: u32,
-    /// Bits of the samples that it has; where they go is the caller's.
-    pub(crate) samples: u32,
+    surface: u32,
+}
+
+/// Bits of a column or a row, which are less than [`MAX_SIDE`].
+const SIDE_BITS: u32 = MAX_SIDE.ilog2();
+const SIDE_MASK: u32 = (1 << SIDE_BITS) - 1;
+const _: () = assert!(MAX_SIDE.is_power_of_two(), "each side fits its bits");
+const _: () = assert!(
+    2 * SIDE_BITS + SAMPLES as u32 <= u32::BITS,
+    "all fits a number"
+);
+
+impl Fragment {
+    #[inline(always)]
+    pub(crate) fn new(x: u32, y: u32, samples: u32, surface: u32) -> Self {
+        Self {
+            place: x | y << SIDE_BITS | samples << (2 * SIDE_BITS),
+            surface,
+        }
+    }
+
+    #[inline(always)]
+    pub(crate) fn x(&self) -> usize {
+        (self.place & SIDE_MASK) as usize
+    }
+
+    #[inline(always)]
+    pub(crate) fn y(&self) -> usize {
+        (self.place >> SIDE_BITS & SIDE_MASK) as usize
+    }
+
+    /// Bits of the samples that it has.
+    #[inline(always)]
+    pub(crate) fn samples(&self) -> usize {
+        (self.place >> (2 * SIDE_BITS)) as usize & ((1 << SAMPLES) - 1)
+    }
 }
 
 /// Lists that are used again from frame to frame.
@@ -74,45 +108,94 @@ pub(crate) fn list_fragments(
     window: Window,
     lists: &mut Lists,
 ) {
-    let first = lists.first;
-    let is_listed = |id: u32| id != NOTHING && id as usize >= first;
-    let (mut last, mut last_surface, mut last_list) = (NOTHING, 0, 0);
+    let mut listing = Listing {
+        lists,
+        records: &visible.records,
+        instances,
+        id: NO_RECORD,
+        surface: 0,
+        number: 0,
+        list: Vec::new(),
+    };
+    listing.open(0);
     for (row, y) in window.rows(visible.stride).zip(window.y[0]..) {
         let ids = &visible.ids[row.start * SAMPLES..row.end * SAMPLES];
         let (pixels, _) = ids.as_chunks::<SAMPLES>();
         for (ids, x) in pixels.iter().zip(window.x[0]..) {
-            let [a, b, c, d] = *ids;
-            let fragment = |surface: u32, samples: u32| Fragment {
-                x: x as u16,
-                y: y as u16,
-                surface,
-                samples,
-            };
-            let mut list = |lists: &mut Lists, id: u32, samples: u32| {
-                if id != last {
-                    (last_surface, last_list) = lists.need(id, &visible.records, instances);
-                    last = id;
-                }
-                lists.fragments[last_list].push(fragment(last_surface, samples));
-            };
-            let of = |same: bool, sample: u32| u32::from(same) << sample;
-            let with_first = 1 | of(b == a, 1) | of(c == a, 2) | of(d == a, 3);
-            if is_listed(a) {
-                list(lists, a, with_first);
-            }
-            if with_first == 0xf {
-                continue;
-            }
-            if b != a && is_listed(b) {
-                list(lists, b, 2 | of(c == b, 2) | of(d == b, 3));
-            }
-            if c != a && c != b && is_listed(c) {
-                list(lists, c, 4 | of(d == c, 3));
-            }
-            if d != a && d != b && d != c && is_listed(d) {
-                list(lists, d, 8);
-            }
+            listing.pixel(ids, x as u32, y as u32);
         }
+    }
+    listing.close();
+}
+
+/// No record's place, and not [`NOTHING`] either.
+const NO_RECORD: u32 = NOTHING - 1;
+
+/// Fragments on their way into the lists. Neighbours are mostly of the same triangle,
+/// and of the same list.
+struct Listing<'a> {
+    lists: &'a mut Lists,
+    records: &'a [Record],
+    instances: &'a [Instance],
+    /// The last record, and its surface.
+    id: u32,
+    surface: u32,
+    /// The list of the last fragment, taken out of the others, and its place among them.
+    number: usize,
+    list: Vec<Fragment>,
+}
+
+impl Listing<'_> {
+    #[inline(always)]
+    fn pixel(&mut self, ids: &[u32; SAMPLES], x: u32, y: u32) {
+        let [a, b, c, d] = *ids;
+        let of = |same: bool, sample: u32| u32::from(same) << sample;
+        let with_first = 1 | of(b == a, 1) | of(c == a, 2) | of(d == a, 3);
+        self.push(a, x, y, with_first);
+        if with_first == 0xf {
+            return;
+        }
+        if b != a {
+            self.push(b, x, y, 2 | of(c == b, 2) | of(d == b, 3));
+        }
+        if c != a && c != b {
+            self.push(c, x, y, 4 | of(d == c, 3));
+        }
+        if d != a && d != b && d != c {
+            self.push(d, x, y, 8);
+        }
+    }
+
+    #[inline(always)]
+    fn push(&mut self, id: u32, x: u32, y: u32, samples: u32) {
+        if id != self.id && !self.turn_to(id) {
+            return;
+        }
+        self.list.push(Fragment::new(x, y, samples, self.surface));
+    }
+
+    /// Makes a record the last one; false if it is not listed.
+    #[inline(always)]
+    fn turn_to(&mut self, id: u32) -> bool {
+        if id == NOTHING || (id as usize) < self.lists.first {
+            return false;
+        }
+        let (surface, number) = self.lists.need(id, self.records, self.instances);
+        (self.id, self.surface) = (id, surface);
+        if number != self.number {
+            self.close();
+            self.open(number);
+        }
+        true
+    }
+
+    fn open(&mut self, number: usize) {
+        self.number = number;
+        self.list = std::mem::take(&mut self.lists.fragments[number]);
+    }
+
+    fn close(&mut self) {
+        self.lists.fragments[self.number] = std::mem::take(&mut self.list);
     }
 }
 
@@ -265,11 +348,9 @@ fn colour_eight(
     let all = Planes::gather(&of);
     let planes = |at: usize| all[at];
     let (one, half) = (splat(1.0), splat(0.5));
-    let place = |of: fn(&Fragment) -> u16| {
-        let values = fragments.each_ref().map(|it| i32::from(of(it)));
-        I::new(values)
-    };
-    let (x, y) = (place(|it| it.x), place(|it| it.y));
+    let places = I::new(fragments.each_ref().map(|it| it.place.cast_signed()));
+    let side = I::splat(SIDE_MASK.cast_signed());
+    let (x, y) = (places & side, (places >> SIDE_BITS.cast_signed()) & side);
     let centre = |at: I| -> F { at.float() + half };
     let (px, py) = (centre(x), centre(y));
     let over_w = planes(OVER_W);
