@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
-use attempt::{IkResidual, Motion, Parts, Realised, RolloutResult};
+use attempt::{GoalProgress, IkResidual, Motion, Parts, Realised, RolloutResult};
 use proto::policy as wire;
 use sha2::{Digest, Sha256};
 use sim::episode::clip;
@@ -141,6 +141,7 @@ pub(crate) fn run_after(
         clipped_actions: 0,
         queries: 0,
         parts: Parts::default(),
+        goal: GoalProgress::default(),
         first_frame_digest: String::new(),
     };
     // First, so that a renderer that cannot draw costs no rollout.
@@ -197,6 +198,7 @@ struct Run<'a> {
     queries: u32,
     /// Where its time has gone so far.
     parts: Parts,
+    goal: GoalProgress,
     first_frame_digest: String,
 }
 
@@ -222,6 +224,7 @@ impl Run<'_> {
             .map_err(|source| self.simulator_failed(source))?;
         carry_on(self.watcher.progress(row.settle_steps))?;
         self.path.push(whereabouts(&mut episode));
+        self.goal.record(&episode.environment().goal_truths());
         self.watcher.moved(None, &mut episode);
         if let Some(commands) = self.commands {
             for &command in commands {
@@ -251,6 +254,7 @@ impl Run<'_> {
             clipped_actions: self.clipped_actions,
             policy_queries: self.queries,
             parts: Some(self.parts),
+            goal: Some(self.goal),
         };
         Ok((
             result,
@@ -282,6 +286,7 @@ impl Run<'_> {
         let success = stepped.map_err(|source| self.simulator_failed(source))?;
         self.executed.push(executed);
         self.path.push(whereabouts(episode));
+        self.goal.record(&episode.environment().goal_truths());
         self.watcher.moved(Some(&Step { sent, executed }), episode);
         let settled = self.assignment.row.settle_steps;
         carry_on(self.watcher.progress(settled + self.steps()))?;
