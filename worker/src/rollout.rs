@@ -113,14 +113,31 @@ pub fn run(
     run_after(None, stage, actor, assignment, watcher)
 }
 
-/// The same from the state that the robot's commands so far, if any, have led to. There
-/// the perturbations are lifted, and the policy is reset and told the canonical
-/// instruction. Of the budget it has what they have left.
+/// Where a rollout that was simulated before is gone on with, and what is changed there.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Resumed<'a> {
+    /// The robot's commands that lead there.
+    pub(crate) after: &'a [Action],
+    /// What is changed.
+    pub(crate) change: Change,
+}
+
+/// What is changed where a rollout is gone on with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Change {
+    /// The perturbations are lifted; the instruction is canonical from there on.
+    Lift,
+    /// The placebo: nothing is lifted, the robot is nudged ([`Episode::nudge`]).
+    Nudge,
+}
+
+/// The same from the state that the robot's commands so far have led to, changed there.
+/// The policy is reset there. Of the budget it has what the commands have left.
 ///
 /// # Errors
 /// As [`run`].
 pub(crate) fn run_after(
-    commands: Option<&[Action]>,
+    resumed: Option<Resumed<'_>>,
     stage: &mut Stage<'_>,
     actor: &mut dyn Actor,
     assignment: &Assignment,
@@ -131,7 +148,7 @@ pub(crate) fn run_after(
     let description = actor.describe(assignment.policy_session())?;
     let mut run = Run {
         assignment,
-        commands,
+        resumed,
         title: stage.title(&assignment.row),
         description: &description,
         actor,
@@ -183,8 +200,8 @@ pub(crate) fn run_after(
 /// A rollout under way.
 struct Run<'a> {
     assignment: &'a Assignment,
-    /// What is done before perturbations are lifted; none if they are not.
-    commands: Option<&'a [Action]>,
+    /// Where it goes on, if it does.
+    resumed: Option<Resumed<'a>>,
     /// What messages call it.
     title: String,
     description: &'a Description,
@@ -212,9 +229,10 @@ impl Run<'_> {
             row, realisation, ..
         } = self.assignment;
         let started = Instant::now();
-        let instruction = match self.commands {
-            None => stage.instruction(row, self.description),
-            Some(_) => Cow::Owned(row.id.task().instruction()),
+        let change = self.resumed.map(|resumed| resumed.change);
+        let instruction = match change {
+            None | Some(Change::Nudge) => stage.instruction(row, self.description),
+            Some(Change::Lift) => Cow::Owned(row.id.task().instruction()),
         };
         let physics = &mut self.parts.physics_secs;
         let begun = processor(physics, || stage.begin(row, *realisation));
@@ -226,11 +244,13 @@ impl Run<'_> {
         self.path.push(whereabouts(&mut episode));
         self.goal.record(&episode.environment().goal_truths());
         self.watcher.moved(None, &mut episode);
-        if let Some(commands) = self.commands {
-            for &command in commands {
-                self.step(&mut episode, command)?;
-            }
-            episode.lift();
+        for &command in self.resumed.map_or(&[][..], |resumed| resumed.after) {
+            self.step(&mut episode, command)?;
+        }
+        match change {
+            None => {}
+            Some(Change::Lift) => episode.lift(),
+            Some(Change::Nudge) => episode.nudge(),
         }
         let suite = row.id.task().suite();
         let session = self.assignment.policy_session();
