@@ -324,7 +324,15 @@ fn run_rescue(arguments: RescueArguments) -> anyhow::Result<()> {
         rescued.rollout_id,
         counted(rescued.tried.len() as u64, "step"),
         arguments.output.display()
-    ))
+    ))?;
+    match rescued.saved_by_placebo.len() as u64 {
+        0 => Ok(()),
+        times => say(&format!(
+            "at {}, nudging the robot by a thousandth of a millimetre and lifting nothing saves it \
+             as well: the rollout stood on an edge there, and these count as no rescue",
+            counted(times, "step")
+        )),
+    }
 }
 
 fn own_task(arguments: &RolloutArguments) -> Option<OwnTask> {

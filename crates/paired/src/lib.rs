@@ -27,6 +27,7 @@ mod legend;
 mod mcnemar;
 mod measures;
 mod outcomes;
+mod planning;
 mod replication;
 mod report;
 mod sequential;
@@ -60,6 +61,7 @@ pub use legend::legend;
 pub use mcnemar::mcnemar_exact;
 pub use measures::{Configuration, Measures};
 pub use outcomes::{DuplicateRecord, Matched, Outcome, Record, Records, Transition};
+pub use planning::{Against, Assumed, Detectable, Planned};
 pub use replication::{Change, Flips, Replication};
 pub use report::{
     Cell, Completeness, Gap, Nominal, NominalSource, Options, Report, SingleAxis, report, report_of,
