@@ -159,7 +159,7 @@ impl View {
     /// # Errors
     /// When the database fails.
     pub async fn endings(&mut self) -> Result<Vec<(String, i64)>, StoreError> {
-        sqlx::query_as("SELECT reason, count(*) FROM failure GROUP BY reason ORDER BY reason")
+        sqlx::query_as("SELECT reason, attempts FROM ending_tally WHERE attempts > 0")
             .fetch_all(self.tx())
             .await
             .doing("count how attempts ended")
