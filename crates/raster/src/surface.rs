@@ -158,11 +158,12 @@ impl Corners {
             normal: [[0.0; LANES]; 3],
             st: [[0.0; LANES]; 2],
         };
+        let (xs, ys, zs) = (&*mesh.xs, &*mesh.ys, &*mesh.zs);
         for (lane, &vertex) in vertices.iter().enumerate() {
-            it.pos[0][lane] = mesh.xs[vertex];
-            it.pos[1][lane] = mesh.ys[vertex];
-            it.pos[2][lane] = mesh.zs[vertex];
-            let attributes = &mesh.attributes[vertex];
+            it.pos[0][lane] = xs[vertex];
+            it.pos[1][lane] = ys[vertex];
+            it.pos[2][lane] = zs[vertex];
+            let attributes = mesh.attributes(vertex);
             for axis in 0..3 {
                 it.normal[axis][lane] = attributes.normal[axis];
             }
