@@ -9,7 +9,7 @@ use super::{Doing, StoreError, json};
 use crate::clock::UnixMillis;
 
 /// The rollout that an artifact belongs to.
-#[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
+#[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub(crate) struct ArtifactOwner {
     /// The folder of its campaign's files.
     pub(crate) folder: String,
