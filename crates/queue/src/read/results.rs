@@ -12,7 +12,7 @@ use crate::store::{Doing, StoreError};
 
 /// What a report of a campaign depends on: while it is the same, so is the
 /// report.
-#[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
+#[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub struct Edition {
     id: CampaignId,
     // Row numbers may be given again after a deletion.
@@ -27,7 +27,7 @@ pub struct Edition {
 }
 
 /// A committed rollout as exports read it.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct ExportedRow {
     /// Which rollout.
     pub rollout_id: String,
@@ -52,7 +52,7 @@ pub struct ExportedRow {
 }
 
 /// A job as reports count it.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct RecordRow {
     /// Which rollout.
     pub rollout_id: String,
@@ -69,7 +69,7 @@ pub struct RecordRow {
 }
 
 /// What a rollout was, beyond its name.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct SetupRow {
     /// Which rollout.
     pub rollout_id: String,
