@@ -27,7 +27,7 @@ pub(crate) struct Derived {
 }
 
 /// The state of a source; equal editions of one source have equal records.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, sqlx::FromRow)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub(crate) struct SourceEdition {
     #[sqlx(rename = "source_revision")]
     revision: i64,

@@ -42,7 +42,7 @@ pub(crate) struct FilmableRow {
 
 /// A campaign that records transitions. The rollouts of it that are to be filmed stay the
 /// same, but for those that are filmed, as long as these revisions do.
-#[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
+#[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub(crate) struct Filmed {
     pub(crate) campaign: CampaignId,
     pub(crate) revision: i64,
