@@ -391,6 +391,7 @@ fn outcome(
             clipped_actions: 0,
             policy_queries: 100,
             parts: None,
+            goal: None,
         },
         provenance: Provenance {
             // Every worker runs on a machine of its own.

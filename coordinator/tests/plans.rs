@@ -112,6 +112,7 @@ fn report(attempt: AttemptId) -> CommitReport {
             clipped_actions: 0,
             policy_queries: 1,
             parts: None,
+            goal: None,
         },
         provenance: Provenance {
             host: "here".to_owned(),

@@ -12,7 +12,7 @@ use crate::store::{Doing, StoreError};
 
 /// What a report of a campaign depends on: while it is the same, so is the
 /// report.
-#[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
+#[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub struct Edition {
     id: CampaignId,
     // Row numbers may be given again after a deletion.
@@ -27,7 +27,7 @@ pub struct Edition {
 }
 
 /// A committed rollout as exports read it.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct ExportedRow {
     /// Which rollout.
     pub rollout_id: String,
@@ -43,10 +43,16 @@ pub struct ExportedRow {
     pub wall_secs: f64,
     /// What the inverse kinematics left over, mm.
     pub ik_residual_mm: Option<f64>,
+    /// Predicates of the goal, where its worker says.
+    pub goal_predicates: Option<u32>,
+    /// Those that held at the end.
+    pub goal_at_end: Option<u32>,
+    /// The most that held together.
+    pub goal_at_most: Option<u32>,
 }
 
 /// A job as reports count it.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct RecordRow {
     /// Which rollout.
     pub rollout_id: String,
@@ -63,7 +69,7 @@ pub struct RecordRow {
 }
 
 /// What a rollout was, beyond its name.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct SetupRow {
     /// Which rollout.
     pub rollout_id: String,
@@ -118,7 +124,7 @@ impl View {
         let (rollout_id, replicate) = after.map_or(("", -1), |(id, k)| (id, i64::from(k)));
         sqlx::query_as(
             "SELECT j.rollout_id, j.replicate, j.manifest_row, r.success, r.steps, r.wall_secs,
-                 r.ik_residual_mm
+                 r.ik_residual_mm, r.goal_predicates, r.goal_at_end, r.goal_at_most
              FROM job j JOIN result r ON r.job_id = j.id
              WHERE j.campaign_id = ? AND (j.rollout_id, j.replicate) > (?, ?)
              ORDER BY j.rollout_id, j.replicate LIMIT ?",

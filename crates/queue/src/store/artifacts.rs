@@ -10,7 +10,7 @@ use crate::clock::UnixMillis;
 use crate::ids::{CampaignId, JobId};
 
 /// The rollout that an artifact belongs to.
-#[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
+#[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub(crate) struct ArtifactOwner {
     pub(crate) campaign: CampaignId,
     pub(crate) job: JobId,

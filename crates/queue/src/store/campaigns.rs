@@ -18,7 +18,7 @@ use crate::rules::outage::PolicyHealth;
 const JOBS_PER_INSERT: usize = 1_000;
 
 /// A campaign and the policy that it measures.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct Campaign {
     /// Its number.
     pub id: CampaignId,

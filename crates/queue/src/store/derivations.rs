@@ -9,7 +9,7 @@ use crate::ids::{CampaignId, CampaignName};
 use crate::store::campaigns;
 
 /// A campaign that follows from another.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct Derived {
     pub(crate) campaign: CampaignId,
     /// The campaign that it follows from.
@@ -27,7 +27,7 @@ pub(crate) struct Derived {
 }
 
 /// The state of a source; equal editions of one source have equal records.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, sqlx::FromRow)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub(crate) struct SourceEdition {
     #[sqlx(rename = "source_revision")]
     revision: i64,
@@ -37,7 +37,7 @@ pub(crate) struct SourceEdition {
 }
 
 /// A job of either campaign.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct OutcomeRow {
     pub(crate) rollout_id: String,
     pub(crate) replicate: u32,
@@ -120,7 +120,7 @@ pub(crate) async fn source(
 }
 
 /// What a campaign that follows from another waits for.
-#[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
+#[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub struct Source {
     /// The other one's name.
     pub name: CampaignName,

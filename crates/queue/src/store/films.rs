@@ -1,5 +1,6 @@
 //! Statements on `motion`: which rollouts are left to be filmed, and from what.
 
+use sqlx::types::Text;
 use attempt::{AttemptId, Pin};
 use sqlx::SqliteConnection;
 
@@ -7,11 +8,11 @@ use super::{Doing, StoreError};
 use crate::ids::{CampaignId, CampaignName, JobId};
 
 /// A committed rollout that is to be filmed.
-#[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
+#[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub struct Film {
     /// The attempt beside whose outcome the video is stored.
-    #[sqlx(rename = "attempt_id", try_from = "String")]
-    pub attempt: AttemptId,
+    #[sqlx(rename = "attempt_id")]
+    pub attempt: Text<AttemptId>,
     /// Its campaign.
     pub campaign: CampaignName,
     /// Which replicate.
@@ -27,7 +28,7 @@ pub struct Film {
 }
 
 /// A rollout of a campaign that records transitions.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct FilmableRow {
     pub(crate) job_id: JobId,
     pub(crate) rollout_id: String,
@@ -41,7 +42,7 @@ pub(crate) struct FilmableRow {
 
 /// A campaign that records transitions. The rollouts of it that are to be filmed stay the
 /// same, but for those that are filmed, as long as these revisions do.
-#[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
+#[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub(crate) struct Filmed {
     pub(crate) campaign: CampaignId,
     pub(crate) revision: i64,
