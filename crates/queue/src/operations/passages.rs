@@ -12,7 +12,7 @@ use crate::store::failpoint::Step;
 use crate::store::{StoreError, campaigns, passages, policies, stops};
 
 /// Jobs that one transaction adds or removes: some tens of milliseconds.
-pub(super) const PIECE: usize = 1_000;
+pub(super) const PIECE: usize = 500;
 
 /// Stores a campaign of any size, of a name that no other has, whose files go into `folder`.
 pub(super) async fn insert(

@@ -308,7 +308,7 @@ impl Queue {
         context.cache.forget_campaigns();
         context.commit().await?;
         beside.detach().await?;
-        let copied = self.fill(&database, (id, old), called, follows).await;
+        let copied = self.fill(from, (id, old), called, follows).await;
         if copied.is_err()
             && let Err(error) = moves::remove(shared, id, policy).await
         {
@@ -319,19 +319,21 @@ impl Queue {
 
     async fn fill(
         &self,
-        database: &Path,
+        from: &Portable,
         both: (CampaignId, CampaignId),
         called: &Called,
         follows: Option<CampaignId>,
     ) -> Result<Counts, AdoptError> {
         let (shared, id) = (&*self.shared, both.0);
-        let mut last = Some(-1);
-        while let Some(after) = last {
+        let database = &from.folder().join(DATABASE_FILE);
+        let mut view = from.store.read().await?;
+        let jobs = portable::jobs(&mut view, both.1).await?;
+        drop(view);
+        for piece in jobs.chunks(PIECE) {
             let mut beside = shared.store.beside(database).await?;
             let tx = beside.write(vec![Step::ImportCampaign]).await?;
             let mut context = Context::within(shared, tx).await;
-            let folder = &called.folder;
-            last = portable::copy_piece(&mut context.tx, both, folder, after, PIECE / 2).await?;
+            portable::copy_piece(&mut context.tx, both, &called.folder, piece).await?;
             context.commit().await?;
             beside.detach().await?;
         }

@@ -8,7 +8,7 @@ use sqlx::{AssertSqlSafe, SqliteConnection};
 
 use super::{Doing, StoreError, policies};
 use crate::clock::UnixMillis;
-use crate::ids::{CampaignId, CampaignName};
+use crate::ids::{CampaignId, CampaignName, JobId};
 
 /// What a campaign that is copied is called here.
 #[derive(Clone, Debug)]
@@ -41,7 +41,8 @@ const JOB: (&str, &str) = ("job_id", "m.new");
 /// How a leased attempt of a campaign that is moved ends in the copy.
 const MOVED: &str = "the campaign was copied while this attempt ran";
 
-/// The tables that are copied row by row, in order.
+/// The tables that are copied row by row, in order. `CROSS JOIN` makes SQLite begin with the jobs
+/// that are copied, which may be few of many.
 const COPIED: [Copied; 10] = [
     Copied {
         table: "campaign_task",
@@ -72,7 +73,7 @@ const COPIED: [Copied; 10] = [
     // A committed job is leased until its result is there: the schema says so.
     Copied {
         table: "job",
-        from: "source.job s JOIN temp.moved_job m ON m.old = s.id
+        from: "temp.moved_job m CROSS JOIN source.job s ON s.id = m.old
                LEFT JOIN source.result r ON r.job_id = s.id WHERE TRUE",
         values: &[
             ("id", "m.new"),
@@ -102,7 +103,7 @@ const COPIED: [Copied; 10] = [
     },
     Copied {
         table: "result",
-        from: "source.result s JOIN temp.moved_job m ON m.old = s.job_id
+        from: "temp.moved_job m CROSS JOIN source.result s ON s.job_id = m.old
                JOIN temp.moved_attempt a ON a.old = s.attempt_id
                JOIN temp.moved_origin o ON o.old = s.provenance_id WHERE TRUE",
         values: &[
@@ -115,20 +116,20 @@ const COPIED: [Copied; 10] = [
     },
     Copied {
         table: "motion",
-        from: "source.motion s JOIN temp.moved_job m ON m.old = s.job_id WHERE TRUE",
+        from: "temp.moved_job m CROSS JOIN source.motion s ON s.job_id = m.old WHERE TRUE",
         values: &[JOB],
         rest: " ORDER BY m.new",
     },
     Copied {
         table: "divergence",
-        from: "source.divergence s JOIN temp.moved_job m ON m.old = s.job_id
+        from: "temp.moved_job m CROSS JOIN source.divergence s ON s.job_id = m.old
                JOIN temp.moved_origin o ON o.old = s.provenance_id WHERE TRUE",
         values: &[("id", "NULL"), JOB, ("provenance_id", "o.new")],
         rest: " ORDER BY s.id",
     },
     Copied {
         table: "failure",
-        from: "source.failure s JOIN temp.moved_job m ON m.old = s.job_id
+        from: "temp.moved_job m CROSS JOIN source.failure s ON s.job_id = m.old
                JOIN temp.moved_attempt a ON a.old = s.attempt_id WHERE TRUE",
         values: &[
             JOB,
@@ -141,7 +142,8 @@ const COPIED: [Copied; 10] = [
     },
     Copied {
         table: "artifact",
-        from: "source.artifact s JOIN temp.moved_attempt a ON a.old = s.attempt_id WHERE TRUE",
+        from: "temp.moved_attempt a CROSS JOIN source.artifact s ON s.attempt_id = a.old
+               WHERE TRUE",
         values: &[
             ("attempt_id", "a.new"),
             // What comes after the last slash is the file's own name.
@@ -207,7 +209,14 @@ pub(crate) async fn copy(
 ) -> Result<CampaignId, StoreError> {
     begin(tx, old).await?;
     let new = copy_row(tx, old, called, now).await?;
-    choose_jobs(tx, -1, usize::MAX).await?;
+    run(
+        tx,
+        "INSERT INTO temp.moved_job
+         SELECT id, (SELECT seq FROM main.sqlite_sequence WHERE name = 'job')
+             + row_number() OVER (ORDER BY unit_order)
+         FROM source.job WHERE campaign_id = (SELECT old FROM temp.moved)",
+    )
+    .await?;
     rows(tx, new, |_| true).await?;
     end(tx).await?;
     Ok(new)
@@ -228,15 +237,14 @@ pub(crate) async fn copy_without_jobs(
     Ok(new)
 }
 
-/// Copies up to so many jobs behind a place in paired-unit order, with everything that belongs
-/// to them. Returns the last one's place; none if none was left.
+/// Copies some jobs with everything that belongs to them, and numbers them in this order behind
+/// all jobs that ever were here.
 pub(crate) async fn copy_piece(
     tx: &mut SqliteConnection,
     (campaign, old): (CampaignId, CampaignId),
     folder: &str,
-    after: i64,
-    limit: usize,
-) -> Result<Option<i64>, StoreError> {
+    jobs: &[JobId],
+) -> Result<(), StoreError> {
     begin(tx, old).await?;
     sqlx::query("UPDATE temp.moved SET new = ?, folder = ?")
         .bind(campaign)
@@ -244,15 +252,30 @@ pub(crate) async fn copy_piece(
         .execute(&mut *tx)
         .await
         .doing("copy a campaign")?;
-    choose_jobs(tx, after, limit).await?;
+    sqlx::query(
+        "INSERT INTO temp.moved_job
+         SELECT value, (SELECT seq FROM main.sqlite_sequence WHERE name = 'job')
+             + row_number() OVER (ORDER BY key) FROM json_each(?)",
+    )
+    .bind(super::json(jobs))
+    .execute(&mut *tx)
+    .await
+    .doing("copy a campaign")?;
     let is_of_jobs = |table: &str| !OF_CAMPAIGN.contains(&table) && table != "stop";
     rows(tx, campaign, is_of_jobs).await?;
-    let last = sqlx::query_scalar(
-        "SELECT max(unit_order) FROM source.job WHERE id IN (SELECT old FROM temp.moved_job)",
-    );
-    let last = last.fetch_one(&mut *tx).await.doing("copy a campaign")?;
-    end(tx).await?;
-    Ok(last)
+    end(tx).await
+}
+
+/// The jobs of a campaign in paired-unit order.
+pub(crate) async fn jobs(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+) -> Result<Vec<JobId>, StoreError> {
+    sqlx::query_scalar("SELECT id FROM job WHERE campaign_id = ? ORDER BY unit_order")
+        .bind(campaign)
+        .fetch_all(tx)
+        .await
+        .doing("list the jobs of a campaign that is copied")
 }
 
 /// Copies what is left once all jobs are here: whether it has stopped early, and its state.
@@ -276,29 +299,6 @@ pub(crate) async fn copy_rest(
     )
     .await?;
     end(tx).await
-}
-
-/// Chooses up to so many jobs behind a place, and gives them numbers behind all jobs that ever
-/// were here.
-async fn choose_jobs(
-    tx: &mut SqliteConnection,
-    after: i64,
-    limit: usize,
-) -> Result<(), StoreError> {
-    sqlx::query(
-        "INSERT INTO temp.moved_job
-         SELECT id, (SELECT seq FROM main.sqlite_sequence WHERE name = 'job')
-             + row_number() OVER (ORDER BY unit_order)
-         FROM (SELECT id, unit_order FROM source.job
-               WHERE campaign_id = (SELECT old FROM temp.moved) AND unit_order > ?
-               ORDER BY unit_order LIMIT ?)",
-    )
-    .bind(after)
-    .bind(i64::try_from(limit).unwrap_or(i64::MAX))
-    .execute(tx)
-    .await
-    .doing("copy a campaign")
-    .map(drop)
 }
 
 /// Copies the row of a campaign, whose policy is found or stored.
@@ -484,7 +484,7 @@ async fn end_leases(tx: &mut SqliteConnection) -> Result<(), StoreError> {
         "INSERT INTO main.failure (attempt_id, job_id, attempt, worker_id, failed_ms, reason,
              charged, error)
          SELECT a.new, m.new, s.attempt, s.lease_owner, s.leased_ms, 'draining', 0, ?
-         FROM source.job s JOIN temp.moved_job m ON m.old = s.id
+         FROM temp.moved_job m CROSS JOIN source.job s ON s.id = m.old
          JOIN temp.moved_attempt a ON a.old = s.attempt_id
          WHERE s.state = 'leased' ORDER BY m.new",
     )
