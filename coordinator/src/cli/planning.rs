@@ -1,5 +1,5 @@
-//! What a campaign could show: part of `coordinator campaign create --dry-run`. The
-//! arithmetic is `paired`'s.
+//! The smallest differences that a campaign can show: part of `coordinator campaign create
+//! --dry-run`. The arithmetic is `paired`'s.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -13,7 +13,7 @@ use terminal::{counted, wrapped};
 
 use super::command::{CommandError, Connection, usage};
 
-/// What outcomes are assumed to be like where none are named.
+/// The assumed outcomes where none are named.
 const STUDENT: &str = "the student's published ones (examples/student)";
 /// The R_d of a placebo of which nothing is known, a fraction.
 const ASSUMED_FLOOR: f64 = 0.05;
@@ -21,7 +21,7 @@ const ASSUMED_FLOOR: f64 = 0.05;
 /// The smallest differences that a campaign can show, as `--json` has them.
 #[derive(Debug, Serialize)]
 pub(super) struct Planning {
-    /// Whose outcomes its own are assumed to be like.
+    /// The outcomes that it is planned from.
     assumed_from: String,
     levels: Vec<PlannedLevel>,
 }
@@ -37,15 +37,15 @@ struct PlannedLevel {
     difference: Option<f64>,
     i: Option<f64>,
     r_d: Option<f64>,
-    /// What R_d is set against: the placebo level's, assumed to be this; or, where there is
-    /// none, another policy's.
+    /// R_d of the placebo level, as assumed; absent where the campaign has none, and R_d is
+    /// compared with another policy's.
     floor: Option<f64>,
     floor_configurations: Option<u32>,
 }
 
 impl Planning {
-    /// What a campaign can show, if its outcomes are like `earlier`: those of a campaign, or
-    /// of a folder of result rows.
+    /// Plans a campaign from the outcomes of `earlier`, a campaign or a folder of result rows.
+    /// Without it, from the student's published ones.
     pub(super) async fn of(
         campaign: &NewCampaign,
         earlier: Option<&str>,
