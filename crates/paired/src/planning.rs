@@ -1,6 +1,6 @@
 //! The smallest differences that a campaign can show, before it is run: those that a
-//! two-sided test at 5 % finds with a power of 80 %, over tasks as clusters, if its outcomes
-//! are like some that are known.
+//! two-sided test at 5 % finds with a power of 80 %, if its outcomes are like some that are
+//! known. Tasks are clusters where figures are to hold for new tasks.
 
 use std::collections::BTreeMap;
 
@@ -61,9 +61,9 @@ pub enum Against {
 /// possible one is too small, or there are too few tasks for intervals.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Detectable {
-    /// Of the success rates of two policies under simultaneous perturbation, as good as
-    /// each other and, within a configuration, independent: those that fail in the same
-    /// configurations are told apart sooner.
+    /// Of the success rates of two policies under simultaneous perturbation that are as good
+    /// as each other and independent, in configurations and, for new tasks, in tasks: those
+    /// that fail alike are told apart sooner.
     pub difference: Option<f64>,
     /// Of I from 0.
     pub i: Option<f64>,
@@ -147,6 +147,17 @@ impl Assumed {
             let far = |it: &Self| (it.level.radius() - level.radius()).abs();
             far(a).total_cmp(&far(b))
         })
+    }
+
+    /// The same for the tasks at hand and no others: how much configurations of a task
+    /// resemble one another is then no part of the error.
+    pub const fn of_these_tasks(self) -> Self {
+        Self {
+            of_success: 0.0,
+            of_change: 0.0,
+            of_changed: 0.0,
+            ..self
+        }
     }
 
     /// The smallest differences that some configurations show.
