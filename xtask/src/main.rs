@@ -121,6 +121,13 @@ enum Bench {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
     },
+    /// Memory and start of slots whose scenes lie in files.
+    Scenes {
+        /// Passed on: [--slots N] [--tasks SUITE/N,…] [--assets PACK_OR_PATH]
+        /// [--scenes DIR|off] [--python FILE].
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        arguments: Vec<String>,
+    },
     /// The coordinator's queue under simulated slots, as a release build.
     Queue {
         /// Passed on: [--jobs N] [--slots N] [--rollout-millis N] [--data DIR].
@@ -151,6 +158,9 @@ fn main() -> ExitCode {
         }
         Command::Bench(Bench::Rollout { arguments }) => {
             test::program(&root(), "bench_rollout", &arguments)
+        }
+        Command::Bench(Bench::Scenes { arguments }) => {
+            test::program(&root(), "bench_scenes", &arguments)
         }
         Command::Bench(Bench::Compare(options)) => bench::compare(&root(), &options),
         Command::Bench(Bench::Python(options)) => bench_python::run(&root(), &options),

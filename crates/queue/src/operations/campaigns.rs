@@ -63,9 +63,6 @@ impl Queue {
         if let Some(configurations) = new.stops_among {
             stops::insert(&mut context.tx, id, configurations).await?;
         }
-        // Files that could not be removed with a deleted campaign of this folder
-        // stay now, rather than to take the new one's with them.
-        pending::done(&mut context.tx, &artifacts::campaign_folder(&folder)).await?;
         context.commit().await?;
         tracing::info!(campaign = %new.name, jobs, "campaign created");
         shared.work.notify_waiters();
@@ -118,7 +115,8 @@ impl Queue {
     /// # Errors
     /// When there is no such campaign, some of its rollouts are leased, another
     /// campaign follows from it, or the database fails. Files that cannot be removed now
-    /// are removed at the next start.
+    /// are removed at the next start; those that are kept elsewhere, by
+    /// [`finish_removals`](Self::finish_removals).
     pub async fn delete_campaign(&self, name: &CampaignName) -> Result<Counts, QueueError> {
         let _alone = self.campaigns.lock().await;
         let shared = &*self.shared;
@@ -146,7 +144,7 @@ impl Queue {
         context.commit().await?;
         tracing::warn!(campaign = %name, jobs = counts.total(), results = counts.committed,
         "the campaign was deleted");
-        removals::finish(shared, &folder).await?;
+        removals::remove_here(shared, &folder).await?;
         Ok(counts)
     }
 }

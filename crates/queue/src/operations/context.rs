@@ -104,7 +104,7 @@ impl<'a> Context<'a> {
         }
         let expires = self.now.plus(self.shared.timing.lease);
         jobs::resume(&mut self.tx, attempt.job.id, lease, expires).await?;
-        tracing::info!(attempt = %attempt.id, "worker `{}` is back with it", lease.owner);
+        tracing::info!(attempt = %attempt.id.0, "worker `{}` is back with it", lease.owner);
         Ok(Some(Lease {
             expires: expires.min(lease.ceiling),
             ..lease.clone()

@@ -277,7 +277,7 @@ impl Queue {
             Err(error) => Err(error),
         };
         if adopted.is_err() {
-            removals::finish(shared, &folder).await?;
+            removals::remove_here(shared, &folder).await?;
         }
         let counts = adopted?;
         let jobs = counts.total();

@@ -1,6 +1,7 @@
 //! The rollouts of a configuration, side by side.
 
 use attempt::{AttemptId, Digests, GoalProgress, Motion, Provenance, Realised};
+use sqlx::types::Text;
 
 use super::View;
 use crate::clock::UnixMillis;
@@ -10,7 +11,7 @@ use crate::store::results::digests;
 use crate::store::{Doing, StoreError, json};
 
 /// One rollout of a configuration, as far as its job goes.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct RolloutLine {
     /// The job.
     pub id: JobId,
@@ -36,13 +37,13 @@ pub struct RolloutLine {
 }
 
 /// What a rollout came to, how, and where that came from.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct ResultLine {
     /// Of which job.
     pub job_id: JobId,
     /// Of which attempt.
-    #[sqlx(rename = "attempt_id", try_from = "String")]
-    pub attempt: AttemptId,
+    #[sqlx(rename = "attempt_id")]
+    pub attempt: Text<AttemptId>,
     /// Which attempt of its job that was.
     #[sqlx(rename = "attempt")]
     pub number: AttemptNumber,

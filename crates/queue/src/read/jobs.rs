@@ -35,7 +35,7 @@ pub struct JobFilter<'a> {
 }
 
 /// A job as people see it.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct JobLine {
     /// The job.
     pub id: JobId,
@@ -69,7 +69,7 @@ pub struct JobLine {
 }
 
 /// An attempt that brought no result.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct FailureLine {
     /// Of which job.
     pub job_id: JobId,

@@ -12,7 +12,7 @@ use crate::store::{Doing, StoreError};
 
 /// What a report of a campaign depends on: while it is the same, so is the
 /// report.
-#[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
+#[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub struct Edition {
     id: CampaignId,
     // Row numbers may be given again after a deletion.
@@ -27,7 +27,7 @@ pub struct Edition {
 }
 
 /// A committed rollout as exports read it.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct ExportedRow {
     /// Which rollout.
     pub rollout_id: String,
@@ -52,7 +52,7 @@ pub struct ExportedRow {
 }
 
 /// A job as reports count it.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct RecordRow {
     /// Which rollout.
     pub rollout_id: String,
@@ -69,7 +69,7 @@ pub struct RecordRow {
 }
 
 /// What a rollout was, beyond its name.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct SetupRow {
     /// Which rollout.
     pub rollout_id: String,
@@ -89,23 +89,20 @@ impl Edition {
 }
 
 impl View {
-    /// What a campaign's report depends on. Each count walks one partial index.
+    /// What a campaign's report depends on. Divergent rollouts are counted, which are few;
+    /// the other counts are the campaign's tally.
     ///
     /// # Errors
     /// When the database fails.
     pub async fn edition(&mut self, campaign: CampaignId) -> Result<Edition, StoreError> {
         sqlx::query_as(
-            "SELECT id, created_ms,
-                 (SELECT count(*) FROM job WHERE campaign_id = ?1 AND state = 'committed')
-                     AS committed,
-                 (SELECT count(*) FROM job WHERE campaign_id = ?1 AND state = 'quarantined')
-                     AS quarantined,
+            "SELECT id, created_ms, t.committed, t.quarantined,
                  (SELECT count(DISTINCT d.job_id) FROM divergence d JOIN job j ON j.id = d.job_id
                   WHERE j.campaign_id = ?1) AS divergent,
                  jobs,
                  EXISTS (SELECT 1 FROM stop WHERE campaign_id = ?1 AND stopped_ms IS NOT NULL)
                      AS has_stopped
-             FROM campaign WHERE id = ?1",
+             FROM campaign JOIN tally t ON t.campaign_id = id WHERE id = ?1",
         )
         .bind(campaign)
         .fetch_one(self.tx())
@@ -249,11 +246,10 @@ impl View {
         campaign: CampaignId,
     ) -> Result<Option<Fingerprints>, StoreError> {
         let results: Vec<(String, i64)> = sqlx::query_as(
-            "SELECT v.fingerprint, sum(o.results) FROM
-                 (SELECT provenance_id, count(*) AS results FROM result WHERE campaign_id = ?
-                  GROUP BY provenance_id) o
+            "SELECT v.fingerprint, sum(o.results) FROM origin_tally o
              JOIN provenance v ON v.id = o.provenance_id
-             WHERE v.fingerprint <> '' GROUP BY v.fingerprint",
+             WHERE o.campaign_id = ? AND o.results > 0 AND v.fingerprint <> ''
+             GROUP BY v.fingerprint",
         )
         .bind(campaign)
         .fetch_all(self.tx())

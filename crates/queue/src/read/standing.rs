@@ -11,7 +11,7 @@ use crate::store::{Doing, StoreError};
 pub const MAX_WORKERS_LISTED: u32 = 1_000;
 
 /// A worker as people see it.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct WorkerLine {
     /// Its id.
     pub id: WorkerId,
@@ -48,7 +48,7 @@ pub struct WorkerLine {
 }
 
 /// A policy at one endpoint.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct PolicyLine {
     id: PolicyId,
     /// Where it is.
@@ -64,7 +64,7 @@ pub struct PolicyLine {
 }
 
 /// A quarantined rollout.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct QuarantinedLine {
     /// Its campaign.
     pub campaign: CampaignName,
@@ -159,7 +159,7 @@ impl View {
     /// # Errors
     /// When the database fails.
     pub async fn endings(&mut self) -> Result<Vec<(String, i64)>, StoreError> {
-        sqlx::query_as("SELECT reason, count(*) FROM failure GROUP BY reason ORDER BY reason")
+        sqlx::query_as("SELECT reason, attempts FROM ending_tally WHERE attempts > 0")
             .fetch_all(self.tx())
             .await
             .doing("count how attempts ended")

@@ -18,7 +18,7 @@ use crate::rules::outage::PolicyHealth;
 const JOBS_PER_INSERT: usize = 1_000;
 
 /// A campaign and the policy that it measures.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct Campaign {
     /// Its number.
     pub id: CampaignId,
@@ -170,14 +170,16 @@ pub(crate) async fn spec(tx: &mut SqliteConnection, id: CampaignId) -> Result<St
 }
 
 /// A folder that no campaign has, for the files of a new one: its name, unless a
-/// renamed campaign has kept that one. What follows the `~` is in no name.
+/// renamed campaign has kept that one, or files of a deleted one are still to be removed from
+/// it. What follows the `~` is in no name.
 pub(crate) async fn free_folder(
     tx: &mut SqliteConnection,
     name: &CampaignName,
 ) -> Result<String, StoreError> {
     let mut folder = name.as_str().to_owned();
     for number in 2_u64.. {
-        let taken = "SELECT EXISTS (SELECT 1 FROM campaign WHERE coalesce(folder, name) = ?)";
+        let taken = "SELECT EXISTS (SELECT 1 FROM campaign WHERE coalesce(folder, name) = ?1)
+             OR EXISTS (SELECT 1 FROM removal WHERE folder = 'artifacts/' || ?1)";
         let taken: bool = sqlx::query_scalar(taken)
             .bind(&folder)
             .fetch_one(&mut *tx)
