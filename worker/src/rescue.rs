@@ -3,7 +3,7 @@
 //! are lifted there, and the policy goes on in the nominal scene; the last look of the
 //! policy from which it still succeeds is searched for. Where lifting saves it, a placebo is
 //! tried at the same step: nothing is lifted and the robot is nudged by a thousandth of a
-//! millimetre. What that saves stood on an edge, and is no rescue. Writes `rescue.json`, and
+//! millimetre. A rollout that this saves stood on an edge, and was not rescued. Writes `rescue.json`, and
 //! `rescue.mp4`: to the left the rollout as it failed, to the right as it was saved.
 
 mod search;

@@ -113,16 +113,16 @@ pub fn run(
     run_after(None, stage, actor, assignment, watcher)
 }
 
-/// Where a rollout that was simulated before is gone on with, and what is changed there.
+/// A rollout that goes on from a step of an earlier one, with a change there.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Resumed<'a> {
     /// The robot's commands that lead there.
     pub(crate) after: &'a [Action],
-    /// What is changed.
+    /// The change.
     pub(crate) change: Change,
 }
 
-/// What is changed where a rollout is gone on with.
+/// A change at the step from which a rollout goes on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Change {
     /// The perturbations are lifted; the instruction is canonical from there on.
@@ -200,7 +200,7 @@ pub(crate) fn run_after(
 /// A rollout under way.
 struct Run<'a> {
     assignment: &'a Assignment,
-    /// Where it goes on, if it does.
+    /// The step from which it goes on, if it does.
     resumed: Option<Resumed<'a>>,
     /// What messages call it.
     title: String,

@@ -203,8 +203,8 @@ struct DesignFlags {
     #[arg(long, value_name = "SEED", default_value_t = 0, hide_short_help = true,
         value_parser = number_from(0_u64, ""))]
     design_seed: u64,
-    /// Whose the directions are: `shared`, configuration 3 is one direction in all tasks, as
-    /// in the paper; or `own`, each task's own, drawn from --design-seed, so that figures hold
+    /// Directions: `shared`, configuration 3 is one direction in all tasks, as in the paper;
+    /// or `own`, each task has its own, drawn from --design-seed, so that figures hold
     /// for more than ten directions.
     #[arg(long, value_parser = one_of::<Directions>(DIRECTIONS), default_value = "shared",
         hide_short_help = true)]
@@ -270,7 +270,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     tell_size(&campaign)
 }
 
-/// What the noise floor costs.
+/// Prints how many rollouts the noise floor takes.
 fn tell_placebo(campaign: &NewCampaign) -> Result<(), CommandError> {
     let placebo = campaign.jobs.iter().filter(|job| job.is_placebo()).count();
     if placebo > 0 {

@@ -1,5 +1,5 @@
-//! What a campaign could show: part of `coordinator campaign create --dry-run`. The
-//! arithmetic is `paired`'s.
+//! The smallest differences that a campaign can show: part of `coordinator campaign create
+//! --dry-run`. The arithmetic is `paired`'s.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -13,7 +13,7 @@ use terminal::{counted, wrapped};
 
 use super::command::{CommandError, Connection, usage};
 
-/// What outcomes are assumed to be like where none are named.
+/// The assumed outcomes where none are named.
 const STUDENT: &str = "the student's published ones (examples/student)";
 /// The R_d of a placebo of which nothing is known, a fraction.
 const ASSUMED_FLOOR: f64 = 0.05;
@@ -21,7 +21,7 @@ const ASSUMED_FLOOR: f64 = 0.05;
 /// The smallest differences that a campaign can show, as `--json` has them.
 #[derive(Debug, Serialize)]
 pub(super) struct Planning {
-    /// Whose outcomes its own are assumed to be like.
+    /// The outcomes that it is planned from.
     assumed_from: String,
     levels: Vec<PlannedLevel>,
 }
@@ -34,18 +34,35 @@ struct PlannedLevel {
     assumed_level: Level,
     tasks: u32,
     configurations: u32,
-    difference: Option<f64>,
-    i: Option<f64>,
-    r_d: Option<f64>,
-    /// What R_d is set against: the placebo level's, assumed to be this; or, where there is
-    /// none, another policy's.
+    new_tasks: Found,
+    these_tasks: Found,
+    /// R_d of the placebo level, as assumed; absent where the campaign has none, and R_d is
+    /// compared with another policy's.
     floor: Option<f64>,
     floor_configurations: Option<u32>,
 }
 
+/// The smallest differences for one target of inference.
+#[derive(Debug, Serialize)]
+struct Found {
+    difference: Option<f64>,
+    i: Option<f64>,
+    r_d: Option<f64>,
+}
+
+impl From<Detectable> for Found {
+    fn from(found: Detectable) -> Self {
+        Self {
+            difference: found.difference,
+            i: found.i,
+            r_d: found.r_d,
+        }
+    }
+}
+
 impl Planning {
-    /// What a campaign can show, if its outcomes are like `earlier`: those of a campaign, or
-    /// of a folder of result rows.
+    /// Plans a campaign from the outcomes of `earlier`, a campaign or a folder of result rows.
+    /// Without it, from the student's published ones.
     pub(super) async fn of(
         campaign: &NewCampaign,
         earlier: Option<&str>,
@@ -88,19 +105,13 @@ fn levels(campaign: &NewCampaign, assumed: &[Assumed]) -> Vec<PlannedLevel> {
             Some(planned) => Against::Floor { r_d, planned },
             None => Against::AnotherPolicy,
         };
-        let Detectable {
-            difference,
-            i,
-            r_d: changed,
-        } = like.detectable(planned, against);
         Some(PlannedLevel {
             level,
             assumed_level: like.level,
             tasks: planned.tasks,
             configurations: planned.count(),
-            difference,
-            i,
-            r_d: changed,
+            new_tasks: like.detectable(planned, against).into(),
+            these_tasks: like.of_these_tasks().detectable(planned, against).into(),
             floor: floor.map(|_| r_d),
             floor_configurations: floor.map(|it| it.count()),
         })
@@ -142,8 +153,8 @@ pub(super) fn in_words(planning: &Planning) -> Option<String> {
         "",
         2,
         &format!(
-            "smallest differences that it finds with a power of 80 % (two-sided test at 5 %, \
-             over tasks), if its outcomes are like {}:",
+            "smallest differences that it finds with a power of 80 % (two-sided test at 5 %), \
+             if its outcomes are like {}:",
             planning.assumed_from
         ),
     )];
@@ -163,7 +174,8 @@ fn of_level(of: &PlannedLevel) -> String {
     };
     let configurations = counted(of.configurations.into(), "configuration");
     let tasks = counted(of.tasks.into(), "task");
-    if of.i.is_none() && of.difference.is_none() && of.r_d.is_none() {
+    let Found { difference, i, r_d } = &of.new_tasks;
+    if (difference, i, r_d) == (&None, &None, &None) {
         return format!(
             "{level}, {configurations} of {tasks}: none; more tasks show more, and fewer than 10 \
              have no interval"
@@ -171,24 +183,26 @@ fn of_level(of: &PlannedLevel) -> String {
     }
     let against = match (of.floor, of.floor_configurations) {
         (Some(floor), Some(count)) => format!(
-            "R_d {} above a floor of {} over {}",
-            points(of.r_d),
-            percent(floor),
+            "above a floor of {:.1} % over {}",
+            100.0 * floor,
             counted(count.into(), "configuration")
         ),
-        _ => format!("R_d {} from another policy's", points(of.r_d)),
+        _ => "from another policy's".to_owned(),
     };
+    let these = &of.these_tasks;
     format!(
-        "{level}, {configurations} of {tasks}: A - B {}, I {} from 0, {against}",
-        points(of.difference),
-        points(of.i)
+        "{level}, {configurations} of {tasks}: for new tasks A - B {} points, I {} from 0, R_d {} \
+         {against}; for these tasks only {}, {} and {}",
+        points(*difference),
+        points(*i),
+        points(*r_d),
+        points(these.difference),
+        points(these.i),
+        points(these.r_d)
     )
 }
 
+/// A difference in points.
 fn points(fraction: Option<f64>) -> String {
-    fraction.map_or("none".to_owned(), |it| format!("{:.1} points", 100.0 * it))
-}
-
-fn percent(fraction: f64) -> String {
-    format!("{:.1} %", 100.0 * fraction)
+    fraction.map_or("none".to_owned(), |it| format!("{:.1}", 100.0 * it))
 }

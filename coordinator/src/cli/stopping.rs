@@ -1,5 +1,5 @@
-//! What a campaign that ends early will have shown, in words: on which configurations its
-//! intervals rest, and what they say nothing about.
+//! The meaning of an early end, in words: the configurations that a rule is about, and those
+//! about which it says nothing.
 
 use protocol::{Clause, Measure, StopRule};
 use terminal::counted;
@@ -28,8 +28,8 @@ pub(super) fn in_words(rule: &StopRule, configurations: usize) -> Vec<String> {
     }
     lines.push(format!(
         "with 95 % for each level, at all looks together, and for these {these} only: other \
-         tasks, initial states and directions may differ. What made it stop is likely to be \
-         larger at the stop than over the whole campaign"
+         tasks, initial states and directions may differ. A difference that ends a campaign is \
+         likely to be larger at that look than over the whole campaign"
     ));
     lines
 }

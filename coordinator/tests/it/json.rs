@@ -227,8 +227,9 @@ async fn a_placebo_is_planned_counted_and_listed_by_its_level() {
         ],
         [&Value::from("L1"), &Value::from(20), &Value::from(10)]
     );
-    let detectable = |level: &Value| level["r_d"].as_f64().expect("some");
+    let detectable = |level: &Value| level["new_tasks"]["r_d"].as_f64().expect("some");
     assert!(detectable(level) > 0.1, "{level}");
+    assert!(level["these_tasks"]["r_d"].as_f64() < Some(detectable(level)));
     let words = serve.command(&dry);
     let words = text(&words.stdout);
     assert!(

@@ -1,6 +1,6 @@
-//! What a campaign could show, before it is run: the smallest differences that a two-sided
-//! test at 5 % finds with a power of 80 %, over tasks as clusters, if its outcomes are like
-//! some that are known.
+//! The smallest differences that a campaign can show, before it is run: those that a
+//! two-sided test at 5 % finds with a power of 80 %, if its outcomes are like some that are
+//! known. Tasks are clusters where figures are to hold for new tasks.
 
 use std::collections::BTreeMap;
 
@@ -16,7 +16,7 @@ use crate::outcomes::{DuplicateRecord, Record, Records};
 /// Halvings of the interval in which a difference is sought: enough for doubles.
 const BISECTIONS: u32 = 60;
 
-/// What the outcomes of a level are assumed to be like. Rates are fractions; correlations
+/// Assumed outcomes of a level. Rates are fractions; correlations
 /// are those of configurations of one task, 0 to 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Assumed {
@@ -43,14 +43,14 @@ pub struct Planned {
     pub configs_per_task: f64,
 }
 
-/// What `R_d` is set against.
+/// The measure that `R_d` is compared with.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Against {
     /// The same measure of another policy, in as many configurations.
     AnotherPolicy,
     /// That of the placebo level.
     Floor {
-        /// What it is assumed to be, a fraction.
+        /// Its assumed value, a fraction.
         r_d: f64,
         /// The configurations that are run there.
         planned: Planned,
@@ -61,13 +61,13 @@ pub enum Against {
 /// possible one is too small, or there are too few tasks for intervals.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Detectable {
-    /// Of the success rates of two policies under simultaneous perturbation, as good as
-    /// each other and, within a configuration, independent: those that fail in the same
-    /// configurations are told apart sooner.
+    /// Of the success rates of two policies under simultaneous perturbation that are as good
+    /// as each other and independent, in configurations and, for new tasks, in tasks: those
+    /// that fail alike are told apart sooner.
     pub difference: Option<f64>,
     /// Of I from 0.
     pub i: Option<f64>,
-    /// Of `R_d` from what it is set against.
+    /// Of `R_d` from the measure that it is compared with.
     pub r_d: Option<f64>,
 }
 
@@ -100,8 +100,8 @@ impl Assumed {
         },
     ];
 
-    /// What known outcomes are like, by level, from the smallest: those of the first
-    /// replicate, of configurations that are complete.
+    /// Summarises known outcomes by level, from the smallest: those of the first replicate,
+    /// of configurations that are complete.
     ///
     /// # Errors
     /// If a rollout and replicate is recorded twice.
@@ -140,7 +140,7 @@ impl Assumed {
         }
     }
 
-    /// That of the level, or of the perturbed level with the nearest radius.
+    /// The one of a level, or of the perturbed level with the nearest radius.
     pub fn nearest(all: &[Self], level: Level) -> Option<&Self> {
         let perturbed = all.iter().filter(|it| it.level != Level::L0);
         perturbed.min_by(|a, b| {
@@ -149,7 +149,18 @@ impl Assumed {
         })
     }
 
-    /// What can be shown with some configurations.
+    /// The same for the tasks at hand and no others: how much configurations of a task
+    /// resemble one another is then no part of the error.
+    pub const fn of_these_tasks(self) -> Self {
+        Self {
+            of_success: 0.0,
+            of_change: 0.0,
+            of_changed: 0.0,
+            ..self
+        }
+    }
+
+    /// The smallest differences that some configurations show.
     pub fn detectable(&self, planned: Planned, against: Against) -> Detectable {
         if (planned.tasks as usize) < MIN_TASKS {
             return Detectable {

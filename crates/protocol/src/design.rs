@@ -36,7 +36,7 @@ pub struct Design {
     pub nominal: Nominal,
     /// From what configurations beyond the presets are drawn, and tasks' own directions.
     pub seed: u64,
-    /// Whose the directions of its configurations are.
+    /// Source of the directions of its configurations.
     pub directions: Directions,
     /// How the placebo level is run, if it is among `levels`.
     pub placebo: Placebo,

@@ -12,7 +12,7 @@ use crate::suite::{INIT_STATES_PER_TASK, TaskRef};
 /// Most configurations of a design: they multiply its rollouts.
 pub const MAX_CONFIGS: u16 = 1_000;
 
-/// Whose the directions of a design's configurations are.
+/// Source of the directions of a design's configurations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Directions {
@@ -20,9 +20,8 @@ pub enum Directions {
     /// 9. Figures then hold for these directions.
     #[default]
     Shared,
-    /// Each task's own, drawn from the design's seed, the first ten too. Figures then
-    /// hold for directions of which these are a sample, as large as the configurations
-    /// are many.
+    /// Each task's own, drawn from the design's seed, the first ten too. Figures then hold
+    /// for all directions, of which every configuration has drawn one.
     Own,
 }
 

@@ -1,5 +1,5 @@
 //! The placebo level: all conditions of a design at a radius so small that no policy
-//! should care. What changes there is the noise floor of every paired measure.
+//! should care. Outcomes that change there are the noise floor of every paired measure.
 
 use crate::level::Level;
 

@@ -271,8 +271,8 @@ impl<'a> Episode<'a> {
     }
 
     /// Moves the point between the fingertips up by [`NUDGE_M`], by the joints' least change
-    /// that does. Nothing else changes, and what the policy sees does so only after the next
-    /// step: what becomes of the rollout by that is what becomes of it by anything.
+    /// that does. Nothing else changes, and the policy's view only with the next step. A
+    /// rollout that ends otherwise because of it is chaotic there.
     pub fn nudge(&mut self) {
         let site = self.environment.model().id(ObjectKind::Site, GRIP_SITE);
         let site = site.expect("the controller has it");

@@ -6,7 +6,7 @@
 //! with a report's rates; where no configuration recovers from a failure, it is equal to
 //! them at the levels of the grid.
 //!
-//! Where within its bracket a threshold lies is not known. The curve takes it as
+//! The place of a threshold within its bracket is not known. The curve takes it as
 //! uniform there; the *band* is what every other place would give. At a radius that was
 //! run of every configuration, both are the same. A threshold beyond the largest success
 //! whose failure is not known is censored on the right: the curve goes on with it as with
@@ -28,7 +28,7 @@ use serde::Serialize;
 use crate::found::{Found, Threshold};
 use crate::search::Search;
 
-/// What is half of all configurations.
+/// One half of all configurations.
 const HALF: f64 = 0.5;
 /// Most rounds in which the share of censored configurations is settled, and the change
 /// of a share that ends them.
@@ -267,7 +267,7 @@ impl Clusters {
         let intervals = intervals_of_many(bootstrap, tasks, count, statistics);
         let interval = |k: usize| {
             let ends = [2 * k, 2 * k + 1].map(|place| match intervals[place] {
-                // Where every resampling gives one value, that is the end.
+                // An end that no resampling moves is its value.
                 Err(NoInterval::NoSpread) => Ok([values[place]; 2]),
                 ends => ends,
             });
