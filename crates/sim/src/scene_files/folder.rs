@@ -163,8 +163,11 @@ impl SceneFolder {
         };
         let mut unchecked = vec![(scene.file, scene.checksum)];
         let mut stamps = scene.stamp;
+        let Some(names) = names_of_textures(&sections) else {
+            return Ok(None);
+        };
         let mut textures = Vec::new();
-        for texture in names_of_textures(&sections) {
+        for texture in names {
             let path = self.texture(text(texture));
             let Some(opened) = self.open(&path, texture)? else {
                 return Ok(None);
@@ -406,10 +409,12 @@ impl SceneFolder {
     }
 }
 
-/// Names of the textures of a scene, of its sections.
-pub(super) fn names_of_textures(sections: &[Bytes]) -> &[Name] {
-    let names = sections.get(TEXTURES).map_or(&[][..], |names| names);
-    names.as_chunks().0
+/// Names of the textures of a scene, of its sections; none if they are not names.
+pub(super) fn names_of_textures(sections: &[Bytes]) -> Option<&[Name]> {
+    let digits = sections.get(TEXTURES)?;
+    let (names, rest) = digits.as_chunks();
+    let are_names = rest.is_empty() && digits.iter().all(u8::is_ascii_hexdigit);
+    are_names.then_some(names)
 }
 
 /// Makes a scene of mapped sections; none if they are of no scene.
