@@ -364,7 +364,8 @@ fn run_worker(
     let mut simulator_arguments = simulator_arguments.clone();
     if let Some(Err(error)) = SceneFolder::of_process().map(SceneFolder::check) {
         // Said here for all slots.
-        tracing::warn!("each slot keeps its scenes in memory of its own: {error}");
+        let why = transport::chain(&error);
+        tracing::warn!("scenes are kept in the memory of each slot: failed to {why}");
         simulator_arguments.scenes = Some("off".into());
     }
     let lacking_tasks = assets::check(&simulator.pack, &simulator.sources)?;

@@ -106,7 +106,7 @@ impl Simulator {
         self.scenes
             .truncate(self.config.cached_scenes.saturating_sub(1));
         let scene = ReadyScene::compile(files, &self.config.pack, &self.config.sources)?;
-        let environment = Environment::of(Arc::clone(scene.compiled()))?;
+        let environment = Environment::before_load(Arc::clone(scene.compiled()))?;
         self.scenes.insert(0, (scene, environment));
         Ok(())
     }
