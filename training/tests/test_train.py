@@ -41,6 +41,7 @@ def fill(folder: Path, shards: int, *, first: int = 0, task: int = 0) -> None:
 def arguments(folder: Path, **given: object) -> argparse.Namespace:
     usual: dict[str, object] = {
         "data": [folder / "data"], "run": folder / "run", "seconds": 0.5, "watch": False,
+        "stop_after": None,
         "start_from": None, "name": "student", "batch": 2, "learning_rate": 1e-3,
         "weight_decay": 1e-3, "wordings": 3, "suite_weights": [1.0] * 4, "capacity": 200,
         "processes": 1, "compile": False, "seed": 0, "device": "cpu",

@@ -34,12 +34,14 @@ pub struct Expert {
     motion: Motion,
     /// As seen in the first observation, when the hand is at rest.
     shoulder: Option<Vec3>,
+    /// Whether something else has driven the robot since the last action.
+    is_interrupted: bool,
 }
 
 impl Expert {
     /// The action for the state at hand. To be asked at every control step, in order,
-    /// also where something else drives the robot: it remembers what it has done and how
-    /// the hand moves.
+    /// also where something else drives the robot ([`Self::interrupt`]): it remembers what it
+    /// has done and how the hand moves.
     ///
     /// # Errors
     /// In words, where the state is of no scene that it can read.
@@ -51,10 +53,20 @@ impl Expert {
         Ok(motion::servo(&world, &self.motion, &command))
     }
 
+    /// Says that the robot has done something else than the last action. The next action then
+    /// follows from what is seen: what is left to do, what is in the hand, and how far the
+    /// hand is with it. Without this, steps that something else took would count as the
+    /// expert's own, and it would take a hand that hesitates for one that touches something.
+    pub fn interrupt(&mut self) {
+        self.is_interrupted = true;
+    }
+
     /// The next skill's command; a plan that has run out is made anew, since
     /// an episode that goes on has not reached its goal.
     fn command(&mut self, world: &World) -> Result<Command, String> {
+        let is_interrupted = std::mem::take(&mut self.is_interrupted);
         let mut plan = match self.plan.take() {
+            Some(plan) if is_interrupted => goal::resume(world, &self.motion, &plan)?.into(),
             Some(plan) => plan,
             None => goal::plan(world)?.into(),
         };
