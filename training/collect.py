@@ -409,6 +409,7 @@ SCENES: list[Any] = []
 
 def collect(arguments: argparse.Namespace) -> None:
     """Runs the groups until the time is over."""
+    until = time.monotonic() + arguments.seconds
     if arguments.driver == "student" and arguments.weights is None:
         raise SystemExit("collect with --driver student: name the student's file with --weights")
     device = torch.device(arguments.device)
@@ -424,7 +425,6 @@ def collect(arguments: argparse.Namespace) -> None:
     compile_scenes(groups_of, arguments.assets, arguments.threads)
     count = min(arguments.groups, len(groups_of))
     writer = Writer(arguments.into)
-    until = time.monotonic() + arguments.seconds
     errors: list[BaseException] = []
     try:
         groups = [

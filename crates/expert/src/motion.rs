@@ -34,6 +34,8 @@ const CLEARANCE_M: f64 = 0.02;
 const CORRIDOR_M: f64 = 0.06;
 /// Nearer than this to its goal, the hand comes down whatever is beside it, m.
 const ARRIVAL_M: f64 = 0.03;
+/// A hand this far above its goal is high, m.
+const HIGH_M: f64 = 0.05;
 /// A hand that moves less than this in a step has been stopped by something.
 const STILL_M: f64 = 0.0008;
 
@@ -190,8 +192,11 @@ impl Errand<'_> {
 /// out from under what is overhead, straight up until everything on the way is
 /// cleared, then across, then down.
 pub(crate) fn detour(world: &World, goal: Vec3, errand: Errand) -> Vec3 {
-    if (goal - world.grip).horizontal_norm() < ARRIVAL_M {
-        return goal;
+    let aside = (goal - world.grip).horizontal_norm();
+    if aside < ARRIVAL_M {
+        // High above it, sideways first: there may be an edge beneath.
+        let is_high = world.grip.z > goal.z + HIGH_M && aside > ARRIVAL_M / 2.0;
+        return goal.at_height(if is_high { world.grip.z } else { goal.z });
     }
     let over = errand.hang(world) + CLEARANCE_M;
     let highest = highest_on_the_way(world, goal, errand);
