@@ -25,7 +25,9 @@ from training.wordings import TASK_NAMES
 STRETCH = (5, 40)
 """Least and most steps that something else drives."""
 BETWEEN = (20, 80)
-"""Least and most steps that the expert drives in between."""
+"""Least and most steps that the expert drives before each."""
+STRETCHES = 3
+"""Of a rollout. What is dropped while something else drives may be out of reach for good."""
 DELAY = 20
 """Steps by which a stranger is late, one control step being 50 ms."""
 WANDERING = np.array([0.5, 0.5, 0.5, 0.1, 0.1, 0.1])
@@ -50,11 +52,11 @@ def rollout(name: str, state: int, arguments: argparse.Namespace) -> tuple[bool,
     env.reset(seed=state)
     rng = np.random.default_rng([arguments.seed, TASK_NAMES.index(name), state])
     late = deque([np.zeros(7)] * DELAY, maxlen=DELAY)
-    strange, left, steps = False, int(rng.integers(*BETWEEN)), 0
+    strange, left, steps, turns = False, int(rng.integers(*BETWEEN)), 0, 0
     drives, wander, gripper = STILL, np.zeros(6), -1.0
     while True:
-        if left == 0 and disturbed:
-            strange = not strange
+        if left == 0 and disturbed and turns < 2 * STRETCHES:
+            strange, turns = not strange, turns + 1
             left = int(rng.integers(*(STRETCH if strange else BETWEEN)))
             drives, gripper = int(rng.integers(3)), float(rng.choice([-1.0, 1.0]))
             wander = rng.uniform(-1.0, 1.0, 6) * WANDERING

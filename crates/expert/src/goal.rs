@@ -230,11 +230,15 @@ fn put_on(
     object: &str,
     on: &str,
 ) -> Result<Option<Skill>, String> {
-    let place = Place {
+    let slot = slot(&world.goal, predicate);
+    let mut place = Place {
         relation: Relation::On,
         target: on.to_owned(),
-        slot: slot(&world.goal, predicate),
+        slot,
     };
+    if let Some(other) = sharer(&world.goal, predicate) {
+        place.slot = free_slot(world, &place, object, other)?;
+    }
     if routine::must_be_dragged(world.entity(object)?) && world.entity(on)?.is_region() {
         let deed = Deed::Drag {
             object: object.to_owned(),
@@ -257,6 +261,41 @@ fn slot(goal: &[Predicate], predicate: &Predicate) -> f64 {
         [_, _] => 1.0,
         _ => 0.0,
     }
+}
+
+/// The object that is to go onto the same target.
+fn sharer<'a>(goal: &'a [Predicate], predicate: &Predicate) -> Option<&'a str> {
+    let shares = |other: &&Predicate| {
+        *other != predicate
+            && other.name == predicate.name
+            && other.arguments.last() == predicate.arguments.last()
+    };
+    goal.iter()
+        .find(shares)?
+        .arguments
+        .first()
+        .map(String::as_str)
+}
+
+/// The place's own side, or the other one where `other` is there already and nearer to it.
+fn free_slot(world: &World, place: &Place, object: &str, other: &str) -> Result<f64, String> {
+    let (object, other) = (world.entity(object)?, world.entity(other)?);
+    if !place.holds(world, other)? {
+        return Ok(place.slot);
+    }
+    let room = |slot: f64| -> Result<f64, String> {
+        let side = Place {
+            slot,
+            ..place.clone()
+        };
+        let rest = side.spot(world, object)?.rest;
+        Ok((rest - other.pos).horizontal_norm())
+    };
+    let opposite = -place.slot;
+    Ok(match room(opposite)? > room(place.slot)? {
+        true => opposite,
+        false => place.slot,
+    })
 }
 
 fn transfer(world: &World, object: &str, place: Place) -> Result<Option<Skill>, String> {

@@ -16,6 +16,7 @@ mod transfer;
 mod world;
 
 use std::collections::VecDeque;
+use std::f64::consts::FRAC_PI_2;
 
 use protocol::Privileged;
 
@@ -26,6 +27,14 @@ use world::World;
 
 pub use motion::Action;
 
+/// Own steps before a hand that stays where it is, this far from where it should be, m and rad,
+/// counts as stuck; steps of its way back, half of them up; and how far up it aims, m.
+const PATIENCE_STEPS: u32 = 20;
+const FAR_M: f64 = 0.012;
+const FAR_RAD: f64 = 0.25;
+const BACKING_STEPS: u32 = 32;
+const STEP_M: f64 = 0.05;
+
 /// The scripted manipulator in one rollout. A clone goes on as the original would.
 #[derive(Clone, Debug, Default)]
 pub struct Expert {
@@ -34,6 +43,10 @@ pub struct Expert {
     motion: Motion,
     /// As seen in the first observation, when the hand is at rest.
     shoulder: Option<Vec3>,
+    /// How many of the last steps were its own.
+    own_steps: u32,
+    /// Steps left of the way back from where the hand was stuck.
+    backing_steps: u32,
     /// Whether something else has driven the robot since the last action.
     is_interrupted: bool,
 }
@@ -49,7 +62,12 @@ impl Expert {
         let mut world = World::read(state)?;
         world.shoulder = *self.shoulder.get_or_insert(world.shoulder);
         self.motion.observe(&world);
+        if self.is_interrupted {
+            (self.own_steps, self.backing_steps) = (0, 0);
+        }
         let command = self.command(&world)?;
+        let command = self.unstuck(&world, command);
+        self.own_steps += 1;
         Ok(motion::servo(&world, &self.motion, &command))
     }
 
@@ -59,6 +77,33 @@ impl Expert {
     /// expert's own, and it would take a hand that hesitates for one that touches something.
     pub fn interrupt(&mut self) {
         self.is_interrupted = true;
+    }
+
+    /// `command`, unless it has got the hand nowhere: it may be hooked into something, or the
+    /// arm be at the limit of a joint, which no box shows. Then it goes up, and back to where it
+    /// rests, for a while.
+    fn unstuck(&mut self, world: &World, command: Command) -> Command {
+        let travels = command.pace >= 1.0;
+        let is_far = !command.hand.is_near(world, FAR_M, FAR_RAD);
+        if travels && is_far && self.own_steps >= PATIENCE_STEPS && self.motion.is_stuck() {
+            (self.own_steps, self.backing_steps) = (0, BACKING_STEPS);
+        }
+        if self.backing_steps == 0 {
+            return command;
+        }
+        self.backing_steps -= 1;
+        let up = world.grip + Vec3::UP * STEP_M;
+        let pos = match self.backing_steps >= BACKING_STEPS / 2 {
+            true => up,
+            false => world.rest().at_height(world.rest().z.max(world.grip.z)),
+        };
+        Command {
+            hand: HandPose {
+                pos,
+                quat: motion::pointing_down(FRAC_PI_2),
+            },
+            ..command
+        }
     }
 
     /// The next skill's command; a plan that has run out is made anew, since

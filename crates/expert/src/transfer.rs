@@ -39,9 +39,6 @@ const OPENING_STEPS: u32 = 5;
 /// way across is given up.
 const PATIENCE_STEPS: u32 = 60;
 const TRAVEL_STEPS: u32 = 120;
-/// Steps after which a hand that gets nowhere on its way counts as stuck, and how far it climbs, m.
-const STUCK_STEPS: u32 = 20;
-const CLIMB_M: f64 = 0.07;
 /// A hand that has run out of patience this near to its goal goes on, m.
 const ALMOST_M: f64 = 0.03;
 /// Share of full speed near things.
@@ -59,8 +56,6 @@ pub(crate) struct Transfer {
     missed: usize,
     /// The grasp that was tried last.
     grasp: Option<Grasp>,
-    /// How high a hand that was stuck on its way climbs before it tries again, m.
-    climbs_to: Option<f64>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -111,7 +106,6 @@ impl Transfer {
             ticks: 0,
             missed: 0,
             grasp: None,
-            climbs_to: None,
         }
     }
 
@@ -212,10 +206,7 @@ impl Transfer {
     ) -> Result<Option<Command>, String> {
         loop {
             match self.look(world, motion)? {
-                Next::Stay(mut command) => {
-                    if let Some(height) = self.climb(world, motion) {
-                        command.hand.pos = world.grip.at_height(height + NEAR_M);
-                    }
+                Next::Stay(command) => {
                     self.ticks += 1;
                     return Ok(Some(command));
                 }
@@ -227,20 +218,6 @@ impl Transfer {
                 Next::Done => return Ok(None),
             }
         }
-    }
-
-    /// The height to climb to for a hand that something stops on its way, which the boxes do
-    /// not show: the hand may be tilted, or hooked into something.
-    fn climb(&mut self, world: &World, motion: &Motion) -> Option<f64> {
-        let travels = matches!(self.phase, Phase::Approach(_) | Phase::Carry(_));
-        if !travels || self.climbs_to.is_some_and(|height| world.grip.z > height) {
-            self.climbs_to = None;
-        }
-        let stuck = travels && self.ticks >= STUCK_STEPS && motion.is_stuck();
-        if stuck && self.ticks % (2 * STUCK_STEPS) == STUCK_STEPS {
-            self.climbs_to = Some(world.grip.z + CLIMB_M);
-        }
-        self.climbs_to
     }
 
     fn enter(&mut self, phase: Phase) {

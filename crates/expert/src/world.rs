@@ -159,6 +159,11 @@ impl World {
             .filter(move |n| n.starts_with(&prefix))
     }
 
+    /// Where the grip point is when the arm is at rest.
+    pub(crate) fn rest(&self) -> Vec3 {
+        self.shoulder - SHOULDER_FROM_REST
+    }
+
     /// How far beyond its comfortable reach the arm is with the hand pointing
     /// down at `grip`, m; 0 within.
     pub(crate) fn overstretch(&self, grip: Vec3) -> f64 {
