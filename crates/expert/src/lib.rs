@@ -27,7 +27,7 @@ use world::World;
 
 pub use motion::Action;
 
-/// Own steps before a hand that stays where it is, this far from where it should be, m and rad,
+/// Steps after which a hand that stays where it is, this far from where it should be, m and rad,
 /// counts as stuck; steps of its way back, half of them up; and how far up it aims, m.
 const PATIENCE_STEPS: u32 = 20;
 const FAR_M: f64 = 0.012;
@@ -43,8 +43,8 @@ pub struct Expert {
     motion: Motion,
     /// As seen in the first observation, when the hand is at rest.
     shoulder: Option<Vec3>,
-    /// How many of the last steps were its own.
-    own_steps: u32,
+    /// For how many steps, all its own, the hand has been far from where it should travel.
+    far_steps: u32,
     /// Steps left of the way back from where the hand was stuck.
     backing_steps: u32,
     /// Whether something else has driven the robot since the last action.
@@ -63,11 +63,10 @@ impl Expert {
         world.shoulder = *self.shoulder.get_or_insert(world.shoulder);
         self.motion.observe(&world);
         if self.is_interrupted {
-            (self.own_steps, self.backing_steps) = (0, 0);
+            (self.far_steps, self.backing_steps) = (0, 0);
         }
         let command = self.command(&world)?;
         let command = self.unstuck(&world, command);
-        self.own_steps += 1;
         Ok(motion::servo(&world, &self.motion, &command))
     }
 
@@ -85,8 +84,9 @@ impl Expert {
     fn unstuck(&mut self, world: &World, command: Command) -> Command {
         let travels = command.pace >= 1.0;
         let is_far = !command.hand.is_near(world, FAR_M, FAR_RAD);
-        if travels && is_far && self.own_steps >= PATIENCE_STEPS && self.motion.is_stuck() {
-            (self.own_steps, self.backing_steps) = (0, BACKING_STEPS);
+        self.far_steps = if travels && is_far { self.far_steps + 1 } else { 0 };
+        if self.far_steps >= PATIENCE_STEPS && self.motion.is_stuck() {
+            (self.far_steps, self.backing_steps) = (0, BACKING_STEPS);
         }
         if self.backing_steps == 0 {
             return command;
