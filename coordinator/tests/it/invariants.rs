@@ -215,7 +215,7 @@ async fn the_program_names_violations_and_fails() {
     assert_eq!(output.status.code(), Some(1));
     let said = text(&output.stdout);
     assert!(said.contains("committed_has_one_result: 2\n"), "{said}");
-    assert!(text(&output.stderr).contains("2 of 19 invariants"));
+    assert!(text(&output.stderr).contains("3 of 19 invariants"));
     let output = coordinator(&["check", "/nowhere"]);
     assert_eq!(output.status.code(), Some(2));
     let other = folder.path().join("notes.txt");

@@ -93,12 +93,13 @@ pub const INVARIANTS: [Invariant; 19] = [
          FROM pragma_foreign_key_check",
     },
     // A campaign has all the jobs that it was expanded into, each place in
-    // paired-unit order once.
+    // paired-unit order once, unless it is on its way in or out.
     Invariant {
         name: "expansion_is_whole",
         query: "SELECT format('campaign %s was expanded into %d jobs and has %d, in %d places',
              c.name, c.jobs, count(j.id), count(DISTINCT j.unit_order))
          FROM campaign c LEFT JOIN job j ON j.campaign_id = c.id
+         WHERE c.id NOT IN (SELECT campaign_id FROM passage)
          GROUP BY c.id HAVING count(j.id) <> c.jobs
              OR count(DISTINCT j.unit_order) <> c.jobs
              OR coalesce(max(j.unit_order), -1) <> c.jobs - 1",
@@ -198,8 +199,9 @@ pub const INVARIANTS: [Invariant; 19] = [
         query: "SELECT format('campaign %s is pinned to %s and has %s', c.name,
              coalesce(c.asset_pack, 'nothing'), iif(c.pinned_ms IS NULL, 'results', 'none'))
          FROM campaign c
-         WHERE (c.pinned_ms IS NULL) = EXISTS
-             (SELECT 1 FROM result r WHERE r.campaign_id = c.id)",
+         WHERE c.id NOT IN (SELECT campaign_id FROM passage)
+             AND (c.pinned_ms IS NULL) = EXISTS
+                 (SELECT 1 FROM result r WHERE r.campaign_id = c.id)",
     },
     // A cancelled campaign holds no lease.
     Invariant {

@@ -24,7 +24,7 @@ use crate::operations::heartbeat::Heartbeat;
 use crate::operations::release::{Release, ReleaseReply, ReleaseVerdict};
 use crate::operations::shared::Shared;
 use crate::operations::writer::{self, MAX_WAITING, Operation, Pending};
-use crate::operations::{derive, stop};
+use crate::operations::{derive, passages, stop};
 use crate::operations::{removals, start};
 use crate::read::{Changes, View};
 use crate::rules::lease::FailureReason;
@@ -123,7 +123,10 @@ impl Queue {
             }
         }
         let (operations, asked) = mpsc::channel(MAX_WAITING);
+        let left = passages::left(&shared).await?;
         let mut tasks = Tasks::default();
+        let removal = passages::run(shared.clone(), left);
+        tasks.spawn("the removal of what was left on the way", removal);
         tasks.spawn("the database's writer", writer::run(shared.clone(), asked));
         tasks.spawn("the checkpointer", keep_log_short(shared.clone()));
         tasks.spawn("the derivation of rollouts", derive::run(shared.clone()));

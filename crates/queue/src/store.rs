@@ -18,6 +18,7 @@ pub(crate) mod films;
 pub(crate) mod halves;
 pub(crate) mod instants;
 pub(crate) mod jobs;
+pub(crate) mod passages;
 pub(crate) mod policies;
 pub(crate) mod portable;
 pub(crate) mod provenance;

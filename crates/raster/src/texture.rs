@@ -106,7 +106,7 @@ impl Texels<'_> {
             .fold(0, |count, at| count + u32::from(*at >= largest));
         let (bytes, first) = match smaller {
             0 => (self.largest, 0),
-            8 => (self.texture.smaller.as_slice(), largest),
+            8 => (&self.texture.smaller[..], largest),
             _ => return None,
         };
         let (channels, opaque) = match self.texture.channels {

@@ -120,11 +120,13 @@ impl View {
         .fetch_all(self.tx())
         .await
         .doing("list policies")?;
-        let users: Vec<(PolicyId, CampaignName)> =
-            sqlx::query_as("SELECT policy_id, name FROM campaign ORDER BY id")
-                .fetch_all(self.tx())
-                .await
-                .doing("list the campaigns of policies")?;
+        let users: Vec<(PolicyId, CampaignName)> = sqlx::query_as(
+            "SELECT policy_id, name FROM campaign
+                 WHERE id NOT IN (SELECT campaign_id FROM passage) ORDER BY id",
+        )
+        .fetch_all(self.tx())
+        .await
+        .doing("list the campaigns of policies")?;
         for policy in &mut policies {
             let users = users.iter().filter(|(id, _)| *id == policy.id);
             policy.campaigns = users.map(|(_, campaign)| campaign.clone()).collect();
@@ -145,6 +147,7 @@ impl View {
             "SELECT c.name AS campaign, j.rollout_id, j.replicate, j.charged_attempts, j.last_error
              FROM job j JOIN campaign c ON c.id = j.campaign_id
              WHERE j.state = 'quarantined' AND (?1 IS NULL OR j.campaign_id = ?1)
+                 AND c.id NOT IN (SELECT campaign_id FROM passage)
              ORDER BY j.campaign_id, j.rollout_id, j.replicate LIMIT ?2",
         )
         .bind(campaign)

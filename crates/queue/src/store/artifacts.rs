@@ -29,7 +29,7 @@ pub(crate) async fn owner(
         "SELECT c.id AS campaign, j.id AS job, coalesce(c.folder, c.name) AS folder,
              j.rollout_id, j.replicate
          FROM result r JOIN job j ON j.id = r.job_id JOIN campaign c ON c.id = j.campaign_id
-         WHERE r.attempt_id = ?",
+         WHERE r.attempt_id = ? AND c.id NOT IN (SELECT campaign_id FROM passage)",
     )
     .bind(attempt.to_string())
     .fetch_optional(tx)

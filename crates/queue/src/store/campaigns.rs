@@ -142,10 +142,12 @@ pub(crate) async fn by_id(
 
 /// All campaigns, oldest first.
 pub(crate) async fn all(tx: &mut SqliteConnection) -> Result<Vec<Campaign>, StoreError> {
-    sqlx::query_as(campaigns_where!("TRUE"))
-        .fetch_all(tx)
-        .await
-        .doing("list campaigns")
+    sqlx::query_as(campaigns_where!(
+        "c.id NOT IN (SELECT campaign_id FROM passage)"
+    ))
+    .fetch_all(tx)
+    .await
+    .doing("list campaigns")
 }
 
 /// The campaigns of which jobs wait, oldest first; those that are cancelled or
@@ -153,6 +155,7 @@ pub(crate) async fn all(tx: &mut SqliteConnection) -> Result<Vec<Campaign>, Stor
 pub(crate) async fn waiting(tx: &mut SqliteConnection) -> Result<Vec<Campaign>, StoreError> {
     sqlx::query_as(campaigns_where!(
         "c.state <> 'cancelled' AND s.stopped_ms IS NULL
+         AND c.id NOT IN (SELECT campaign_id FROM passage)
          AND EXISTS (SELECT 1 FROM job j WHERE j.campaign_id = c.id AND j.state = 'queued')"
     ))
     .fetch_all(tx)
@@ -201,6 +204,18 @@ pub(crate) async fn insert(
     now: UnixMillis,
 ) -> Result<CampaignId, StoreError> {
     take_name(tx, &campaign.name).await?;
+    let id = insert_without_jobs(tx, campaign, folder, now).await?;
+    insert_jobs(tx, id, &campaign.jobs).await?;
+    Ok(id)
+}
+
+/// Stores a campaign, which is said to have its jobs.
+pub(crate) async fn insert_without_jobs(
+    tx: &mut SqliteConnection,
+    campaign: &NewCampaign,
+    folder: &str,
+    now: UnixMillis,
+) -> Result<CampaignId, StoreError> {
     let policy =
         policies::find_or_insert(tx, &campaign.policy_endpoint, &campaign.policy, now).await?;
     let id: CampaignId = sqlx::query_scalar(
@@ -230,7 +245,6 @@ pub(crate) async fn insert(
             .await
             .doing("store a campaign's tasks")?;
     }
-    insert_jobs(tx, id, &campaign.jobs).await?;
     Ok(id)
 }
 

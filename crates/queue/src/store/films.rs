@@ -62,7 +62,7 @@ pub(crate) async fn filmed_campaigns(
          FROM campaign c JOIN tally own ON own.campaign_id = c.id
          LEFT JOIN derivation d ON d.campaign_id = c.id
          LEFT JOIN tally its ON its.campaign_id = d.source_id
-         WHERE c.record = 'transitions' AND c.asset_pack_digest = ? AND c.mujoco_version = ?
+         WHERE c.id NOT IN (SELECT campaign_id FROM passage) AND c.record = 'transitions' AND c.asset_pack_digest = ? AND c.mujoco_version = ?
          ORDER BY c.id",
     )
     .bind(&pin.asset_pack_digest)
