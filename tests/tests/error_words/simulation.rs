@@ -83,6 +83,7 @@ fn pictures(messages: &mut Messages) {
         ModelError::Texture { .. } => ModelError::Texture {
             width: 3, height: 4, channels: 5, bytes: 6,
         },
+        ModelError::Bytes => ModelError::Bytes,
         ModelError::Quality { .. } => ModelError::Quality { slices: 0, stacks: 0, quads: 0 },
     );
     variants!(messages, DrawError,
