@@ -26,7 +26,7 @@ import numpy as np
 from .errors import CoordinatorError
 
 #: The newest form and schema that are read here.
-FORMAT, SCHEMA = 1, 10
+FORMAT, SCHEMA = 1, 11
 
 #: Bytes that are read at a time.
 PIECE = 1 << 20

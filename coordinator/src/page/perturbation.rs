@@ -14,6 +14,9 @@ pub(super) fn lines(row: &ManifestRow, axis: Axis) -> Vec<String> {
         Axis::Robot => &ROBOT,
         Axis::Sensor => &SENSOR,
         Axis::Actuation => &ACTUATION,
+        Axis::Language if row.id.is_placebo() => {
+            return vec!["the canonical instruction, as placebo".to_owned()];
+        }
         Axis::Language => {
             let variant = row.variant_id.as_deref().unwrap_or("as in the manifest");
             return vec![format!("paraphrase {variant}")];
