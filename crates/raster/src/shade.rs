@@ -148,6 +148,10 @@ struct Listing<'a> {
 impl Listing<'_> {
     #[inline(always)]
     fn pixel(&mut self, ids: &[u32; SAMPLES], x: u32, y: u32) {
+        if *ids == [self.id; SAMPLES] {
+            self.list.push(Fragment::new(x, y, 0xf, self.surface));
+            return;
+        }
         let [a, b, c, d] = *ids;
         let of = |same: bool, sample: u32| u32::from(same) << sample;
         let with_first = 1 | of(b == a, 1) | of(c == a, 2) | of(d == a, 3);

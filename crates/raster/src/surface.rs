@@ -42,8 +42,13 @@ pub(crate) struct Vertices {
     varying: [[f32; VARYING]; MOST],
 }
 
-/// Vertices of a cluster at most, with room for eight at a time.
-const MOST: usize = 3 * CLUSTER + LANES;
+/// Vertices of a cluster at most: as many as a byte can name, so that no name needs a
+/// check. There is room for eight at a time.
+const MOST: usize = 256;
+const _: () = assert!(
+    3 * CLUSTER + LANES <= MOST,
+    "a byte names any vertex, or none"
+);
 /// A vertex that no triangle needed so far.
 const UNLIT: u8 = u8::MAX;
 
@@ -112,21 +117,21 @@ pub(crate) fn work_out(
     vertices.light(instance, mesh, shading, size, (first, wanted));
     let order = turned(instance.counter_clockwise);
     for wanted in wanted.chunks(LANES) {
-        let mut slots = [[0; 3]; LANES];
+        let mut slots = [[0u8; 3]; LANES];
         let (mut x, mut y) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
         for (lane, wanted) in wanted.iter().enumerate() {
             for (turn, corner) in order.into_iter().enumerate() {
                 let vertex = mesh.corners[corner][wanted.triangle as usize];
-                let slot = usize::from(vertices.slots[usize::from(vertex)]);
+                let slot = vertices.slots[usize::from(vertex)];
                 slots[lane][turn] = slot;
-                x[turn][lane] = vertices.x[slot];
-                y[turn][lane] = vertices.y[slot];
+                x[turn][lane] = vertices.x[usize::from(slot)];
+                y[turn][lane] = vertices.y[usize::from(slot)];
             }
         }
         let slopes = Slopes::new(&x.map(F::new), &y.map(F::new)).each();
         for ((wanted, slots), slopes) in wanted.iter().zip(slots).zip(slopes) {
             // A lane for each number that varies.
-            let values = slots.map(|slot| F::new(vertices.varying[slot]));
+            let values = slots.map(|slot| F::new(vertices.varying[usize::from(slot)]));
             let [at_corner, per_x, per_y] = slopes.of(&values);
             into[wanted.surface as usize] = Surface {
                 at_corner: at_corner.to_array(),

@@ -106,18 +106,10 @@ impl Texels<'_> {
             8 => (self.texture.smaller.as_slice(), largest),
             _ => return None,
         };
-        let (channels, opaque) = match self.texture.channels {
-            3 => (3, 0xff00_0000),
-            _ => (4, 0),
-        };
-        let mut pairs = [[0; LANES]; 2];
-        for (lane, at) in at.iter().enumerate() {
-            let place = (at - first).cast_unsigned() as usize * channels;
-            let pair = u64::from_le_bytes(*bytes.get(place..)?.first_chunk()?);
-            pairs[0][lane] = opaque | pair as u32;
-            pairs[1][lane] = opaque | (pair >> (8 * channels)) as u32;
+        match self.texture.channels {
+            3 => eight_pairs::<3>(bytes, first, at),
+            _ => eight_pairs::<4>(bytes, first, at),
         }
-        Some(pairs)
     }
 
     /// Eight texels from bytes that start with texel `first`.
@@ -140,6 +132,25 @@ impl Texels<'_> {
         }
         texels
     }
+}
+
+/// See [`Texels::eight_pairs`]; the bytes start with texel `first`.
+#[inline(always)]
+fn eight_pairs<const CHANNELS: usize>(
+    bytes: &[u8],
+    first: i32,
+    at: &[i32; LANES],
+) -> Option<[[u32; LANES]; 2]> {
+    let opaque = if CHANNELS == 3 { 0xff00_0000 } else { 0 };
+    let mut pairs = [[0; LANES]; 2];
+    for (lane, at) in at.iter().enumerate() {
+        let place = (at - first).cast_unsigned() as usize * CHANNELS;
+        let eight = bytes.get(place..place + 8)?;
+        let pair = u64::from_le_bytes(*eight.first_chunk()?);
+        pairs[0][lane] = opaque | pair as u32;
+        pairs[1][lane] = opaque | (pair >> (8 * CHANNELS)) as u32;
+    }
+    Some(pairs)
 }
 
 /// One size of a texture.
