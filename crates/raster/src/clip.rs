@@ -18,10 +18,10 @@ pub(crate) struct ClippedCorner {
 /// A piece of a triangle.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ClippedTriangle {
-    /// The whole one's place in its mesh, and where its cluster's positions
+    /// The whole one's place in its mesh, and where its cluster's vertices
     /// start.
     pub(crate) triangle: u32,
-    pub(crate) positions: u32,
+    pub(crate) vertices: u32,
     /// How it was cut, and which of the pieces it is.
     pub(crate) cut: Cut,
     pub(crate) piece: u32,
