@@ -6,6 +6,7 @@ use std::cell::RefCell;
 use crate::backdrop::{Backdrop, Start};
 use crate::error::DrawError;
 use crate::instance::{self, View};
+use crate::lanes::{f32x4, i32x4};
 use crate::light::EyeLight;
 use crate::model::Model;
 use crate::picture::{Pass, Picture, Workspace};
@@ -211,13 +212,12 @@ impl Canvas {
 #[inline(always)]
 fn mean(samples: &[u32; SAMPLES]) -> [u8; 4] {
     let [a, b, c, d] = samples.map(|sample| {
-        let parts = sample.to_le_bytes().map(|part| f32::from(part));
-        parts.map(|part| part * (1.0 / 255.0))
+        let parts = i32x4::new(sample.to_le_bytes().map(i32::from));
+        parts.round_float() * f32x4::splat(1.0 / 255.0)
     });
-    std::array::from_fn(|channel| {
-        let mean = (((a[channel] + b[channel]) + c[channel]) + d[channel]) * 0.25;
-        (mean * 255.0).round_ties_even() as u8
-    })
+    let mean = (((a + b) + c) + d) * f32x4::splat(0.25);
+    let whole = (mean * f32x4::splat(255.0)).round_int();
+    whole.to_array().map(|part| part as u8)
 }
 
 pub(crate) fn check(

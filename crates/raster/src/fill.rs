@@ -6,7 +6,6 @@ use crate::lanes::{F, Floats as _, I, Ints as _, LANES, Mask};
 use crate::positions::SUBPIXELS;
 use crate::setup::Setup;
 use crate::visible::{BLOCK, Layer, PART, Ranks, Record, SAMPLES, Visible};
-use crate::window::Window;
 
 /// Where the samples of two pixels side by side are, in lattice points from the
 /// first one's corner.
@@ -49,9 +48,8 @@ pub(crate) fn fill(lane: usize, setup: &Setup, record: Record, drawing: &mut Dra
         touched
     };
     if touched {
-        let visible = &mut *drawing.visible;
-        visible.records.push(record);
-        visible.touched = Window::around(visible.touched, Some(Window { x, y }));
+        drawing.visible.records.push(record);
+        drawing.touched.add(x, y);
     }
 }
 

@@ -6,7 +6,7 @@ use crate::clip::{self, ClippedTriangle, Cut};
 use crate::drawing::Drawing;
 use crate::fill::fill;
 use crate::frustum::Frustum;
-use crate::lanes::{F, LANES};
+use crate::lanes::LANES;
 use crate::mesh::{Cluster, Mesh};
 use crate::place::{Placed, place};
 use crate::setup::Setup;
@@ -102,7 +102,7 @@ fn cut_off(
             half,
         };
         let corners = ids.map(|id| mesh.position(cluster, id));
-        let polygon = clip::clip(instance, corners, [F::splat(0.0); 3], &cut);
+        let polygon = clip::clip(instance, corners, [(); 3], &cut);
         for (piece, corners) in polygon.pieces().enumerate() {
             if !setup.clipped(instance, &corners, drawing.window) {
                 continue;
