@@ -30,7 +30,7 @@ const MOST_PAIRS: i32 = 16;
 /// Fills one of the triangles that were set up.
 #[inline(always)]
 pub(crate) fn fill(lane: usize, setup: &Setup, record: Record, drawing: &mut Drawing<'_>) {
-    // Says that it is one, so that none of the reads is checked.
+    // The remainder is the lane itself; it spares a bounds check at each read.
     let lane = lane % LANES;
     let (x, y) = (setup.x.map(|end| end[lane]), setup.y.map(|end| end[lane]));
     let id = drawing.visible.records.len() as u32;
