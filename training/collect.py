@@ -11,9 +11,11 @@ never used. What was collected stays: a further run adds shards, with other seed
 from __future__ import annotations
 
 import argparse
+import json
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,7 @@ import rollout_libero
 import torch
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
+from rollout_libero.scenes import scene_of_task
 
 from training.drivers import ExpertDrives, InTurns, Orders
 from training.network import PICTURE, STATE
@@ -30,11 +33,17 @@ from training.shards import Driver, Episode, Outcome, Writer, next_number
 from training.student import Student
 from training.wordings import TASK_NAMES, draw
 
-STEPS_PER_FRAME = {"expert": 3, "student": 4}
-"""Control steps from frame to frame. The student's divide its eight actions."""
-SEVERAL = 2
+STEPS_PER_FRAME = 4
+"""Control steps from frame to frame. They divide the student's eight actions."""
+SEVERAL = 2.0
 """Environments of one task of libero_10 for each of another's: its episodes are longer, and
 a step there is seldom seen twice."""
+FAILURES_WEIGHT = 3.0
+"""How many times as many environments a task has that the student always fails."""
+BUDGETS = 2
+"""Steps of an episode, in the benchmark's budgets: a student is slow where it has to learn."""
+OUTCOMES = "outcomes.json"
+"""In the folder of shards: of each task how often the student succeeded alone, and of how many."""
 REPORT_SECONDS = 10.0
 WORDINGS = 200
 """Of each task, that the student is told."""
@@ -56,7 +65,7 @@ class Tally:
         self._begun = time.monotonic()
         self.steps = 0
         self.frames = 0
-        self._ended: list[tuple[str, Driver, bool]] = []
+        self._ended: list[tuple[int, Driver, bool]] = []
 
     def add_steps(self, steps: int, frames: int) -> None:
         """Counts what was done."""
@@ -67,15 +76,15 @@ class Tally:
     def add_episode(self, task: int, driver: Driver, success: bool) -> None:
         """Counts an episode that has ended."""
         with self._lock:
-            self._ended.append((TASK_NAMES[task].split("/")[0], driver, success))
+            self._ended.append((task, driver, success))
 
     def line(self) -> str:
         """How far it is."""
         with self._lock:
             seconds = time.monotonic() - self._begun
             ended = list(self._ended)
-        alone = [it for it in ended if it[1] == Driver.STUDENT]
-        guided = [it for it in ended if it[1] != Driver.STUDENT]
+        alone = [(_suite(task), success) for task, driver, success in ended if driver == Driver.STUDENT]
+        guided = [(_suite(task), success) for task, driver, success in ended if driver != Driver.STUDENT]
         parts = [
             f"{seconds:4.0f} s",
             f"{self.steps:,} steps ({self.steps / seconds:,.0f}/s)",
@@ -88,11 +97,27 @@ class Tally:
         return "  ".join(parts)
 
 
-def _rates(ended: Sequence[tuple[str, Driver, bool]]) -> str:
+    def alone(self) -> dict[str, list[int]]:
+        """Of each task how often the student succeeded alone, and of how many episodes."""
+        found: dict[str, list[int]] = {}
+        with self._lock:
+            for task, driver, success in self._ended:
+                if driver == Driver.STUDENT:
+                    counts = found.setdefault(TASK_NAMES[task], [0, 0])
+                    counts[0] += success
+                    counts[1] += 1
+        return found
+
+
+def _suite(task: int) -> str:
+    return TASK_NAMES[task].split("/")[0]
+
+
+def _rates(ended: Sequence[tuple[str, bool]]) -> str:
     """Per cent of success by suite: ``spatial 99 object 100``."""
     shown = []
     for suite in dict.fromkeys(name.split("/")[0] for name in TASK_NAMES):
-        own = [success for of, _, success in ended if of == suite]
+        own = [success for of, success in ended if of == suite]
         if own:
             shown.append(f"{suite.removeprefix('libero_')} {100 * sum(own) / len(own):.0f}")
     return " ".join(shown) or "-"
@@ -139,9 +164,11 @@ class Group:
         perturbed: float,
         threads: int,
         seed: Sequence[int],
+        assets: str,
         device: torch.device,
     ) -> None:
         n = len(tasks)
+        names = [TASK_NAMES[task] for task in tasks]
         self._tasks = np.array(tasks)
         self._writer, self._tally, self._pilot = writer, tally, pilot
         self._wordings = wordings
@@ -150,14 +177,15 @@ class Group:
         self._device = device
         self._rng = np.random.default_rng(seed)
         self._env = rollout_libero.VectorEnvironment(
-            [TASK_NAMES[task] for task in tasks],
+            names,
             n,
-            "primitives",
+            assets,
             threads=threads,
             height=RENDERED,
             width=RENDERED,
             orientation="upright",
             init_states="sampled",
+            max_steps=[BUDGETS * rollout_libero.Task.of(name).max_steps for name in names],
             autoreset_mode=AutoresetMode.NEXT_STEP,
         )
         self._by_expert = ExpertDrives(n, self._rng)
@@ -330,20 +358,58 @@ def perturbation(rng: np.random.Generator) -> str:
     return f"{axis}/r{rng.uniform(*RADII):.3f}/c{rng.integers(first, last + 1):02}"
 
 
-def tasks_of_environments(count: int, suites: Sequence[str]) -> list[int]:
-    """The tasks of so many environments: each in turn, those of libero_10 more often."""
-    cycle = []
+def read_outcomes(folders: Sequence[Path]) -> dict[str, list[int]]:
+    """How often the student succeeded alone in the collections of these folders, by task."""
+    total: dict[str, list[int]] = {}
+    for folder in folders:
+        file = folder / OUTCOMES
+        for name, counts in json.loads(file.read_text()).items() if file.exists() else ():
+            known = total.setdefault(name, [0, 0])
+            total[name] = [known[0] + counts[0], known[1] + counts[1]]
+    return total
+
+
+def tasks_of_environments(
+    count: int, suites: Sequence[str], outcomes: Mapping[str, Sequence[int]]
+) -> list[int]:
+    """The tasks of so many environments: those of libero_10 more often, and those that the
+    student fails; each once at least, if there is room."""
+    shares = np.zeros(len(TASK_NAMES))
     for number, name in enumerate(TASK_NAMES):
+        solved, tried = outcomes.get(name, (0, 0))
+        # As if it had been tried twice more, once with success.
+        failing = 1 - (solved + 1) / (tried + 2) if outcomes else 0.0
+        weight = 1 + (FAILURES_WEIGHT - 1) * failing
         suite = name.split("/")[0]
-        if suite in suites:
-            cycle += [number] * (SEVERAL if suite == "libero_10" else 1)
-    if count >= len(cycle):
-        return [cycle[at % len(cycle)] for at in range(count)]
-    return [cycle[at * len(cycle) // count] for at in range(count)]
+        shares[number] = (suite in suites) * weight * (SEVERAL if suite == "libero_10" else 1.0)
+    chosen = np.flatnonzero(shares)
+    if count < len(chosen):
+        return [int(chosen[at * len(chosen) // count]) for at in range(count)]
+    given = (shares > 0).astype(int)
+    for _ in range(count - len(chosen)):
+        # Whose turn it is: the one furthest behind its share.
+        given[np.argmax(shares / np.maximum(given, 1))] += 1
+    # Spread, so that groups get alike shares of each.
+    return [task for turn in range(int(given.max())) for task in np.flatnonzero(given > turn).tolist()]
+
+
+def compile_scenes(tasks: Iterable[int], assets: str, threads: int) -> None:
+    """Compiles the tasks' scenes side by side; they are kept."""
+
+    def compiled(task: int) -> Any:
+        return scene_of_task(rollout_libero.Task.of(TASK_NAMES[task]), assets)
+
+    with ThreadPoolExecutor(threads) as pool:
+        SCENES.extend(pool.map(compiled, sorted(set(tasks))))
+
+
+SCENES: list[Any] = []
+"""Compiled scenes, which would be dropped with the last environment that uses them."""
 
 
 def collect(arguments: argparse.Namespace) -> None:
     """Runs the groups until the time is over."""
+    until = time.monotonic() + arguments.seconds
     if arguments.driver == "student" and arguments.weights is None:
         raise SystemExit("collect with --driver student: name the student's file with --weights")
     device = torch.device(arguments.device)
@@ -354,10 +420,11 @@ def collect(arguments: argparse.Namespace) -> None:
     wordings = [draw(task, WORDINGS, arguments.seed) for task in TASK_NAMES]
     # A run that goes on must not see the scenes of the last one again.
     run = next_number(arguments.into)
-    groups_of = tasks_of_environments(arguments.envs, arguments.suites)
+    outcomes = read_outcomes(arguments.failures) if arguments.failures else {}
+    groups_of = tasks_of_environments(arguments.envs, arguments.suites, outcomes)
+    compile_scenes(groups_of, arguments.assets, arguments.threads)
     count = min(arguments.groups, len(groups_of))
     writer = Writer(arguments.into)
-    until = time.monotonic() + arguments.seconds
     errors: list[BaseException] = []
     try:
         groups = [
@@ -367,10 +434,11 @@ def collect(arguments: argparse.Namespace) -> None:
                 tally,
                 pilot,
                 wordings,
-                steps_per_frame=STEPS_PER_FRAME[arguments.driver],
+                steps_per_frame=STEPS_PER_FRAME,
                 perturbed=arguments.perturbed,
                 threads=arguments.threads,
                 seed=[arguments.seed, run, at],
+                assets=arguments.assets,
                 device=device,
             )
             for at in range(count)
@@ -396,6 +464,9 @@ def collect(arguments: argparse.Namespace) -> None:
                 print(tally.line(), flush=True)
     finally:
         writer.close()
+        part = arguments.into / (OUTCOMES + ".part")
+        part.write_text(json.dumps(tally.alone()))
+        part.replace(arguments.into / OUTCOMES)
     if errors:
         raise errors[0]
     print(f"wrote shards {run} to {next_number(arguments.into) - 1}", flush=True)
@@ -406,7 +477,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--into", type=Path, required=True, help="folder of shards")
     parser.add_argument("--seconds", type=float, default=300.0, help="how long, start included")
-    parser.add_argument("--driver", choices=list(STEPS_PER_FRAME), default="expert")
+    parser.add_argument("--driver", choices=["expert", "student"], default="expert")
     parser.add_argument(
         "--weights", type=Path,
         help="the student's, read again when they change; the expert drives until there are any",
@@ -418,6 +489,11 @@ def main() -> None:
     parser.add_argument("--groups", type=int, default=2, help="of environments, which take turns")
     parser.add_argument("--threads", type=int, default=16, help="of each group")
     parser.add_argument("--suites", nargs="+", choices=suites, default=suites)
+    parser.add_argument(
+        "--failures", type=Path, nargs="+", metavar="FOLDER",
+        help="shards of a student: tasks that it failed alone get more environments",
+    )  # fmt: skip
+    parser.add_argument("--assets", default="libero", help="a pack, or its folder")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     collect(parser.parse_args())

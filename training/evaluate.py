@@ -8,7 +8,9 @@ It is no study: campaigns of the product measure students, on the benchmark's ow
 from __future__ import annotations
 
 import argparse
+import json
 import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +18,7 @@ import rollout_libero
 import torch
 from gymnasium.vector import AutoresetMode
 
-from training.collect import perturbation
+from training.collect import compile_scenes, perturbation
 from training.network import CHUNK
 from training.observations import RENDERED
 from training.student import Student
@@ -30,57 +32,88 @@ def evaluate(arguments: argparse.Namespace) -> None:
     """Runs the episodes side by side and prints how many succeeded."""
     device = torch.device(arguments.device)
     student = Student(arguments.weights, device)
-    tasks = [name for name in TASK_NAMES if name.split("/")[0] in arguments.suites]
-    names = tasks * arguments.episodes
-    rng = np.random.default_rng(UNSEEN_SEED)
-    instructions = [canonical(name) for name in names]
+    tasks = [name for name in TASK_NAMES if any(name.startswith(own) for own in arguments.tasks)]
+    compile_scenes([TASK_NAMES.index(name) for name in tasks], arguments.assets, arguments.threads)
+    # Each environment has several episodes, one after the other; long ones come first.
+    most = max(1, arguments.envs // len(tasks))
+    each = -(-arguments.episodes // most)
+    at_once = -(-arguments.episodes // each)
+    names = [name for name in reversed(tasks) for _ in range(at_once)]
+    n, rng = len(names), np.random.default_rng(UNSEEN_SEED)
+    drawn = {name: draw(name, at_once + 1, UNSEEN_SEED)[1:] for name in tasks}
+    said = [canonical(name) for name in names]
     if arguments.wordings == "drawn":
-        drawn = {name: draw(name, arguments.episodes + 1, UNSEEN_SEED)[1:] for name in tasks}
-        instructions = [drawn[name].pop() for name in names]
+        said = [drawn[name].pop() for name in names]
+    released = arguments.states == "released"
     env = rollout_libero.VectorEnvironment(
         names,
-        len(names),
-        "primitives",
+        n,
+        arguments.assets,
         threads=arguments.threads,
         height=RENDERED,
         width=RENDERED,
         orientation="upright",
-        init_states="sampled",
+        init_states="cycle" if released else "sampled",
         autoreset_mode=AutoresetMode.NEXT_STEP,
     )
     if arguments.perturbed:
-        for index in range(len(names)):
+        for index in range(n):
             env.set_perturbation(index, perturbation(rng))
     begun = time.monotonic()
-    observation, _ = env.reset(seed=[UNSEEN_SEED + index for index in range(len(names))])
-    success = np.zeros(len(names), bool)
-    running = np.ones(len(names), bool)
-    while running.any() and time.monotonic() - begun < arguments.seconds:
-        answers = student.act(observation, instructions)
-        # Rollouts that have ended begin anew and run along; only the first ones count.
-        observation, _, terminated, truncated, _ = env.step_chunk(answers[:, : arguments.actions])
-        success |= running & terminated
-        running &= ~(terminated | truncated)
+    seeds = 0 if released else [UNSEEN_SEED + index for index in range(n)]
+    observation, info = env.reset(seed=seeds)
+    ended: dict[str, list[tuple[int, bool]]] = {name: [] for name in tasks}
+    left = np.full(n, each)
+    over = np.zeros(n, bool)
+    while (left > 0).any() and time.monotonic() - begun < arguments.seconds:
+        answers = student.act(observation, said)
+        observation, _, terminated, truncated, info = env.step_chunk(
+            answers[:, : arguments.actions]
+        )
+        over = terminated | truncated
+        for index in np.flatnonzero(over & (left > 0)).tolist():
+            state = info["init_state"][index]
+            ended[names[index]].append((-1 if state is None else int(state), bool(terminated[index])))
+        left -= over
     env.close()
-    taken = time.monotonic() - begun
-    unfinished = f", {running.sum()} not finished in the time" if running.any() else ""
-    print(f"{success.sum()} of {(~running).sum()} succeeded in {taken:.0f} s{unfinished}")
-    for suite in arguments.suites:
-        own = np.array([name.split("/")[0] == suite for name in names]) & ~running
-        shown = []
-        for name in tasks:
-            if name.split("/")[0] == suite:
-                of_task = own & np.array([it == name for it in names])
-                shown.append(f"{success[of_task].sum()}/{of_task.sum()}")
-        print(f"{suite:15} {success[own].sum()}/{own.sum()}   {' '.join(shown)}")
+    report(arguments, ended, time.monotonic() - begun)
+
+
+def report(
+    arguments: argparse.Namespace, ended: Mapping[str, Sequence[tuple[int, bool]]], seconds: float
+) -> None:
+    """Prints successes by suite and task, and writes them if asked to."""
+    if arguments.states == "released":
+        # Environments that take turns may go round once more than there are states.
+        ended = {
+            name: [it for it in dict(own).items() if it[0] < arguments.episodes]
+            for name, own in ended.items()
+        }
+    solved = {name: sum(success for _, success in own) for name, own in ended.items()}
+    count = sum(map(len, ended.values()))
+    total = sum(solved.values())
+    print(f"{total} of {count} succeeded ({100 * total / max(count, 1):.1f} %) in {seconds:.0f} s")
+    for suite in dict.fromkeys(name.split("/")[0] for name in ended):
+        own = [name for name in ended if name.split("/")[0] == suite]
+        shown = " ".join(f"{solved[name]}/{len(ended[name])}" for name in own)
+        of_suite = sum(len(ended[name]) for name in own)
+        print(f"{suite:15} {sum(solved[name] for name in own)}/{of_suite}   {shown}", flush=True)
+    if arguments.table:
+        arguments.table.write_text(json.dumps(ended))
 
 
 def main() -> None:
-    suites = list(dict.fromkeys(name.split("/")[0] for name in TASK_NAMES))
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--weights", type=Path, required=True)
     parser.add_argument("--episodes", type=int, default=5, help="of each task")
-    parser.add_argument("--suites", nargs="+", choices=suites, default=suites)
+    parser.add_argument("--tasks", nargs="+", default=["libero"], help="beginnings of names")
+    parser.add_argument(
+        "--states", choices=["sampled", "released"], default="sampled",
+        help="placed anew, or the benchmark's",
+    )  # fmt: skip
+    parser.add_argument("--envs", type=int, default=200, help="environments in all")
+    parser.add_argument("--assets", default="libero", help="a pack, or its folder")
+    parser.add_argument("--table", type=Path, help="file for each episode's outcome, JSON")
     parser.add_argument("--wordings", choices=["canonical", "drawn"], default="canonical")
     parser.add_argument(
         "--perturbed", action="store_true", help="as a collection is, every episode"

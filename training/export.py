@@ -35,7 +35,7 @@ def export(run: Path, name: str, into: Path) -> None:
     print(f"{into}: {into.stat().st_size:,} bytes, step {state['step']:,}")
 
 
-def write_reference(weights: Path, into: Path) -> None:
+def write_reference(weights: Path, into: Path, assets: str) -> None:
     """Queries, and what the weights answer."""
     import rollout_libero
     from gymnasium.vector import AutoresetMode
@@ -43,7 +43,7 @@ def write_reference(weights: Path, into: Path) -> None:
     env = rollout_libero.VectorEnvironment(
         REFERENCE_TASKS,
         len(REFERENCE_TASKS),
-        "primitives",
+        assets,
         height=RENDERED,
         width=RENDERED,
         orientation="upright",
@@ -95,10 +95,11 @@ def main() -> None:
     parser.add_argument("--name", default="student", help="student or student-randomised")
     parser.add_argument("--into", type=Path, required=True, help="the weights file")
     parser.add_argument("--reference", type=Path, help="file for queries and answers")
+    parser.add_argument("--assets", default="libero", help="a pack, or its folder")
     arguments = parser.parse_args()
     export(arguments.run, arguments.name, arguments.into)
     if arguments.reference:
-        write_reference(arguments.into, arguments.reference)
+        write_reference(arguments.into, arguments.reference, arguments.assets)
 
 
 if __name__ == "__main__":

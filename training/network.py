@@ -25,8 +25,9 @@ PICTURE = 128
 WORD_WIDTH = 48
 TEXT_WIDTH = 128
 POINTS = 64
-GRID = 16
-"""Height and width of the last feature map."""
+GRID = 32
+"""Height and width of the map that points are looked for in, twice the last features'."""
+HEAD = 512
 GROUPS = 8
 
 
@@ -85,12 +86,15 @@ class Encoder(nn.Module):
         self.block2 = Block(48, 96, stride=2)
         self.block3 = Block(96, 128, stride=1)
         self.points = nn.Conv2d(128, POINTS, 1)
+        # Where exactly, by features that are twice as fine.
+        self.fine = nn.Conv2d(48, POINTS, 1, bias=False)
 
     def forward(self, picture: Tensor, text: Tensor) -> Tensor:
-        x = self.block1(self.stem(picture), text)
-        x = self.block3(self.block2(x, text), text)
+        fine = self.block1(self.stem(picture), text)
+        x = self.block3(self.block2(fine, text), text)
         # Exponentials and coordinates in single precision, whatever the rest is computed in.
-        scores = self.points(x).flatten(2).float()
+        coarse = functional.interpolate(self.points(x).float(), scale_factor=2, mode="nearest")
+        scores = (coarse + self.fine(fine).float()).flatten(2)
         chance = scores.softmax(dim=2).unflatten(2, (GRID, GRID))
         places = torch.linspace(-1.0, 1.0, GRID, device=x.device)
         columns = (chance.sum(dim=2) * places).sum(dim=2)
@@ -113,10 +117,10 @@ class Network(nn.Module):
         self.wrist = Encoder()
         self.state1 = nn.Linear(STATE, 64)
         encoded = 3 * POINTS + 128
-        self.head1 = nn.Linear(2 * encoded + 64 + TEXT_WIDTH, 384)
-        self.head2 = nn.Linear(384, 384)
-        self.arm = nn.Linear(384, CHUNK * ARM)
-        self.gripper = nn.Linear(384, CHUNK)
+        self.head1 = nn.Linear(2 * encoded + 64 + TEXT_WIDTH, HEAD)
+        self.head2 = nn.Linear(HEAD, HEAD)
+        self.arm = nn.Linear(HEAD, CHUNK * ARM)
+        self.gripper = nn.Linear(HEAD, CHUNK)
         self.register_buffer("state_mean", torch.zeros(STATE))
         self.register_buffer("state_std", torch.ones(STATE))
         # So that words which training never sees add nothing.

@@ -39,6 +39,11 @@ MOST_DRIFT = 0.5
 sum, along any axis (0.025 m), before the expert's later labels no longer count."""
 
 
+STALL_FRAMES = 12
+STALL_M = 0.008
+"""A hand and fingers that have stayed within this for so many frames have stalled."""
+
+
 class Source(IntEnum):
     """Who did a step."""
 
@@ -152,6 +157,23 @@ def worth_learning(shard: Shard) -> NDArray[np.bool_]:
     """Which episodes, [E], training takes: not those in which the expert itself failed."""
     by_expert = (shard.driver == Driver.CLEAN) | (shard.driver == Driver.DISTURBED)
     return np.asarray(~(by_expert & (shard.outcome == Outcome.FAILURE)), bool)
+
+
+def stalled(shard: Shard) -> NDArray[np.bool_]:
+    """Which frames, [F], show a robot that has not moved for a while.
+
+    There the expert has not found a way, or the student ignores it: a few frames of it teach
+    something, hundreds only weigh.
+    """
+    first = shard.of_frames(np.cumsum(shard.episode_frames) - shard.episode_frames)
+    number = np.arange(len(shard.state)) - first
+    seen = np.concatenate([shard.state[:, :3], shard.state[:, -2:]], axis=1)
+    moved = np.zeros(len(seen), np.float32)
+    # Each of the last frames, as far as the episode goes back.
+    for back in range(1, STALL_FRAMES + 1):
+        earlier = np.maximum(np.arange(len(seen)) - back, first)
+        moved = np.maximum(moved, np.abs(seen - seen[earlier]).max(axis=1))
+    return np.asarray((number >= STALL_FRAMES) & (moved < STALL_M), bool)
 
 
 def shard_folders(folder: Path) -> list[Path]:

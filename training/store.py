@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from training.network import ARM, CHUNK, PICTURE, STATE
-from training.shards import Shard, read, shard_folders, targets, worth_learning
+from training.shards import Shard, read, shard_folders, stalled, targets, worth_learning
 from training.wordings import TASK_NAMES
 
 FRAME_BYTES = 2 * PICTURE * PICTURE * 3
@@ -55,14 +55,19 @@ class Store:
         self._chances = torch.empty(0, dtype=torch.float64, device=device)
 
     def add(self, shard: Shard, which: NDArray[np.int64], suite_weights: Tensor) -> int:
-        """Copies frames ``which`` of a shard, as far as there is room. Returns how many."""
-        which = which[: self.capacity - self.count]
+        """Copies frames ``which`` of a shard; once there is no room, in the place of others,
+        drawn at random. Returns how many."""
+        which = which[: self.capacity]
         if not len(which):
             return 0
-        at = slice(self.count, self.count + len(which))
+        device = self._frames.device
+        fits = min(len(which), self.capacity - self.count)
+        at = torch.arange(self.count, self.count + fits, device=device)
+        if fits < len(which):
+            drawn = torch.randperm(self.capacity - fits, device=device)[: len(which) - fits]
+            at = torch.cat([at, drawn])
         wanted = targets(shard)
         task = torch.from_numpy(shard.of_frames(shard.task)[which].astype(np.int64))
-        device = self._frames.device
         frames = torch.from_numpy(shard.frames).view(-1, FRAME_BYTES).view(torch.int64).to(device)
         self._frames[at] = frames[torch.from_numpy(which).to(device)]
         self._state[at] = torch.from_numpy(shard.state[which]).to(self._state.device)
@@ -70,7 +75,7 @@ class Store:
         self._targets[at] = torch.from_numpy(wanted.actions[which]).to(self._targets.device)
         self._valid[at] = torch.from_numpy(wanted.valid[which]).to(self._valid.device).float()
         self._weight[at] = suite_weights[task // 10].to(self._weight.device)
-        self.count += len(which)
+        self.count += fits
         self._chances = self._weight[: self.count].cumsum(0)
         return len(which)
 
@@ -111,7 +116,6 @@ class Library:
         self._folders = folders
         self._weights = torch.tensor(suite_weights, dtype=torch.float64)
         self._known: set[Path] = set()
-        self._is_full = False
         self.training = Store(capacity, device)
         self.held_out = Store(held_out_capacity, device)
         self.by_suite = np.zeros(4, np.int64)
@@ -133,14 +137,14 @@ class Library:
     def _add(self, shard: Shard, path: Path) -> None:
         held_out = _held_out(path, len(shard.task))
         good = worth_learning(shard)
-        train = np.flatnonzero(shard.of_frames(good & ~held_out))
+        moves = ~stalled(shard)
+        train = np.flatnonzero(shard.of_frames(good & ~held_out) & moves)
         added = self.training.add(shard, train, self._weights)
-        self.held_out.add(shard, np.flatnonzero(shard.of_frames(good & held_out)), self._weights)
+        if self.held_out.count < self.held_out.capacity:
+            kept = np.flatnonzero(shard.of_frames(good & held_out) & moves)
+            self.held_out.add(shard, kept, self._weights)
         suite = shard.of_frames(shard.task)[train[:added]] // 10
         self.by_suite += np.bincount(suite, minlength=len(TASK_NAMES) // 10)
-        if added < len(train) and not self._is_full:
-            self._is_full = True
-            print(f"the device is full at {self.training.count:,} frames; later ones are left out")
 
 
 def _held_out(path: Path, episodes: int) -> NDArray[np.bool_]:

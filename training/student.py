@@ -15,7 +15,7 @@ from torch import Tensor
 from training.network import Network, to_actions
 from training.observations import Observation, frames, instruction_rows, robot_state, scaled
 
-FORMAT = "rollout-student/1"
+FORMAT = "rollout-student/2"
 IN_SINGLE_PRECISION = ("state_mean", "state_std")
 
 

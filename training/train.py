@@ -38,7 +38,7 @@ WARM_UP = 200
 EMA = 0.999
 MOST_GRADIENT = 1.0
 REPORT_SECONDS = 20.0
-CHECKPOINT_SECONDS = 30.0
+CHECKPOINT_SECONDS = 20.0
 WATCH_SECONDS = 10.0
 HELD_OUT_FRAMES = 4_096
 GPU_SHARE = 0.7
@@ -76,6 +76,8 @@ class Trainer:
         self._run: Path = arguments.run
         self.step = 0
         self.trained_seconds = 0.0
+        self.spent_seconds = 0.0
+        """On loading, in all calls."""
         self._network = Network().to(self._device)
         self._network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._mean = copy.deepcopy(self._network).requires_grad_(False).eval()
@@ -141,6 +143,7 @@ class Trainer:
             "optimizer": self._optimizer.state_dict(),
             "step": self.step,
             "trained_seconds": self.trained_seconds,
+            "spent_seconds": self.spent_seconds,
             "finished": finished,
         }
         part = self._run / (CHECKPOINT + ".part")
@@ -162,6 +165,7 @@ class Trainer:
             self._mean.load_state_dict(state["mean"])
             self._optimizer.load_state_dict(state["optimizer"])
             self.step, self.trained_seconds = state["step"], state["trained_seconds"]
+            self.spent_seconds = state["spent_seconds"]
             print(f"goes on at step {self.step:,}, after {self.trained_seconds:.0f} s")
         elif self._arguments.start_from is not None:
             weights = load_network(self._arguments.start_from, self._device).state_dict()
@@ -262,11 +266,13 @@ def train(arguments: argparse.Namespace) -> None:
     trainer.prepare(library)
     # The time that loading has taken counts, so that a stage ends when it was said to.
     earlier = trainer.trained_seconds
-    length = max(seconds - (time.monotonic() - begun) - earlier, 1.0)
+    trainer.spent_seconds += time.monotonic() - begun
+    length = max(seconds - trainer.spent_seconds - earlier, 1.0)
+    stop = begun + (arguments.stop_after or math.inf)
     first = reported = saved = watched = time.monotonic()
     reported_step = trainer.step
     loss = torch.zeros((), device=device)
-    while (now := time.monotonic()) - first < length:
+    while (now := time.monotonic()) - first < length and now < stop:
         fraction = (earlier + now - first) / (earlier + length)
         loss = trainer.train_step(library, wordings, fraction)
         trainer.trained_seconds = earlier + now - first
@@ -286,7 +292,7 @@ def train(arguments: argparse.Namespace) -> None:
         if now - saved > CHECKPOINT_SECONDS:
             trainer.save()
             saved = time.monotonic()
-    trainer.save(finished=True)
+    trainer.save(finished=time.monotonic() < stop)
     report(trainer, library, wordings, loss.item(), trainer.step / max(trainer.trained_seconds, 1))
 
 
@@ -311,6 +317,10 @@ def main() -> None:
     parser.add_argument("--data", type=Path, nargs="+", required=True, help="folders of shards")
     parser.add_argument("--run", type=Path, required=True, help="folder of checkpoint and weights")
     parser.add_argument("--seconds", type=float, default=300.0, help="how long, start included")
+    parser.add_argument(
+        "--stop-after", type=float, metavar="SECONDS",
+        help="leave a checkpoint then, from which the same command goes on",
+    )  # fmt: skip
     parser.add_argument(
         "--watch", action="store_true", help="wait for shards, and load those that appear meanwhile"
     )

@@ -16,6 +16,7 @@ _scenes: weakref.WeakValueDictionary[tuple[str, str, str], native.Scene] = (
     weakref.WeakValueDictionary()
 )
 _lock = threading.Lock()
+_compiling: dict[tuple[str, str, str], threading.Lock] = {}
 MAX_NAMED = 5
 """Files of a pack that a warning names."""
 
@@ -43,6 +44,8 @@ def scene(
     key = (bddl_file, pack, init_file or "")
     # Compiling takes a second; two threads that want the same wait for one.
     with _lock:
+        compiling = _compiling.setdefault(key, threading.Lock())
+    with compiling:
         found = _scenes.get(key)
         if found is None:
             if pack == files.LIBERO:

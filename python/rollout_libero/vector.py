@@ -83,7 +83,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         orientation: Orientation = "policy",
         init_states: InitStates = "random",
         settle_steps: int | None = None,
-        max_steps: int | None = None,
+        max_steps: int | Sequence[int] | None = None,
         perturbation: str | Mapping[str, Any] | Sequence[str | Mapping[str, Any] | None] | None = None,
         control: Literal["relative", "absolute"] = "relative",
         renderer: str = "software",
@@ -102,13 +102,16 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         ranks: Counter[str] = Counter()
         self.starts = []
         perturbations = _each(perturbation, self.num_envs)
-        for task, scene, perturbed in zip(self.tasks, scenes, perturbations, strict=True):
+        budgets = _budgets(max_steps, self.num_envs)
+        for task, scene, perturbed, budget in zip(
+            self.tasks, scenes, perturbations, budgets, strict=True
+        ):
             starts = Starts(
                 task,
                 scene.initial_states,
                 init_states,
                 settle_steps=settle_steps,
-                max_steps=max_steps,
+                max_steps=budget,
                 perturbation=perturbed,
                 absolute=self._absolute,
                 rank=ranks[task.name],
@@ -355,6 +358,14 @@ def _each(perturbation: Any, count: int) -> list[Any]:
     if len(perturbation) != count:
         raise ValueError(f"perturb {count} environments: {len(perturbation)} were given")
     return list(perturbation)
+
+
+def _budgets(max_steps: int | Sequence[int] | None, count: int) -> list[int | None]:
+    if max_steps is None or isinstance(max_steps, int):
+        return [max_steps] * count
+    if len(max_steps) != count:
+        raise ValueError(f"give {count} environments budgets: {len(max_steps)} were given")
+    return list(max_steps)
 
 
 def _seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:

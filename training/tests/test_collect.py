@@ -74,9 +74,11 @@ class MadeUp:
 def shards_of(folder: Path, monkeypatch: pytest.MonkeyPatch, **given: Any) -> list[Shard]:
     monkeypatch.setattr(libero, "VectorEnvironment", MadeUp)
     monkeypatch.setattr(collect, "WORDINGS", 2)
+    monkeypatch.setattr(collect, "compile_scenes", lambda *_: None)
     usual: dict[str, Any] = {
         "into": folder, "seconds": 2.5, "driver": "expert", "weights": None, "perturbed": 0.0,
-        "envs": 4, "groups": 2, "threads": 1, "suites": ["libero_goal"], "seed": 0, "device": "cpu",
+        "envs": 4, "groups": 2, "threads": 1, "suites": ["libero_goal"], "failures": None,
+        "assets": "primitives", "seed": 0, "device": "cpu",
     }  # fmt: skip
     collect.collect(argparse.Namespace(**(usual | given)))
     return [read(it) for it in shard_folders(folder)]
@@ -91,12 +93,12 @@ def test_frames_labels_and_episodes_agree(tmp_path: Path, monkeypatch: pytest.Mo
         in_episode = np.arange(len(shard.label)) - np.repeat(begun, shard.episode_steps)
         np.testing.assert_allclose(shard.label[:, 0], in_episode / 100, rtol=1e-6)
         step = shard.frame_step - shard.of_frames(begun)
-        assert (step % 3 == 0).all()
+        assert (step % 4 == 0).all()
         assert (shard.frames == step[:, None, None, None, None]).all()
         np.testing.assert_allclose(shard.state[:, 0], step / 10, rtol=1e-6)
         whole = shard.outcome == Outcome.SUCCESS
         assert set(shard.episode_steps[whole]) <= set(LENGTHS)
-        assert (shard.episode_frames[whole] == -(-shard.episode_steps[whole] // 3)).all()
+        assert (shard.episode_frames[whole] == -(-shard.episode_steps[whole] // 4)).all()
         clean = np.repeat(shard.driver == Driver.CLEAN, shard.episode_steps)
         assert clean.any() and not clean.all()
         np.testing.assert_array_equal(shard.executed[clean], shard.label[clean])
@@ -124,12 +126,20 @@ def test_perturbations_are_none_of_the_benchmarks(
 
 def test_four_of_ten_environments_are_of_libero_10() -> None:
     suites = list(dict.fromkeys(name.split("/")[0] for name in TASK_NAMES))
-    tasks = collect.tasks_of_environments(100, suites)
+    tasks = collect.tasks_of_environments(100, suites, {})
     assert len(tasks) == 100
     assert sum(TASK_NAMES[task].startswith("libero_10") for task in tasks) == 40
     assert set(tasks) == set(range(40))
     # Each of two groups has every task.
     assert set(tasks[::2]) | set(tasks[1::2]) == set(range(40))
+
+
+def test_tasks_that_the_student_fails_get_more_environments() -> None:
+    outcomes = {name: (10, 10) for name in TASK_NAMES} | {TASK_NAMES[23]: (0, 10)}
+    suites = list(dict.fromkeys(name.split("/")[0] for name in TASK_NAMES))
+    tasks = collect.tasks_of_environments(120, suites, outcomes)
+    assert set(tasks) == set(range(40)) and len(tasks) == 120
+    assert tasks.count(23) > 2 * tasks.count(22)
 
 
 def test_the_student_needs_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -27,7 +27,7 @@ def queries(n: int) -> tuple[torch.Tensor, ...]:
 
 
 def test_it_has_fewer_than_two_million_parameters(network: Network) -> None:
-    assert parameters(network) == 1_741_432
+    assert parameters(network) == 1_976_184
 
 
 def test_its_tensors_are_those_of_the_weights_file(network: Network) -> None:
@@ -37,10 +37,11 @@ def test_its_tensors_are_those_of_the_weights_file(network: Network) -> None:
     assert shapes["agentview.block2.film.weight"] == (192, 128)
     assert shapes["agentview.block3.skip.weight"] == (128, 96, 1, 1)
     assert shapes["agentview.points.bias"] == (64,)
-    assert shapes["head1.weight"] == (384, 832)
-    assert shapes["arm.weight"] == (48, 384) and shapes["gripper.weight"] == (8, 384)
+    assert shapes["head1.weight"] == (512, 832)
+    assert shapes["arm.weight"] == (48, 512) and shapes["gripper.weight"] == (8, 512)
     assert shapes["state_mean"] == shapes["state_std"] == (14,)
-    assert len(shapes) == 81
+    assert shapes["wrist.fine.weight"] == (64, 48, 1, 1)
+    assert len(shapes) == 83
 
 
 def test_a_query_is_answered_alike_in_any_company(network: Network) -> None:
@@ -83,11 +84,17 @@ def test_a_point_of_a_clear_peak_is_where_the_peak_is() -> None:
             scores[:, :, 3, 12] = 100.0
             return scores
 
-    encoder.points = Peak()
+    class Finer(torch.nn.Module):
+        def forward(self, x: torch.Tensor) -> torch.Tensor:
+            scores = torch.zeros(len(x), 64, 32, 32)
+            scores[:, :, 7, 24] = 50.0
+            return scores
+
+    encoder.points, encoder.fine = Peak(), Finer()
     out = encoder(torch.zeros(1, 3, 128, 128), torch.zeros(1, 128))[0]
-    torch.testing.assert_close(out[:64], torch.full((64,), -1 + 2 * 12 / 15))
-    torch.testing.assert_close(out[64:128], torch.full((64,), -1 + 2 * 3 / 15))
-    torch.testing.assert_close(out[128:192], torch.full((64,), 100.0))
+    torch.testing.assert_close(out[:64], torch.full((64,), -1 + 2 * 24 / 31))
+    torch.testing.assert_close(out[64:128], torch.full((64,), -1 + 2 * 7 / 31))
+    torch.testing.assert_close(out[128:192], torch.full((64,), 150.0))
     torch.testing.assert_close(out[192:], seen[0].mean(dim=(2, 3))[0])
 
 

@@ -1,9 +1,12 @@
 //! From goal predicates to skills, in an order in which they do not undo one
 //! another. Not responsible for how a skill is carried out.
 
+use std::collections::VecDeque;
+
 use protocol::Predicate;
 
-use crate::motion::{Command, Motion};
+use crate::geometry::Vec3;
+use crate::motion::{Command, Fingers, HandPose, Motion, OPEN_M};
 use crate::place::{Place, Relation};
 use crate::routine::{self, Deed, Routine};
 use crate::transfer::Transfer;
@@ -14,6 +17,8 @@ use crate::world::{World, drawer_joint};
 pub(crate) enum Skill {
     Transfer(Transfer),
     Routine(Routine),
+    /// Opens the fingers around whatever is between them, and backs out from a handle.
+    LetGo,
 }
 
 impl Skill {
@@ -29,8 +34,104 @@ impl Skill {
         match self {
             Self::Transfer(transfer) => transfer.step(world, motion),
             Self::Routine(routine) => routine.step(world, motion),
+            Self::LetGo => Ok(let_go(world)),
         }
     }
+
+    /// Whether it goes on with what is between the fingers.
+    fn goes_on(&self, world: &World) -> bool {
+        let object = match self {
+            Self::Transfer(transfer) => transfer.object(),
+            Self::Routine(routine) => match routine.deed() {
+                Deed::PullDrawer { .. } => {
+                    return world.handle_at_grip(CLEAR_OF_HANDLE_M).is_some();
+                }
+                Deed::Drag { object, .. } => object,
+                _ => return false,
+            },
+            Self::LetGo => return false,
+        };
+        let mut at_grip = world.objects_at_grip(BETWEEN_M);
+        at_grip.any(|between| between.name == object)
+    }
+}
+
+/// How far from a handle the hand backs out before it goes elsewhere, m.
+const CLEAR_OF_HANDLE_M: f64 = 0.06;
+/// An object whose box is nearer than this to the grip point may be between the fingers, m.
+const BETWEEN_M: f64 = 0.005;
+
+fn let_go(world: &World) -> Option<Command> {
+    let handle = world.handle_at_grip(CLEAR_OF_HANDLE_M);
+    let is_open = world.opening > OPEN_M;
+    let is_around = world.objects_at_grip(BETWEEN_M).next().is_some();
+    let way_out = match (is_open, handle) {
+        (true, Some(out)) => out * CLEAR_OF_HANDLE_M,
+        (true, None) => return None,
+        (false, None) if !is_around => return None,
+        (false, _) => Vec3::default(),
+    };
+    Some(Command {
+        hand: HandPose {
+            pos: world.grip + way_out,
+            quat: world.grip_quat,
+        },
+        fingers: Fingers::Open,
+        pace: 1.0,
+    })
+}
+
+/// The skills that are left, after something else has driven the robot: as [`plan`], but with
+/// what is in the hand first, which must not be dropped for something else, and each at the
+/// point that the world shows. Of `earlier`, the plan before, it takes the grasps.
+///
+/// # Errors
+/// As [`plan`].
+pub(crate) fn resume(
+    world: &World,
+    motion: &Motion,
+    earlier: &VecDeque<Skill>,
+) -> Result<Vec<Skill>, String> {
+    let mut skills = plan(world)?;
+    let mut held = None;
+    for (at, skill) in skills.iter().enumerate() {
+        if let Skill::Transfer(transfer) = skill
+            && transfer.holds(world, motion)?
+        {
+            held = Some(at);
+            break;
+        }
+    }
+    if let Some(at) = held {
+        // Nothing goes into a drawer that is shut.
+        let is_pull = |skill: &Skill| match skill {
+            Skill::Routine(routine) => matches!(routine.deed(), Deed::PullDrawer { .. }),
+            _ => false,
+        };
+        let first = skills.iter().rposition(is_pull).map_or(0, |pull| pull + 1);
+        if first < at {
+            skills[first..=at].rotate_right(1);
+        }
+    }
+    let known = |object: &str| {
+        earlier.iter().find_map(|skill| match skill {
+            Skill::Transfer(transfer) if transfer.object() == object => Some(transfer),
+            _ => None,
+        })
+    };
+    match skills.first_mut() {
+        Some(Skill::Transfer(transfer)) => {
+            let earlier = known(transfer.object());
+            transfer.resume(earlier, world, motion)?;
+        }
+        Some(Skill::Routine(routine)) => routine.resume(world, motion)?,
+        Some(Skill::LetGo) | None => {}
+    }
+    let goes_on = skills.first().is_some_and(|skill| skill.goes_on(world));
+    if !goes_on && let_go(world).is_some() {
+        skills.insert(0, Skill::LetGo);
+    }
+    Ok(skills)
 }
 
 /// The skills that make `world`'s goal true, first to last: what opens comes
@@ -129,11 +230,15 @@ fn put_on(
     object: &str,
     on: &str,
 ) -> Result<Option<Skill>, String> {
-    let place = Place {
+    let slot = slot(&world.goal, predicate);
+    let mut place = Place {
         relation: Relation::On,
         target: on.to_owned(),
-        slot: slot(&world.goal, predicate),
+        slot,
     };
+    if let Some(other) = sharer(&world.goal, predicate) {
+        place.slot = free_slot(world, &place, object, other)?;
+    }
     if routine::must_be_dragged(world.entity(object)?) && world.entity(on)?.is_region() {
         let deed = Deed::Drag {
             object: object.to_owned(),
@@ -156,6 +261,41 @@ fn slot(goal: &[Predicate], predicate: &Predicate) -> f64 {
         [_, _] => 1.0,
         _ => 0.0,
     }
+}
+
+/// The object that is to go onto the same target.
+fn sharer<'a>(goal: &'a [Predicate], predicate: &Predicate) -> Option<&'a str> {
+    let shares = |other: &&Predicate| {
+        *other != predicate
+            && other.name == predicate.name
+            && other.arguments.last() == predicate.arguments.last()
+    };
+    goal.iter()
+        .find(shares)?
+        .arguments
+        .first()
+        .map(String::as_str)
+}
+
+/// The place's own side, or the other one where `other` is there already and nearer to it.
+fn free_slot(world: &World, place: &Place, object: &str, other: &str) -> Result<f64, String> {
+    let (object, other) = (world.entity(object)?, world.entity(other)?);
+    if !place.holds(world, other)? {
+        return Ok(place.slot);
+    }
+    let room = |slot: f64| -> Result<f64, String> {
+        let side = Place {
+            slot,
+            ..place.clone()
+        };
+        let rest = side.spot(world, object)?.rest;
+        Ok((rest - other.pos).horizontal_norm())
+    };
+    let opposite = -place.slot;
+    Ok(match room(opposite)? > room(place.slot)? {
+        true => opposite,
+        false => place.slot,
+    })
 }
 
 fn transfer(world: &World, object: &str, place: Place) -> Result<Option<Skill>, String> {

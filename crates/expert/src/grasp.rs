@@ -41,6 +41,14 @@ const WALL_WEIGHT: f64 = 140.0;
 const STRETCH_WEIGHT: f64 = 60.0;
 const TILT_WEIGHT: f64 = 150.0;
 
+/// What the hand's distance from a grasp is worth, rad per m, up to the second number, m.
+const AWAY_WEIGHT: f64 = 6.0;
+const AWAY_M: f64 = 0.15;
+/// What changing one's mind costs, rad, and how far two grasps that count as one may be apart.
+const FICKLE_COST: f64 = 0.5;
+const ALIKE_M: f64 = 0.02;
+const ALIKE_RAD: f64 = 0.3;
+
 /// A part of the open hand, from the grip point: where it is along the closing
 /// direction, its half sizes along and across, and how high its lower end is,
 /// m (Panda hand of robosuite 1.4.0).
@@ -134,6 +142,33 @@ pub(crate) fn choices(world: &World, object: &Entity, purpose: Purpose<'_>) -> V
     let rank = |grasp: &Grasp| cost(world, object, purpose, grasp);
     all.sort_by(|a, b| rank(a).total_cmp(&rank(b)));
     all
+}
+
+/// The way to hold `object` for a hand that is somewhere already: as [`choices`] ranks them,
+/// but rather near the hand, and rather like `earlier`, so that it does not change its mind on
+/// the way.
+///
+/// None if there is no way.
+pub(crate) fn nearest(
+    world: &World,
+    object: &Entity,
+    purpose: Purpose<'_>,
+    earlier: Option<&Grasp>,
+) -> Option<Grasp> {
+    let rank = |grasp: &Grasp| {
+        let away = (object.centre + grasp.offset - world.grip).horizontal_norm();
+        let other = earlier.is_none_or(|earlier| {
+            let turned = half_turn(earlier.closing - grasp.closing).abs();
+            (earlier.offset - grasp.offset).norm() > ALIKE_M || turned > ALIKE_RAD
+        });
+        let fickle = if other { FICKLE_COST } else { 0.0 };
+        cost(world, object, purpose, grasp) + AWAY_WEIGHT * away.min(AWAY_M) + fickle
+    };
+    let ranked = choices(world, object, purpose).into_iter();
+    let ranked = ranked.map(|grasp| (rank(&grasp), grasp));
+    ranked
+        .min_by(|a, b| a.0.total_cmp(&b.0))
+        .map(|(_, grasp)| grasp)
 }
 
 fn knob(object: &Entity, shape: Footprint, depth: f64) -> Grasp {

@@ -16,6 +16,7 @@ mod transfer;
 mod world;
 
 use std::collections::VecDeque;
+use std::f64::consts::FRAC_PI_2;
 
 use protocol::Privileged;
 
@@ -26,6 +27,14 @@ use world::World;
 
 pub use motion::Action;
 
+/// Steps after which a hand that stays where it is, this far from where it should be, m and rad,
+/// counts as stuck; steps of its way back, half of them up; and how far up it aims, m.
+const PATIENCE_STEPS: u32 = 20;
+const FAR_M: f64 = 0.012;
+const FAR_RAD: f64 = 0.25;
+const BACKING_STEPS: u32 = 32;
+const STEP_M: f64 = 0.05;
+
 /// The scripted manipulator in one rollout. A clone goes on as the original would.
 #[derive(Clone, Debug, Default)]
 pub struct Expert {
@@ -34,12 +43,18 @@ pub struct Expert {
     motion: Motion,
     /// As seen in the first observation, when the hand is at rest.
     shoulder: Option<Vec3>,
+    /// For how many steps, all its own, the hand has been far from where it should travel.
+    far_steps: u32,
+    /// Steps left of the way back from where the hand was stuck.
+    backing_steps: u32,
+    /// Whether something else has driven the robot since the last action.
+    is_interrupted: bool,
 }
 
 impl Expert {
     /// The action for the state at hand. To be asked at every control step, in order,
-    /// also where something else drives the robot: it remembers what it has done and how
-    /// the hand moves.
+    /// also where something else drives the robot ([`Self::interrupt`]): it remembers what it
+    /// has done and how the hand moves.
     ///
     /// # Errors
     /// In words, where the state is of no scene that it can read.
@@ -47,14 +62,56 @@ impl Expert {
         let mut world = World::read(state)?;
         world.shoulder = *self.shoulder.get_or_insert(world.shoulder);
         self.motion.observe(&world);
+        if self.is_interrupted {
+            (self.far_steps, self.backing_steps) = (0, 0);
+        }
         let command = self.command(&world)?;
+        let command = self.unstuck(&world, command);
         Ok(motion::servo(&world, &self.motion, &command))
+    }
+
+    /// Says that the robot has done something else than the last action. The next action then
+    /// follows from what is seen: what is left to do, what is in the hand, and how far the
+    /// hand is with it. Without this, steps that something else took would count as the
+    /// expert's own, and it would take a hand that hesitates for one that touches something.
+    pub fn interrupt(&mut self) {
+        self.is_interrupted = true;
+    }
+
+    /// `command`, unless it has got the hand nowhere: it may be hooked into something, or the
+    /// arm be at the limit of a joint, which no box shows. Then it goes up, and back to where it
+    /// rests, for a while.
+    fn unstuck(&mut self, world: &World, command: Command) -> Command {
+        let travels = command.pace >= 1.0;
+        let is_far = !command.hand.is_near(world, FAR_M, FAR_RAD);
+        self.far_steps = if travels && is_far { self.far_steps + 1 } else { 0 };
+        if self.far_steps >= PATIENCE_STEPS && self.motion.is_stuck() {
+            (self.far_steps, self.backing_steps) = (0, BACKING_STEPS);
+        }
+        if self.backing_steps == 0 {
+            return command;
+        }
+        self.backing_steps -= 1;
+        let up = world.grip + Vec3::UP * STEP_M;
+        let pos = match self.backing_steps >= BACKING_STEPS / 2 {
+            true => up,
+            false => world.rest().at_height(world.rest().z.max(world.grip.z)),
+        };
+        Command {
+            hand: HandPose {
+                pos,
+                quat: motion::pointing_down(FRAC_PI_2),
+            },
+            ..command
+        }
     }
 
     /// The next skill's command; a plan that has run out is made anew, since
     /// an episode that goes on has not reached its goal.
     fn command(&mut self, world: &World) -> Result<Command, String> {
+        let is_interrupted = std::mem::take(&mut self.is_interrupted);
         let mut plan = match self.plan.take() {
+            Some(plan) if is_interrupted => goal::resume(world, &self.motion, &plan)?.into(),
             Some(plan) => plan,
             None => goal::plan(world)?.into(),
         };

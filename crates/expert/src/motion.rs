@@ -34,8 +34,23 @@ const CLEARANCE_M: f64 = 0.02;
 const CORRIDOR_M: f64 = 0.06;
 /// Nearer than this to its goal, the hand comes down whatever is beside it, m.
 const ARRIVAL_M: f64 = 0.03;
+/// A hand this far above its goal is high, m.
+const HIGH_M: f64 = 0.05;
 /// A hand that moves less than this in a step has been stopped by something.
 const STILL_M: f64 = 0.0008;
+
+/// A hand on a straight way may be that far before or beyond it, m, and turned by that much, rad.
+const ALONG_M: f64 = 0.015;
+const ALIGNED_RAD: f64 = 0.25;
+/// Fingers this far apart are open, m; the hand opens to 0.08 m.
+pub(crate) const OPEN_M: f64 = 0.065;
+/// Fingers at rest between these two have something between them, m: not open, and not shut.
+const GRASPED_M: (f64, f64) = (0.0015, 0.0765);
+/// A hand that stays within so many m for so many steps is stuck.
+const STUCK_M: f64 = 0.02;
+const TRAIL_STEPS: usize = 16;
+/// Steps that the fingers stand still before they count as at rest.
+const AT_REST_STEPS: u32 = 2;
 
 /// A pose of the hand: the point between the fingertips, and its orientation
 /// (x: closing direction, z: where the fingers point).
@@ -53,10 +68,28 @@ impl HandPose {
         }
     }
 
+    /// How far the hand is turned from there, rad.
+    pub(crate) fn turn_from(self, world: &World) -> f64 {
+        let turn = self.quat.after(world.grip_quat.inverse());
+        turn.rotation_vector().norm()
+    }
+
+    /// Whether the hand is on its straight way from here to `goal`: at most `aside` m beside
+    /// it, a little before or beyond it, and turned like one of the two.
+    pub(crate) fn leads(self, goal: HandPose, world: &World, aside: f64) -> bool {
+        let way = goal.pos - self.pos;
+        let length = way.norm().max(f64::MIN_POSITIVE);
+        let ahead = way * (1.0 / length);
+        let along = (world.grip - self.pos).dot(ahead);
+        let beside = (world.grip - self.pos - ahead * along).norm();
+        let turned = self.turn_from(world).min(goal.turn_from(world));
+        let within = -ALONG_M..length + ALONG_M;
+        beside < aside && within.contains(&along) && turned < ALIGNED_RAD
+    }
+
     /// Whether the hand is there, up to so many metres and radians.
     pub(crate) fn is_near(self, world: &World, near_m: f64, near_rad: f64) -> bool {
-        let turn = self.quat.after(world.grip_quat.inverse()).rotation_vector();
-        (self.pos - world.grip).norm() < near_m && turn.norm() < near_rad
+        (self.pos - world.grip).norm() < near_m && self.turn_from(world) < near_rad
     }
 }
 
@@ -159,8 +192,11 @@ impl Errand<'_> {
 /// out from under what is overhead, straight up until everything on the way is
 /// cleared, then across, then down.
 pub(crate) fn detour(world: &World, goal: Vec3, errand: Errand) -> Vec3 {
-    if (goal - world.grip).horizontal_norm() < ARRIVAL_M {
-        return goal;
+    let aside = (goal - world.grip).horizontal_norm();
+    if aside < ARRIVAL_M {
+        // High above it, sideways first: there may be an edge beneath.
+        let is_high = world.grip.z > goal.z + HIGH_M && aside > ARRIVAL_M / 2.0;
+        return goal.at_height(if is_high { world.grip.z } else { goal.z });
     }
     let over = errand.hang(world) + CLEARANCE_M;
     let highest = highest_on_the_way(world, goal, errand);
@@ -223,6 +259,10 @@ pub(crate) struct Motion {
     per_step: Vec3,
     still_steps: u32,
     finger_still_steps: u32,
+    /// How much the fingers have opened in the last step, m.
+    opened: f64,
+    /// Where the hand was in the last steps, the latest last.
+    trail: [Vec3; TRAIL_STEPS],
 }
 
 impl Motion {
@@ -231,13 +271,16 @@ impl Motion {
             self.per_step = world.grip - grip;
             let still = self.per_step.norm() < STILL_M;
             self.still_steps = if still { self.still_steps + 1 } else { 0 };
-            let fingers_still = (world.opening - opening).abs() < STILL_M;
+            self.opened = world.opening - opening;
+            let fingers_still = self.opened.abs() < STILL_M;
             self.finger_still_steps = if fingers_still {
                 self.finger_still_steps + 1
             } else {
                 0
             };
         }
+        self.trail.rotate_left(1);
+        self.trail[TRAIL_STEPS - 1] = world.grip;
         self.last = Some((world.grip, world.opening));
     }
 
@@ -249,6 +292,30 @@ impl Motion {
     /// For how many steps the hand has not moved.
     pub(crate) fn still_steps(&self) -> u32 {
         self.still_steps
+    }
+
+    /// Whether the hand has got nowhere in the last steps, trembling though it may be.
+    pub(crate) fn is_stuck(&self) -> bool {
+        let here = self.trail[TRAIL_STEPS - 1];
+        let away = |place: &Vec3| (*place - here).norm();
+        self.trail.iter().all(|place| away(place) < STUCK_M)
+    }
+
+    /// Whether the fingers have closed on something.
+    pub(crate) fn grasps(&self, world: &World) -> bool {
+        let (shut, open) = GRASPED_M;
+        let between = shut < world.opening && world.opening < open;
+        between && self.finger_still_steps >= AT_REST_STEPS
+    }
+
+    /// Whether fingers at a grasp should close: they are open, or on their way.
+    pub(crate) fn may_close(&self, world: &World) -> bool {
+        world.opening > OPEN_M || self.fingers_close()
+    }
+
+    /// Whether the fingers are moving towards each other.
+    fn fingers_close(&self) -> bool {
+        self.opened < -STILL_M
     }
 
     /// For how many steps the fingers have not moved against each other.

@@ -8,7 +8,8 @@ use std::f64::consts::FRAC_PI_2;
 
 use crate::geometry::{Quat, Vec3};
 use crate::motion::{
-    Command, Errand, FINGERTIP_M, Fingers, HandPose, Motion, detour, pointing_down, tilted,
+    Command, Errand, FINGERTIP_M, Fingers, HandPose, Motion, OPEN_M as OPEN_FINGERS_M, detour,
+    pointing_down, tilted,
 };
 use crate::world::{Entity, HANDLE_OUT_M, HANDLE_UP_M, World, drawer_joint};
 
@@ -51,6 +52,12 @@ const NEAR_RAD: f64 = 0.1;
 const FINGER_STEPS: u32 = 8;
 /// Steps after which a stage that gets nowhere is left.
 const PATIENCE_STEPS: u32 = 80;
+/// A hand that is so far beside its way, m, is still on it; so far from a handle or a knob, it
+/// closes; so far, it holds it; and so far above where it presses, it presses.
+const ASIDE_M: f64 = 0.02;
+const AT_M: f64 = 0.012;
+const HELD_M: f64 = 0.025;
+const PRESSING_M: f64 = 0.006;
 /// Share of full vertical speed near things.
 const GENTLE: f64 = 0.4;
 /// How far from the middle a flat thing is dragged along by fingertips on its
@@ -112,6 +119,21 @@ impl Routine {
         }
     }
 
+    /// What it does.
+    pub(crate) fn deed(&self) -> &Deed {
+        &self.deed
+    }
+
+    /// Begins at the stage that the world shows.
+    ///
+    /// # Errors
+    /// Names an entity or joint that the scene lacks.
+    pub(crate) fn resume(&mut self, world: &World, motion: &Motion) -> Result<(), String> {
+        self.stage = self.deed.seen(world, motion)?;
+        self.ticks = 0;
+        Ok(())
+    }
+
     /// The command for this step; none once the last stage is over.
     ///
     /// # Errors
@@ -156,6 +178,39 @@ impl Routine {
 }
 
 impl Deed {
+    /// The number of the stage that the world shows.
+    fn seen(&self, world: &World, motion: &Motion) -> Result<u32, String> {
+        let (Some(ready), Some(begun)) = (self.stage(0, world)?, self.stage(1, world)?) else {
+            return Ok(0);
+        };
+        let (from, to) = (ready.hand, begun.hand);
+        let is_on_the_way = from.leads(to, world, ASIDE_M);
+        let is_there = (to.pos - world.grip).norm();
+        Ok(match self {
+            Self::PullDrawer { .. } | Self::TurnKnob { .. } => {
+                let is_open = world.opening > OPEN_FINGERS_M;
+                if is_there < HELD_M && motion.grasps(world) && !is_open {
+                    3
+                } else if is_there < AT_M && is_on_the_way && motion.may_close(world) {
+                    2
+                } else {
+                    u32::from(is_on_the_way && is_open)
+                }
+            }
+            Self::PushDrawer { .. } | Self::PushDoor { .. } => u32::from(is_on_the_way),
+            Self::Drag { object, .. } => {
+                let thing = world.entity(object)?;
+                let widest = thing.half.x.max(thing.half.y);
+                let aside = (world.grip - thing.centre).horizontal_norm();
+                let is_pressing = world.grip.z < to.pos.z + PRESSING_M && aside < widest;
+                match is_pressing {
+                    true => 2,
+                    false => u32::from(is_on_the_way),
+                }
+            }
+        })
+    }
+
     /// The stage of that number; none after the last.
     fn stage(&self, number: u32, world: &World) -> Result<Option<Stage>, String> {
         match self {

@@ -4,7 +4,9 @@
 
 use crate::geometry::{Quat, Vec3};
 use crate::grasp::{self, Grasp, Purpose};
-use crate::motion::{Command, Errand, Fingers, HandPose, Motion, detour, pointing_down};
+use crate::motion::{
+    Command, Errand, FINGERTIP_M, Fingers, HandPose, Motion, OPEN_M, detour, pointing_down,
+};
 use crate::place::{Place, Spot};
 use crate::world::{Entity, World};
 
@@ -15,6 +17,14 @@ const RETREAT_M: f64 = 0.05;
 /// Near enough to go on to the next phase: m, and rad.
 const NEAR_M: f64 = 0.008;
 const NEAR_RAD: f64 = 0.06;
+/// A hand that comes down may be turned that far from its grasp, rad, and may have been stopped
+/// that far above it, m.
+const TURNED_RAD: f64 = 0.15;
+const STOPPED_M: f64 = 0.015;
+/// An object whose box is nearer than this to the grip point can be in the hand, m.
+const BESIDE_M: f64 = 0.005;
+/// A held object this near to its place, seen from above, goes on down, m.
+const OVER_REST_M: f64 = 0.02;
 /// Near enough to close the fingers, m.
 const DEEP_M: f64 = 0.003;
 /// A held object that slips further than this from the hand is lost, m.
@@ -44,6 +54,8 @@ pub(crate) struct Transfer {
     ticks: u32,
     /// Attempts given up so far: which grasp to try.
     missed: usize,
+    /// The grasp that was tried last.
+    grasp: Option<Grasp>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -93,7 +105,93 @@ impl Transfer {
             phase: Phase::Choose,
             ticks: 0,
             missed: 0,
+            grasp: None,
         }
+    }
+
+    /// The object that is moved.
+    pub(crate) fn object(&self) -> &str {
+        &self.object
+    }
+
+    /// Whether the object is in the hand.
+    ///
+    /// # Errors
+    /// Names an object that the scene lacks.
+    pub(crate) fn holds(&self, world: &World, motion: &Motion) -> Result<bool, String> {
+        let object = world.entity(&self.object)?;
+        Ok(motion.grasps(world) && world.gap_to(object) < BESIDE_M)
+    }
+
+    /// Begins at the phase that the world shows, as after `earlier`, the same skill before
+    /// something else drove the robot.
+    ///
+    /// # Errors
+    /// Names an object or region that the scene lacks.
+    pub(crate) fn resume(
+        &mut self,
+        earlier: Option<&Self>,
+        world: &World,
+        motion: &Motion,
+    ) -> Result<(), String> {
+        if let Some(earlier) = earlier {
+            (self.missed, self.grasp) = (earlier.missed, earlier.grasp);
+        }
+        let object = world.entity(&self.object)?;
+        let spot = self.place.spot(world, object)?;
+        let to_rest = Spot::hand_for(world, object, spot.rest) - world.grip;
+        let is_over_rest = to_rest.horizontal_norm() < OVER_REST_M;
+        let is_at_rest = is_over_rest && spot.reached(world, object);
+        let phase = if world.gap_to(object) < BESIDE_M && is_at_rest && world.opening < OPEN_M {
+            let closing = world.grip_quat.rotate(Vec3::new(1.0, 0.0, 0.0));
+            Phase::Release {
+                hand: HandPose {
+                    pos: world.grip,
+                    quat: pointing_down(closing.y.atan2(closing.x)),
+                },
+                way_out: spot.way_out(),
+            }
+        } else if self.holds(world, motion)? {
+            let hold = self.hold(earlier, world, object);
+            let left = Spot::hand_for(world, object, spot.gate) - world.grip;
+            let is_entering = is_over_rest && left.z > 0.0 && spot.way_out() == Vec3::UP;
+            match spot.at_gate(left) || is_entering {
+                true => Phase::Lower(hold),
+                false => Phase::Carry(hold),
+            }
+        } else {
+            let purpose = self.purpose(world, object)?;
+            let grasp = grasp::nearest(world, object, purpose, self.grasp.as_ref());
+            let grasp = grasp.ok_or_else(|| format!("'{}' cannot be held", self.object))?;
+            self.grasp = Some(grasp);
+            seen(grasp, world, object, motion)
+        };
+        self.enter(phase);
+        Ok(())
+    }
+
+    /// The object in the hand, as `earlier` took it if it is still held like that.
+    fn hold(&self, earlier: Option<&Self>, world: &World, object: &Entity) -> Hold {
+        if let Some(Phase::Lift(hold) | Phase::Carry(hold) | Phase::Lower(hold)) =
+            earlier.map(|earlier| earlier.phase)
+            && !hold.lost(world, object)
+        {
+            return hold;
+        }
+        let closing = world.grip_quat.rotate(Vec3::new(1.0, 0.0, 0.0));
+        Hold {
+            quat: pointing_down(closing.y.atan2(closing.x)),
+            object_from_grip: object.centre - world.grip,
+            lifted_from: world.grip,
+        }
+    }
+
+    fn purpose<'a>(&self, world: &'a World, object: &Entity) -> Result<Purpose<'a>, String> {
+        Ok(Purpose {
+            wish: self.place.wish(world)?,
+            destination: self.place.spot(world, object)?.rest,
+            owner: self.place.owner(world)?,
+        })
     }
 
     /// The command for this step; none once the object has been let go and
@@ -123,6 +221,9 @@ impl Transfer {
     }
 
     fn enter(&mut self, phase: Phase) {
+        if let Phase::Approach(grip) = phase {
+            self.grasp = Some(grip.grasp);
+        }
         self.phase = phase;
         self.ticks = 0;
     }
@@ -149,12 +250,7 @@ impl Transfer {
     }
 
     fn choose(&self, world: &World, object: &Entity) -> Result<Next, String> {
-        let purpose = Purpose {
-            wish: self.place.wish(world)?,
-            destination: self.place.spot(world, object)?.rest,
-            owner: self.place.owner(world)?,
-        };
-        let choices = grasp::choices(world, object, purpose);
+        let choices = grasp::choices(world, object, self.purpose(world, object)?);
         let grasp = choices[self.missed % choices.len()];
         let quat = pointing_down(grasp.closing);
         Ok(Next::Go(Phase::Approach(Grip { grasp, quat })))
@@ -169,7 +265,12 @@ impl Transfer {
         if self.ticks >= TRAVEL_STEPS {
             return Next::Missed;
         }
-        let pos = detour(world, above.pos, Errand::For(object));
+        // Beside it, the object itself is in the way.
+        let errand = match world.grip.z < object.top() && world.gap_to(object) > 0.0 {
+            true => Errand::Empty(FINGERTIP_M),
+            false => Errand::For(object),
+        };
+        let pos = detour(world, above.pos, errand);
         stay(HandPose { pos, ..above }, Fingers::Open, 1.0)
     }
 
@@ -269,6 +370,28 @@ impl Grip {
 impl Hold {
     fn lost(&self, world: &World, object: &Entity) -> bool {
         (object.centre - world.grip - self.object_from_grip).norm() > LOST_M
+    }
+}
+
+/// The phase before the object is held, by where the hand is.
+fn seen(grasp: Grasp, world: &World, object: &Entity, motion: &Motion) -> Phase {
+    let quat = pointing_down(grasp.closing);
+    let grip = Grip { grasp, quat };
+    let hand = grip.hand(object);
+    let aside = (hand.pos - world.grip).horizontal_norm();
+    let above = world.grip.z - hand.pos.z;
+    let is_turned = hand.turn_from(world) < TURNED_RAD;
+    let is_deep = above < NEAR_M || (above < STOPPED_M && motion.still_steps() >= 3);
+    if is_turned && aside < NEAR_M && is_deep && motion.may_close(world) {
+        return Phase::Close(HandPose {
+            pos: world.grip,
+            ..hand
+        });
+    }
+    let is_in_shaft = aside < 2.0 * NEAR_M && above < HOVER_M + 2.0 * NEAR_M;
+    match is_turned && is_in_shaft && world.opening > OPEN_M {
+        true => Phase::Descend(grip),
+        false => Phase::Approach(grip),
     }
 }
 

@@ -159,6 +159,11 @@ impl World {
             .filter(move |n| n.starts_with(&prefix))
     }
 
+    /// Where the grip point is when the arm is at rest.
+    pub(crate) fn rest(&self) -> Vec3 {
+        self.shoulder - SHOULDER_FROM_REST
+    }
+
     /// How far beyond its comfortable reach the arm is with the hand pointing
     /// down at `grip`, m; 0 within.
     pub(crate) fn overstretch(&self, grip: Vec3) -> f64 {
@@ -166,6 +171,36 @@ impl World {
         let across = from_shoulder.horizontal_norm() - WRIST_BACK_M;
         let reach = across.hypot(from_shoulder.z + WRIST_UP_M);
         (reach - COMFORTABLE_REACH_M).max(0.0)
+    }
+
+    /// How far the grip point is outside of the object's box, m; negative within.
+    pub(crate) fn gap_to(&self, object: &Entity) -> f64 {
+        ((self.grip - object.centre).abs() - object.half).max_coordinate()
+    }
+
+    /// The objects whose boxes the grip point is in, up to `margin` m.
+    pub(crate) fn objects_at_grip(&self, margin: f64) -> impl Iterator<Item = &Entity> {
+        let objects = self
+            .entities
+            .iter()
+            .filter(|e| e.kind == EntityKind::Object);
+        objects.filter(move |e| self.gap_to(e) < margin)
+    }
+
+    /// If the hand is at a drawer's handle, its fingers towards the cabinet, at most `away` m in
+    /// front of it: out of that cabinet's front, horizontal.
+    pub(crate) fn handle_at_grip(&self, away: f64) -> Option<Vec3> {
+        let pointing = self.grip_quat.rotate(Vec3::UP);
+        self.regions().find_map(|region| {
+            let out = self.front_of_drawer(region)?;
+            let handle = region.pos + out * HANDLE_OUT_M + Vec3::UP * HANDLE_UP_M;
+            let from = self.grip - handle;
+            let along = from.dot(out);
+            let beside = (from - out * along - Vec3::UP * from.z).norm();
+            let (across, reach) = HANDLE_HALF_M;
+            let there = along.abs() < away && from.z.abs() < 2.0 * across && beside < reach;
+            (there && pointing.dot(out) < -0.7).then_some(out)
+        })
     }
 
     /// Everything that can be run into.

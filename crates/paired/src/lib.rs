@@ -19,12 +19,15 @@ mod comparison_table;
 mod count;
 mod design;
 mod difference;
+mod findings;
 mod gate;
+mod inference;
 mod interval;
 mod legend;
 mod mcnemar;
 mod measures;
 mod outcomes;
+mod planning;
 mod replication;
 mod report;
 mod sequential;
@@ -39,14 +42,26 @@ pub use comparison_table::comparison_table;
 pub use count::Count;
 pub use design::{PairedDesign, minimum_detectable_effect, task_correlation};
 pub use difference::{Difference, DifferenceBounds, Pair};
+pub use findings::{FINDING_ALPHA, Finding, FindingKind, findings};
 pub use gate::{
     GATE_ROLLOUTS, GATE_ROLLOUTS_OF_A_SUITE, GATE_TOLERANCE, Gate, GateVerdict, SuiteGate,
 };
+pub use inference::Inference;
+pub use inference::direction::DirectionTest;
+pub use inference::equivalence::{EQUIVALENCE_MARGIN, equivalence_p};
+pub use inference::estimate::{Estimate, FEWEST_TASKS};
+pub use inference::floor::{Excess, Simultaneity, chance_bounds};
+pub use inference::loss::{Loss, Losses};
+pub use inference::multiplicity::{holm, max_t};
+pub use inference::paired::{Eligible, PairedEstimates, Relative};
+pub use inference::sample::Directions;
+pub use inference::sign_flip::sign_flip_p;
 pub use interval::{MIN_TASKS, NoInterval, intervals_of_many};
 pub use legend::legend;
 pub use mcnemar::mcnemar_exact;
 pub use measures::{Configuration, Measures};
 pub use outcomes::{DuplicateRecord, Matched, Outcome, Record, Records, Transition};
+pub use planning::{Against, Assumed, Detectable, Planned};
 pub use replication::{Change, Flips, Replication};
 pub use report::{
     Cell, Completeness, Gap, Nominal, NominalSource, Options, Report, SingleAxis, report, report_of,

@@ -10,7 +10,10 @@ use crate::bootstrap::Bootstrap;
 use crate::bounds::Bounds;
 use crate::count::Count;
 use crate::design::{PairedDesign, minimum_detectable_effect, task_correlation};
+use crate::findings::{Finding, findings};
 use crate::gate::{Gate, SuiteGate};
+use crate::inference::Inference;
+use crate::inference::sample::Directions;
 use crate::measures::{Configuration, Measures};
 use crate::outcomes::{DuplicateRecord, Matched, Outcome, Record, Records};
 use crate::replication::Replication;
@@ -30,6 +33,8 @@ pub struct Options {
     /// Nominal successes as published elsewhere; used where there is no nominal
     /// rollout among the records.
     pub reported_nominal: Option<Count>,
+    /// How directions were assigned to configurations.
+    pub directions: Directions,
 }
 
 /// The statistics of one policy's records.
@@ -50,6 +55,8 @@ pub struct Report {
     pub cells: Vec<Cell>,
     /// Each further replicate against the first.
     pub replication: Vec<Replication>,
+    /// What it says in words, see [`findings`].
+    pub findings: Vec<Finding>,
     /// Quarantined rollouts, in no rate: `ID` or `ID#rK`.
     pub quarantined: Vec<String>,
     /// How the intervals were made.
@@ -109,6 +116,9 @@ pub struct Cell {
     /// How much configurations of a task resemble one another, see
     /// [`task_correlation`].
     pub task_correlation: Option<f64>,
+    /// How sure these figures are, and about what; absent while no configuration is
+    /// complete.
+    pub inference: Option<Inference>,
     /// The smallest |`i`| that this many configurations can show, see
     /// [`minimum_detectable_effect`].
     pub minimum_detectable_i: Option<f64>,
@@ -172,16 +182,30 @@ pub fn report_of(records: &Records, options: &Options) -> Report {
     let first = first.map_or(Count::default(), |nominal| nominal.count);
     let cells = records.configurations();
     let cells = cells.chunk_by(|a, b| (a.replicate, a.level) == (b.replicate, b.level));
+    let placebos = cells
+        .clone()
+        .filter(|matched| matched[0].level == Level::L0);
+    let placebos: BTreeMap<u32, &[Matched]> = placebos
+        .map(|matched| (matched[0].replicate, matched))
+        .collect();
     let cells = cells.map(|matched| {
-        let own = |nominal: &&Nominal| nominal.replicate == matched[0].replicate;
-        let clean = nominal.iter().find(own);
+        let replicate = matched[0].replicate;
+        let clean = nominal
+            .iter()
+            .find(|nominal| nominal.replicate == replicate);
         let clean = clean.and_then(|nominal| nominal.count.rate());
-        cell(records, matched, clean, &options.bootstrap)
+        let placebo = placebos.get(&replicate).copied();
+        let inference = Inference::of(matched, placebo, options.directions);
+        Cell {
+            inference,
+            ..cell(records, matched, clean, &options.bootstrap)
+        }
     });
     let cells = cells.collect();
     let later = replicates.iter().filter(|&&replicate| replicate > 0);
     let later = later.map(|&replicate| Replication::of(records, replicate, &options.bootstrap));
-    Report {
+    let mut report = Report {
+        findings: Vec::new(),
         notes: options.notes.clone(),
         axes: records.axes().collect(),
         gate: options.published_nominal.map(|rate| Gate::new(rate, first)),
@@ -198,7 +222,9 @@ pub fn report_of(records: &Records, options: &Options) -> Report {
         replication: later.collect(),
         quarantined: quarantined(records),
         bootstrap: options.bootstrap,
-    }
+    };
+    report.findings = findings(&report);
+    report
 }
 
 fn nominal(records: &Records, replicate: u32) -> Option<Nominal> {
@@ -282,6 +308,7 @@ fn cell(records: &Records, matched: &[Matched], clean: Option<f64>, bootstrap: &
         solvable: Measures::of(&solvable, bootstrap),
         bounds: Bounds::of(matched),
         task_correlation,
+        inference: None,
         minimum_detectable_i,
     }
 }

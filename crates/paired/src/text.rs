@@ -140,3 +140,12 @@ pub(crate) fn p_value(p: f64) -> String {
         false => format!("{p:.3}"),
     }
 }
+
+/// `a`, `a and b`, `a, b and c`.
+pub(crate) fn listed(parts: &[String]) -> String {
+    match parts {
+        [] => String::new(),
+        [one] => one.clone(),
+        [first @ .., last] => format!("{} and {last}", first.join(", ")),
+    }
+}

@@ -40,8 +40,7 @@ impl RolloutId {
     /// A perturbed rollout.
     ///
     /// # Errors
-    /// If the condition is clean or the level is L0, which go together only in
-    /// [`Self::clean`].
+    /// If the condition is clean, see [`Self::clean`].
     pub fn perturbed(
         task: TaskRef,
         condition: Condition,
@@ -54,7 +53,7 @@ impl RolloutId {
             level,
             number: config,
         };
-        if condition == Condition::Clean || level == Level::L0 {
+        if condition == Condition::Clean {
             return Err(unknown(&id.to_string()));
         }
         Ok(id)
@@ -70,9 +69,15 @@ impl RolloutId {
         self.condition
     }
 
-    /// How strongly; L0 exactly in clean rollouts.
+    /// How strongly; L0 in clean rollouts and those of the placebo level.
     pub const fn level(&self) -> Level {
         self.level
+    }
+
+    /// Whether it is a rollout of the placebo level: perturbed, but so little that no
+    /// policy should care.
+    pub fn is_placebo(&self) -> bool {
+        self.level == Level::L0 && self.condition != Condition::Clean
     }
 
     /// The configuration; none in a clean rollout.
@@ -159,11 +164,15 @@ mod tests {
         check("goal/t9/clean/i49", "goal/t9/clean/i49");
         check("spatial/t0/clean/L0/c07", "spatial/t0/clean/i07");
         check("spatial/t0/nominal/i07", "spatial/t0/clean/i07");
+        check("spatial/t0/camera/L0/c03", "spatial/t0/camera/L0/c03");
         check("long/t5/simultaneous/L3/c08", "long/t5/combination/L3/c08");
         let id: RolloutId = "long/t5/sensor/L3/c08".parse().expect("an id");
         assert_eq!(id.task(), "libero_10/5".parse().expect("a task"));
         assert_eq!(id.condition(), Condition::Single(Axis::Sensor));
         assert_eq!((id.level(), id.config()), (Level::L3, Some(8)));
+        let is_placebo = |text: &str| text.parse::<RolloutId>().expect("an id").is_placebo();
+        assert!(is_placebo("spatial/t0/language/L0/c03"));
+        assert!(!is_placebo("spatial/t0/clean/i03") && !is_placebo("spatial/t0/language/L1/c03"));
     }
 
     #[test]
@@ -174,7 +183,6 @@ mod tests {
             "spatial/t0/camera/L2",
             "spatial/t0/camera/L2/00",
             "spatial/t0/camera/L2/c+1",
-            "spatial/t0/camera/L0/c00",
             "spatial/t0/clean/L1/c00",
             "spatial/t0/clean/i50",
             "spatial/t0/clean/L0/c50",

@@ -313,6 +313,9 @@ impl Task<'_> {
             if let Some(drives) = expert {
                 let own = state.expert_action()?;
                 done.expert_actions[step] = own;
+                if !drives[step] || is_push(&action) {
+                    state.expert_is_interrupted();
+                }
                 if drives[step] {
                     action = followed(own, action);
                 }
@@ -386,6 +389,11 @@ fn followed(own: [f64; WIDTH], added: [f64; WIDTH]) -> [f64; WIDTH] {
         GRIPPER => own[at],
         _ => (own[at] + added[at]).clamp(-1.0, 1.0),
     })
+}
+
+/// Whether what is added to the expert's translation leaves nothing of it.
+fn is_push(added: &[f64; WIDTH]) -> bool {
+    added[..3].iter().any(|value| value.abs() > 1.0)
 }
 
 /// At which steps the expert drives, row by row.

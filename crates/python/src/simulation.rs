@@ -107,6 +107,11 @@ impl State {
         Ok(action.map(f64::from))
     }
 
+    /// Says that the expert's last action was not what the robot did.
+    pub(crate) fn expert_is_interrupted(&mut self) {
+        self.expert.interrupt();
+    }
+
     /// One control step, as a campaign takes it; true if the goal holds after it.
     pub(crate) fn step(&mut self, action: &[f64; WIDTH], of: ActionFrame) -> PyResult<bool> {
         let environment = &mut self.environment;

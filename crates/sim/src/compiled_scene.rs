@@ -13,6 +13,8 @@ use crate::render::Prepared;
 use crate::reset::Resets;
 use crate::scene_files::{Obtained, Preparation, SceneFolder, name_of_scene};
 
+/// `mjDSBL_CONSTRAINT`: no contact, limit or friction acts.
+pub(crate) const DISABLE_CONSTRAINT: i32 = 1;
 /// `mjDSBL_AUTORESET`: an unstable state is reported, not silently replaced.
 pub(crate) const DISABLE_AUTORESET: i32 = 1 << 16;
 /// `mjDSBL_NATIVECCD`: with it, 3.3.7 collides as the benchmark's 2.3.7 does.

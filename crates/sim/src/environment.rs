@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use scene::{AssetPack, Scene, Sources};
 
-use crate::compiled_scene::{Burner, CompiledScene};
+use crate::compiled_scene::{Burner, CompiledScene, DISABLE_CONSTRAINT};
 use crate::controller::{ARM_JOINTS, ActionFrame, Controller, RESET_JOINTS, SUBSTEPS};
 use crate::error::SimError;
 use crate::mujoco::{self, Data, Model, ObjectKind, Segment};
@@ -52,10 +52,24 @@ impl Environment {
 
     /// An environment of a compiled scene, which further ones may share.
     pub fn of(compiled: Arc<CompiledScene>) -> Result<Self, SimError> {
+        let mut environment = Self::before_load(compiled)?;
+        let Self { model, data, .. } = &mut environment;
+        data.reset(model);
+        data.qpos_mut(model)[..ARM_JOINTS].copy_from_slice(&RESET_JOINTS);
+        data.forward(model);
+        Ok(environment)
+    }
+
+    /// An environment that is to be loaded or reset before anything else: it knows where
+    /// the arm is at home, and no contacts. Objects that nobody has placed yet lie in one
+    /// another, and solving their contacts takes longer than all else here.
+    pub(crate) fn before_load(compiled: Arc<CompiledScene>) -> Result<Self, SimError> {
         let model = compiled.model.share();
         let mut data = Data::new(&model)?;
         data.qpos_mut(&model)[..ARM_JOINTS].copy_from_slice(&RESET_JOINTS);
-        data.forward(&model);
+        let mut without_contacts = model.share();
+        without_contacts.disable(DISABLE_CONSTRAINT);
+        data.forward(&without_contacts);
         Ok(Self {
             controller: Controller::new(&model, &data)?,
             burners: compiled.burners.clone(),

@@ -43,7 +43,7 @@ impl ReadyScene {
         let scene = compose(&problem, pack, sources, ENV_SEED)?;
         let digest = scene.digest();
         let compiled = Arc::new(CompiledScene::compile(scene, pack, sources)?);
-        let mut environment = Environment::of(Arc::clone(&compiled))?;
+        let mut environment = Environment::before_load(Arc::clone(&compiled))?;
         let needed = 1 + environment.model().nq() + environment.model().nv();
         if states.width() != needed {
             return Err(SimError::StateWidth {

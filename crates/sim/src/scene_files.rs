@@ -15,6 +15,7 @@ mod folder;
 mod tests;
 
 use std::env::consts::ARCH;
+use std::error::Error;
 use std::ffi::OsStr;
 use std::fs;
 use std::os::unix::fs::MetadataExt;
@@ -193,7 +194,7 @@ fn text(name: &Name) -> &str {
 static CHOSEN: OnceLock<Option<SceneFolder>> = OnceLock::new();
 
 fn from_setting(setting: Option<&OsStr>) -> Option<SceneFolder> {
-    match setting {
+    match setting.filter(|setting| !setting.is_empty()) {
         Some(setting) if setting == OFF => None,
         Some(folder) => Some(SceneFolder::new(Path::new(folder))),
         None => Some(SceneFolder::new(&Sources::cache_folder().join("scenes"))),
@@ -211,9 +212,10 @@ static PROBLEM: Mutex<Problem> = Mutex::new(Problem::None);
 fn note_problem(error: &SceneFileError) {
     let mut problem = PROBLEM.lock().unwrap_or_else(PoisonError::into_inner);
     if let Problem::None = *problem {
+        let cause = error.source().map(|cause| format!(": {cause}"));
         *problem = Problem::Found(format!(
-            "Scenes are compiled into the memory of each process, because files of them cannot \
-             be kept: {error}."
+            "scenes are kept in the memory of each process: failed to {error}{}",
+            cause.unwrap_or_default()
         ));
     }
 }

@@ -23,7 +23,8 @@ pub struct SimulatorConfig {
     pub pack: AssetPack,
     /// What draws.
     pub renderer: Renderer,
-    /// Compiled scenes kept; each takes some 100 MB with the real assets.
+    /// Compiled scenes kept; each takes some 100 MB with the real assets where it is not
+    /// kept in a file.
     pub cached_scenes: usize,
 }
 
@@ -105,7 +106,7 @@ impl Simulator {
         self.scenes
             .truncate(self.config.cached_scenes.saturating_sub(1));
         let scene = ReadyScene::compile(files, &self.config.pack, &self.config.sources)?;
-        let environment = Environment::of(Arc::clone(scene.compiled()))?;
+        let environment = Environment::before_load(Arc::clone(scene.compiled()))?;
         self.scenes.insert(0, (scene, environment));
         Ok(())
     }

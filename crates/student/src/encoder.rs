@@ -42,6 +42,8 @@ pub(crate) struct Encoder {
     blocks: [Block; 3],
     points: Convolution,
     points_bias: Vec<f32>,
+    /// What the first block's planes, twice as fine, add to the points' scores.
+    fine: Option<Convolution>,
 }
 
 /// What the texts of some queries say to each block: a row per query.
@@ -53,6 +55,8 @@ pub(crate) struct Films([Vec<f32>; 3]);
 pub(crate) struct Scratch {
     picture: Vec<f32>,
     planes: [Vec<f32>; 2],
+    /// The first block's planes, where points are looked for in them too.
+    fine: Vec<f32>,
     work: Workspace,
 }
 
@@ -75,6 +79,18 @@ impl Encoder {
             stem_norm: GroupNorm::read(tensors, &part("stem.norm"), STEM)?,
             points: Convolution::read_1x1(tensors, &part("points"), FEATURES, POINTS)?,
             points_bias: tensors.half(&part("points.bias"), &[POINTS])?,
+            fine: match tensors.is_fine() {
+                true => {
+                    let name = part("fine");
+                    Some(Convolution::read_1x1(
+                        tensors,
+                        &name,
+                        BLOCKS[0].outputs,
+                        POINTS,
+                    )?)
+                }
+                false => None,
+            },
         })
     }
 
@@ -97,6 +113,7 @@ impl Encoder {
         let Scratch {
             picture,
             planes: [planes, next],
+            fine,
             work,
         } = scratch;
         picture::planes(rgb, picture);
@@ -110,7 +127,8 @@ impl Encoder {
             self.stem.add(products, part.windows(), planes);
         });
         self.stem_norm.relu(planes);
-        for (block, (films, shape)) in self.blocks.iter().zip(films.0.iter().zip(BLOCKS)) {
+        let blocks = self.blocks.iter().zip(films.0.iter().zip(BLOCKS));
+        for (at, (block, (films, shape))) in blocks.enumerate() {
             let input = Planes {
                 values: planes,
                 side,
@@ -119,19 +137,23 @@ impl Encoder {
             block.apply(products, input, film, work, next);
             std::mem::swap(planes, next);
             side /= shape.stride;
+            if at == 0 && self.fine.is_some() {
+                fine.clone_from(planes);
+            }
         }
         let (located, means) = encoded.split_at_mut(3 * POINTS);
-        self.locate(products, planes, next, located);
+        self.locate(products, [planes, fine], next, located);
         for (plane, mean) in planes.chunks_exact(side * side).zip(means) {
             *mean = lanes::mean(plane);
         }
     }
 
-    /// Where the points are, by the `features`' planes; `scores` is room.
+    /// Where the points are, by the planes of the last features, and by those of the first
+    /// block if they have a say; `scores` is room.
     fn locate(
         &self,
         products: Products,
-        features: &[f32],
+        [features, fine]: [&[f32]; 2],
         scores: &mut Vec<f32>,
         located: &mut [f32],
     ) {
@@ -140,12 +162,20 @@ impl Encoder {
         for bias in &self.points_bias {
             scores.extend(std::iter::repeat_n(bias, places));
         }
-        let features = Rows {
-            columns: Matrix::new(features, FEATURES, places),
+        let all = |planes, channels, places| Rows {
+            columns: Matrix::new(planes, channels, places),
             input: 0,
             place: 0,
         };
+        let features = all(features, FEATURES, places);
         self.points.add(products, features, scores);
-        points::locate(scores, located);
+        let Some(convolution) = &self.fine else {
+            return points::locate::<{ points::SIDE }>(scores, located);
+        };
+        let mut scores = points::enlarged(scores);
+        let channels = BLOCKS[0].outputs;
+        let fine = all(fine, channels, fine.len() / channels);
+        convolution.add(products, fine, &mut scores);
+        points::locate::<{ 2 * points::SIDE }>(&scores, located);
     }
 }

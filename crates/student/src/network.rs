@@ -17,6 +17,8 @@ const STATE_WIDTH: usize = 64;
 /// Numbers that the head decides by.
 const WIDTH: usize = 2 * encoder::WIDTH + STATE_WIDTH + TEXT;
 const HEAD: usize = 384;
+/// The same with points on 32 x 32 places.
+const WIDE_HEAD: usize = 512;
 
 /// A student with its weights, ready to be asked. It keeps nothing from one query
 /// to the next, and may be asked from several threads at once.
@@ -41,7 +43,8 @@ pub struct Network {
 }
 
 impl Network {
-    /// Reads a weights file: safetensors of the format `rollout-student/1`.
+    /// Reads a weights file: safetensors of the format `rollout-student/2`, or of
+    /// `rollout-student/1`, whose points lie on 16 x 16 places and whose head is narrower.
     ///
     /// # Errors
     ///
@@ -58,6 +61,7 @@ impl Network {
                 value: state_std[place].to_string(),
             });
         }
+        let head = if file.is_fine() { WIDE_HEAD } else { HEAD };
         let network = Self {
             words: file.half("words.weight", &[text::BUCKETS, text::WIDTH])?,
             text1: Linear::read(file, "text1", text::WIDTH, TEXT)?,
@@ -67,10 +71,10 @@ impl Network {
             state_mean: file.single("state_mean", &[STATE])?,
             state_std,
             state1: Linear::read(file, "state1", STATE, STATE_WIDTH)?,
-            head1: Linear::read(file, "head1", WIDTH, HEAD)?,
-            head2: Linear::read(file, "head2", HEAD, HEAD)?,
-            arm: Linear::read(file, "arm", HEAD, ACTIONS * ARM)?,
-            gripper: Linear::read(file, "gripper", HEAD, ACTIONS)?,
+            head1: Linear::read(file, "head1", WIDTH, head)?,
+            head2: Linear::read(file, "head2", head, head)?,
+            arm: Linear::read(file, "arm", head, ACTIONS * ARM)?,
+            gripper: Linear::read(file, "gripper", head, ACTIONS)?,
             name: file.name().to_owned(),
             parameters: file.parameters(),
             digest: hex(&Sha256::digest(bytes)),

@@ -2,18 +2,17 @@
 
 /// Channels that look for a point.
 pub(crate) const POINTS: usize = 64;
-/// Places along a side of the scores.
+/// Places along a side of the last features.
 pub(crate) const SIDE: usize = 16;
-const PLACES: usize = SIDE * SIDE;
 
-/// Writes of each channel of `scores` (planes of 16 x 16) the expected column, the
+/// Writes of each channel of `scores` (planes of `SIDE` x `SIDE`) the expected column, the
 /// expected row, from -1 to 1, and the highest score: first all columns, then
 /// all rows, then all scores.
-pub(crate) fn locate(scores: &[f32], found: &mut [f32]) {
+pub(crate) fn locate<const SIDE: usize>(scores: &[f32], found: &mut [f32]) {
     let (columns, rest) = found.split_at_mut(POINTS);
     let (rows, peaks) = rest.split_at_mut(POINTS);
-    let (scores, _) = scores.as_chunks::<PLACES>();
-    for (channel, scores) in scores.iter().enumerate() {
+    let planes = scores.chunks_exact(SIDE * SIDE);
+    for (channel, scores) in planes.enumerate() {
         let peak = scores.iter().copied().fold(f32::NEG_INFINITY, higher);
         let mut in_column = [0.0; SIDE];
         let mut in_row = [0.0; SIDE];
@@ -32,13 +31,25 @@ pub(crate) fn locate(scores: &[f32], found: &mut [f32]) {
     }
 }
 
+/// Planes of [`SIDE`] x [`SIDE`], each number of which becomes four: twice the side.
+pub(crate) fn enlarged(planes: &[f32]) -> Vec<f32> {
+    let mut large = Vec::with_capacity(4 * planes.len());
+    let (lines, _) = planes.as_chunks::<SIDE>();
+    for line in lines {
+        let start = large.len();
+        large.extend(line.iter().flat_map(|value| [*value; 2]));
+        large.extend_from_within(start..);
+    }
+    large
+}
+
 /// The higher of two scores; of zeros of either sign the first.
 fn higher(one: f32, other: f32) -> f32 {
     if other > one { other } else { one }
 }
 
 /// The sum of weights times coordinates.
-fn centre(weights: &[f32; SIDE]) -> f32 {
+fn centre<const SIDE: usize>(weights: &[f32; SIDE]) -> f32 {
     let mut sum = 0.0;
     for (place, weight) in weights.iter().enumerate() {
         sum += weight * (-1.0 + 2.0 * place as f32 / (SIDE - 1) as f32);
@@ -52,10 +63,10 @@ mod tests {
 
     #[test]
     fn a_lone_peak_is_located_and_equal_scores_lie_in_the_middle() {
-        let mut scores = vec![0.0; POINTS * PLACES];
-        scores[5 * PLACES + 2 * SIDE + 15] = 80.0;
+        let mut scores = vec![0.0; POINTS * SIDE * SIDE];
+        scores[5 * SIDE * SIDE + 2 * SIDE + 15] = 80.0;
         let mut found = vec![0.0; 3 * POINTS];
-        locate(&scores, &mut found);
+        locate::<SIDE>(&scores, &mut found);
         let at = |channel: usize| [0, 1, 2].map(|what| found[what * POINTS + channel]);
         let [column, row, peak] = at(5);
         assert!((column - 1.0).abs() < 1e-6, "{column}");

@@ -7,14 +7,17 @@ use safetensors::{Dtype, SafeTensors};
 
 use crate::error::WeightsError;
 
-/// What the metadata has as `format`.
-const FORMAT: &str = "rollout-student/1";
+/// What the metadata has as `format`: of networks that look for points on 16 x 16 places, and of
+/// those that do on 32 x 32, with a wider head.
+const COARSE: &str = "rollout-student/1";
+const FINE: &str = "rollout-student/2";
 
 /// A file's tensors, each of which some layer takes.
 #[derive(Debug)]
 pub(crate) struct Tensors<'a> {
     file: SafeTensors<'a>,
     name: String,
+    is_fine: bool,
     /// Names of those that no layer has taken.
     left: BTreeSet<String>,
     parameters: usize,
@@ -28,17 +31,22 @@ impl<'a> Tensors<'a> {
         let file = SafeTensors::deserialize(bytes).map_err(unreadable)?;
         let entry = |key: &str| header.metadata().as_ref()?.get(key).cloned();
         let found = entry("format");
-        if found.as_deref() != Some(FORMAT) {
-            return Err(WeightsError::Format {
-                found,
-                expected: FORMAT,
-            });
-        }
+        let is_fine = match found.as_deref() {
+            Some(COARSE) => false,
+            Some(FINE) => true,
+            _ => {
+                return Err(WeightsError::Format {
+                    found,
+                    expected: FINE,
+                });
+            }
+        };
         let name = entry("name").filter(|name| !name.is_empty());
         Ok(Self {
             name: name.ok_or(WeightsError::Name)?,
             left: file.names().into_iter().map(str::to_owned).collect(),
             file,
+            is_fine,
             parameters: 0,
         })
     }
@@ -46,6 +54,11 @@ impl<'a> Tensors<'a> {
     /// What the weights are called.
     pub(crate) fn name(&self) -> &str {
         &self.name
+    }
+
+    /// Whether points are looked for on 32 x 32 places, and the head is wide.
+    pub(crate) fn is_fine(&self) -> bool {
+        self.is_fine
     }
 
     /// How many numbers [`Self::half`] has handed out.

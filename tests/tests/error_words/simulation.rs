@@ -5,8 +5,8 @@ use policy_protocol::{ActionFault, DescriptionFault};
 use protocol::NoSuchRow;
 use raster::{DrawError, ModelError};
 use scene::SceneError;
-use sim::SimError;
 use sim::mujoco::ObjectKind;
+use sim::{SceneFileError, SimError};
 use tonic::Status;
 use transport::{AccessError, EndpointError};
 use worker::actor::PolicyError;
@@ -83,6 +83,7 @@ fn pictures(messages: &mut Messages) {
         ModelError::Texture { .. } => ModelError::Texture {
             width: 3, height: 4, channels: 5, bytes: 6,
         },
+        ModelError::Bytes => ModelError::Bytes,
         ModelError::Quality { .. } => ModelError::Quality { slices: 0, stacks: 0, quads: 0 },
     );
     variants!(messages, DrawError,
@@ -124,6 +125,16 @@ fn simulator(messages: &mut Messages) {
             problem: "there is no device".to_owned(), remedy: "use --renderer software",
         },
         SimError::OutOfMemory(_) => SimError::OutOfMemory("a state"),
+    );
+    variants!(messages, SceneFileError,
+        SceneFileError::File { .. } => SceneFileError::File {
+            doing: "write", path: path(), source: io_error(),
+        },
+        SceneFileError::Untrusted { .. } => SceneFileError::Untrusted {
+            path: path(), owner: 1_000, mode: 0o777,
+        },
+        SceneFileError::Busy { .. } => SceneFileError::Busy { path: path(), secs: 60 },
+        SceneFileError::Layout => SceneFileError::Layout,
     );
 }
 

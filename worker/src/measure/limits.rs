@@ -4,21 +4,24 @@
 use std::num::NonZeroUsize;
 
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+use sim::SceneFolder;
 use terminal::counted;
 
 use super::{MeasureError, cores, room};
 
-/// Memory that a slot takes at least, with the smallest scene, bytes.
-const LEAST_SLOT_BYTES: u64 = 64 << 20;
+/// Memory that a slot takes at least, with the smallest scene and that in a file, bytes.
+const LEAST_SLOT_BYTES: u64 = 16 << 20;
 /// Slots for each core that no policy, however slow, keeps busy: those of a policy that
 /// thinks 99 % of the time.
 const MAX_PER_CORE: usize = 100;
 /// Slots for each core that a policy as slow as the simulation keeps busy. More are only
 /// worth having with a slower one.
 const USUAL_PER_CORE: usize = 2;
-/// Memory for filming one rollout: a compiled scene of LIBERO's own assets and its
-/// pictures, bytes.
+/// Memory for filming one rollout, bytes: a compiled scene of LIBERO's own assets and its
+/// pictures.
 const FILM_BYTES: u64 = 1 << 30;
+/// The same where scenes lie in files.
+const FILM_BYTES_WITH_FILES: u64 = 128 << 20;
 /// Open files of this process for each slot: a socket, two pipes, the process itself.
 const FILES_PER_SLOT: u64 = 4;
 /// Open files of everything else: libraries, the coordinator, videos on their way.
@@ -73,7 +76,11 @@ pub fn check(slots: usize) -> Result<Option<String>, LimitError> {
 /// # Errors
 /// If the machine does not say what it has.
 pub fn films() -> Result<NonZeroUsize, MeasureError> {
-    let fitting = usize::try_from(room::available()? / FILM_BYTES).unwrap_or(usize::MAX);
+    let bytes = match SceneFolder::of_process().map(SceneFolder::check) {
+        Some(Ok(())) => FILM_BYTES_WITH_FILES,
+        Some(Err(_)) | None => FILM_BYTES,
+    };
+    let fitting = usize::try_from(room::available()? / bytes).unwrap_or(usize::MAX);
     Ok(NonZeroUsize::new(cores()?.min(fitting)).unwrap_or(NonZeroUsize::MIN))
 }
 
@@ -151,11 +158,11 @@ mod tests {
             assert!(shortage.contains(words), "{shortage}");
         };
         check(MACHINE, 100_000, "may use 8 cores");
-        check(
-            MACHINE,
-            600,
-            "38400 MiB together, and 32768 MiB are available",
-        );
+        let small = Machine {
+            memory: 8 << 30,
+            ..MACHINE
+        };
+        check(small, 600, "9600 MiB together, and 8192 MiB are available");
         check(
             MACHINE,
             300,

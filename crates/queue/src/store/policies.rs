@@ -1,5 +1,6 @@
 //! Statements on `policy`: the health of each policy at each endpoint.
 
+use sqlx::types::Text;
 use attempt::AttemptId;
 use sqlx::SqliteConnection;
 
@@ -56,11 +57,10 @@ pub(crate) async fn remove_unused(
 }
 
 /// An attempt that is out to try its policy.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct Probe {
     pub(crate) campaign: CampaignId,
-    #[sqlx(try_from = "String")]
-    pub(crate) attempt: AttemptId,
+    pub(crate) attempt: Text<AttemptId>,
     /// Control steps before the policy is first asked.
     pub(crate) settle_steps: u32,
 }

@@ -8,7 +8,7 @@ use sqlx::{AssertSqlSafe, SqliteConnection};
 
 use super::{Doing, StoreError, policies};
 use crate::clock::UnixMillis;
-use crate::ids::{CampaignId, CampaignName};
+use crate::ids::{CampaignId, CampaignName, JobId};
 
 /// What a campaign that is copied is called here.
 #[derive(Clone, Debug)]
@@ -41,7 +41,8 @@ const JOB: (&str, &str) = ("job_id", "m.new");
 /// How a leased attempt of a campaign that is moved ends in the copy.
 const MOVED: &str = "the campaign was copied while this attempt ran";
 
-/// The tables that are copied row by row, in order.
+/// The tables that are copied row by row, in order. `CROSS JOIN` makes SQLite begin with the jobs
+/// that are copied, which may be few of many.
 const COPIED: [Copied; 10] = [
     Copied {
         table: "campaign_task",
@@ -72,7 +73,7 @@ const COPIED: [Copied; 10] = [
     // A committed job is leased until its result is there: the schema says so.
     Copied {
         table: "job",
-        from: "source.job s JOIN temp.moved_job m ON m.old = s.id
+        from: "temp.moved_job m CROSS JOIN source.job s ON s.id = m.old
                LEFT JOIN source.result r ON r.job_id = s.id WHERE TRUE",
         values: &[
             ("id", "m.new"),
@@ -102,7 +103,7 @@ const COPIED: [Copied; 10] = [
     },
     Copied {
         table: "result",
-        from: "source.result s JOIN temp.moved_job m ON m.old = s.job_id
+        from: "temp.moved_job m CROSS JOIN source.result s ON s.job_id = m.old
                JOIN temp.moved_attempt a ON a.old = s.attempt_id
                JOIN temp.moved_origin o ON o.old = s.provenance_id WHERE TRUE",
         values: &[
@@ -115,20 +116,20 @@ const COPIED: [Copied; 10] = [
     },
     Copied {
         table: "motion",
-        from: "source.motion s JOIN temp.moved_job m ON m.old = s.job_id WHERE TRUE",
+        from: "temp.moved_job m CROSS JOIN source.motion s ON s.job_id = m.old WHERE TRUE",
         values: &[JOB],
         rest: " ORDER BY m.new",
     },
     Copied {
         table: "divergence",
-        from: "source.divergence s JOIN temp.moved_job m ON m.old = s.job_id
+        from: "temp.moved_job m CROSS JOIN source.divergence s ON s.job_id = m.old
                JOIN temp.moved_origin o ON o.old = s.provenance_id WHERE TRUE",
         values: &[("id", "NULL"), JOB, ("provenance_id", "o.new")],
         rest: " ORDER BY s.id",
     },
     Copied {
         table: "failure",
-        from: "source.failure s JOIN temp.moved_job m ON m.old = s.job_id
+        from: "temp.moved_job m CROSS JOIN source.failure s ON s.job_id = m.old
                JOIN temp.moved_attempt a ON a.old = s.attempt_id WHERE TRUE",
         values: &[
             JOB,
@@ -141,7 +142,8 @@ const COPIED: [Copied; 10] = [
     },
     Copied {
         table: "artifact",
-        from: "source.artifact s JOIN temp.moved_attempt a ON a.old = s.attempt_id WHERE TRUE",
+        from: "temp.moved_attempt a CROSS JOIN source.artifact s ON s.attempt_id = a.old
+               WHERE TRUE",
         values: &[
             ("attempt_id", "a.new"),
             // What comes after the last slash is the file's own name.
@@ -162,6 +164,10 @@ const COPIED: [Copied; 10] = [
     },
 ];
 
+/// Tables of a campaign rather than of its jobs. The rows of one are to be there before the
+/// first job.
+const OF_CAMPAIGN: [&str; 2] = ["campaign_task", "worker"];
+
 /// The campaign itself, which all of them refer to.
 const CAMPAIGN_ROW: Copied = Copied {
     table: "campaign",
@@ -179,14 +185,18 @@ const CAMPAIGN_ROW: Copied = Copied {
 
 /// Tables that stay behind. A policy's health and what is to be removed are this
 /// coordinator's own; a campaign that follows from another says so in its
-/// specification.
+/// specification; triggers count the rows that are copied.
 #[cfg(test)]
-const LEFT: [&str; 5] = [
+const LEFT: [&str; 9] = [
     "_sqlx_migrations",
     "policy",
     "removal",
     "former_name",
     "derivation",
+    "passage",
+    "tally",
+    "origin_tally",
+    "ending_tally",
 ];
 
 /// Copies a campaign from the schema `source`. Leases end without a charge: their
@@ -198,6 +208,106 @@ pub(crate) async fn copy(
     now: UnixMillis,
 ) -> Result<CampaignId, StoreError> {
     begin(tx, old).await?;
+    let new = copy_row(tx, old, called, now).await?;
+    run(
+        tx,
+        "INSERT INTO temp.moved_job
+         SELECT id, (SELECT seq FROM main.sqlite_sequence WHERE name = 'job')
+             + row_number() OVER (ORDER BY unit_order)
+         FROM source.job WHERE campaign_id = (SELECT old FROM temp.moved)",
+    )
+    .await?;
+    rows(tx, new, |_| true).await?;
+    end(tx).await?;
+    Ok(new)
+}
+
+/// As [`copy`], without what belongs to the campaign: [`copy_piece`] adds that, and
+/// [`copy_rest`].
+pub(crate) async fn copy_without_jobs(
+    tx: &mut SqliteConnection,
+    old: CampaignId,
+    called: &Called,
+    now: UnixMillis,
+) -> Result<CampaignId, StoreError> {
+    begin(tx, old).await?;
+    let new = copy_row(tx, old, called, now).await?;
+    rows(tx, new, |table| OF_CAMPAIGN.contains(&table)).await?;
+    end(tx).await?;
+    Ok(new)
+}
+
+/// Copies some jobs with everything that belongs to them, and numbers them in this order behind
+/// all jobs that ever were here.
+pub(crate) async fn copy_piece(
+    tx: &mut SqliteConnection,
+    (campaign, old): (CampaignId, CampaignId),
+    folder: &str,
+    jobs: &[JobId],
+) -> Result<(), StoreError> {
+    begin(tx, old).await?;
+    sqlx::query("UPDATE temp.moved SET new = ?, folder = ?")
+        .bind(campaign)
+        .bind(folder)
+        .execute(&mut *tx)
+        .await
+        .doing("copy a campaign")?;
+    sqlx::query(
+        "INSERT INTO temp.moved_job
+         SELECT value, (SELECT seq FROM main.sqlite_sequence WHERE name = 'job')
+             + row_number() OVER (ORDER BY key) FROM json_each(?)",
+    )
+    .bind(super::json(jobs))
+    .execute(&mut *tx)
+    .await
+    .doing("copy a campaign")?;
+    let is_of_jobs = |table: &str| !OF_CAMPAIGN.contains(&table) && table != "stop";
+    rows(tx, campaign, is_of_jobs).await?;
+    end(tx).await
+}
+
+/// The jobs of a campaign in paired-unit order.
+pub(crate) async fn jobs(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+) -> Result<Vec<JobId>, StoreError> {
+    sqlx::query_scalar("SELECT id FROM job WHERE campaign_id = ? ORDER BY unit_order")
+        .bind(campaign)
+        .fetch_all(tx)
+        .await
+        .doing("list the jobs of a campaign that is copied")
+}
+
+/// Copies what is left once all jobs are here: whether it has stopped early, and its state.
+pub(crate) async fn copy_rest(
+    tx: &mut SqliteConnection,
+    (campaign, old): (CampaignId, CampaignId),
+) -> Result<(), StoreError> {
+    begin(tx, old).await?;
+    sqlx::query("UPDATE temp.moved SET new = ?")
+        .bind(campaign)
+        .execute(&mut *tx)
+        .await
+        .doing("copy a campaign")?;
+    rows(tx, campaign, |table| table == "stop").await?;
+    run(
+        tx,
+        "UPDATE main.campaign SET (state, state_since_ms, created_ms) =
+             (SELECT s.state, s.state_since_ms, s.created_ms FROM source.campaign s
+              JOIN temp.moved m ON m.old = s.id)
+         WHERE id = (SELECT new FROM temp.moved)",
+    )
+    .await?;
+    end(tx).await
+}
+
+/// Copies the row of a campaign, whose policy is found or stored.
+async fn copy_row(
+    tx: &mut SqliteConnection,
+    old: CampaignId,
+    called: &Called,
+    now: UnixMillis,
+) -> Result<CampaignId, StoreError> {
     let (endpoint, policy): (String, String) = sqlx::query_as(
         "SELECT p.endpoint, p.name FROM source.campaign c
          JOIN source.policy p ON p.id = c.policy_id WHERE c.id = ?",
@@ -228,16 +338,6 @@ pub(crate) async fn copy(
         .execute(&mut *tx)
         .await
         .doing("copy a campaign")?;
-    // Behind all jobs that ever were here.
-    run(
-        tx,
-        "INSERT INTO temp.moved_job
-         SELECT id, (SELECT seq FROM main.sqlite_sequence WHERE name = 'job')
-             + row_number() OVER (ORDER BY unit_order)
-         FROM source.job WHERE campaign_id = (SELECT old FROM temp.moved)",
-    )
-    .await?;
-    rows(tx, new).await?;
     Ok(new)
 }
 
@@ -273,7 +373,8 @@ pub(crate) async fn replace(
         "DELETE FROM main.job WHERE id IN (SELECT new FROM temp.moved_job)",
     )
     .await?;
-    rows(tx, campaign).await
+    rows(tx, campaign, |_| true).await?;
+    end(tx).await
 }
 
 async fn begin(tx: &mut SqliteConnection, old: CampaignId) -> Result<(), StoreError> {
@@ -294,10 +395,24 @@ async fn begin(tx: &mut SqliteConnection, old: CampaignId) -> Result<(), StoreEr
         .map(drop)
 }
 
-/// Copies the chosen jobs with everything that belongs to them.
-async fn rows(tx: &mut SqliteConnection, campaign: CampaignId) -> Result<(), StoreError> {
+async fn end(tx: &mut SqliteConnection) -> Result<(), StoreError> {
+    run(
+        tx,
+        "DROP TABLE temp.moved; DROP TABLE temp.moved_job; DROP TABLE temp.moved_attempt;
+         DROP TABLE temp.moved_origin",
+    )
+    .await
+}
+
+/// Copies the chosen jobs with everything that belongs to them, as far as it is in the tables
+/// that are wanted.
+async fn rows(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+    is_wanted: impl Fn(&str) -> bool,
+) -> Result<(), StoreError> {
     name_attempts(tx).await?;
-    for copied in &COPIED {
+    for copied in COPIED.iter().filter(|it| is_wanted(it.table)) {
         let statement = copied.statement(tx).await?;
         run(tx, &statement).await?;
         match copied.table {
@@ -306,13 +421,7 @@ async fn rows(tx: &mut SqliteConnection, campaign: CampaignId) -> Result<(), Sto
             _ => {}
         }
     }
-    end_leases(tx).await?;
-    run(
-        tx,
-        "DROP TABLE temp.moved; DROP TABLE temp.moved_job; DROP TABLE temp.moved_attempt;
-         DROP TABLE temp.moved_origin",
-    )
-    .await
+    end_leases(tx).await
 }
 
 /// An attempt gets another id only if one of its own is here: then this is a copy
@@ -375,7 +484,7 @@ async fn end_leases(tx: &mut SqliteConnection) -> Result<(), StoreError> {
         "INSERT INTO main.failure (attempt_id, job_id, attempt, worker_id, failed_ms, reason,
              charged, error)
          SELECT a.new, m.new, s.attempt, s.lease_owner, s.leased_ms, 'draining', 0, ?
-         FROM source.job s JOIN temp.moved_job m ON m.old = s.id
+         FROM temp.moved_job m CROSS JOIN source.job s ON s.id = m.old
          JOIN temp.moved_attempt a ON a.old = s.attempt_id
          WHERE s.state = 'leased' ORDER BY m.new",
     )
@@ -424,11 +533,15 @@ async fn run(tx: &mut SqliteConnection, statements: &str) -> Result<(), StoreErr
         .map(drop)
 }
 
-/// Takes away what differs between two databases of one content: when they were made.
+/// Takes away what differs between two databases of one content: when they were made, and
+/// what the counts of them went through.
 pub(crate) async fn forget_when(tx: &mut SqliteConnection) -> Result<(), StoreError> {
     run(
         tx,
-        "UPDATE _sqlx_migrations SET installed_on = '1970-01-01 00:00:00', execution_time = 0",
+        "UPDATE _sqlx_migrations SET installed_on = '1970-01-01 00:00:00', execution_time = 0;
+         UPDATE tally SET revision = 0;
+         DELETE FROM origin_tally WHERE results = 0;
+         DELETE FROM ending_tally WHERE attempts = 0",
     )
     .await
 }

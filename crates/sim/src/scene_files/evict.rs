@@ -100,7 +100,7 @@ impl SceneFolder {
         };
         let all = scenes.iter().filter_map(sections);
         all.flat_map(|sections| {
-            let names = names_of_textures(&sections).iter();
+            let names = names_of_textures(&sections).unwrap_or_default().iter();
             names.map(|name| text(name).to_owned()).collect::<Vec<_>>()
         })
         .collect()

@@ -1,9 +1,11 @@
 //! The folder of scene files: who may write there, what of it is trusted, and its locks.
 
-use std::fs::{self, DirBuilder, File, OpenOptions, Permissions};
+use std::fs::{self, DirBuilder, File, OpenOptions, Permissions, TryLockError};
 use std::io;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
+use std::thread;
+use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use rustix::fs::{OFlags, Timespec, Timestamps, UTIME_NOW, futimens};
@@ -15,6 +17,11 @@ use crate::render::{Prepared, PreparedBytes, digest_of_texture};
 
 /// Bytes of files that are kept unless `$ROLLOUT_SCENES_GIB` says otherwise.
 const LIMIT_GIB: u64 = 16;
+/// Longest wait for another process that compiles or writes a scene. Compiling takes seconds,
+/// and a worker takes a slot that says nothing for minutes for one that stands still.
+const PATIENCE: Duration = Duration::from_secs(60);
+/// How often a lock is tried.
+const POLL: Duration = Duration::from_millis(10);
 /// Rights of a file that is never written to again.
 const READ_ONLY: u32 = 0o444;
 /// Rights of others to write.
@@ -34,11 +41,11 @@ const MESHES: usize = 3;
 pub enum SceneFileError {
     /// A file or folder cannot be read or written.
     #[error(
-        "{doing} {} failed ({source}); choose another folder with ROLLOUT_SCENES, or none with \
-         ROLLOUT_SCENES=off", path.display()
+        "{doing} {}: choose another folder with ROLLOUT_SCENES, or none with ROLLOUT_SCENES=off",
+        path.display()
     )]
     File {
-        /// What was done to it.
+        /// What was to be done to it.
         doing: &'static str,
         /// Which one.
         path: PathBuf,
@@ -48,9 +55,9 @@ pub enum SceneFileError {
     },
     /// Somebody else could change the files.
     #[error(
-        "{} belongs to user {owner} and has mode {mode:o}; it must belong to this user or root, \
-         and nobody else may write to it: correct that, or choose another folder with \
-         ROLLOUT_SCENES", path.display()
+        "trust {} with scenes: user {owner} owns it and its mode is {mode:o}; it must belong to \
+         this user or root, and nobody else may write to it: correct that, or choose another \
+         folder with ROLLOUT_SCENES", path.display()
     )]
     Untrusted {
         /// The folder.
@@ -60,8 +67,16 @@ pub enum SceneFileError {
         /// Its rights.
         mode: u32,
     },
+    /// Another process has been writing for too long.
+    #[error("wait for {}: another process has held it for {secs} s", path.display())]
+    Busy {
+        /// The lock.
+        path: PathBuf,
+        /// How long was waited.
+        secs: u64,
+    },
     /// MuJoCo's arrays do not lie as this program assumes.
-    #[error("this build of MuJoCo lays its models out in another way")]
+    #[error("lay a model out in a file: its arrays do not lie in one buffer of MuJoCo's")]
     Layout,
 }
 
@@ -75,6 +90,8 @@ pub struct SceneFolder {
     pub(super) user: u32,
     /// See [`layout`].
     pub(super) layout: String,
+    /// How long to wait for another process.
+    pub(super) patience: Duration,
     /// Bytes after which the disk is full, in tests.
     #[cfg(test)]
     pub(super) room: std::sync::atomic::AtomicU64,
@@ -98,6 +115,7 @@ impl SceneFolder {
             limit: gib << 30,
             user: rustix::process::geteuid().as_raw(),
             layout: layout(),
+            patience: PATIENCE,
             #[cfg(test)]
             room: std::sync::atomic::AtomicU64::new(u64::MAX),
         }
@@ -116,7 +134,7 @@ impl SceneFolder {
             .recursive(true)
             .mode(0o700)
             .create(&self.dir);
-        made.map_err(|source| failure("making", &self.dir, source))?;
+        made.map_err(|source| failure("make", &self.dir, source))?;
         self.is_there().map(drop)
     }
 
@@ -132,7 +150,7 @@ impl SceneFolder {
         let Some(scene) = self.open(&path, name)? else {
             return Ok(None);
         };
-        let failed = |source| failure("reading", &path, source);
+        let failed = |source| failure("read", &path, source);
         // Held for as long as the scene is mapped. Without locks it may be removed
         // meanwhile, and stays mapped.
         let _ = scene.file.lock_shared();
@@ -145,15 +163,18 @@ impl SceneFolder {
         };
         let mut unchecked = vec![(scene.file, scene.checksum)];
         let mut stamps = scene.stamp;
+        let Some(names) = names_of_textures(&sections) else {
+            return Ok(None);
+        };
         let mut textures = Vec::new();
-        for texture in names_of_textures(&sections) {
+        for texture in names {
             let path = self.texture(text(texture));
             let Some(opened) = self.open(&path, texture)? else {
                 return Ok(None);
             };
             stamps += &opened.stamp;
             let mapped = container::map(&opened.file, None);
-            textures.push(mapped.map_err(|source| failure("reading", &path, source))?);
+            textures.push(mapped.map_err(|source| failure("read", &path, source))?);
             unchecked.push((opened.file, opened.checksum));
         }
         if !self.was_checked(name, &stamps) {
@@ -202,10 +223,11 @@ impl SceneFolder {
         sections.extend(meshes.iter().map(|mesh| vec![mesh.as_slice()]));
         self.write(&self.scene(text(name)), name, &sections)?;
         self.make_room(text(name))
-            .map_err(|source| failure("making room in", &self.dir, source))
+            .map_err(|source| failure("make room in", &self.dir, source))
     }
 
-    /// Waits for a lock of this name; dropping the file releases it.
+    /// Waits for a lock of this name, but not for a process that stands still; dropping the
+    /// file releases it.
     pub(super) fn lock(&self, name: &str) -> Result<File, SceneFileError> {
         self.check()?;
         let path = self.dir.join(name);
@@ -216,11 +238,26 @@ impl SceneFolder {
             .mode(0o600)
             .custom_flags(no_links())
             .open(&path)
-            .map_err(|source| failure("writing", &path, source))?;
-        // A file system without locks has no scene files that are removed while others read
-        // them, since removing takes a lock; and two that write one scene write the same.
-        let _ = file.lock();
-        Ok(file)
+            .map_err(|source| failure("write", &path, source))?;
+        let begun = Instant::now();
+        loop {
+            match file.try_lock() {
+                Ok(()) => return Ok(file),
+                // A file system without locks has no scene files that are removed while others
+                // read them, since removing takes a lock; and two that write one scene write
+                // the same.
+                Err(TryLockError::Error(_)) => return Ok(file),
+                Err(TryLockError::WouldBlock) if begun.elapsed() < self.patience => {
+                    thread::sleep(POLL);
+                }
+                Err(TryLockError::WouldBlock) => {
+                    return Err(SceneFileError::Busy {
+                        path,
+                        secs: self.patience.as_secs(),
+                    });
+                }
+            }
+        }
     }
 
     pub(super) fn scene(&self, name: &str) -> PathBuf {
@@ -236,7 +273,7 @@ impl SceneFolder {
         let facts = match fs::metadata(&self.dir) {
             Ok(facts) => facts,
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
-            Err(error) => return Err(failure("reading", &self.dir, error)),
+            Err(error) => return Err(failure("read", &self.dir, error)),
         };
         match self.trusts(&facts) {
             true => Ok(true),
@@ -261,9 +298,9 @@ impl SceneFolder {
         let file = match options {
             Ok(file) => file,
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
-            Err(error) => return Err(failure("reading", path, error)),
+            Err(error) => return Err(failure("read", path, error)),
         };
-        let failed = |source| failure("reading", path, source);
+        let failed = |source| failure("read", path, source);
         let facts = file.metadata().map_err(failed)?;
         if !(facts.is_file() && self.trusts(&facts)) {
             return Ok(None);
@@ -289,7 +326,7 @@ impl SceneFolder {
         let Some(Opened { file, checksum, .. }) = self.open(path, name)? else {
             return Ok(false);
         };
-        container::has_checksum(&file, checksum).map_err(|source| failure("reading", path, source))
+        container::has_checksum(&file, checksum).map_err(|source| failure("read", path, source))
     }
 
     /// Writes a file aside, and gives it its name and rights once it is on the disk.
@@ -319,7 +356,7 @@ impl SceneFolder {
                 .set_permissions(Permissions::from_mode(READ_ONLY))?;
             aside.persist(path).map_err(|error| error.error).map(drop)
         })();
-        written.map_err(|source| failure("writing", path, source))
+        written.map_err(|source| failure("write", path, source))
     }
 
     /// Returns true if these files, as they are now, were checked since this machine started;
@@ -372,10 +409,12 @@ impl SceneFolder {
     }
 }
 
-/// Names of the textures of a scene, of its sections.
-pub(super) fn names_of_textures(sections: &[Bytes]) -> &[Name] {
-    let names = sections.get(TEXTURES).map_or(&[][..], |names| names);
-    names.as_chunks().0
+/// Names of the textures of a scene, of its sections; none if they are not names.
+pub(super) fn names_of_textures(sections: &[Bytes]) -> Option<&[Name]> {
+    let digits = sections.get(TEXTURES)?;
+    let (names, rest) = digits.as_chunks();
+    let are_names = rest.is_empty() && digits.iter().all(u8::is_ascii_hexdigit);
+    are_names.then_some(names)
 }
 
 /// Makes a scene of mapped sections; none if they are of no scene.

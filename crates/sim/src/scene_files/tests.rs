@@ -7,6 +7,7 @@ use std::os::unix::fs::{PermissionsExt, chown};
 use std::path::{Path, PathBuf};
 use std::sync::Barrier;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::time::Duration;
 
 use tempfile::TempDir;
 
@@ -197,6 +198,19 @@ fn writers_that_begin_together_compile_once() {
 }
 
 #[test]
+fn a_writer_that_stands_still_is_not_waited_for() {
+    let mut fixture = Fixture::new();
+    fixture.folder.patience = Duration::from_millis(30);
+    let lock = fixture.folder.lock(&format!("{}.lock", text(&NAME)));
+    let lock = lock.expect("a lock");
+    assert_eq!(fixture.obtain(), (true, false));
+    let said = SceneFolder::take_problem().expect("a problem");
+    assert!(said.contains("another process has held"), "{said}");
+    drop(lock);
+    assert_eq!(fixture.obtain(), (true, true));
+}
+
+#[test]
 fn a_disk_that_is_full_at_any_point_leaves_nothing_half() {
     let fixture = Fixture::new();
     let mut full_at = 0;
@@ -254,8 +268,8 @@ fn a_file_that_is_cut_or_changed_is_compiled_anew() {
                 file.display()
             );
         }
-        for at in [0, 17, 50, 70, 90, length / 2, length - 1] {
-            tamper(&file, |bytes| bytes[at] ^= 1);
+        for at in [0, 17, 50, 70, 90, 200, length / 2, length - 1] {
+            tamper(&file, |bytes| bytes[at] ^= 0x81);
             assert_eq!(fixture.obtain(), (true, true), "{at} in {}", file.display());
         }
         fs::remove_file(&file).expect("removed");
@@ -285,10 +299,7 @@ fn a_folder_that_cannot_be_made_costs_memory_and_is_said() {
     fixture.folder.dir = "/proc/rollout-scenes".into();
     assert_eq!(fixture.obtain(), (true, false));
     let error = fixture.folder.check().expect_err("no folder").to_string();
-    assert!(
-        error.starts_with("making /proc/rollout-scenes failed"),
-        "{error}"
-    );
+    assert!(error.starts_with("make /proc/rollout-scenes: "), "{error}");
 }
 
 #[test]
@@ -299,7 +310,7 @@ fn a_folder_that_others_own_or_may_write_to_is_not_used() {
     fs::set_permissions(&dir, Permissions::from_mode(0o777)).expect("rights");
     assert_eq!(fixture.obtain(), (true, false));
     let error = fixture.folder.check().expect_err("writable").to_string();
-    assert!(error.contains("has mode 777"), "{error}");
+    assert!(error.contains("its mode is 777"), "{error}");
     fs::set_permissions(&dir, Permissions::from_mode(0o700)).expect("rights");
     assert_eq!(fixture.obtain(), (false, true));
     match fixture.folder.user {
@@ -308,7 +319,10 @@ fn a_folder_that_others_own_or_may_write_to_is_not_used() {
     }
     assert_eq!(fixture.obtain(), (true, false));
     let error = fixture.folder.check().expect_err("another's").to_string();
-    assert!(error.contains("belongs to user"), "{error}");
+    assert!(
+        error.contains("user ") && error.contains("owns it"),
+        "{error}"
+    );
 }
 
 #[test]

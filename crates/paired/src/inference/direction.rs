@@ -1,0 +1,111 @@
+//! Whether success depends on the direction: all tasks share configuration c's direction,
+//! so that ten directions, not four hundred, stand for all others.
+
+use std::collections::BTreeMap;
+
+use protocol::TaskRef;
+use rand_chacha::ChaCha12Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use serde::{Deserialize, Serialize};
+
+use crate::bootstrap::Bootstrap;
+use crate::inference::sample::Directions;
+use crate::outcomes::Matched;
+
+/// Permutations that are drawn; the smallest p-value is 1 / (this + 1).
+const PERMUTATIONS: u32 = 3999;
+
+/// Simultaneous success by direction.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct DirectionTest {
+    /// Simultaneous success under each direction, over all tasks.
+    pub rates: BTreeMap<u16, f64>,
+    /// p-value of all directions being alike: the share of permutations of outcomes within
+    /// tasks that spread the directions' rates at least as far.
+    pub p: f64,
+}
+
+impl DirectionTest {
+    /// The permutation form of Cochran's Q: the statistic is Σ_c n_c (s̄_c − s̄)², and
+    /// outcomes are permuted within each task, which leaves tasks as hard as they are. The
+    /// seed is fixed. None with fewer than two directions or tasks, or where directions
+    /// are not shared.
+    ///
+    /// Source: W. G. Cochran, The comparison of percentages in matched samples, Biometrika
+    /// 37 (1950), 256–266.
+    pub(crate) fn of(matched: &[Matched], directions: Directions) -> Option<Self> {
+        if directions == Directions::Own {
+            return None;
+        }
+        let mut tasks: BTreeMap<TaskRef, Vec<(u16, bool)>> = BTreeMap::new();
+        for matched in matched {
+            if let Some(success) = matched.simultaneous.success() {
+                let of_task = tasks.entry(matched.task).or_default();
+                of_task.push((matched.config, success));
+            }
+        }
+        let mut numbers: Vec<u16> = tasks.values().flatten().map(|(c, _)| *c).collect();
+        numbers.sort_unstable();
+        numbers.dedup();
+        if numbers.len() < 2 || tasks.len() < 2 {
+            return None;
+        }
+        let place = |number: u16| numbers.binary_search(&number).expect("one of the numbers");
+        let mut tasks: Vec<(Vec<usize>, Vec<bool>)> = tasks
+            .into_values()
+            .map(|it| {
+                it.into_iter()
+                    .map(|(c, success)| (place(c), success))
+                    .unzip()
+            })
+            .collect();
+        let mut sizes = vec![0.0; numbers.len()];
+        for (places, _) in &tasks {
+            places.iter().for_each(|&at| sizes[at] += 1.0);
+        }
+        let successes = |tasks: &[(Vec<usize>, Vec<bool>)]| {
+            let mut successes = vec![0.0; sizes.len()];
+            for (places, outcomes) in tasks {
+                for (&at, &success) in places.iter().zip(outcomes) {
+                    successes[at] += f64::from(u8::from(success));
+                }
+            }
+            successes
+        };
+        let spread = |successes: &[f64]| -> f64 {
+            let squares = successes.iter().zip(&sizes);
+            squares.map(|(sum, n)| sum * sum / n).sum()
+        };
+        let observed = successes(&tasks);
+        let rates = observed.iter().zip(&sizes).map(|(sum, n)| sum / n);
+        let rates = numbers.iter().copied().zip(rates).collect();
+        let least = spread(&observed) - 1e-9;
+        let mut rng = ChaCha12Rng::seed_from_u64(Bootstrap::default().seed);
+        let mut as_far = 0_u32;
+        for _ in 0..PERMUTATIONS {
+            for (_, outcomes) in &mut tasks {
+                shuffle(outcomes, &mut rng);
+            }
+            as_far += u32::from(spread(&successes(&tasks)) >= least);
+        }
+        let p = f64::from(as_far + 1) / f64::from(PERMUTATIONS + 1);
+        Some(Self { rates, p })
+    }
+
+    /// The lowest and the highest rate.
+    pub fn range(&self) -> [f64; 2] {
+        let rates = self.rates.values().copied();
+        [
+            rates.clone().fold(f64::INFINITY, f64::min),
+            rates.fold(f64::NEG_INFINITY, f64::max),
+        ]
+    }
+}
+
+/// Fisher and Yates' shuffle.
+fn shuffle(outcomes: &mut [bool], rng: &mut ChaCha12Rng) {
+    for last in (1..outcomes.len()).rev() {
+        let wide = u64::from(rng.next_u32()) * (last as u64 + 1);
+        outcomes.swap(last, (wide >> 32) as usize);
+    }
+}

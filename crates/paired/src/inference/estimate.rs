@@ -1,0 +1,135 @@
+//! A figure with an interval for each target of inference.
+
+use serde::{Deserialize, Serialize};
+
+use crate::bootstrap::Interval;
+use crate::inference::sample::{Sample, Variance};
+use crate::inference::student_t::{two_sided_quantile, two_sided_tail};
+
+/// Fewest tasks that give an interval by Student's t. The command
+/// `cargo run --release -p paired --example coverage` prints how often intervals of so
+/// many tasks hold the truth.
+pub const FEWEST_TASKS: usize = 5;
+
+/// Error probability of an interval.
+const ALPHA: f64 = 0.05;
+/// Variances up to this are rounding errors of equal values.
+const NO_VARIANCE: f64 = 1e-24;
+
+/// A figure, a fraction, and its 95 % intervals, one for each population that it can be
+/// about. Each is absent where the data do not allow it: fewer than [`FEWEST_TASKS`]
+/// tasks, a task with one configuration, or no spread at all.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Estimate {
+    /// The figure.
+    pub value: f64,
+    /// About these tasks and these directions: what other initial states and the chance
+    /// of rollouts would change.
+    pub these_tasks: Option<Interval>,
+    /// About new tasks of the same suites under these directions.
+    pub new_tasks: Option<Interval>,
+    /// About new tasks of the same suites and new directions.
+    pub new_tasks_and_directions: Option<Interval>,
+    /// Standard error for new tasks; absent as their interval.
+    pub standard_error: Option<f64>,
+    /// Degrees of freedom of it.
+    pub df: Option<f64>,
+}
+
+/// How an interval is made of a figure and its variance.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Scale {
+    /// A share, by Wilson's score interval of as many independent outcomes as have this
+    /// variance.
+    Share,
+    /// A difference, ± t standard errors.
+    Difference,
+}
+
+impl Estimate {
+    /// A statistic of some rows, a function of their sums; none where it is undefined.
+    pub(crate) fn of(
+        sample: &Sample<'_>,
+        scale: Scale,
+        statistic: &dyn Fn(&[f64]) -> f64,
+    ) -> Option<Self> {
+        let value = statistic(sample.sums());
+        if !value.is_finite() {
+            return None;
+        }
+        let variances = sample.variances(statistic);
+        let enough = sample.tasks() >= FEWEST_TASKS;
+        let task_wide = |variance: Option<Variance>| variance.filter(|_| enough);
+        let interval = |variance: Option<Variance>, units: usize| {
+            let variance = variance?;
+            match scale {
+                Scale::Share => wilson(value, variance, units as f64),
+                Scale::Difference => around(value, variance),
+            }
+        };
+        let tasks = task_wide(variances.new_tasks);
+        let spread = tasks.filter(|variance| variance.value > NO_VARIANCE);
+        Some(Self {
+            value,
+            these_tasks: interval(variances.these_tasks, sample.rows()),
+            new_tasks: interval(tasks, sample.tasks()),
+            new_tasks_and_directions: interval(
+                task_wide(variances.new_tasks_and_directions),
+                sample.tasks(),
+            ),
+            standard_error: spread.map(|variance| variance.value.sqrt()),
+            df: spread.map(|variance| variance.df),
+        })
+    }
+
+    /// Two-sided p-value, for new tasks, of the figure being 0; absent without a standard
+    /// error.
+    pub fn p(&self) -> Option<f64> {
+        let (error, df) = (self.standard_error?, self.df?);
+        Some(two_sided_tail(self.value / error, df))
+    }
+}
+
+/// value ± t·√V; none without spread.
+fn around(
+    value: f64,
+    Variance {
+        value: variance,
+        df,
+    }: Variance,
+) -> Option<Interval> {
+    if variance <= NO_VARIANCE {
+        return None;
+    }
+    let half = two_sided_quantile(ALPHA, df) * variance.sqrt();
+    Some([(value - half).max(-1.0), (value + half).min(1.0)])
+}
+
+/// Wilson's score interval of a share with the effective number of outcomes
+/// n = p(1 − p)/V and Student's quantile. A share of 0 or 1 has no variance; it counts as
+/// one outcome of each of `units`.
+///
+/// Sources: E. B. Wilson, Journal of the American Statistical Association 22 (1927),
+/// 209–212; effective numbers under clustering: E. L. Korn and B. I. Graubard, Survey
+/// Methodology 24 (1998), 193–201.
+fn wilson(
+    p: f64,
+    Variance {
+        value: variance,
+        df,
+    }: Variance,
+    units: f64,
+) -> Option<Interval> {
+    let t2 = two_sided_quantile(ALPHA, df).powi(2);
+    let is_extreme = p <= 0.0 || p >= 1.0;
+    if variance <= NO_VARIANCE && !is_extreme {
+        return None;
+    }
+    let n = match is_extreme {
+        true => units,
+        false => p * (1.0 - p) / variance,
+    };
+    let centre = (p + t2 / (2.0 * n)) / (1.0 + t2 / n);
+    let half = (t2 * (p * (1.0 - p) / n + t2 / (4.0 * n * n))).sqrt() / (1.0 + t2 / n);
+    Some([(centre - half).max(0.0), (centre + half).min(1.0)])
+}

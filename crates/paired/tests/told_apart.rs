@@ -1,0 +1,59 @@
+//! A policy of coins, one with a planted interaction and one with planted directions are
+//! told apart by the sentences of their reports.
+
+use std::collections::BTreeSet;
+
+use paired::{Bootstrap, FindingKind, Options, report};
+
+// The coverage command uses the rest.
+#[allow(dead_code)]
+mod simulated;
+
+use simulated::{Chance, Planted};
+
+const CAMPAIGNS: u64 = 100;
+
+/// Of a hundred campaigns, those whose sentences about simultaneity and directions claim
+/// what was planted and nothing else.
+fn right(planted: Planted, expected: &[(FindingKind, &str)]) -> usize {
+    let options = Options {
+        // The paper's intervals are in no sentence.
+        bootstrap: Bootstrap {
+            replicates: 2,
+            ..Bootstrap::default()
+        },
+        ..Options::default()
+    };
+    let is_right = |seed: &u64| {
+        let records = planted.campaign(&mut Chance::new(*seed));
+        let report = report(&records, &options).expect("each rollout once");
+        let about = |kind| matches!(kind, FindingKind::Simultaneity | FindingKind::Directions);
+        let said = report.findings.iter();
+        let said: Vec<_> = said.filter(|it| it.claims && about(it.kind)).collect();
+        let kinds: BTreeSet<_> = said.iter().map(|it| it.kind).collect();
+        kinds == expected.iter().map(|(kind, _)| *kind).collect()
+            && said.iter().all(|finding| {
+                let words = expected.iter().filter(|(kind, _)| *kind == finding.kind);
+                words
+                    .into_iter()
+                    .all(|(_, words)| finding.sentence.contains(words))
+                    && !finding.sentence.contains("compensated")
+            })
+    };
+    (0..CAMPAIGNS).filter(is_right).count()
+}
+
+#[test]
+fn coins_an_interaction_and_directions_are_told_apart_by_their_sentences() {
+    let emerge = (FindingKind::Simultaneity, "failures emerge beyond chance");
+    let depends = (FindingKind::Directions, "success depends on the direction");
+    for (planted, name, expected) in [
+        (Planted::Coins, "coins", &[][..]),
+        (Planted::Interaction, "interaction", &[emerge]),
+        (Planted::Directions, "directions", &[depends]),
+    ] {
+        let right = right(planted, expected);
+        println!("{name}: {right} of {CAMPAIGNS}");
+        assert!(right >= 95, "{name}: {right} of {CAMPAIGNS}");
+    }
+}

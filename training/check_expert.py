@@ -1,0 +1,116 @@
+"""How often the expert ends a task although something else drives for stretches of it.
+
+    python -m training.check_expert --driver stranger --states 10
+
+In each rollout the expert drives, and every now and then something else does: ``pushes`` add
+a push to its actions, a ``stranger`` stands still, wanders, or takes the expert's actions of a
+second ago, with a gripper of its own. The expert begins at the benchmark's released states and
+has twice the benchmark's steps. Nothing is drawn.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from collections import deque
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import rollout_libero
+from gymnasium.vector import AutoresetMode
+
+from training.wordings import TASK_NAMES
+
+STRETCH = (5, 40)
+"""Least and most steps that something else drives."""
+BETWEEN = (20, 80)
+"""Least and most steps that the expert drives before each."""
+STRETCHES = 3
+"""Of a rollout. What is dropped while something else drives may be out of reach for good."""
+DELAY = 20
+"""Steps by which a stranger is late, one control step being 50 ms."""
+WANDERING = np.array([0.5, 0.5, 0.5, 0.1, 0.1, 0.1])
+"""Largest action of a stranger that wanders, and a third of a push. Turned much further, the
+arm ends at the limits of its joints, from where no policy that commands the hand comes back."""
+LATE, STILL, WANDERS = range(3)
+
+
+def rollout(name: str, state: int, arguments: argparse.Namespace) -> tuple[bool, int]:
+    """Whether one rollout succeeds, and after how many steps."""
+    disturbed = arguments.driver != "none"
+    env = rollout_libero.VectorEnvironment(
+        name,
+        1,
+        arguments.assets,
+        threads=1,
+        cameras=(),
+        init_states="cycle",
+        max_steps=(1 + disturbed) * rollout_libero.Task.of(name).max_steps,
+        autoreset_mode=AutoresetMode.DISABLED,
+    )
+    env.reset(seed=state)
+    rng = np.random.default_rng([arguments.seed, TASK_NAMES.index(name), state])
+    late = deque([np.zeros(7)] * DELAY, maxlen=DELAY)
+    strange, left, steps, turns = False, int(rng.integers(*BETWEEN)), 0, 0
+    drives, wander, gripper = STILL, np.zeros(6), -1.0
+    while True:
+        if left == 0 and disturbed and turns < 2 * STRETCHES:
+            strange, turns = not strange, turns + 1
+            left = int(rng.integers(*(STRETCH if strange else BETWEEN)))
+            drives, gripper = int(rng.integers(3)), float(rng.choice([-1.0, 1.0]))
+            wander = rng.uniform(-1.0, 1.0, 6) * WANDERING
+        left -= 1
+        action, expert = np.zeros(7), True
+        if strange and arguments.driver == "pushes":
+            action[:6] = 3.0 * wander
+        elif strange:
+            own = {LATE: late[0][:6], STILL: np.zeros(6), WANDERS: wander}[drives]
+            action, expert = np.append(own, late[0][6] if drives == LATE else gripper), False
+        *_, terminated, truncated, info = env.step_chunk(
+            action[np.newaxis, np.newaxis], "none", expert=np.full((1, 1), expert)
+        )
+        late.append(info["expert_action"][0, 0])
+        steps += 1
+        if terminated[0] or truncated[0]:
+            env.close()
+            return bool(terminated[0]), steps
+
+
+def check(arguments: argparse.Namespace) -> None:
+    """Runs the rollouts on some threads and prints who succeeded."""
+    tasks = [it for it in TASK_NAMES if any(it.startswith(own) for own in arguments.tasks)]
+    states = range(arguments.first, arguments.first + arguments.states)
+    begun, solved = time.monotonic(), 0
+    with ThreadPoolExecutor(arguments.threads) as pool:
+        for name in tasks:
+            # One environment stays, so that the task's scene is compiled once.
+            kept = rollout_libero.VectorEnvironment(name, 1, arguments.assets, cameras=())
+            ended = list(pool.map(lambda state: rollout(name, state, arguments), states))
+            kept.close()
+            failed = [state for state, (success, _) in zip(states, ended, strict=True) if not success]
+            solved += len(ended) - len(failed)
+            median = int(np.median([steps for _, steps in ended]))
+            shown = f"   not {failed}" if failed else ""
+            print(
+                f"{name:18} {len(ended) - len(failed)}/{len(ended)}  median {median}{shown}",
+                flush=True,
+            )
+    total, seconds = len(tasks) * len(states), time.monotonic() - begun
+    print(f"{arguments.driver}: {solved} of {total} in {seconds:.0f} s")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--driver", choices=["none", "pushes", "stranger"], default="stranger")
+    parser.add_argument("--tasks", nargs="+", default=["libero"], help="beginnings of names")
+    parser.add_argument("--states", type=int, default=5, help="of each task")
+    parser.add_argument("--first", type=int, default=0, help="number of the first state")
+    parser.add_argument("--assets", help="a pack, or its folder")
+    parser.add_argument("--threads", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--seed", type=int, default=0)
+    check(parser.parse_args())
+
+
+if __name__ == "__main__":
+    main()

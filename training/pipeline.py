@@ -1,0 +1,161 @@
+"""Everything from the first frame to a student that is measured, in calls that go on.
+
+    python -m training.pipeline --data data --stage teach --minutes 9 --total-minutes 18
+    python -m training.pipeline --data data --stage teach --minutes 9 --total-minutes 18
+    python -m training.pipeline --data data --stage evaluate --minutes 4
+
+``teach`` has the processor's cores collect while the GPU trains. In the first round the expert
+drives, mostly disturbed; in each later one the student drives in turns with it, with its newest
+weights, and the tasks that it failed before get more environments. Frames of all rounds stay in
+training. A call ends by itself after ``--minutes``,
+and the next with the same words goes on; the learning rate falls over ``--total-minutes``, the
+training of all calls. The last call exports the weights.
+
+``evaluate`` measures the student on the benchmark's released states, which no stage has seen.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import torch
+
+from training.collect import OUTCOMES, read_outcomes
+from training.train import WEIGHTS
+
+LEAVE_SECONDS = 12.0
+"""Before a call's end, to write what is left."""
+THREADS = 16
+"""Of a collecting process: more wait for one another in the interpreter."""
+
+
+def python(module: str, *arguments: object) -> list[str]:
+    """A command of this package."""
+    return [sys.executable, "-u", "-m", f"training.{module}", *map(str, arguments)]
+
+
+def rounds(data: Path) -> list[Path]:
+    """The folders of the rounds so far, in order."""
+    return sorted(it for it in data.glob("round_*") if it.is_dir())
+
+
+def collectors(arguments: argparse.Namespace, seconds: float) -> list[subprocess.Popen[bytes]]:
+    """Begins a round with all cores."""
+    number = len({it.name.split("_")[1] for it in rounds(arguments.data)})
+    count = max(1, arguments.workers // THREADS)
+    begun = []
+    for at in range(count):
+        into = arguments.data / f"round_{number:02}_{at}"
+        into.mkdir(parents=True)
+        command = python(
+            "collect", "--into", into, "--seconds", seconds, "--assets", arguments.assets,
+            "--driver", "student" if number else "expert",
+            "--weights", arguments.data / "run" / WEIGHTS,
+            "--envs", arguments.envs // count, "--threads", max(1, arguments.workers // count),
+            "--perturbed", arguments.perturbed, "--seed", 1000 * number + at,
+        )  # fmt: skip
+        earlier = rounds(arguments.data)[:-1]
+        if any((folder / OUTCOMES).exists() for folder in earlier):
+            command += ["--failures", *map(str, earlier)]
+        log = (arguments.data / f"{into.name}.log").open("wb")
+        # The first GPU trains; a second one is the collectors'.
+        last = max(0, torch.cuda.device_count() - 1)
+        environment = os.environ | {"CUDA_VISIBLE_DEVICES": str(last)} if last else None
+        begun.append(
+            subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, env=environment)
+        )
+    return begun
+
+
+def teach(arguments: argparse.Namespace) -> None:
+    """Collects and trains side by side until this call is over."""
+    end = time.monotonic() + 60 * arguments.minutes - LEAVE_SECONDS
+    arguments.data.mkdir(parents=True, exist_ok=True)
+    # The trainer looks for shards in all rounds that there may be.
+    folders = [arguments.data / f"round_{at:02}_{process}" for at in range(40) for process in range(8)]
+    trainer = subprocess.Popen(
+        python(
+            "train", "--data", *folders, "--run", arguments.data / "run",
+            "--seconds", 60 * arguments.total_minutes, "--watch", "--name", arguments.name,
+            "--stop-after", end - time.monotonic(), "--batch", arguments.batch,
+            "--processes", min(8, arguments.workers), "--wordings", arguments.wordings,
+        )
+    )  # fmt: skip
+    running: list[subprocess.Popen[bytes]] = []
+    try:
+        while trainer.poll() is None and (left := end - time.monotonic()) > 20:
+            first = not rounds(arguments.data)
+            minutes = arguments.expert_minutes if first else arguments.round_minutes
+            seconds = min(60 * minutes, left)
+            running = collectors(arguments, seconds)
+            while any(it.poll() is None for it in running) and trainer.poll() is None:
+                time.sleep(1.0)
+            if trainer.poll() is None:
+                show_rounds(arguments.data)
+        trainer.wait()
+    finally:
+        for process in [trainer, *running]:
+            if process.poll() is None:
+                process.terminate()
+    show_rounds(arguments.data)
+    if trainer.returncode:
+        raise SystemExit(f"training ended with status {trainer.returncode}")
+
+
+def show_rounds(data: Path) -> None:
+    """Prints what each round brought: the last line of each collection, and its failures."""
+    for folder in rounds(data):
+        log = data / f"{folder.name}.log"
+        lines = [it for it in log.read_text().splitlines() if " steps (" in it]
+        print(f"{folder.name}: {lines[-1] if lines else log.read_text()[-500:]}", flush=True)
+    alone = read_outcomes(rounds(data)[-2:])
+    failing = sorted(alone.items(), key=lambda it: it[1][0] / it[1][1])[:12]
+    print("fails most: " + ", ".join(f"{name} {a}/{b}" for name, (a, b) in failing), flush=True)
+
+
+def evaluate(arguments: argparse.Namespace) -> None:
+    """Exports the weights and measures them."""
+    weights = arguments.into / f"{arguments.name}.safetensors"
+    subprocess.run(
+        python("export", "--run", arguments.data / "run", "--name", arguments.name,
+               "--into", weights, "--assets", arguments.assets,
+               "--reference", arguments.into / "queries.safetensors"),
+        check=True,
+    )  # fmt: skip
+    subprocess.run(
+        python("evaluate", "--weights", weights, "--states", "released",
+               "--episodes", arguments.episodes, "--threads", arguments.workers,
+               "--envs", arguments.envs, "--assets", arguments.assets,
+               "--seconds", 60 * arguments.minutes, "--table", arguments.into / "released.json"),
+        check=True,
+    )  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--stage", choices=["teach", "evaluate"], required=True)
+    parser.add_argument("--data", type=Path, required=True, help="folder of everything")
+    parser.add_argument("--into", type=Path, default=Path("."), help="folder for what is exported")
+    parser.add_argument("--minutes", type=float, required=True, help="of this call")
+    parser.add_argument("--total-minutes", type=float, default=18.0, help="of training, all calls")
+    parser.add_argument("--expert-minutes", type=float, default=3.0, help="of the first round")
+    parser.add_argument("--round-minutes", type=float, default=5.0, help="of a later one")
+    parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--envs", type=int, default=160, help="in all")
+    parser.add_argument("--perturbed", type=float, default=0.0, help="share of the episodes")
+    parser.add_argument("--episodes", type=int, default=10, help="of each task, in evaluate")
+    parser.add_argument("--batch", type=int, default=1024)
+    parser.add_argument("--wordings", type=int, default=4000, help="of each task")
+    parser.add_argument("--assets", default="libero", help="a pack, or its folder")
+    parser.add_argument("--name", default="student")
+    arguments = parser.parse_args()
+    {"teach": teach, "evaluate": evaluate}[arguments.stage](arguments)
+
+
+if __name__ == "__main__":
+    main()
