@@ -47,10 +47,12 @@ impl Candidates {
         let [left, low] = [drawing.window.x, drawing.window.y].map(|it| splat(it[0] * 4));
         let [right, high] = [drawing.window.x, drawing.window.y].map(|it| splat(it[1] * 4 + 3));
         let positions = &*drawing.positions;
+        let padded = count.next_multiple_of(LANES);
+        let places = order.map(|corner| &mesh.places[corner][first..first + padded]);
         for at in (0..count).step_by(LANES) {
             let mut ids = [[0; LANES]; 3];
-            for (ids, corner) in ids.iter_mut().zip(order) {
-                ids.copy_from_slice(&mesh.corners[corner][first + at..][..LANES]);
+            for (ids, places) in ids.iter_mut().zip(places) {
+                ids.copy_from_slice(&places[at..at + LANES]);
             }
             let corners = positions.corners(&ids);
             let mut left_out = 0;

@@ -6,6 +6,7 @@ use std::cell::RefCell;
 use crate::backdrop::{Backdrop, Start};
 use crate::error::DrawError;
 use crate::instance::{self, View};
+use crate::lanes::{f32x4, i32x4};
 use crate::light::EyeLight;
 use crate::model::Model;
 use crate::picture::{Pass, Picture, Workspace};
@@ -194,22 +195,29 @@ impl Canvas {
         let rows = window.rows(stride).zip(window.rows(width));
         for (from, to) in rows {
             let samples = &self.picture.samples[from];
-            let pixels = self.rgb[to.start * 3..to.end * 3].chunks_exact_mut(3);
+            let (pixels, _) = self.rgb[to.start * 3..to.end * 3].as_chunks_mut::<3>();
             for (samples, pixel) in samples.iter().zip(pixels) {
-                let [a, b, c, d] = *samples;
-                if a == b && a == c && a == d {
-                    pixel.copy_from_slice(&a.to_le_bytes()[..3]);
-                    continue;
-                }
-                let parts = samples.map(u32::to_le_bytes);
-                for (channel, to) in pixel.iter_mut().enumerate() {
-                    let [a, b, c, d] = parts.map(|part| f32::from(part[channel]) * (1.0 / 255.0));
-                    let mean = (((a + b) + c) + d) * 0.25;
-                    *to = (mean * 255.0).round_ties_even() as u8;
-                }
+                let first = samples[0];
+                let [r, g, b, _] = match *samples == [first; SAMPLES] {
+                    true => first.to_le_bytes(),
+                    false => mean(samples),
+                };
+                *pixel = [r, g, b];
             }
         }
     }
+}
+
+/// The mean of four samples, channel by channel.
+#[inline(always)]
+fn mean(samples: &[u32; SAMPLES]) -> [u8; 4] {
+    let [a, b, c, d] = samples.map(|sample| {
+        let parts = i32x4::new(sample.to_le_bytes().map(i32::from));
+        parts.round_float() * f32x4::splat(1.0 / 255.0)
+    });
+    let mean = (((a + b) + c) + d) * f32x4::splat(0.25);
+    let whole = (mean * f32x4::splat(255.0)).round_int();
+    whole.to_array().map(|part| part as u8)
 }
 
 pub(crate) fn check(

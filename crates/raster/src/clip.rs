@@ -5,23 +5,23 @@ use crate::instance::Instance;
 use crate::lanes::{F, LANES};
 use crate::matrix::Vec3;
 
-/// A corner that came out of cutting.
+/// A corner that came out of cutting, with the values that were cut along.
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct ClippedCorner {
+pub(crate) struct ClippedCorner<V> {
     /// Place in the picture, pixels, and depth.
     pub(crate) window: [f32; 3],
     pub(crate) over_w: f32,
     /// What was cut along, not divided by w.
-    pub(crate) values: Values,
+    pub(crate) values: V,
 }
 
 /// A piece of a triangle.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ClippedTriangle {
-    /// The whole one's place in its mesh, and where its cluster's positions
+    /// The whole one's place in its mesh, and where its cluster's vertices
     /// start.
     pub(crate) triangle: u32,
-    pub(crate) positions: u32,
+    pub(crate) vertices: u32,
     /// How it was cut, and which of the pieces it is.
     pub(crate) cut: Cut,
     pub(crate) piece: u32,
@@ -40,14 +40,31 @@ pub(crate) struct Cut {
 
 /// How much varies over a triangle.
 pub(crate) const VARYING: usize = LANES;
-/// What varies over it, as its corners have it, a lane each.
-pub(crate) type Values = F;
+
+/// What varies over a triangle, as a corner has it.
+pub(crate) trait Values: Copy + Default {
+    /// So far from one corner's towards another's.
+    fn toward(self, other: Self, share: f32) -> Self;
+}
+
+/// Only places are of interest.
+impl Values for () {
+    fn toward(self, (): Self, _: f32) -> Self {}
+}
+
+/// A lane for each number that varies.
+impl Values for F {
+    #[inline(always)]
+    fn toward(self, other: Self, share: f32) -> Self {
+        self + Self::splat(share) * (other - self)
+    }
+}
 
 /// A corner in clip space.
 #[derive(Clone, Copy, Default)]
-struct Corner {
+struct Corner<V> {
     pos: [f32; 4],
-    values: Values,
+    values: V,
     /// Of whole triangles' corners, which were not divided by w yet.
     fused: bool,
 }
@@ -68,16 +85,16 @@ const SIDE_PLANES: [[f32; 4]; SIDES - 1] = [
 const MOST_CORNERS: usize = 3 + SIDES + 2;
 
 /// What is left of a triangle.
-pub(crate) struct Polygon {
-    corners: [ClippedCorner; MOST_CORNERS],
+pub(crate) struct Polygon<V> {
+    corners: [ClippedCorner<V>; MOST_CORNERS],
     count: usize,
 }
 
-impl Polygon {
+impl<V: Values> Polygon<V> {
     /// Its pieces in the order in which they are drawn, each corner in the order in
     /// which the whole triangle's are. Pieces that have no place are left out.
-    pub(crate) fn pieces(&self) -> impl Iterator<Item = [ClippedCorner; 3]> {
-        let is_placed = |corners: &[ClippedCorner; 3]| {
+    pub(crate) fn pieces(&self) -> impl Iterator<Item = [ClippedCorner<V>; 3]> {
+        let is_placed = |corners: &[ClippedCorner<V>; 3]| {
             let mut places = corners.iter().flat_map(|it| it.window);
             places.all(f32::is_finite)
         };
@@ -88,12 +105,12 @@ impl Polygon {
 }
 
 /// Cuts a triangle, with what varies over it.
-pub(crate) fn clip(
+pub(crate) fn clip<V: Values>(
     instance: &Instance,
     corners: [Vec3; 3],
-    values: [Values; 3],
+    values: [V; 3],
     cut_at: &Cut,
-) -> Polygon {
+) -> Polygon<V> {
     let mut polygons = [[Corner::default(); MOST_CORNERS]; 2];
     let [polygon, other] = &mut polygons;
     let (mut polygon, mut other) = (polygon, other);
@@ -129,13 +146,17 @@ fn carried(instance: &Instance, [x, y, z]: Vec3) -> [f32; 4] {
 
 /// Cuts a convex polygon; returns how many corners the part on the inner side has,
 /// none if that cannot be told.
-fn cut(polygon: &[Corner], plane: [f32; 4], kept: &mut [Corner; MOST_CORNERS]) -> Option<usize> {
-    let distance = |it: &Corner| {
+fn cut<V: Values>(
+    polygon: &[Corner<V>],
+    plane: [f32; 4],
+    kept: &mut [Corner<V>; MOST_CORNERS],
+) -> Option<usize> {
+    let distance = |it: &Corner<V>| {
         let p = it.pos;
         p[0] * plane[0] + p[1] * plane[1] + p[2] * plane[2] + p[3] * plane[3]
     };
     let mut count = 0;
-    let mut keep = |corner: Corner| {
+    let mut keep = |corner: Corner<V>| {
         let room = kept.get_mut(count)?;
         *room = corner;
         count += 1;
@@ -169,18 +190,18 @@ fn cut(polygon: &[Corner], plane: [f32; 4], kept: &mut [Corner; MOST_CORNERS]) -
 }
 
 /// From one corner so far towards another.
-fn toward(from: &Corner, to: &Corner, share: f32) -> Corner {
+fn toward<V: Values>(from: &Corner<V>, to: &Corner<V>, share: f32) -> Corner<V> {
     let mix = |from: f32, to: f32| from + share * (to - from);
     Corner {
         pos: std::array::from_fn(|at| mix(from.pos[at], to.pos[at])),
-        values: from.values + F::splat(share) * (to.values - from.values),
+        values: from.values.toward(to.values, share),
         fused: false,
     }
 }
 
 /// Divides by w and carries into the picture. Mesa fuses the last operation for
 /// corners of whole triangles only.
-fn finish(it: &Corner, half: [f32; 2]) -> ClippedCorner {
+fn finish<V: Values>(it: &Corner<V>, half: [f32; 2]) -> ClippedCorner<V> {
     let over_w = 1.0 / it.pos[3];
     let place = |axis: usize| {
         let share = it.pos[axis] * over_w;

@@ -6,7 +6,6 @@ use crate::lanes::{F, Floats as _, I, Ints as _, LANES, Mask};
 use crate::positions::SUBPIXELS;
 use crate::setup::Setup;
 use crate::visible::{BLOCK, Layer, PART, Ranks, Record, SAMPLES, Visible};
-use crate::window::Window;
 
 /// Where the samples of two pixels side by side are, in lattice points from the
 /// first one's corner.
@@ -31,7 +30,7 @@ const MOST_PAIRS: i32 = 16;
 /// Fills one of the triangles that were set up.
 #[inline(always)]
 pub(crate) fn fill(lane: usize, setup: &Setup, record: Record, drawing: &mut Drawing<'_>) {
-    // Says that it is one, so that none of the reads is checked.
+    // The remainder is the lane itself; it spares a bounds check at each read.
     let lane = lane % LANES;
     let (x, y) = (setup.x.map(|end| end[lane]), setup.y.map(|end| end[lane]));
     let id = drawing.visible.records.len() as u32;
@@ -49,9 +48,8 @@ pub(crate) fn fill(lane: usize, setup: &Setup, record: Record, drawing: &mut Dra
         touched
     };
     if touched {
-        let visible = &mut *drawing.visible;
-        visible.records.push(record);
-        visible.touched = Window::around(visible.touched, Some(Window { x, y }));
+        drawing.visible.records.push(record);
+        drawing.touched.add(x, y);
     }
 }
 
@@ -291,6 +289,7 @@ fn fill_block<const INSIDE: bool>(
         records,
         clipped,
     };
+    let first_sample_x = real(first_x as f32) + off_x;
     let mut touched = false;
     for pixel_y in y[0]..y[1] + 1 {
         let mut edge = rows;
@@ -299,51 +298,48 @@ fn fill_block<const INSIDE: bool>(
         let pairs = (x[1] - first_x) as usize / 2 + 1;
         let depths = &mut depths[row..row + pairs * LANES];
         let ids = &mut ids[row..row + pairs * LANES];
-        let mut pixel_x = first_x as f32;
-        for (depths, ids) in depths
+        let mut sample_x = first_sample_x;
+        for (pair, (depths, ids)) in depths
             .chunks_exact_mut(LANES)
             .zip(ids.chunks_exact_mut(LANES))
+            .enumerate()
         {
             let inside = (edge[0] | edge[1] | edge[2]).ge(splat(0));
-            if INSIDE || inside.any() {
-                let sample_x = real(pixel_x) + off_x;
-                let z = depth_y.fused(sample_y, depth_x.fused(sample_x, depth));
-                let nearest = F::load(depths);
-                let mut seen = match INSIDE {
-                    true => z.ge(nearest),
-                    false => inside & z.ge(nearest),
-                };
-                if let Some(layers) = &mut drawing.layers {
-                    let samples = seen.bits();
-                    if samples != 0 {
-                        touched = true;
-                        layers.list.push(Layer {
-                            rank: ranks.of(&record),
-                            id,
-                            x: pixel_x as u16,
-                            y: pixel_y as u16,
-                            samples,
-                        });
-                    }
-                    edge = [0, 1, 2].map(|at| edge[at] + per_pair[at]);
-                    pixel_x += 2.0;
+            edge = [0, 1, 2].map(|at| edge[at] + per_pair[at]);
+            let z = depth_y.fused(sample_y, depth_x.fused(sample_x, depth));
+            sample_x += real(2.0);
+            let nearest = F::load(depths);
+            let mut seen = match INSIDE {
+                true => z.ge(nearest),
+                false => inside & z.ge(nearest),
+            };
+            if !seen.any() {
+                continue;
+            }
+            if let Some(layers) = &mut drawing.layers {
+                touched = true;
+                layers.list.push(Layer {
+                    rank: ranks.of(&record),
+                    id,
+                    x: (first_x + 2 * pair as i32) as u16,
+                    y: pixel_y as u16,
+                    samples: seen.bits(),
+                });
+                continue;
+            }
+            let ties = seen & z.equals(nearest);
+            if ties.any() {
+                let lost = ranks.lost_ties(ties.bits(), ids, &record);
+                seen = seen & !Mask::from_bits(lost);
+                if !seen.any() {
                     continue;
                 }
-                let ties = seen & z.equals(nearest);
-                if ties.any() {
-                    let lost = ranks.lost_ties(ties.bits(), ids, &record);
-                    seen = seen & !Mask::from_bits(lost);
-                }
-                if seen.any() {
-                    touched = true;
-                    seen.select(z, nearest).store(depths);
-                    let before = I::load_unsigned(ids);
-                    let now = I::splat(id.cast_signed());
-                    seen.select_ints(now, before).store_unsigned(ids);
-                }
             }
-            edge = [0, 1, 2].map(|at| edge[at] + per_pair[at]);
-            pixel_x += 2.0;
+            touched = true;
+            seen.select(z, nearest).store(depths);
+            let before = I::load_unsigned(ids);
+            let now = I::splat(id.cast_signed());
+            seen.select_ints(now, before).store_unsigned(ids);
         }
         rows = [0, 1, 2].map(|at| rows[at] + per_row[at]);
     }

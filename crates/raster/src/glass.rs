@@ -9,7 +9,7 @@ use crate::raster;
 use crate::scene::{Geom, Scene, Shape};
 use crate::shade::{self, Fragment, Lists};
 use crate::visible::{Layer, Layers, SAMPLES, Visible};
-use crate::window::Window;
+use crate::window::{Around, Window};
 
 /// Geoms of less opacity are seen through.
 const OPAQUE_FROM: f64 = 0.995;
@@ -153,7 +153,6 @@ fn paint(
         visible.records.len(),
         visible.clipped.len(),
     );
-    let touched = visible.touched;
     instance::add(0, geom, pass.view, pass.model, instances);
     let mut layers: Vec<Layer> = Vec::new();
     for index in before.0..instances.len() {
@@ -166,6 +165,7 @@ fn paint(
                 plane: pass.view.clip,
                 positions: &mut work.positions,
                 visible,
+                touched: Around::NOTHING,
                 layers: Some(Layers {
                     list: &mut layers,
                     most,
@@ -180,7 +180,6 @@ fn paint(
     instances.truncate(before.0);
     visible.records.truncate(before.1);
     visible.clipped.truncate(before.2);
-    visible.touched = touched;
     painted
 }
 

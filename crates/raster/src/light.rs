@@ -96,8 +96,8 @@ pub(crate) struct Shading<'a> {
     /// What it shows without any.
     base: Vec3,
     products: [[Vec3; 3]; MOST_LIGHTS],
-    /// Whether a light adds nothing but its ambient part to what it does not face: all
-    /// its other numbers are finite, so that none times zero is other than zero.
+    /// Whether a light adds only its ambient part to corners that face away from it. Its
+    /// numbers must be finite for that, since infinity times zero is not zero.
     is_tame: [bool; MOST_LIGHTS],
     shininess: f32,
 }

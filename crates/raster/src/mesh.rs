@@ -1,6 +1,7 @@
 //! Triangles, prepared once: in clusters of neighbours that face the same way,
-//! so that whole clusters can be passed over. Corners that have everything in
-//! common are one vertex of their cluster, which is placed and lit once.
+//! so that whole clusters can be passed over. Corners in one place are one position of
+//! their cluster, which is carried to the picture once; corners that have everything in
+//! common are one vertex, which is lit once.
 
 use std::collections::HashMap;
 
@@ -36,30 +37,28 @@ impl Corner {
     }
 }
 
-/// What lighting and textures need of a vertex.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Attributes {
-    pub(crate) normal: Vec3,
-    pub(crate) st: [f32; 2],
-}
-
 /// A mesh, ready to be drawn.
 #[derive(Debug, Default)]
 pub struct Mesh {
     pub(crate) clusters: Vec<Cluster>,
-    /// Positions of vertices, cluster by cluster, each padded to a multiple of eight.
+    /// Positions, cluster by cluster, each padded to a multiple of eight.
     pub(crate) xs: Values<f32>,
     pub(crate) ys: Values<f32>,
     pub(crate) zs: Values<f32>,
-    /// Normals and texture coordinates of the same vertices; see [`Mesh::attributes`].
-    pub(crate) attributes: Values<[f32; 5]>,
-    /// Triangles, cluster by cluster, each padded to a multiple of eight: which of
-    /// the cluster's vertices its corners are.
+    /// Vertices, cluster by cluster: position, normal and texture coordinates.
+    pub(crate) vertices: Values<Vertex>,
+    /// Triangles, cluster by cluster, each padded to a multiple of eight: in which of
+    /// the cluster's positions its corners are.
+    pub(crate) places: [Values<u8>; 3],
+    /// Of the same triangles, which of the cluster's vertices their corners are.
     pub(crate) corners: [Values<u8>; 3],
     /// Of each triangle its place in the order in which the mesh is drawn.
     pub(crate) order: Values<u32>,
     pub(crate) bounds: Sphere,
 }
+
+/// See [`Mesh::vertices`].
+pub(crate) type Vertex = [f32; 8];
 
 /// A ball around something.
 #[derive(Debug, Clone, Copy, Default)]
@@ -78,6 +77,8 @@ pub(crate) struct Cluster {
     sine: f32,
     pub(crate) first_position: u32,
     pub(crate) positions: u32,
+    pub(crate) first_vertex: u32,
+    vertices: u32,
     pub(crate) first_triangle: u32,
     pub(crate) triangles: u32,
 }
@@ -212,16 +213,27 @@ impl Mesh {
     fn add_cluster(&mut self, pieces: &mut [Piece], triangles: &[[Corner; 3]]) {
         // As it is drawn: later triangles win where depths are equal.
         pieces.sort_unstable_by_key(|piece| piece.order);
-        let (first_position, first_triangle) = (self.xs.len() as u32, self.order.len() as u32);
-        let mut known: HashMap<[u32; 8], u8> = HashMap::new();
+        let (first_position, first_vertex) = (self.xs.len() as u32, self.vertices.len() as u32);
+        let first_triangle = self.order.len() as u32;
+        let mut positions: HashMap<[u32; 3], u8> = HashMap::new();
+        let mut vertices: HashMap<[u32; 8], u8> = HashMap::new();
         for piece in pieces.iter() {
             for (at, corner) in triangles[piece.order as usize].iter().enumerate() {
-                let next = known.len() as u8;
-                let id = *known.entry(corner.bits()).or_insert_with(|| {
-                    self.push_vertex(corner);
+                let next = positions.len() as u8;
+                let bits = corner.bits();
+                let place = *positions
+                    .entry([bits[0], bits[1], bits[2]])
+                    .or_insert_with(|| {
+                        self.push_position(corner.pos);
+                        next
+                    });
+                self.places[at].push(place);
+                let next = vertices.len() as u8;
+                let vertex = *vertices.entry(bits).or_insert_with(|| {
+                    self.vertices.push(bits.map(f32::from_bits));
                     next
                 });
-                self.corners[at].push(id);
+                self.corners[at].push(vertex);
             }
             self.order.push(piece.order);
         }
@@ -232,26 +244,26 @@ impl Mesh {
             axis,
             sine,
             first_position,
-            positions: known.len() as u32,
+            positions: positions.len() as u32,
+            first_vertex,
+            vertices: vertices.len() as u32,
             first_triangle,
             triangles: pieces.len() as u32,
         });
         while !self.xs.len().is_multiple_of(LANES) {
-            self.push_vertex(&triangles[pieces[0].order as usize][0]);
+            self.push_position(pieces[0].pos[0]);
         }
         while !self.order.len().is_multiple_of(LANES) {
-            self.corners.iter_mut().for_each(|corners| corners.push(0));
+            let lists = self.places.iter_mut().chain(&mut self.corners);
+            lists.for_each(|corners| corners.push(0));
             self.order.push(0);
         }
     }
 
-    fn push_vertex(&mut self, corner: &Corner) {
-        let [x, y, z] = corner.pos;
+    fn push_position(&mut self, [x, y, z]: Vec3) {
         self.xs.push(x);
         self.ys.push(y);
         self.zs.push(z);
-        let ([nx, ny, nz], [s, t]) = (corner.normal, corner.st);
-        self.attributes.push([nx, ny, nz, s, t]);
     }
 
     /// The mesh as bytes, for [`Mesh::from_bytes`] of the same [`SOURCES`](crate::SOURCES) on
@@ -262,12 +274,14 @@ impl Mesh {
             xs,
             ys,
             zs,
-            attributes,
+            vertices,
+            places,
             corners,
             order,
             bounds,
         } = self;
-        let counts = [clusters.len(), xs.len(), order.len()].map(|count| count as u32);
+        let counts = [clusters.len(), xs.len(), vertices.len(), order.len()];
+        let counts = counts.map(|count| count as u32);
         let mut bytes = bytemuck::cast_slice(&counts).to_vec();
         bytes.extend_from_slice(bytemuck::cast_slice(&bounds.words()));
         for cluster in clusters {
@@ -276,9 +290,9 @@ impl Mesh {
         for values in [xs, ys, zs] {
             bytes.extend_from_slice(bytemuck::cast_slice(values));
         }
-        bytes.extend_from_slice(bytemuck::cast_slice(attributes));
+        bytes.extend_from_slice(bytemuck::cast_slice(vertices));
         bytes.extend_from_slice(bytemuck::cast_slice(order));
-        for values in corners {
+        for values in places.iter().chain(corners) {
             bytes.extend_from_slice(values);
         }
         bytes
@@ -294,17 +308,22 @@ impl Mesh {
     }
 
     fn read(mut blob: Blob) -> Option<Self> {
-        let counts = blob.take::<u32>(3)?;
-        let [clusters, positions, triangles] = [0, 1, 2].map(|at| counts[at] as usize);
+        let counts = blob.take::<u32>(4)?;
+        let [clusters, positions, vertices, triangles] = [0, 1, 2, 3].map(|at| counts[at] as usize);
         let bounds = Sphere::of_words(blob.take::<[u32; 4]>(1)?[0]);
-        let clusters = blob.take::<[u32; 12]>(clusters)?;
+        let clusters = blob.take::<[u32; WORDS]>(clusters)?;
         let mesh = Self {
             clusters: clusters.iter().copied().map(Cluster::of_words).collect(),
             xs: blob.take(positions)?,
             ys: blob.take(positions)?,
             zs: blob.take(positions)?,
-            attributes: blob.take(positions)?,
+            vertices: blob.take(vertices)?,
             order: blob.take(triangles)?,
+            places: [
+                blob.take(triangles)?,
+                blob.take(triangles)?,
+                blob.take(triangles)?,
+            ],
             corners: [
                 blob.take(triangles)?,
                 blob.take(triangles)?,
@@ -315,6 +334,7 @@ impl Mesh {
         let lies_inside = |cluster: &Cluster| {
             let end = |first: u32, count: u32| first as usize + count as usize;
             end(cluster.first_position, cluster.positions) <= positions
+                && end(cluster.first_vertex, cluster.vertices) <= vertices
                 && end(cluster.first_triangle, cluster.triangles) <= triangles
         };
         (blob.is_empty() && mesh.clusters.iter().all(lies_inside)).then_some(mesh)
@@ -329,19 +349,9 @@ impl Mesh {
         counts.sum()
     }
 
-    /// Attributes of a vertex.
-    #[inline(always)]
-    pub(crate) fn attributes(&self, vertex: usize) -> Attributes {
-        let [nx, ny, nz, s, t] = self.attributes[vertex];
-        Attributes {
-            normal: [nx, ny, nz],
-            st: [s, t],
-        }
-    }
-
-    /// Where a vertex of a cluster is.
-    pub(crate) fn position(&self, cluster: &Cluster, vertex: u8) -> Vec3 {
-        let at = cluster.first_position as usize + usize::from(vertex);
+    /// Where a position of a cluster is.
+    pub(crate) fn position(&self, cluster: &Cluster, id: u8) -> Vec3 {
+        let at = cluster.first_position as usize + usize::from(id);
         [self.xs[at], self.ys[at], self.zs[at]]
     }
 }
@@ -361,24 +371,30 @@ impl Sphere {
     }
 }
 
+/// Numbers that a cluster is kept as.
+const WORDS: usize = 14;
+
 impl Cluster {
-    fn words(&self) -> [u32; 12] {
+    fn words(&self) -> [u32; WORDS] {
         let [a, b, c, d] = self.bounds.words();
         let [x, y, z] = self.axis.map(f32::to_bits);
         let sine = self.sine.to_bits();
         let [p, q] = [self.first_position, self.positions];
+        let [v, w] = [self.first_vertex, self.vertices];
         let [t, u] = [self.first_triangle, self.triangles];
-        [a, b, c, d, x, y, z, sine, p, q, t, u]
+        [a, b, c, d, x, y, z, sine, p, q, v, w, t, u]
     }
 
-    fn of_words(words: [u32; 12]) -> Self {
-        let [a, b, c, d, x, y, z, sine, p, q, t, u] = words;
+    fn of_words(words: [u32; WORDS]) -> Self {
+        let [a, b, c, d, x, y, z, sine, p, q, v, w, t, u] = words;
         Self {
             bounds: Sphere::of_words([a, b, c, d]),
             axis: [x, y, z].map(f32::from_bits),
             sine: f32::from_bits(sine),
             first_position: p,
             positions: q,
+            first_vertex: v,
+            vertices: w,
             first_triangle: t,
             triangles: u,
         }
@@ -472,8 +488,11 @@ mod tests {
                 let order = mesh.order[triangle] as usize;
                 found[order] += 1;
                 for (at, corner) in wanted[order].iter().enumerate() {
-                    let vertex = mesh.corners[at][triangle];
-                    assert_eq!(mesh.position(cluster, vertex), corner.pos);
+                    let place = mesh.places[at][triangle];
+                    assert_eq!(mesh.position(cluster, place), corner.pos);
+                    let vertex =
+                        cluster.first_vertex as usize + usize::from(mesh.corners[at][triangle]);
+                    assert_eq!(mesh.vertices[vertex].map(f32::to_bits), corner.bits());
                 }
             }
         }

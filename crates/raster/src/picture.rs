@@ -9,7 +9,7 @@ use crate::positions::Positions;
 use crate::raster;
 use crate::shade::{self, Lists};
 use crate::visible::{SAMPLES, Visible};
-use crate::window::Window;
+use crate::window::{Around, Window};
 
 /// A picture in the making.
 #[derive(Default)]
@@ -74,26 +74,22 @@ impl Picture {
         let distance = |at: &usize| self.instances[*at].distance;
         work.order
             .sort_unstable_by(|a, b| distance(a).total_cmp(&distance(b)));
-        let before = self.visible.touched.take();
-        let mut all = before;
         for index in &work.order {
-            raster::draw(
-                *index,
-                &mut Drawing {
-                    model: pass.model,
-                    instances: &self.instances,
-                    window: pass.window,
-                    plane: pass.view.clip,
-                    positions: &mut work.positions,
-                    visible: &mut self.visible,
-                    layers: None,
-                },
-            );
-            let touched = self.visible.touched.take();
+            let mut drawing = Drawing {
+                model: pass.model,
+                instances: &self.instances,
+                window: pass.window,
+                plane: pass.view.clip,
+                positions: &mut work.positions,
+                visible: &mut self.visible,
+                touched: Around::NOTHING,
+                layers: None,
+            };
+            raster::draw(*index, &mut drawing);
+            let touched = drawing.touched.window();
             self.instances[*index].window = touched;
-            all = Window::around(all, touched);
+            self.visible.touched = Window::around(self.visible.touched, touched);
         }
-        self.visible.touched = all;
     }
 
     /// Colours what is visible of the records from `first` on.

@@ -27,17 +27,15 @@ pub(crate) fn place(
     let half_width = F::splat(drawing.visible.width as f32 * 0.5);
     let half_height = F::splat(drawing.visible.height as f32 * 0.5);
     let (zero, one) = (F::splat(0.0), F::splat(1.0));
-    let first = cluster.first_position as usize;
     let count = (cluster.positions as usize).next_multiple_of(LANES);
     let mut any = I::splat(0);
     let mut low = [I::splat(i32::MAX); 2];
     let mut high = [I::splat(i32::MIN); 2];
     let to = &mut *drawing.positions;
+    let first = cluster.first_position as usize;
+    let [xs, ys, zs] = [&mesh.xs, &mesh.ys, &mesh.zs].map(|all| &all[first..first + count]);
     for at in (0..count).step_by(LANES) {
-        let from = first + at;
-        let x = F::load(&mesh.xs[from..from + LANES]);
-        let y = F::load(&mesh.ys[from..from + LANES]);
-        let z = F::load(&mesh.zs[from..from + LANES]);
+        let [x, y, z] = [xs, ys, zs].map(|values| F::load(&values[at..at + LANES]));
         let row = instance.to_clip.rows([x, y, z]);
         let (cx, cy, cz, cw) = (row(0), row(1), row(2), row(3));
         let mut beyond = I::splat(0);

@@ -6,7 +6,7 @@ use crate::clip::{self, ClippedTriangle, Cut};
 use crate::drawing::Drawing;
 use crate::fill::fill;
 use crate::frustum::Frustum;
-use crate::lanes::{F, LANES};
+use crate::lanes::LANES;
 use crate::mesh::{Cluster, Mesh};
 use crate::place::{Placed, place};
 use crate::setup::Setup;
@@ -70,7 +70,7 @@ fn draw_cluster(
             let record = Record {
                 instance: index as u32,
                 triangle,
-                positions: cluster.first_position,
+                vertices: cluster.first_vertex,
             };
             fill(lane, &setup, record, drawing);
         }
@@ -95,14 +95,14 @@ fn cut_off(
     while triangles != 0 {
         let triangle = cluster.first_triangle as usize + triangles.trailing_zeros() as usize;
         triangles &= triangles - 1;
-        let ids = mesh.corners.each_ref().map(|ids| ids[triangle]);
+        let ids = mesh.places.each_ref().map(|ids| ids[triangle]);
         let cut = Cut {
             beyond: drawing.positions.any_beyond(ids),
             plane: drawing.plane,
             half,
         };
         let corners = ids.map(|id| mesh.position(cluster, id));
-        let polygon = clip::clip(instance, corners, [F::splat(0.0); 3], &cut);
+        let polygon = clip::clip(instance, corners, [(); 3], &cut);
         for (piece, corners) in polygon.pieces().enumerate() {
             if !setup.clipped(instance, &corners, drawing.window) {
                 continue;
@@ -110,11 +110,11 @@ fn cut_off(
             let record = Record {
                 instance: index as u32,
                 triangle: drawing.visible.clipped.len() as u32,
-                positions: CLIPPED,
+                vertices: CLIPPED,
             };
             drawing.visible.clipped.push(ClippedTriangle {
                 triangle: triangle as u32,
-                positions: cluster.first_position,
+                vertices: cluster.first_vertex,
                 cut,
                 piece: piece as u32,
             });

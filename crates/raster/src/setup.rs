@@ -110,7 +110,7 @@ impl Setup {
     pub(crate) fn clipped(
         &mut self,
         instance: &Instance,
-        piece: &[ClippedCorner; 3],
+        piece: &[ClippedCorner<()>; 3],
         window: Window,
     ) -> bool {
         let corners = turned(instance.counter_clockwise).map(|corner| piece[corner]);

@@ -148,6 +148,10 @@ struct Listing<'a> {
 impl Listing<'_> {
     #[inline(always)]
     fn pixel(&mut self, ids: &[u32; SAMPLES], x: u32, y: u32) {
+        if *ids == [self.id; SAMPLES] {
+            self.list.push(Fragment::new(x, y, 0xf, self.surface));
+            return;
+        }
         let [a, b, c, d] = *ids;
         let of = |same: bool, sample: u32| u32::from(same) << sample;
         let with_first = 1 | of(b == a, 1) | of(c == a, 2) | of(d == a, 3);
@@ -233,7 +237,7 @@ pub(crate) fn work_out_surfaces(
         let instance = &instances[record.instance as usize];
         let mesh = instance.mesh.of(model);
         let shading = shading.of(record.instance, instance);
-        if record.positions == CLIPPED {
+        if record.vertices == CLIPPED {
             surfaces[surface as usize] =
                 surface::work_out_clipped(instance, mesh, shading, visible, record);
             continue;
@@ -244,14 +248,14 @@ pub(crate) fn work_out_surfaces(
             surface,
         });
         let is_of_same =
-            |next: &Record| (next.instance, next.positions) == (record.instance, record.positions);
+            |next: &Record| (next.instance, next.vertices) == (record.instance, record.vertices);
         while let Some((next, surface)) = needed.next_if(|(next, _)| is_of_same(next)) {
             wanted.push(Wanted {
                 triangle: next.triangle,
                 surface,
             });
         }
-        let cluster = (record.positions, wanted.as_slice());
+        let cluster = (record.vertices, wanted.as_slice());
         surface::work_out(instance, mesh, shading, size, cluster, vertices, surfaces);
     }
 }

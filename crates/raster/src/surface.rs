@@ -5,7 +5,7 @@ use crate::clip::{self, VARYING};
 use crate::instance::{Instance, Mapping};
 use crate::lanes::{F, Floats as _, LANES};
 use crate::light::{Shading, shade};
-use crate::mesh::{CLUSTER, Mesh};
+use crate::mesh::{CLUSTER, Mesh, Vertex};
 use crate::setup::{Slopes, turned};
 use crate::visible::{CLIPPED, Record, Visible};
 
@@ -42,8 +42,13 @@ pub(crate) struct Vertices {
     varying: [[f32; VARYING]; MOST],
 }
 
-/// Vertices of a cluster at most, with room for eight at a time.
-const MOST: usize = 3 * CLUSTER + LANES;
+/// Vertices of a cluster at most: as many as a byte can name, so that no name needs a
+/// check. There is room for eight at a time.
+const MOST: usize = 256;
+const _: () = assert!(
+    3 * CLUSTER + LANES <= MOST,
+    "a byte names any vertex, or none"
+);
 /// A vertex that no triangle needed so far.
 const UNLIT: u8 = u8::MAX;
 
@@ -69,10 +74,12 @@ impl Vertices {
         size: [f32; 2],
         (first, wanted): (u32, &[Wanted]),
     ) {
+        let vertices = &mesh.vertices[first as usize..];
+        let corners = mesh.corners.each_ref().map(|corners| &corners[..]);
         self.slots.fill(UNLIT);
         let (mut needed, mut count) = ([0; MOST], 0);
         for triangle in wanted.iter().map(|it| it.triangle as usize) {
-            for corners in &mesh.corners {
+            for corners in corners {
                 let slot = &mut self.slots[usize::from(corners[triangle])];
                 if *slot == UNLIT {
                     *slot = count as u8;
@@ -82,11 +89,11 @@ impl Vertices {
             }
         }
         for at in (0..count).step_by(LANES) {
-            let mut vertices = [first as usize; LANES];
-            for (vertex, id) in vertices.iter_mut().zip(&needed[at..at + LANES]) {
-                *vertex += usize::from(*id);
+            let mut eight = [Vertex::default(); LANES];
+            for (vertex, id) in eight.iter_mut().zip(&needed[at..at + LANES]) {
+                *vertex = vertices[usize::from(*id)];
             }
-            let from = Corners::gather(mesh, &vertices);
+            let from = Corners::new(eight);
             let placed = from.place(instance, size);
             placed.x.store(&mut self.x[at..at + LANES]);
             placed.y.store(&mut self.y[at..at + LANES]);
@@ -110,23 +117,23 @@ pub(crate) fn work_out(
     into: &mut [Surface],
 ) {
     vertices.light(instance, mesh, shading, size, (first, wanted));
-    let order = turned(instance.counter_clockwise);
+    let order = turned(instance.counter_clockwise).map(|corner| &mesh.corners[corner][..]);
     for wanted in wanted.chunks(LANES) {
-        let mut slots = [[0; 3]; LANES];
+        let mut slots = [[0u8; 3]; LANES];
         let (mut x, mut y) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
         for (lane, wanted) in wanted.iter().enumerate() {
-            for (turn, corner) in order.into_iter().enumerate() {
-                let vertex = mesh.corners[corner][wanted.triangle as usize];
-                let slot = usize::from(vertices.slots[usize::from(vertex)]);
+            for (turn, corners) in order.into_iter().enumerate() {
+                let vertex = corners[wanted.triangle as usize];
+                let slot = vertices.slots[usize::from(vertex)];
                 slots[lane][turn] = slot;
-                x[turn][lane] = vertices.x[slot];
-                y[turn][lane] = vertices.y[slot];
+                x[turn][lane] = vertices.x[usize::from(slot)];
+                y[turn][lane] = vertices.y[usize::from(slot)];
             }
         }
         let slopes = Slopes::new(&x.map(F::new), &y.map(F::new)).each();
         for ((wanted, slots), slopes) in wanted.iter().zip(slots).zip(slopes) {
             // A lane for each number that varies.
-            let values = slots.map(|slot| F::new(vertices.varying[slot]));
+            let values = slots.map(|slot| F::new(vertices.varying[usize::from(slot)]));
             let [at_corner, per_x, per_y] = slopes.of(&values);
             into[wanted.surface as usize] = Surface {
                 at_corner: at_corner.to_array(),
@@ -139,9 +146,9 @@ pub(crate) fn work_out(
 
 /// Eight vertices, as the mesh has them.
 struct Corners {
-    pos: [[f32; LANES]; 3],
-    normal: [[f32; LANES]; 3],
-    st: [[f32; LANES]; 2],
+    pos: [F; 3],
+    normal: [F; 3],
+    st: [F; 2],
 }
 
 struct Placed {
@@ -152,31 +159,19 @@ struct Placed {
 
 impl Corners {
     #[inline(always)]
-    fn gather(mesh: &Mesh, vertices: &[usize; LANES]) -> Self {
-        let mut it = Self {
-            pos: [[0.0; LANES]; 3],
-            normal: [[0.0; LANES]; 3],
-            st: [[0.0; LANES]; 2],
-        };
-        let (xs, ys, zs) = (&*mesh.xs, &*mesh.ys, &*mesh.zs);
-        for (lane, &vertex) in vertices.iter().enumerate() {
-            it.pos[0][lane] = xs[vertex];
-            it.pos[1][lane] = ys[vertex];
-            it.pos[2][lane] = zs[vertex];
-            let attributes = mesh.attributes(vertex);
-            for axis in 0..3 {
-                it.normal[axis][lane] = attributes.normal[axis];
-            }
-            it.st[0][lane] = attributes.st[0];
-            it.st[1][lane] = attributes.st[1];
+    fn new(vertices: [Vertex; LANES]) -> Self {
+        let [x, y, z, nx, ny, nz, s, t] = F::transpose(vertices.map(F::new));
+        Self {
+            pos: [x, y, z],
+            normal: [nx, ny, nz],
+            st: [s, t],
         }
-        it
     }
 
     /// The same steps as [`Positions`](crate::setup::Positions) took, bit for bit.
     #[inline(always)]
     fn place(&self, instance: &Instance, size: [f32; 2]) -> Placed {
-        let [x, y, z] = self.pos.map(F::new);
+        let [x, y, z] = self.pos;
         let row = instance.to_clip.rows([x, y, z]);
         let half = size.map(|size| F::splat(size * 0.5));
         let over_w = F::splat(1.0) / row(3);
@@ -196,12 +191,12 @@ impl Corners {
         over_w: F,
     ) -> [F; VARYING] {
         let splat = |value: f32| F::splat(value);
-        let [x, y, z] = self.pos.map(F::new);
+        let [x, y, z] = self.pos;
         let colour = match shading {
             None => [splat(1.0); 3],
             Some(shading) => {
                 let row = instance.to_eye.rows([x, y, z]);
-                let normal = self.normal.map(F::new);
+                let normal = self.normal;
                 let inverse = instance.normals.map(splat);
                 let turned = [0, 1, 2].map(|axis| {
                     normal[2] * inverse[6 + axis]
@@ -211,7 +206,7 @@ impl Corners {
                 shade(shading, [row(0), row(1), row(2)], turned)
             }
         };
-        let [s, t] = self.st.map(F::new);
+        let [s, t] = self.st;
         let coordinates = match instance.mapping {
             Mapping::None => [splat(0.0); 3],
             Mapping::Corners => [s, t, splat(0.0)],
@@ -240,16 +235,16 @@ pub(crate) fn work_out_clipped(
     visible: &Visible,
     record: &Record,
 ) -> Surface {
-    debug_assert_eq!(record.positions, CLIPPED, "a piece of a triangle");
+    debug_assert_eq!(record.vertices, CLIPPED, "a piece of a triangle");
     let piece = &visible.clipped[record.triangle as usize];
     let ids = mesh
         .corners
         .each_ref()
         .map(|corners| corners[piece.triangle as usize]);
-    let [a, b, c] = ids.map(|id| piece.positions as usize + usize::from(id));
-    let from = Corners::gather(mesh, &[a, b, c, c, c, c, c, c]);
+    let [a, b, c] = ids.map(|id| mesh.vertices[piece.vertices as usize + usize::from(id)]);
+    let from = Corners::new([a, b, c, c, c, c, c, c]);
     let [a, b, c, ..] = F::transpose(from.values(instance, shading, F::splat(1.0)));
-    let pos = [0, 1, 2].map(|lane| from.pos.map(|axis| axis[lane]));
+    let pos = [0, 1, 2].map(|lane| from.pos.map(|axis| axis.as_array()[lane]));
     let polygon = clip::clip(instance, pos, [a, b, c], &piece.cut);
     let Some(corners) = polygon.pieces().nth(piece.piece as usize) else {
         return Surface::default();

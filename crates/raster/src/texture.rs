@@ -41,12 +41,17 @@ pub struct Texture {
 pub(crate) struct Texels<'a> {
     pub(crate) texture: &'a Texture,
     largest: &'a [u8],
+    smaller: &'a [u8],
 }
 
 impl<'a> Texels<'a> {
     /// The bytes are those that the texture was made from.
     pub(crate) fn new(texture: &'a Texture, largest: &'a [u8]) -> Self {
-        Self { texture, largest }
+        Self {
+            texture,
+            largest,
+            smaller: &texture.smaller,
+        }
     }
 
     /// Red, green, blue and opacity from the lowest byte up. Texels are counted
@@ -57,10 +62,7 @@ impl<'a> Texels<'a> {
         let texture = self.texture;
         let (bytes, at) = match index < texture.largest {
             true => (self.largest, index * texture.channels),
-            false => (
-                &*texture.smaller,
-                (index - texture.largest) * texture.channels,
-            ),
+            false => (self.smaller, (index - texture.largest) * texture.channels),
         };
         let four = match bytes.get(at..at + 4) {
             Some(four) => u32::from_le_bytes([four[0], four[1], four[2], four[3]]),
@@ -85,7 +87,7 @@ impl Texels<'_> {
             .fold(0, |count, at| count + u32::from(*at >= largest));
         match smaller {
             0 => self.eight_of(self.largest, 0, at),
-            8 => self.eight_of(&self.texture.smaller, largest, at),
+            8 => self.eight_of(self.smaller, largest, at),
             _ => {
                 let mut texels = [0; LANES];
                 for (texel, at) in texels.iter_mut().zip(at) {
@@ -106,21 +108,13 @@ impl Texels<'_> {
             .fold(0, |count, at| count + u32::from(*at >= largest));
         let (bytes, first) = match smaller {
             0 => (self.largest, 0),
-            8 => (&self.texture.smaller[..], largest),
+            8 => (self.smaller, largest),
             _ => return None,
         };
-        let (channels, opaque) = match self.texture.channels {
-            3 => (3, 0xff00_0000),
-            _ => (4, 0),
-        };
-        let mut pairs = [[0; LANES]; 2];
-        for (lane, at) in at.iter().enumerate() {
-            let place = (at - first).cast_unsigned() as usize * channels;
-            let pair = u64::from_le_bytes(*bytes.get(place..)?.first_chunk()?);
-            pairs[0][lane] = opaque | pair as u32;
-            pairs[1][lane] = opaque | (pair >> (8 * channels)) as u32;
+        match self.texture.channels {
+            3 => eight_pairs::<3>(bytes, first, at),
+            _ => eight_pairs::<4>(bytes, first, at),
         }
-        Some(pairs)
     }
 
     /// Eight texels from bytes that start with texel `first`.
@@ -143,6 +137,25 @@ impl Texels<'_> {
         }
         texels
     }
+}
+
+/// See [`Texels::eight_pairs`]; the bytes start with texel `first`.
+#[inline(always)]
+fn eight_pairs<const CHANNELS: usize>(
+    bytes: &[u8],
+    first: i32,
+    at: &[i32; LANES],
+) -> Option<[[u32; LANES]; 2]> {
+    let opaque = if CHANNELS == 3 { 0xff00_0000 } else { 0 };
+    let mut pairs = [[0; LANES]; 2];
+    for (lane, at) in at.iter().enumerate() {
+        let place = (at - first).cast_unsigned() as usize * CHANNELS;
+        let eight = bytes.get(place..place + 8)?;
+        let pair = u64::from_le_bytes(*eight.first_chunk()?);
+        pairs[0][lane] = opaque | pair as u32;
+        pairs[1][lane] = opaque | (pair >> (8 * CHANNELS)) as u32;
+    }
+    Some(pairs)
 }
 
 /// One size of a texture.

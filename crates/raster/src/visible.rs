@@ -25,13 +25,13 @@ pub(crate) const NOTHING: u32 = u32::MAX;
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Record {
     pub(crate) instance: u32,
-    /// In the mesh; or among the clipped ones, if `positions` says so.
+    /// In the mesh; or among the clipped ones, if `vertices` says so.
     pub(crate) triangle: u32,
-    /// Where its cluster's positions start in the mesh, or [`CLIPPED`].
-    pub(crate) positions: u32,
+    /// Where its cluster's vertices start in the mesh, or [`CLIPPED`].
+    pub(crate) vertices: u32,
 }
 
-/// See [`Record::positions`].
+/// See [`Record::vertices`].
 pub(crate) const CLIPPED: u32 = u32::MAX;
 
 /// How much a block of the picture hides. Depths only grow while a picture is drawn,
@@ -212,7 +212,7 @@ pub(crate) struct Ranks<'a> {
 impl Ranks<'_> {
     /// Places of its geom's part in the scene, and of it in the mesh.
     pub(crate) fn of(&self, record: &Record) -> (u32, u32) {
-        let triangle = match record.positions {
+        let triangle = match record.vertices {
             CLIPPED => self.clipped[record.triangle as usize].triangle,
             _ => record.triangle,
         };

@@ -9,6 +9,37 @@ pub(crate) struct Window {
     pub(crate) y: [i32; 2],
 }
 
+/// The smallest window around what is added to it.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Around {
+    low: [i32; 2],
+    high: [i32; 2],
+}
+
+impl Around {
+    pub(crate) const NOTHING: Self = Self {
+        low: [i32::MAX; 2],
+        high: [i32::MIN; 2],
+    };
+
+    /// Adds pixels, ends inside.
+    #[inline(always)]
+    pub(crate) fn add(&mut self, x: [i32; 2], y: [i32; 2]) {
+        let Self { low, high } = self;
+        *low = [low[0].min(x[0]), low[1].min(y[0])];
+        *high = [high[0].max(x[1]), high[1].max(y[1])];
+    }
+
+    /// None if nothing was added.
+    pub(crate) fn window(&self) -> Option<Window> {
+        let Self { low, high } = *self;
+        (low[0] <= high[0]).then_some(Window {
+            x: [low[0], high[0]],
+            y: [low[1], high[1]],
+        })
+    }
+}
+
 impl Window {
     /// All of a picture.
     pub(crate) fn whole(width: usize, height: usize) -> Self {
