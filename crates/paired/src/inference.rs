@@ -2,6 +2,7 @@
 //! inference, matched losses, predictions of independence, and what exceeds the noise
 //! floor. The paper's own measures and intervals are in `measures`.
 
+pub(crate) mod components;
 pub(crate) mod direction;
 pub(crate) mod equivalence;
 pub(crate) mod estimate;
@@ -40,7 +41,7 @@ pub struct Inference {
     /// states; empty without them.
     pub losses: Losses,
     /// The test of simultaneous success by direction; absent where directions are not
-    /// shared.
+    /// shared, and of the placebo.
     pub directions: Option<DirectionTest>,
     /// The noise floor, and what exceeds it; absent without a placebo, and of the placebo
     /// itself.
@@ -64,7 +65,10 @@ impl Inference {
             i_sign_flip_p: paired::i_sign_flip_p(matched),
             relative: Relative::of(matched, directions),
             losses: Loss::of_each(matched, directions),
-            directions: DirectionTest::of(matched, directions),
+            directions: match is_placebo {
+                true => None,
+                false => DirectionTest::of(matched, directions),
+            },
             excess: placebo.and_then(|placebo| Excess::of(matched, placebo, directions)),
         })
     }

@@ -22,6 +22,7 @@ mod difference;
 mod findings;
 mod gate;
 mod inference;
+mod inference_table;
 mod interval;
 mod legend;
 mod mcnemar;
@@ -40,12 +41,13 @@ pub use comparison::{ComparedCell, Comparison, Obstacle};
 pub use comparison_table::comparison_table;
 pub use count::Count;
 pub use design::{PairedDesign, minimum_detectable_effect, task_correlation};
-pub use difference::{Difference, DifferenceBounds, Pair};
+pub use difference::{Difference, DifferenceBounds, Pair, Profile};
 pub use findings::{FINDING_ALPHA, Finding, FindingKind, findings};
 pub use gate::{
     GATE_ROLLOUTS, GATE_ROLLOUTS_OF_A_SUITE, GATE_TOLERANCE, Gate, GateVerdict, SuiteGate,
 };
 pub use inference::Inference;
+pub use inference::components::Components;
 pub use inference::direction::DirectionTest;
 pub use inference::equivalence::{EQUIVALENCE_MARGIN, equivalence_p};
 pub use inference::estimate::{Estimate, FEWEST_TASKS};
