@@ -69,7 +69,7 @@ fn rows(comparison: &Comparison) -> Vec<(String, Vec<String>)> {
 fn push_further(text: &mut String, comparison: &Comparison) {
     let heads = [
         "and directions",
-        "all rows at once",
+        "all rows",
         "beyond 5, p",
         "tasks A:B",
         "improves",
@@ -89,13 +89,12 @@ fn push_further(text: &mut String, comparison: &Comparison) {
             interval(it.simultaneous_ci95),
             it.equivalence_p.map_or_else(|| NOTHING.to_owned(), p_value),
             format!("{}:{}", it.profile.a_better, it.profile.b_better),
-            format!("{:.2}", it.profile.improvement.value),
         ];
         rows.push((cell.name(), values));
     }
     if rows.len() > 1 {
         separate(text);
-        text.push_str("A - B beyond these rows\n");
+        text.push_str("A - B for further targets\n");
         push_columns(text, &rows);
     }
 }
@@ -173,24 +172,20 @@ fn legend(comparison: &Comparison, bootstrap: &Bootstrap) -> Vec<(&'static str, 
         "exact two-sided sign-flip test of A - B over tasks, corrected for the rows of the table",
     );
     add(
-        "and directions",
+        "directions",
         "95 % interval about new tasks and new directions (of nominal, initial states)",
     );
     add(
-        "all rows at once",
+        "all rows",
         "intervals about new tasks that hold together with 95 %",
     );
     add(
-        "beyond 5, p",
+        "5 pts p",
         "test that A and B differ by more than 5 points: if small, they are equivalent",
     );
     add(
         "tasks A:B",
         "tasks in which A, and in which B, succeeds more often",
-    );
-    add(
-        "improves",
-        "probability that A is better in a random task; equal tasks count half",
     );
     if comparison.cells.iter().any(|cell| cell.bounds.is_some()) {
         add(
