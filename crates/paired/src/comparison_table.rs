@@ -67,13 +67,7 @@ fn rows(comparison: &Comparison) -> Vec<(String, Vec<String>)> {
 
 /// Intervals for further targets, equivalence, and how many tasks differ.
 fn push_further(text: &mut String, comparison: &Comparison) {
-    let heads = [
-        "and directions",
-        "all rows",
-        "beyond 5, p",
-        "tasks A:B",
-        "improves",
-    ];
+    let heads = ["directions", "all rows", "5 pts p", "tasks A:B"];
     let mut rows = vec![(String::new(), heads.map(str::to_owned).to_vec())];
     let first = comparison.cells.iter().filter(|cell| cell.replicate == 0);
     for (cell, it) in first.filter_map(|cell| Some((cell, cell.difference.as_ref()?))) {
